@@ -1,0 +1,1 @@
+"""The compensator: cell, contact, model, optimal control, report, command lines."""

@@ -1,0 +1,1 @@
+"""What gives way between blade and wheel."""

@@ -1,0 +1,1 @@
+"""What the motion is: blade, passes, timing, robot programs."""
