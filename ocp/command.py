@@ -1,0 +1,63 @@
+"""What every command line shares: progress, the plain last line, exit codes."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from robots.errors import BadInput, Infeasible
+
+OK, NOT_SOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class Phases:
+    """Named phases of a long job with a progress bar on stderr; `seconds` keeps what each took."""
+
+    def __init__(self, progress: Progress | None = None) -> None:
+        self._progress = progress
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def phase(self, name: str, total: int | None = None) -> Iterator[Callable[[], None]]:
+        """Time a phase; the value yielded advances its bar by one of `total`."""
+        task = self._progress.add_task(name, total=total) if self._progress else None
+        start = time.perf_counter()
+
+        def advance() -> None:
+            if self._progress and task is not None:
+                self._progress.advance(task)
+
+        yield advance
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+        if self._progress and task is not None:
+            self._progress.update(task, total=total or 1, completed=total or 1)
+
+
+@contextmanager
+def shown_phases() -> Iterator[Phases]:
+    """Phases with bars on stderr when that is a terminal, silent otherwise."""
+    console = Console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description:<14}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        yield Phases(progress)
+
+
+def run(job: Callable[[], str]) -> int:
+    """Run a command's job; print its last line, or the one sentence why not. Returns the exit code."""
+    try:
+        print(job())  # noqa: T201  the plain last line is the command's answer
+        return OK
+    except BadInput as error:
+        return _refuse(f"refused: {error}", BAD_INPUT)
+    except Infeasible as error:
+        return _refuse(f"no safe plan, nothing written: {error}", NOT_SOLVED)
+    except KeyboardInterrupt:
+        return _refuse("interrupted, nothing written", INTERRUPTED)
+
+
+def _refuse(sentence: str, code: int) -> int:
+    print(sentence, file=sys.stderr)  # noqa: T201  one sentence, DESIGN "Manners"
+    return code

@@ -1,0 +1,173 @@
+"""All passes of a blade through the optimiser, side by side in worker processes.
+
+A pass is solved, its wheel contact solved directly at the solution, the difference fed back, and solved again; then
+collisions and contact elsewhere on the blade are checked at every waypoint. A seed that fails gives way to the next.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+
+import numpy as np
+from trajectories.passes import BladePath, reversed_path
+
+from ocp.cell import Cell
+from ocp.collision import Scene
+from ocp.contact.cover import Cover
+from ocp.contact.wheel_law import WheelLaw
+from ocp.direct_contact import DirectContact, corrected_defect, solve_directly
+from ocp.gouge import GOUGE_TOLERANCE, find_gouge
+from ocp.posture import Seed
+from ocp.solve import Evaluation, PassProblem, PassSolution, PassSolver, with_direction
+from ocp.stage import Weights
+from ocp.theta import Theta
+from robots.errors import Infeasible
+from robots.pose import Array
+
+DIRECT_TOLERANCE = 1e-6  # m of wheel indentation between the program's and the direct solution: 0.1 N at 100 N/mm
+CORRECTIONS = 4
+CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
+FALLBACKS = 4  # seeds tried before a pass is refused
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What all passes share: the cell, its parameters, the wheel's table and cover, the blade's surface points (m, 3)."""
+
+    cell: Cell
+    theta: Theta
+    weights: Weights
+    law: WheelLaw
+    cover: Cover
+    vertices: Array
+
+
+@dataclass(frozen=True)
+class SolvedPass:
+    """A pass that holds its force: problem (path in its direction of travel), joints, what the model says of them."""
+
+    problem: PassProblem
+    solution: PassSolution
+    evaluation: Evaluation
+    direct: DirectContact
+
+
+class PassWorker:
+    """Solves passes one after another with one compiled model."""
+
+    def __init__(self, ground: Ground) -> None:
+        self.ground = ground
+        self.solver = PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
+        self.scene = Scene(ground.cell, ground.vertices)
+        travel = np.sign(ground.cell.wheel.belt_speed) or 1.0
+        self.sigma_travel = float(travel * (1 if ground.cell.process.grinding == "down" else -1))
+
+    def solve(self, path: BladePath, seeds: list[Seed], compliance: Array) -> SolvedPass:
+        """The first seed that gives a sound pass. Raises Infeasible with the first seed's reason where none does."""
+        reason: Infeasible | None = None
+        for seed in seeds[:FALLBACKS]:
+            problem = PassProblem.start(path, seed, compliance)
+            if seed.direction < 0:
+                problem = with_direction(problem, reversed_path(path))
+            try:
+                return self._solve(problem)
+            except Infeasible as error:
+                reason = reason or error
+        assert reason is not None
+        raise reason
+
+    def _solve(self, problem: PassProblem) -> SolvedPass:
+        start = None
+        for _ in range(CORRECTIONS):
+            solution = self.solver.solve(problem, start)
+            solved = self.solver.evaluate(problem, solution.q, solution.force)
+            direct = solve_directly(self.ground.cover, problem, solved, self.sigma_travel)
+            off = np.abs(direct.indentation - solved.parts[direct.index, 1]).max()
+            blocked = self._with_clearances(problem, solution.q)
+            if off < DIRECT_TOLERANCE and blocked is None:
+                break
+            problem = replace(blocked or problem, defect=corrected_defect(problem, solved, direct))
+            start = solution.q
+        self._refuse_unsound(problem, solution, solved)
+        return SolvedPass(problem, solution, solved, direct)
+
+    def _with_clearances(self, problem: PassProblem, q: Array) -> PassProblem | None:
+        """The problem with rows that keep what collides free, linear about q; None where nothing collides."""
+        values, _ = self.scene.clearances(q, in_contact=True)
+        if values.min() >= 0:
+            return None
+        clearances = problem.clearances.copy()
+        for k in np.flatnonzero(values < CLEARANCE_BAND):
+            slope = self.scene.gradient(q[k], in_contact=True)
+            clearances[k] = np.roll(clearances[k], 1, axis=0)
+            clearances[k, 0] = [*slope, slope @ q[k] - values[k] + 1e-3]
+        return replace(problem, clearances=clearances)
+
+    def _refuse_unsound(self, problem: PassProblem, solution: PassSolution, solved: Evaluation) -> None:
+        """Raises Infeasible: something collides, the blade touches elsewhere, the flange is at the end of its stroke."""
+        path, cell = problem.path, self.ground.cell
+        name = f"line {path.line} ({path.side})"
+        clearance = self.scene.clearance(solution.q, in_contact=True)
+        if clearance.value < 0:
+            raise Infeasible(
+                f"{name}, waypoint {clearance.index + 1}: {clearance.sentence()}; move the wheel or the blade in its holder"
+            )
+        poses = solved.T_base_blade
+        gouge = find_gouge(cell, self.ground.vertices, poses, path.p, solved.curvature, solved.tilt, solved.delta)
+        if gouge.depth > GOUGE_TOLERANCE:
+            raise Infeasible(
+                f"{name}, waypoint {gouge.index + 1}: the blade would touch the wheel {gouge.distance * 1e3:.1f} mm beside "
+                f"the contact, {gouge.depth * 1e3:.2f} mm deeper than planned (at most {GOUGE_TOLERANCE * 1e3:.2f}); "
+                f"use a smaller or narrower wheel, or larger margins"
+            )
+        if cell.flange is not None:
+            stroke, limit = solved.parts[:, 0], 0.5 * cell.flange.stroke - 1e-3
+            k = int(np.argmax(np.abs(stroke)))
+            if abs(stroke[k]) > limit:
+                raise Infeasible(
+                    f"{name}, waypoint {k + 1}: the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, "
+                    f"{limit * 1e3:.2f} mm are usable; set force_N nearer to the flange's setpoint"
+                )
+
+
+_worker: PassWorker | None = None
+
+
+def _start_worker(ground: Ground) -> None:
+    global _worker
+    _worker = PassWorker(ground)
+
+
+def _solve_in_worker(path: BladePath, seeds: list[Seed], compliance: Array) -> SolvedPass:
+    assert _worker is not None
+    return _worker.solve(path, seeds, compliance)
+
+
+def solve_passes(
+    ground: Ground, paths: list[BladePath], seeds: list[list[Seed]], compliance: list[Array], jobs: int,
+    advance: Callable[[], None] = lambda: None, executor: Executor | None = None,
+) -> list[SolvedPass]:  # fmt: skip
+    """Solve every pass; `jobs` worker processes, or a given executor whose workers were started with `start_worker`.
+
+    Raises Infeasible of the first pass (in order) that has no sound solution.
+    """
+    if jobs <= 1 and executor is None:
+        worker = PassWorker(ground)
+        solved = []
+        for path, ranked, give in zip(paths, seeds, compliance, strict=True):
+            solved.append(worker.solve(path, ranked, give))
+            advance()
+        return solved
+    pool = executor or ProcessPoolExecutor(jobs, get_context("spawn"), _start_worker, (ground,))
+    try:
+        futures = [pool.submit(_solve_in_worker, *task) for task in zip(paths, seeds, compliance, strict=True)]
+        for future in futures:
+            future.add_done_callback(lambda _: advance())
+        return [future.result() for future in futures]
+    finally:
+        if executor is None:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+start_worker = _start_worker

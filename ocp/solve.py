@@ -1,0 +1,285 @@
+"""Ipopt on one pass: from a seed to joints that hold the force, or the constraint that forbids it."""
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from scipy.interpolate import CubicSpline
+from trajectories.passes import BladePath
+
+from ocp.cell import Cell
+from ocp.contact.wheel_law import WheelLaw
+from ocp.model import Model, build_model
+from ocp.posture import ELBOW_MARGIN, LIMIT_MARGIN, SHOULDER_MARGIN, WRIST_MARGIN, Seed
+from ocp.stage import (
+    N_CLEARANCE,
+    N_PARAMETERS,
+    N_PLAIN_ROWS,
+    N_ROWS,
+    N_Z,
+    ROWS,
+    Stage,
+    Weights,
+    build_stage,
+    force_variance,
+)
+from ocp.theta import Theta
+from ocp.transcription import Transcription, transcribe
+from robots.errors import Infeasible
+from robots.pose import Array
+
+PAD = 32  # programs are built for multiples of this many waypoints and shared by passes of similar length
+SPEED_SHARE = 0.8  # of the axes' speed limits that a pass may use at its programmed feed
+FEASIBLE = 1e-5  # largest scaled violation of a row that counts as solved (0.01 um, 1e-5 rad)
+
+
+@dataclass(frozen=True)
+class PassProblem:
+    """A pass in its direction of travel with all that its waypoints know: blade compliance (n, 3) m/N in (n, t, b),
+    wheel defect (n,) m, clearances (n, N_CLEARANCE, 7): rows a.q >= b."""
+
+    path: BladePath
+    seed: Seed
+    compliance: Array
+    defect: Array
+    clearances: Array
+
+    @staticmethod
+    def start(path: BladePath, seed: Seed, compliance: Array) -> "PassProblem":
+        """Before any correction by direct contact solutions or collision checks."""
+        n = len(path.s)
+        clearances = np.zeros((n, N_CLEARANCE, 7))
+        clearances[..., 6] = -1.0
+        return PassProblem(path, seed, compliance, np.zeros(n), clearances)
+
+    @property
+    def waypoints(self) -> Array:
+        """Columns `ocp.model.WAYPOINT`, (n, 16)."""
+        p = self.path
+        return np.column_stack([p.p, p.n, p.t, p.curvature, self.compliance, self.defect])
+
+    @property
+    def seconds(self) -> Array:
+        """Time between neighbouring waypoints at the programmed feed, (n-1,) s."""
+        return np.asarray(np.diff(self.path.s) / (0.5 * (self.path.feed[1:] + self.path.feed[:-1])))
+
+
+@dataclass(frozen=True)
+class PassSolution:
+    """Joints (n, 6) and force (n,) of a pass, and how Ipopt got there."""
+
+    q: Array
+    force: Array
+    iterations: int
+    objective: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What the model says of a path of n waypoints.
+
+    delta, residual (n,) m; parts (n, 4) m: flange, wheel, blade, robot; arc, turn (n,) rad; lateral (n,) m; tilt (n, 2)
+    slopes; curvature (n, 3) relative kxx, kyy, kxy 1/m; force_sd (n,) N; stiffness (n,) N/m of the whole chain;
+    T_base_blade (n, 4, 4) of the bent, calibrated arm.
+    """
+
+    delta: Array
+    residual: Array
+    parts: Array
+    arc: Array
+    lateral: Array
+    turn: Array
+    tilt: Array
+    curvature: Array
+    force_sd: Array
+    stiffness: Array
+    T_base_blade: Array
+
+
+class PassSolver:
+    """The compiled model of a cell, solving pass after pass; programs are built once per padded length."""
+
+    def __init__(self, cell: Cell, law: WheelLaw, theta: Theta, weights: Weights) -> None:
+        self.cell, self.theta, self.weights = cell, theta, weights
+        self.limits = law.limits
+        self.model: Model = build_model(cell, law, 1 if cell.process.grinding == "down" else -1)
+        self.stage: Stage = build_stage(cell, self.model, weights, theta.covariance)
+        self._programs: dict[tuple[int, bool], Transcription] = {}
+        m = self.model
+        slope = ca.jacobian(m.residual, m.F)
+        outputs = [
+            m.delta, m.residual, m.parts, m.arc, m.lateral, m.turn, m.tilt, m.curvature,
+            ca.sqrt(force_variance(m, theta.covariance)), -1 / slope, ca.vec(m.T_base_blade.T),
+        ]  # fmt: skip
+        self._evaluate = ca.Function("evaluate", [m.q, m.F, m.w, m.theta], outputs, {"cse": True})
+
+    def evaluate(self, problem: PassProblem, q: Array, force: Array) -> Evaluation:
+        """The model at joints q (n, 6) and forces (n,)."""
+        out = self._evaluate.map(len(q))(
+            q.T, force[None], problem.waypoints.T, np.tile(self.theta.values[:, None], len(q))
+        )
+        delta, residual, parts, arc, lateral, turn, tilt, curvature, sd, stiffness, pose = (
+            np.asarray(o).T for o in out
+        )
+        flat = [v[:, 0] for v in (delta, residual, arc, lateral, turn, sd, stiffness)]
+        return Evaluation(
+            flat[0],
+            flat[1],
+            parts,
+            flat[2],
+            flat[3],
+            flat[4],
+            tilt,
+            curvature,
+            flat[5],
+            flat[6],
+            pose.reshape(-1, 4, 4),
+        )
+
+    def program(self, n: int, full: bool = False) -> Transcription:
+        """The nonlinear program for n waypoints, padded."""
+        key = (-(-n // PAD) * PAD, full)
+        if key not in self._programs:
+            self._programs[key] = transcribe(self.stage, *key)
+        return self._programs[key]
+
+    def solve(self, problem: PassProblem, start: Array | None = None) -> PassSolution:
+        """Joints that hold the programmed force along the pass; `start` (n, 6) is a warm start.
+
+        Raises Infeasible naming waypoint, constraint and amount.
+        """
+        solution = self._solve(problem, start, full=False)
+        if self._breaks_lazy_rows(problem, solution.q):
+            solution = self._solve(problem, solution.q, full=True)
+        return solution
+
+    def _breaks_lazy_rows(self, problem: PassProblem, q: Array) -> bool:
+        """Does a solution without the rows of clearance and speed break one of them?"""
+        rows = np.einsum("kij,kj->ki", problem.clearances[..., :6], q) - problem.clearances[..., 6]
+        seconds = problem.seconds[:, None]
+        return bool(
+            rows.min() < 0 or (np.abs(np.diff(q, axis=0)) > SPEED_SHARE * seconds * self.cell.robot.qd_max).any()
+        )
+
+    def _solve(self, problem: PassProblem, start: Array | None, full: bool) -> PassSolution:
+        path = problem.path
+        n = len(path.s)
+        program = self.program(n, full)
+        q0 = seed_joints(problem) if start is None else start
+        x0 = np.column_stack([_padded(q0, program.n), _padded(path.force, program.n)])
+        lbx, ubx = self._bounds(problem, program.n)
+        lbg, ubg = self._row_bounds(problem, program.n, full)
+        p = Transcription.pack(*self._parameters(problem, program.n))
+        x0 = np.clip(x0.ravel(), lbx, ubx)
+        result = program.solver(x0=x0, lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg, p=p)
+        stats = program.solver.stats()
+        x = np.asarray(result["x"]).reshape(program.n, N_Z)[:n]
+        g = np.asarray(result["g"]).ravel()
+        violation = np.maximum(lbg - g, g - ubg)
+        if violation.max() > FEASIBLE or not np.isfinite(x).all():
+            raise Infeasible(self._reason(path, violation, program.n, full, stats["return_status"]))
+        if not stats["success"] and stats["return_status"] != "Maximum_Iterations_Exceeded":
+            raise Infeasible(f"line {path.line} ({path.side}): the optimiser stopped with {stats['return_status']}")
+        return PassSolution(x[:, :6], x[:, 6], int(stats["iter_count"]), float(result["f"]))
+
+    def _bounds(self, problem: PassProblem, n: int) -> tuple[Array, Array]:
+        """Bounds of the variables: axis limits with margin, the seed's side of wrist and elbow, the force."""
+        robot, seed = self.cell.robot, problem.seed
+        low, high = robot.q_min + LIMIT_MARGIN, robot.q_max - LIMIT_MARGIN
+        if seed.q[0, 4] > 0:
+            low[4] = max(low[4], 0.7 * WRIST_MARGIN)
+        else:
+            high[4] = min(high[4], -0.7 * WRIST_MARGIN)
+        elbow = float(np.arctan2(robot.mdh[2, 2], robot.mdh[3, 1]))
+        if seed.q[0, 2] > elbow:
+            low[2] = max(low[2], elbow + 0.7 * ELBOW_MARGIN)
+        else:
+            high[2] = min(high[2], elbow - 0.7 * ELBOW_MARGIN)
+        force = _padded(problem.path.force, n)[:, None]
+        return (
+            np.hstack([np.tile(low, (n, 1)), force]).ravel(),
+            np.hstack([np.tile(high, (n, 1)), force]).ravel(),
+        )
+
+    def _row_bounds(self, problem: PassProblem, n: int, full: bool) -> tuple[Array, Array]:
+        """Bounds of the rows in the order of `ocp.stage.ROWS`, then of the joint steps."""
+        process, wheel = self.cell.process, self.cell.wheel
+        slope = np.tan(process.tilt_tolerance)
+        low, high = np.full(N_ROWS, -np.inf), np.full(N_ROWS, np.inf)
+        low[0] = high[0] = 0.0
+        low[1], high[1] = wheel.arc
+        lateral = min(process.lateral_tolerance, 0.5 * wheel.width)
+        for row, half, name in ((2, lateral, "lateral"), (4, slope, "tilt_x"), (5, slope, "tilt_y")):
+            limit = self.limits.get(name, (-np.inf, np.inf))
+            low[row], high[row] = max(-half, limit[0]), min(half, limit[1])
+        low[3], high[3] = -process.turn_tolerance, process.turn_tolerance
+        low[6] = 0.7 * SHOULDER_MARGIN
+        low[7], high[7] = self.limits.get("kxx", (0.0, np.inf))
+        low[8:] = 0.0
+        if not full:
+            return np.tile(low[:N_PLAIN_ROWS], n), np.tile(high[:N_PLAIN_ROWS], n)
+        step = np.full((n - 1, 6), np.inf)
+        step[: len(problem.path.s) - 1] = SPEED_SHARE * problem.seconds[:, None] * self.cell.robot.qd_max
+        return np.concatenate([np.tile(low, n), -step.ravel()]), np.concatenate([np.tile(high, n), step.ravel()])
+
+    def _parameters(self, problem: PassProblem, n: int) -> tuple[Array, Array, Array, Array]:
+        """Stage parameters, theta and the weights of first and second differences."""
+        path, robot = problem.path, self.cell.robot
+        count = len(path.s)
+        sign = 1.0 if _shoulder_of(self.cell, problem.seed.q[0]) > 0 else -1.0
+        par = np.column_stack(
+            [
+                problem.waypoints,
+                problem.clearances.reshape(count, -1),
+                np.full(count, sign),
+                np.full(count, 1.0 / count),
+            ]
+        )
+        assert par.shape[1] == N_PARAMETERS
+        seconds = problem.seconds
+        first, second = np.zeros((n - 1, 6)), np.zeros((n - 2, 6))
+        first[: count - 1] = self.weights.speed / count / (seconds[:, None] * robot.qd_max) ** 2
+        second[: count - 2] = self.weights.acceleration / count / (seconds[1:, None] ** 2 * robot.qdd_max) ** 2
+        return _padded(par, n), self.theta.values, first, second
+
+    def _reason(self, path: BladePath, violation: Array, n: int, full: bool, status: str) -> str:
+        """The worst violated row as a sentence."""
+        rows = N_ROWS if full else N_PLAIN_ROWS
+        stage = violation[: rows * n].reshape(n, rows)[: len(path.s)]
+        steps = violation[rows * n :].reshape(-1, 6)
+        k, row = np.unravel_index(int(np.argmax(stage)), stage.shape)
+        if full and steps.max() > stage.max():
+            k, axis = np.unravel_index(int(np.argmax(steps)), steps.shape)
+            return (
+                f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: axis {axis + 1} would have to move "
+                f"{np.degrees(steps[k, axis]):.3f} deg more per step than its speed allows at the programmed feed; lower the feed"
+            )
+        name, unit, factor = ROWS[row]
+        return (
+            f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: {name} cannot be met, {stage[k, row] * factor:.3g} {unit} are missing "
+            f"(optimiser: {status}); widen that tolerance or move the wheel"
+        )
+
+
+def seed_joints(problem: PassProblem) -> Array:
+    """The seed's stations interpolated to all waypoints, (n, 6)."""
+    at = problem.path.s / problem.path.s[-1]
+    return np.asarray(CubicSpline(problem.seed.at, problem.seed.q)(at))
+
+
+def with_direction(problem: PassProblem, reversed_path: BladePath) -> PassProblem:
+    """The same pass run the other way: compliance along t and b change sign with the contact frame."""
+    flip = np.array([1.0, -1.0, -1.0])
+    return replace(problem, path=reversed_path, compliance=problem.compliance[::-1] * flip)
+
+
+def _padded(values: Array, n: int) -> Array:
+    """Repeat the last row up to n rows."""
+    values = np.asarray(values, float)
+    tail = np.repeat(values[-1:], n - len(values), axis=0)
+    return np.concatenate([values, tail])
+
+
+def _shoulder_of(cell: Cell, q: Array) -> float:
+    mdh, q23 = cell.robot.mdh, q[1] + q[2]
+    return float(mdh[0, 2] + mdh[1, 2] * np.cos(q[1]) + mdh[3, 1] * np.cos(q23) + mdh[2, 2] * np.sin(q23))

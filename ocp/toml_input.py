@@ -1,0 +1,87 @@
+"""A TOML file checked against a schema, every fault told in one sentence with its line."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from robots.errors import BadInput
+
+Schema = TypeVar("Schema", bound=BaseModel)
+
+
+def read_toml(path: Path, schema: type[Schema]) -> Schema:
+    """Read `path` and validate it as `schema`.
+
+    Raises BadInput: file missing or unreadable, TOML syntax, unknown or missing key, wrong type, value out of bounds.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of an existing cell file") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{path}: not valid TOML: {error}; correct that line") from None
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        raise BadInput(_sentence(path, text, error, schema)) from None
+
+
+def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseModel]) -> str:
+    """The first fault as one sentence: file, line, key, value, what was expected."""
+    fault = error.errors()[0]
+    keys = [str(k) for k in fault["loc"] if not isinstance(k, int) and not _is_union_label(str(k))]
+    index = next((k for k in fault["loc"] if isinstance(k, int)), None)
+    name = ".".join(keys) + (f"[{index}]" if index is not None else "")
+    where = f"{path}, line {_line_of(text, keys)}"
+    given = fault.get("input")
+    if fault["type"] == "extra_forbidden":
+        known = _known_keys(schema, keys[:-1])
+        return f"{where}: unknown key '{name}'; known here: {known}"
+    if fault["type"] == "missing":
+        return f"{where}: key '{name}' is missing; add it"
+    message = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "value_error":
+        return f"{where}: {name + ': ' if name else ''}{message}"
+    return f"{where}: {name} = {given!r}: {message[0].lower() + message[1:]}"
+
+
+def _is_union_label(key: str) -> bool:
+    return key == "LinkTarget" or key.startswith(("tuple[", "constrained-"))
+
+
+def _line_of(text: str, keys: list[str]) -> int:
+    """Line (from 1) of a key, of its table where the key is absent, else 1."""
+    table: list[str] = []
+    found = 1
+    for number, line in enumerate(text.splitlines(), 1):
+        header = re.match(r"\s*\[\s*([^\[\]]+?)\s*\]", line)
+        if header:
+            table = [part.strip().strip('"') for part in header.group(1).split(".")]
+            if table == keys[: len(table)]:
+                found = number
+            continue
+        assigned = re.match(r'\s*"?([\w.-]+)"?\s*=', line)
+        if assigned and [*table, *assigned.group(1).split(".")] == keys[: len(table) + 1]:
+            found = number
+            if len(table) + 1 == len(keys):
+                return number
+    return found
+
+
+def _known_keys(schema: type[BaseModel], keys: list[str]) -> str:
+    """Names that the table at `keys` accepts."""
+    for key in keys:
+        field = schema.model_fields.get(key)
+        if field is None:
+            continue
+        for option in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(option, type) and issubclass(option, BaseModel):
+                schema = option
+    return ", ".join(schema.model_fields)

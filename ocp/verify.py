@@ -1,0 +1,156 @@
+"""The force of a written program by a second route, sharing nothing with the model that planned it.
+
+Joints come from the text read back and interpolated as a controller would; kinematics are elementary motions in NumPy,
+gravity torques Pinocchio's at the converged bent posture, Jacobians finite differences, and the wheel contact is the
+Signorini problem solved directly instead of the table.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from trajectories.passes import BladePath
+
+from ocp.cell import GRAVITY, Cell
+from ocp.contact.cover import Cover
+from ocp.contact.gap import LocalShape, solve_force
+from ocp.direct_contact import stations
+from robots.elementary import elementary_forward
+from robots.pose import Array, apply
+from robots.rigid_body import inverse_dynamics
+from robots.robot import Robot
+
+FIXED_POINT_STEPS = 4
+DIFFERENCE = 1e-6  # rad, central differences of the contact point
+FORCE_STEPS = 4  # Newton steps on the force at a station
+
+
+@dataclass(frozen=True)
+class Believed:
+    """The parameters that the second route needs, by value: robot with calibrated MD-H, compliance (6,), registrations."""
+
+    robot: Robot
+    compliance: Array
+    payload_mass: float
+    payload_com: Array
+
+
+@dataclass(frozen=True)
+class VerifiedPass:
+    """Force (m,) N along a pass at times (m,) s, arc length s (m,) m; interference (m,) m."""
+
+    time: Array
+    s: Array
+    force: Array
+    delta: Array
+
+
+def verify_pass(
+    cell: Cell, believed: Believed, cover: Cover, path: BladePath, compliance: Array, time: Array, q: Array, s: Array
+) -> VerifiedPass:
+    """Force along a pass whose joints q (m, 6) at `time` (m,) were read back; the contact is planned at arc length s (m,).
+
+    `compliance` (n, 3) m/N is the blade's in (n, t, b) at the waypoints of `path`.
+    """
+    on_path = {name: CubicSpline(path.s, getattr(path, name))(s) for name in ("p", "n", "t")}
+    n = on_path["n"] / np.linalg.norm(on_path["n"], axis=1, keepdims=True)
+    t = on_path["t"] - n * np.sum(on_path["t"] * n, axis=1, keepdims=True)
+    t /= np.linalg.norm(t, axis=1, keepdims=True)
+    q_real = bent(cell, believed, q)
+    T = elementary_forward(believed.robot, q_real) @ cell.workpiece.T_flange_blade
+    p = apply(T, on_path["p"])
+    n_base, t_base = (np.einsum("kij,kj->ki", T[:, :3, :3], v) for v in (n, t))
+    wheel = cell.wheel
+    v = p - wheel.centre
+    lateral = v @ wheel.axis
+    radial = v - lateral[:, None] * wheel.axis
+    rho = np.linalg.norm(radial, axis=1)
+    e = radial / rho[:, None]
+    delta = wheel.radius - rho
+
+    at = np.searchsorted(s, np.clip(path.s[stations(path.s)], s[0], s[-1]))
+    at = np.unique(np.clip(at, 0, len(s) - 1))
+    force0, slope = [], []
+    for k in at:
+        waypoint = int(np.argmin(np.abs(path.s - s[k])))
+        give = compliance[waypoint]
+        shape = _local_shape(cell, path, waypoint, n_base[k], t_base[k], e[k], lateral[k])
+        linear = _linear_give(cell, believed, q_real[k], on_path["p"][k], n_base[k], t_base[k], e[k], give)
+        push, stroke = _flange(cell, T[k], n_base[k])
+        F = float(path.force[waypoint])
+        for _ in range(FORCE_STEPS):
+            contact = solve_force(cover, F, shape)
+            total = (F * push - stroke[0]) * stroke[1] * push + contact.indentation + F * linear
+            rate = push**2 * stroke[1] + 1.0 / contact.stiffness + linear
+            step = (delta[k] - total) / rate
+            F = max(F + step, 0.05 * F)
+            if abs(step) < 1e-4:
+                break
+        force0.append(F)
+        slope.append(1.0 / rate)
+    at_stations = PchipInterpolator(s[at], np.column_stack([force0, slope, delta[at]]))(s)
+    # Between stations the overlap's own deviation counts, so that every millisecond of the program is judged.
+    force = at_stations[:, 0] + at_stations[:, 1] * (delta - at_stations[:, 2])
+    return VerifiedPass(time, s, np.maximum(force, 0.0), delta)
+
+
+def bent(cell: Cell, believed: Believed, q: Array) -> Array:
+    """Joints (m, 6) bent by gravity at the converged posture; q commanded (m, 6)."""
+    bends = believed.compliance * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
+    still = np.zeros_like(q)
+    real = q.copy()
+    for _ in range(FIXED_POINT_STEPS):
+        real = q - bends * inverse_dynamics(
+            believed.robot, believed.payload_mass, believed.payload_com, real, still, still
+        )
+    return real
+
+
+def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Array, lateral: float) -> LocalShape:
+    wheel = cell.wheel
+    belt, axis = np.cross(wheel.axis, e), wheel.axis
+    b = np.cross(n, t)
+    A = np.array([[t @ belt, b @ belt], [t @ axis, b @ axis]])
+    k_tt, k_bb, k_tb = path.curvature[k]
+    K = A @ np.array([[k_tt, k_tb], [k_tb, k_bb]]) @ A.T
+    return LocalShape(
+        kxx=K[0, 0] + 1 / wheel.radius, kyy=K[1, 1], kxy=K[0, 1], lateral=float(lateral),
+        tilt_x=-(n @ belt) / (n @ e), tilt_y=-(n @ axis) / (n @ e), extent=path.extent[k],
+        heading=(float(t @ belt), float(t @ axis)),
+    )  # fmt: skip
+
+
+def _linear_give(
+    cell: Cell, believed: Believed, q: Array, p_blade: Array, n: Array, t: Array, e: Array, give: Array
+) -> float:
+    """Displacement of the contact per newton from blade, fixture and joints (PHYSICS 3.1), m/N."""
+    wheel = cell.wheel
+    belt = np.cross(wheel.axis, e) * np.sign(wheel.belt_speed)
+    f = e + wheel.friction * belt
+    b = np.cross(n, t)
+    blade = give[0] * -(f @ n) + give[1] * (f @ t) + give[2] * (f @ b)
+    nudged = q + DIFFERENCE * np.vstack([np.eye(6), -np.eye(6)])
+    T = elementary_forward(believed.robot, nudged) @ cell.workpiece.T_flange_blade
+    points = apply(T, p_blade)
+    J = ((points[:6] - points[6:]) / (2 * DIFFERENCE)).T
+    joints = float((e @ J) @ (believed.compliance * (J.T @ f)))
+    return float(blade) + 1.0 / cell.workpiece.clamp_stiffness + joints
+
+
+def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[float, float]]:
+    """Share of the normal force along the flange's axis, and (preload N, compliance m/N) of its stroke."""
+    flange = cell.flange
+    if flange is None:
+        return 0.0, (0.0, 0.0)
+    direction = n
+    if flange.axis is not None:
+        R_flange = T_base_blade[:3, :3] @ cell.workpiece.T_flange_blade[:3, :3].T
+        direction = R_flange @ flange.axis
+        direction = direction * np.sign(direction @ n)
+    weight = 0.0 if flange.gravity_compensated else -flange.carried_mass * GRAVITY * direction[2]
+    return float(direction @ n), (flange.setpoint + weight, 1.0 / flange.stiffness)
+
+
+def believed_robot(cell: Cell, mdh: Array, compliance: Array, payload_mass: float, payload_com: Array) -> Believed:
+    """The robot with calibrated MD-H (6, 5), as the second route takes it."""
+    return Believed(replace(cell.robot, mdh=mdh), compliance, payload_mass, payload_com)

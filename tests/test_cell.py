@@ -1,0 +1,95 @@
+"""cell.toml: conversion at the boundary, and one clear sentence for each way to get it wrong."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ocp.cell import read_cell
+from ocp.plan import BUNDLED
+from robots.errors import BadInput
+
+TEXT = (BUNDLED / "cell.toml").read_text()
+
+
+def write(folder: Path, old: str = "", new: str = "") -> Path:
+    assert old in TEXT
+    path = folder / "cell.toml"
+    path.write_text(TEXT.replace(old, new, 1) if old else TEXT)
+    return path
+
+
+def test_units_are_si_and_radians_inside():
+    cell = read_cell(BUNDLED / "cell.toml")
+    assert cell.wheel.radius == pytest.approx(0.050)
+    assert cell.wheel.cover_modulus == pytest.approx(10 ** (0.0235 * 50 - 0.6403) * 1e6)
+    assert cell.wheel.arc == pytest.approx((-np.pi / 6, np.pi / 6))
+    assert cell.flange is not None and cell.flange.stiffness == pytest.approx(5600)
+    assert cell.process.feed == pytest.approx(0.04)
+    assert cell.process.turn_tolerance == pytest.approx(np.radians(30))
+    assert cell.workpiece.T_flange_blade[:3, 3] == pytest.approx([0, 0, 0.2])
+    assert cell.workpiece.payload.mass == 25.0
+    assert cell.workpiece.clamp_normal @ np.array([0, 0, 0.02]) > cell.workpiece.clamp_offset
+
+
+def test_every_cell_of_the_worlds_is_read(shared_data):
+    cells = sorted((shared_data / "worlds").glob("*/cell.toml"))
+    assert len(cells) == 8
+    for path in cells:
+        assert read_cell(path).wheel.radius == pytest.approx(0.15)
+
+
+def test_a_clamp_above_turns_the_half_space(tmp_path):
+    below = read_cell(write(tmp_path)).workpiece
+    above = read_cell(write(tmp_path, 'clamp_side = "below"', 'clamp_side = "above"')).workpiece
+    x = np.array([0.0, 0.0, 0.05])
+    assert (below.clamp_normal @ x < below.clamp_offset) != (above.clamp_normal @ x < above.clamp_offset)
+
+
+def test_a_clamp_plane_is_scaled_with_its_normal(tmp_path):
+    new = "clamp_normal = [0, 3, 4]\nclamp_offset_mm = 50.0"
+    piece = read_cell(write(tmp_path, 'clamp_axis = "z"\nclamp_to_mm = 10.0', new)).workpiece
+    assert piece.clamp_normal == pytest.approx([0, 0.6, 0.8])
+    assert piece.clamp_offset == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "radius_mm = 50.0",
+            "radius_mm = 50.0\nradios_mm = 3",
+            r"line \d+: unknown key 'wheel.radios_mm'; known here: centre_mm",
+        ),
+        ("radius_mm = 50.0\n", "", r"key 'wheel.radius_mm' is missing"),
+        ("radius_mm = 50.0", "radius_mm = -50.0", r"line 32: wheel.radius_mm = -50.0: .*greater than 0"),
+        ("radius_mm = 50.0", 'radius_mm = "big"', r"wheel.radius_mm = 'big': .*number"),
+        ("centre_mm = [1700, 0, 900]", "centre_mm = [1700, 0]", r"wheel.centre_mm\[2\]|wheel.centre_mm"),
+        ("shore_A = 50", "shore_A = 50\ncover_modulus_MPa = 3.0", "exactly one of cover_modulus_MPa and shore_A"),
+        ("[1700, 0, 900]", "[1700, 0, nan]", r"wheel.centre_mm\[2\] = nan"),
+        ('payload = "grinder"', 'payload = "drill"', "workpiece.payload 'drill' is not among .payloads. .grinder."),
+        ('model = "kr210_r2700_extra"', 'model = "kr2100"', "kr2100"),
+        ('name = "bundled belt cell"', "name = ", "not valid TOML"),
+        ("axis = [0, 1, 0]", "axis = [0, 0, 0]", "axis has length zero"),
+        ("contact_direction = [-1, 0, 0]", "contact_direction = [0, 1, 0]", "across axis"),
+        ("cover_thickness_mm = 12.0", "cover_thickness_mm = 80.0", "must be below radius_mm"),
+        ('clamp_axis = "z"', 'clamp_axis = "w"', "workpiece.clamp_axis = 'w'"),
+    ],
+)
+def test_a_faulty_cell_is_refused_in_one_sentence(tmp_path, old, new, said):
+    with pytest.raises(BadInput) as refusal:
+        read_cell(write(tmp_path, old, new))
+    message = str(refusal.value)
+    assert "cell.toml" in message or "kr2100" in message
+    assert "\n" not in message
+    assert re.search(said, message), message
+
+
+def test_a_missing_cell_and_a_missing_table_are_refused(tmp_path):
+    with pytest.raises(BadInput, match="cannot be read"):
+        read_cell(tmp_path / "none.toml")
+    path = tmp_path / "cell.toml"
+    path.write_text('[robot]\nmodel = "kr210_r2700_extra"\n')
+    with pytest.raises(BadInput, match=r"table \[workpiece\] is missing"):
+        read_cell(path)
