@@ -12,8 +12,9 @@ from trajectories.passes import BladePath
 
 from ocp.cell import Cell
 from ocp.collision import Scene, flange_pose
+from ocp.contact.wheel_law import WheelLaw
 from robots.errors import Infeasible
-from robots.inverse import inverse_branches
+from robots.inverse import inverse_branches, reach_excess
 from robots.pose import Array, make_transform
 
 STATIONS = 7  # along a pass; between them a pass turns little
@@ -21,6 +22,7 @@ LIMIT_MARGIN = np.radians(2.0)
 WRIST_MARGIN = np.radians(8.0)  # distance of axis 5 from the wrist singularity
 SHOULDER_MARGIN = 0.15  # m, wrist centre from axis 1
 ELBOW_MARGIN = np.radians(5.0)
+LEAST_INDENTATION = 5e-5  # m; above the optimiser's own bound, so that it starts inside
 TRAVEL_WEIGHT = 0.5  # cost of a second of travel between passes
 
 
@@ -58,13 +60,13 @@ def contact_poses(
     return make_transform(R, contact - (R @ path.p[index][..., None])[..., 0])
 
 
-def find_seeds(cell: Cell, scene: Scene, paths: list[BladePath]) -> list[list[Seed]]:
+def find_seeds(cell: Cell, scene: Scene, law: WheelLaw, paths: list[BladePath]) -> list[list[Seed]]:
     """For each pass its collision-free seeds, one a family, the one of the cheapest chain over all passes first.
 
     The chain takes the passes in the order given; the others follow by cost, for the optimiser to fall back on.
     Raises Infeasible: a pass has no reachable, collision-free posture; the message says what stands in the way.
     """
-    options = [_options(cell, scene, path) for path in paths]
+    options = [_options(cell, scene, law, path) for path in paths]
     cost = [np.array([seed.cost for seed in seeds]) for seeds in options]
     total, back = cost[0], []
     for k in range(1, len(paths)):
@@ -89,24 +91,26 @@ def _travel(cell: Cell, before: list[Seed], after: list[Seed]) -> Array:
     return np.asarray((np.abs(end - start) / cell.robot.qd_max).max(axis=-1))
 
 
-def _options(cell: Cell, scene: Scene, path: BladePath) -> list[Seed]:
+def _options(cell: Cell, scene: Scene, law: WheelLaw, path: BladePath) -> list[Seed]:
     """The best collision-free seed of every family of a pass."""
     sigma = 1 if cell.process.grinding == "down" else -1
     index = np.unique(np.linspace(0, len(path.s) - 1, STATIONS).round().astype(int))
     low, high = cell.wheel.arc
     arcs = np.linspace(low, high, 7)[1:-1]
-    turns = cell.process.turn_tolerance * np.linspace(-0.8, 0.8, 5)
-    arc, turn = (grid.ravel() for grid in np.meshgrid(arcs, turns, indexing="ij"))
+    turns = cell.process.turn_tolerance * np.linspace(-0.95, 0.95, 9)
     found: list[Seed] = []
     reasons: list[tuple[float, str]] = []
-    for direction in (1, -1):
+    turns = turns[_bears(cell, law, path, index, turns, reasons)]
+    arc, turn = (grid.ravel() for grid in np.meshgrid(arcs, turns, indexing="ij"))
+    for direction in (1, -1) if len(turns) else ():
         order = index[::direction]
         T = flange_pose(cell, contact_poses(cell, path, order, arc, turn, direction, sigma))
         q, reachable = inverse_branches(cell.robot, T.reshape(-1, 4, 4))
         q = q.reshape(len(arc), len(order), 8, 6).transpose(0, 2, 1, 3)
         ok = reachable.reshape(len(arc), len(order), 8).all(axis=1)
         if not ok.any():
-            reasons.append((0.0, "out of the robot's reach on every branch"))
+            excess = reach_excess(cell.robot, T.reshape(-1, 4, 4)).reshape(len(arc), -1).max(axis=1).min()
+            reasons.append((0.0, f"the blade would have to be held {excess * 1e3:.0f} mm beyond the robot's reach"))
         q = np.unwrap(np.where(np.isfinite(q), q, 0.0), axis=2)
         found += _families(cell, path, order, direction, arc, turn, q, ok, reasons)
     free: dict[tuple[int, ...], Seed] = {}
@@ -128,6 +132,37 @@ def _options(cell: Cell, scene: Scene, path: BladePath) -> list[Seed]:
             f"{reason}; move the wheel or the blade in its holder, or widen the arc or the turn"
         )
     return list(free.values())
+
+
+def turned_curvature(curvature: Array, turn: Array, radius: float) -> tuple[Array, Array, Array]:
+    """Relative kxx, kyy, kxy (1/m) of blade curvatures (n, 3) at turns (..., 1) rad on a wheel of `radius`, untilted.
+
+    The blade's frame is seen from its far side (n = -z), so its k_tb changes sign; docs/model.md, eq. 4.
+    """
+    k_tt, k_bb, k_tb = curvature.T
+    c, s = np.cos(turn), np.sin(turn)
+    kxx = c**2 * k_tt + 2 * s * c * k_tb + s**2 * k_bb + 1 / radius
+    kyy = s**2 * k_tt - 2 * s * c * k_tb + c**2 * k_bb
+    return kxx, kyy, s * c * (k_tt - k_bb) - (c**2 - s**2) * k_tb
+
+
+def _bears(
+    cell: Cell, law: WheelLaw, path: BladePath, index: Array, turns: Array, reasons: list[tuple[float, str]]
+) -> Array:
+    """Which turns (m,) let the wheel bear at the planned points: overlap there under the programmed force, kxx in range."""
+    kxx, kyy, kxy = turned_curvature(path.curvature[index], turns[:, None], cell.wheel.radius)
+    hollow = kxx < law.limits["kxx"][0]
+    kxx = np.maximum(kxx, law.limits["kxx"][0])
+    force = np.broadcast_to(path.force[index], kxx.shape).ravel()
+    zero = np.zeros(kxx.size)
+    d = law.evaluate(force, kxx.ravel(), kyy.ravel(), kxy.ravel(), zero, zero, zero).reshape(kxx.shape)
+    good = ~hollow & (d > LEAST_INDENTATION)
+    if not good.all(axis=1).any():
+        worst = int(np.argmax((~good).sum(axis=0)))
+        reasons.append(
+            (4.0, f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel, which would bear beside the planned point")
+        )
+    return good.all(axis=1)
 
 
 def _family(seed: Seed) -> tuple[int, ...]:
@@ -157,7 +192,7 @@ def _families(
         cost = (
             (turn / max(cell.process.turn_tolerance, 1e-3))[:, None] ** 2
             + 0.3 * ((arc - np.mean(cell.wheel.arc)) / np.ptp(cell.wheel.arc))[:, None] ** 2
-            + 0.1 / wrist**2
+            + 0.1 / np.maximum(wrist, 1e-3) ** 2
             + 3.0 * speed**2
             + 0.02 * (moved[..., [3, 5]] / np.pi).__pow__(2).max(axis=(2, 3))
         )

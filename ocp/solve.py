@@ -30,6 +30,7 @@ from robots.pose import Array
 
 PAD = 32  # programs are built for multiples of this many waypoints and shared by passes of similar length
 SPEED_SHARE = 0.8  # of the axes' speed limits that a pass may use at its programmed feed
+LEAST_INDENTATION = 3e-5  # m of overlap at the planned point: with less the wheel bears beside it
 FEASIBLE = 1e-5  # largest scaled violation of a row that counts as solved (0.01 um, 1e-5 rad)
 
 
@@ -215,7 +216,8 @@ class PassSolver:
         low[3], high[3] = -process.turn_tolerance, process.turn_tolerance
         low[6] = 0.7 * SHOULDER_MARGIN
         low[7], high[7] = self.limits.get("kxx", (0.0, np.inf))
-        low[8:] = 0.0
+        low[8] = 1e3 * LEAST_INDENTATION
+        low[9:] = 0.0
         if not full:
             return np.tile(low[:N_PLAIN_ROWS], n), np.tile(high[:N_PLAIN_ROWS], n)
         step = np.full((n - 1, 6), np.inf)

@@ -27,6 +27,7 @@ ROWS: tuple[tuple[str, str, float], ...] = (
     ("tilt across the feed", "deg", 180 / np.pi),
     ("distance of the wrist from axis 1 (overhead singularity)", "mm", 1e3),
     ("relative curvature along the belt", "1/m", 1.0),
+    ("overlap of the wheel at the planned point (it bears beside it on a hollow blade)", "mm", 1.0),
     *((("clearance", "mm", 1e3),) * N_CLEARANCE),
 )
 N_ROWS = len(ROWS)
@@ -117,7 +118,7 @@ def build_stage(cell: Cell, model: Model, weights: Weights, covariance: np.ndarr
     slots = [ca.dot(clearance[7 * i : 7 * i + 6], model.q) - clearance[7 * i + 6] for i in range(N_CLEARANCE)]
     rows = ca.vertcat(
         1e3 * model.residual, model.arc, model.lateral, model.turn, model.tilt, shoulder_sign * model.shoulder,
-        model.curvature[0], *slots,
+        model.curvature[0], 1e3 * model.parts[1], *slots,
     )  # fmt: skip
     arc_mid, arc_half = 0.5 * (wheel.arc[0] + wheel.arc[1]), 0.5 * (wheel.arc[1] - wheel.arc[0])
     objective = (

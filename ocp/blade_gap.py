@@ -1,0 +1,77 @@
+"""The gap between the wheel and the blade's real surface, where a quadratic is not enough: near edges, over a wide wheel.
+
+The surface comes as a fine cloud of points with normals. About a contact it is seen in the wheel's unrolled frame
+(x = R times the angle, y along the axis, height over the wheel's surface) and its departure from the local quadratic
+is interpolated linearly; where there is no surface there is no blade.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import cKDTree
+
+from ocp.cell import Wheel
+from ocp.contact.gap import LocalShape
+from robots.pose import Array, apply
+
+REACH = 0.016  # m about the planned point; beyond, the wheel has left the blade or `ocp.gouge` speaks
+FACING = 0.2  # smallest cosine between a point's normal and the wheel for it to be touched from this side
+SHARPEST = 1e-9  # m; points this close in (x, y) are one for the triangulation
+
+
+@dataclass(frozen=True)
+class SurfaceCloud:
+    """Points (m, 3) m on the ground surface with outward normals (m, 3), blade frame."""
+
+    points: Array
+    normals: Array
+
+    @property
+    def tree(self) -> cKDTree:
+        """Search tree of the points."""
+        return cKDTree(self.points)
+
+
+@dataclass(frozen=True)
+class SurfaceShape(LocalShape):
+    """A local quadratic plus the real surface's departure from it; inf where there is no surface."""
+
+    departure: LinearNDInterpolator | None = None
+
+    def gap(self, x: Array, y: Array) -> Array:
+        """Height of the undeformed blade over the undeformed wheel at x, y (m)."""
+        quadratic = LocalShape.gap(self, x, y)
+        if self.departure is None:
+            return quadratic
+        x, y = np.broadcast_arrays(x, y)
+        extra = self.departure(np.stack([x, y], axis=-1))
+        return np.where(np.isfinite(extra), quadratic + extra, np.inf)
+
+
+def surface_shape(
+    wheel: Wheel, cloud: SurfaceCloud, tree: cKDTree, base: LocalShape, T_base_blade: Array, contact: Array
+) -> SurfaceShape:
+    """`base` with the departure of the blade's surface from it about `contact` (3,) in the blade frame.
+
+    T_base_blade (4, 4) is the pose at which `base` was taken; docs/architecture.md has the frame.
+    """
+    index = np.sort(tree.query_ball_point(contact, REACH))
+    p = apply(T_base_blade, np.vstack([contact, cloud.points[index]])) - wheel.centre
+    n = cloud.normals[index] @ T_base_blade[:3, :3].T
+    lateral = p @ wheel.axis
+    radial = p - lateral[:, None] * wheel.axis
+    rho = np.linalg.norm(radial, axis=1)
+    e = radial[0] / rho[0]
+    angle = np.arctan2(radial @ np.cross(wheel.axis, e), radial @ e)
+    x, y = wheel.radius * angle, lateral - lateral[0]
+    height = rho - rho[0]
+    facing = np.sum(n * radial[1:], axis=1) / rho[1:] < -FACING
+    keep = np.concatenate([[True], facing & (np.hypot(x[1:], y[1:]) > SHARPEST)])
+    x, y, height = x[keep], y[keep], height[keep]
+    quadratic = base.tilt_x * x + base.tilt_y * y
+    quadratic += 0.5 * (base.kxx * x**2 + 2 * base.kxy * x * y + base.kyy * y**2)
+    departure = LinearNDInterpolator(np.column_stack([x, y]), height - quadratic)
+    return SurfaceShape(
+        base.kxx, base.kyy, base.kxy, base.lateral, base.tilt_x, base.tilt_y, None, base.heading, departure=departure
+    )

@@ -1,0 +1,99 @@
+"""Results kept on disk under the hash of everything they depend on.
+
+An entry is one `.npz` file without pickles. It appears by a rename, so that processes working side by side see
+a whole entry or none; an entry that cannot be read is computed anew. Nothing in here ever makes a run fail:
+where the folder cannot be written the result is simply not kept.
+"""
+
+import hashlib
+import os
+import sys
+import tempfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Part = NDArray[np.generic] | str | int | float | bool | None
+Entry = dict[str, NDArray[np.generic]]
+
+VARIABLE = "GRINDPLAN_CACHE"  # environment: another folder; empty = keep nothing
+
+
+def content_key(*parts: Part) -> str:
+    """Return a hexadecimal name that differs when any array (values, shape, type) or scalar in `parts` differs.
+
+    Callers put the name and the version of their code first, so that a changed method finds no old results.
+    """
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            array = np.ascontiguousarray(part)
+            header = f"array {array.dtype.str} {array.shape} "
+            payload = array.tobytes()
+        else:
+            value = part.item() if isinstance(part, np.generic) else part
+            header, payload = f"{type(value).__name__} ", repr(value).encode()
+        digest.update(f"{header}{len(payload)} ".encode())
+        digest.update(payload)
+    return digest.hexdigest()[:40]
+
+
+def cache_folder() -> Path | None:
+    """Return the folder of kept results: $GRINDPLAN_CACHE, else the platform's; None when nothing is to be kept."""
+    chosen = os.environ.get(VARIABLE)
+    if chosen is not None:
+        return Path(chosen).expanduser() if chosen.strip() else None
+    try:
+        home = Path.home()
+    except RuntimeError:  # no home folder, as in some containers
+        return None
+    if sys.platform == "darwin":
+        return home / "Library" / "Caches" / "grindplan"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", home / "AppData" / "Local")) / "grindplan" / "cache"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "grindplan"
+
+
+def remember(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
+    """Return the arrays kept under `kind` and `key`, or compute and keep them.
+
+    Args:
+        kind: short name of what is kept, part of the file name.
+        key: what `content_key` gave for everything the result depends on.
+        compute: called without arguments when there is no readable entry; its errors pass through.
+    """
+    folder = cache_folder()
+    if folder is None:
+        return compute()
+    path = folder / f"{kind}-{key}.npz"
+    entry = _read(path)
+    if entry is None:
+        entry = compute()
+        _write(path, entry)
+    return entry
+
+
+def _read(path: Path) -> Entry | None:
+    """Return an entry, or None where there is none or it is damaged (the archive's checksums tell)."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _write(path: Path, entry: Entry) -> None:
+    """Write an entry under a passing name beside its place, then rename it."""
+    passing = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+            passing = file.name
+            np.savez(file, allow_pickle=False, **entry)
+        os.replace(passing, path)
+    except OSError:
+        if passing is not None:
+            Path(passing).unlink(missing_ok=True)
