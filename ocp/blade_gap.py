@@ -6,6 +6,7 @@ is interpolated linearly; where there is no surface there is no blade.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
@@ -27,7 +28,7 @@ class SurfaceCloud:
     points: Array
     normals: Array
 
-    @property
+    @cached_property
     def tree(self) -> cKDTree:
         """Search tree of the points."""
         return cKDTree(self.points)
@@ -50,13 +51,13 @@ class SurfaceShape(LocalShape):
 
 
 def surface_shape(
-    wheel: Wheel, cloud: SurfaceCloud, tree: cKDTree, base: LocalShape, T_base_blade: Array, contact: Array
+    wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_blade: Array, contact: Array
 ) -> SurfaceShape:
     """`base` with the departure of the blade's surface from it about `contact` (3,) in the blade frame.
 
     T_base_blade (4, 4) is the pose at which `base` was taken; docs/architecture.md has the frame.
     """
-    index = np.sort(tree.query_ball_point(contact, REACH))
+    index = np.sort(np.asarray(cloud.tree.query_ball_point(contact, REACH), dtype=int))
     p = apply(T_base_blade, np.vstack([contact, cloud.points[index]])) - wheel.centre
     n = cloud.normals[index] @ T_base_blade[:3, :3].T
     lateral = p @ wheel.axis

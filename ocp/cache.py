@@ -79,7 +79,7 @@ def remember(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
 def _read(path: Path) -> Entry | None:
     """Return an entry, or None where there is none or it is damaged (the archive's checksums tell)."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
@@ -97,3 +97,16 @@ def _write(path: Path, entry: Entry) -> None:
     except OSError:
         if passing is not None:
             Path(passing).unlink(missing_ok=True)
+
+
+def recall(kind: str, key: str) -> Entry | None:
+    """Return the arrays kept under `kind` and `key`, or None."""
+    folder = cache_folder()
+    return None if folder is None else _read(folder / f"{kind}-{key}.npz")
+
+
+def keep(kind: str, key: str, entry: Entry) -> None:
+    """Keep arrays under `kind` and `key`; a folder that cannot be written is no error."""
+    folder = cache_folder()
+    if folder is not None:
+        _write(folder / f"{kind}-{key}.npz", entry)

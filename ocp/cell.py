@@ -13,8 +13,6 @@ from robots.errors import BadInput
 from robots.pose import Array, transform_from_xyzabc
 from robots.robot import Robot, load_robot
 
-GRAVITY = 9.80665  # m/s^2, standard value
-
 
 @dataclass(frozen=True)
 class Payload:

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ocp.cell import GRAVITY, Cell
+from ocp.cell import Cell
 from ocp.contact.wheel_law import WheelLaw
 from ocp.theta import Theta
 from robots.compliance import deflected_joints
-from robots.gravity import gravity_torques
+from robots.gravity import GRAVITY, gravity_torques
 from robots.kinematics import chain
 
 # Columns of the waypoint data w handed to every function of the model.

@@ -12,11 +12,12 @@ from multiprocessing import get_context
 import numpy as np
 from trajectories.passes import BladePath, reversed_path
 
+from ocp.blade_gap import SurfaceCloud
 from ocp.cell import Cell
 from ocp.collision import Scene
 from ocp.contact.cover import Cover
 from ocp.contact.wheel_law import WheelLaw
-from ocp.direct_contact import DirectContact, corrected_defect, solve_directly
+from ocp.direct_contact import DirectContact, defect, solve_directly
 from ocp.gouge import GOUGE_TOLERANCE, find_gouge
 from ocp.posture import Seed
 from ocp.solve import Evaluation, PassProblem, PassSolution, PassSolver, with_direction
@@ -33,7 +34,8 @@ FALLBACKS = 4  # seeds tried before a pass is refused
 
 @dataclass(frozen=True)
 class Ground:
-    """What all passes share: the cell, its parameters, the wheel's table and cover, the blade's surface points (m, 3)."""
+    """What all passes share: cell, parameters, the wheel's table and cover, the blade's vertices (m, 3) and its ground
+    surface as a fine cloud."""
 
     cell: Cell
     theta: Theta
@@ -41,6 +43,7 @@ class Ground:
     law: WheelLaw
     cover: Cover
     vertices: Array
+    cloud: SurfaceCloud
 
 
 @dataclass(frozen=True)
@@ -82,12 +85,14 @@ class PassWorker:
         for _ in range(CORRECTIONS):
             solution = self.solver.solve(problem, start)
             solved = self.solver.evaluate(problem, solution.q, solution.force)
-            direct = solve_directly(self.ground.cover, problem, solved, self.sigma_travel)
-            off = np.abs(direct.indentation - solved.parts[direct.index, 1]).max()
+            direct = solve_directly(
+                self.ground.cell.wheel, self.ground.cover, self.ground.cloud, problem, solved, self.sigma_travel
+            )
+            off = np.abs(direct.departure - problem.defect[direct.index]).max()
             blocked = self._with_clearances(problem, solution.q)
             if off < DIRECT_TOLERANCE and blocked is None:
                 break
-            problem = replace(blocked or problem, defect=corrected_defect(problem, solved, direct))
+            problem = replace(blocked or problem, defect=defect(problem, direct))
             start = solution.q
         self._refuse_unsound(problem, solution, solved)
         return SolvedPass(problem, solution, solved, direct)

@@ -11,18 +11,21 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from trajectories.passes import BladePath
 
-from ocp.cell import GRAVITY, Cell
+from ocp.blade_gap import SurfaceCloud, surface_shape
+from ocp.cell import Cell
 from ocp.contact.cover import Cover
 from ocp.contact.gap import LocalShape, solve_force
 from ocp.direct_contact import stations
 from robots.elementary import elementary_forward
+from robots.gravity import GRAVITY
 from robots.pose import Array, apply
 from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
 
 FIXED_POINT_STEPS = 4
 DIFFERENCE = 1e-6  # rad, central differences of the contact point
-FORCE_STEPS = 4  # Newton steps on the force at a station
+FORCE_STEPS = 4  # Newton steps on the force at a station, until one is below the next line
+FORCE_STEP_ENOUGH = 0.1  # N; the law is so smooth that what is left after it is below 1e-3 N
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,8 @@ class VerifiedPass:
 
 
 def verify_pass(
-    cell: Cell, believed: Believed, cover: Cover, path: BladePath, compliance: Array, time: Array, q: Array, s: Array
+    cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud, path: BladePath, compliance: Array,
+    time: Array, q: Array, s: Array,
 ) -> VerifiedPass:
     """Force along a pass whose joints q (m, 6) at `time` (m,) were read back; the contact is planned at arc length s (m,).
 
@@ -74,7 +78,8 @@ def verify_pass(
     for k in at:
         waypoint = int(np.argmin(np.abs(path.s - s[k])))
         give = compliance[waypoint]
-        shape = _local_shape(cell, path, waypoint, n_base[k], t_base[k], e[k], lateral[k])
+        base = _local_shape(cell, path, waypoint, n_base[k], t_base[k], e[k], lateral[k])
+        shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
         linear = _linear_give(cell, believed, q_real[k], on_path["p"][k], n_base[k], t_base[k], e[k], give)
         push, stroke = _flange(cell, T[k], n_base[k])
         F = float(path.force[waypoint])
@@ -84,7 +89,7 @@ def verify_pass(
             rate = push**2 * stroke[1] + 1.0 / contact.stiffness + linear
             step = (delta[k] - total) / rate
             F = max(F + step, 0.05 * F)
-            if abs(step) < 1e-4:
+            if abs(step) < FORCE_STEP_ENOUGH:
                 break
         force0.append(F)
         slope.append(1.0 / rate)
@@ -115,7 +120,7 @@ def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Arr
     K = A @ np.array([[k_tt, k_tb], [k_tb, k_bb]]) @ A.T
     return LocalShape(
         kxx=K[0, 0] + 1 / wheel.radius, kyy=K[1, 1], kxy=K[0, 1], lateral=float(lateral),
-        tilt_x=-(n @ belt) / (n @ e), tilt_y=-(n @ axis) / (n @ e), extent=path.extent[k],
+        tilt_x=-(n @ belt) / (n @ e), tilt_y=-(n @ axis) / (n @ e),
         heading=(float(t @ belt), float(t @ axis)),
     )  # fmt: skip
 

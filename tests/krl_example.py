@@ -1,6 +1,7 @@
 """A small program for the KRL tests: a pass of the default arm, in every kind of output."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,7 @@ def elementary_forward(q: Array) -> Array:
     return np.array(poses)
 
 
+@cache
 def legs(feed: float = 0.04, scale: float = 1.0) -> list[Leg]:
     start = np.radians([5.0, -70.0, 100.0, 10.0, -40.0, 20.0])
     s = np.linspace(0.0, 0.05, 41)
@@ -72,6 +74,7 @@ def setup(kind: str = "axis", **options: object) -> Setup:
     )
 
 
+@cache
 def example(kind: str = "axis", passes: int = 1, **options: object) -> Program:
     return build_program(
         "blade 1.stl",

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.contact.annulus import ring_section
+from ocp.contact.annulus import element_stiffness, ring_section
 from ocp.contact.cover import WheelGeometry, build_cover, default_cell, width_cells
 from robots.errors import BadInput
 
@@ -15,6 +15,37 @@ WHEEL = WheelGeometry(radius=0.150, width=0.040, cover_thickness=0.015, modulus=
 @pytest.fixture(scope="module")
 def cover():
     return build_cover(WHEEL, 1.5e-3)
+
+
+@pytest.mark.parametrize(
+    ("n", "motion"),
+    [
+        (0, lambda r, z: (0 * r, 0 * r, 1 + 0 * r)),  # along the axis
+        (0, lambda r, z: (0 * r, r, 0 * r)),  # turning about the axis
+        (1, lambda r, z: (1 + 0 * r, -1 + 0 * r, 0 * r)),  # across the axis
+        (1, lambda r, z: (-z, z, r)),  # turning about a diameter
+    ],
+)
+def test_rigid_motions_cost_no_energy(n, motion):
+    r0, r1, width = 0.03, 0.05, 0.01
+    K = element_stiffness(r0, r1, width, 1.0, 5.0)
+    r, z = np.meshgrid(np.linspace(r0, r1, 3), np.linspace(-width / 2, width / 2, 3), indexing="ij")
+    u = np.column_stack([np.ravel(c) for c in motion(r, z)]).ravel()
+    stiffness = K[0] + n * K[1] + n * n * K[2]
+    assert np.abs(stiffness @ u).max() < 1e-12 * np.abs(stiffness).max() * np.abs(u).max()
+
+
+def test_pressurised_tube():
+    """Lame: a ring element under uniform radial stretch u = a r + b / r has strain energy integral of the closed form."""
+    r0, r1, width, mu, lam = 0.10, 0.101, 0.01, 1.0, 2.0
+    K = element_stiffness(r0, r1, width, mu, lam)[0]
+    r = np.repeat(np.linspace(r0, r1, 3), 3)
+    u = np.zeros((9, 3))
+    a, b = 1.0, 0.004
+    u[:, 0] = a * r + b / r
+    # Strains a - b/r^2, a + b/r^2, 0 integrated over r dr dz.
+    energy = width * ((4 * mu + 4 * lam) * a**2 * (r1**2 - r0**2) / 2 + 4 * mu * b**2 * (r0**-2 - r1**-2) / 2)
+    assert u.ravel() @ K @ u.ravel() == pytest.approx(energy, rel=1e-6)
 
 
 def bonded_layer(kh, poisson):
@@ -168,5 +199,5 @@ def test_impossible_wheels_are_refused(field, value):
 
 
 def test_default_cell_is_bounded():
-    assert default_cell(WHEEL, 1e-6) == pytest.approx(WHEEL.width / 120)
+    assert default_cell(WHEEL, 1e-6) == pytest.approx(WHEEL.width / 64)
     assert default_cell(WHEEL, 1e4) == pytest.approx(WHEEL.cover_thickness / 4)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from krl_example import LIMITS, ROBOT, contact_poses, example, legs, write
+from krl_example import ROBOT, contact_poses, example, legs, write
 
 from robots.errors import BadInput
 from trajectories.krl.checks import check_program

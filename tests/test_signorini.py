@@ -223,7 +223,7 @@ def test_moving_the_origin_changes_nothing_but_the_reference(cover):
     )
     second = solve_force(cover, 20.0, moved)
     assert second.indentation == pytest.approx(first.indentation - s.gap(np.array(dx), np.array(dy)), abs=1e-12)
-    assert second.centroid + [dx, dy] == pytest.approx(first.centroid, abs=1e-9)
+    assert second.centroid + np.array([dx, dy]) == pytest.approx(first.centroid, abs=1e-9)
 
 
 def test_stiffness_and_response_are_derivatives(cover):

@@ -1,0 +1,121 @@
+"""Linear elasticity on ten-node tetrahedra: shape functions, element stiffness, consistent face loads.
+
+The numbering of an element is that of CalculiX's C3D10: four corners, then the middles of the edges in
+`EDGES`. Stiffness is integrated with the four-point rule of degree two (Hammer and Stroud 1956), exact for
+straight edges, so that both codes integrate the same element (Zienkiewicz, Taylor and Zhu 2013, ch. 6).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+# Outward faces: three corners, then the middles between corner 1-2, 2-3, 3-1 of the face.
+FACES = np.array([[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [1, 2, 3, 5, 9, 8], [0, 3, 2, 7, 9, 6]])
+
+_A, _B = 0.5854101966249685, 0.1381966011250105  # (5 + 3 sqrt 5)/20 and (5 - sqrt 5)/20
+QUADRATURE = np.full((4, 4), _B) + (_A - _B) * np.eye(4)  # barycentric points of equal weight 1/4
+
+
+@dataclass(frozen=True)
+class Material:
+    """Isotropic material: Young's modulus in Pa, Poisson's ratio, density in kg/m^3."""
+
+    youngs_modulus: float = 114e9  # Ti-6Al-4V, annealed
+    poisson_ratio: float = 0.34
+    density: float = 4430.0
+
+    @property
+    def lame(self) -> tuple[float, float]:
+        """Lame's constants lambda, mu in Pa."""
+        e, nu = self.youngs_modulus, self.poisson_ratio
+        return e * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)), e / (2.0 * (1.0 + nu))
+
+
+@dataclass(frozen=True)
+class QuadraticMesh:
+    """A solid in ten-node tetrahedra: nodes (nn, 3) in m, elements (ne, 10), surface (nf, 6) outward."""
+
+    nodes: Array
+    elements: Index
+    surface: Index
+
+    @property
+    def volume(self) -> float:
+        """Volume in m^3 of the straight-sided solid."""
+        return float(np.sum(tetra_volumes(self.nodes, self.elements)))
+
+
+def tetra_volumes(points: Array, tetrahedra: Index) -> Array:
+    """Signed volumes (ne,) in m^3 from the first four columns of `tetrahedra`."""
+    corner = points[tetrahedra[:, :4]]
+    return np.asarray(np.linalg.det(corner[:, 1:] - corner[:, :1]) / 6.0)
+
+
+def quadratic_mesh(points: Array, tetrahedra: Index) -> QuadraticMesh:
+    """Make ten-node tetrahedra with straight edges from corners (nv, 3) and four-node tetrahedra (ne, 4)."""
+    turned = tetra_volumes(points, tetrahedra) < 0.0
+    corners = np.where(turned[:, None], tetrahedra[:, [1, 0, 2, 3]], tetrahedra)
+    used, corners = np.unique(corners, return_inverse=True)
+    points, corners = points[used], corners.reshape(-1, 4)
+    ends = np.sort(corners[:, EDGES].reshape(-1, 2), axis=1)
+    key, middle = np.unique(ends[:, 0] * len(points) + ends[:, 1], return_inverse=True)
+    first, second = np.divmod(key, len(points))
+    nodes = np.vstack([points, 0.5 * (points[first] + points[second])])
+    elements = np.hstack([corners, len(points) + middle.reshape(-1, 6)]).astype(np.int64)
+    faces = elements[:, FACES].reshape(-1, 6)
+    _, index, count = np.unique(np.sort(faces[:, :3], axis=1), axis=0, return_index=True, return_counts=True)
+    return QuadraticMesh(nodes, elements, faces[np.sort(index[count == 1])])
+
+
+def shape_gradients(barycentric: Array) -> Array:
+    """Gradients (..., 10, 4) of the ten shape functions in the four barycentric coordinates (..., 4).
+
+    Corners L (2 L - 1), middles 4 L_i L_j (Zienkiewicz, Taylor and Zhu 2013, eq. 6.43).
+    """
+    gradient = np.zeros((*barycentric.shape[:-1], 10, 4))
+    for i in range(4):
+        gradient[..., i, i] = 4.0 * barycentric[..., i] - 1.0
+    for row, (i, j) in enumerate(EDGES, start=4):
+        gradient[..., row, i] = 4.0 * barycentric[..., j]
+        gradient[..., row, j] = 4.0 * barycentric[..., i]
+    return gradient
+
+
+_REFERENCE = shape_gradients(QUADRATURE)
+_REFERENCE = _REFERENCE[..., 1:] - _REFERENCE[..., :1]  # (4, 10, 3): derivatives in L2, L3, L4 with L1 = 1 - ...
+
+
+def element_gradients(corners: Array) -> tuple[Array, Array]:
+    """Gradients (ne, 4, 10, 3) in 1/m at the quadrature points and weights (ne, 4) in m^3 of elements (ne, 10, 3)."""
+    jacobian = np.einsum("qad,eai->eqid", _REFERENCE, corners)
+    gradient = _REFERENCE @ np.linalg.inv(jacobian)
+    return gradient, np.linalg.det(jacobian) / 24.0
+
+
+def element_stiffness(corners: Array, material: Material) -> Array:
+    """Stiffness (ne, 30, 30) in N/m of elements with node positions (ne, 10, 3), node by node x, y, z.
+
+    K_ab = integral of lambda ga gb^T + mu gb ga^T + mu (ga . gb) I (Hughes 2000, eq. 2.7).
+    """
+    lame, shear = material.lame
+    gradient, weight = element_gradients(corners)
+    count = len(corners)
+    flat = gradient.reshape(count, 4, 30)
+    outer = (np.swapaxes(flat * weight[..., None], 1, 2) @ flat).reshape(count, 10, 3, 10, 3)
+    stiffness = lame * outer + shear * np.swapaxes(outer, 2, 4)
+    trace = shear * np.einsum("eaibi->eab", outer)
+    for i in range(3):
+        stiffness[:, :, i, :, i] += trace
+    return stiffness.reshape(count, 30, 30)
+
+
+def face_shape(barycentric: Array) -> Array:
+    """Six shape functions (nq, 6) of a face at barycentric points (nq, 3): corners, then middles 12, 23, 31."""
+    l1, l2, l3 = barycentric.T
+    corner = [l * (2.0 * l - 1.0) for l in (l1, l2, l3)]
+    return np.stack([*corner, 4.0 * l1 * l2, 4.0 * l2 * l3, 4.0 * l3 * l1], axis=1)

@@ -1,0 +1,84 @@
+"""The blade and its passes: laid on the shape found in the STL, or taken from a path or an old program."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ocp.blade_gap import SurfaceCloud
+from ocp.cell import Cell
+from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
+from trajectories.passes import BladePath, PassOptions, passes
+
+CLOUD_SPACING = 8e-4  # m between points of the surface cloud
+
+
+class PathChoice(Protocol):
+    """Where the passes come from and how far apart waypoints stand, m."""
+
+    @property
+    def path(self) -> Path | None:
+        """A path.csv, or None."""
+
+    @property
+    def program(self) -> Path | None:
+        """An old .src, or None."""
+
+    @property
+    def step(self) -> float:
+        """Distance of waypoints, m."""
+
+
+@dataclass(frozen=True)
+class LaidPaths:
+    """Blade, passes in the order of the lines, the ground surface as a cloud, and notices in sentences."""
+
+    blade: Blade
+    paths: list[BladePath]
+    cloud: SurfaceCloud
+    notices: tuple[str, ...]
+
+
+def lay_paths(cell: Cell, stl: Path, choice: PathChoice) -> LaidPaths:
+    """Read the blade, find its aerofoil and lay the passes the cell asks for.
+
+    Raises BadInput: the STL, the clamp, the margins or the path handed in cannot be used.
+    """
+    blade = read_blade(stl, cell.workpiece.stl_unit)
+    shape = find_shape(blade)
+    paths, notices = passes(blade, shape, _options(cell, choice.step))
+    return LaidPaths(blade, paths, surface_cloud(shape), (*blade.notices, *shape.notices, *notices))
+
+
+def surface_cloud(shape: AerofoilShape) -> SurfaceCloud:
+    """Points and normals of both sides, edge to edge, about CLOUD_SPACING apart."""
+    points, normals = [], []
+    for side in shape.sides.values():
+        n_u = int(np.ceil(side.width.max() / CLOUD_SPACING)) + 1
+        n_v = int(np.ceil(shape.frame.length / CLOUD_SPACING)) + 1
+        # Denser toward the edges, where the surface turns.
+        u = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, n_u + n_u // 2))
+        grid = np.meshgrid(u, np.linspace(*shape.v, n_v), indexing="ij")
+        u_all, v_all = (g.ravel() for g in grid)
+        points.append(side.surface(u_all, v_all))
+        normals.append(side.normal(u_all, v_all))
+    return SurfaceCloud(np.vstack(points), np.vstack(normals))
+
+
+def _options(cell: Cell, step: float) -> PassOptions:
+    process, piece = cell.process, cell.workpiece
+    return PassOptions(
+        clamp_normal=(float(piece.clamp_normal[0]), float(piece.clamp_normal[1]), float(piece.clamp_normal[2])),
+        clamp_offset=piece.clamp_offset,
+        clamp_side="below",
+        direction=process.passes,
+        side=process.side,
+        spacing=process.pass_spacing,
+        root_margin=process.root_margin,
+        tip_margin=process.tip_margin,
+        edge_margin=process.edge_margin,
+        step=step,
+        feed=process.feed,
+        force=process.force,
+    )

@@ -1,0 +1,111 @@
+"""The main job as a function: cell and blade in, a verified motion out. Writing it is `ocp.plan_files`."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ocp.blade_gap import SurfaceCloud
+from ocp.cell import Cell, read_cell
+from ocp.collision import Scene
+from ocp.command import Phases
+from ocp.contact.cover import Cover
+from ocp.motion import Motion, build_motion
+from ocp.optimise import Ground, solve_passes
+from ocp.paths import lay_paths
+from ocp.posture import find_seeds
+from ocp.prepare import prepare_contact
+from ocp.stage import Weights
+from ocp.theta import believed_theta
+from robots.errors import BadInput
+from trajectories.blade import Blade
+
+FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """Options of the command: a path made elsewhere or an old program, kind of output, name, waypoint distance m, jobs."""
+
+    path: Path | None = None
+    program: Path | None = None
+    kind: str = "axis"
+    name: str | None = None
+    step: float = 5e-4
+    jobs: int = 0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A motion that holds the force, with all that the files and the report need."""
+
+    cell: Cell
+    blade: Blade
+    motion: Motion
+    cover: Cover
+    cloud: SurfaceCloud
+    kind: str
+    name: str
+    inputs: tuple[tuple[str, Path], ...]
+    notices: tuple[str, ...]
+    wheel_error: float
+    compliance_error: float
+
+    @property
+    def waypoints(self) -> int:
+        """Waypoints of all passes."""
+        return sum(len(p.problem.path.s) for p in self.motion.passes)
+
+
+def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, phases: Phases) -> Plan:
+    """Plan the grinding of a blade in a cell.
+
+    Raises BadInput (exit code 2) and Infeasible (exit code 1) of every part, one sentence each.
+    """
+    cell = read_cell(cell_file, blade_file)
+    stl = cell.workpiece.stl
+    if stl is None:
+        raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")
+    if options.kind not in ("axis", "cartesian", "lin"):
+        raise BadInput(f"--kind '{options.kind}' is not axis, cartesian or lin")
+    if cell.controller.absolute_accuracy and options.kind != "axis":
+        raise BadInput(
+            f"{cell_file}: controller.absolute_accuracy is true and --kind is '{options.kind}': the controller would correct "
+            "the poses a second time; use --kind axis"
+        )
+    with phases.phase("passes"):
+        laid = lay_paths(cell, stl, options)
+    contact = prepare_contact(cell, laid.blade, laid.paths, phases)
+    theta = believed_theta(cell)
+    weights = Weights(force_sd=FORCE_SD_WEIGHT if cell.calibration is not None else 0.0)
+    with phases.phase("postures"):
+        scene = Scene(cell, laid.blade.vertices)
+        seeds = find_seeds(cell, scene, contact.law, laid.paths)
+    give = [np.asarray(c) for c in contact.compliance.per_pass]
+    with phases.phase("optimal control", len(laid.paths)) as advance:
+        ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
+        solved = solve_passes(ground, laid.paths, seeds, give, options.jobs or _cores(), advance)
+    with phases.phase("timing", len(solved)) as advance:
+        motion = build_motion(cell, scene, solved, advance)
+    inputs = [("cell", cell_file), ("blade", stl)]
+    inputs += [(role, file) for role, file in (("path", options.path), ("program", options.program)) if file is not None]
+    if cell.tables.robot.calibration is not None:
+        inputs.append(("calibration", cell.path.parent / cell.tables.robot.calibration))
+    return Plan(
+        cell=cell,
+        blade=laid.blade,
+        motion=motion,
+        cover=contact.cover,
+        cloud=laid.cloud,
+        kind=options.kind,
+        name=options.name or stl.name,
+        inputs=tuple(inputs),
+        notices=laid.notices,
+        wheel_error=contact.law.error.max,
+        compliance_error=float(np.max(contact.compliance.interpolation_error)),
+    )
+
+
+def _cores() -> int:
+    return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)

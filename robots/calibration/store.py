@@ -1,0 +1,263 @@
+"""A calibration on disk: `calibration.toml` for people, covariance in `calibration.npz` beside it."""
+
+import hashlib
+import io
+import math
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES, SYMBOLS
+from robots.calibration.toml_text import toml_text
+from robots.errors import BadInput
+from robots.pose import Array
+from robots.robot import Robot
+
+SCHEMA = 1
+_TABLES = ("parameters", "not_identified", "provenance")
+_LIST = "robots/calibration/parameters.py"  # of the names that exist
+# Most negative eigenvalue of the correlation matrix that rounding explains.
+_EIGENVALUE_FLOOR = -1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Estimates of named parameters (SI, radians) with their covariance.
+
+    values (m,), covariance (m, m) in the order of `names` (robots/calibration/parameters.py).
+    `not_identified` maps one parameter name, or several separated by spaces (one direction that cannot be
+    told apart), to the reason. `provenance` holds residual figures, data hashes, conditions: scalars,
+    strings, lists or tables of them. `notices` are sentences for the user about what could not be read in
+    full.
+    """
+
+    robot: str
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    provenance: dict[str, Any] = field(default_factory=dict)
+    not_identified: dict[str, str] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each value."""
+        return tuple(SYMBOLS[name].unit for name in self.names)
+
+    @property
+    def standard_deviation(self) -> Array:
+        """One sigma of each value (m,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+def calibrated_mdh(robot: Robot, calibration: Calibration) -> Array:
+    """MD-H table (6, 5) of the robot with the calibration's values in the places it names."""
+    return _replaced(robot.mdh.ravel(), MDH_NAMES, calibration).reshape(6, 5)
+
+
+def calibrated_compliance(robot: Robot, calibration: Calibration) -> Array:
+    """Joint compliances (6,) rad/(N m): the calibration's where it names them, else 1 / robot.stiffness."""
+    k = robot.stiffness
+    nominal = np.divide(1.0, k, out=np.zeros(6), where=k > 0)
+    return _replaced(nominal, COMPLIANCE_NAMES, calibration)
+
+
+def _replaced(nominal: Array, names: tuple[str, ...], calibration: Calibration) -> Array:
+    values = nominal.copy()
+    known = dict(zip(calibration.names, calibration.values, strict=True))
+    for i, name in enumerate(names):
+        values[i] = known.get(name, values[i])
+    return values
+
+
+def write_calibration(path: str | Path, calibration: Calibration) -> None:
+    """Write `path` (.toml) and the covariance beside it (.npz, no pickled objects).
+
+    Raises BadInput: names unknown or repeated, shapes that do not fit, numbers not finite, covariance not
+    symmetric positive semidefinite, a path that does not end in .toml.
+    """
+    path = Path(path)
+    if path.suffix != ".toml":
+        raise BadInput(f"{path}: a calibration file must end in .toml; rename it")
+    _check(str(path), calibration.robot, calibration.names, calibration.values, calibration.covariance)
+    _check_reasons(str(path), calibration.not_identified)
+    archive = path.with_suffix(".npz")
+    names = np.array(calibration.names, dtype=np.str_)
+    np.savez(archive, names=names, covariance=np.asarray(calibration.covariance, float))
+    parameters = {}
+    rows = zip(calibration.names, calibration.values, calibration.standard_deviation, strict=True)
+    for name, value, sd in rows:
+        unit, meaning = SYMBOLS[name].unit, SYMBOLS[name].meaning
+        parameters[name] = {"value": float(value), "sd": float(sd), "unit": unit, "meaning": meaning}
+    document = {
+        "schema": SCHEMA,
+        "robot": calibration.robot,
+        "covariance_file": archive.name,
+        "covariance_sha256": hashlib.sha256(archive.read_bytes()).hexdigest(),
+        "parameters": parameters,
+        "not_identified": calibration.not_identified,
+        "provenance": calibration.provenance,
+    }
+    path.write_text(toml_text(document), encoding="utf-8")
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """Read a calibration; where its .npz is missing the covariance is diagonal and a notice says so.
+
+    Raises BadInput: file unreadable or malformed, unknown parameter, wrong unit, number not finite, the .npz
+    is not the one that was written with the .toml, covariance not positive semidefinite or at odds with the
+    standard deviations.
+    """
+    path = Path(path)
+    data = _read_toml(path)
+    names, values, sd = _parameters(path, data)
+    covariance, notices = _covariance(path, data, names, sd)
+    _check(str(path), data["robot"], names, values, covariance)
+    not_identified = _table(path, data, "not_identified")
+    _check_reasons(str(path), not_identified)
+    return Calibration(
+        robot=data["robot"],
+        names=names,
+        values=values,
+        covariance=covariance,
+        provenance=_table(path, data, "provenance"),
+        not_identified=not_identified,
+        notices=notices,
+    )
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give an existing file") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{path}: not valid TOML: {error}; correct that line") from None
+    if data.get("schema", SCHEMA) != SCHEMA:
+        raise BadInput(f"{path}: schema = {data['schema']!r}, this version reads {SCHEMA}; calibrate again")
+    if not isinstance(data.get("robot"), str):
+        raise BadInput(f"{path}: key 'robot' must name the robot, got {data.get('robot')!r}; add it")
+    known = {"schema", "robot", "covariance_file", "covariance_sha256", *_TABLES}
+    for key in data:
+        if key not in known:
+            raise BadInput(f"{path}: unknown key '{key}'; known are {', '.join(sorted(known))}")
+    return data
+
+
+def _table(path: Path, data: dict[str, Any], key: str) -> dict[str, Any]:
+    table = data.get(key, {})
+    if not isinstance(table, dict):
+        raise BadInput(f"{path}: '{key}' must be a table, got {table!r}; write it as [{key}]")
+    return table
+
+
+def _parameters(path: Path, data: dict[str, Any]) -> tuple[tuple[str, ...], Array, Array]:
+    """Names, values (m,) and standard deviations (m,)."""
+    table = _table(path, data, "parameters")
+    if not table:
+        raise BadInput(f"{path}: no [parameters.NAME] table; calibrate again")
+    values, sd = [], []
+    for name, entry in table.items():
+        if name not in SYMBOLS:
+            raise BadInput(f"{path}: unknown parameter '{name}'; {_LIST} lists the names")
+        if not isinstance(entry, dict):
+            raise BadInput(f"{path}: [parameters.{name}] = {entry!r}, expected a table with value, sd, unit")
+        unit = SYMBOLS[name].unit
+        if entry.get("unit") != unit:
+            found = entry.get("unit")
+            raise BadInput(
+                f"{path}: parameters.{name}.unit = {found!r}, expected '{unit}'; convert the value"
+            )
+        values.append(_number(path, name, entry, "value", -math.inf))
+        sd.append(_number(path, name, entry, "sd", 0.0))
+    return tuple(table), np.array(values), np.array(sd)
+
+
+def _number(path: Path, name: str, entry: dict[str, Any], key: str, low: float) -> float:
+    value: Any = entry.get(key)
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not math.isfinite(value) or value < low:
+        what = "a finite number" if low < 0 else "a finite number, zero or above"
+        raise BadInput(f"{path}: parameters.{name}.{key} = {value!r}, expected {what}; correct it")
+    return float(value)
+
+
+def _covariance(
+    path: Path, data: dict[str, Any], names: tuple[str, ...], sd: Array
+) -> tuple[Array, tuple[str, ...]]:
+    """Covariance (m, m) and notices."""
+    file = data.get("covariance_file", path.with_suffix(".npz").name)
+    if not isinstance(file, str) or Path(file).name != file:
+        raise BadInput(f"{path}: covariance_file = {file!r} must be a file name beside this file; correct it")
+    archive = path.parent / file
+    if not archive.is_file():
+        notice = (
+            f"{archive} is missing: the parameters are taken as uncorrelated, predicted deviations are rough"
+        )
+        return np.diag(sd**2), (notice,)
+    wanted = data.get("covariance_sha256")
+    content = archive.read_bytes()
+    found = hashlib.sha256(content).hexdigest()
+    if wanted is not None and wanted != found:
+        raise BadInput(
+            f"{archive}: sha256 {found[:12]}.. is not {str(wanted)[:12]}.. written in {path.name}; restore the pair of "
+            "files of one calibration, or delete the .npz to go on with uncorrelated parameters"
+        )
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            stored, covariance = tuple(arrays["names"].tolist()), np.asarray(arrays["covariance"], float)
+    except Exception as error:  # zip, header and pickle faults have no common class
+        raise BadInput(f"{archive}: not a covariance archive ({error}); calibrate again") from None
+    if set(stored) != set(names) or covariance.shape != (len(stored), len(stored)):
+        odd = ", ".join(sorted(set(stored) ^ set(names))) or "shape"
+        raise BadInput(f"{archive}: parameters do not match {path.name} ({odd}); restore the pair of files")
+    order = [stored.index(name) for name in names]
+    covariance = covariance[np.ix_(order, order)]
+    diagonal = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    bad = np.abs(diagonal - sd) > 1e-6 * np.maximum(diagonal, sd)
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise BadInput(
+            f"{path}: parameters.{names[i]}.sd = {sd[i]:g}, the covariance in {file} has {diagonal[i]:g}; do not edit "
+            "one alone"
+        )
+    return covariance, ()
+
+
+def _check(where: str, robot: str, names: tuple[str, ...], values: Array, covariance: Array) -> None:
+    """Everything a sound set of estimates satisfies."""
+    unknown = [name for name in names if name not in SYMBOLS]
+    if unknown or len(set(names)) != len(names):
+        what = f"unknown parameter '{unknown[0]}'" if unknown else "a parameter is named twice"
+        raise BadInput(f"{where}: {what}; {_LIST} lists the names")
+    m = len(names)
+    if np.shape(values) != (m,) or np.shape(covariance) != (m, m):
+        raise BadInput(
+            f"{where}: {m} names, values {np.shape(values)}, covariance {np.shape(covariance)}; give one value and "
+            "one row each"
+        )
+    if not (np.isfinite(values).all() and np.isfinite(covariance).all()):
+        raise BadInput(f"{where}: a value or covariance for robot '{robot}' is not finite; calibrate again")
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.where(sd > 0, sd, 1.0)
+    correlation = covariance / np.outer(scale, scale)
+    lowest = float(np.linalg.eigvalsh(0.5 * (correlation + correlation.T)).min())
+    if np.abs(correlation - correlation.T).max() > 1e-8 or lowest < _EIGENVALUE_FLOOR:
+        raise BadInput(
+            f"{where}: the covariance is not symmetric positive semidefinite (lowest eigenvalue of the correlation "
+            f"{lowest:.2g}, allowed {_EIGENVALUE_FLOOR:g}); calibrate again"
+        )
+
+
+def _check_reasons(where: str, not_identified: dict[str, Any]) -> None:
+    for key, reason in not_identified.items():
+        wrong = [name for name in key.split() if name not in SYMBOLS]
+        if wrong or not key.split() or not isinstance(reason, str):
+            raise BadInput(
+                f"{where}: not_identified '{key}' = {reason!r}, expected parameter names and a reason"
+            )

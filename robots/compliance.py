@@ -1,0 +1,84 @@
+"""Springs in the joints: the posture that gravity leaves, and the give of the arm at a point (PHYSICS 2.5, 3.1)."""
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robots.gravity import weight_torques
+from robots.kinematics import jacobian, link_frames
+from robots.pose import Array
+from robots.robot import Robot
+
+# Steps of q <- q_cmd + c tau(q). Each gains a factor |c dtau/dq|, below 3e-3 for a loaded KR 210: after two
+# the rest is below 0.1 um at the tool.
+STEPS = 2
+
+
+def deflected_joints(q: Any, torque: Callable[[Any], Any], compliance: Any) -> Any:
+    """Joints q_real (6) rad that satisfy q_real = q + c tau(q_real), by two fixed-point steps (PHYSICS 2.5, eq. 16).
+
+    q (6) commanded joints, `torque` maps joints (6) to the torque the load exerts, positive along +q, N m;
+    compliance (6) rad/(N m). CasADi expressions in and out.
+    """
+    real = q
+    for _ in range(STEPS):
+        real = q + compliance * torque(real)
+    return real
+
+
+def compliance_from_stiffness(stiffness: Any) -> Any:
+    """Joint compliances (6) rad/(N m) of stiffnesses (6) N m/rad, where 0 means rigid: compliance 0.
+
+    CasADi expression or array.
+    """
+    if isinstance(stiffness, ca.SX | ca.MX):
+        k: Any = stiffness
+        return ca.if_else(k > 0, 1 / k, 0)  # masks the derivative too
+    k = np.asarray(stiffness, float)
+    return np.divide(1.0, k, out=np.zeros_like(k), where=k > 0)
+
+
+def cartesian_compliance(jacobian_point: Any, stiffness: Any) -> Any:
+    """C = J K^-1 J^T (3, 3) m/N: displacement of a point under a force at that point; 0 stiffness = rigid joint.
+
+    jacobian_point (3, 6) m/rad of the point (linear rows of `geometric_jacobian`), stiffness (6) N m/rad;
+    CasADi expressions, or arrays with leading axes.
+    """
+    c = compliance_from_stiffness(stiffness)
+    if isinstance(jacobian_point, ca.SX | ca.MX) or isinstance(c, ca.SX | ca.MX):
+        J = jacobian_point
+        return J @ ca.diag(c) @ J.T
+    J = np.asarray(jacobian_point, float)
+    return (J * c) @ np.swapaxes(J, -1, -2)
+
+
+def deflect(
+    robot: Robot,
+    q: ArrayLike,
+    compliance: ArrayLike,
+    payload_mass: float = 0.0,
+    payload_com: ArrayLike = (0.0, 0.0, 0.0),
+    steps: int = STEPS,
+) -> Array:
+    """Real joints (n, 6) rad under gravity of commanded joints q (n, 6) rad; compliance (6,) rad/(N m).
+
+    Payload kg and m in the flange frame. `steps` above two only shows what two leave.
+    """
+    q, c = np.asarray(q, float).reshape(-1, 6), np.asarray(compliance, float)
+    real = q
+    for _ in range(steps):
+        real = q + c * weight_torques(robot, real, payload_mass, payload_com)
+    return real
+
+
+def point_compliance(robot: Robot, q: ArrayLike, points: ArrayLike) -> Array:
+    """Compliance (n, 3, 3) m/N in base axes of flange-fixed points (n, 3) m, base frame, at joints q (n, 6) rad."""
+    q = np.asarray(q, float).reshape(-1, 6)
+    J = jacobian(robot, q)
+    lever = np.asarray(points, float) - link_frames(robot, q)[:, 6, :3, 3]
+    # v_point = v_flange + omega x lever, column by column
+    linear = J[:, :3] + np.cross(J[:, 3:], lever[:, :, None], axis=1)
+    return np.asarray(cartesian_compliance(linear, robot.stiffness))

@@ -1,0 +1,223 @@
+"""Inverse kinematics: all eight branches and all turns, in closed form; calibrated arms by Newton from the branches.
+
+The index of a branch is KUKA's status S (KRL.md): bit 0 the wrist reaches back over axis 1, bit 1 the elbow's
+side, bit 2 the sign of axis 5. Formulas: docs/robot.md.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robots.arm_family import ArmFamily, arm_family
+from robots.pose import Array, rot_x, rot_z
+from robots.refine import Refined, inverse_refined
+from robots.robot import Robot
+
+__all__ = [
+    "Refined",
+    "Solutions",
+    "Status",
+    "inverse_all",
+    "inverse_branches",
+    "inverse_refined",
+    "reach_excess",
+]
+__all__ += ["status", "turn", "turns", "wrap"]
+
+# A wrist centre this far outside the reach is taken onto its boundary: rounding of 3 m, a thousandfold.
+_REACH_ROUNDING = 1e-12
+# Below this sine of axis 5, axes 4 and 6 are one direction and axis 4 is set to zero.
+_WRIST_SINGULAR = 1e-10
+
+
+class Status(Enum):
+    """What an inverse came to; the value is the sentence for a user."""
+
+    FOUND = "postures within the axis limits exist"
+    OUT_OF_REACH = "the wrist centre is out of reach"
+    OUTSIDE_LIMITS = "every posture breaks an axis limit"
+    NOT_CONVERGED = "the arm's own geometry misses the pose near a singular posture"
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """All postures of one pose: q (m, 6) rad within limits, branch (m,) = KUKA's S, and why if there are none.
+
+    excess: m beyond reach, or rad beyond the axis limit in the posture that comes closest; axis 1..6 for the
+    latter.
+    """
+
+    q: Array
+    branch: NDArray[np.int64]
+    status: Status
+    excess: float = 0.0
+    axis: int | None = None
+
+    def reason(self) -> str:
+        """One sentence."""
+        if self.status is Status.OUT_OF_REACH:
+            return f"{self.status.value} by {self.excess * 1e3:.1f} mm"
+        if self.status is Status.OUTSIDE_LIMITS:
+            return f"{self.status.value}, at best axis {self.axis} by {np.degrees(self.excess):.1f} deg"
+        return self.status.value
+
+
+def wrap(angle: ArrayLike) -> Array:
+    """Angles in (-pi, pi]."""
+    wrapped = np.pi - np.mod(np.pi - np.asarray(angle, float), 2 * np.pi)
+    # mod of a number just below zero rounds to 2 pi itself
+    return np.asarray(np.where(wrapped <= -np.pi, np.pi, wrapped))
+
+
+def inverse_branches(robot: Robot, T: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+    """Joints q (n, 8, 6) rad in (-pi, pi], reachable (n, 8), of flange poses T (n, 4, 4); index = KUKA's S.
+
+    Axis limits are not looked at (see `turns`). Rows that are out of reach are nan. At the wrist singularity
+    axis 4 is zero. Arms that are nearly of the family (calibrated ones) are refined to their own geometry.
+    Raises BadInput: the arm is not near the family of `robots.arm_family`.
+    """
+    family = arm_family(robot)
+    T = np.asarray(T, float).reshape(-1, 4, 4)
+    link6 = T @ family.T_flange_link6
+    theta123, reachable4 = _arm_angles(family, link6[:, :3, 3])
+    theta = _with_wrist(family, theta123, link6[:, :3, :3])
+    reachable = np.concatenate([reachable4, reachable4], axis=1)
+    q = wrap(family.sign * (theta - family.offset))
+    if not family.exact:
+        rows, branches = np.nonzero(reachable)
+        refined = inverse_refined(robot, T[rows], q[rows, branches])
+        q[rows, branches] = wrap(refined.q)
+        reachable[rows, branches] = refined.converged
+    q[~reachable] = np.nan
+    return q, reachable
+
+
+def inverse_all(robot: Robot, T: ArrayLike) -> Solutions:
+    """Every posture of one flange pose T (4, 4) within the axis limits: all branches, all turns. Errors as above."""
+    q, reachable = inverse_branches(robot, np.asarray(T, float).reshape(1, 4, 4))
+    found = [(turns(robot, q[0, b]), b) for b in range(8) if reachable[0, b]]
+    postures = np.concatenate([np.empty((0, 6)), *(rows for rows, _ in found)])
+    branch = np.concatenate([np.empty(0, int), *(np.full(len(rows), b) for rows, b in found)])
+    if len(postures):
+        return Solutions(postures, branch, Status.FOUND)
+    if not found:
+        excess = float(reach_excess(robot, np.asarray(T, float))[0])
+        state = Status.OUT_OF_REACH if excess > _REACH_ROUNDING else Status.NOT_CONVERGED
+        return Solutions(postures, branch, state, excess)
+    over = np.array([_least_excess(robot, q[0, b]) for _, b in found])
+    best = int(np.argmin(over.max(axis=1)))
+    return Solutions(
+        postures, branch, Status.OUTSIDE_LIMITS, float(over[best].max()), int(np.argmax(over[best])) + 1
+    )
+
+
+def turns(robot: Robot, q: ArrayLike) -> Array:
+    """All postures (m, 6) rad equal to q (6,) up to whole turns of axes, within the limits; m may be 0."""
+    q = np.asarray(q, float)
+    # Rounding must not throw out a posture on its limit.
+    low = np.ceil((robot.q_min - q) / (2 * np.pi) - 1e-12).astype(int)
+    high = np.floor((robot.q_max - q) / (2 * np.pi) + 1e-12).astype(int)
+    shifts = list(product(*(range(a, b + 1) for a, b in zip(low, high, strict=True))))
+    return np.clip(q + 2 * np.pi * np.array(shifts, float).reshape(-1, 6), robot.q_min, robot.q_max)
+
+
+def status(robot: Robot, q: ArrayLike) -> NDArray[np.int64]:
+    """KUKA's S bits 0..2 (KRL.md) of postures q (..., 6) rad, as integers (...): the index of `inverse_branches`."""
+    family = arm_family(robot)
+    theta = family.sign * np.asarray(q, float) + family.offset
+    stretch = theta[..., 2] + family.psi  # zero where upper arm and forearm are in line
+    radius = family.a1 + family.a2 * np.cos(theta[..., 1]) + family.l3 * np.cos(theta[..., 1] + stretch)
+    elbow = family.sign[2] * stretch
+    wrist = family.sign[4] * theta[..., 4]
+    # Axis 3 counts from the in-line posture, axis 5 in [-180, 180): KRL.md's ">= 180" is the negative half
+    # again.
+    bits = (radius < 0, _wrap_half_open(elbow) >= 0, _wrap_half_open(wrist) < 0)
+    return np.asarray(sum(bit.astype(np.int64) << i for i, bit in enumerate(bits)))
+
+
+def turn(q: ArrayLike) -> NDArray[np.int64]:
+    """KUKA's T (KRL.md) of postures q (..., 6) rad: bit i - 1 is one where A_i < 0."""
+    return np.asarray(((np.asarray(q, float) < 0).astype(np.int64) << np.arange(6)).sum(axis=-1))
+
+
+def reach_excess(robot: Robot, T: ArrayLike) -> Array:
+    """How far (n,) m the wrist centre of flange poses T (n, 4, 4) or (4, 4) lies outside the reach; 0 within it."""
+    family = arm_family(robot)
+    centre = (np.asarray(T, float).reshape(-1, 4, 4) @ family.T_flange_link6)[:, :3, 3]
+    radial = np.hypot(centre[:, 0], centre[:, 1])
+    inside = np.maximum(abs(family.lateral) - radial, 0.0)
+    X, Y = _in_plane(family, centre)
+    distance = np.hypot(X, Y)
+    outside = np.maximum(distance - (family.a2 + family.l3), abs(family.a2 - family.l3) - distance).min(
+        axis=1
+    )
+    return np.maximum(np.maximum(outside, inside), 0.0)
+
+
+def _wrap_half_open(angle: Array) -> Array:
+    """Angles in [-pi, pi)."""
+    return np.mod(angle + np.pi, 2 * np.pi) - np.pi
+
+
+def _in_plane(family: ArmFamily, centre: Array) -> tuple[Array, Array]:
+    """Wrist centre (n, 2) in the plane of axes 2 and 3, from axis 2, for the shoulder in front and behind."""
+    reach = np.sqrt(np.maximum(centre[:, 0] ** 2 + centre[:, 1] ** 2 - family.lateral**2, 0.0))
+    X = np.stack([reach, -reach], axis=1) - family.a1
+    Y = np.broadcast_to(family.s1 * (centre[:, 2:] - family.d1), X.shape)
+    return X, Y
+
+
+def _arm_angles(family: ArmFamily, centre: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """theta 1..3 (n, 4, 3) that bring the wrist to its centre (n, 3), and reachable (n, 4); index = S bits 0 and 1."""
+    a2, l3, lateral = family.a2, family.l3, family.lateral
+    X, Y = _in_plane(family, centre)
+    squared = (X**2 + Y**2 - a2**2 - l3**2) / (2 * a2 * l3)
+    distance = np.hypot(X, Y)
+    near, far = abs(a2 - l3) - _REACH_ROUNDING, a2 + l3 + _REACH_ROUNDING
+    beside = np.hypot(centre[:, 0], centre[:, 1]) >= abs(lateral) - _REACH_ROUNDING
+    reachable = (distance >= near) & (distance <= far) & beside[:, None]
+    bend = np.arccos(np.clip(squared, -1.0, 1.0))
+    theta = np.empty((len(centre), 4, 3))
+    for branch in range(4):
+        side, up = branch & 1, branch >> 1
+        stretch = (1 if up else -1) * family.sign[2] * bend[:, side]
+        radius = X[:, side] + family.a1
+        theta[:, branch, 0] = np.arctan2(centre[:, 1], centre[:, 0])
+        theta[:, branch, 0] -= np.arctan2(-family.s1 * lateral, radius)
+        theta[:, branch, 1] = np.arctan2(Y[:, side], X[:, side])
+        theta[:, branch, 1] -= np.arctan2(l3 * np.sin(stretch), a2 + l3 * np.cos(stretch))
+        theta[:, branch, 2] = stretch - family.psi
+    return theta, reachable[:, [0, 1, 0, 1]]
+
+
+def _with_wrist(family: ArmFamily, theta123: Array, R6: Array) -> Array:
+    """theta 1..6 (n, 8, 6) from theta 1..3 (n, 4, 3) and the rotation (n, 3, 3) of link 6; bit 2 of the index added."""
+    s4, s5 = family.s4, family.s5
+    R03 = rot_z(theta123[..., 0]) @ rot_x(family.s1 * np.pi / 2)
+    R03 = R03 @ rot_z(theta123[..., 1] + theta123[..., 2]) @ rot_x(family.s3 * np.pi / 2)
+    M = np.swapaxes(R03, -1, -2) @ R6[:, None]
+    sine = np.hypot(M[..., 0, 2], M[..., 1, 2])
+    singular = sine < _WRIST_SINGULAR
+    theta = np.empty((len(M), 8, 6))
+    for bit in (0, 1):
+        half = slice(4 * bit, 4 * bit + 4)
+        side = family.sign[4] * (1 - 2 * bit)
+        theta5 = np.arctan2(side * sine, -s4 * s5 * M[..., 2, 2])
+        theta4 = np.arctan2(s5 * side * M[..., 1, 2], s5 * side * M[..., 0, 2])
+        theta4 = np.where(singular, family.offset[3], theta4)
+        # Axis 6 takes what is left of the rotation: accurate next to the singularity too.
+        R45 = rot_z(theta4) @ rot_x(s4 * np.pi / 2) @ rot_z(theta5) @ rot_x(s5 * np.pi / 2)
+        rest = np.swapaxes(R45, -1, -2) @ M
+        theta6 = np.arctan2(rest[..., 1, 0], rest[..., 0, 0])
+        theta[:, half, :3] = theta123
+        theta[:, half, 3:] = np.stack([theta4, theta5, theta6], axis=-1)
+    return theta
+
+
+def _least_excess(robot: Robot, q: Array) -> Array:
+    """How far (6,) rad each axis of q (6,) stays outside its limits in its best turn; not above zero = inside."""
+    turned = q + 2 * np.pi * np.arange(-2, 3)[:, None]
+    return np.asarray(np.maximum(robot.q_min - turned, turned - robot.q_max).min(axis=0))

@@ -1,0 +1,138 @@
+"""The aerofoil in a blade: span, edges, and one smooth surface for each side."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_lsq_spline
+
+from robots.errors import BadInput
+from trajectories.blade.axis import aerofoil_range, find_span
+from trajectories.blade.fit import SideSurface, fit_side
+from trajectories.blade.frame import SpanFrame, find_frame
+from trajectories.blade.mesh import Blade, facet_normals
+from trajectories.blade.sections import Section, make_section
+from trajectories.blade.slicing import slicer
+from trajectories.blade.spline import clamped_knots
+
+Array = NDArray[np.float64]
+
+N_SECTIONS = 96
+
+
+@dataclass(frozen=True)
+class AerofoilShape:
+    """What was found in a blade's surface; blade frame, metres.
+
+    frame: section planes from root to tip; v (2,): range of the span coordinate that is aerofoil; sides: "convex"
+    and "concave"; leading, trailing (m, 3): points along the edges at `v_edges` (m,); notices: doubts in sentences.
+    """
+
+    frame: SpanFrame
+    v: Array
+    sides: dict[str, SideSurface]
+    v_edges: Array
+    leading: Array
+    trailing: Array
+    notices: tuple[str, ...]
+
+
+def find_shape(blade: Blade) -> AerofoilShape:
+    """Span axis, aerofoil range, edges, sides and smooth surfaces of a blade in any position in its file.
+
+    Raises: BadInput where the part shows no aerofoil.
+    """
+    span = find_span(blade)
+    frame = find_frame(blade, span, span.centre_low, span.centre_high)
+    v_vertices = frame.coordinate(blade.vertices)
+    found = aerofoil_range(
+        slicer(blade.vertices, blade.faces),
+        facet_normals(blade.vertices, blade.faces)[0],
+        v_vertices,
+        lambda v: frame.normal(np.array(v)),
+        N_SECTIONS,
+    )
+    if isinstance(found, str):
+        raise BadInput(f"{blade.name}: this is no blade: {found}; hand in one aerofoil with or without root block.")
+    levels, loops = found
+    sections: list[Section] = []
+    guess: Array | None = None
+    for level, loop in zip(levels, loops, strict=True):
+        section = make_section(loop, frame.normal(np.array(level)), guess)
+        guess = section.at(section.nose)
+        sections.append(section)
+    notices: list[str] = []
+    noses = _smooth_noses(levels, sections)
+    lead = _leading_edge(sections, noses, notices)
+    order = [lead, 1 - lead]
+    sides = _sides(blade, levels, sections, noses, lead, notices)
+    edges = np.array([section.at(nose) for section, nose in zip(sections, noses, strict=True)])
+    return AerofoilShape(
+        frame, levels[[0, -1]], sides, levels, edges[:, order[0]], edges[:, order[1]], tuple(notices)
+    )
+
+
+def smooth_along(levels: Array, values: Array, pieces: int = 5) -> Array:
+    """Least-squares cubic spline of values (m, ...) over levels (m,), evaluated there."""
+    pieces = max(1, min(pieces, len(levels) // 4))
+    knots = clamped_knots(np.linspace(levels[0], levels[-1], pieces + 1))
+    return np.asarray(make_lsq_spline(levels, values, knots)(levels))
+
+
+def _smooth_noses(levels: Array, sections: list[Section]) -> Array:
+    """Arc lengths (m, 2) of both edges in every section, freed of the mesh's jitter by smoothing along the span."""
+    points = np.array([section.at(section.nose) for section in sections])
+    smooth = smooth_along(levels, points.reshape(len(levels), -1)).reshape(points.shape)
+    noses = np.empty((len(levels), 2))
+    for k, section in enumerate(sections):
+        for edge in range(2):
+            reach = 0.02 * section.perimeter
+            s = section.nose[edge] + np.linspace(-reach, reach, 201)
+            noses[k, edge] = s[np.argmin(np.linalg.norm(section.at(s) - smooth[k, edge], axis=1))]
+    return noses
+
+
+def _thickness_near(section: Section, nose: Array, edge: int, share: float) -> float:
+    """Distance of the two walls at `share` of the half perimeter behind an edge, m."""
+    reach = share * 0.5 * section.perimeter
+    return float(np.linalg.norm(section.at(nose[edge] + reach) - section.at(nose[edge] - reach)))
+
+
+def _leading_edge(sections: list[Section], noses: Array, notices: list[str]) -> int:
+    """Which of the two edges is the thicker one."""
+    thickness = np.array([
+        [np.mean([_thickness_near(section, nose, edge, share) for share in (0.03, 0.06, 0.1)]) for edge in (0, 1)]
+        for section, nose in zip(sections[::4], noses[::4], strict=True)
+    ]).mean(axis=0)  # fmt: skip
+    if abs(thickness[0] - thickness[1]) < 0.05 * thickness.max():
+        notices.append(
+            "The two edges are equally thick, so which one leads was not found out; chordwise passes may run from "
+            "the trailing to the leading edge."
+        )
+    return int(np.argmax(thickness))
+
+
+def _sides(
+    blade: Blade, levels: Array, sections: list[Section], noses: Array, lead: int, notices: list[str]
+) -> dict[str, SideSurface]:
+    """The surfaces between the edges, named by the way the section's middle bulges off its chord."""
+    areas = np.array([
+        [_bulge(section, nose, edge) for edge in (0, 1)] for section, nose in zip(sections, noses, strict=True)
+    ]).mean(axis=0)  # fmt: skip
+    names = {0: "convex", 1: "concave"} if areas[0] > areas[1] else {0: "concave", 1: "convex"}
+    if abs(areas[0] - areas[1]) < 0.05 * np.abs(areas).max():
+        notices.append("The sections are symmetric, so which side is called convex and which concave is arbitrary.")
+    flanks = np.array([section.flank - section.nose[:, None] for section in sections])
+    flanks = smooth_along(levels, flanks.reshape(len(levels), -1), 2).reshape(flanks.shape)
+    return {
+        names[edge]: fit_side(blade, names[edge], levels, sections, noses, flanks, edge, lead) for edge in (0, 1)
+    }
+
+
+def _bulge(section: Section, nose: Array, edge: int) -> float:
+    """Area between the chord and the wall that runs counter-clockwise from `edge` to the other edge, m^2."""
+    start, stop = nose[edge], nose[1 - edge]
+    s = np.linspace(start, stop + (section.perimeter if stop < start else 0.0), 201)
+    p = section.at(s)
+    p = p - p[0]
+    return float(0.5 * np.sum(np.cross(p[:-1], p[1:]) @ section.normal))

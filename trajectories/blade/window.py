@@ -1,0 +1,99 @@
+"""The part of one side that may be ground: inside the margins from clamp, block, tip and edges."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.errors import BadInput
+from trajectories.blade.fit import SideSurface
+from trajectories.blade.shape import AerofoilShape
+
+Array = NDArray[np.float64]
+
+_GRID = 201
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Clamp plane and distances, m: held is where normal . x <= offset; normal (3,) unit, towards the free part."""
+
+    normal: Array
+    offset: float
+    root: float
+    tip: float
+    edge: float
+
+
+@dataclass(frozen=True)
+class Window:
+    """Bounds of the ground region of one side: u_lo, u_hi over grid v; v_lo, v_hi over grid u; all (m,).
+
+    `flip`: the clamp holds the end that the shape calls the tip, so passes run towards falling v. cut (2,): whether
+    the flank's own ends, not the edge margin, limit u at the leading and at the trailing edge.
+    """
+
+    u: Array
+    v: Array
+    u_lo: Array
+    u_hi: Array
+    v_lo: Array
+    v_hi: Array
+    flip: bool
+    cut: tuple[bool, bool]
+
+
+def ground_window(name: str, shape: AerofoilShape, side: SideSurface, margins: Margins) -> Window:
+    """Where passes may lie on `side`. Raises: BadInput when the margins leave nothing."""
+    v = np.linspace(shape.v[0], shape.v[1], _GRID)
+    u = np.linspace(0.0, 1.0, _GRID)
+    lead, trail, width = (np.interp(v, side.levels, x) for x in (side.lead, side.trail, side.width))
+    u_lo, u_hi = (margins.edge - lead) / width, 1.0 - (margins.edge - trail) / width
+    cut = (bool(u_lo.min() < 0.0), bool(u_hi.max() > 1.0))
+    u_lo, u_hi = np.maximum(u_lo, 0.0), np.minimum(u_hi, 1.0)
+    whole = float((lead + width + trail).max())
+    if (u_hi <= u_lo).any():
+        raise BadInput(
+            f"{name}: edge_margin_mm = {1e3 * margins.edge:g} from both edges leaves nothing of the {side.name} side, "
+            f"which is {1e3 * float((lead + width + trail).min()):.1f} to {1e3 * whole:.1f} mm wide; make it smaller."
+        )
+    flip = bool(_clamp_distance(shape, side, margins, 1.0) < _clamp_distance(shape, side, margins, 0.0))
+    uu, vv = np.meshgrid(u, v, indexing="ij")
+    points = side.surface(uu, vv)
+    free = points @ margins.normal - margins.offset - margins.root
+    tip_end, tip_block = (0.0, shape.frame.block[0]) if flip else (shape.frame.length, shape.frame.block[1])
+    tip_end = (float(shape.v[0]) if flip else float(shape.v[1])) if tip_block else tip_end
+    stretch = np.linalg.norm(side.surface(uu, vv, 0, 1), axis=-1)
+    to_tip = np.abs(tip_end - vv) * stretch - margins.tip
+    first = _crossing(v, free, from_end=flip)
+    last = _crossing(v, to_tip, from_end=not flip)
+    v_lo, v_hi = (last, first) if flip else (first, last)
+    inside = (u >= u_lo.min()) & (u <= u_hi.max())
+    if np.isnan(v_lo + v_hi)[inside].any() or (v_hi <= v_lo)[inside].any():
+        raise BadInput(
+            f"{name}: the clamp plane with root_margin_mm = {1e3 * margins.root:g} and tip_margin_mm = "
+            f"{1e3 * margins.tip:g} leave nothing of the {1e3 * float(np.ptp(shape.v)):.1f} mm of aerofoil on the "
+            f"{side.name} side; make the margins smaller or move the clamp."
+        )
+    return Window(u, v, u_lo, u_hi, v_lo, v_hi, flip, cut)
+
+
+def _clamp_distance(shape: AerofoilShape, side: SideSurface, margins: Margins, end: float) -> float:
+    """Distance in m of the middle of an end of the aerofoil from the clamp plane, positive on the free side."""
+    v = shape.v[0] + end * (shape.v[1] - shape.v[0])
+    return float(side.surface(np.array([0.5]), np.array([v]))[0] @ margins.normal - margins.offset)
+
+
+def _crossing(v: Array, values: Array, from_end: bool) -> Array:
+    """For each row the v nearest to one end of the grid from which on `values` (nu, nv) stays positive; nan if none."""
+    if from_end:
+        return _crossing(v[::-1], values[:, ::-1], from_end=False)
+    bad = values < 0.0
+    last = np.where(bad.any(axis=1), bad.shape[1] - 1 - np.argmax(bad[:, ::-1], axis=1), -1)
+    out = np.full(len(values), v[0])
+    rows = np.flatnonzero((last >= 0) & (last < len(v) - 1))
+    i = last[rows]
+    a, b = values[rows, i], values[rows, i + 1]
+    out[rows] = v[i] + (v[i + 1] - v[i]) * (-a) / np.where(b > a, b - a, 1.0)
+    out[last == len(v) - 1] = np.nan
+    return out

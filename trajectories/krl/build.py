@@ -1,0 +1,110 @@
+"""Timed joint trajectories -> a program: one sub-program a pass, with as many points as the controller needs."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from robots.errors import BadInput, Infeasible
+from robots.pose import Array, invert
+from trajectories.joint_trajectory import JointTrajectory
+from trajectories.krl.interpolation import Deviation, emit, largest_axis_difference
+from trajectories.krl.names import program_names
+from trajectories.krl.program import (
+    Block,
+    Comment,
+    PointMotion,
+    PoseLines,
+    PoseSpline,
+    Program,
+    Setup,
+    SubProgram,
+    TimedSpline,
+    split_blocks,
+    validate,
+)
+from trajectories.path_law import times_at
+
+SPACING = 1e-3  # m between the poses of a Cartesian program
+MOST = 1900
+
+
+class Leg(Protocol):
+    """A timed piece of a pass; `kind` is travel, engage, contact or retreat."""
+
+    @property
+    def kind(self) -> str:
+        """What it is for."""
+
+    @property
+    def trajectory(self) -> JointTrajectory:
+        """Its joints over time, from rest to rest."""
+
+
+def build_program(
+    name: str,
+    setup: Setup,
+    passes: Sequence[Sequence[Leg]],
+    labels: Sequence[str],
+    forward: Callable[[Array], Array],
+    tolerance: Callable[[Leg], float] = lambda leg: 2e-5,
+    deviation: Deviation = largest_axis_difference,
+    comments: Iterable[str] = (),
+    taken: Iterable[str] = (),
+) -> Program:
+    """The program of all passes; each pass is a sequence of legs that follow one another without a gap.
+
+    `labels` say per pass what it does; `forward` gives the nominal flange poses (n, 4, 4) of joints (n, 6) (poses
+    programs are written through the controller's own, nominal kinematics: PHYSICS.md 4). `tolerance` of a leg and `deviation`
+    as in `emit`; `taken` names on the controller. Raises BadInput (see `validate`) and Infeasible (a leg that cannot be
+    emitted within the tolerance, named by its label).
+    """
+    groups = []
+    for label, legs in zip(labels, passes, strict=True):
+        try:
+            groups.append(split_blocks(_blocks(legs, setup, forward, tolerance, deviation)))
+        except (BadInput, Infeasible) as error:
+            raise type(error)(f"{label}: {error}") from None
+    main, names = program_names(name, len(groups), [len(g) for g in groups], taken)
+    subs = tuple(
+        SubProgram(sub, tuple(blocks), label)
+        for label, parts, part_names in zip(labels, groups, names, strict=True)
+        for sub, blocks in zip(part_names, parts, strict=True)
+    )
+    program = Program(main, setup, subs, tuple(comments))
+    validate(program)
+    return program
+
+
+def _blocks(
+    legs: Sequence[Leg],
+    setup: Setup,
+    forward: Callable[[Array], Array],
+    tolerance: Callable[[Leg], float],
+    deviation: Deviation,
+) -> list[Block]:
+    blocks: list[Block] = [PointMotion(legs[0].trajectory.q(0.0))]
+    for leg in legs:
+        blocks.append(Comment(leg.kind))
+        if setup.kind == "axis":
+            emission = emit(leg.trajectory, tolerance(leg), deviation)
+            blocks.append(TimedSpline(emission.q, emission.times))
+        elif leg.kind == "travel":
+            blocks.append(PointMotion(leg.trajectory.q(leg.trajectory.duration)))
+        else:
+            blocks.append(_pose_block(leg.trajectory, setup, forward))
+    return blocks
+
+
+def _pose_block(trajectory: JointTrajectory, setup: Setup, forward: Callable[[Array], Array]) -> PoseSpline | PoseLines:
+    """Poses P = (FLANGE TOOL)^-1 BASE at equal stations; $VEL.CP is the speed of P at which the planned feed is driven."""
+    length = float(trajectory.stations[-1])
+    n = int(np.clip(np.ceil(length / SPACING), 2, MOST - 1))
+    times = times_at(trajectory.law, np.linspace(0.0, length, n + 1))
+    q = trajectory.q(times)
+    P = invert(forward(q) @ setup.T_flange_blade) @ setup.T_base_wheel
+    # Only where the wheel touches at the origin of $BASE is the speed of P the feed itself: the ratio is taken along.
+    chord = np.linalg.norm(np.diff(P[:, :3, 3], axis=0), axis=1)
+    feed = float(np.median(chord / np.diff(times)))
+    block = PoseSpline if setup.kind == "cartesian" else PoseLines
+    return block(P, q, max(feed, 1e-4))

@@ -1,0 +1,217 @@
+"""Refusals about the order of statements: declarations, start-up, spline blocks and their time blocks."""
+
+from pathlib import Path
+
+from robots.errors import BadInput
+from trajectories.krl.syntax import (
+    Aggregate,
+    Assignment,
+    BlockEnd,
+    BlockStart,
+    Call,
+    Declaration,
+    Definition,
+    Header,
+    Interrupt,
+    Module,
+    Motion,
+    Number,
+    Other,
+    Remark,
+    Statement,
+    TimeBlock,
+)
+
+MOST_POINTS = 2000  # of a file, KRL.md
+FRAMES = ("$TOOL", "$BASE", "$IPO_MODE", "$LOAD")
+SPEEDS = ("$VEL.CP", "$ACC.CP", "$APO.CVEL", *(f"${k}_AXIS[{i}]" for k in ("VEL", "ACC") for i in range(1, 7)))
+ALLOWED = {"PTP_SPLINE": ("SPTP",), "SPLINE": ("SPL", "SLIN"), "": ("PTP", "LIN")}
+AXES = frozenset(f"A{i}" for i in range(1, 7))
+POSE = frozenset("X Y Z A B C S T".split())
+ROUNDING = 1e-5  # s, what the printed parts of a block may miss its end by
+
+
+def check_module(module: Module) -> None:
+    """Refuse (BadInput, file and line) a .src or .dat that a controller would reject or run in another way."""
+    definition = next(s for s in module.statements if isinstance(s, Definition))
+    if definition.name.upper() != module.path.stem.upper():
+        raise _bad(module, definition, f"{definition.kind} {definition.name} stands in a file of another name")
+    if (definition.kind == "DEFDAT") != (module.path.suffix.lower() == ".dat"):
+        raise _bad(module, definition, f"{definition.kind} does not belong into a {module.path.suffix} file")
+    _check_headers(module, definition)
+    if definition.kind == "DEFDAT":
+        _check_data(module)
+    else:
+        _check_order(module)
+        _check_blocks(module)
+
+
+def check_pair(source: Module, data: Module) -> None:
+    """Refuse a .dat whose DEFDAT has another name than the DEF of its .src."""
+    if source.name.upper() != data.name.upper():
+        definition = next(s for s in data.statements if isinstance(s, Definition))
+        raise _bad(data, definition, f"DEFDAT {data.name} does not belong to DEF {source.name}")
+
+
+def _bad(module: Module, statement: Statement, message: str) -> BadInput:
+    return BadInput(f"{Path(module.path).name}, line {statement.line}: {message}")
+
+
+def _check_headers(module: Module, definition: Definition) -> None:
+    headers = [s for s in module.statements if isinstance(s, Header)]
+    if not headers or headers[0].line != 1 or not headers[0].text.upper().startswith("&ACCESS"):
+        raise _bad(module, module.statements[0], "the file must begin with &ACCESS RVP")
+    for h in headers:
+        if h.line > definition.line:
+            raise _bad(module, h, f"{h.text[:20]} stands after {definition.kind}; header lines come first")
+
+
+def _check_data(module: Module) -> None:
+    for s in module.statements:
+        if not isinstance(s, (Header, Remark, Definition, Declaration)) and s is not module.statements[-1]:
+            raise _bad(module, s, "only declarations belong into a .dat file")
+    _check_names(module)
+
+
+def _check_names(module: Module) -> None:
+    seen: dict[str, int] = {}
+    for s in module.statements:
+        if isinstance(s, Declaration) and s.type != "EXT":
+            first = seen.setdefault(s.name.upper(), s.line)
+            if first != s.line:
+                raise _bad(module, s, f"{s.name} is declared in line {first} already (case does not count)")
+
+
+def _check_order(module: Module) -> None:
+    """Declarations, then BAS(#INITMOV,0), then frames, then motion."""
+    _check_names(module)
+    started, ready = False, False
+    frames: set[str] = set()
+    for s in module.statements:
+        if isinstance(s, Declaration):
+            if started:
+                raise _bad(module, s, f"{s.name} is declared after the first statement; declarations come first")
+            continue
+        started |= isinstance(s, (Assignment, Call, Motion, BlockStart, Interrupt))
+        if isinstance(s, Other):
+            raise _bad(module, s, f"{s.text[:30]} may not be used here")
+        if isinstance(s, Call) and s.name.upper() == "BAS":
+            if tuple(a.upper() for a in s.arguments) != ("#INITMOV", "0"):
+                raise _bad(module, s, "only BAS (#INITMOV,0 ) may be called")
+            ready, frames = True, set()
+        elif isinstance(s, Assignment):
+            _check_assignment(module, s)
+            if s.target in FRAMES and not ready:
+                raise _bad(module, s, f"{s.target} is set before BAS (#INITMOV,0 ), which would set it back")
+            frames.add(s.target)
+        elif isinstance(s, (Motion, BlockStart)) or (isinstance(s, Call) and s.name.upper() != "BAS"):
+            missing = [f for f in FRAMES if f not in frames]
+            if not ready or missing:
+                what = "BAS (#INITMOV,0 )" if not ready else missing[0]
+                raise _bad(module, s, f"the robot moves before {what} was set")
+
+
+def _check_assignment(module: Module, s: Assignment) -> None:
+    if s.target in FRAMES:
+        return
+    if s.target not in SPEEDS:
+        raise _bad(module, s, f"{s.target} may not be assigned by a grinding program")
+    value = s.value.value if isinstance(s.value, Number) else -1.0
+    top = 3.0 if s.target == "$VEL.CP" else 100.0
+    if not 0 < value <= top:
+        raise _bad(module, s, f"{s.target} must be a number above 0 and at most {top:g}")
+
+
+def _check_blocks(module: Module) -> None:
+    block: BlockStart | None = None
+    points, first = 0, True
+    inside: list[Motion | TimeBlock] = []
+    for s in module.statements:
+        if isinstance(s, BlockStart):
+            if block:
+                raise _bad(module, s, f"{s.kind} inside the block of line {block.line}; is ENDSPLINE missing?")
+            block, inside = s, []
+        elif isinstance(s, BlockEnd):
+            if not block:
+                raise _bad(module, s, "ENDSPLINE without a block")
+            _check_times(module, block, inside, s)
+            block = None
+        elif isinstance(s, Motion):
+            points += 1
+            _check_motion(module, s, block, first)
+            first = False
+            inside.append(s)
+        elif isinstance(s, TimeBlock):
+            if not block:
+                raise _bad(module, s, "TIME_BLOCK outside a spline block")
+            inside.append(s)
+        elif block and not isinstance(s, Remark):
+            raise _bad(module, s, f"inside the {block.kind} of line {block.line} only points, TIME_BLOCK and comments may stand")
+        if points > MOST_POINTS:
+            raise _bad(module, s, f"more than {MOST_POINTS} points in one file; split the pass")
+
+
+def _check_motion(module: Module, s: Motion, block: BlockStart | None, first: bool) -> None:
+    kind = block.kind if block else ""
+    if s.kind not in ALLOWED[kind]:
+        place = f"the {kind} of line {block.line}" if block else "the open program"
+        raise _bad(module, s, f"{s.kind} may not stand in {place}; expected {' or '.join(ALLOWED[kind])}")
+    if not isinstance(s.target, Aggregate):
+        raise _bad(module, s, "the position must stand in the line")
+    names = {n for n, _ in s.target.items}
+    wanted = AXES if s.kind in ("PTP", "SPTP") else POSE
+    if first and (s.kind != "PTP" or names != AXES):
+        raise _bad(module, s, "the first motion must be a PTP to all six axes, or the controller does not know its branch")
+    if names != wanted:
+        odd = sorted(wanted - names) or sorted(names - wanted)
+        state = "is missing" if wanted - names else "does not belong there"
+        raise _bad(module, s, f"the position is not complete: {odd[0]} {state}")
+    if s.kind in ("SPTP", "SPL", "SLIN", "PTP") and s.approximation:
+        raise _bad(module, s, f"{s.approximation} does not belong to {s.kind}")
+    for name, value in s.target.items:
+        if not isinstance(value, Number):
+            raise _bad(module, s, f"{name} must be a number")
+        if name in ("S", "T") and not (value.text.isdigit() and value.value <= (7 if name == "S" else 63)):
+            raise _bad(module, s, f"{name} {value.text} is no whole number from 0 to {7 if name == 'S' else 63}")
+
+
+def _check_times(module: Module, block: BlockStart, inside: list[Motion | TimeBlock], end: BlockEnd) -> None:
+    """SPTP, START, then (SPTP, PART) pairs, then END whose seconds are the sum of the parts."""
+    times = [s for s in inside if isinstance(s, TimeBlock)]
+    if not any(isinstance(s, Motion) for s in inside):
+        raise _bad(module, block, f"{block.kind} has no points")
+    if not times:
+        if block.kind == "PTP_SPLINE":
+            raise _bad(module, block, "the block has no TIME_BLOCK; its timing would be the controller's own")
+        return
+    _check_sequence(module, inside, end)
+    parts = [s for s in times if s.what == "PART" and s.value]
+    for s in parts:
+        if s.value and s.value.value <= 0:
+            raise _bad(module, s, f"the time part {s.value.text} must be above 0")
+    total, stated = sum(s.value.value for s in parts if s.value), times[-1].value
+    if stated is None or abs(total - stated.value) > ROUNDING:
+        raise _bad(module, times[-1], f"the parts add up to {total:.5f} s and the end says {stated.text if stated else '?'}")
+
+
+def _check_sequence(module: Module, inside: list[Motion | TimeBlock], end: BlockEnd) -> None:
+    after = {"": "POINT", "POINT": "PART", "START": "POINT", "PART": "POINT"}
+    before, started = "", False
+    for s in inside:
+        got = s.what if isinstance(s, TimeBlock) else "POINT"
+        want = after.get(before, "")
+        if before == "POINT" and not started:
+            want = "START"
+        if got == "START" and started:
+            raise _bad(module, s, "a second TIME_BLOCK START; one time block a spline block")
+        if before == "END":
+            raise _bad(module, s, f"{_called(got)} stands after TIME_BLOCK END; the block ends there")
+        if got != want and not (got == "END" and before == "PART"):
+            raise _bad(module, s, f"expected {_called(want)} and found {_called(got)}")
+        before, started = got, started or got == "START"
+    if before != "END":
+        raise _bad(module, end, "the time block is open: TIME_BLOCK END with its seconds is missing")
+
+
+def _called(what: str) -> str:
+    return "a point" if what == "POINT" else f"TIME_BLOCK {what}"

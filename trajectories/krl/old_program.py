@@ -1,0 +1,86 @@
+"""A path taken from an existing KRL program, through the nominal kinematics."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robots.errors import BadInput
+from robots.pose import Array, invert
+from trajectories.krl.execution import Execution, Segment, execute
+
+
+@dataclass(frozen=True)
+class OldPass:
+    """Points of one uninterrupted path motion of an old program.
+
+    `frames` (n, 4, 4): pose of the wheel frame in the blade frame, P = (FLANGE TOOL)^-1 BASE with the cell's frames;
+    `flange` (n, 4, 4) nominal poses in the base; `q` (n, 6) rad where the program gives axes; `feed` m/s or None;
+    `file` and `lines` (n,) where the points stand.
+    """
+
+    frames: Array
+    flange: Array
+    q: Array | None
+    feed: float | None
+    file: str
+    lines: Array
+
+
+def contact_frames_from_program(
+    source: Path, forward: Callable[[Array], Array], T_flange_blade: Array, T_base_wheel: Array
+) -> tuple[tuple[OldPass, ...], tuple[str, ...]]:
+    """Passes of an old program and notices about what was passed over.
+
+    A pass is a spline block, or LIN and SLIN motions in a row; PTP motions separate passes. Poses become flange poses
+    with the frames the program itself sets; where it names only numbers (TOOL_DATA[3]), `T_flange_blade` and
+    `T_base_wheel` stand in and a notice says so. What the contact point is follows from `frames`: its origin, where
+    `T_base_wheel` lies on the wheel's surface; else project it. Raises BadInput: unreadable, or no path in it.
+    """
+    execution: Execution = execute(Path(source), strict=False)
+    notices = list(execution.notices)
+    passes: list[OldPass] = []
+    group: list[Segment] = []
+
+    def close() -> None:
+        if sum(len(s.lines) for s in group) > 1:
+            passes.append(_pass(group, forward, T_flange_blade, T_base_wheel, notices))
+        group.clear()
+
+    for segment in execution.segments:
+        single = segment.kind in ("LIN", "SLIN", "SPL")
+        if not single or (group and group[0].file != segment.file):
+            close()
+        if segment.kind not in ("PTP", "SPTP"):
+            group.append(segment)
+        if not single:
+            close()
+    close()
+    if not passes:
+        raise BadInput(f"{source}: no path of two or more LIN, SLIN or spline points was found in the program")
+    return tuple(passes), tuple(dict.fromkeys(notices))
+
+
+def _pass(group: list[Segment], forward: Callable[[Array], Array], tool: Array, base: Array, notices: list[str]) -> OldPass:
+    flange = np.concatenate([_flange(s, forward, tool, base, notices) for s in group])
+    q = np.concatenate([s.q for s in group if s.q is not None]) if all(s.q is not None for s in group) else None
+    frames = invert(flange @ tool) @ base
+    lines = np.concatenate([s.lines for s in group])
+    return OldPass(frames, flange, q, group[0].speed, group[0].file, lines)
+
+
+def _flange(segment: Segment, forward: Callable[[Array], Array], tool: Array, base: Array, notices: list[str]) -> Array:
+    if segment.q is not None:
+        return forward(segment.q)
+    assert segment.poses is not None
+    own = segment.frames
+    if own.tool is None or own.base is None:
+        notices.append(
+            f"{segment.file}: tool {own.tool_no} and base {own.base_no} are not in the program; the cell's blade and wheel "
+            "frames are taken"
+        )
+    T, B = tool if own.tool is None else own.tool, base if own.base is None else own.base
+    if own.ipo_mode == "#TCP":  # P is the pose of the base seen from the tool
+        return np.asarray(B @ invert(segment.poses) @ invert(T))
+    return np.asarray(B @ segment.poses @ invert(T))

@@ -1,0 +1,285 @@
+"""Parser of KRL .src and .dat files, with a grammar of its own: it shares no code with what writes programs.
+
+Strict, it takes the plain subset that KRL.md allows and refuses everything else with file and line. Tolerant, for
+programs taught years ago, it also takes inline-form data (FDAT, PDAT, LDAT), waits, outputs and triggers; branches and
+loops are refused, because then the text does not say which path the robot takes.
+"""
+
+from pathlib import Path
+
+from robots.errors import BadInput
+from trajectories.krl.lexer import Line
+from trajectories.krl.syntax import (
+    BLOCKS,
+    MOTIONS,
+    Aggregate,
+    Assignment,
+    BlockEnd,
+    BlockStart,
+    Call,
+    Declaration,
+    Definition,
+    Ending,
+    Header,
+    Interrupt,
+    Module,
+    Motion,
+    Number,
+    Other,
+    Remark,
+    Statement,
+    TimeBlock,
+    Value,
+    Word,
+)
+
+BRANCHES = frozenset(
+    "IF ELSE ENDIF FOR ENDFOR WHILE ENDWHILE LOOP ENDLOOP REPEAT UNTIL SWITCH CASE DEFAULT ENDSWITCH GOTO EXIT RETURN".split()
+)
+HARMLESS = frozenset("WAIT HALT CONTINUE PULSE TRIGGER ANOUT ANIN SIGNAL CONFIRM RESUME BRAKE STRUC ENUM IMPORT".split())
+REFUSED_MOTIONS = frozenset("CIRC SCIRC PTP_REL LIN_REL CIRC_REL SPTP_REL SLIN_REL SPL_REL SCIRC_REL ASYPTP".split())
+APPROXIMATIONS = frozenset("C_PTP C_DIS C_VEL C_ORI C_SPL".split())
+
+
+def read_module(path: Path, strict: bool = True) -> Module:
+    """The statements of one .src or .dat file.
+
+    Raises BadInput, which names file and line: not KRL, or not the part of KRL that is allowed; a file that is absent.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path") from None
+    return parse_text(data.decode("ascii" if _ascii(data) else "latin-1"), path, strict)
+
+
+def _ascii(data: bytes) -> bool:
+    return all(b < 128 for b in data)
+
+
+def parse_text(text: str, path: Path, strict: bool = True) -> Module:
+    """The statements of a file's text; `path` is for messages and for the module's identity."""
+    statements: list[Statement] = []
+    ended = False
+    for number, raw in enumerate(text.split("\n"), start=1):
+        line = raw.rstrip("\r")
+        if not line.strip():
+            continue
+        if ended and strict and not line.strip().startswith(";"):
+            raise BadInput(f"{path.name}, line {number}: '{line.strip()[:40]}' stands after END; nothing may follow it")
+        if ended:
+            break  # local sub-programs of an old file are not the program
+        statement = _statement(line, path.name, number, strict)
+        statements.append(statement)
+        ended = isinstance(statement, Ending)
+    kinds = [s for s in statements if isinstance(s, Definition)]
+    last = len(text.rstrip().split("\n"))
+    if not kinds:
+        raise BadInput(f"{path.name}, line 1: no DEF or DEFDAT; this is no KRL program")
+    if len(kinds) > 1:
+        raise BadInput(f"{path.name}, line {kinds[1].line}: a second {kinds[1].kind}; one program a file, and is END missing?")
+    wanted = "ENDDAT" if kinds[0].kind == "DEFDAT" else "END"
+    if not ended:
+        raise BadInput(f"{path.name}, line {last}: the file ends without {wanted}; it is cut off")
+    ending = statements[-1]
+    if isinstance(ending, Ending) and ending.kind != wanted:
+        raise BadInput(f"{path.name}, line {ending.line}: {ending.kind} ends a {kinds[0].kind}; expected {wanted}")
+    return Module(path, tuple(statements))
+
+
+def _statement(text: str, file: str, number: int, strict: bool) -> Statement:
+    stripped = text.strip()
+    if stripped.startswith("&"):
+        return Header(number, stripped)
+    if stripped.startswith(";"):
+        return Remark(number, stripped[1:])
+    line = Line(file, number, text)
+    first = line.peek()
+    word = first.text.upper()
+    if first.kind != "name":
+        raise line.error(f"'{stripped[:40]}' is no statement")
+    if word in ("DEF", "DEFDAT"):
+        return _definition(line)
+    if word in ("END", "ENDDAT"):
+        line.take()
+        line.finish()
+        return Ending(number, word)
+    if word in MOTIONS:
+        return _motion(line, strict)
+    if word in BLOCKS and line.peek(1).text != "=":
+        return _block_start(line, strict)
+    if word == "ENDSPLINE":
+        line.take()
+        _approximation(line)
+        line.finish()
+        return BlockEnd(number)
+    if word == "TIME_BLOCK":
+        return _time_block(line)
+    if word in ("INTERRUPT", "GLOBAL") and "INTERRUPT" in (word, line.peek(1).text.upper()):
+        return Interrupt(number, line.rest())
+    if word in BRANCHES:
+        raise line.error(f"{word} decides at run time which way the program goes; only straight programs can be read")
+    if word in REFUSED_MOTIONS:
+        raise line.error(f"{word} is not supported; use PTP, LIN, SPTP, SLIN or SPL")
+    if word in HARMLESS and not strict:
+        return Other(number, line.rest())
+    return _declaration_or_plain(line, strict)
+
+
+def _definition(line: Line) -> Definition:
+    kind = line.take().text.upper()
+    name = line.expect_name(f"a name after {kind}")
+    if kind == "DEF":
+        line.expect("(")
+        line.expect(")", "; programs with parameters cannot be started")
+    else:
+        line.accept("PUBLIC")
+    line.finish()
+    return Definition(line.number, kind, name)
+
+
+def _block_start(line: Line, strict: bool) -> BlockStart:
+    kind = line.take().text.upper()
+    if not strict and line.peek().text.upper() == "WITH":
+        line.rest()
+    line.finish()
+    return BlockStart(line.number, kind)
+
+
+def _motion(line: Line, strict: bool) -> Motion:
+    kind = line.take().text.upper()
+    target: Value
+    if line.peek().text == "{":
+        target = _aggregate(line)
+    elif not strict:
+        target = Word(line.expect_name(f"a position after {kind}").upper())
+        if line.accept("["):
+            target = Word(f"{target.text}[{line.take().text}]")
+            line.expect("]")
+        if line.peek().text == ":":
+            raise line.error("a position made of two by the geometric operator ':' cannot be read")
+    else:
+        raise line.error(f"expected '{{' after {kind} and found '{line.peek().text or 'the end of the line'}'")
+    approximation = _approximation(line)
+    if not strict and line.peek().text.upper() == "WITH":
+        line.rest()
+    line.finish()
+    return Motion(line.number, kind, target, approximation)
+
+
+def _approximation(line: Line) -> str:
+    found = ""
+    while line.peek().text.upper() in APPROXIMATIONS:
+        found = found or line.peek().text.upper()
+        line.take()
+    return found
+
+
+def _time_block(line: Line) -> TimeBlock:
+    line.take()
+    what = line.expect_name("START, PART or END after TIME_BLOCK").upper()
+    if what not in ("START", "PART", "END"):
+        raise line.error(f"TIME_BLOCK {what} is not one of START, PART, END")
+    value = None
+    if what != "START":
+        line.expect("=")
+        value = _number(line)
+    line.finish()
+    return TimeBlock(line.number, what, value)
+
+
+def _number(line: Line) -> Number:
+    sign = ""
+    while line.peek().text in ("+", "-"):
+        sign += line.take().text
+    token = line.take()
+    if token.kind != "number":
+        raise line.error(f"expected a number and found '{token.text or 'the end of the line'}'")
+    text = sign + token.text
+    return Number(float(token.text) * (-1.0 if sign.count("-") % 2 else 1.0), text)
+
+
+def _aggregate(line: Line) -> Aggregate:
+    line.expect("{")
+    if line.peek().kind == "name" and line.peek(1).text == ":":  # {E6POS: X ..}
+        line.take()
+        line.take()
+    items: list[tuple[str, Value]] = []
+    while True:
+        name = line.expect_name("the name of a component (or is this a decimal comma?)").upper()
+        if line.accept("["):
+            line.expect("]")
+            name += "[]"
+        if name in dict(items):
+            raise line.error(f"component {name} is given twice")
+        items.append((name, _value(line)))
+        if not line.accept(","):
+            break
+    line.expect("}", "; is a brace missing?")
+    return Aggregate(tuple(items))
+
+
+def _value(line: Line) -> Value:
+    token = line.peek()
+    if token.text == "{":
+        return _aggregate(line)
+    if token.kind == "number" or token.text in ("-", "+"):
+        return _number(line)
+    if token.kind in ("enum", "string", "name", "bits"):
+        return Word(line.take().text)
+    raise line.error(f"expected a value and found '{token.text or 'the end of the line'}'")
+
+
+def _declaration_or_plain(line: Line, strict: bool) -> Statement:
+    word, second = line.peek().text.upper(), line.peek(1)
+    if word in ("EXT", "EXTFCT"):
+        line.take()
+        return Declaration(line.number, "EXT", line.rest(), None)
+    if word in ("DECL", "GLOBAL", "CONST") or (second.kind == "name" and word.isidentifier()):
+        return _declaration(line, strict)
+    name = line.take().text
+    if line.peek().text == "(":
+        return _call(line, name)
+    index = ""
+    if line.accept("["):
+        index = f"[{line.take().text}]" if line.peek().text != "]" else "[]"
+        line.expect("]")
+    while line.accept("."):
+        index += "." + line.expect_name("a component").upper()
+    if line.accept("="):
+        return Assignment(line.number, name.upper() + index, _right_side(line, strict))
+    raise line.error(f"'{line.text.strip()[:40]}' is no statement of the KRL that may be used here")
+
+
+def _right_side(line: Line, strict: bool) -> Value:
+    value = _value(line)
+    if isinstance(value, Word) and line.accept("["):
+        value = Word(f"{value.text.upper()}[{line.take().text}]")
+        line.expect("]")
+    if strict:
+        line.finish()
+    elif line.peek().kind != "end":
+        value = Word(f"expression {line.rest()}")
+    return value
+
+
+def _declaration(line: Line, strict: bool) -> Declaration:
+    while line.peek().text.upper() in ("DECL", "GLOBAL", "CONST"):
+        line.take()
+    kind = line.expect_name("a type").upper()
+    name = line.expect_name("a name after the type")
+    if line.accept("["):
+        name += "[" + line.rest().split("]")[0].replace(" ", "") + "]" if not strict else ""
+    value = _right_side(line, strict) if line.accept("=") else None
+    if strict:
+        line.finish()
+    return Declaration(line.number, kind, name, value)
+
+
+def _call(line: Line, name: str) -> Call:
+    line.expect("(")
+    text = line.rest()
+    if not text.endswith(")"):
+        raise line.error(f"the call of {name} has no closing bracket")
+    return Call(line.number, name, tuple(a.strip() for a in text[:-1].split(",") if a.strip()))

@@ -1,0 +1,213 @@
+"""Grinding passes on the aerofoil: contact frames at even steps, with what the contact needs to know of the blade."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from robots.errors import BadInput
+from trajectories.blade.fit import SideSurface
+from trajectories.blade.mesh import Blade
+from trajectories.blade.shape import AerofoilShape
+from trajectories.blade.spline import curvature_in_frame
+from trajectories.blade.surroundings import extents, thickness
+from trajectories.blade.window import Margins, Window, ground_window
+
+Array = NDArray[np.float64]
+
+MIN_WAYPOINTS = 20
+
+
+@dataclass(frozen=True)
+class BladePath:
+    """One grinding pass in the blade frame.
+
+    line: 1-based number of the line on the blade; side: "convex" | "concave" | "edge"; p, n, t (n, 3): contact points
+    in m, outward unit normals, unit feed directions; s (n,) m arc length from the start; curvature (n, 3): k_tt, k_bb,
+    k_tb in 1/m with b = n x t, positive convex; extent (n, 4): distance in m along +t, -t, +b, -b over which the
+    surface goes on before it turns by more than 60 deg or ends; thickness (n,) m along n; feed (n,) m/s and force
+    (n,) N as programmed.
+    """
+
+    line: int
+    side: str
+    p: Array
+    n: Array
+    t: Array
+    s: Array
+    curvature: Array
+    extent: Array
+    thickness: Array
+    feed: Array
+    force: Array
+
+
+@dataclass(frozen=True)
+class PassOptions:
+    """What to lay where, in m, m/s and N.
+
+    direction: "spanwise" (root to tip) or "chordwise" (leading to trailing edge); side: "convex", "concave", "both".
+    The clamp holds everything with clamp_normal . x below (clamp_side = "below") or above clamp_offset. step:
+    distance of waypoints; pad_radius: waypoints closer than this to an end of the surface are counted in a notice.
+    """
+
+    clamp_normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    clamp_offset: float = 0.010
+    clamp_side: str = "below"
+    direction: str = "spanwise"
+    side: str = "both"
+    spacing: float = 6e-3
+    root_margin: float = 5e-3
+    tip_margin: float = 5e-3
+    edge_margin: float = 3e-3
+    step: float = 0.5e-3
+    pad_radius: float = 0.0
+    feed: float = 40e-3
+    force: float = 20.0
+
+
+def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[list[BladePath], list[str]]:
+    """Evenly spread lines over the ground part of the chosen sides, at most `spacing` apart, and notices.
+
+    Raises: BadInput when the clamp holds nothing or everything, or the margins leave nothing.
+    """
+    margins = _margins(blade, options)
+    names = ["convex", "concave"] if options.side == "both" else [options.side]
+    lay = {"spanwise": _spanwise, "chordwise": _chordwise}.get(options.direction)
+    if lay is None or names[0] not in shape.sides:
+        raise BadInput(f"passes = {options.direction!r}, side = {options.side!r}: use 'spanwise' or 'chordwise' and "
+                       f"'convex', 'concave' or 'both'.")  # fmt: skip
+    if not options.spacing > 0.0 or not options.step > 0.0:
+        raise BadInput(f"pass_spacing_mm = {1e3 * options.spacing:g} and step {1e3 * options.step:g} mm must be above 0.")
+    paths: list[BladePath] = []
+    notices: list[str] = []
+    for name in names:
+        side = shape.sides[name]
+        window = ground_window(blade.name, shape, side, margins)
+        for edge, cut in zip(("leading", "trailing"), window.cut, strict=True):
+            if cut:
+                notices.append(f"The {name} side is ground up to where it turns into the {edge} edge, which is more "
+                               f"than edge_margin_mm = {1e3 * options.edge_margin:g} away from it.")  # fmt: skip
+        for u, v in lay(side, window, options):
+            paths.append(_waypoints(shape, side, u, v, len(paths) + 1, options))
+    near = sum(int((path.extent.min(axis=1) < options.pad_radius).sum()) for path in paths)
+    if near:
+        total = sum(len(path.p) for path in paths)
+        notices.append(f"{near} of {total} waypoints lie closer than {1e3 * options.pad_radius:.1f} mm to an edge or end "
+                       f"of the surface, so part of the contact hangs over.")  # fmt: skip
+    return paths, notices
+
+
+def reversed_path(path: BladePath) -> BladePath:
+    """The same pass ground from its end to its start: t and b turn round, k_tb keeps its sign."""
+    order = slice(None, None, -1)
+    return replace(
+        path, p=path.p[order], n=path.n[order], t=-path.t[order], s=path.s[-1] - path.s[order],
+        curvature=path.curvature[order], extent=path.extent[order][:, [1, 0, 3, 2]],
+        thickness=path.thickness[order], feed=path.feed[order], force=path.force[order],
+    )  # fmt: skip
+
+
+def _margins(blade: Blade, options: PassOptions) -> Margins:
+    normal = np.asarray(options.clamp_normal, float)
+    size = float(np.linalg.norm(normal))
+    if not np.isfinite(size) or size < 1e-9 or options.clamp_side not in ("below", "above"):
+        raise BadInput(f"clamp_normal = {list(options.clamp_normal)}, clamp_side = {options.clamp_side!r}: give a vector "
+                       f"that is not zero and 'below' or 'above'.")  # fmt: skip
+    sign = 1.0 if options.clamp_side == "below" else -1.0
+    normal, offset = sign * normal / size, sign * options.clamp_offset / size
+    height = blade.vertices @ normal - offset
+    if height.min() > 0.0 or height.max() <= 0.0:
+        low, high = sorted(sign * 1e3 * (np.array([height.min(), height.max()]) + offset))
+        what = "nothing" if height.min() > 0.0 else "everything"
+        raise BadInput(
+            f"{blade.name}: the clamp ({options.clamp_side} {1e3 * options.clamp_offset:g} mm along "
+            f"{list(options.clamp_normal)}) holds {what}: the blade reaches from {low:.1f} to {high:.1f} mm there; "
+            f"correct clamp_to_mm or clamp_side."
+        )
+    return Margins(normal, offset, options.root_margin, options.tip_margin, options.edge_margin)
+
+
+def _count(width: float, spacing: float) -> int:
+    return int(np.ceil(width / spacing - 1e-9)) + 1 if width > 0.1 * spacing else 1
+
+
+def _shares(count: int) -> Array:
+    return np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
+
+
+def _spanwise(side: SideSurface, window: Window, options: PassOptions) -> list[tuple[Array, Array]]:
+    """Fine polylines (u, v) from root to tip; lines follow the taper and are `spacing` apart where it is widest."""
+    lowest, highest = float(np.nanmin(window.v_lo)), float(np.nanmax(window.v_hi))
+    used = (window.v >= lowest) & (window.v <= highest)
+    width = float((np.interp(window.v, side.levels, side.width) * (window.u_hi - window.u_lo))[used].max())
+    lines = []
+    for share in _shares(_count(width, options.spacing)):
+        u = window.u_lo + share * (window.u_hi - window.u_lo)
+        low, high = np.interp(u, window.u, window.v_lo), np.interp(u, window.u, window.v_hi)
+        start = _first_root(window.v, window.v - low)
+        stop = _first_root(window.v, window.v - high)
+        v = np.linspace(start, stop, 801)
+        lines.append((np.interp(v, window.v, u), v))
+    return [(u[::-1], v[::-1]) for u, v in lines] if window.flip else lines
+
+
+def _first_root(x: Array, y: Array) -> float:
+    """Where y rises through zero, linear between grid points; an end of x where it does not."""
+    k = int(np.argmax(y >= 0.0)) if (y >= 0.0).any() else len(x) - 1
+    if k == 0 or y[k] < 0.0:
+        return float(x[k])
+    return float(x[k - 1] + (x[k] - x[k - 1]) * (-y[k - 1]) / (y[k] - y[k - 1]))
+
+
+def _chordwise(side: SideSurface, window: Window, options: PassOptions) -> list[tuple[Array, Array]]:
+    """Fine polylines (u, v) from leading to trailing edge, evenly spread between the limits at root and tip."""
+    inside = (window.u >= window.u_lo.min()) & (window.u <= window.u_hi.max())
+    u, low, high = window.u[inside], window.v_lo[inside], window.v_hi[inside]
+    stretch = np.linalg.norm(side.surface(u, 0.5 * (low + high), 0, 1), axis=1)
+    lines = []
+    for share in _shares(_count(float(((high - low) * stretch).max()), options.spacing)):
+        v = low + share * (high - low)
+        start = _first_root(u, u - np.interp(v, window.v, window.u_lo))
+        stop = _first_root(u, u - np.interp(v, window.v, window.u_hi))
+        fine = np.linspace(start, stop, 801)
+        lines.append((fine, np.interp(fine, u, v)))
+    return lines[::-1] if window.flip else lines
+
+
+def _waypoints(
+    shape: AerofoilShape, side: SideSurface, u: Array, v: Array, line: int, options: PassOptions
+) -> BladePath:
+    """A pass at even steps of arc length along the fine polyline (u, v)."""
+    fine = side.surface(u, v)
+    s_fine = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
+    count = max(int(np.ceil(s_fine[-1] / options.step)) + 1, MIN_WAYPOINTS)
+    s = np.linspace(0.0, s_fine[-1], count)
+    u, v = np.interp(s, s_fine, u), np.interp(s, s_fine, v)
+    p, n = side.surface(u, v), side.normal(u, v)
+    t = feed_directions(p, n, s)
+    return describe(shape, side, u, v, p, n, t, s, line, np.full(count, options.feed), np.full(count, options.force))
+
+
+def feed_directions(p: Array, n: Array, s: Array) -> Array:
+    """Unit tangents (m, 3) of the curve p(s), freed of their part along n."""
+    t = CubicSpline(s, p)(s, 1)
+    t = t - np.einsum("ni,ni->n", t, n)[:, None] * n
+    return np.asarray(t / np.linalg.norm(t, axis=1, keepdims=True))
+
+
+def describe(
+    shape: AerofoilShape, side: SideSurface, u: Array, v: Array, p: Array, n: Array, t: Array, s: Array,
+    line: int, feed: Array, force: Array,
+) -> BladePath:  # fmt: skip
+    """A BladePath from frames at surface parameters (u, v): adds curvature, extent and thickness."""
+    curvature = curvature_in_frame(side.surface, u, v, n, t)
+    extent = extents(shape, side, u, v, p, n, t)
+    return BladePath(line, side.name, p, n, t, s, curvature, extent, thickness(shape, side, u, v, p, n), feed, force)
+
+
+def total_length(paths: Sequence[BladePath]) -> float:
+    """Ground length of all passes, m."""
+    return float(sum(path.s[-1] for path in paths))
