@@ -2,6 +2,8 @@
 
     python benchmarks/blade_compliance_convergence.py ../shared/data/blades/twisted.stl 4.2 2.1 1.05
 
+Set GRINDPLAN_CACHE= (empty) to time the meshing as well
+
 Ti-6Al-4V, clamped below z = 10 mm, patch 3 mm along the span by 6 mm. `inner`: waypoints farther than 6 mm from the
 tip, the clamp and both ends of the section; `edge`: the others above the clamp.
 """
@@ -12,10 +14,11 @@ import time
 import numpy as np
 import trimesh
 
+from ocp.contact import volume_mesh as meshing
 from ocp.contact.blade_compliance import clamped_blade
 from ocp.contact.elasticity import Material
-from ocp.contact.volume_mesh import volume_mesh
 
+NOTICEABLE = 5e-8  # m/N: 20 N move the blade by one micrometre
 CLAMP, PATCH = 0.010, (3e-3, 6e-3)
 
 
@@ -41,29 +44,32 @@ def waypoints(blade: trimesh.Trimesh, lines: int = 8, heights: int = 14) -> tupl
 
 def main(path: str, sizes: list[float]) -> None:
     """Print one row a size."""
+    meshing.MAX_ELEMENTS = 200_000  # the finest mesh of the table is beyond what a plan may use
     blade = trimesh.load(path)
     blade.apply_scale(1e-3)
     vertices, faces = np.array(blade.vertices), np.array(blade.faces)
     p, n, t, apart = waypoints(blade)
     inner = apart > max(PATCH)
     print(f"{path}: {len(p)} waypoints, {inner.sum()} inner")
-    print("| size mm | elements | unknowns | volume error % | mesh s | rest s | inner max % | inner median % "
-          "| edge max % | edge median % |\n|---|---|---|---|---|---|---|---|---|---|")
+    print(
+        "| size mm | elements | unknowns | volume error % | mesh s | rest s | inner max % | c > 50 nm/N max % | inner median % "
+        "| edge max % | edge median % |\n|---|---|---|---|---|---|---|---|---|---|---|"
+    )
     last = None
     for size in sizes:
         start = time.perf_counter()
-        volume_mesh(vertices, faces, size * 1e-3)
+        meshing.volume_mesh(vertices, faces, size * 1e-3, (np.array([0.0, 0.0, 1.0]), CLAMP))
         meshed = time.perf_counter()
         solid = clamped_blade(vertices, faces, np.array([0.0, 0.0, 1.0]), CLAMP, Material(), size * 1e-3)
         c = solid.compliance(p, n, t, PATCH)[:, 0]
-        row = f"| {size} | {len(solid.mesh.elements)} | {solid.factorisation.unknowns} | {100 * solid.volume_error:.3f} " \
-              f"| {meshed - start:.1f} | {time.perf_counter() - meshed:.1f} "
+        row = (
+            f"| {size} | {len(solid.mesh.elements)} | {solid.factorisation.unknowns} | {100 * solid.volume_error:.3f} "
+            f"| {meshed - start:.1f} | {time.perf_counter() - meshed:.1f} "
+        )
         if last is not None:
             change = 100.0 * np.abs(c / last - 1.0)
-            row += f"| {change[inner].max():.2f} | {np.median(change[inner]):.2f} " \
-                   f"| {change[~inner].max():.2f} | {np.median(change[~inner]):.2f} |"
-            worst = np.flatnonzero(inner)[np.argsort(-change[inner])[:4]]
-            print("  worst", [(f"{p[k] * 1e3}", f"{apart[k]*1e3:.1f}", f"{change[k]:.2f}", f"{c[k]:.3g}") for k in worst], file=sys.stderr)
+            row += f"| {change[inner].max():.2f} | {change[inner & (c > NOTICEABLE)].max():.2f} | {np.median(change[inner]):.2f} "
+            row += f"| {change[~inner].max():.2f} | {np.median(change[~inner]):.2f} |"
         print(row, flush=True)
         last = c
 

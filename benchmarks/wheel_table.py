@@ -1,16 +1,19 @@
-"""Every number of docs/wheel.md: `python benchmarks/wheel_table.py [accuracy|convergence|law|drop]`, all without an argument."""
+"""Every number of docs/wheel.md: `python benchmarks/wheel_table.py [accuracy|convergence|law|real|drop]`, all without an argument."""
 
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
+from ocp.cell import read_cell
 from ocp.contact.cover import Cover, WheelGeometry, build_cover, default_cell
 from ocp.contact.gap import LocalShape, solve_force
 from ocp.contact.wheel_fit import FLANGE_STIFFNESS, FORCE_RANGE, Domain, draw, fit_wheel_law
 from ocp.contact.wheel_law import WheelLaw
+from ocp.paths import lay_paths
 
 LARGE = WheelGeometry(radius=0.150, width=0.040, cover_thickness=0.015, modulus=12e6, poisson=0.47)
 SMALL = WheelGeometry(radius=0.075, width=0.025, cover_thickness=0.015, modulus=3.43e6, poisson=0.47)
@@ -144,7 +147,35 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-TABLES = {"accuracy": accuracy, "convergence": convergence, "law": law, "drop": drop}
+@dataclass(frozen=True)
+class Choice:
+    """Passes of our own, a waypoint every millimetre."""
+
+    path: None = None
+    program: None = None
+    step: float = 1e-3
+
+
+def real() -> None:
+    """The law on real blades with the bundled cell's passes, in the whole box of freedoms and in a quarter of it."""
+    root = Path(__file__).resolve().parents[1]
+    cell = read_cell(root / "ocp" / "data" / "cell.toml")
+    for name in ("twisted", "rotor37"):
+        paths = lay_paths(cell, root.parent / "shared" / "data" / "blades" / f"{name}.stl", Choice()).paths
+        curvature = np.vstack([path.curvature for path in paths])
+        for title, wheel in (("small", SMALL), ("large", LARGE)):
+            cover = build_cover(wheel, default_cell(wheel, 20.0))
+            whole = replace(blades(wheel)["convex 7..45/m"], curvature=curvature)
+            for box, domain in (("whole", whole), ("quarter", replace(whole, lateral=whole.lateral / 4, tilt=whole.tilt / 4))):
+                e = fit_wheel_law(cover, domain).error
+                print(
+                    f"{name:8} {title} {box:8} um {e.rms * 1e6:.2f} {e.max * 1e6:.1f}, flange N {e.flange_rms:.4f} "
+                    f"{e.flange_max:.3f}, rigid N {e.rigid_rms:.2f} {e.rigid_max:.2f}, "
+                    f"wide {e.wide_flange_max:.3f} {e.wide_rigid_max:.2f}, dropped {e.dropped}"
+                )
+
+
+TABLES = {"accuracy": accuracy, "convergence": convergence, "law": law, "real": real, "drop": drop}
 
 if __name__ == "__main__":
     for wanted in sys.argv[1:] or TABLES:

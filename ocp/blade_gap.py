@@ -50,9 +50,7 @@ class SurfaceShape(LocalShape):
         return np.where(np.isfinite(extra), quadratic + extra, np.inf)
 
 
-def surface_shape(
-    wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_blade: Array, contact: Array
-) -> SurfaceShape:
+def surface_shape(wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_blade: Array, contact: Array) -> SurfaceShape:
     """`base` with the departure of the blade's surface from it about `contact` (3,) in the blade frame.
 
     T_base_blade (4, 4) is the pose at which `base` was taken; docs/architecture.md has the frame.

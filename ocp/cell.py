@@ -198,9 +198,7 @@ def _workpiece(tables: CellTables, table: WorkpieceTable, path: Path, blade: Pat
         clamp_normal=normal,
         clamp_offset=offset * 1e-3,
         clamp_stiffness=table.clamp_stiffness_N_per_mm * 1e3,
-        payload=Payload(0.0, np.zeros(3))
-        if payload is None
-        else Payload(payload.mass_kg, np.array(payload.com_mm) * 1e-3),
+        payload=Payload(0.0, np.zeros(3)) if payload is None else Payload(payload.mass_kg, np.array(payload.com_mm) * 1e-3),
     )
 
 

@@ -24,9 +24,7 @@ class RobotTable(Table):
 
     model: str
     calibration: str | None = None
-    stiffness_Nm_per_rad: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative] | None = (
-        None
-    )
+    stiffness_Nm_per_rad: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative] | None = None
     compliant_joints: tuple[Annotated[int, Field(ge=1, le=6)], ...] = (2, 3)
 
 
@@ -70,9 +68,7 @@ class WorkpieceTable(Table):
         by_axis = self.clamp_axis is not None and self.clamp_to_mm is not None
         by_plane = self.clamp_normal is not None and self.clamp_offset_mm is not None
         if by_axis == by_plane:
-            raise ValueError(
-                "give the clamp either as clamp_axis with clamp_to_mm or as clamp_normal with clamp_offset_mm"
-            )
+            raise ValueError("give the clamp either as clamp_axis with clamp_to_mm or as clamp_normal with clamp_offset_mm")
         if self.clamp_normal is not None and sum(c * c for c in self.clamp_normal) < 1e-12:
             raise ValueError("clamp_normal has length zero; give the direction across the clamp plane")
         return self
@@ -101,9 +97,7 @@ class WheelTable(Table):
         if (self.cover_modulus_MPa is None) == (self.shore_A is None):
             raise ValueError("give exactly one of cover_modulus_MPa and shore_A")
         if self.cover_thickness_mm >= self.radius_mm:
-            raise ValueError(
-                f"cover_thickness_mm {self.cover_thickness_mm:g} must be below radius_mm {self.radius_mm:g}"
-            )
+            raise ValueError(f"cover_thickness_mm {self.cover_thickness_mm:g} must be below radius_mm {self.radius_mm:g}")
         if not -180 <= self.contact_arc_deg[0] < self.contact_arc_deg[1] <= 180:
             raise ValueError("contact_arc_deg must be [low, high] with -180 <= low < high <= 180")
         for name in ("axis", "contact_direction"):

@@ -54,9 +54,7 @@ class Motion:
         return next(s for s in self.segments if s.kind == "contact" and s.place == place)
 
 
-def build_motion(
-    cell: Cell, scene: Scene, solved: list[SolvedPass], advance: Callable[[], None] = lambda: None
-) -> Motion:
+def build_motion(cell: Cell, scene: Scene, solved: list[SolvedPass], advance: Callable[[], None] = lambda: None) -> Motion:
     """Order the passes for short travel, join them by free moves and time everything.
 
     Raises Infeasible: no free way between two passes, or a limit that cannot be held.

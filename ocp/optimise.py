@@ -18,7 +18,7 @@ from ocp.collision import Scene
 from ocp.contact.cover import Cover
 from ocp.contact.wheel_law import WheelLaw
 from ocp.direct_contact import DirectContact, defect, solve_directly
-from ocp.gouge import GOUGE_TOLERANCE, find_gouge
+from ocp.gouge import GOUGE_TOLERANCE, find_gouge, on_surface
 from ocp.posture import Seed
 from ocp.solve import Evaluation, PassProblem, PassSolution, PassSolver, with_direction
 from ocp.stage import Weights
@@ -63,6 +63,7 @@ class PassWorker:
         self.ground = ground
         self.solver = PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
         self.scene = Scene(ground.cell, ground.vertices)
+        self.modelled = on_surface(ground.cloud, ground.vertices)
         travel = np.sign(ground.cell.wheel.belt_speed) or 1.0
         self.sigma_travel = float(travel * (1 if ground.cell.process.grinding == "down" else -1))
 
@@ -81,7 +82,7 @@ class PassWorker:
         raise reason
 
     def _solve(self, problem: PassProblem) -> SolvedPass:
-        start = None
+        start: PassSolution | None = None
         for _ in range(CORRECTIONS):
             solution = self.solver.solve(problem, start)
             solved = self.solver.evaluate(problem, solution.q, solution.force)
@@ -93,9 +94,9 @@ class PassWorker:
             if off < DIRECT_TOLERANCE and blocked is None:
                 break
             problem = replace(blocked or problem, defect=defect(problem, direct))
-            start = solution.q
+            start = solution
         self._refuse_unsound(problem, solution, solved)
-        return SolvedPass(problem, solution, solved, direct)
+        return SolvedPass(problem, replace(solution, multipliers=None), solved, direct)
 
     def _with_clearances(self, problem: PassProblem, q: Array) -> PassProblem | None:
         """The problem with rows that keep what collides free, linear about q; None where nothing collides."""
@@ -119,7 +120,7 @@ class PassWorker:
                 f"{name}, waypoint {clearance.index + 1}: {clearance.sentence()}; move the wheel or the blade in its holder"
             )
         poses = solved.T_base_blade
-        gouge = find_gouge(cell, self.ground.vertices, poses, path.p, solved.curvature, solved.tilt, solved.delta)
+        gouge = find_gouge(cell, self.ground.vertices, self.modelled, poses, path.p, solved.curvature, solved.tilt, solved.delta)
         if gouge.depth > GOUGE_TOLERANCE:
             raise Infeasible(
                 f"{name}, waypoint {gouge.index + 1}: the blade would touch the wheel {gouge.distance * 1e3:.1f} mm beside "

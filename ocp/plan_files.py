@@ -143,5 +143,3 @@ def _write_json(plan: Plan, written: _Written, summary: tuple[SummaryRow, ...], 
 
 def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-

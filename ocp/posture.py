@@ -8,6 +8,7 @@ neither a pass nor the travel between passes depends on luck.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from trajectories.passes import BladePath
 
 from ocp.cell import Cell
@@ -39,9 +40,7 @@ class Seed:
     cost: float
 
 
-def contact_poses(
-    cell: Cell, path: BladePath, index: Array, arc: Array, turn: Array, direction: int, sigma: int
-) -> Array:
+def contact_poses(cell: Cell, path: BladePath, index: Array, arc: Array, turn: Array, direction: int, sigma: int) -> Array:
     """Blade poses T_base_blade (..., len(index), 4, 4) that lay waypoints on the wheel.
 
     `arc`, `turn` (...) rad; touching, without overlap, in the middle of the wheel's width. docs/architecture.md.
@@ -58,6 +57,30 @@ def contact_poses(
     R = base @ np.swapaxes(local, -1, -2)
     contact = (wheel.centre + wheel.radius * e)[..., None, :]
     return make_transform(R, contact - (R @ path.p[index][..., None])[..., 0])
+
+
+def poses_along(cell: Cell, path: BladePath, seed: Seed, overlap: Array, sigma: int) -> Array:
+    """Blade poses (n, 4, 4) that lay every waypoint of `path` (in its direction of travel) on the wheel as the seed does.
+
+    `overlap` (n,) m of the undeformed bodies.
+    """
+    n = len(path.s)
+    T = contact_poses(cell, path, np.arange(n), np.array(seed.arc), np.array(seed.turn), 1, sigma)
+    T[:, :3, 3] += overlap[:, None] * np.einsum("kij,kj->ki", T[:, :3, :3], path.n)
+    return T
+
+
+def joints_near(cell: Cell, path: BladePath, seed: Seed, T_base_blade: Array) -> Array:
+    """Joints (n, 6) of the nominal arm for blade poses (n, 4, 4), on the seed's branch and turns.
+
+    Raises Infeasible where a waypoint between the seed's stations is out of reach.
+    """
+    q, reachable = inverse_branches(cell.robot, flange_pose(cell, T_base_blade))
+    if not reachable[:, seed.branch].all():
+        k = int(np.argmin(reachable[:, seed.branch]))
+        raise Infeasible(f"line {path.line} ({path.side}): waypoint {k + 1} is beyond the robot's reach")
+    near = CubicSpline(seed.at, seed.q)(path.s / path.s[-1])
+    return np.asarray(near + (q[:, seed.branch] - near + np.pi) % (2 * np.pi) - np.pi)
 
 
 def find_seeds(cell: Cell, scene: Scene, law: WheelLaw, paths: list[BladePath]) -> list[list[Seed]]:
@@ -146,9 +169,7 @@ def turned_curvature(curvature: Array, turn: Array, radius: float) -> tuple[Arra
     return kxx, kyy, s * c * (k_tt - k_bb) - (c**2 - s**2) * k_tb
 
 
-def _bears(
-    cell: Cell, law: WheelLaw, path: BladePath, index: Array, turns: Array, reasons: list[tuple[float, str]]
-) -> Array:
+def _bears(cell: Cell, law: WheelLaw, path: BladePath, index: Array, turns: Array, reasons: list[tuple[float, str]]) -> Array:
     """Which turns (m,) let the wheel bear at the planned points: overlap there under the programmed force, kxx in range."""
     kxx, kyy, kxy = turned_curvature(path.curvature[index], turns[:, None], cell.wheel.radius)
     hollow = kxx < law.limits["kxx"][0]
@@ -160,7 +181,10 @@ def _bears(
     if not good.all(axis=1).any():
         worst = int(np.argmax((~good).sum(axis=0)))
         reasons.append(
-            (4.0, f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel, which would bear beside the planned point")
+            (
+                4.0,
+                f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel, which would bear beside the planned point",
+            )
         )
     return good.all(axis=1)
 
@@ -194,7 +218,9 @@ def _families(
             + 0.3 * ((arc - np.mean(cell.wheel.arc)) / np.ptp(cell.wheel.arc))[:, None] ** 2
             + 0.1 / np.maximum(wrist, 1e-3) ** 2
             + 3.0 * speed**2
-            + 0.02 * (moved[..., [3, 5]] / np.pi).__pow__(2).max(axis=(2, 3))
+            + 0.02 * ((moved[..., [3, 5]] / np.pi) ** 2).max(axis=(2, 3))
+            + 0.5 * (np.abs(2 * moved - robot.q_min - robot.q_max) / (robot.q_max - robot.q_min)).max(axis=(2, 3)) ** 4
+            + 0.5 * (_wrist_radius(cell, q) < 0).any(axis=2)  # reaching over its own axis 1, as no one would teach it
         )
         for g, b in np.argwhere(inside & sound):
             seeds.append(Seed(direction, int(b), float(arc[g]), float(turn[g]), moved[g, b], at, float(cost[g, b])))
@@ -223,9 +249,7 @@ def _note(
         worst = np.where(ok[..., None], over, np.inf).max(axis=-1)
         g = np.unravel_index(int(np.argmin(worst)), worst.shape)
         axis = int(np.argmax(over[g]))
-        reasons.append(
-            (1.0 - worst[g], f"axis {axis + 1} would be {np.degrees(over[g][axis]):.1f} deg beyond its limit")
-        )
+        reasons.append((1.0 - worst[g], f"axis {axis + 1} would be {np.degrees(over[g][axis]):.1f} deg beyond its limit"))
         return
     best = np.where(inside, wrist, 0.0).max()
     if best <= np.sin(WRIST_MARGIN):

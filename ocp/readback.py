@@ -96,7 +96,12 @@ def _posed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, fl
     """Pose programs: the controller's nominal kinematics turn the curve through the poses into axes."""
     blocks: list[Array] = []
     for s in execution.segments:
-        if s.poses is not None and s.kind == "LIN" and blocks and execution.segments[execution.segments.index(s) - 1].kind == "LIN":
+        if (
+            s.poses is not None
+            and s.kind == "LIN"
+            and blocks
+            and execution.segments[execution.segments.index(s) - 1].kind == "LIN"
+        ):
             blocks[-1] = np.vstack([blocks[-1], s.poses])
         elif s.poses is not None:
             blocks.append(s.poses)

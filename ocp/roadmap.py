@@ -10,9 +10,7 @@ ATTEMPTS = 3000
 SHORTCUTS = 60
 
 
-def connect(
-    scene: Scene, low: Array, high: Array, start: Array, goal: Array, step: float, seed: int = 0
-) -> Array | None:
+def connect(scene: Scene, low: Array, high: Array, start: Array, goal: Array, step: float, seed: int = 0) -> Array | None:
     """A collision-free joint polyline (k, 6) from `start` to `goal` within low..high, or None after `ATTEMPTS` samples.
 
     Same inputs, same answer: the samples come from a generator with a fixed seed.

@@ -4,13 +4,12 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import CubicSpline
 from trajectories.passes import BladePath
 
 from ocp.cell import Cell
 from ocp.contact.wheel_law import WheelLaw
 from ocp.model import Model, build_model
-from ocp.posture import ELBOW_MARGIN, LIMIT_MARGIN, SHOULDER_MARGIN, WRIST_MARGIN, Seed
+from ocp.posture import ELBOW_MARGIN, LIMIT_MARGIN, SHOULDER_MARGIN, WRIST_MARGIN, Seed, joints_near, poses_along, turned_curvature
 from ocp.stage import (
     N_CLEARANCE,
     N_PARAMETERS,
@@ -26,10 +25,11 @@ from ocp.stage import (
 from ocp.theta import Theta
 from ocp.transcription import Transcription, transcribe
 from robots.errors import Infeasible
-from robots.pose import Array
+from robots.pose import Array, invert
 
 PAD = 32  # programs are built for multiples of this many waypoints and shared by passes of similar length
 SPEED_SHARE = 0.8  # of the axes' speed limits that a pass may use at its programmed feed
+AIM_STEPS = 2  # each leaves a thousandth of the miss
 LEAST_INDENTATION = 3e-5  # m of overlap at the planned point: with less the wheel bears beside it
 FEASIBLE = 1e-5  # largest scaled violation of a row that counts as solved (0.01 um, 1e-5 rad)
 
@@ -67,12 +67,13 @@ class PassProblem:
 
 @dataclass(frozen=True)
 class PassSolution:
-    """Joints (n, 6) and force (n,) of a pass, and how Ipopt got there."""
+    """Joints (n, 6) and force (n,) of a pass, how Ipopt got there, and its multipliers for a start close by."""
 
     q: Array
     force: Array
     iterations: int
     objective: float
+    multipliers: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -102,8 +103,9 @@ class PassSolver:
 
     def __init__(self, cell: Cell, law: WheelLaw, theta: Theta, weights: Weights) -> None:
         self.cell, self.theta, self.weights = cell, theta, weights
-        self.limits = law.limits
-        self.model: Model = build_model(cell, law, 1 if cell.process.grinding == "down" else -1)
+        self.law, self.limits = law, law.limits
+        self.sigma = 1 if cell.process.grinding == "down" else -1
+        self.model: Model = build_model(cell, law, self.sigma)
         self.stage: Stage = build_stage(cell, self.model, weights, theta.covariance)
         self._programs: dict[tuple[int, bool], Transcription] = {}
         m = self.model
@@ -116,12 +118,8 @@ class PassSolver:
 
     def evaluate(self, problem: PassProblem, q: Array, force: Array) -> Evaluation:
         """The model at joints q (n, 6) and forces (n,)."""
-        out = self._evaluate.map(len(q))(
-            q.T, force[None], problem.waypoints.T, np.tile(self.theta.values[:, None], len(q))
-        )
-        delta, residual, parts, arc, lateral, turn, tilt, curvature, sd, stiffness, pose = (
-            np.asarray(o).T for o in out
-        )
+        out = self._evaluate.map(len(q))(q.T, force[None], problem.waypoints.T, np.tile(self.theta.values[:, None], len(q)))
+        delta, residual, parts, arc, lateral, turn, tilt, curvature, sd, stiffness, pose = (np.asarray(o).T for o in out)
         flat = [v[:, 0] for v in (delta, residual, arc, lateral, turn, sd, stiffness)]
         return Evaluation(
             flat[0],
@@ -144,36 +142,54 @@ class PassSolver:
             self._programs[key] = transcribe(self.stage, *key)
         return self._programs[key]
 
-    def solve(self, problem: PassProblem, start: Array | None = None) -> PassSolution:
-        """Joints that hold the programmed force along the pass; `start` (n, 6) is a warm start.
+    def solve(self, problem: PassProblem, start: PassSolution | None = None) -> PassSolution:
+        """Joints that hold the programmed force along the pass; `start` is the solution of a problem close by.
 
         Raises Infeasible naming waypoint, constraint and amount.
         """
         solution = self._solve(problem, start, full=False)
         if self._breaks_lazy_rows(problem, solution.q):
-            solution = self._solve(problem, solution.q, full=True)
+            solution = self._solve(problem, replace(solution, multipliers=None), full=True)
         return solution
+
+    def seed_joints(self, problem: PassProblem) -> Array:
+        """Joints (n, 6) that lie on the wheel as the seed does, with about the overlap that the force needs."""
+        path = problem.path
+        kxx, kyy, kxy = turned_curvature(path.curvature, np.array(problem.seed.turn), self.cell.wheel.radius)
+        zero = np.zeros(len(path.s))
+        overlap = self.law.evaluate(path.force, np.maximum(kxx, self.limits["kxx"][0]), kyy, kxy, zero, zero, zero)
+        goal = poses_along(self.cell, path, problem.seed, overlap + problem.defect, self.sigma)
+        commanded = goal
+        # The real arm sags by millimetres, a twentieth of a small wheel's arc: aim off by what it misses.
+        for _ in range(AIM_STEPS):
+            q = joints_near(self.cell, path, problem.seed, commanded)
+            real = self.evaluate(problem, q, path.force).T_base_blade
+            commanded = goal @ invert(real) @ commanded
+        return joints_near(self.cell, path, problem.seed, commanded)
 
     def _breaks_lazy_rows(self, problem: PassProblem, q: Array) -> bool:
         """Does a solution without the rows of clearance and speed break one of them?"""
         rows = np.einsum("kij,kj->ki", problem.clearances[..., :6], q) - problem.clearances[..., 6]
         seconds = problem.seconds[:, None]
-        return bool(
-            rows.min() < 0 or (np.abs(np.diff(q, axis=0)) > SPEED_SHARE * seconds * self.cell.robot.qd_max).any()
-        )
+        return bool(rows.min() < 0 or (np.abs(np.diff(q, axis=0)) > SPEED_SHARE * seconds * self.cell.robot.qd_max).any())
 
-    def _solve(self, problem: PassProblem, start: Array | None, full: bool) -> PassSolution:
+    def _solve(self, problem: PassProblem, start: PassSolution | None, full: bool) -> PassSolution:
         path = problem.path
         n = len(path.s)
         program = self.program(n, full)
-        q0 = seed_joints(problem) if start is None else start
+        q0 = self.seed_joints(problem) if start is None else start.q
         x0 = np.column_stack([_padded(q0, program.n), _padded(path.force, program.n)])
         lbx, ubx = self._bounds(problem, program.n)
         lbg, ubg = self._row_bounds(problem, program.n, full)
         p = Transcription.pack(*self._parameters(problem, program.n))
         x0 = np.clip(x0.ravel(), lbx, ubx)
-        result = program.solver(x0=x0, lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg, p=p)
-        stats = program.solver.stats()
+        data = {"x0": x0, "lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg, "p": p}
+        solver = program.solver
+        if start is not None and start.multipliers is not None and len(start.multipliers[1]) == len(lbg):
+            solver = program.again
+            data |= {"lam_x0": start.multipliers[0], "lam_g0": start.multipliers[1]}
+        result = solver(**data)
+        stats = solver.stats()
         x = np.asarray(result["x"]).reshape(program.n, N_Z)[:n]
         g = np.asarray(result["g"]).ravel()
         violation = np.maximum(lbg - g, g - ubg)
@@ -181,7 +197,8 @@ class PassSolver:
             raise Infeasible(self._reason(path, violation, program.n, full, stats["return_status"]))
         if not stats["success"] and stats["return_status"] != "Maximum_Iterations_Exceeded":
             raise Infeasible(f"line {path.line} ({path.side}): the optimiser stopped with {stats['return_status']}")
-        return PassSolution(x[:, :6], x[:, 6], int(stats["iter_count"]), float(result["f"]))
+        multipliers = np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_g"]).ravel()
+        return PassSolution(x[:, :6], x[:, 6], int(stats["iter_count"]), float(result["f"]), multipliers)
 
     def _bounds(self, problem: PassProblem, n: int) -> tuple[Array, Array]:
         """Bounds of the variables: axis limits with margin, the seed's side of wrist and elbow, the force."""
@@ -261,12 +278,6 @@ class PassSolver:
             f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: {name} cannot be met, {stage[k, row] * factor:.3g} {unit} are missing "
             f"(optimiser: {status}); widen that tolerance or move the wheel"
         )
-
-
-def seed_joints(problem: PassProblem) -> Array:
-    """The seed's stations interpolated to all waypoints, (n, 6)."""
-    at = problem.path.s / problem.path.s[-1]
-    return np.asarray(CubicSpline(problem.seed.at, problem.seed.q)(at))
 
 
 def with_direction(problem: PassProblem, reversed_path: BladePath) -> PassProblem:

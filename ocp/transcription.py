@@ -22,22 +22,38 @@ IPOPT = {
     "print_level": 0,
     "sb": "yes",
     "max_iter": 200,
-    "tol": 1e-8,
+    "tol": 1e-6,
     "constr_viol_tol": 1e-7,
-    "acceptable_tol": 1e-6,
+    "acceptable_tol": 1e-5,
     "acceptable_constr_viol_tol": 1e-7,
     "mu_strategy": "adaptive",
+    "bound_push": 1e-4,  # the start is a good one: leave it where it is
+    "bound_frac": 1e-4,
     "linear_solver": "mumps",
     "fixed_variable_treatment": "make_parameter",
+}
+WARM = {
+    "warm_start_init_point": "yes",
+    "mu_strategy": "monotone",
+    "mu_init": 1e-7,
+    "warm_start_bound_push": 1e-9,
+    "warm_start_bound_frac": 1e-9,
+    "warm_start_slack_bound_push": 1e-9,
+    "warm_start_slack_bound_frac": 1e-9,
+    "warm_start_mult_bound_push": 1e-9,
 }
 
 
 @dataclass(frozen=True)
 class Transcription:
-    """The nonlinear program of `n` waypoints: `solver(x0, lbx, ubx, lbg, ubg, p)`, `pack` builds p."""
+    """The nonlinear program of `n` waypoints: `solver(x0, lbx, ubx, lbg, ubg, p)`, `pack` builds p.
+
+    `again` starts from the primal and dual solution of a neighbouring problem.
+    """
 
     n: int
     solver: ca.Function
+    again: ca.Function
     rows: ca.Function
 
     @staticmethod
@@ -76,14 +92,15 @@ def transcribe(stage: Stage, n: int, full: bool) -> Transcription:
         "ipopt": IPOPT,
         "print_time": False,
         "error_on_fail": False,
+        "show_eval_warnings": False,  # Ipopt shortens a step that leaves the domain of the wheel law
         "grad_f": ca.Function("grad_f", [x, p], [f, f_x], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("jac_g", [x, p], [g, g_x], ["x", "p"], ["g", "jac_g_x"]),
-        "hess_lag": ca.Function(
-            "hess_lag", [x, p, lam_f, lam_g], [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-        ),
+        "hess_lag": ca.Function("hess_lag", [x, p, lam_f, lam_g], [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]),
     }
-    solver = ca.nlpsol("pass", "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
-    return Transcription(n, solver, ca.Function("rows", [x, p], [g]))
+    problem = {"x": x, "p": p, "f": f, "g": g}
+    solver = ca.nlpsol("pass", "ipopt", problem, options)
+    again = ca.nlpsol("again", "ipopt", problem, options | {"ipopt": IPOPT | WARM})
+    return Transcription(n, solver, again, ca.Function("rows", [x, p], [g]))
 
 
 def _with_spread(
@@ -94,9 +111,7 @@ def _with_spread(
     value, gradient, hessian = (term.map(len(at)) for term in stage.spread_terms)
     picked = tuple(v[:, at] for v in common)
     columns = ca.Sparsity.dense(N_Z, 1)
-    where = ca.diagcat(
-        *[ca.Sparsity.dense(N_Z, N_Z) if k % SPREAD_STEP == 0 else ca.Sparsity(N_Z, N_Z) for k in range(n)]
-    )
+    where = ca.diagcat(*[ca.Sparsity.dense(N_Z, N_Z) if k % SPREAD_STEP == 0 else ca.Sparsity(N_Z, N_Z) for k in range(n)])
     spots = ca.vertcat(*[columns if k % SPREAD_STEP == 0 else ca.Sparsity(N_Z, 1) for k in range(n)])
     f = f + SPREAD_STEP * ca.sum2(value(*picked))
     f_x = f_x + SPREAD_STEP * ca.densify(ca.sparsity_cast(ca.vec(gradient(*picked)), spots))

@@ -49,8 +49,15 @@ class VerifiedPass:
 
 
 def verify_pass(
-    cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud, path: BladePath, compliance: Array,
-    time: Array, q: Array, s: Array,
+    cell: Cell,
+    believed: Believed,
+    cover: Cover,
+    cloud: SurfaceCloud,
+    path: BladePath,
+    compliance: Array,
+    time: Array,
+    q: Array,
+    s: Array,
 ) -> VerifiedPass:
     """Force along a pass whose joints q (m, 6) at `time` (m,) were read back; the contact is planned at arc length s (m,).
 
@@ -105,9 +112,7 @@ def bent(cell: Cell, believed: Believed, q: Array) -> Array:
     still = np.zeros_like(q)
     real = q.copy()
     for _ in range(FIXED_POINT_STEPS):
-        real = q - bends * inverse_dynamics(
-            believed.robot, believed.payload_mass, believed.payload_com, real, still, still
-        )
+        real = q - bends * inverse_dynamics(believed.robot, believed.payload_mass, believed.payload_com, real, still, still)
     return real
 
 
@@ -125,9 +130,7 @@ def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Arr
     )  # fmt: skip
 
 
-def _linear_give(
-    cell: Cell, believed: Believed, q: Array, p_blade: Array, n: Array, t: Array, e: Array, give: Array
-) -> float:
+def _linear_give(cell: Cell, believed: Believed, q: Array, p_blade: Array, n: Array, t: Array, e: Array, give: Array) -> float:
     """Displacement of the contact per newton from blade, fixture and joints (PHYSICS 3.1), m/N."""
     wheel = cell.wheel
     belt = np.cross(wheel.axis, e) * np.sign(wheel.belt_speed)

@@ -31,9 +31,24 @@ def test_key_depends_on_content_only(array):
 
 def test_key_tells_parts_and_types_apart():
     one, two = np.array([1.0, 2.0]), np.array([3.0])
-    keys = [cache.content_key(*parts) for parts in (
-        (one, two), (np.array([1.0]), np.array([2.0, 3.0])), (two, one), ("ab", "c"), ("a", "bc"), (1,), (1.0,), (True,),
-        ("1",), (None,), (np.array([1], np.int64),), (np.array([1], np.int32),), ())]
+    keys = [
+        cache.content_key(*parts)
+        for parts in (
+            (one, two),
+            (np.array([1.0]), np.array([2.0, 3.0])),
+            (two, one),
+            ("ab", "c"),
+            ("a", "bc"),
+            (1,),
+            (1.0,),
+            (True,),
+            ("1",),
+            (None,),
+            (np.array([1], np.int64),),
+            (np.array([1], np.int32),),
+            (),
+        )
+    ]
     assert len(set(keys)) == len(keys)
     assert cache.content_key(np.float64(0.1)) == cache.content_key(0.1)
 
@@ -87,8 +102,10 @@ def test_unwritable_folder_and_no_folder_still_compute(folder, monkeypatch):
 
 
 def test_parallel_writers_leave_one_whole_entry(folder):
-    code = ("import numpy as np; from ocp.cache import remember\n"
-            "for i in range(60): assert remember('kind', str(i), lambda: {'a': np.full(20000, float(i))})['a'][-1] == i")
+    code = (
+        "import numpy as np; from ocp.cache import remember\n"
+        "for i in range(60): assert remember('kind', str(i), lambda: {'a': np.full(20000, float(i))})['a'][-1] == i"
+    )
     root = Path(__file__).parents[1]
     running = [subprocess.Popen([sys.executable, "-c", code], cwd=root) for _ in range(3)]
     assert [process.wait(timeout=60) for process in running] == [0, 0, 0]

@@ -269,6 +269,11 @@ def test_a_patch_at_the_end_of_the_window_says_so(small):
     assert not solve_force(small, 20.0, SHAPES["convex"]).touches_border
 
 
+def test_a_patch_narrower_than_the_cells_says_so(small):
+    assert solve_force(small, 20.0, SHAPES["flat"]).resolved
+    assert not solve_force(small, 20.0, LocalShape(6.67, 1000.0)).resolved
+
+
 @pytest.mark.parametrize(("shore", "rough"), [(40, 0.54), (60, 0.33), (70, 0.25), (80, 0.17), (90, 0.10)])
 def test_rough_numbers_of_the_physics_page(shore, rough):
     """PHYSICS 3.4, rigid blade rounded to 60 mm across the belt, wheel of 100 mm, 20 N: a cover of 15 mm comes within 20 %,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from robots.errors import BadInput
+from trajectories.blade.clearance import free_stretch, obstacles
 from trajectories.blade.fit import SideSurface
 from trajectories.blade.mesh import Blade
 from trajectories.blade.shape import AerofoilShape
@@ -51,6 +52,7 @@ class PassOptions:
     direction: "spanwise" (root to tip) or "chordwise" (leading to trailing edge); side: "convex", "concave", "both".
     The clamp holds everything with clamp_normal . x below (clamp_side = "below") or above clamp_offset. step:
     distance of waypoints; pad_radius: waypoints closer than this to an end of the surface are counted in a notice.
+    wheel_radius, wheel_width: when given, passes stop where that wheel, untilted, would touch block or platform.
     """
 
     clamp_normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -64,6 +66,8 @@ class PassOptions:
     edge_margin: float = 3e-3
     step: float = 0.5e-3
     pad_radius: float = 0.0
+    wheel_radius: float = 0.0
+    wheel_width: float = 0.0
     feed: float = 40e-3
     force: float = 20.0
 
@@ -83,6 +87,7 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
         raise BadInput(f"pass_spacing_mm = {1e3 * options.spacing:g} and step {1e3 * options.step:g} mm must be above 0.")
     paths: list[BladePath] = []
     notices: list[str] = []
+    around = obstacles(blade, shape) if options.wheel_radius > 0.0 else np.zeros((0, 3))
     for name in names:
         side = shape.sides[name]
         window = ground_window(blade.name, shape, side, margins)
@@ -90,14 +95,41 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
             if cut:
                 notices.append(f"The {name} side is ground up to where it turns into the {edge} edge, which is more "
                                f"than edge_margin_mm = {1e3 * options.edge_margin:g} away from it.")  # fmt: skip
-        for u, v in lay(side, window, options):
+        for u, v in _with_room(side, lay(side, window, options), around, options, notices):
             paths.append(_waypoints(shape, side, u, v, len(paths) + 1, options))
+    if not paths:
+        raise BadInput(f"{blade.name}: a wheel of {1e3 * options.wheel_radius:g} mm radius touches block or platform on "
+                       f"every line; take a smaller wheel or another direction of the passes.")  # fmt: skip
     near = sum(int((path.extent.min(axis=1) < options.pad_radius).sum()) for path in paths)
     if near:
         total = sum(len(path.p) for path in paths)
         notices.append(f"{near} of {total} waypoints lie closer than {1e3 * options.pad_radius:.1f} mm to an edge or end "
                        f"of the surface, so part of the contact hangs over.")  # fmt: skip
     return paths, notices
+
+
+def _with_room(
+    side: SideSurface, lines: list[tuple[Array, Array]], around: Array, options: PassOptions, notices: list[str]
+) -> list[tuple[Array, Array]]:
+    """The lines, cut back to where the wheel has room beside the points `around` it must not touch."""
+    kept: list[tuple[Array, Array]] = []
+    shorter, longest = 0, 0.0
+    for u, v in lines:
+        room = free_stretch(side, around, u, v, options.wheel_radius, options.wheel_width)
+        if room is None:
+            continue
+        if room[0] is not u:
+            shorter += 1
+            for end in (0, -1):
+                cut = side.surface([u[end], room[0][end]], [v[end], room[1][end]])
+                longest = max(longest, float(np.linalg.norm(cut[1] - cut[0])))
+        kept.append(room)
+    if shorter or len(kept) < len(lines):
+        notices.append(
+            f"On the {side.name} side {shorter} of {len(lines)} passes were cut back, by up to {1e3 * longest:.1f} mm, and "
+            f"{len(lines) - len(kept)} left out, because the wheel would touch block or platform."
+        )
+    return kept
 
 
 def reversed_path(path: BladePath) -> BladePath:

@@ -2,7 +2,7 @@
 
 Fourier in the angle, u_r = U cos(n theta), u_theta = V sin(n theta), u_z = W cos(n theta); quadratic elements (Q2) in
 the (r, z) section, the volumetric strain projected on P1 per element, which is the Q2/P1 mixed method with the pressure
-eliminated: stable up to the incompressible limit (Boffi, Brezzi, Fortin 2013, section 8.6). docs/wheel.md, eq. 1-3.
+eliminated: stable up to the incompressible limit (Boffi, Brezzi, Fortin 2013, chapter 8). docs/wheel.md, eq. 1, 2.
 """
 
 from dataclasses import dataclass

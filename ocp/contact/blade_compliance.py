@@ -6,7 +6,7 @@ refined where a check in the middle of an interval says so. docs/blade_complianc
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,25 +90,33 @@ def default_element_size(area: float, semi_axes: tuple[float, float]) -> float:
     return max(0.7 * min(semi_axes), (3.5 * area / FACES_WANTED) ** 0.5)
 
 
-def clamped_blade(vertices: Array, faces: Index, clamp_normal: Array, clamp_offset: float, material: Material,
-                  element_size: float) -> ClampedBlade:
+def clamped_blade(
+    vertices: Array,
+    faces: Index,
+    clamp_normal: Array,
+    clamp_offset: float,
+    material: Material,
+    element_size: float,
+) -> ClampedBlade:
     """Mesh the blade (vertices m, faces outward), hold `clamp_normal . x < clamp_offset`, factorise.
 
     Raises:
         BadInput: no mesh, a clamp that holds nothing or everything, or a part of the blade that is not held.
     """
-    solid = volume_mesh(vertices, faces, element_size)
+    normal = np.asarray(clamp_normal, float) / np.linalg.norm(clamp_normal)
+    solid = volume_mesh(vertices, faces, element_size, (normal, float(clamp_offset)))
     corners = solid.mesh.elements[:, :4]
     used = int(corners.max()) + 1
-    normal = np.asarray(clamp_normal, float) / np.linalg.norm(clamp_normal)
     points, tetrahedra = clamp_cut(solid.mesh.nodes[:used], corners, normal, clamp_offset)
     mesh = quadratic_mesh(points, tetrahedra)
     held = mesh.nodes @ normal - clamp_offset < 1e-9  # m: rounding
     try:
         factorisation = factorise(mesh, material, held)
     except np.linalg.LinAlgError:
-        raise BadInput("the blade's stiffness is singular, so a part of it is not joined to what the clamp holds; "
-                       "remove loose parts from the STL or move the clamp plane") from None
+        raise BadInput(
+            "the blade's stiffness is singular, so a part of it is not joined to what the clamp holds; "
+            "remove loose parts from the STL or move the clamp plane"
+        ) from None
     return ClampedBlade(mesh, factorisation, solid.mesher, solid.size, solid.volume_error)
 
 
@@ -144,28 +152,52 @@ def blade_compliance(
     size = element_size or default_element_size(surface_area(vertices, faces), patch_semi_axes)
     waypoints = [np.ascontiguousarray(x, float) for path in passes for x in (path.p, path.n, path.t, path.s)]
     key = content_key(
-        VERSION, MESH_VERSION, vertices, faces, np.asarray(clamp_normal, float), float(clamp_offset),
-        material.youngs_modulus, material.poisson_ratio, *map(float, patch_semi_axes), size, estimate_mesh_error,
-        *waypoints)
+        VERSION,
+        MESH_VERSION,
+        vertices,
+        faces,
+        np.asarray(clamp_normal, float),
+        float(clamp_offset),
+        material.youngs_modulus,
+        material.poisson_ratio,
+        *map(float, patch_semi_axes),
+        size,
+        estimate_mesh_error,
+        *waypoints,
+    )
 
     def compute() -> dict[str, NDArray[np.generic]]:
         blade = clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, size)
         values, error, count = _along_passes(blade, passes, patch_semi_axes)
-        entry = {"values": np.concatenate(values), "error": error, "count": np.array(count),
-                 "mesher": np.array(blade.mesher), "elements": np.array(len(blade.mesh.elements)),
-                 "unknowns": np.array(blade.factorisation.unknowns), "volume_error": np.array(blade.volume_error)}
+        entry = {
+            "values": np.concatenate(values),
+            "error": error,
+            "count": np.array(count),
+            "mesher": np.array(blade.mesher),
+            "elements": np.array(len(blade.mesh.elements)),
+            "unknowns": np.array(blade.factorisation.unknowns),
+            "volume_error": np.array(blade.volume_error),
+        }
         if estimate_mesh_error:
             coarse = clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, 2.0 * size)
             other = np.concatenate(_along_passes(coarse, passes, patch_semi_axes)[0])
             entry["mesh_error"] = np.abs(other[:, 0] - entry["values"][:, 0]) / np.maximum(entry["values"][:, 0], RIGID)
         return entry
 
-    entry = remember("blade", key, compute)
+    entry: dict[str, Any] = {**remember("blade", key, compute)}
     cuts = np.cumsum([len(path.p) for path in passes])[:-1]
     mesh_error = tuple(np.split(entry["mesh_error"], cuts)) if "mesh_error" in entry else None
     return Compliance(
-        tuple(np.split(entry["values"], cuts)), entry["error"], int(entry["count"]), str(entry["mesher"]),
-        int(entry["elements"]), int(entry["unknowns"]), size, float(entry["volume_error"]), mesh_error)
+        tuple(np.split(entry["values"], cuts)),
+        entry["error"],
+        int(entry["count"]),
+        str(entry["mesher"]),
+        int(entry["elements"]),
+        int(entry["unknowns"]),
+        size,
+        float(entry["volume_error"]),
+        mesh_error,
+    )
 
 
 def _along_passes(

@@ -32,35 +32,59 @@ def clamp_cut(points: Array, tetrahedra: Index, normal: Array, offset: float) ->
         BadInput: the clamp holds nothing or everything.
     """
     height = points @ normal - offset
+    lowest, highest = height.min(), height.max()
     edge = points[tetrahedra[:, 0]] - points[tetrahedra[:, 1]]
     near = np.abs(height) < ON_PLANE * np.mean(np.linalg.norm(edge, axis=1))
     points = points - np.where(near, height, 0.0)[:, None] * normal
     height[near] = 0.0
-    lowest, highest = height.min(), height.max()
-    if lowest >= 0.0 or highest <= 0.0:
-        span = points @ normal
-        raise BadInput(f"the clamp plane at {offset * 1e3:.4g} mm holds {'nothing' if lowest >= 0.0 else 'all'} of the blade, "
-                       f"which reaches from {span.min() * 1e3:.4g} to {span.max() * 1e3:.4g} mm along the clamp normal; "
-                       "move clamp_to_mm between them")
+    if height.min() >= 0.0 or height.max() <= 0.0:
+        raise BadInput(
+            f"the clamp plane at {offset * 1e3:.4g} mm holds {'nothing' if height.min() >= 0.0 else 'all'} of the blade, "
+            f"which reaches from {(lowest + offset) * 1e3:.4g} to {(highest + offset) * 1e3:.4g} mm along the clamp normal; "
+            "move clamp_to_mm between them"
+        )
     while True:
-        ends = np.sort(tetrahedra[:, EDGES], axis=2)
-        crossing = height[ends[..., 0]] * height[ends[..., 1]] < 0.0
-        owner, which = np.nonzero(crossing)
-        if not len(owner):
+        low, high = _edges(tetrahedra)
+        crossing = height[low] * height[high] < 0.0
+        if not crossing.any():
             return points, tetrahedra
-        pair = ends[owner, which]
-        key, edge_of = np.unique(pair[:, 0] * len(points) + pair[:, 1], return_inverse=True)
-        # An edge is split in this round when it is the first of all crossing edges in each of its tetrahedra.
-        first = np.full(len(tetrahedra), len(key))
-        np.minimum.at(first, owner, edge_of)
-        ready = np.ones(len(key), bool)
-        ready[edge_of[first[owner] != edge_of]] = False
-        number = np.cumsum(ready) - 1 + len(points)
-        low, high = np.divmod(key[ready], len(points))
+        low, high = low[crossing], high[crossing]
         share = height[low] / (height[low] - height[high])
-        points = np.vstack([points, points[low] + share[:, None] * (points[high] - points[low])])
-        height = np.concatenate([height, np.zeros(len(low))])
-        taken = ready[edge_of]
-        tetra, middle, pair = tetrahedra[owner[taken]], number[edge_of[taken]], pair[taken]
-        halves = [np.where(tetra == pair[:, [i]], middle[:, None], tetra) for i in (0, 1)]
-        tetrahedra = np.vstack([np.delete(tetrahedra, owner[taken], axis=0), *halves])
+        count = len(points)
+        points, tetrahedra = _split(points, tetrahedra, low, high, share)
+        height = np.concatenate([height, np.zeros(len(points) - count)])
+
+
+def _edges(tetrahedra: Index) -> tuple[Index, Index]:
+    """Return the two ends of every edge once, the smaller number first."""
+    ends = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
+    key = np.unique(ends[:, 0] * (tetrahedra.max() + 1) + ends[:, 1])
+    low, high = np.divmod(key, tetrahedra.max() + 1)
+    return low, high
+
+
+def _split(points: Array, tetrahedra: Index, low: Index, high: Index, share: Array) -> tuple[Array, Index]:
+    """Split those of the listed edges that come first in every tetrahedron around them.
+
+    The new vertex lies at `share` of the way from `low` to `high`; both halves of each tetrahedron stay in the list,
+    so the mesh stays conforming.
+    """
+    count = len(points)
+    ends = np.sort(tetrahedra[:, EDGES], axis=2)
+    wanted = low * count + high
+    key = ends[..., 0] * count + ends[..., 1]
+    found = np.minimum(np.searchsorted(wanted, key), len(wanted) - 1)
+    owner, which = np.nonzero(wanted[found] == key)
+    edge = found[owner, which]
+    first = np.full(len(tetrahedra), len(low))
+    np.minimum.at(first, owner, edge)
+    ready = np.ones(len(low), bool)
+    ready[edge[first[owner] != edge]] = False
+    middle = np.cumsum(ready) - 1 + count
+    new = points[low] + share[:, None] * (points[high] - points[low])
+    points = np.vstack([points, new[ready]])
+    taken = ready[edge]
+    owner, edge = owner[taken], edge[taken]
+    tetra = tetrahedra[owner]
+    halves = [np.where(tetra == end[edge, None], middle[edge, None], tetra) for end in (low, high)]
+    return points, np.vstack([np.delete(tetrahedra, owner, axis=0), *halves])

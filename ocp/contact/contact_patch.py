@@ -19,9 +19,7 @@ FACING = 0.5  # least cosine between a facet's normal and the contact's: the sur
 POINTS_PER_AXIS = 10.0  # quadrature points over the shorter semi-axis; weights are then sound to 0.2 %
 
 
-def patch_weights(
-    mesh: QuadraticMesh, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]
-) -> csr_matrix:
+def patch_weights(mesh: QuadraticMesh, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]) -> csr_matrix:
     """Return weights (m, nn), rows of sum 1: pressure-weighted mean over patch k of any nodal field u is w[k] @ u.
 
     The same weights are the consistent nodal loads of a unit force spread over the patch.
@@ -54,13 +52,17 @@ def patch_weights(
         total = weights.sum()
         if total <= 0.0:
             at = ", ".join(f"{x * 1e3:.2f}" for x in p[k])
-            raise BadInput(f"the contact patch at ({at}) mm finds no blade surface that faces it; "
-                           "check that the waypoints were made from this blade")
+            raise BadInput(
+                f"the contact patch at ({at}) mm finds no blade surface that faces it; "
+                "check that the waypoints were made from this blade"
+            )
         rows.append(np.full(weights.size, k))
         columns.append(mesh.surface[face].ravel())
         values.append(weights.ravel() / total)
-    return csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
-                      shape=(len(p), len(mesh.nodes)))
+    return csr_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
+        shape=(len(p), len(mesh.nodes)),
+    )
 
 
 def patch_loads(weights: csr_matrix) -> csr_matrix:

@@ -1,7 +1,7 @@
 """Compliance of the wheel's elastic cover on a grid of pressure cells: finite thickness, finite width, real curvature.
 
 The ring does not change with the angle, so the compliance is a convolution along x: one (cells, cells) matrix across the
-width for each wave number, from `ocp.contact.annulus`. docs/wheel.md, eq. 3-5.
+width for each wave number, from `ocp.contact.annulus`. docs/wheel.md, eq. 2, 3.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -110,7 +110,7 @@ def build_cover(geometry: WheelGeometry, cell: float, store: Store | None = None
     length = circumference / sectors
     n_x = next_fast_len(int(np.ceil(length / cell)), real=True)
     dx = length / n_x
-    key = f"cover 1 {asdict(replace(geometry, modulus=1.0))} cell {cell!r} period {period!r}"
+    key = f"cover 2 {asdict(replace(geometry, modulus=1.0))} cell {cell!r} period {period!r}"
     found = store.load(key) if store is not None else None
     if found is not None:
         spectrum = found["spectrum"]

@@ -32,17 +32,20 @@ def netgen(vertices: Array, faces: Index, size: float, tolerance: float) -> tupl
 
 def ftetwild(vertices: Array, faces: Index, size: float, tolerance: float) -> tuple[Array, Index]:
     """Fill what a surface of any quality encloses, within the tolerance (fTetWild; Hu et al. 2020)."""
-    try:
-        import pyvista  # noqa: F401
-    except ImportError:
-        # pytetwild imports it only to decorate it; nothing here needs a graphics library.
-        sys.modules["pyvista"] = types.ModuleType("pyvista")
+    # pytetwild imports pyvista only to add a method to it; nothing here needs a graphics library.
+    sys.modules["pyvista"] = types.ModuleType("pyvista")
     import pytetwild
 
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     points, tetrahedra = pytetwild.tetrahedralize(
-        vertices, np.ascontiguousarray(faces, np.int32), edge_length_abs=1.5 * size, epsilon=tolerance / diagonal,
-        stop_energy=20.0, num_threads=1, quiet=True)[:2]
+        vertices,
+        np.ascontiguousarray(faces, np.int32),
+        edge_length_abs=1.5 * size,
+        epsilon=tolerance / diagonal,
+        stop_energy=20.0,
+        num_threads=1,
+        quiet=True,
+    )[:2]
     return np.asarray(points), np.asarray(tetrahedra, np.int64)
 
 
@@ -52,8 +55,7 @@ METHODS = {"netgen": netgen, "fTetWild": ftetwild}
 def main(method: str, source: str, target: str) -> None:
     """Read the surface, fill it, write the tetrahedra."""
     with np.load(source, allow_pickle=False) as data:
-        points, tetrahedra = METHODS[method](
-            data["vertices"], data["faces"], float(data["size"]), float(data["tolerance"]))
+        points, tetrahedra = METHODS[method](data["vertices"], data["faces"], float(data["size"]), float(data["tolerance"]))
     np.savez(target, points=points, tetrahedra=tetrahedra)
 
 

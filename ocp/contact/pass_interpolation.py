@@ -62,8 +62,9 @@ def interpolate_passes(
             bad &= s[pairs[:, 1]] - s[pairs[:, 0]] > 2.0 * FINEST
             kept = at_waypoint[starts[i] + middle[~bad]]
             error[i] = max(error[i], kept.max(initial=0.0))
-            open_intervals[i] = np.concatenate([
-                np.stack([pairs[bad, 0], middle[bad]], 1), np.stack([middle[bad], pairs[bad, 1]], 1)])
+            open_intervals[i] = np.concatenate(
+                [np.stack([pairs[bad, 0], middle[bad]], 1), np.stack([middle[bad], pairs[bad, 1]], 1)]
+            )
     count = int(np.count_nonzero(~np.isnan(known[:, 0])))
     filled = [_interpolate(s, known[starts[i] : starts[i + 1]]) for i, s in enumerate(arc_lengths)]
     return filled, error, count

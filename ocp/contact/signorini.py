@@ -1,7 +1,7 @@
 """Frictionless contact of the wheel's cover with a rigid blade: a linear complementarity problem on pressure cells.
 
 With cell forces f, compliance C, gap g and interference d:  0 <= f  perp  C f + g - d >= 0,  sum f = F, which are the
-optimality conditions of min 1/2 f^T C f + g^T f, f >= 0, sum f = F, with d the multiplier. docs/wheel.md, eq. 6-9.
+optimality conditions of min 1/2 f^T C f + g^T f, f >= 0, sum f = F, with d the multiplier. docs/wheel.md, eq. 4.
 """
 
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ Mask = NDArray[np.bool_]
 MAX_PIVOTS = 300
 PATIENCE = 6  # block exchanges without progress before single exchanges take over (Judice and Pires 1994)
 FORCE_ROUNDING = 1e-12  # of the mean cell force; what counts as pull or overlap
+LEAST_CELLS = 3
 MOMENT_TO_AXIS = 5.0  # mean x^2 = a^2 / 5 under Hertz's ellipsoid of pressure (Johnson 1985, section 4.2)
 
 
@@ -30,7 +31,8 @@ class Contact:
     the same second moments, y at most half the width; pressure (n_y, n_x) on x (n_x,), y (n_y,); response (n_y, n_x):
     share of each cell in a small rise of the force, sum 1; residual: largest violation of the contact conditions,
     relative to the largest displacement and the mean force; touches_border: the patch reaches the end of the window
-    along x, so the answer is not trustworthy; pivots: linear systems solved.
+    along x, so the answer is not trustworthy; resolved: at least LEAST_CELLS cells bear along x and along y, else a
+    finer cover is needed (sharp blade edges); pivots: linear systems solved.
     """
 
     indentation: float
@@ -45,6 +47,7 @@ class Contact:
     y: Array
     residual: float
     touches_border: bool
+    resolved: bool
     pivots: int
 
 
@@ -127,7 +130,8 @@ def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Arr
     response[active] = rise / rise.sum()
     axes = np.sqrt(MOMENT_TO_AXIS * (moments + own))
     axes[1] = min(axes[1], 0.5 * cover.geometry.width)
-    columns = np.flatnonzero(active.any(axis=0))
+    columns, rows = np.flatnonzero(active.any(axis=0)), np.flatnonzero(active.any(axis=1))
+    resolved = min(len(columns), len(rows)) >= LEAST_CELLS
     pressure = field / cover.area
     residual = max(
         float(np.abs(opening[active]).max()) / float(np.abs(cover.displace(field)).max()),
@@ -136,11 +140,11 @@ def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Arr
     )
     return Contact(
         d, force, float(rise.sum()), centroid, axes, float(pressure.max()), pressure,
-        response, cover.x, cover.y, residual, bool(columns[0] == 0 or columns[-1] == len(cover.x) - 1), pivots,
+        response, cover.x, cover.y, residual, bool(columns[0] == 0 or columns[-1] == len(cover.x) - 1), resolved, pivots,
     )  # fmt: skip
 
 
 def _no_contact(cover: Cover, d: float) -> Contact:
     """Blade and wheel apart or just touching."""
     zero = np.zeros((len(cover.y), len(cover.x)))
-    return Contact(d, 0.0, 0.0, np.zeros(2), np.zeros(2), 0.0, zero, zero, cover.x, cover.y, 0.0, False, 0)
+    return Contact(d, 0.0, 0.0, np.zeros(2), np.zeros(2), 0.0, zero, zero, cover.x, cover.y, 0.0, False, True, 0)

@@ -1,8 +1,8 @@
 """From the wheel's seven inputs to four numbers and a baseline: translation, scaling and symmetry used exactly.
 
 The quadratic gap is moved to the middle of the wheel and to its ridge along x (exact: the cover is the same everywhere
-along x); what is left is (kxx, ridge curvature, shear, ridge slope). Forces and shapes scale together (exact: elasticity
-is linear). The baseline is a row of strips with an exponential law. NumPy only; docs/wheel.md, eq. 10-15.
+along x); what is left is (curvature across the ridge, along it, shear, slope). Forces and shapes scale together (exact:
+elasticity is linear). The baseline is a row of strips with an exponential law. NumPy only; docs/wheel.md, eq. 5-8.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 
 from robots.pose import Array
 
-# Strips over the width: STRIPS_A_LENGTH for each patch length sqrt(d / kxx) at the process force, within these bounds.
+# Strips over the width: STRIPS_A_LENGTH for each patch length sqrt(d / across) at the process force, within these bounds.
 STRIPS_A_LENGTH, LEAST_STRIPS, MOST_STRIPS = 2.4, 15, 53
 # Strips crowd a little towards the edges of the wheel, where hollow blades bear: y + CROWDING sin(pi y) / pi.
 CROWDING = 0.3
@@ -20,10 +20,10 @@ N_FEATURES = 5
 
 @dataclass(frozen=True)
 class Reduced:
-    """Quadratic gaps (n,) at the middle of the wheel and the ridge: curvature kxx 1/m along the belt, `ridge` 1/m along
-    the width after minimising over x, `shear` kxy/kxx, `slope` of the ridge; `offset` m to add to the indentation."""
+    """Quadratic gaps (n,) at the middle of the wheel and the ridge, the lowest line of the gap: curvature `across` it and
+    along the width on it (`ridge`) 1/m, `shear` kxy/kxx, `slope` of the ridge; `offset` m to add to the indentation."""
 
-    kxx: Array
+    across: Array
     ridge: Array
     shear: Array
     slope: Array
@@ -31,18 +31,18 @@ class Reduced:
 
 
 def reduce_shape(kxx: Array, kyy: Array, kxy: Array, lateral: Array, tilt_x: Array, tilt_y: Array) -> Reduced:
-    """Complete the square along x and move the origin to the middle of the wheel; docs/wheel.md, eq. 10, 11."""
+    """Complete the square along x and move the origin to the middle of the wheel; docs/wheel.md, eq. 5, 6."""
     shear = kxy / kxx
     ridge = kyy - shear * kxy
     lean = tilt_x - kxy * lateral
     slope = tilt_y - ridge * lateral - shear * tilt_x
     offset = 0.5 * kyy * lateral**2 - tilt_y * lateral - 0.5 * lean**2 / kxx
-    return Reduced(kxx, ridge, shear, slope, offset)
+    return Reduced(kxx * (1.0 + shear**2), ridge, shear, slope, offset)
 
 
-def strip_count(force: float, kxx: float, modulus: float, width: float) -> int:
+def strip_count(force: float, across: float, modulus: float, width: float) -> int:
     """How many strips resolve the patch of `force` N; odd, so that one lies in the middle."""
-    length = np.cbrt(force / (modulus * kxx))
+    length = np.cbrt(force / (modulus * across))
     wanted = np.clip(STRIPS_A_LENGTH * width / length, LEAST_STRIPS, MOST_STRIPS)
     return 2 * int(np.ceil(0.5 * (wanted - 1))) + 1
 
@@ -55,9 +55,9 @@ def strips(count: int) -> tuple[Array, Array]:
     return y, weight / weight.sum()
 
 
-def force_scale(force: Array, kxx: Array, modulus: float) -> Array:
-    """Indentation scale (F/E)^(2/3) kxx^(1/3), m: Hertz's, without its number."""
-    return np.cbrt((force / modulus) ** 2 * kxx)
+def force_scale(force: Array, across: Array, modulus: float) -> Array:
+    """Indentation scale (F/E)^(2/3) across^(1/3), m: Hertz's, without its number."""
+    return np.cbrt((force / modulus) ** 2 * across)
 
 
 def baseline(decay: Array, ridge: Array, slope: Array, width: float, count: int) -> tuple[Array, Array]:
@@ -82,7 +82,7 @@ def baseline(decay: Array, ridge: Array, slope: Array, width: float, count: int)
 def all_features(force: Array, reduced: Reduced, decay: Array, modulus: float, width: float, count: int) -> tuple[Array, Array]:
     """Baseline (n,) m over `count` strips and the N_FEATURES numbers (n, 5) the correction depends on."""
     base, load = baseline(decay, reduced.ridge, reduced.slope, width, count)
-    stiff = np.log(force / (modulus * reduced.kxx * width**3))
+    stiff = np.log(force / (modulus * reduced.across * width**3))
     turned = reduced.shear**2 / (1.0 + reduced.shear**2)
     return base, np.column_stack([stiff, load, turned])
 

@@ -8,14 +8,18 @@ the tolerance. Edges get shorter than the target only where the shape needs it: 
 narrow triangles instead of thousands of small round ones.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from ocp.contact.triangles import cosine, cross, dot, face_normals, point_triangle_distance, shape_quality
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+SizeLaw = Callable[[Array], Array]  # wished edge length (n,) in m at points (n, 3)
 
 LONGEST = 4.0 / 3.0  # of the element size: longer edges are split, collapses must not make them
 SHORTEST = 0.7  # of the element size: shorter edges are collapsed where the shape allows
@@ -42,41 +46,20 @@ def edges_of(faces: Index) -> Edges:
     first, second = order[0::2], order[1::2]
     if len(order) % 2 or np.any(tail[first] != head[second]) or np.any(head[first] != tail[second]):
         raise ValueError("the surface is not closed and manifold")
-    return Edges(np.stack([tail[first], head[first]], 1), np.stack([first // 3, second // 3], 1),
-                 np.stack([tip[first], tip[second]], 1))
+    return Edges(
+        np.stack([tail[first], head[first]], 1),
+        np.stack([first // 3, second // 3], 1),
+        np.stack([tip[first], tip[second]], 1),
+    )
 
 
-def cross(one: Array, two: Array) -> Array:
-    """Return the vector product of rows (n, 3); several times faster than numpy.cross on tall arrays."""
-    (a, b, c), (d, e, f) = one.T, two.T
-    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=1)
-
-
-def dot(one: Array, two: Array) -> Array:
-    """Return the scalar product of rows (n, 3)."""
-    return np.asarray(np.einsum("ij,ij->i", one, two))
-
-
-def face_normals(corners: Array) -> Array:
-    """Return normals (n, 3) of length twice the area, of triangles (n, 3, 3)."""
-    return cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
-def shape_quality(corners: Array) -> Array:
-    """Return 4 sqrt(3) area / sum of squared sides of triangles (n, 3, 3): 1 equilateral, 0 flat."""
-    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = cross(one, two)
-    sides = dot(one, one) + dot(two, two) + dot(two - one, two - one)
-    return 2.0 * np.sqrt(3.0 * dot(normal, normal)) / np.maximum(sides, 1e-300)
-
-
-def remesh(vertices: Array, faces: Index, size: float, tolerance: float, sweeps: int = 5) -> tuple[Array, Index]:
+def remesh(vertices: Array, faces: Index, size: SizeLaw, tolerance: float, sweeps: int = 5) -> tuple[Array, Index]:
     """Return a closed surface (nv, 3), (nf, 3) of edges near `size` that follows the given one.
 
     Args:
         vertices: (nv, 3) m.
         faces: (nf, 3), closed and manifold, outward.
-        size: wished edge length in m.
+        size: wished edge length (n,) in m at points (n, 3).
         tolerance: how far in m a removed vertex may end up from the new surface.
         sweeps: rounds of split, flip, collapse, flip, smooth.
 
@@ -86,7 +69,7 @@ def remesh(vertices: Array, faces: Index, size: float, tolerance: float, sweeps:
     points, triangles = np.array(vertices, float), np.array(faces, np.int64)
     error = np.zeros(len(points))
     for _ in range(sweeps):
-        points, triangles, error = _split(points, triangles, error, LONGEST * size)
+        points, triangles, error = _split(points, triangles, error, size)
         triangles = _flip(points, triangles, tolerance)
         triangles, error = _collapse(points, triangles, error, size, tolerance)
         triangles = _flip(points, triangles, tolerance)
@@ -109,12 +92,13 @@ def _rank(values: Array) -> Array:
     return rank
 
 
-def _split(points: Array, faces: Index, error: Array, longest: float) -> tuple[Array, Index, Array]:
-    """Halve edges longer than `longest`, the longest of a face first."""
+def _split(points: Array, faces: Index, error: Array, size: SizeLaw) -> tuple[Array, Index, Array]:
+    """Halve edges that are too long, the longest of a face first."""
     for _ in range(60):
         edges = edges_of(faces)
-        length = np.linalg.norm(points[edges.ends[:, 0]] - points[edges.ends[:, 1]], axis=1)
-        long = np.flatnonzero(length > longest)
+        one, two = points[edges.ends[:, 0]], points[edges.ends[:, 1]]
+        length = np.linalg.norm(one - two, axis=1) / size(0.5 * (one + two))
+        long = np.flatnonzero(length > LONGEST)
         if not len(long):
             break
         chosen = long[_local_minima(_rank(-length[long]), edges.face[long], len(faces))]
@@ -144,9 +128,14 @@ def _flip(points: Array, faces: Index, tolerance: float) -> Index:
         gap = np.abs(dot(points[c] - points[a], across)) / np.sqrt(np.maximum(dot(across, across), 1e-300))
         key = np.minimum(c, d) * len(points) + np.maximum(c, d)
         present = np.isin(key, np.minimum(a, b) * len(points) + np.maximum(a, b))
-        good = np.flatnonzero((gain > 1.05) & (gap < 0.5 * tolerance) & ~present & (c != d)
-                              & (_cosine(normal_one, normal_old) > SMALLEST_COSINE)
-                              & (_cosine(normal_two, normal_old) > SMALLEST_COSINE))
+        good = np.flatnonzero(
+            (gain > 1.05)
+            & (gap < 0.5 * tolerance)
+            & ~present
+            & (c != d)
+            & (cosine(normal_one, normal_old) > SMALLEST_COSINE)
+            & (cosine(normal_two, normal_old) > SMALLEST_COSINE)
+        )
         if not len(good):
             break
         stencil = np.stack([a, b, c, d], 1)[good]
@@ -156,21 +145,15 @@ def _flip(points: Array, faces: Index, tolerance: float) -> Index:
     return faces
 
 
-def _cosine(one: Array, two: Array) -> Array:
-    """Return the cosine between rows; -1 where a row is null."""
-    norm = np.sqrt(dot(one, one) * dot(two, two))
-    return np.where(norm > 0.0, dot(one, two) / np.maximum(norm, 1e-300), -1.0)
-
-
-def _collapse(points: Array, faces: Index, error: Array, size: float, tolerance: float) -> tuple[Index, Array]:
+def _collapse(points: Array, faces: Index, error: Array, size: SizeLaw, tolerance: float) -> tuple[Index, Array]:
     """Draw vertices at the end of short edges onto the other end while the surface stays within tolerance."""
-    error, count = error.copy(), len(points)
+    error, count, wished = error.copy(), len(points), size(points)
     chance = np.random.default_rng(0)
     known, cost, dirty = np.empty(0, np.int64), np.empty(0), np.ones(count, bool)
     for _ in range(60):
         edges = edges_of(faces)
         side = points[edges.ends[:, 0]] - points[edges.ends[:, 1]]
-        ends = edges.ends[dot(side, side) < (SHORTEST * size) ** 2]
+        ends = edges.ends[dot(side, side) < (SHORTEST * wished[edges.ends].mean(axis=1)) ** 2]
         directed = np.concatenate([ends, ends[:, ::-1]])
         key = directed[:, 0] * count + directed[:, 1]
         order = np.argsort(key)
@@ -180,7 +163,7 @@ def _collapse(points: Array, faces: Index, error: Array, size: float, tolerance:
         stale = dirty[directed[:, 0]] | (known[found] != key if len(known) else True)
         fresh = np.empty(len(key))
         fresh[~stale] = cost[found[~stale]]
-        fresh[stale] = _collapse_cost(points, faces, directed[stale], LONGEST * size)
+        fresh[stale] = _collapse_cost(points, faces, directed[stale], LONGEST * wished)
         known, cost = key, fresh
         fit = error[directed[:, 0]] + cost < tolerance
         fit[fit] = _link_condition(edges.ends, directed[fit], count)
@@ -236,7 +219,7 @@ def _stars(faces: Index, centres: Index, count: int) -> tuple[Index, Index]:
     return which, order[start[centres[which]] + offset] // 3
 
 
-def _collapse_cost(points: Array, faces: Index, directed: Index, longest: float) -> Array:
+def _collapse_cost(points: Array, faces: Index, directed: Index, longest: Array) -> Array:
     """Return how far each vanishing vertex is from the surface left behind; inf where that surface is unfit."""
     gone, kept = directed.T
     which, face = _stars(faces, gone, len(points))
@@ -246,31 +229,16 @@ def _collapse_cost(points: Array, faces: Index, directed: Index, longest: float)
     old = points[triangle]
     new = points[np.where(triangle == gone[which, None], kept[which, None], triangle)]
     quality = shape_quality(new)
-    bad = _cosine(face_normals(old), face_normals(new)) < SMALLEST_COSINE
+    bad = cosine(face_normals(old), face_normals(new)) < SMALLEST_COSINE
     bad |= (quality < 0.5 * shape_quality(old)) & (quality < 0.3)
     for i in range(3):
         side = new[:, i] - new[:, i - 1]
-        bad |= dot(side, side) > longest**2
+        bad |= dot(side, side) > longest[kept[which]] ** 2
     distance = np.full(len(gone), np.inf)
     good = np.bincount(which, bad, minlength=len(gone)) == 0
     which, new = which[good[which]], new[good[which]]
-    np.minimum.at(distance, which, _point_triangle_distance(points[gone[which]], new))
+    np.minimum.at(distance, which, point_triangle_distance(points[gone[which]], new))
     return distance
-
-
-def _point_triangle_distance(point: Array, corners: Array) -> Array:
-    """Return the distance of points (n, 3) to triangles (n, 3, 3)."""
-    normal = face_normals(corners)
-    best = np.full(len(point), np.inf)
-    inside = np.ones(len(point), bool)
-    for i in range(3):
-        start, side = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
-        along = dot(point - start, side) / np.maximum(dot(side, side), 1e-300)
-        apart = point - start - np.clip(along, 0.0, 1.0)[:, None] * side
-        best = np.minimum(best, dot(apart, apart))
-        inside &= dot(cross(side, point - start), normal) >= 0.0
-    height = np.abs(dot(point - corners[:, 0], normal)) / np.sqrt(np.maximum(dot(normal, normal), 1e-300))
-    return np.where(inside, np.minimum(np.sqrt(best), height), np.sqrt(best))
 
 
 def _smooth_flats(points: Array, faces: Index) -> Array:

@@ -122,7 +122,7 @@ def _cached(
         return draw(cover, domain, count, seed, spread, forces)
     digest = hashlib.sha256(np.ascontiguousarray(domain.curvature).tobytes()).hexdigest()
     key = (
-        f"wheel samples 1 {cover.geometry} {cover.dx!r} {len(cover.y)} {digest} {domain.turn!r} {domain.lateral!r} "
+        f"wheel samples 2 {cover.geometry} {cover.dx!r} {len(cover.y)} {digest} {domain.turn!r} {domain.lateral!r} "
         f"{domain.tilt!r} {domain.force!r} {count} {seed} {spread} {forces}"
     )
     found = store.load(key)
@@ -151,9 +151,9 @@ def _fit(
     g = cover.geometry
     force = train.inputs[:, 0]
     reduced = reduce_shape(*train.inputs[:, 1:].T)
-    scale = force_scale(force, reduced.kxx, g.modulus)
+    scale = force_scale(force, reduced.across, g.modulus)
     p = decay * scale
-    count = strip_count(domain.force, float(np.median(reduced.kxx)), g.modulus, g.width)
+    count = strip_count(domain.force, float(np.median(reduced.across)), g.modulus, g.width)
     base, features = all_features(force, reduced, p, g.modulus, g.width, count)
     low, high = features.min(axis=0), features.max(axis=0)
     high = np.maximum(high, low + 1e-6)
@@ -166,7 +166,7 @@ def _fit(
     fold = np.arange(len(b)) % FOLDS
     held = [A[fold == k] @ _ridge(A[fold != k], b[fold != k]) - b[fold == k] for k in range(FOLDS)]
     axis_terms = exponents(2)
-    log_axes = np.log(train.semi_axes / np.sqrt(scale / reduced.kxx)[:, None])
+    log_axes = np.log(train.semi_axes / np.sqrt(scale / reduced.across)[:, None])
     axis_coefficients = np.asarray(np.linalg.lstsq(chebyshev_products(u, axis_terms), log_axes, rcond=1e-8)[0], float)
     law = WheelLaw(
         g, domain.force, float(decay), count, low, high, terms, _ridge(A, b), axis_terms, axis_coefficients, limits, LawError()

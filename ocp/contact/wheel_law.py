@@ -1,6 +1,6 @@
 """The wheel's law: indentation under a force on any quadratic blade shape, smooth, for CasADi and for NumPy.
 
-d = offset + p (polynomial in the features) + baseline; every symbol in docs/wheel.md, eq. 10-16. The two evaluations
+d = offset + p (polynomial in the features) + baseline; every symbol in docs/wheel.md, eq. 5-8. The two evaluations
 share no code, so that each checks the other.
 """
 
@@ -74,7 +74,8 @@ class WheelLaw:
         lean = tilt_x - kxy * lateral
         slope = tilt_y - ridge * lateral - shear * tilt_x
         offset = 0.5 * kyy * lateral**2 - tilt_y * lateral - 0.5 * lean**2 / kxx
-        p = self.decay * ca.exp((2 * ca.log(F / g.modulus) + ca.log(kxx)) / 3)
+        across = kxx * (1 + shear**2)
+        p = self.decay * ca.exp((2 * ca.log(F / g.modulus) + ca.log(across)) / 3)
 
         places, weights = strips(self.count)
         a, b = slope * (0.5 * g.width) / p, 0.5 * ridge * (0.5 * g.width) ** 2 / p
@@ -87,7 +88,7 @@ class WheelLaw:
         square = sum(s * y**2 for s, y in zip(share, places, strict=True)) / total
         energy = a * mean + b * square
         features = [
-            ca.log(F / (g.modulus * kxx * g.width**3)), level + energy, mean**2, square - mean**2,
+            ca.log(F / (g.modulus * across * g.width**3)), level + energy, mean**2, square - mean**2,
             shear**2 / (1 + shear**2),
         ]  # fmt: skip
         return offset + p * (self._correction(features) - level)
@@ -108,7 +109,7 @@ class WheelLaw:
         F, *shape = (np.atleast_1d(a) for a in np.broadcast_arrays(F, kxx, kyy, kxy, lateral, tilt_x, tilt_y))
         reduced = reduce_shape(*shape)
         g = self.geometry
-        p = self.decay * force_scale(F, reduced.kxx, g.modulus)
+        p = self.decay * force_scale(F, reduced.across, g.modulus)
         base, features = all_features(F, reduced, p, g.modulus, g.width, self.count)
         correction = chebyshev_products(self._unit(features), self.terms) @ self.coefficients
         return reduced.offset + base + p * correction
@@ -122,11 +123,11 @@ class WheelLaw:
         F, *shape = (np.atleast_1d(a).astype(float) for a in np.broadcast_arrays(F, kxx, kyy, kxy, lateral, tilt_x, tilt_y))
         reduced = reduce_shape(*shape)
         g = self.geometry
-        scale = force_scale(F, reduced.kxx, g.modulus)
+        scale = force_scale(F, reduced.across, g.modulus)
         _, features = all_features(F, reduced, self.decay * scale, g.modulus, g.width, self.count)
         u = np.clip(self._unit(features), -1.0, 1.0)
         logarithm = chebyshev_products(u, self.axis_terms) @ self.axis_coefficients
-        axes = np.sqrt(scale / reduced.kxx)[:, None] * np.exp(logarithm)
+        axes = np.sqrt(scale / reduced.across)[:, None] * np.exp(logarithm)
         return np.minimum(axes, [np.inf, 0.5 * g.width])
 
     def _unit(self, features: Array) -> Array:

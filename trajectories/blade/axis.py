@@ -91,7 +91,7 @@ def aerofoil_range(
     """
     bottom, top = float(field.min()), float(field.max())
     step = (top - bottom) / n_slices
-    levels = bottom + (np.arange(n_slices) + 0.5) * step
+    levels = np.asarray(bottom + (np.arange(n_slices) + 0.5) * step, np.float64)
     sections = [level_loops(mesh, field, float(level)) for level in levels]
     measures = [_measure(loops, normals, direction(float(z))) for loops, z in zip(sections, levels, strict=True)]
     slope, thickness, single = np.array(measures).T

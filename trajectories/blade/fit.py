@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from trajectories.blade.mesh import Blade
+from trajectories.blade.mesh import Blade, vertex_normals
 from trajectories.blade.sections import Section
 from trajectories.blade.spline import SplineSurface, clamped_knots, fit_surface, project
 
@@ -16,6 +16,7 @@ _SMOOTHING = 0.15  # smoothing length per length of a spline piece, see fit_surf
 _FINEST, _GRADING, _COARSEST = 0.15e-3, 0.3, 2e-3  # m, 1, m: length of the pieces along the chord at and off an edge
 _POINTS_PER_PIECE = 2.2  # section points that a piece must hold: a section crosses about two facets per mesh row
 _SECTION_WEIGHT = 0.03  # of a point on a facet against a mesh vertex: facets cut the corner of a curved surface
+_FARTHEST = 0.5e-3  # m: a vertex farther from the sections' surface is no part of the side
 _MAX_PIECES = (28, 24)  # spline pieces along the chord and along the span
 
 
@@ -74,8 +75,9 @@ def fit_side(
     lengths = (float(width.mean()), 1.0)
     knots = _knots(u, levels, lengths[0])
     weights = np.ones(len(u))
+    sign = 1.0 if forward else -1.0  # counter-clockwise tangent x section normal looks out, and v grows along the latter
     surface = fit_surface(u, v, p, weights, knots, lengths, _SMOOTHING)
-    vu, vv, vp = _own_vertices(blade, surface, u, v, p)
+    vu, vv, vp = _own_vertices(blade, surface, sign, u, v, p)
     if len(vu) > 20:
         u, v, p = np.concatenate([u, vu]), np.concatenate([v, vv]), np.concatenate([p, vp])
         weights = np.concatenate([_SECTION_WEIGHT * weights, np.ones(len(vu))])
@@ -86,8 +88,6 @@ def fit_side(
         gaps = np.linalg.norm(surface(u, v) - p, axis=1)
     before, behind = flanks[:, edge, 1], -flanks[:, other, 0]
     lead_gap, trail_gap = (before, behind) if forward else (behind, before)
-    # Counter-clockwise tangent x section normal looks out, and v grows along the section normal.
-    sign = 1.0 if forward else -1.0
     return SideSurface(
         name, surface, sign, levels, lead_gap, trail_gap, width, np.array([np.median(gaps), gaps.max()])
     )
@@ -111,7 +111,9 @@ def _knots(u: Array, levels: Array, width: float) -> tuple[Array, Array]:
     return clamped_knots(breaks_u), clamped_knots(np.linspace(levels[0], levels[-1], pieces_v + 1))
 
 
-def _own_vertices(blade: Blade, surface: SplineSurface, u: Array, v: Array, p: Array) -> tuple[Array, Array, Array]:
+def _own_vertices(
+    blade: Blade, surface: SplineSurface, sign: float, u: Array, v: Array, p: Array
+) -> tuple[Array, Array, Array]:
     """Parameters and positions of the mesh vertices that lie on this side."""
     near = 0.02 * float(np.linalg.norm(np.ptp(p, axis=0)))
     distance, index = cKDTree(p).query(blade.vertices, distance_upper_bound=near)
@@ -120,7 +122,9 @@ def _own_vertices(blade: Blade, surface: SplineSurface, u: Array, v: Array, p: A
     pu, pv = project(surface, points, u[index[candidates]], v[index[candidates]])
     gap = np.linalg.norm(surface(pu, pv) - points, axis=1)
     inside = (pu > 1e-6) & (pu < 1.0 - 1e-6) & (pv > v.min() + 1e-7) & (pv < v.max() - 1e-7)
-    # The sections' fit is good to the chord error of the facets; what lies farther off belongs to something else.
-    own = inside & (gap < max(10.0 * float(np.median(gap[inside])) if inside.any() else 0.0, 20e-6))
+    # The other wall of a thin edge may be as near, but it looks the other way.
+    n = sign * np.cross(surface(pu, pv, 1, 0), surface(pu, pv, 0, 1))
+    agree = np.einsum("ni,ni->n", n, vertex_normals(blade)[candidates]) > 0.5 * np.linalg.norm(n, axis=1)
+    own = inside & agree & (gap < _FARTHEST)
     return pu[own], pv[own], points[own]
 

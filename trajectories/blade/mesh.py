@@ -36,6 +36,15 @@ def facet_normals(vertices: Array, faces: IntArray) -> tuple[Array, Array]:
     return vectors / np.where(areas > 0, areas, 1.0)[:, None], areas
 
 
+def vertex_normals(blade: Blade) -> Array:
+    """Normals (nv, 3) at the vertices, the facets' weighted by their areas."""
+    normals, areas = facet_normals(blade.vertices, blade.faces)
+    total = np.zeros_like(blade.vertices)
+    for k in range(3):
+        np.add.at(total, blade.faces[:, k], normals * areas[:, None])
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30))
+
+
 def volume(vertices: Array, faces: IntArray) -> float:
     """Enclosed volume, positive when the facets look outward (divergence theorem)."""
     a, b, c = (vertices[faces[:, i]] - vertices.mean(axis=0) for i in range(3))

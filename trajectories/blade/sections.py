@@ -9,7 +9,10 @@ from trajectories.blade.slicing import Loop
 
 Array = NDArray[np.float64]
 
-_WINDOW = 0.06  # half window, share of the chord, over which the turn around an edge is balanced
+# Half windows, shares of the chord, over which the turn round an edge is balanced: the first holds both corners of a
+# square-cut edge, the last keeps the camber of the walls out.
+_WINDOWS = (0.15, 0.10, 0.06, 0.06, 0.06)
+_FLAT = 1e-6  # rad: tangents that agree to this are one flat
 FLANK_TURN = np.deg2rad(60.0)  # turn from the nose of an edge at which the flank begins
 
 
@@ -59,7 +62,7 @@ def make_section(loop: Loop, normal: Array, guess: Array | None = None) -> Secti
         to_first = np.linalg.norm(points[[i, j]] - guess[0], axis=1)
         i, j = (i, j) if to_first[0] < to_first[1] else (j, i)
     chord = float(np.linalg.norm(x[i] - x[j]))
-    nose, flank = zip(*(_balance_turn(turn, s, float(s[k]), _WINDOW * chord) for k in (i, j)), strict=True)
+    nose, flank = zip(*(_balance_turn(turn, float(s[k]), chord) for k in (i, j)), strict=True)
     return Section(points, s, normal, np.array(nose), np.array(flank))
 
 
@@ -72,11 +75,14 @@ def _in_plane(points: Array, normal: Array) -> Array:
 
 def _turning(d: Array, s: Array) -> tuple[Array, Array]:
     """Tangent angle as a function of arc length over three rounds: knots and unwrapped angles."""
-    angle = np.unwrap(np.arctan2(d[:, 1], d[:, 0]))
-    middle = 0.5 * (s[1:] + s[:-1])
+    angle = np.repeat(np.unwrap(np.arctan2(d[:, 1], d[:, 0])), 2)
+    length = np.diff(s)
+    # The turn at a corner is spread evenly to both sides, over half of the shorter segment but not over a whole flat.
+    spread = np.minimum(0.5 * np.minimum(length, np.roll(length, 1)), 2.5e-3 * s[-1])
+    knots = np.stack([s[:-1] + spread, s[1:] - np.roll(spread, -1)], axis=1).ravel()
     rounds = 2.0 * np.pi
     return (
-        np.concatenate([middle - s[-1], middle, middle + s[-1]]),
+        np.concatenate([knots - s[-1], knots, knots + s[-1]]),
         np.concatenate([angle - rounds, angle, angle + rounds]),
     )
 
@@ -91,25 +97,27 @@ def _farthest_pair(x: Array) -> tuple[int, int]:
     return int(hull[i]), int(hull[j])
 
 
-def _balance_turn(turn: tuple[Array, Array], s: Array, start: float, window: float) -> tuple[float, tuple[float, float]]:
+def _balance_turn(turn: tuple[Array, Array], start: float, chord: float) -> tuple[float, tuple[float, float]]:
     """Arc length of the nose near `start`, and where the wall has turned by FLANK_TURN before and behind it.
 
-    The nose is where the tangent stands half-way between the tangents `window` before and behind: the end of the
+    The nose is where the tangent stands half-way between the tangents a window before and behind: the end of the
     camber line of a round, elliptic or square edge alike, and insensitive to a coarse mesh.
     """
     knots, angle = turn
     nose = start
-    for _ in range(4):
+    for share in _WINDOWS:
+        window = share * chord
         grid = np.linspace(nose - window, nose + window, 401)
         theta = np.interp(grid, knots, angle)
         half = 0.5 * (theta[0] + theta[-1])
-        inside = np.flatnonzero((theta[:-1] <= half) & (theta[1:] > half))
-        if not len(inside):
-            break
-        k = inside[np.argmin(np.abs(grid[inside] - nose))]
-        previous, nose = nose, float(np.interp(half, theta[k : k + 2], grid[k : k + 2]))
-        if abs(nose - previous) < 1e-3 * window:
-            break
+        # On a flat cut the half-way angle holds over a stretch; its middle is meant.
+        first = int(np.argmax(theta >= half - _FLAT))
+        last = len(theta) - 1 - int(np.argmax(theta[::-1] <= half + _FLAT))
+        if last <= first:
+            first, last = max(first - 1, 0), first
+            nose = float(np.interp(half, theta[first : last + 1], grid[first : last + 1]))
+        else:
+            nose = 0.5 * float(grid[first] + grid[last])
     grid = np.linspace(nose - 3.0 * window, nose + 3.0 * window, 1201)
     theta = np.interp(grid, knots, angle)
     at_nose = float(np.interp(nose, knots, angle))

@@ -18,6 +18,8 @@ from trajectories.blade.spline import clamped_knots
 Array = NDArray[np.float64]
 
 N_SECTIONS = 96
+ROUGH = 20e-6  # m: a larger worst distance between smooth surface and mesh is told to the user
+_PLATE = 0.97  # thickness near both edges against that at mid-chord, above which the part is a plate
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,12 @@ def find_shape(blade: Blade) -> AerofoilShape:
     noses = _smooth_noses(levels, sections)
     lead = _leading_edge(sections, noses, notices)
     order = [lead, 1 - lead]
+    _refuse_plate(blade, sections, noses)
     sides = _sides(blade, levels, sections, noses, lead, notices)
+    for side in sides.values():
+        if side.deviation[1] > ROUGH:
+            notices.append(f"The smooth {side.name} surface passes mesh vertices at up to {1e6 * side.deviation[1]:.0f} um "
+                           f"({1e6 * side.deviation[0]:.1f} um typically): the mesh is rough or has steps there.")  # fmt: skip
     edges = np.array([section.at(nose) for section, nose in zip(sections, noses, strict=True)])
     return AerofoilShape(
         frame, levels[[0, -1]], sides, levels, edges[:, order[0]], edges[:, order[1]], tuple(notices)
@@ -96,6 +103,16 @@ def _thickness_near(section: Section, nose: Array, edge: int, share: float) -> f
     """Distance of the two walls at `share` of the half perimeter behind an edge, m."""
     reach = share * 0.5 * section.perimeter
     return float(np.linalg.norm(section.at(nose[edge] + reach) - section.at(nose[edge] - reach)))
+
+
+def _refuse_plate(blade: Blade, sections: list[Section], noses: Array) -> None:
+    """Refuse a bar of rectangular section, which slices cannot tell from an aerofoil."""
+    k = len(sections) // 2
+    middle = _thickness_near(sections[k], noses[k], 0, 0.5)
+    ends = [_thickness_near(sections[k], noses[k], edge, 0.08) for edge in (0, 1)]
+    if min(ends) > _PLATE * middle:
+        raise BadInput(f"{blade.name}: this is no blade: its sections are as thick near both edges ({1e3 * min(ends):.2f} mm) "
+                       f"as in the middle ({1e3 * middle:.2f} mm), a flat plate; hand in an aerofoil.")  # fmt: skip
 
 
 def _leading_edge(sections: list[Section], noses: Array, notices: list[str]) -> int:

@@ -1,0 +1,150 @@
+"""Contact frames that come from elsewhere, put onto the blade's surface and completed into passes."""
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from robots.errors import BadInput
+from trajectories.blade.fit import SideSurface
+from trajectories.blade.mesh import Blade, place_mm, vertex_normals
+from trajectories.blade.shape import AerofoilShape
+from trajectories.blade.spline import project
+from trajectories.off_flank import describe_off_flank
+from trajectories.passes import BladePath, describe
+
+Array = NDArray[np.float64]
+
+OFF_SURFACE = 0.2e-3  # m: points farther off than this are refused
+NORMAL_LIMIT = np.deg2rad(15.0)  # a normal that differs more from the surface's is refused
+FEED_LIMIT = np.deg2rad(60.0)  # a feed direction that differs more from the way to the next point is refused
+
+
+def paths_from_points(
+    blade: Blade, shape: AerofoilShape, line: NDArray[np.int64], p: Array, n: Array, t: Array, feed: Array, force: Array,
+    source: str, places: list[str],
+) -> tuple[list[BladePath], list[str]]:  # fmt: skip
+    """Passes through given contact frames, and notices.
+
+    line (m,): number of the pass of each point, equal numbers in one stretch; p (m, 3) m; n, t (m, 3) unit to 1 %;
+    feed (m,) m/s; force (m,) N; source: file, places (m,): what to call each point in messages.
+    Points are moved onto the surface and take its normals; t loses its part along n.
+    Raises: BadInput for points off the surface, wrong normals or feed directions, passes of fewer than 3 points.
+    """
+    _refuse_lengths(source, places, n, t)
+    name, u, v, foot, normal = _locate(shape, p)
+    _place_the_rest(blade, name, foot, normal, p)
+    gap = np.linalg.norm(foot - p, axis=1)
+    if (gap > OFF_SURFACE).any():
+        k = int(np.argmax(gap > OFF_SURFACE))
+        raise BadInput(
+            f"{source}, {places[k]}: the point {place_mm(p[k])} is {1e3 * gap[k]:.3f} mm off the surface of {blade.name}, "
+            f"the limit is {1e3 * OFF_SURFACE:g} mm ({int((gap > OFF_SURFACE).sum())} such points): is it the same blade "
+            f"in the same frame?"
+        )
+    n = n / np.linalg.norm(n, axis=1, keepdims=True)
+    angle = np.arccos(np.clip(np.einsum("ni,ni->n", n, normal), -1.0, 1.0))
+    if (angle > NORMAL_LIMIT).any():
+        k = int(np.argmax(angle > NORMAL_LIMIT))
+        how = "points into the blade" if angle[k] > np.pi / 2 else f"is {np.rad2deg(angle[k]):.1f} deg off the surface's"
+        raise BadInput(f"{source}, {places[k]}: the normal ({n[k, 0]:.4f}, {n[k, 1]:.4f}, {n[k, 2]:.4f}) {how}, the limit is "
+                       f"{np.rad2deg(NORMAL_LIMIT):g} deg; give outward unit normals.")  # fmt: skip
+    paths = []
+    starts = np.flatnonzero(np.concatenate([[True], line[1:] != line[:-1]]))
+    for i, j in zip(starts, [*starts[1:], len(line)], strict=True):
+        rows = np.arange(i, j)
+        s, feed_direction = _along(source, places, rows, foot[rows], normal[rows], t[rows], int(line[i]))
+        sides = set(name[rows])
+        if sides <= set(shape.sides) and len(sides) == 1:
+            side = shape.sides[sides.pop()]
+            paths.append(describe(shape, side, u[rows], v[rows], foot[rows], normal[rows], feed_direction, s,
+                                  int(line[i]), feed[rows], force[rows]))  # fmt: skip
+        else:
+            paths.append(describe_off_flank(blade, shape, foot[rows], normal[rows], feed_direction, s, int(line[i]),
+                                            feed[rows], force[rows]))  # fmt: skip
+    return paths, _notices(source, gap, angle, name)
+
+
+def _notices(source: str, gap: Array, angle: Array, name: NDArray[np.str_]) -> list[str]:
+    notices = []
+    if gap.max() > 1e-6 or angle.max() > np.deg2rad(0.05):
+        notices.append(f"{source}: points were moved onto the surface by up to {1e3 * gap.max():.3f} mm and normals turned "
+                       f"by up to {np.rad2deg(angle.max()):.2f} deg.")  # fmt: skip
+    edge = int((name == "edge").sum())
+    if edge:
+        notices.append(f"{source}: {edge} points lie on an edge, a fillet or the block; passes with such points take their "
+                       f"curvature from the facets nearby, which is rough.")  # fmt: skip
+    return notices
+
+
+def _refuse_lengths(source: str, places: list[str], n: Array, t: Array) -> None:
+    for what, vectors in (("n", n), ("t", t)):
+        length = np.linalg.norm(vectors, axis=1)
+        bad = np.abs(length - 1.0) > 0.01
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise BadInput(f"{source}, {places[k]}: the vector ({what}x, {what}y, {what}z) has length {length[k]:.4g}, "
+                           f"a unit vector is expected.")  # fmt: skip
+
+
+def _locate(shape: AerofoilShape, p: Array) -> tuple[NDArray[np.str_], Array, Array, Array, Array]:
+    """Side name or "edge", parameters, foot point and normal of each point; nan feet where no flank is below it."""
+    name = np.full(len(p), "edge", dtype="<U8")
+    u, v, best = np.zeros(len(p)), np.zeros(len(p)), np.full(len(p), np.inf)
+    foot, normal = np.full_like(p, np.nan), np.full_like(p, np.nan)
+    for side in shape.sides.values():
+        su, sv = foot_parameters(side, shape, p)
+        x = side.surface(su, sv)
+        gap = np.linalg.norm(x - p, axis=1)
+        inside = (su > 1e-4) & (su < 1.0 - 1e-4) & (sv > shape.v[0] + 1e-7) & (sv < shape.v[1] - 1e-7)
+        better = inside & (gap < best) & (gap < 5.0 * OFF_SURFACE)
+        name[better], u[better], v[better], best[better] = side.name, su[better], sv[better], gap[better]
+        foot[better], normal[better] = x[better], side.normal(su[better], sv[better])
+    return name, u, v, foot, normal
+
+
+def foot_parameters(side: SideSurface, shape: AerofoilShape, p: Array) -> tuple[Array, Array]:
+    """Parameters (n,), (n,) of the points of a side nearest to p (n, 3)."""
+    grid = np.meshgrid(np.linspace(0.0, 1.0, 60), np.linspace(shape.v[0], shape.v[1], 60), indexing="ij")
+    gu, gv = grid[0].ravel(), grid[1].ravel()
+    _, index = cKDTree(side.surface(gu, gv)).query(p)
+    return project(side.surface, p, gu[index], gv[index])
+
+
+def _place_the_rest(blade: Blade, name: NDArray[np.str_], foot: Array, normal: Array, p: Array) -> None:
+    """Foot and facet normal on the mesh itself for the points that lie on no flank (changes foot and normal)."""
+    rest = np.flatnonzero(name == "edge")
+    if not len(rest):
+        return
+    mesh = trimesh.Trimesh(blade.vertices, blade.faces, process=False)
+    closest, _, facet = trimesh.proximity.closest_point(mesh, p[rest])
+    weights = trimesh.triangles.points_to_barycentric(mesh.triangles[facet], closest)
+    n = np.einsum("nk,nki->ni", weights, vertex_normals(blade)[blade.faces[facet]])
+    foot[rest], normal[rest] = closest, n / np.linalg.norm(n, axis=1, keepdims=True)
+
+
+def _along(
+    source: str, places: list[str], rows: NDArray[np.int64], p: Array, n: Array, t: Array, line: int
+) -> tuple[Array, Array]:
+    """Arc length (m,) and feed directions made orthogonal to n."""
+    if len(rows) < 3:
+        raise BadInput(f"{source}, {places[rows[0]]}: line {line} has {len(rows)} points, at least 3 are needed.")
+    steps = np.linalg.norm(np.diff(p, axis=0), axis=1)
+    if steps.min() < 1e-6:
+        k = rows[int(np.argmin(steps)) + 1]
+        raise BadInput(f"{source}, {places[k]}: this point of line {line} repeats the one before it; remove one of them.")
+    t = t - np.einsum("ni,ni->n", t, n)[:, None] * n
+    length = np.linalg.norm(t, axis=1, keepdims=True)
+    if length.min() < 0.5:
+        raise BadInput(f"{source}, {places[rows[int(np.argmin(length))]]}: the feed direction t stands on the surface; "
+                       f"give the direction of travel along the blade.")  # fmt: skip
+    t = t / length
+    s = np.concatenate([[0.0], np.cumsum(steps)])
+    motion = np.gradient(p, s, axis=0)
+    cosine = np.einsum("ni,ni->n", motion, t) / np.linalg.norm(motion, axis=1)
+    if cosine.min() < np.cos(FEED_LIMIT):
+        k = int(np.argmin(cosine))
+        angle = np.rad2deg(np.arccos(np.clip(cosine[k], -1.0, 1.0)))
+        raise BadInput(f"{source}, {places[rows[k]]}: t is {angle:.0f} deg off the way from point to point of line {line} "
+                       f"(limit {np.rad2deg(FEED_LIMIT):g} deg); t is the direction of travel.")  # fmt: skip
+    return s, t
