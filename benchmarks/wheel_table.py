@@ -1,4 +1,4 @@
-"""Every number of docs/wheel.md: `python benchmarks/wheel_table.py [accuracy|convergence|law|real|drop]`, all without an argument."""
+"""Every number of docs/wheel.md: `python benchmarks/wheel_table.py [accuracy|convergence|law|real|drop]`, default all."""
 
 import sys
 import time

@@ -16,7 +16,8 @@ from ocp.cell import Wheel
 from ocp.contact.gap import LocalShape
 from robots.pose import Array, apply
 
-REACH = 0.016  # m about the planned point; beyond, the wheel has left the blade or `ocp.gouge` speaks
+REACH = 0.026  # m about the planned point; beyond, the wheel has left the blade or `ocp.gouge` speaks
+NEAR, THINNED = 0.011, 4  # m; farther out one point in four is enough, the gap there matters only if it closes
 FACING = 0.2  # smallest cosine between a point's normal and the wheel for it to be touched from this side
 SHARPEST = 1e-9  # m; points this close in (x, y) are one for the triangulation
 
@@ -56,6 +57,8 @@ def surface_shape(wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_bl
     T_base_blade (4, 4) is the pose at which `base` was taken; docs/architecture.md has the frame.
     """
     index = np.sort(np.asarray(cloud.tree.query_ball_point(contact, REACH), dtype=int))
+    far = np.linalg.norm(cloud.points[index] - contact, axis=1) > NEAR
+    index = index[~far | (index % THINNED == 0)]
     p = apply(T_base_blade, np.vstack([contact, cloud.points[index]])) - wheel.centre
     n = cloud.normals[index] @ T_base_blade[:3, :3].T
     lateral = p @ wheel.axis

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.blade_gap import REACH, SurfaceCloud
+from ocp.blade_gap import REACH
 from ocp.cell import Cell
 from robots.pose import Array, apply
 
 # How much deeper than the model's local quadratic a point may lie in the wheel's cover before the contact is no longer
 # the planned one. A cover of 15 mm and 12 MPa gives 0.3 mm under 20 N; a third of that spread elsewhere is not noise.
 GOUGE_TOLERANCE = 1e-4  # m
-SURFACE_DISTANCE = 7e-4  # m to the nearest point of the cloud, whose points stand 0.8 mm apart
 
 
 @dataclass(frozen=True)
@@ -24,14 +23,14 @@ class Gouge:
 
 
 def find_gouge(
-    cell: Cell, points: Array, modelled: Array, T_base_blade: Array, contact: Array, curvature: Array, tilt: Array,
+    cell: Cell, points: Array, T_base_blade: Array, contact: Array, curvature: Array, tilt: Array,
     delta: Array,
 ) -> Gouge:  # fmt: skip
     """Deepest overlap beyond the local quadratic of each contact.
 
-    points (m, 3) on the blade's surface, blade frame; modelled (m,) bool: on the ground surface, which the direct contact
-    sees within its reach; T_base_blade (n, 4, 4); contact (n, 3) planned points in the blade frame; curvature (n, 3)
-    kxx, kyy, kxy relative; tilt (n, 2); delta (n,) m. Frames: docs/architecture.md.
+    points (m, 3) of the blade's surface, blade frame: what lies within the reach of the direct contact is left to it;
+    T_base_blade (n, 4, 4); contact (n, 3) planned points in the blade frame; curvature (n, 3) kxx, kyy, kxy relative;
+    tilt (n, 2); delta (n,) m. Frames: docs/architecture.md.
     """
     wheel = cell.wheel
     worst = Gouge(0.0, 0, 0.0)
@@ -40,7 +39,7 @@ def find_gouge(
         lateral = v @ wheel.axis
         radial = v - lateral[:, None] * wheel.axis
         depth = wheel.radius - np.linalg.norm(radial, axis=1)
-        seen = modelled & (np.linalg.norm(points - contact[k], axis=1) < 0.9 * REACH)
+        seen = np.linalg.norm(points - contact[k], axis=1) < 0.9 * REACH
         near = (np.abs(lateral[:-1]) <= 0.5 * wheel.width) & (depth[:-1] > GOUGE_TOLERANCE) & ~seen
         if not near.any():
             continue
@@ -54,8 +53,3 @@ def find_gouge(
         if beyond[i] > worst.depth:
             worst = Gouge(float(beyond[i]), k, float(np.hypot(x[i], y[i])))
     return worst
-
-
-def on_surface(cloud: SurfaceCloud, points: Array) -> Array:
-    """Which points (m, 3) lie on the ground surface, (m,) bool."""
-    return np.asarray(cloud.tree.query(points)[0] < SURFACE_DISTANCE)

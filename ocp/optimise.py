@@ -18,7 +18,7 @@ from ocp.collision import Scene
 from ocp.contact.cover import Cover
 from ocp.contact.wheel_law import WheelLaw
 from ocp.direct_contact import DirectContact, defect, solve_directly
-from ocp.gouge import GOUGE_TOLERANCE, find_gouge, on_surface
+from ocp.gouge import GOUGE_TOLERANCE, find_gouge
 from ocp.posture import Seed
 from ocp.solve import Evaluation, PassProblem, PassSolution, PassSolver, with_direction
 from ocp.stage import Weights
@@ -34,7 +34,7 @@ FALLBACKS = 4  # seeds tried before a pass is refused
 
 @dataclass(frozen=True)
 class Ground:
-    """What all passes share: cell, parameters, the wheel's table and cover, the blade's vertices (m, 3) and its ground
+    """What all passes share: cell, parameters, the wheel's table and cover, the blade's vertices (m, 3) and its
     surface as a fine cloud."""
 
     cell: Cell
@@ -63,7 +63,6 @@ class PassWorker:
         self.ground = ground
         self.solver = PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
         self.scene = Scene(ground.cell, ground.vertices)
-        self.modelled = on_surface(ground.cloud, ground.vertices)
         travel = np.sign(ground.cell.wheel.belt_speed) or 1.0
         self.sigma_travel = float(travel * (1 if ground.cell.process.grinding == "down" else -1))
 
@@ -120,7 +119,7 @@ class PassWorker:
                 f"{name}, waypoint {clearance.index + 1}: {clearance.sentence()}; move the wheel or the blade in its holder"
             )
         poses = solved.T_base_blade
-        gouge = find_gouge(cell, self.ground.vertices, self.modelled, poses, path.p, solved.curvature, solved.tilt, solved.delta)
+        gouge = find_gouge(cell, self.ground.cloud.points, poses, path.p, solved.curvature, solved.tilt, solved.delta)
         if gouge.depth > GOUGE_TOLERANCE:
             raise Infeasible(
                 f"{name}, waypoint {gouge.index + 1}: the blade would touch the wheel {gouge.distance * 1e3:.1f} mm beside "

@@ -5,9 +5,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
 
 from ocp.blade_gap import SurfaceCloud
 from ocp.cell import Cell
+from robots.pose import Array
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
 from trajectories.passes import BladePath, PassOptions, passes
 
@@ -48,11 +51,14 @@ def lay_paths(cell: Cell, stl: Path, choice: PathChoice) -> LaidPaths:
     blade = read_blade(stl, cell.workpiece.stl_unit)
     shape = find_shape(blade)
     paths, notices = passes(blade, shape, _options(cell, choice.step))
-    return LaidPaths(blade, paths, surface_cloud(shape), (*blade.notices, *shape.notices, *notices))
+    return LaidPaths(blade, paths, surface_cloud(shape, blade), (*blade.notices, *shape.notices, *notices))
 
 
-def surface_cloud(shape: AerofoilShape) -> SurfaceCloud:
-    """Points and normals of both sides, edge to edge, about CLOUD_SPACING apart."""
+def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:
+    """The blade's whole surface: smooth on both flanks, the STL's own facets elsewhere (edges, tip, fillets, platform).
+
+    Points stand about CLOUD_SPACING apart.
+    """
     points, normals = [], []
     for side in shape.sides.values():
         n_u = int(np.ceil(side.width.max() / CLOUD_SPACING)) + 1
@@ -63,7 +69,23 @@ def surface_cloud(shape: AerofoilShape) -> SurfaceCloud:
         u_all, v_all = (g.ravel() for g in grid)
         points.append(side.surface(u_all, v_all))
         normals.append(side.normal(u_all, v_all))
-    return SurfaceCloud(np.vstack(points), np.vstack(normals))
+    smooth = np.vstack(points)
+    other, other_normals = _facet_points(blade)
+    apart = cKDTree(smooth).query(other)[0] > CLOUD_SPACING
+    return SurfaceCloud(np.vstack([smooth, other[apart]]), np.vstack([*normals, other_normals[apart]]))
+
+
+def _facet_points(blade: Blade) -> tuple[Array, Array]:
+    """Points on the facets about CLOUD_SPACING apart, (m, 3) m, and the facets' normals (m, 3)."""
+    vertices, faces = trimesh.remesh.subdivide_to_size(
+        blade.vertices, blade.faces, 1.5 * CLOUD_SPACING, max_iter=12
+    )
+    corner = vertices[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    sound = length > 0
+    used, first = np.unique(faces[sound].ravel(), return_index=True)
+    return vertices[used], np.repeat(normal[sound] / length[sound, None], 3, axis=0)[first]
 
 
 def _options(cell: Cell, step: float) -> PassOptions:
@@ -81,4 +103,6 @@ def _options(cell: Cell, step: float) -> PassOptions:
         step=step,
         feed=process.feed,
         force=process.force,
+        wheel_radius=cell.wheel.radius,
+        wheel_width=cell.wheel.width,
     )

@@ -9,7 +9,16 @@ from trajectories.passes import BladePath
 from ocp.cell import Cell
 from ocp.contact.wheel_law import WheelLaw
 from ocp.model import Model, build_model
-from ocp.posture import ELBOW_MARGIN, LIMIT_MARGIN, SHOULDER_MARGIN, WRIST_MARGIN, Seed, joints_near, poses_along, turned_curvature
+from ocp.posture import (
+    ELBOW_MARGIN,
+    LIMIT_MARGIN,
+    SHOULDER_MARGIN,
+    WRIST_MARGIN,
+    Seed,
+    joints_near,
+    poses_along,
+    turned_curvature,
+)
 from ocp.stage import (
     N_CLEARANCE,
     N_PARAMETERS,

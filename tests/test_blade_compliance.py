@@ -34,12 +34,6 @@ def rows(*vectors):
     return np.array(vectors, float)
 
 
-def straight_pass(y, count=90):
-    x = np.linspace(0.004, 0.059, count)
-    p = np.column_stack([x, np.full(count, y), np.full(count, 0.003)])
-    return SimpleNamespace(p=p, n=np.tile(UP, (count, 1)), t=np.tile(ALONG, (count, 1)), s=x - x[0])
-
-
 def test_weights_are_those_of_a_hertz_pressure():
     mesh = plate().mesh
     a, b = 4e-3, 2.5e-3
@@ -220,3 +214,15 @@ def test_loose_part_is_named(tmp_path, monkeypatch):
     both = np.vstack([vertices, vertices + rows([0.0, 0.02, 0.02])])  # the second one starts above the clamp
     with pytest.raises(BadInput, match="loose parts"):
         clamped_blade(both, np.vstack([faces, faces + len(vertices)]), UP, 0.01, TITANIUM, 8e-3)
+
+
+def test_mesh_error_is_estimated_on_request(tmp_path, monkeypatch):
+    monkeypatch.setenv(cache.VARIABLE, str(tmp_path))
+    vertices, faces = wedge()
+    p, n, t = contact_on_wedge()
+    path = SimpleNamespace(p=p, n=n, t=t, s=np.zeros(1))
+    result = blade_compliance(vertices, faces, UP, 0.01, TITANIUM, [path, path], (3e-3, 6e-3), 6e-3, estimate_mesh_error=True)
+    assert [e.shape for e in result.mesh_error] == [(1,), (1,)]
+    coarse = clamped_blade(vertices, faces, UP, 0.01, TITANIUM, 12e-3).compliance(p, n, t, (3e-3, 6e-3))[0, 0]
+    fine = result.per_pass[1][0, 0]
+    assert result.mesh_error[0][0] == pytest.approx(abs(coarse - fine) / fine) and result.mesh_error[0][0] < 0.1

@@ -158,10 +158,10 @@ def test_a_facet_whose_corners_lie_on_a_line_is_mended_closed(tmp_path, sample):
 def test_stray_parts_are_dropped_and_two_bodies_refused(tmp_path, sample):
     vertices, faces = sample
     both = np.vstack([faces, faces + len(vertices)])
-    stray = np.vstack([vertices, 0.05 * vertices + [0.2, 0.0, 0.0]])
+    stray = np.vstack([vertices, 0.05 * vertices + np.array([0.2, 0.0, 0.0])])
     blade = read_blade(write(tmp_path, stray, both))
     assert "stray" in blade.notices[0] and len(blade.faces) == len(faces)
-    text = refusal(write(tmp_path, np.vstack([vertices, vertices + [0.2, 0.0, 0.0]]), both))
+    text = refusal(write(tmp_path, np.vstack([vertices, vertices + np.array([0.2, 0.0, 0.0])]), both))
     assert "2 separate bodies" in text and "mm" in text
 
 
@@ -175,7 +175,7 @@ def test_a_large_hole_is_refused_with_its_place(tmp_path, sample):
 
 def test_an_edge_with_three_facets_is_refused(tmp_path, sample):
     vertices, faces = sample
-    fin = np.vstack([vertices, vertices[faces[300, :2]].mean(axis=0) + [0.0, 0.01, 0.0]])
+    fin = np.vstack([vertices, vertices[faces[300, :2]].mean(axis=0) + np.array([0.0, 0.01, 0.0])])
     assert "facets meet at the edge" in refusal(
         write(tmp_path, fin, np.vstack([faces, [[faces[300, 0], faces[300, 1], len(vertices)]]]))
     )
@@ -204,8 +204,9 @@ def test_box_pairs_equal_brute_force(seed):
 
 
 def test_two_crossing_triangles_and_two_that_touch():
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1], [0.2, 0.2, 1], [0.9, 0.9, 1.0]], float)
-    assert len(self_intersections(vertices, np.array([[0, 1, 2], [3, 4, 5]]))) == 1
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1], [0.2, 0.2, 1], [0.3, 0.3, 2.0]], float)
+    for pair in ([[0, 1, 2], [3, 4, 5]], [[3, 4, 5], [0, 1, 2]]):  # here only the second one's edge pierces the first
+        assert len(self_intersections(vertices, np.array(pair))) == 1
     vertices[3:5, 2] = 0.0, 1.0  # only its tip reaches the first triangle
     assert len(self_intersections(vertices, np.array([[0, 1, 2], [3, 4, 5]]))) == 0
 

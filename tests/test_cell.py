@@ -22,8 +22,8 @@ def write(folder: Path, old: str = "", new: str = "") -> Path:
 
 def test_units_are_si_and_radians_inside():
     cell = read_cell(BUNDLED / "cell.toml")
-    assert cell.wheel.radius == pytest.approx(0.050)
-    assert cell.wheel.cover_modulus == pytest.approx(10 ** (0.0235 * 50 - 0.6403) * 1e6)
+    assert cell.wheel.radius == pytest.approx(0.040)
+    assert cell.wheel.cover_modulus == pytest.approx(10 ** (0.0235 * 45 - 0.6403) * 1e6)
     assert cell.wheel.arc == pytest.approx((-np.pi / 6, np.pi / 6))
     assert cell.flange is not None and cell.flange.stiffness == pytest.approx(5600)
     assert cell.process.feed == pytest.approx(0.04)
@@ -58,15 +58,15 @@ def test_a_clamp_plane_is_scaled_with_its_normal(tmp_path):
     ("old", "new", "said"),
     [
         (
-            "radius_mm = 50.0",
-            "radius_mm = 50.0\nradios_mm = 3",
+            "radius_mm = 40.0",
+            "radius_mm = 40.0\nradios_mm = 3",
             r"line \d+: unknown key 'wheel.radios_mm'; known here: centre_mm",
         ),
-        ("radius_mm = 50.0\n", "", r"key 'wheel.radius_mm' is missing"),
-        ("radius_mm = 50.0", "radius_mm = -50.0", r"line 32: wheel.radius_mm = -50.0: .*greater than 0"),
-        ("radius_mm = 50.0", 'radius_mm = "big"', r"wheel.radius_mm = 'big': .*number"),
+        ("radius_mm = 40.0\n", "", r"key 'wheel.radius_mm' is missing"),
+        ("radius_mm = 40.0", "radius_mm = -40.0", r"line 32: wheel.radius_mm = -40.0: .*greater than 0"),
+        ("radius_mm = 40.0", 'radius_mm = "big"', r"wheel.radius_mm = 'big': .*number"),
         ("centre_mm = [1700, 0, 900]", "centre_mm = [1700, 0]", r"wheel.centre_mm\[2\]|wheel.centre_mm"),
-        ("shore_A = 50", "shore_A = 50\ncover_modulus_MPa = 3.0", "exactly one of cover_modulus_MPa and shore_A"),
+        ("shore_A = 45", "shore_A = 45\ncover_modulus_MPa = 3.0", "exactly one of cover_modulus_MPa and shore_A"),
         ("[1700, 0, 900]", "[1700, 0, nan]", r"wheel.centre_mm\[2\] = nan"),
         ('payload = "grinder"', 'payload = "drill"', "workpiece.payload 'drill' is not among .payloads. .grinder."),
         ('model = "kr210_r2700_extra"', 'model = "kr2100"', "kr2100"),

@@ -4,14 +4,14 @@ One factorisation of the clamped solid; Hertz patches at control points along ea
 refined where a check in the middle of an interval says so. docs/blade_compliance.md has the theory and the numbers.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.cache import content_key, remember
+from ocp.cache import Entry, content_key, remember
 from ocp.contact.clamp_cut import clamp_cut
 from ocp.contact.contact_patch import patch_loads, patch_weights
 from ocp.contact.elasticity import Material, QuadraticMesh, quadratic_mesh
@@ -151,38 +151,15 @@ def blade_compliance(
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
     size = element_size or default_element_size(surface_area(vertices, faces), patch_semi_axes)
     waypoints = [np.ascontiguousarray(x, float) for path in passes for x in (path.p, path.n, path.t, path.s)]
-    key = content_key(
-        VERSION,
-        MESH_VERSION,
-        vertices,
-        faces,
-        np.asarray(clamp_normal, float),
-        float(clamp_offset),
-        material.youngs_modulus,
-        material.poisson_ratio,
-        *map(float, patch_semi_axes),
-        size,
-        estimate_mesh_error,
-        *waypoints,
-    )
+    clamp = (np.asarray(clamp_normal, float), float(clamp_offset))
+    scalars = (material.youngs_modulus, material.poisson_ratio, *map(float, patch_semi_axes), size, estimate_mesh_error)
+    key = content_key(VERSION, MESH_VERSION, vertices, faces, *clamp, *scalars, *waypoints)
 
-    def compute() -> dict[str, NDArray[np.generic]]:
-        blade = clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, size)
-        values, error, count = _along_passes(blade, passes, patch_semi_axes)
-        entry = {
-            "values": np.concatenate(values),
-            "error": error,
-            "count": np.array(count),
-            "mesher": np.array(blade.mesher),
-            "elements": np.array(len(blade.mesh.elements)),
-            "unknowns": np.array(blade.factorisation.unknowns),
-            "volume_error": np.array(blade.volume_error),
-        }
-        if estimate_mesh_error:
-            coarse = clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, 2.0 * size)
-            other = np.concatenate(_along_passes(coarse, passes, patch_semi_axes)[0])
-            entry["mesh_error"] = np.abs(other[:, 0] - entry["values"][:, 0]) / np.maximum(entry["values"][:, 0], RIGID)
-        return entry
+    def solid(edge: float) -> ClampedBlade:
+        return clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, edge)
+
+    def compute() -> Entry:
+        return _computed(solid, size, passes, patch_semi_axes, estimate_mesh_error)
 
     entry: dict[str, Any] = {**remember("blade", key, compute)}
     cuts = np.cumsum([len(path.p) for path in passes])[:-1]
@@ -198,6 +175,32 @@ def blade_compliance(
         float(entry["volume_error"]),
         mesh_error,
     )
+
+
+def _computed(
+    solid: Callable[[float], ClampedBlade],
+    size: float,
+    passes: "Sequence[BladePath]",
+    semi_axes: tuple[float, float],
+    estimate_mesh_error: bool,
+) -> Entry:
+    """Return all that is kept of a compliance, computed on elements of `size` m (and of twice that for the error)."""
+    blade = solid(size)
+    values, error, count = _along_passes(blade, passes, semi_axes)
+    together = np.concatenate(values)
+    entry: Entry = {
+        "values": together,
+        "error": error,
+        "count": np.array(count),
+        "mesher": np.array(blade.mesher),
+        "elements": np.array(len(blade.mesh.elements)),
+        "unknowns": np.array(blade.factorisation.unknowns),
+        "volume_error": np.array(blade.volume_error),
+    }
+    if estimate_mesh_error:
+        other = np.concatenate(_along_passes(solid(2.0 * size), passes, semi_axes)[0])
+        entry["mesh_error"] = np.abs(other[:, 0] - together[:, 0]) / np.maximum(together[:, 0], RIGID)
+    return entry
 
 
 def _along_passes(

@@ -21,8 +21,8 @@ from robots.errors import BadInput
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-VERSION = "volume mesh 2"  # part of the cache key: raise it when results change
-FINE = 0.35  # edge length at the clamp plane, of the element size
+VERSION = "volume mesh 3"  # part of the cache key: raise it when results change
+FINE = 0.25  # edge length at the clamp plane, of the element size
 GROWTH = 0.3  # of edge length per distance from that plane
 TOLERANCE = 1e-5  # m the remeshed surface may leave the STL; a hundredth of the thickness of a 1 mm blade
 LOOSE_TOLERANCE = 2e-5  # m, for fTetWild, whose time grows as its envelope gets thin

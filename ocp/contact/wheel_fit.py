@@ -49,7 +49,7 @@ class Samples:
 
 
 def fit_wheel_law(
-    cover: Cover, domain: Domain, samples: int = 1200, held_out: int = 300, seed: int = 1, store: Store | None = None
+    cover: Cover, domain: Domain, samples: int = 2000, held_out: int = 300, seed: int = 1, store: Store | None = None
 ) -> WheelLaw:
     """Law for `cover` over `domain` from `samples` direct solutions, judged on `held_out` others.
 

@@ -41,7 +41,7 @@ def overlapping_boxes(low: Array, high: Array) -> IntArray:
         i, j = (np.concatenate(x) for x in ((2 * i, 2 * i, 2 * i + 1, 2 * i + 1), (2 * j, 2 * j + 1, 2 * j, 2 * j + 1)))
         upper = i <= j
         i, j = i[upper], j[upper]
-        meet = np.asarray((a[i] <= b[j]) & (a[j] <= b[i])).all(axis=1)
+        meet = np.logical_and(a[i] <= b[j], a[j] <= b[i]).all(axis=1)
         i, j = i[meet], j[meet]
     pairs = order[np.stack([i, j], axis=1)]
     return np.sort(pairs[i != j], axis=1)
@@ -56,7 +56,7 @@ def _median_order(centres: Array, depth: int) -> IntArray:
         blocks = order.reshape(2**level, -1)
         x = padded[np.where(blocks >= 0, blocks, -1)]
         x = np.where((blocks >= 0)[:, :, None], x, np.nan)
-        finite = np.isfinite(x).any(axis=1).all(axis=1)
+        finite = np.isfinite(x[:, :, 0]).any(axis=1)
         spread = np.zeros((len(blocks), 3))
         spread[finite] = np.nanmax(x[finite], axis=1) - np.nanmin(x[finite], axis=1)
         key = np.take_along_axis(x, np.argmax(spread, axis=1)[:, None, None], axis=2)[:, :, 0]

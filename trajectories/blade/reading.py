@@ -80,13 +80,9 @@ def _without_crossings(name: str, vertices: Array, faces: IntArray, notices: lis
     pairs = self_intersections(vertices, faces)
     if not len(pairs):
         return vertices
-    first = pairs[0]
     centres = vertices[faces[pairs].reshape(len(pairs), -1)].mean(axis=1)
     place = place_mm(centres.mean(axis=0)) if np.ptp(centres, axis=0).max() < 0.02 else place_mm(centres[0])
-    complaint = (
-        f"{name}: the surface cuts through itself in {len(pairs)} pairs of facets round {place}, for instance facets "
-        f"{first[0] + 1} and {first[1] + 1} of the cleaned mesh"
-    )
+    complaint = f"{name}: the surface cuts through itself in {len(pairs)} pairs of facets round {place}"
     bad = np.unique(faces[pairs])
     limit = _MOST_RELAXED * float(np.linalg.norm(np.ptp(vertices, axis=0)))
     if len(bad) > 0.02 * len(vertices):
