@@ -13,37 +13,41 @@ from ocp.solve import Evaluation, PassProblem
 from robots.errors import Infeasible
 from robots.pose import Array
 
-STATION_SPACING = 6e-3  # m between waypoints solved directly; the defect varies over the wheel's width, not over less
+STATION_SPACING = 3e-3  # m between waypoints solved directly
+END_ZONE = 4e-3  # m at both ends of a pass
 
 
 @dataclass(frozen=True)
 class DirectContact:
     """Directly solved contact at some waypoints of a pass: index (k,), patch semi-axes (k, 2) m.
 
-    departure (k,) m: indentation on the real surface minus that on its local quadratic, both on the same grid.
+    indentation (k,) m under the programmed force on the real surface; it varies smoothly along a pass, other than the
+    local curvature that the table goes by.
     """
 
     index: Array
-    departure: Array
+    indentation: Array
     semi_axes: Array
 
 
 def stations(s: Array, spacing: float = STATION_SPACING) -> Array:
-    """Indices of waypoints about `spacing` apart, both ends among them."""
-    count = max(4, int(np.ceil((s[-1] - s[0]) / spacing)) + 1)
-    return np.unique(np.abs(s[:, None] - np.linspace(s[0], s[-1], count)).argmin(axis=0))
+    """Indices of waypoints about `spacing` apart, a third of it near the ends, where the blade's edges come under the wheel."""
+    length = s[-1] - s[0]
+    near = np.arange(0.0, END_ZONE, spacing / 3)
+    wanted = np.concatenate([near, np.arange(END_ZONE, length - END_ZONE, spacing), length - near])
+    return np.unique(np.abs(s[:, None] - s[0] - np.clip(wanted, 0.0, length)).argmin(axis=0))
 
 
 def solve_directly(
     wheel: Wheel, cover: Cover, cloud: SurfaceCloud, problem: PassProblem, solved: Evaluation, sigma_travel: float
 ) -> DirectContact:
-    """What the real surface adds to the indentation at the programmed force, at the postures of `solved`.
+    """Indentation under the programmed force on the blade's real surface, at the postures of `solved`.
 
     `sigma_travel` is +1 where the blade moves with the belt at zero turn, else -1 (docs/architecture.md). Raises
     Infeasible of the contact solver, with the waypoint.
     """
     index = stations(problem.path.s)
-    departure, axes = [], []
+    indentation, axes = [], []
     for k in index:
         base = LocalShape(
             *solved.curvature[k],
@@ -54,17 +58,17 @@ def solve_directly(
         )
         shape = surface_shape(wheel, cloud, base, solved.T_base_blade[k], problem.path.p[k])
         try:
-            force = float(problem.path.force[k])
-            contact, smooth = solve_force(cover, force, shape), solve_force(cover, force, base)
+            contact = solve_force(cover, float(problem.path.force[k]), shape)
         except Infeasible as error:
             path = problem.path
             raise Infeasible(f"line {path.line} ({path.side}), waypoint {k + 1}: {error}") from None
-        departure.append(contact.indentation - smooth.indentation)
+        indentation.append(contact.indentation)
         axes.append(contact.semi_axes)
-    return DirectContact(index, np.array(departure), np.array(axes))
+    return DirectContact(index, np.array(indentation), np.array(axes))
 
 
-def defect(problem: PassProblem, direct: DirectContact) -> Array:
-    """Departure from the table's quadratic at every waypoint, (n,) m."""
+def corrected_defect(problem: PassProblem, solved: Evaluation, direct: DirectContact) -> Array:
+    """Defect (n,) m that makes the model's wheel indentation the direct one at the postures of `solved`."""
     s = problem.path.s
-    return np.asarray(PchipInterpolator(s[direct.index], direct.departure)(s))
+    wanted = PchipInterpolator(s[direct.index], direct.indentation)(s)
+    return np.asarray(problem.defect + wanted - solved.parts[:, 1])

@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 import numpy as np
-from trajectories.passes import BladePath, reversed_path
 
 from ocp.blade_gap import SurfaceCloud
 from ocp.cell import Cell
 from ocp.collision import Scene
 from ocp.contact.cover import Cover
 from ocp.contact.wheel_law import WheelLaw
-from ocp.direct_contact import DirectContact, defect, solve_directly
+from ocp.direct_contact import DirectContact, corrected_defect, solve_directly
 from ocp.gouge import GOUGE_TOLERANCE, find_gouge
 from ocp.posture import Seed
 from ocp.solve import Evaluation, PassProblem, PassSolution, PassSolver, with_direction
@@ -25,8 +24,9 @@ from ocp.stage import Weights
 from ocp.theta import Theta
 from robots.errors import Infeasible
 from robots.pose import Array
+from trajectories.passes import BladePath, reversed_path
 
-DIRECT_TOLERANCE = 1e-6  # m of wheel indentation between the program's and the direct solution: 0.1 N at 100 N/mm
+DIRECT_TOLERANCE = 0.03  # N between the program's and the direct solution of the wheel's contact
 CORRECTIONS = 4
 CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
 FALLBACKS = 4  # seeds tried before a pass is refused
@@ -88,11 +88,12 @@ class PassWorker:
             direct = solve_directly(
                 self.ground.cell.wheel, self.ground.cover, self.ground.cloud, problem, solved, self.sigma_travel
             )
-            off = np.abs(direct.departure - problem.defect[direct.index]).max()
+            better = corrected_defect(problem, solved, direct)
+            off = np.abs((better - problem.defect) * solved.stiffness).max()
             blocked = self._with_clearances(problem, solution.q)
             if off < DIRECT_TOLERANCE and blocked is None:
                 break
-            problem = replace(blocked or problem, defect=defect(problem, direct))
+            problem = replace(blocked or problem, defect=better)
             start = solution
         self._refuse_unsound(problem, solution, solved)
         return SolvedPass(problem, replace(solution, multipliers=None), solved, direct)

@@ -77,9 +77,7 @@ def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:
 
 def _facet_points(blade: Blade) -> tuple[Array, Array]:
     """Points on the facets about CLOUD_SPACING apart, (m, 3) m, and the facets' normals (m, 3)."""
-    vertices, faces = trimesh.remesh.subdivide_to_size(
-        blade.vertices, blade.faces, 1.5 * CLOUD_SPACING, max_iter=12
-    )
+    vertices, faces = trimesh.remesh.subdivide_to_size(blade.vertices, blade.faces, 1.5 * CLOUD_SPACING, max_iter=12)
     corner = vertices[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     length = np.linalg.norm(normal, axis=1)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from trajectories.passes import BladePath
 
 from ocp.cell import Cell
 from ocp.collision import Scene, flange_pose
@@ -17,6 +16,7 @@ from ocp.contact.wheel_law import WheelLaw
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches, reach_excess
 from robots.pose import Array, make_transform
+from trajectories.passes import BladePath
 
 STATIONS = 7  # along a pass; between them a pass turns little
 LIMIT_MARGIN = np.radians(2.0)

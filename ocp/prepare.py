@@ -6,7 +6,6 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from ocp.disk_store import DiskStore
 from ocp.cell import Cell
 from ocp.command import Phases
 from ocp.contact.blade_compliance import Compliance, blade_compliance
@@ -15,10 +14,10 @@ from ocp.contact.elasticity import Material
 from ocp.contact.gap import LocalShape, solve_force
 from ocp.contact.wheel_fit import Domain, fit_wheel_law
 from ocp.contact.wheel_law import WheelLaw
+from ocp.disk_store import DiskStore
 from robots.pose import Array
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
-
 
 # Cells of the grid on which contacts are solved along the passes, over those of the table's: ten times faster, and its
 # error (docs/wheel.md) cancels in the departure from the quadratic.

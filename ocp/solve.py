@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from trajectories.passes import BladePath
 
 from ocp.cell import Cell
 from ocp.contact.wheel_law import WheelLaw
@@ -35,6 +34,7 @@ from ocp.theta import Theta
 from ocp.transcription import Transcription, transcribe
 from robots.errors import Infeasible
 from robots.pose import Array, invert
+from trajectories.passes import BladePath
 
 PAD = 32  # programs are built for multiples of this many waypoints and shared by passes of similar length
 SPEED_SHARE = 0.8  # of the axes' speed limits that a pass may use at its programmed feed

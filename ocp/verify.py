@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
-from trajectories.passes import BladePath
 
 from ocp.blade_gap import SurfaceCloud, surface_shape
 from ocp.cell import Cell
@@ -21,9 +20,11 @@ from robots.gravity import GRAVITY
 from robots.pose import Array, apply
 from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
+from trajectories.passes import BladePath
 
 FIXED_POINT_STEPS = 4
 DIFFERENCE = 1e-6  # rad, central differences of the contact point
+STATION_SPACING = 2.3e-3  # m between contacts solved; not the planner's stations
 FORCE_STEPS = 4  # Newton steps on the force at a station, until one is below the next line
 FORCE_STEP_ENOUGH = 0.1  # N; the law is so smooth that what is left after it is below 1e-3 N
 
@@ -79,9 +80,9 @@ def verify_pass(
     e = radial / rho[:, None]
     delta = wheel.radius - rho
 
-    at = np.searchsorted(s, np.clip(path.s[stations(path.s)], s[0], s[-1]))
+    at = np.searchsorted(s, np.clip(path.s[stations(path.s, STATION_SPACING)], s[0], s[-1]))
     at = np.unique(np.clip(at, 0, len(s) - 1))
-    force0, slope = [], []
+    needed, slope = [], []
     for k in at:
         waypoint = int(np.argmin(np.abs(path.s - s[k])))
         give = compliance[waypoint]
@@ -98,11 +99,11 @@ def verify_pass(
             F = max(F + step, 0.05 * F)
             if abs(step) < FORCE_STEP_ENOUGH:
                 break
-        force0.append(F)
         slope.append(1.0 / rate)
-    at_stations = PchipInterpolator(s[at], np.column_stack([force0, slope, delta[at]]))(s)
-    # Between stations the overlap's own deviation counts, so that every millisecond of the program is judged.
-    force = at_stations[:, 0] + at_stations[:, 1] * (delta - at_stations[:, 2])
+        needed.append(delta[k] - (F - path.force[waypoint]) * rate)
+    # What overlap the programmed force needs varies smoothly; the overlap itself is judged at every millisecond.
+    overlap, rise = PchipInterpolator(s[at], np.column_stack([needed, slope]))(s).T
+    force = np.interp(s, path.s, path.force) + rise * (delta - overlap)
     return VerifiedPass(time, s, np.maximum(force, 0.0), delta)
 
 

@@ -14,7 +14,7 @@ from ocp.posture import Seed
 from ocp.solve import PassProblem, PassSolver, seed_joints
 from ocp.stage import N_ROWS, Weights, build_stage
 from ocp.theta import NAMES, believed_theta
-from ocp.verify import bent, believed_robot
+from ocp.verify import believed_robot, bent
 from robots.elementary import elementary_forward
 from robots.pose import apply
 
