@@ -156,7 +156,8 @@ def _pairs(cell: Cell, bodies: list[Body]) -> list[Pair]:
 
 
 def _far_apart(a: Body, b: Body) -> bool:
-    """Bodies of the arm that can meet: four joints apart (the wrist cannot fold onto the forearm), or the workpiece and the forearm."""
+    """Bodies of the arm that can meet: four joints apart (the wrist cannot fold onto the
+    forearm), or the workpiece and anything up to the forearm."""
     carried = {"holder", "blade"}
     if a.name in carried and b.name in carried:
         return False

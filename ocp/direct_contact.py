@@ -9,7 +9,8 @@ from ocp.blade_gap import SurfaceCloud, surface_shape
 from ocp.cell import Wheel
 from ocp.contact.cover import Cover
 from ocp.contact.gap import LocalShape, solve_force
-from ocp.solve import Evaluation, PassProblem
+from ocp.pass_problem import PassProblem
+from ocp.solve import Evaluation
 from robots.errors import Infeasible
 from robots.pose import Array
 
@@ -49,13 +50,10 @@ def solve_directly(
     index = stations(problem.path.s)
     indentation, axes = [], []
     for k in index:
-        base = LocalShape(
-            *solved.curvature[k],
-            lateral=solved.lateral[k],
-            tilt_x=solved.tilt[k, 0],
-            tilt_y=solved.tilt[k, 1],
-            heading=(-sigma_travel * np.cos(solved.turn[k]), -sigma_travel * np.sin(solved.turn[k])),
-        )
+        kxx, kyy, kxy = (float(c) for c in solved.curvature[k])
+        tilt_x, tilt_y = (float(c) for c in solved.tilt[k])
+        heading = (-sigma_travel * float(np.cos(solved.turn[k])), -sigma_travel * float(np.sin(solved.turn[k])))
+        base = LocalShape(kxx, kyy, kxy, float(solved.lateral[k]), tilt_x, tilt_y, heading=heading)
         shape = surface_shape(wheel, cloud, base, solved.T_base_blade[k], problem.path.p[k])
         try:
             contact = solve_force(cover, float(problem.path.force[k]), shape)

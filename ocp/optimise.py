@@ -18,8 +18,9 @@ from ocp.contact.cover import Cover
 from ocp.contact.wheel_law import WheelLaw
 from ocp.direct_contact import DirectContact, corrected_defect, solve_directly
 from ocp.gouge import GOUGE_TOLERANCE, find_gouge
+from ocp.pass_problem import PassProblem, with_direction
 from ocp.posture import Seed
-from ocp.solve import Evaluation, PassProblem, PassSolution, PassSolver, with_direction
+from ocp.solve import Evaluation, PassSolution, PassSolver
 from ocp.stage import Weights
 from ocp.theta import Theta
 from robots.errors import Infeasible

@@ -65,7 +65,7 @@ def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:
         n_v = int(np.ceil(shape.frame.length / CLOUD_SPACING)) + 1
         # Denser toward the edges, where the surface turns.
         u = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, n_u + n_u // 2))
-        grid = np.meshgrid(u, np.linspace(*shape.v, n_v), indexing="ij")
+        grid = np.meshgrid(u, np.linspace(float(shape.v[0]), float(shape.v[1]), n_v), indexing="ij")
         u_all, v_all = (g.ravel() for g in grid)
         points.append(side.surface(u_all, v_all))
         normals.append(side.normal(u_all, v_all))

@@ -8,6 +8,7 @@ neither a pass nor the travel between passes depends on luck.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ocp.cell import Cell
@@ -17,6 +18,9 @@ from robots.errors import Infeasible
 from robots.inverse import inverse_branches, reach_excess
 from robots.pose import Array, make_transform
 from trajectories.passes import BladePath
+
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 STATIONS = 7  # along a pass; between them a pass turns little
 LIMIT_MARGIN = np.radians(2.0)
@@ -40,7 +44,7 @@ class Seed:
     cost: float
 
 
-def contact_poses(cell: Cell, path: BladePath, index: Array, arc: Array, turn: Array, direction: int, sigma: int) -> Array:
+def contact_poses(cell: Cell, path: BladePath, index: Index, arc: Array, turn: Array, direction: int, sigma: int) -> Array:
     """Blade poses T_base_blade (..., len(index), 4, 4) that lay waypoints on the wheel.
 
     `arc`, `turn` (...) rad; touching, without overlap, in the middle of the wheel's width. docs/architecture.md.
@@ -130,7 +134,7 @@ def _options(cell: Cell, scene: Scene, law: WheelLaw, path: BladePath) -> list[S
         T = flange_pose(cell, contact_poses(cell, path, order, arc, turn, direction, sigma))
         q, reachable = inverse_branches(cell.robot, T.reshape(-1, 4, 4))
         q = q.reshape(len(arc), len(order), 8, 6).transpose(0, 2, 1, 3)
-        ok = reachable.reshape(len(arc), len(order), 8).all(axis=1)
+        ok = np.asarray(reachable.reshape(len(arc), len(order), 8).all(axis=1))
         if not ok.any():
             excess = reach_excess(cell.robot, T.reshape(-1, 4, 4)).reshape(len(arc), -1).max(axis=1).min()
             reasons.append((0.0, f"the blade would have to be held {excess * 1e3:.0f} mm beyond the robot's reach"))
@@ -151,7 +155,8 @@ def _options(cell: Cell, scene: Scene, law: WheelLaw, path: BladePath) -> list[S
         reason = f"every reachable posture collides: {blocked}" if blocked else max(reasons, key=lambda r: r[0])[1]
         raise Infeasible(
             f"line {path.line} ({path.side}): no posture on the wheel's arc "
-            f"{np.degrees(low):.0f}..{np.degrees(high):.0f} deg with turn within {np.degrees(cell.process.turn_tolerance):.0f} deg: "
+            f"{np.degrees(low):.0f}..{np.degrees(high):.0f} deg with turn within "
+            f"{np.degrees(cell.process.turn_tolerance):.0f} deg: "
             f"{reason}; move the wheel or the blade in its holder, or widen the arc or the turn"
         )
     return list(free.values())
@@ -169,7 +174,7 @@ def turned_curvature(curvature: Array, turn: Array, radius: float) -> tuple[Arra
     return kxx, kyy, s * c * (k_tt - k_bb) - (c**2 - s**2) * k_tb
 
 
-def _bears(cell: Cell, law: WheelLaw, path: BladePath, index: Array, turns: Array, reasons: list[tuple[float, str]]) -> Array:
+def _bears(cell: Cell, law: WheelLaw, path: BladePath, index: Index, turns: Array, reasons: list[tuple[float, str]]) -> Array:
     """Which turns (m,) let the wheel bear at the planned points: overlap there under the programmed force, kxx in range."""
     kxx, kyy, kxy = turned_curvature(path.curvature[index], turns[:, None], cell.wheel.radius)
     hollow = kxx < law.limits["kxx"][0]
@@ -183,10 +188,11 @@ def _bears(cell: Cell, law: WheelLaw, path: BladePath, index: Array, turns: Arra
         reasons.append(
             (
                 4.0,
-                f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel, which would bear beside the planned point",
+                f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel, which would bear beside "
+                "the planned point",
             )
         )
-    return good.all(axis=1)
+    return np.asarray(good.all(axis=1))
 
 
 def _family(seed: Seed) -> tuple[int, ...]:
@@ -194,7 +200,7 @@ def _family(seed: Seed) -> tuple[int, ...]:
 
 
 def _families(
-    cell: Cell, path: BladePath, order: Array, direction: int, arc: Array, turn: Array, q: Array, ok: Array,
+    cell: Cell, path: BladePath, order: Array, direction: int, arc: Array, turn: Array, q: Array, ok: Mask,
     reasons: list[tuple[float, str]],
 ) -> list[Seed]:  # fmt: skip
     """Seeds within limits from unwrapped branch paths q (grid, 8, stations, 6); notes why others fall."""
@@ -240,7 +246,7 @@ def _wrist_radius(cell: Cell, q: Array) -> Array:
 
 
 def _note(
-    reasons: list[tuple[float, str]], ok: Array, over: Array, inside: Array, wrist: Array, speed: Array, shoulder: Array
+    reasons: list[tuple[float, str]], ok: Mask, over: Array, inside: Array, wrist: Array, speed: Array, shoulder: Array
 ) -> None:
     """Remember the farthest that any candidate came and what stopped it."""
     if not ok.any():

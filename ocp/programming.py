@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from ocp.cell import Cell
-from ocp.motion import Motion, Segment
+from ocp.motion import Motion
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from trajectories.joint_trajectory import sample_times
-from trajectories.krl.build import build_program
+from trajectories.krl.build import Leg, build_program
 from trajectories.krl.program import Program, Setup, TimedSpline
 from trajectories.krl.status_turn import ArmLengths
 from trajectories.krl.writer import program_files
@@ -59,7 +59,7 @@ def krl_program(cell: Cell, motion: Motion, kind: str, name: str) -> Program:
         load_com=payload.com,
     )
 
-    def tolerance(leg: Segment) -> float:
+    def tolerance(leg: Leg) -> float:
         return fine if leg.kind == "contact" else AIR_TOLERANCE
 
     return build_program(name, setup, groups, labels, lambda q: forward(cell.robot, q), tolerance, moved)

@@ -120,13 +120,13 @@ def _posed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, fl
         chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
         s_knots = np.linspace(0.0, segment.trajectory.stations[-1], len(poses))
         u = np.linspace(0.0, length, max(int(np.ceil(length / POSE_STEP)) * 4, 8))
-        s = np.interp(u, chord, s_knots)
-        t = np.interp(s, segment.trajectory.stations, segment.trajectory.times)
-        expected = segment.trajectory.path(s)
+        along = np.interp(u, chord, s_knots)
+        t = np.interp(along, segment.trajectory.stations, segment.trajectory.times)
+        expected = segment.trajectory.path(along)
         T = frames.base @ invert(curve(u)) @ invert(frames.tool)
         q = _axes(cell, T, expected)
         axis_error = max(axis_error, float(np.abs(q - expected).max()))
-        driven.append((t, q, s))
+        driven.append((t, q, along))
     return driven, axis_error, 0.0, float("nan")
 
 

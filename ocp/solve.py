@@ -8,18 +8,17 @@ import numpy as np
 from ocp.cell import Cell
 from ocp.contact.wheel_law import WheelLaw
 from ocp.model import Model, build_model
+from ocp.pass_problem import PassProblem
 from ocp.posture import (
     ELBOW_MARGIN,
     LIMIT_MARGIN,
     SHOULDER_MARGIN,
     WRIST_MARGIN,
-    Seed,
     joints_near,
     poses_along,
     turned_curvature,
 )
 from ocp.stage import (
-    N_CLEARANCE,
     N_PARAMETERS,
     N_PLAIN_ROWS,
     N_ROWS,
@@ -41,37 +40,6 @@ SPEED_SHARE = 0.8  # of the axes' speed limits that a pass may use at its progra
 AIM_STEPS = 2  # each leaves a thousandth of the miss
 LEAST_INDENTATION = 3e-5  # m of overlap at the planned point: with less the wheel bears beside it
 FEASIBLE = 1e-5  # largest scaled violation of a row that counts as solved (0.01 um, 1e-5 rad)
-
-
-@dataclass(frozen=True)
-class PassProblem:
-    """A pass in its direction of travel with all that its waypoints know: blade compliance (n, 3) m/N in (n, t, b),
-    wheel defect (n,) m, clearances (n, N_CLEARANCE, 7): rows a.q >= b."""
-
-    path: BladePath
-    seed: Seed
-    compliance: Array
-    defect: Array
-    clearances: Array
-
-    @staticmethod
-    def start(path: BladePath, seed: Seed, compliance: Array) -> "PassProblem":
-        """Before any correction by direct contact solutions or collision checks."""
-        n = len(path.s)
-        clearances = np.zeros((n, N_CLEARANCE, 7))
-        clearances[..., 6] = -1.0
-        return PassProblem(path, seed, compliance, np.zeros(n), clearances)
-
-    @property
-    def waypoints(self) -> Array:
-        """Columns `ocp.model.WAYPOINT`, (n, 16)."""
-        p = self.path
-        return np.column_stack([p.p, p.n, p.t, p.curvature, self.compliance, self.defect])
-
-    @property
-    def seconds(self) -> Array:
-        """Time between neighbouring waypoints at the programmed feed, (n-1,) s."""
-        return np.asarray(np.diff(self.path.s) / (0.5 * (self.path.feed[1:] + self.path.feed[:-1])))
 
 
 @dataclass(frozen=True)
@@ -284,15 +252,10 @@ class PassSolver:
             )
         name, unit, factor = ROWS[row]
         return (
-            f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: {name} cannot be met, {stage[k, row] * factor:.3g} {unit} are missing "
+            f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: {name} cannot be met, "
+            f"{stage[k, row] * factor:.3g} {unit} are missing "
             f"(optimiser: {status}); widen that tolerance or move the wheel"
         )
-
-
-def with_direction(problem: PassProblem, reversed_path: BladePath) -> PassProblem:
-    """The same pass run the other way: compliance along t and b change sign with the contact frame."""
-    flip = np.array([1.0, -1.0, -1.0])
-    return replace(problem, path=reversed_path, compliance=problem.compliance[::-1] * flip)
 
 
 def _padded(values: Array, n: int) -> Array:

@@ -9,6 +9,7 @@ for them (`full`) where the solution breaks one.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -88,7 +89,7 @@ def transcribe(stage: Stage, n: int, full: bool) -> Transcription:
         f, f_x, H = _with_spread(stage, n, common, lam_f, f, f_x, H)
     H = ca.triu(H)
 
-    options = {
+    options: dict[str, Any] = {
         "ipopt": IPOPT,
         "print_time": False,
         "error_on_fail": False,
@@ -97,9 +98,10 @@ def transcribe(stage: Stage, n: int, full: bool) -> Transcription:
         "jac_g": ca.Function("jac_g", [x, p], [g, g_x], ["x", "p"], ["g", "jac_g_x"]),
         "hess_lag": ca.Function("hess_lag", [x, p, lam_f, lam_g], [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]),
     }
-    problem = {"x": x, "p": p, "f": f, "g": g}
+    problem: Any = {"x": x, "p": p, "f": f, "g": g}
     solver = ca.nlpsol("pass", "ipopt", problem, options)
-    again = ca.nlpsol("again", "ipopt", problem, options | {"ipopt": IPOPT | WARM})
+    warm: dict[str, Any] = options | {"ipopt": IPOPT | WARM}
+    again = ca.nlpsol("again", "ipopt", problem, warm)
     return Transcription(n, solver, again, ca.Function("rows", [x, p], [g]))
 
 

@@ -126,7 +126,7 @@ def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Arr
     K = A @ np.array([[k_tt, k_tb], [k_tb, k_bb]]) @ A.T
     return LocalShape(
         kxx=K[0, 0] + 1 / wheel.radius, kyy=K[1, 1], kxy=K[0, 1], lateral=float(lateral),
-        tilt_x=-(n @ belt) / (n @ e), tilt_y=-(n @ axis) / (n @ e),
+        tilt_x=-float(n @ belt) / float(n @ e), tilt_y=-float(n @ axis) / float(n @ e),
         heading=(float(t @ belt), float(t @ axis)),
     )  # fmt: skip
 

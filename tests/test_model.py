@@ -10,8 +10,9 @@ from example_pass import LineLaw, bar_pass, bundled_cell
 
 from ocp.cell import ForceFlange
 from ocp.model import build_model
+from ocp.pass_problem import PassProblem
 from ocp.posture import Seed
-from ocp.solve import PassProblem, PassSolver, seed_joints
+from ocp.solve import PassSolver
 from ocp.stage import N_ROWS, Weights, build_stage
 from ocp.theta import NAMES, believed_theta
 from ocp.verify import believed_robot, bent
@@ -38,7 +39,7 @@ def solver(flange=True, friction=None):
 
 def evaluated(flange=True):
     pass_problem = problem()
-    q = seed_joints(pass_problem) + 1e-3 * np.sin(np.arange(240).reshape(40, 6))
+    q = Q + np.zeros((40, 6)) + 1e-3 * np.sin(np.arange(240).reshape(40, 6))
     return pass_problem, q, solver(flange).evaluate(pass_problem, q, np.full(40, 21.0))
 
 
@@ -46,9 +47,7 @@ def test_overlap_and_place_on_the_wheel_equal_the_numpy_route():
     pass_problem, q, seen = evaluated()
     s = solver()
     cell, theta = s.cell, dict(zip(NAMES, s.theta.values, strict=True))
-    believed = believed_robot(
-        cell, cell.robot.mdh, s.theta.values[30:36], theta["payload_mass"], s.theta.values[37:40]
-    )
+    believed = believed_robot(cell, cell.robot.mdh, s.theta.values[30:36], theta["payload_mass"], s.theta.values[37:40])
     q_real = bent(cell, believed, q)
     T = elementary_forward(cell.robot, q_real) @ cell.workpiece.T_flange_blade
     p = apply(T, pass_problem.path.p)
@@ -125,7 +124,7 @@ def test_flange_force_balance(axis, compensated):
     cell = replace(bundled_cell(), flange=flange)
     s = PassSolver(cell, LineLaw(), believed_theta(cell), Weights())
     pass_problem = problem()
-    q = seed_joints(pass_problem)
+    q = Q + np.zeros((40, 6))
     seen = s.evaluate(pass_problem, q, np.full(40, 20.0))
     n = seen.T_base_blade[:, :3, :3] @ np.array([0.0, 1.0, 0.0])
     push = n

@@ -9,8 +9,9 @@ import pytest
 from example_pass import LineLaw, bar_pass, bundled_cell
 
 from ocp.collision import Scene
+from ocp.pass_problem import PassProblem, with_direction
 from ocp.posture import find_seeds
-from ocp.solve import SPEED_SHARE, PassProblem, PassSolver, with_direction
+from ocp.solve import SPEED_SHARE, PassSolver
 from ocp.stage import N_PARAMETERS, N_ROWS, Weights
 from ocp.theta import Theta, believed_theta
 from ocp.transcription import transcribe
