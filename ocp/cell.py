@@ -159,6 +159,16 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
     )
 
 
+def wheel_frame(cell: Cell) -> Array:
+    """T_base_wheel (4, 4): origin where the wheel touches at arc zero, x along the belt, y along the axis."""
+    wheel = cell.wheel
+    T = np.eye(4)
+    x = np.cross(wheel.axis, wheel.contact_direction)
+    T[:3, :3] = np.stack([x, wheel.axis, wheel.contact_direction], axis=1)
+    T[:3, 3] = wheel.centre + wheel.radius * wheel.contact_direction
+    return T
+
+
 _FACTORS = {"_mm": ("", 1e-3), "_deg": ("", np.pi / 180), "_N": ("", 1.0), "_mm_s": ("", 1e-3)}
 
 

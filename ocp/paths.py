@@ -10,9 +10,11 @@ from scipy.spatial import cKDTree
 
 from ocp.blade_gap import SurfaceCloud
 from ocp.cell import Cell
+from ocp.old_path import paths_from_program
 from robots.pose import Array
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
 from trajectories.passes import BladePath, PassOptions, passes
+from trajectories.path_file import read_path_file
 
 CLOUD_SPACING = 8e-4  # m between points of the surface cloud
 
@@ -50,8 +52,14 @@ def lay_paths(cell: Cell, stl: Path, choice: PathChoice) -> LaidPaths:
     """
     blade = read_blade(stl, cell.workpiece.stl_unit)
     shape = find_shape(blade)
-    paths, notices = passes(blade, shape, _options(cell, choice.step))
-    return LaidPaths(blade, paths, surface_cloud(shape, blade), (*blade.notices, *shape.notices, *notices))
+    cloud = surface_cloud(shape, blade)
+    if choice.path is not None:
+        paths, notices = read_path_file(choice.path, blade, shape, cell.process.feed, cell.process.force)
+    elif choice.program is not None:
+        paths, notices = paths_from_program(cell, blade, shape, cloud, choice.program, choice.step)
+    else:
+        paths, notices = passes(blade, shape, _options(cell, choice.step))
+    return LaidPaths(blade, paths, cloud, (*blade.notices, *shape.notices, *notices))
 
 
 def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:

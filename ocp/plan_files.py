@@ -56,7 +56,8 @@ def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Pha
         with phases.phase("writing"):
             _write_json(plan, written, summary, verdict, folder / "plan.json")
     return (
-        f"{out}: {len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} KRL files; {verdict} "
+        f"{out}: {len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} KRL files, "
+        f"safe to use: {verdict} "
         f"Look at {out / 'report.html'} before anything moves."
     )
 
@@ -80,11 +81,15 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
 def _verdict(plan: Plan, written: _Written) -> str:
     sd = max(float(p.evaluation.force_sd.max()) for p in plan.motion.passes)
     goal = plan.cell.process.force
-    calibrated = "" if plan.cell.calibration is not None else ", because this cell has no calibration"
-    return (
-        f"safe to run: the predicted force is {goal:g} N within {written.readback.force_error:.2g} N by the independent route, "
-        f"its standard deviation at most {sd:.2g} N{calibrated}."
+    found = (
+        f"the program read back gives {goal:g} N within {written.readback.force_error:.2g} N by the independent route; "
+        f"one standard deviation of the force on the real cell is up to {sd:.2g} N"
     )
+    if plan.cell.calibration is None:
+        found += " because the cell has no calibration"
+    if 2 * sd > goal:
+        return f"{found}: motion and limits are checked, but calibrate the cell before the blade touches the wheel."
+    return f"{found}."
 
 
 def _summary(plan: Plan, written: _Written) -> tuple[SummaryRow, ...]:

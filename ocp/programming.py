@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.cell import Cell
+from ocp.cell import Cell, wheel_frame
 from ocp.motion import Motion
 from robots.kinematics import forward
 from robots.pose import Array, apply
@@ -15,20 +15,10 @@ from trajectories.krl.program import Program, Setup, TimedSpline
 from trajectories.krl.status_turn import ArmLengths
 from trajectories.krl.writer import program_files
 
-FORCE_SHARE = 0.02  # N: what the emitted points may cost on the way between them
-FINEST, COARSEST = 1e-6, 5e-6  # m, bounds of the tolerance that follows from it
+FORCE_SHARE = 0.05  # N: what the emitted points may cost on the way between them
+FINEST, COARSEST = 1e-6, 2e-5  # m, bounds of the tolerance that follows from it
 AIR_TOLERANCE = 2e-4  # m, off contact
 TABLE_STEP = 0.025  # s between rows of plan.csv where the program itself is not timed
-
-
-def wheel_frame(cell: Cell) -> Array:
-    """T_base_wheel (4, 4): origin where the wheel touches at arc zero, x along the belt, y along the axis."""
-    wheel = cell.wheel
-    T = np.eye(4)
-    x = np.cross(wheel.axis, wheel.contact_direction)
-    T[:3, :3] = np.stack([x, wheel.axis, wheel.contact_direction], axis=1)
-    T[:3, 3] = wheel.centre + wheel.radius * wheel.contact_direction
-    return T
 
 
 def krl_program(cell: Cell, motion: Motion, kind: str, name: str) -> Program:

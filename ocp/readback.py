@@ -95,13 +95,12 @@ def _timed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, fl
 def _posed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, float, float, float]:
     """Pose programs: the controller's nominal kinematics turn the curve through the poses into axes."""
     blocks: list[Array] = []
+    before = ""
     for s in execution.segments:
-        if (
-            s.poses is not None
-            and s.kind == "LIN"
-            and blocks
-            and execution.segments[execution.segments.index(s) - 1].kind == "LIN"
-        ):
+        follows = s.kind == "LIN" and before == "LIN"
+        before = s.kind
+        # A block of lines begins at the pose where the one before it ended.
+        if s.poses is not None and follows and np.abs(blocks[-1][-1] - s.poses[0]).max() > 1e-9:
             blocks[-1] = np.vstack([blocks[-1], s.poses])
         elif s.poses is not None:
             blocks.append(s.poses)
