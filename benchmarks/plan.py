@@ -108,8 +108,8 @@ def peak_MB() -> tuple[float, float]:
 # -- phases ---------------------------------------------------------------------------------------------------------
 
 
-def one_plan(cell_file: Path, stl: Path, out: Path) -> tuple[dict[str, float], float, int, tuple[float, float]]:
-    """Seconds a phase, seconds in all, waypoints, memory of one plan written to `out`."""
+def one_plan(cell_file: Path, stl: Path, out: Path) -> tuple[dict[str, float], float, int, tuple[float, float, float]]:
+    """Seconds a phase, seconds in all, waypoints, processor seconds and memory of one plan written to `out`."""
     phases, made = Phases(), []
 
     def make() -> Plan:
@@ -118,7 +118,9 @@ def one_plan(cell_file: Path, stl: Path, out: Path) -> tuple[dict[str, float], f
 
     start = time.perf_counter()
     write_plan(make, out, True, phases)
-    return phases.seconds, time.perf_counter() - start, made[0].waypoints, peak_MB()
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    processor = sum(u.ru_utime + u.ru_stime for u in used)
+    return phases.seconds, time.perf_counter() - start, made[0].waypoints, (processor, *peak_MB())
 
 
 def phases(cell_file: Path, stl: Path, quick: bool) -> None:
@@ -135,8 +137,8 @@ def phases(cell_file: Path, stl: Path, quick: bool) -> None:
             print(f"{name:18}" + "".join(f"{seconds[name]:8.2f}" for seconds, *_ in runs))
         print(f"{'in all':18}" + "".join(f"{run[1]:8.2f}" for run in runs))
         print(f"{'waypoints/s':18}" + "".join(f"{run[2] / run[1]:8.1f}" for run in runs))
-        print(f"{'MB, main process':18}" + "".join(f"{run[3][0]:8.0f}" for run in runs))
-        print(f"{'MB, largest other':18}" + "".join(f"{run[3][1]:8.0f}" for run in runs))
+        for place, name in enumerate(("processor s", "MB, main process", "MB, largest other")):
+            print(f"{name:18}" + "".join(f"{run[3][place]:8.0f}" for run in runs))
         if not quick:
             blade_parts(cell_file, stl)
         pass_parts(prepared(cell_file, stl), 2 if quick else 6)

@@ -95,13 +95,16 @@ def _timed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, fl
 def _posed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, float, float, float]:
     """Pose programs: the controller's nominal kinematics turn the curve through the poses into axes."""
     blocks: list[Array] = []
-    before = ""
+    before: tuple[str, float | None] = ("", None)
     for s in execution.segments:
-        follows = s.kind == "LIN" and before == "LIN"
-        before = s.kind
-        # A block of lines begins at the pose where the one before it ended.
-        if s.poses is not None and follows and np.abs(blocks[-1][-1] - s.poses[0]).max() > 1e-9:
+        follows = s.kind == "LIN" and before == ("LIN", s.speed)
+        starts_where_ended = s.kind == "LIN" and before[0] == "LIN"
+        before = (s.kind, s.speed)
+        # Classic lines do not write the pose where the robot stands; a new speed begins a new block.
+        if s.poses is not None and follows:
             blocks[-1] = np.vstack([blocks[-1], s.poses])
+        elif s.poses is not None and starts_where_ended:
+            blocks.append(np.vstack([blocks[-1][-1:], s.poses]))
         elif s.poses is not None:
             blocks.append(s.poses)
     planned = [s for s in motion.segments if s.kind != "travel"]

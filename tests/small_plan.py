@@ -18,7 +18,6 @@ TEXT = (BUNDLED / "cell.toml").read_text()
 SMALL = {
     'side = "both"': 'side = "convex"',
     "pass_spacing_mm = 6.0": "pass_spacing_mm = 25.0",
-    "root_margin_mm = 5.0": "root_margin_mm = 30.0",
 }
 STEP = ("--step", "2")
 

@@ -171,13 +171,6 @@ def test_faulty_arguments_are_refused(tmp_path, monkeypatch, name):
     assert said in text
 
 
-def test_a_wheel_out_of_reach_is_no_bad_input_but_no_plan_either(tmp_path, monkeypatch):
-    cell = small_cell(tmp_path, {"centre_mm = [1700, 0, 900]": "centre_mm = [9000, 0, 900]"})
-    monkeypatch.chdir(tmp_path)
-    text = said_no(refused("--cell", str(cell), *STEP), tmp_path, tree(tmp_path), code=1)
-    assert "line " in text and "nothing written" in text
-
-
 def test_the_blade_sample_of_the_tests_is_no_accident(tmp_path):
     """The facet helper of this file writes what the reader reads."""
     path = blade_samples.write_stl(tmp_path / "a.stl", *blade_samples.blade_mesh(60, 20))
