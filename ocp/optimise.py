@@ -5,9 +5,7 @@ collisions and contact elsewhere on the blade are checked at every waypoint. A s
 """
 
 from collections.abc import Callable
-from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 
 import numpy as np
 
@@ -23,6 +21,7 @@ from ocp.posture import Seed
 from ocp.solve import Evaluation, PassSolution, PassSolver
 from ocp.stage import Weights
 from ocp.theta import Theta
+from ocp.workers import interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath, reversed_path
@@ -30,6 +29,7 @@ from trajectories.passes import BladePath, reversed_path
 DIRECT_TOLERANCE = 0.03  # N between the program's and the direct solution of the wheel's contact
 CORRECTIONS = 4
 CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
+GOUGE_THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over that, below the tolerance
 FALLBACKS = 4  # seeds tried before a pass is refused
 
 
@@ -121,7 +121,9 @@ class PassWorker:
                 f"{name}, waypoint {clearance.index + 1}: {clearance.sentence()}; move the wheel or the blade in its holder"
             )
         poses = solved.T_base_blade
-        gouge = find_gouge(cell, self.ground.cloud.points, poses, path.p, solved.curvature, solved.tilt, solved.delta)
+        gouge = find_gouge(
+            cell, self.ground.cloud.points[::GOUGE_THINNING], poses, path.p, solved.curvature, solved.tilt, solved.delta
+        )
         if gouge.depth > GOUGE_TOLERANCE:
             raise Infeasible(
                 f"{name}, waypoint {gouge.index + 1}: the blade would touch the wheel {gouge.distance * 1e3:.1f} mm beside "
@@ -152,29 +154,28 @@ def _solve_in_worker(path: BladePath, seeds: list[Seed], compliance: Array) -> S
 
 
 def solve_passes(
-    ground: Ground, paths: list[BladePath], seeds: list[list[Seed]], compliance: list[Array], jobs: int,
-    advance: Callable[[], None] = lambda: None, executor: Executor | None = None,
-) -> list[SolvedPass]:  # fmt: skip
-    """Solve every pass; `jobs` worker processes, or a given executor whose workers were started with `start_worker`.
+    ground: Ground,
+    paths: list[BladePath],
+    seeds: list[list[Seed]],
+    compliance: list[Array],
+    jobs: int,
+    advance: Callable[[], None] = lambda: None,
+) -> list[SolvedPass]:
+    """Solve every pass in `jobs` worker processes (1: in this one).
 
     Raises Infeasible of the first pass (in order) that has no sound solution.
     """
-    if jobs <= 1 and executor is None:
+    tasks = list(zip(paths, seeds, compliance, strict=True))
+    if jobs <= 1:
         worker = PassWorker(ground)
         solved = []
-        for path, ranked, give in zip(paths, seeds, compliance, strict=True):
-            solved.append(worker.solve(path, ranked, give))
+        for task in tasks:
+            solved.append(worker.solve(*task))
             advance()
         return solved
-    pool = executor or ProcessPoolExecutor(jobs, get_context("spawn"), _start_worker, (ground,))
-    try:
-        futures = [pool.submit(_solve_in_worker, *task) for task in zip(paths, seeds, compliance, strict=True)]
+    with workers(min(jobs, len(tasks)), _start_worker, ground) as pool:
+        with interrupts_held_back():
+            futures = [pool.submit(_solve_in_worker, *task) for task in tasks]
         for future in futures:
             future.add_done_callback(lambda _: advance())
         return [future.result() for future in futures]
-    finally:
-        if executor is None:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-start_worker = _start_worker

@@ -73,7 +73,7 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
         theta = believed_theta(cell)
         values = theta.values
         believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
-        readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, main)
+        readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, main, plan.jobs)
     files = sorted(p.name for p in folder.iterdir() if p.suffix in (".src", ".dat"))
     return _Written(files, timeline, readback)
 

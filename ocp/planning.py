@@ -47,6 +47,7 @@ class Plan:
     cloud: SurfaceCloud
     kind: str
     name: str
+    jobs: int
     inputs: tuple[tuple[str, Path], ...]
     notices: tuple[str, ...]
     wheel_error: float
@@ -74,6 +75,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
             f"{cell_file}: controller.absolute_accuracy is true and --kind is '{options.kind}': the controller would correct "
             "the poses a second time; use --kind axis"
         )
+    jobs = options.jobs or _cores()
     with phases.phase("passes"):
         laid = lay_paths(cell, stl, options)
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
@@ -85,7 +87,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     give = [np.asarray(c) for c in contact.compliance.per_pass]
     with phases.phase("optimal control", len(laid.paths)) as advance:
         ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
-        solved = solve_passes(ground, laid.paths, seeds, give, options.jobs or _cores(), advance)
+        solved = solve_passes(ground, laid.paths, seeds, give, jobs, advance)
     with phases.phase("timing", len(solved)) as advance:
         motion = build_motion(cell, scene, solved, advance)
     inputs = [("cell", cell_file), ("blade", stl)]
@@ -100,6 +102,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         cloud=laid.cloud,
         kind=options.kind,
         name=options.name or stl.name,
+        jobs=jobs,
         inputs=tuple(inputs),
         notices=laid.notices,
         wheel_error=contact.law.error.max,

@@ -1,8 +1,7 @@
 """What a plan rests on: the wheel's cover and law, the blade's compliance; the two are made side by side and cached."""
 
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
-from multiprocessing import get_context
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from ocp.contact.gap import LocalShape, solve_force
 from ocp.contact.wheel_fit import Domain, fit_wheel_law
 from ocp.contact.wheel_law import WheelLaw
 from ocp.disk_store import DiskStore
+from ocp.workers import interrupts_held_back, nothing, workers
 from robots.pose import Array
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
@@ -42,17 +42,13 @@ def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Ph
         cover = wheel_cover(cell)
     curvature = np.vstack([path.curvature for path in paths])
     axes = typical_patch(cell, cover, curvature)
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        waiting: Future[Compliance] = pool.submit(
-            blade_compliance,
-            blade.vertices,
-            blade.faces,
-            cell.workpiece.clamp_normal,
-            cell.workpiece.clamp_offset,
-            Material(cell.workpiece.youngs_modulus, cell.workpiece.poisson, cell.workpiece.density),
-            paths,
-            axes,
-        )
+    material = Material(cell.workpiece.youngs_modulus, cell.workpiece.poisson, cell.workpiece.density)
+    clamp = cell.workpiece.clamp_normal, cell.workpiece.clamp_offset
+    with workers(1, nothing) as pool:
+        with interrupts_held_back():
+            waiting: Future[Compliance] = pool.submit(
+                blade_compliance, blade.vertices, blade.faces, *clamp, material, paths, axes
+            )
         with phases.phase("wheel table"):
             law = wheel_law(cell, cover, curvature)
         with phases.phase("blade"):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,8 @@ from ocp.cell import Cell
 from ocp.contact.cover import Cover
 from ocp.motion import Motion
 from ocp.verify import Believed, VerifiedPass, verify_pass
-from robots.errors import BadInput, Infeasible
+from ocp.workers import interrupts_held_back, workers
+from robots.errors import Infeasible
 from robots.inverse import inverse_branches
 from robots.pose import Array, invert
 from trajectories.joint_trajectory import SAMPLE
@@ -38,7 +40,9 @@ class Readback:
     limit_ratio: float
 
 
-def read_back(cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud, motion: Motion, main: Path) -> Readback:
+def read_back(
+    cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud, motion: Motion, main: Path, jobs: int
+) -> Readback:
     """Read the program `main` and judge it.
 
     Raises BadInput as the reader does, Infeasible where force, times or limits are not what was planned.
@@ -50,9 +54,9 @@ def read_back(cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud,
     driven, axis_error, time_error, ratio = (_timed if timed else _posed)(cell, motion, execution)
     passes, worst = [], 0.0
     tolerance = RIGID_TOLERANCE if cell.flange is None else FLANGE_TOLERANCE
-    for one, (time, q, s) in zip(motion.passes, driven, strict=True):
-        path = one.problem.path
-        seen = verify_pass(cell, believed, cover, cloud, path, one.problem.compliance, time, q, s)
+    tasks = [(one.problem.path, one.problem.compliance, *rows) for one, rows in zip(motion.passes, driven, strict=True)]
+    for one, seen in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks, jobs), strict=True):
+        path, s = one.problem.path, seen.s
         off = np.abs(seen.force - np.interp(s, path.s, path.force))
         k = int(np.argmax(off))
         if off[k] > tolerance:
@@ -65,6 +69,31 @@ def read_back(cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud,
     return Readback(passes, worst, axis_error, time_error, ratio)
 
 
+_shared: tuple[Cell, Believed, Cover, SurfaceCloud] | None = None
+
+
+def _share(*shared: Any) -> None:
+    global _shared
+    _shared = shared
+
+
+def _verify(*task: Any) -> VerifiedPass:
+    assert _shared is not None
+    return verify_pass(*_shared, *task)
+
+
+def _verified(
+    cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud, tasks: list[tuple[Any, ...]], jobs: int
+) -> list[VerifiedPass]:
+    """`verify_pass` of every task (path, compliance, time, q, s), in `jobs` worker processes (1: in this one)."""
+    if jobs <= 1:
+        return [verify_pass(cell, believed, cover, cloud, *task) for task in tasks]
+    with workers(min(jobs, len(tasks)), _share, cell, believed, cover, cloud) as pool:
+        with interrupts_held_back():
+            futures = [pool.submit(_verify, *task) for task in tasks]
+        return [future.result() for future in futures]
+
+
 Driven = list[tuple[Array, Array, Array]]
 
 
@@ -72,7 +101,7 @@ def _timed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, fl
     """Axis programs: the pieces of the text are the segments of the motion, one to one."""
     program = reinterpolate(execution, cell.robot.qd_max, cell.robot.qdd_max)
     if len(program.pieces) != len(motion.segments):
-        raise BadInput(f"the program read back has {len(program.pieces)} timed blocks, {len(motion.segments)} were planned")
+        raise Infeasible(f"the program read back has {len(program.pieces)} timed blocks, {len(motion.segments)} were planned")
     ends = np.append(program.starts[1:], program.duration)
     driven: Driven = []
     axis_error = time_error = ratio = 0.0
@@ -109,10 +138,10 @@ def _posed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, fl
             blocks.append(s.poses)
     planned = [s for s in motion.segments if s.kind != "travel"]
     if len(blocks) != len(planned):
-        raise BadInput(f"the program read back has {len(blocks)} pose blocks, {len(planned)} were planned")
+        raise Infeasible(f"the program read back has {len(blocks)} pose blocks, {len(planned)} were planned")
     frames = next(s.frames for s in execution.segments if s.poses is not None)
     if frames.tool is None or frames.base is None:
-        raise BadInput("the program read back does not set its tool and base frames")
+        raise Infeasible("the program read back does not set its tool and base frames")
     driven: Driven = []
     axis_error = 0.0
     for segment, poses in zip(planned, blocks, strict=True):

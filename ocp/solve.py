@@ -83,7 +83,7 @@ class PassSolver:
         self.law, self.limits = law, law.limits
         self.sigma = 1 if cell.process.grinding == "down" else -1
         self.model: Model = build_model(cell, law, self.sigma)
-        self.stage: Stage = build_stage(cell, self.model, weights, theta.covariance)
+        self.stage: Stage = build_stage(cell, self.model, weights, theta)
         self._programs: dict[tuple[int, bool], Transcription] = {}
         m = self.model
         slope = ca.jacobian(m.residual, m.F)

@@ -106,10 +106,10 @@ class Stage:
 N_PARAMETERS = N_WAYPOINT + 7 * N_CLEARANCE + 2  # waypoint, clearances (a, b), sign of the shoulder, stage weight
 
 
-def build_stage(cell: Cell, model: Model, weights: Weights, covariance: np.ndarray | None) -> Stage:
+def build_stage(cell: Cell, model: Model, weights: Weights, theta: Theta) -> Stage:
     """Objective and constraint rows of one waypoint.
 
-    `covariance` (m, m) of theta is needed when `weights.force_sd` is positive.
+    The values of `theta` are folded in before differentiating: planning holds them, and a third of the instructions go.
     """
     clearance = ca.SX.sym("clearance", 7 * N_CLEARANCE)
     shoulder_sign, stage_weight = ca.SX.sym("shoulder_sign"), ca.SX.sym("stage_weight")
@@ -130,10 +130,11 @@ def build_stage(cell: Cell, model: Model, weights: Weights, covariance: np.ndarr
     )
     spread = None
     if weights.force_sd > 0:
-        assert covariance is not None and covariance.shape == (Theta.size, Theta.size)
-        variance = force_variance(model, covariance)
+        variance = force_variance(model, theta.covariance)
         spread = stage_weight * weights.force_sd * variance / (0.05 * process.force) ** 2
-    return Stage(model, stage_weight * objective, rows, parameters, spread)
+        spread = ca.substitute(spread, model.theta, ca.DM(theta.values))
+    folded, rows = ca.substitute([stage_weight * objective, rows], [model.theta], [ca.SX(ca.DM(theta.values))])
+    return Stage(model, folded, rows, parameters, spread)
 
 
 def force_variance(model: Model, covariance: np.ndarray) -> ca.SX:

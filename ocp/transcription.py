@@ -24,9 +24,9 @@ IPOPT = {
     "sb": "yes",
     "max_iter": 200,
     "tol": 1e-6,
-    "constr_viol_tol": 1e-7,
+    "constr_viol_tol": 1e-6,  # mm of the force balance: a nanometre
     "acceptable_tol": 1e-5,
-    "acceptable_constr_viol_tol": 1e-7,
+    "acceptable_constr_viol_tol": 1e-6,
     "mu_strategy": "adaptive",
     "bound_push": 1e-4,  # the start is a good one: leave it where it is
     "bound_frac": 1e-4,

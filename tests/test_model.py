@@ -158,7 +158,7 @@ def test_standard_deviation_equals_monte_carlo():
 
 def test_stage_derivatives_equal_differences():
     s = solver()
-    stage = build_stage(s.cell, s.model, Weights(force_sd=1.0), s.theta.covariance)
+    stage = build_stage(s.cell, s.model, Weights(force_sd=1.0), s.theta)
     pass_problem = problem()
     par = np.concatenate([pass_problem.waypoints[3], 0.1 * np.arange(14), [1.0, 1.0]])
     z = np.append(Q + 0.01, 20.0)

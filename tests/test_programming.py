@@ -223,7 +223,7 @@ def test_a_point_moved_in_the_text_is_noticed(tmp_path):
 def test_a_block_that_is_missing_is_noticed(tmp_path):
     _, main = written(tmp_path)
     shorter = Motion(motion().passes, motion().segments[:-1])
-    with pytest.raises(BadInput, match="timed blocks"):
+    with pytest.raises(Infeasible, match="timed blocks"):
         _timed(cell(), shorter, checked(main))
 
 

@@ -48,7 +48,7 @@ def read_blade(path: str | Path, unit: str = "mm") -> Blade:
     used, index = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], np.asarray(index, np.int64).reshape(-1, 3)
     vertices = _without_crossings(name, vertices, faces, notices)
-    return Blade(path.stem, hashlib.sha256(path.read_bytes()).hexdigest(), vertices, faces, tuple(notices))
+    return Blade(path.name, hashlib.sha256(path.read_bytes()).hexdigest(), vertices, faces, tuple(notices))
 
 
 def _refuse_size(path: Path, corners: Array, unit: str) -> None:

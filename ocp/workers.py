@@ -1,0 +1,58 @@
+"""Worker processes that share a large read-only state and leave interrupts to their parent."""
+
+import pickle
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+
+@contextmanager
+def workers(jobs: int, start: Callable[..., None], *state: Any) -> Iterator[Executor]:
+    """A pool of `jobs` processes, each of which has called `start(*state)`.
+
+    The state travels by file: a worker that dies while starting would otherwise block its parent on a full pipe. Where
+    the block ends with an error or an interrupt, the workers are ended at once.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "state.pickle"
+        file.write_bytes(pickle.dumps((start, state)))
+        pool = ProcessPoolExecutor(jobs, get_context("spawn"), _start, (str(file),))
+        try:
+            yield pool
+        except BaseException:
+            for process in list((pool._processes or {}).values()):
+                process.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start(file: str) -> None:
+    start, state = pickle.loads(Path(file).read_bytes())
+    start(*state)
+
+
+@contextmanager
+def interrupts_held_back() -> Iterator[None]:
+    """While work is handed out (that is when workers are spawned) new processes learn to ignore Ctrl-C.
+
+    The disposition is inherited; the parent's own is put back at the end of the block.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def nothing() -> None:
+    """The `start` of workers that need no state."""
