@@ -11,6 +11,7 @@ from ocp.contact.blade_compliance import Compliance, blade_compliance
 from ocp.contact.cover import Cover, WheelGeometry, build_cover, default_cell
 from ocp.contact.elasticity import Material
 from ocp.contact.gap import LocalShape, solve_force
+from ocp.contact.law_store import remembered_law
 from ocp.contact.wheel_fit import Domain, fit_wheel_law
 from ocp.contact.wheel_law import WheelLaw
 from ocp.disk_store import DiskStore
@@ -68,7 +69,7 @@ def wheel_law(cell: Cell, cover: Cover, curvature: Array) -> WheelLaw:
     process = cell.process
     lateral = min(process.lateral_tolerance, 0.5 * cell.wheel.width)
     domain = Domain(curvature, process.turn_tolerance, lateral, float(np.tan(process.tilt_tolerance)), process.force)
-    return fit_wheel_law(cover, domain, store=DiskStore("wheel"))
+    return remembered_law(cover, domain, lambda: fit_wheel_law(cover, domain, store=DiskStore("wheel")))
 
 
 def typical_patch(cell: Cell, cover: Cover, curvature: Array) -> tuple[float, float]:

@@ -190,3 +190,23 @@ def test_products_of_chebyshev_polynomials():
     direct = np.prod(np.cos(terms[None] * np.arccos(u)[:, None, :]), axis=2)
     assert np.allclose(chebyshev_products(u, terms), direct)
     assert len(terms) == 10
+
+
+def test_a_law_kept_on_disk_is_the_law_that_was_fitted(tmp_path, monkeypatch):
+    from ocp.contact.law_store import remembered_law
+
+    monkeypatch.setenv("GRINDPLAN_CACHE", str(tmp_path))
+    wheel = WheelGeometry(0.04, 0.015, 0.012, 2.6e6, 0.47)
+    cover = build_cover(wheel, 2.0 * default_cell(wheel, 20.0))
+    domain = Domain(np.array([[0.0, 20.0, 3.0], [5.0, 10.0, -3.0]]), 0.3, 0.002, 0.02, 20.0)
+    fits = []
+
+    def fit():
+        fits.append(fit_wheel_law(cover, domain, samples=150, held_out=40))
+        return fits[-1]
+
+    first, second = remembered_law(cover, domain, fit), remembered_law(cover, domain, fit)
+    assert len(fits) == 1
+    arguments = np.array([20.0]), np.array([30.0]), np.array([12.0]), np.array([2.0]), *(np.array([1e-3]),) * 3
+    assert first.evaluate(*arguments) == fits[0].evaluate(*arguments) == second.evaluate(*arguments)
+    assert second.limits == fits[0].limits and second.error == fits[0].error and second.geometry == wheel
