@@ -76,7 +76,7 @@ def summary_sheet(report: PlanReport) -> Sheet:
         y += 0.38
     with_what = ", ".join(f"{name} {version}" for name, version in report.versions)
     timed = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in report.phases)
-    for words in (f"With {with_what}.", f"Time: {timed}." if timed else ""):
+    for words in (f"With {with_what}." if with_what else "", f"Time: {timed}." if timed else ""):
         for line in textwrap.wrap(words, 110):
             sheet.text(_LEFT, y, line, color=SOFT)
             y += 0.17
