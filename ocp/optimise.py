@@ -33,6 +33,13 @@ GOUGE_THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatte
 FALLBACKS = 4  # seeds tried before a pass is refused
 
 
+TURN_LIMITS = (1.0, 0.2, 0.02)  # of the turn tolerance, tried in turn while a turned wheel touches the blade elsewhere
+
+
+class TouchesElsewhere(Infeasible):
+    """The wheel would touch the blade beside the contact."""
+
+
 @dataclass(frozen=True)
 class Ground:
     """What all passes share: cell, parameters, the wheel's table and cover, the blade's vertices (m, 3) and its
@@ -74,10 +81,14 @@ class PassWorker:
             problem = PassProblem.start(path, seed, compliance)
             if seed.direction < 0:
                 problem = with_direction(problem, reversed_path(path))
-            try:
-                return self._solve(problem)
-            except Infeasible as error:
-                reason = reason or error
+            for limit in TURN_LIMITS:
+                try:
+                    return self._solve(replace(problem, turn_limit=limit * self.ground.cell.process.turn_tolerance))
+                except TouchesElsewhere as error:
+                    reason = reason or error
+                except Infeasible as error:
+                    reason = reason or error
+                    break
         assert reason is not None
         raise reason
 
@@ -125,7 +136,7 @@ class PassWorker:
             cell, self.ground.cloud.points[::GOUGE_THINNING], poses, path.p, solved.curvature, solved.tilt, solved.delta
         )
         if gouge.depth > GOUGE_TOLERANCE:
-            raise Infeasible(
+            raise TouchesElsewhere(
                 f"{name}, waypoint {gouge.index + 1}: the blade would touch the wheel {gouge.distance * 1e3:.1f} mm beside "
                 f"the contact, {gouge.depth * 1e3:.2f} mm deeper than planned (at most {GOUGE_TOLERANCE * 1e3:.2f}); "
                 f"use a smaller or narrower wheel, or larger margins"

@@ -13,13 +13,15 @@ from trajectories.passes import BladePath
 @dataclass(frozen=True)
 class PassProblem:
     """A pass in its direction of travel with all that its waypoints know: blade compliance (n, 3) m/N in (n, t, b),
-    wheel defect (n,) m, clearances (n, N_CLEARANCE, 7): rows a.q >= b."""
+    wheel defect (n,) m, clearances (n, N_CLEARANCE, 7): rows a.q >= b; turn_limit
+    rad narrows the cell's turn tolerance where a turned wheel would touch the blade elsewhere."""
 
     path: BladePath
     seed: Seed
     compliance: Array
     defect: Array
     clearances: Array
+    turn_limit: float = np.inf
 
     @staticmethod
     def start(path: BladePath, seed: Seed, compliance: Array) -> "PassProblem":

@@ -16,6 +16,7 @@ from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
 from trajectories.passes import BladePath, PassOptions, passes
 from trajectories.path_file import read_path_file
 
+WHEEL_ROOM = 2e-3  # m added to the wheel where passes end beside block and platform: it turns, tilts and sinks in
 CLOUD_SPACING = 8e-4  # m between points of the surface cloud
 
 
@@ -109,6 +110,6 @@ def _options(cell: Cell, step: float) -> PassOptions:
         step=step,
         feed=process.feed,
         force=process.force,
-        wheel_radius=cell.wheel.radius,
-        wheel_width=cell.wheel.width,
+        wheel_radius=cell.wheel.radius + WHEEL_ROOM,
+        wheel_width=cell.wheel.width + 2 * WHEEL_ROOM,
     )

@@ -20,7 +20,6 @@ from ocp.readback import Readback, read_back
 from ocp.report.data import InputFile, SummaryRow
 from ocp.report.page import write_page
 from ocp.report.printed import write_pdf
-from ocp.theta import believed_theta
 from ocp.timeline import Timeline, build_timeline
 from ocp.verify import believed_robot
 
@@ -70,8 +69,7 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
         timeline = build_timeline(plan.motion, emitted_times(plan.motion, program))
         write_plan_csv(timeline, folder / "plan.csv")
     with phases.phase("reading back"):
-        theta = believed_theta(cell)
-        values = theta.values
+        values = plan.theta.values
         believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
         readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, main, plan.jobs)
     files = sorted(p.name for p in folder.iterdir() if p.suffix in (".src", ".dat"))

@@ -16,8 +16,9 @@ from ocp.optimise import Ground, solve_passes
 from ocp.paths import lay_paths
 from ocp.posture import find_seeds
 from ocp.prepare import prepare_contact
+from ocp.registration import registered
 from ocp.stage import Weights
-from ocp.theta import believed_theta
+from ocp.theta import Theta
 from robots.errors import BadInput
 from trajectories.blade import Blade
 
@@ -41,6 +42,7 @@ class Plan:
     """A motion that holds the force, with all that the files and the report need."""
 
     cell: Cell
+    theta: Theta
     blade: Blade
     motion: Motion
     cover: Cover
@@ -64,7 +66,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
 
     Raises BadInput (exit code 2) and Infeasible (exit code 1) of every part, one sentence each.
     """
-    cell = read_cell(cell_file, blade_file)
+    cell, theta = registered(read_cell(cell_file, blade_file))
     stl = cell.workpiece.stl
     if stl is None:
         raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")
@@ -79,7 +81,6 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     with phases.phase("passes"):
         laid = lay_paths(cell, stl, options)
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
-    theta = believed_theta(cell)
     weights = Weights(force_sd=FORCE_SD_WEIGHT if cell.calibration is not None else 0.0)
     with phases.phase("postures"):
         scene = Scene(cell, laid.blade.vertices)
@@ -96,6 +97,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         inputs.append(("calibration", cell.path.parent / cell.tables.robot.calibration))
     return Plan(
         cell=cell,
+        theta=theta,
         blade=laid.blade,
         motion=motion,
         cover=contact.cover,

@@ -207,7 +207,8 @@ class PassSolver:
         for row, half, name in ((2, lateral, "lateral"), (4, slope, "tilt_x"), (5, slope, "tilt_y")):
             limit = self.limits.get(name, (-np.inf, np.inf))
             low[row], high[row] = max(-half, limit[0]), min(half, limit[1])
-        low[3], high[3] = -process.turn_tolerance, process.turn_tolerance
+        turn = min(process.turn_tolerance, problem.turn_limit)
+        low[3], high[3] = -turn, turn
         low[6] = 0.7 * SHOULDER_MARGIN
         low[7], high[7] = self.limits.get("kxx", (0.0, np.inf))
         low[8] = 1e3 * LEAST_INDENTATION
