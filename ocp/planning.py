@@ -12,7 +12,8 @@ from ocp.collision import Scene
 from ocp.command import Phases
 from ocp.contact.cover import Cover
 from ocp.motion import Motion, build_motion
-from ocp.optimise import Ground, solve_passes
+from ocp.optimise import Ground, SolvedPass, solve_passes
+from ocp.pass_store import remembered_passes
 from ocp.paths import lay_paths
 from ocp.posture import find_seeds
 from ocp.prepare import prepare_contact
@@ -82,13 +83,17 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         laid = lay_paths(cell, stl, options)
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
     weights = Weights(force_sd=FORCE_SD_WEIGHT if cell.calibration is not None else 0.0)
-    with phases.phase("postures"):
-        scene = Scene(cell, laid.blade.vertices)
-        seeds = find_seeds(cell, scene, contact.law, laid.paths)
+    scene = Scene(cell, laid.blade.vertices)
+    ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
     give = [np.asarray(c) for c in contact.compliance.per_pass]
-    with phases.phase("optimal control", len(laid.paths)) as advance:
-        ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
-        solved = solve_passes(ground, laid.paths, seeds, give, jobs, advance)
+
+    def solve() -> list[SolvedPass]:
+        with phases.phase("postures"):
+            seeds = find_seeds(cell, scene, contact.law, laid.paths)
+        with phases.phase("optimal control", len(laid.paths)) as advance:
+            return solve_passes(ground, laid.paths, seeds, give, jobs, advance)
+
+    solved = remembered_passes(ground, laid.paths, give, solve)
     with phases.phase("timing", len(solved)) as advance:
         motion = build_motion(cell, scene, solved, advance)
     inputs = [("cell", cell_file), ("blade", stl)]
