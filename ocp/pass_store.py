@@ -36,5 +36,3 @@ def code_hash() -> str:
             if file.suffix in (".py", ".toml"):
                 digest.update(file.read_bytes())
     return digest.hexdigest()
-
-

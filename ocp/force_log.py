@@ -1,0 +1,208 @@
+"""A grinding-force log as recorded: axes, planned contact points, forces and conditions (FORMATS, force.csv)."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from robots.csv_table import CsvTable, read_csv_table
+from robots.errors import BadInput
+from robots.pose import Array
+
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+AXES = tuple(f"q{i}_deg" for i in range(1, 7))
+POINT, NORMAL, FEED = (tuple(f"{stem}{a}{unit}" for a in "xyz") for stem, unit in (("p", "_mm"), ("n", ""), ("t", "")))
+CONDITIONS = ("setpoint_N", "feed_mm_s", "belt_m_s", "line", "ground_before", "temperature_C", "wheel_temperature_C", "clock_s")
+OPTIONAL = ("s_mm", "ft_N", "sigma_fn_N", "sigma_ft_N", "contact", "session", *CONDITIONS)
+# What a missing column cannot show; the words after "no column NAME".
+BLIND = {
+    "contact": "rows whose fn_N stays near zero are taken as air runs",
+    "setpoint_N": "the cell's setpoint is taken for every row, flange stiffness and setpoint are hard to tell apart",
+    "belt_m_s": "the cell's belt speed is taken for every row, a reversed or stopped belt cannot be seen",
+    "ft_N": "friction cannot be tested",
+    "clock_s": "wear, drift and heat cannot be seen",
+    "session": "a blade gripped anew or a wheel moved between sessions cannot be seen",
+    "line": "errors cannot be told by line of the blade",
+    "ground_before": "material removal cannot be tested",
+    "feed_mm_s": "the feed of the log is taken from its points, effects of speed are seen less sharply",
+    "wheel_temperature_C": "heat in the wheel cannot be tested",
+}
+UNIT_TOLERANCE = 0.01  # of a unit vector's length
+SQUARE = 0.05  # largest |n . t|
+AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
+AIR_WINDOW = 9  # rows over whose median that is judged
+
+
+@dataclass(frozen=True)
+class ForceLog:
+    """n rows in time order inside each run, SI and radians.
+
+    run, session (n,): indices into `runs`, `sessions`; time (n,) s; q (n, 6) rad commanded; p (n, 3) m, n, t (n, 3) unit,
+    blade frame; fn (n,) N, nan where it is to be predicted; contact (n,) False in an air run. None where the file has no
+    such column: s m, ft N, sigma_fn N, sigma_ft N, setpoint N, feed m/s, belt m/s, line, ground_before, temperatures C,
+    clock s. row (n,): line in the file.
+    """
+
+    path: Path
+    run: Index
+    runs: tuple[str, ...]
+    time: Array
+    q: Array
+    p: Array
+    n: Array
+    t: Array
+    fn: Array
+    contact: Flags
+    session: Index
+    sessions: tuple[str, ...]
+    s: Array | None
+    ft: Array | None
+    sigma_fn: Array | None
+    sigma_ft: Array | None
+    setpoint: Array | None
+    feed: Array | None
+    belt: Array | None
+    line: Index | None
+    ground_before: Index | None
+    temperature: Array | None
+    wheel_temperature: Array | None
+    clock: Array | None
+    row: Index
+    notices: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def take(self, rows: NDArray[np.generic]) -> "ForceLog":
+        """The rows of an index or mask; names keep their indices."""
+        return replace(self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)})
+
+
+def read_force_log(path: str | Path, sealed: bool = False) -> ForceLog:
+    """The rows of a force.csv; `sealed` files hold conditions to predict, without fn_N.
+
+    Raises BadInput: as `read_csv_table`, and for vectors that are not unit or not square to each other, times that run
+    back, flags, counts, feeds, setpoints and sigmas out of range, a force that is negative nearly throughout, no contact.
+    """
+    vectors = (*POINT, *NORMAL, *FEED)
+    needed = ("run", "time_s", *AXES, *vectors, *(() if sealed else ("fn_N",)))
+    table = read_csv_table(path, needed, (*OPTIONAL, "fn_N"), ("run", "session"))
+    n, t = table.stack(NORMAL), table.stack(FEED)
+    _check_vectors(table, n, t)
+    run, runs = _words(table, "run")
+    session, sessions = _words(table, "session")
+    _check_times(table, run, runs)
+    fn = np.full(len(table), np.nan) if sealed else table.numbers["fn_N"]
+    blind = [f"{table.path.name}: no column {c}: {text}" for c, text in BLIND.items()
+             if c not in table.numbers and c not in table.words and not (sealed and c in ("contact", "ft_N"))]  # fmt: skip
+    ignored = [f"{table.path.name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
+    contact = _contact(table, fn, run)
+    if not sealed:
+        _check_force(table, fn, contact)
+    return ForceLog(
+        path=table.path, run=run, runs=runs, time=table.numbers["time_s"], q=np.radians(table.stack(AXES)),
+        p=1e-3 * table.stack(POINT), n=n / np.linalg.norm(n, axis=1, keepdims=True),
+        t=t / np.linalg.norm(t, axis=1, keepdims=True), fn=fn, contact=contact, session=session, sessions=sessions,
+        s=_scaled(table, "s_mm", 1e-3), ft=table.numbers.get("ft_N"), sigma_fn=_positive(table, "sigma_fn_N"),
+        sigma_ft=_positive(table, "sigma_ft_N"), setpoint=_not_negative(table, "setpoint_N", 1.0),
+        feed=_not_negative(table, "feed_mm_s", 1e-3), belt=table.numbers.get("belt_m_s"),
+        line=_counts(table, "line"), ground_before=_counts(table, "ground_before"),
+        temperature=table.numbers.get("temperature_C"), wheel_temperature=table.numbers.get("wheel_temperature_C"),
+        clock=table.numbers.get("clock_s"), row=np.array(table.line), notices=(*ignored, *blind),
+    )  # fmt: skip
+
+
+def _words(table: CsvTable, column: str) -> tuple[Index, tuple[str, ...]]:
+    """Index of each row's label and the labels; an absent column is one label without a name."""
+    if column not in table.words:
+        return np.zeros(len(table), np.int64), ("",)
+    words = table.words[column]
+    for row, word in enumerate(words):
+        if not word:
+            raise table.refuse(row, column, "is empty where a label is expected; give one or remove the row")
+    names = tuple(dict.fromkeys(words))
+    at = {name: i for i, name in enumerate(names)}
+    return np.array([at[word] for word in words], np.int64), names
+
+
+def _check_vectors(table: CsvTable, n: Array, t: Array) -> None:
+    for columns, vectors in ((NORMAL, n), (FEED, t)):
+        length = np.linalg.norm(vectors, axis=1)
+        bad = np.abs(length - 1.0) > UNIT_TOLERANCE
+        if bad.any():
+            k = int(np.argmax(bad))
+            what = f"{columns[0]}, {columns[1]}, {columns[2]}"
+            raise table.refuse(k, columns[0], f"makes the vector {what} {length[k]:.4g} long; a unit vector is expected")
+    slant = np.abs(np.sum(n * t, axis=1))
+    if (slant > SQUARE).any():
+        k = int(np.argmax(slant > SQUARE))
+        raise table.refuse(k, "tx", f"makes n . t = {slant[k]:.3f}; the feed direction must lie in the surface (below {SQUARE})")
+
+
+def _check_times(table: CsvTable, run: Index, runs: tuple[str, ...]) -> None:
+    time = table.numbers["time_s"]
+    for i, name in enumerate(runs):
+        rows = np.flatnonzero(run == i)
+        back = np.flatnonzero(np.diff(time[rows]) < 0)
+        if len(back):
+            k = int(rows[back[0] + 1])
+            before = time[rows[back[0]]]
+            raise table.refuse(k, "time_s", f"comes after {before:g} in run {name}; the rows of a run must be in time order")
+
+
+def _contact(table: CsvTable, fn: Array, run: Index) -> Flags:
+    """The column, else a running median of fn_N against the log's usual force."""
+    if "contact" in table.numbers:
+        flags = table.numbers["contact"]
+        bad = ~np.isin(flags, (0.0, 1.0))
+        if bad.any():
+            raise table.refuse(int(np.argmax(bad)), "contact", "must be 1 in contact or 0 in an air run")
+        return np.asarray(flags == 1.0)
+    if np.isnan(fn).all():
+        return np.ones(len(fn), bool)
+    limit = AIR_SHARE * float(np.percentile(fn, 90))
+    level = np.empty_like(fn)
+    for i in range(int(run.max()) + 1):
+        level[run == i] = median_filter(fn[run == i], AIR_WINDOW, mode="nearest")
+    return np.asarray(level > limit)
+
+
+def _check_force(table: CsvTable, fn: Array, contact: Flags) -> None:
+    if not contact.any():
+        raise BadInput(f"{table.path}: no row is in contact (column contact, or fn_N near zero throughout); nothing to fit")
+    if np.median(fn[contact]) < 0:
+        k = int(np.argmax(contact & (fn < 0)))
+        raise table.refuse(k, "fn_N", "is negative as most of the log is; the force that presses wheel and blade is positive")
+
+
+def _scaled(table: CsvTable, column: str, factor: float) -> Array | None:
+    values = table.numbers.get(column)
+    return None if values is None else values * factor
+
+
+def _not_negative(table: CsvTable, column: str, factor: float) -> Array | None:
+    values = table.numbers.get(column)
+    if values is not None and (values < 0).any():
+        raise table.refuse(int(np.argmax(values < 0)), column, "must be zero or above")
+    return _scaled(table, column, factor)
+
+
+def _positive(table: CsvTable, column: str) -> Array | None:
+    values = table.numbers.get(column)
+    if values is not None and (values <= 0).any():
+        raise table.refuse(int(np.argmax(values <= 0)), column, "must be above 0")
+    return values
+
+
+def _counts(table: CsvTable, column: str) -> Index | None:
+    values = table.numbers.get(column)
+    if values is None:
+        return None
+    bad = (values < 0) | (values != np.round(values))
+    if bad.any():
+        raise table.refuse(int(np.argmax(bad)), column, "must be a whole number, zero or above")
+    return values.astype(np.int64)

@@ -1,0 +1,115 @@
+"""A CSV file as columns of numbers and words, every complaint with file, line, column and value."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robots.errors import BadInput
+from robots.pose import Array
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """Columns of a file: `numbers` as (n,) arrays, `words` as lists; line (n,) in the file of each row; ignored columns."""
+
+    path: Path
+    numbers: dict[str, Array]
+    words: dict[str, list[str]]
+    line: list[int]
+    ignored: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def stack(self, columns: Sequence[str]) -> Array:
+        """The named columns side by side, (n, len(columns))."""
+        return np.stack([self.numbers[c] for c in columns], axis=1)
+
+    def refuse(self, row: int, column: str, reason: str) -> BadInput:
+        """The error to raise about one value."""
+        value = self.words[column][row] if column in self.words else f"{self.numbers[column][row]:g}"
+        return BadInput(f"{self.path}, line {self.line[row]}, column {column}: {value} {reason}")
+
+
+def read_csv_table(path: str | Path, needed: Sequence[str], optional: Sequence[str] = (), words: Sequence[str] = ()) -> CsvTable:
+    """Read a file with a header. Numbers are finite; `words` names the columns, needed or optional, kept as text.
+
+    Comma-separated, decimal points; blank lines and lines that begin with # are passed over. Columns of other names are
+    ignored and named in `ignored`. Raises BadInput for everything else.
+    """
+    path = Path(path)
+    header, rows, lines = _cells(path, needed)
+    known = [c for c in header if c in needed or c in optional]
+    for column in known:
+        if header.count(column) > 1:
+            raise BadInput(f"{path}: column {column} stands there twice; remove one")
+    numbers: dict[str, Array] = {}
+    texts: dict[str, list[str]] = {}
+    for k, column in enumerate(header):
+        if column not in known:
+            continue
+        cells = [row[k] for row in rows]
+        if column in words:
+            texts[column] = cells
+        else:
+            numbers[column] = np.array([_number(path, n, column, cell) for n, cell in zip(lines, cells, strict=True)])
+    return CsvTable(path, numbers, texts, lines, tuple(c for c in header if c not in known))
+
+
+def _cells(path: Path, needed: Sequence[str]) -> tuple[list[str], list[list[str]], list[int]]:
+    """Header, rows and the line of each row."""
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror or error}); give the path of a CSV file") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: byte {error.start} is no text; give a CSV file") from None
+    reader = csv.reader(text.splitlines())
+    header: list[str] = []
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    try:
+        for row in reader:
+            cells = [cell.strip() for cell in row]
+            if not any(cells) or cells[0].startswith("#"):
+                continue
+            if not header:
+                header = cells
+                _check_header(path, header, reader.line_num, needed)
+            elif len(cells) != len(header):
+                raise BadInput(
+                    f"{path}, line {reader.line_num}: {len(cells)} values where the header names {len(header)} columns; "
+                    "separate values by commas and decimals by points"
+                )
+            else:
+                rows.append(cells)
+                lines.append(reader.line_num)
+    except csv.Error as error:
+        raise BadInput(f"{path}, line {reader.line_num}: {error}; give a CSV file") from None
+    if not rows:
+        raise BadInput(f"{path}: holds no {'row' if header else 'header'}; needed columns are {', '.join(needed)}")
+    return header, rows, lines
+
+
+def _check_header(path: Path, header: list[str], number: int, needed: Sequence[str]) -> None:
+    if len(header) == 1 and ";" in header[0]:
+        raise BadInput(f"{path}, line {number}: values are separated by semicolons; separate them by commas")
+    missing = [column for column in needed if column not in header]
+    if missing:
+        raise BadInput(
+            f"{path}, line {number}: column{'s' if len(missing) > 1 else ''} {', '.join(missing)} missing; the header "
+            f"reads '{', '.join(header)[:120]}'"
+        )
+
+
+def _number(path: Path, line: int, column: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise BadInput(f"{path}, line {line}, column {column}: '{text}' is not a number") from None
+    if not np.isfinite(value):
+        raise BadInput(f"{path}, line {line}, column {column}: '{text}' is not a finite number; remove the row") from None
+    return value

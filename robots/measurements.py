@@ -1,0 +1,197 @@
+"""Laser-tracker readings: what was commanded, what hung on the robot, what the tracker saw (FORMATS, tracker.csv)."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from robots.csv_table import CsvTable, read_csv_table
+from robots.errors import BadInput
+from robots.pose import Array
+
+Index = NDArray[np.int64]
+
+AXES = tuple(f"q{i}_deg" for i in range(1, 7))
+POINT = ("x_mm", "y_mm", "z_mm")
+LOAD = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
+PLACE = ("lx_mm", "ly_mm", "lz_mm")
+TURN = ("rx_deg", "ry_deg", "rz_deg")
+APPROACH = tuple(f"approach{i}" for i in range(1, 7))
+WORDS = ("target", "payload", "session", "station")
+OPTIONAL = (*POINT, *WORDS, "time_s", "temperature_C", *APPROACH, *LOAD, *PLACE, "load_link", "sigma_um", *TURN, "sigma_rot_deg")
+REPEAT_TOLERANCE = np.radians(1e-4)
+# What a missing column cannot show.
+BLIND = {
+    "approach1": "no approach columns: backlash cannot be tested",
+    "temperature_C": "no column temperature_C: growth with temperature cannot be seen",
+    "time_s": "no column time_s: drift cannot be seen",
+}
+
+
+@dataclass(frozen=True)
+class Nest:
+    """A reflector nest or 6D target: the link it sits on (0..6, 6 = flange), place (3,) m and turn (3, 3) in that link's
+    MD-H frame, or None where the cell does not say where it is."""
+
+    link: int = 6
+    place: Array | None = None
+    turn: Array | None = None
+
+
+@dataclass(frozen=True)
+class Hanging:
+    """A payload: mass kg, centre (3,) m in the flange frame."""
+
+    mass: float = 0.0
+    com: Array = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """The cell's tracker: one sigma m along the beam and per m of range more across it, sd m of nest places, the nests."""
+
+    range_noise: float = 8e-6
+    transverse_noise: float = 3e-6
+    nest_sd: float = 1e-3
+    nests: dict[str, Nest] | None = None
+
+
+@dataclass(frozen=True)
+class Readings:
+    """n readings. q (n, 6) rad commanded; point (n, 3) m in the tracker's frame, nan where it is to be predicted.
+
+    Words as indices into their names: target, payload, session, station (n,). load (n, 6) N, N m in base axes at
+    load_place (n, 3) m of load_link (n,); approach (n, 6) or None; time s, temperature C, sigma m (n,) or None; turn
+    (n, 3, 3) with sigma_turn (n,) rad of a 6D target or None; line (n,) in the file.
+    """
+
+    path: Path
+    q: Array
+    point: Array
+    target: Index
+    targets: tuple[str, ...]
+    payload: Index
+    payloads: tuple[str, ...]
+    station: Index
+    stations: tuple[str, ...]
+    session: Index
+    sessions: tuple[str, ...]
+    load: Array
+    load_link: Index
+    load_place: Array
+    approach: Array | None
+    time: Array | None
+    temperature: Array | None
+    sigma: Array | None
+    turn: Array | None
+    sigma_turn: Array | None
+    line: Index
+    notices: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def take(self, rows: NDArray[np.generic]) -> "Readings":
+        """The readings of an index or mask; names keep their indices."""
+        arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **arrays)
+
+    def repeats(self) -> Index:
+        """Group (n,) of each reading: the same axes, target, payload, load, approach, station and session."""
+        keys = [np.round(self.q / REPEAT_TOLERANCE), *(getattr(self, w)[:, None] for w in WORDS), self.load]
+        keys += [self.load_link[:, None], self.load_place]
+        if self.approach is not None:
+            keys.append(self.approach)
+        return np.asarray(np.unique(np.hstack(keys), axis=0, return_inverse=True)[1], np.int64).ravel()
+
+
+def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: Instrument, sealed: bool = False) -> Readings:
+    """Readings of a tracker.csv; `sealed` files have conditions to predict and no measured columns.
+
+    Raises BadInput: as `read_csv_table`, and a payload, target, sign or link that does not exist.
+    """
+    needed = AXES if sealed else (*AXES, *POINT)
+    table = read_csv_table(path, needed, OPTIONAL, WORDS)
+    notices = [f"{table.path.name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
+    notices += [text for column, text in BLIND.items() if column not in table.numbers]
+    if not sealed and not (np.abs(table.stack(POINT)).max(axis=1) > 0).all():
+        row = int(np.argmin(np.abs(table.stack(POINT)).max(axis=1) > 0))
+        raise BadInput(f"{table.path}, line {table.line[row]}: the reading is 0, 0, 0, the tracker itself; remove the row")
+    n = len(table)
+    measured = all(c in table.numbers for c in POINT)
+    nests = instrument.nests or {}
+    target, targets = _words(table, "target", tuple(nests) if nests else None, "tracker.targets")
+    payload, names = _words(table, "payload", tuple(payloads) if payloads else None, "payloads")
+    station, stations = _words(table, "station")
+    session, sessions = _words(table, "session")
+    turn = Rotation.from_euler("xyz", table.stack(TURN), degrees=True).as_matrix() if _all(table, TURN) else None
+    turn_sd = np.radians(table.numbers["sigma_rot_deg"]) if "sigma_rot_deg" in table.numbers else None
+    return Readings(
+        path=table.path,
+        q=np.radians(table.stack(AXES)),
+        point=1e-3 * table.stack(POINT) if measured else np.full((n, 3), np.nan),
+        target=target, targets=targets, payload=payload, payloads=names, station=station, stations=stations,
+        session=session, sessions=sessions,
+        load=table.stack(LOAD) if _all(table, LOAD) else _partial(table, LOAD),
+        load_link=_links(table),
+        load_place=1e-3 * _partial(table, PLACE),
+        approach=_signs(table),
+        time=table.numbers.get("time_s"),
+        temperature=table.numbers.get("temperature_C"),
+        sigma=_positive(table, "sigma_um", 1e-6),
+        turn=turn,
+        sigma_turn=turn_sd,
+        line=np.array(table.line),
+        notices=tuple(notices),
+    )  # fmt: skip
+
+
+def _all(table: CsvTable, columns: tuple[str, ...]) -> bool:
+    return all(c in table.numbers for c in columns)
+
+
+def _partial(table: CsvTable, columns: tuple[str, ...]) -> Array:
+    """Columns side by side, zero where one is absent."""
+    return np.stack([table.numbers.get(c, np.zeros(len(table))) for c in columns], axis=1)
+
+
+def _words(table: CsvTable, column: str, known: tuple[str, ...] | None = None, where: str = "") -> tuple[Index, tuple[str, ...]]:
+    """Index of each row's word and the words; an absent column means the first known word."""
+    if column not in table.words:
+        return np.zeros(len(table), np.int64), ((known or ("",))[0],)
+    words = table.words[column]
+    names = known if known is not None else tuple(dict.fromkeys(words))
+    for row, word in enumerate(words):
+        if word not in names:
+            raise table.refuse(row, column, f"is not in the cell's [{where}] ({', '.join(names)}); add it there or correct it")
+    return np.array([names.index(word) for word in words], np.int64), names
+
+
+def _signs(table: CsvTable) -> Array | None:
+    if not _all(table, APPROACH):
+        return None
+    signs = table.stack(APPROACH)
+    bad = ~np.isin(signs, (-1.0, 0.0, 1.0))
+    if bad.any():
+        row, axis = np.argwhere(bad)[0]
+        raise table.refuse(int(row), APPROACH[axis], "must be -1, 0 or 1, the sign of the axis' last motion")
+    return signs
+
+
+def _links(table: CsvTable) -> Index:
+    links = table.numbers.get("load_link", np.full(len(table), 6.0))
+    bad = ~np.isin(links, np.arange(7.0))
+    if bad.any():
+        raise table.refuse(int(np.argmax(bad)), "load_link", "must be a link from 0 (base) to 6 (flange)")
+    return links.astype(np.int64)
+
+
+def _positive(table: CsvTable, column: str, factor: float) -> Array | None:
+    values = table.numbers.get(column)
+    if values is None:
+        return None
+    if (values <= 0).any():
+        raise table.refuse(int(np.argmax(values <= 0)), column, "must be above 0")
+    return values * factor
