@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Vector = tuple[Number, Number, Number]
 
 
@@ -25,7 +25,7 @@ class RobotTable(Table):
     model: str
     calibration: str | None = None
     stiffness_Nm_per_rad: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative] | None = None
-    compliant_joints: tuple[Annotated[int, Field(ge=1, le=6)], ...] = (2, 3)
+    compliant_joints: tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...] = (2, 3)
 
 
 class PayloadTable(Table):
@@ -38,8 +38,8 @@ class PayloadTable(Table):
 class ControllerTable(Table):
     """`[controller]`."""
 
-    tool_no: Annotated[int, Field(ge=1, le=128)] = 1
-    base_no: Annotated[int, Field(ge=1, le=128)] = 1
+    tool_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
+    base_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
     absolute_accuracy: bool = False
 
 
@@ -54,14 +54,14 @@ class WorkpieceTable(Table):
     xyz_sd_mm: NotNegative = 0.3
     abc_sd_deg: NotNegative = 0.05
     youngs_modulus_GPa: Positive = 114.0
-    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = 0.34
+    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5, strict=True)] = 0.34
     density_kg_m3: Positive = 4430.0
     clamp_axis: Literal["x", "y", "z"] | None = None
     clamp_to_mm: Number | None = None
     clamp_side: Literal["below", "above"] = "below"
     clamp_normal: Vector | None = None
     clamp_offset_mm: Number | None = None
-    clamp_stiffness_N_per_mm: Annotated[float, Field(gt=0)] = float("inf")
+    clamp_stiffness_N_per_mm: Annotated[float, Field(gt=0, strict=True)] = float("inf")
 
     @model_validator(mode="after")
     def _one_clamp(self) -> "WorkpieceTable":
@@ -85,8 +85,8 @@ class WheelTable(Table):
     width_mm: Positive
     cover_thickness_mm: Positive
     cover_modulus_MPa: Positive | None = None
-    shore_A: Annotated[float, Field(ge=20, le=95)] | None = None
-    cover_poisson: Annotated[float, Field(ge=0, le=0.495)] = 0.47
+    shore_A: Annotated[float, Field(ge=20, le=95, strict=True)] | None = None
+    cover_poisson: Annotated[float, Field(ge=0, le=0.495, strict=True)] = 0.47
     contact_arc_deg: tuple[Number, Number] = (-30.0, 30.0)
     contact_direction: Vector
     belt_speed_m_s: Number = 20.0
@@ -131,13 +131,13 @@ class FlangeTable(Table):
 class ProcessTable(Table):
     """`[process]`."""
 
-    force_N: Positive = 20.0
+    force_N: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False, strict=True)] = 20.0
     feed_mm_s: Positive = 40.0
     pass_spacing_mm: Positive = 6.0
     passes: Literal["spanwise", "chordwise"] = "spanwise"
     side: Literal["convex", "concave", "both"] = "both"
-    tilt_tolerance_deg: Annotated[float, Field(ge=0, le=45)] = 3.0
-    turn_tolerance_deg: Annotated[float, Field(ge=0, le=180)] = 30.0
+    tilt_tolerance_deg: Annotated[float, Field(ge=0, le=45, strict=True)] = 3.0
+    turn_tolerance_deg: Annotated[float, Field(ge=0, le=180, strict=True)] = 30.0
     lateral_tolerance_mm: NotNegative = 10.0
     grinding: Literal["down", "up"] = "down"
     root_margin_mm: NotNegative = 5.0
@@ -148,7 +148,7 @@ class ProcessTable(Table):
 class LinkTarget(Table):
     """A reflector nest on a link, or a 6D target."""
 
-    link: Annotated[int, Field(ge=0, le=6)] = 6
+    link: Annotated[int, Field(ge=0, le=6, strict=True)] = 6
     xyz_mm: Vector
     abc_deg: Vector | None = None
 

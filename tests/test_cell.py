@@ -93,3 +93,12 @@ def test_a_missing_cell_and_a_missing_table_are_refused(tmp_path):
     path.write_text('[robot]\nmodel = "kr210_r2700_extra"\n')
     with pytest.raises(BadInput, match=r"table \[workpiece\] is missing"):
         read_cell(path)
+
+
+@pytest.mark.parametrize(("key", "value"), [("radius_mm", '"40"'), ("feed_mm_s", "true"), ("force_N", "1e6"), ("tool_no", "1.0")])
+def test_numbers_are_numbers_of_a_sound_size(tmp_path, key, value):
+    text = re.sub(rf"(?m)^{key} = [^#\n]*", f"{key} = {value} ", TEXT)
+    assert text != TEXT
+    (tmp_path / "cell.toml").write_text(text)
+    with pytest.raises(BadInput, match=key):
+        read_cell(tmp_path / "cell.toml")

@@ -111,6 +111,11 @@ def draw(cover: Cover, domain: Domain, count: int, seed: int, spread: bool, forc
             solved.append([F, *shape])
             indentation.append(contact.indentation)
             axes.append(contact.semi_axes)
+    if len(solved) < 0.5 * len(inputs):
+        raise Infeasible(
+            f"under {domain.force:g} N the blade would press the wheel's cover round more than the wheel in "
+            f"{1 - len(solved) / len(inputs):.0%} of all postures; ask for less force or use a harder cover"
+        )
     return Samples(np.array(solved), np.array(indentation), np.array(axes), count - len(solved))
 
 
