@@ -16,9 +16,10 @@ from scipy.stats import chi2
 
 from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, moved, nominal_state
 from robots.calibration.noise import TURN_SD, Noise, reading_covariance, whitener
+from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.residuals import Linearised, linearise, residuals
 from robots.calibration.start import robust_motion
-from robots.measurements import Hanging, Instrument, Readings
+from robots.measurements import Hanging, Index, Instrument, Readings
 from robots.pose import Array
 from robots.robot import Robot
 
@@ -27,17 +28,23 @@ MAX_STEPS = 40
 SETTLED = 1e-3  # of one posterior sd: smaller steps end the fit
 RELINEARISE = 1e-5  # m or rad: smaller steps leave the Jacobian as it is (its change is below 1e-5 of itself)
 JOINT_NOISE = (1e-6, 3e-3)  # rad, where the joint noise is searched
+LEARNED = (5e-5, 1e-2)  # m or rad, bounds of the learned priors
 PLAIN, WEAK = Choice(), Priors()
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """What a fit starts from: robot, readings, what hung on the flange, the instrument."""
+    """What a fit starts from: robot, readings, what hung on the flange, the instrument.
+
+    pairs (m, 2): where given, differences of these readings are fitted instead of the readings (the relative model); both
+    of a pair are of one station.
+    """
 
     robot: Robot
     readings: Readings
     payloads: dict[str, Hanging]
     instrument: Instrument
+    pairs: Index | None = None
 
 
 @dataclass(frozen=True)
@@ -103,6 +110,22 @@ def fit_campaign(
     return _finished(campaign, choice, priors, layout, start, result, noise)
 
 
+def learned_priors(fit: Fit) -> Priors:
+    """Priors as wide as the deviations that this robot shows (MacKay 1992, eq. 2.20), lengths and angles apart.
+
+    What no reading determines then varies as much as what the readings do determine: the gauge's honest sd.
+    """
+    lengths = np.array([name[0] == "d" or (name[0] == "a" and name[1] != "l") for name in MDH_NAMES])
+    found = []
+    for kind, before in ((lengths, fit.priors.length), (~lengths, fit.priors.angle)):
+        columns = fit.layout.arm[:30][kind]
+        columns = columns[columns >= 0]
+        known = np.sum(1.0 - (fit.sd[columns] / before) ** 2)
+        size = np.sqrt(np.sum(fit.offset[columns] ** 2) / max(known, 1.0)) if known > 2.0 else before
+        found.append(float(np.clip(size, *LEARNED)))
+    return replace(fit.priors, length=found[0], angle=found[1])
+
+
 def located(campaign: Campaign, state: State) -> State:
     """`state` with its stations where most readings want them, and nests that the cell does not place."""
     c = campaign
@@ -112,7 +135,7 @@ def located(campaign: Campaign, state: State) -> State:
     for k in np.unique(c.readings.station):
         rows = c.readings.station == k
         stations[k] = robust_motion(base_points[rows], c.readings.point[rows])[0]
-    state = replace(state, stations=stations)
+    state, campaign = replace(state, stations=stations), replace(c, pairs=None)
     rigid = Choice(geometry=False, joints=())
     layout = build_layout(c.robot, c.readings, c.instrument, rigid, Priors())
     return _solve(campaign, layout, state, state, np.zeros(layout.size), Noise()).state
@@ -145,8 +168,7 @@ def _solve(campaign: Campaign, layout: Layout, start: State, begin: State, offse
     """Levenberg-Marquardt with the spread lowered as the residuals allow."""
     c = campaign
     state = begin
-    linear = linearise(c.robot, c.readings, c.instrument, layout, state)
-    W = _whitener(c, linear, noise)
+    linear, W = _looked(c, layout, state, noise)
     precision = np.where(np.isfinite(layout.prior_sd), (layout.scale / layout.prior_sd) ** 2, 0.0)
     squared = _squared(W, linear.residual)
     k = linear.residual.shape[1]
@@ -164,7 +186,7 @@ def _solve(campaign: Campaign, layout: Layout, start: State, begin: State, offse
             damped = normal + np.diag(damping * np.diag(normal) + 1e-12)
             step = layout.scale * cho_solve(cho_factor(damped), rhs)
             trial = moved(layout, state, step)
-            residual = residuals(c.robot, c.readings, c.instrument, trial)
+            residual = _paired(c, residuals(c.robot, c.readings, c.instrument, trial))
             trial_squared = _squared(W, residual)
             if _cost(trial_squared, spread, k, offset + step, layout) <= cost * (1 + 1e-12) + 1e-9 or damping > 1e6:
                 break
@@ -174,8 +196,7 @@ def _solve(campaign: Campaign, layout: Layout, start: State, begin: State, offse
         length = float(np.sqrt((step / layout.scale) @ normal @ (step / layout.scale)))
         state, offset, squared = trial, offset + step, trial_squared
         if np.abs(step).max() > RELINEARISE:
-            linear = linearise(c.robot, c.readings, c.instrument, layout, state)
-            W = _whitener(c, linear, noise)
+            linear, W = _looked(c, layout, state, noise)
             squared = _squared(W, linear.residual)
         else:
             linear = replace(linear, residual=residual)
@@ -185,6 +206,22 @@ def _solve(campaign: Campaign, layout: Layout, start: State, begin: State, offse
         if settled:
             break
     return _Solution(state, offset, linear, W, squared, spread, steps)
+
+
+def _looked(campaign: Campaign, layout: Layout, state: State, noise: Noise) -> tuple[Linearised, Array]:
+    """Residuals with derivatives and their whitener, of readings or of pairs of them."""
+    c = campaign
+    linear = linearise(c.robot, c.readings, c.instrument, layout, state)
+    if c.pairs is None:
+        return linear, _whitener(c, linear, noise)
+    covariance = reading_covariance(c.readings, c.instrument, noise, linear.d_joints)
+    W = whitener(covariance[c.pairs[:, 0]] + covariance[c.pairs[:, 1]])
+    return replace(linear, residual=_paired(c, linear.residual), J=_paired(c, linear.J)), W
+
+
+def _paired(campaign: Campaign, rows: Array) -> Array:
+    """Rows (n, 3, ..) as they are, or their differences over the pairs (m, 3, ..)."""
+    return rows if campaign.pairs is None else rows[campaign.pairs[:, 1]] - rows[campaign.pairs[:, 0]]
 
 
 def _whitener(campaign: Campaign, linear: Linearised, noise: Noise) -> Array:
@@ -242,11 +279,12 @@ def _cost(squared: Array, spread: float, k: int, offset: Array, layout: Layout) 
 def joint_noise(campaign: Campaign, layout: Layout, solution: _Solution) -> Noise:
     """The joint noise whose covariance explains the residuals best (Student-t likelihood), freedom of the fit allowed for."""
     readings = campaign.readings
-    n = len(readings)
-    freedom = max(1.0 - layout.size / (3.0 * n), 0.1)
     off, d_joints = solution.linear.residual[:, :3], solution.linear.d_joints
+    freedom = max(1.0 - layout.size / (3.0 * len(off)), 0.1)
     plain = reading_covariance(readings, campaign.instrument, Noise(0.0), d_joints)
     per_joint = d_joints @ np.swapaxes(d_joints, 1, 2)
+    if campaign.pairs is not None:
+        plain, per_joint = (m[campaign.pairs[:, 0]] + m[campaign.pairs[:, 1]] for m in (plain, per_joint))
 
     def misfit(log_joints: float) -> float:
         covariance = freedom * consistency(3) * (plain + np.exp(2 * log_joints) * per_joint)
@@ -263,7 +301,7 @@ def _finished(
 ) -> Fit:
     """Covariance of the M-estimator (Huber 1981, section 7.6) about the solution."""
     k = solution.linear.residual.shape[1]
-    n, p = len(campaign.readings), layout.size
+    n, p = len(solution.linear.residual), layout.size
     a, freedom = consistency(k), max(1.0 - p / (n * k), 0.1)
     spread = _spread(solution.squared, k, freedom)
     m2 = solution.squared / spread**2
@@ -273,6 +311,11 @@ def _finished(
     slope = float(np.mean(weight - 2.0 * weight * m2 / (NU * a + m2) / k))
     scaled = ((solution.W @ solution.linear.J) * layout.scale / spread).reshape(-1, p)
     precision = np.where(np.isfinite(layout.prior_sd), (layout.scale / layout.prior_sd) ** 2, 0.0)
+    if campaign.pairs is not None:
+        # Differences do not place the stations; the mean of as many readings does afterwards.
+        one = 0.5 * spread**2 / float(np.median((solution.W**2).sum(axis=(1, 2)) / 3))
+        shift = station_shifts(layout)
+        precision[shift] = layout.scale[shift] ** 2 * len(campaign.readings) / one
     information = scaled.T @ scaled * slope**2 / power + np.diag(precision)
     inverse = cho_solve(cho_factor(information), np.eye(p))
     covariance = layout.scale[:, None] * inverse * layout.scale[None, :]
@@ -280,6 +323,12 @@ def _finished(
         campaign, choice, priors, layout, start, solution.state, solution.offset, covariance, solution.linear.residual,
         weight * NU * a / (NU + k), solution.squared, solution.linear.J, solution.W, noise, spread, solution.steps,
     )  # fmt: skip
+
+
+def station_shifts(layout: Layout) -> Index:
+    """Columns of the stations' shifts."""
+    columns = layout.station[:, :3]
+    return np.asarray(columns[columns >= 0], np.int64)
 
 
 def predict_readings(fit: Fit, readings: Readings) -> tuple[Array, Array]:

@@ -1,0 +1,99 @@
+"""Which terms a model earns: a joint that bends, a payload that differs, each judged on readings it was not fitted to."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robots.calibration.fit import NU, Campaign, Fit, consistency, fit_campaign
+from robots.calibration.layout import Choice
+from robots.calibration.validation import Fold, HeldOut, folds, hold_out
+from robots.robot import Robot
+
+LEAST_GAIN = 4.0  # of log density over all held-out readings; below it a term is not worth its name
+LEAST_SIGMA = 2.5  # gain over its own standard error, blocks of readings counted as one
+ROUNDS = 4
+READINGS = 1200  # of a longer campaign, evenly taken: evidence does not need more
+
+
+@dataclass(frozen=True)
+class Term:
+    """A candidate: its name in words, gain of held-out log density, that over its standard error, and whether it entered."""
+
+    name: str
+    gain: float
+    sigma: float
+    accepted: bool
+
+
+def choose_terms(fit: Fit) -> tuple[Choice, list[Term]]:
+    """Add to the model of `fit` the joints and payloads that predict held-out blocks better; all candidates are told."""
+    n = len(fit.campaign.readings)
+    campaign = fit.campaign
+    if n > READINGS:
+        campaign = replace(campaign, readings=campaign.readings.take(np.unique(np.linspace(0, n - 1, READINGS).astype(int))))
+        fit = fit_campaign(campaign, fit.choice, fit.priors, fit.noise, begin=fit.state)
+    blocks = [f for f in folds(campaign) if f.kind == "region"] + [f for f in folds(campaign, 1) if f.kind == "random"]
+    tried: list[Term] = []
+    for _ in range(ROUNDS):
+        base = _scores(fit, blocks, fit.choice)
+        found = []
+        for name, choice in _candidates(fit):
+            # What does not even help where it was fitted is not tried on what was held out.
+            other = fit_campaign(campaign, choice, fit.priors, fit.noise, begin=fit.state)
+            own = _likelihood(other) - _likelihood(fit)
+            gain = _gain(base, _scores(fit, blocks, choice)) if own > LEAST_GAIN else (min(own, 0.0), 0.0)
+            found.append((Term(name, *gain, True), choice))
+        found.sort(key=lambda entry: -entry[0].gain)
+        good = [e for e in found if e[0].gain > LEAST_GAIN and e[0].sigma > LEAST_SIGMA]
+        tried = [t for t in tried if t.accepted] + [
+            replace(t, accepted=False) for t, c in found if not good or c is not good[0][1]
+        ]
+        if not good:
+            break
+        tried.append(good[0][0])
+        fit = fit_campaign(campaign, good[0][1], fit.priors, fit.noise, begin=fit.state)
+    return fit.choice, sorted(tried, key=lambda t: (not t.accepted, -t.gain))
+
+
+def _candidates(fit: Fit) -> Iterator[tuple[str, Choice]]:
+    """Each term that the model does not have."""
+    choice, campaign = fit.choice, fit.campaign
+    for j in range(1, 7):
+        if j not in choice.joints and _bends(campaign.robot, j):
+            yield f"joint {j} bends", replace(choice, joints=tuple(sorted((*choice.joints, j))))
+    readings = campaign.readings
+    for k in np.unique(readings.payload):
+        name = readings.payloads[k]
+        hung = campaign.payloads.get(name)
+        if name not in choice.payloads and hung is not None and hung.mass > 0:
+            yield f"mass and centre of payload '{name}' differ", replace(choice, payloads=(*choice.payloads, name))
+
+
+def _likelihood(fit: Fit) -> float:
+    """Log density of the readings it was fitted to, but for a constant."""
+    return float(-0.5 * (NU + 3) * np.log1p(fit.squared / (NU * consistency(3))).sum())
+
+
+def _bends(robot: Robot, j: int) -> bool:
+    """Whether the cell gives the joint a stiffness at all, or gives none to any."""
+    return bool(robot.stiffness[j - 1] > 0 or not (robot.stiffness > 0).any())
+
+
+def _scores(fit: Fit, blocks: list[Fold], choice: Choice) -> list[HeldOut | None]:
+    def refit(left: Campaign, near: Fit) -> Fit:
+        return fit_campaign(left, choice, near.priors, near.noise, begin=near.state)
+
+    return [hold_out(fit, block, refit) for block in blocks]
+
+
+def _gain(before: list[HeldOut | None], after: list[HeldOut | None]) -> tuple[float, float]:
+    """Mean gain over the two ways of blocking, and over its standard error between blocks."""
+    gains = np.array(
+        [a.score.sum() - b.score.sum() for b, a in zip(before, after, strict=True) if a is not None and b is not None]
+    )
+    if len(gains) < 3:
+        return 0.0, 0.0
+    total = 0.5 * float(gains.sum())
+    error = 0.5 * float(gains.std(ddof=1)) * np.sqrt(len(gains))
+    return total, total / max(error, 1e-9)

@@ -1,0 +1,97 @@
+"""The ways of calibrating that are compared: ours, the usual one, and the paper's on differences of positions.
+
+full              geometry and springs together (`robots.calibration.fit`)
+geometry          geometry alone, springs left out (after Gong et al. 2000, the step that everyone does)
+relative          differences between readings of one station, springs inside: the base's place drops out
+relative-literal  the paper's order: differences of readings with nearly equal gravity torques, geometry without springs,
+                  springs added afterwards (PHYSICS 2.4 says what that does)
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from robots.calibration.fit import NU, PLAIN, WEAK, Campaign, Fit, fit_campaign, located
+from robots.calibration.layout import Choice, Priors, State, believed_compliance, nominal_state
+from robots.calibration.residuals import residuals
+from robots.gravity import weight_torques
+from robots.measurements import Index, Readings
+from robots.pose import Array
+from robots.robot import Robot
+
+METHODS = ("full", "geometry", "relative", "relative-literal")
+PARTNERS = 3  # differences each reading takes part in, about
+
+
+def calibrate_by(method: str, campaign: Campaign, choice: Choice = PLAIN, priors: Priors = WEAK) -> Fit:
+    """Fit by a method's name. The state of every result places all stations, so that it predicts readings."""
+    if method == "full":
+        return fit_campaign(campaign, choice, priors)
+    if method == "geometry":
+        return fit_campaign(campaign, replace(choice, joints=(), payloads=()), priors)
+    if method == "relative":
+        fit = fit_campaign(replace(campaign, pairs=spread_pairs(campaign.readings)), choice, priors)
+        return replace(fit, campaign=campaign, state=placed(campaign, fit.state))
+    if method == "relative-literal":
+        pairs = equal_torque_pairs(campaign.robot, campaign.readings)
+        rigid = replace(choice, joints=(), payloads=())
+        fit = fit_campaign(replace(campaign, pairs=pairs), rigid, priors)
+        bends = np.array([float(j in choice.joints) for j in range(1, 7)])
+        arm = np.concatenate([fit.state.arm[:30], bends * believed_compliance(campaign.robot)])
+        return replace(fit, campaign=campaign, state=placed(campaign, replace(fit.state, arm=arm)))
+    raise ValueError(f"method '{method}' is not one of {', '.join(METHODS)}")
+
+
+def spread_pairs(readings: Readings) -> Index:
+    """Pairs (m, 2) of readings of one station, PARTNERS a reading, the same for the same file."""
+    rng = np.random.default_rng(0)
+    found: list[Index] = []
+    for k in np.unique(readings.station):
+        rows = np.flatnonzero(readings.station == k)
+        for _ in range(PARTNERS):
+            order = rng.permutation(rows)
+            found.append(np.column_stack([order, np.roll(order, 1)]))
+    pairs = np.vstack(found)
+    return np.asarray(pairs[pairs[:, 0] != pairs[:, 1]])
+
+
+def equal_torque_pairs(robot: Robot, readings: Readings) -> Index:
+    """Pairs (m, 2) whose elbow and wrist heights are most nearly equal, of one station: joints 2 and 3 bend alike.
+
+    Nearest neighbours in the torques of the arm's own weight about joints 2 and 3 and in the payload.
+    """
+    torque = weight_torques(robot, readings.q)[:, 1:3]
+    scale = torque.std(axis=0).mean() or 1.0
+    apart = 1e3 * np.column_stack([readings.station, readings.payload])
+    features = np.hstack([torque / scale, apart])
+    _, near = cKDTree(features).query(features, k=min(PARTNERS + 1, len(readings)))
+    pairs = np.column_stack([np.repeat(np.arange(len(readings)), near.shape[1] - 1), near[:, 1:].ravel()])
+    pairs = pairs[readings.station[pairs[:, 0]] == readings.station[pairs[:, 1]]]
+    return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def placed(campaign: Campaign, state: State) -> State:
+    """`state` with each station shifted to where its readings want it (robust mean of the residuals)."""
+    c = campaign
+    off = residuals(c.robot, c.readings, c.instrument, state)[:, :3]
+    stations = state.stations.copy()
+    for k in np.unique(c.readings.station):
+        stations[k, :3, 3] += robust_mean(off[c.readings.station == k])
+    return replace(state, stations=stations)
+
+
+def robust_mean(rows: Array) -> Array:
+    """Student-t mean (3,) of rows (n, 3) with a spread of their own."""
+    mean = np.median(rows, axis=0)
+    for _ in range(30):
+        squared = ((rows - mean) ** 2).sum(axis=1)
+        weight = (NU + 3) / (NU + squared / (np.median(squared) / 2.366 + 1e-30))
+        mean = (weight[:, None] * rows).sum(axis=0) / weight.sum()
+    return np.asarray(mean)
+
+
+def before(campaign: Campaign, choice: Choice = PLAIN) -> State:
+    """The believed robot with only the tracker and its nests placed: what there is before calibration."""
+    c = campaign
+    return located(c, nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice))
