@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -43,6 +44,20 @@ def shown_phases() -> Iterator[Phases]:
     columns = (SpinnerColumn(), TextColumn("{task.description:<14}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         yield Phases(progress)
+
+
+def main(app: typer.Typer) -> None:
+    """Run a command line; what is wrong with the arguments is one sentence too."""
+    try:
+        app(standalone_mode=False)
+    except typer.Abort:
+        sys.exit(_refuse("interrupted, nothing written", INTERRUPTED))
+    except Exception as error:
+        # Usage errors have this method in every release of typer; where their class lives changes.
+        message = getattr(error, "format_message", None)
+        if message is None:
+            raise
+        sys.exit(_refuse(f"refused: {message().rstrip('.')}; --help lists what there is", BAD_INPUT))
 
 
 def run(job: Callable[[], str]) -> int:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ocp.command import run, shown_phases
+from ocp.command import main, run, shown_phases
 
 BUNDLED = Path(__file__).parent / "data"
 
@@ -32,10 +32,11 @@ def plan(
     def job() -> str:
         options = PlanOptions(path, program, kind, name, step * 1e-3)
         with shown_phases() as phases:
-            return write_plan(lambda: make_plan(cell, blade, options, phases), out, overwrite, phases)
+            inputs = [file for file in (cell, blade, path, program) if file is not None]
+            return write_plan(lambda: make_plan(cell, blade, options, phases), out, overwrite, phases, inputs)
 
     sys.exit(run(job))
 
 
 if __name__ == "__main__":
-    app()
+    main(app)

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -35,13 +35,16 @@ class _Written:
     readback: Readback
 
 
-def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Phases) -> str:
+def write_plan(
+    make: Callable[[], Plan], out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path] = ()
+) -> str:
     """Make the plan and write its folder; the command's last line.
 
     Raises BadInput and Infeasible of every part; then `out` is as it was.
     """
-    check_output(out, overwrite)
+    check_output(out, overwrite, inputs)
     plan = make()
+    check_output(out, overwrite, [file for _, file in plan.inputs])
     with whole_folder(out, overwrite) as folder:
         written = _write_programs(plan, folder, phases)
         with phases.phase("report"):

@@ -22,7 +22,9 @@ from ocp.stage import Weights
 from ocp.theta import Theta
 from robots.errors import BadInput
 from trajectories.blade import Blade
+from trajectories.passes import BladePath
 
+LEAST_STEP, MOST_STEP = 5e-5, 5e-3  # m between waypoints
 FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is
 
 
@@ -78,10 +80,17 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
             f"{cell_file}: controller.absolute_accuracy is true and --kind is '{options.kind}': the controller would correct "
             "the poses a second time; use --kind axis"
         )
+    if options.path is not None and options.program is not None:
+        raise BadInput("--path and --program both say where the path comes from; give one of them")
+    if not LEAST_STEP <= options.step <= MOST_STEP:
+        raise BadInput(
+            f"--step {options.step * 1e3:g} mm is not between {LEAST_STEP * 1e3:g} and {MOST_STEP * 1e3:g} mm; 0.5 is usual"
+        )
     jobs = options.jobs or _cores()
     with phases.phase("passes"):
         laid = lay_paths(cell, stl, options)
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
+    _refuse_forces(laid.paths, contact.law.limits["force"], options)
     weights = Weights(force_sd=FORCE_SD_WEIGHT if cell.calibration is not None else 0.0)
     scene = Scene(cell, laid.blade.vertices)
     ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
@@ -115,6 +124,16 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         wheel_error=contact.law.error.max,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
     )
+
+
+def _refuse_forces(paths: list[BladePath], limits: tuple[float, float], options: PlanOptions) -> None:
+    """A path made elsewhere may ask for forces that the wheel's table was not made for."""
+    for path in paths:
+        for k in np.flatnonzero((path.force < limits[0]) | (path.force > limits[1]))[:1]:
+            raise BadInput(
+                f"{options.path or options.program}: line {path.line}, point {k + 1} asks for {path.force[k]:g} N; the wheel's "
+                f"contact is known from {limits[0]:.1f} to {limits[1]:.1f} N about process.force_N; change that or the path"
+            )
 
 
 def _cores() -> int:

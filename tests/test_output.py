@@ -104,3 +104,30 @@ def test_a_parent_without_permission_is_refused_before_the_work(tmp_path):
     with pytest.raises(BadInput, match="permission"):
         check_output(parent / "plan", overwrite=False)
     parent.chmod(0o755)
+
+
+def test_inputs_and_the_place_where_one_stands_are_never_replaced(tmp_path, monkeypatch):
+    out = old_folder(tmp_path)
+    with pytest.raises(BadInput, match=r"b\.txt, an input of this run"):
+        check_output(out, True, [out / "deep" / "b.txt"])
+    monkeypatch.chdir(out / "deep")
+    with pytest.raises(BadInput, match="--overwrite would delete"):
+        check_output(out, True)
+    assert is_untouched(out)
+
+
+@pytest.mark.parametrize("name", ["", ".", "x" * 300, "y" * 240])
+def test_names_that_no_folder_can_have_are_told_before_the_work(name):
+    from pathlib import Path
+
+    with pytest.raises(BadInput, match="--out"):
+        check_output(Path(name), False)
+
+
+def test_a_link_stays_and_its_folder_is_replaced(tmp_path):
+    out = old_folder(tmp_path)
+    link = tmp_path / "link"
+    link.symlink_to(out)
+    with whole_folder(link, overwrite=True) as partial:
+        (partial / "x.txt").write_text("new")
+    assert link.is_symlink() and names(out) == ["x.txt"]

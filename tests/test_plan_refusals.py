@@ -6,7 +6,7 @@ from pathlib import Path
 import blade_samples
 import numpy as np
 import pytest
-from small_plan import BUNDLED, STEP, refused, small_cell, tree
+from small_plan import BUNDLED, STEP, planned, refused, small_cell, tree
 
 from robots.calibration.store import Calibration, write_calibration
 from robots.errors import BadInput
@@ -156,6 +156,8 @@ ARGUMENTS = {
     "a step of zero": (["--cell", "cell.toml", "--step", "0"], "step"),
     "a step backward": (["--cell", "cell.toml", "--step", "-1"], "step"),
     "a step that is no number": (["--cell", "cell.toml", "--step", "nan"], "step"),
+    "a step below all sense": (["--cell", "cell.toml", "--step", "1e-9"], "0.05 and 5 mm"),
+    "two sources of the path": (["--cell", "cell.toml", "--path", "a.csv", "--program", "b.src"], "--program"),
     "a path that is not there": (["--cell", "cell.toml", "--path", "none.csv"], "none.csv"),
     "a program that is not there": (["--cell", "cell.toml", "--program", "none.src"], "none.src"),
 }
@@ -169,6 +171,12 @@ def test_faulty_arguments_are_refused(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     text = said_no(refused(*arguments), tmp_path, tree(tmp_path))
     assert said in text
+
+
+def test_usage_errors_are_one_sentence_too(tmp_path):
+    for arguments in (["--step", "abc"], ["--bogus"], ["a.stl", "b.stl"]):
+        told = planned(tmp_path, *arguments)
+        assert told.code == 2 and told.err.count("\n") == 1 and told.err.startswith("refused: "), told
 
 
 def test_the_blade_sample_of_the_tests_is_no_accident(tmp_path):

@@ -33,7 +33,7 @@ def read_facets(path: Path) -> tuple[Array, list[str]]:
     Raises: BadInput naming byte, line or facet where the file is empty, cut short, no STL or not finite.
     """
     try:
-        data = path.read_bytes()
+        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")  # editors put a byte order mark before text
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror or error}); give the path of an STL file.") from None
     if not data:
