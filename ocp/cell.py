@@ -130,9 +130,7 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
     if tables.workpiece is None or tables.wheel is None:
         missing = "workpiece" if tables.workpiece is None else "wheel"
         raise BadInput(f"{path}: table [{missing}] is missing; planning needs it")
-    model = tables.robot.model
-    local = path.parent / model
-    robot = load_robot(local if model.endswith(".toml") and local.exists() else model)
+    robot = robot_of(path, tables)
     if tables.robot.stiffness_Nm_per_rad is not None:
         robot = replace(robot, stiffness=np.array(tables.robot.stiffness_Nm_per_rad))
     calibration = None
@@ -157,6 +155,16 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
         controller=Controller(**tables.controller.model_dump()),
         tables=tables,
     )
+
+
+def robot_of(path: Path, tables: CellTables) -> Robot:
+    """The robot that a cell file names. Raises BadInput as `load_robot`, with the file and its key."""
+    model = tables.robot.model
+    local = path.parent / model
+    try:
+        return load_robot(local if model.endswith(".toml") and local.exists() else model)
+    except BadInput as error:
+        raise BadInput(f"{path}, robot.model: {error}") from None
 
 
 def wheel_frame(cell: Cell) -> Array:

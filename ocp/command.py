@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 import typer
@@ -73,6 +73,17 @@ def run(job: Callable[[], str]) -> int:
         return _refuse("interrupted, nothing written", INTERRUPTED)
 
 
+def tell_notices(notices: Iterable[str]) -> None:
+    """What the user should know of a result that stands, on stderr, one line each."""
+    for notice in notices:
+        print(f"note: {_plain(notice)}", file=sys.stderr)  # noqa: T201
+
+
+def _plain(text: str) -> str:
+    """The text on one line, without control characters that a broken file may have put into it."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+
+
 def _refuse(sentence: str, code: int) -> int:
-    print(sentence, file=sys.stderr)  # noqa: T201  one sentence, DESIGN "Manners"
+    print(_plain(sentence), file=sys.stderr)  # noqa: T201  one sentence, DESIGN "Manners"
     return code

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.command import Phases
+from ocp.command import Phases, tell_notices
 from ocp.output import check_output, whole_folder
 from ocp.plan_report import build_report
 from ocp.plan_table import write_plan_csv
@@ -57,6 +57,7 @@ def write_plan(
             write_pdf(report, folder / "report.pdf")
         with phases.phase("writing"):
             _write_json(plan, written, summary, verdict, folder / "plan.json")
+    tell_notices(plan.notices)
     return (
         f"{out}: {len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} KRL files, "
         f"safe to use: {verdict} "
@@ -81,9 +82,9 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
 
 def _verdict(plan: Plan, written: _Written) -> str:
     sd = max(float(p.evaluation.force_sd.max()) for p in plan.motion.passes)
-    goal = plan.cell.process.force
+    goal, asked = _asked(plan)
     found = (
-        f"the program read back gives {goal:g} N within {written.readback.force_error:.2g} N by the independent route; "
+        f"the program read back gives {asked} within {written.readback.force_error:.2g} N by the independent route; "
         f"one standard deviation of the force on the real cell is up to {sd:.2g} N"
     )
     if plan.cell.calibration is None:
@@ -93,8 +94,15 @@ def _verdict(plan: Plan, written: _Written) -> str:
     return f"{found}."
 
 
+def _asked(plan: Plan) -> tuple[float, str]:
+    """Largest force that the paths ask for, N, and all of them in words."""
+    force = np.concatenate([p.problem.path.force for p in plan.motion.passes])
+    low, high = float(force.min()), float(force.max())
+    return high, f"{high:g} N" if high - low < 1e-9 else f"the {low:g} to {high:g} N asked for"
+
+
 def _summary(plan: Plan, written: _Written) -> tuple[SummaryRow, ...]:
-    motion, cell, back = plan.motion, plan.cell, written.readback
+    motion, back, goal = plan.motion, written.readback, _asked(plan)[0]
     contact = [s for s in motion.segments if s.kind == "contact"]
     force = np.concatenate([p.force for p in back.passes])
     sd = np.concatenate([p.evaluation.force_sd for p in motion.passes])
@@ -104,13 +112,13 @@ def _summary(plan: Plan, written: _Written) -> tuple[SummaryRow, ...]:
     feed = max(s.trajectory.worst.feed for s in contact)
     rows = [
         ("Passes, waypoints", f"{len(motion.passes)}, {plan.waypoints}", ""),
-        ("Force asked for", f"{cell.process.force:g}", "N"),
+        ("Force asked for", _asked(plan)[1], ""),
         ("Force by the independent route", f"{force.min():.3f} to {force.max():.3f}", "N"),
         ("Largest difference to the force asked for", f"{back.force_error:.4f}", "N"),
         ("Standard deviation of the force", f"{sd.min():.2f} to {sd.max():.2f}", "N"),
         ("Stiffness of the contact chain", f"{stiffness.min() / 1e3:.2f} to {stiffness.max() / 1e3:.2f}", "N/mm"),
-        ("Blade deflection under the force", f"{give.min() * cell.process.force * 1e3:.4f} to "
-         f"{give.max() * cell.process.force * 1e3:.4f}", "mm"),
+        ("Blade deflection under the force", f"{give.min() * goal * 1e3:.4f} to "
+         f"{give.max() * goal * 1e3:.4f}", "mm"),
         ("Axes read back against the plan", f"{np.degrees(back.axis_error):.6f}", "deg"),
         ("Duration, of it in contact", f"{motion.duration:.1f}, {sum(s.trajectory.duration for s in contact):.1f}", "s"),
         ("Largest use of speed, acceleration, torque limits", ", ".join(f"{w:.3f}" for w in worst), ""),

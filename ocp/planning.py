@@ -120,7 +120,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         name=options.name or stl.name,
         jobs=jobs,
         inputs=tuple(inputs),
-        notices=laid.notices,
+        notices=(*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices),
         wheel_error=contact.law.error.max,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
     )

@@ -75,10 +75,6 @@ def believed_theta(cell: Cell) -> Theta:
         covariance[at, :] = 0.0
         covariance[:, at] = 0.0
         covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(inside, inside)]
-        geometry = [i for i, name in enumerate(NAMES[:30]) if name not in calibration.names]
-        # What a calibration leaves out is a gauge or was held at its value on purpose: the fitted ones carry the error.
-        covariance[geometry, :] = 0.0
-        covariance[:, geometry] = 0.0
     return Theta(values, covariance)
 
 

@@ -48,8 +48,13 @@ def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseMo
         return f"{where}: key '{name}' is missing; add it"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "value_error":
+        named = re.match(r"[a-z_]+(\.[a-zA-Z_]+)+", message)
+        if named and not keys:
+            where = f"{path}, line {_line_of(text, named.group().split('.'))}"
         return f"{where}: {name + ': ' if name else ''}{message}"
-    return f"{where}: {name} = {given!r}: {message[0].lower() + message[1:]}"
+    shown = repr(given)
+    shown = shown if len(shown) < 80 else f"{shown[:60]}.."
+    return f"{where}: {name} = {shown}: {message[0].lower() + message[1:]}"
 
 
 def _is_union_label(key: str) -> bool:
@@ -61,7 +66,7 @@ def _line_of(text: str, keys: list[str]) -> int:
     table: list[str] = []
     found = 1
     for number, line in enumerate(text.splitlines(), 1):
-        header = re.match(r"\s*\[\s*([^\[\]]+?)\s*\]", line)
+        header = re.match(r"\s*\[{1,2}\s*([^\[\]]+?)\s*\]", line)
         if header:
             table = [part.strip().strip('"') for part in header.group(1).split(".")]
             if table == keys[: len(table)]:

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ocp.cell import robot_of
 from ocp.cell_schema import CellTables, LinkTarget, TrackerTable
 from ocp.toml_input import read_toml
 from robots.measurements import Hanging, Instrument, Nest
 from robots.pose import rotation_from_abc
-from robots.robot import Robot, load_robot
+from robots.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -28,9 +29,7 @@ def read_tracker_setup(path: str | Path) -> TrackerSetup:
     """Read cell.toml for a measurement; wheel and workpiece may be absent. Raises BadInput as `read_toml`, `load_robot`."""
     path = Path(path)
     tables = read_toml(path, CellTables)
-    model = tables.robot.model
-    local = path.parent / model
-    robot = load_robot(local if model.endswith(".toml") and local.exists() else model)
+    robot = robot_of(path, tables)
     if tables.robot.stiffness_Nm_per_rad is not None:
         robot = replace(robot, stiffness=np.array(tables.robot.stiffness_Nm_per_rad))
     payloads = {name: Hanging(p.mass_kg, 1e-3 * np.array(p.com_mm)) for name, p in tables.payloads.items()}

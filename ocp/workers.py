@@ -2,6 +2,7 @@
 
 import pickle
 import signal
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -34,6 +35,8 @@ def workers(jobs: int, start: Callable[..., None], *state: Any) -> Iterator[Exec
 
 
 def _start(file: str) -> None:
+    # Ended early, a worker still removes its temporary files.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     start, state = pickle.loads(Path(file).read_bytes())
     start(*state)
 

@@ -1,11 +1,15 @@
 """A cell with a calibration, planned to the end: the written program holds its force on the calibrated cell."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from example_pass import bundled_cell
 from small_plan import STEP, planned, small_cell
 
+from ocp.theta import NAMES, believed_theta
+from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration, write_calibration
 from robots.robot import load_robot
 
@@ -18,10 +22,11 @@ OFF = {
 
 def calibration() -> Calibration:
     robot = load_robot("kr210_r2700_extra")
-    nominal = dict(zip((f"{s}{i}" for i in range(1, 7) for s in ("th", "d", "a", "al", "be")), robot.mdh.ravel(), strict=True))
-    values = np.array([nominal.get(name, 0.0) + off for name, off in OFF.items()])
-    sd = np.array([2e-2 if "scale" in name else 3e-5 for name in OFF])
-    return Calibration(robot.name, tuple(OFF), values, np.diag(sd**2), {})
+    nominal = dict(zip(MDH_NAMES, robot.mdh.ravel(), strict=True))
+    names = (*MDH_NAMES, *(name for name in OFF if name not in MDH_NAMES))
+    values = np.array([nominal.get(name, 0.0) + OFF.get(name, 0.0) for name in names])
+    sd = np.array([2e-2 if "scale" in name else 2e-5 for name in names])
+    return Calibration(robot.name, names, values, np.diag(sd**2), {})
 
 
 def figures(folder) -> dict:
@@ -43,6 +48,17 @@ def both(tmp_path_factory):
 def test_the_independent_route_sees_the_programmed_force_on_the_calibrated_cell(both):
     # Without the registration in the second route the force was 4 N off, and the plan was refused.
     assert both[1]["force_error_N"] < 0.1
+
+
+def test_a_calibration_of_the_wheel_alone_says_nothing_of_the_arm():
+    cell = bundled_cell()
+    names = ("wheel_x", "wheel_y")
+    known = replace(cell, calibration=Calibration(cell.robot.name, names, np.zeros(2), np.diag([1e-10, 1e-10])))
+    before, after = believed_theta(cell).covariance, believed_theta(known).covariance
+    wheel = [NAMES.index(name) for name in names]
+    others = np.setdiff1d(np.arange(len(NAMES)), wheel)
+    assert np.array_equal(before[np.ix_(others, others)], after[np.ix_(others, others)])
+    assert np.all(np.diag(after)[wheel] < np.diag(before)[wheel])
 
 
 def test_a_calibration_makes_the_force_surer(both):

@@ -155,8 +155,8 @@ class _Runner:
             path = find_file(self.folder, s.name, ".src")
             if path is not None:
                 self.run(path, callers)
-            elif self.strict:
-                raise BadInput(f"{where}: the program {s.name} is called and is not in {self.folder}")
+            elif self.strict or name.startswith(callers[0]):
+                raise BadInput(f"{where}: the program {s.name} is called and is not in {self.folder}; put it beside the others")
             else:
                 self.notices.append(f"{where}: {s.name} is called and is not in {self.folder}; it is passed over")
 

@@ -26,6 +26,7 @@ from trajectories.krl.syntax import (
     Motion,
     Number,
     Other,
+    Pause,
     Remark,
     Statement,
     TimeBlock,
@@ -48,14 +49,10 @@ def read_module(path: Path, strict: bool = True) -> Module:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
+        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")  # editors put a byte order mark before text
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    return parse_text(data.decode("ascii" if _ascii(data) else "latin-1"), path, strict)
-
-
-def _ascii(data: bytes) -> bool:
-    return all(b < 128 for b in data)
+    return parse_text(data.decode("ascii" if data.isascii() else "latin-1"), path, strict)
 
 
 def parse_text(text: str, path: Path, strict: bool = True) -> Module:
@@ -122,6 +119,8 @@ def _statement(text: str, file: str, number: int, strict: bool) -> Statement:
         raise line.error(f"{word} decides at run time which way the program goes; only straight programs can be read")
     if word in REFUSED_MOTIONS:
         raise line.error(f"{word} is not supported; use PTP, LIN, SPTP, SLIN or SPL")
+    if word in ("HALT", "WAIT") and strict:
+        return _pause(line)
     if word in HARMLESS and not strict:
         return Other(number, line.rest())
     return _declaration_or_plain(line, strict)
@@ -187,6 +186,20 @@ def _time_block(line: Line) -> TimeBlock:
         value = _number(line)
     line.finish()
     return TimeBlock(line.number, what, value)
+
+
+def _pause(line: Line) -> Pause:
+    """HALT, WAIT SEC with a literal, or WAIT FOR $IN[n]: what a measuring program stands still by."""
+    halt = line.take().text.upper() == "HALT"
+    seconds = _number(line) if not halt and line.accept("SEC") else None
+    number = None
+    if not halt and seconds is None:
+        for part in ("FOR", "$IN", "["):
+            line.expect(part)
+        number = _number(line)
+        line.expect("]")
+    line.finish()
+    return Pause(line.number, seconds, number)
 
 
 def _number(line: Line) -> Number:
