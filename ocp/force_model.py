@@ -4,12 +4,14 @@ The force is implicit: residual(q, F, w, theta) = 0 (docs/model.md, eq. 2), so d
 docs/force_registration.md, eq. 1 to 3.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from ocp.cell import Cell
 from ocp.contact.wheel_law import WheelLaw
@@ -20,7 +22,7 @@ from robots.pose import Array
 
 SETPOINT = NAMES.index("flange_setpoint_offset")
 NEWTON_STEPS = 30
-FORCE_TOLERANCE = 1e-7  # N
+FORCE_TOLERANCE = 1e-5  # N; a Newton step of this size leaves some 1e-10 N
 # Share of the wheel law's lowest force below which the balance is continued along its tangent: the law's polynomial in
 # log F is not meant to be followed to zero.
 LEAST_FORCE = 0.5
@@ -35,10 +37,15 @@ class ForceRows:
     waypoint: Array
     setpoint: Array
     belt: Array
-    contact: Array
+    contact: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.q)
+
+    @staticmethod
+    def joined(parts: Sequence["ForceRows"]) -> "ForceRows":
+        """Rows one after the other."""
+        return ForceRows(*(np.concatenate([vars(part)[f.name] for part in parts]) for f in fields(ForceRows)))
 
     def take(self, rows: Any) -> "ForceRows":
         """The rows of an index, slice or mask."""

@@ -21,12 +21,12 @@ def describe_off_flank(
 ) -> BladePath:  # fmt: skip
     """A pass with side "edge" from frames p, n, t (m, 3) on the mesh: curvature, extent and thickness are rough."""
     b = np.cross(n, t)
-    curvature = _curvature(blade, p, n, t, b)
+    curvature = facet_curvature(blade, p, n, t, b)
     thick = np.array([_depth(blade, p[k], n[k]) for k in range(len(p))])
     return BladePath(line, "edge", p, n, t, s, curvature, _extent(blade, shape, p, t, b, curvature), thick, feed, force)
 
 
-def _curvature(blade: Blade, p: Array, n: Array, t: Array, b: Array) -> Array:
+def facet_curvature(blade: Blade, p: Array, n: Array, t: Array, b: Array) -> Array:
     """k_tt, k_bb, k_tb (m, 3) 1/m of quadrics fitted to the slopes of the vertex normals round each point.
 
     Slopes dz/dx = -n_x / n_z carry the second derivatives more evenly than heights, which a coarse mesh cuts short.

@@ -32,8 +32,8 @@ def paths_from_points(
     Raises: BadInput for points off the surface, wrong normals or feed directions, passes of fewer than 3 points.
     """
     _refuse_lengths(source, places, n, t)
-    name, u, v, foot, normal = _locate(shape, p)
-    _place_the_rest(blade, name, foot, normal, p)
+    name, u, v, foot, normal = locate(shape, p)
+    place_on_mesh(blade, name, foot, normal, p)
     gap = np.linalg.norm(foot - p, axis=1)
     if (gap > OFF_SURFACE).any():
         k = int(np.argmax(gap > OFF_SURFACE))
@@ -87,7 +87,7 @@ def _refuse_lengths(source: str, places: list[str], n: Array, t: Array) -> None:
                            f"a unit vector is expected.")  # fmt: skip
 
 
-def _locate(shape: AerofoilShape, p: Array) -> tuple[NDArray[np.str_], Array, Array, Array, Array]:
+def locate(shape: AerofoilShape, p: Array) -> tuple[NDArray[np.str_], Array, Array, Array, Array]:
     """Side name or "edge", parameters, foot point and normal of each point; nan feet where no flank is below it."""
     name = np.full(len(p), "edge", dtype="<U8")
     u, v, best = np.zeros(len(p)), np.zeros(len(p)), np.full(len(p), np.inf)
@@ -111,7 +111,7 @@ def foot_parameters(side: SideSurface, shape: AerofoilShape, p: Array) -> tuple[
     return project(side.surface, p, gu[index], gv[index])
 
 
-def _place_the_rest(blade: Blade, name: NDArray[np.str_], foot: Array, normal: Array, p: Array) -> None:
+def place_on_mesh(blade: Blade, name: NDArray[np.str_], foot: Array, normal: Array, p: Array) -> None:
     """Foot and facet normal on the mesh itself for the points that lie on no flank (changes foot and normal)."""
     rest = np.flatnonzero(name == "edge")
     if not len(rest):

@@ -1,0 +1,190 @@
+"""Noise of a force channel: white scatter plus an exponentially correlated part, whitened run by run by its Kalman filter.
+
+docs/force_registration.md, eq. 4 to 6. Rows of different runs are independent; samples need not be evenly spaced.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.stats import t as student
+
+from robots.pose import Array
+
+Index = NDArray[np.int64]
+DEGREE = 3  # of the polynomial in time that a run's residual may follow while its scatter is measured
+ENOUGH = 20  # rows of a run from which such a polynomial, and not its mean alone, is taken out
+STRETCH = 500  # rows; longer runs are filtered in stretches of about this, side by side
+MOST = 8000  # rows that the estimate looks at
+# Logit of the correlated share and logarithm of tau in samples, as they usually are: what few rows cannot tell stays there.
+USUAL: Array = np.array([0.0, np.log(4.0)])
+USUAL_SD: Array = np.array([1.5, 0.8])
+FREEDOMS = (4.0, 6.0, 10.0, 20.0, 60.0)  # of Student's t; 60 is as good as a normal law
+
+
+@dataclass(frozen=True)
+class Noise:
+    """sigma N (or a factor on given sigmas); share (0..1) of its variance that is correlated, over the time tau s; freedom of
+    Student's t."""
+
+    sigma: float
+    share: float
+    tau: float
+    freedom: float = 60.0
+
+    def information(self) -> float:
+        """Share of a normal law's information that a sample of Student's t with the same scale carries."""
+        return (self.freedom + 1.0) / (self.freedom + 3.0)
+
+    def samples_each(self, step: float) -> float:
+        """How many samples `step` s apart count as one independent sample for a mean over a long time."""
+        decay = np.exp(-step / self.tau)
+        return float(1.0 + 2.0 * self.share * decay / (1.0 - decay))
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Rows of each stretch of a run side by side: index (stretches, longest) into the rows, -1 where one has ended; step
+    (stretches, longest) s since the sample before, inf at the start."""
+
+    index: Index
+    step: Array
+
+    @staticmethod
+    def of(run: Index, time: Array) -> "Runs":
+        """Rows grouped by `run` (n,), in the order in which they stand, `time` (n,) s; what a cut between two stretches of a
+        run leaves out is the correlation of two samples."""
+        whole = [np.flatnonzero(run == i) for i in np.unique(run)]
+        rows = [part for r in whole for part in np.array_split(r, int(np.ceil(len(r) / STRETCH)))]
+        index = np.full((len(rows), max(len(r) for r in rows)), -1)
+        step = np.full(index.shape, np.inf)
+        for i, r in enumerate(rows):
+            index[i, : len(r)] = r
+            step[i, 1 : len(r)] = np.diff(time[r])
+        return Runs(index, step)
+
+
+def whiten(runs: Runs, noise: Noise, weight: Array, columns: Array) -> tuple[Array, Array]:
+    """Innovations (n, m) of `columns` (n, m), each over its own standard deviation, and those deviations (n,).
+
+    One linear map for all columns. weight (n,) divides a sample's variance: small for an outlier.
+    """
+    variance, correlated = noise.sigma**2, noise.share * noise.sigma**2
+    out, scale = np.zeros_like(columns), np.ones(len(columns))
+    state = np.zeros((len(runs.index), columns.shape[1]))
+    spread = np.full(len(runs.index), correlated)
+    for k in range(runs.index.shape[1]):
+        here = runs.index[:, k] >= 0
+        at = runs.index[here, k]
+        decay = np.exp(-runs.step[here, k] / noise.tau)
+        ahead = decay**2 * spread[here] + (1.0 - decay**2) * correlated
+        total = (ahead + variance - correlated) / weight[at]
+        gain = np.minimum(ahead / total, 1.0)
+        guess = decay[:, None] * state[here]
+        difference = columns[at] - guess
+        scale[at] = np.sqrt(total)
+        out[at] = difference / scale[at][:, None]
+        state[here] = guess + gain[:, None] * difference
+        spread[here] = ahead * (1.0 - gain)
+    return out, scale
+
+
+def estimate_noise(run: Index, time: Array, residual: Array, before: Noise | None = None) -> Noise:
+    """Noise of residuals (n,) whose slow course in each run is not noise: restricted maximum likelihood (eq. 5).
+
+    Slow means a cubic in time; what is slower than that is for the fit to explain. `before`: an estimate to start from.
+    """
+    runs = Runs.of(run, time)
+    if len(run) > MOST:
+        chosen = runs.index[:: int(np.ceil(len(run) / MOST))]
+        keep = np.sort(chosen[chosen >= 0])
+        run, time, residual = run[keep], time[keep], residual[keep]
+        runs = Runs.of(run, time)
+    columns = np.column_stack([residual, _slow_course(runs, time)])
+    rest = _detrended(runs, columns)
+    spread = 1.4826 * float(np.median(np.abs(rest - np.median(rest)))) or 1e-6
+    step = float(np.median(runs.step[np.isfinite(runs.step)])) if len(rest) > len(runs.index) else 1.0
+    weight = _weights(rest / spread, 6.0)
+
+    def cost(x: Array) -> float:
+        unlikely = np.sum(((x[1:] - USUAL) / USUAL_SD) ** 2)
+        return _restricted(runs, _noise(x, step), weight, columns) + float(unlikely)
+
+    if before is None:
+        start, reach = np.array([np.log(spread), 0.0, np.log(3.0)]), 1.0
+    else:
+        start, reach = np.array([np.log(before.sigma), _logit(before.share), np.log(before.tau / max(step, 1e-9))]), 0.3
+    simplex = np.vstack([start, start + reach * np.diag([0.3, 1.0, 0.7])])
+    options = {"maxfev": 100, "xatol": 0.03, "fatol": 0.2, "initial_simplex": simplex}
+    found = minimize(cost, start, method="Nelder-Mead", options=options)
+    noise = _noise(found.x, step)
+    white, _ = whiten(runs, noise, np.ones(len(rest)), rest[:, None])
+    return _with_freedom(noise, white[:, 0])
+
+
+def student_weights(runs: Runs, noise: Noise, residual: Array, weight: Array) -> Array:
+    """Weights (n,) of Student's t at the innovations that the filter sees with the weights before."""
+    white, _ = whiten(runs, noise, weight, residual[:, None])
+    return _weights(white[:, 0] / np.sqrt(weight), noise.freedom)
+
+
+def _weights(z: Array, freedom: float) -> Array:
+    return np.asarray((freedom + 1.0) / (freedom + z**2))
+
+
+def _noise(x: Array, step: float) -> Noise:
+    """Noise of unbounded numbers: logarithm of sigma, logit of the share, logarithm of tau in samples."""
+    share = 1.0 / (1.0 + np.exp(-np.clip(x[1], -6.0, 4.0)))
+    return Noise(float(np.exp(x[0])), float(share), float(max(step, 1e-9) * np.exp(np.clip(x[2], -1.0, 5.0))))
+
+
+def _logit(share: float) -> float:
+    return float(np.log(share / (1.0 - share))) if 0.0 < share < 1.0 else -6.0
+
+
+def _slow_course(runs: Runs, time: Array) -> Array:
+    """Polynomials in time (n, DEGREE + 1), -1..1 over each run; in short runs the mean alone."""
+    out = np.zeros((len(time), DEGREE + 1))
+    for row in runs.index:
+        at = row[row >= 0]
+        span = np.ptp(time[at]) or 1.0
+        u = 2.0 * (time[at] - time[at[0]]) / span - 1.0
+        degree = DEGREE if len(at) >= ENOUGH else 0
+        out[at, : degree + 1] = np.polynomial.legendre.legvander(u, degree)
+    return out
+
+
+def _detrended(runs: Runs, columns: Array) -> Array:
+    rest = columns[:, 0].copy()
+    for row in runs.index:
+        at = row[row >= 0]
+        rest[at] -= columns[at, 1:] @ np.linalg.lstsq(columns[at, 1:], columns[at, 0], rcond=None)[0]
+    return rest
+
+
+def _restricted(runs: Runs, noise: Noise, weight: Array, columns: Array) -> float:
+    """Minus twice the restricted log likelihood: the slow courses are integrated out."""
+    white, scale = whiten(runs, noise, weight, columns)
+    total = 2.0 * float(np.log(scale).sum())
+    for row in runs.index:
+        at = row[row >= 0]
+        X = white[at, 1:][:, np.abs(columns[at, 1:]).max(axis=0) > 0]
+        Q, R = np.linalg.qr(X)
+        total += float(np.sum(white[at, 0] ** 2) - np.sum((Q.T @ white[at, 0]) ** 2))
+        total += 2.0 * float(np.log(np.maximum(np.abs(np.diag(R)), 1e-12)).sum())
+    return total
+
+
+def _with_freedom(noise: Noise, white: Array) -> Noise:
+    """The freedom and scale of Student's t that fit the innovations best."""
+    best = None
+    for freedom in FREEDOMS:
+        s = 1.0
+        for _ in range(30):
+            s = float(np.sqrt(np.mean(_weights(white / s, freedom) * white**2)))
+        score = float(student.logpdf(white / s, freedom).sum() - len(white) * np.log(s))
+        if best is None or score > best[0] + 1.0:
+            best = (score, freedom, s)
+    assert best is not None
+    return Noise(noise.sigma * best[2], noise.share, noise.tau, best[1])

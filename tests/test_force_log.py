@@ -1,0 +1,128 @@
+"""force.csv as FORMATS has it: columns in any order, what is absent is told, what is wrong is refused with its place."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from ocp.force_log import BLIND, read_force_log
+from robots.errors import BadInput
+
+NEEDED = ["run", "time_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
+ROW = {"run": "a", "time_s": 0.0, **{f"q{i}_deg": 10.0 * i for i in range(1, 7)}, "px_mm": 1.0, "py_mm": 2.0, "pz_mm": 3.0,
+       "nx": 0.0, "ny": 1.0, "nz": 0.0, "tx": 0.0, "ty": 0.0, "tz": 1.0, "fn_N": 20.0}  # fmt: skip
+EVERY = {"s_mm": 1.0, "ft_N": 7.0, "sigma_fn_N": 0.2, "sigma_ft_N": 0.3, "setpoint_N": 20.0, "feed_mm_s": 40.0, "belt_m_s": -20.0,
+         "line": 2, "ground_before": 1, "contact": 1, "session": "monday", "temperature_C": 22.0, "wheel_temperature_C": 25.0,
+         "clock_s": 5.0}  # fmt: skip
+
+
+def rows(count=6, **more):
+    return [{**ROW, "time_s": 0.01 * k, **more} for k in range(count)]
+
+
+def write(folder, table, header=None):
+    path = folder / "force.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, header or list(table[0]))
+        writer.writeheader()
+        writer.writerows(table)
+    return path
+
+
+def read(folder, table, sealed=False):
+    return read_force_log(write(folder, table), sealed)
+
+
+def test_every_column_is_read_in_si(tmp_path):
+    header = [*NEEDED, "fn_N", *EVERY]
+    order = np.random.default_rng(1).permutation(len(header))
+    log = read_force_log(write(tmp_path, rows(**EVERY), [header[k] for k in order]))
+    assert len(log) == 6 and log.notices == () and log.runs == ("a",) and log.sessions == ("monday",)
+    np.testing.assert_allclose(log.q[0], np.radians([10, 20, 30, 40, 50, 60]))
+    np.testing.assert_allclose(log.p[0], [1e-3, 2e-3, 3e-3])
+    assert (log.s[0], log.feed[0], log.belt[0], log.line[0], log.ground_before[0]) == (1e-3, 0.04, -20.0, 2, 1)
+    assert log.contact.all() and log.row.tolist() == [2, 3, 4, 5, 6, 7]
+
+
+def test_what_is_absent_is_told_and_what_is_more_is_ignored(tmp_path):
+    log = read(tmp_path, rows(remark="x"))
+    assert log.notices[0] == "force.csv: columns remark were ignored"
+    told = " ".join(log.notices[1:])
+    assert all(f"no column {name}: {text}" in told for name, text in BLIND.items())
+    assert log.setpoint is None and log.sigma_fn is None
+
+
+def test_without_the_flag_a_run_near_zero_is_air_and_said_so(tmp_path):
+    table = rows(30) + [{**row, "run": "b", "fn_N": 0.3 * (-1) ** k} for k, row in enumerate(rows(30))]
+    log = read(tmp_path, table)
+    assert log.contact[:30].all() and not log.contact[30:].any()
+    assert any("taken as air runs" in notice for notice in log.notices)
+
+
+def test_a_single_dropout_is_no_air_run(tmp_path):
+    table = rows(30)
+    table[10]["fn_N"] = 0.0
+    assert read(tmp_path, table).contact.all()
+
+
+def test_sealed_files_have_no_reading(tmp_path):
+    table = [{name: value for name, value in row.items() if name != "fn_N"} for row in rows()]
+    log = read(tmp_path, table, sealed=True)
+    assert np.isnan(log.fn).all() and log.contact.all()
+    with pytest.raises(BadInput, match="column fn_N missing"):
+        read(tmp_path, table)
+
+
+def test_taking_rows_keeps_names(tmp_path):
+    log = read(tmp_path, rows(3) + [{**row, "run": "b"} for row in rows(3)])
+    part = log.take(log.run == 1)
+    assert len(part) == 3 and part.runs == ("a", "b") and set(part.run) == {1}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ny": 1.2}, r"line 4, column nx: 0 makes the vector nx, ny, nz 1.2 long; a unit vector is expected"),
+        ({"tz": 0.5}, r"line 4, column tx: .* 0.5 long"),
+        ({"ty": 0.3, "tz": 0.9539}, r"line 4, column tx: 0 makes n . t = 0.300; the feed direction must lie in the surface"),
+        ({"time_s": -1.0}, r"line 4, column time_s: -1 comes after 0.01 in run a; the rows of a run must be in time order"),
+        ({"fn_N": "abc"}, r"line 4, column fn_N: 'abc' is not a number"),
+        ({"fn_N": "nan"}, r"line 4, column fn_N: 'nan' is not a finite number"),
+        ({"q3_deg": "inf"}, r"line 4, column q3_deg: 'inf' is not a finite number"),
+        ({"run": ""}, r"line 4, column run: .* a label is expected"),
+        ({"contact": 2}, r"line 4, column contact: 2 must be 1 in contact or 0 in an air run"),
+        ({"sigma_fn_N": 0.0}, r"line 4, column sigma_fn_N: 0 must be above 0"),
+        ({"sigma_ft_N": -1.0}, r"line 4, column sigma_ft_N: -1 must be above 0"),
+        ({"setpoint_N": -5.0}, r"line 4, column setpoint_N: -5 must be zero or above"),
+        ({"feed_mm_s": -5.0}, r"line 4, column feed_mm_s: -5 must be zero or above"),
+        ({"line": 1.5}, r"line 4, column line: 1.5 must be a whole number"),
+        ({"ground_before": -1}, r"line 4, column ground_before: -1 must be a whole number"),
+    ],
+)
+def test_what_is_wrong_is_refused_with_its_place(tmp_path, change, message):
+    table = rows(**EVERY)
+    table[2] |= change
+    with pytest.raises(BadInput, match=r"force\.csv, " + message):
+        read(tmp_path, table)
+
+
+def test_a_log_without_contact_or_with_the_wrong_sign_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="no row is in contact"):
+        read(tmp_path, rows(contact=0))
+    with pytest.raises(BadInput, match=r"line 2, column fn_N: -20 is negative as most of the log is"):
+        read(tmp_path, rows(fn_N=-20.0, contact=1))
+
+
+def test_files_that_are_no_table_are_refused(tmp_path):
+    path = tmp_path / "force.csv"
+    with pytest.raises(BadInput, match=r"force\.csv: cannot be read"):
+        read_force_log(path)
+    path.write_text("run;time_s\n1;2\n")
+    with pytest.raises(BadInput, match="separate them by commas"):
+        read_force_log(path)
+    path.write_text(",".join([*NEEDED, "fn_N"]) + "\n")
+    with pytest.raises(BadInput, match="holds no row"):
+        read_force_log(path)
+    path.write_text(",".join([*NEEDED, "fn_N"]) + "\n1,2,3\n")
+    with pytest.raises(BadInput, match="line 2: 3 values where the header names 18 columns"):
+        read_force_log(path)
