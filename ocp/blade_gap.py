@@ -2,15 +2,15 @@
 
 The surface comes as a fine cloud of points with normals. About a contact it is seen in the wheel's unrolled frame
 (x = R times the angle, y along the axis, height over the wheel's surface) and its departure from the local quadratic
-is interpolated linearly; where there is no surface there is no blade.
+is interpolated linearly between neighbours; where there is no surface there is no blade.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import cKDTree
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
 
 from ocp.cell import Wheel
 from ocp.contact.gap import LocalShape
@@ -19,6 +19,9 @@ from robots.pose import Array, apply
 REACH = 0.026  # m about the planned point; beyond, the wheel has left the blade or `ocp.gouge` speaks
 NEAR, THINNED = 0.011, 4  # m; farther out one point in four is enough, the gap there matters only if it closes
 FACING = 0.2  # smallest cosine between a point's normal and the wheel for it to be touched from this side
+# Longest side of a triangle between neighbours, near the contact and farther out. Longer ones close the outline of the cloud
+# across a corner or along an edge of the blade: there is no surface in them.
+LONGEST_NEAR, LONGEST_FAR = 2.5e-3, 6e-3  # m
 SHARPEST = 1e-9  # m; points this close in (x, y) are one for the triangulation
 
 
@@ -36,10 +39,42 @@ class SurfaceCloud:
 
 
 @dataclass(frozen=True)
+class Departure:
+    """Heights over a triangulation of points in (x, y), linear in each triangle; inf outside and in triangles that are not
+    `sound` (k,)."""
+
+    triangles: Delaunay
+    heights: Array
+    sound: NDArray[np.bool_]
+
+    def __call__(self, points: Array) -> Array:
+        """Height at points (..., 2)."""
+        flat = points.reshape(-1, 2)
+        found = self.triangles.find_simplex(flat)
+        inside = (found >= 0) & self.sound[found]
+        k = found[inside]
+        transform = self.triangles.transform[k]
+        two = np.einsum("nij,nj->ni", transform[:, :2], flat[inside] - transform[:, 2])
+        share = np.column_stack([two, 1.0 - two.sum(axis=1)])
+        out = np.full(len(flat), np.inf)
+        out[inside] = np.sum(share * self.heights[self.triangles.simplices[k]], axis=1)
+        return out.reshape(points.shape[:-1])
+
+
+def _departure(points: Array, heights: Array) -> Departure:
+    triangles = Delaunay(points)
+    corner = points[triangles.simplices]
+    side = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    near = np.hypot(corner[..., 0], corner[..., 1]).max(axis=1) < NEAR
+    sound = (side < np.where(near, LONGEST_NEAR, LONGEST_FAR)) & np.isfinite(triangles.transform).all(axis=(1, 2))
+    return Departure(triangles, heights, sound)
+
+
+@dataclass(frozen=True)
 class SurfaceShape(LocalShape):
     """A local quadratic plus the real surface's departure from it; inf where there is no surface."""
 
-    departure: LinearNDInterpolator | None = None
+    departure: Departure | None = None
 
     def gap(self, x: Array, y: Array) -> Array:
         """Height of the undeformed blade over the undeformed wheel at x, y (m)."""
@@ -47,8 +82,7 @@ class SurfaceShape(LocalShape):
         if self.departure is None:
             return quadratic
         x, y = np.broadcast_arrays(x, y)
-        extra = self.departure(np.stack([x, y], axis=-1))
-        return np.where(np.isfinite(extra), quadratic + extra, np.inf)
+        return np.asarray(quadratic + self.departure(np.stack([x, y], axis=-1)))
 
 
 def surface_shape(wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_blade: Array, contact: Array) -> SurfaceShape:
@@ -73,7 +107,7 @@ def surface_shape(wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_bl
     x, y, height = x[keep], y[keep], height[keep]
     quadratic = base.tilt_x * x + base.tilt_y * y
     quadratic += 0.5 * (base.kxx * x**2 + 2 * base.kxy * x * y + base.kyy * y**2)
-    departure = LinearNDInterpolator(np.column_stack([x, y]), height - quadratic)
+    departure = _departure(np.column_stack([x, y]), height - quadratic)
     return SurfaceShape(
         base.kxx, base.kyy, base.kxy, base.lateral, base.tilt_x, base.tilt_y, None, base.heading, departure=departure
     )

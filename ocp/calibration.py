@@ -8,14 +8,16 @@ import numpy as np
 from ocp.command import Phases
 from ocp.tracker_setup import TrackerSetup, read_tracker_setup
 from robots.calibration.evidence import Term, choose_terms
-from robots.calibration.fit import Campaign, Fit, fit_campaign, learned_priors, predict_readings
+from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings
 from robots.calibration.identifiability import Identifiability, identify
 from robots.calibration.layout import Choice, State
 from robots.calibration.load_tests import LoadTest, load_test
 from robots.calibration.methods import METHODS, before, calibrate_by
 from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.noise import Repeats, repeat_scatter
+from robots.calibration.prediction import predictive_covariance
 from robots.calibration.residuals import linearise, residuals
+from robots.calibration.solver import Campaign
 from robots.calibration.validation import FOLDS, GROSS, Fold, HeldOut, folds, hold_out, validate
 from robots.errors import BadInput
 from robots.measurements import Readings, read_readings
@@ -27,11 +29,14 @@ SEALED = "sealed_tracker.csv"
 
 @dataclass(frozen=True)
 class MethodTable:
-    """Absolute error (m,) m of each method on readings left out, in the same order `rows` (m,), and before calibration."""
+    """Absolute error (m,) m of each method on readings left out, in the same order `rows` (m,), and before calibration; the
+    same as vectors (m, 3) m, measured less predicted in the tracker's frame."""
 
     rows: Array
     before: Array
     error: dict[str, Array]
+    off_before: Array
+    off: dict[str, Array]
 
 
 @dataclass(frozen=True)
@@ -91,15 +96,18 @@ def calibrate_tracker(tracker: Path, cell: Path, method: str, phases: Phases) ->
             full = fit_campaign(campaign, chosen, first.priors, begin=first.state)
         fit = full if method == "full" else calibrate_by(method, campaign, chosen, first.priors)
     with phases.phase("held out"):
-        held = validate(full) if method == "full" else _held_by_method(fit, method)
+        held = validate(full) if method == "full" else _held_by_method(full, method)
     with phases.phase("methods", len(METHODS)) as advance:
         table = compare_methods(full, advance)
     sealed = points = covariance = None
     beside = tracker.parent / SEALED
     if beside.exists() and beside.resolve() != tracker.resolve():
         sealed = read_readings(beside, setup.payloads, setup.instrument, sealed=True)
-        points, covariance = predict_readings(fit, as_in(sealed, readings))
+        points = predict_readings(fit, as_in(sealed, readings))[0]
     linear = linearise(campaign.robot, replace(readings, turn=None), campaign.instrument, full.layout, full.state)
+    repeats = repeat_scatter(readings, campaign.instrument, linear.d_joints)
+    if sealed is not None:
+        covariance = predictive_covariance(fit, as_in(sealed, readings), repeats.joints if repeats else 0.0)
     return TrackerCalibration(
         setup=setup,
         method=method,
@@ -108,32 +116,34 @@ def calibrate_tracker(tracker: Path, cell: Path, method: str, phases: Phases) ->
         identifiability=identify(full),
         held_out=held,
         terms=terms,
-        repeats=repeat_scatter(readings, campaign.instrument, linear.d_joints),
+        repeats=repeats,
         load_test=load_test(full),
         methods=table,
         sealed=sealed,
         sealed_points=points,
         sealed_covariance=covariance,
-        notices=(*readings.notices, *_notices(fit)),
+        notices=(*readings.notices, *_notices(full)),
     )
 
 
 def compare_methods(fit: Fit, advance: object = None) -> MethodTable:
     """All methods on the same blocked folds as `fit`: errors of every reading when it was left out."""
     blocks = [f for f in folds(fit.campaign) if f.kind == "random"][:FOLDS]
-    error: dict[str, Array] = {}
+    off: dict[str, Array] = {}
     rows = np.array([], int)
     for method in METHODS:
         found = [_by_method(fit, fold, method) for fold in blocks]
         kept = [h for h in found if h is not None]
         rows = np.concatenate([h.rows for h in kept]) if kept else rows
-        error[method] = np.concatenate([h.error for h in kept]) if kept else np.array([])
+        off[method] = np.concatenate([h.off for h in kept]) if kept else np.empty((0, 3))
         if callable(advance):
             advance()
     order = np.argsort(rows)
     c = fit.campaign
-    believed = np.linalg.norm(residuals(c.robot, c.readings, c.instrument, before(c, fit.choice))[:, :3], axis=1)
-    return MethodTable(rows[order], believed[rows[order]], {m: e[order] for m, e in error.items()})
+    off = {method: vectors[order] for method, vectors in off.items()}
+    believed = residuals(c.robot, c.readings, c.instrument, before(c, fit.choice))[rows[order], :3]
+    size = {method: np.linalg.norm(vectors, axis=1) for method, vectors in off.items()}
+    return MethodTable(rows[order], np.linalg.norm(believed, axis=1), size, believed, off)
 
 
 def _by_method(fit: Fit, fold: Fold, method: str) -> HeldOut | None:
@@ -175,7 +185,15 @@ def _notices(fit: Fit) -> list[str]:
     gross = np.flatnonzero(fit.weight < GROSS)
     if len(gross):
         lines = ", ".join(str(readings.line[i]) for i in gross[:8]) + (", .." if len(gross) > 8 else "")
-        found.append(f"{len(gross)} of {len(readings)} readings are outliers and hardly counted (lines {lines})")
+        word = "is an outlier" if len(gross) == 1 else "are outliers"
+        found.append(f"{len(gross)} of {len(readings)} readings {word} and hardly counted (line{'s' * (len(gross) > 1)} {lines})")
     if readings.turn is not None and readings.sigma_turn is None:
         found.append("no column sigma_rot_deg: the 6D target's orientation is taken as good to 0.01 deg")
+    for j in fit.choice.joints:
+        column = fit.layout.arm[29 + j]
+        if fit.state.arm[29 + j] < -2 * fit.sd[column]:
+            found.append(
+                f"the spring of joint {j} comes out negative ({fit.state.arm[29 + j]:.2g} rad/(N m)): it stands for something "
+                "else, as a payload, a mounting that is not upright or a sign; it predicts, but it is no stiffness"
+            )
     return found

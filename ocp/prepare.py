@@ -1,13 +1,14 @@
 """What a plan rests on: the wheel's cover and law, the blade's compliance; the two are made side by side and cached."""
 
 from concurrent.futures import Future
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
 
 from ocp.cell import Cell
 from ocp.command import Phases
-from ocp.contact.blade_compliance import Compliance, blade_compliance
+from ocp.contact.blade_compliance import Compliance, blade_compliance, compliance_kept
 from ocp.contact.cover import Cover, WheelGeometry, build_cover, default_cell
 from ocp.contact.elasticity import Material
 from ocp.contact.gap import LocalShape, solve_force
@@ -19,10 +20,6 @@ from ocp.workers import interrupts_held_back, nothing, workers
 from robots.pose import Array
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
-
-# Cells of the grid on which contacts are solved along the passes, over those of the table's: ten times faster, and its
-# error (docs/wheel.md) cancels in the departure from the quadratic.
-DIRECT_CELL = 1.7
 
 
 @dataclass(frozen=True)
@@ -45,16 +42,18 @@ def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Ph
     axes = typical_patch(cell, cover, curvature)
     material = Material(cell.workpiece.youngs_modulus, cell.workpiece.poisson, cell.workpiece.density)
     clamp = cell.workpiece.clamp_normal, cell.workpiece.clamp_offset
-    with workers(1, nothing) as pool:
-        with interrupts_held_back():
-            waiting: Future[Compliance] = pool.submit(
-                blade_compliance, blade.vertices, blade.faces, *clamp, material, paths, axes
-            )
+    task = (blade.vertices, blade.faces, *clamp, material, paths, axes)
+    with ExitStack() as stack:
+        waiting: Future[Compliance] | None = None
+        if not compliance_kept(*task):
+            pool = stack.enter_context(workers(1, nothing))
+            with interrupts_held_back():
+                waiting = pool.submit(blade_compliance, *task)
         with phases.phase("wheel table"):
             law = wheel_law(cell, cover, curvature)
         with phases.phase("blade"):
-            compliance = waiting.result()
-    return Contact(wheel_cover(cell, DIRECT_CELL), law, compliance)
+            compliance = blade_compliance(*task) if waiting is None else waiting.result()
+    return Contact(cover, law, compliance)
 
 
 def wheel_cover(cell: Cell, coarser: float = 1.0) -> Cover:

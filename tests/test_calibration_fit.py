@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from simulated_campaign import EXTRA, INSTRUMENT, NESTS, PAYLOADS, campaign_readings, measured, random_truth
 
-from robots.calibration.fit import Campaign, fit_campaign, learned_priors, predict_readings
+from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.identifiability import identify
 from robots.calibration.layout import Choice, Priors
 from robots.calibration.load_tests import load_pairs, load_test
@@ -15,6 +15,7 @@ from robots.calibration.methods import METHODS, calibrate_by, equal_torque_pairs
 from robots.calibration.noise import repeat_scatter
 from robots.calibration.reading_model import RowInputs, predict, predict_points
 from robots.calibration.residuals import linearise
+from robots.calibration.solver import Campaign
 from robots.calibration.validation import by_kind, validate
 from robots.elementary import elementary_frames, elementary_weight_torques
 from robots.gravity import GRAVITY
@@ -266,3 +267,14 @@ def test_a_payload_that_is_not_as_believed_is_corrected_when_asked():
     wrong = {**PAYLOADS, "weight": Hanging(80.0, PAYLOADS["weight"].com)}
     fit = fit_campaign(replace(c, payloads=wrong), Choice(payloads=("weight",)), replace(PRIORS, payload_mass=10.0))
     assert fit.state.payloads[2, 0] == pytest.approx(90.0, abs=6.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_tells_of_readings_and_takes_six_dimensional_targets(method):
+    truth, c, rng = campaign(16, 40)
+    turned = replace(c.readings, turn=np.tile(np.eye(3), (40, 1, 1)), sigma_turn=np.full(40, 10.0))
+    fit = calibrate_by(method, replace(c, readings=turned), priors=PRIORS)
+    assert len(fit.weight) == len(fit.residual) == 40 and 0 < fit.weight.max() <= 1
+    assert fit.layout.size == len(fit.offset) == len(fit.covariance)
+    assert np.isfinite(predict_readings(fit, campaign_readings(rng, 5))[0]).all()
+    assert truth.robot.name == EXTRA.name

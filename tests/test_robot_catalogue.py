@@ -11,8 +11,8 @@ from robots.robot import CATALOGUE, catalogue, load_robot
 EXTRA = CATALOGUE / "kr210_r2700_extra.toml"
 
 
-def test_catalogue_lists_the_three_machines():
-    assert catalogue() == ["kr210_r2700_2", "kr210_r2700_extra", "kr210_r2700_prime"]
+def test_catalogue_lists_the_machines():
+    assert catalogue() == ["kr210_r2700_2", "kr210_r2700_extra", "kr210_r2700_prime", "ur10", "ur5"]
 
 
 # PHYSICS 2.1: d1 a1 a2 a3 d4 d6 mm, upper limit of axis 3, of axis 5, torque of axis 2, speed of axis 1.

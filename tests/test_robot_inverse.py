@@ -14,7 +14,8 @@ from robots.kinematics import forward
 from robots.refine import inverse_refined, pose_error
 from robots.robot import catalogue, load_robot
 
-ROBOTS = {name: load_robot(name) for name in catalogue()}
+# The arms with a closed inverse; the UR ones have no spherical wrist.
+ROBOTS = {name: load_robot(name) for name in catalogue() if name.startswith("kr")}
 EXTRA = ROBOTS["kr210_r2700_extra"]
 names = st.sampled_from(sorted(ROBOTS))
 unit = st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6).map(np.array)

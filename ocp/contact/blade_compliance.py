@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.cache import Entry, content_key, remember
+from ocp.cache import Entry, content_key, recall, remember
 from ocp.contact.clamp_cut import clamp_cut
 from ocp.contact.contact_patch import patch_loads, patch_weights
 from ocp.contact.elasticity import Material, QuadraticMesh, quadratic_mesh
@@ -150,10 +150,8 @@ def blade_compliance(
     """
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
     size = element_size or default_element_size(surface_area(vertices, faces), patch_semi_axes)
-    waypoints = [np.ascontiguousarray(x, float) for path in passes for x in (path.p, path.n, path.t, path.s)]
     clamp = (np.asarray(clamp_normal, float), float(clamp_offset))
-    scalars = (material.youngs_modulus, material.poisson_ratio, *map(float, patch_semi_axes), size, estimate_mesh_error)
-    key = content_key(VERSION, MESH_VERSION, vertices, faces, *clamp, *scalars, *waypoints)
+    key = _key(vertices, faces, clamp, material, passes, patch_semi_axes, size, estimate_mesh_error)
 
     def solid(edge: float) -> ClampedBlade:
         return clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, edge)
@@ -175,6 +173,26 @@ def blade_compliance(
         float(entry["volume_error"]),
         mesh_error,
     )
+
+
+def compliance_kept(
+    vertices: Array, faces: Index, clamp_normal: Array, clamp_offset: float, material: Material,
+    passes: "Sequence[BladePath]", patch_semi_axes: tuple[float, float],
+) -> bool:
+    """Whether `blade_compliance` of the same arguments finds its result on disk."""
+    vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
+    size = default_element_size(surface_area(vertices, faces), patch_semi_axes)
+    clamp = (np.asarray(clamp_normal, float), float(clamp_offset))
+    return recall("blade", _key(vertices, faces, clamp, material, passes, patch_semi_axes, size, False)) is not None
+
+
+def _key(
+    vertices: Array, faces: Index, clamp: tuple[Array, float], material: Material, passes: "Sequence[BladePath]",
+    patch_semi_axes: tuple[float, float], size: float, estimate_mesh_error: bool,
+) -> str:
+    waypoints = [np.ascontiguousarray(x, float) for path in passes for x in (path.p, path.n, path.t, path.s)]
+    scalars = (material.youngs_modulus, material.poisson_ratio, *map(float, patch_semi_axes), size, estimate_mesh_error)
+    return content_key(VERSION, MESH_VERSION, vertices, faces, *clamp, *scalars, *waypoints)
 
 
 def _computed(

@@ -1,12 +1,17 @@
-"""Which terms a model earns: a joint that bends, a payload that differs, each judged on readings it was not fitted to."""
+"""Which terms a model earns: a joint that bends, a payload that differs, each judged on readings it was not fitted to.
+
+Not only near those it was fitted to: a payload, a campaign, half of a joint's range left out must not suffer.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robots.calibration.fit import NU, Campaign, Fit, consistency, fit_campaign
+from robots.calibration.fit import Fit, fit_campaign
 from robots.calibration.layout import Choice
+from robots.calibration.solver import Campaign
+from robots.calibration.student import NU, consistency
 from robots.calibration.validation import Fold, HeldOut, folds, hold_out
 from robots.robot import Robot
 
@@ -34,6 +39,7 @@ def choose_terms(fit: Fit) -> tuple[Choice, list[Term]]:
         campaign = replace(campaign, readings=campaign.readings.take(np.unique(np.linspace(0, n - 1, READINGS).astype(int))))
         fit = fit_campaign(campaign, fit.choice, fit.priors, fit.noise, begin=fit.state)
     blocks = [f for f in folds(campaign) if f.kind == "region"] + [f for f in folds(campaign, 1) if f.kind == "random"]
+    far = [f for f in folds(campaign) if f.kind in ("payload", "joint range", "campaign")]
     tried: list[Term] = []
     for _ in range(ROUNDS):
         base = _scores(fit, blocks, fit.choice)
@@ -46,6 +52,7 @@ def choose_terms(fit: Fit) -> tuple[Choice, list[Term]]:
             found.append((Term(name, *gain, True), choice))
         found.sort(key=lambda entry: -entry[0].gain)
         good = [e for e in found if e[0].gain > LEAST_GAIN and e[0].sigma > LEAST_SIGMA]
+        good = [e for e in good if _carries(fit, far, e[1])]
         tried = [t for t in tried if t.accepted] + [
             replace(t, accepted=False) for t, c in found if not good or c is not good[0][1]
         ]
@@ -68,6 +75,13 @@ def _candidates(fit: Fit) -> Iterator[tuple[str, Choice]]:
         hung = campaign.payloads.get(name)
         if name not in choice.payloads and hung is not None and hung.mass > 0:
             yield f"mass and centre of payload '{name}' differ", replace(choice, payloads=(*choice.payloads, name))
+
+
+def _carries(fit: Fit, far: list[Fold], choice: Choice) -> bool:
+    """Whether a term helps beyond where it was fitted too: a stand-in for something else does not (DIAGNOSIS, impostors)."""
+    pairs = zip(_scores(fit, far, fit.choice), _scores(fit, far, choice), strict=True)
+    gains = [after.score.sum() - before.score.sum() for before, after in pairs if after is not None and before is not None]
+    return not gains or (sum(gains) > 0 and min(gains) > -LEAST_GAIN)
 
 
 def _likelihood(fit: Fit) -> float:

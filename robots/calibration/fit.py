@@ -1,50 +1,27 @@
 """One nonlinear robust fit of everything: geometry, springs, payloads, nests, stations, with covariance.
 
-Maximum a posteriori with Student-t errors of NU degrees of freedom on each reading as a whole (Lange, Little and Taylor
-1989), Levenberg-Marquardt steps on the weighted normal equations. The spread starts at what the data show and is lowered
-to the noise model's as the fit settles, so that outliers of any size lose their weight before they can do harm.
-docs/calibration.md has the equations.
+Maximum a posteriori with Student-t errors, from a start found in the data alone. docs/calibration.md has the equations.
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import brentq, minimize_scalar
-from scipy.stats import chi2
 
-from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, moved, nominal_state
-from robots.calibration.noise import TURN_SD, Noise, reading_covariance, whitener
+from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state
+from robots.calibration.noise import Noise
 from robots.calibration.parameters import MDH_NAMES
-from robots.calibration.residuals import Linearised, linearise, residuals
+from robots.calibration.residuals import linearise, residuals
+from robots.calibration.solver import Campaign, Solution, joint_noise, solve
 from robots.calibration.start import robust_motion
-from robots.measurements import Hanging, Index, Instrument, Readings
+from robots.calibration.student import NU, consistency, spread_of, weights
+from robots.measurements import Index, Readings
 from robots.pose import Array
-from robots.robot import Robot
 
-NU = 8.0  # degrees of freedom of the errors: heavy tails, at 2 % of the efficiency on Gaussian ones
-MAX_STEPS = 40
-SETTLED = 1e-3  # of one posterior sd: smaller steps end the fit
-RELINEARISE = 1e-5  # m or rad: smaller steps leave the Jacobian as it is (its change is below 1e-5 of itself)
-JOINT_NOISE = (1e-6, 3e-3)  # rad, where the joint noise is searched
+LOCATING = 200  # readings of a nest from a station that place both, to begin with
+ROUGH = 1000  # of a longer campaign, fitted first: they leave little to do for the rest
 LEARNED = (5e-5, 1e-2)  # m or rad, bounds of the learned priors
 PLAIN, WEAK = Choice(), Priors()
-
-
-@dataclass(frozen=True)
-class Campaign:
-    """What a fit starts from: robot, readings, what hung on the flange, the instrument.
-
-    pairs (m, 2): where given, differences of these readings are fitted instead of the readings (the relative model); both
-    of a pair are of one station.
-    """
-
-    robot: Robot
-    readings: Readings
-    payloads: dict[str, Hanging]
-    instrument: Instrument
-    pairs: Index | None = None
 
 
 @dataclass(frozen=True)
@@ -93,20 +70,25 @@ def fit_campaign(
     c = campaign
     nominal = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
     layout = build_layout(c.robot, c.readings, c.instrument, choice, priors)
+    estimated = noise is None
     if begin is None:
-        begin = located(campaign, nominal)
+        few = _thinned(c.readings, ROUGH)
+        if c.pairs is None and len(few) < len(c.readings) / 3:
+            rough = fit_campaign(replace(c, readings=few), choice, priors, noise)
+            begin, noise = rough.state, rough.noise
+        else:
+            begin = located(campaign, nominal)
     start = replace(nominal, stations=begin.stations)
     offset = _offset_to(layout, start, begin)
-    estimated = noise is None
     noise = noise or Noise()
-    result = _solve(campaign, layout, start, begin, offset, noise)
+    result = solve(campaign, layout, start, begin, offset, noise)
     if estimated:
         for _ in range(3):
             found = joint_noise(campaign, layout, result)
             if abs(np.log(found.joints / noise.joints)) < 0.02:
                 break
             noise = found
-            result = _solve(campaign, layout, start, result.state, result.offset, noise)
+            result = solve(campaign, layout, start, result.state, result.offset, noise)
     return _finished(campaign, choice, priors, layout, start, result, noise)
 
 
@@ -128,17 +110,25 @@ def learned_priors(fit: Fit) -> Priors:
 
 def located(campaign: Campaign, state: State) -> State:
     """`state` with its stations where most readings want them, and nests that the cell does not place."""
-    c = campaign
+    c = campaign = replace(campaign, readings=_thinned(campaign.readings, LOCATING), pairs=None)
     at_origin = replace(state, stations=np.tile(np.eye(4), (len(c.readings.stations), 1, 1)))
     base_points = c.readings.point - residuals(c.robot, c.readings, c.instrument, at_origin)[:, :3]
     stations = at_origin.stations.copy()
     for k in np.unique(c.readings.station):
         rows = c.readings.station == k
         stations[k] = robust_motion(base_points[rows], c.readings.point[rows])[0]
-    state, campaign = replace(state, stations=stations), replace(c, pairs=None)
+    state = replace(state, stations=stations)
     rigid = Choice(geometry=False, joints=())
     layout = build_layout(c.robot, c.readings, c.instrument, rigid, Priors())
-    return _solve(campaign, layout, state, state, np.zeros(layout.size), Noise()).state
+    return solve(campaign, layout, state, state, np.zeros(layout.size), Noise()).state
+
+
+def _thinned(readings: Readings, most: int) -> Readings:
+    """At most `most` readings of each nest from each station, evenly taken."""
+    kind = readings.station * len(readings.targets) + readings.target
+    groups = [np.flatnonzero(kind == k) for k in np.unique(kind)]
+    few = [rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.int64))] for rows in groups]
+    return readings.take(np.sort(np.concatenate(few)))
 
 
 def _offset_to(layout: Layout, start: State, begin: State) -> Array:
@@ -153,151 +143,8 @@ def _offset_to(layout: Layout, start: State, begin: State) -> Array:
     return offset
 
 
-@dataclass(frozen=True)
-class _Solution:
-    state: State
-    offset: Array
-    linear: Linearised
-    W: Array
-    squared: Array
-    spread: float
-    steps: int
-
-
-def _solve(campaign: Campaign, layout: Layout, start: State, begin: State, offset: Array, noise: Noise) -> _Solution:
-    """Levenberg-Marquardt with the spread lowered as the residuals allow."""
-    c = campaign
-    state = begin
-    linear, W = _looked(c, layout, state, noise)
-    precision = np.where(np.isfinite(layout.prior_sd), (layout.scale / layout.prior_sd) ** 2, 0.0)
-    squared = _squared(W, linear.residual)
-    k = linear.residual.shape[1]
-    damping, spread, steps = 0.0, _spread(squared, k), 0  # what the data show
-    while steps < MAX_STEPS:
-        steps += 1
-        weight = (NU + k) / (NU * consistency(k) + squared / spread**2)
-        scaled = (W @ linear.J) * layout.scale / spread
-        rhs = np.einsum("nki,nk,n->i", scaled, _whitened(W, linear.residual) / spread, weight)
-        rhs -= precision * offset / layout.scale
-        flat = (scaled * np.sqrt(weight)[:, None, None]).reshape(-1, layout.size)
-        normal = flat.T @ flat + np.diag(precision)
-        cost = _cost(squared, spread, k, offset, layout)
-        while True:
-            damped = normal + np.diag(damping * np.diag(normal) + 1e-12)
-            step = layout.scale * cho_solve(cho_factor(damped), rhs)
-            trial = moved(layout, state, step)
-            residual = _paired(c, residuals(c.robot, c.readings, c.instrument, trial))
-            trial_squared = _squared(W, residual)
-            if _cost(trial_squared, spread, k, offset + step, layout) <= cost * (1 + 1e-12) + 1e-9 or damping > 1e6:
-                break
-            damping = max(10 * damping, 1e-4)
-        damping = 0.0 if damping < 1e-3 else 0.1 * damping
-        # Geometry of the step in posterior sds, without an inverse: step^T normal step.
-        length = float(np.sqrt((step / layout.scale) @ normal @ (step / layout.scale)))
-        state, offset, squared = trial, offset + step, trial_squared
-        if np.abs(step).max() > RELINEARISE:
-            linear, W = _looked(c, layout, state, noise)
-            squared = _squared(W, linear.residual)
-        else:
-            linear = replace(linear, residual=residual)
-        lower = max(_spread(squared, k), 1e-6)
-        settled = length < SETTLED and abs(lower / spread - 1) < 1e-3
-        spread = lower
-        if settled:
-            break
-    return _Solution(state, offset, linear, W, squared, spread, steps)
-
-
-def _looked(campaign: Campaign, layout: Layout, state: State, noise: Noise) -> tuple[Linearised, Array]:
-    """Residuals with derivatives and their whitener, of readings or of pairs of them."""
-    c = campaign
-    linear = linearise(c.robot, c.readings, c.instrument, layout, state)
-    if c.pairs is None:
-        return linear, _whitener(c, linear, noise)
-    covariance = reading_covariance(c.readings, c.instrument, noise, linear.d_joints)
-    W = whitener(covariance[c.pairs[:, 0]] + covariance[c.pairs[:, 1]])
-    return replace(linear, residual=_paired(c, linear.residual), J=_paired(c, linear.J)), W
-
-
-def _paired(campaign: Campaign, rows: Array) -> Array:
-    """Rows (n, 3, ..) as they are, or their differences over the pairs (m, 3, ..)."""
-    return rows if campaign.pairs is None else rows[campaign.pairs[:, 1]] - rows[campaign.pairs[:, 0]]
-
-
-def _whitener(campaign: Campaign, linear: Linearised, noise: Noise) -> Array:
-    readings = campaign.readings
-    points = whitener(reading_covariance(readings, campaign.instrument, noise, linear.d_joints))
-    if readings.turn is None:
-        return points
-    W = np.zeros((len(readings), 6, 6))
-    W[:, :3, :3] = points
-    sd = readings.sigma_turn if readings.sigma_turn is not None else np.full(len(readings), TURN_SD)
-    W[:, 3:, 3:] = np.eye(3) / sd[:, None, None]
-    return W
-
-
-def _whitened(W: Array, residual: Array) -> Array:
-    return np.asarray((W @ residual[..., None])[..., 0])
-
-
-def _squared(W: Array, residual: Array) -> Array:
-    return np.asarray((_whitened(W, residual) ** 2).sum(axis=1))
-
-
-def _spread(squared: Array, k: int, freedom: float = 1.0) -> float:
-    """Scale of the residuals over the noise model that the Student-t likelihood wants, one for Gaussian errors.
-
-    The root of mean (NU + k) u / (NU a + u) = k freedom with u = squared / spread^2 and `consistency` a.
-    """
-    a = consistency(k)
-    scale2 = float(np.median(squared)) / chi2.median(k)
-    for _ in range(50):
-        u = squared / scale2
-        before, scale2 = scale2, scale2 * float(np.mean((NU + k) * u / (NU * a + u))) / (k * freedom)
-        if abs(scale2 / before - 1) < 1e-6:
-            break
-    return float(np.sqrt(scale2))
-
-
-@cache
-def consistency(k: int) -> float:
-    """Share a of the variance that a Student-t of k dimensions takes for the scale of Gaussian errors."""
-
-    def excess(a: float) -> float:
-        u = chi2(k).ppf((np.arange(4000) + 0.5) / 4000)
-        return float(np.mean((NU + k) * u / (NU * a + u)) - k)
-
-    return float(brentq(excess, 0.1, 1.0))
-
-
-def _cost(squared: Array, spread: float, k: int, offset: Array, layout: Layout) -> float:
-    """Negative log posterior."""
-    misfit = 0.5 * (NU + k) * np.log1p(squared / spread**2 / (NU * consistency(k))).sum()
-    return float(misfit + 0.5 * ((offset / layout.prior_sd) ** 2).sum())
-
-
-def joint_noise(campaign: Campaign, layout: Layout, solution: _Solution) -> Noise:
-    """The joint noise whose covariance explains the residuals best (Student-t likelihood), freedom of the fit allowed for."""
-    readings = campaign.readings
-    off, d_joints = solution.linear.residual[:, :3], solution.linear.d_joints
-    freedom = max(1.0 - layout.size / (3.0 * len(off)), 0.1)
-    plain = reading_covariance(readings, campaign.instrument, Noise(0.0), d_joints)
-    per_joint = d_joints @ np.swapaxes(d_joints, 1, 2)
-    if campaign.pairs is not None:
-        plain, per_joint = (m[campaign.pairs[:, 0]] + m[campaign.pairs[:, 1]] for m in (plain, per_joint))
-
-    def misfit(log_joints: float) -> float:
-        covariance = freedom * consistency(3) * (plain + np.exp(2 * log_joints) * per_joint)
-        _, logdet = np.linalg.slogdet(covariance)
-        squared = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[..., None])[..., 0])
-        return float(0.5 * ((NU + 3) * np.log1p(squared / NU) + logdet).sum())
-
-    found = minimize_scalar(misfit, bounds=tuple(np.log(JOINT_NOISE)), method="bounded", options={"xatol": 1e-2})
-    return Noise(float(np.exp(found.x)))
-
-
 def _finished(
-    campaign: Campaign, choice: Choice, priors: Priors, layout: Layout, start: State, solution: _Solution, noise: Noise
+    campaign: Campaign, choice: Choice, priors: Priors, layout: Layout, start: State, solution: Solution, noise: Noise
 ) -> Fit:
     """Covariance of the M-estimator (Huber 1981, section 7.6) about the solution."""
     k = solution.linear.residual.shape[1]
@@ -308,9 +155,9 @@ def _finished(
     gained = whitened.T @ whitened
     used = float(np.trace(np.linalg.solve(gained + np.diag(precision + 1e-12), gained)))
     a, freedom = consistency(k), max(1.0 - used / (n * k), 0.1)
-    spread = _spread(solution.squared, k, freedom)
+    spread = spread_of(solution.squared, k, freedom)
     m2 = solution.squared / spread**2
-    weight = (NU + k) / (NU * a + m2)
+    weight = weights(m2, k)
     # psi = w z; its mean square and mean slope correct the covariance of weighted least squares, and the slope's own
     # scatter makes up for unknowns that are not few against the readings (Huber 1981, eq. 7.6.5).
     slopes = weight - 2.0 * weight * m2 / (NU * a + m2) / k

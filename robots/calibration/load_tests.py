@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robots.calibration.fit import NU, Fit
+from robots.calibration.fit import Fit
 from robots.calibration.layout import State, build_layout
 from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.residuals import linearise
+from robots.calibration.student import NU
 from robots.measurements import REPEAT_TOLERANCE, Readings
 from robots.pose import Array
 
@@ -58,8 +59,9 @@ def load_test(fit: Fit) -> LoadTest | None:
         value = np.linalg.solve(normal, np.einsum("nki,nk,n->i", A, y, weight))
         squared = ((y - A @ value) ** 2).sum(axis=1)
         weight = (NU + 3) / (NU + squared / max(np.median(squared) / 2.366, 1e-12))
-    spread = float(np.median(squared) / 2.366)
-    sd = np.sqrt(np.diag(np.linalg.inv(np.einsum("nki,nkj->ij", A, A))) * max(spread, 1e-12))
+    # Never surer than the noise model, and allowing for what the springs themselves take up of few pairs.
+    spread = max(float(np.median(squared) / 2.366), 1.0) * 3 * len(y) / max(3 * len(y) - len(joints), 1)
+    sd = np.sqrt(np.diag(np.linalg.inv(np.einsum("nki,nkj->ij", A, A))) * spread)
     shift = (linear.residual[second] - linear.residual[first])[..., None]
     left = shift[..., 0] - (np.linalg.inv(W) @ (A @ value)[..., None])[..., 0]
     rms = [float(np.sqrt(np.median((s**2).sum(axis=1)))) for s in (shift[..., 0], left)]

@@ -12,9 +12,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from robots.calibration.fit import NU, PLAIN, WEAK, Campaign, Fit, fit_campaign, located
+from robots.calibration.fit import PLAIN, WEAK, Fit, fit_campaign, located
 from robots.calibration.layout import Choice, Priors, State, believed_compliance, nominal_state
-from robots.calibration.residuals import residuals
+from robots.calibration.noise import reading_covariance, whitener
+from robots.calibration.residuals import linearise, residuals
+from robots.calibration.solver import Campaign
+from robots.calibration.student import NU, spread_of, weights
 from robots.gravity import weight_torques
 from robots.measurements import Index, Readings
 from robots.pose import Array
@@ -31,16 +34,31 @@ def calibrate_by(method: str, campaign: Campaign, choice: Choice = PLAIN, priors
     if method == "geometry":
         return fit_campaign(campaign, replace(choice, joints=(), payloads=()), priors)
     if method == "relative":
-        fit = fit_campaign(replace(campaign, pairs=spread_pairs(campaign.readings)), choice, priors)
-        return replace(fit, campaign=campaign, state=placed(campaign, fit.state))
+        points = replace(campaign, readings=replace(campaign.readings, turn=None))
+        fit = fit_campaign(replace(points, pairs=spread_pairs(campaign.readings)), choice, priors)
+        return _as_readings(fit, points, fit.state)
     if method == "relative-literal":
         pairs = equal_torque_pairs(campaign.robot, campaign.readings)
         rigid = replace(choice, joints=(), payloads=())
-        fit = fit_campaign(replace(campaign, pairs=pairs), rigid, priors)
+        points = replace(campaign, readings=replace(campaign.readings, turn=None))
+        fit = fit_campaign(replace(points, pairs=pairs), rigid, priors)
         bends = np.array([float(j in choice.joints) for j in range(1, 7)])
         arm = np.concatenate([fit.state.arm[:30], bends * believed_compliance(campaign.robot)])
-        return replace(fit, campaign=campaign, state=placed(campaign, replace(fit.state, arm=arm)))
+        return _as_readings(fit, points, replace(fit.state, arm=arm))
     raise ValueError(f"method '{method}' is not one of {', '.join(METHODS)}")
+
+
+def _as_readings(fit: Fit, campaign: Campaign, state: State) -> Fit:
+    """A fit of differences as one of readings: stations placed, residuals and weights of the readings themselves."""
+    state = placed(campaign, state)
+    c = campaign
+    linear = linearise(c.robot, c.readings, c.instrument, fit.layout, state)
+    W = whitener(reading_covariance(c.readings, c.instrument, fit.noise, linear.d_joints))
+    squared = np.asarray(((W @ linear.residual[..., None])[..., 0] ** 2).sum(axis=1))
+    spread = spread_of(squared, 3)
+    weight = weights(squared / spread**2, 3) / weights(np.zeros(1), 3)
+    seen = replace(fit, residual=linear.residual, weight=weight, squared=squared, J=linear.J, W=W, spread=spread)
+    return replace(seen, campaign=campaign, state=state)
 
 
 def spread_pairs(readings: Readings) -> Index:

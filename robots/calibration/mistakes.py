@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from robots.calibration.fit import Campaign, located
+from robots.calibration.fit import located
 from robots.calibration.layout import Choice, nominal_state
 from robots.calibration.residuals import residuals
+from robots.calibration.solver import Campaign
 from robots.calibration.start import robust_motion
 from robots.errors import BadInput
 from robots.measurements import Readings
@@ -22,7 +23,7 @@ FITS = 15e-3  # m; an uncalibrated arm with roughly placed nests stays below
 NEST_SHARE = 5.0  # nests farther off than this many of their sds speak for another robot
 CLOSER = 3  # of the guesses are looked at with the nests fitted too
 ROWS = 400  # readings looked at; more would say the same
-WRONG_SHARE = 0.3  # of readings that may be far off before the file is refused
+WRONG_SHARE = 0.2  # of readings that may be far off before the file is refused
 SCALES = {1e3: "in metres, not millimetres", 1e-3: "in micrometres, not millimetres", 1e3 / 39.3701: "in inches, not millimetres"}
 
 

@@ -3,22 +3,27 @@
 One symbolic row, evaluated for all readings at once. The posture q_real = q + c tau(q_real) is differentiated implicitly,
     (I - C tau_q) dq_real = dq + C (tau_mdh dmdh + tau_payload dpayload) + diag(tau) dc,
 which is exact at the fixed point and nine times cheaper than differentiating through its two steps (the steps leave
-1e-5 of the sag, `robots.compliance`).
+1e-5 of the sag, `robots.compliance`). Each MD-H number turns or shifts everything after it about or along a line of the
+arm, so the derivatives of points and torques are written as cross products: a quarter of what automatic
+differentiation evaluates.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.compliance import deflected_joints
-from robots.gravity import gravity_torques
-from robots.kinematics import chain, evaluate_rows
+from robots.gravity import GRAVITY, gravity_torques
+from robots.kinematics import chain
 from robots.pose import Array
 from robots.robot import Robot
 
+_CHUNK = 2048  # rows of one call: large enough to hide its cost, small enough for the cache
 ARM_NAMES: tuple[str, ...] = (*MDH_NAMES, *COMPLIANCE_NAMES)  # order of `arm` (36,)
 PAYLOAD_NAMES = ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z")
 
@@ -61,29 +66,27 @@ def predict(robot: Robot, arm: Array, rows: RowInputs) -> Prediction:
     n = len(rows.q)
     mdh, c = np.broadcast_to(arm[:30], (n, 30)), arm[30:]
     real = _postures(robot, arm, rows)
-    geometry = evaluate_rows(_geometry(rows.nest_link, robot.sign.tobytes()), real, mdh, rows.nest)
+    geometry = _rows(_geometry, (rows.nest_link, robot.sign.tobytes()), real, mdh, rows.nest)
     point, R = geometry[:, :3], geometry[:, 3:12].reshape(n, 3, 3)
-    J = geometry[:, 12:129].reshape(n, 3, 39)  # q_real, mdh, nest
-    W = geometry[:, 129:].reshape(n, 3, 36)  # q_real, mdh
-    statics = evaluate_rows(_statics(rows.load_link, *_masses(robot)), real, mdh, rows.payload, rows.load, rows.load_place)
+    J = geometry[:, 12:].reshape(n, 6, 36)  # point, then spin, in q_real, mdh
+    key = (rows.load_link, *_masses(robot))
+    statics = _rows(_statics, key, real, mdh, rows.payload, rows.load, rows.load_place)
     tau, T = statics[:, :6], statics[:, 6:].reshape(n, 6, 40)  # q_real, mdh, payload
-    bend = c[:, None] * T
-    right = np.concatenate([bend[..., 6:36], tau[:, :, None] * np.eye(6), bend[..., 36:], np.tile(np.eye(6), (n, 1, 1))], axis=2)
-    dq = np.linalg.solve(np.eye(6) - bend[..., :6], right)  # in mdh, c, payload, joints
-    d = J[..., :6] @ dq
-    d[..., :30] += J[..., 6:36]
-    spin = W[..., :6] @ dq
-    spin[..., :30] += W[..., 6:]
+    # X = J_q (I - C tau_q)^-1, from the left: six right-hand sides instead of 46.
+    bent = np.eye(6) - c[:, None] * T[..., :6]
+    X = np.swapaxes(np.linalg.solve(np.swapaxes(bent, 1, 2), np.swapaxes(J[..., :6], 1, 2)), 1, 2)
+    forced = (X * c) @ T[..., 6:]  # mdh, payload
+    d_arm = np.concatenate([J[..., 6:] + forced[..., :30], X * tau[:, None, :]], axis=2)
     return Prediction(
-        point, R, d[..., :36], J[..., 36:], d[..., 36:40], d[..., 40:], spin[..., :36], spin[..., 36:40], spin[..., 40:]
-    )
+        point, R, d_arm[:, :3], R, forced[:, :3, 30:], X[:, :3], d_arm[:, 3:], forced[:, 3:, 30:], X[:, 3:]
+    )  # fmt: skip
 
 
 def predict_points(robot: Robot, arm: Array, rows: RowInputs) -> tuple[Array, Array]:
     """Points (n, 3) m and rotations (n, 3, 3) alone, as `predict` gives them."""
     n = len(rows.q)
-    function = _place(rows.nest_link, robot.sign.tobytes())
-    out = evaluate_rows(function, _postures(robot, arm, rows), np.broadcast_to(arm[:30], (n, 30)), rows.nest)
+    key = (rows.nest_link, robot.sign.tobytes())
+    out = _rows(_place, key, _postures(robot, arm, rows), np.broadcast_to(arm[:30], (n, 30)), rows.nest)
     return out[:, :3], out[:, 3:].reshape(n, 3, 3)
 
 
@@ -91,8 +94,33 @@ def _postures(robot: Robot, arm: Array, rows: RowInputs) -> Array:
     """Bent joints (n, 6) rad."""
     if not arm[30:].any():
         return rows.q
-    function = _bent(rows.load_link, *_masses(robot))
-    return evaluate_rows(function, rows.q, np.broadcast_to(arm, (len(rows.q), 36)), rows.payload, rows.load, rows.load_place)
+    whole = np.broadcast_to(arm, (len(rows.q), 36))
+    return _rows(_bent, (rows.load_link, *_masses(robot)), rows.q, whole, rows.payload, rows.load, rows.load_place)
+
+
+def _rows(build: Callable[..., ca.Function], key: tuple[Any, ...], *arguments: Array) -> Array:
+    """One output row per input row of the function build(*key): arguments (n, k_i) -> (n, m).
+
+    CasADi reads and writes the arrays' own memory: its matrices would cost as much again as the evaluation.
+    """
+    n = len(arguments[0])
+    out = np.empty((n, build(*key).size1_out(0)))
+    for start in range(0, n, _CHUNK):
+        block = slice(start, min(start + _CHUNK, n))
+        buffer: Any
+        buffer, evaluate = _mapped(build, block.stop - start, key).buffer()
+        held = [np.ascontiguousarray(a[block], float) for a in arguments]
+        for i, a in enumerate(held):
+            buffer.set_arg(i, a.data)
+        buffer.set_res(0, out[block].data)
+        evaluate()
+    return out
+
+
+@lru_cache(maxsize=64)
+def _mapped(build: Callable[..., ca.Function], count: int, key: tuple[Any, ...]) -> ca.Function:
+    """The function for `count` rows at once."""
+    return build(*key).map(count)
 
 
 def _masses(robot: Robot) -> tuple[bytes, ...]:
@@ -114,17 +142,45 @@ def _place(link: int, sign: bytes) -> ca.Function:
 
 @lru_cache(maxsize=32)
 def _geometry(link: int, sign: bytes) -> ca.Function:
-    """(q_real, mdh, nest) -> point, R, point's derivative in all three, R's spin in q_real and mdh; matrices row-major."""
+    """(q_real, mdh, nest) -> point, R, then (6, 36) of the point and the spin in q_real and mdh; matrices row-major."""
     q, mdh, nest = ca.SX.sym("q", 6), ca.SX.sym("mdh", 30), ca.SX.sym("nest", 3)
-    frame = chain(q, _table(mdh), np.frombuffer(sign))[link]
-    R = frame[:3, :3]
-    point = frame[:3, 3] + R @ nest
-    J = ca.jacobian(point, ca.vertcat(q, mdh, nest))
-    dR = ca.jacobian(ca.vec(R), ca.vertcat(q, mdh))
-    # skew(w_i) = dR/dx_i R^T
-    spin = ca.vertcat(*(sum(dR[i + 3 * k, :] * R[j, k] for k in range(3)) for i, j in ((2, 1), (0, 2), (1, 0))))
-    out = ca.vertcat(point, ca.vec(R.T), ca.vec(J.T), ca.vec(spin.T))
-    return ca.Function("geometry", [q, mdh, nest], [ca.densify(out)])
+    s = np.frombuffer(sign)
+    frames = chain(q, _table(mdh), s)
+    R = frames[link][:3, :3]
+    point = frames[link][:3, 3] + R @ nest
+    columns = []
+    for m in _motions(q, _table(mdh), s, frames):
+        if m.joint >= link:
+            columns.append(ca.SX.zeros(6))
+        elif m.turns:
+            columns.append(ca.vertcat(ca.cross(m.axis, point - m.at), m.axis))
+        else:
+            columns.append(ca.vertcat(m.axis, 0, 0, 0))
+    J = ca.horzcat(*(s[i] * columns[5 * i] for i in range(6)), *columns)
+    return ca.Function("geometry", [q, mdh, nest], [ca.cse(ca.densify(ca.vertcat(point, ca.vec(R.T), ca.vec(J.T))))])
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """What one MD-H number does to all frames after A_joint: turn about, or shift along, `axis` (3) at `at` (3), base frame."""
+
+    joint: int
+    turns: bool
+    axis: Any
+    at: Any
+
+
+def _motions(q: Any, table: Any, sign: Array, frames: list[Any]) -> Iterator[_Motion]:
+    """The 30 motions in the order of `MDH_NAMES`."""
+    for i in range(6):
+        theta = sign[i] * q[i] + table[i, 0]
+        before, after = frames[i], frames[i + 1]
+        x = ca.cos(theta) * before[:3, 0] + ca.sin(theta) * before[:3, 1]
+        yield _Motion(i, True, before[:3, 2], before[:3, 3])
+        yield _Motion(i, False, before[:3, 2], before[:3, 3])
+        yield _Motion(i, False, x, after[:3, 3])
+        yield _Motion(i, True, x, after[:3, 3])
+        yield _Motion(i, True, after[:3, 1], after[:3, 3])
 
 
 def _torques(q: ca.SX, mdh: ca.SX, payload: ca.SX, load: ca.SX, place: ca.SX, link: int, masses: tuple[bytes, ...]) -> ca.SX:
@@ -149,13 +205,42 @@ def _bent(link: int, *masses: bytes) -> ca.Function:
     """(q, arm, payload, load, place) -> q_real."""
     q, arm, (payload, load, place) = ca.SX.sym("q", 6), ca.SX.sym("arm", 36), _load_symbols()
     real = deflected_joints(q, lambda x: _torques(x, arm[:30], payload, load, place, link, masses), arm[30:])
-    return ca.Function("bent", [q, arm, payload, load, place], [ca.densify(real)])
+    return ca.Function("bent", [q, arm, payload, load, place], [ca.cse(ca.densify(real))])
 
 
 @lru_cache(maxsize=32)
 def _statics(link: int, *masses: bytes) -> ca.Function:
-    """(q_real, mdh, payload, load, place) -> tau (6), its derivative in the first three, row-major."""
+    """(q_real, mdh, payload, load, place) -> tau (6), its derivative (6, 40) in the first three, row-major."""
     q, mdh, (payload, load, place) = ca.SX.sym("q", 6), ca.SX.sym("mdh", 30), _load_symbols()
     tau = _torques(q, mdh, payload, load, place, link, masses)
-    J = ca.jacobian(tau, ca.vertcat(q, mdh, payload))
-    return ca.Function("statics", [q, mdh, payload, load, place], [ca.densify(ca.vertcat(tau, ca.vec(J.T)))])
+    sign, mass, com = np.frombuffer(masses[0]), np.frombuffer(masses[1]), np.frombuffer(masses[2]).reshape(7, 3)
+    frames = chain(q, _table(mdh), sign)
+    R, o = [f[:3, :3] for f in frames], [f[:3, 3] for f in frames]
+    # Mass and first moment of what hangs on each axis.
+    total, moment = [payload[0]], [payload[0] * (o[6] + R[6] @ payload[1:])]
+    for i in range(6, 0, -1):
+        total.insert(0, total[0] + mass[i])
+        moment.insert(0, moment[0] + mass[i] * (o[i] + R[i] @ com[i]))
+    weight, force, at = ca.DM([0, 0, -GRAVITY]), load[:3], o[link] + R[link] @ place
+    derivative: list[list[Any]] = [[] for _ in range(6)]
+    motions = list(_motions(q, _table(mdh), sign, frames))
+    for j, row in enumerate(derivative):
+        z, lever, arm = R[j][:, 2], moment[j] - total[j] * o[j], at - o[j]
+        pull = float(j < link)
+        # An axis that is turned with all it carries feels the forces turned the other way.
+        turned = ca.cross(ca.cross(z, lever), weight)
+        turned += pull * (ca.cross(ca.cross(z, arm), force) + ca.cross(z, load[3:]))
+        for m in motions:
+            if m.joint < j:
+                row.append(ca.dot(m.axis, turned) if m.turns else 0)
+                continue
+            moved = ca.cross(m.axis, moment[m.joint] - total[m.joint] * m.at) if m.turns else total[m.joint] * m.axis
+            work = ca.dot(moved, ca.cross(weight, z))
+            if pull and m.joint < link:
+                work += ca.dot(ca.cross(m.axis, at - m.at) if m.turns else m.axis, ca.cross(force, z))
+            row.append(work)
+        hung = o[6] + R[6] @ payload[1:] - o[j]
+        row.extend([ca.dot(hung, ca.cross(weight, z)), *(payload[0] * ca.dot(R[6][:, k], ca.cross(weight, z)) for k in range(3))])
+    rows = [ca.vertcat(*(sign[i] * row[5 * i] for i in range(6)), *row) for row in derivative]
+    out = ca.vertcat(tau, *(sign[j] * row for j, row in enumerate(rows)))
+    return ca.Function("statics", [q, mdh, payload, load, place], [ca.cse(ca.densify(out))])

@@ -24,15 +24,14 @@ def robust_motion(source: Array, target: Array) -> tuple[Array, float]:
     Deterministic; half of the readings may be wrong (Rousseeuw 1984).
     """
     n = len(source)
-    rng = default_rng(0)
-    best, least = rigid_motion(source, target), np.inf
-    for _ in range(TRIALS if n > SUBSET else 1):
-        rows = rng.choice(n, min(SUBSET, n), replace=False)
-        T = rigid_motion(source[rows], target[rows])
-        off = np.linalg.norm(source @ T[:3, :3].T + T[:3, 3] - target, axis=1)
-        median = float(np.median(off))
-        if median < least:
-            best, least = T, median
+    best = rigid_motion(source, target)
+    least = float(np.median(np.linalg.norm(source @ best[:3, :3].T + best[:3, 3] - target, axis=1)))
+    if n > SUBSET:
+        rows = default_rng(0).random((TRIALS, n)).argpartition(SUBSET, axis=1)[:, :SUBSET]
+        R, t = _motions(source[rows], target[rows])
+        medians = np.median(np.linalg.norm(source @ np.swapaxes(R, 1, 2) + t[:, None] - target, axis=2), axis=1)
+        k = int(np.argmin(medians))
+        best, least = make_transform(R[k], t[k]), float(medians[k])
     for _ in range(3):
         off = np.linalg.norm(source @ best[:3, :3].T + best[:3, 3] - target, axis=1)
         near = off <= np.median(off)
@@ -43,3 +42,13 @@ def robust_motion(source: Array, target: Array) -> tuple[Array, float]:
                 break
             best, least = T, median
     return best, least
+
+
+def _motions(source: Array, target: Array) -> tuple[Array, Array]:
+    """Rotations (m, 3, 3) and shifts (m, 3) that move source (m, k, 3) onto target, all at once (Kabsch 1976)."""
+    a, b = source.mean(axis=1), target.mean(axis=1)
+    U, _, Vt = np.linalg.svd(np.swapaxes(source - a[:, None], 1, 2) @ (target - b[:, None]))
+    V = np.swapaxes(Vt, 1, 2).copy()
+    V[:, :, 2] *= np.sign(np.linalg.det(V @ np.swapaxes(U, 1, 2)))[:, None]
+    R = V @ np.swapaxes(U, 1, 2)
+    return R, b - (R @ a[..., None])[..., 0]

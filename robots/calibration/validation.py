@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from robots.calibration.fit import NU, Campaign, Fit, consistency, fit_campaign, predict_readings
+from robots.calibration.fit import Fit, fit_campaign, predict_readings
 from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import linearise
+from robots.calibration.solver import Campaign
+from robots.calibration.student import NU, consistency
 from robots.measurements import Index
 from robots.pose import Array
 
@@ -29,13 +31,15 @@ class Fold:
 @dataclass(frozen=True)
 class HeldOut:
     """Errors (m,) m of the readings `rows` (m,) that the model of a fold had not seen; score (m,): log density of each;
-    squared (m,): squared error over its predicted covariance, 3 on average where that is honest."""
+    squared (m,): squared error over its predicted covariance, 3 on average where that is honest; off (m, 3) m: measured less
+    predicted in the tracker's frame."""
 
     fold: Fold
     rows: Index
     error: Array
     score: Array
     squared: Array
+    off: Array
 
     def figures(self) -> dict[str, float]:
         """rms, mean, standard deviation and maximum of the error in m, and error over prediction."""
@@ -98,7 +102,7 @@ def hold_out(fit: Fit, fold: Fold, refit: Callable[[Campaign, Fit], Fit] | None 
     squared = np.einsum("ni,ni->n", off, np.linalg.solve(whole, off[..., None])[..., 0])
     _, logdet = np.linalg.slogdet(whole * consistency(3))
     score = -0.5 * ((NU + 3) * np.log1p(squared / (NU * consistency(3))) + logdet)
-    return HeldOut(fold, rows, np.linalg.norm(off, axis=1), score, squared)
+    return HeldOut(fold, rows, np.linalg.norm(off, axis=1), score, squared, off)
 
 
 def again(left: Campaign, fit: Fit) -> Fit:
@@ -117,7 +121,7 @@ def by_kind(found: list[HeldOut]) -> dict[str, dict[str, float]]:
     for kind in dict.fromkeys(h.fold.kind for h in found):
         parts = [h for h in found if h.fold.kind == kind]
         together = HeldOut(
-            parts[0].fold, *(np.concatenate([getattr(h, a) for h in parts]) for a in ("rows", "error", "score", "squared"))
+            parts[0].fold, *(np.concatenate([getattr(h, a) for h in parts]) for a in ("rows", "error", "score", "squared", "off"))
         )
         table[kind] = together.figures() | {"readings": float(len(together.rows)), "folds": float(len(parts))}
     return table

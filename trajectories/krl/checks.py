@@ -20,17 +20,18 @@ def check_program(
     axis_range: tuple[Array, Array] | None = None,
     arm: ArmLengths | None = None,
     absolute_accuracy: bool = False,
+    pauses: bool = False,
 ) -> Execution:
     """What runs when `source` (the main .src) is started, after every check on all .src and .dat of its folder.
 
     `axis_range` (q_min, q_max) (6,) rad and `arm` bring the checks that need the machine; `absolute_accuracy` refuses
-    poses. Raises BadInput, which names file and line.
+    poses; `pauses` lets a measuring program stand still (HALT, WAIT). Raises BadInput, which names file and line.
     """
     source = Path(source)
     check_files(source.parent)
     modules = {path: read_module(path) for path in program_files_of(source.parent)}
     for module in modules.values():
-        check_module(module)
+        check_module(module, pauses)
     stems = {(m.path.stem.upper(), m.path.suffix.lower()): m for m in modules.values()}
     for (stem, suffix), module in stems.items():
         if suffix == ".src":

@@ -17,6 +17,7 @@ from trajectories.krl.syntax import (
     Motion,
     Number,
     Other,
+    Pause,
     Remark,
     Statement,
     TimeBlock,
@@ -28,11 +29,16 @@ SPEEDS = ("$VEL.CP", "$ACC.CP", "$APO.CVEL", *(f"${k}_AXIS[{i}]" for k in ("VEL"
 ALLOWED = {"PTP_SPLINE": ("SPTP",), "SPLINE": ("SPL", "SLIN"), "": ("PTP", "LIN")}
 AXES = frozenset(f"A{i}" for i in range(1, 7))
 POSE = frozenset("X Y Z A B C S T".split())
+LONGEST_WAIT = 3600.0  # s
+MOST_INPUTS = 8192  # of KSS 8
 ROUNDING = 1e-5  # s, what the printed parts of a block may miss its end by
 
 
-def check_module(module: Module) -> None:
-    """Refuse (BadInput, file and line) a .src or .dat that a controller would reject or run in another way."""
+def check_module(module: Module, pauses: bool = False) -> None:
+    """Refuse (BadInput, file and line) a .src or .dat that a controller would reject or run in another way.
+
+    `pauses`: HALT and WAIT may stand in it (measuring); a grinding program would stop with its blade on the wheel.
+    """
     definition = next(s for s in module.statements if isinstance(s, Definition))
     if definition.name.upper() != module.path.stem.upper():
         raise _bad(module, definition, f"{definition.kind} {definition.name} stands in a file of another name")
@@ -44,6 +50,7 @@ def check_module(module: Module) -> None:
     else:
         _check_order(module)
         _check_blocks(module)
+        _check_pauses(module, pauses)
 
 
 def check_pair(source: Module, data: Module) -> None:
@@ -73,6 +80,18 @@ def _check_data(module: Module) -> None:
     _check_names(module)
 
 
+def _check_pauses(module: Module, allowed: bool) -> None:
+    for s in module.statements:
+        if not isinstance(s, Pause):
+            continue
+        if not allowed:
+            raise _bad(module, s, "HALT and WAIT may not stand in a grinding program; the blade would rest on the wheel")
+        if s.seconds is not None and not 0 < s.seconds.value <= LONGEST_WAIT:
+            raise _bad(module, s, f"WAIT SEC {s.seconds.text} must be above 0 and at most {LONGEST_WAIT:g}")
+        if s.input is not None and not (s.input.text.isdigit() and 1 <= s.input.value <= MOST_INPUTS):
+            raise _bad(module, s, f"$IN[{s.input.text}] does not exist; inputs are 1 to {MOST_INPUTS}")
+
+
 def _check_names(module: Module) -> None:
     seen: dict[str, int] = {}
     for s in module.statements:
@@ -92,7 +111,7 @@ def _check_order(module: Module) -> None:
             if started:
                 raise _bad(module, s, f"{s.name} is declared after the first statement; declarations come first")
             continue
-        started |= isinstance(s, (Assignment, Call, Motion, BlockStart, Interrupt))
+        started |= isinstance(s, (Assignment, Call, Motion, BlockStart, Interrupt, Pause))
         if isinstance(s, Other):
             raise _bad(module, s, f"{s.text[:30]} may not be used here")
         if isinstance(s, Call) and s.name.upper() == "BAS":

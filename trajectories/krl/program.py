@@ -61,7 +61,16 @@ class PoseLines:
     acceleration: float = 1.0
 
 
-Block = Comment | PointMotion | TimedSpline | PoseSpline | PoseLines
+@dataclass(frozen=True)
+class Stop:
+    """The robot stands still, for `seconds` (WAIT SEC), until an `input` is on (WAIT FOR $IN), or with neither until a person
+    starts it again (HALT)."""
+
+    seconds: float | None = None
+    input: int | None = None
+
+
+Block = Comment | Stop | PointMotion | TimedSpline | PoseSpline | PoseLines
 
 
 @dataclass(frozen=True)
@@ -112,7 +121,7 @@ class Program:
 
 def points_of(block: Block) -> int:
     """Number of positions a block writes."""
-    if isinstance(block, Comment):
+    if isinstance(block, Comment | Stop):
         return 0
     return 1 if isinstance(block, PointMotion) else len(block.q)
 
@@ -133,7 +142,7 @@ def split_blocks(blocks: Sequence[Block], most: int = MOST_POINTS) -> list[list[
                 "time step), or time the pass in two"
             )
         if count + n > most:
-            last = next(b for b in reversed(groups[-1]) if not isinstance(b, Comment))
+            last = next(b for b in reversed(groups[-1]) if not isinstance(b, Comment | Stop))
             q = last.q if isinstance(last, PointMotion) else last.q[-1]
             groups.append([PointMotion(q)])
             count = 1

@@ -134,6 +134,14 @@ class Interrupt(Statement):
 
 
 @dataclass(frozen=True)
+class Pause(Statement):
+    """HALT, WAIT SEC seconds or WAIT FOR $IN[input]: the robot stands still."""
+
+    seconds: Number | None = None
+    input: Number | None = None
+
+
+@dataclass(frozen=True)
 class Other(Statement):
     """A statement without motion that only an old program may hold (waits, outputs, triggers)."""
 

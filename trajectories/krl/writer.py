@@ -12,6 +12,7 @@ from trajectories.krl.program import (
     PoseSpline,
     Program,
     Setup,
+    Stop,
     SubProgram,
     TimedSpline,
     validate,
@@ -112,6 +113,8 @@ def _sub(sub: SubProgram, setup: Setup) -> list[str]:
         speeds = wanted or speeds
         if isinstance(block, Comment):
             lines.append(f"; {comment_text(block.text)}")
+        elif isinstance(block, Stop):
+            lines.append(_stop(block))
         elif isinstance(block, PointMotion):
             lines.append(f"PTP {_axes(block.q)}")
         elif isinstance(block, TimedSpline):
@@ -119,6 +122,12 @@ def _sub(sub: SubProgram, setup: Setup) -> list[str]:
         else:
             lines += _poses(block, setup)
     return lines
+
+
+def _stop(block: Stop) -> str:
+    if block.seconds is not None:
+        return f"WAIT SEC {number(block.seconds, 2)}"
+    return "HALT" if block.input is None else f"WAIT FOR $IN[{block.input}]"
 
 
 def _axis_speeds(block: Block) -> list[str]:

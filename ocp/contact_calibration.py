@@ -1,0 +1,27 @@
+"""The contact side of `python -m ocp.calibrate`: a force log joined to the arm's calibration."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from ocp.cell import read_cell
+from ocp.command import Phases
+from ocp.force_log import read_force_log
+from ocp.force_registration import fit_force
+from ocp.report.contact_sections import contact_sections
+from ocp.report.section import Section
+from robots.calibration.store import Calibration
+from robots.errors import BadInput
+
+
+def join_contact(cell_file: Path, force: Path, arm: Calibration, phases: Phases) -> tuple[Calibration, list[Section]]:
+    """The arm's calibration with wheel, blade, flange and sensor from the log, and what the report says of them.
+
+    Raises BadInput, Infeasible: the cell has no blade or wheel, the log is malformed or is not of this cell.
+    """
+    log = read_force_log(force)
+    cell = read_cell(cell_file)
+    if cell.workpiece.stl is None:
+        raise BadInput(f"{cell_file}: workpiece.stl is missing; a force log needs the blade that was ground")
+    with phases.phase("contact"):
+        fit = fit_force(replace(cell, calibration=None), log, arm)
+    return fit.calibration(arm), contact_sections(fit)

@@ -1,0 +1,55 @@
+"""Student-t errors of NU degrees of freedom on a reading as a whole: weights, scale, and how both relate to Gaussian errors.
+
+Lange, Little and Taylor 1989; docs/calibration.md, eq. 3.
+"""
+
+from functools import cache
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2
+
+from robots.pose import Array
+
+NU = 8.0  # heavy tails, at 2 % of the efficiency on Gaussian errors
+
+
+def weights(squared: Array, k: int) -> Array:
+    """Weights (n,) of readings of k components whose whitened squared distances over the spread are `squared` (n,)."""
+    return np.asarray((NU + k) / (NU * consistency(k) + squared))
+
+
+def misfit(squared: Array, k: int) -> float:
+    """Negative log density of all readings, but for a constant."""
+    return float(0.5 * (NU + k) * np.log1p(squared / (NU * consistency(k))).sum())
+
+
+def spread_of(squared: Array, k: int, freedom: float = 1.0) -> float:
+    """Scale of the residuals over the noise model that the Student-t likelihood wants, one for Gaussian errors.
+
+    The root of mean (NU + k) u / (NU a + u) = k freedom with u = squared / spread^2 and `consistency` a.
+    """
+    a = consistency(k)
+    scale2 = float(np.median(squared)) / _chi2_median(k)
+    for _ in range(50):
+        u = squared / scale2
+        before, scale2 = scale2, scale2 * float(np.mean((NU + k) * u / (NU * a + u))) / (k * freedom)
+        if abs(scale2 / before - 1) < 1e-6:
+            break
+    return float(np.sqrt(scale2))
+
+
+@cache
+def _chi2_median(k: int) -> float:
+    return float(chi2.median(k))
+
+
+@cache
+def consistency(k: int) -> float:
+    """Share a of the variance that a Student-t of k dimensions takes for the scale of Gaussian errors."""
+
+    def excess(a: float) -> float:
+        u = chi2(k).ppf((np.arange(4000) + 0.5) / 4000)
+        return float(np.mean((NU + k) * u / (NU * a + u)) - k)
+
+    return float(brentq(excess, 0.1, 1.0))
