@@ -18,9 +18,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.command import Phases
+from ocp.measuring.design import Design, planned_readings
+from ocp.measuring.planning import PoseOptions, PosePlan, make_poses
 from ocp.plan import BUNDLED
-from ocp.pose_design import Design, planned_readings
-from ocp.pose_planning import PoseOptions, PosePlan, make_poses
 from robots.calibration.fit import fit_campaign
 from robots.calibration.layout import Choice, State, nominal_state
 from robots.calibration.noise import Noise, reading_covariance

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.command import Phases
-from ocp.tracker_setup import TrackerSetup, read_tracker_setup
+from ocp.measuring.setup import TrackerSetup, read_tracker_setup
 from robots.calibration.evidence import Term, choose_terms
 from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings
 from robots.calibration.identifiability import Identifiability, identify

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from ocp.cell import read_cell
 from ocp.command import Phases
-from ocp.force_log import read_force_log
-from ocp.force_registration import fit_force
+from ocp.force.log import read_force_log
+from ocp.force.registration import fit_force
 from ocp.report.contact_sections import contact_sections
 from ocp.report.section import Section
 from robots.calibration.store import Calibration

@@ -37,9 +37,9 @@ def poses(
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
     """Choose the poses of a laser-tracker campaign, tell what accuracy they will give, and write CSV and KRL programs."""
-    from ocp.pose_files import write_poses  # heavy imports only once the arguments stand
-    from ocp.pose_planning import PoseOptions, make_poses
-    from ocp.pose_program import Pausing, base_name
+    from ocp.measuring.files import write_poses  # heavy imports only once the arguments stand
+    from ocp.measuring.planning import PoseOptions, make_poses
+    from ocp.measuring.program import Pausing, base_name
     from robots.calibration.layout import Priors
     from robots.calibration.noise import Noise
 

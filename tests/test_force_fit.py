@@ -9,13 +9,13 @@ from force_world import HEADER, Run, World, arm_posterior, campaign, correlated,
 from scipy.stats import chi2
 
 from ocp.cell import read_cell
-from ocp.force_fit import BIAS, FIT_NAMES, force_prior, reading_jacobian, reading_of, solve_force_log
-from ocp.force_folds import blocks_of, held_out
-from ocp.force_footing import foot_points
-from ocp.force_log import ForceLog, read_force_log
-from ocp.force_model import ForceModel, ForceRows
-from ocp.force_registration import ForceFit, fit_force
-from ocp.force_rows import ForceSetup, prepare_force
+from ocp.force.fit import BIAS, FIT_NAMES, force_prior, reading_jacobian, reading_of, solve_force_log
+from ocp.force.folds import blocks_of, held_out
+from ocp.force.footing import foot_points
+from ocp.force.log import ForceLog, read_force_log
+from ocp.force.model import ForceModel, ForceRows
+from ocp.force.registration import ForceFit, fit_force
+from ocp.force.rows import ForceSetup, prepare_force
 from ocp.registration import registered
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ocp.cell import read_cell
-from ocp.line_of_sight import BALL, BEAM, Rod, Sight, meets_wheel, nest_direction, segment_distance, visible
+from ocp.measuring.line_of_sight import BALL, BEAM, Rod, Sight, meets_wheel, nest_direction, segment_distance, visible
 from ocp.plan import BUNDLED
 from robots.kinematics import link_frames
 from robots.measurements import Nest

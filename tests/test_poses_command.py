@@ -15,11 +15,11 @@ from typer.testing import CliRunner
 from ocp.air import dense
 from ocp.cell import read_cell
 from ocp.collision import Scene
-from ocp.grinding_zone import ground_blade
-from ocp.line_of_sight import Sight, visible
+from ocp.measuring.line_of_sight import Sight, visible
+from ocp.measuring.setup import read_tracker_setup
+from ocp.measuring.zone import ground_blade
 from ocp.plan import BUNDLED
 from ocp.poses import app
-from ocp.tracker_setup import read_tracker_setup
 from robots.errors import BadInput
 from robots.measurements import read_readings
 from trajectories.krl.checks import check_program

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ocp.force_fit import FIT_NAMES
-from ocp.force_folds import pooled
-from ocp.force_registration import ForceFit
+from ocp.force.fit import FIT_NAMES
+from ocp.force.folds import pooled
+from ocp.force.registration import ForceFit
 from ocp.report.panels import panels
 from ocp.report.printed_style import CURVE, SOFT, TARGET
 from ocp.report.section import Canvas, Draw, Part, Plot, Points, Section, Table, table

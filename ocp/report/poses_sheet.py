@@ -14,7 +14,7 @@ from robots.kinematics import link_frames
 from robots.pose import Array, apply
 
 if TYPE_CHECKING:
-    from ocp.pose_planning import PosePlan
+    from ocp.measuring.planning import PosePlan
 
 VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
 

@@ -8,16 +8,16 @@ import numpy as np
 from ocp.cell import Cell, read_cell
 from ocp.collision import Scene
 from ocp.command import Phases
-from ocp.grinding_zone import Zone, find_zone, ground_blade
-from ocp.line_of_sight import Sight, blade_rod
-from ocp.measuring_scene import MeasuringScene
-from ocp.pose_candidates import Candidates, Mask, choose_stand, free_postures, seen_by
-from ocp.pose_checks import chosen_payloads, chosen_targets, stated_tracker
-from ocp.pose_curve import Curve, error_curve, refuse_too_few
-from ocp.pose_design import Design, build_design
-from ocp.pose_order import Stop, find_tour
-from ocp.pose_program import Campaign, Pausing
-from ocp.tracker_setup import TrackerSetup, read_tracker_setup
+from ocp.measuring.candidates import Candidates, Mask, choose_stand, free_postures, seen_by
+from ocp.measuring.checks import chosen_payloads, chosen_targets, stated_tracker
+from ocp.measuring.curve import Curve, error_curve, refuse_too_few
+from ocp.measuring.design import Design, build_design
+from ocp.measuring.line_of_sight import Sight, blade_rod
+from ocp.measuring.order import Stop, find_tour
+from ocp.measuring.program import Campaign, Pausing
+from ocp.measuring.scene import MeasuringScene
+from ocp.measuring.setup import TrackerSetup, read_tracker_setup
+from ocp.measuring.zone import Zone, find_zone, ground_blade
 from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
 from robots.calibration.pose_choice import choose

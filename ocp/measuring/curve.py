@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.pose_design import Design
+from ocp.measuring.design import Design
 from robots.calibration.observability import identifiable_basis
 from robots.calibration.pose_choice import choose
 from robots.errors import BadInput

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from ocp.cell import Cell
 from ocp.collision import Scene
-from ocp.grinding_zone import GroundBlade, near_zone
-from ocp.line_of_sight import Sight, visible
+from ocp.measuring.line_of_sight import Sight, visible
+from ocp.measuring.zone import GroundBlade, near_zone
 from robots.errors import Infeasible
 from robots.gravity import weight_torques
 from robots.measurements import Hanging, Nest

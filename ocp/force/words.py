@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from ocp.force_fit import BIAS, FIT_NAMES, ForceSolution
-from ocp.force_log import Flags
+from ocp.force.fit import BIAS, FIT_NAMES, ForceSolution
+from ocp.force.log import Flags
 from robots.pose import Array
 
 UNSEEN = 0.9  # of the prior's standard deviation: a parameter left with more was not seen

@@ -9,7 +9,7 @@ import numpy as np
 from ocp.air import is_free
 from ocp.cell import Cell, wheel_frame
 from ocp.collision import Scene
-from ocp.pose_order import Stop, Tour, approaches
+from ocp.measuring.order import Stop, Tour, approaches
 from robots.errors import Infeasible
 from robots.measurements import Hanging
 from robots.pose import Array

@@ -13,11 +13,11 @@ from ocp.contact.law_store import remembered_law
 from ocp.contact.wheel_fit import FORCE_RANGE, Domain, fit_wheel_law
 from ocp.contact.wheel_law import WheelLaw
 from ocp.disk_store import DiskStore
-from ocp.force_compliance import Stations, solve_stations, stations_known
-from ocp.force_defect import with_defect
-from ocp.force_footing import Footing, foot_points
-from ocp.force_log import ForceLog
-from ocp.force_model import ForceModel, ForceRows
+from ocp.force.compliance import Stations, solve_stations, stations_known
+from ocp.force.defect import with_defect
+from ocp.force.footing import Footing, foot_points
+from ocp.force.log import ForceLog
+from ocp.force.model import ForceModel, ForceRows
 from ocp.paths import surface_cloud
 from ocp.prepare import typical_patch, wheel_cover
 from ocp.workers import interrupts_held_back, nothing, workers

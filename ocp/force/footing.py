@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.force_log import Flags, ForceLog
+from ocp.force.log import Flags, ForceLog
 from robots.errors import BadInput
 from robots.pose import Array
 from trajectories.blade import AerofoilShape, Blade

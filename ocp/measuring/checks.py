@@ -3,7 +3,7 @@
 import numpy as np
 
 from ocp.cell import Cell
-from ocp.tracker_setup import TrackerSetup
+from ocp.measuring.setup import TrackerSetup
 from robots.errors import BadInput
 from robots.measurements import Nest
 from robots.pose import Array, invert, transform_from_xyzabc

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from ocp.command import Phases, tell_notices
+from ocp.measuring.planning import PosePlan
+from ocp.measuring.program import measuring_program, write_and_check
 from ocp.output import check_output, whole_folder
-from ocp.pose_planning import PosePlan
-from ocp.pose_program import measuring_program, write_and_check
 from ocp.report.poses_sheet import write_poses_sheet
 from robots.calibration.observability import CRITERIA, identifiable_basis, observability, posterior_sd, singular_values
 from robots.calibration.parameters import SYMBOLS

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.grinding_zone import Zone
-from ocp.pose_candidates import Candidates
-from ocp.tracker_setup import TrackerSetup
+from ocp.measuring.candidates import Candidates
+from ocp.measuring.setup import TrackerSetup
+from ocp.measuring.zone import Zone
 from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state
 from robots.calibration.noise import Noise
 from robots.calibration.observability import Sensitivity, carried_point, expected_error, sensitivity

@@ -7,12 +7,12 @@ from functools import cached_property
 import numpy as np
 
 from ocp.cell import Cell
-from ocp.force_fit import BIAS, FIT_NAMES, ForceSolution, force_prior, reading_jacobian, reading_of, solve_force_log
-from ocp.force_folds import HeldOut, held_out
-from ocp.force_log import ForceLog
-from ocp.force_model import ForceRows
-from ocp.force_rows import ForceSetup, prepare_force
-from ocp.force_words import directions_seen, not_identified
+from ocp.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, reading_jacobian, reading_of, solve_force_log
+from ocp.force.folds import HeldOut, held_out
+from ocp.force.log import ForceLog
+from ocp.force.model import ForceRows
+from ocp.force.rows import ForceSetup, prepare_force
+from ocp.force.words import directions_seen, not_identified
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration
 from robots.pose import Array

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.force_log import ForceLog
-from ocp.force_noise import Noise, Runs, estimate_noise, student_weights, whiten
+from ocp.force.log import ForceLog
+from ocp.force.noise import Noise, Runs, estimate_noise, student_weights, whiten
 from robots.pose import Array
 
 FEW = 20  # rows of a kind from which its noise is estimated

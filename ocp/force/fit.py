@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ocp.cell import Cell
-from ocp.force_channel import ForceChannel, Whitened, channel_of
-from ocp.force_log import ForceLog
-from ocp.force_model import ForceModel, ForceRows
-from ocp.force_offsets import offset_columns, offset_size
+from ocp.force.channel import ForceChannel, Whitened, channel_of
+from ocp.force.log import ForceLog
+from ocp.force.model import ForceModel, ForceRows
+from ocp.force.offsets import offset_columns, offset_size
 from ocp.theta import NAMES, believed_theta
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible

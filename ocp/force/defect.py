@@ -9,8 +9,8 @@ from ocp.blade_gap import SurfaceCloud, surface_shape
 from ocp.cache import Entry, content_key, remember
 from ocp.contact.cover import Cover
 from ocp.contact.gap import LocalShape, solve_force
-from ocp.force_compliance import NORMAL_LENGTH, spread_stations
-from ocp.force_model import ForceModel, ForceRows
+from ocp.force.compliance import NORMAL_LENGTH, spread_stations
+from ocp.force.model import ForceModel, ForceRows
 from ocp.theta import believed_theta
 from robots.errors import Infeasible
 from robots.pose import Array

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.force_fit import ForceSolution
-from ocp.force_log import Flags, ForceLog, Index
-from ocp.force_model import ForceRows
+from ocp.force.fit import ForceSolution
+from ocp.force.log import Flags, ForceLog, Index
+from ocp.force.model import ForceRows
 from robots.pose import Array
 
 
