@@ -23,12 +23,12 @@ def calibrate(
     """Calibrate the robot from laser-tracker readings and, with a force log, the contact of blade and wheel."""
     from ocp.calibration import calibrate_tracker  # heavy imports only once the arguments stand
     from ocp.calibration_files import write_tracker_calibration
-    from ocp.contact_calibration import join_contact
+    from ocp.contact_calibration import contact_from
 
     def job() -> str:
         inputs = [file for file in (tracker, force, cell) if file is not None]
         with shown_phases() as phases:
-            contact = None if force is None else (lambda arm: join_contact(cell, force, arm, phases))
+            contact = None if force is None else contact_from(cell, force, phases)
             return write_tracker_calibration(
                 lambda: calibrate_tracker(tracker, cell, method, phases), out, overwrite, phases, inputs, contact
             )

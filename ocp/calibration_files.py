@@ -18,6 +18,7 @@ from robots.calibration.parameters import SYMBOLS
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.store import Calibration, write_calibration
 from robots.calibration.validation import by_kind
+from robots.errors import BadInput
 from robots.pose import Array, abc_from_rotation
 
 BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
@@ -37,6 +38,9 @@ def write_tracker_calibration(
     every part; then `out` is as it was.
     """
     check_output(out, overwrite, inputs)
+    for file in inputs:
+        if not file.is_file():
+            raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
     made = make()
     calibration, extra = tracker_calibration(made, inputs), list[Section]()
     if contact is not None:

@@ -1,5 +1,6 @@
 """The contact side of `python -m ocp.calibrate`: a force log joined to the arm's calibration."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +13,12 @@ from ocp.report.section import Section
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
 
+Joined = tuple[Calibration, list[Section]]
 
-def join_contact(cell_file: Path, force: Path, arm: Calibration, phases: Phases) -> tuple[Calibration, list[Section]]:
-    """The arm's calibration with wheel, blade, flange and sensor from the log, and what the report says of them.
+
+def contact_from(cell_file: Path, force: Path, phases: Phases) -> Callable[[Calibration], Joined]:
+    """A function that joins wheel, blade, flange and sensor of a force log to the arm's calibration, and says what of them
+    belongs in the report. Cell and log are read at once.
 
     Raises BadInput, Infeasible: the cell has no blade or wheel, the log is malformed or is not of this cell.
     """
@@ -22,6 +26,10 @@ def join_contact(cell_file: Path, force: Path, arm: Calibration, phases: Phases)
     cell = read_cell(cell_file)
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell_file}: workpiece.stl is missing; a force log needs the blade that was ground")
-    with phases.phase("contact"):
-        fit = fit_force(replace(cell, calibration=None), log, arm)
-    return fit.calibration(arm), contact_sections(fit)
+
+    def join(arm: Calibration) -> Joined:
+        with phases.phase("contact"):
+            fit = fit_force(replace(cell, calibration=None), log, arm)
+        return fit.calibration(arm), contact_sections(fit)
+
+    return join

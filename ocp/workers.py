@@ -35,10 +35,10 @@ def workers(jobs: int, start: Callable[..., None], *state: Any) -> Iterator[Exec
 
 
 def _start(file: str) -> None:
-    # Ended early, a worker still removes its temporary files.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     start, state = pickle.loads(Path(file).read_bytes())
     start(*state)
+    # Ended early, a worker still removes the temporary files of what it was doing.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
 
 
 @contextmanager
