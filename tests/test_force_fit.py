@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from force_world import HEADER, Run, World, arm_posterior, campaign, correlated, make_world, write_log
+from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from ocp.cell import read_cell
@@ -17,6 +18,8 @@ from ocp.force.model import ForceModel, ForceRows
 from ocp.force.registration import ForceFit, fit_force
 from ocp.force.rows import ForceSetup, prepare_force
 from ocp.registration import registered
+from ocp.report.contact_sections import contact_sections
+from ocp.report.section import WIDTH, Canvas, Plot, Table
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput
 from trajectories.blade import find_shape, read_blade
@@ -348,3 +351,15 @@ def test_a_world_made_by_others_is_predicted(shared_data):
     before, after = fit.baseline(rows) - truth, fit.predict(rows)[0] - truth
     assert np.sqrt(np.mean(before**2)) > 0.5 and np.sqrt(np.mean(after**2)) < 0.08
     assert fit.figures.run_offset == 0
+
+
+def test_the_report_tells_of_the_contact(recorded):
+    sections = contact_sections(recorded.fit)
+    tables = [part for section in sections for part in section.parts if isinstance(part, Table)]
+    rows = {row[0]: row for row in tables[0].rows}
+    k = recorded.fit.names.index("sensor_bias")
+    sd = np.sqrt(recorded.fit.covariance[k, k])
+    assert rows["force reading in the air"][1:3] == (f"{recorded.fit.values[k]:.3f}", f"{sd:.3f}")
+    assert not any("joint" in name for name in rows) and len(tables[1].rows) == len(recorded.fit.held_out)
+    for part in (part for section in sections for part in section.parts if isinstance(part, Plot)):
+        part.draw(Canvas(Figure(figsize=(WIDTH, part.height)), part.height))

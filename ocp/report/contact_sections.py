@@ -5,7 +5,7 @@ import numpy as np
 from ocp.force.fit import FIT_NAMES
 from ocp.force.folds import pooled
 from ocp.force.registration import ForceFit
-from ocp.report.panels import panels
+from ocp.report.panels import dressed, keys, panels
 from ocp.report.printed_style import CURVE, SOFT, TARGET
 from ocp.report.section import Canvas, Draw, Part, Plot, Points, Section, Table, table
 from robots.calibration.parameters import SYMBOLS
@@ -73,8 +73,8 @@ def _draw(fit: ForceFit) -> Draw:
             axes.plot(x, before, ".", color=SOFT, ms=1.5, alpha=0.35, rasterized=True)
             axes.plot(x, after, ".", color=CURVE, ms=1.5, alpha=0.5, rasterized=True)
             axes.axhline(0.0, color=TARGET, lw=0.6)
-            axes.set_xlabel(label)
-        left.set_ylabel("measured less predicted N")
+            dressed(axes, x=label, y="measured less predicted N" if axes is left else "")
+        keys(right, [("as believed", SOFT), ("fitted", CURVE)])
         run = fit.log.run[contact]
         for k in np.flatnonzero(np.diff(run)):
             left.axvline(k + 0.5, color=SOFT, lw=0.3)

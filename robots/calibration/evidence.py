@@ -16,6 +16,7 @@ from robots.calibration.validation import Fold, HeldOut, folds, hold_out
 from robots.robot import Robot
 
 LEAST_GAIN = 4.0  # of log density over all held-out readings; below it a term is not worth its name
+MORE = 1.5  # of log density for each parameter of a term beyond the first: more of them find more by chance
 LEAST_SIGMA = 2.5  # gain over its own standard error, blocks of readings counted as one
 ROUNDS = 4
 READINGS = 1200  # of a longer campaign, evenly taken: evidence does not need more
@@ -51,7 +52,7 @@ def choose_terms(fit: Fit) -> tuple[Choice, list[Term]]:
             gain = _gain(base, _scores(fit, blocks, choice)) if own > LEAST_GAIN else (min(own, 0.0), 0.0)
             found.append((Term(name, *gain, True), choice))
         found.sort(key=lambda entry: -entry[0].gain)
-        good = [e for e in found if e[0].gain > LEAST_GAIN and e[0].sigma > LEAST_SIGMA]
+        good = [e for e in found if e[0].gain > _wanted(fit.choice, e[1]) and e[0].sigma > LEAST_SIGMA]
         good = [e for e in good if _carries(fit, far, e[1])]
         tried = [t for t in tried if t.accepted] + [
             replace(t, accepted=False) for t, c in found if not good or c is not good[0][1]
@@ -75,6 +76,12 @@ def _candidates(fit: Fit) -> Iterator[tuple[str, Choice]]:
         hung = campaign.payloads.get(name)
         if name not in choice.payloads and hung is not None and hung.mass > 0:
             yield f"mass and centre of payload '{name}' differ", replace(choice, payloads=(*choice.payloads, name))
+
+
+def _wanted(choice: Choice, more: Choice) -> float:
+    """Gain that a term must bring: a spring has one parameter, a payload four."""
+    parameters = len(more.joints) - len(choice.joints) + 4 * (len(more.payloads) - len(choice.payloads))
+    return LEAST_GAIN + MORE * (parameters - 1)
 
 
 def _carries(fit: Fit, far: list[Fold], choice: Choice) -> bool:
