@@ -49,7 +49,7 @@ def registered(cell: Cell) -> tuple[Cell, Theta]:
         )
     values = theta.values.copy()
     values[[NAMES.index(name) for block in FOLDED for name in BLOCKS[block]]] = 0.0
-    return replace(cell, wheel=wheel, workpiece=piece, flange=flange), Theta(values, theta.covariance)
+    return replace(cell, wheel=wheel, workpiece=piece, flange=flange), replace(theta, values=values)
 
 
 def _unit(vector: Array) -> Array:

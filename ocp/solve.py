@@ -89,7 +89,7 @@ class PassSolver:
         slope = ca.jacobian(m.residual, m.F)
         outputs = [
             m.delta, m.residual, m.parts, m.arc, m.lateral, m.turn, m.tilt, m.curvature,
-            ca.sqrt(force_variance(m, theta.covariance)), -1 / slope, ca.vec(m.T_base_blade.T),
+            ca.sqrt(force_variance(m, theta)), -1 / slope, ca.vec(m.T_base_blade.T),
         ]  # fmt: skip
         self._evaluate = ca.Function("evaluate", [m.q, m.F, m.w, m.theta], outputs, {"cse": True})
 

@@ -130,17 +130,18 @@ def build_stage(cell: Cell, model: Model, weights: Weights, theta: Theta) -> Sta
     )
     spread = None
     if weights.force_sd > 0:
-        variance = force_variance(model, theta.covariance)
+        variance = force_variance(model, theta)
         spread = stage_weight * weights.force_sd * variance / (0.05 * process.force) ** 2
         spread = ca.substitute(spread, model.theta, ca.DM(theta.values))
     folded, rows = ca.substitute([stage_weight * objective, rows], [model.theta], [ca.SX(ca.DM(theta.values))])
     return Stage(model, folded, rows, parameters, spread)
 
 
-def force_variance(model: Model, covariance: np.ndarray) -> ca.SX:
-    """Variance N^2 of the predicted force to first order: dF/dtheta = -(dr/dtheta) / (dr/dF)."""
-    values, vectors = np.linalg.eigh(covariance)
+def force_variance(model: Model, theta: Theta) -> ca.SX:
+    """Variance N^2 of the predicted force to first order: dF/dx = -(dr/dx) / (dr/dF) in the parameters and in the joints."""
+    values, vectors = np.linalg.eigh(theta.covariance)
     keep = values > values.max() * 1e-14
     root = vectors[:, keep] * np.sqrt(values[keep])
     sensitivity = ca.jacobian(model.residual, model.theta) @ ca.DM(root)
-    return ca.sumsqr(sensitivity) / ca.jacobian(model.residual, model.F) ** 2
+    joints = theta.joint_noise**2 * ca.sumsqr(ca.jacobian(model.residual, model.q))
+    return (ca.sumsqr(sensitivity) + joints) / ca.jacobian(model.residual, model.F) ** 2

@@ -30,6 +30,7 @@ assert set(NAMES) <= set(SYMBOLS), "every parameter of the model is in the produ
 # One sigma of what a cell file does not say (our judgement; docs/model.md lists what each contributes to the force).
 UNCALIBRATED_LENGTH_SD = 3e-4  # m; with the next line about 1.2 mm at the tool, PHYSICS 2.6
 UNCALIBRATED_ANGLE_SD = 3e-4  # rad
+UNMODELLED_JOINTS = 2e-5  # rad; 0.04 mm at 2 m, what gears leave after a calibration (PHYSICS 2.6)
 COMPLIANCE_SD = 0.2  # relative, PHYSICS 2.5
 PAYLOAD_MASS_SD = 0.5  # kg
 PAYLOAD_COM_SD = 5e-3  # m
@@ -41,10 +42,12 @@ FLANGE_SETPOINT_SD = 0.2  # N
 
 @dataclass(frozen=True)
 class Theta:
-    """Values (m,) and covariance (m, m) of the parameters, in the order of `NAMES`."""
+    """Values (m,) and covariance (m, m) of the parameters, in the order of `NAMES`; joint_noise rad: one sigma of what moves
+    a joint without being a parameter (gear errors, repeatability), the same for all axes."""
 
     values: Array
     covariance: Array
+    joint_noise: float = 0.0
 
     size = len(NAMES)
 
@@ -75,7 +78,14 @@ def believed_theta(cell: Cell) -> Theta:
         covariance[at, :] = 0.0
         covariance[:, at] = 0.0
         covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(inside, inside)]
-    return Theta(values, covariance)
+    return Theta(values, covariance, _joint_noise(cell))
+
+
+def _joint_noise(cell: Cell) -> float:
+    """What the calibration found beside its parameters, else what such arms have."""
+    noise = cell.calibration.provenance.get("noise") if cell.calibration is not None else None
+    found = noise.get("joints_rad") if isinstance(noise, dict) else None
+    return float(found) if isinstance(found, int | float) and np.isfinite(found) and found > 0 else UNMODELLED_JOINTS
 
 
 def _prior_sd(cell: Cell, block: str, blocks: dict[str, Array]) -> Array:

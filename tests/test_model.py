@@ -14,8 +14,9 @@ from ocp.pass_problem import PassProblem
 from ocp.posture import Seed
 from ocp.solve import PassSolver
 from ocp.stage import N_ROWS, Weights, build_stage
-from ocp.theta import NAMES, believed_theta
+from ocp.theta import NAMES, UNMODELLED_JOINTS, believed_theta
 from ocp.verify import believed_robot, bent
+from robots.calibration.store import Calibration
 from robots.elementary import elementary_forward
 from robots.pose import apply
 
@@ -197,3 +198,32 @@ def test_sigma_flips_the_heading():
         model = build_model(cell, LineLaw(), sigma)
         turns.append(float(ca.Function("t", [model.q, model.w, model.theta], [model.turn])(q, w, theta)))
     assert abs(abs(turns[0] - turns[1]) - np.pi) < 1e-9
+
+
+def test_joint_noise_adds_to_the_forces_standard_deviation_as_finite_differences_say():
+    cell = bundled_cell()
+    one = problem()
+    q = Q + np.zeros((len(one.path.s), 6))
+    theta = believed_theta(cell)
+    assert theta.joint_noise == UNMODELLED_JOINTS
+    known = replace(theta, covariance=1e-18 * np.eye(len(theta.values)))
+
+    def sd(joint_noise: float):
+        judge = PassSolver(cell, LineLaw(), replace(known, joint_noise=joint_noise), Weights())
+        return judge.evaluate(one, q, one.path.force).force_sd
+
+    squares = np.zeros(len(q))
+    for step in 1e-6 * np.eye(6):
+        plus, minus = (solver().evaluate(one, q + sign * step, one.path.force).residual for sign in (1, -1))
+        squares += ((plus - minus) / 2e-6) ** 2
+    stiffness = solver().evaluate(one, q, one.path.force).stiffness
+    assert sd(1e-4) == pytest.approx(1e-4 * np.sqrt(squares) * stiffness, rel=1e-3)
+    assert sd(0.0).max() < 0.02 * sd(1e-4).min()
+
+
+def test_a_calibration_brings_its_joint_noise():
+    cell = bundled_cell()
+    told = Calibration("kr210_r2700_extra", ("a2",), np.array([1.15]), np.array([[1e-10]]), {"noise": {"joints_rad": 7e-6}})
+    assert believed_theta(replace(cell, calibration=told)).joint_noise == 7e-6
+    silent = replace(told, provenance={})
+    assert believed_theta(replace(cell, calibration=silent)).joint_noise == UNMODELLED_JOINTS
