@@ -24,6 +24,8 @@ from robots.measurements import Readings, read_readings
 from robots.pose import Array
 
 LEAST_READINGS = 12
+LEAST_POSTURES = 10
+LEAST_TRAVEL = np.radians(5.0)  # an axis that moved less did not move
 SEALED = "sealed_tracker.csv"
 
 
@@ -76,6 +78,16 @@ class TrackerCalibration:
 
 def calibrate_tracker(tracker: Path, cell: Path, method: str, phases: Phases) -> TrackerCalibration:
     """Read, check, fit and judge. Raises BadInput of every part."""
+    try:
+        return _calibrate(tracker, cell, method, phases)
+    except np.linalg.LinAlgError:
+        raise BadInput(
+            f"{tracker}: the readings leave something open that no prior holds, as the tracker's turn; measure more postures, "
+            "with all axes moved, and give the nests' places in [tracker.targets]"
+        ) from None
+
+
+def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases) -> TrackerCalibration:
     if method not in METHODS:
         raise BadInput(f"--method '{method}' is not one of {', '.join(METHODS)}")
     with phases.phase("readings"):
@@ -172,10 +184,18 @@ def as_in(sealed: Readings, readings: Readings) -> Readings:
 
 
 def _refuse_few(readings: Readings) -> None:
+    postures = len(np.unique(np.round(readings.q, 4), axis=0))
+    still = [j + 1 for j in range(6) if np.ptp(readings.q[:, j]) < LEAST_TRAVEL]
     if len(readings) < LEAST_READINGS:
         raise BadInput(
             f"{readings.path}: {len(readings)} readings are too few to calibrate an arm, at least {LEAST_READINGS} are needed "
             "(40 are good); `python -m ocp.poses` says where to measure"
+        )
+    if postures < LEAST_POSTURES or len(still) > 2:
+        what = f"{postures} different postures" if postures < LEAST_POSTURES else f"axes {', '.join(map(str, still))} never moved"
+        raise BadInput(
+            f"{readings.path}: {what}, so the readings cannot tell the arm's errors apart; spread at least {LEAST_POSTURES} "
+            "postures over the axes, `python -m ocp.poses` says where"
         )
 
 

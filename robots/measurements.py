@@ -127,7 +127,7 @@ def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: In
     station, stations = _words(table, "station")
     session, sessions = _words(table, "session")
     turn = Rotation.from_euler("xyz", table.stack(TURN), degrees=True).as_matrix() if _all(table, TURN) else None
-    turn_sd = np.radians(table.numbers["sigma_rot_deg"]) if "sigma_rot_deg" in table.numbers else None
+    turn_sd = _positive(table, "sigma_rot_deg", np.pi / 180.0)
     return Readings(
         path=table.path,
         q=np.radians(table.stack(AXES)),

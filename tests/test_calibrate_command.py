@@ -112,3 +112,17 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(tmp_path):
     assert "too few" in refused(folder, "few.csv", "--cell", "cell.toml")
     (folder / "sealed_tracker.csv").write_text((folder / "sealed_tracker.csv").read_text().replace("T1", "T7"))
     assert "T7" in refused(folder, "tracker.csv", "--cell", "cell.toml")
+
+
+def test_campaigns_that_cannot_tell_anything_are_refused(tmp_path):
+    folder = folder_with_campaign(tmp_path)
+    header, *rows = (folder / "tracker.csv").read_text().splitlines()
+    (folder / "same.csv").write_text("\n".join([header, *[rows[0]] * 20]))
+    assert "1 different postures" in refused(folder, "same.csv", "--cell", "cell.toml")
+    first, swept = rows[0].split(","), [header]
+    for k, row in enumerate(rows):
+        cells = row.split(",")
+        cells[2:8] = [str(4 * k - 80), *first[3:8]]
+        swept.append(",".join(cells))
+    (folder / "swept.csv").write_text("\n".join(swept))
+    assert "axes 2, 3, 4, 5, 6 never moved" in refused(folder, "swept.csv", "--cell", "cell.toml")
