@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from simulated_campaign import EXTRA, INSTRUMENT, PAYLOADS, campaign_readings, measured, random_truth
 
 from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.solver import Campaign
+from robots.elementary import elementary_forward
 from robots.errors import BadInput
 from robots.robot import load_robot
 
@@ -62,3 +64,18 @@ def test_many_readings_far_off_are_not_called_outliers():
     point = c.readings.point + off[:, None] * np.random.default_rng(2).normal(size=(60, 3))
     with pytest.raises(BadInput, match="lie far from where the arm can be"):
         refuse_mistakes(replace(c, readings=replace(c.readings, point=point)))
+
+
+def test_orientations_in_another_convention_are_told_and_sound_ones_pass():
+    rng = np.random.default_rng(3)
+    truth = random_truth(rng)
+    readings = measured(truth, replace(campaign_readings(rng, 40), target=np.zeros(40, np.int64)), rng)
+    # The flange as elementary motions have it, the target mounted askew.
+    flange = elementary_forward(truth.robot, readings.q)[:, :3, :3]
+    mounted = Rotation.from_euler("xyz", [20, -10, 35], degrees=True).as_matrix()
+    turn = truth.T_tracker_base[:3, :3] @ flange @ mounted
+    sound = Campaign(EXTRA, replace(readings, turn=turn), PAYLOADS, INSTRUMENT)
+    refuse_mistakes(sound)
+    other = Rotation.from_euler("XYZ", Rotation.from_matrix(turn).as_euler("xyz")).as_matrix()
+    with pytest.raises(BadInput, match="orientations rx, ry, rz"):
+        refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=other)))

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from robots.calibration.fit import located
 from robots.calibration.layout import Choice, nominal_state
@@ -19,6 +20,7 @@ from robots.measurements import Readings
 from robots.pose import Array
 from robots.robot import Robot, catalogue, load_robot
 
+TURNS_FIT = np.radians(1.0)  # an uncalibrated arm's hand is off by a tenth of it
 FITS = 15e-3  # m; an uncalibrated arm with roughly placed nests stays below
 NEST_SHARE = 5.0  # nests farther off than this many of their sds speak for another robot
 CLOSER = 3  # of the guesses are looked at with the nests fitted too
@@ -41,6 +43,7 @@ def refuse_mistakes(campaign: Campaign) -> None:
                 f"{plain * 1e3:.1f} mm; rows or columns were mixed up, compare the file with the measuring protocol"
             )
         _refuse_other_robot(thin, where)
+        _refuse_turns(campaign, where)
         return
     rough = sorted(((_roughly(c), text, c) for text, c in _guesses(thin)), key=lambda g: g[0])
     best, text = min((misfit(c)[0], text) for _, text, c in rough[:CLOSER])
@@ -145,6 +148,35 @@ def _refuse_other_robot(campaign: Campaign, where: str) -> None:
                 f"{where}: the reflector nests come out {here * 1e3:.1f} mm from where the cell puts them; with robot '{name}' "
                 f"it is {there * 1e3:.1f} mm: correct robot.model '{campaign.robot.name}' or the nests in [tracker.targets]"
             )
+
+
+def _refuse_turns(campaign: Campaign, where: str) -> None:
+    """Orientations of 6D targets: seen from the flange each target has one turn, the same in all postures."""
+    readings = campaign.readings
+    if readings.turn is None:
+        return
+    c = replace(campaign, readings=replace(readings, turn=None))
+    state = located(c, nominal_state(c.robot, c.readings, c.payloads, c.instrument, Choice(joints=())))
+    unturned = replace(readings, turn=np.tile(np.eye(3), (len(readings), 1, 1)))
+    frames = replace(state, turns=np.tile(np.eye(3), (len(readings.targets), 1, 1)))
+    # Residual turn of an identity reading: the predicted frame backwards.
+    predicted = Rotation.from_rotvec(-residuals(c.robot, unturned, c.instrument, frames)[:, 3:])
+    seen = predicted.inv() * Rotation.from_matrix(readings.turn)
+    off = np.empty(len(readings))
+    for k in np.unique(readings.target):
+        rows = np.flatnonzero(readings.target == k)
+        off[rows] = (_middle(seen[rows]).inv() * seen[rows]).magnitude()
+    if np.median(off) > TURNS_FIT:
+        raise BadInput(
+            f"{where}: the orientations rx, ry, rz scatter by {np.degrees(np.median(off)):.1f} deg (median) as seen from the "
+            "flange, while the points fit; write them in degrees as R = Rz(rz) Ry(ry) Rx(rx) in the tracker's frame, or leave them out"
+        )
+
+
+def _middle(turns: Rotation) -> Rotation:
+    """The one of up to 50 turns that is nearest to most of them."""
+    few = turns[np.unique(np.linspace(0, len(turns) - 1, min(len(turns), 50)).astype(int))]
+    return few[int(np.argmin([np.median((one.inv() * turns).magnitude()) for one in few]))]
 
 
 def _variants(robot: Robot) -> Iterator[tuple[str, Robot]]:
