@@ -169,7 +169,8 @@ def _refuse_turns(campaign: Campaign, where: str) -> None:
     if np.median(off) > TURNS_FIT:
         raise BadInput(
             f"{where}: the orientations rx, ry, rz scatter by {np.degrees(np.median(off)):.1f} deg (median) as seen from the "
-            "flange, while the points fit; write them in degrees as R = Rz(rz) Ry(ry) Rx(rx) in the tracker's frame, or leave them out"
+            "flange, while the points fit; write them in degrees as R = Rz(rz) Ry(ry) Rx(rx) in the tracker's frame, or leave "
+            "them out"
         )
 
 
