@@ -25,6 +25,7 @@ from robots.pose import Array
 
 LEAST_READINGS = 12
 LEAST_POSTURES = 10
+LEAST_OF_STATION = 4
 LEAST_TRAVEL = np.radians(5.0)  # an axis that moved less did not move
 SEALED = "sealed_tracker.csv"
 
@@ -191,6 +192,13 @@ def _refuse_few(readings: Readings) -> None:
             f"{readings.path}: {len(readings)} readings are too few to calibrate an arm, at least {LEAST_READINGS} are needed "
             "(40 are good); `python -m ocp.poses` says where to measure"
         )
+    for k in np.unique(readings.station):
+        seen = int((readings.station == k).sum())
+        if seen < LEAST_OF_STATION:
+            raise BadInput(
+                f"{readings.path}: station '{readings.stations[k]}' has {seen} readings, {LEAST_OF_STATION} are needed to place "
+                "it; remove its rows or measure more from there"
+            )
     if postures < LEAST_POSTURES or len(still) > 2:
         what = f"{postures} different postures" if postures < LEAST_POSTURES else f"axes {', '.join(map(str, still))} never moved"
         raise BadInput(

@@ -67,9 +67,19 @@ def last_line(made: TrackerCalibration, out: Path) -> str:
     return (
         f"{out}: {n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen; left-out "
         f"readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm at most (before: "
-        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). Name it as robot.calibration in the cell to use it; "
+        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_use(made, errors, before)}; "
         f"{out / 'report.html'} says what was not seen."
     )
+
+
+def _use(made: TrackerCalibration, errors: Array, before: Array) -> str:
+    """Whether to use it."""
+    full = made.methods.error.get("full", errors)
+    if errors.mean() >= before.mean():
+        return "It is no better than the arm as believed: do not use it"
+    if errors.mean() > 1.5 * full.mean():
+        return f"Method full meets the same readings within {1e3 * full.mean():.3f} mm: use that one"
+    return "Name it as robot.calibration in the cell to use it"
 
 
 def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Calibration:

@@ -34,8 +34,12 @@ class CsvTable:
         return BadInput(f"{self.path}, line {self.line[row]}, column {column}: {value} {reason}")
 
 
-def read_csv_table(path: str | Path, needed: Sequence[str], optional: Sequence[str] = (), words: Sequence[str] = ()) -> CsvTable:
+def read_csv_table(
+    path: str | Path, needed: Sequence[str], optional: Sequence[str] = (), words: Sequence[str] = (), gaps: Sequence[str] = ()
+) -> CsvTable:
     """Read a file with a header. Numbers are finite; `words` names the columns, needed or optional, kept as text.
+
+    In the columns `gaps` an empty cell is nan.
 
     Comma-separated, decimal points; blank lines and lines that begin with # are passed over. Columns of other names are
     ignored and named in `ignored`. Raises BadInput for everything else.
@@ -55,7 +59,10 @@ def read_csv_table(path: str | Path, needed: Sequence[str], optional: Sequence[s
         if column in words:
             texts[column] = cells
         else:
-            numbers[column] = np.array([_number(path, n, column, cell) for n, cell in zip(lines, cells, strict=True)])
+            holes = column in gaps
+            pairs = zip(lines, cells, strict=True)
+            read = [np.nan if holes and not cell else _number(path, n, column, cell) for n, cell in pairs]
+            numbers[column] = np.array(read)
     return CsvTable(path, numbers, texts, lines, tuple(c for c in header if c not in known))
 
 
@@ -106,6 +113,8 @@ def _check_header(path: Path, header: list[str], number: int, needed: Sequence[s
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:
+    if not text:
+        raise BadInput(f"{path}, line {line}, column {column}: the cell is empty; fill it in or remove the row")
     try:
         value = float(text)
     except ValueError:

@@ -93,6 +93,13 @@ class Readings:
     def __len__(self) -> int:
         return len(self.q)
 
+    @property
+    def turned(self) -> NDArray[np.bool_]:
+        """Which readings (n,) have an orientation."""
+        if self.turn is None:
+            return np.zeros(len(self), bool)
+        return np.asarray(np.isfinite(self.turn).all(axis=(1, 2)))
+
     def take(self, rows: NDArray[np.generic]) -> "Readings":
         """The readings of an index or mask; names keep their indices."""
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
@@ -113,20 +120,23 @@ def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: In
     Raises BadInput: as `read_csv_table`, and a payload, target, sign or link that does not exist.
     """
     needed = AXES if sealed else (*AXES, *POINT)
-    table = read_csv_table(path, needed, OPTIONAL, WORDS)
-    notices = [f"{table.path.name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
-    notices += [text for column, text in BLIND.items() if column not in table.numbers]
+    table = read_csv_table(path, needed, OPTIONAL, WORDS, (*POINT, *TURN, "sigma_rot_deg"))
+    notices = _notices(table, payloads)
+    if not sealed:
+        table = _without_gaps(table, notices)
     if not sealed and not (np.abs(table.stack(POINT)).max(axis=1) > 0).all():
         row = int(np.argmin(np.abs(table.stack(POINT)).max(axis=1) > 0))
         raise BadInput(f"{table.path}, line {table.line[row]}: the reading is 0, 0, 0, the tracker itself; remove the row")
     n = len(table)
     measured = all(c in table.numbers for c in POINT)
     nests = instrument.nests or {}
-    target, targets = _words(table, "target", tuple(nests) if nests else None, "tracker.targets")
+    # Without the column one nest was used, and nobody says which.
+    named = tuple(nests) if nests and "target" in table.words else None
+    target, targets = _words(table, "target", named, "tracker.targets")
     payload, names = _words(table, "payload", tuple(payloads) if payloads else None, "payloads")
     station, stations = _words(table, "station")
     session, sessions = _words(table, "session")
-    turn = Rotation.from_euler("xyz", table.stack(TURN), degrees=True).as_matrix() if _all(table, TURN) else None
+    turn = _turns(table)
     turn_sd = _positive(table, "sigma_rot_deg", np.pi / 180.0)
     return Readings(
         path=table.path,
@@ -146,6 +156,51 @@ def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: In
         line=np.array(table.line),
         notices=tuple(notices),
     )  # fmt: skip
+
+
+def _notices(table: CsvTable, payloads: dict[str, Hanging]) -> list[str]:
+    """What was ignored or is absent, and what that blinds."""
+    name = table.path.name
+    found = [f"{name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
+    found += [text for column, text in BLIND.items() if column not in table.numbers]
+    for group in (APPROACH, TURN):
+        given = [c for c in group if c in table.numbers]
+        if 0 < len(given) < len(group):
+            found.append(f"{name}: of {', '.join(group)} only {', '.join(given)} are given; they are ignored")
+    if "payload" not in table.words and len(payloads) > 1:
+        found.append(f"{name}: no column payload: '{next(iter(payloads))}' is taken to hang on the flange throughout")
+    return found
+
+
+def _without_gaps(table: CsvTable, notices: list[str]) -> CsvTable:
+    """The table without rows in which the tracker saw nothing; a point of which a part is missing is refused."""
+    missing = np.isnan(table.stack(POINT))
+    for row in np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))[:1]:
+        column = POINT[int(np.argmax(missing[row]))]
+        raise BadInput(f"{table.path}, line {table.line[row]}, column {column}: the cell is empty; fill it in or remove the row")
+    gaps = missing.all(axis=1)
+    if not gaps.any():
+        return table
+    keep = np.flatnonzero(~gaps)
+    if not len(keep):
+        raise BadInput(f"{table.path}: no row has a point; fill in x_mm, y_mm, z_mm")
+    notices.append(f"{table.path.name}: {gaps.sum()} rows without a point are passed over")
+    numbers = {c: v[keep] for c, v in table.numbers.items()}
+    words = {c: [v[i] for i in keep] for c, v in table.words.items()}
+    return replace(table, numbers=numbers, words=words, line=[table.line[i] for i in keep])
+
+
+def _turns(table: CsvTable) -> Array | None:
+    """Orientations (n, 3, 3) of 6D targets, nan where a row has none; None where no row has one."""
+    if not _all(table, TURN):
+        return None
+    angles = table.stack(TURN)
+    known = np.isfinite(angles).all(axis=1)
+    if not known.any():
+        return None
+    turns = np.full((len(table), 3, 3), np.nan)
+    turns[known] = Rotation.from_euler("xyz", angles[known], degrees=True).as_matrix()
+    return turns
 
 
 def _all(table: CsvTable, columns: tuple[str, ...]) -> bool:

@@ -278,3 +278,22 @@ def test_every_method_tells_of_readings_and_takes_six_dimensional_targets(method
     assert fit.layout.size == len(fit.offset) == len(fit.covariance)
     assert np.isfinite(predict_readings(fit, campaign_readings(rng, 5))[0]).all()
     assert truth.robot.name == EXTRA.name
+
+
+def test_few_readings_are_not_taken_for_better_than_the_instrument():
+    truth, c, rng = campaign(17, 12)
+    fit = fit_campaign(c, priors=PRIORS)
+    assert fit.spread >= 0.5
+    error, covariance = held_out_error(fit, truth, rng)
+    assert np.mean(error**2 / np.diagonal(covariance, axis1=1, axis2=2)) < 3.0
+
+
+def test_a_target_with_and_one_without_orientation_share_a_file():
+    truth, c, _ = campaign(18, 40)
+    turn = np.full((40, 3, 3), np.nan)
+    turn[:20] = truth.T_tracker_base[:3, :3] @ elementary_frames(truth.robot, c.readings.q[:20])[:, 6, :3, :3]
+    mixed = replace(c.readings, turn=turn, sigma_turn=np.full(40, 1e-4), target=np.repeat([0, 1], 20))
+    points = truth.points(mixed)
+    fit = fit_campaign(replace(c, readings=replace(mixed, point=points)), priors=PRIORS)
+    assert not fit.residual[20:, 3:].any() and not fit.J[20:, 3:].any()
+    assert 0 < np.abs(fit.residual[:20, 3:]).max() < 5e-3

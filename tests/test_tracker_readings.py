@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from simulated_campaign import INSTRUMENT, NESTS, PAYLOADS
+from simulated_campaign import INSTRUMENT, PAYLOADS
 
 from robots.errors import BadInput
-from robots.measurements import Instrument, read_readings
+from robots.measurements import read_readings
 
 HEADER = "payload,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,target,x_mm,y_mm,z_mm"
 ROW = "weight,10,-90,90,0,20,30,T2,1500,-20,900"
@@ -32,9 +32,7 @@ def test_units_words_and_notices(tmp_path):
 
 def test_absent_words_mean_the_first(tmp_path):
     r = read(tmp_path, BARE, "0,-90,90,0,20,30,1,2,3")
-    assert r.targets[r.target[0]] == next(iter(NESTS)) and r.payloads[r.payload[0]] == "bare"
-    alone = read(tmp_path, BARE, "0,-90,90,0,20,30,1,2,3", instrument=Instrument())
-    assert alone.targets == ("",)
+    assert r.payloads[r.payload[0]] == "bare" and r.stations == r.sessions == ("",)
 
 
 def test_orientation_is_rz_ry_rx(tmp_path):
@@ -90,3 +88,27 @@ def test_sealed_files_need_no_points(tmp_path):
     assert np.isnan(read(tmp_path, header, row, sealed=True).point).all()
     with pytest.raises(BadInput, match="x_mm, y_mm, z_mm missing"):
         read(tmp_path, header, row)
+
+
+def test_gaps_are_passed_over_and_half_points_refused(tmp_path):
+    gap = ROW.replace("1500,-20,900", ",,")
+    r = read(tmp_path, HEADER, ROW, gap, ROW.replace("1500", "1501"))
+    assert list(r.line) == [2, 4] and any("1 rows without a point" in n for n in r.notices)
+    with pytest.raises(BadInput, match="line 3, column y_mm: the cell is empty"):
+        read(tmp_path, HEADER, ROW, ROW.replace("-20", ""))
+    with pytest.raises(BadInput, match="no row has a point"):
+        read(tmp_path, HEADER, gap)
+    with pytest.raises(BadInput, match="column q1_deg: the cell is empty"):
+        read(tmp_path, HEADER, ROW.replace("weight,10,", "weight,,"))
+
+
+def test_rows_without_an_orientation_are_points(tmp_path):
+    r = read(tmp_path, HEADER + ",rx_deg,ry_deg,rz_deg,sigma_rot_deg", ROW + ",10,20,30,0.01", ROW + ",,,,")
+    assert np.isfinite(r.turn[0]).all() and np.isnan(r.turn[1]).all()
+    part = read(tmp_path, HEADER + ",rx_deg,ry_deg", ROW + ",10,20")
+    assert part.turn is None and any("only rx_deg, ry_deg are given" in n for n in part.notices)
+
+
+def test_without_a_target_column_the_nest_is_unknown_and_the_payload_is_told(tmp_path):
+    r = read(tmp_path, BARE, "0,-90,90,0,20,30,1,2,3")
+    assert r.targets == ("",) and any("'bare' is taken to hang" in n for n in r.notices)

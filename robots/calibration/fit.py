@@ -14,12 +14,13 @@ from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, Solution, joint_noise, solve
 from robots.calibration.start import robust_motion
-from robots.calibration.student import NU, consistency, spread_of, weights
+from robots.calibration.student import gaussian_moments, moments, spread_of, weights
 from robots.measurements import Index, Readings
 from robots.pose import Array
 
 LOCATING = 200  # readings of a nest from a station that place both, to begin with
 ROUGH = 1000  # of a longer campaign, fitted first: they leave little to do for the rest
+TRUST = 20.0  # components of residuals that the noise model is worth
 LEARNED = (5e-5, 1e-2)  # m or rad, bounds of the learned priors
 PLAIN, WEAK = Choice(), Priors()
 
@@ -154,16 +155,19 @@ def _finished(
     whitened = ((solution.W @ solution.linear.J) * layout.scale / solution.spread).reshape(-1, p)
     gained = whitened.T @ whitened
     used = float(np.trace(np.linalg.solve(gained + np.diag(precision + 1e-12), gained)))
-    a, freedom = consistency(k), max(1.0 - used / (n * k), 0.1)
-    spread = spread_of(solution.squared, k, freedom)
+    left = max(n * k - used, 0.0)
+    freedom = max(left / (n * k), 0.05)
+    # Few readings say little of their own scatter: there the noise model speaks, worth TRUST readings' components.
+    spread = float(np.sqrt((TRUST + left * spread_of(solution.squared, k, freedom) ** 2) / (TRUST + left)))
     m2 = solution.squared / spread**2
     weight = weights(m2, k)
     # psi = w z; its mean square and mean slope correct the covariance of weighted least squares, and the slope's own
     # scatter makes up for unknowns that are not few against the readings (Huber 1981, eq. 7.6.5).
-    slopes = weight - 2.0 * weight * m2 / (NU * a + m2) / k
-    slope = float(np.mean(slopes))
-    crowded = 1.0 + used / (n * k) * float(np.var(slopes)) / slope**2
-    power = crowded**2 * float(np.mean(weight**2 * m2)) / (k * freedom)
+    power, slope, scatter = moments(m2, k)
+    expected = gaussian_moments(k)
+    power = (TRUST * expected[0] + left * power / freedom) / (TRUST + left)
+    slope = (TRUST * expected[1] + left * slope) / (TRUST + left)
+    power *= (1.0 + used / (n * k) * scatter / slope**2) ** 2
     scaled = whitened * solution.spread / spread
     if campaign.pairs is not None:
         # Differences do not place the stations; the mean of as many readings does afterwards.
@@ -175,7 +179,7 @@ def _finished(
     covariance = layout.scale[:, None] * inverse * layout.scale[None, :]
     return Fit(
         campaign, choice, priors, layout, start, solution.state, solution.offset, covariance, solution.linear.residual,
-        weight * NU * a / (NU + k), solution.squared, solution.linear.J, solution.W, noise, spread, solution.steps,
+        weight / weights(np.zeros(1), k), solution.squared, solution.linear.J, solution.W, noise, spread, solution.steps,
     )  # fmt: skip
 
 

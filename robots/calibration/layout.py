@@ -102,7 +102,7 @@ def build_layout(robot: Robot, readings: Readings, instrument: Instrument, choic
         known = readings.targets[k]
         given = (instrument.nests or {}).get(known)
         sd = instrument.nest_sd if given is not None and given.place is not None else np.inf
-        parts = ["x", "y", "z"] + (["u", "v", "w"] if readings.turn is not None else [])
+        parts = ["x", "y", "z"] + (["u", "v", "w"] if readings.turned[readings.target == k].any() else [])
         for i, part in enumerate(parts):
             nest[k, i] = add(f"nest_{known}_{part}" if known else f"nest_{part}", sd if i < 3 else np.inf, STEP["nest"])
     station = np.full((len(readings.stations), 6), -1)

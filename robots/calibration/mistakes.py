@@ -56,7 +56,7 @@ def refuse_mistakes(campaign: Campaign) -> None:
     raise BadInput(
         f"{where}: no place of the tracker fits the readings better than {plain * 1e3:.0f} mm (median), farthest line "
         f"{thin.readings.line[worst]}; check axis angles (degrees, KUKA signs), units (mm), robot.model '{campaign.robot.name}' "
-        "and that rows belong together"
+        "that rows belong together, and that one place of the tracker saw them all (else name it in the column station)"
     )
 
 
@@ -152,9 +152,9 @@ def _refuse_other_robot(campaign: Campaign, where: str) -> None:
 
 def _refuse_turns(campaign: Campaign, where: str) -> None:
     """Orientations of 6D targets: seen from the flange each target has one turn, the same in all postures."""
-    readings = campaign.readings
-    if readings.turn is None:
+    if campaign.readings.turn is None:
         return
+    readings = campaign.readings.take(np.flatnonzero(campaign.readings.turned))
     c = replace(campaign, readings=replace(readings, turn=None))
     state = located(c, nominal_state(c.robot, c.readings, c.payloads, c.instrument, Choice(joints=())))
     unturned = replace(readings, turn=np.tile(np.eye(3), (len(readings), 1, 1)))

@@ -77,6 +77,7 @@ def _columns(readings: Readings, layout: Layout, state: State, rows: Index, p: P
             (layout.station[readings.station[rows]][:, 3:], identity),
         ]
         _scatter(J, spins, slice(3, 6))
+        J[~readings.turned[rows], 3:] = 0.0
     return J
 
 
@@ -116,5 +117,7 @@ def _difference(readings: Readings, state: State, rows: Index, point: Array, R: 
     if readings.turn is None:
         return off
     predicted = S[:, :3, :3] @ R @ state.turns[readings.target[rows]]
-    turn = Rotation.from_matrix(readings.turn[rows] @ np.swapaxes(predicted, 1, 2)).as_rotvec()
+    turn = np.zeros((len(rows), 3))  # a row without an orientation says nothing of it
+    known = readings.turned[rows]
+    turn[known] = Rotation.from_matrix(readings.turn[rows][known] @ np.swapaxes(predicted[known], 1, 2)).as_rotvec()
     return np.hstack([off, turn])

@@ -21,6 +21,8 @@ from robots.robot import Robot
 MAX_STEPS = 40
 SETTLED = 1e-3  # of one posterior sd: smaller steps end the fit
 RELINEARISE = 1e-5  # m or rad: smaller steps leave the Jacobian as it is (its change is below 1e-5 of itself)
+JOINT_NOISE_SD = 1.0  # of its logarithm about what is usual: a factor of three either way, which few readings cannot correct
+LEAST_SPREAD = 0.5  # of the noise model: few readings can be met too well, no instrument is that much better than it says
 JOINT_NOISE = (1e-6, 3e-3)  # rad, where the joint noise is searched
 
 
@@ -89,7 +91,7 @@ def solve(campaign: Campaign, layout: Layout, start: State, begin: State, offset
             squared = _squared(W, linear.residual)
         else:
             linear = replace(linear, residual=residual)
-        lower = max(spread_of(squared, k), 1e-6)
+        lower = max(spread_of(squared, k), LEAST_SPREAD)
         settled = length < SETTLED and abs(lower / spread - 1) < 1e-3
         spread = lower
         if settled:
@@ -120,7 +122,7 @@ def _whitener(campaign: Campaign, linear: Linearised, noise: Noise) -> Array:
         return points
     W = np.zeros((len(readings), 6, 6))
     W[:, :3, :3] = points
-    sd = readings.sigma_turn if readings.sigma_turn is not None else np.full(len(readings), TURN_SD)
+    sd = np.full(len(readings), TURN_SD) if readings.sigma_turn is None else np.nan_to_num(readings.sigma_turn, nan=TURN_SD)
     W[:, 3:, 3:] = np.eye(3) / sd[:, None, None]
     return W
 
@@ -152,7 +154,8 @@ def joint_noise(campaign: Campaign, layout: Layout, solution: Solution) -> Noise
         covariance = freedom * consistency(3) * (plain + np.exp(2 * log_joints) * per_joint)
         _, logdet = np.linalg.slogdet(covariance)
         squared = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[..., None])[..., 0])
-        return float(0.5 * ((NU + 3) * np.log1p(squared / NU) + logdet).sum())
+        known = (log_joints - np.log(Noise().joints)) / JOINT_NOISE_SD
+        return float(0.5 * ((NU + 3) * np.log1p(squared / NU) + logdet).sum() + 0.5 * known**2)
 
     found = minimize_scalar(unlikely, bounds=tuple(np.log(JOINT_NOISE)), method="bounded", options={"xatol": 1e-2})
     return Noise(float(np.exp(found.x)))

@@ -24,6 +24,23 @@ def misfit(squared: Array, k: int) -> float:
     return float(0.5 * (NU + k) * np.log1p(squared / (NU * consistency(k))).sum())
 
 
+def moments(squared: Array, k: int) -> tuple[float, float, float]:
+    """Of psi = w z: mean square of a component, mean slope, and variance of the slope."""
+    w = weights(squared, k)
+    slopes = w - 2.0 * w * squared / (NU * consistency(k) + squared) / k
+    return float(np.mean(w**2 * squared)) / k, float(np.mean(slopes)), float(np.var(slopes))
+
+
+@cache
+def gaussian_moments(k: int) -> tuple[float, float, float]:
+    """`moments` of Gaussian errors."""
+    return moments(_quantiles(k), k)
+
+
+def _quantiles(k: int) -> Array:
+    return np.asarray(chi2(k).ppf((np.arange(4000) + 0.5) / 4000))
+
+
 def spread_of(squared: Array, k: int, freedom: float = 1.0) -> float:
     """Scale of the residuals over the noise model that the Student-t likelihood wants, one for Gaussian errors.
 
@@ -49,7 +66,7 @@ def consistency(k: int) -> float:
     """Share a of the variance that a Student-t of k dimensions takes for the scale of Gaussian errors."""
 
     def excess(a: float) -> float:
-        u = chi2(k).ppf((np.arange(4000) + 0.5) / 4000)
+        u = _quantiles(k)
         return float(np.mean((NU + k) * u / (NU * a + u)) - k)
 
     return float(brentq(excess, 0.1, 1.0))
