@@ -24,16 +24,17 @@ def calibrate(
     from ocp.calibration import calibrate_tracker  # heavy imports only once the arguments stand
     from ocp.calibration_files import write_tracker_calibration
     from ocp.contact_calibration import contact_from
+    from ocp.measuring.setup import files_of
 
     def job() -> str:
-        inputs = [file for file in (tracker, force, cell) if file is not None]
+        inputs = [file for file in (tracker, force) if file is not None] + files_of(cell)
         with shown_phases() as phases:
             contact = None if force is None else contact_from(cell, force, phases)
             return write_tracker_calibration(
                 lambda: calibrate_tracker(tracker, cell, method, phases), out, overwrite, phases, inputs, contact
             )
 
-    sys.exit(run(job))
+    sys.exit(run(job, "not calibrated"))
 
 
 if __name__ == "__main__":

@@ -55,10 +55,10 @@ def write_tracker_calibration(
         with phases.phase("report"):
             write_calibration_report(made, folder, {path.name: sha256(path) for path in inputs}, extra)
     tell_notices((*made.notices, *calibration.notices))
-    return last_line(made, out)
+    return last_line(made, out, calibration)
 
 
-def last_line(made: TrackerCalibration, out: Path) -> str:
+def last_line(made: TrackerCalibration, out: Path, calibration: Calibration) -> str:
     """What was written, how good it is, whether it is safe to use."""
     n, found = len(made.fit.campaign.readings), made.identifiability
     judged = len(made.methods.before) > 0
@@ -67,9 +67,17 @@ def last_line(made: TrackerCalibration, out: Path) -> str:
     return (
         f"{out}: {n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen; left-out "
         f"readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm at most (before: "
-        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_use(made, errors, before)}; "
+        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}{_use(made, errors, before)}; "
         f"{out / 'report.html'} says what was not seen."
     )
+
+
+def _contact(calibration: Calibration) -> str:
+    """What the force log brought, if there was one."""
+    figures = calibration.provenance.get("force")
+    if not isinstance(figures, dict):
+        return ""
+    return f"The force log is met within {figures['rms_after']:.2f} N rms (before: {figures['rms_before']:.2f}). "
 
 
 def _use(made: TrackerCalibration, errors: Array, before: Array) -> str:
@@ -92,6 +100,12 @@ def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Cal
             names.append(name)
             values.append(state.arm[i])
             columns.append(layout.arm[i])
+    if made.method == "geometry":
+        # Fitted without springs, it holds without them only.
+        rigid = [f"c{j}" for j in made.setup.compliant_joints]
+        names += rigid
+        values += [0.0] * len(rigid)
+        columns += [-1] * len(rigid)
     mounted = made.setup.tables.workpiece.payload if made.setup.tables.workpiece else None
     readings = fit.campaign.readings
     if mounted in fit.choice.payloads and mounted in readings.payloads:
@@ -102,7 +116,8 @@ def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Cal
     station = int(np.unique(readings.station)[0])
     turn = _abc_by_spin(state.stations[station])
     to_named = np.zeros((len(names) + 6, layout.size))
-    to_named[np.arange(len(columns)), columns] = 1.0
+    fitted = np.array(columns) >= 0
+    to_named[np.flatnonzero(fitted), np.array(columns)[fitted]] = 1.0
     to_named[len(names) : len(names) + 3, layout.station[station, :3]] = np.eye(3)
     to_named[len(names) + 3 :, layout.station[station, 3:]] = turn
     names += BASE

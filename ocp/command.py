@@ -49,8 +49,10 @@ def shown_phases() -> Iterator[Phases]:
 def main(app: typer.Typer) -> None:
     """Run a command line; what is wrong with the arguments is one sentence too."""
     try:
-        app(standalone_mode=False)
-    except typer.Abort:
+        # An interrupt during the imports comes back as a number, as an error or as itself, depending on the release.
+        if app(standalone_mode=False) == INTERRUPTED:
+            sys.exit(_refuse("interrupted, nothing written", INTERRUPTED))
+    except (typer.Abort, KeyboardInterrupt):
         sys.exit(_refuse("interrupted, nothing written", INTERRUPTED))
     except Exception as error:
         # Usage errors have this method in every release of typer; where their class lives changes.
@@ -60,7 +62,7 @@ def main(app: typer.Typer) -> None:
         sys.exit(_refuse(f"refused: {message().rstrip('.')}; --help lists what there is", BAD_INPUT))
 
 
-def run(job: Callable[[], str]) -> int:
+def run(job: Callable[[], str], not_solved: str = "no safe plan") -> int:
     """Run a command's job; print its last line, or the one sentence why not. Returns the exit code."""
     try:
         print(job())  # noqa: T201  the plain last line is the command's answer
@@ -68,7 +70,7 @@ def run(job: Callable[[], str]) -> int:
     except BadInput as error:
         return _refuse(f"refused: {error}", BAD_INPUT)
     except Infeasible as error:
-        return _refuse(f"no safe plan, nothing written: {error}", NOT_SOLVED)
+        return _refuse(f"{not_solved}, nothing written: {error}", NOT_SOLVED)
     except KeyboardInterrupt:
         return _refuse("interrupted, nothing written", INTERRUPTED)
 

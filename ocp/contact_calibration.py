@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from ocp.cell import read_cell
 from ocp.command import Phases
 from ocp.force.log import read_force_log
@@ -13,6 +15,7 @@ from ocp.report.section import Section
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
 
+UNITS = 30.0  # kilonewtons and grams-force are farther off than any setpoint of a ladder
 Joined = tuple[Calibration, list[Section]]
 
 
@@ -26,6 +29,14 @@ def contact_from(cell_file: Path, force: Path, phases: Phases) -> Callable[[Cali
     cell = read_cell(cell_file)
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell_file}: workpiece.stl is missing; a force log needs the blade that was ground")
+
+    wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
+    seen = float(np.median(log.fn[log.contact])) if log.contact.any() else wanted
+    if wanted > 0 and not 1 / UNITS < seen / wanted < UNITS:
+        raise BadInput(
+            f"{force}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
+            "correct the cell's setpoint_N"
+        )
 
     def join(arm: Calibration) -> Joined:
         with phases.phase("contact"):

@@ -36,6 +36,14 @@ def read_tracker_setup(path: str | Path) -> TrackerSetup:
     return TrackerSetup(path, robot, payloads, _instrument(tables.tracker), tables.robot.compliant_joints, tables)
 
 
+def files_of(path: str | Path) -> list[Path]:
+    """The cell file and the files it names that are there: blade, robot, calibration."""
+    path = Path(path)
+    tables = read_toml(path, CellTables)
+    named = [tables.robot.model, tables.robot.calibration, tables.workpiece.stl if tables.workpiece else None]
+    return [path, *(path.parent / name for name in named if name is not None and (path.parent / name).is_file())]
+
+
 def _instrument(table: TrackerTable | None) -> Instrument:
     if table is None:
         return Instrument()

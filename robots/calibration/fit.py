@@ -174,7 +174,9 @@ def _finished(
         one = 0.5 * spread**2 / float(np.median((solution.W**2).sum(axis=(1, 2)) / 3))
         shift = station_shifts(layout)
         precision[shift] = layout.scale[shift] ** 2 * len(campaign.readings) / one
-    information = scaled.T @ scaled * slope**2 / power + np.diag(precision)
+    # A reading in several differences tells no more than once.
+    once = 1.0 if campaign.pairs is None else min(1.0, len(campaign.readings) / n)
+    information = scaled.T @ scaled * once * slope**2 / power + np.diag(precision)
     inverse = cho_solve(cho_factor(information), np.eye(p))
     covariance = layout.scale[:, None] * inverse * layout.scale[None, :]
     return Fit(

@@ -79,12 +79,15 @@ def equal_torque_pairs(robot: Robot, readings: Readings) -> Index:
 
     Nearest neighbours in the torques of the arm's own weight about joints 2 and 3 and in the payload.
     """
-    torque = weight_torques(robot, readings.q)[:, 1:3]
+    # One reading of each posture: repeats are equal in everything and tell nothing.
+    _, one = np.unique(np.column_stack([np.round(readings.q, 6), readings.target, readings.payload]), axis=0, return_index=True)
+    few = readings.take(one)
+    torque = weight_torques(robot, few.q)[:, 1:3]
     scale = torque.std(axis=0).mean() or 1.0
-    apart = 1e3 * np.column_stack([readings.station, readings.payload])
+    apart = 1e3 * np.column_stack([few.station, few.payload])
     features = np.hstack([torque / scale, apart])
-    _, near = cKDTree(features).query(features, k=min(PARTNERS + 1, len(readings)))
-    pairs = np.column_stack([np.repeat(np.arange(len(readings)), near.shape[1] - 1), near[:, 1:].ravel()])
+    _, near = cKDTree(features).query(features, k=min(PARTNERS + 1, len(few)))
+    pairs = one[np.column_stack([np.repeat(np.arange(len(few)), near.shape[1] - 1), near[:, 1:].ravel()])]
     pairs = pairs[readings.station[pairs[:, 0]] == readings.station[pairs[:, 1]]]
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
