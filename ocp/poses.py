@@ -67,7 +67,7 @@ def poses(
         with shown_phases() as phases:
             return write_poses(lambda: make_poses(cell, options, phases), out, overwrite, phases, [cell])
 
-    sys.exit(run(job))
+    sys.exit(run(job, "no poses chosen"))
 
 
 def _within(name: str, value: float | None, low: float, high: float, unit: str) -> None:

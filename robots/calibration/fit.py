@@ -170,19 +170,19 @@ def _finished(
     power *= (1.0 + used / (n * k) * scatter / slope**2) ** 2
     scaled = whitened * solution.spread / spread
     if campaign.pairs is not None:
-        # Differences do not place the stations; the mean of as many readings does afterwards.
-        one = 0.5 * spread**2 / float(np.median((solution.W**2).sum(axis=(1, 2)) / 3))
-        shift = station_shifts(layout)
-        precision[shift] = layout.scale[shift] ** 2 * len(campaign.readings) / one
-    # A reading in several differences tells no more than once.
-    once = 1.0 if campaign.pairs is None else min(1.0, len(campaign.readings) / n)
-    information = scaled.T @ scaled * once * slope**2 / power + np.diag(precision)
-    inverse = cho_solve(cho_factor(information), np.eye(p))
-    covariance = layout.scale[:, None] * inverse * layout.scale[None, :]
+        precision[station_shifts(layout)] = 1.0  # differences do not place the stations; `methods` does afterwards
+    information = scaled.T @ scaled * slope**2 / power + np.diag(precision)
+    covariance = scaled_inverse(information, layout)
     return Fit(
         campaign, choice, priors, layout, start, solution.state, solution.offset, covariance, solution.linear.residual,
         weight / weights(np.zeros(1), k), solution.squared, solution.linear.J, solution.W, noise, spread, solution.steps,
     )  # fmt: skip
+
+
+def scaled_inverse(information: Array, layout: Layout) -> Array:
+    """Covariance (p, p) of an information matrix in units of the layout's scale."""
+    inverse = cho_solve(cho_factor(information), np.eye(layout.size))
+    return np.asarray(layout.scale[:, None] * inverse * layout.scale[None, :])
 
 
 def station_shifts(layout: Layout) -> Index:

@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from robots.calibration.fit import PLAIN, WEAK, Fit, fit_campaign, located
+from robots.calibration.fit import PLAIN, WEAK, Fit, fit_campaign, located, scaled_inverse
 from robots.calibration.layout import Choice, Priors, State, believed_compliance, nominal_state
 from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
-from robots.calibration.student import NU, spread_of, weights
+from robots.calibration.student import NU, gaussian_moments, spread_of, weights
 from robots.gravity import weight_torques
 from robots.measurements import Index, Readings
 from robots.pose import Array
@@ -49,7 +49,10 @@ def calibrate_by(method: str, campaign: Campaign, choice: Choice = PLAIN, priors
 
 
 def _as_readings(fit: Fit, campaign: Campaign, state: State) -> Fit:
-    """A fit of differences as one of readings: stations placed, residuals and weights of the readings themselves."""
+    """A fit of differences as one of readings: stations placed, residuals, weights and covariance of the readings themselves.
+
+    The covariance is that of readings with Gaussian errors: differences and a mean over them tell together what they tell.
+    """
     state = placed(campaign, state)
     c = campaign
     linear = linearise(c.robot, c.readings, c.instrument, fit.layout, state)
@@ -57,8 +60,12 @@ def _as_readings(fit: Fit, campaign: Campaign, state: State) -> Fit:
     squared = np.asarray(((W @ linear.residual[..., None])[..., 0] ** 2).sum(axis=1))
     spread = spread_of(squared, 3)
     weight = weights(squared / spread**2, 3) / weights(np.zeros(1), 3)
+    whitened = ((W @ linear.J) * fit.layout.scale / spread).reshape(-1, fit.layout.size)
+    precision = np.where(np.isfinite(fit.layout.prior_sd), (fit.layout.scale / fit.layout.prior_sd) ** 2, 0.0)
+    power, slope, _ = gaussian_moments(3)
+    covariance = scaled_inverse(whitened.T @ whitened * slope**2 / power + np.diag(precision), fit.layout)
     seen = replace(fit, residual=linear.residual, weight=weight, squared=squared, J=linear.J, W=W, spread=spread)
-    return replace(seen, campaign=campaign, state=state)
+    return replace(seen, campaign=campaign, state=state, covariance=covariance)
 
 
 def spread_pairs(readings: Readings) -> Index:
