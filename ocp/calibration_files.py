@@ -64,11 +64,16 @@ def last_line(made: TrackerCalibration, out: Path, calibration: Calibration) -> 
     judged = len(made.methods.before) > 0
     errors = made.methods.error[made.method] if judged else made.error_after
     before = made.methods.before if judged else made.error_before
+    told = f"{n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen"
+    if not judged:
+        return (
+            f"{out}: {told}; too few readings to leave any out, so nothing says how good it is on others: do not use it before "
+            f"more are measured; {out / 'report.html'} says where. {_contact(calibration)}".rstrip()
+        )
     return (
-        f"{out}: {n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen; left-out "
-        f"readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm at most (before: "
-        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}{_use(made, errors, before)}; "
-        f"{out / 'report.html'} says what was not seen."
+        f"{out}: {told}; left-out readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm "
+        f"at most (before: {1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}"
+        f"{_use(made, errors, before)}; {out / 'report.html'} says what was not seen."
     )
 
 
