@@ -23,7 +23,7 @@ from robots.errors import BadInput
 from robots.measurements import Readings, read_readings
 from robots.pose import Array
 
-LEAST_READINGS = 12
+LEAST_READINGS = 20
 LEAST_POSTURES = 10
 LEAST_OF_STATION = 4
 LEAST_TRAVEL = np.radians(5.0)  # an axis that moved less did not move
@@ -97,6 +97,10 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases) -> Tracke
         campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
         _refuse_few(readings)
         refuse_mistakes(campaign)
+        beside = tracker.parent / SEALED
+        sealed = None
+        if beside.exists() and beside.resolve() != tracker.resolve():
+            sealed = as_in(read_readings(beside, setup.payloads, setup.instrument, sealed=True), readings)
     with phases.phase("fit"):
         choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
         first = fit_campaign(campaign, choice)
@@ -112,21 +116,19 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases) -> Tracke
         held = validate(full) if method == "full" else _held_by_method(full, method)
     with phases.phase("methods", len(METHODS)) as advance:
         table = compare_methods(full, advance)
-    sealed = points = covariance = None
-    beside = tracker.parent / SEALED
-    if beside.exists() and beside.resolve() != tracker.resolve():
-        sealed = read_readings(beside, setup.payloads, setup.instrument, sealed=True)
-        points = predict_readings(fit, as_in(sealed, readings))[0]
+    points = covariance = None
+    if sealed is not None:
+        points = predict_readings(fit, sealed)[0]
     linear = linearise(campaign.robot, replace(readings, turn=None), campaign.instrument, full.layout, full.state)
     repeats = repeat_scatter(readings, campaign.instrument, linear.d_joints)
     if sealed is not None:
-        covariance = predictive_covariance(fit, as_in(sealed, readings), repeats.joints if repeats else 0.0)
+        covariance = predictive_covariance(fit, sealed, repeats.joints if repeats else 0.0)
     return TrackerCalibration(
         setup=setup,
         method=method,
         fit=fit,
         believed=before(campaign, choice),
-        identifiability=identify(full),
+        identifiability=identify(fit),
         held_out=held,
         terms=terms,
         repeats=repeats,

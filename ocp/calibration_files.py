@@ -18,7 +18,7 @@ from robots.calibration.parameters import SYMBOLS
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.store import Calibration, write_calibration
 from robots.calibration.validation import by_kind
-from robots.errors import BadInput
+from robots.errors import BadInput, Infeasible
 from robots.pose import Array, abc_from_rotation
 
 BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
@@ -42,6 +42,7 @@ def write_tracker_calibration(
         if not file.is_file():
             raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
     made = make()
+    _refuse_unjudged(made)
     calibration, extra = tracker_calibration(made, inputs), list[Section]()
     if contact is not None:
         calibration, sections = contact(calibration)
@@ -61,19 +62,12 @@ def write_tracker_calibration(
 def last_line(made: TrackerCalibration, out: Path, calibration: Calibration) -> str:
     """What was written, how good it is, whether it is safe to use."""
     n, found = len(made.fit.campaign.readings), made.identifiability
-    judged = len(made.methods.before) > 0
-    errors = made.methods.error[made.method] if judged else made.error_after
-    before = made.methods.before if judged else made.error_before
-    told = f"{n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen"
-    if not judged:
-        return (
-            f"{out}: {told}; too few readings to leave any out, so nothing says how good it is on others: do not use it before "
-            f"more are measured; {out / 'report.html'} says where. {_contact(calibration)}".rstrip()
-        )
+    errors, before = made.methods.error[made.method], made.methods.before
     return (
-        f"{out}: {told}; left-out readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm "
-        f"at most (before: {1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}"
-        f"{_use(made, errors, before)}; {out / 'report.html'} says what was not seen."
+        f"{out}: {n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen; left-out "
+        f"readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm at most (before: "
+        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}{_use(made, errors, before)}; "
+        f"{out / 'report.html'} says what was not seen."
     )
 
 
@@ -86,13 +80,20 @@ def _contact(calibration: Calibration) -> str:
 
 
 def _use(made: TrackerCalibration, errors: Array, before: Array) -> str:
-    """Whether to use it."""
+    """Whether to use it. A method that is only compared may be worse than nothing, and is written all the same."""
     full = made.methods.error.get("full", errors)
     if errors.mean() >= before.mean():
         return "It is no better than the arm as believed: do not use it"
     if errors.mean() > 1.5 * full.mean():
         return f"Method full meets the same readings within {1e3 * full.mean():.3f} mm: use that one"
     return "Name it as robot.calibration in the cell to use it"
+
+
+def _refuse_unjudged(made: TrackerCalibration) -> None:
+    """Raises Infeasible: no reading could be left out."""
+    if not len(made.methods.before):
+        path = made.fit.campaign.readings.path
+        raise Infeasible(f"{path}: too few readings, outliers apart, to leave any out and judge the rest; measure more poses")
 
 
 def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Calibration:

@@ -17,7 +17,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command()
 def poses(
-    cell: Annotated[Path, typer.Option(help="the cell file")],
+    cell: Annotated[Path, typer.Option(help="the cell file")] = Path(__file__).parent / "data" / "cell.toml",
     count: Annotated[int, typer.Option("-n", help="how many poses; each is read twice, approached from either side")] = 40,
     criterion: Annotated[str, typer.Option(help="zone (accuracy at the wheel), or O1 to O5 of the literature")] = "zone",
     payload: Annotated[list[str] | None, typer.Option(help="a payload to hang on; repeat for more")] = None,

@@ -73,7 +73,7 @@ def _cells(path: Path, needed: Sequence[str]) -> tuple[list[str], list[list[str]
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror or error}); give the path of a CSV file") from None
     except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: byte {error.start} is no text; give a CSV file") from None
+        raise BadInput(f"{path}: byte {error.start} is no UTF-8 text; save it as CSV in UTF-8") from None
     reader = csv.reader(text.splitlines())
     header: list[str] = []
     rows: list[list[str]] = []
@@ -104,6 +104,8 @@ def _cells(path: Path, needed: Sequence[str]) -> tuple[list[str], list[list[str]
 def _check_header(path: Path, header: list[str], number: int, needed: Sequence[str]) -> None:
     if len(header) == 1 and ";" in header[0]:
         raise BadInput(f"{path}, line {number}: values are separated by semicolons; separate them by commas")
+    if len(header) == 1 and "\t" in header[0]:
+        raise BadInput(f"{path}, line {number}: values are separated by tabs; separate them by commas")
     missing = [column for column in needed if column not in header]
     if missing:
         raise BadInput(
@@ -118,7 +120,7 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise BadInput(f"{path}, line {line}, column {column}: '{text}' is not a number") from None
+        raise BadInput(f"{path}, line {line}, column {column}: '{text}' is not a number, as in 12.5; correct it") from None
     if not np.isfinite(value):
         raise BadInput(f"{path}, line {line}, column {column}: '{text}' is not a finite number; remove the row") from None
     return value

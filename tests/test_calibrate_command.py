@@ -114,11 +114,11 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(tmp_path):
     assert "T7" in refused(folder, "tracker.csv", "--cell", "cell.toml")
 
 
-def test_a_campaign_too_small_to_be_judged_is_not_recommended(tmp_path):
-    folder = folder_with_campaign(tmp_path, 13)
-    told = run(folder, "tracker.csv", "--cell", "cell.toml")
-    assert told.returncode == 0 and "do not use it before more are measured" in told.stdout, told
-    assert all(line.startswith("note: ") for line in told.stderr.splitlines())
+def test_a_method_that_makes_things_worse_is_written_with_a_warning(tmp_path):
+    folder = folder_with_campaign(tmp_path)
+    told = run(folder, "tracker.csv", "--cell", "cell.toml", "--method", "relative-literal")
+    assert told.returncode == 0 and "do not use it" in told.stdout, told
+    assert (folder / "calibration" / "predictions_tracker.csv").is_file()
 
 
 def test_campaigns_that_cannot_tell_anything_are_refused(tmp_path):

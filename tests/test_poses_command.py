@@ -213,7 +213,7 @@ REFUSED = {
     "half a tracker": (("--tracker", "1,2"), 2, "x,y,z in mm"),
     "no number": (("--tracker", "1,2,x"), 2, "x,y,z in mm"),
     "tracker nowhere": (("--tracker", "1,2,nan"), 2, "100 m"),
-    "tracker out of range": (("--tracker", "90000,0,0"), 1, "is seen in 0 of"),
+    "tracker out of range": (("--tracker", "90000,0,0"), 2, "no reflector is seen"),
     "two ways to wait": (("--wait", "3", "--input", "4"), 2, "exclude"),
     "approach of nothing": (("--approach", "0"), 2, "--approach"),
 }

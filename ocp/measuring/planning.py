@@ -128,6 +128,11 @@ def _campaign(
 
 def _refuse_blind(cell: Cell, options: PoseOptions, tracker: Array, source: str, seen: Mask) -> None:
     place = ", ".join(f"{1e3 * v:.0f}" for v in tracker)
+    if not seen.any():
+        raise BadInput(
+            f"--tracker: from ({place}) mm ({source}) no reflector is seen in any of {len(seen)} free postures; it stands in the "
+            "robot or the wheel, behind them, or too far off: give another place in mm, base frame"
+        )
     if seen.sum() < FEWEST_SEEN * options.count:
         raise Infeasible(
             f"from a tracker at ({place}) mm ({source}) a reflector is seen in {int(seen.sum())} of {len(seen)} free postures, "

@@ -15,7 +15,7 @@ from robots.measurements import Index
 from robots.pose import Array
 
 FOLDS = 5
-LEAST_TRAIN, LEAST_TEST = 15, 5  # readings on each side of a fold
+LEAST_TRAIN, LEAST_TEST = 15, 3  # readings on each side of a fold
 GROSS = 0.05  # weight in the full fit below which a reading is an outlier and is not held against a model
 
 
