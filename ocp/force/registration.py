@@ -160,7 +160,7 @@ def _notices(
     if figures.run_offset > 0:
         notices.append(
             f"{name}: runs differ by {figures.run_offset:.2f} N (one standard deviation) beyond noise and model; the fit allows "
-            "for it and is less sure; ask ocp.diagnose for the cause"
+            "for it and is less sure; something differs between the runs that the model does not have"
         )
     if figures.outliers:
         notices.append(f"{name}: {figures.outliers} readings lie more than {SIGMAS:g} sigma off and count little")
