@@ -171,3 +171,17 @@ def test_the_planned_overlap_is_taken_off_along_the_width_too(cell):
     p = buried(cell, T, 2e-3, 1.0, lateral=6e-3)
     found = find_gouge(cell, p[None], T[None], CONTACT[None], np.array([[0.0, 100.0, 0.0]]), np.zeros((1, 2)), np.array([3e-3]))
     assert found.depth == pytest.approx(0.8e-3, abs=1e-9)
+
+
+def test_there_is_no_blade_in_the_bay_of_a_hollow_edge(cell):
+    """Long triangles close the outline of the cloud; taken for surface they were false contact beside a blade's corner."""
+    whole = bar()
+    edge = 3e-3 + 40.0 * whole.points[:, 2] ** 2
+    kept = whole.points[:, 0] <= edge
+    cloud = SurfaceCloud(whole.points[kept], whole.normals[kept])
+    base = LocalShape(kxx=1 / RADIUS + 1 / cell.wheel.radius, kyy=0.0)
+    shape = surface_shape(cell.wheel, cloud, base, on_wheel(cell), CONTACT)
+    across = np.array([-7e-3, -2e-3, 0.0, 2e-3, 7e-3])  # the blade's x lies along the wheel's axis, one way or the other
+    gap = shape.gap(np.zeros(5), across)
+    assert np.isfinite(gap[1:4]).all()
+    assert sorted(np.isinf(gap[[0, 4]])) == [False, True]
