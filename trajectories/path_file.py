@@ -1,11 +1,11 @@
 """path.csv: a grinding path made elsewhere, read and checked line by line."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robots.csv_table import read_csv_table
 from robots.errors import BadInput
 from trajectories.blade.mesh import Blade
 from trajectories.blade.shape import AerofoilShape
@@ -26,7 +26,9 @@ def read_path_file(
     Raises: BadInput naming file, line, column and value, or the distance of a point off the surface.
     """
     path = Path(path)
-    table, numbers, notices = _read_table(path)
+    read = read_csv_table(path, NEEDED, OPTIONAL)
+    table, numbers = read.numbers, read.line
+    notices = [f"{path.name}: columns {', '.join(read.ignored)} were ignored."] if read.ignored else []
     for column, default, unit in (("feed_mm_s", 1e3 * feed, "mm/s"), ("force_N", force, "N")):
         if column not in table:
             table[column] = np.full(len(numbers), default)
@@ -43,66 +45,6 @@ def read_path_file(
         blade, shape, line, p, n, t, 1e-3 * table["feed_mm_s"], table["force_N"], str(path), places
     )
     return paths, notices + more
-
-
-def _read_table(path: Path) -> tuple[dict[str, Array], list[int], list[str]]:
-    """Columns by name, the line of the file each row stands in, and notices."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror or error}); give the path of a CSV file.") from None
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: byte {error.start} is no text; give a CSV file.") from None
-    reader = csv.reader(text.splitlines())
-    header: list[str] = []
-    rows: list[list[str]] = []
-    numbers: list[int] = []
-    for row in reader:
-        cells = [cell.strip() for cell in row]
-        if not any(cells) or cells[0].startswith("#"):
-            continue
-        if not header:
-            header = cells
-            _check_header(path, header, reader.line_num)
-            continue
-        if len(cells) != len(header):
-            raise BadInput(f"{path}, line {reader.line_num}: {len(cells)} values where the header names {len(header)} "
-                           f"columns; separate values by commas and decimals by points.")  # fmt: skip
-        rows.append(cells)
-        numbers.append(reader.line_num)
-    if not rows:
-        raise BadInput(f"{path}: holds no {'row' if header else 'header'}; see FORMATS.md, path.csv.")
-    table: dict[str, Array] = {}
-    for k, column in enumerate(header):
-        if column in NEEDED or column in OPTIONAL:
-            table[column] = np.array([_number(path, numbers[i], column, row[k]) for i, row in enumerate(rows)])
-    extra = [column for column in header if column not in table]
-    notices = [f"{path.name}: columns {', '.join(extra)} were ignored."] if extra else []
-    return table, numbers, notices
-
-
-def _check_header(path: Path, header: list[str], number: int) -> None:
-    if len(header) == 1 and ";" in header[0]:
-        raise BadInput(f"{path}, line {number}: values are separated by semicolons; separate them by commas.")
-    missing = [column for column in NEEDED if column not in header]
-    if missing:
-        raise BadInput(f"{path}, line {number}: column{'s' if len(missing) > 1 else ''} {', '.join(missing)} "
-                       f"missing; the header reads {', '.join(header)[:120]!r}.")  # fmt: skip
-    double = [column for column in header if header.count(column) > 1 and column in NEEDED + OPTIONAL]
-    if double:
-        raise BadInput(f"{path}, line {number}: column {double[0]} stands there twice; remove one.")
-
-
-def _number(path: Path, number: int, column: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-        if text.lower() not in ("nan", "-nan", "+nan"):
-            raise BadInput(f"{path}, line {number}, column {column}: {text!r} is not a number.") from None
-    if not np.isfinite(value):
-        raise BadInput(f"{path}, line {number}, column {column}: {text!r} is not a finite number.")
-    return value
 
 
 def _line_numbers(path: Path, values: Array, numbers: list[int]) -> NDArray[np.int64]:
