@@ -1,0 +1,202 @@
+"""The arm as a MuJoCo model: bodies with masses, each joint a driven hinge in series with a spring hinge.
+
+Body i carries joint i. Its frame is link frame i - 1 turned by the theta offset, so that both hinges turn about its z axis and
+the driven hinge's coordinate is q in the controller's sign. Link frame i stands in it as a site, at
+Tz(d) Tx(a) Rx(alpha) Ry(beta) and the link's placement error. The body `base` under all of it can be tilted; spring
+hinges inside a link bend it; a spatial tendon can pull between link 1 and the upper arm.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from robots.pose import Array, invert, make_transform, rot_x, rot_y, rot_z
+from robots.robot import Robot
+
+Index = NDArray[np.int64]
+
+GRAVITY = 9.81  # m/s^2, the value that reproduces the own-weight torques of PHYSICS 2.5
+# Links without mass of their own (lumped into others): the least that the engine takes, kg and kg m^2; 1e-8 N m of weight.
+LEAST = 1e-9
+ROTOR = 1.0  # kg m^2 of rotor at the link side; no part in statics, keeps the engine's mass matrix regular
+RIGID = 1e12  # N m/rad written for a hinge that does not give
+GAUSS = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))  # shares of a link's length at which it bends
+_GROWN = 1e-3  # growth at which the growing places are found; they are linear in it
+
+
+@dataclass(frozen=True)
+class Bending:
+    """Link `joint` (2 or 3) is a beam that bends about lines parallel to that joint's axis: turn of its end in rad per N m of
+    mean moment, L / EI. Two spring hinges of half of it, where Gauss's rule has its points: exact for moments that change
+    linearly along the beam, turn and sag."""
+
+    joint: int
+    compliance: float
+
+
+@dataclass(frozen=True)
+class Balancer:
+    """A spring (N/m) from link 1, `levers[0]` m above axis 2, to the upper arm, `levers[1]` m from axis 2 toward the elbow.
+
+    Its free length is the distance of its ends when the upper arm stands upright.
+    """
+
+    stiffness: float
+    levers: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Design:
+    """What an arm is built of: robot (signs, masses, centres), mdh (6, 5), placement (6, 6) m and rad, mass_scale (7,),
+    compliance (6,) rad/(N m) of the joints' springs (0 rigid), bending links, balancer; growth of the lengths d and a; whether
+    they will grow while the machine is used."""
+
+    robot: Robot
+    mdh: Array
+    placement: Array
+    mass_scale: Array
+    compliance: Array
+    bendings: tuple[Bending, ...] = ()
+    balancer: Balancer | None = None
+    growth: float = 0.0
+    grows: bool = False
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A compiled arm with its working data, and where its parts are.
+
+    drives (6,), springs (6, then two for each bending link) are indices of coordinates; compliance of each spring rad/(N m);
+    sites (6,) of link frames 1..6; bodies (7,) that carry link frames 0..6; body_growth (nbody, 3) and site_growth (nsite, 3)
+    m: change of places for growth 1.
+    """
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    drives: Index
+    springs: Index
+    compliance: Array
+    sites: Index
+    bodies: Index
+    body_growth: Array
+    site_growth: Array
+
+
+def build_machine(design: Design, payload: tuple[float, Array]) -> Machine:
+    """Compile the arm with a payload: mass kg and centre (3,) m in the flange frame."""
+    model = _model(design, payload)
+    grown = _model(replace(design, growth=design.growth + _GROWN), payload) if design.grows else model
+    names = [f"spring{i}" for i in range(1, 7)] + [f"bend{b.joint}_{k}" for b in design.bendings for k in range(2)]
+    tips = {b.joint: f"part{b.joint}_1" for b in design.bendings}
+    bodies = ["base"] + [tips.get(i, f"link{i}") for i in range(1, 7)]
+    kind = mujoco.mjtObj
+    return Machine(
+        model=model,
+        data=mujoco.MjData(model),
+        drives=_ids(model, kind.mjOBJ_JOINT, [f"drive{i}" for i in range(1, 7)]),
+        springs=_ids(model, kind.mjOBJ_JOINT, names),
+        compliance=np.array([*design.compliance, *(0.5 * b.compliance for b in design.bendings for _ in range(2))]),
+        sites=_ids(model, kind.mjOBJ_SITE, [f"frame{i}" for i in range(1, 7)]),
+        bodies=_ids(model, kind.mjOBJ_BODY, bodies),
+        body_growth=(grown.body_pos - model.body_pos) / _GROWN,
+        site_growth=(grown.site_pos - model.site_pos) / _GROWN,
+    )
+
+
+def _ids(model: mujoco.MjModel, kind: mujoco.mjtObj, names: Sequence[str]) -> Index:
+    return np.array([mujoco.mj_name2id(model, kind, name) for name in names], np.int64)
+
+
+def _model(design: Design, payload: tuple[float, Array]) -> mujoco.MjModel:
+    """All joints are hinges: coordinate, velocity and joint share one index."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.compiler.boundmass, spec.compiler.boundinertia, spec.compiler.balanceinertia = LEAST, LEAST, True
+    spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    parent, before = spec.worldbody.add_body(name="base"), np.eye(4)
+    for i in range(6):
+        parent, before = _link(parent, before, design, i)
+    _inertia(_body(parent, "payload", before), payload[0], np.eye(4), payload[1], np.zeros((3, 3)))
+    if design.balancer is not None:
+        _tendon(spec, design.balancer)
+    return spec.compile()
+
+
+def _link(parent: mujoco.MjsBody, before: Array, design: Design, i: int) -> tuple[mujoco.MjsBody, Array]:
+    """Link i + 1 after the link frame `before` of `parent`: the body that carries its frame, and the frame in it."""
+    robot, (offset, d, a, alpha, beta) = design.robot, design.mdh[i]
+    body = _body(parent, f"link{i + 1}", before @ make_transform(rot_z(offset), np.zeros(3)))
+    _hinge(body, f"drive{i + 1}", robot.sign[i], None)
+    _hinge(body, f"spring{i + 1}", robot.sign[i], design.compliance[i])
+    place = make_transform(rot_x(alpha) @ rot_y(beta), np.array([a, 0.0, d]) * (1 + design.growth))
+    shift, turn = design.placement[i, :3], design.placement[i, 3:]
+    frame = place @ make_transform(Rotation.from_rotvec(turn).as_matrix(), shift)
+    holder, at = body, frame
+    for bend in design.bendings:
+        if bend.joint != i + 1:
+            continue
+        # From the joint's axis to the next: link 3 reaches along its frame's z to the wrist.
+        end = frame[:3, 3] if i == 1 else frame[:3, 3] + frame[:3, 2] * design.mdh[i + 1, 1]
+        com, passed = frame[:3, :3] @ robot.link_com[i + 1] + frame[:3, 3], 0.0
+        for k, share in enumerate(GAUSS):
+            step = make_transform(np.eye(3), (share - passed) * end)
+            body, frame, passed = _body(body, f"part{i + 1}_{k}", step), invert(step) @ frame, share
+            _hinge(body, f"bend{i + 1}_{k}", robot.sign[i], 0.5 * bend.compliance)
+            if com @ end > share * end @ end:
+                holder, at = body, frame
+    scale = design.mass_scale[i + 1]
+    _inertia(holder, scale * robot.link_mass[i + 1], at, robot.link_com[i + 1], scale * robot.link_inertia[i + 1])
+    body.add_site(name=f"frame{i + 1}", pos=frame[:3, 3], quat=_quaternion(frame[:3, :3]))
+    return body, frame
+
+
+def _body(parent: mujoco.MjsBody, name: str, T: Array) -> mujoco.MjsBody:
+    return parent.add_body(name=name, pos=T[:3, 3], quat=_quaternion(T[:3, :3]))
+
+
+def _hinge(body: mujoco.MjsBody, name: str, sign: float, compliance: float | None) -> None:
+    """A hinge about z of its body: driven (compliance None), or a spring."""
+    joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, sign])
+    if compliance is None:
+        joint.armature = ROTOR
+    else:
+        joint.armature = LEAST
+        joint.stiffness = [1.0 / compliance if compliance > 0 else RIGID, 0.0, 0.0]
+
+
+def _inertia(body: mujoco.MjsBody, mass: float, frame: Array, com: Array, tensor: Array) -> None:
+    """Mass kg with its centre (3,) m and tensor (3, 3) kg m^2 in the axes of `frame`, which stands in the body."""
+    R = frame[:3, :3]
+    turned = R @ tensor @ R.T + LEAST * np.eye(3)
+    body.explicitinertial = True
+    body.mass = max(mass, LEAST)
+    body.ipos = R @ com + frame[:3, 3]
+    body.fullinertia = [turned[0, 0], turned[1, 1], turned[2, 2], turned[0, 1], turned[0, 2], turned[1, 2]]
+
+
+def _tendon(spec: mujoco.MjSpec, balancer: Balancer) -> None:
+    """Anchors in the plane across axis 2 through its origin: above it on link 1, toward the elbow on the upper arm.
+
+    Body 1 turns about the upright, so that what is above axis 2 stays above it.
+    """
+    column, upper = spec.body("link1"), spec.body("link2")
+    axis = Rotation.from_quat(upper.quat, scalar_first=True).as_matrix()[:, 2]
+    up = np.array([0.0, 0.0, 1.0]) - axis * axis[2]
+    elbow = spec.site("frame2").pos * [1.0, 1.0, 0.0]
+    high, far = balancer.levers
+    column.add_site(name="anchor1", pos=upper.pos + high * up / np.linalg.norm(up))
+    upper.add_site(name="anchor2", pos=far * elbow / np.linalg.norm(elbow))
+    tendon = spec.add_tendon(name="balancer")
+    tendon.stiffness = [balancer.stiffness, 0.0, 0.0]
+    tendon.springlength = [abs(high - far)] * 2
+    tendon.wrap_site("anchor1")
+    tendon.wrap_site("anchor2")
+
+
+def _quaternion(R: Array) -> Array:
+    """Unit quaternion (4,) w x y z of a rotation (3, 3)."""
+    return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
