@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ocp.cell_schema import CellTables, FlangeTable, WheelTable, WorkpieceTable
+from ocp.cell_schema import CellTables, ConditionsTable, FlangeTable, PayloadTable, WheelTable, WorkpieceTable
+from ocp.effects.cell_effects import CellEffect, effect_of
 from ocp.toml_input import read_toml
 from robots.calibration.store import Calibration, read_calibration
 from robots.errors import BadInput
@@ -16,10 +17,11 @@ from robots.robot import Robot, load_robot
 
 @dataclass(frozen=True)
 class Payload:
-    """What hangs on the flange: mass [kg], centre of mass [m] in the flange frame."""
+    """What hangs on the flange: mass [kg], centre of mass [m] in the flange frame, name in the cell file."""
 
     mass: float
     com: Array
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,18 @@ class Controller:
 
 
 @dataclass(frozen=True)
+class Conditions:
+    """What effects depend on while a plan runs: warm and wheel_warm K above the cell's reference, time s of the robot's
+    campaign, clock s that the wheel has run, how often every line was ground before."""
+
+    warm: float = 0.0
+    wheel_warm: float = 0.0
+    time: float = 0.0
+    clock: float = 0.0
+    ground_before: int = 0
+
+
+@dataclass(frozen=True)
 class Cell:
     """Everything that is believed about the cell; `tables` are the file's own values, for readers of other parts."""
 
@@ -117,6 +131,8 @@ class Cell:
     process: Process
     controller: Controller
     tables: CellTables
+    effects: tuple[CellEffect, ...] = ()
+    conditions: Conditions = Conditions()
 
 
 def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
@@ -154,6 +170,8 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
         process=Process(**process),
         controller=Controller(**tables.controller.model_dump()),
         tables=tables,
+        effects=tuple(effect_of(table.model_dump()) for table in tables.effects),
+        conditions=_conditions(tables.conditions, tables.reference_temperature_C),
     )
 
 
@@ -165,6 +183,11 @@ def robot_of(path: Path, tables: CellTables) -> Robot:
         return load_robot(local if model.endswith(".toml") and local.exists() else model)
     except BadInput as error:
         raise BadInput(f"{path}, robot.model: {error}") from None
+
+
+def _conditions(table: ConditionsTable, reference: float) -> Conditions:
+    warm, wheel = (0.0 if t is None else t - reference for t in (table.temperature_C, table.wheel_temperature_C))
+    return Conditions(warm, wheel, table.time_s, table.clock_s, table.ground_before)
 
 
 def wheel_frame(cell: Cell) -> Array:
@@ -216,8 +239,12 @@ def _workpiece(tables: CellTables, table: WorkpieceTable, path: Path, blade: Pat
         clamp_normal=normal,
         clamp_offset=offset * 1e-3,
         clamp_stiffness=table.clamp_stiffness_N_per_mm * 1e3,
-        payload=Payload(0.0, np.zeros(3)) if payload is None else Payload(payload.mass_kg, np.array(payload.com_mm) * 1e-3),
+        payload=_payload(payload, name or ""),
     )
+
+
+def _payload(table: PayloadTable | None, name: str) -> Payload:
+    return Payload(0.0, np.zeros(3)) if table is None else Payload(table.mass_kg, np.array(table.com_mm) * 1e-3, name)
 
 
 def _wheel(table: WheelTable) -> Wheel:

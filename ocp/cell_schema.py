@@ -3,9 +3,11 @@
 Nothing here is converted; `ocp.cell` turns these tables into SI.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from ocp.effects.cell_effects import effect_of
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
@@ -162,6 +164,31 @@ class TrackerTable(Table):
     targets: dict[str, Vector | LinkTarget] = Field(default_factory=dict)
 
 
+class EffectTable(Table):
+    """`[[effects]]`: an effect of the catalogue with its keys (docs/effects.md)."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=False)
+
+    effect: str
+    joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
+    sd: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _known(self) -> "EffectTable":
+        effect_of(self.model_dump())
+        return self
+
+
+class ConditionsTable(Table):
+    """`[conditions]`: what the cell's effects depend on, as it will be when the plan runs."""
+
+    temperature_C: Number | None = None
+    wheel_temperature_C: Number | None = None
+    time_s: NotNegative = 0.0
+    clock_s: NotNegative = 0.0
+    ground_before: Annotated[int, Field(ge=0, strict=True)] = 0
+
+
 class CellTables(Table):
     """The whole of cell.toml."""
 
@@ -175,6 +202,8 @@ class CellTables(Table):
     force_flange: FlangeTable | None = None
     process: ProcessTable = ProcessTable()
     tracker: TrackerTable | None = None
+    effects: tuple[EffectTable, ...] = ()
+    conditions: ConditionsTable = ConditionsTable()
 
     @model_validator(mode="after")
     def _payload_known(self) -> "CellTables":

@@ -11,6 +11,8 @@ import numpy as np
 
 from ocp.cell import Cell
 from ocp.contact.wheel_law import WheelLaw
+from ocp.effects.context import ContactContext
+from ocp.effects.symbolic import CONDITIONS, ModelEffects, planned_arm_context
 from ocp.theta import Theta
 from robots.compliance import deflected_joints
 from robots.gravity import GRAVITY, gravity_torques
@@ -26,8 +28,10 @@ N_WAYPOINT = sum(WAYPOINT_SIZE.values())
 class Model:
     """Symbols of the model and its expressions, all scalar CasADi SX; see `build_model`.
 
-    q (6) commanded joints rad; F contact force N; w (16) waypoint; theta (m) parameters.
-    delta = overlap m; residual = delta - (flange + wheel + blade + robot) m, zero in equilibrium.
+    q (6) commanded joints rad; F contact force N; w (16) waypoint; theta (m) parameters. A cell with effects appends their
+    conditions (`ocp.effects.symbolic.CONDITIONS`) to w and, where asked, their coefficients to theta.
+    delta = overlap m; extra m: what effects add to it; residual = delta + extra - (flange + wheel + blade + robot) m, zero in
+    equilibrium.
     task = arc rad, lateral m, turn rad, tilt_x, tilt_y (slopes), radial distance of the wrist from axis 1 m.
     """
 
@@ -46,16 +50,20 @@ class Model:
     shoulder: ca.SX
     T_base_blade: ca.SX
     q_real: ca.SX
+    extra: ca.SX
 
 
-def build_model(cell: Cell, law: WheelLaw, sigma: int = 1) -> Model:
-    """The model of `cell` with the wheel's force law; `sigma` +1 grinds "down", -1 "up" (docs/architecture.md)."""
-    q, F = ca.SX.sym("q", 6), ca.SX.sym("F")
+def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = False) -> Model:
+    """The model of `cell` with the wheel's force law; `sigma` +1 grinds "down", -1 "up" (docs/architecture.md).
+
+    `uncertain`: coefficients of the cell's effects are parameters after theta's own, else numbers.
+    """
+    q, F, effects = ca.SX.sym("q", 6), ca.SX.sym("F"), ModelEffects.of(cell.effects, uncertain)
     w, theta = ca.SX.sym("w", N_WAYPOINT), ca.SX.sym("theta", Theta.size)
     waypoint = dict(zip(WAYPOINT, ca.vertsplit(w, np.cumsum([0, *WAYPOINT_SIZE.values()]).tolist()), strict=True))
     par = Theta.split(theta)
 
-    frames, q_real, T_base_flange = _arm(cell, q, par)
+    frames, q_real, T_base_flange = _arm(cell, q, par, effects)
     R_real, p_real = _blade_pose(cell, T_base_flange, par)
     p = p_real + R_real @ waypoint["p"]
     n, t = R_real @ waypoint["n"], R_real @ waypoint["t"]
@@ -78,7 +86,8 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1) -> Model:
     tilt = -ca.vertcat(ca.dot(n, belt), ca.dot(n, axis)) / ca.dot(n, e)
     curvature = _relative_curvature(cell, waypoint["curvature"], n, t, belt, axis)
 
-    force_direction = e + cell.wheel.friction * (travel if cell.wheel.belt_speed else 0.0) * belt
+    friction = ca.SX.sym("friction") if effects.on_contact else ca.SX(cell.wheel.friction)
+    force_direction = e + friction * (travel if cell.wheel.belt_speed else 0.0) * belt
     x_flange = _flange_stroke(cell, F, n, T_base_flange, par)
     d_wheel = waypoint["defect"] + law.indentation(
         F / (1 + par["cover_stiffness_scale"]), curvature[0], curvature[1], curvature[2], lateral, tilt[0], tilt[1]
@@ -86,15 +95,38 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1) -> Model:
     d_blade = F * _blade_give(cell, waypoint["blade_compliance"], n, t, force_direction, par)
     d_robot = F * _robot_give(frames, p, e, force_direction, par["c"])
     parts = ca.vertcat(x_flange, d_wheel, d_blade, d_robot)
+    extra = ca.SX(0)
+    if effects.on_contact:
+        seen = {"lateral": lateral, "tilt": tilt, "arc": arc, "turn": turn, "curvature": curvature, "axis": axis, "e": e}
+        seen |= {name: waypoint[name] for name in ("p", "n", "t")} | {"belt_direction": belt, "n_base": n, "R_blade": R_real}
+        extra = _extra(cell, effects, friction, F, parts, T_base_flange[:3, :3], seen)
+        parts, extra = ca.substitute([parts, extra], [friction], [ca.SX(cell.wheel.friction)])
     return Model(
-        q=q, F=F, w=w, theta=theta, delta=delta, residual=delta - ca.sum1(parts), parts=parts, arc=arc, lateral=lateral,
-        turn=turn, tilt=tilt, curvature=curvature, shoulder=_shoulder(cell, q),
-        T_base_blade=ca.vertcat(ca.horzcat(R_real, p_real), ca.DM([[0, 0, 0, 1]])), q_real=q_real,
+        q=q, F=F, w=ca.vertcat(w, effects.conditions), theta=ca.vertcat(theta, effects.a) if uncertain else theta, delta=delta,
+        residual=delta + extra - ca.sum1(parts), parts=parts, arc=arc, lateral=lateral, turn=turn, tilt=tilt,
+        curvature=curvature, shoulder=_shoulder(cell, q),
+        T_base_blade=ca.vertcat(ca.horzcat(R_real, p_real), ca.DM([[0, 0, 0, 1]])), q_real=q_real, extra=extra,
     )  # fmt: skip
 
 
-def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX]) -> tuple[list[ca.SX], ca.SX, ca.SX]:
-    """Link frames, joints and flange pose of the arm that is bent by gravity."""
+def _extra(
+    cell: Cell, effects: ModelEffects, friction: ca.SX, F: ca.SX, parts: ca.SX, R_flange: ca.SX, seen: dict[str, ca.SX]
+) -> ca.SX:
+    """Overlap m that the cell's effects add at the contact."""
+    conditions = CONDITIONS.split(effects.conditions)
+    clamp, slopes = cell.workpiece, ca.jacobian(parts, F)
+    context = ContactContext(
+        F=F, parts=parts, slopes=slopes, R_flange=R_flange, radius=cell.wheel.radius, friction=cell.wheel.friction,
+        normal_stiffness=1 / ca.sum1(slopes), friction_give=ca.jacobian(ca.sum1(parts), friction),
+        push_axis=_push_axis(cell, seen["n_base"], R_flange),
+        lever=ca.fabs(ca.dot(clamp.clamp_normal, seen["p"]) - clamp.clamp_offset), clamp_give=F / clamp.clamp_stiffness,
+        **seen, **{name: value for name, value in conditions.items() if name not in ("approach", "speed")},
+    )  # fmt: skip
+    return effects.overlap(context, rigid=cell.flange is None)
+
+
+def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], effects: ModelEffects) -> tuple[list[ca.SX], ca.SX, ca.SX]:
+    """Link frames, joints and flange pose of the arm that is bent by gravity and moved by the cell's effects."""
     mdh, sign = ca.reshape(par["mdh"], 5, 6).T, cell.robot.sign
     bends = np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
 
@@ -103,8 +135,18 @@ def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX]) -> tuple[list[ca.SX], ca.S
             joints, mdh, sign, cell.robot.link_mass, cell.robot.link_com, par["payload_mass"], par["payload_com"]
         )
 
-    q_real = deflected_joints(q, torque, par["c"] * bends)
+    c = par["c"] * bends
+    q_real = deflected_joints(q, torque, c)
     frames = chain(q_real, mdh, sign)
+    if not cell.effects:
+        return frames, q_real, frames[-1]
+    context = planned_arm_context(
+        cell.robot, cell.workpiece.payload.name, frames, CONDITIONS.split(effects.conditions), q=q, q_real=q_real,
+        tau=torque(q_real), c=c, payload=ca.vertcat(par["payload_mass"], par["payload_com"]),
+    )  # fmt: skip
+    change = effects.arm(context)
+    q_real = deflected_joints(q + change.dq, lambda joints: torque(joints) + change.dtau, c)
+    frames = change.moved(chain(q_real, mdh, sign))
     return frames, q_real, frames[-1]
 
 
@@ -150,15 +192,19 @@ def _flange_stroke(cell: Cell, F: ca.SX, n: ca.SX, T_base_flange: ca.SX, par: di
     flange = cell.flange
     if flange is None:
         return ca.SX(0)
-    if flange.axis is None:
-        direction, along = n, ca.SX(1)
-    else:
-        direction = T_base_flange[:3, :3] @ ca.SX(flange.axis)
-        direction = ca.if_else(ca.dot(direction, n) < 0, -direction, direction)  # it pushes the blade toward the wheel
-        along = ca.dot(direction, n)
+    direction = _push_axis(cell, n, T_base_flange[:3, :3])
+    along = ca.SX(1) if flange.axis is None else ca.dot(direction, n)
     weight = ca.SX(0) if flange.gravity_compensated else -flange.carried_mass * GRAVITY * direction[2]
     setpoint = flange.setpoint + par["flange_setpoint_offset"]
     return (F * along - setpoint - weight) / par["flange_stiffness"] * along
+
+
+def _push_axis(cell: Cell, n: ca.SX, R_flange: ca.SX) -> ca.SX:
+    """Direction in which the flange pushes the blade toward the wheel, base frame."""
+    if cell.flange is None or cell.flange.axis is None:
+        return n
+    direction = R_flange @ ca.SX(cell.flange.axis)
+    return ca.if_else(ca.dot(direction, n) < 0, -direction, direction)
 
 
 def _blade_give(cell: Cell, c: ca.SX, n: ca.SX, t: ca.SX, f: ca.SX, par: dict[str, ca.SX]) -> ca.SX:

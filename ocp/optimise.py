@@ -28,6 +28,7 @@ from trajectories.passes import BladePath, reversed_path
 
 DIRECT_TOLERANCE = 0.03  # N between the program's and the direct solution of the wheel's contact
 CORRECTIONS = 4
+SIGN_TOLERANCE = 0.1  # of an axis' sign of motion between the program and its solution
 CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
 GOUGE_THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over that, below the tolerance
 FALLBACKS = 4  # seeds tried before a pass is refused
@@ -94,6 +95,7 @@ class PassWorker:
 
     def _solve(self, problem: PassProblem) -> SolvedPass:
         start: PassSolution | None = None
+        problem = self.solver.with_approach(problem)
         for _ in range(CORRECTIONS):
             solution = self.solver.solve(problem, start)
             solved = self.solver.evaluate(problem, solution.q, solution.force)
@@ -103,9 +105,10 @@ class PassWorker:
             better = corrected_defect(problem, solved, direct)
             off = np.abs((better - problem.defect) * solved.stiffness).max()
             blocked = self._with_clearances(problem, solution.q)
-            if off < DIRECT_TOLERANCE and blocked is None:
+            turned = self.solver.with_approach(problem, solution.q)
+            if off < DIRECT_TOLERANCE and blocked is None and not _turns_differ(problem, turned):
                 break
-            problem = replace(blocked or problem, defect=better)
+            problem = replace(blocked or problem, defect=better, approach=turned.approach)
             start = solution
         self._refuse_unsound(problem, solution, solved)
         return SolvedPass(problem, replace(solution, multipliers=None), solved, direct)
@@ -149,6 +152,13 @@ class PassWorker:
                     f"{name}, waypoint {k + 1}: the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, "
                     f"{limit * 1e3:.2f} mm are usable; set force_N nearer to the flange's setpoint"
                 )
+
+
+def _turns_differ(one: PassProblem, other: PassProblem) -> bool:
+    """Do the signs of the axes' motion differ by more than a tenth anywhere?"""
+    if one.approach is None or other.approach is None:
+        return False
+    return bool(np.abs(one.approach - other.approach).max() > SIGN_TOLERANCE)
 
 
 _worker: PassWorker | None = None

@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ocp.cell import Cell
+from ocp.effects.symbolic import CONDITIONS
 from ocp.posture import Seed
 from ocp.stage import N_CLEARANCE
 from robots.pose import Array
@@ -14,7 +16,8 @@ from trajectories.passes import BladePath
 class PassProblem:
     """A pass in its direction of travel with all that its waypoints know: blade compliance (n, 3) m/N in (n, t, b),
     wheel defect (n,) m, clearances (n, N_CLEARANCE, 7): rows a.q >= b; turn_limit
-    rad narrows the cell's turn tolerance where a turned wheel would touch the blade elsewhere."""
+    rad narrows the cell's turn tolerance where a turned wheel would touch the blade elsewhere; approach (n, 6): signs of the
+    axes' motion for effects that depend on them."""
 
     path: BladePath
     seed: Seed
@@ -22,6 +25,7 @@ class PassProblem:
     defect: Array
     clearances: Array
     turn_limit: float = np.inf
+    approach: Array | None = None
 
     @staticmethod
     def start(path: BladePath, seed: Seed, compliance: Array) -> "PassProblem":
@@ -36,6 +40,28 @@ class PassProblem:
         """Columns `ocp.model.WAYPOINT`, (n, 16)."""
         p = self.path
         return np.column_stack([p.p, p.n, p.t, p.curvature, self.compliance, self.defect])
+
+    def conditions(self, cell: Cell) -> Array:
+        """Columns `ocp.effects.symbolic.CONDITIONS` of a cell with effects, (n, 24); (n, 0) without.
+
+        The flange holds its stroke and nothing is recorded: stroke rate and recorded speed are zero.
+        """
+        p, n, c = self.path, len(self.path.s), cell.conditions
+        if not cell.effects:
+            return np.zeros((n, 0))
+        blocks = {
+            "approach": np.zeros((n, 6)) if self.approach is None else self.approach, "s": p.s, "feed": p.feed,
+            "line": float(p.line), "ground_before": float(c.ground_before), "time": c.time, "clock": c.clock, "warm": c.warm,
+            "wheel_warm": c.wheel_warm, "travel": float(self.seed.direction), "stroke_sign": 0.0,
+            "setpoint": cell.process.force if cell.flange is None else cell.flange.setpoint,
+            "belt": cell.wheel.belt_speed, "speed": np.zeros((n, 6)),
+        }  # fmt: skip
+        return CONDITIONS.stack(n, blocks)
+
+    def named_conditions(self, cell: Cell) -> dict[str, Array]:
+        """The columns of `conditions` (n, k) by name; empty for a cell without effects."""
+        rows = self.conditions(cell)
+        return {name: CONDITIONS.block(rows, name) for name, _ in CONDITIONS.sizes} if rows.size else {}
 
     @property
     def seconds(self) -> Array:

@@ -1,6 +1,5 @@
 """The main job as a function: cell and blade in, a verified motion out. Writing it is `ocp.plan_files`."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from ocp.prepare import prepare_contact
 from ocp.registration import registered
 from ocp.stage import Weights
 from ocp.theta import Theta
+from ocp.workers import cores
 from robots.errors import BadInput
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
@@ -86,7 +86,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         raise BadInput(
             f"--step {options.step * 1e3:g} mm is not between {LEAST_STEP * 1e3:g} and {MOST_STEP * 1e3:g} mm; 0.5 is usual"
         )
-    jobs = options.jobs or _cores()
+    jobs = options.jobs or cores()
     with phases.phase("passes"):
         laid = lay_paths(cell, stl, options)
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
@@ -134,7 +134,3 @@ def _refuse_forces(paths: list[BladePath], limits: tuple[float, float], options:
                 f"{options.path or options.program}: line {path.line}, point {k + 1} asks for {path.force[k]:g} N; the wheel's "
                 f"contact is known from {limits[0]:.1f} to {limits[1]:.1f} N about process.force_N; change that or the path"
             )
-
-
-def _cores() -> int:
-    return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)

@@ -54,7 +54,10 @@ def read_back(
     driven, axis_error, time_error, ratio = (_timed if timed else _posed)(cell, motion, execution)
     passes, worst = [], 0.0
     tolerance = RIGID_TOLERANCE if cell.flange is None else FLANGE_TOLERANCE
-    tasks = [(one.problem.path, one.problem.compliance, *rows) for one, rows in zip(motion.passes, driven, strict=True)]
+    tasks = [
+        (one.problem.path, one.problem.compliance, *rows, one.problem.named_conditions(cell))
+        for one, rows in zip(motion.passes, driven, strict=True)
+    ]
     for one, seen in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks, jobs), strict=True):
         path, s = one.problem.path, seen.s
         off = np.abs(seen.force - np.interp(s, path.s, path.force))

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from ocp.cell import Cell
 from ocp.model import axis_directions
-from ocp.theta import BLOCKS, NAMES, Theta, believed_theta
+from ocp.theta import BLOCKS, NAMES, Theta, believed_theta, with_effects
 from robots.pose import Array, make_transform
 
 FOLDED = (
@@ -19,7 +19,8 @@ FOLDED = (
 def registered(cell: Cell) -> tuple[Cell, Theta]:
     """The cell with its registration, stiffnesses and flange as calibrated, and theta with these corrections at zero.
 
-    The covariance stays as it is: the corrections are as uncertain as before, about their new place.
+    The covariance stays as it is: the corrections are as uncertain as before, about their new place. Coefficients of the cell's
+    effects follow theta's own parameters.
     """
     theta = believed_theta(cell)
     value = {block: theta.values[[NAMES.index(name) for name in names]] for block, names in BLOCKS.items()}
@@ -49,7 +50,7 @@ def registered(cell: Cell) -> tuple[Cell, Theta]:
         )
     values = theta.values.copy()
     values[[NAMES.index(name) for block in FOLDED for name in BLOCKS[block]]] = 0.0
-    return replace(cell, wheel=wheel, workpiece=piece, flange=flange), replace(theta, values=values)
+    return replace(cell, wheel=wheel, workpiece=piece, flange=flange), with_effects(cell, replace(theta, values=values))
 
 
 def _unit(vector: Array) -> Array:

@@ -18,8 +18,8 @@ from ocp.posture import (
     poses_along,
     turned_curvature,
 )
+from ocp.reversal import approach_signs
 from ocp.stage import (
-    N_PARAMETERS,
     N_PLAIN_ROWS,
     N_ROWS,
     N_Z,
@@ -82,7 +82,7 @@ class PassSolver:
         self.cell, self.theta, self.weights = cell, theta, weights
         self.law, self.limits = law, law.limits
         self.sigma = 1 if cell.process.grinding == "down" else -1
-        self.model: Model = build_model(cell, law, self.sigma)
+        self.model: Model = build_model(cell, law, self.sigma, uncertain=len(theta.values) > Theta.size)
         self.stage: Stage = build_stage(cell, self.model, weights, theta)
         self._programs: dict[tuple[int, bool], Transcription] = {}
         m = self.model
@@ -92,10 +92,13 @@ class PassSolver:
             ca.sqrt(force_variance(m, theta)), -1 / slope, ca.vec(m.T_base_blade.T),
         ]  # fmt: skip
         self._evaluate = ca.Function("evaluate", [m.q, m.F, m.w, m.theta], outputs, {"cse": True})
+        self._link_motion = ca.Function("link_motion", [m.q, m.w, m.theta], [m.q_real], {"cse": True})
+        self._by_approach = any("approach" in e.active.effect.needs for e in cell.effects)
 
     def evaluate(self, problem: PassProblem, q: Array, force: Array) -> Evaluation:
         """The model at joints q (n, 6) and forces (n,)."""
-        out = self._evaluate.map(len(q))(q.T, force[None], problem.waypoints.T, np.tile(self.theta.values[:, None], len(q)))
+        theta = np.tile(self.theta.values[:, None], len(q))
+        out = self._evaluate.map(len(q))(q.T, force[None], self._waypoints(problem).T, theta)
         delta, residual, parts, arc, lateral, turn, tilt, curvature, sd, stiffness, pose = (np.asarray(o).T for o in out)
         flat = [v[:, 0] for v in (delta, residual, arc, lateral, turn, sd, stiffness)]
         return Evaluation(
@@ -111,6 +114,20 @@ class PassSolver:
             flat[6],
             pose.reshape(-1, 4, 4),
         )
+
+    def _waypoints(self, problem: PassProblem) -> Array:
+        """The problem's waypoints, with the conditions of the cell's effects."""
+        return np.hstack([problem.waypoints, problem.conditions(self.cell)])
+
+    def with_approach(self, problem: PassProblem, q: Array | None = None) -> PassProblem:
+        """The problem with the directions in which the links turn at commanded joints q (n, 6), by default the seed's; as it is
+        where no effect asks."""
+        if not self._by_approach:
+            return problem
+        joints = self.seed_joints(problem) if q is None else q
+        n = len(joints)
+        real = self._link_motion.map(n)(joints.T, self._waypoints(problem).T, np.tile(self.theta.values[:, None], n))
+        return replace(problem, approach=approach_signs(np.asarray(real).T, problem.path.s))
 
     def program(self, n: int, full: bool = False) -> Transcription:
         """The nonlinear program for n waypoints, padded."""
@@ -226,13 +243,13 @@ class PassSolver:
         sign = 1.0 if _shoulder_of(self.cell, problem.seed.q[0]) > 0 else -1.0
         par = np.column_stack(
             [
-                problem.waypoints,
+                self._waypoints(problem),
                 problem.clearances.reshape(count, -1),
                 np.full(count, sign),
                 np.full(count, 1.0 / count),
             ]
         )
-        assert par.shape[1] == N_PARAMETERS
+        assert par.shape[1] == self.stage.n_parameters
         seconds = problem.seconds
         first, second = np.zeros((n - 1, 6)), np.zeros((n - 2, 6))
         first[: count - 1] = self.weights.speed / count / (seconds[:, None] * robot.qd_max) ** 2

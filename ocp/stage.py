@@ -96,6 +96,16 @@ class Stage:
         )
 
     @property
+    def n_parameters(self) -> int:
+        """Numbers of `parameters`: N_PARAMETERS, and the conditions of a cell with effects."""
+        return int(self.parameters.numel())
+
+    @property
+    def n_theta(self) -> int:
+        """Numbers of the model's theta."""
+        return int(self.model.theta.numel())
+
+    @property
     def _z(self) -> ca.SX:
         return ca.vertcat(self.model.q, self.model.F)
 
@@ -139,9 +149,11 @@ def build_stage(cell: Cell, model: Model, weights: Weights, theta: Theta) -> Sta
 
 def force_variance(model: Model, theta: Theta) -> ca.SX:
     """Variance N^2 of the predicted force to first order: dF/dx = -(dr/dx) / (dr/dF) in the parameters and in the joints."""
-    values, vectors = np.linalg.eigh(theta.covariance)
+    sd = np.sqrt(np.diag(theta.covariance))
+    scale = np.where(sd > 0, sd, 1.0)  # parameters of all sizes stand side by side: radians and newtons per metre
+    values, vectors = np.linalg.eigh(theta.covariance / np.outer(scale, scale))
     keep = values > values.max() * 1e-14
-    root = vectors[:, keep] * np.sqrt(values[keep])
+    root = scale[:, None] * vectors[:, keep] * np.sqrt(values[keep])
     sensitivity = ca.jacobian(model.residual, model.theta) @ ca.DM(root)
     joints = theta.joint_noise**2 * ca.sumsqr(ca.jacobian(model.residual, model.q))
     return (ca.sumsqr(sensitivity) + joints) / ca.jacobian(model.residual, model.F) ** 2

@@ -1,9 +1,10 @@
 """The parameters theta of the model: order, believed values and how well they are known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag
 
 from ocp.cell import Cell
 from robots.calibration.parameters import SYMBOLS
@@ -42,8 +43,9 @@ FLANGE_SETPOINT_SD = 0.2  # N
 
 @dataclass(frozen=True)
 class Theta:
-    """Values (m,) and covariance (m, m) of the parameters, in the order of `NAMES`; joint_noise rad: one sigma of what moves
-    a joint without being a parameter (gear errors, repeatability), the same for all axes."""
+    """Values (m,) and covariance (m, m) of the parameters, in the order of `NAMES`, then coefficients of the cell's effects where
+    `with_effects` put them; joint_noise rad: one sigma of what moves a joint without being a parameter (gear errors,
+    repeatability), the same for all axes."""
 
     values: Array
     covariance: Array
@@ -53,7 +55,7 @@ class Theta:
 
     @staticmethod
     def split(theta: ca.SX) -> dict[str, ca.SX]:
-        """The blocks of a symbolic theta by name."""
+        """The blocks of a symbolic theta (without effects) by name."""
         edges = np.cumsum([0, *(len(names) for names in BLOCKS.values())]).tolist()
         return dict(zip(BLOCKS, ca.vertsplit(theta, edges), strict=True))
 
@@ -79,6 +81,14 @@ def believed_theta(cell: Cell) -> Theta:
         covariance[:, at] = 0.0
         covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(inside, inside)]
     return Theta(values, covariance, _joint_noise(cell))
+
+
+def with_effects(cell: Cell, theta: Theta) -> Theta:
+    """`theta` followed by the coefficients of the cell's effects, which are taken as independent of it."""
+    if not cell.effects:
+        return theta
+    values = np.concatenate([theta.values, *(e.a for e in cell.effects)])
+    return replace(theta, values=values, covariance=block_diag(theta.covariance, *(e.covariance for e in cell.effects)))
 
 
 def _joint_noise(cell: Cell) -> float:

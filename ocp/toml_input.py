@@ -39,7 +39,7 @@ def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseMo
     keys = [str(k) for k in fault["loc"] if not isinstance(k, int) and not _is_union_label(str(k))]
     index = next((k for k in fault["loc"] if isinstance(k, int)), None)
     name = ".".join(keys) + (f"[{index}]" if index is not None else "")
-    where = f"{path}, line {_line_of(text, keys)}"
+    where = f"{path}, line {_line_of(text, keys, index)}"
     given = fault.get("input")
     if fault["type"] == "extra_forbidden":
         known = _known_keys(schema, keys[:-1])
@@ -61,14 +61,17 @@ def _is_union_label(key: str) -> bool:
     return key == "LinkTarget" or key.startswith(("tuple[", "constrained-"))
 
 
-def _line_of(text: str, keys: list[str]) -> int:
-    """Line (from 1) of a key, of its table where the key is absent, else 1."""
+def _line_of(text: str, keys: list[str], index: int | None = None) -> int:
+    """Line (from 1) of a key, of its table where the key is absent, else 1; of the table number `index` (from 0) in a list."""
     table: list[str] = []
-    found = 1
+    found, in_list = 1, -1
     for number, line in enumerate(text.splitlines(), 1):
         header = re.match(r"\s*\[{1,2}\s*([^\[\]]+?)\s*\]", line)
         if header:
             table = [part.strip().strip('"') for part in header.group(1).split(".")]
+            if line.lstrip().startswith("[[") and table == keys[: len(table)]:
+                in_list += 1
+                table = table if index in (None, in_list) else [""]  # another one of the list
             if table == keys[: len(table)]:
                 found = number
             continue

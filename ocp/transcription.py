@@ -15,8 +15,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from ocp.stage import N_PARAMETERS, N_PLAIN_ROWS, N_ROWS, N_Z, Stage
-from ocp.theta import Theta
+from ocp.stage import N_PLAIN_ROWS, N_ROWS, N_Z, Stage
 
 SPREAD_STEP = 8  # waypoints between two evaluations of the variance term
 IPOPT = {
@@ -59,20 +58,21 @@ class Transcription:
 
     @staticmethod
     def pack(par: np.ndarray, theta: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Parameter vector: stages (n, N_PARAMETERS), theta (m,), weights of differences (n-1, 6) and (n-2, 6)."""
+        """Parameter vector: stages (n, Stage.n_parameters), theta (m,), weights of differences (n-1, 6) and (n-2, 6)."""
         return np.concatenate([par.ravel(), theta, first.ravel(), second.ravel()])
 
 
 def transcribe(stage: Stage, n: int, full: bool) -> Transcription:
     """Build the program for `n` >= 3 waypoints; `full` with the rows of clearance and axis speed."""
-    x, p = ca.MX.sym("x", N_Z * n), ca.MX.sym("p", n * N_PARAMETERS + Theta.size + 6 * (2 * n - 3))
+    n_par, n_theta = stage.n_parameters, stage.n_theta
+    x, p = ca.MX.sym("x", N_Z * n), ca.MX.sym("p", n * n_par + n_theta + 6 * (2 * n - 3))
     rows = N_ROWS if full else N_PLAIN_ROWS
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", rows * n + full * 6 * (n - 1))
-    edges = np.cumsum([0, n * N_PARAMETERS, Theta.size, 6 * (n - 1), 6 * (n - 2)]).tolist()
+    edges = np.cumsum([0, n * n_par, n_theta, 6 * (n - 1), 6 * (n - 2)]).tolist()
     par, theta, first, second = ca.vertsplit(p, edges)
     D1, D2 = _differences(n)
     z = ca.reshape(x, N_Z, n)
-    common = (z, ca.reshape(par, N_PARAMETERS, n), ca.repmat(theta, 1, n))
+    common = (z, ca.reshape(par, n_par, n), ca.repmat(theta, 1, n))
 
     f_stage, g_stage = stage.value.map(n)(*common)
     f = ca.sum2(f_stage) + ca.dot(first, (D1 @ x) ** 2) + ca.dot(second, (D2 @ x) ** 2)

@@ -2,19 +2,22 @@
 
 Joints come from the text read back and interpolated as a controller would; kinematics are elementary motions in NumPy,
 gravity torques Pinocchio's at the converged bent posture, Jacobians finite differences, and the wheel contact is the
-Signorini problem solved directly instead of the table.
+Signorini problem solved directly instead of the table. Of a cell's effects the formulas are the library's, the numbers that go
+into them are this route's.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from ocp.blade_gap import SurfaceCloud, surface_shape
+from ocp.blade_gap import SurfaceCloud, SurfaceShape, surface_shape
 from ocp.cell import Cell
 from ocp.contact.cover import Cover
 from ocp.contact.gap import LocalShape, solve_force
 from ocp.direct_contact import stations
+from ocp.verified_effects import BelievedArm, ContactSample, at_stations, moved_arm
 from robots.elementary import elementary_forward
 from robots.gravity import GRAVITY
 from robots.pose import Array, apply
@@ -59,17 +62,20 @@ def verify_pass(
     time: Array,
     q: Array,
     s: Array,
+    conditions: Mapping[str, Array] | None = None,
 ) -> VerifiedPass:
     """Force along a pass whose joints q (m, 6) at `time` (m,) were read back; the contact is planned at arc length s (m,).
 
-    `compliance` (n, 3) m/N is the blade's in (n, t, b) at the waypoints of `path`.
+    `compliance` (n, 3) m/N is the blade's in (n, t, b) at the waypoints of `path`; `conditions`: what the cell's effects
+    depend on there, by name, (n, k) each (`ocp.effects.symbolic.CONDITIONS`).
     """
     on_path = {name: CubicSpline(path.s, getattr(path, name))(s) for name in ("p", "n", "t")}
     n = on_path["n"] / np.linalg.norm(on_path["n"], axis=1, keepdims=True)
     t = on_path["t"] - n * np.sum(on_path["t"] * n, axis=1, keepdims=True)
     t /= np.linalg.norm(t, axis=1, keepdims=True)
-    q_real = bent(cell, believed, q)
-    T = elementary_forward(believed.robot, q_real) @ cell.workpiece.T_flange_blade
+    seen = at_stations(conditions, path.s, s)
+    q_real, T_flange = _postures(cell, believed, q, seen)
+    T = T_flange @ cell.workpiece.T_flange_blade
     p = apply(T, on_path["p"])
     n_base, t_base = (np.einsum("kij,kj->ki", T[:, :3, :3], v) for v in (n, t))
     wheel = cell.wheel
@@ -85,26 +91,46 @@ def verify_pass(
     needed, slope = [], []
     for k in at:
         waypoint = int(np.argmin(np.abs(path.s - s[k])))
-        give = compliance[waypoint]
         base = _local_shape(cell, path, waypoint, n_base[k], t_base[k], e[k], lateral[k])
         shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
-        linear = _linear_give(cell, believed, q_real[k], on_path["p"][k], n_base[k], t_base[k], e[k], give)
-        push, stroke = _flange(cell, T[k], n_base[k])
-        F = float(path.force[waypoint])
-        for _ in range(FORCE_STEPS):
-            contact = solve_force(cover, F, shape)
-            total = (F * push - stroke[0]) * stroke[1] * push + contact.indentation + F * linear
-            rate = push**2 * stroke[1] + 1.0 / contact.stiffness + linear
-            step = (delta[k] - total) / rate
-            F = max(F + step, 0.05 * F)
-            if abs(step) < FORCE_STEP_ENOUGH:
-                break
+        here = {name: value[k] for name, value in seen.items()}
+        sample = ContactSample(cell, on_path["p"][k], n[k], t[k], T[k], e[k], float(lateral[k]), base, here)
+        linear = [_linear_give(cell, believed, q_real[k], sample, compliance[waypoint], mu) for mu in (wheel.friction, 1.0, 0.0)]
+        F, rate = _equilibrium(cell, cover, shape, sample, delta[k], float(path.force[waypoint]), linear)
         slope.append(1.0 / rate)
         needed.append(delta[k] - (F - path.force[waypoint]) * rate)
     # What overlap the programmed force needs varies smoothly; the overlap itself is judged at every millisecond.
     overlap, rise = PchipInterpolator(s[at], np.column_stack([needed, slope]))(s).T
     force = np.interp(s, path.s, path.force) + rise * (delta - overlap)
     return VerifiedPass(time, s, np.maximum(force, 0.0), delta)
+
+
+def _equilibrium(
+    cell: Cell, cover: Cover, shape: SurfaceShape, sample: ContactSample, delta: float, F: float, linear: list[Array]
+) -> tuple[float, float]:
+    """Force N at an overlap delta m, by Newton from F, and m/N of the whole chain; linear: m/N of blade and joints with the
+    cell's friction, with 1 and with 0."""
+    push, stroke = _flange(cell, sample.T, sample.T[:3, :3] @ sample.n)
+    for _ in range(FORCE_STEPS):
+        contact = solve_force(cover, F, shape)
+        parts = ((F * push - stroke[0]) * stroke[1] * push, contact.indentation, *(F * linear[0]))
+        slopes = (push**2 * stroke[1], 1.0 / contact.stiffness, *linear[0])
+        more = sample.overlap(F, parts, slopes, F * float(np.sum(linear[1] - linear[2]))) if cell.effects else 0.0
+        step = (delta + more - sum(parts)) / sum(slopes)
+        F = max(F + step, 0.05 * F)
+        if abs(step) < FORCE_STEP_ENOUGH:
+            break
+    return F, sum(slopes)
+
+
+def _postures(cell: Cell, believed: Believed, q: Array, seen: dict[str, Array]) -> tuple[Array, Array]:
+    """Bent joints (m, 6) and flange poses (m, 4, 4) at commanded joints q (m, 6), with the cell's effects."""
+    q_real = bent(cell, believed, q)
+    if not cell.effects:
+        return q_real, elementary_forward(believed.robot, q_real)
+    bends = believed.compliance * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
+    arm = BelievedArm(believed.robot, bends, believed.payload_mass, believed.payload_com)
+    return moved_arm(cell, arm, q, q_real, seen)
 
 
 def bent(cell: Cell, believed: Believed, q: Array) -> Array:
@@ -131,19 +157,18 @@ def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Arr
     )  # fmt: skip
 
 
-def _linear_give(cell: Cell, believed: Believed, q: Array, p_blade: Array, n: Array, t: Array, e: Array, give: Array) -> float:
-    """Displacement of the contact per newton from blade, fixture and joints (PHYSICS 3.1), m/N."""
-    wheel = cell.wheel
-    belt = np.cross(wheel.axis, e) * np.sign(wheel.belt_speed)
-    f = e + wheel.friction * belt
-    b = np.cross(n, t)
-    blade = give[0] * -(f @ n) + give[1] * (f @ t) + give[2] * (f @ b)
+def _linear_give(cell: Cell, believed: Believed, q: Array, at: ContactSample, give: Array, friction: float) -> Array:
+    """Displacement of the contact per newton from the blade with its fixture, and from joints (PHYSICS 3.1), (2,) m/N."""
+    wheel, e = cell.wheel, at.e
+    f = e + friction * np.cross(wheel.axis, e) * np.sign(wheel.belt_speed)
+    n, t = at.T[:3, :3] @ at.n, at.T[:3, :3] @ at.t
+    blade = give[0] * -(f @ n) + give[1] * (f @ t) + give[2] * (f @ np.cross(n, t))
     nudged = q + DIFFERENCE * np.vstack([np.eye(6), -np.eye(6)])
     T = elementary_forward(believed.robot, nudged) @ cell.workpiece.T_flange_blade
-    points = apply(T, p_blade)
+    points = apply(T, at.p)
     J = ((points[:6] - points[6:]) / (2 * DIFFERENCE)).T
     joints = float((e @ J) @ (believed.compliance * (J.T @ f)))
-    return float(blade) + 1.0 / cell.workpiece.clamp_stiffness + joints
+    return np.array([float(blade) + 1.0 / cell.workpiece.clamp_stiffness, joints])
 
 
 def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[float, float]]:

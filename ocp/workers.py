@@ -1,5 +1,6 @@
 """Worker processes that share a large read-only state and leave interrupts to their parent."""
 
+import os
 import pickle
 import signal
 import sys
@@ -55,6 +56,11 @@ def interrupts_held_back() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def cores() -> int:
+    """Processes worth starting: cores that this process may use, at most eight."""
+    return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
 def nothing() -> None:

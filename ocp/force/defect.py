@@ -11,6 +11,7 @@ from ocp.contact.cover import Cover
 from ocp.contact.gap import LocalShape, solve_force
 from ocp.force.compliance import NORMAL_LENGTH, spread_stations
 from ocp.force.model import ForceModel, ForceRows
+from ocp.model import N_WAYPOINT
 from ocp.theta import believed_theta
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -20,6 +21,7 @@ SPACING = 16e-3  # m between stations; the departure from the quadratic varies s
 FORCE_LENGTH = 1e-3  # m that one newton counts for in distances between stations
 LATERAL_WEIGHT = 2.0  # a shift across the wheel counts this much more than one along the blade: its edges matter
 NEIGHBOURS = 12
+DEFECT = N_WAYPOINT - 1  # its column of a waypoint
 
 
 def with_defect(model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, force: Array) -> ForceRows:
@@ -56,9 +58,9 @@ def with_defect(model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: Forc
         smooth = RBFInterpolator(
             1e3 * place[at][sound], known[sound], min(NEIGHBOURS, int(sound.sum())), kernel="linear", degree=0
         )
-        waypoint[touching, -1] = smooth(1e3 * place)
+        waypoint[touching, DEFECT] = smooth(1e3 * place)
     elif sound.any():
-        waypoint[touching, -1] = known[sound].mean()
+        waypoint[touching, DEFECT] = known[sound].mean()
     return replace(rows, waypoint=waypoint)
 
 

@@ -6,6 +6,7 @@ docs/force_registration.md, eq. 7 to 11. Prior: the robot's calibration with its
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ocp.cell import Cell
 from ocp.force.channel import ForceChannel, Whitened, channel_of
@@ -25,6 +26,7 @@ REWEIGHTED = 10  # steps with new weights; then they stand, for they may swing w
 AT_REST = 1e-3  # squared length of a step in posterior standard deviations
 LEAST_SHARE = 0.2
 SHORTEST = 1e-3  # share of a step below which halving it is given up
+PRESSED = 0.3  # of the process force
 RANK = 1e-12  # of the largest eigenvalue of the prior's correlation; less is no freedom at all
 
 
@@ -83,10 +85,20 @@ def force_prior(cell: Cell, robot: Calibration | None = None) -> Prior:
     return Prior(mean, covariance, scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]))
 
 
-def reading_of(model: ForceModel, rows: ForceRows, x: Array, guess: Array | None = None) -> tuple[Array, Array]:
-    """Contact force (n,) N and what the sensor shows (n,) N at parameters x (m,); Newton starts at `guess` (n,)."""
-    F = model.force(rows, x[:BIAS], guess)
+def reading_of(
+    model: ForceModel, rows: ForceRows, x: Array, guess: Array | None = None, pressed: NDArray[np.bool_] | None = None
+) -> tuple[Array, Array]:
+    """Contact force (n,) N and what the sensor shows (n,) N at parameters x (m,); Newton starts at `guess` (n,).
+
+    `pressed` rows may have negative forces (`ForceModel.force`).
+    """
+    F = model.force(rows, x[:BIAS], guess, pressed)
     return F, F + x[BIAS]
+
+
+def pressed_rows(model: ForceModel, log: ForceLog) -> NDArray[np.bool_]:
+    """Rows (n,) that read a force which only contact explains, far above what a sensor is off by."""
+    return np.asarray(log.contact & (log.fn > PRESSED * model.law.process_force))
 
 
 def reading_jacobian(model: ForceModel, rows: ForceRows, x: Array, F: Array) -> Array:
@@ -100,8 +112,8 @@ def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Pr
     The noise comes from the scatter about the prior's prediction first, then about the fit's. Raises Infeasible where the
     iteration does not come to rest.
     """
-    problem = _Problem(model, rows, log, prior)
-    F, before = reading_of(model, rows, prior.mean)
+    problem = _Problem(model, rows, log, prior, pressed_rows(model, log))
+    F, before = reading_of(model, rows, prior.mean, None, problem.pressed)
     state = _State(np.zeros(prior.root.shape[1]), prior.mean, F, before, np.zeros((len(log), 0)), 0)
     channel = channel_of(log, log.fn - before)
     state, channel = problem.settle(state, channel)
@@ -146,6 +158,7 @@ class _Problem:
     rows: ForceRows
     log: ForceLog
     prior: Prior
+    pressed: NDArray[np.bool_]
 
     def residual(self, state: _State) -> Array:
         offset = state.extra @ state.z[self.prior.root.shape[1] :]
@@ -183,7 +196,7 @@ class _Problem:
             x = self.prior.mean + self.prior.root @ z[: self.prior.root.shape[1]]
             # Where the derivative points, Newton's iteration on the force is over after a step or two.
             guess = state.F + jacobian[:, :BIAS] @ (x - state.x)[:BIAS]
-            F, reading = reading_of(self.model, self.rows, x, guess)
+            F, reading = reading_of(self.model, self.rows, x, guess, self.pressed)
             trial = _State(z, x, F, reading, state.extra, state.steps + 1)
             left = channel.whitened(self.residual(trial), np.zeros((len(F), 0))).residual
             if float(left @ left + z @ z) <= now * (1.0 + 1e-9) + 1e-6 or share < SHORTEST:

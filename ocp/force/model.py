@@ -30,8 +30,9 @@ LEAST_FORCE = 0.5
 
 @dataclass(frozen=True)
 class ForceRows:
-    """What the model needs of n logged rows: commanded joints q (n, 6) rad, waypoint (n, 16) as `ocp.model.WAYPOINT`,
-    setpoint (n,) N of the flange, belt (n,) -1, 0 or 1: sign of the belt's speed, contact (n,) False in the air."""
+    """What the model needs of n logged rows: commanded joints q (n, 6) rad, waypoint (n, 16) as `ocp.model.WAYPOINT` (of a cell
+    with effects their conditions follow), setpoint (n,) N of the flange, belt (n,) -1, 0 or 1: sign of the belt's speed,
+    contact (n,) False in the air."""
 
     q: Array
     waypoint: Array
@@ -103,8 +104,14 @@ class ForceModel:
             out[at] = values
         return out
 
-    def force(self, rows: ForceRows, theta: Array, guess: Array | None = None) -> Array:
-        """Contact force (n,) N, zero in the air and where the wheel does not reach the blade; Newton from `guess` (n,)."""
+    def force(
+        self, rows: ForceRows, theta: Array, guess: Array | None = None, pressed: NDArray[np.bool_] | None = None
+    ) -> Array:
+        """Contact force (n,) N, zero in the air and where the wheel does not reach the blade; Newton from `guess` (n,).
+
+        Rows known to be `pressed` (n,) get a negative force instead, the tangent's over the gap: a fit that starts too far
+        off then still sees which way the wheel is.
+        """
         F = np.zeros(len(rows))
         active = np.flatnonzero(rows.contact)
         if not len(active):
@@ -121,12 +128,12 @@ class ForceModel:
             active = active[np.abs(step) > FORCE_TOLERANCE]
             if not len(active):
                 break
-        return np.maximum(F, 0.0)
+        return np.maximum(F, 0.0) if pressed is None else np.where(pressed, F, np.maximum(F, 0.0))
 
     def sensitivity(self, rows: ForceRows, theta: Array, F: Array) -> Array:
         """dF/dtheta (n, m) at the forces F (n,) that `force` gave; zero where the force is zero."""
         out = np.zeros((len(rows), Theta.size))
-        at = np.flatnonzero(rows.contact & (F > 0))
+        at = np.flatnonzero(rows.contact & (F != 0))
         if len(at):
             values = self.evaluate("derivative", rows.take(at), theta, np.maximum(F[at], self.least_force))
             out[at] = -values[:, 1:] / values[:, :1]

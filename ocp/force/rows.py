@@ -15,6 +15,7 @@ from ocp.contact.wheel_law import WheelLaw
 from ocp.disk_store import DiskStore
 from ocp.force.compliance import Stations, solve_stations, stations_known
 from ocp.force.defect import with_defect
+from ocp.force.effect_conditions import effect_conditions
 from ocp.force.footing import Footing, foot_points
 from ocp.force.log import ForceLog
 from ocp.force.model import ForceModel, ForceRows
@@ -113,7 +114,7 @@ def _rows(cell: Cell, log: ForceLog, foot: Footing, give: Array) -> ForceRows:
     n = len(log)
     setpoint = np.full(n, own) if log.setpoint is None else log.setpoint
     belt = np.sign(np.full(n, cell.wheel.belt_speed) if log.belt is None else log.belt)
-    waypoint = np.hstack([foot.p, foot.n, foot.t, foot.curvature, give, np.zeros((n, 1))])
+    waypoint = np.hstack([foot.p, foot.n, foot.t, foot.curvature, give, np.zeros((n, 1)), effect_conditions(cell, log)])
     return ForceRows(log.q, waypoint, setpoint, belt, log.contact)
 
 

@@ -1,0 +1,1 @@
+"""Effects that the believed cell leaves out, one file each; `ocp.effects.library` finds them."""

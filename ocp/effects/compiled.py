@@ -1,0 +1,163 @@
+"""Hooks of effects as compiled functions of flat rows, evaluated for many rows and many variants at once.
+
+A hook is built once for each effect, joint and set of scanned values that are not symbols; of a row's numbers the function
+takes only those that the hook uses, so that 300 orders times 150 readings cost milliseconds.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ocp.effects.effect import Effect, Scanned
+from robots.pose import Array
+
+_CHUNK = 1 << 11  # calls of one mapped function: building one for more takes longer than it saves
+_BLOCK = 1 << 16  # pairs of a row and a variant laid out at once
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names and sizes of the blocks of a row."""
+
+    sizes: tuple[tuple[str, int], ...]
+
+    @property
+    def size(self) -> int:
+        """Numbers of a row."""
+        return sum(size for _, size in self.sizes)
+
+    def split(self, whole: ca.SX) -> dict[str, ca.SX]:
+        """The blocks of a symbolic row by name."""
+        edges = np.cumsum([0, *(size for _, size in self.sizes)]).tolist()
+        return dict(zip((name for name, _ in self.sizes), ca.vertsplit(whole, edges), strict=True))
+
+    def stack(self, n: int, blocks: Mapping[str, Any]) -> Array:
+        """Rows (n, size) of numeric blocks (n, size_i), (size_i,) or scalars; blocks that are absent or None are nan."""
+        parts = []
+        for name, size in self.sizes:
+            value = blocks.get(name)
+            block = np.full((n, size), np.nan) if value is None else np.asarray(value, float)
+            parts.append(np.broadcast_to(block.reshape(n, 1) if block.shape == (n,) and size == 1 else block, (n, size)))
+        return np.hstack(parts)
+
+    def block(self, rows: Array, name: str) -> Array:
+        """The columns (n, size_i) of a block."""
+        start = 0
+        for key, size in self.sizes:
+            if key == name:
+                return rows[:, start : start + size]
+            start += size
+        raise KeyError(name)
+
+
+@dataclass(frozen=True)
+class Hook:
+    """One hook of an effect at a joint, as a function of a row: make(row, scanned) -> (r, m) CasADi expression or {key:
+    expression}. `place` tells contexts apart whose constants differ (a robot's numbers, names of payloads)."""
+
+    effect: Effect
+    kind: str
+    joint: int
+    layout: Layout
+    place: Any  # hashable; has context(row) -> what the hook is given
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    function: ca.Function
+    used: NDArray[np.int64]
+    keys: tuple[int, ...]  # of a dict of expressions; (-1,) for a single one
+    rows: int
+    columns: int
+
+
+@lru_cache(maxsize=4096)
+def _compiled(hook: Hook, fixed: tuple[tuple[str, Any], ...], symbolic: tuple[str, ...]) -> _Compiled | None:
+    row = ca.SX.sym("row", hook.layout.size)
+    free = ca.SX.sym("scanned", len(symbolic))
+    scanned = dict(fixed) | {key: free[i] for i, key in enumerate(symbolic)}
+    value = getattr(hook.effect, hook.kind)(hook.place.context(row), hook.joint, scanned)
+    found: dict[int, ca.SX] = value if isinstance(value, dict) else {-1: value}
+    found = {key: ca.densify(ca.SX(expression)) for key, expression in found.items()}
+    if not found:
+        return None
+    shape = next(iter(found.values())).shape
+    out = ca.vertcat(*(ca.vec(expression.T) for expression in found.values()))
+    used = np.flatnonzero(np.asarray(ca.which_depends(out, row, 1, False), bool)) if out.nnz() else np.empty(0, np.int64)
+    inputs = [ca.vertcat(*(row[int(i)] for i in used)) if len(used) else ca.SX.sym("none", 0), free]
+    function = ca.Function(f"{hook.effect.name}_{hook.kind}", inputs, [ca.cse(out)])
+    return _Compiled(function, used, tuple(found), *shape)
+
+
+def evaluated(hook: Hook, rows: Array, scans: Sequence[Scanned]) -> dict[int, Array]:
+    """The hook at rows (n, k) for every variant: {key: (variants, n, r, m)}, key -1 where the hook is not a dict."""
+    symbolic = tuple(key for key in hook.effect.symbolic if scans and key in scans[0])
+    groups: dict[tuple[tuple[str, Any], ...], list[int]] = {}
+    for v, scanned in enumerate(scans):
+        fixed = tuple(sorted((key, _plain(value)) for key, value in scanned.items() if key not in symbolic))
+        groups.setdefault(fixed, []).append(v)
+    out: dict[int, Array] = {}
+    for fixed, members in groups.items():
+        made = _compiled(hook, fixed, symbolic)
+        if made is None:
+            continue
+        values = np.array([[float(scans[v][key]) for key in symbolic] for v in members]).reshape(len(members), len(symbolic))
+        result = _mapped_rows(made, rows[:, made.used], values)
+        result = result.reshape(len(members), len(rows), len(made.keys), made.rows, made.columns)
+        for i, key in enumerate(made.keys):
+            if len(groups) == 1:
+                out[key] = result[:, :, i]
+                continue
+            if key not in out:
+                out[key] = np.zeros((len(scans), len(rows), made.rows, made.columns))
+            out[key][members] = result[:, :, i]
+    return out
+
+
+def _mapped_rows(made: _Compiled, rows: Array, values: Array) -> Array:
+    """All pairs of variants (v, k) and rows (n, u): (v n, outputs)."""
+    n, v = len(rows), len(values)
+    out = np.empty((v * n, made.function.size1_out(0)))
+    at_once = max(_BLOCK // max(n, 1), 1)
+    for start in range(0, v, at_once):
+        part = values[start : start + at_once]
+        x = np.ascontiguousarray(np.broadcast_to(rows, (len(part), *rows.shape)).reshape(len(part) * n, rows.shape[1]))
+        s = np.repeat(part, n, axis=0)
+        _run(made.function, out[start * n : (start + len(part)) * n], x, s)
+    return out
+
+
+def _run(function: ca.Function, out: Array, *arguments: Array) -> None:
+    """function of rows, written into `out`, through the arrays' own memory."""
+    for start in range(0, len(out), _CHUNK):
+        block = slice(start, min(start + _CHUNK, len(out)))
+        buffer: Any
+        buffer, evaluate = _mapped(function.name(), function, block.stop - start).buffer()
+        held = [np.ascontiguousarray(a[block], float) for a in arguments]
+        for i, a in enumerate(held):
+            if a.size:
+                buffer.set_arg(i, a.data)
+        buffer.set_res(0, out[block].data)
+        evaluate()
+
+
+@lru_cache(maxsize=1024)
+def _mapped(name: str, function: ca.Function, count: int) -> ca.Function:
+    return function.map(count)
+
+
+def run_rows(function: ca.Function, *arguments: Array) -> Array:
+    """One output row per input row: arguments (n, k_i) -> (n, m)."""
+    out = np.empty((len(arguments[0]), function.size1_out(0)))
+    _run(function, out, *arguments)
+    return out
+
+
+def _plain(value: Any) -> Any:
+    """Hashable form of a scanned value."""
+    return tuple(value) if isinstance(value, list | np.ndarray) else value

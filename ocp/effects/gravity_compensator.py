@@ -1,0 +1,56 @@
+"""The spring that balances the upper arm, which the believed cell leaves out."""
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from ocp.effects._forms import at_joint, scanned_with
+from ocp.effects.context import ArmContext
+from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+
+_KEYS = ("lever_link1_m", "lever_arm_m", "free_length", "rest_rad")
+LEVER_ARM = 0.4  # m; only the product of the levers and their ratio show
+RATIOS = (0.35, 0.6, 0.85)  # lever on link 1 over lever on the arm
+FREE = (0.4, 1.0)  # share of the spring's least length that is slack: preloaded, and just unloaded where it is shortest
+REST = (-0.4, 0.0, 0.4)  # rad of joint 2 from the upright arm, where the spring is shortest
+
+
+def _torque(x: ArmContext, j: int, scanned: Scanned) -> ca.SX:
+    a, b = scanned["lever_link1_m"], scanned["lever_arm_m"]
+    angle = x.q_real[1] + np.pi / 2 - scanned["rest_rad"]
+    length = ca.sqrt(a**2 + b**2 - 2 * a * b * ca.cos(angle))
+    slack = scanned["free_length"] * ca.fabs(b - a)
+    return at_joint(2, -(1 - slack / length) * a * b * ca.sin(angle))
+
+
+def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+    shapes = [(round(r * LEVER_ARM, 4), LEVER_ARM, free, rest) for r in RATIOS for free in FREE for rest in REST]
+    return [dict(zip(_KEYS, shape, strict=True)) for shape in shapes]
+
+
+EFFECT = Effect(
+    name="gravity_compensator",
+    title="gravity compensator of joint 2",
+    subsystem="joint",
+    physics="A KR 210 carries a hydropneumatic balancer on axis 2 that the paper and the believed cell ignore (PHYSICS 2.5). A "
+    "spring of rate k between a point of link 1 and one of the upper arm, at lever_link1_m and lever_arm_m from axis 2, pulls "
+    "toward the upright arm: torque = -k (1 - L0 / L) a b sin(phi), L its length at the angle phi from where it is shortest, "
+    "L0 = free_length times the least length |b - a|: 1 just unloaded there, less preloaded. The torque acts through the joint's "
+    "own compliance, so a robot without springs in joint 2 does not show it. Readings fix k a b and the shape; stiffness_N_m "
+    "follows from the levers of the variant.",
+    parameters=(
+        Parameter("stiffness_N_m", "N/m", 2e4, 3e5, signed=False),
+        Parameter("lever_link1_m", "m", 0.1, 0.6, signed=False),
+        Parameter("lever_arm_m", "m", 0.1, 0.6, signed=False),
+        Parameter("free_length", "1", 0.0, 1.0),
+        Parameter("rest_rad", "rad", 0.0, 0.4),
+    ),
+    coefficients=("stiffness_N_m",),
+    prior_sd=(3e5,),
+    joints=(2,),
+    scan=_scan,
+    symbolic=_KEYS,
+    torque=_torque,
+    **scanned_with(("stiffness_N_m",), *_KEYS),
+)

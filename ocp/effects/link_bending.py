@@ -1,0 +1,65 @@
+"""Upper arm or forearm bends like a beam under what hangs on it."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.effects.context import ArmContext
+from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from robots.gravity import GRAVITY
+
+EVEN = 0.5
+
+
+def _tip_moment(x: ArmContext, axis: Any) -> Any:
+    """Moment N m about `axis` at the wrist centre of what hangs beyond it: links 5, 6 and the payload."""
+    moment = ca.SX(0)
+    weights = [(5, x.link_mass[5], ca.SX(x.link_com[5])), (6, x.link_mass[6], ca.SX(x.link_com[6]))]
+    weights.append((6, x.payload[0], x.payload[1:4]))
+    for link, mass, com in weights:
+        lever = x.frames[link][:3, 3] + x.frames[link][:3, :3] @ com - x.frames[4][:3, 3]
+        moment += mass * GRAVITY * (axis[1] * lever[0] - axis[0] * lever[1])
+    return moment
+
+
+def _beam(x: ArmContext, j: int, scanned: Scanned) -> dict[int, ca.SX]:
+    """Cantilever of length L, k = L / EI, under the moment w root + (1 - w) tip on its average: turn of the tip k times that,
+    sag across the beam k L (turn / 2 + w (1 - w) (root - tip) / 3), exact for a moment that falls linearly (w = 1/2) and for
+    a constant one (w = 0, 1). Link 2 ends at axis 3, link 3 at the wrist centre."""
+    share = scanned["root_share"]
+    tip = 2 if j == 2 else 4
+    axis, start, end = x.frames[j - 1][:3, 2], x.frames[j - 1][:3, 3], x.frames[tip][:3, 3]
+    root_moment = x.sign[j - 1] * x.tau[j - 1]
+    tip_moment = x.sign[2] * x.tau[2] * ca.dot(axis, x.frames[2][:3, 2]) if j == 2 else _tip_moment(x, axis)
+    turn = share * root_moment + (1 - share) * tip_moment
+    sag = 0.5 * turn + share * (1 - share) * (root_moment - tip_moment) / 3.0
+    return {tip: ca.vertcat(sag * ca.cross(axis, end - start), turn * axis)}
+
+
+def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+    return [{"root_share": share} for share in (EVEN, 1.0, 0.0)]
+
+
+EFFECT = Effect(
+    name="link_bending",
+    title="bending of link {joint}",
+    subsystem="link",
+    physics="A link is a beam: under the moment of what hangs on it its tip turns and sags (Euler-Bernoulli cantilever, any "
+    "textbook on strength of materials). rad_per_Nm is the tip's turn per newton metre of moment; the sag follows from it. The "
+    "moment that counts lies between that at the root and that at the tip: root_share 1/2 for an even beam, 1 for one that "
+    "gives at its root, 0 at its tip. Link 2 is the upper arm up to axis 3, link 3 the forearm up to the wrist centre.",
+    parameters=(
+        Parameter("rad_per_Nm", "rad/(N m)", 1e-8, 2e-7, signed=False),
+        Parameter("root_share", "1", 0.0, 1.0, signed=False),
+    ),
+    coefficients=("rad_per_Nm",),
+    prior_sd=(2e-7,),
+    joints=(2, 3),
+    scan=_scan,
+    symbolic=("root_share",),
+    twist=_beam,
+    values=lambda a, scanned: {"rad_per_Nm": float(a[0]), "root_share": scanned["root_share"]},
+    coefficients_of=lambda values: (np.array([values["rad_per_Nm"]]), {"root_share": values.get("root_share", EVEN)}),
+)

@@ -1,0 +1,29 @@
+"""A warm arm is longer."""
+
+import casadi as ca
+
+from ocp.effects._forms import one
+from ocp.effects.context import ArmContext
+from ocp.effects.effect import Effect, Parameter, Scanned
+
+
+def _growth(x: ArmContext, j: int, scanned: Scanned) -> dict[int, ca.SX]:
+    """Each link's tip moves away from its root."""
+    tips = [frame[:3, 3] for frame in x.frames]
+    return {i: ca.vertcat(x.warm * (tips[i] - tips[i - 1]), ca.SX.zeros(3)) for i in range(1, 7)}
+
+
+EFFECT = Effect(
+    name="link_thermal",
+    title="thermal growth of the arm",
+    subsystem="link",
+    physics="All lengths of the arm grow in proportion to the temperature above the cell's reference: L (1 + per_K (T - T0)); "
+    "steel and cast iron 1.1e-5, aluminium 2.3e-5 per kelvin. What is clamped to the flange does not grow with it. At constant "
+    "temperature it cannot be told from the tracker's scale or from longer links.",
+    parameters=(Parameter("per_K", "1/K", 4e-6, 2.5e-5, signed=False),),
+    coefficients=("per_K",),
+    prior_sd=(2.5e-5,),
+    needs=("temperature_C",),
+    twist=_growth,
+    **one("per_K"),
+)

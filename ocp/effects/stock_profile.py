@@ -1,0 +1,74 @@
+"""The blade's surface differs from its drawing, smoothly along the passes."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.effects._forms import row
+from ocp.effects.context import ContactContext
+from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from robots.pose import Array
+
+WAVES = 7  # a constant and up to six half waves along the longest pass
+GROUPS = 5  # lines, or groups of neighbouring lines, with a profile of their own
+LENGTH = 0.2  # m, where a log has no s
+SD = 2e-4 / np.sqrt(np.maximum(np.arange(WAVES), 1.0))  # m; smooth: the shorter the wave the smaller
+
+
+def _groups(lines: Sequence[float]) -> list[list[float]]:
+    """Lines in at most GROUPS groups of neighbours; without lines one group that holds all."""
+    return [list(part) for part in np.array_split(np.asarray(lines), min(GROUPS, len(lines)))] if len(lines) else [[]]
+
+
+def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+    length = float(seen.length) or LENGTH
+    return [{"length_m": length, "lines": lines} for lines in ([], [float(k) for k in seen.lines]) if len(lines) != 1]
+
+
+def _profile(x: ContactContext, j: int, scanned: Scanned) -> ca.SX:
+    waves = [ca.SX(1.0)] + [np.sqrt(2.0) * ca.cos(k * np.pi * x.s / scanned["length_m"]) for k in range(1, WAVES)]
+    groups = _groups(scanned["lines"])
+    columns: list[ca.SX] = []
+    for g in range(GROUPS):
+        here = ca.SX(0)
+        if g < len(groups):
+            here = sum((ca.if_else(x.line == k, 1.0, 0.0) for k in groups[g]), ca.SX(0)) if groups[g] else ca.SX(1)
+        columns += [here * wave for wave in waves]
+    return row(*columns)
+
+
+def _values(a: Array, scanned: Scanned) -> dict[str, Any]:
+    used = np.reshape(a, (GROUPS, WAVES))[: len(_groups(scanned["lines"])), 1:]
+    size = float(np.sqrt(np.mean(np.sum(used**2, axis=1))))
+    return {"m": size, "profile_m": [float(v) for v in a], "length_m": scanned["length_m"], "lines": list(scanned["lines"])}
+
+
+def _coefficients(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
+    scanned = {"length_m": values.get("length_m", LENGTH), "lines": list(values.get("lines", []))}
+    return np.asarray(values["profile_m"], float).reshape(GROUPS * WAVES), scanned
+
+
+EFFECT = Effect(
+    name="stock_profile",
+    title="stock of the blade",
+    subsystem="blade",
+    physics="Forged or cast stock stands over the drawing by a smooth function of s that repeats with the blade: a constant and "
+    "the sum of profile_m[k] sqrt(2) cos(k pi s / length_m), k = 1 to 6, positive where there is more material; the same on all "
+    "lines or another one on each of `lines` (neighbours share one where there are more than five), seven numbers each. m is its "
+    "rms size without the constants (DIAGNOSIS, catalogue).",
+    parameters=(
+        Parameter("m", "m", 5e-5, 2e-4, signed=False),
+        Parameter("profile_m", "m", 0.0, 2e-4, length=GROUPS * WAVES),
+        Parameter("length_m", "m", 0.05, 1.0, signed=False),
+        Parameter("lines", "1", 1, 100, length=0),
+    ),
+    coefficients=tuple(f"group_{g + 1}_wave_{k}" for g in range(GROUPS) for k in range(WAVES)),
+    prior_sd=tuple(np.tile(SD, GROUPS).tolist()),
+    values=_values,
+    coefficients_of=_coefficients,
+    needs=("s_mm",),
+    scan=_scan,
+    overlap=_profile,
+)

@@ -1,0 +1,55 @@
+"""Friction between belt and blade differs from the cell's."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.effects._forms import row
+from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from robots.pose import Array
+
+FRICTION = 0.35  # of a cell that does not say
+LEAST = 0.02  # friction below which no share of it can be told
+
+
+def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+    """Not a scan: the friction that the cell believes, of which the leak is a share."""
+    return ({"friction": float(seen.friction)},)
+
+
+def _values(a: Array, scanned: Scanned) -> dict[str, Any]:
+    leak = float(a[1] / max(scanned["friction"] + a[0], LEAST))
+    return {"dmu": float(a[0]), "leak": abs(leak), "leak_sign": 1 if leak >= 0 else -1, "friction": scanned["friction"]}
+
+
+def _coefficients(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
+    friction = values.get("friction", FRICTION)
+    leak = values.get("leak", 0.0) * values.get("leak_sign", 1)
+    return np.array([values["dmu"], leak * max(friction + values["dmu"], LEAST)]), {"friction": friction}
+
+
+EFFECT = Effect(
+    name="tangential_force",
+    title="tangential force",
+    subsystem="wheel",
+    physics="Grain, wear and lubrication change friction: the tangential force is (mu + dmu) F along the belt, which bends blade "
+    "and arm across and so changes the overlap. Of the tangential force the share `leak` shows in the normal reading, for no "
+    "sensor stands quite square (DIAGNOSIS, catalogue); leak_sign 1: the reading rises with ft_N, -1: it falls. ft readings show "
+    "dmu directly, a reversed belt the leak.",
+    parameters=(
+        Parameter("dmu", "1", 0.05, 0.35),
+        Parameter("leak", "1", 0.0, 0.1, signed=False),
+        Parameter("leak_sign", "1", -1, 1),
+        Parameter("friction", "1", 0.0, 1.0, signed=False),
+    ),
+    coefficients=("dmu", "leaking_friction"),
+    prior_sd=(0.35, 0.035),
+    values=_values,
+    coefficients_of=_coefficients,
+    scan=_scan,
+    overlap=lambda x, j, scanned: row(-x.friction_give, 0.0),
+    sensor=lambda x, j, scanned: row(0.0, x.F * ca.sign(x.belt)),
+    shear=lambda x, j, scanned: row(x.F * ca.sign(x.belt), 0.0),
+)

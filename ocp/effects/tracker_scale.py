@@ -1,0 +1,18 @@
+"""The tracker's ranges are a share too long."""
+
+from ocp.effects._forms import one
+from ocp.effects.effect import Effect, Parameter
+
+EFFECT = Effect(
+    name="tracker_scale",
+    title="scale of the tracker",
+    subsystem="tracker",
+    physics="A wrong refractive index (air temperature, pressure) scales every range: the tracker reads (1 + scale) times the "
+    "distance from its head; about 1e-6 per kelvin of air. Free link lengths take all of it; only lengths that are known, "
+    "a scale bar, show it.",
+    parameters=(Parameter("scale", "1", 1e-6, 1e-5),),
+    coefficients=("scale",),
+    prior_sd=(1e-5,),
+    reading=lambda x, j, scanned: x.point,
+    **one("scale"),
+)

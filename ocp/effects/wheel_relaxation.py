@@ -1,0 +1,44 @@
+"""The wheel's cover relaxes after it engages."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ocp.effects._forms import scanned_with
+from ocp.effects.context import LogRows
+from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from robots.pose import Array
+
+TIMES = (0.05, 0.15, 0.5, 1.5, 5.0, 15.0, 30.0)  # s
+
+
+def _times(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+    return [{"tau": t} for t in TIMES]
+
+
+def _loss(x: LogRows, joint: int, scanned: Scanned) -> Array:
+    """Force that the cover has let go: its share of the chain's give times the force seen through a first-order lag; in the air
+    it recovers as fast."""
+    out, load = np.zeros((len(x.time), 1)), np.where(x.contact, x.F, 0.0)
+    held = 0.0
+    for k in range(len(x.time)):
+        begins = k == 0 or x.run[k] != x.run[k - 1]
+        held = 0.0 if begins else held + (load[k] - held) * -np.expm1(-(x.time[k] - x.time[k - 1]) / scanned["tau"])
+        out[k, 0] = -x.wheel_share[k] * held if x.contact[k] else 0.0
+    return out
+
+
+EFFECT = Effect(
+    name="wheel_relaxation",
+    title="relaxation of the wheel's cover",
+    subsystem="wheel",
+    physics="Rubber as a standard linear solid: after engagement its stiffness falls by the share g with the time constant tau "
+    "(DIAGNOSIS, catalogue). The force it lets go is -w g times the force through a first-order lag that starts at zero with "
+    "every run, w the wheel's share of the give of the chain.",
+    parameters=(Parameter("g", "1", 0.05, 0.25, signed=False), Parameter("tau", "s", 0.05, 30.0, signed=False)),
+    coefficients=("g",),
+    prior_sd=(0.25,),
+    scan=_times,
+    along=_loss,
+    **scanned_with(("g",), "tau"),
+)

@@ -1,0 +1,35 @@
+"""A wrist axis turns with another one, as their shafts run through each other."""
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from ocp.effects._forms import at_joint, scanned_with
+from ocp.effects.context import ArmContext
+from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+
+WRIST = (4, 5, 6)
+
+
+def _sources(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+    return [{"source_joint": i} for i in WRIST if i != joint]
+
+
+def _coupled(x: ArmContext, j: int, scanned: Scanned) -> ca.SX:
+    return at_joint(j, x.q[int(scanned["source_joint"]) - 1])
+
+
+EFFECT = Effect(
+    name="wrist_coupling",
+    title="joint {joint} turns with another wrist axis",
+    subsystem="joint",
+    physics="The drives of axes 5 and 6 run through the hollow axes before them, and the controller takes the coupling out by "
+    "fixed ratios; a wrong ratio leaves dq_j = k q_i among joints 4 to 6 (DIAGNOSIS, catalogue). source_joint is i.",
+    parameters=(Parameter("ratio", "1", 1e-4, 3e-3), Parameter("source_joint", "1", 4, 6, signed=False)),
+    coefficients=("ratio",),
+    prior_sd=(3e-3,),
+    joints=WRIST,
+    scan=_sources,
+    joint=_coupled,
+    **scanned_with(("ratio",), "source_joint"),
+)
