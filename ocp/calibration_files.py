@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.calibration import TrackerCalibration
+from ocp.cell_copy import cell_tables_for
 from ocp.command import Phases, tell_notices
 from ocp.output import check_output, whole_folder
 from ocp.report.calibration_report import write_calibration_report
@@ -17,6 +18,7 @@ from ocp.report.section import Section
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.store import Calibration, write_calibration
+from robots.calibration.toml_text import toml_text
 from robots.calibration.validation import by_kind
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array, abc_from_rotation
@@ -50,6 +52,7 @@ def write_tracker_calibration(
     with whole_folder(out, overwrite) as folder:
         with phases.phase("writing"):
             write_calibration(folder / "calibration.toml", calibration)
+            _write_cell(made, folder / "cell.toml", out)
             _write_residuals(made, folder / "residuals.csv")
             if made.sealed is not None:
                 _write_predictions(made, folder / "predictions_tracker.csv")
@@ -66,7 +69,7 @@ def last_line(made: TrackerCalibration, out: Path, calibration: Calibration) -> 
     return (
         f"{out}: {n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen; left-out "
         f"readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm at most (before: "
-        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}{_use(made, errors, before)}; "
+        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}{_use(made, errors, before, out)}; "
         f"{out / 'report.html'} says what was not seen."
     )
 
@@ -79,14 +82,14 @@ def _contact(calibration: Calibration) -> str:
     return f"The force log is met within {figures['rms_after']:.2f} N rms (before: {figures['rms_before']:.2f}). "
 
 
-def _use(made: TrackerCalibration, errors: Array, before: Array) -> str:
+def _use(made: TrackerCalibration, errors: Array, before: Array, out: Path) -> str:
     """Whether to use it. A method that is only compared may be worse than nothing, and is written all the same."""
     full = made.methods.error.get("full", errors)
     if errors.mean() >= before.mean():
         return "It is no better than the arm as believed: do not use it"
     if errors.mean() > 1.5 * full.mean():
         return f"Method full meets the same readings within {1e3 * full.mean():.3f} mm: use that one"
-    return "Name it as robot.calibration in the cell to use it"
+    return f"{out / 'cell.toml'} is the cell with it, for ocp.plan"
 
 
 def _refuse_unjudged(made: TrackerCalibration) -> None:
@@ -179,6 +182,14 @@ def _provenance(made: TrackerCalibration, inputs: Sequence[Path]) -> dict[str, A
 def sha256(path: Path) -> str:
     """Hash of a file's bytes."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _write_cell(made: TrackerCalibration, path: Path, out: Path) -> None:
+    """The cell that names this calibration, ready for `ocp.plan`; `out` is where its folder will stand."""
+    source = made.setup.path
+    tables = cell_tables_for(source, out)
+    tables["robot"]["calibration"] = "calibration.toml"
+    path.write_text(f"# {source.name} with its calibration\n" + toml_text(tables), encoding="utf-8")
 
 
 def _write_residuals(made: TrackerCalibration, path: Path) -> None:

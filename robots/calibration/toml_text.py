@@ -1,4 +1,4 @@
-"""Writing TOML, which the standard library only reads: tables of strings, numbers, booleans, lists of these."""
+"""Writing TOML, which the standard library only reads: tables and lists of tables of text, numbers, booleans, lists of these."""
 
 import json
 import math
@@ -18,7 +18,8 @@ def toml_text(document: dict[str, Any]) -> str:
 
 def _lines(table: dict[str, Any], at: tuple[str, ...]) -> list[str]:
     """Scalars first, because everything after a table's header belongs to that table."""
-    lines = [f"{_key(k)} = {_value(v, (*at, k))}" for k, v in table.items() if not isinstance(v, dict)]
+    plain = {k: v for k, v in table.items() if not isinstance(v, dict) and not _is_tables(v)}
+    lines = [f"{_key(k)} = {_value(v, (*at, k))}" for k, v in plain.items()]
     for name, inner in table.items():
         if isinstance(inner, dict):
             path = (*at, name)
@@ -27,7 +28,17 @@ def _lines(table: dict[str, Any], at: tuple[str, ...]) -> list[str]:
             if not inner or any(not isinstance(v, dict) for v in inner.values()):
                 body = ["", f"[{'.'.join(map(_key, path))}]", *body]
             lines += body
+    for name, each in table.items():
+        if _is_tables(each):
+            path = (*at, name)
+            for inner in each:
+                lines += ["", f"[[{'.'.join(map(_key, path))}]]", *_lines(inner, path)]
     return lines
+
+
+def _is_tables(value: Any) -> bool:
+    """A list of tables."""
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(v, dict) for v in value)
 
 
 def _key(name: str) -> str:

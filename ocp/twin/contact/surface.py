@@ -1,0 +1,106 @@
+"""The blade's triangles seen from the wheel's axis: height of the surface over the wheel, where there is any.
+
+Rays leave the axis at right angles through sample points of the unrolled wheel (x = radius times angle, y along the axis) and
+meet the triangles exactly; rasterising their outline on (x, y) says which may be met. Where no triangle is met that looks
+at the wheel, the blade has ended.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.pose import Array
+from trajectories.blade import Blade
+
+FACING = 0.2  # smallest cosine between a triangle's outward normal and the wheel for the wheel to touch it
+DEEPEST = 4e-3  # m below the wheel's surface: what is deeper belongs to the other side of the blade
+SUBSAMPLES = 2  # samples across a cell in each direction, at Gauss points: cell means of quadratics are exact
+EDGE = 1e-6  # of an edge's length: how far outside it a sample counts, so that no crack opens between neighbours
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Triangles of a blade: corners (m, 3, 3) m, outward unit normals (m, 3), a ball around each: middle (m, 3), radius (m,)."""
+
+    corners: Array
+    normals: Array
+    middle: Array
+    radius: Array
+
+
+def facets(blade: Blade) -> Facets:
+    """Triangles with an area."""
+    corners = blade.vertices[blade.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normals, axis=1)
+    kept = size > 0
+    corners = corners[kept]
+    middle = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - middle[:, None, :], axis=2).max(axis=1)
+    return Facets(corners, normals[kept] / size[kept, None], middle, radius)
+
+
+def near(surface: Facets, p: Array, reach: float) -> Facets:
+    """The triangles that come within `reach` m of p."""
+    kept = np.sum((surface.middle - p) ** 2, axis=1) < (surface.radius + reach) ** 2
+    return Facets(surface.corners[kept], surface.normals[kept], surface.middle[kept], surface.radius[kept])
+
+
+def samples(cells: Array, size: float) -> Array:
+    """Sample places (len(cells) SUBSAMPLES,) about cell middles: Gauss points of each cell."""
+    points = np.polynomial.legendre.leggauss(SUBSAMPLES)[0]
+    return np.asarray((cells[:, None] + 0.5 * size * points).ravel())
+
+
+def gap(surface: Facets, frame: Array, middle: Array, radius: float, x: Array, y: Array, dx: float, dy: float) -> Array:
+    """Height (nx, ny) m of the blade over the undeformed wheel, mean over cells at x, y; inf where half a cell or more is empty.
+
+    `frame` (3, 3) has rows x, axis, e and `middle` (3,) is the wheel's, both on the blade.
+    """
+    xs, ys = samples(x, dx), samples(y, dy)
+    looking = surface.normals @ frame[2] < -FACING
+    corners = (surface.corners[looking] - middle) @ frame.T
+    normals = surface.normals[looking] @ frame.T
+    height = _heights(corners, normals, radius, xs, ys)
+    cells = height.reshape(len(x), SUBSAMPLES, len(y), SUBSAMPLES).transpose(0, 2, 1, 3).reshape(len(x), len(y), -1)
+    there = np.isfinite(cells)
+    number = there.sum(axis=2)
+    mean = np.where(there, cells, 0.0).sum(axis=2) / np.maximum(number, 1)
+    return np.where(2 * number > cells.shape[2], mean, np.inf)
+
+
+def _heights(corners: Array, normals: Array, radius: float, xs: Array, ys: Array) -> Array:
+    """Height (len(xs), len(ys)) of the lowest triangle met, inf where none is; corners (m, 3, 3) about the wheel's middle."""
+    angle = np.arctan2(corners[..., 0], corners[..., 2])
+    u, v = radius * angle, corners[..., 1]
+    first_x, last_x = _window(xs, u.min(axis=1), u.max(axis=1))
+    first_y, last_y = _window(ys, v.min(axis=1), v.max(axis=1))
+    wide, tall = np.maximum(last_x - first_x, 0), np.maximum(last_y - first_y, 0)
+    count = wide * tall
+    triangle = np.repeat(np.arange(len(corners)), count)
+    inner = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+    i = first_x[triangle] + inner // np.maximum(tall[triangle], 1)
+    j = first_y[triangle] + inner % np.maximum(tall[triangle], 1)
+    # Ray: reach (sin, 0, cos) + (0, y, 0), met with the triangle's plane; then inside of all three edges.
+    facing = np.sum(normals * corners[:, 0], axis=1)
+    sine, cosine = np.sin(xs / radius), np.cos(xs / radius)
+    down = normals[triangle, 0] * sine[i] + normals[triangle, 2] * cosine[i]
+    reach = (facing[triangle] - normals[triangle, 1] * ys[j]) / np.where(down < -FACING, down, np.inf)
+    kept = (down < -FACING) & (reach - radius > -DEEPEST)
+    for a in range(3):
+        triangle, i, j, reach = triangle[kept], i[kept], j[kept], reach[kept]
+        edge = corners[:, (a + 1) % 3] - corners[:, a]
+        inward = np.cross(normals, edge)
+        least = np.sum(inward * corners[:, a], axis=1) - EDGE * np.sum(edge**2, axis=1)
+        across, place = inward[triangle], reach * sine[i]
+        kept = across[:, 0] * place + across[:, 1] * ys[j] + across[:, 2] * reach * cosine[i] > least[triangle]
+    i, j, height = i[kept], j[kept], reach[kept] - radius
+    lowest = np.full((len(xs), len(ys)), np.inf)
+    np.minimum.at(lowest, (i, j), height)
+    return lowest
+
+
+def _window(samples_: Array, low: Array, high: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    slack = 1e-7  # m: rounding
+    return np.searchsorted(samples_, low - slack), np.searchsorted(samples_, high + slack)
