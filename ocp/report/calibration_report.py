@@ -46,8 +46,10 @@ def report_title(c: TrackerCalibration) -> str:
     return f"{c.fit.campaign.robot.title} from {c.fit.campaign.readings.path.name}"
 
 
-def render_page(title: str, head: Headline, notices: Sequence[str], sections: Sequence[Section]) -> str:
-    """The page as text: one file that loads nothing and runs nothing."""
+def render_page(
+    title: str, head: Headline, notices: Sequence[str], sections: Sequence[Section], kind_of: str = "Calibration of a robot"
+) -> str:
+    """The page as text: one file that loads nothing and runs nothing. `kind_of` report, above the title."""
     style = "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in _STYLES)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_FOLDER),
@@ -60,6 +62,7 @@ def render_page(title: str, head: Headline, notices: Sequence[str], sections: Se
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     return environment.get_template("calibration_page.html").render(
         title=title,
+        eyebrow=kind_of,
         head=head,
         notices=notices,
         sections=sections,
@@ -70,10 +73,17 @@ def render_page(title: str, head: Headline, notices: Sequence[str], sections: Se
     )
 
 
-def write_sheets(title: str, head: Headline, notices: Sequence[str], sections: Sequence[Section], path: Path) -> None:
+def write_sheets(
+    title: str,
+    head: Headline,
+    notices: Sequence[str],
+    sections: Sequence[Section],
+    path: Path,
+    kind_of: str = "Calibration of a robot",
+) -> None:
     """The same on A4."""
     with matplotlib.rc_context(STYLE):
-        sheet = new_sheet(shorten(title, 60), "Calibration of a robot")
+        sheet = new_sheet(shorten(title, 60), kind_of)
         flow = Flow([sheet], _verdict(sheet, head, 1.25))
         for question, answer in head.facts:
             flow.sheets[-1].text(LEFT, flow.y, question, fontweight="bold")
@@ -86,7 +96,7 @@ def write_sheets(title: str, head: Headline, notices: Sequence[str], sections: S
         flow.sections(sections)
         number_sheets(flow.sheets, title)
         # CreationDate None leaves the date out; it would make every file differ.
-        metadata = {"Title": printable(title), "Subject": "Calibration of a robot", "CreationDate": None}
+        metadata = {"Title": printable(title), "Subject": kind_of, "CreationDate": None}
         with PdfPages(path, metadata=metadata) as pages:
             for one in flow.sheets:
                 pages.savefig(one.figure)

@@ -1,0 +1,1 @@
+"""The paper's experiments on virtual robots: positions before and after, force at working points (`ocp.experiments`)."""
