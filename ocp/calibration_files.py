@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ocp.calibration import TrackerCalibration
 from ocp.cell_copy import cell_tables_for
@@ -21,7 +20,7 @@ from robots.calibration.store import Calibration, write_calibration
 from robots.calibration.toml_text import toml_text
 from robots.calibration.validation import by_kind
 from robots.errors import BadInput, Infeasible
-from robots.pose import Array, abc_from_rotation
+from robots.pose import Array, abc_by_spin, abc_from_rotation
 
 BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
 
@@ -123,7 +122,7 @@ def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Cal
         values += list(state.payloads[k])
         columns += list(layout.payload[k])
     station = int(np.unique(readings.station)[0])
-    turn = _abc_by_spin(state.stations[station])
+    turn = abc_by_spin(state.stations[station])
     to_named = np.zeros((len(names) + 6, layout.size))
     fitted = np.array(columns) >= 0
     to_named[np.flatnonzero(fitted), np.array(columns)[fitted]] = 1.0
@@ -140,15 +139,6 @@ def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Cal
         provenance=_provenance(made, inputs),
         not_identified={k: v for k, v in made.identifiability.not_identified().items() if k in SYMBOLS},
     )
-
-
-def _abc_by_spin(T: Array) -> Array:
-    """Derivative (3, 3) of KUKA angles A, B, C of T with respect to a small turn from the left (central differences)."""
-    step, columns = 1e-6, []
-    for axis in np.eye(3):
-        plus, minus = (abc_from_rotation(Rotation.from_rotvec(s * axis).as_matrix() @ T[:3, :3]) for s in (step, -step))
-        columns.append(((plus - minus + np.pi) % (2 * np.pi) - np.pi) / (2 * step))
-    return np.stack(columns, axis=1)
 
 
 def _provenance(made: TrackerCalibration, inputs: Sequence[Path]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -82,3 +83,12 @@ def skew(v: ArrayLike) -> Array:
     S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
     S[..., 1, 0], S[..., 2, 0], S[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
     return S
+
+
+def abc_by_spin(T: Array) -> Array:
+    """Derivative (3, 3) of KUKA angles A, B, C of T with respect to a small turn from the left (central differences)."""
+    step, columns = 1e-6, []
+    for axis in np.eye(3):
+        plus, minus = (abc_from_rotation(Rotation.from_rotvec(s * axis).as_matrix() @ T[:3, :3]) for s in (step, -step))
+        columns.append(((plus - minus + np.pi) % (2 * np.pi) - np.pi) / (2 * step))
+    return np.stack(columns, axis=1)

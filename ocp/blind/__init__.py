@@ -1,0 +1,1 @@
+"""The blind check: worlds drawn and sealed, answers, the scorer that opens the labels afterwards."""

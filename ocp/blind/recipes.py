@@ -1,0 +1,92 @@
+"""What kinds of worlds a blind check holds, and in which order: every prefix of it holds the same mixture."""
+
+from dataclasses import dataclass
+
+from robots.errors import BadInput
+
+# Kind of world: how many of it in a round.
+ROUND = {"single": 8, "none": 2, "none_background": 2, "pair": 2, "triple": 1, "outside": 2, "left_out": 2}
+KINDS = tuple(ROUND)
+WORDS = {
+    "single": "one effect of the catalogue",
+    "none": "no effect, nothing else hidden",
+    "none_background": "no effect; outliers, ripple and play below the catalogue",
+    "pair": "two effects at once",
+    "triple": "three effects at once",
+    "outside": "an effect outside the catalogue",
+    "left_out": "an effect whose family is taken from the library",
+}
+BINS = ((15.0, 30.0), (30.0, 50.0), (50.0, 100.0), (100.0, 1000.0))
+"""Ranges of the detectability index; the last is open in the tables."""
+SEVERAL = (50.0, 400.0)  # of each of two or three effects, given the others
+STRANGE = (100.0, 600.0)  # of an effect that the library does not hold
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """World `index` (from 1): its kind, the how-manieth of that kind (from 0), the range its detectability is drawn from."""
+
+    index: int
+    kind: str
+    turn: int
+    target: tuple[float, float] | None
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return f"{self.index:05d}"
+
+    @property
+    def effects(self) -> int:
+        """How many are planted."""
+        return {"none": 0, "none_background": 0, "pair": 2, "triple": 3}.get(self.kind, 1)
+
+
+def check_kinds(text: str) -> tuple[str, ...]:
+    """Kinds of a list with commas. Raises BadInput: one that is not known."""
+    kinds = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    for kind in kinds:
+        if kind not in KINDS:
+            raise BadInput(f"--kinds: there is no kind '{kind}'; choose from {', '.join(KINDS)}")
+    if not kinds:
+        raise BadInput(f"--kinds is empty; choose from {', '.join(KINDS)}")
+    return kinds
+
+
+def recipes(worlds: int, kinds: tuple[str, ...] = KINDS) -> list[Recipe]:
+    """The first `worlds` recipes: kinds spread evenly over each round, single effects through all bins one after another."""
+    order = _order(kinds)
+    counts = dict.fromkeys(kinds, 0)
+    found = []
+    for index in range(1, worlds + 1):
+        kind = order[(index - 1) % len(order)]
+        turn = counts[kind]
+        counts[kind] += 1
+        found.append(Recipe(index, kind, turn, _target(kind, turn)))
+    return found
+
+
+def _order(kinds: tuple[str, ...]) -> list[str]:
+    """One round: the i-th of c worlds of a kind stands at (i + 1/2) / c of it."""
+    places = [((i + 0.5) / ROUND[kind], KINDS.index(kind), kind) for kind in kinds for i in range(ROUND[kind])]
+    return [kind for _, _, kind in sorted(places)]
+
+
+def _target(kind: str, turn: int) -> tuple[float, float] | None:
+    if kind == "single":
+        return BINS[turn % len(BINS)]
+    if kind in ("pair", "triple"):
+        return SEVERAL
+    return STRANGE if kind in ("outside", "left_out") else None
+
+
+def bin_of(value: float) -> int | None:
+    """Index of the bin that a detectability falls into; None below the first."""
+    found = [k for k, (low, _) in enumerate(BINS) if value >= low]
+    return found[-1] if found else None
+
+
+def bin_words(k: int) -> str:
+    """A bin as the tables name it."""
+    low, high = BINS[k]
+    return f">= {low:g}" if k == len(BINS) - 1 else f"{low:g}-{high:g}"

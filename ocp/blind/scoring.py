@@ -1,0 +1,158 @@
+"""The scorer: opens a world's label once all answers are written, and says what was right.
+
+A row holds everything that the figures need, so that they can be made again without opening anything.
+"""
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ocp.blind import oracle
+from ocp.blind.answers import answer_path
+from ocp.blind.detectability import nuisance, price, reading_covariance, whitener
+from ocp.blind.judging import Name, classes, first_right, matched, name_of, named, ranking, values
+from ocp.blind.machines import Machine, background, draw_machine
+from ocp.blind.outside import KINDS as OUTSIDE
+from ocp.blind.realised import realised
+from ocp.blind.recipes import Recipe
+from ocp.blind.scene import Scene
+from ocp.blind.sealing import WORLDS, Check, Label, read_label
+from ocp.blind.signatures import families
+from ocp.twin.planting import Planted
+from robots.pose import Array
+
+SCORES = "scores"
+GROSS = 40.0  # squared white distance of three coordinates: a gross reading, which the oracle leaves out
+UNSURE = 2.0  # factor about the threshold within which two effects are neither surely told apart nor surely not
+_ORACLE = 7  # stream of the oracle's machine
+
+
+def score_path(check: Check, name: str) -> Path:
+    """Where the score of a world lies."""
+    return check.folder / SCORES / f"{name}.json"
+
+
+def make_score(check: Check, recipe: Recipe, seal: dict[str, str]) -> dict[str, Any]:
+    """Score a world whose answer is newer than its score, or that has none."""
+    path, answer = score_path(check, recipe.name), answer_path(check, recipe.name)
+    if not path.is_file() or path.stat().st_mtime < answer.stat().st_mtime:
+        label = read_label(check, recipe, seal)
+        row = scored(check, label, json.loads(answer.read_text(encoding="utf-8")))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(".part")
+        part.write_text(json.dumps(row) + "\n", encoding="utf-8")
+        part.replace(path)
+    return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+def scored(check: Check, label: Label, answer: dict[str, Any]) -> dict[str, Any]:
+    """The row of a world."""
+    machine = draw_machine(check.cell, check.seed, label.recipe, check.readings, check.blind)
+    row = {
+        "world": label.recipe.name, "kind": label.recipe.kind, "background": background(label.recipe),
+        "planted": [[*name_of(p), p.values] for p in label.effects], "lam": list(label.lam),
+        "outside": [p.effect in OUTSIDE or p.effect in label.withheld for p in label.effects],
+        "error": answer["error"],
+    }  # fmt: skip
+    row |= _of_oracle(check, machine, label)
+    if answer["error"] is None:
+        groups = [set(map(tuple, row["true_class"]))] if row["true_class"] else []
+        row |= _of_answer(label, answer)
+        row["rivals"] = {m: _judged(label, _names(r["ranking"]), _names(r["named"]), groups) for m, r in answer["rivals"].items()}
+        if answer["predictions"] is not None:
+            row["realised"] = asdict(realised(check.cell, machine, label.effects, answer["predictions"]))
+    return row
+
+
+def _of_answer(label: Label, answer: dict[str, Any]) -> dict[str, Any]:
+    """What the diagnosis said, and how right that is."""
+    document = answer["document"]
+    groups, planted = classes(document), [name_of(p) for p in label.effects]
+    names = [name for name, _ in ranking(document)]
+    gap = document["gap"]["tracker"]
+    row: dict[str, Any] = {
+        "diagnosis": _judged(label, names, named(document), groups),
+        "strict": _judged(label, names, named(document), []),
+        "verdict": document["verdict"], "p_none": document["p_none"], "p_unknown": document["p_unknown"],
+        "said": [[*n, p] for n, p in ranking(document)[:6]], "named": named(document),
+        "classes": [sorted(g) for g in groups],
+        "reliability": [[p, first_right(planted, [n], groups, 1)] for n, p in ranking(document)],
+        "location": document["location"]["joint"], "subsystem": document["location"]["subsystem"],
+        "shrinkage": gap["shrinkage"], "noise": gap["noise_floor"], "seconds": answer["seconds"], "because": answer["because"],
+    }  # fmt: skip
+    told = {(r["effect"], r["joint"] or 0): r["parameters"] for r in document["ranking"]}
+    row["values"] = [values(p, told[name_of(p)]) if name_of(p) in told else None for p in label.effects]
+    smallest = {(e, j): s for e, j, s, _ in answer["screened"]}
+    row["smallest"] = [smallest.get(name_of(p)) for p in label.effects]
+    return row
+
+
+def _judged(label: Label, names: Sequence[Name], said: Sequence[Name], groups: Sequence[set[Name]]) -> dict[str, Any]:
+    """First and first three names, the joint of the first, and counts of the set: found, named, planted."""
+    planted = [name_of(p) for p in label.effects]
+    return {
+        "top1": first_right(planted, names, groups, 1),
+        "top3": first_right(planted, names, groups, 3),
+        "first": list(names[0]) if names else None,
+        "set": [matched(planted, said, groups), len(said), len(planted)],
+    }
+
+
+def _names(rows: Sequence[Sequence[Any]]) -> list[Name]:
+    return [(str(effect), int(joint)) for effect, joint in rows]
+
+
+def _of_oracle(check: Check, machine: Machine, label: Label) -> dict[str, Any]:
+    """What one who knows all signatures and the true covariance says of the same noise; what these data cannot tell from the
+    planted effect, what the library leaves of it, and the smallest size that would be seen."""
+    scene = machine.scene()
+    noise, kept = _noise(check, machine, scene, label)
+    white = whitener(scene, kept)
+    library = oracle.whitened(families(machine, scene), white).without(label.withheld)
+    whole, bare = machine.points(label.effects), machine.points(())
+    A, sd = nuisance(scene)
+    drawn = np.random.default_rng((check.seed, label.recipe.index, _ORACLE)).normal(size=len(sd)) * sd
+    y = white.apply(whole - bare + noise + A @ drawn)
+    alone = [white.apply(whole - machine.points([p for p in label.effects if p is not one])) for one in label.effects]
+    first = label.effects[0] if len(label.effects) == 1 else None
+    twins, sure, possible = set[Name](), set[Name](), set[Name]()
+    left: float | None = None
+    if first is not None:
+        twins, sure, possible = (oracle.not_told_apart(library, alone[0], name_of(first), f) for f in (1.0, 1 / UNSURE, UNSURE))
+        left = oracle.cannot_be_imitated(library, alone[0])
+    names, said = oracle.ranked(library, y), oracle.chosen(library, y)
+    groups = [twins | {name_of(first)}] if first is not None and twins else []
+    return {
+        "oracle": _judged(label, names, said, groups),
+        "true_class": sorted(groups[0]) if groups else [],
+        "sure_class": sorted(sure), "possible_class": sorted(possible),
+        "left": left,
+        "exact_smallest": [_smallest(scene, p, s) for p, s in zip(label.effects, alone, strict=True)],
+    }  # fmt: skip
+
+
+def _noise(check: Check, machine: Machine, scene: Scene, label: Label) -> tuple[Array, Array]:
+    """What the readings of a world are off (n, 3) m, repeatability and instrument, and which (n,) are not grossly wrong."""
+    with (check.folder / WORLDS / label.recipe.name / "tracker.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    read = 1e-3 * np.array([[float(row[f"{c}_mm"]) for c in "xyz"] for row in rows])
+    noise = read - machine.points(label.effects)
+    squared = np.einsum("ni,ni->n", noise, np.linalg.solve(reading_covariance(scene), noise[..., None])[..., 0])
+    kept = squared < GROSS
+    return noise * kept[:, None], kept
+
+
+def _smallest(scene: Scene, planted: Planted, white: Array) -> float | None:
+    """Share of the usual upper end at which the effect would just be told from noise, its family's price paid."""
+    if planted.effect in OUTSIDE or planted.effect in ("friction_windup", "tracker_drift", "gravity_compensator"):
+        return None  # two sizes, one that means nothing without its levers, or none that anybody predicted
+    upper = oracle.upper_end(planted)
+    m = oracle.parameters_of(planted.effect)
+    size = float(np.linalg.norm(planted.vector(next(iter(planted.values))))) / upper
+    lam = float(white @ white)
+    return size * float(np.sqrt((oracle.needed(m) + price(planted.effect, scene)) / lam)) if lam > 0 else None

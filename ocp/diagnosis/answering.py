@@ -1,0 +1,114 @@
+"""From a data set to its answer, and the answer to its folder."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from ocp.calibration_files import sha256
+from ocp.command import Phases, tell_notices
+from ocp.diagnosis.answer import Answer, signal_gap
+from ocp.diagnosis.channels import channels_of
+from ocp.diagnosis.corrected import write_corrected_cell
+from ocp.diagnosis.dataset import read_data_set, read_sealed_force, read_sealed_tracker
+from ocp.diagnosis.document import document_of
+from ocp.diagnosis.json_out import json_text
+from ocp.diagnosis.next_experiment import next_experiments
+from ocp.diagnosis.predictions import write_force_predictions, write_tracker_predictions
+from ocp.diagnosis.search import diagnose
+from ocp.diagnosis.system import Channel, Sealed
+from ocp.effects.effect import Effect
+from ocp.effects.library import library
+from ocp.output import check_output, whole_folder
+from ocp.report.diagnosis_report import write_diagnosis_report
+from ocp.report.diagnosis_words import headline
+from robots.errors import BadInput
+
+_CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
+NEVER = frozenset({"speed"})  # no column of readings at rest
+
+
+def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = None) -> Answer:
+    """Diagnose a folder with the effects `known` (default: all). Shrinkage is predicted here, from the folds alone; sealed files
+    are not opened. Raises BadInput."""
+    known = library() if known is None else known
+    with phases.phase("reading"):
+        data = read_data_set(folder)
+    channels = channels_of(data, phases)
+    with phases.phase("diagnosis"):
+        found = diagnose(channels, known)
+    with phases.phase("next"):
+        gaps = tuple(signal_gap(found, b, a) for b, a in zip(found.baseline, found.channels, strict=True))
+        experiments = next_experiments(found, known)
+    told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
+    blind = tuple(dict.fromkeys((*data.blind, *grouped(found.blind))))
+    notices = tuple(dict.fromkeys((*data.notices, *told)))
+    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds))
+
+
+def grouped(blind: Sequence[str]) -> list[str]:
+    """Sentences 'WHY: EFFECT cannot be seen' with the same reason as one; effects of a signal that was not measured are left
+    out, that signal is named already."""
+    reasons: dict[str, list[str]] = {}
+    for sentence in blind:
+        told = _CANNOT.fullmatch(sentence)
+        if told and told["why"].rpartition("column ")[2] not in NEVER:
+            reasons.setdefault(told["why"], []).append(told["effect"])
+    return [f"{why}: {', '.join(names)} cannot be seen" for why, names in reasons.items()]
+
+
+def predict_sealed(answer: Answer) -> dict[str, Sealed]:
+    """Blind predictions by signal, the named effects in the corrected ones. Raises BadInput: sealed conditions malformed."""
+    found: dict[str, Sealed] = {}
+    data, active = answer.data, answer.diagnosis.active
+    for signal in data.sealed:
+        channel = _of(answer.diagnosis.channels, signal)
+        sealed = read_sealed_tracker(data) if signal == "tracker" else read_sealed_force(data)
+        found[signal] = channel.predict(sealed, active)
+    return found
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # threads only fight over matrices as small as these
+def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) -> str:
+    """Diagnose a data set folder and write the answer's folder; the command's last line.
+
+    Raises BadInput and Infeasible of every part; then `out` is as it was.
+    """
+    inputs = [p for p in folder.iterdir() if p.is_file()] if folder.is_dir() else []
+    check_output(out, overwrite, inputs)
+    if out.resolve() == folder.resolve():
+        raise BadInput(f"--out {out}: is the data set itself; give another folder")
+    answer = answer_of(folder, phases)
+    with phases.phase("predictions"):
+        sealed = predict_sealed(answer)
+    with whole_folder(out, overwrite) as made:
+        with phases.phase("writing"):
+            (made / "diagnosis.json").write_text(json_text(document_of(answer)), encoding="utf-8")
+            if "tracker" in sealed:
+                write_tracker_predictions(made / "predictions_tracker.csv", sealed["tracker"])
+            if "force" in sealed:
+                write_force_predictions(made / "predictions_force.csv", sealed["force"])
+            write_corrected_cell(made, out, answer.data, answer.diagnosis.channels, answer.diagnosis.active)
+        with phases.phase("report"):
+            whole = replace(answer, seconds=dict(phases.seconds))
+            write_diagnosis_report(whole, made / "report.html", {p.name: sha256(p) for p in answer.data.inputs})
+    tell_notices((*answer.notices, *answer.blind))
+    return last_line(answer, out)
+
+
+def last_line(answer: Answer, out: Path) -> str:
+    """What was found, and where it stands."""
+    head = headline(answer)
+    safe = {
+        "explained": f"{out / 'corrected_cell.toml'} plans with it",
+        "ambiguous": f"{out / 'corrected_cell.toml'} holds the likeliest; measure what the report asks for before relying on it",
+        "unexplained": "Do not rely on the believed cell there",
+        "no_gap": "The believed cell stands",
+    }[answer.diagnosis.verdict]
+    return f"{out}: {head.verdict} {head.sentence.rstrip('.')}. {safe}; {out / 'report.html'} shows why."
+
+
+def _of(channels: Sequence[Channel], signal: str) -> Channel:
+    return next(c for c in channels if c.name == signal)

@@ -1,0 +1,213 @@
+"""From the last linearisation and its weighed sets to the findings."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from ocp.diagnosis.beam import Search, Weighed
+from ocp.diagnosis.classes import merged, threshold, twins
+from ocp.diagnosis.families import names_of
+from ocp.diagnosis.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
+from ocp.diagnosis.location import of_effect, of_kernel, of_tests
+from ocp.diagnosis.pool import Given, given
+from ocp.diagnosis.probabilities import SURE, Names, Posterior, posterior
+from ocp.diagnosis.problem import Problem
+from ocp.diagnosis.spectrum import spectra
+from ocp.diagnosis.system import Channel, HeldOut
+from ocp.diagnosis.tests_without_library import budget, kernel_tests
+from ocp.diagnosis.unknown import cancelling, implausible, impostors
+from ocp.effects.effect import Active, Effect
+from robots.pose import Array
+
+RANKED = 12  # names that are told with their values
+SUSPECT = 0.75  # share of a suspect explanation's probability that goes to 'none of these'
+
+
+def findings(
+    baseline: tuple[Channel, ...],
+    first: Problem,
+    problem: Problem,
+    search: Search,
+    library: Mapping[str, Effect],
+    options: Options,
+) -> Diagnosis:
+    """All of `Diagnosis`; baseline: all readings without effects; first: the linearisation before anything was accepted."""
+    found = posterior(problem, search)
+    weighed, best = leader(search, found)
+    active = problem.values(weighed)
+    signatures = [signature(problem, weighed, a) for a in active]
+    classes = declared(problem, weighed, active, signatures)
+    channels = accepted(baseline, problem, active)
+    held = held_out(channels, active) if options.folds and active else {}
+    false = impostors(channels, active, held)
+    doubts = [*implausible(active), *cancelling([Name(a.effect.name, a.joint) for a in active], signatures)]
+    probability, p_unknown = doubted(found, best, bool(doubts or false))
+    if false:  # what hurts stays out of the corrected model
+        kept = tuple(a for a in active if Name(a.effect.name, a.joint) not in {n for n, _ in false})
+        channels, held = accepted(baseline, problem, kept), held_out(channels, kept) if kept else {}
+    else:
+        kept = active
+    nothing, all_of_it = given(problem.pool, ()), problem.taken(search.seen[search.best()[0]])
+    tests = kernel_tests(problem, nothing) if options.where else []
+    after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
+    return Diagnosis(
+        explanations=explanations(probability, found, classes),
+        ranking=ranking(problem, search, found),
+        active=kept,
+        p_none=found.p_none,
+        p_unknown=p_unknown,
+        classes=classes,
+        location=place(problem, found, active, signatures, p_unknown, tests),
+        budget=tuple(budget(problem, tests, all_of_it)),
+        kernels=tuple(tests),
+        left_over=tuple(after),
+        spectrum=tuple(spectra(problem, problem.pool.y, options.seed)) if options.where else (),
+        screened=screened(first),
+        impostors=tuple(false),
+        unknown_because=tuple(f"{n}: {why}" for n, why in doubts) + tuple(f"{n}: hurts where {f} is left out" for n, f in false),
+        blind=blind(baseline, library, options),
+        baseline=baseline,
+        channels=channels,
+        held_out=held,
+    )
+
+
+def leader(search: Search, found: Posterior) -> tuple[Weighed, Names]:
+    """The set whose effects are accepted and its explanation: the best of those that lead (none, none of these with whatever is
+    named beside the unknown, or the most probable explanation)."""
+    told = max(found.probability, key=lambda n: found.probability[n], default=())
+    if found.p_unknown > 0.5:
+        keys = [k for k in search.seen if search.kernel[list(k)].any()]
+        best = search.seen[max(keys, key=lambda k: search.seen[k].log)]
+        families = search.pool.families
+        sure = tuple(m for m in best.members if found.gain.get(families[m.family].name, np.inf) > SURE)
+        return replace(best, members=sure), ()
+    if not told or found.p_none >= found.probability[told]:
+        return Weighed(0.0, ()), ()
+    return search.seen[found.best[told]], told
+
+
+def named_part(problem: Problem, weighed: Weighed) -> Given:
+    """The library's members of a set as given, priors at the upper ends."""
+    return problem.taken(Weighed(0.0, tuple(problem.named(weighed))))
+
+
+def accepted(baseline: Sequence[Channel], problem: Problem, active: tuple[Active, ...]) -> tuple[Channel, ...]:
+    """Channels of all readings with the effects active; those of the search where they are that already."""
+    found = []
+    for whole, searched in zip(baseline, problem.channels, strict=True):
+        visible = {(a.effect.name, a.joint) for a in active if not whole.blind(a.effect)}
+        same = {(a.effect.name, a.joint) for a in searched.active} == visible and len(searched.gap()) == len(whole.gap())
+        found.append(searched if same else whole.with_active(active))
+    return tuple(found)
+
+
+def signature(problem: Problem, weighed: Weighed, one: Active) -> Array:
+    """Projected signature (N,) of an effect of a set at its value."""
+    for m in weighed.members:
+        family = problem.pool.families[m.family]
+        if family.effect is one.effect and family.name.joint == one.joint:
+            return np.asarray(problem.pool.columns(m) @ (one.a / family.scale))
+    raise KeyError(one.effect.name)
+
+
+def declared(
+    problem: Problem, weighed: Weighed, active: Sequence[Active], signatures: Sequence[Array]
+) -> tuple[tuple[Name, ...], ...]:
+    """Classes of the accepted effects with what cannot be told from them."""
+    index, found = problem.index, []
+    for one, d in zip(active, signatures, strict=True):
+        name = Name(one.effect.name, one.joint)
+        member = next(m for m in weighed.members if m.family == index[name])
+        found.append((name, *twins(problem, weighed, member, d)))
+    return merged(found)
+
+
+def doubted(found: Posterior, best: Names, suspect: bool) -> tuple[dict[Names, float], float]:
+    """Probabilities of explanations and p_unknown, with what speaks against the best one moved over."""
+    probability = dict(found.probability)
+    if not suspect or not best:
+        return probability, found.p_unknown
+    moved = SUSPECT * probability[best]
+    probability[best] -= moved
+    return probability, found.p_unknown + moved
+
+
+def explanations(
+    probability: dict[Names, float], found: Posterior, classes: Sequence[tuple[Name, ...]]
+) -> tuple[Explanation, ...]:
+    """By probability; sets that differ by names of one class are one, under the more probable of its names."""
+    head = {name: min(c) for c in classes for name in c}
+    groups: dict[Names, list[Names]] = {}
+    for names in sorted(probability, key=lambda n: -probability[n]):
+        groups.setdefault(tuple(sorted({head.get(n, n) for n in names})), []).append(names)
+    told = [Explanation(g[0], sum(probability[n] for n in g), max(found.log[n] for n in g)) for g in groups.values()]
+    return tuple(sorted(told, key=lambda e: -e.probability))
+
+
+def ranking(problem: Problem, search: Search, found: Posterior) -> tuple[Ranked, ...]:
+    """Names by probability to a hundredth, then by the evidence for them against their absence (not against their being in the
+    background), with their values in the best set that has them."""
+    told = []
+    for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < 0.5, -found.gain[n]))[:RANKED]:
+        f = problem.index[name]
+        key = max((k for k in search.seen if f in k), key=lambda k: search.seen[k].log)
+        one = next(a for a in problem.values(search.seen[key]) if (a.effect.name, a.joint) == (name.effect, name.joint))
+        d = signature(problem, search.seen[key], one)
+        told.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
+    return tuple(sorted(told, key=lambda r: -round(r.probability, 2)))
+
+
+def held_out(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:
+    """Every fold of every channel that can be judged."""
+    judged = {c.name: [c.held_out(fold, active) for fold in c.folds()] for c in channels}
+    return {name: tuple(h for h in found if h is not None) for name, found in judged.items()}
+
+
+def place(
+    problem: Problem, found: Posterior, active: Sequence[Active], signatures: Sequence[Array], p_unknown: float,
+    tests: list[KernelTest],
+) -> Location | None:  # fmt: skip
+    """Of the largest named effect, else of the kernel that best stands for an unknown one, else of the tests."""
+    if active and p_unknown < 0.5:
+        k = int(np.argmax([d @ d for d in signatures]))
+        return of_effect(problem, active[k].effect, active[k].joint, signatures[k])
+    if found.where and found.p_unknown > found.p_none:
+        joints: dict[int, float] = {}
+        for name, p in found.where.items():
+            joints[name.joint] = joints.get(name.joint, 0.0) + p
+        joint = max(joints, key=lambda j: joints[j])
+        return of_kernel(max((n for n in found.where if n.joint == joint), key=lambda n: found.where[n]))
+    return of_tests(tests)
+
+
+def screened(problem: Problem) -> tuple[Screened, ...]:
+    """Score tests of every library effect before anything is accepted."""
+    pool, found = problem.pool, []
+    total = float(pool.y @ pool.y)
+    for i, family in enumerate(pool.families):
+        if family.effect is None:
+            continue
+        k, start = pool.place[i]
+        g, V = pool.groups[k], family.columns.shape[1]
+        G, b = g.G[start : start + V], g.b[start : start + V]
+        gained = np.einsum("vi,vi->v", b, np.linalg.solve(G + 1e-9 * np.eye(g.m), b[..., None])[..., 0])
+        best = int(np.argmax(gained))
+        ratio = gained[best] / g.m / max((total - gained[best]) / (pool.freedom - g.m), 1e-9)
+        p = float(f_distribution.sf(ratio, g.m, pool.freedom - g.m))
+        price = threshold(g.m) + 2 * np.log(V)
+        smallest = float(np.sqrt(price / max(np.trace(G[best]) / g.m, 1e-12)))
+        found.append(Screened(family.name, float(gained[best]), g.m, V, min(1.0, 1 - (1 - p) ** V), smallest, np.nan))
+    return tuple(sorted(found, key=lambda s: s.p_value))
+
+
+def blind(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options) -> tuple[str, ...]:
+    """Effects that no channel can see, with the reason of the channel that could in principle."""
+    found = []
+    for effect in dict.fromkeys(e for e, _ in names_of(library, options)):
+        reasons = [c.blind(effect) for c in channels]
+        if all(reasons):
+            found.append(max(reasons, key=lambda r: "column" in r))
+    return tuple(found)

@@ -1,0 +1,102 @@
+"""Folds of a force log, and what effects bring on rows that were left out: linear refits about the fits of all rows.
+
+With the left-out rows' part of the normal equations taken off, the unknowns move by
+    dz = -(H - B^T B)^-1 B^T e_B            (docs/force_registration.md, eq. 12),
+which is what a refit without them gives to first order; a fit with effects and one without have unknowns of their own.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ocp.diagnosis.force.fit import ForceFit, Problem
+from ocp.diagnosis.force.prediction import Scene
+from ocp.diagnosis.system import Fold, HeldOut
+from ocp.force.log import Flags, ForceLog
+from robots.pose import Array
+
+Fitted = tuple[Problem, ForceFit]
+PARTS = 5
+PIECE = 40  # rows of a run that stay together in random folds
+LEAST = 40  # rows in contact on each side
+GROSS = 0.1  # weight of a reading below which it is an outlier and is not held against a model
+
+
+def force_folds(log: ForceLog, scene: Scene) -> list[Fold]:
+    """Pieces of runs (random) and stretches of the passes (block); then runs, lines, setpoints, feeds, belts, directions of
+    travel, sessions, times, each left out as a whole."""
+    c = scene.conditions
+    rng = np.random.default_rng(0)
+    piece = np.zeros(len(log), np.int64)
+    for r in np.unique(log.run):
+        at = np.flatnonzero(log.run == r)
+        piece[at] = 1000 * int(r) + np.arange(len(at)) // PIECE
+    kinds, index = np.unique(piece, return_inverse=True)
+    part = rng.permutation(np.arange(len(kinds)) % PARTS)[index]
+    found = [Fold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
+    edges = np.quantile(c.s[log.contact], np.linspace(0, 1, PARTS + 1))
+    stretch = np.searchsorted(edges[1:-1], c.s)
+    found += [Fold(f"stretch={k + 1}", "block", (stretch == k) & log.contact) for k in range(PARTS)]
+    ways: dict[str, Any] = {
+        "run": log.run, "line": log.line, "setpoint": log.setpoint, "feed": log.feed, "belt": log.belt, "travel": c.travel,
+    }  # fmt: skip
+    if len(log.sessions) > 1:
+        ways["session"] = log.session
+    for kind, values in ways.items():
+        if values is not None:
+            found += _left_out(kind, np.round(values, 6), log)
+    clock = c.clock if "clock_s" in c.given else None
+    if clock is not None and np.ptp(clock) > 0:
+        cut = float(np.quantile(clock[log.contact], 2 / 3))
+        found.append(Fold(f"time after {cut:.0f} s", "time", clock > cut))
+    if log.wheel_temperature is not None and np.ptp(log.wheel_temperature) > 1.0:
+        cut = float(np.quantile(log.wheel_temperature, 2 / 3))
+        found.append(Fold(f"wheel above {cut:.1f} C", "temperature", log.wheel_temperature > cut))
+    return [f for f in found if _enough(f.held, log.contact) and _enough(~f.held, log.contact)]
+
+
+def _left_out(kind: str, values: Array, log: ForceLog) -> list[Fold]:
+    """One fold for each value."""
+    levels = np.unique(values[log.contact])
+    scale = {"feed": 1e3}.get(kind, 1.0)
+    names = {v: log.runs[int(v)] if kind == "run" else f"{scale * v:g}" for v in levels}
+    held = [(v, (values == v) & (log.contact | (kind == "run"))) for v in levels]
+    return [Fold(f"{kind}={names[v]}", kind, rows) for v, rows in held] if len(levels) > 1 else []
+
+
+def _enough(rows: Flags, contact: Flags) -> bool:
+    return int((rows & contact).sum()) >= LEAST
+
+
+def held_out(before: Fitted, after: Fitted, fold: Fold) -> HeldOut | None:
+    """Squared errors N^2 of the fold's normal readings in contact, everything refitted on the rest, without and with effects."""
+    log, held, whitener = after[0].log, np.asarray(fold.held, bool), after[1].whiteners[0]
+    rows = held & log.contact & (whitener.noise.weight > GROSS)
+    if rows.sum() < LEAST or (~held & log.contact).sum() < LEAST:
+        return None
+    b, a = (_errors(*fitted, held)[rows] ** 2 for fitted in (before, after))
+    noise = whitener.noise.sigma()[rows] ** 2
+    told = _estimation(*after, held)[rows]
+    return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(told.mean()))
+
+
+def _estimation(problem: Problem, fit: ForceFit, held: Flags) -> Array:
+    """Variance (n,) N^2 that the effects' errors of estimation without the held rows bring into the readings."""
+    rest = fit.sensitivity[~np.tile(held, len(fit.whiteners))]
+    start = sum(problem.sizes)
+    covariance = np.linalg.inv(np.eye(len(fit.z)) + rest.T @ rest)[start:, start:]
+    columns = fit.normal[:, start:]
+    return np.asarray(np.einsum("ni,ij,nj->n", columns, covariance, columns))
+
+
+def _errors(problem: Problem, fit: ForceFit, held: Flags) -> Array:
+    """Measured less predicted normal reading (n,) N with the unknowns of the fit without the held rows."""
+    out = np.tile(held, len(fit.whiteners))
+    B = fit.sensitivity[out]
+    left = np.eye(len(fit.z)) + fit.sensitivity[~out].T @ fit.sensitivity[~out]
+    # At the estimate the whole gradient is zero: what the held rows pulled is what their absence lets go.
+    change = -np.linalg.solve(left, B.T @ fit.residual[out])
+    r, o = problem.sizes
+    columns = fit.normal.copy()
+    columns[:, r : r + o] = 0.0  # a run's own offset does not carry over
+    return np.asarray(problem.log.fn - fit.at.fn - columns @ change)

@@ -1,0 +1,140 @@
+"""A log of link-side encoders as recorded: motor and link angles, torques (FORMATS, joints.csv)."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.csv_table import CsvTable, read_csv_table
+from robots.errors import BadInput
+from robots.measurements import Index
+from robots.pose import Array
+
+AXES = tuple(f"q{i}_deg" for i in range(1, 7))
+LINK = tuple(f"link{i}_deg" for i in range(1, 7))
+TORQUE = tuple(f"tau{i}_Nm" for i in range(1, 7))
+SPEED = tuple(f"qd{i}_deg_s" for i in range(1, 7))
+FEW = 30  # rows of a joint below which nothing can be told of it
+MOVED = np.radians(1.0)  # rad: an axis that travelled less did not move
+APART = np.radians(8.0)  # rad of wander between the two sides: more than any gear or delay, so another unit or sign
+
+
+@dataclass(frozen=True)
+class JointLog:
+    """n rows in time order inside each run, radians.
+
+    run (n,): index into `runs`; time (n,) s; q (n, 6) motor side through the gear; link (n, 6) link side, nan where not
+    recorded; tau (n, 6) N m motor torque on the link side, nan where not recorded; qd (n, 6) rad/s or None; row (n,): line in
+    the file. joints: those (1..6) with a link side that moved.
+    """
+
+    path: Path
+    run: Index
+    runs: tuple[str, ...]
+    time: Array
+    q: Array
+    link: Array
+    tau: Array
+    qd: Array | None
+    row: Index
+    notices: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Joints (1..6) that have a link-side angle on enough rows and moved."""
+        known = np.isfinite(self.link)
+        return tuple(j + 1 for j in range(6) if known[:, j].sum() >= FEW and np.ptp(self.q[known[:, j], j]) > MOVED)
+
+    def take(self, rows: NDArray[np.generic]) -> "JointLog":
+        """The rows of an index or mask."""
+        return replace(self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)})
+
+
+def read_joint_log(path: str | Path) -> JointLog:
+    """The rows of a joints.csv.
+
+    Raises BadInput: as `read_csv_table`; no link column; times that do not grow inside a run; a link side that has another
+    unit or counts the other way; too few rows; no joint with a link side that moved.
+    """
+    table = read_csv_table(path, ("run", "time_s", *AXES), (*LINK, *TORQUE, *SPEED), ("run",), (*LINK, *TORQUE, *SPEED))
+    if not any(c in table.numbers for c in LINK):
+        raise BadInput(f"{table.path}: none of the columns link1_deg .. link6_deg is there; the link side is what is compared")
+    words = table.words["run"]
+    runs = tuple(dict.fromkeys(words))
+    at = {name: i for i, name in enumerate(runs)}
+    run = np.array([at[word] for word in words], np.int64)
+    _check_times(table, run, runs)
+    q, link = np.radians(table.stack(AXES)), np.radians(_columns(table, LINK))
+    _check_link(table, q, link)
+    log = JointLog(
+        path=table.path, run=run, runs=runs, time=table.numbers["time_s"], q=q, link=link, tau=_columns(table, TORQUE),
+        qd=np.radians(_columns(table, SPEED)) if any(c in table.numbers for c in SPEED) else None, row=np.array(table.line),
+    )  # fmt: skip
+    if not log.joints:
+        raise BadInput(
+            f"{table.path}: no joint has {FEW} rows with a link side and moved by more than {np.degrees(MOVED):g} deg; "
+            "record a motion"
+        )
+    return replace(log, notices=tuple(_notices(table, log)))
+
+
+def _columns(table: CsvTable, names: tuple[str, ...]) -> Array:
+    """Columns side by side, nan where one is absent."""
+    return np.stack([table.numbers.get(c, np.full(len(table), np.nan)) for c in names], axis=1)
+
+
+def _check_times(table: CsvTable, run: Index, runs: tuple[str, ...]) -> None:
+    time = table.numbers["time_s"]
+    for i, name in enumerate(runs):
+        rows = np.flatnonzero(run == i)
+        back = np.flatnonzero(np.diff(time[rows]) <= 0)
+        if len(back):
+            k = int(rows[back[0] + 1])
+            before = time[rows[back[0]]]
+            raise table.refuse(k, "time_s", f"comes no later than {before:g} in run {name}; times must grow in a run")
+
+
+def _check_link(table: CsvTable, q: Array, link: Array) -> None:
+    """A link side in radians, of the motor's own turns or with the other sign is no gap but a mistake."""
+    for j, column in enumerate(LINK):
+        known = np.flatnonzero(np.isfinite(link[:, j]))
+        if len(known) < FEW or np.ptp(q[known, j]) < MOVED:
+            continue
+        off = link[known, j] - q[known, j]
+        off = off - np.median(off)
+        limit = max(APART, 0.5 * np.ptp(q[known, j])) if np.ptp(q[known, j]) < 2 * APART else APART
+        worst = int(np.argmax(np.abs(off)))
+        if np.abs(off[worst]) > limit:
+            slope = np.polyfit(q[known, j], link[known, j], 1)[0]
+            how = "counts the other way" if slope < 0 else f"moves {slope:.3g} deg a degree of the motor side"
+            raise table.refuse(
+                int(known[worst]), column, f"is {np.degrees(off[worst]):.1f} deg off {AXES[j]} beyond a constant and {how}; give "
+                "both in degrees at the link, with the axis' sign"
+            )  # fmt: skip
+
+
+def _notices(table: CsvTable, log: JointLog) -> list[str]:
+    """What was ignored or is absent, and what that blinds."""
+    name = table.path.name
+    found = [f"{name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
+    still = [j for j in range(1, 7) if LINK[j - 1] in table.numbers and j not in log.joints]
+    if still:
+        found.append(f"{name}: the link side of joint {', '.join(map(str, still))} is not used, the joint hardly moved")
+    without = [j for j in range(1, 7) if j not in log.joints]
+    if without:
+        found.append(f"{name}: no link side of joint {', '.join(map(str, without))}: it says nothing of {_it(without)}")
+    dark = [j for j in log.joints if not np.isfinite(log.tau[:, j - 1]).any()]
+    if dark:
+        found.append(
+            f"{name}: no column {', '.join(TORQUE[j - 1] for j in dark)}: the load is taken from the believed arm, springs show "
+            "less sharply"
+        )
+    return found
+
+
+def _it(joints: list[int]) -> str:
+    return "it" if len(joints) == 1 else "them"

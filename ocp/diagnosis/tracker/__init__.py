@@ -1,0 +1,1 @@
+"""The laser tracker's readings as a channel of the diagnosis."""

@@ -1,0 +1,203 @@
+"""The tracker as a channel: believed cell refitted, effects' columns, refits with effects inside."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant, scan_key
+from ocp.diagnosis.tracker.baseline import relearned
+from ocp.diagnosis.tracker.folds import tracker_folds
+from ocp.diagnosis.tracker.held_out import held_out
+from ocp.diagnosis.tracker.motion import Seen, displaced, motion
+from ocp.diagnosis.tracker.predict import predict
+from ocp.diagnosis.tracker.refit import Held, Task, refit
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from robots.calibration.noise import reading_covariance
+from robots.gravity import weight_torques
+from robots.measurements import Readings
+from robots.pose import Array
+
+COLUMNS = {
+    "approach": "approach", "temperature_C": "temperature", "time_s": "time", "clock_s": "time", "target": "target",
+    "payload": "payload",
+}  # fmt: skip
+ANY = {"target", "payload"}  # one of them is as good as many
+LEAST_CHANGE = {"temperature_C": 0.3, "time_s": 60.0, "clock_s": 60.0}  # K, s: less is no change of conditions
+
+
+@dataclass(frozen=True)
+class TrackerChannel:
+    """Readings of reflectors with the fit of the believed arm and of the active effects.
+
+    Displacements of screened effects are kept over refits (`store`): they move by a thousandth when the geometry does.
+    """
+
+    task: Task
+    fit: Held
+    store: dict[tuple[str, int], tuple[tuple[Scanned, ...], Array]] = field(default_factory=dict, repr=False)
+    name: str = "tracker"
+    unit: str = "mm"
+
+    @property
+    def readings(self) -> Readings:
+        """As measured."""
+        return self.task.campaign.readings
+
+    @cached_property
+    def seen(self) -> Seen:
+        """Readings as effects see them."""
+        c = self.task.campaign
+        return Seen(
+            c.robot,
+            c.readings,
+            c.instrument,
+            self.fit.state,
+            self.fit.linear.point,
+            self.task.reference,
+            self.task.start.arm[30:],
+        )
+
+    @property
+    def active(self) -> tuple[Active, ...]:
+        """Effects in the prediction."""
+        return self.fit.active
+
+    @property
+    def system(self) -> System:
+        """Whitened about the current fit."""
+        n = len(self.readings)
+        layout = self.task.layout
+        return System(
+            residual=np.einsum("nij,nj->ni", self.fit.W, self.fit.linear.residual).ravel(),
+            nuisance=(self.fit.W @ self.fit.linear.J).reshape(3 * n, -1),
+            names=layout.names,
+            prior_sd=layout.prior_sd,
+            offset=np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0),
+            reading=np.repeat(np.arange(n), 3),
+            component=np.tile(np.arange(3), n),
+        )
+
+    @property
+    def noise_floor(self) -> float:
+        """Rms of a reading's noise in mm (3D)."""
+        c = self.task.campaign
+        S = reading_covariance(self.readings, c.instrument, self.fit.noise, self.fit.linear.d_joints)
+        return float(1e3 * np.sqrt(np.trace(S, axis1=1, axis2=2).mean()))
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """For the scans."""
+        r, c = self.readings, self.task.campaign
+        seen = np.unique(r.target)
+        return Surroundings(
+            gear_ratio=c.robot.gear_ratio,
+            q_range=np.stack([r.q.min(axis=0), r.q.max(axis=0)], axis=1),
+            time=np.zeros(0) if r.time is None else np.sort(r.time),
+            targets=tuple(r.targets[k] for k in seen),
+            payloads=tuple(r.payloads[k] for k in np.unique(r.payload)),
+            robot=c.robot.name,
+            torque_max=c.robot.torque_max,
+            stiffness=c.robot.stiffness,
+        )
+
+    @property
+    def conditions(self) -> Conditions:
+        """What is known of the readings."""
+        r, c = self.readings, self.task.campaign
+        tau = np.zeros_like(r.q)
+        for k in np.unique(r.payload):
+            rows = r.payload == k
+            mass, *com = self.fit.state.payloads[k]
+            tau[rows] = weight_torques(c.robot, r.q[rows], mass, np.array(com))
+        several = {"session": r.sessions, "station": r.stations}
+        return Conditions(
+            signal=self.name, q=r.q, approach=r.approach, payload=r.payload, payloads=r.payloads, target=r.target,
+            targets=r.targets, time=r.time, clock=r.time, temperature=r.temperature,
+            session=r.session if len(several["session"]) > 1 else None,
+            station=r.station if len(several["station"]) > 1 else None,
+            tau=tau, d_joints=self.fit.linear.d_joints, d_tilts=self.seen.tilts, gear_ratio=c.robot.gear_ratio,
+        )  # fmt: skip
+
+    def blind(self, effect: Effect) -> str:
+        """Why it cannot be seen."""
+        if not (effect.on_arm or effect.reading is not None):
+            return f"{effect.name} does not move the arm or the tracker's readings"
+        for column in effect.needs:
+            value = getattr(self.readings, COLUMNS[column], None) if column in COLUMNS else None
+            if value is None:
+                return f"tracker.csv has no column {column}: {effect.name} cannot be seen"
+            if column not in ANY and np.ptp(value) < LEAST_CHANGE.get(column, 0.5):
+                return f"{column} hardly changes in tracker.csv: {effect.name} cannot be seen"
+        return ""
+
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
+        """Whitened columns about the current fit."""
+        if self.blind(effect):
+            return []
+        chosen, moves = self._displaced(effect, joint, scans)
+        if not chosen:
+            return []
+        V, n, _, m = moves.shape
+        rows = (self.fit.W @ moves).reshape(V, 3 * n, m)
+        prior = np.asarray(effect.prior_sd, float)
+        return [Variant(effect.name, joint, s, rows[v], prior) for v, s in enumerate(chosen)]
+
+    def _displaced(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None) -> tuple[tuple[Scanned, ...], Array]:
+        """Displacements (V, n, 3, m) m per unit coefficient and their scanned values."""
+        key = (effect.name, joint)
+        if scans is None and key in self.store:
+            return self.store[key]
+        chosen = tuple(effect.scan(joint, self.surroundings) if scans is None else scans)
+        if not chosen:
+            return (), np.zeros((0, len(self.readings), 3, effect.size))
+        found = chosen, displaced(motion(effect, joint, chosen, self.seen), self.fit.linear.d_joints)
+        if scans is None and effect.torque is None:  # torques act through the springs, which a refit may move a lot
+            self.store[key] = found
+        return found
+
+    def with_active(self, active: tuple[Active, ...]) -> "TrackerChannel":
+        """Refitted with these effects, the geometry's learned prior with them."""
+        visible = tuple(a for a in active if not self.blind(a.effect))
+        fit = refit(self.task, self.fit.state, self.fit.offset, visible, self.fit.noise)
+        task = relearned(self.task, fit)
+        if task is not self.task:
+            fit = refit(task, fit.state, fit.offset, fit.active, fit.noise, learn_noise=False)
+        return replace(self, task=task, fit=fit)
+
+    def thinned(self, most: int) -> "TrackerChannel":
+        """Fitted to at most so many readings, evenly taken."""
+        n = len(self.readings)
+        if n <= most:
+            return self
+        rows = np.unique(np.linspace(0, n - 1, most).astype(np.int64))
+        campaign = replace(self.task.campaign, readings=self.readings.take(rows))
+        task = replace(self.task, campaign=campaign)
+        return replace(self, task=task, fit=refit(task, self.fit.state, self.fit.offset, (), self.fit.noise), store={})
+
+    def gap(self) -> Array:
+        """Residuals (n, 3) m."""
+        return self.fit.linear.residual
+
+    def whiten(self, changes: Array) -> Array:
+        """Whitened rows of changes (n, 3, m) m."""
+        return np.asarray((self.fit.W @ changes).reshape(3 * len(changes), -1))
+
+    def folds(self) -> list[Fold]:
+        """Blocked and extrapolation folds."""
+        return tracker_folds(self.readings)
+
+    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
+        """Judge `active` on a fold."""
+        return held_out(self.task, self.fit, fold, active)
+
+    def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
+        """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
+        before, after = (self if _kinds(a) == _kinds(self.active) else self.with_active(a) for a in ((), active))
+        return predict(before.task, before.fit, after.task, after.fit, sealed)
+
+
+def _kinds(active: tuple[Active, ...]) -> list[tuple[object, ...]]:
+    """Effects, joints and scanned values: what a refit does not change."""
+    return [(a.effect.name, a.joint, scan_key(a.scanned)) for a in active]

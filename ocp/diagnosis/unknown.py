@@ -1,0 +1,76 @@
+"""When a named effect is not believed: values no machine shows, terms that cancel each other, and impostors.
+
+An impostor helps where readings lie among those it was fitted to, and where a condition was left out it hurts and its value is
+another. What speaks against a name moves its probability to 'none of these'.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ocp.diagnosis.findings import Name
+from ocp.diagnosis.system import Channel, HeldOut
+from ocp.effects.effect import Active
+from robots.pose import Array
+
+IMPLAUSIBLE = 3.0  # times the upper end of the typical range
+CANCELS = 0.25  # of two signatures' lengths together: what is left when they cancel
+HURTS, SURE = 0.3, 4.0  # of the mean square gap, standard errors: impostors multiply the gap, a small true term misses by chance
+DRIFTS = 3.0  # standard errors: an effect of the right form has the same value wherever it is seen
+GAP = 0.2  # of the noise: gaps below it can neither be helped nor hurt
+
+
+def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
+    """Names with values over three times the range, two standard errors sure, with what is wrong."""
+    found = []
+    for one in active:
+        upper = np.asarray(one.effect.prior_sd, float)
+        sd = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
+        if (np.abs(one.a) - 2 * sd > IMPLAUSIBLE * upper).any():
+            found.append((Name(one.effect.name, one.joint), "its value is over three times what real cells show"))
+        unsigned = {p.key for p in one.effect.parameters if not p.signed}
+        for a, s, key in zip(one.a, sd, one.effect.coefficients, strict=True):
+            if key in unsigned and a < -3 * s:
+                found.append((Name(one.effect.name, one.joint), f"{key} comes out with the wrong sign"))
+    return found
+
+
+def cancelling(names: Sequence[Name], signatures: Sequence[Array]) -> list[tuple[Name, str]]:
+    """Pairs of effects whose signatures (N,) all but cancel: each stands for what the other overdoes."""
+    found = []
+    for i in range(len(names)):
+        for k in range(i):
+            a, b = signatures[i], signatures[k]
+            if np.linalg.norm(a + b) < CANCELS * min(np.linalg.norm(a), np.linalg.norm(b)):
+                found.append((names[i], f"it all but cancels {names[k]}"))
+    return found
+
+
+def impostors(
+    channels: Sequence[Channel], active: tuple[Active, ...], held: Mapping[str, Sequence[HeldOut]]
+) -> list[tuple[Name, str]]:
+    """Effects without which the readings of a left-out condition are met better, with the fold that says so."""
+    found = []
+    for channel in channels:
+        folds = [h for h in held.get(channel.name, ()) if h.fold.extrapolates]
+        for i, one in enumerate(active):
+            rest = active[:i] + active[i + 1 :]
+            for h in folds:
+                other = channel.held_out(h.fold, rest) if rest else None
+                without = h.before_rows if other is None else other.after_rows
+                drifts = not h.drift or h.drift[i] > DRIFTS
+                if drifts and hurts(h.after_rows, without, h.noise, h.estimation):
+                    found.append((Name(one.effect.name, one.joint), h.fold.name))
+                    break
+    return found
+
+
+def hurts(with_rows: Array, without_rows: Array, noise: float, estimation: float) -> bool:
+    """Whether squared errors (r,) are larger with an effect than without, surely, by more than a little of the gap and by more
+    than what its value's uncertainty on the rest (estimation) excuses."""
+    change = with_rows - without_rows
+    error = float(change.std(ddof=1) / np.sqrt(len(change))) if len(change) > 1 else np.inf
+    gap = max(float(without_rows.mean()) - noise, GAP**2 * noise)
+    return bool(
+        change.mean() > HURTS * gap and change.mean() > SURE * (error + estimation) and with_rows.mean() > noise * (1 + GAP**2)
+    )

@@ -1,0 +1,287 @@
+"""The force log as a channel of the diagnosis, on logs of the verification's route with effects planted by plain formulas."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, moved_joints, record
+from force_world import arm_posterior, write_log
+
+from ocp.diagnosis.force.balance import Balance
+from ocp.diagnosis.force.believed import believed_contact
+from ocp.diagnosis.force.channel import ForceChannel, force_channel
+from ocp.diagnosis.force.columns import derivatives, effect_columns
+from ocp.diagnosis.force.conditions import conditions_of
+from ocp.diagnosis.force.fit import Problem, solve
+from ocp.diagnosis.force.prediction import predict
+from ocp.diagnosis.force.whitening import Whitener
+from ocp.diagnosis.search import diagnose
+from ocp.diagnosis.system import Fold
+from ocp.effects.effect import Active
+from ocp.effects.library import library
+from ocp.force.log import ForceLog, read_force_log
+
+EFFECTS = library()
+
+
+@dataclass(frozen=True)
+class Made:
+    """A campaign, its channel without any effect planted, and the noise-free readings."""
+
+    base: Base
+    channel: ForceChannel
+    truth: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Made:
+    folder, rng = tmp_path_factory.mktemp("world"), np.random.default_rng(5)
+    base = record(believed_world(folder, rng, every=4), PLAN, rng)
+    log, truth = _log(base, (), folder)
+    return Made(base, _channel(base, log), truth)
+
+
+def _log(
+    base: Base, planted: tuple[Planted, ...], folder: Path, seed: int = 3, outliers: float = 0.0
+) -> tuple[ForceLog, np.ndarray]:
+    base.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
+    rows, truth = log_of(base, planted, outliers)
+    return read_force_log(write_log(folder / f"force{seed}.csv", rows, HEADER)), truth
+
+
+def _channel(base: Base, log: ForceLog) -> ForceChannel:
+    return force_channel(base.world.cell, log, arm=arm_posterior(base.world.cell))
+
+
+def _again(made: Made, log: ForceLog) -> ForceChannel:
+    """The channel of the same rows with other readings: the model is prepared already."""
+    problem = replace(made.channel.problem, log=log)
+    return ForceChannel(problem, solve(problem, (), made.channel.fit), made.channel.effects)
+
+
+def _active(name: str, joint: int = 0, scanned: dict | None = None) -> Active:
+    effect = EFFECTS[name]
+    return Active(effect, joint, np.zeros(effect.size), scanned or {}, np.zeros((effect.size, effect.size)))
+
+
+def _gap(channel: ForceChannel, truth: np.ndarray) -> float:
+    at = channel.log.contact
+    return float(np.sqrt(np.mean((channel.fit.at.fn - truth)[at] ** 2)))
+
+
+def test_without_effects_the_believed_contact_meets_the_second_route(made):
+    assert _gap(made.channel, made.truth) < 0.05
+    residual = made.channel.fit.residual
+    assert residual @ residual / len(residual) == pytest.approx(1.0, abs=0.06)
+    assert made.channel.noise_floor == pytest.approx(0.2, rel=0.1)
+
+
+def test_rows_have_unit_noise_under_the_noise_they_were_made_for(made):
+    # Readings drawn from the covariance itself, not through the filter: its Cholesky factor run by run.
+    whitener = made.channel.fit.whiteners[0]
+    rng, n = np.random.default_rng(1), len(made.channel.log)
+    drawn = np.zeros((n, 400))
+    for kind in whitener.noise.kinds.values():
+        log, noise = made.channel.log, kind.noise
+        for run in np.unique(log.run[kind.rows]):
+            at = kind.rows[log.run[kind.rows] == run]
+            lag = np.abs(np.subtract.outer(log.time[at], log.time[at]))
+            C = noise.sigma**2 * noise.share * np.exp(-lag / noise.tau)
+            C[np.diag_indices(len(at))] = noise.sigma**2
+            drawn[at] = np.linalg.cholesky(C) @ rng.normal(size=(len(at), 400))
+    plain = Whitener.of(replace(whitener.noise, weight=np.ones(n)), whitener.blocks)
+    short = plain.short(drawn)
+    covariance = short @ short.T / 400
+    assert np.abs(np.diag(covariance).mean() - 1.0) < 0.01
+    off = covariance - np.diag(np.diag(covariance))
+    assert np.sqrt(np.mean(off**2)) < 1.1 / np.sqrt(400)
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_columns_are_what_the_refitted_balance_does(made, name):
+    channel, effect = made.channel, EFFECTS[name]
+    if channel.blind(effect):
+        pytest.skip(channel.blind(effect))
+    scene, at = channel.problem.scene, channel.fit.at
+    rows = scene.touching[:: max(1, len(scene.touching) // 400)]
+    for joint in effect.places[:3]:
+        scans = effect.scan(joint, channel.surroundings)
+        if not len(scans):
+            continue
+        scanned = scans[len(scans) // 2]
+        made_columns = effect_columns(scene, at, channel.fit.slopes, effect, joint, [scanned])
+        if made_columns is None:
+            continue
+        for k in range(min(effect.size, 3)):
+            a = np.zeros(effect.size)
+            a[k] = 0.02 * effect.prior_sd[k]
+            both = []
+            for sign in (1.0, -1.0):
+                one = replace(_active(name, joint, dict(scanned)), a=sign * a)
+                there = predict(scene, at.x, (one,), at)
+                both.append(np.concatenate([there.fn[rows], there.ft[rows]]))
+            difference = 0.5 * (both[0] - both[1])
+            column = np.concatenate([c[0][rows, k] for c in made_columns]) * a[k]
+            size = np.abs(difference).max()
+            np.testing.assert_allclose(column, difference, atol=max(0.02 * size, 2e-5), err_msg=f"{name} {joint} {k}")
+
+
+def test_slopes_are_those_of_the_force(made):
+    channel = made.channel
+    scene, at = channel.problem.scene, channel.fit.at
+    theta, joints = derivatives(scene, at)
+    rows = scene.touching[::50]
+    sd = channel.problem.believed.sd
+    for i in np.flatnonzero(sd[: theta.shape[1]] > 0)[::2]:
+        step = np.zeros_like(at.x)
+        step[i] = 1e-2 * sd[i]
+        high, low = (predict(scene, at.x + s * step, (), at).F[rows] for s in (1.0, -1.0))
+        np.testing.assert_allclose(theta[rows, i] * step[i], 0.5 * (high - low), rtol=5e-3, atol=1e-5)
+    assert np.abs(joints[rows]).max() > 100.0
+
+
+# What is planted, which effect is to have which values within 4 sd, and how far off the believed contact is at least (N rms).
+PLANTED = {
+    "wheel_wear": (Planted(overlap=lambda b: -1.5e-7 * b.columns["clock"]), {}, {"m_per_s": 1.5e-7}, 0.2),
+    "material_removal": (
+        Planted(overlap=lambda b: -2e-5 * b.columns["ground_before"] * 0.04 / b.columns["feed"]), {}, {"m_per_pass": 2e-5}, 0.1,
+    ),
+    "wheel_runout": (
+        Planted(overlap=lambda b: 3e-5 * np.cos(b.columns["belt"] / b.world.truth.wheel.radius * b.columns["clock"] + 0.7)),
+        {"clocked": 1.0}, {"m": 3e-5, "phase_rad": 0.7}, 0.05,
+    ),
+    "sensor_bias": (Planted(reading=lambda c, F: 0.4 + 0.0 * F), {}, {"N": 0.4}, 0.0),
+    "sensor_crosstalk": (Planted(reading=lambda c, F: 0.05 * 0.35 * F * np.sign(c["belt"])), {}, {"share": 0.05}, 0.1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(PLANTED))
+def test_a_planted_effect_comes_out_with_its_value(made, tmp_path, name):
+    planted, scanned, values, least = PLANTED[name]
+    log, truth = _log(made.base, (planted,), tmp_path)
+    channel = _again(made, log)
+    assert _gap(channel, truth) > least
+    after = channel.with_active((_active(name, 0, scanned),))
+    assert _gap(after, truth) < 0.04
+    found, sd = after.active[0].parameters, after.active[0].deviations
+    for key, value in values.items():
+        assert abs(found[key] - value) < 4 * sd[key] + 0.03 * abs(value), (key, found[key], sd[key])
+
+
+def test_an_effect_of_the_arm_is_the_same_joint_motion(made, tmp_path):
+    def reversal(b: Base) -> np.ndarray:
+        sign = np.zeros(len(b))
+        for r in np.unique(b.columns["run"]):
+            at = np.flatnonzero(b.columns["run"] == r)
+            sign[at] = np.sign(np.gradient(b.columns["q"][at, 2]))
+        return moved_joints(b, 4e-5 * np.eye(6)[2] * sign[:, None])
+
+    log, truth = _log(made.base, (Planted(overlap=reversal),), tmp_path)
+    channel = _again(made, log)
+    after = channel.with_active((_active("backlash", 3),))
+    assert after.active[0].a[0] == pytest.approx(4e-5, abs=4 * np.sqrt(after.active[0].covariance[0, 0]))
+    assert _gap(after, truth) < min(0.04, 0.7 * _gap(channel, truth))
+
+
+def test_the_engine_names_it(made, tmp_path):
+    log, _ = _log(made.base, (PLANTED["sensor_crosstalk"][0],), tmp_path)
+    found = diagnose([_again(made, log)], EFFECTS)
+    assert [str(n) for n in found.explanations[0].names] == ["sensor_crosstalk"]
+    assert found.explanations[0].probability > 0.8 and found.verdict == "explained"
+
+
+def test_no_effect_is_no_gap_though_readings_are_wild(made, tmp_path):
+    log, _ = _log(made.base, (), tmp_path, 12, 0.01)
+    assert diagnose([_again(made, log)], EFFECTS).verdict == "no_gap"
+
+
+def test_fast_patterns_are_kept_where_averages_lose_them(made):
+    channel = made.channel
+    scanned = {"clocked": 1.0}
+    made_columns = effect_columns(
+        channel.problem.scene, channel.fit.at, channel.fit.slopes, EFFECTS["wheel_runout"], 0, [scanned]
+    )
+    whole = [w.whole(c[0]) for w, c in zip(channel.fit.whiteners, made_columns, strict=True)]
+    length = sum(float(np.sum(c**2)) for c in whole)
+    averaged = sum(float(np.sum(w.short(c[0]) ** 2)) for w, c in zip(channel.fit.whiteners, made_columns, strict=True))
+    assert averaged < 0.5 * length
+    kept = channel.variants(EFFECTS["wheel_runout"], 0, [scanned])[0].columns
+    assert np.sum(kept**2) == pytest.approx(length, rel=1e-3)
+    # A slow effect loses nearly nothing, and the rows' inner product with the data is that of all rows.
+    slow = effect_columns(channel.problem.scene, channel.fit.at, channel.fit.slopes, EFFECTS["wheel_wear"], 0, [{}])
+    full = np.concatenate([w.whole(c[0])[:, 0] for w, c in zip(channel.fit.whiteners, slow, strict=True)])
+    short = channel.variants(EFFECTS["wheel_wear"], 0, [{}])[0].columns[:, 0]
+    assert np.sum(short**2) == pytest.approx(np.sum(full**2), rel=0.03)
+
+
+def test_a_splice_of_unknown_rate_is_found_among_hundreds(made, tmp_path):
+    def knock(c, F):
+        return 1.5 * (F > 0) * np.exp(-0.5 * (((c["time"] * 8.3) % 1.0 - 0.3) / 0.06) ** 2)
+
+    log, _ = _log(made.base, (Planted(reading=knock),), tmp_path)
+    found = diagnose([_again(made, log)], EFFECTS)
+    assert [str(n) for n in found.explanations[0].names] == ["belt_splice"]
+    assert found.active[0].parameters["hz"] == pytest.approx(8.3, abs=0.1)
+
+
+def test_held_out_errors_are_those_of_a_refit(made, tmp_path):
+    log, _ = _log(made.base, (PLANTED["wheel_wear"][0],), tmp_path)
+    channel = _again(made, log).with_active((_active("wheel_wear"),))
+    late = channel.log.run >= 6
+    judged = channel.held_out(Fold("late", "time", late), channel.active)
+    problem = channel.problem
+    scene = replace(problem.scene, rows=problem.scene.rows.take(~late), conditions=problem.scene.conditions.take(~late),
+                    arm=replace(problem.scene.arm), pressed=problem.scene.pressed[~late])  # fmt: skip
+    rest = Problem.of(log.take(~late), scene, problem.believed)
+    rows = late & log.contact
+    for active, mean_square in (((), judged.before), ((_active("wheel_wear"),), judged.after)):
+        fit = solve(rest, active)
+        there = predict(problem.scene, fit.at.x, fit.active)
+        assert np.mean((log.fn - there.fn)[rows] ** 2) == pytest.approx(mean_square, rel=0.1, abs=0.004)
+    assert judged.before > 4 * judged.noise and judged.after < judged.noise + 3 * judged.estimation
+
+
+def test_sealed_readings_are_met_within_their_sigma(made, tmp_path):
+    planted = (PLANTED["wheel_wear"][0], PLANTED["sensor_bias"][0])
+    log, truth = _log(made.base, planted, tmp_path)
+    late = (log.run == 6) | (log.run == 7)  # another setpoint, and the belt reversed
+    channel = _channel(made.base, log.take(~late))
+    active = (_active("sensor_bias"), _active("wheel_wear"))
+    sealed = replace(log.take(late), fn=np.full(int(late.sum()), np.nan), ft=None)
+    found = channel.predict(sealed, active)
+    before, after = (np.abs(x[:, 0] - truth[late]) for x in (found.baseline, found.corrected))
+    assert np.sqrt(np.mean(after**2)) < 0.25 * np.sqrt(np.mean(before**2))
+    assert np.all(after < 3 * found.sigma[:, 0] + 0.05) and found.sigma.max() < 0.2
+
+
+def test_missing_columns_blind_and_say_so(made):
+    log = replace(made.channel.log, clock=None, ft=None, ground_before=None, wheel_temperature=None)
+    scene = replace(made.channel.problem.scene, conditions=conditions_of(made.base.world.cell, log))
+    problem = replace(made.channel.problem, log=log, scene=scene)
+    channel = ForceChannel(problem, solve(problem), made.channel.effects)
+    assert "ground_before" in channel.blind(EFFECTS["material_removal"])
+    assert "clock_s" in channel.blind(EFFECTS["sensor_drift"])
+    assert "wheel_temperature_C" in channel.blind(EFFECTS["wheel_temperature"])
+    assert channel.blind(EFFECTS["tracker_scale"]) and not channel.blind(EFFECTS["wheel_wear"])
+    assert not channel.variants(EFFECTS["material_removal"], 0) and channel.variants(EFFECTS["wheel_wear"], 0)
+    assert len(channel.fit.whiteners) == 1 and channel.conditions.clock is None
+    assert {f.kind for f in channel.folds()} >= {"random", "block", "run", "line", "setpoint", "feed", "belt", "travel"}
+
+
+def test_a_rigid_cell_is_a_channel_too(made):
+    # The same postures without the flange; readings from the model, sensor_bias planted in them.
+    scene = made.channel.problem.scene
+    cell = replace(scene.cell, flange=None)
+    believed, rng = believed_contact(cell, arm_posterior(cell)), np.random.default_rng(4)
+    scene = replace(scene, cell=cell, balance=Balance(cell, scene.balance.law), pressed=None)
+    x = believed.mean + 0.3 * believed.root @ rng.normal(size=believed.root.shape[1])
+    truth = predict(scene, x)
+    log = replace(made.channel.log, fn=truth.fn + 0.6 + 0.2 * rng.normal(size=len(truth.F)), ft=None)
+    problem = Problem.of(log, scene, believed)
+    channel = ForceChannel(problem, solve(problem), (EFFECTS["sensor_bias"],))
+    assert channel.blind(EFFECTS["flange_stiffness"])
+    assert np.abs(channel.variants(EFFECTS["belt_tension"], 0)[0].columns).max() > 0
+    found = channel.with_active((_active("sensor_bias"),)).active[0]
+    assert abs(found.a[0] - 0.6) < 4 * np.sqrt(found.covariance[0, 0]) + 0.02 < 0.2
+    assert truth.stiffness[scene.touching].min() > 1.5e4  # N/m: a wheel without a flange
