@@ -35,6 +35,7 @@ def simulate(
     joints: Annotated[bool, typer.Option(help="write joints.csv, link-side encoders")] = False,
     hz: Annotated[float, typer.Option(help="control rate in 1/s")] = 250.0,
     log_hz: Annotated[float, typer.Option(help="rows of force.csv a second")] = 25.0,
+    clock: Annotated[float, typer.Option(help="seconds that the campaign's clock shows at the start: wear, drift, steps")] = 0.0,
     list_effects: Annotated[bool, typer.Option("--list-effects", help="print what can be planted")] = False,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("run"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
@@ -48,6 +49,7 @@ def simulate(
         wanted = Wanted(
             plan=plan, cell=cell, blade=blade, effects=tuple(effect or ()), random=effects, sealed=sealed, machine=machine,
             seed=seed, size=size, poses=poses, ladder=ladder, belts=belt, air=air, joints=joints, hz=hz, log_hz=log_hz,
+            clock=clock,
         )  # fmt: skip
         with shown_phases() as phases:
             return simulate_cell(wanted, BUNDLED, out, overwrite, phases)

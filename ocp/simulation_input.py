@@ -39,6 +39,7 @@ class Wanted:
     joints: bool
     hz: float
     log_hz: float
+    clock: float = 0.0
 
 
 def check_numbers(wanted: Wanted) -> None:
@@ -47,6 +48,7 @@ def check_numbers(wanted: Wanted) -> None:
         raise BadInput(f"--machine '{wanted.machine}' is not one of {', '.join(MODES)}")
     for name, value, low, high in (
         ("--seed", wanted.seed, 0, 2**32), ("--size", wanted.size, 0.0, 5.0), ("--hz", wanted.hz, 20.0, 2000.0),
+        ("--clock", wanted.clock, 0.0, 1e7),
     ):  # fmt: skip
         if not low <= value <= high:
             raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:g}")
@@ -128,7 +130,7 @@ def campaign_plan(wanted: Wanted, cell: Cell) -> CampaignPlan:
     else:
         ladder = () if wanted.ladder.strip().lower() == "none" else _numbers("--ladder", wanted.ladder)
     belts = () if wanted.belts is None else _numbers("--belt", wanted.belts)
-    plan = CampaignPlan(ladder, belts, wanted.air, wanted.log_hz, wanted.sealed)
+    plan = CampaignPlan(ladder, belts, wanted.air, wanted.log_hz, wanted.sealed, wanted.clock)
     check_plan(plan, wanted.hz, force)
     return plan
 

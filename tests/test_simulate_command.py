@@ -280,3 +280,16 @@ def test_the_command_itself_starts_and_ends_in_time(tmp_path):
     assert process.returncode == 0, process.stderr
     assert time.perf_counter() - start < 30
     assert "120 readings in tracker.csv" in process.stdout
+
+
+def test_the_clock_of_a_campaign_goes_on(plan, tmp_path):
+    def mean(out: str, *more: str) -> float:
+        told = simulated(plan, "--out", tmp_path / out, "--ladder", "none", "--no-air", "--poses", "0", *more)
+        assert told.code == 0, told.err
+        return float(np.mean([float(row["fn_N"]) for row in rows(tmp_path / out / "force.csv")]))
+
+    worn = ("--effect", "wheel_wear=3e-7")
+    fresh, later = mean("fresh", *worn), mean("later", *worn, "--clock", "1000")
+    # 0.3 mm of radius on a flange of 5.6 N/mm, the rest of the chain in series.
+    assert later - fresh == pytest.approx(-0.3 * 5.6, rel=0.25)
+    one_sentence(simulated(plan, "--clock", "-1", "--out", tmp_path / "x"), 2, "--clock -1 must lie between")

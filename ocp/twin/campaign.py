@@ -20,13 +20,14 @@ STIFFENING = 0.7
 @dataclass(frozen=True)
 class CampaignPlan:
     """What is to be run: setpoints N of the ladder, further belt speeds m/s, an air run or none, samples a second in the log, a
-    sealed part or none."""
+    sealed part or none; clock s at the start."""
 
     ladder: tuple[float, ...]
     belts: tuple[float, ...] = ()
     air: bool = True
     log_hz: float = 25.0
     sealed: bool = False
+    clock: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,8 @@ def run_campaign(machine: Machine, track: Track, plan: Matched, wanted: Campaign
     cell, every = machine.cell, max(1, round(hz / wanted.log_hz))
     own, belt = _own_force(machine), cell.wheel.belt_speed
     passes = [int(k) for k in np.unique(plan.run[plan.run >= 0])]
-    first = grind(machine, track, plan, Conditions(own, belt))
-    recorded, clock, ground = [decimated(first, every)], 0.0, _ground(plan, passes, {})
+    first = grind(machine, track, plan, Conditions(own, belt, clock=wanted.clock))
+    recorded, clock, ground = [decimated(first, every)], wanted.clock, _ground(plan, passes, {})
 
     def another(setpoint: float, speed: float, some: list[int], contact: bool = True) -> Grinding:
         nonlocal clock, ground
