@@ -1,8 +1,9 @@
 """Library-free features: what an effect nobody catalogued would look like, by where it enters and what it varies with.
 
 Each kernel is a handful of smooth functions of one condition (or two) that enter the readings at one joint's angle, as a tilt
-of its axis, as a displacement of the instrument's frame, or as the reading itself. They are tested like effects (same
-projection, same evidence); a condition that wins although the library was offered speaks for an effect outside it.
+of its axis, as a displacement of the instrument's frame, along or across the instrument's beam, or as the reading itself. They
+are tested like effects (same projection, same evidence); a condition that wins although the library was offered speaks for an
+effect outside it.
 """
 
 from collections.abc import Iterator
@@ -10,26 +11,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ocp.diagnosis.features import SMOOTH, groups, products, smooth, unit, waves, waves_of_two
 from ocp.diagnosis.system import Conditions
-from robots.measurements import Index
 from robots.pose import Array
 
-SMOOTH = 7  # cosines over a condition's range
-TILTED = 5  # of them for each direction of a tilting axis
-SOFT = 4.0  # wave number at which their prior has fallen to half
+TILTED = 5  # cosines for each direction of a tilting axis
 LEAST_TURN = np.radians(20.0)  # an axis that moved less varies with nothing
+LEAST_TORQUE = 1.0  # N m: loads that change less bend nothing
 ORDERS_OF_TWO = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (2, 3))  # waves per turn of a joint and of another one
+INSTANTS = 7  # at which a nest may move
 RIPPLES = np.arange(2.5, 121.0)  # half-integer orders per turn: integers are the library's
 JOINT_RANGE = (2e-5, 5e-4)  # rad, typical low and high of an angle error
+TILT_RANGE = (1e-5, 3e-4)  # rad, of an axis under load or warmth
 FRAME_RANGE = (2e-5, 5e-4)  # m, of a displacement
 FORCE_RANGE = (0.2, 5.0)  # N, of a force reading
+BEAM = ("range", "azimuth", "elevation")
 _SCALAR = ("s", "feed", "setpoint", "travel", "belt", "clock", "time", "temperature", "wheel_temperature", "run", "line")
 
 
 @dataclass(frozen=True)
 class Kernel:
     """Features (n, V, m) of unit size in gap units (k components): changes (n, k, V, m) SI; where: the condition; source:
-    joint, axis, frame or reading; joint (0: none); typical low and high of its size in `unit`."""
+    joint, axis, frame, beam or reading; joint (0: none); typical low and high of its size in `unit`."""
 
     where: str
     source: str
@@ -48,13 +51,14 @@ def kernels(c: Conditions) -> Iterator[Kernel]:
                     changes = c.d_joints[:, :, j, None, None] * features[:, None]
                     yield Kernel(where, "joint", j + 1, changes, *JOINT_RANGE)
                 if c.d_tilts is not None:
-                    yield _wobble(c, c.d_tilts, j)
+                    yield from _of_axis(c, c.d_tilts[:, :, j], j)
     n, k = c.q.shape[0], 3 if c.d_joints is None else c.d_joints.shape[1]
     if c.signal == "tracker":
         for where, features in _of_frame(c):
-            m = features.shape[1]
-            changes = (np.eye(3)[None, :, :, None] * features[:, None, None, :]).reshape(n, 3, 1, 3 * m)
-            yield Kernel(where, "frame", 0, changes, *FRAME_RANGE)
+            yield Kernel(where, "frame", 0, _each(np.broadcast_to(np.eye(3), (n, 3, 3)), features)[:, :, None], *FRAME_RANGE)
+        yield from _of_nests(c)
+        if c.point is not None:
+            yield from _of_beam(c.point)
     elif c.signal == "force":
         for where, features in _of_reading(c):
             changes = np.zeros((n, k, 1, features.shape[1]))
@@ -62,43 +66,75 @@ def kernels(c: Conditions) -> Iterator[Kernel]:
             yield Kernel(where, "reading", 0, changes, *FORCE_RANGE)
 
 
-def _wobble(c: Conditions, d_tilts: Array, j: int) -> Kernel:
-    """The axis of joint j tilts as it turns: bearings, a base plate that is not flat."""
-    features = smooth(c.q[:, j], TILTED)
-    changes = (d_tilts[:, :, j, :, None] * features[:, None, None, :]).reshape(len(c.q), d_tilts.shape[1], 1, -1)
-    return Kernel(f"q{j + 1}", "axis", j + 1, changes, *JOINT_RANGE)
-
-
 def _of_joint(c: Conditions, j: int) -> Iterator[tuple[str, Array]]:
     """Features (n, V, m) of joint j (0..5), by what they vary with."""
     name, q = j + 1, c.q[:, j]
+    tau = c.tau[:, j] if c.tau is not None and np.ptp(c.tau[:, j]) > LEAST_TORQUE else None
     yield f"q{name}", smooth(q)[:, None]
     yield f"ripple{name}", np.stack([np.cos(RIPPLES * q[:, None]), np.sin(RIPPLES * q[:, None])], axis=2)
     if c.approach is not None and np.ptp(c.approach[:, j]) > 0:
         sign = c.approach[:, j]
         turns = np.stack([np.column_stack([np.ones(len(q)), np.cos(k * q), np.sin(k * q)]) for k in (1, 2)], axis=1)
         yield f"approach{name}", sign[:, None, None] * turns
+        if tau is not None:
+            yield f"approach{name} x tau{name}", (sign[:, None] * _powers(tau))[:, None]
     if c.gear_ratio is not None and np.isfinite(c.gear_ratio[j]):
         phase = np.outer(q, c.gear_ratio[j] * np.arange(1, 4))
         yield f"motor{name}", np.hstack([np.cos(phase), np.sin(phase)])[:, None]
-    if c.tau is not None and np.ptp(c.tau[:, j]) > 1.0:
-        yield f"tau{name}", smooth(c.tau[:, j], 3)[:, None]
+    if tau is not None:
+        yield f"tau{name}", smooth(tau, 3)[:, None]
     for i in range(6):
         if i != j and np.ptp(c.q[:, i]) > LEAST_TURN:
-            yield f"q{name} x q{i + 1}", np.stack([_products(q, c.q[:, i], *k) for k in ORDERS_OF_TWO], axis=1)
+            yield f"q{name} x q{i + 1}", np.stack([waves_of_two(q, c.q[:, i], *k) for k in ORDERS_OF_TWO], axis=1)
+            if c.signal == "tracker":
+                yield f"q{i + 1}", smooth(c.q[:, i], 3)[:, None]
     for where, values in (("temperature", c.temperature), ("time", _time(c))):
         if values is not None and np.ptp(values) > 0:
             yield f"{where}{name}", smooth(values, 3)[:, None]
+            if c.signal == "tracker":
+                yield f"{where} x q{name}", products(smooth(values, 2), waves(q))[:, None]
+                if tau is not None:
+                    yield f"{where} x tau{name}", products(smooth(values, 2), _powers(tau)[:, :2])[:, None]
     indicator = groups(c.payload)
     if indicator is not None:
         yield f"payload{name}", indicator[:, None]
+        if c.signal == "tracker":
+            yield f"payload x q{name}", products(indicator, waves(q))[:, None]
 
 
-def _products(q: Array, other: Array, a: int, b: int) -> Array:
-    """Waves (n, 4) of two angles, a per turn of the first times b per turn of the second."""
-    one = np.column_stack([np.cos(a * q), np.sin(a * q)])
-    two = np.column_stack([np.cos(b * other), np.sin(b * other)])
-    return (one[:, :, None] * two[:, None, :]).reshape(len(q), 4)
+def _of_axis(c: Conditions, d_tilt: Array, j: int) -> Iterator[Kernel]:
+    """Tilts of the axis of joint j about the two directions across it, d_tilt (n, k, 4): as it turns (bearings, a base plate that
+    is not flat; directions that stand still in the link before), with the weight's moment across it, with warmth, time and
+    payload (directions that stand still, or turn with the joint)."""
+    name = j + 1
+    still, turning = d_tilt[:, :, :2], d_tilt[:, :, 2:]
+    yield Kernel(f"q{name}", "axis", name, _each(still, smooth(c.q[:, j], TILTED))[:, :, None], *JOINT_RANGE)
+    if c.moments is not None and np.ptp(c.moments[:, j]) > LEAST_TORQUE:
+        yield Kernel(f"moment{name}", "axis", name, _each(still, unit(c.moments[:, j]))[:, :, None], *TILT_RANGE)
+    slow = (("temperature", c.temperature), ("time", _time(c)))
+    varying = [(where, smooth(values, 2)) for where, values in slow if values is not None and np.ptp(values) > 0]
+    indicator = groups(c.payload)
+    for where, features in varying + ([("payload", indicator)] if indicator is not None else []):
+        changes = np.stack([_each(d, features) for d in (still, turning)], axis=2)
+        yield Kernel(f"{where}{name}", "axis", name, changes, *TILT_RANGE)
+
+
+def _of_beam(point: Array) -> Iterator[Kernel]:
+    """The instrument's own errors at points (n, 3) m in its frame: along the beam or across it, each a function of range,
+    azimuth or elevation; angles show with the distance, here over its mean."""
+    flat = np.linalg.norm(point[:, :2], axis=1)
+    distance = np.linalg.norm(point, axis=1)
+    along = point / distance[:, None]
+    aside = np.column_stack([-point[:, 1], point[:, 0], np.zeros(len(point))]) / flat[:, None]
+    upward = np.cross(along, aside)
+    directions = along, aside * (flat / flat.mean())[:, None], upward * (distance / distance.mean())[:, None]
+    turned = np.arctan2(point[:, 1], point[:, 0])
+    middle = np.arctan2(np.sin(turned).mean(), np.cos(turned).mean())
+    azimuth = np.angle(np.exp(1j * (turned - middle)))
+    for where, values in zip(BEAM, (distance, azimuth, np.arctan2(point[:, 2], flat)), strict=True):
+        features = smooth(values, 4)
+        changes = np.stack([d[:, :, None] * features[:, None] for d in directions], axis=2)
+        yield Kernel(where, "beam", 0, changes, *FRAME_RANGE)
 
 
 def _of_frame(c: Conditions) -> Iterator[tuple[str, Array]]:
@@ -110,9 +146,17 @@ def _of_frame(c: Conditions) -> Iterator[tuple[str, Array]]:
         indicator = groups(index)
         if indicator is not None:
             yield where, indicator
+
+
+def _of_nests(c: Conditions) -> Iterator[Kernel]:
+    """One nest moves, sooner or later: each nest and instant a variant."""
     time, nests = _time(c), groups(c.target, centred=False)
     if time is not None and nests is not None and np.ptp(time) > 0:
-        yield "target x time", (nests[:, :, None] * smooth(time, 2)[:, None, :]).reshape(len(time), -1)
+        still = np.broadcast_to(np.eye(3), (len(time), 3, 3))
+        instants = np.quantile(time, np.arange(1, INSTANTS + 1) / (INSTANTS + 1))
+        moved = [nest * (time > at) for nest in nests.T for at in instants]
+        changes = np.stack([_each(still, one[:, None]) for one in moved], axis=2)
+        yield Kernel("target x time", "frame", 0, changes, *FRAME_RANGE)
 
 
 def _of_reading(c: Conditions) -> Iterator[tuple[str, Array]]:
@@ -133,21 +177,13 @@ def _time(c: Conditions) -> Array | None:
     return c.clock if c.clock is not None else c.time
 
 
-def smooth(values: Array, count: int = SMOOTH) -> Array:
-    """Cosines (n, count) over the range of values, falling with their wave number; the constant is left out."""
-    span = float(np.ptp(values)) or 1.0
-    x = (values - values.min()) / span
-    k = np.arange(1, count + 1)
-    return np.asarray(np.cos(np.pi * k * x[:, None]) / (1.0 + (k / SOFT) ** 2))
+def _powers(values: Array) -> Array:
+    """First to third power (n, 3) of values over their largest size."""
+    x = unit(values)
+    return np.column_stack([x, x**2, x**3])
 
 
-def groups(index: Array | Index | None, centred: bool = True) -> Array | None:
-    """Indicators (n, g - 1) of all groups but the largest, or None where there is one group; centred about their means."""
-    if index is None:
-        return None
-    kinds, counts = np.unique(index, return_counts=True)
-    if len(kinds) < 2:
-        return None
-    kept = np.delete(kinds, np.argmax(counts)) if centred else kinds
-    indicator = (np.asarray(index)[:, None] == kept).astype(float)
-    return indicator - indicator.mean(axis=0) if centred else indicator
+def _each(directions: Array, features: Array) -> Array:
+    """Every direction (n, k, d) with every feature (n, m): (n, k, d m)."""
+    n, k, _ = directions.shape
+    return np.asarray((directions[:, :, :, None] * features[:, None, None, :]).reshape(n, k, -1))

@@ -42,7 +42,7 @@ def of_kernel(name: Name) -> Location:
     signal, where, source = name.effect[1:].split("/")
     if source in ("joint", "axis"):
         subsystem = "joint"
-    elif source == "frame":
+    elif source in ("frame", "beam"):
         subsystem = SUBSYSTEM.get(where, "tracker")
     else:
         subsystem = READING.get(where, "sensor")

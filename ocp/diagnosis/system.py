@@ -32,7 +32,9 @@ class Conditions:
     line, session, station (n,) integers; s (n,) m along the pass; feed m/s, setpoint N, belt m/s; contact (n,) bool; tau (n,
     6) N m load torque; travel (n,) sign of the motion along the pass; d_joints (n, k, 6): derivative of the
     prediction in the six joint angles, SI per rad (k components of a reading), for kernels and spectra in joint angles; d_tilts
-    (n, k, 6, 2): in tilts of the six axes about the two directions across them that stand still in the link before.
+    (n, k, 6, 4): in tilts of the six axes about the two directions across them that stand still in the link before, and the two
+    that turn with the joint; moments (n, 6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in
+    the instrument's frame.
     """
 
     signal: str
@@ -59,6 +61,8 @@ class Conditions:
     travel: Array | None = None
     d_joints: Array | None = None
     d_tilts: Array | None = None
+    moments: Array | None = None
+    point: Array | None = None
     gear_ratio: Array | None = None
 
 

@@ -53,6 +53,7 @@ def budget(problem: Problem, tests: list[KernelTest], explained: Given) -> list[
     lines = []
     for t in tests:
         share = float(np.clip(t.gained / max(excess, least), 0.0, 1.0))
-        where = t.where if t.source not in ("joint", "axis") or t.joint == 0 or str(t.joint) in t.where else f"{t.where}{t.joint}"
+        elsewhere = t.joint and t.source in ("joint", "axis") and str(t.joint) not in t.where
+        where = f"{t.where} at joint {t.joint}" if elsewhere else t.where
         lines.append(BudgetLine(t.channel, where, share, t.p_value))
     return sorted(lines, key=lambda b: -b.share)

@@ -11,6 +11,7 @@ from ocp.effects.effect import Active, Effect, Scanned
 from ocp.effects.evaluate import TrackerRows, arm_columns, tracker_columns
 from robots.calibration.layout import State
 from robots.calibration.reading_model import RowInputs
+from robots.gravity import GRAVITY
 from robots.measurements import Index, Instrument, Readings
 from robots.pose import Array
 from robots.robot import Robot
@@ -78,14 +79,40 @@ class Seen:
 
     @cached_property
     def tilts(self) -> Array:
-        """Displacement (n, 3, 6, 2) m/rad in the tracker's frame when axis j tilts about x and y of the link before it."""
-        out = np.zeros((len(self), 3, 6, 2))
+        """Displacement (n, 3, 6, 4) m/rad in the tracker's frame when axis j tilts about x and y of the link before it, and about
+        the same two turned with the joint."""
+        out = np.zeros((len(self), 3, 6, 4))
         for rows, on, arm in self.groups:
             frames = arm.block("frames").reshape(-1, 7, 3, 4)
             for j in range(min(on, 6)):
                 lever = self.base_point[rows] - frames[:, j, :, 3]
-                for k in range(2):
-                    out[rows, :, j, k] = np.einsum("nij,nj->ni", self.turns[rows], np.cross(frames[:, j, :, k], lever))
+                z, turned = frames[:, j, :, 2], frames[:, j + 1, :, 0]
+                across = turned - np.sum(turned * z, axis=1, keepdims=True) * z
+                across /= np.linalg.norm(across, axis=1, keepdims=True)
+                for k, about in enumerate((frames[:, j, :, 0], frames[:, j, :, 1], across, np.cross(z, across))):
+                    out[rows, :, j, k] = np.einsum("nij,nj->ni", self.turns[rows], np.cross(about, lever))
+        return out
+
+    @cached_property
+    def moments(self) -> Array:
+        """Moments (n, 6, 2) N m of all weight beyond axis j about x and y of the link before it, at the axis' origin."""
+        out = np.zeros((len(self), 6, 2))
+        for rows, _, arm in self.groups:
+            frames = arm.block("frames").reshape(-1, 7, 3, 4)
+            payload = arm.block("payload")
+            masses = [(payload[:, 0], frames[:, 6, :, :3] @ payload[:, 1:4, None])]
+            masses += [
+                (np.full(len(rows), self.robot.link_mass[i]), frames[:, i, :, :3] @ self.robot.link_com[i][:, None])
+                for i in range(6, 0, -1)
+            ]
+            total, moment = np.zeros(len(rows)), np.zeros((len(rows), 3))  # mass and its first moment about the base
+            links = (6, 6, 5, 4, 3, 2, 1)
+            for (mass, centre), link in zip(masses, links, strict=True):
+                total = total + mass
+                moment = moment + mass[:, None] * (centre[:, :, 0] + frames[:, link, :, 3])
+                lever = moment - total[:, None] * frames[:, link - 1, :, 3]
+                weight = GRAVITY * np.column_stack([-lever[:, 1], lever[:, 0], np.zeros(len(rows))])
+                out[rows, link - 1] = np.einsum("ni,nik->nk", weight, frames[:, link - 1, :, :2])
         return out
 
     @cached_property
