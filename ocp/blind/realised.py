@@ -1,4 +1,8 @@
-"""How far the gap shrank at conditions that nobody had measured, against what could have been reached."""
+"""How far the gap shrank at conditions that nobody had measured, against what could have been reached.
+
+The truth is free of noise, as in the sealed truths of FORMATS' worlds: noise^2 = 0 in G^2 = max(0, mean square - noise^2), and G is
+the rms itself. Repeatability is noise; ripple and play, the same whenever an axis comes back, are not.
+"""
 
 import tempfile
 from dataclasses import dataclass
@@ -14,8 +18,6 @@ from ocp.diagnosis.channels import channels_of
 from ocp.diagnosis.dataset import read_data_set, read_sealed_tracker
 from ocp.twin.planting import Planted
 from robots.pose import Array
-
-NULL = 0.2  # of the noise: a smaller gap is none to speak of (FORMATS)
 
 
 @dataclass(frozen=True)

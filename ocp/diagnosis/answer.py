@@ -69,7 +69,7 @@ def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequ
         # Nothing is named that this signal shows, so nothing changes.
         return NONE if realised(square, 0.0, after.noise_floor**2) is not None else None
     if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel):
-        return from_model(anticipated(before, after), held, (after.noise_floor / SCALE[after.unit]) ** 2)
+        return from_model(anticipated(before, after, diagnosis.alternatives), held, (after.noise_floor / SCALE[after.unit]) ** 2)
     return from_folds(held, estimation_variance(after, active_columns(after)))
 
 

@@ -14,9 +14,10 @@ from ocp.diagnosis.channels import channels_of
 from ocp.diagnosis.corrected import write_corrected_cell
 from ocp.diagnosis.dataset import read_data_set, read_sealed_force, read_sealed_tracker
 from ocp.diagnosis.document import document_of
+from ocp.diagnosis.findings import Alternative
 from ocp.diagnosis.json_out import json_text
 from ocp.diagnosis.next_experiment import next_experiments
-from ocp.diagnosis.predictions import write_force_predictions, write_tracker_predictions
+from ocp.diagnosis.predictions import averaged, write_force_predictions, write_tracker_predictions
 from ocp.diagnosis.search import diagnose
 from ocp.diagnosis.system import Channel, Sealed
 from ocp.effects.effect import Effect
@@ -27,6 +28,7 @@ from ocp.report.diagnosis_words import headline
 from robots.errors import BadInput
 
 _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
+LIKELY = 0.15  # probability of alternatives that force predictions follow: a refit of a force log takes seconds
 NEVER = frozenset({"speed"})  # no column of readings at rest
 
 
@@ -60,13 +62,16 @@ def grouped(blind: Sequence[str]) -> list[str]:
 
 
 def predict_sealed(answer: Answer) -> dict[str, Sealed]:
-    """Blind predictions by signal, the named effects in the corrected ones. Raises BadInput: sealed conditions malformed."""
+    """Blind predictions by signal, the named effects in the corrected ones, averaged over what else they may be. Raises BadInput:
+    sealed conditions malformed."""
     found: dict[str, Sealed] = {}
-    data, active = answer.data, answer.diagnosis.active
+    data, told = answer.data, answer.diagnosis.alternatives or (Alternative(1.0, answer.diagnosis.active),)
     for signal in data.sealed:
         channel = _of(answer.diagnosis.channels, signal)
         sealed = read_sealed_tracker(data) if signal == "tracker" else read_sealed_force(data)
-        found[signal] = channel.predict(sealed, active)
+        least = 0.0 if signal == "tracker" else LIKELY
+        kept = [told[0], *(a for a in told[1:] if a.probability >= least)]
+        found[signal] = averaged([(a.probability, channel.predict(sealed, a.active)) for a in kept])
     return found
 
 

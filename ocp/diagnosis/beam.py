@@ -12,7 +12,7 @@ FIRSTS = 30  # families that are tried as the first of a pair with every other
 SINGLES, PAIRS = 20, 24  # that are weighed exactly
 GROWN = 4  # families that are tried to be added to a set, or put in a member's place
 LINES = 4  # background lines of a set at most
-TELLING = 1.5  # log weight that a background line must gain to be looked at
+TELLING = 0.5  # log weight that a background line must gain to be looked at
 NEAR = 8.0  # sets this much (log) below the best are not grown
 Key = frozenset[int]
 
@@ -142,6 +142,8 @@ class Search:
 
     def _promising(self, there: Weighed, key: Key) -> list[int]:
         value = self._value(self.scan(there), key)
+        if self.kernel[list(key)].any():
+            value[self.kernel] = -np.inf  # one unknown effect is enough
         return [int(f) for f in np.argsort(-value)[:GROWN] if np.isfinite(value[f])]
 
     def _value(self, found: Scan, key: Key = frozenset()) -> Array:

@@ -6,18 +6,20 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import f as f_distribution
 
+from ocp.diagnosis.alternatives import Weights, alternatives
 from ocp.diagnosis.beam import Search, Weighed
 from ocp.diagnosis.classes import merged, threshold, twins
-from ocp.diagnosis.families import names_of
+from ocp.diagnosis.families import names_of, rival_of, stacked_columns
 from ocp.diagnosis.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnosis.location import of_effect, of_kernel, of_tests
-from ocp.diagnosis.pool import Given, given
+from ocp.diagnosis.pool import Family, Given, given
 from ocp.diagnosis.probabilities import SURE, Names, Posterior, posterior
 from ocp.diagnosis.problem import Problem
 from ocp.diagnosis.spectrum import spectra
 from ocp.diagnosis.system import Channel, HeldOut
 from ocp.diagnosis.tests_without_library import budget, kernel_tests
 from ocp.diagnosis.unknown import cancelling, implausible, impostors
+from ocp.diagnosis.visible import needed
 from ocp.effects.effect import Active, Effect
 from robots.pose import Array
 
@@ -38,7 +40,8 @@ def findings(
     weighed, best = leader(search, found)
     active = problem.values(weighed)
     signatures = [signature(problem, weighed, a) for a in active]
-    classes = declared(problem, weighed, active, signatures)
+    ranked = ranking(problem, search, found)
+    classes = declared(problem, weighed, active, signatures) if active else suspected(problem, search, ranked)
     channels = accepted(baseline, problem, active)
     held = held_out(channels, active) if options.folds and active else {}
     false = impostors(channels, active, held)
@@ -54,7 +57,7 @@ def findings(
     after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
     return Diagnosis(
         explanations=explanations(probability, found, classes),
-        ranking=ranking(problem, search, found),
+        ranking=ranked,
         active=kept,
         p_none=found.p_none,
         p_unknown=p_unknown,
@@ -71,6 +74,7 @@ def findings(
         baseline=baseline,
         channels=channels,
         held_out=held,
+        alternatives=alternatives(problem, search, found, Weights(probability, found.p_none, p_unknown), (weighed, best), kept),
     )
 
 
@@ -123,6 +127,18 @@ def declared(
         member = next(m for m in weighed.members if m.family == index[name])
         found.append((name, *twins(problem, weighed, member, d)))
     return merged(found)
+
+
+def suspected(problem: Problem, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:
+    """Class of the first name of the ranking, where nothing is accepted: too weak to be sure of, it may still be measured again,
+    and that under any name of its class."""
+    if not ranked or ranked[0].detectability < threshold(ranked[0].active.effect.size):
+        return ()
+    name = ranked[0].name
+    f = problem.index[name]
+    weighed = max((s for k, s in search.seen.items() if f in k), key=lambda s: s.log)
+    member = next(m for m in weighed.members if m.family == f)
+    return merged([(name, *twins(problem, weighed, member, signature(problem, weighed, ranked[0].active)))])
 
 
 def doubted(found: Posterior, best: Names, suspect: bool) -> tuple[dict[Names, float], float]:
@@ -197,10 +213,22 @@ def screened(problem: Problem) -> tuple[Screened, ...]:
         best = int(np.argmax(gained))
         ratio = gained[best] / g.m / max((total - gained[best]) / (pool.freedom - g.m), 1e-9)
         p = float(f_distribution.sf(ratio, g.m, pool.freedom - g.m))
-        price = threshold(g.m) + 2 * np.log(V)
-        smallest = float(np.sqrt(price / max(np.trace(G[best]) / g.m, 1e-12)))
-        found.append(Screened(family.name, float(gained[best]), g.m, V, min(1.0, 1 - (1 - p) ** V), smallest, np.nan))
+        energy = float(np.trace(G[best])) / g.m
+        rival = rival_of(family.effect, family.name.joint, family.scans)
+        price = needed(energy, g.m, family.sizes, family.log_odds, V, int(family.positive.sum()), rival)
+        smallest = float(np.sqrt(price / max(energy, 1e-12)))
+        left = share_left(problem, family, best, energy * g.m)
+        found.append(Screened(family.name, float(gained[best]), g.m, V, min(1.0, 1 - (1 - p) ** V), smallest, left))
     return tuple(sorted(found, key=lambda s: s.p_value))
+
+
+def share_left(problem: Problem, family: Family, variant: int, projected: float) -> float:
+    """Share of lambda that the nuisance leaves of a family's signature; projected: mean square over its coefficients with it."""
+    if family.effect is None:
+        return np.nan
+    columns, scans = stacked_columns(problem.channels, family.effect, family.name.joint, [family.scans[variant]])
+    whole = float(np.sum((columns[:, 0] * family.scale) ** 2)) if scans else 0.0
+    return projected / whole if whole > 0 else np.nan
 
 
 def blind(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """Before any data: what a planned measurement could see of every effect, and what it cannot (docs/diagnose.md, eq. 4).
 
 The planned readings make the same linear system as measured ones would. An effect of relative size t (share of the usual upper
-end, mean over its coefficients) has the detectability t^2 |M C|^2 / m; it is named with confidence above 10.5, 12.7, 14.2 for
-one, two, three coefficients (DIAGNOSIS, method 5), more by 2 ln(number of variants) where a value is scanned.
+end, mean over its coefficients) has the detectability t^2 |M C|^2 / m; it is named nine times of ten above what
+`ocp.diagnosis.visible` says, for this many variants and against the background of a good machine.
 """
 
 from collections.abc import Sequence
@@ -12,10 +12,14 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
+from ocp.diagnosis.evidence import size_grid
+from ocp.diagnosis.families import log_odds, positive_of, ratio_of, rival_of
+from ocp.diagnosis.findings import Options
 from ocp.diagnosis.planned import foreseen
 from ocp.diagnosis.projection import project
 from ocp.diagnosis.tracker.channel import TrackerChannel
 from ocp.diagnosis.tracker.refit import Held, Task, looked
+from ocp.diagnosis.visible import needed
 from ocp.effects.effect import Effect, Parameter
 from ocp.effects.library import library
 from ocp.measuring.setup import TrackerSetup, read_tracker_setup
@@ -28,7 +32,7 @@ from robots.measurements import Readings, read_readings
 from robots.pose import Array
 from robots.robot import Robot
 
-NEEDED = {1: 10.5, 2: 12.7, 3: 14.2}
+USUAL = Options()
 POSES, FULL = 50, 150  # the plan looked at where none is given; the campaign held against it
 WARMED = 8.0  # K over the full campaign
 DURATION = 3.0 * 3600.0  # s of it
@@ -69,15 +73,16 @@ def design_lines(setup: TrackerSetup, readings: Readings) -> list[Line]:
     channel = planned_channel(setup, readings)
     system = channel.system
     projection = project(system.nuisance, system.prior_sd)
+    known = [e for e in library().values() if e.on_arm or e.reading is not None]
+    kinds = sum(not channel.blind(e) for e in known)
     found = []
-    for effect in library().values():
-        if not (effect.on_arm or effect.reading is not None):
-            continue
+    for effect in known:
         blind = channel.blind(effect)
         for joint in effect.places:
             if effect.joints and joint == 0:
                 continue  # a delay of all joints is nothing that a reading at rest sees
-            found.append(Line(effect, joint, np.inf if blind else _smallest(channel, projection.apply, effect, joint), blind))
+            seen = np.inf if blind else _smallest(channel, projection.apply, effect, joint, kinds)
+            found.append(Line(effect, joint, seen, blind))
     return found
 
 
@@ -130,7 +135,7 @@ def _postures(robot: Robot, count: int, seed: int) -> Array:
     return q[forward(robot, q)[:, 2, 3] > LOW][:count]
 
 
-def _smallest(channel: TrackerChannel, project_out: object, effect: Effect, joint: int) -> float:
+def _smallest(channel: TrackerChannel, project_out: object, effect: Effect, joint: int, kinds: int) -> float:
     """Share of the usual upper end from which the effect is named."""
     scans = list(effect.scan(joint, channel.surroundings))
     if not scans:
@@ -141,8 +146,11 @@ def _smallest(channel: TrackerChannel, project_out: object, effect: Effect, join
         columns = project_out(variant.columns * variant.prior_sd)  # type: ignore[operator]
         energies.append(float((columns**2).sum()) / effect.size)
     energy = float(np.median(energies)) if energies else 0.0
-    needed = NEEDED.get(effect.size, NEEDED[3]) + 2.0 * np.log(len(scans))
-    return float(np.sqrt(needed / energy)) if energy > 1e-9 else np.inf
+    if energy < 1e-9:
+        return np.inf
+    odds, positive = log_odds(effect, kinds, USUAL), int(positive_of(effect).sum())
+    sizes, rival = size_grid(ratio_of(effect, scans)), rival_of(effect, joint, scans)
+    return float(np.sqrt(needed(energy, effect.size, sizes, odds, len(scans), positive, rival) / energy))
 
 
 def _told(what: str, own: Sequence[Line], full: Sequence[Line]) -> str:

@@ -10,18 +10,24 @@ from ocp.diagnosis.findings import Name, Options
 from ocp.diagnosis.pool import Family
 from ocp.diagnosis.projection import Stack
 from ocp.diagnosis.system import Channel, scan_key
+from ocp.diagnosis.visible import Rival
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
 
 RIPPLE = 0.28  # of the lower end of the typical range: one sigma of a good gear's ripple, which nobody should name
 PLAY = np.array([0.07, 0.15, 0.28, 0.4])  # of the lower end of backlash's range: sizes of a good machine's play
-LINE = float(np.log(0.5))  # prior odds of a ripple of that size in a joint
+# Prior odds of a ripple of that size in a joint, and of such play. Every machine has some; the smaller these odds the sooner an
+# effect just above it is named, and the more machines without one are accused: of 150 virtual ones with a background none is
+# (docs/diagnosis.md, "Background").
+LINE = float(np.log(0.04))
+PLAYS = float(np.log(0.09))
 LEAST = 4.0  # lambda at the upper end below which a variant cannot be seen: its evidence would be its prior
 
 
 def names_of(library: Mapping[str, Effect], options: Options) -> list[tuple[Effect, int]]:
-    """Every effect at every joint it may have."""
-    return [(e, j) for n, e in library.items() if n not in options.withheld for j in (e.joints or (0,))]
+    """Every effect at every joint it may have, impostors left out."""
+    places = [(e, j) for n, e in library.items() if n not in options.withheld for j in (e.joints or (0,))]
+    return [(e, j) for e, j in places if Name(e.name, j) not in options.barred]
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,7 @@ def play(found: Sequence[Candidate], stack: Stack) -> list[Family]:
     m = columns.shape[1]
     return [
         Family(
-            Name("~play"), None, ({},), stack.apply(columns)[:, None], np.ones(m), PLAY, np.zeros(m, bool), LINE, background=True
+            Name("~play"), None, ({},), stack.apply(columns)[:, None], np.ones(m), PLAY, np.ones(m, bool), PLAYS, background=True
         )
     ]  # fmt: skip
 
@@ -75,11 +81,11 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options)
         seen = ((projected * np.asarray(c.effect.prior_sd)) ** 2).sum(axis=0).max(axis=1) > LEAST
         if not seen.any():
             continue
-        log_odds = float(np.log(options.prior_effects / kinds / len(c.effect.places)))
         kept = tuple(s for s, k in zip(c.scans, seen, strict=True) if k)
-        family = family_of(c.effect, c.joint, kept, projected if seen.all() else projected[:, seen], log_odds)
+        odds = log_odds(c.effect, kinds, options)
+        family = family_of(c.effect, c.joint, kept, projected if seen.all() else projected[:, seen], odds)
         families.append(family)
-        if len(kept) > 1 and c.joint and "amplitude_rad" in {p.key for p in c.effect.parameters}:
+        if has_twin(c.effect, c.joint, kept):
             small = np.full(SIZES, RIPPLE * ratio_of(c.effect, kept))
             families.append(
                 replace(family, name=Name(f"~{c.effect.name}", c.joint), effect=None, sizes=small, log_odds=LINE, background=True)
@@ -87,12 +93,31 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options)
     return families + play(found, stack)
 
 
-def family_of(effect: Effect, joint: int, scans: Sequence[Scanned], projected: Array, log_odds: float) -> Family:
+def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | None:
+    """What of the background takes an effect's gap: its own twin below the usual range, or play in all joints."""
+    if has_twin(effect, joint, scans):
+        return Rival(np.full(SIZES, RIPPLE * ratio_of(effect, scans)), LINE, 0, len(scans))
+    if joint and "approach" in effect.needs:
+        return Rival(PLAY * ratio_of(effect, scans), PLAYS, 6 - effect.size, 1)
+    return None
+
+
+def has_twin(effect: Effect, joint: int, scans: Sequence[Scanned]) -> bool:
+    """Whether every machine has a little of it: ripples of many orders."""
+    return len(scans) > 1 and joint > 0 and "amplitude_rad" in {p.key for p in effect.parameters}
+
+
+def log_odds(effect: Effect, kinds: int, options: Options) -> float:
+    """Prior odds of an effect at one joint, `kinds` effects being possible."""
+    return float(np.log(options.prior_effects / kinds / len(effect.places)))
+
+
+def family_of(effect: Effect, joint: int, scans: Sequence[Scanned], projected: Array, odds: float) -> Family:
     """A family from projected columns (N, V, m) per unit coefficient."""
     scale = np.asarray(effect.prior_sd, float)
     return Family(
         Name(effect.name, joint), effect, tuple(scans), projected * scale, scale,
-        size_grid(ratio_of(effect, scans)), positive_of(effect), log_odds,
+        size_grid(ratio_of(effect, scans)), positive_of(effect), odds,
     )  # fmt: skip
 
 
@@ -103,8 +128,10 @@ def ratio_of(effect: Effect, scans: Sequence[Scanned]) -> float:
 
 
 def positive_of(effect: Effect) -> Array:
-    """Coefficients (m,) that are parameters themselves and may not be negative."""
+    """Coefficients (m,) that may not be negative: those that are an unsigned parameter, and the share of the only one."""
     unsigned = {p.key for p in effect.parameters if not p.signed and p.length == 1}
+    if effect.coefficients == ("share",) and len(effect.parameters) == 1:
+        return np.array([bool(unsigned)])
     return np.array([c in unsigned for c in effect.coefficients])
 
 

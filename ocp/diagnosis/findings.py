@@ -25,18 +25,19 @@ class Name:
 class Options:
     """How to search.
 
-    most: effects of an explanation at most; beam: explanations kept while growing; draws of the Monte-Carlo nulls; seed;
+    most: effects of an explanation at most; beam: explanations kept while growing; seed;
     prior_effects: effects expected in a data set before it is seen; prior_unknown: probability of one outside the catalogue;
-    withheld: names of effects left out of the library (leave-one-effect-out); where, folds: whether to compute those parts.
+    withheld: names of effects left out of the library (leave-one-effect-out); barred: effects and joints that were shown to be
+    impostors; where, folds: whether to compute those parts.
     """
 
     most: int = 4
     beam: int = 6
-    draws: int = 400
     seed: int = 0
-    prior_effects: float = 0.4
+    prior_effects: float = 0.3
     prior_unknown: float = 0.05
     withheld: tuple[str, ...] = ()
+    barred: tuple[Name, ...] = ()
     where: bool = True
     folds: bool = True
 
@@ -49,6 +50,14 @@ class Explanation:
     names: tuple[Name, ...]
     probability: float
     log_evidence: float
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Effects with their values that may be the truth, and the probability that they are; none: the baseline stands."""
+
+    probability: float
+    active: tuple[Active, ...]
 
 
 @dataclass(frozen=True)
@@ -67,7 +76,7 @@ class Ranked:
 class Screened:
     """What the score test says of an effect before anything is accepted: lambda gained, degrees of freedom, variants tried,
     p-value with the look-elsewhere price; smallest value (share of the typical upper end) that would be seen; share of its
-    signature that the nuisance leaves."""
+    signature's lambda that the nuisance leaves."""
 
     name: Name
     gained: float
@@ -133,7 +142,8 @@ class Diagnosis:
     effects with values and covariance (of the best explanation; empty for none). classes: names that these data cannot tell
     apart. kernels, spectrum: of the baseline's gap; left_over: kernel tests after the accepted effects. impostors: accepted
     terms that hurt where the data are extrapolated, with the fold that says so. unknown_because: what speaks for an effect
-    outside the catalogue. baseline, channels: before and after the accepted effects. held_out: by channel name.
+    outside the catalogue. baseline, channels: before and after the accepted effects. held_out: by channel name. alternatives:
+    what predictions average over, `active` first; empty: `active` alone.
     """
 
     explanations: tuple[Explanation, ...]
@@ -154,6 +164,7 @@ class Diagnosis:
     baseline: tuple[Channel, ...]
     channels: tuple[Channel, ...]
     held_out: dict[str, tuple[HeldOut, ...]] = field(default_factory=dict)
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def verdict(self) -> str:

@@ -17,6 +17,7 @@ from robots.pose import Array
 
 TILTED = 5  # cosines for each direction of a tilting axis
 LEAST_TURN = np.radians(20.0)  # an axis that moved less varies with nothing
+SETTLING = (20.0, 60.0, 200.0)  # s: how fast an axis may come to rest after its stop
 LEAST_TORQUE = 1.0  # N m: loads that change less bend nothing
 ORDERS_OF_TWO = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (2, 3))  # waves per turn of a joint and of another one
 INSTANTS = 7  # at which a nest may move
@@ -78,6 +79,8 @@ def _of_joint(c: Conditions, j: int) -> Iterator[tuple[str, Array]]:
         yield f"approach{name}", sign[:, None, None] * turns
         if tau is not None:
             yield f"approach{name} x tau{name}", (sign[:, None] * _powers(tau))[:, None]
+        if c.signal == "tracker" and c.time is not None:
+            yield f"approach{name} x wait", (sign[:, None] * _rest(c.time))[:, :, None]
     if c.gear_ratio is not None and np.isfinite(c.gear_ratio[j]):
         phase = np.outer(q, c.gear_ratio[j] * np.arange(1, 4))
         yield f"motor{name}", np.hstack([np.cos(phase), np.sin(phase)])[:, None]
@@ -175,6 +178,14 @@ def _of_reading(c: Conditions) -> Iterator[tuple[str, Array]]:
 
 def _time(c: Conditions) -> Array | None:
     return c.clock if c.clock is not None else c.time
+
+
+def _rest(time: Array) -> Array:
+    """What is left (n, V) of the motion to each reading, which began at the reading before, after settling for so long."""
+    order = np.argsort(time, kind="stable")
+    waited = np.empty_like(time)
+    waited[order] = np.diff(time[order], prepend=-np.inf)
+    return np.exp(-waited[:, None] / np.array(SETTLING))
 
 
 def _powers(values: Array) -> Array:

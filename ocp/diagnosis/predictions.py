@@ -10,6 +10,15 @@ from ocp.diagnosis.system import Sealed
 from robots.pose import Array
 
 
+def averaged(parts: Sequence[tuple[float, Sealed]]) -> Sealed:
+    """Corrected predictions of several alternatives by their probabilities, sigma with what they differ by; the baseline is
+    that of the first."""
+    total = sum(p for p, _ in parts)
+    corrected = sum(p * s.corrected for p, s in parts) / total
+    variance = sum(p * (s.sigma**2 + (s.corrected - corrected) ** 2) for p, s in parts) / total
+    return Sealed(parts[0][1].baseline, np.asarray(corrected), np.sqrt(variance))
+
+
 def write_tracker_predictions(path: Path, sealed: Sealed) -> None:
     """x, y, z in mm of the baseline, of the corrected model and its one sigma; sealed holds m."""
     axes = [f"{c}_mm" for c in "xyz"]

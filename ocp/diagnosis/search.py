@@ -1,14 +1,19 @@
 """The main entry of the diagnosis: search, accept, refit, linearise anew, until the best explanation stands.
 
+What then hurts where the data are extrapolated is an impostor: it is barred, and the search begins anew without it.
+
 One-shot screening names spurious companions of strong effects (their second order, and a noise level that still holds them), so
 one effect at most is accepted between two refits, and what was accepted may be dropped or exchanged at every later one.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
 from ocp.diagnosis.beam import Key, Search, Weighed
-from ocp.diagnosis.conclusions import findings
+from ocp.diagnosis.conclusions import SUSPECT, findings
 from ocp.diagnosis.findings import Diagnosis, Name, Options
 from ocp.diagnosis.problem import Problem, make_problem
 from ocp.diagnosis.refine import refined
@@ -17,6 +22,7 @@ from ocp.effects.effect import Active, Effect, Scanned
 
 USUAL = Options()
 BENEFIT = 8.0  # log evidence by which a kernel must beat every name to keep it out of the fit
+ROUNDS = 5  # of unmasking impostors
 MOST = 1000  # readings that are searched; what is found is fitted to all
 
 
@@ -32,9 +38,29 @@ def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options
     """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
     baseline = tuple(c.with_active(()) if c.active else c for c in channels)
     few = tuple(c.thinned(MOST) if isinstance(c, Thinnable) else c for c in baseline)
-    first = make_problem(few, library, options)
-    problem, search = settle(first, library, options)
-    return findings(baseline, first, problem, search, library, options)
+    told: list[tuple[Name, str]] = []
+    because: list[str] = []
+    for _ in range(ROUNDS):
+        first = make_problem(few, library, options)
+        problem, search = settle(first, library, options)
+        found = findings(baseline, first, problem, search, library, options)
+        if not found.impostors:
+            break
+        told += found.impostors
+        because += found.unknown_because
+        options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
+    return _unmasked(found, told, because) if told else found
+
+
+def _unmasked(found: Diagnosis, told: Sequence[tuple[Name, str]], because: Sequence[str]) -> Diagnosis:
+    """Findings without the impostors that earlier rounds showed: what they fitted so well is there all the same, and most of the
+    probability goes to 'none of these'."""
+    impostors = tuple(dict(told).items())
+    share = 0.0 if found.impostors else SUSPECT  # the last round has moved its own
+    moved = share * (1.0 - found.p_none - found.p_unknown)
+    kept = tuple(replace(e, probability=(1.0 - share) * e.probability) for e in found.explanations)
+    whys = tuple(dict.fromkeys((*because, *found.unknown_because)))
+    return replace(found, explanations=kept, p_unknown=found.p_unknown + moved, impostors=impostors, unknown_because=whys)
 
 
 def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> tuple[Problem, Search]:
@@ -57,16 +83,17 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
 
 
 def choose(search: Search, limit: int) -> Weighed:
-    """The best set of at most `limit` members, or the best of all where none so small beats having none.
+    """The best set of at most `limit` names, or the best of all where none so small beats having none.
 
     A name that is nearly as good as a kernel is taken first: once it is fitted the noise level no longer holds it, and both
-    compete again.
+    compete again. Beside a kernel, too, at most `limit` names are taken at once.
     """
+    names = {k: np.count_nonzero(~search.kernel[list(k)] & ~search.background[list(k)]) for k in search.seen}
     known = [k for k in search.seen if not search.kernel[list(k)].any()]
-    best = _best(search, [k for k in known if len(k) <= limit])
-    if not best:
+    best = _best(search, [k for k in known if names[k] <= limit])
+    if not names[best]:
         best = _best(search, known)
-    overall = _best(search, search.seen)
+    overall = _best(search, [k for k in search.seen if names[k] <= limit])
     return search.seen[best if search.seen[best].log > search.seen[overall].log - BENEFIT else overall]
 
 

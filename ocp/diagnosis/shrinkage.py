@@ -11,21 +11,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
+from scipy.stats import norm
 
-from ocp.diagnosis.anticipated import Group
+from ocp.diagnosis.anticipated import Anticipated
 from ocp.diagnosis.system import HeldOut
 from robots.pose import Array
 
 NULL = 0.2  # of the noise: a gap below it is none to speak of (FORMATS)
 LEVEL = 0.9  # of the interval
-DRAWS = 2000
+DRAWS = 1000
 STRETCHES = 60  # parts of a fold that are drawn as wholes
 NEW = 0.25  # weight of extrapolation folds among the draws
 WORST = -1.0  # a shrinkage below this says no more than "harmful"
-# Share of the joint noise that is the same whenever an axis comes back: beta distributed, 0.4 on average, 0.07 to 0.8. On 24
-# worlds of the virtual arm it was 0.20 to 0.50; what repeats say of it was uncorrelated with what it was.
-LASTING = (1.5, 2.2)
-UNSURE = 0.3  # one sigma of the logarithm of the parameters' variance
+WHOLE, REST = 0.9, 0.25  # probability that nothing is unexplained; of the noise's mean square, what else is
+# Dirichlet weights of payloads in new readings: one half is Jeffreys' for an unknown mixture, and what is new is rather a payload
+# that was not measured than one that was.
+MEASURED, UNMEASURED = 0.5, 1.0
 _ROWS = ("before_rows", "after_rows", "noise_rows")
 
 
@@ -50,19 +52,50 @@ def realised(before: float, after: float, noise: float) -> float | None:
     return float(1.0 - np.sqrt(max(after - noise, 0.0) / gap))
 
 
-def from_model(groups: Sequence[Group], held: Sequence[HeldOut], noise: float, seed: int = 0) -> Shrinkage | None:
-    """Of tracker readings: one group a payload, folds for what the effects leave unexplained, noise: mean square m^2. The mixture
-    of payloads, the share of joint noise that lasts and the parameters' variance are drawn. None: no gap to speak of."""
+def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: int = 0) -> Shrinkage | None:
+    """Of tracker readings: what is anticipated, folds for what the effects leave unexplained, noise: mean square m^2. Drawn are
+    which alternative is true, payloads and temperature, postures, parameters' errors and the joints' lasting errors. None: no
+    gap to speak of."""
     rng = np.random.default_rng(seed)
-    moved, estimation, joints = (np.array([getattr(g, k) for g in groups]) for k in ("moved", "estimation", "noise"))
-    mixture = rng.dirichlet(np.ones(len(groups)), DRAWS)
-    lasting = rng.beta(*LASTING, DRAWS)
-    left = mixture @ estimation * np.exp(UNSURE * rng.normal(size=DRAWS)) + lasting * (mixture @ joints)
-    after = left + _unexplained(held, float(estimation.mean()))
-    gap = after + mixture @ moved
-    if np.median(gap) <= NULL**2 * noise:
+    errors = _errors(new.covariance, rng)
+    lasting = new.lasting[rng.integers(len(new.lasting), size=DRAWS)]
+    true = rng.choice(len(new.probability), DRAWS, p=new.probability)
+    after, before = np.zeros(DRAWS), np.zeros(DRAWS)
+    for share, g in zip(_conditions(new, rng).T, new.groups, strict=True):
+        n = g.errors.shape[0]
+        off = (errors @ g.errors.reshape(3 * n, -1).T).reshape(-1, n, 3)
+        rows = share[:, None] * rng.dirichlet(np.ones(n), DRAWS)  # postures drawn anew (Rubin 1981, the Bayesian bootstrap)
+        joints = lasting @ g.joints.T
+        told = np.tensordot(new.probability, g.moved, 1)
+        after += np.sum(rows * (np.sum((told - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
+        before += np.sum(rows * (np.sum((off - g.moved[true]) ** 2, axis=2) + joints), axis=1)
+    rest = _unexplained(held, _estimation(new), rng)
+    if np.median(before + rest) <= NULL**2 * noise:
         return None
-    return _interval(1.0 - np.sqrt(after / gap))
+    return _interval(1.0 - np.sqrt((after + rest) / (before + rest)))
+
+
+def _estimation(new: Anticipated) -> float:
+    """Mean square m^2 that the parameters' errors leave."""
+    each = [np.einsum("nij,jk,nik->n", g.errors, new.covariance, g.errors, optimize=True).mean() for g in new.groups]
+    return float(np.mean(each))
+
+
+def _errors(covariance: Array, rng: np.random.Generator) -> Array:
+    """Draws (k, p) of the parameters' errors; by eigenvectors, as free frames and small coefficients differ by many powers."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(rng.normal(size=(DRAWS, len(scale))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T * scale)
+
+
+def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:
+    """Draws (k, g) of the share of every group: payloads mixed, one temperature at a time."""
+    names = list(dict.fromkeys(g.payload for g in new.groups))
+    mixture = rng.dirichlet([MEASURED if n in new.measured else UNMEASURED for n in names], DRAWS)
+    of = np.array([names.index(g.payload) for g in new.groups])
+    rank = np.array([np.sum(of[:i] == p) for i, p in enumerate(of)])  # of the temperature
+    chosen = rng.integers(rank.max() + 1, size=DRAWS)
+    return np.asarray(mixture[:, of] * (rank == chosen[:, None]))
 
 
 def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shrinkage | None:
@@ -94,15 +127,22 @@ def _interval(draws: Array) -> Shrinkage:
     return Shrinkage(float(middle), float(low), float(high))
 
 
-def _unexplained(held: Sequence[HeldOut], estimation: float) -> float:
-    """Mean square m^2 by which readings left out at random are worse than noise and estimation make them, less chance:
-    x times x^2 / (x^2 + se^2)."""
-    rows = [h.after_rows - h.noise_rows for h in held if h.fold.kind == "random"]
+def _unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Generator) -> Array:
+    """Draws (k,) of the mean square m^2 by which something is unexplained: nothing with prior probability `WHOLE`, else an
+    exponential about `REST` of the noise, given how much worse than noise and estimation make them random folds are."""
+    rows = [(h.after_rows - h.noise_rows, h.noise_rows) for h in held if h.fold.kind == "random"]
     if not rows:
-        return 0.0
-    excess = np.concatenate(rows)
-    x, error = float(excess.mean()) - 1.25 * estimation, float(excess.std()) / len(excess) ** 0.5  # fitted to four fifths
-    return x**3 / (x**2 + error**2) if x > 0 else 0.0
+        return np.zeros(DRAWS)
+    excess, noise = (np.concatenate(part) for part in zip(*rows, strict=True))
+    told = float(excess.mean()) - 1.25 * estimation  # fitted to four fifths of the readings
+    error, scale = max(float(excess.std()) / len(excess) ** 0.5, 1e-300), REST * float(noise.mean())
+    # A normal likelihood times an exponential prior is a normal about `centre`, cut at zero.
+    centre = told - error**2 / scale
+    log = 0.5 * (centre / error) ** 2 + float(norm.logcdf(centre / error)) + np.log(error / scale) + 0.5 * np.log(2 * np.pi)
+    there = expit(log + np.log((1 - WHOLE) / WHOLE))
+    uniform = rng.uniform(size=DRAWS)
+    size = centre - error * norm.ppf(norm.cdf(centre / error) * (1.0 - uniform))
+    return np.where(rng.uniform(size=DRAWS) < there, np.maximum(size, 0.0), 0.0)
 
 
 def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float) -> float | None:

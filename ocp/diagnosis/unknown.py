@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ocp.diagnosis.families import positive_of
 from ocp.diagnosis.findings import Name
 from ocp.diagnosis.system import Channel, HeldOut
 from ocp.effects.effect import Active
@@ -28,10 +29,10 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
         sd = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
         if (np.abs(one.a) - 2 * sd > IMPLAUSIBLE * upper).any():
             found.append((Name(one.effect.name, one.joint), "its value is over three times what real cells show"))
-        unsigned = {p.key for p in one.effect.parameters if not p.signed}
-        for a, s, key in zip(one.a, sd, one.effect.coefficients, strict=True):
-            if key in unsigned and a < -3 * s:
-                found.append((Name(one.effect.name, one.joint), f"{key} comes out with the wrong sign"))
+        for a, s, positive, key in zip(one.a, sd, positive_of(one.effect), one.effect.coefficients, strict=True):
+            if positive and a < -3 * s:
+                told = one.effect.parameters[0].key if key == "share" else key
+                found.append((Name(one.effect.name, one.joint), f"{told} comes out with the wrong sign"))
     return found
 
 

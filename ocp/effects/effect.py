@@ -45,9 +45,9 @@ class Surroundings:
 
     gear_ratio (6,) (nan unknown); q_range (6, 2) rad covered; time: sorted instants s of the readings on the campaign's clock;
     targets, payloads: names; step s: sampling step of logs; breaks: instants s on that clock between runs or sessions;
-    run_length s: longest run; length m: of the longest pass; lines: numbers of the lines ground; friction of the cell; robot: its
-    catalogue name; torque_max (6,) N m, stiffness (6,) N m/rad of the believed robot (None, 0: those of a KR 210 set the scale
-    of priors).
+    run_length s: longest run; length m: of the longest pass; lines: numbers of the lines ground; sides: mean outward normals
+    (3,), blade frame, of the sides ground; friction of the cell; robot: its catalogue name; torque_max (6,) N m, stiffness (6,)
+    N m/rad of the believed robot (None, 0: those of a KR 210 set the scale of priors).
     """
 
     gear_ratio: Array
@@ -63,6 +63,7 @@ class Surroundings:
     torque_max: Array | None = None
     stiffness: Array | None = None
     lines: tuple[float, ...] = ()
+    sides: tuple[tuple[float, float, float], ...] = ()
     friction: float = 0.35
 
 
