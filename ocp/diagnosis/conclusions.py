@@ -34,8 +34,10 @@ def findings(
     search: Search,
     library: Mapping[str, Effect],
     options: Options,
+    refused: Sequence[tuple[Name, str]] | None = None,
 ) -> Diagnosis:
-    """All of `Diagnosis`; baseline: all readings without effects; first: the linearisation before anything was accepted."""
+    """All of `Diagnosis`; baseline: all readings without effects; first: the linearisation before anything was accepted;
+    refused: impostors with their folds, where the names were chosen by held-out errors already."""
     found = posterior(problem, search)
     weighed, best = leader(search, found)
     active = problem.values(weighed)
@@ -44,7 +46,7 @@ def findings(
     classes = declared(problem, weighed, active, signatures) if active else suspected(problem, search, ranked)
     channels = accepted(baseline, problem, active)
     held = held_out(channels, active) if options.folds and active else {}
-    false = impostors(channels, active, held)
+    false = impostors(channels, active, held) if refused is None else []
     doubts = [*implausible(active), *cancelling([Name(a.effect.name, a.joint) for a in active], signatures)]
     probability, p_unknown = doubted(found, best, bool(doubts or false))
     if false:  # what hurts stays out of the corrected model
@@ -68,8 +70,9 @@ def findings(
         left_over=tuple(after),
         spectrum=tuple(spectra(problem, problem.pool.y, options.seed)) if options.where else (),
         screened=screened(first),
-        impostors=tuple(false),
-        unknown_because=tuple(f"{n}: {why}" for n, why in doubts) + tuple(f"{n}: hurts where {f} is left out" for n, f in false),
+        impostors=tuple(false if refused is None else refused),
+        unknown_because=tuple(f"{n}: {why}" for n, why in doubts)
+        + tuple(f"{n}: hurts where {f} is left out" for n, f in refused or false),
         blind=blind(baseline, library, options),
         baseline=baseline,
         channels=channels,
@@ -164,8 +167,8 @@ def explanations(
 
 
 def ranking(problem: Problem, search: Search, found: Posterior) -> tuple[Ranked, ...]:
-    """Names by probability to a hundredth, then by the evidence for them against their absence (not against their being in the
-    background), with their values in the best set that has them."""
+    """Names by probability to a hundredth, then, where they are probable, by how much of the gap is theirs, else by the evidence
+    for them against their absence (not against their being in the background); values are those of the best set that has them."""
     told = []
     for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < 0.5, -found.gain[n]))[:RANKED]:
         f = problem.index[name]
@@ -173,7 +176,7 @@ def ranking(problem: Problem, search: Search, found: Posterior) -> tuple[Ranked,
         one = next(a for a in problem.values(search.seen[key]) if (a.effect.name, a.joint) == (name.effect, name.joint))
         d = signature(problem, search.seen[key], one)
         told.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
-    return tuple(sorted(told, key=lambda r: -round(r.probability, 2)))
+    return tuple(sorted(told, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > 0.5 else 0.0)))
 
 
 def held_out(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:

@@ -15,8 +15,10 @@ import numpy as np
 from ocp.diagnosis.beam import Key, Search, Weighed
 from ocp.diagnosis.conclusions import SUSPECT, findings
 from ocp.diagnosis.findings import Diagnosis, Name, Options
+from ocp.diagnosis.probabilities import posterior
 from ocp.diagnosis.problem import Problem, make_problem
 from ocp.diagnosis.refine import refined
+from ocp.diagnosis.structured import earn, restless
 from ocp.diagnosis.system import Channel, scan_key
 from ocp.effects.effect import Active, Effect, Scanned
 
@@ -43,6 +45,9 @@ def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options
     for _ in range(ROUNDS):
         first = make_problem(few, library, options)
         problem, search = settle(first, library, options)
+        if posterior(problem, search).p_unknown > 0.5 and restless(problem, search):
+            earning = earn(few[0], library, options)
+            return findings(baseline, first, earning.problem, earning.search, library, options, earning.refused)
         found = findings(baseline, first, problem, search, library, options)
         if not found.impostors:
             break
