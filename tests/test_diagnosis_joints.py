@@ -7,12 +7,11 @@ import pytest
 from diagnosis_folder import joint_columns, write_csv
 from simulated_campaign import EXTRA, PAYLOADS
 
-from ocp.diagnosis.anticipated import Group
 from ocp.diagnosis.joints.channel import ARCSEC, joint_channel
 from ocp.diagnosis.joints.kr300 import write_data_set
 from ocp.diagnosis.joints.log import read_joint_log
 from ocp.diagnosis.joints.noise import BLOCK, Noise, covariance, factors, whiten
-from ocp.diagnosis.shrinkage import from_folds, from_model, realised
+from ocp.diagnosis.shrinkage import from_folds, realised
 from ocp.diagnosis.system import Fold, HeldOut
 from ocp.effects.effect import Active
 from ocp.effects.library import library
@@ -127,15 +126,3 @@ def test_a_condition_that_is_new_widens_the_promise():
 def test_no_gap_has_no_shrinkage():
     assert from_folds([held(0.0, 0.0)], 0.0) is None
     assert realised(1.03, 1.0, 1.0) is None and realised(2.0, 1.0, 1.0) == 1.0
-
-
-def test_what_the_effects_move_and_what_remains_make_the_promise():
-    # Nothing lasts but errors of estimation: 1 - sqrt(E / (E + D)).
-    found = from_model([Group("a", 24.0, 1.0, 0.0)], [], 1.0)
-    assert found.predicted == pytest.approx(0.8, abs=0.01) and found.high - found.low < 0.12
-    lasting = from_model([Group("a", 24.0, 1.0, 5.0)], [], 1.0)
-    assert lasting.low < 0.6 < found.low and lasting.predicted < found.low
-    # Payloads that behave differently widen it, an unexplained rest lowers it, and a hair of a gap has none.
-    assert from_model([Group("a", 99.0, 1.0, 0.0), Group("b", 0.0, 1.0, 0.0)], [], 1.0).low < 0.7
-    assert from_model([Group("a", 24.0, 1.0, 0.0)], [held(25.0, 9.0)], 1.0).high < 0.6
-    assert from_model([Group("a", 1e-3, 1e-3, 0.0)], [], 1.0) is None

@@ -1,7 +1,7 @@
 """How far the gap shrank at conditions that nobody had measured, against what could have been reached.
 
-The truth is free of noise, as in the sealed truths of FORMATS' worlds: noise^2 = 0 in G^2 = max(0, mean square - noise^2), and G is
-the rms itself. Repeatability is noise; ripple and play, the same whenever an axis comes back, are not.
+The truth is free of noise, as in the sealed truths of FORMATS' worlds: noise^2 = 0 in G^2 = max(0, mean square - noise^2) and G
+is the rms itself. Repeatability is noise; ripple and play, the same whenever an axis comes back, are not.
 """
 
 import tempfile

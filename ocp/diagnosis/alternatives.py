@@ -19,6 +19,7 @@ from ocp.diagnosis.problem import Problem
 from ocp.effects.effect import Active, Scanned
 
 LEAST = 0.03  # probability below which an alternative is not followed
+BESIDE = 0.5  # probability that a name beside an effect outside the catalogue is right where nobody measured
 MOST = 5  # alternatives beside the accepted one
 
 
@@ -51,8 +52,9 @@ def alternatives(
         whole = weights.explanations.get(names, 0.0)
         told += _variants(problem, weighed, active, whole)
         told.append(Alternative(weights.unknown, ()))
-    else:  # what is sure beside an effect outside the catalogue
-        told += _variants(problem, weighed, active, weights.unknown)
+    else:  # what is sure beside an effect outside the catalogue, which it may still imitate in part
+        told += _variants(problem, weighed, active, BESIDE * weights.unknown)
+        told.append(Alternative((1.0 - BESIDE) * weights.unknown, ()))
     told.append(Alternative(weights.none, ()))
     for other, p in sorted(weights.explanations.items(), key=lambda item: -item[1])[: MOST + 1]:
         if other != names and p >= LEAST:

@@ -40,7 +40,9 @@ def imitated(pool: Pool, signature: Array, family: int) -> tuple[float, int]:
 def twins(problem: Problem, weighed: Weighed, member: Member, signature: Array) -> list[Name]:
     """Names that these data cannot tell from a member of a set with this signature (N,), the others of the set as they are."""
     pool = problem.pool
-    others = [Member(m.family, m.variant, 1.0) for m in weighed.members if m.family != member.family]
+    # Background stays as small as it was found: at an effect's size it would take the effect's place.
+    sizes = {m.family: m.size if pool.families[m.family].background else 1.0 for m in weighed.members}
+    others = [Member(m.family, m.variant, sizes[m.family]) for m in weighed.members if m.family != member.family]
     there = given(pool, others)
     d = signature - there.U @ ((1.0 - np.sqrt(1.0 - there.take)) * (there.U.T @ signature))
     size = float(d @ d)

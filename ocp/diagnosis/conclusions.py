@@ -16,7 +16,7 @@ from ocp.diagnosis.pool import Family, Given, given
 from ocp.diagnosis.probabilities import SURE, Names, Posterior, posterior
 from ocp.diagnosis.problem import Problem
 from ocp.diagnosis.spectrum import spectra
-from ocp.diagnosis.system import Channel, HeldOut
+from ocp.diagnosis.system import Channel, HeldOut, kinds
 from ocp.diagnosis.tests_without_library import budget, kernel_tests
 from ocp.diagnosis.unknown import cancelling, implausible, impostors
 from ocp.diagnosis.visible import needed
@@ -105,8 +105,8 @@ def accepted(baseline: Sequence[Channel], problem: Problem, active: tuple[Active
     """Channels of all readings with the effects active; those of the search where they are that already."""
     found = []
     for whole, searched in zip(baseline, problem.channels, strict=True):
-        visible = {(a.effect.name, a.joint) for a in active if not whole.blind(a.effect)}
-        same = {(a.effect.name, a.joint) for a in searched.active} == visible and len(searched.gap()) == len(whole.gap())
+        visible = tuple(a for a in active if not whole.blind(a.effect))
+        same = kinds(searched.active) == kinds(visible) and len(searched.gap()) == len(whole.gap())
         found.append(searched if same else whole.with_active(active))
     return tuple(found)
 

@@ -29,6 +29,7 @@ SHORT = 12  # candidates of a round that are judged on folds, those that gain mo
 LEAST = 0.02  # of the mean log mean square (1 % of the rms) that a further effect must gain
 WORSE = 1.25  # mean square of a fold against that of the believed cell: above it a candidate is refused
 Mask = NDArray[np.bool_]
+TURNED = 0.15  # the same, more, for a value whose sign no machine has: then a sign or the mounting is not as believed
 WIDE = 3.0  # times the upper end of the usual range: one sigma of coefficients here, so that the data decide
 
 
@@ -65,13 +66,15 @@ class Earned:
 
 @dataclass(frozen=True)
 class Entry:
-    """A candidate at its best variant: columns (N, m) in units of the usual upper ends `scale` (m,), gain on all readings."""
+    """A candidate at its best variant: columns (N, m) in units of the usual upper ends `scale` (m,), gain on all readings;
+    turned: its value has a sign that no machine has."""
 
     name: Name
     scanned: Scanned
     columns: Array
     scale: Array
     gain: float
+    turned: bool
 
 
 @dataclass(frozen=True)
@@ -98,8 +101,10 @@ def earned(system: System, candidates: Sequence[Candidate], folds: Sequence[Fold
         ratios = [_ratios(system, apart, [*chosen, *choice], believed) for choice in choices]
         told = [float(np.mean(np.log(r))) for r in ratios]
         bar = scores[-1] if scores else 0.0
-        fine = [k for k, r in enumerate(ratios) if r.max() < WORSE and told[k] < bar - LEAST * len(choices[k])]
-        best = min(fine, key=lambda k: told[k], default=-1)
+        price = [TURNED * sum(e.turned for e in choice) for choice in choices]
+        wanted = [bar - LEAST * len(choice) - p for choice, p in zip(choices, price, strict=True)]
+        fine = [k for k, r in enumerate(ratios) if r.max() < WORSE and told[k] < wanted[k]]
+        best = min(fine, key=lambda k: told[k] + price[k], default=-1)
         gain = max(e.gain for e in choices[best]) if fine else 0.0
         for entry, r in zip(short, ratios, strict=False):  # singles come first among the choices
             if entry.gain > gain and r.max() >= WORSE:
@@ -175,7 +180,7 @@ def _solved(C: Array, y: Array) -> Array:
 
 
 def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candidate], chosen: Sequence[Entry]) -> list[Entry]:
-    """What gains most on all readings beside what is chosen, the largest first; no values that no machine shows."""
+    """What gains most on all readings beside what is chosen, the largest first; no values over three times what is usual."""
     fitted = _fitted(system, chosen)
     Q = np.linalg.qr(fitted[:, 1:])[0]
     left = fitted[:, 0] - Q @ (Q.T @ fitted[:, 0])
@@ -189,11 +194,11 @@ def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candi
         beside = (X.reshape(n, -1) - Q @ (Q.T @ X.reshape(n, -1))).reshape(n, V, m)
         G, b = np.einsum("nvi,nvj->vij", beside, beside) + np.eye(m) / WIDE**2, np.einsum("nvi,n->vi", beside, left)
         a = np.linalg.solve(G, b[..., None])[..., 0]
-        wrong = (a < 0)[:, positive_of(c.effect)].any(axis=1) | (np.abs(a) > IMPLAUSIBLE).any(axis=1)
-        gain = np.where(wrong, 0.0, np.einsum("vi,vi->v", a, b))
+        gain = np.where((np.abs(a) > IMPLAUSIBLE).any(axis=1), 0.0, np.einsum("vi,vi->v", a, b))
         v = int(np.argmax(gain))
+        turned = bool((a[v] < 0)[positive_of(c.effect)].any())
         if gain[v] > 0:
-            found.append(Entry(name, c.scans[v], c.columns[:, v] * _scale(c), _scale(c), float(gain[v])))
+            found.append(Entry(name, c.scans[v], c.columns[:, v] * _scale(c), _scale(c), float(gain[v]), turned))
     return sorted(found, key=lambda e: -e.gain)[:SHORT]
 
 

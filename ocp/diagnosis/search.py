@@ -19,8 +19,8 @@ from ocp.diagnosis.probabilities import posterior
 from ocp.diagnosis.problem import Problem, make_problem
 from ocp.diagnosis.refine import refined
 from ocp.diagnosis.structured import earn, restless
-from ocp.diagnosis.system import Channel, scan_key
-from ocp.effects.effect import Active, Effect, Scanned
+from ocp.diagnosis.system import Channel, kinds
+from ocp.effects.effect import Active, Effect
 
 USUAL = Options()
 BENEFIT = 8.0  # log evidence by which a kernel must beat every name to keep it out of the fit
@@ -80,9 +80,9 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
         held = problem.channels[0].active if len(problem.channels) == 1 else _all_active(problem.channels)
         best = choose(search, len(held) + 1)
         chosen = refined(problem, best, problem.values(best))
-        if _same(chosen, held) or _signature(chosen) in tried:
+        if kinds(chosen) in tried | {kinds(held)}:
             return problem, search
-        tried.add(_signature(chosen))
+        tried.add(kinds(chosen))
         seeds = [problem.names(k) for k in search.best()]
         problem = make_problem([c.with_active(chosen) for c in problem.channels], library, options)
 
@@ -110,16 +110,3 @@ def _all_active(channels: Sequence[Channel]) -> tuple[Active, ...]:
     """Effects active in any channel, once each."""
     found = {(a.effect.name, a.joint): a for c in channels for a in c.active}
     return tuple(found.values())
-
-
-def _signature(active: Sequence[Active]) -> tuple[object, ...]:
-    return tuple(sorted((a.effect.name, a.joint, repr(scan_key(_rounded(a.scanned)))) for a in active))
-
-
-def _rounded(scanned: Scanned) -> Scanned:
-    """Scanned values to two digits: finer ones are no other effect."""
-    return {k: float(f"{v:.2g}") if isinstance(v, float) else v for k, v in scanned.items()}
-
-
-def _same(one: Sequence[Active], other: Sequence[Active]) -> bool:
-    return _signature(one) == _signature(other)

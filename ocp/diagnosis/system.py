@@ -109,6 +109,15 @@ def scan_key(scanned: Scanned) -> tuple[Any, ...]:
     return tuple((k, plain(scanned[k])) for k in sorted(scanned))
 
 
+def kinds(active: Sequence[Active]) -> tuple[Any, ...]:
+    """Effects, joints and scanned values, numbers to two digits (finer ones are no other effect), whatever their order."""
+
+    def rounded(scanned: Scanned) -> Scanned:
+        return {k: float(f"{v:.2g}") if isinstance(v, float) else v for k, v in scanned.items()}
+
+    return tuple(sorted((a.effect.name, a.joint, repr(scan_key(rounded(a.scanned)))) for a in active))
+
+
 @dataclass(frozen=True)
 class Fold:
     """Readings to leave out: held (n,) bool. kind: "random" and "block" are interpolation, every other kind (payload,

@@ -1,0 +1,57 @@
+"""Names that data cannot tell apart, on columns of numbers: nested forms, and a background that looks like one of them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from ocp.diagnosis.beam import Weighed
+from ocp.diagnosis.classes import merged, twins
+from ocp.diagnosis.evidence import posterior
+from ocp.diagnosis.findings import Name
+from ocp.diagnosis.pool import Family, Member, make_pool
+from ocp.effects.library import library
+
+N, LONG = 400, 30.0  # rows; length of a column at its prior's upper end, in noises
+SIZES = np.array([0.1, 0.3, 1.0])
+RNG = np.random.default_rng(4)
+SIGN = RNG.choice([-1.0, 1.0], N)
+LOAD = SIGN * RNG.uniform(0.2, 1.0, N)
+PLAY = np.column_stack([SIGN, *RNG.choice([-1.0, 1.0], (5, N))])
+BACKLASH = Name("backlash", 2)
+
+
+def family(name: str, columns, background: bool = False) -> Family:
+    """Columns (N, m) of one variant."""
+    m = columns.shape[1]
+    scaled = LONG * columns[:, None] / np.sqrt(N)
+    effect = None if background else library()["backlash"]
+    return Family(Name(name, 2), effect, ({},), scaled, np.ones(m), SIZES, np.zeros(m, bool), -3.0, background=background)
+
+
+def declared(slope: float, play: float = 0.0) -> list[Name]:
+    """Twins of a windup of base 0.8 and this slope with the load (shares of the upper end), alone or beside the play of all
+    joints, a twelfth of an effect's size."""
+    y = LONG / np.sqrt(N) * (0.8 * SIGN + slope * LOAD + play * PLAY[:, 1:].sum(axis=1))
+    y = y + np.random.default_rng(0).normal(size=N)
+    windup = np.column_stack([SIGN, LOAD])
+    others = [family("backlash", SIGN[:, None]), family("~play", PLAY, True), family("other", PLAY[:, 2:3])]
+    pool = make_pool(y, N, [family("windup", windup), *others])
+    members = [Member(0, 0, 1.0), *([Member(2, 0, 0.08)] if play else [])]
+    C = np.hstack([pool.columns(m) for m in members])
+    a, _ = posterior(C, y, np.repeat([m.size for m in members], [2, 6][: len(members)]))
+    return twins(SimpleNamespace(pool=pool), Weighed(0.0, tuple(members)), members[0], C[:, :2] @ a[:2])
+
+
+def test_a_form_and_what_it_holds_are_one_class_until_the_difference_shows():
+    assert declared(0.0) == [BACKLASH]
+    assert declared(1.0) == []  # what backlash leaves of the load's share is 30 * 1.0 * 0.23 noises: lambda 48
+
+
+def test_a_small_background_does_not_take_the_place_of_an_effect():
+    assert declared(0.35, play=0.08) == [BACKLASH]
+
+
+def test_classes_that_share_a_name_are_one():
+    a, b, c, d = (Name(n) for n in "abcd")
+    assert merged([(a, b), (c, d), (b, c)]) == ((a, b, c, d),)
+    assert merged([(a,), (c, d)]) == ((c, d),)
