@@ -9,6 +9,7 @@ and the effect is named where log Z and its prior odds outweigh none and what th
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.stats import ncx2
@@ -16,7 +17,7 @@ from scipy.stats import ncx2
 from robots.pose import Array
 
 MISSED = 0.1  # share of data sets in which an effect of the told size is not named
-_LAMBDA = np.geomspace(3.0, 400.0, 120)
+_LAMBDA = np.geomspace(3.0, 400.0, 500)
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ def needed(
     energy: mean square g of its columns at the upper end; sizes (T,) and log_odds of its prior; variants that were scanned;
     positive: coefficients that physics holds positive.
     """
-    gain = ncx2.ppf(MISSED, coefficients, _LAMBDA)
+    gain = _percentile(coefficients)
     log = _evidence(gain, energy, coefficients, sizes, coefficients) - np.log(variants) + log_odds + positive * np.log(2.0)
     against = np.zeros_like(gain)
     if rival is not None:
@@ -46,6 +47,12 @@ def needed(
         against = np.logaddexp(0.0, taken + rival.log_odds)
     named = np.flatnonzero(log > against)
     return float(_LAMBDA[named[0]]) if len(named) else np.inf
+
+
+@lru_cache
+def _percentile(coefficients: int) -> Array:
+    """Gain (k,) that an effect of each detectability reaches nine times of ten."""
+    return np.asarray(ncx2.ppf(MISSED, coefficients, _LAMBDA))
 
 
 def _evidence(gain: Array, energy: float, coefficients: int, sizes: Array, paid: int) -> Array:
