@@ -4,19 +4,27 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ocp.diagnosis.answer import Answer, SignalGap, figures
-from ocp.diagnosis.findings import Name
+from ocp.diagnosis.findings import Name, Ranked
 from ocp.diagnosis.shrinkage import NONE
 from ocp.effects.library import library
 from ocp.report.calibration_words import Headline, listed
 
 SIGNALS = {"tracker": "the laser tracker's readings", "force": "the force readings", "joint": "the link-side encoders"}
 SHORT = {"tracker": "tracker", "force": "force", "joint": "link encoders"}
+LEAST_WAVES = 2.5  # a turn: slower ones are no ripple
 CERTAIN = 0.95  # marginal probability from which an effect is called certain where the whole is not settled
 VERDICTS = {
     "explained": "Explained.", "ambiguous": "Narrowed down, not settled.", "unexplained": "A gap that no known effect explains.",
     "no_gap": "No gap.",
 }  # fmt: skip
-DEPENDS = {"approach": "the direction of approach of joint", "q": "the angle of joint", "motor": "the motor angle of joint"}
+DEPENDS = {
+    "approach": "the direction of approach of joint", "q": "the angle of joint", "motor": "the motor angle of joint",
+    "tau": "the load of joint", "moment": "the weight's moment across the axis of joint",
+}  # fmt: skip
+PLAIN = {
+    "wait": "the time since the last reading", "range": "the distance from the tracker", "target": "the reflector nest",
+    "azimuth": "the tracker's azimuth", "elevation": "the tracker's elevation",
+}  # fmt: skip
 
 
 def effect_words(name: Name) -> str:
@@ -61,10 +69,9 @@ def _sentence(answer: Answer) -> str:
     if d.verdict == "no_gap":
         return f"{_levels(answer)}: what is left is what instruments and repeatability make. Sure to {percent(d.p_none)}."
     if d.verdict == "unexplained":
-        return (
-            f"It lies in {_place(answer)}{_with(answer)}. No effect of the catalogue fits; the chance that it is one outside is "
-            f"{percent(d.p_unknown)}."
-        )
+        fits = f"Beside {effects_words([r.name for r in named])} no" if (named := _sure(answer)) else "No"
+        chance = f"the chance that it is one outside is {percent(d.p_unknown)}"
+        return f"It lies in {_place(answer)}{_with(answer)}{_ripple(answer)}. {fits} effect of the catalogue fits; {chance}."
     best = d.explanations[0]
     what = _capital(effects_words(best.names))
     if d.verdict == "explained":
@@ -77,6 +84,21 @@ def _sentence(answer: Answer) -> str:
     else:
         first = f"{what} is the likeliest cause, with {percent(best.probability)}, but not settled"
     return f"{first}{_alternatives(answer, certain)}. {_levels(answer)}{_promise(answer)}."
+
+
+def _sure(answer: Answer) -> list[Ranked]:
+    """Names that stand for certain beside what is unknown, the largest first, three at most."""
+    active = {(a.effect.name, a.joint) for a in answer.diagnosis.active}
+    return [r for r in answer.diagnosis.ranking if r.probability >= CERTAIN and (r.name.effect, r.name.joint) in active][:3]
+
+
+def _ripple(answer: Answer) -> str:
+    """' (a ripple near 13.5 waves a turn)', where the spectrum of the joint that the gap lies in has a peak."""
+    d = answer.diagnosis
+    joint = d.location.joint if d.location else 0
+    peak = next((p for p in d.spectrum if p.joint == joint and p.p_value < 0.01), None)
+    goes = d.location is not None and d.location.depends_on == (f"q{joint}",)
+    return f" (a ripple near {peak.order:g} waves a turn)" if goes and peak is not None and peak.order >= LEAST_WAVES else ""
 
 
 def _alternatives(answer: Answer, certain: Sequence[Name]) -> str:
@@ -144,7 +166,7 @@ def _with(answer: Answer) -> str:
 def condition_words(name: str) -> str:
     """A condition in words: 'approach5' is the direction of approach of joint 5."""
     stem, digits = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
-    return f"{DEPENDS[stem]} {digits}" if digits and stem in DEPENDS else name.replace("_", " ")
+    return f"{DEPENDS[stem]} {digits}" if digits and stem in DEPENDS else PLAIN.get(name, name.replace("_", " "))
 
 
 def _what(answer: Answer) -> str:
