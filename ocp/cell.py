@@ -8,11 +8,11 @@ import numpy as np
 
 from ocp.cell_schema import CellTables, ConditionsTable, FlangeTable, PayloadTable, WheelTable, WorkpieceTable
 from ocp.effects.cell_effects import CellEffect, effect_of
-from ocp.toml_input import read_toml
 from robots.calibration.store import Calibration, read_calibration
 from robots.errors import BadInput
 from robots.pose import Array, transform_from_xyzabc
 from robots.robot import Robot, load_robot
+from robots.toml_input import read_toml
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,12 @@
 Nothing is converted here; `robots.robot` turns these tables into SI.
 """
 
-import math
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from robots.errors import BadInput
+from robots.toml_input import read_toml
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -138,37 +136,4 @@ def read_robot_tables(path: Path) -> RobotTables:
     unknown or missing key, wrong type or length, a number that is not finite or out of bounds, limits in the
     wrong order.
     """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of a robot file") from None
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{path}: not valid TOML: {error}; correct that line") from None
-    try:
-        return RobotTables.model_validate(data)
-    except ValidationError as error:
-        raise BadInput(_sentence(path, error, data)) from None
-
-
-def _sentence(path: Path, error: ValidationError, data: dict[str, Any]) -> str:
-    """The first fault as one sentence."""
-    fault = error.errors()[0]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(".")
-    kind, value = fault["type"], fault.get("input")
-    if kind == "extra_forbidden":
-        return f"{path}: unknown key '{key}' = {value!r}; remove it or correct its name"
-    if kind == "missing":
-        listed = fault["loc"] and isinstance(fault["loc"][-1], int)
-        what = "has too few numbers, one is missing" if listed else "is missing"
-        return f"{path}: key '{key}' {what}; add it in the form of robots/catalogue/kr210_r2700_extra.toml"
-    if kind == "value_error":
-        return f"{path}: [{key}] {fault['msg'].removeprefix('Value error, ')}"
-    if kind == "too_long" and isinstance(value, list | tuple):
-        expected = fault["ctx"]["max_length"]
-        return f"{path}: '{key}' has {len(value)} entries, expected {expected}; remove what is too much"
-    if isinstance(value, float) and not math.isfinite(value):
-        return f"{path}: '{key}' = {value}: not a finite number; write a number"
-    message = fault["msg"][0].lower() + fault["msg"][1:]
-    return f"{path}: '{key}' = {value!r}: {message}; correct the value"
+    return read_toml(path, RobotTables, "robot")

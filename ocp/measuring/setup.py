@@ -7,10 +7,10 @@ import numpy as np
 
 from ocp.cell import robot_of
 from ocp.cell_schema import CellTables, LinkTarget, TrackerTable
-from ocp.toml_input import read_toml
 from robots.measurements import Hanging, Instrument, Nest
 from robots.pose import rotation_from_abc
 from robots.robot import Robot
+from robots.toml_input import read_toml
 
 
 @dataclass(frozen=True)

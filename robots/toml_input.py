@@ -1,5 +1,6 @@
 """A TOML file checked against a schema, every fault told in one sentence with its line."""
 
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -12,15 +13,15 @@ from robots.errors import BadInput
 Schema = TypeVar("Schema", bound=BaseModel)
 
 
-def read_toml(path: Path, schema: type[Schema]) -> Schema:
-    """Read `path` and validate it as `schema`.
+def read_toml(path: Path, schema: type[Schema], what: str = "cell") -> Schema:
+    """Read `path` and validate it as `schema`; what: the kind of file that a path should have led to.
 
     Raises BadInput: file missing or unreadable, TOML syntax, unknown or missing key, wrong type, value out of bounds.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of an existing cell file") from None
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of an existing {what} file") from None
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
     try:
@@ -38,14 +39,20 @@ def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseMo
     fault = error.errors()[0]
     keys = [str(k) for k in fault["loc"] if not isinstance(k, int) and not _is_union_label(str(k))]
     index = next((k for k in fault["loc"] if isinstance(k, int)), None)
-    name = ".".join(keys) + (f"[{index}]" if index is not None else "")
+    parts = [f"[{k}]" if isinstance(k, int) else f".{k}" for k in fault["loc"] if not _is_union_label(str(k))]
+    name = "".join(parts).lstrip(".")
     where = f"{path}, line {_line_of(text, keys, index)}"
     given = fault.get("input")
     if fault["type"] == "extra_forbidden":
         known = _known_keys(schema, keys[:-1])
         return f"{where}: unknown key '{name}'; known here: {known}"
     if fault["type"] == "missing":
-        return f"{where}: key '{name}' is missing; add it"
+        short = " has too few numbers, one" if index is not None and fault["loc"][-1] == index else ""
+        return f"{where}: key '{name}'{short} is missing; add it"
+    if fault["type"] == "too_long" and isinstance(given, list | tuple):
+        return f"{where}: {name} has {len(given)} entries, expected {fault['ctx']['max_length']}; remove what is too much"
+    if isinstance(given, float) and not math.isfinite(given):
+        return f"{where}: {name} = {given}: not a finite number; write a number"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "value_error":
         named = re.match(r"[a-z_]+(\.[a-zA-Z_]+)+", message)
