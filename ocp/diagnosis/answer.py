@@ -68,8 +68,9 @@ def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequ
     if not any(after.variants(a.effect, a.joint, [a.scanned]) for a in diagnosis.active):
         # Nothing is named that this signal shows, so nothing changes.
         return NONE if realised(square, 0.0, after.noise_floor**2) is not None else None
-    if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel):
+    if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel) and not after.restless(1.0):
         return from_model(anticipated(before, after, diagnosis.alternatives), held, (after.noise_floor / SCALE[after.unit]) ** 2)
+    # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
     return from_folds(held, estimation_variance(after, active_columns(after)))
 
 

@@ -111,14 +111,14 @@ def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shr
     if realised(before, after, noise) is None:
         return None
     rng = np.random.default_rng(seed)
-    whole = [_drawn(rng, inside, estimation) for _ in range(DRAWS)]
-    found = [s for s in whole if s is not None]
+    found = [_drawn(rng, inside, estimation, DRAWS)]
     judged = [h for h in outside if realised(h.before, h.after, h.noise) is not None]
     if judged:
-        count = int(len(found) * NEW / (1.0 - NEW))
-        pick = rng.integers(len(judged), size=count)
-        found += [s for s in (_drawn(rng, [judged[k]], estimation) for k in pick) if s is not None]
-    return _interval(np.array(found or [0.0]))
+        count = int(len(found[0]) * NEW / (1.0 - NEW))
+        pick = np.bincount(rng.integers(len(judged), size=count), minlength=len(judged))
+        found += [_drawn(rng, [h], estimation, int(k)) for h, k in zip(judged, pick, strict=True) if k]
+    every = np.concatenate(found)
+    return _interval(every if len(every) else np.zeros(1))
 
 
 def _interval(draws: Array) -> Shrinkage:
@@ -145,20 +145,24 @@ def _unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Gene
     return np.where(rng.uniform(size=DRAWS) < there, np.maximum(size, 0.0), 0.0)
 
 
-def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float) -> float | None:
-    """One bootstrap draw of the shrinkage over stretches of the folds' readings."""
-    sums, count, excused = np.zeros(3), 0, 0.0
+def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float, draws: int) -> Array:
+    """Bootstrap draws (up to `draws`,) of the shrinkage over stretches of the folds' readings; none where a draw has no gap."""
+    sums, count, excused = np.zeros((draws, 3)), np.zeros(draws), np.zeros(draws)
     for h in held:
         n = len(h.before_rows)
-        pieces = np.array_split(np.arange(n), min(n, STRETCHES))
-        pick = np.concatenate([pieces[k] for k in rng.integers(len(pieces), size=len(pieces))])
-        sums += [getattr(h, name)[pick].sum() for name in _ROWS]
-        count += len(pick)
-        excused += h.estimation * len(pick)
-    before, after, noise = sums / count
-    after -= excused / count  # what the fold's own want of readings did; that of all readings is `estimation`
+        pieces = min(n, STRETCHES)
+        starts = np.array([part[0] for part in np.array_split(np.arange(n), pieces)])
+        whole = np.stack([np.add.reduceat(getattr(h, name), starts) for name in _ROWS], axis=1)
+        sizes = np.diff(np.append(starts, n)).astype(float)
+        pick = rng.integers(pieces, size=(draws, pieces))
+        sums += whole[pick].sum(axis=1)
+        taken = sizes[pick].sum(axis=1)
+        count += taken
+        excused += h.estimation * taken
+    before, after, noise = (sums / count[:, None]).T
+    after = after - excused / count  # what the fold's own want of readings did; that of all readings is `estimation`
     gap = before - noise
-    if gap <= NULL**2 * noise or gap <= 0.0:
-        return None
+    there = (gap > NULL**2 * noise) & (gap > 0.0)
     # What is left is known to chance only; the parameters' errors are there in any case.
-    return float(1.0 - np.sqrt(max(after - noise, min(estimation, gap)) / gap))
+    left = np.maximum(after - noise, np.minimum(estimation, gap))[there]
+    return np.asarray(1.0 - np.sqrt(left / gap[there]))

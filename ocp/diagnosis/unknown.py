@@ -33,6 +33,9 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
             if positive and a < -3 * s:
                 told = one.effect.parameters[0].key if key == "share" else key
                 found.append((Name(one.effect.name, one.joint), f"{told} comes out with the wrong sign"))
+        why = one.effect.doubt(one.a, sd, one.scanned) if one.effect.doubt else ""
+        if why:
+            found.append((Name(one.effect.name, one.joint), why))
     return found
 
 

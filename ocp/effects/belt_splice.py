@@ -16,6 +16,7 @@ WAVES = 3  # harmonics of a knock
 LENGTH = 0.1  # of a turn: how long a knock is taken to last
 STEP = (0.02, 0.25)  # 1/s, bounds on the step of the rates tried
 DRIFT = 0.2  # turns that a knock may leave its place over the longest run
+TONE = 0.35  # of the largest harmonic: where all others are surely below it nothing knocks
 # Amplitude of the first harmonics of knocks of height one and that length, 2 sin(pi m L) / (pi m).
 _SHARES = 2 * np.sin(np.pi * np.arange(1, WAVES + 1) * LENGTH) / (np.pi * np.arange(1, WAVES + 1))
 
@@ -40,6 +41,15 @@ def _coefficients(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
     return np.asarray(values["waves_N"], float).reshape(2 * WAVES), {"hz": values["hz"]}
 
 
+def _doubt(a: Array, sd: Array, scanned: Scanned) -> str:
+    """A knock that lasts up to a third of a turn has a second harmonic of at least half the first."""
+    sizes = np.hypot(a[0::2], a[1::2])
+    bounds = sizes + 2 * np.maximum(sd[0::2], sd[1::2])
+    others = np.delete(bounds, np.argmax(sizes))
+    alone = bool((others < TONE * sizes.max()).all())
+    return "it is a single wave, which no knock is" if alone else ""
+
+
 EFFECT = Effect(
     name="belt_splice",
     title="splice of the belt",
@@ -60,4 +70,5 @@ EFFECT = Effect(
     scan=_scan,
     symbolic=("hz",),
     sensor=_knock,
+    doubt=_doubt,
 )

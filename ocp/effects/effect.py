@@ -89,6 +89,9 @@ class Effect:
     push (1, m) N added to the flange's force along the contact normal (rigid cells: to the force); sensor (1, m) N added to the
     normal force reading alone; shear (1, m) N added to the tangential reading alone; along (n, m) N of the normal reading,
     along_shear (n, m) N of the tangential one, for what depends on the log before (delays, relaxation), in NumPy.
+
+    doubt(a, sd, scanned): why fitted coefficients a (m,) with standard deviations sd (m,) cannot be this effect although each is
+    within its range, in words; empty where they can.
     """
 
     name: str
@@ -114,6 +117,7 @@ class Effect:
     along: AlongHook | None = None
     along_shear: AlongHook | None = None
     symbolic: tuple[str, ...] = ()
+    doubt: Callable[[Array, Array, Scanned], str] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Effects travel between processes by name: their hooks are no data."""
