@@ -37,6 +37,11 @@ JOINTS = {
     "creep": (lambda r: column(2, 1.2e-7 * torque(r, 2) * np.log1p(r.time / 1800.0)), 2, {"tau2"}),
     "load hysteresis": (lambda r: column(5, 6e-7 * torque(r, 5) * r.approach[:, 4]), 5, {"approach5", "tau5"}),
     "coupled": (lambda r: column(3, 1.5e-4 * np.sin(1.5 * r.q[:, 1])), 3, {"q2"}),
+    "resolver": (lambda r: column(3, 6e-5 * np.cos(5 * ROBOT.gear_ratio[2] * r.q[:, 2])), 3, {"motor3"}),
+    "loaded mesh": (
+        lambda r: column(2, 1.5e-4 * torque(r, 2) / 4000.0 * np.cos(23 * r.q[:, 1])), 2, {"tau2", "q2"},
+    ),
+    "memory": (lambda r: column(4, 2e-4 * np.tanh(np.diff(r.q[:, 3], prepend=r.q[0, 3]))), 4, {"step4"}),
     "warm gear": (lambda r: column(4, 4e-5 * (r.temperature - 22.0) * np.cos(r.q[:, 3])), 4, {"temperature", "q4"}),
 }
 
@@ -71,6 +76,18 @@ def test_the_trackers_circle_is_told_from_the_arm():
     d = diagnose([channel(replace(readings, point=readings.point + wave))], LIBRARY, Options(folds=False))
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("azimuth",)
+
+
+def test_a_reflector_that_is_no_ball_is_told_from_the_arm():
+    readings, _ = world(16)
+    c = channel(readings)
+    along = readings.point / np.linalg.norm(readings.point, axis=1, keepdims=True)
+    seen = c.conditions.sight
+    assert np.linalg.norm(seen, axis=1) == pytest.approx(np.ones(len(seen)))
+    off = 1.2e-4 * (seen[:, 0] * seen[:, 1] + 0.5 * seen[:, 2])
+    d = diagnose([channel(replace(readings, point=readings.point + off[:, None] * along))], LIBRARY, Options(folds=False))
+    assert d.verdict == "unexplained"
+    assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("sight",)
 
 
 def test_moments_across_an_axis_are_those_of_all_weight_beyond_it():

@@ -21,6 +21,8 @@ SETTLING = (20.0, 60.0, 200.0)  # s: how fast an axis may come to rest after its
 LEAST_TORQUE = 1.0  # N m: loads that change less bend nothing
 ORDERS_OF_TWO = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (2, 3))  # waves per turn of a joint and of another one
 INSTANTS = 7  # at which a nest may move
+MOTOR_WAVES = 8  # per turn of a motor: resolvers err up to there
+LOADED = np.arange(1.0, 81.0)  # orders per turn of ripples that grow with the load
 RIPPLES = np.arange(2.5, 121.0)  # half-integer orders per turn: integers are the library's
 JOINT_RANGE = (2e-5, 5e-4)  # rad, typical low and high of an angle error
 TILT_RANGE = (1e-5, 3e-4)  # rad, of an axis under load or warmth
@@ -60,6 +62,8 @@ def kernels(c: Conditions) -> Iterator[Kernel]:
         yield from _of_nests(c)
         if c.point is not None:
             yield from _of_beam(c.point)
+            if c.sight is not None:
+                yield _of_sight(c.point, c.sight)
     elif c.signal == "force":
         for where, features in _of_reading(c):
             changes = np.zeros((n, k, 1, features.shape[1]))
@@ -81,11 +85,15 @@ def _of_joint(c: Conditions, j: int) -> Iterator[tuple[str, Array]]:
             yield f"approach{name} x tau{name}", (sign[:, None] * _powers(tau))[:, None]
         if c.signal == "tracker" and c.time is not None:
             yield f"approach{name} x wait", (sign[:, None] * _rest(c.time))[:, :, None]
+            yield f"step{name}", smooth(_step(c.time, q), 5)[:, None]
     if c.gear_ratio is not None and np.isfinite(c.gear_ratio[j]):
-        phase = np.outer(q, c.gear_ratio[j] * np.arange(1, 4))
-        yield f"motor{name}", np.hstack([np.cos(phase), np.sin(phase)])[:, None]
+        phase = np.outer(q, c.gear_ratio[j] * np.arange(1, MOTOR_WAVES + 1))
+        yield f"motor{name}", np.stack([np.cos(phase), np.sin(phase)], axis=2)
     if tau is not None:
         yield f"tau{name}", smooth(tau, 3)[:, None]
+        if c.signal == "tracker":
+            loaded = np.stack([np.cos(LOADED * q[:, None]), np.sin(LOADED * q[:, None])], axis=2)
+            yield f"tau{name} x ripple{name}", unit(tau)[:, None, None] * loaded
     for i in range(6):
         if i != j and np.ptp(c.q[:, i]) > LEAST_TURN:
             yield f"q{name} x q{i + 1}", np.stack([waves_of_two(q, c.q[:, i], *k) for k in ORDERS_OF_TWO], axis=1)
@@ -140,6 +148,15 @@ def _of_beam(point: Array) -> Iterator[Kernel]:
         yield Kernel(where, "beam", 0, changes, *FRAME_RANGE)
 
 
+def _of_sight(point: Array, sight: Array) -> Kernel:
+    """Reflectors that are no perfect balls: errors along the beam that vary with the direction (n, 3) from which a reflector is
+    seen, in the axes of the link that carries it, to second order."""
+    along = point / np.linalg.norm(point, axis=1, keepdims=True)
+    x, y, z = sight.T
+    features = np.column_stack([sight, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1.0])
+    return Kernel("sight", "beam", 0, _each(along[:, :, None], features)[:, :, None], *FRAME_RANGE)
+
+
 def _of_frame(c: Conditions) -> Iterator[tuple[str, Array]]:
     """Features (n, m) of a displacement common to all directions of the frame."""
     for where, values in (("time", _time(c)), ("temperature", c.temperature)):
@@ -186,6 +203,14 @@ def _rest(time: Array) -> Array:
     waited = np.empty_like(time)
     waited[order] = np.diff(time[order], prepend=-np.inf)
     return np.exp(-waited[:, None] / np.array(SETTLING))
+
+
+def _step(time: Array, q: Array) -> Array:
+    """How far (n,) rad an axis came to each reading from the one before; zero at the first."""
+    order = np.argsort(time, kind="stable")
+    step = np.empty_like(q)
+    step[order] = np.diff(q[order], prepend=q[order[0]])
+    return step
 
 
 def _powers(values: Array) -> Array:

@@ -24,7 +24,7 @@ def of_effect(problem: Problem, effect: Effect, joint: int, signature: Array) ->
         if (
             not family.where
             or " x q" in family.where
-            or family.where[:6] == "ripple"
+            or "ripple" in family.where
             or (family.name.joint != joint and family.name.joint and joint)
         ):
             continue
@@ -59,7 +59,5 @@ def of_tests(tests: list[KernelTest], sure: float = 1e-3) -> Location | None:
 
 def conditions(where: str) -> tuple[str, ...]:
     """What a kernel's name says it depends on: joints' angles q3, approaches approach5, loads tau2, temperature, time, ..."""
-    if where.startswith("ripple"):
-        return (f"q{where.removeprefix('ripple')}",)
-    found = tuple(part for part in where.split(" x ") if part)
+    found = (f"q{p.removeprefix('ripple')}" if p.startswith("ripple") else p for p in where.split(" x ") if p)
     return tuple(p.rstrip("123456") if p[:4] in ("temp", "time", "payl") else p for p in found)

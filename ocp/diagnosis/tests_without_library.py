@@ -27,7 +27,7 @@ def kernel_tests(problem: Problem, there: Given) -> list[KernelTest]:
     total, freedom = float(y @ y), problem.pool.freedom
     found = []
     for family in problem.pool.families:
-        if not family.where or family.where.startswith("ripple"):
+        if not family.where or "ripple" in family.where:
             continue
         basis = orthonormal(after_given(there, family.columns.reshape(len(y), -1)))
         m = basis.shape[1]

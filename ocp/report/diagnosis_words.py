@@ -19,11 +19,13 @@ VERDICTS = {
 }  # fmt: skip
 DEPENDS = {
     "approach": "the direction of approach of joint", "q": "the angle of joint", "motor": "the motor angle of joint",
-    "tau": "the load of joint", "moment": "the weight's moment across the axis of joint",
+    "tau": "the load of joint", "step": "how far it came from the last reading, of joint",
+    "moment": "the weight's moment across the axis of joint",
 }  # fmt: skip
 PLAIN = {
     "wait": "the time since the last reading", "range": "the distance from the tracker", "target": "the reflector nest",
-    "azimuth": "the tracker's azimuth", "elevation": "the tracker's elevation",
+    "sight": "the side from which a reflector is seen", "azimuth": "the tracker's azimuth",
+    "elevation": "the tracker's elevation",
 }  # fmt: skip
 
 

@@ -126,7 +126,7 @@ class TrackerChannel:
             session=r.session if len(several["session"]) > 1 else None,
             station=r.station if len(several["station"]) > 1 else None,
             tau=tau, d_joints=self.fit.linear.d_joints, d_tilts=self.seen.tilts, moments=self.seen.moments,
-            gear_ratio=c.robot.gear_ratio, point=self.fit.linear.point,
+            gear_ratio=c.robot.gear_ratio, point=self.fit.linear.point, sight=self.seen.sight,
         )  # fmt: skip
 
     def blind(self, effect: Effect) -> str:

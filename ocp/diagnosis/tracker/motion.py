@@ -116,6 +116,12 @@ class Seen:
         return out
 
     @cached_property
+    def sight(self) -> Array:
+        """Unit vectors (n, 3) from the reflectors to the tracker's head, in the axes of the links that carry them."""
+        towards = -self.point / np.linalg.norm(self.point, axis=1, keepdims=True)
+        return np.asarray(np.einsum("nji,nj->ni", self.tracker_rows.R, towards))
+
+    @cached_property
     def tracker_rows(self) -> TrackerRows:
         """What the tracker's own effects see."""
         r = self.readings
