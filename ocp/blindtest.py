@@ -11,7 +11,7 @@ from ocp.command import main, run, shown_phases
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 BUNDLED = Path(__file__).parent / "data" / "cell.toml"
-SIGNALS = ("tracker",)
+SIGNALS = ("tracker", "force", "both")
 ALL = "single,none,none_background,pair,triple,outside,left_out"
 
 
@@ -19,7 +19,7 @@ ALL = "single,none,none_background,pair,triple,outside,left_out"
 def blindtest(
     worlds: Annotated[int, typer.Option(help="how many worlds; more than before goes on where the last run ended")] = 95,
     kinds: Annotated[str, typer.Option(help="kinds of worlds, with commas; all by default")] = ALL,
-    signals: Annotated[str, typer.Option(help="what is measured: tracker")] = "tracker",
+    signals: Annotated[str, typer.Option(help="what is measured: tracker, force or both")] = "tracker",
     seed: Annotated[int, typer.Option(help="everything is drawn from it")] = 1,
     jobs: Annotated[int, typer.Option(help="processes; 0: one for each core")] = 0,
     out: Annotated[Path, typer.Option(help="folder of worlds, answers, scores and report")] = Path("blindtest"),
@@ -38,21 +38,20 @@ def blindtest(
         from ocp.blind.sealing import Check, write_cell
         from ocp.report.blindtest import last_line, write_blindtest_report
 
-        unknown = [s for s in signals.split(",") if s.strip() not in SIGNALS]
-        if unknown:
-            raise BadInput(f"--signals '{unknown[0]}' is not one of {', '.join(SIGNALS)}")
+        if signals not in SIGNALS:
+            raise BadInput(f"--signals '{signals}' is not one of {', '.join(SIGNALS)}")
         limits = (("--worlds", worlds, 1, 20000), ("--readings", readings, 40, 2000), ("--jobs", jobs, 0, 64))
         for name, value, low, high in limits:
             if not low <= value <= high:
                 raise BadInput(f"{name} {value} must lie between {low} and {high}")
-        check = Check(out, seed, worlds, check_kinds(kinds), readings)
+        check = Check(out, seed, worlds, check_kinds(kinds, signals), readings, signals=signals)
         if overwrite and out.is_dir():
             if not (out / "plan.json").is_file() and any(out.iterdir()):
                 raise BadInput(f"{out}: holds no blind check; --overwrite would delete it, give another --out")
             shutil.rmtree(out)
         resume(check, overwrite)
         if not check.cell.is_file():
-            write_cell(cell or BUNDLED, check.cell)
+            write_cell(cell or BUNDLED, check.cell, signals)
         if again:
             forget_answers(check)
         planned, count = recipes(worlds, check.kinds), jobs or cores()

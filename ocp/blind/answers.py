@@ -52,21 +52,22 @@ def answered(folder: Path) -> dict[str, Any]:
         answer = answer_of(folder, Phases(), known)
     except FAULTS as error:
         return {"error": _told(error)}
-    predicted, fault = None, None
+    predicted: dict[str, Any] = {}
+    fault = None
     try:
-        sealed = predict_sealed(answer)["tracker"]
-        predicted = {k: v.round(8).tolist() for k, v in asdict(sealed).items()}
+        predicted = {s: {k: v.round(8).tolist() for k, v in asdict(told).items()} for s, told in predict_sealed(answer).items()}
     except FAULTS as error:
         fault = _told(error)
     seconds = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu, **answer.seconds}
     d = answer.diagnosis
-    told = rivals(d.baseline[0], known)
+    told = rivals(d.baseline, known)
     return {
         "error": None,
         "document": document_of(answer).model_dump(mode="json", by_alias=True),
         "screened": [[s.name.effect, s.name.joint, s.smallest, s.p_value] for s in d.screened],
         "because": [*d.unknown_because],
-        "predictions": predicted,
+        "predictions": predicted.get("tracker"),
+        **({"predictions_force": predicted["force"]} if "force" in predicted else {}),
         "prediction_error": fault,
         "rivals": {method: asdict(named) for method, named in told.items()},
         "seconds": seconds,

@@ -8,6 +8,8 @@ import numpy as np
 from ocp.blind.detectability import Whitener, given_others, price, whitener
 from ocp.blind.machines import Machine, effects_stream
 from ocp.blind.outside import KINDS as OUTSIDE
+from ocp.blind.outside_late import EVERY
+from ocp.blind.outside_late import KINDS as LATE
 from ocp.blind.recipes import Recipe
 from ocp.blind.scene import Scene
 from ocp.twin.kinds_arm import KINDS as ARM
@@ -18,6 +20,7 @@ from robots.pose import Array
 # Keys that say where or how an effect acts; all others are sizes, and the reading is linear in them to first order.
 SHAPES = ("phase_rad", "order", "source_joint", "target", "at_s", "lever_link1_m", "lever_arm_m")
 PLANTABLE = tuple(kind for kind in ARM if kind.name != "channel_delay")  # a tracker's reading at rest has no delay
+POOLS = {"outside": tuple(OUTSIDE.values()), "outside_late": tuple(LATE.values())}  # of kinds of worlds; else the catalogue
 TRIES = 60
 CLOSE = 0.25  # relative: how near the target the true lambda must come, sizes being scaled to first order only
 
@@ -59,7 +62,7 @@ def detectabilities(machine: Machine, scene: Scene, white: Whitener, effects: Se
 
 def _kinds(seed: int, recipe: Recipe, rng: np.random.Generator, attempt: int) -> list[Kind]:
     """Kinds of effects to try: all kinds take turns from world to world, at random from the third attempt on."""
-    pool = tuple(OUTSIDE.values()) if recipe.kind == "outside" else PLANTABLE
+    pool = POOLS.get(recipe.kind, PLANTABLE)
     if recipe.effects == 1 and attempt < 3:
         block, place = divmod(recipe.turn // 4 + (recipe.turn % 4) * 5 if recipe.kind == "single" else recipe.turn, len(pool))
         order = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, block))).permutation(len(pool))
@@ -103,7 +106,7 @@ def _times(value: Value, factor: float) -> Value:
 
 def usual(planted: Planted) -> bool:
     """Whether no size is above the upper end of its range; smaller ones are as likely as not (DIAGNOSIS, catalogue)."""
-    kind = OUTSIDE.get(planted.effect) or next(k for k in ARM if k.name == planted.effect)
+    kind = EVERY.get(planted.effect) or next(k for k in ARM if k.name == planted.effect)
     for key in kind.keys:
         if key.name not in SHAPES and key.unit != "name":
             top = key.high * (key.scale[(planted.joint or 1) - 1] if key.scale else 1.0)

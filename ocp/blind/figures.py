@@ -8,7 +8,7 @@ import numpy as np
 
 from ocp.blind.intervals import NOTHING, Estimate, bootstrap, f1, median, pooled, share
 from ocp.blind.judging import SURE
-from ocp.blind.recipes import BINS, bin_of, bin_words
+from ocp.blind.recipes import BEYOND, BINS, bin_of, bin_words
 from ocp.blind.rivals import METHODS
 from ocp.blind.smallest import found_over_predicted
 
@@ -130,7 +130,7 @@ def _values(rows: Sequence[Row]) -> list[Figure]:
 
 def strange(row: Row) -> bool:
     """Whether the library lacks the planted effect and cannot imitate it."""
-    return row["kind"] in ("outside", "left_out") and row["left"] is not None and row["left"] >= STRANGE
+    return row["kind"] in BEYOND and row["left"] is not None and row["left"] >= STRANGE
 
 
 def _unknown(rows: Sequence[Row]) -> list[Figure]:
@@ -138,7 +138,7 @@ def _unknown(rows: Sequence[Row]) -> list[Figure]:
     limit = float(np.quantile(known, 1 - FALSE_POSITIVES)) if known else 0.5
     odd = [r for r in rows if strange(r)]
     usual = answered(rows, "single", "pair", "triple", "none", "none_background")
-    judged = [r for r in rows if r["kind"] not in ("outside", "left_out") or strange(r)]
+    judged = [r for r in rows if r["kind"] not in BEYOND or strange(r)]
     seated = [r for r in answered(rows, "single") if r["planted"][0][1] and r["lam"][0] >= 30]
     odd_seated = [r for r in odd if r["planted"][0][1]]
     return [

@@ -32,7 +32,8 @@ def share(hits: Sequence[bool]) -> Estimate:
     p, z2 = sum(map(bool, hits)) / n, Z95**2
     middle = (p + z2 / (2 * n)) / (1 + z2 / n)
     half = Z95 / (1 + z2 / n) * np.sqrt(p * (1 - p) / n + z2 / (4 * n * n))
-    return Estimate(p, float(max(middle - half, 0.0)), float(min(middle + half, 1.0)), n)
+    # Rounding must not leave the share outside its interval.
+    return Estimate(p, float(min(max(middle - half, 0.0), p)), float(max(min(middle + half, 1.0), p)), n)
 
 
 def bootstrap(rows: Sequence[Sequence[float]], figure: Callable[[Array], float], seed: int = 0) -> Estimate:

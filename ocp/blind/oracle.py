@@ -41,6 +41,17 @@ class White:
         return White(tuple(self.names[k] for k in keep), columns, grams, tuple(self.positive[k] for k in keep))
 
 
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A world as the oracle sees it: library, white readings y (N,), white signature (N,) of each planted effect given the
+    others, the smallest size of each that would be seen, as a share of its usual upper end."""
+
+    library: White
+    y: Array
+    alone: tuple[Array, ...]
+    smallest: tuple[float | None, ...]
+
+
 def whitened(found: Sequence[Family], white: Whitener) -> White:
     """Families as white noise sees them."""
     columns = tuple(white.apply(f.columns * f.upper) for f in found)

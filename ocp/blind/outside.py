@@ -22,7 +22,8 @@ SLACK = 0.35  # share of its range in which a hose pack hangs loose
 @dataclass(frozen=True, eq=False)
 class Instants:
     """What forms may depend on, n readings: q (n, 6) rad, sign (n, 6), tau (n, 6) N m, warmth (n,) K, time (n,) s; links (n, 7,
-    4, 4); mass (n,) kg and centre (n, 3) m (base axes) of the payload; point (n, 3) m of the reading in the tracker's frame."""
+    4, 4); mass (n,) kg and centre (n, 3) m (base axes) of the payload; point (n, 3) m of the reading in the tracker's frame, turn
+    (3, 3) from base to tracker axes."""
 
     robot: Robot
     q: Array
@@ -34,6 +35,7 @@ class Instants:
     mass: Array
     centre: Array
     point: Array
+    turn: Array
 
 
 Form = Callable[[Planted, Instants], Array]

@@ -6,15 +6,19 @@ the tracker's frame are done to the scene instead, which is the same to the read
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import ModuleType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ocp.blind.outside import KINDS, Instants, frame_turn, shifts, twist
+from ocp.blind import outside, outside_late
+from ocp.blind.outside import Instants
+from ocp.blind.outside_late import EVERY
 from ocp.cell import Cell
 from ocp.twin.arm import Arm, Moments, make_arm
 from ocp.twin.arm_effects import hung
 from ocp.twin.machine_truth import Truth
+from ocp.twin.planting import Planted
 from ocp.twin.tracker import nest_links
 from robots.pose import Array, apply, invert
 
@@ -27,20 +31,23 @@ class OutsideArm(Arm):
 
     def links(self, m: Moments, rng: np.random.Generator | None = None) -> Array:
         """Frames (n, 7, 4, 4) of base and links with all effects; `m` of the campaign whose nests the arm was made for."""
-        planted = [p for p in self.truth.effects if p.effect in KINDS]
+        planted = [p for p in self.truth.effects if p.effect in EVERY]
         at = self._instants(m)
-        dq = sum((shifts(p, at) for p in planted), np.zeros_like(m.q))
+        dq = sum((_list_of(p).shifts(p, at) for p in planted), np.zeros_like(m.q))
         frames = super().links(replace(m, q=m.q + dq), rng).copy()
         for p in planted:
-            turned = twist(p, at)
+            turned = _list_of(p).twist(p, at)
             if turned is not None:
                 joint = p.joint or 1
                 _turn(frames, slice(joint, 7), at.links[:, joint - 1, :3, 3], turned)
         for p in planted:
-            turned = frame_turn(p, at)
+            turned = _list_of(p).frame_turn(p, at)
             if turned is not None:
                 head = invert(self.truth.T_tracker_base)[:3, 3]
                 _turn(frames, slice(0, 7), np.broadcast_to(head, (len(m), 3)), turned @ self.truth.T_tracker_base[:3, :3])
+            moved = outside_late.move(p, at)
+            if moved is not None:
+                frames[..., :3, 3] += moved[:, None]
         return frames
 
     def _instants(self, m: Moments) -> Instants:
@@ -55,7 +62,7 @@ class OutsideArm(Arm):
             robot=self.robot, q=m.q, sign=m.approach, tau=settled.load_torque[:, :6],
             warmth=m.temperature_C - self.reference_C, time=m.time_s, links=settled.links,
             mass=np.array([mass for mass, _ in loads]), centre=apply(settled.links[:, 6], np.array([c for _, c in loads])),
-            point=apply(self.truth.T_tracker_base, apply(on, nests)),
+            point=apply(self.truth.T_tracker_base, apply(on, nests)), turn=self.truth.T_tracker_base[:3, :3],
         )  # fmt: skip
 
 
@@ -63,11 +70,16 @@ def arm_of(cell: Cell, truth: Truth, targets: Sequence[str]) -> Arm:
     """The arm of a cell, able to carry effects outside the catalogue where the truth holds any; targets: nest of each instant
     that it will be asked for."""
     arm = make_arm(cell, truth)
-    if not any(p.effect in KINDS for p in truth.effects):
+    if not any(p.effect in EVERY for p in truth.effects):
         return arm
     wrapped = OutsideArm(arm.robot, arm.truth, arm.hardware, arm.reference_C)
     wrapped.cell, wrapped.targets = cell, tuple(targets)
     return wrapped
+
+
+def _list_of(planted: Planted) -> ModuleType:
+    """The list that holds an effect."""
+    return outside if planted.effect in outside.KINDS else outside_late
 
 
 def _turn(frames: Array, links: slice, origin: Array, turn: Array) -> None:

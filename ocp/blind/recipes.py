@@ -7,6 +7,8 @@ from robots.errors import BadInput
 # Kind of world: how many of it in a round.
 ROUND = {"single": 8, "none": 2, "none_background": 2, "pair": 2, "triple": 1, "outside": 2, "left_out": 2}
 KINDS = tuple(ROUND)
+ASKED = {"outside_late": 4}  # only where --kinds asks for it, so that runs with all kinds stay what they were
+BEYOND = ("outside", "left_out", "outside_late")  # what the library that answers does not hold
 WORDS = {
     "single": "one effect of the catalogue",
     "none": "no effect, nothing else hidden",
@@ -14,6 +16,7 @@ WORDS = {
     "pair": "two effects at once",
     "triple": "three effects at once",
     "outside": "an effect outside the catalogue",
+    "outside_late": "an effect of the second list outside the catalogue",
     "left_out": "an effect whose family is taken from the library",
 }
 BINS = ((15.0, 30.0), (30.0, 50.0), (50.0, 100.0), (100.0, 1000.0))
@@ -42,14 +45,17 @@ class Recipe:
         return {"none": 0, "none_background": 0, "pair": 2, "triple": 3}.get(self.kind, 1)
 
 
-def check_kinds(text: str) -> tuple[str, ...]:
-    """Kinds of a list with commas. Raises BadInput: one that is not known."""
+def check_kinds(text: str, signals: str = "tracker") -> tuple[str, ...]:
+    """Kinds of a list with commas. Raises BadInput: one that is not known, or that these signals do not have."""
+    every = (*KINDS, *ASKED)
     kinds = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
     for kind in kinds:
-        if kind not in KINDS:
-            raise BadInput(f"--kinds: there is no kind '{kind}'; choose from {', '.join(KINDS)}")
+        if kind not in every:
+            raise BadInput(f"--kinds: there is no kind '{kind}'; choose from {', '.join(every)}")
+        if kind in ASKED and signals != "tracker":
+            raise BadInput(f"--kinds: '{kind}' has no effects of the force log; leave it out or give --signals tracker")
     if not kinds:
-        raise BadInput(f"--kinds is empty; choose from {', '.join(KINDS)}")
+        raise BadInput(f"--kinds is empty; choose from {', '.join(every)}")
     return kinds
 
 
@@ -68,7 +74,8 @@ def recipes(worlds: int, kinds: tuple[str, ...] = KINDS) -> list[Recipe]:
 
 def _order(kinds: tuple[str, ...]) -> list[str]:
     """One round: the i-th of c worlds of a kind stands at (i + 1/2) / c of it."""
-    places = [((i + 0.5) / ROUND[kind], KINDS.index(kind), kind) for kind in kinds for i in range(ROUND[kind])]
+    weights = ROUND | ASKED
+    places = [((i + 0.5) / weights[k], list(weights).index(k), k) for k in kinds for i in range(weights[k])]
     return [kind for _, _, kind in sorted(places)]
 
 
@@ -77,7 +84,7 @@ def _target(kind: str, turn: int) -> tuple[float, float] | None:
         return BINS[turn % len(BINS)]
     if kind in ("pair", "triple"):
         return SEVERAL
-    return STRANGE if kind in ("outside", "left_out") else None
+    return STRANGE if kind in BEYOND else None
 
 
 def bin_of(value: float) -> int | None:

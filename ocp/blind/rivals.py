@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from ocp.diagnosis.projection import about_prior, project
+from ocp.diagnosis.families import stacked_columns
+from ocp.diagnosis.projection import stack
 from ocp.diagnosis.system import Channel
 from ocp.effects.effect import Effect
 from robots.measurements import Index
@@ -49,27 +50,26 @@ class Candidates:
     freedom: int
 
 
-def candidates(channel: Channel, library: Mapping[str, Effect]) -> Candidates:
-    """Everything of the library that a channel sees."""
-    system = channel.system
-    projection = project(system.nuisance, system.prior_sd)
+def candidates(channels: Sequence[Channel], library: Mapping[str, Effect]) -> Candidates:
+    """Everything of the library that any of the channels sees."""
+    stacked = stack(tuple(channels), np.zeros(sum(len(c.system.residual) for c in channels)))
     names, raw, columns = [], [], []
     for effect in library.values():
         for joint in effect.places:
-            variants = channel.variants(effect, joint)
-            if not variants:
+            C, scans = stacked_columns(channels, effect, joint, None)
+            if not scans:
                 continue
-            C = np.stack([v.columns * v.prior_sd for v in variants], axis=1)
+            C = C * np.asarray(effect.prior_sd, float)
             names.append((effect.name, joint))
             raw.append(C)
-            columns.append(projection.apply(C.reshape(len(C), -1)).reshape(C.shape))
-    y = projection.apply(about_prior(system))
-    return Candidates(tuple(names), tuple(raw), system.residual, tuple(columns), y, len(y) - projection.free)
+            columns.append(stacked.apply(C.reshape(len(C), -1)).reshape(C.shape))
+    residual = np.concatenate([c.system.residual for c in channels])
+    return Candidates(tuple(names), tuple(raw), residual, tuple(columns), stacked.y, stacked.freedom)
 
 
-def rivals(channel: Channel, library: Mapping[str, Effect]) -> dict[str, Named]:
-    """Answers of all methods."""
-    c = candidates(channel, library)
+def rivals(channels: Sequence[Channel], library: Mapping[str, Effect]) -> dict[str, Named]:
+    """Answers of all methods, from channels without effects."""
+    c = candidates(channels, library)
     return {"single": single(c), "stepwise": stepwise(c), "sparse": sparse(c), "unprojected": unprojected(c)}
 
 

@@ -6,7 +6,8 @@ A row holds everything that the figures need, so that they can be made again wit
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,13 @@ import numpy as np
 from ocp.blind import oracle
 from ocp.blind.answers import answer_path
 from ocp.blind.detectability import nuisance, price, reading_covariance, whitener
+from ocp.blind.grinding.machines import draw_grinding
+from ocp.blind.grinding.outside import KINDS as STRANGE
+from ocp.blind.grinding.scoring import ForceView
 from ocp.blind.judging import Name, classes, first_right, matched, name_of, named, ranking, values
 from ocp.blind.machines import Machine, background, draw_machine
-from ocp.blind.outside import KINDS as OUTSIDE
-from ocp.blind.realised import realised
+from ocp.blind.outside_late import EVERY as OUTSIDE
+from ocp.blind.realised import Realised, realised
 from ocp.blind.recipes import Recipe
 from ocp.blind.scene import Scene
 from ocp.blind.sealing import WORLDS, Check, Label, read_label
@@ -52,29 +56,63 @@ def make_score(check: Check, recipe: Recipe, seal: dict[str, str]) -> dict[str, 
 
 def scored(check: Check, label: Label, answer: dict[str, Any]) -> dict[str, Any]:
     """The row of a world."""
-    machine = draw_machine(check.cell, check.seed, label.recipe, check.readings, check.blind)
     row = {
         "world": label.recipe.name, "kind": label.recipe.kind, "background": background(label.recipe),
         "planted": [[*name_of(p), p.values] for p in label.effects], "lam": list(label.lam),
-        "outside": [p.effect in OUTSIDE or p.effect in label.withheld for p in label.effects],
+        "outside": [p.effect in OUTSIDE or p.effect in STRANGE or p.effect in label.withheld for p in label.effects],
         "error": answer["error"],
     }  # fmt: skip
-    row |= _of_oracle(check, machine, label)
+    view = view_of(check, label)
+    row |= _of_oracle(label, view.seen())
     if answer["error"] is None:
         groups = [set(map(tuple, row["true_class"]))] if row["true_class"] else []
-        row |= _of_answer(label, answer)
+        row |= _of_answer(label, answer, view.signal)
         row["rivals"] = {m: _judged(label, _names(r["ranking"]), _names(r["named"]), groups) for m, r in answer["rivals"].items()}
-        if answer["predictions"] is not None:
-            row["realised"] = asdict(realised(check.cell, machine, label.effects, answer["predictions"]))
+        row |= {name: asdict(found) for name, found in view.realised(answer).items()}
     return row
 
 
-def _of_answer(label: Label, answer: dict[str, Any]) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class TrackerView:
+    """The scorer's side of a tracker world."""
+
+    check: Check
+    label: Label
+    signal: str = "tracker"
+
+    @cached_property
+    def machine(self) -> Machine:
+        """Drawn again."""
+        check = self.check
+        return draw_machine(check.cell, check.seed, self.label.recipe, check.readings, check.blind)
+
+    def seen(self) -> oracle.Seen:
+        """As the oracle sees it."""
+        return _seen(self.check, self.machine, self.label)
+
+    def realised(self, answer: dict[str, Any]) -> dict[str, Realised]:
+        """Shrinkage at the sealed conditions."""
+        told = answer["predictions"]
+        return {} if told is None else {"realised": realised(self.check.cell, self.machine, self.label.effects, told)}
+
+
+def view_of(check: Check, label: Label) -> "TrackerView | ForceView":
+    """The scorer's side of a world."""
+    if check.signals == "tracker":
+        return TrackerView(check, label)
+    machine = draw_grinding(
+        check.cell, check.seed, label.recipe, check.readings, check.blind, check.signals == "both"
+    )
+    folder = check.folder / WORLDS / label.recipe.name
+    return ForceView(machine, folder, label.effects, label.withheld, (check.seed, label.recipe.index, _ORACLE))
+
+
+def _of_answer(label: Label, answer: dict[str, Any], signal: str = "tracker") -> dict[str, Any]:
     """What the diagnosis said, and how right that is."""
     document = answer["document"]
     groups, planted = classes(document), [name_of(p) for p in label.effects]
     names = [name for name, _ in ranking(document)]
-    gap = document["gap"]["tracker"]
+    gap = document["gap"][signal]
     row: dict[str, Any] = {
         "diagnosis": _judged(label, names, named(document), groups),
         "strict": _judged(label, names, named(document), []),
@@ -107,9 +145,29 @@ def _names(rows: Sequence[Sequence[Any]]) -> list[Name]:
     return [(str(effect), int(joint)) for effect, joint in rows]
 
 
-def _of_oracle(check: Check, machine: Machine, label: Label) -> dict[str, Any]:
+def _of_oracle(label: Label, seen: oracle.Seen) -> dict[str, Any]:
     """What one who knows all signatures and the true covariance says of the same noise; what these data cannot tell from the
     planted effect, what the library leaves of it, and the smallest size that would be seen."""
+    library, alone = seen.library, seen.alone
+    first = label.effects[0] if len(label.effects) == 1 else None
+    twins, sure, possible = set[Name](), set[Name](), set[Name]()
+    left: float | None = None
+    if first is not None:
+        twins, sure, possible = (oracle.not_told_apart(library, alone[0], name_of(first), f) for f in (1.0, 1 / UNSURE, UNSURE))
+        left = oracle.cannot_be_imitated(library, alone[0])
+    names, said = oracle.ranked(library, seen.y), oracle.chosen(library, seen.y)
+    groups = [twins | {name_of(first)}] if first is not None and twins else []
+    return {
+        "oracle": _judged(label, names, said, groups),
+        "true_class": sorted(groups[0]) if groups else [],
+        "sure_class": sorted(sure), "possible_class": sorted(possible),
+        "left": left,
+        "exact_smallest": list(seen.smallest),
+    }  # fmt: skip
+
+
+def _seen(check: Check, machine: Machine, label: Label) -> oracle.Seen:
+    """A tracker world as the oracle sees it."""
     scene = machine.scene()
     noise, kept = _noise(check, machine, scene, label)
     white = whitener(scene, kept)
@@ -118,22 +176,8 @@ def _of_oracle(check: Check, machine: Machine, label: Label) -> dict[str, Any]:
     A, sd = nuisance(scene)
     drawn = np.random.default_rng((check.seed, label.recipe.index, _ORACLE)).normal(size=len(sd)) * sd
     y = white.apply(whole - bare + noise + A @ drawn)
-    alone = [white.apply(whole - machine.points([p for p in label.effects if p is not one])) for one in label.effects]
-    first = label.effects[0] if len(label.effects) == 1 else None
-    twins, sure, possible = set[Name](), set[Name](), set[Name]()
-    left: float | None = None
-    if first is not None:
-        twins, sure, possible = (oracle.not_told_apart(library, alone[0], name_of(first), f) for f in (1.0, 1 / UNSURE, UNSURE))
-        left = oracle.cannot_be_imitated(library, alone[0])
-    names, said = oracle.ranked(library, y), oracle.chosen(library, y)
-    groups = [twins | {name_of(first)}] if first is not None and twins else []
-    return {
-        "oracle": _judged(label, names, said, groups),
-        "true_class": sorted(groups[0]) if groups else [],
-        "sure_class": sorted(sure), "possible_class": sorted(possible),
-        "left": left,
-        "exact_smallest": [_smallest(scene, p, s) for p, s in zip(label.effects, alone, strict=True)],
-    }  # fmt: skip
+    alone = tuple(white.apply(whole - machine.points([p for p in label.effects if p is not one])) for one in label.effects)
+    return oracle.Seen(library, y, alone, tuple(_smallest(scene, p, s) for p, s in zip(label.effects, alone, strict=True)))
 
 
 def _noise(check: Check, machine: Machine, scene: Scene, label: Label) -> tuple[Array, Array]:

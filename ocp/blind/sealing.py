@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ocp.blind.drawing import Drawn, draw_effects
+from ocp.blind.grinding.world import make_force_world, write_cell_with_blade
 from ocp.blind.machines import HEAVY, Machine, draw_machine
 from ocp.blind.outside_arm import arm_of
 from ocp.blind.recipes import Recipe
@@ -19,7 +20,7 @@ WORLDS, SEALED, SEAL, CELL, WITHHELD = "worlds", "sealed", "seal.json", "cell.to
 
 @dataclass(frozen=True)
 class Check:
-    """A blind check: its folder, seed, sizes of the campaigns, kinds of worlds and how many."""
+    """A blind check: its folder, seed, sizes of the campaigns, kinds of worlds and how many; signals: tracker, force or both."""
 
     folder: Path
     seed: int
@@ -27,6 +28,7 @@ class Check:
     kinds: tuple[str, ...]
     readings: int = 150
     blind: int = 120
+    signals: str = "tracker"
 
     @property
     def cell(self) -> Path:
@@ -35,7 +37,8 @@ class Check:
 
     def fixed(self) -> dict[str, Any]:
         """What may not change when a check is resumed."""
-        return {"seed": self.seed, "kinds": list(self.kinds), "readings": self.readings, "blind": self.blind}
+        told = {"seed": self.seed, "kinds": list(self.kinds), "readings": self.readings, "blind": self.blind}
+        return told if self.signals == "tracker" else {**told, "signals": self.signals}
 
 
 @dataclass(frozen=True)
@@ -48,8 +51,12 @@ class Label:
     withheld: tuple[str, ...]
 
 
-def write_cell(source: Path, path: Path) -> None:
-    """The cell of the check: the one given, with a payload that is never measured where it has none."""
+def write_cell(source: Path, path: Path, signals: str = "tracker") -> None:
+    """The cell of the check: the one given, with a payload that is never measured where it has none; for force worlds with its
+    blade. Raises BadInput: no blade for those."""
+    if signals != "tracker":
+        write_cell_with_blade(source, path)
+        return
     text = source.read_text(encoding="utf-8-sig")
     path.write_text(text if "[payloads.heavy]" in text else text + HEAVY, encoding="utf-8")
 
@@ -58,14 +65,23 @@ def make_world(check: Check, recipe: Recipe) -> str:
     """Draw, write and seal a world that is not there yet; the hash of its label. Raises Infeasible of the drawing."""
     folder, label = check.folder / WORLDS / recipe.name, label_path(check, recipe)
     if not label.is_file():
-        machine = draw_machine(check.cell, check.seed, recipe, check.readings, check.blind)
-        drawn = draw_effects(check.seed, recipe, machine)
-        write_world(folder, check.cell, machine, drawn.effects)
+        drawn = _made(check, recipe, folder)
         withheld = tuple(p.effect for p in drawn.effects) if recipe.kind == "left_out" else ()
         if withheld:
             (folder / WITHHELD).write_text("\n".join(withheld) + "\n", encoding="utf-8")
         _write_label(label, recipe, drawn, withheld)
     return digest(label)
+
+
+def _made(check: Check, recipe: Recipe, folder: Path) -> Drawn:
+    """What was planted in the world that is now in `folder`."""
+    if check.signals != "tracker":
+        both = check.signals == "both"
+        return make_force_world(check.cell, check.seed, recipe, check.readings, check.blind, both, folder)
+    machine = draw_machine(check.cell, check.seed, recipe, check.readings, check.blind)
+    drawn = draw_effects(check.seed, recipe, machine)
+    write_world(folder, check.cell, machine, drawn.effects)
+    return drawn
 
 
 def write_world(folder: Path, cell: Path, machine: Machine, effects: tuple[Planted, ...]) -> None:

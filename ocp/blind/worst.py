@@ -8,6 +8,7 @@ import numpy as np
 from ocp.blind.figures import CONFIDENT, HARM, answered, hit, shrinkage, strange
 from ocp.blind.intervals import NOTHING, Estimate
 from ocp.blind.judging import first_right
+from ocp.blind.recipes import BEYOND
 
 Row = dict[str, Any]
 SHOWN = 20
@@ -43,13 +44,13 @@ def badness(row: Row) -> float:
         score += 500.0 * (row["verdict"] != "no_gap")
     elif strange(row):
         score += 0.0 if row["p_unknown"] > 0.5 else row["left"]
-    elif row["kind"] not in ("outside", "left_out"):
+    elif row["kind"] not in BEYOND:
         found, said, planted = row["diagnosis"]["set"]
         if row["kind"] == "single":
             score += 0.0 if hit(row, "top1") else row["lam"][0]
         else:
             score += 50.0 * (planted - found) + 50.0 * (said - found)
-    if wrong > CONFIDENT and not (row["kind"] in ("outside", "left_out") and not strange(row)):
+    if wrong > CONFIDENT and not (row["kind"] in BEYOND and not strange(row)):
         score += 300.0 * wrong
     if row.get("realised") and shrinkage(row) < HARM:
         score += 200.0 * min(-shrinkage(row), 5.0)

@@ -70,24 +70,38 @@ def whiten(runs: Runs, noise: Noise, weight: Array, columns: Array) -> tuple[Arr
 
     One linear map for all columns. weight (n,) divides a sample's variance: small for an outlier.
     """
-    variance, correlated = noise.sigma**2, noise.share * noise.sigma**2
-    out, scale = np.zeros_like(columns), np.ones(len(columns))
-    state = np.zeros((len(runs.index), columns.shape[1]))
-    spread = np.full(len(runs.index), correlated)
-    for k in range(runs.index.shape[1]):
-        here = runs.index[:, k] >= 0
-        at = runs.index[here, k]
-        decay = np.exp(-runs.step[here, k] / noise.tau)
-        ahead = decay**2 * spread[here] + (1.0 - decay**2) * correlated
-        total = (ahead + variance - correlated) / weight[at]
-        gain = np.minimum(ahead / total, 1.0)
-        guess = decay[:, None] * state[here]
-        difference = columns[at] - guess
-        scale[at] = np.sqrt(total)
-        out[at] = difference / scale[at][:, None]
-        state[here] = guess + gain[:, None] * difference
-        spread[here] = ahead * (1.0 - gain)
+    order = np.argsort(-(runs.index >= 0).sum(axis=1), kind="stable")  # longest first: those under way are always the first ones
+    index = runs.index[order].T
+    under_way = (index >= 0).sum(axis=1).tolist()
+    decay, gain, total = _gains(runs.step[order].T, index, noise, weight)
+    out, scale = np.empty_like(columns, dtype=float), np.ones(len(columns))
+    state = np.zeros((index.shape[1], columns.shape[1]))
+    for at, d, g, c in zip(index, decay[..., None], gain[..., None], under_way, strict=True):
+        guess = d[:c] * state[:c]
+        difference = columns[at[:c]] - guess
+        state[:c] = guess + g[:c] * difference
+        out[at[:c]] = difference
+    inside = index >= 0
+    scale[index[inside]] = np.sqrt(total[inside])
+    out /= scale[:, None]
     return out, scale
+
+
+def _gains(step: Array, index: Index, noise: Noise, weight: Array) -> tuple[Array, Array, Array]:
+    """Decay of the correlated part since the sample before, the filter's gain and the variance (k, stretches) of what it does not
+    foresee, sample by sample; they do not depend on the readings."""
+    variance, correlated = noise.sigma**2, noise.share * noise.sigma**2
+    decay = np.exp(-step / noise.tau)
+    kept, fresh = decay**2, (1.0 - decay**2) * correlated
+    weights = np.where(index >= 0, weight[index], 1.0)
+    gain, total = np.empty(step.shape), np.empty(step.shape)
+    spread = np.full(step.shape[1], correlated)
+    for k in range(len(step)):
+        ahead = kept[k] * spread + fresh[k]
+        total[k] = (ahead + variance - correlated) / weights[k]
+        gain[k] = np.minimum(ahead / total[k], 1.0)
+        spread = ahead * (1.0 - gain[k])
+    return decay, gain, total
 
 
 def estimate_noise(run: Index, time: Array, residual: Array, before: Noise | None = None) -> Noise:

@@ -1,12 +1,15 @@
 """From logs to the model's rows: the blade under every contact point, its give, and a wheel law that covers the log."""
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ocp.blade_gap import SurfaceCloud
 from ocp.cell import Cell
 from ocp.contact.cover import Cover
 from ocp.contact.law_store import remembered_law
@@ -25,7 +28,7 @@ from ocp.workers import interrupts_held_back, nothing, workers
 from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array
-from trajectories.blade import Blade, find_shape, read_blade
+from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
 
 FAR = 10e-3  # m of overlap or gap between wheel and blade at a row in contact, beyond which cell and log do not belong together
 ROOM = (2e-3, 0.01, np.radians(4.0))  # lateral m, tilt, turn rad that the law covers beyond the log's own postures
@@ -51,8 +54,7 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     """
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell.path}: no blade; name it as workpiece.stl, a force log needs the blade's shape")
-    blade = read_blade(cell.workpiece.stl, cell.workpiece.stl_unit)
-    shape = find_shape(blade)
+    blade, shape, cloud = _measured(cell.workpiece.stl, cell.workpiece.stl_unit)
     feet = [foot_points(blade, shape, log) for log in logs]
     poses = [_posture(cell, log, foot) for log, foot in zip(logs, feet, strict=True)]
     touching = np.concatenate([log.contact for log in logs])
@@ -67,11 +69,28 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     whole = ForceRows.joined(
         [_rows(cell, log, foot, c) for log, foot, c in zip(logs, feet, np.split(give, _cuts(logs)), strict=True)]
     )
-    whole = with_defect(model, cover, surface_cloud(shape, blade), whole, _about(cell, logs, law))
+    whole = with_defect(model, cover, cloud, whole, _about(cell, logs, law))
     edges = [0, *_cuts(logs).tolist(), len(whole)]
     rows = tuple(whole.take(slice(i, j)) for i, j in pairwise(edges))
     notices = (*blade.notices, *shape.notices, *(text for foot in feet for text in foot.notices))
     return ForceSetup(model, rows, cover, notices)
+
+
+_LAST: dict[tuple[str, str, str], tuple[Blade, AerofoilShape, SurfaceCloud]] = {}
+
+
+def _measured(stl: Path, unit: str) -> tuple[Blade, AerofoilShape, SurfaceCloud]:
+    """Blade, shape and surface of an STL; the last one is kept, for a log and its sealed conditions ask one after the other."""
+    try:
+        key = (hashlib.sha256(stl.read_bytes()).hexdigest(), stl.name, unit)
+    except OSError:
+        key = ("", str(stl), unit)  # the reader says what is wrong with it
+    if key not in _LAST:
+        blade = read_blade(stl, unit)
+        shape = find_shape(blade)
+        _LAST.clear()
+        _LAST[key] = blade, shape, surface_cloud(shape, blade)
+    return _LAST[key]
 
 
 def _cuts(logs: Sequence[ForceLog]) -> NDArray[np.int64]:

@@ -52,7 +52,7 @@ class Arm:
 
     def _columns(self, effect: Effect, joint: int, scans: Sequence[Scanned]) -> "Moved":
         found = arm_columns(effect, joint, scans, self.rows)
-        moving = np.flatnonzero(np.abs(np.nan_to_num(found.joints, nan=1.0)).max(axis=(0, 1, 3)) > 0)
+        moving = np.flatnonzero([found.joints[:, :, j].any() for j in range(found.joints.shape[2])])
         blade = None
         for link, twist in found.twists.items():
             lever = self.origin - self.rows.origins[:, link]

@@ -17,7 +17,7 @@ from ocp.diagnosis.force.conditions import conditions_of
 from ocp.diagnosis.force.fit import ForceFit, Problem, solve
 from ocp.diagnosis.force.folds import force_folds, held_out
 from ocp.diagnosis.force.kept import Kept, Store, kept_rows
-from ocp.diagnosis.force.prediction import M, Scene
+from ocp.diagnosis.force.prediction import M, Scene, predict
 from ocp.diagnosis.force.sealed import predict_sealed
 from ocp.diagnosis.force.seen import NEEDED, conditions, surroundings
 from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant, scan_key
@@ -26,7 +26,7 @@ from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.library import library
 from ocp.force.fit import pressed_rows
 from ocp.force.log import ForceLog
-from ocp.force.rows import prepare_force
+from ocp.force.rows import ForceSetup, prepare_force
 from robots.calibration.store import Calibration
 from robots.pose import Array
 
@@ -37,7 +37,8 @@ TOGETHER = 48  # variants evaluated at once
 
 @dataclass(frozen=True)
 class ForceChannel:
-    """A force log with the fit of the believed contact and of the active effects. `store` keeps columns that hardly change."""
+    """A force log with the fit of the believed contact and of the active effects. `store` keeps columns that hardly change,
+    `latest` those that were asked for last."""
 
     problem: Problem
     fit: ForceFit
@@ -45,6 +46,7 @@ class ForceChannel:
     store: Store = field(default_factory=dict, repr=False)
     before: "ForceChannel | None" = field(default=None, repr=False)
     judged: dict[str, Any] = field(default_factory=dict, repr=False)
+    latest: dict[str, Any] = field(default_factory=dict, repr=False)
     tracker: TrackerChannel | None = field(default=None, repr=False)
     name: str = "force"
     unit: str = "N"
@@ -119,6 +121,14 @@ class ForceChannel:
         if self.blind(effect):
             return []
         chosen = self._scan(effect, joint) if scans is None else tuple(scans)
+        # The engine asks for a scan and then, for all channels together, by name for what the scan had.
+        asked = (effect.name, joint, *map(scan_key, chosen))
+        if self.latest.get("asked") != asked:
+            self.latest.update(asked=asked, found=self._variants(effect, joint, chosen))
+        return list(self.latest["found"])
+
+    def _variants(self, effect: Effect, joint: int, chosen: Sequence[Scanned]) -> list[Variant]:
+        """As `variants`, evaluated."""
         prior = np.asarray(effect.prior_sd, float)
         found = list[Variant]()
         for start in range(0, len(chosen), TOGETHER):
@@ -148,9 +158,9 @@ class ForceChannel:
             # What bends the readings of the tracker bends what is believed of the arm.
             believed = believed_contact(self.problem.scene.cell, arm_with_effects(self.tracker, moved))
             problem = replace(self.problem, believed=believed)
-            return replace(self, problem=problem, fit=solve(problem, visible), before=self.baseline, judged={})
+            return replace(self, problem=problem, fit=solve(problem, visible), before=self.baseline, judged={}, latest={})
         fit = solve(self.problem, visible, self.fit)
-        return replace(self, fit=fit, before=self.baseline if visible else None, judged={})
+        return replace(self, fit=fit, before=self.baseline if visible else None, judged={}, latest={})
 
     def gap(self) -> Array:
         """Measured less predicted normal reading (n, 1) N."""
@@ -205,16 +215,30 @@ def force_channel(
         arm = arm_with_effects(channel, ())
     elif arm is None and isinstance(tracker, Path):
         arm = arm_from_tracker(tracker, cell.path)
+    problem = _problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)
+    chosen = tuple(library().values() if effects is None else effects)
+    return ForceChannel(problem, solve(problem), chosen, tracker=channel)
+
+
+def _problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None) -> Problem:
+    """The problem of a log that is the first of a setup."""
     given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
-    setup = prepare_force(cell, [log])
     believed = believed_contact(cell, arm)
     told, theta = conditions_of(cell, log), believed.mean[:M]
     law, own = setup.model.law, arm_of(cell, theta, log.q, told)
     scene = Scene(cell, Balance(cell, law), setup.rows[0], told, own, theta, given, pressed_rows(setup.model, log))
-    problem = Problem.of(log, scene, believed, setup.notices)
-    fit = solve(problem)
-    chosen = tuple(library().values() if effects is None else effects)
-    return ForceChannel(problem, fit, chosen, tracker=channel)
+    return Problem.of(log, scene, believed, setup.notices)
+
+
+def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path | None = None) -> Array:
+    """Normal readings (n,) N of other conditions by the believed contact refitted to a log, no effect in it: what is left where
+    nothing else is wrong. Raises as `force_channel`."""
+    setup = prepare_force(replace(cell, effects=()), [log, sealed])
+    problem = _problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
+    fit, scene = solve(problem), problem.scene
+    told = conditions_of(cell, sealed)
+    there = replace(scene, rows=setup.rows[1], conditions=told, arm=arm_of(cell, scene.theta, sealed.q, told), pressed=None)
+    return predict(there, fit.at.x, (), predict(there, fit.at.x)).fn
 
 
 def _of_whitened(kept: Kept, white: Array) -> Array:

@@ -143,10 +143,10 @@ def solve(problem: Problem, active: tuple[Active, ...] = (), start: ForceFit | N
         whiteners = start.whiteners
     z, at, whiteners, first = _settle(problem, z, at, whiteners)
     rest = problem.residuals(at, z)
-    whiteners = tuple(
-        refreshed(log, w, e) for log, w, e in zip(signals(problem.log), whiteners, rest, strict=False) if e is not None
-    )
-    z, at, whiteners, second = _settle(problem, z, at, whiteners)
+    anew = tuple(refreshed(log, w, e) for log, w, e in zip(signals(problem.log), whiteners, rest, strict=False) if e is not None)
+    second = 0
+    if any(w is not old for w, old in zip(anew, whiteners, strict=True)):
+        z, at, whiteners, second = _settle(problem, z, at, anew)
     line = linear(problem, z, at, whiteners)
     information = np.eye(len(z)) + told(whiteners, line.sensitivity)
     covariance = np.linalg.inv(information)[r + o :, r + o :] * np.outer(scale, scale)

@@ -69,13 +69,20 @@ def _enough(rows: Flags, contact: Flags) -> bool:
 
 
 def held_out(before: Fitted, after: Fitted, fold: Fold) -> HeldOut | None:
-    """Squared errors N^2 of the fold's normal readings in contact, everything refitted on the rest, without and with effects."""
+    """Squared errors N^2 of the fold's normal readings in contact, everything refitted on the rest, without and with effects.
+
+    What the believed contact itself cannot know there without them counts as noise. Where that is more than a reading's own
+    noise nothing is judged: another side of the blade stands where its registration has it, whatever the effect.
+    """
     log, held, whitener = after[0].log, np.asarray(fold.held, bool), after[1].whiteners[0]
     rows = held & log.contact & (whitener.noise.weight > GROSS)
     if rows.sum() < LEAST or (~held & log.contact).sum() < LEAST:
         return None
     b, a = (_errors(*fitted, held)[rows] ** 2 for fitted in (before, after))
-    noise = whitener.noise.sigma()[rows] ** 2
+    noise, unknown = whitener.noise.sigma()[rows] ** 2, _extrapolated(*before, held)[rows]
+    if fold.extrapolates and unknown.mean() > noise.mean():
+        return None
+    noise = noise + unknown
     told = _estimation(*after, held)[rows]
     return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(told.mean()))
 
@@ -87,6 +94,13 @@ def _estimation(problem: Problem, fit: ForceFit, held: Flags) -> Array:
     covariance = np.linalg.inv(np.eye(len(fit.z)) + rest.T @ rest)[start:, start:]
     columns = fit.normal[:, start:]
     return np.asarray(np.einsum("ni,ij,nj->n", columns, covariance, columns))
+
+
+def _extrapolated(problem: Problem, fit: ForceFit, held: Flags) -> Array:
+    """Variance (n,) N^2 that the nuisance has in the readings when it is fitted without the held rows."""
+    (r, _), rest = problem.sizes, fit.sensitivity[~np.tile(held, len(fit.whiteners))]
+    covariance = np.linalg.inv(np.eye(len(fit.z)) + rest.T @ rest)[:r, :r]
+    return np.asarray(np.einsum("ni,ij,nj->n", fit.normal[:, :r], covariance, fit.normal[:, :r]))
 
 
 def _errors(problem: Problem, fit: ForceFit, held: Flags) -> Array:

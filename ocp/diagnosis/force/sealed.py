@@ -30,8 +30,11 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
     told = conditions_of(scene.cell, sealed, 0.0 if "clock_s" in scene.conditions.given else used)
     arm = arm_of(scene.cell, scene.theta, sealed.q, told)
     there = Scene(scene.cell, balance, setup.rows[1], told, arm, scene.theta, scene.given)
-    found = []
+    found: list[tuple[ForceFit, Predicted]] = []
     for own, fit in (before, after):
+        if found and fit is before[1]:  # no effect
+            found.append(found[0])
+            continue
         measured = replace(own, scene=replace(own.scene, balance=balance, rows=setup.rows[0]))
         again = solve(measured, fit.active, fit)
         at = predict(there, again.at.x, again.active)

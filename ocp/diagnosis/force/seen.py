@@ -30,7 +30,7 @@ def surroundings(problem: Problem) -> Surroundings:
         payloads=(own,) if own in names else (), breaks=np.sort(breaks), run_length=float(max(spans)),
         length=float(max(lengths, default=0.0)), robot=cell.robot.name, torque_max=cell.robot.torque_max,
         stiffness=cell.robot.stiffness, lines=tuple(float(k) for k in np.unique(c.line[log.contact])),
-        friction=cell.wheel.friction,
+        sides=_sides(log.n[log.contact]), friction=cell.wheel.friction,
     )  # fmt: skip
 
 
@@ -50,6 +50,13 @@ def conditions(problem: Problem, fit: ForceFit) -> Conditions:
         tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com), d_joints=np.stack(joints, axis=1),
         gear_ratio=scene.cell.robot.gear_ratio,
     )  # fmt: skip
+
+
+def _sides(n: Array) -> tuple[tuple[float, float, float], ...]:
+    """Mean normals of the sides of the blade that normals (n, 3) belong to: that of the first row, and the one behind it."""
+    groups = [n[n @ n[0] > 0], n[n @ n[0] <= 0]] if len(n) else []
+    means = [part.mean(axis=0) / np.linalg.norm(part.mean(axis=0)) for part in groups if len(part)]
+    return tuple((float(m[0]), float(m[1]), float(m[2])) for m in means)
 
 
 def _ends(run: Index, clock: Array) -> tuple[Array, Array]:
