@@ -152,7 +152,7 @@ def test_what_the_nuisance_leaves_of_a_signature():
     left = {s.name: s.left for s in screened(make_problem([c], library, Options()))}
     s = c.system
     known = np.isfinite(s.prior_sd)
-    A = s.nuisance * np.where(known, s.prior_sd, 1e6 / np.linalg.norm(s.nuisance, axis=0))
+    A = s.nuisance * np.where(known, s.prior_sd, 1e6 / np.maximum(np.linalg.norm(s.nuisance, axis=0), 1e-12))
     covariance = np.eye(len(A)) + A @ A.T
     for name in (Name("encoder_scale", 3), Name("backlash", 5)):
         C = c.variants(library[name.effect], name.joint)[0].columns[:, 0]

@@ -10,6 +10,8 @@ from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Vari
 from ocp.diagnosis.tracker.baseline import relearned
 from ocp.diagnosis.tracker.folds import tracker_folds
 from ocp.diagnosis.tracker.held_out import held_out
+from ocp.diagnosis.tracker.masses import MASS_SD, mass_columns
+from ocp.diagnosis.tracker.masses import NAMES as MASS_NAMES
 from ocp.diagnosis.tracker.motion import Seen, displaced, motion
 from ocp.diagnosis.tracker.noise import USUAL
 from ocp.diagnosis.tracker.predict import predict
@@ -72,16 +74,22 @@ class TrackerChannel:
     def system(self) -> System:
         """Whitened about the current fit."""
         n = len(self.readings)
-        layout = self.task.layout
+        layout, linear = self.task.layout, self.fit.linear
+        J = np.concatenate([linear.J, self.masses], axis=2)
         return System(
-            residual=np.einsum("nij,nj->ni", self.fit.W, self.fit.linear.residual).ravel(),
-            nuisance=(self.fit.W @ self.fit.linear.J).reshape(3 * n, -1),
-            names=layout.names,
-            prior_sd=layout.prior_sd,
-            offset=np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0),
+            residual=np.einsum("nij,nj->ni", self.fit.W, linear.residual).ravel(),
+            nuisance=(self.fit.W @ J).reshape(3 * n, -1),
+            names=(*layout.names, *MASS_NAMES),
+            prior_sd=np.append(layout.prior_sd, np.full(len(MASS_NAMES), MASS_SD)),
+            offset=np.append(np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0), np.zeros(len(MASS_NAMES))),
             reading=np.repeat(np.arange(n), 3),
             component=np.tile(np.arange(3), n),
         )
+
+    @cached_property
+    def masses(self) -> Array:
+        """What link masses other than believed do to the readings (n, 3, 5) m, to first order."""
+        return mass_columns(self.seen, self.fit.linear.d_joints)
 
     @property
     def noise_floor(self) -> float:
