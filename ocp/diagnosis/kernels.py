@@ -86,8 +86,9 @@ def _of_joint(c: Conditions, j: int) -> Iterator[tuple[str, Array]]:
         if c.signal == "tracker" and c.time is not None:
             yield f"approach{name} x wait", (sign[:, None] * _rest(c.time))[:, :, None]
             yield f"step{name}", smooth(_step(c.time, q), 5)[:, None]
-    if c.gear_ratio is not None and np.isfinite(c.gear_ratio[j]):
-        phase = np.outer(q, c.gear_ratio[j] * np.arange(1, MOTOR_WAVES + 1))
+    ratios = c.gear_ratio[j] if c.gear_ratio is not None else ()
+    if len(ratios):
+        phase = np.outer(q, np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel())
         yield f"motor{name}", np.stack([np.cos(phase), np.sin(phase)], axis=2)
     if tau is not None:
         yield f"tau{name}", smooth(tau, 3)[:, None]

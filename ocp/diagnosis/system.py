@@ -34,7 +34,8 @@ class Conditions:
     prediction in the six joint angles, SI per rad (k components of a reading), for kernels and spectra in joint angles; d_tilts
     (n, k, 6, 4): in tilts of the six axes about the two directions across them that stand still in the link before, and the two
     that turn with the joint; moments (n, 6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in
-    the instrument's frame; sight (n, 3): unit vectors from reflectors to the instrument, in axes of the links that carry them.
+    the instrument's frame; sight (n, 3): unit vectors from reflectors to the instrument, in axes of the links that carry them;
+    gear_ratio: those that each of six joints may have.
     """
 
     signal: str
@@ -64,7 +65,7 @@ class Conditions:
     moments: Array | None = None
     point: Array | None = None
     sight: Array | None = None
-    gear_ratio: Array | None = None
+    gear_ratio: tuple[tuple[float, ...], ...] | None = None
 
 
 @dataclass(frozen=True)

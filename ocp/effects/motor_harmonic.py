@@ -19,13 +19,21 @@ SISTERS = (
 )
 
 
-def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+def ratios(joint: int, seen: Surroundings) -> list[float]:
+    """Gear ratios that joint 1..6 may have: the robot's own, else those of its sisters, else none."""
     known = seen.gear_ratio[joint - 1]
     if np.isfinite(known):
-        ratios = [float(known)]
-    else:
-        ratios = sorted({sister[joint - 1] for sister in SISTERS}) if seen.robot in ("", "kr210_r2700_extra") else []
-    return [{"order": k, "gear_ratio": ratio} for ratio in ratios for k in ORDERS]
+        return [float(known)]
+    return sorted({sister[joint - 1] for sister in SISTERS}) if seen.robot in ("", "kr210_r2700_extra") else []
+
+
+def ratios_of(seen: Surroundings) -> tuple[tuple[float, ...], ...]:
+    """The same of all six joints."""
+    return tuple(tuple(ratios(j, seen)) for j in range(1, 7))
+
+
+def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+    return [{"order": k, "gear_ratio": ratio} for ratio in ratios(joint, seen) for k in ORDERS]
 
 
 def _ripple(x: ArmContext, j: int, scanned: Scanned) -> ca.SX:

@@ -5,6 +5,7 @@ import numpy as np
 from ocp.diagnosis.force.fit import ForceFit, Problem
 from ocp.diagnosis.system import Conditions
 from ocp.effects.effect import Surroundings
+from ocp.effects.motor_harmonic import ratios_of
 from ocp.force.log import Index
 from robots.gravity import weight_torques
 from robots.pose import Array
@@ -48,7 +49,7 @@ def conditions(problem: Problem, fit: ForceFit) -> Conditions:
         line=log.line, session=log.session if len(log.sessions) > 1 else None, s=c.s,
         feed=log.feed, setpoint=log.setpoint, belt=log.belt, contact=log.contact.astype(float), travel=c.travel,
         tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com), d_joints=np.stack(joints, axis=1),
-        gear_ratio=scene.cell.robot.gear_ratio,
+        gear_ratio=ratios_of(surroundings(problem)),
     )  # fmt: skip
 
 

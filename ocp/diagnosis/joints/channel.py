@@ -26,6 +26,7 @@ from ocp.diagnosis.joints.problem import (
 from ocp.diagnosis.joints.signals import signals_of
 from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.effects.motor_harmonic import ratios_of
 from robots.measurements import Hanging
 from robots.pose import Array
 from robots.robot import Robot
@@ -57,7 +58,7 @@ class JointChannel:
         log = p.signals.log
         return Conditions(
             signal="joint", q=q, approach=approach, time=log.time[p.row], run=log.run[p.row], tau=tau, d_joints=own[:, None],
-            gear_ratio=p.robot.gear_ratio,
+            gear_ratio=ratios_of(self.surroundings),
         )  # fmt: skip
 
     @property
@@ -71,7 +72,8 @@ class JointChannel:
         log = self.problem.signals.log
         span = np.stack([log.q.min(axis=0), log.q.max(axis=0)], axis=1)
         step = float(np.median(np.diff(log.time[log.run == log.run[0]])))
-        return Surroundings(self.problem.robot.gear_ratio, span, np.sort(log.time), (), step)
+        robot = self.problem.robot
+        return Surroundings(robot.gear_ratio, span, np.sort(log.time), (), step, robot=robot.name)
 
     @property
     def system(self) -> System:

@@ -17,6 +17,7 @@ from ocp.diagnosis.tracker.noise import USUAL
 from ocp.diagnosis.tracker.predict import predict
 from ocp.diagnosis.tracker.refit import Held, Task, refit
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance
 from robots.gravity import weight_torques
 from robots.measurements import Readings
@@ -134,7 +135,7 @@ class TrackerChannel:
             session=r.session if len(several["session"]) > 1 else None,
             station=r.station if len(several["station"]) > 1 else None,
             tau=tau, d_joints=self.fit.linear.d_joints, d_tilts=self.seen.tilts, moments=self.seen.moments,
-            gear_ratio=c.robot.gear_ratio, point=self.fit.linear.point, sight=self.seen.sight,
+            gear_ratio=ratios_of(self.surroundings), point=self.fit.linear.point, sight=self.seen.sight,
         )  # fmt: skip
 
     def blind(self, effect: Effect) -> str:
