@@ -1,5 +1,6 @@
 """Effects that nobody catalogued, on an arm in NumPy: each is placed by what it varies with, and gets no name of the library."""
 
+import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,12 +10,17 @@ from scipy.stats import ncx2
 from simulated_campaign import NESTS, PAYLOADS
 from test_diagnosis_tracker import LIBRARY, ROBOT, channel, column, world
 
+import ocp.effects
+from ocp.diagnose import _catalogue
+from ocp.diagnosis.effect_list import effect_list
 from ocp.diagnosis.evidence import size_grid
 from ocp.diagnosis.features import groups, products, smooth
 from ocp.diagnosis.findings import Name, Options
 from ocp.diagnosis.search import SUSPECT, diagnose
 from ocp.diagnosis.system import Fold, HeldOut
 from ocp.diagnosis.visible import Rival, needed
+from ocp.effects.library import library
+from ocp.effects.listing import effects_table
 from robots.gravity import GRAVITY, weight_torques
 from robots.kinematics import forward
 
@@ -158,9 +164,9 @@ def test_an_impostor_is_barred_and_what_is_true_is_found_instead():
     false = true + 0.3 * rng.normal(size=200)
     y = 1.2 * false + rng.normal(size=200)
     columns = {("false", 0): false[None, :, None], ("true", 0): true[None, :, None]}
-    library = {"false": effect("false", (2.0,)), "true": effect("true", (2.0,))}
+    known = {"false": effect("false", (2.0,)), "true": effect("true", (2.0,))}
     made = Halves(y, np.ones((200, 1)), np.array([1.0]), columns)
-    d = diagnose([made], library, Options(where=False, prior_effects=0.5))
+    d = diagnose([made], known, Options(where=False, prior_effects=0.5))
     assert [n for n, _ in d.impostors] == [Name("false")] and "late" in d.unknown_because[0]
     assert [a.effect.name for a in d.active] == ["true"]
     assert d.p_unknown >= SUSPECT * (1 - d.p_none) * 0.99
@@ -178,6 +184,31 @@ def test_an_effect_of_the_told_size_is_named_nine_times_of_ten():
     assert told > ncx2.mean(2, 0) and needed(energy, 2, sizes, odds, 400) > told
     background = Rival(np.full(4, 0.01), np.log(0.04), 0, 40)
     assert needed(energy, 2, sizes, odds, 40, rival=background) > told
+
+
+def test_a_dropped_file_is_screened_named_planned_and_listed(tmp_path, monkeypatch):
+    (tmp_path / "brand_new.py").write_text(
+        '"""Joint 1 is off by the product of two others."""\n'
+        "from ocp.effects._forms import at_joint, one\nfrom ocp.effects.effect import Effect, Parameter\n"
+        'EFFECT = Effect(name="brand_new", title="new at joint {joint}", subsystem="joint", physics="dq = k q3 q5.",\n'
+        '    parameters=(Parameter("k", "1/rad", 1e-5, 2e-4),), coefficients=("k",), prior_sd=(2e-4,), joints=(1,),\n'
+        '    joint=lambda x, j, scanned: at_joint(j, x.q[2] * x.q[4]), **one("k"))\n'
+    )
+    monkeypatch.setattr(ocp.effects, "__path__", [*ocp.effects.__path__, str(tmp_path)])
+    library.cache_clear()
+    try:
+        readings, _ = world(17, lambda r: column(1, 1.5e-4 * r.q[:, 2] * r.q[:, 4]))
+        d = diagnose([channel(readings)], library(), Options(folds=False))
+        assert Name("brand_new", 1) in {s.name for s in d.screened}
+        assert d.verdict == "explained" and [a.effect.name for a in d.active] == ["brand_new"]
+        assert d.active[0].parameters["k"] == pytest.approx(1.5e-4, rel=0.1)
+        assert any(line.startswith("brand_new") for line in effect_list().splitlines())
+        assert "brand_new" in effects_table()
+        monkeypatch.setattr(sys, "argv", ["diagnose", "--help"])
+        assert "brand_new: new at joint j" in (_catalogue() or "")
+    finally:
+        library.cache_clear()
+        sys.modules.pop("ocp.effects.brand_new", None)
 
 
 def test_features_are_what_they_say():
