@@ -9,7 +9,7 @@ with G = C^T C, b = C^T y:
 The noise model's scale is known only so well: its inverse variance has a gamma prior worth nu0 rows, integrated in closed
 form (a Student-t evidence). Sizes t stand on a logarithmic grid between the lower and the upper end of the typical range,
 which stands for log-uniform priors. Coefficients that physics holds positive have half-normal priors: a factor of twice
-their posterior probability of being positive each.
+their posterior probability of being positive each (and a chance `WRONG` of a sign or a mounting that is not as believed).
 """
 
 import numpy as np
@@ -19,6 +19,7 @@ from robots.measurements import Index
 from robots.pose import Array
 
 TRUST = 40.0  # rows that the noise model's scale is worth (nu0)
+WRONG = 2e-4  # chance of a sign that physics rules out: such a value is to be named and doubted, not unspeakable
 SIZES = 4  # of the grid of prior widths
 
 
@@ -73,7 +74,8 @@ def _half(
         mean = np.einsum("vik,vtk->vti", vectors[rows], mean)
         variance = np.einsum("vik,vtk->vti", vectors[rows] ** 2, variance)
     scale2 = (TRUST + rest[rows]) / (TRUST + freedom)
-    each = np.log(2.0 * stdtr(freedom + TRUST, mean / np.sqrt(variance * scale2[..., None])) + 1e-300)
+    right = stdtr(freedom + TRUST, mean / np.sqrt(variance * scale2[..., None]))
+    each = np.log(WRONG + 2.0 * (1.0 - WRONG) * right)
     return np.asarray(np.where(positive[rows][:, None, :], each, 0.0).sum(axis=2))
 
 

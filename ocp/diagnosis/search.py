@@ -18,7 +18,7 @@ from ocp.diagnosis.findings import Diagnosis, Name, Options
 from ocp.diagnosis.probabilities import posterior
 from ocp.diagnosis.problem import Problem, make_problem
 from ocp.diagnosis.refine import refined
-from ocp.diagnosis.structured import earn, restless
+from ocp.diagnosis.structured import MANY, earn, restless
 from ocp.diagnosis.system import Channel, kinds
 from ocp.effects.effect import Active, Effect
 
@@ -46,7 +46,8 @@ def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options
         first = make_problem(few, library, options)
         problem, search = settle(first, library, options)
         if posterior(problem, search).p_unknown > 0.5 and restless(problem, search):
-            earning = earn(few[0], library, options)
+            whole = baseline[0]
+            earning = earn(whole.thinned(MANY) if isinstance(whole, Thinnable) else whole, library, options)
             return findings(baseline, first, earning.problem, earning.search, library, options, earning.refused)
         found = findings(baseline, first, problem, search, library, options)
         if not found.impostors:

@@ -13,13 +13,15 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from ocp.diagnosis.beam import NOTHING, Search
-from ocp.diagnosis.earned import earned
-from ocp.diagnosis.families import candidates
+from ocp.diagnosis.earned import Earned, earned
+from ocp.diagnosis.families import candidates, put_back
 from ocp.diagnosis.findings import Name, Options
 from ocp.diagnosis.problem import Problem, make_problem
 from ocp.diagnosis.system import Channel
 from ocp.effects.effect import Active, Effect
 
+FIRST = 2  # names of the first pass
+MANY = 2000  # readings that names are earned on
 KERNELS = 6  # that are weighed beside the names
 
 
@@ -51,11 +53,17 @@ def restless(problem: Problem, search: Search) -> bool:
 
 
 def earn(channel: Channel, library: Mapping[str, Effect], options: Options) -> Earning:
-    """Names of a channel fitted without effects, by held-out errors; refused ones are barred from the library."""
-    found = earned(channel.system, candidates([channel], library, options), channel.folds())
+    """Names of a channel fitted without effects, by held-out errors; refused ones are barred from the library.
+
+    Twice: what is found first (springs, mostly) leaves the geometry, whose prior is as wide as what it had to follow, narrower.
+    """
+    first = earned(channel.system, candidates([channel], library, options), channel.folds(), most=FIRST)
+    about = channel.with_active(_active(first, library))
+    system = replace(about.system, residual=about.system.residual + put_back([about], about.active))
+    found = earned(system, candidates([about], library, options), channel.folds())
     refused = tuple((r.name, r.fold) for r in found.refused)
     barred = replace(options, barred=(*options.barred, *(n for n, _ in refused)))
-    active = tuple(Active(library[s.name.effect], s.name.joint, s.a, s.scanned, np.eye(len(s.a))) for s in found.steps)
+    active = _active(found, library)
     problem = make_problem([channel.with_active(active)], library, barred)
     search = Search(problem.pool, max(options.most, len(active)) + 1, options.beam)
     names = frozenset(problem.index[s.name] for s in found.steps)
@@ -70,3 +78,8 @@ def earn(channel: Channel, library: Mapping[str, Effect], options: Options) -> E
             for family in names:
                 search.add((names - {family}) | {int(k)}, there.members)
     return Earning(problem, search, refused)
+
+
+def _active(found: Earned, library: Mapping[str, Effect]) -> tuple[Active, ...]:
+    """What was earned, to begin a fit from."""
+    return tuple(Active(library[s.name.effect], s.name.joint, s.a, s.scanned, np.eye(len(s.a))) for s in found.steps)

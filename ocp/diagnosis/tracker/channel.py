@@ -13,7 +13,7 @@ from ocp.diagnosis.tracker.held_out import held_out
 from ocp.diagnosis.tracker.masses import MASS_SD, mass_columns
 from ocp.diagnosis.tracker.masses import NAMES as MASS_NAMES
 from ocp.diagnosis.tracker.motion import Seen, displaced, motion
-from ocp.diagnosis.tracker.noise import USUAL
+from ocp.diagnosis.tracker.noise import is_restless, plain
 from ocp.diagnosis.tracker.predict import predict
 from ocp.diagnosis.tracker.refit import Held, Task, refit
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
@@ -29,9 +29,6 @@ COLUMNS = {
 }  # fmt: skip
 ANY = {"target", "payload"}  # one of them is as good as many
 LEAST_CHANGE = {"temperature_C": 0.3, "time_s": 60.0, "clock_s": 60.0}  # K, s: less is no change of conditions
-
-
-RESTLESS = 3.5  # of the usual joint noise
 
 
 @dataclass(frozen=True)
@@ -96,12 +93,12 @@ class TrackerChannel:
     def noise_floor(self) -> float:
         """Rms of a reading's noise in mm (3D)."""
         c = self.task.campaign
-        S = reading_covariance(self.readings, c.instrument, self.fit.noise, self.fit.linear.d_joints)
+        S = reading_covariance(self.readings, c.instrument, plain(self.fit.noise), self.fit.linear.d_joints)
         return float(1e3 * np.sqrt(np.trace(S, axis1=1, axis2=2).mean()))
 
     def restless(self, scale: float) -> bool:
         """Whether `scale` times the joint noise that the residual asks for is far above what such joints usually scatter."""
-        return scale * self.fit.noise.joints > RESTLESS * USUAL
+        return is_restless(scale * self.fit.noise.joints)
 
     @property
     def surroundings(self) -> Surroundings:

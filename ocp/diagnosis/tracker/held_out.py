@@ -10,6 +10,7 @@ import numpy as np
 
 from ocp.diagnosis.system import Fold, HeldOut
 from ocp.diagnosis.tracker.motion import Seen, together
+from ocp.diagnosis.tracker.noise import plain
 from ocp.diagnosis.tracker.refit import Held, Task
 from ocp.effects.effect import Active
 from robots.calibration.noise import reading_covariance
@@ -39,7 +40,7 @@ def held_out(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> Hel
     after = errors[rows]
     told = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
     drift = _drift(active, a - _solved(task, fit, whole, extra, prior, np.ones(len(r), bool))[1], covariance) if active else ()
-    S = reading_covariance(r.take(rows), task.campaign.instrument, fit.noise, fit.linear.d_joints[rows])
+    S = reading_covariance(r.take(rows), task.campaign.instrument, plain(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
     e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)
     return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(told.mean()), drift)

@@ -16,8 +16,20 @@ from robots.measurements import Instrument, Readings
 from robots.pose import Array
 
 USUAL, USUAL_SD = 1e-5, 0.7  # rad, joints' repeatability (KR 210: 0.06 mm at 2.7 m) and one sigma of its logarithm
+RESTLESS = 3.5  # of the usual joint noise
 REPEATED_SD = 0.3  # of the logarithm where repeats tell it
 OUTLIER, WIDE = 0.02, 30.0  # share of outliers and their size against good readings
+
+
+def plain(noise: Noise) -> Noise:
+    """The joint noise that a gap is told against: what the residual asks for unless that is far above the usual (`is_restless`),
+    for then it is the gap itself."""
+    return Noise(USUAL) if is_restless(noise.joints) else noise
+
+
+def is_restless(joints: float) -> bool:
+    """Whether joint noise (rad) is far above what such joints usually scatter."""
+    return joints > RESTLESS * USUAL
 
 
 def reliability(squared: Array) -> Array:
