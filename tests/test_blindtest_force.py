@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp.blind.drawing import scaled
 from ocp.blind.grinding.detectability import Sight, detectabilities, noise_roots, sight_of
-from ocp.blind.grinding.drawing import draw_effects, kind_of, pool_of, scaled, usual
+from ocp.blind.grinding.drawing import draw_effects, kind_of, pool_of, usual
 from ocp.blind.grinding.grinder import Bench
 from ocp.blind.grinding.machines import STORE, GrindingMachine, draw_grinding
 from ocp.blind.grinding.outside import KINDS as OUTSIDE

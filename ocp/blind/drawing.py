@@ -17,8 +17,10 @@ from ocp.twin.planting import Kind, Planted, Value, draw_effect
 from robots.errors import Infeasible
 from robots.pose import Array
 
-# Keys that say where or how an effect acts; all others are sizes, and the reading is linear in them to first order.
-SHAPES = ("phase_rad", "order", "source_joint", "target", "at_s", "lever_link1_m", "lever_arm_m")
+# Keys that say where, when or how fast an effect acts; all others are sizes, and readings are linear in them to first order.
+SHAPES = (
+    "phase_rad", "order", "source_joint", "target", "at_s", "lever_link1_m", "lever_arm_m", "hz", "tau", "leak",
+)  # fmt: skip
 PLANTABLE = tuple(kind for kind in ARM if kind.name != "channel_delay")  # a tracker's reading at rest has no delay
 POOLS = {"outside": tuple(OUTSIDE.values()), "outside_late": tuple(LATE.values())}  # of kinds of worlds; else the catalogue
 TRIES = 60
@@ -105,11 +107,15 @@ def _times(value: Value, factor: float) -> Value:
 
 
 def usual(planted: Planted) -> bool:
+    """Whether no size of an arm's or tracker's effect is above the upper end of its range."""
+    return within(planted, EVERY.get(planted.effect) or next(k for k in ARM if k.name == planted.effect))
+
+
+def within(planted: Planted, kind: Kind) -> bool:
     """Whether no size is above the upper end of its range; smaller ones are as likely as not (DIAGNOSIS, catalogue)."""
-    kind = EVERY.get(planted.effect) or next(k for k in ARM if k.name == planted.effect)
     for key in kind.keys:
         if key.name not in SHAPES and key.unit != "name":
-            top = key.high * (key.scale[(planted.joint or 1) - 1] if key.scale else 1.0)
+            top = max(abs(key.low), abs(key.high)) * (key.scale[(planted.joint or 1) - 1] if key.scale else 1.0)
             if float(np.linalg.norm(planted.vector(key.name))) > top * (1 + 1e-9):
                 return False
     return True

@@ -8,21 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.blind.drawing import CLOSE, TRIES, Drawn
+from ocp.blind.drawing import CLOSE, TRIES, Drawn, scaled, within
 from ocp.blind.drawing import PLANTABLE as ON_ARM
 from ocp.blind.grinding.detectability import Sight, detectabilities
 from ocp.blind.grinding.outside import KINDS as OUTSIDE
 from ocp.blind.machines import effects_stream
 from ocp.blind.recipes import BINS, Recipe
 from ocp.twin.kinds_contact import KINDS as ON_CONTACT
-from ocp.twin.planting import Kind, Planted, Value, draw_effect
+from ocp.twin.planting import Kind, Planted, draw_effect
 from robots.errors import Infeasible
 from robots.pose import Array
 
-# Keys that say where, when or how fast an effect acts; all others are sizes, and the readings are linear in them to first order.
-SHAPES = (
-    "phase_rad", "order", "source_joint", "target", "at_s", "lever_link1_m", "lever_arm_m", "hz", "tau", "leak",
-)  # fmt: skip
 # Of the arm's effects those that move a force log which was taught on the machine, and are no matter of registration.
 IN_LOG = ("backlash", "friction_windup", "joint_thermal", "link_thermal", "base_tilt", "wrist_coupling", "joint_compliance")
 SAME_KIND = 2  # attempts with a kind, then it is the turn of the next
@@ -96,25 +92,9 @@ def _brought(sight: Sight, effects: list[Planted], wanted: Array) -> Drawn | Non
     return Drawn(tuple(effects), tuple(float(v) for v in lam))
 
 
-def scaled(planted: Planted, factor: float) -> Planted:
-    """The effect with all its sizes times `factor`."""
-    return replace(planted, values={k: v if k in SHAPES else _times(v, factor) for k, v in planted.values.items()})
-
-
-def _times(value: Value, factor: float) -> Value:
-    if isinstance(value, str):
-        return value
-    return tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
-
-
 def usual(planted: Planted) -> bool:
-    """Whether no size is above the upper end of its range; smaller ones are as likely as not (DIAGNOSIS, catalogue)."""
-    for key in kind_of(planted.effect).keys:
-        if key.name not in SHAPES and key.unit != "name":
-            top = max(abs(key.low), abs(key.high)) * (key.scale[(planted.joint or 1) - 1] if key.scale else 1.0)
-            if float(np.linalg.norm(planted.vector(key.name))) > top * (1 + 1e-9):
-                return False
-    return True
+    """Whether no size is above the upper end of its range."""
+    return within(planted, kind_of(planted.effect))
 
 
 def kind_of(effect: str) -> Kind:
