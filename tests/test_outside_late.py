@@ -119,12 +119,12 @@ def test_memory_is_of_the_postures_before_and_how_far_they_lay_apart(machine, sc
     arm = outside_arm.arm_of(machine.cell, machine.with_effects([effect]), machine.campaign.targets)
     every = arm._instants(scene.campaign.moments)
     instants = replace(every, q=every.q[order])
-    up = outside_late.shifts(effect, instants)[:, 1]
+    up = outside_late.FORMS.shifts(effect, instants)[:, 1]
     assert np.allclose(up, -1e-4 * np.minimum(q[order] - q[order][0], 0.8) / 0.8)
     # A small way back takes a small part of it away: a sign of the last motion alone would turn it round.
     there = np.zeros((4, 6))
     there[:, 1] = [-2.0, -0.5, -0.6, -2.2]
-    kept = outside_late.shifts(effect, replace(instants, q=there))[:, 1]
+    kept = outside_late.FORMS.shifts(effect, replace(instants, q=there))[:, 1]
     assert np.allclose(kept, [0.0, -1e-4, -1e-4 * 0.7 / 0.8, 1e-4])
     # On the machine the same posture, nest and approach read otherwise after other ways: a function of both alone cannot do it.
     d = machine.points([effect]) - bare

@@ -6,7 +6,7 @@ joint's origin; frame turns are rotation vectors (n, 3) rad of a reading about t
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -65,29 +65,42 @@ KINDS: dict[str, Kind] = {
 """By name; `draw_effect` draws from them as from the catalogue's."""
 
 
-def shifts(planted: Planted, at: Instants) -> Array:
-    """dq (n, 6) rad of the joints; zero where the effect is none of a joint's angle."""
-    dq = np.zeros_like(at.q)
-    form = _SHIFTS.get(planted.effect)
-    if form is not None and planted.joint is not None:
-        dq[:, planted.joint - 1] = _size(planted) * form(planted, at)
-    return dq
+@dataclass(frozen=True)
+class Forms:
+    """A list of effects: their kinds, and their forms by what they move, per unit size."""
 
+    kinds: dict[str, Kind]
+    of_joints: dict[str, Form]
+    of_links: dict[str, Form]
+    of_frame: dict[str, Form]
+    of_reflector: dict[str, Form] = field(default_factory=dict)
 
-def twist(planted: Planted, at: Instants) -> Array | None:
-    """Rotation vectors (n, 3) rad, base axes, by which the joint's link and all after it turn about the joint's origin."""
-    form = _TWISTS.get(planted.effect)
-    return None if form is None else np.asarray(_size(planted) * form(planted, at))
+    def shifts(self, planted: Planted, at: Instants) -> Array:
+        """dq (n, 6) rad of the joints; zero where the effect is none of a joint's angle."""
+        dq = np.zeros_like(at.q)
+        moved = self._moved(self.of_joints, planted, at)
+        if moved is not None and planted.joint is not None:
+            dq[:, planted.joint - 1] = moved
+        return dq
 
+    def twist(self, planted: Planted, at: Instants) -> Array | None:
+        """Rotation vectors (n, 3) rad, base axes, by which the joint's link and all after it turn about the joint's origin; of an
+        effect without a joint the whole arm about its base."""
+        return self._moved(self.of_links, planted, at)
 
-def frame_turn(planted: Planted, at: Instants) -> Array | None:
-    """Rotation vectors (n, 3) rad by which readings turn about the tracker's head, tracker's axes."""
-    form = _TURNS.get(planted.effect)
-    return None if form is None else np.asarray(_size(planted) * form(planted, at))
+    def frame_turn(self, planted: Planted, at: Instants) -> Array | None:
+        """Rotation vectors (n, 3) rad by which readings turn about the tracker's head, tracker's axes."""
+        return self._moved(self.of_frame, planted, at)
 
+    def move(self, planted: Planted, at: Instants) -> Array | None:
+        """Shifts (n, 3) m of the reflector in its nest, base axes."""
+        return self._moved(self.of_reflector, planted, at)
 
-def _size(planted: Planted) -> float:
-    return planted.number(KINDS[planted.effect].keys[0].name)
+    def _moved(self, forms: dict[str, Form], planted: Planted, at: Instants) -> Array | None:
+        form = forms.get(planted.effect)
+        if form is None:
+            return None
+        return np.asarray(planted.number(self.kinds[planted.effect].keys[0].name) * form(planted, at))
 
 
 def _joint(planted: Planted) -> int:
@@ -167,3 +180,4 @@ _SHIFTS: dict[str, Form] = {
 }  # fmt: skip
 _TWISTS: dict[str, Form] = {"bearing_wobble": _bearing_wobble, "axis_tilt_under_load": _axis_tilt, "warm_torsion": _warm_torsion}
 _TURNS: dict[str, Form] = {"azimuth_eccentricity": _azimuth, "beam_bending": _beam_bending}
+FORMS = Forms(KINDS, _SHIFTS, _TWISTS, _TURNS)

@@ -6,13 +6,12 @@ the tracker's frame are done to the scene instead, which is the same to the read
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import ModuleType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.blind import outside, outside_late
-from ocp.blind.outside import Instants
+from ocp.blind.outside import Forms, Instants
 from ocp.blind.outside_late import EVERY
 from ocp.cell import Cell
 from ocp.twin.arm import Arm, Moments, make_arm
@@ -33,19 +32,19 @@ class OutsideArm(Arm):
         """Frames (n, 7, 4, 4) of base and links with all effects; `m` of the campaign whose nests the arm was made for."""
         planted = [p for p in self.truth.effects if p.effect in EVERY]
         at = self._instants(m)
-        dq = sum((_list_of(p).shifts(p, at) for p in planted), np.zeros_like(m.q))
+        dq = sum((_forms_of(p).shifts(p, at) for p in planted), np.zeros_like(m.q))
         frames = super().links(replace(m, q=m.q + dq), rng).copy()
         for p in planted:
-            turned = _list_of(p).twist(p, at)
+            turned = _forms_of(p).twist(p, at)
             if turned is not None:
                 joint = p.joint or 1
                 _turn(frames, slice(joint, 7), at.links[:, joint - 1, :3, 3], turned)
         for p in planted:
-            turned = _list_of(p).frame_turn(p, at)
+            turned = _forms_of(p).frame_turn(p, at)
             if turned is not None:
                 head = invert(self.truth.T_tracker_base)[:3, 3]
                 _turn(frames, slice(0, 7), np.broadcast_to(head, (len(m), 3)), turned @ self.truth.T_tracker_base[:3, :3])
-            moved = outside_late.move(p, at)
+            moved = _forms_of(p).move(p, at)
             if moved is not None:
                 frames[..., :3, 3] += moved[:, None]
         return frames
@@ -77,9 +76,9 @@ def arm_of(cell: Cell, truth: Truth, targets: Sequence[str]) -> Arm:
     return wrapped
 
 
-def _list_of(planted: Planted) -> ModuleType:
-    """The list that holds an effect."""
-    return outside if planted.effect in outside.KINDS else outside_late
+def _forms_of(planted: Planted) -> Forms:
+    """The list that an effect stands in."""
+    return outside.FORMS if planted.effect in outside.KINDS else outside_late.FORMS
 
 
 def _turn(frames: Array, links: slice, origin: Array, turn: Array) -> None:

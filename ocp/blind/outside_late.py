@@ -8,7 +8,7 @@ twists and frame turns there are moves: where the reflector itself sits off its 
 import numpy as np
 
 from ocp.blind.outside import KINDS as FIRST
-from ocp.blind.outside import Form, Instants
+from ocp.blind.outside import Form, Forms, Instants
 from ocp.twin.joint_errors import gear_ratios
 from ocp.twin.machine import GRAVITY
 from ocp.twin.planting import Key, Kind, Planted
@@ -52,38 +52,6 @@ KINDS: dict[str, Kind] = {
 
 EVERY: dict[str, Kind] = {**FIRST, **KINDS}
 """Both lists."""
-
-
-def shifts(planted: Planted, at: Instants) -> Array:
-    """dq (n, 6) rad of the joints; zero where the effect is none of a joint's angle."""
-    dq = np.zeros_like(at.q)
-    form = _SHIFTS.get(planted.effect)
-    if form is not None and planted.joint is not None:
-        dq[:, planted.joint - 1] = _size(planted) * form(planted, at)
-    return dq
-
-
-def twist(planted: Planted, at: Instants) -> Array | None:
-    """Rotation vectors (n, 3) rad, base axes, by which the joint's link and all after it turn about the joint's origin; of an
-    effect without a joint the whole arm about its base."""
-    form = _TWISTS.get(planted.effect)
-    return None if form is None else np.asarray(_size(planted) * form(planted, at))
-
-
-def frame_turn(planted: Planted, at: Instants) -> Array | None:
-    """Rotation vectors (n, 3) rad by which readings turn about the tracker's head, tracker's axes."""
-    form = _TURNS.get(planted.effect)
-    return None if form is None else np.asarray(_size(planted) * form(planted, at))
-
-
-def move(planted: Planted, at: Instants) -> Array | None:
-    """Shifts (n, 3) m of the reflector in its nest, base axes."""
-    form = _MOVES.get(planted.effect)
-    return None if form is None else np.asarray(_size(planted) * form(planted, at))
-
-
-def _size(planted: Planted) -> float:
-    return planted.number(KINDS[planted.effect].keys[0].name)
 
 
 def _joint(planted: Planted) -> int:
@@ -180,3 +148,4 @@ _SHIFTS: dict[str, Form] = {
 _TWISTS: dict[str, Form] = {"bearing_slack": _bearing_slack, "loose_anchor": _loose_anchor}
 _TURNS: dict[str, Form] = {"trunnion_tilt": _trunnion}
 _MOVES: dict[str, Form] = {"ball_out_of_round": _ball}
+FORMS = Forms(KINDS, _SHIFTS, _TWISTS, _TURNS, _MOVES)

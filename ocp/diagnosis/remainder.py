@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from ocp.diagnosis.force.channel import ForceChannel
 from ocp.diagnosis.system import Channel
 from robots.pose import Array
 
@@ -10,19 +9,9 @@ SI = {"mm": 1e-3, "N": 1.0, "arcsec": float(np.radians(1.0) / 3600.0)}
 
 
 def estimation_variance(channel: Channel, effects: Array) -> float:
-    """Mean square SI^2 of a reading; effects (N, m): whitened columns of the channel's active effects over their priors' sd."""
-    return _of_force(channel) if isinstance(channel, ForceChannel) else _by_leverage(channel, effects)
+    """Mean square SI^2 of a reading; effects (N, m): whitened columns of the channel's active effects over their priors' sd.
 
-
-def _of_force(channel: ForceChannel) -> float:
-    """Mean variance N^2 of the predicted normal reading."""
-    J = channel.fit.normal[channel.log.contact]
-    covariance = np.linalg.inv(channel.fit.information)
-    return float(np.mean(np.einsum("ni,ij,nj->n", J, covariance, J)))
-
-
-def _by_leverage(channel: Channel, effects: Array) -> float:
-    """With leverage h of a row, a fit without it predicts it with the variance h / (1 - h) of its noise (Allen 1974, PRESS)."""
+    With leverage h of a row, a fit without it predicts it with the variance h / (1 - h) of its noise (Allen 1974, PRESS)."""
     system = channel.system
     known = np.isfinite(system.prior_sd)
     A = np.hstack([system.nuisance * np.where(known, system.prior_sd, 1.0), effects])

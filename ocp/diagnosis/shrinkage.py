@@ -2,9 +2,10 @@
 
     G^2 = max(0, mean square of the error - noise^2),    shrinkage = 1 - G_after / G_before          (FORMATS)
 
-Two ways. Force logs and encoders: what readings that were left out say, interpolation folds and conditions withheld as a whole
-(`from_folds`). Tracker: what the effects change on the campaign's postures with every payload the cell names, beside what remains
-in any case, the parameters' errors and gear errors too small to name (`from_model`, docs/diagnose.md, eq. 2).
+Three ways. Tracker: what the effects change on the campaign's postures with every payload the cell names, beside what remains in
+any case, the parameters' errors and gear errors too small to name (`from_model`, docs/diagnose.md, eq. 2). Force logs: the same
+on the log's recordings, later (`from_grinding`). Encoders: what readings that were left out say, interpolation folds and
+conditions withheld as a whole (`from_folds`).
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,8 @@ from scipy.special import expit
 from scipy.stats import norm
 
 from ocp.diagnosis.anticipated import Anticipated
+from ocp.diagnosis.force.anticipated import Grinding
+from ocp.diagnosis.force.believed import RUN_SD
 from ocp.diagnosis.system import HeldOut
 from robots.pose import Array
 
@@ -28,6 +31,7 @@ WHOLE, REST = 0.9, 0.25  # probability that nothing is unexplained; of the noise
 # Dirichlet weights of payloads in new readings: one half is Jeffreys' for an unknown mixture, and what is new is rather a payload
 # that was not measured than one that was.
 MEASURED, UNMEASURED = 0.5, 1.0
+RECORDING = 0.5  # the same of a log's recordings: which of its lines, setpoints and feeds come again
 _ROWS = ("before_rows", "after_rows", "noise_rows")
 
 
@@ -96,6 +100,27 @@ def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:
     rank = np.array([np.sum(of[:i] == p) for i, p in enumerate(of)])  # of the temperature
     chosen = rng.integers(rank.max() + 1, size=DRAWS)
     return np.asarray(mixture[:, of] * (rank == chosen[:, None]))
+
+
+def from_grinding(new: Grinding, noise: float, seed: int = 0) -> Shrinkage | None:
+    """Of force readings: what is anticipated; noise: mean square N^2. Drawn are which alternative is true, how late the readings
+    come, of which recordings they are, the unknowns' errors and what recordings differ by. None: no gap to speak of."""
+    rng = np.random.default_rng(seed)
+    errors = _errors(new.covariance, rng)
+    true = rng.choice(len(new.probability), DRAWS, p=new.probability)
+    when = rng.choice(len(new.share), DRAWS, p=new.share)
+    runs = int(new.run.max()) + 1
+    rows = rng.dirichlet(np.full(runs, RECORDING), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
+    own = RUN_SD * rng.normal(size=(DRAWS, runs))[:, new.run]
+    before, after = np.zeros(DRAWS), np.zeros(DRAWS)
+    for k, moved in enumerate(new.moved):
+        at = when == k
+        off, planted = errors[at] @ new.errors[k].T + own[at], moved[true[at]]
+        after[at] = np.sum(rows[at] * (new.told @ moved - planted + off) ** 2, axis=1)
+        before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
+    if np.median(before) <= NULL**2 * noise:
+        return None
+    return _interval(1.0 - np.sqrt(after / before))
 
 
 def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shrinkage | None:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ocp.twin.campaign_slip import already_slipped, ground_sides
 from ocp.twin.controller import Track
 from ocp.twin.nominal import flange, solve
 from ocp.twin.plan_knowledge import Matched
@@ -64,12 +65,15 @@ def run_campaign(machine: Machine, track: Track, plan: Matched, wanted: Campaign
     passes = [int(k) for k in np.unique(plan.run[plan.run >= 0])]
     first = grind(machine, track, plan, Conditions(own, belt, clock=wanted.clock))
     recorded, clock, ground = [decimated(first, every)], wanted.clock, _ground(plan, passes, {})
+    sides = ground_sides(machine, {}, first.moments)
 
     def another(setpoint: float, speed: float, some: list[int], contact: bool = True) -> Grinding:
-        nonlocal clock, ground
+        nonlocal clock, ground, sides
         clock += track.duration + BETWEEN
         moved_track = track if cell.flange is not None or not contact else nearer(machine, track, plan, setpoint / own)
-        done = grind(machine, moved_track, plan, Conditions(setpoint, speed, contact, clock, dict(ground)), some)
+        there = already_slipped(machine, sides, clock + float(track.time[np.isin(plan.run, some)][0]))
+        done = grind(there, moved_track, plan, Conditions(setpoint, speed, contact, clock, dict(ground)), some)
+        sides = ground_sides(machine, sides, done.moments)
         if contact:
             ground = _ground(plan, some, ground)
         return decimated(done, every)

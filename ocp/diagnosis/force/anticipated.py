@@ -14,17 +14,19 @@ from ocp.diagnosis.findings import Alternative
 from ocp.diagnosis.force.arm import arm_of
 from ocp.diagnosis.force.channel import ForceChannel
 from ocp.diagnosis.force.conditions import LogConditions
-from ocp.diagnosis.force.fit import ForceFit, linear_normal
+from ocp.diagnosis.force.fit import linear_normal
 from ocp.diagnosis.force.prediction import Predicted, Scene, predict
 from ocp.diagnosis.system import scan_key
 from ocp.effects.effect import Active
+from robots.errors import Infeasible
 from robots.measurements import Index
 from robots.pose import Array
 
 # How far after the log's end, in its own spans of time: the middles of three equal parts of one span, drawn alike.
 LATER = (1.0 / 6.0, 0.5, 5.0 / 6.0)
-AMID = 0.25  # probability that new readings come between the log's own
-ROWS = 400  # in contact, evenly taken
+AMID = 0.1  # probability that new readings come between the log's own
+ROWS = 600  # of the log, evenly taken
+FOLLOWED = 0.15  # probability of alternatives that predictions of the force follow (`ocp.diagnosis.answering.LIKELY`)
 
 
 @dataclass(frozen=True)
@@ -43,25 +45,24 @@ class Grinding:
     run: Index
 
 
-def anticipated_grinding(
-    before: ForceChannel, after: ForceChannel, others: Sequence[Alternative] = (), least: float = 0.0
-) -> Grinding:
+def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequence[Alternative] = ()) -> Grinding:
     """The log's recordings under later conditions; others: alternatives, the accepted one (which `after` is) first; those below
-    the probability `least` may be true, but no correction follows them."""
-    models = [_with(before, after, o.active) for o in others] or [after]
-    touching = after.problem.scene.touching
-    rows = touching[np.unique(np.linspace(0, len(touching) - 1, min(len(touching), ROWS)).astype(np.int64))]
+    the probability `FOLLOWED` may be true, but no correction follows them."""
+    followed = [(m, o.probability) for o in others if (m := _with(before, after, o.active)) is not None] or [(after, 1.0)]
+    models, p = [m for m, _ in followed], np.array([one for _, one in followed])
+    rows = np.unique(np.linspace(0, len(after.log) - 1, min(len(after.log), ROWS)).astype(np.int64))
     told = after.problem.scene.conditions
+    touching = np.flatnonzero(told.contact[rows])
     moved, errors = [], []
     for conditions in (told, *(after_log(told, share) for share in LATER)):
-        old = _predicted(before, conditions)[1].fn[rows]
-        found = [_predicted(m, conditions) for m in models]
-        moved.append(np.stack([made.fn[rows] - old for _, made in found]))
-        errors.append(linear_normal(models[0].problem, *found[0])[rows])
-    p = np.array([o.probability for o in others] or [1.0])
-    kept = np.where((p >= least) | (np.arange(len(p)) == 0), p, 0.0)
+        there = _scene(after, conditions, rows)
+        old = _at(before, there).fn
+        found = [_at(m, there) for m in models]
+        moved.append(np.stack([(made.fn - old)[touching] for made in found]))
+        errors.append(linear_normal(models[0].problem, there, found[0])[touching])
+    kept = np.where((p >= FOLLOWED) | (np.arange(len(p)) == 0), p, 0.0)
     share = np.array([AMID, *((1.0 - AMID) / len(LATER) for _ in LATER)])
-    run = np.unique(told.run[rows], return_inverse=True)[1].astype(np.int64)
+    run = np.unique(told.run[rows][touching], return_inverse=True)[1].astype(np.int64)
     return Grinding(np.stack(moved), np.stack(errors), _covariance(models[0]), p / p.sum(), kept / kept.sum(), share, run)
 
 
@@ -88,29 +89,33 @@ def _start(told: LogConditions) -> Array:
     return first[run]
 
 
-def _with(before: ForceChannel, after: ForceChannel, active: tuple[Active, ...]) -> ForceChannel:
-    """The channel with these effects; one of those given where it is that already."""
+def _with(before: ForceChannel, after: ForceChannel, active: tuple[Active, ...]) -> ForceChannel | None:
+    """The channel with these effects; one of those given where it is that already, None where no fit with them comes to rest."""
     kinds = [{(a.effect.name, a.joint, scan_key(a.scanned)) for a in one} for one in (active, after.active)]
     if not active:
         return before
-    return after if kinds[0] == kinds[1] else after.with_active(active)
+    try:
+        return after if kinds[0] == kinds[1] else after.with_active(active)
+    except Infeasible:
+        return None
 
 
-def _predicted(channel: ForceChannel, conditions: LogConditions) -> tuple[Scene, Predicted]:
-    """The log's rows under other conditions at the channel's fit."""
-    problem, fit = channel.problem, channel.fit
-    scene = problem.scene
-    if conditions is scene.conditions:
-        return scene, fit.at
-    there = replace(scene, conditions=conditions, arm=arm_of(scene.cell, scene.theta, problem.log.q, conditions))
-    # Cached properties belong to the object that `replace` was called on, so air and touching are found anew.
-    at = predict(there, fit.at.x, fit.active, fit.at)
-    return there, predict(there, fit.at.x, fit.active, at)
+def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> Scene:
+    """Some of the log's rows under other conditions. Effects that remember see time in coarser steps."""
+    scene, told = channel.problem.scene, conditions.take(rows)
+    arm = arm_of(scene.cell, scene.theta, channel.log.q[rows], told)
+    pressed = None if scene.pressed is None else scene.pressed[rows]
+    return replace(scene, rows=scene.rows.take(rows), conditions=told, arm=arm, pressed=pressed)
+
+
+def _at(channel: ForceChannel, scene: Scene) -> Predicted:
+    """What a channel's fit predicts there; once more with the sign of the stroke that comes out."""
+    x, active = channel.fit.at.x, channel.fit.active
+    return predict(scene, x, active, predict(scene, x, active))
 
 
 def _covariance(channel: ForceChannel) -> Array:
     """Of the unknowns that go on: the nuisance and the effects' coefficients, not what single recordings were off by."""
-    fit: ForceFit = channel.fit
-    r, o = channel.problem.sizes
+    fit, (r, o) = channel.fit, channel.problem.sizes
     keep = np.r_[np.arange(r), np.arange(r + o, len(fit.z))]
     return np.asarray(np.linalg.inv(fit.information)[np.ix_(keep, keep)])
