@@ -12,7 +12,7 @@ from ocp.blind.oracle import upper_end
 from ocp.twin.planting import Planted
 from robots.pose import Array
 
-# At the predicted smallest size lambda is the threshold of 90 % power (DIAGNOSIS, method 5): there nine of ten are seen.
+# The size that is told (`ocp.diagnosis.visible`) is named nine times of ten.
 POWER = 0.9
 LEAST = 30  # worlds without which a curve is not fitted
 
