@@ -3,7 +3,7 @@
 import numpy as np
 
 from ocp.command import Phases
-from ocp.diagnosis.dataset import DataSet
+from ocp.diagnosis.dataset import TRACKER, DataSet
 from ocp.diagnosis.force.channel import force_channel
 from ocp.diagnosis.joints.channel import joint_channel
 from ocp.diagnosis.system import Channel
@@ -17,14 +17,12 @@ from robots.errors import BadInput
 def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
     """Channels in the order tracker, force, joint, the believed cell fitted to each. Raises BadInput of every part."""
     found: list[Channel] = []
-    tracker = None
     if data.readings is not None:
         with phases.phase("tracker"):
-            tracker = tracker_channel(data)
-            found.append(tracker)
+            found.append(tracker_channel(data))
     if data.log is not None:
         with phases.phase("force"):
-            found.append(_force_channel(data, tracker))
+            found.append(_force_channel(data))
     if data.joints is not None:
         with phases.phase("joints"):
             found.append(_joint_channel(data))
@@ -47,10 +45,10 @@ def tracker_channel(data: DataSet) -> TrackerChannel:
     return TrackerChannel(task, fit)
 
 
-def _force_channel(data: DataSet, tracker: TrackerChannel | None) -> Channel:
-    """The believed contact refitted to the log, the arm as the tracker's readings place it, with the effects found in them."""
+def _force_channel(data: DataSet) -> Channel:
+    """The believed contact refitted to the log, the arm as the tracker's readings place it."""
     assert data.cell is not None and data.log is not None
-    return force_channel(data.cell, data.log, tracker)
+    return force_channel(data.cell, data.log, None if data.readings is None else data.folder / TRACKER)
 
 
 def _joint_channel(data: DataSet) -> Channel:
