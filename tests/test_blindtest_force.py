@@ -140,7 +140,9 @@ def families(machine, sight):
 @pytest.mark.parametrize("name", sorted(OUTSIDE))
 def test_effects_outside_the_catalogue_move_readings(machine, name):
     small = scaled(draw_effect(np.random.default_rng(2), OUTSIDE[name]), 0.1)
-    d = machine.log([small]).both - machine.bare.both
+    log = machine.log([small])
+    d = log.both - machine.bare.both
+    assert np.array_equal(log.moments.setpoint, machine.bare.moments.setpoint)  # what a flange is told, not what it does
     twice = machine.log([scaled(small, 2.0)]).both - machine.bare.both
     assert 1e-4 < np.abs(d).max() < 5.0
     assert np.allclose(twice, 2 * d, atol=0.05 * np.abs(d).max())

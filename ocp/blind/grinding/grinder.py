@@ -77,7 +77,7 @@ class Bench:
         q, T, give = self._settled(truth, rows, hall, rng)
         if moved is not None:
             T = _twisted(T, np.broadcast_to(moved, (len(q), 6)).copy())
-        asked = self._asked(rows, T, give, hall)
+        asked = told = self._asked(rows, T, give, hall)
         grinder = make_grinder(self.cell, truth, self.course.blade, self.tables)
         if strange:
             at = self._instants(rows, q, asked)
@@ -89,7 +89,7 @@ class Bench:
         fn, ft = read_sensor(truth, result, asked, np.random.default_rng(0))
         if strange:
             fn = fn + np.sum([readings(p, replace(at, force=result.force)) for p in strange], axis=0)
-        return Log(rows, q, asked, result, fn, ft * (1 + gains[0]) + gains[1])
+        return Log(rows, q, told, result, fn, ft * (1 + gains[0]) + gains[1])
 
     def _settled(self, truth: Truth, rows: Rows, hall: Array, rng: np.random.Generator | None) -> _Settled:
         """Joints (n, 6), the flange's poses (n, 4, 4) and compliances (n, 6, 6); kept for each set of effects of the arm."""
