@@ -24,6 +24,17 @@ from robots.pose import Array
 
 
 @dataclass(frozen=True)
+class Wave:
+    """A wave that readings speak for: what of (time wave, s wave), its number (per s, per m), columns (n, 2) of its cosine and
+    sine, and among how many it was found."""
+
+    where: str
+    number: float
+    columns: Array
+    among: int
+
+
+@dataclass(frozen=True)
 class Conditions:
     """What is known of n readings of one signal; None where the data set does not say.
 
@@ -35,7 +46,8 @@ class Conditions:
     (n, k, 6, 4): in tilts of the six axes about the two directions across them that stand still in the link before, and the two
     that turn with the joint; moments (n, 6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in
     the instrument's frame; sight (n, 3): unit vectors from reflectors to the instrument, in axes of the links that carry them;
-    gear_ratio: those that each of six joints may have.
+    gear_ratio: those that each of six joints may have; turned (n,) rad the wheel has turned since the run's start; waves: of time
+    and path that the readings speak for.
     """
 
     signal: str
@@ -66,6 +78,8 @@ class Conditions:
     point: Array | None = None
     sight: Array | None = None
     gear_ratio: tuple[tuple[float, ...], ...] | None = None
+    turned: Array | None = None
+    waves: tuple["Wave", ...] = ()
 
 
 @dataclass(frozen=True)
@@ -151,6 +165,17 @@ class HeldOut:
     noise_rows: Array
     estimation: float = 0.0
     drift: tuple[float, ...] = ()
+
+
+def drifts(sizes: Sequence[int], change: Array, covariance: Array) -> tuple[float, ...]:
+    """By how many standard errors the values of effects of so many coefficients each move, all moving by `change` (m,), with the
+    covariance (m, m) of the values without a fold."""
+    found, start = [], 0
+    for size in sizes:
+        block = slice(start, start + size)
+        start = block.stop
+        found.append(float(np.sqrt(change[block] @ np.linalg.pinv(covariance[block, block]) @ change[block])))
+    return tuple(found)
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,9 @@ class ContactContext:
 class LogRows:
     """A log in time order for effects that remember: run (n,), time s, s m, F N and d_wheel m of the model, stiffness N/m
     (dF per m of overlap) and wheel_share (share of that compliance that is the wheel's), fn and ft as predicted N, contact
-    (n,), travel (n,), feed m/s, clock s or None."""
+    (n,), travel (n,), feed m/s, clock s or None.
+
+    What remembers is linear in the forces: F, fn and ft may be columns (n, k) of changes, and the hook gives (n, k) of each."""
 
     run: Array
     time: Array

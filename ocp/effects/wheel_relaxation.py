@@ -19,12 +19,15 @@ def _times(joint: int, seen: Surroundings) -> Sequence[Scanned]:
 def _loss(x: LogRows, joint: int, scanned: Scanned) -> Array:
     """Force that the cover has let go: its share of the chain's give times the force seen through a first-order lag; in the air
     it recovers as fast."""
-    out, load = np.zeros((len(x.time), 1)), np.where(x.contact, x.F, 0.0)
-    held = 0.0
+    load = np.where(x.contact[:, None], x.F.reshape(len(x.time), -1), 0.0)
+    out, held = np.zeros(load.shape), np.zeros(load.shape[1])
     for k in range(len(x.time)):
-        begins = k == 0 or x.run[k] != x.run[k - 1]
-        held = 0.0 if begins else held + (load[k] - held) * -np.expm1(-(x.time[k] - x.time[k - 1]) / scanned["tau"])
-        out[k, 0] = -x.wheel_share[k] * held if x.contact[k] else 0.0
+        if k == 0 or x.run[k] != x.run[k - 1]:
+            held = np.zeros(load.shape[1])
+        else:
+            held = held + (load[k] - held) * -np.expm1(-(x.time[k] - x.time[k - 1]) / scanned["tau"])
+        if x.contact[k]:
+            out[k] = -x.wheel_share[k] * held
     return out
 
 

@@ -8,7 +8,7 @@ from ocp.diagnosis.force.arm import BLADE
 from ocp.diagnosis.force.balance import Rows
 from ocp.diagnosis.force.believed import NUISANCE, SHEAR_BIAS, SHEAR_GAIN
 from ocp.diagnosis.force.context import hook_columns
-from ocp.diagnosis.force.prediction import M, Predicted, Scene, interference, remembered
+from ocp.diagnosis.force.prediction import M, Predicted, Scene, carried, interference, remembered, remembering
 from ocp.effects.effect import Effect, Scanned
 from ocp.force.fit import BIAS
 from robots.pose import Array
@@ -34,6 +34,13 @@ def nuisance_columns(scene: Scene, at: Predicted, theta: Array) -> Both:
     fn[:, :M], ft[:, :M] = at.fn_slope[:, None] * theta, at.ft_slope[:, None] * theta
     fn[:, BIAS] = 1.0
     ft[:, SHEAR_GAIN], ft[:, SHEAR_BIAS] = scene.shear * at.F, 1.0
+    if remembering(scene, at):
+        force = np.zeros_like(fn)
+        force[:, :M] = theta
+        own, shear = force.copy(), force * _shear(scene, at)[:, None]
+        own[:, BIAS], shear[:, SHEAR_GAIN], shear[:, SHEAR_BIAS] = 1.0, scene.shear * at.F, 1.0
+        late_n, late_t = carried(scene, at, (force, own, shear))
+        fn, ft = fn + late_n, ft + late_t
     return fn, ft
 
 
@@ -61,8 +68,27 @@ def effect_columns(
         fn += hook_columns(scene.cell, effect, "sensor", joint, scans, at.samples)
     if effect.shear is not None:
         ft += hook_columns(scene.cell, effect, "shear", joint, scans, at.samples)
+    if remembering(scene, at) and force.any():
+        own = _rows(force)
+        late_n, late_t = carried(scene, at, (own, own, own * _shear(scene, at)[:, None]))
+        fn, ft = fn + _back(late_n, fn.shape), ft + _back(late_t, ft.shape)
     if effect.along is not None or effect.along_shear is not None:
         for v, scanned in enumerate(scans):
             late_n, late_t = remembered(scene, at, effect, joint, scanned)
             fn[v], ft[v] = fn[v] + late_n, ft[v] + late_t
     return (fn, ft) if np.isfinite(fn).all() and np.isfinite(ft).all() else None
+
+
+def _shear(scene: Scene, at: Predicted) -> Array:
+    """The contact's own tangential reading (n,) per newton of its force."""
+    return np.asarray(scene.shear * (1.0 + at.x[SHEAR_GAIN]))
+
+
+def _rows(columns: Array) -> Array:
+    """Columns (V, n, m) as (n, V m)."""
+    return np.moveaxis(columns, 1, 0).reshape(columns.shape[1], -1)
+
+
+def _back(rows: Array, shape: tuple[int, ...]) -> Array:
+    """The other way round: (n, V m) as (V, n, m)."""
+    return np.moveaxis(rows.reshape(shape[1], shape[0], shape[2]), 0, 1)

@@ -21,6 +21,8 @@ from robots.pose import Array
 STEPS = 25
 REWEIGHTED = 6  # steps with new weights; then they stand
 AT_REST = 1e-3  # squared length of a step in posterior standard deviations
+STILL = 0.01  # squares that `LAST` steps together must lower, else it rests: a hundredth of what one number more may explain
+LAST = 3
 SHORTEST = 1e-3
 
 
@@ -183,17 +185,30 @@ def _at(problem: Problem, z: Array, active: tuple[Active, ...], near: Predicted 
 def _settle(
     problem: Problem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]
 ) -> tuple[Array, Predicted, tuple[Whitener, ...], int]:
-    """Gauss-Newton at this noise; weights of Student's t follow in the first steps."""
+    """Gauss-Newton at this noise; weights of Student's t follow in the first steps.
+
+    Columns leave out how an effect's interference turns with the arm. Where a step lowers nothing, what they missed along it is
+    added to them (Broyden's update), so that the next one knows. Far misfits of something nobody has named yet make the last
+    steps slow (the squares' own curvature is left out); they end where nothing is gained any more.
+    """
+    missed, squares = np.zeros((0, len(z))), list[float]()
     for step in range(STEPS):
         if step < REWEIGHTED:
             e = problem.residuals(at, z)
             whiteners = tuple(w.reweighted(r) for w, r in zip(whiteners, e, strict=False) if r is not None)
         line = linear(problem, z, at, whiteners)
-        A, e_white = line.sensitivity, line.residual
+        A, e_white = line.sensitivity + missed if len(missed) else line.sensitivity, line.residual
         H = np.eye(len(z)) + A.T @ A
         change = np.asarray(np.linalg.solve(H, A.T @ e_white - z), float)
-        z, at = _moved(problem, z, at, whiteners, change, float(e_white @ e_white + z @ z))
-        if change @ H @ change < AT_REST:
+        squares.append(float(e_white @ e_white + z @ z))
+        moved, at, left, share = _moved(problem, z, at, whiteners, change, squares[-1])
+        if share < 1.0:
+            took = moved - z
+            update = np.outer(e_white - left - A @ took, took / (took @ took))
+            missed = missed + update if len(missed) else update
+        z = moved
+        still = step >= REWEIGHTED + LAST and squares[-1 - LAST] - squares[-1] < STILL
+        if change @ H @ change < AT_REST or still:
             return z, at, whiteners, step + 1
     raise Infeasible(
         f"{problem.log.path}: the fit of the force log does not come to rest in {STEPS} steps; the cell is not the log's"
@@ -202,8 +217,9 @@ def _settle(
 
 def _moved(
     problem: Problem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...], change: Array, now: float
-) -> tuple[Array, Predicted]:
-    """The step, halved until the weighted squares do not rise."""
+) -> tuple[Array, Predicted, Array, float]:
+    """The step, halved until the weighted squares do not rise: unknowns, prediction and whitened residual (N,) there, share
+    taken."""
     share = 1.0
     while True:
         trial = z + share * change
@@ -211,5 +227,5 @@ def _moved(
         e = problem.residuals(there, trial)
         left = np.concatenate([w.whole(r[:, None])[:, 0] for w, r in zip(whiteners, e, strict=False) if r is not None])
         if float(left @ left + trial @ trial) <= now * (1.0 + 1e-9) + 1e-3 or share < SHORTEST:
-            return trial, there
+            return trial, there, left, share
         share *= 0.5

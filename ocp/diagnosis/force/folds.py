@@ -11,7 +11,7 @@ import numpy as np
 
 from ocp.diagnosis.force.fit import ForceFit, Problem
 from ocp.diagnosis.force.prediction import Scene
-from ocp.diagnosis.system import Fold, HeldOut
+from ocp.diagnosis.system import Fold, HeldOut, drifts
 from ocp.force.log import Flags, ForceLog
 from robots.pose import Array
 
@@ -19,6 +19,7 @@ Fitted = tuple[Problem, ForceFit]
 PARTS = 5
 PIECE = 40  # rows of a run that stay together in random folds
 LEAST = 40  # rows in contact on each side
+REST = 1 / 3  # of the rows in contact that must be left: what few rows say about the many judges nothing
 GROSS = 0.1  # weight of a reading below which it is an outlier and is not held against a model
 
 
@@ -52,7 +53,8 @@ def force_folds(log: ForceLog, scene: Scene) -> list[Fold]:
     if log.wheel_temperature is not None and np.ptp(log.wheel_temperature) > 1.0:
         cut = float(np.quantile(log.wheel_temperature, 2 / 3))
         found.append(Fold(f"wheel above {cut:.1f} C", "temperature", log.wheel_temperature > cut))
-    return [f for f in found if _enough(f.held, log.contact) and _enough(~f.held, log.contact)]
+    rest = max(LEAST, REST * log.contact.sum())
+    return [f for f in found if (f.held & log.contact).sum() >= LEAST and (~f.held & log.contact).sum() >= rest]
 
 
 def _left_out(kind: str, values: Array, log: ForceLog) -> list[Fold]:
@@ -62,10 +64,6 @@ def _left_out(kind: str, values: Array, log: ForceLog) -> list[Fold]:
     names = {v: log.runs[int(v)] if kind == "run" else f"{scale * v:g}" for v in levels}
     held = [(v, (values == v) & (log.contact | (kind == "run"))) for v in levels]
     return [Fold(f"{kind}={names[v]}", kind, rows) for v, rows in held] if len(levels) > 1 else []
-
-
-def _enough(rows: Flags, contact: Flags) -> bool:
-    return int((rows & contact).sum()) >= LEAST
 
 
 def held_out(before: Fitted, after: Fitted, fold: Fold) -> HeldOut | None:
@@ -78,38 +76,43 @@ def held_out(before: Fitted, after: Fitted, fold: Fold) -> HeldOut | None:
     rows = held & log.contact & (whitener.noise.weight > GROSS)
     if rows.sum() < LEAST or (~held & log.contact).sum() < LEAST:
         return None
-    b, a = (_errors(*fitted, held)[rows] ** 2 for fitted in (before, after))
+    changes = [_change(*fitted, held) for fitted in (before, after)]
+    b, a = (_errors(*fitted, change)[rows] ** 2 for fitted, change in zip((before, after), changes, strict=True))
     noise, unknown = whitener.noise.sigma()[rows] ** 2, _extrapolated(*before, held)[rows]
     if fold.extrapolates and unknown.mean() > noise.mean():
         return None
     noise = noise + unknown
-    told = _estimation(*after, held)[rows]
-    return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(told.mean()))
+    fit, start = after[1], sum(after[0].sizes)
+    # What the effects' own errors of estimation without the held rows bring into these.
+    covariance = np.asarray(np.linalg.inv(_information(fit, held))[start:, start:], float)
+    columns = fit.normal[rows, start:]
+    told = np.einsum("ni,ij,nj->n", columns, covariance, columns)
+    drift = drifts([one.effect.size for one in fit.active], changes[1][start:], covariance)
+    return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(told.mean()), drift)
 
 
-def _estimation(problem: Problem, fit: ForceFit, held: Flags) -> Array:
-    """Variance (n,) N^2 that the effects' errors of estimation without the held rows bring into the readings."""
+def _information(fit: ForceFit, held: Flags) -> Array:
+    """What the rows beside the held ones tell (k, k), the prior's in."""
     rest = fit.sensitivity[~np.tile(held, len(fit.whiteners))]
-    start = sum(problem.sizes)
-    covariance = np.linalg.inv(np.eye(len(fit.z)) + rest.T @ rest)[start:, start:]
-    columns = fit.normal[:, start:]
-    return np.asarray(np.einsum("ni,ij,nj->n", columns, covariance, columns))
+    return np.asarray(np.eye(len(fit.z)) + rest.T @ rest)
 
 
 def _extrapolated(problem: Problem, fit: ForceFit, held: Flags) -> Array:
     """Variance (n,) N^2 that the nuisance has in the readings when it is fitted without the held rows."""
-    (r, _), rest = problem.sizes, fit.sensitivity[~np.tile(held, len(fit.whiteners))]
-    covariance = np.linalg.inv(np.eye(len(fit.z)) + rest.T @ rest)[:r, :r]
+    r = problem.sizes[0]
+    covariance = np.linalg.inv(_information(fit, held))[:r, :r]
     return np.asarray(np.einsum("ni,ij,nj->n", fit.normal[:, :r], covariance, fit.normal[:, :r]))
 
 
-def _errors(problem: Problem, fit: ForceFit, held: Flags) -> Array:
-    """Measured less predicted normal reading (n,) N with the unknowns of the fit without the held rows."""
+def _change(problem: Problem, fit: ForceFit, held: Flags) -> Array:
+    """By how much the unknowns (k,) move without the held rows."""
     out = np.tile(held, len(fit.whiteners))
-    B = fit.sensitivity[out]
-    left = np.eye(len(fit.z)) + fit.sensitivity[~out].T @ fit.sensitivity[~out]
     # At the estimate the whole gradient is zero: what the held rows pulled is what their absence lets go.
-    change = -np.linalg.solve(left, B.T @ fit.residual[out])
+    return np.asarray(-np.linalg.solve(_information(fit, held), fit.sensitivity[out].T @ fit.residual[out]))
+
+
+def _errors(problem: Problem, fit: ForceFit, change: Array) -> Array:
+    """Measured less predicted normal reading (n,) N with the unknowns moved by `change`."""
     r, o = problem.sizes
     columns = fit.normal.copy()
     columns[:, r : r + o] = 0.0  # a run's own offset does not carry over

@@ -66,7 +66,9 @@ class Scene:
 @dataclass(frozen=True)
 class Predicted:
     """Of n rows at one estimate: parameters x and active effects; contact force F (n,) N; readings fn, ft (n,) N; samples of
-    all rows; stiffness (n,) N/m; fn_slope, ft_slope (n,): of the readings in F; the rows in contact as the balance had them."""
+    all rows; stiffness (n,) N/m; fn_slope, ft_slope (n,): of the readings in F; the rows in contact as the balance had them;
+    prompt (n,), (n,) N: what of both readings a delay shifts, the contact's own. What the sensor adds is slow, or of free phase:
+    shifted with it, a wave's phase and the delay would be one curved valley."""
 
     x: Array
     active: tuple[Active, ...]
@@ -78,6 +80,7 @@ class Predicted:
     fn_slope: Array
     ft_slope: Array
     rows: Rows
+    prompt: tuple[Array, Array]
 
 
 def predict(scene: Scene, x: Array, active: Sequence[Active] = (), near: Predicted | None = None) -> Predicted:
@@ -117,7 +120,7 @@ def predict(scene: Scene, x: Array, active: Sequence[Active] = (), near: Predict
         more.put("F", F + PROBE)
         fn_more, ft_more = _readings(scene, x, whole, more, F + PROBE)
         fn_slope, ft_slope = (fn_more - fn) / PROBE, (ft_more - ft) / PROBE
-    made = Predicted(x, tuple(active), F, fn, ft, samples, stiffness, fn_slope, ft_slope, rows)
+    made = Predicted(x, tuple(active), F, fn, ft, samples, stiffness, fn_slope, ft_slope, rows, _own(scene, x, F))
     late_n, late_t = np.zeros(n), np.zeros(n)
     for one in whole:
         add_n, add_t = remembered(scene, made, one.effect, one.joint, one.scanned)
@@ -154,16 +157,39 @@ def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned
 
 def remembered(scene: Scene, made: Predicted, effect: Effect, joint: int, scanned: Scanned) -> tuple[Array, Array]:
     """What an effect that remembers the log adds to both readings (n, m) N per unit coefficient."""
-    none = np.zeros((len(made.F), effect.size))
+    return _memory(scene, made, effect, joint, scanned, (made.F, *made.prompt), effect.size)
+
+
+def carried(scene: Scene, made: Predicted, changes: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """What the memory of all that is active makes of changes (n, k) N of the force and of the contact's own share of both
+    readings: in both readings (n, k) N."""
+    normal, shear = np.zeros_like(changes[1]), np.zeros_like(changes[2])
+    for one in remembering(scene, made):
+        more = _memory(scene, made, one.effect, one.joint, one.scanned, changes, normal.shape[1])
+        normal, shear = normal + one.a[0] * more[0], shear + one.a[0] * more[1]
+    return normal, shear
+
+
+def remembering(scene: Scene, made: Predicted) -> list[Active]:
+    """Those of all that is active that remember the log."""
+    return [a for a in (*scene.given, *made.active) if a.effect.along is not None or a.effect.along_shear is not None]
+
+
+def _memory(
+    scene: Scene, made: Predicted, effect: Effect, joint: int, scanned: Scanned, forces: tuple[Array, Array, Array], count: int
+) -> tuple[Array, Array]:
+    """Memory (n, count) N in both readings of the force and of both readings (n,), or of columns (n, k) of their changes."""
+    none = np.zeros((len(made.F), count))
     if effect.along is None and effect.along_shear is None:
         return none, none
+    assert effect.size == 1, f"{effect.name}: what remembers has one coefficient"
     c, s = scene.conditions, made.samples
     slopes = s.at("slopes")
     share = np.divide(slopes[:, 1], slopes.sum(axis=1), out=np.zeros(len(slopes)), where=slopes.sum(axis=1) > 0)
     contact, clock = c.contact.astype(float), c.clock if "clock_s" in c.given else None
     log = LogRows(
-        run=c.run.astype(float), time=c.time, s=c.s, F=made.F, d_wheel=s.at("parts")[:, 1], stiffness=made.stiffness,
-        wheel_share=share, fn=made.fn, ft=made.ft, contact=contact, travel=c.travel, feed=c.feed, clock=clock,
+        run=c.run.astype(float), time=c.time, s=c.s, F=forces[0], d_wheel=s.at("parts")[:, 1], stiffness=made.stiffness,
+        wheel_share=share, fn=forces[1], ft=forces[2], contact=contact, travel=c.travel, feed=c.feed, clock=clock,
     )  # fmt: skip
     normal = none if effect.along is None else np.asarray(effect.along(log, joint, scanned), float)
     if effect.along_shear is not None:
@@ -174,8 +200,7 @@ def remembered(scene: Scene, made: Predicted, effect: Effect, joint: int, scanne
 
 def _readings(scene: Scene, x: Array, active: Sequence[Active], samples: Samples, F: Array) -> tuple[Array, Array]:
     """Both readings (n,) N with what active effects do to the sensor, before anything that remembers."""
-    fn = F + x[BIAS]
-    ft = scene.shear * F * (1.0 + x[SHEAR_GAIN]) + x[SHEAR_BIAS]
+    fn, ft = _own(scene, x, F)
     for one in active:
         e = one.effect
         if e.sensor is not None:
@@ -183,3 +208,8 @@ def _readings(scene: Scene, x: Array, active: Sequence[Active], samples: Samples
         if e.shear is not None:
             ft = ft + hook_columns(scene.cell, e, "shear", one.joint, [one.scanned], samples)[0] @ one.a
     return fn, ft
+
+
+def _own(scene: Scene, x: Array, F: Array) -> tuple[Array, Array]:
+    """Both readings (n,) N of the contact's own force."""
+    return F + x[BIAS], scene.shear * F * (1.0 + x[SHEAR_GAIN]) + x[SHEAR_BIAS]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ocp.diagnosis.system import Fold, HeldOut
+from ocp.diagnosis.system import Fold, HeldOut, drifts
 from ocp.diagnosis.tracker.motion import Seen, together
 from ocp.diagnosis.tracker.noise import plain
 from ocp.diagnosis.tracker.refit import Held, Task
@@ -39,21 +39,12 @@ def held_out(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> Hel
     errors, a, covariance = _solved(task, fit, whole, extra, prior, train)
     after = errors[rows]
     told = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
-    drift = _drift(active, a - _solved(task, fit, whole, extra, prior, np.ones(len(r), bool))[1], covariance) if active else ()
+    moved = a - _solved(task, fit, whole, extra, prior, np.ones(len(r), bool))[1]
+    drift = drifts([one.effect.size for one in active], moved, covariance)
     S = reading_covariance(r.take(rows), task.campaign.instrument, plain(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
     e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)
     return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(told.mean()), drift)
-
-
-def _drift(active: Sequence[Active], change: Array, covariance: Array) -> tuple[float, ...]:
-    """By how many standard errors of the values without the fold each effect's value differs from that of all readings."""
-    found, start = [], 0
-    for one in active:
-        block = slice(start, start + one.effect.size)
-        start = block.stop
-        found.append(float(np.sqrt(change[block] @ np.linalg.pinv(covariance[block, block]) @ change[block])))
-    return tuple(found)
 
 
 def _added(active: Sequence[Active], seen: Seen, fit: Held) -> tuple[Array, Array]:
