@@ -1,7 +1,6 @@
 """The calibration folder: calibration.toml with its covariance, residuals, blind predictions, report; whole or not at all."""
 
 import csv
-import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from ocp.calibration import TrackerCalibration
 from ocp.cell_copy import cell_tables_for
 from ocp.command import Phases, tell_notices
+from ocp.hashes import sha256
 from ocp.output import check_output, whole_folder
 from ocp.report.calibration_report import write_calibration_report
 from ocp.report.section import Section
@@ -167,11 +167,6 @@ def _provenance(made: TrackerCalibration, inputs: Sequence[Path]) -> dict[str, A
         "bending_joints": list(fit.choice.joints),
         "corrected_payloads": list(fit.choice.payloads),
     }
-
-
-def sha256(path: Path) -> str:
-    """Hash of a file's bytes."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _write_cell(made: TrackerCalibration, path: Path, out: Path) -> None:

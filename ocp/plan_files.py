@@ -1,6 +1,5 @@
 """The plan folder: programs first, read back and judged, then table, summary and reports; whole or not at all."""
 
-import hashlib
 import json
 import platform
 from collections.abc import Callable, Sequence
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.command import Phases, tell_notices
+from ocp.hashes import sha256
 from ocp.output import check_output, whole_folder
 from ocp.plan_report import build_report
 from ocp.plan_table import write_plan_csv
@@ -130,7 +130,7 @@ def _summary(plan: Plan, written: _Written) -> tuple[SummaryRow, ...]:
 
 
 def _inputs(plan: Plan) -> tuple[InputFile, ...]:
-    return tuple(InputFile(role, path.name, _sha256(path)) for role, path in plan.inputs)
+    return tuple(InputFile(role, path.name, sha256(path)) for role, path in plan.inputs)
 
 
 def _write_json(plan: Plan, written: _Written, summary: tuple[SummaryRow, ...], verdict: str, path: Path) -> None:
@@ -148,12 +148,8 @@ def _write_json(plan: Plan, written: _Written, summary: tuple[SummaryRow, ...], 
              "iterations": p.solution.iterations} for p in plan.motion.passes
         ],
         "files": written.files,
-        "inputs": [{"role": role, "name": p.name, "sha256": _sha256(p)} for role, p in plan.inputs],
+        "inputs": [{"role": role, "name": p.name, "sha256": sha256(p)} for role, p in plan.inputs],
         "notices": list(plan.notices),
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
     }  # fmt: skip
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from robots.csv_table import CsvTable, read_csv_table
 from robots.errors import BadInput
@@ -165,6 +164,8 @@ def _contact(table: CsvTable, fn: Array, run: Index) -> Flags:
     if np.isnan(fn).all():
         return np.ones(len(fn), bool)
     limit = AIR_SHARE * float(np.percentile(fn, 90))
+    from scipy.ndimage import median_filter  # only those who measured force wait for it
+
     level = np.empty_like(fn)
     for i in range(int(run.max()) + 1):
         level[run == i] = median_filter(fn[run == i], AIR_WINDOW, mode="nearest")

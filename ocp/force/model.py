@@ -4,6 +4,7 @@ The force is implicit: residual(q, F, w, theta) = 0 (docs/model.md, eq. 2), so d
 docs/force_registration.md, eq. 1 to 3.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 
 from ocp.cell import Cell
 from ocp.contact.wheel_law import WheelLaw
+from ocp.effects.compiled import run_rows
 from ocp.model import build_model
 from ocp.theta import NAMES, Theta
-from robots.kinematics import evaluate_rows
 from robots.pose import Array
 
 SETPOINT = NAMES.index("flange_setpoint_offset")
@@ -54,37 +55,57 @@ class ForceRows:
 
 
 @dataclass(frozen=True)
-class ForceModel:
-    """Force between wheel and blade of one cell and wheel law; functions are built once for each sign of the belt."""
+class BeltFunctions(ABC):
+    """Functions of the balance of one cell and wheel law for many rows, built once for each sign of the belt."""
 
     cell: Cell
     law: WheelLaw
 
     @cached_property
     def least_force(self) -> float:
-        """N; below it the balance is linear in F."""
+        """N; below it the balance is linear in F (docs/force_registration.md, eq. 3)."""
         return LEAST_FORCE * self.law.limits["force"][0]
 
     @cached_property
     def _functions(self) -> dict[int, dict[str, ca.Function]]:
         return {}
 
-    def _function(self, belt: int, kind: str) -> ca.Function:
-        """(q, F, w, theta) -> the wanted numbers of a row, for a belt of the given sign."""
-        made = self._functions.setdefault(belt, {})
-        if not made:
-            model = build_model(replace(self.cell, wheel=replace(self.cell.wheel, belt_speed=float(belt))), self.law)
-            slope = ca.jacobian(model.residual, model.F)
-            state = ca.vertcat(model.delta, model.parts, model.arc, model.lateral, model.turn, model.tilt, model.curvature)
-            outputs = {
-                "balance": ca.vertcat(model.residual, slope),
-                "derivative": ca.vertcat(slope, ca.jacobian(model.residual, model.theta).T),
-                "state": ca.vertcat(state, ca.vec(model.T_base_blade.T)),
-            }
-            arguments = [model.q, model.F, model.w, model.theta]
-            for name, output in outputs.items():
-                made[name] = ca.Function(name, arguments, [ca.densify(output)], {"cse": True})
-        return made[kind]
+    @abstractmethod
+    def built(self, belt: int) -> dict[str, ca.Function]:
+        """The functions (q, F, w, theta) -> numbers of a row by their kinds, for a belt of the given sign."""
+
+    def of_rows(self, kind: str, rows: ForceRows, theta: Array, F: Array) -> Array:
+        """Numbers (n, k) of a kind at each row's own theta (n, m) and F (n,); no rows give (0, 0)."""
+        out: Array = np.empty((0, 0))
+        for belt in (-1, 0, 1):
+            at = np.flatnonzero(rows.belt == belt)
+            if not len(at):
+                continue
+            if belt not in self._functions:
+                self._functions[belt] = self.built(belt)
+            values = run_rows(self._functions[belt][kind], rows.q[at], F[at, None], rows.waypoint[at], theta[at])
+            if not out.size:
+                out = np.zeros((len(rows), values.shape[1]))
+            out[at] = values
+        return out
+
+
+@dataclass(frozen=True)
+class ForceModel(BeltFunctions):
+    """Force between wheel and blade of one cell and wheel law."""
+
+    def built(self, belt: int) -> dict[str, ca.Function]:
+        """See `evaluate`."""
+        model = build_model(replace(self.cell, wheel=replace(self.cell.wheel, belt_speed=float(belt))), self.law)
+        slope = ca.jacobian(model.residual, model.F)
+        state = ca.vertcat(model.delta, model.parts, model.arc, model.lateral, model.turn, model.tilt, model.curvature)
+        outputs = {
+            "balance": ca.vertcat(model.residual, slope),
+            "derivative": ca.vertcat(slope, ca.jacobian(model.residual, model.theta).T),
+            "state": ca.vertcat(state, ca.vec(model.T_base_blade.T)),
+        }
+        arguments = [model.q, model.F, model.w, model.theta]
+        return {name: ca.Function(name, arguments, [ca.densify(o)], {"cse": True}) for name, o in outputs.items()}
 
     def evaluate(self, kind: str, rows: ForceRows, theta: Array, F: Array) -> Array:
         """Rows (n, k) of "balance" (residual m, its slope in F m/N), "derivative" (slope, dr/dtheta) or "state" (overlap
@@ -93,16 +114,7 @@ class ForceModel:
         if self.cell.flange is not None:
             # A row's own setpoint is the cell's plus a known offset: the model stays as it is.
             whole[:, SETPOINT] += rows.setpoint - self.cell.flange.setpoint
-        out: Array = np.empty((0, 0))
-        for belt in (-1, 0, 1):
-            at = np.flatnonzero(rows.belt == belt)
-            if not len(at):
-                continue
-            values = evaluate_rows(self._function(belt, kind), rows.q[at], F[at, None], rows.waypoint[at], whole[at])
-            if not out.size:
-                out = np.zeros((len(rows), values.shape[1]))
-            out[at] = values
-        return out
+        return self.of_rows(kind, rows, whole, F)
 
     def force(
         self, rows: ForceRows, theta: Array, guess: Array | None = None, pressed: NDArray[np.bool_] | None = None

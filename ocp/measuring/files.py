@@ -1,7 +1,6 @@
 """The poses folder: programs first, read back, then table, summary and report; whole or not at all."""
 
 import csv
-import hashlib
 import json
 import platform
 from collections.abc import Callable, Sequence
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ocp.command import Phases, tell_notices
+from ocp.hashes import sha256
 from ocp.measuring.planning import PosePlan
 from ocp.measuring.program import measuring_program, write_and_check
 from ocp.output import check_output, whole_folder
@@ -125,7 +125,7 @@ def _write_json(plan: PosePlan, programs: list[dict[str, Any]], inputs: Sequence
         "assumptions": _assumptions(plan),
         "notices": list(plan.notices),
         "seed": plan.options.seed,
-        "inputs": [{"name": p.name, "sha256": hashlib.sha256(p.read_bytes()).hexdigest()} for p in inputs],
+        "inputs": [{"name": p.name, "sha256": sha256(p)} for p in inputs],
         "versions": {"python": platform.python_version()} | {n: version(n) for n in ("numpy", "scipy", "casadi")},
     }  # fmt: skip
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -14,10 +14,9 @@ from ocp.blind.rivals import METHODS
 from ocp.blind.sealing import Check
 from ocp.blind.worst import chance, planted_words, said_words, why_words, worst
 from ocp.report.blindtest_plots import curve_plot, reliability_plot
-from ocp.report.calibration_report import render_page
-from ocp.report.calibration_words import Headline
-from ocp.report.section import Part, Section, Table
+from ocp.report.section import Headline, Part, Section, Table
 from ocp.report.section import table as make_table
+from ocp.report.sections_page import render_page
 
 KIND = "Blind check of the diagnosis"
 TITLE = "Sealed worlds of the virtual cell"

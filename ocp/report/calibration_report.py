@@ -3,28 +3,23 @@
 Both are made from the same sections. Nothing in the files depends on when or where they were made.
 """
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-import jinja2
 import matplotlib
-from markupsafe import Markup
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.patches import Rectangle
 
 from ocp.calibration import TrackerCalibration
 from ocp.report.calibration_sections import calibration_sections
 from ocp.report.calibration_view import look_at
-from ocp.report.calibration_words import Headline, headline
+from ocp.report.calibration_words import headline
 from ocp.report.flow import LEFT, Flow, wrapped
 from ocp.report.printed_style import A4_HEIGHT, A4_WIDTH, STYLE, Sheet, new_sheet, number_sheets, printable, shorten
-from ocp.report.section import WIDTH, Plot, Points, Section, Table
-from ocp.report.svg_inline import inline_svg
+from ocp.report.section import WIDTH, Headline, Points, Section
+from ocp.report.sections_page import render_page
 
-_FOLDER = Path(__file__).parent
-_STYLES = ("page.css", "calibration_page.css")
+KIND = "Calibration of a robot"
 
 
 def write_calibration_report(c: TrackerCalibration, folder: Path, hashes: dict[str, str], extra: Sequence[Section] = ()) -> None:
@@ -36,7 +31,7 @@ def write_calibration_report(c: TrackerCalibration, folder: Path, hashes: dict[s
     view = look_at(c)
     head, title = headline(c, view), report_title(c)
     sections = calibration_sections(c, view, hashes, extra)
-    page = render_page(title, head, c.notices, sections)
+    page = render_page(title, head, c.notices, sections, KIND)
     (Path(folder) / "report.html").write_bytes(page.encode("utf-8", "replace"))
     write_sheets(title, head, c.notices, sections, Path(folder) / "report.pdf")
 
@@ -46,40 +41,13 @@ def report_title(c: TrackerCalibration) -> str:
     return f"{c.fit.campaign.robot.title} from {c.fit.campaign.readings.path.name}"
 
 
-def render_page(
-    title: str, head: Headline, notices: Sequence[str], sections: Sequence[Section], kind_of: str = "Calibration of a robot"
-) -> str:
-    """The page as text: one file that loads nothing and runs nothing. `kind_of` report, above the title."""
-    style = "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in _STYLES)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_FOLDER),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    kinds = {Table: "table", Points: "points", Plot: "plot"}
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
-    return environment.get_template("calibration_page.html").render(
-        title=title,
-        eyebrow=kind_of,
-        head=head,
-        notices=notices,
-        sections=sections,
-        kind=lambda part: kinds.get(type(part), "words"),
-        svg=lambda plot: Markup(inline_svg(plot)),
-        style=Markup(style),
-        style_hash=f"sha256-{digest}",
-    )
-
-
 def write_sheets(
     title: str,
     head: Headline,
     notices: Sequence[str],
     sections: Sequence[Section],
     path: Path,
-    kind_of: str = "Calibration of a robot",
+    kind_of: str = KIND,
 ) -> None:
     """The same on A4."""
     with matplotlib.rc_context(STYLE):

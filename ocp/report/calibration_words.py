@@ -1,11 +1,10 @@
 """A calibration in words: the verdict, the headline's facts, why terms entered or not, what a fold says."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ocp.calibration import TrackerCalibration
 from ocp.report.calibration_view import ReadingsView, named, present
+from ocp.report.section import Headline
 from robots.calibration.evidence import LEAST_GAIN, LEAST_SIGMA, Term
 from robots.calibration.validation import HeldOut, by_kind
 
@@ -19,17 +18,6 @@ KINDS = {
     "payload": "a payload",
     "joint range": "the upper half of an axis' range",
 }
-
-
-@dataclass(frozen=True)
-class Headline:
-    """The first thing to read: whether the calibration stands (`good`), that in a few words, one sentence, and facts as
-    (question, answer)."""
-
-    good: bool
-    verdict: str
-    sentence: str
-    facts: tuple[tuple[str, str], ...]
 
 
 def headline(c: TrackerCalibration, view: ReadingsView) -> Headline:

@@ -7,7 +7,8 @@ from ocp.diagnosis.answer import Answer, SignalGap, figures
 from ocp.diagnosis.findings import Name, Ranked
 from ocp.diagnosis.shrinkage import NONE
 from ocp.effects.library import library
-from ocp.report.calibration_words import Headline, listed
+from ocp.report.calibration_words import listed
+from ocp.report.section import Headline
 
 SIGNALS = {"tracker": "the laser tracker's readings", "force": "the force readings", "joint": "the link-side encoders"}
 SHORT = {"tracker": "tracker", "force": "force", "joint": "link encoders"}

@@ -8,11 +8,11 @@ from matplotlib.ticker import MultipleLocator
 
 from ocp.experiment.summary import PAPER_FORCES, PAPER_POSITIONS, force_rows, position_rows
 from ocp.experiment.trial import STEPS, Trial
-from ocp.report.calibration_report import render_page, write_sheets
-from ocp.report.calibration_words import Headline
+from ocp.report.calibration_report import write_sheets
 from ocp.report.panels import AFTER, BAD, BEFORE, dots, dressed, keys, log_scale, panels
 from ocp.report.printed_style import INK, SOFT
-from ocp.report.section import Canvas, Plot, Points, Section, Table, table
+from ocp.report.section import Canvas, Headline, Plot, Points, Section, Table, table
+from ocp.report.sections_page import render_page
 
 KIND = "Experiments on virtual robots"
 METHOD_WORDS = {

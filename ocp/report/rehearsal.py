@@ -1,22 +1,15 @@
 """rehearsal.html: what force a program would be seen to make on the virtual cell, as one page that loads nothing."""
 
-import base64
-import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
-from markupsafe import Markup
-
 from ocp.report.rehearsal_plots import blade_plot, lines_plot, parts_plot
-from ocp.report.section import Plot, Section, Table, table
-from ocp.report.svg_inline import inline_svg
+from ocp.report.section import Headline, Section, Table, table
+from ocp.report.sections_page import render_page
 from ocp.twin.rehearsal import PARTS, Rehearsal
 from trajectories.blade import Blade
 
-_FOLDER = Path(__file__).parent
-_STYLES = ("page.css", "calibration_page.css")
+KIND = "Rehearsal on a virtual cell"
 GOOD = 0.95  # share of samples within 1 N from which the page is green
 WORDS = {
     "arm": "the arm stands elsewhere",
@@ -26,16 +19,7 @@ WORDS = {
 }
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """The first thing to read."""
-
-    good: bool
-    verdict: str
-    sentence: str
-
-
-def verdict(rehearsal: Rehearsal, machine: str) -> Verdict:
+def verdict(rehearsal: Rehearsal, machine: str) -> Headline:
     """Whether the program would grind as planned, in figures. `machine`: what it was run on, in words."""
     f = rehearsal.figures
     good = f["within_1_N"] >= GOOD
@@ -46,33 +30,14 @@ def verdict(rehearsal: Rehearsal, machine: str) -> Verdict:
     )
     if f["lost"] > 0:
         sentence += f" For {100 * f['lost']:.1f} % of the time the blade does not touch the wheel."
-    return Verdict(good, "As planned." if good else "Not as planned.", sentence)
+    return Headline(good, "As planned." if good else "Not as planned.", sentence)
 
 
 def write_rehearsal_page(
     rehearsal: Rehearsal, blade: Blade, title: str, machine: str, notices: Sequence[str], path: Path
 ) -> None:
     """Write the page; equal rehearsals give equal bytes. Raises OSError where the file cannot be written."""
-    style = "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in _STYLES)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_FOLDER),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    kinds = {Table: "table", Plot: "plot"}
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
-    text = environment.get_template("rehearsal_page.html").render(
-        title=title,
-        head=verdict(rehearsal, machine),
-        notices=notices,
-        sections=_sections(rehearsal, blade),
-        kind=lambda part: kinds.get(type(part), "words"),
-        svg=lambda plot: Markup(inline_svg(plot)),
-        style=Markup(style),
-        style_hash=f"sha256-{digest}",
-    )
+    text = render_page(title, verdict(rehearsal, machine), notices, _sections(rehearsal, blade), KIND)
     path.write_bytes(text.encode("utf-8", "replace"))
 
 

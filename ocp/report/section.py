@@ -1,16 +1,28 @@
 """What a report is made of, for page and paper alike: sections of paragraphs, lists, tables and plots.
 
-A section holds no layout. `calibration_page.html` and `flow.py` put the same sections on the screen and on A4.
+A section holds no layout. `sections_page.html` and `flow.py` put the same sections on the screen and on A4.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure  # half a second to import, and sections are made without it
 
 WIDTH = 6.87
 """inch: A4 less its margins. On the page a plot is scaled to the column."""
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The first thing to read: whether all is well (`good`), that in a few words, one sentence, and facts as (question,
+    answer)."""
+
+    good: bool
+    verdict: str
+    sentence: str
+    facts: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -18,7 +30,7 @@ class Canvas:
     """A part of a matplotlib figure to draw in: `WIDTH` by `height` inch, its lower left corner at `left`, `bottom` inch of the
     figure."""
 
-    figure: Figure
+    figure: "Figure"
     height: float
     left: float = 0.0
     bottom: float = 0.0

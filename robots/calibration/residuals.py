@@ -34,6 +34,16 @@ def residuals(robot: Robot, readings: Readings, instrument: Instrument, state: S
     return out
 
 
+def points(robot: Robot, readings: Readings, instrument: Instrument, state: State) -> Array:
+    """Predicted places (n, 3) m of the reflectors in their trackers' frames alone."""
+    out = np.empty((len(readings), 3))
+    for rows, inputs in _groups(readings, instrument, state):
+        point, _ = predict_points(robot, state.arm, inputs)
+        S = state.stations[readings.station[rows]]
+        out[rows] = (S[:, :3, :3] @ point[..., None])[..., 0] + S[:, :3, 3]
+    return out
+
+
 def linearise(robot: Robot, readings: Readings, instrument: Instrument, layout: Layout, state: State) -> Linearised:
     """Residuals with derivatives."""
     n = len(readings)

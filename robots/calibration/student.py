@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2
+from scipy.special import gammaincinv  # chi-square by hand: scipy.stats takes half a second to import
 
 from robots.pose import Array
 
@@ -38,7 +38,7 @@ def gaussian_moments(k: int) -> tuple[float, float, float]:
 
 
 def _quantiles(k: int) -> Array:
-    return np.asarray(chi2(k).ppf((np.arange(4000) + 0.5) / 4000))
+    return np.asarray(2.0 * gammaincinv(0.5 * k, (np.arange(4000) + 0.5) / 4000))
 
 
 def spread_of(squared: Array, k: int, freedom: float = 1.0) -> float:
@@ -58,7 +58,7 @@ def spread_of(squared: Array, k: int, freedom: float = 1.0) -> float:
 
 @cache
 def _chi2_median(k: int) -> float:
-    return float(chi2.median(k))
+    return float(2.0 * gammaincinv(0.5 * k, 0.5))
 
 
 @cache
