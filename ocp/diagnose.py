@@ -30,6 +30,9 @@ def diagnose(
     poses: Annotated[
         Path | None, typer.Option(help="with --design: the planned readings, as tracker.csv without x, y, z")
     ] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="with --design: the planned force log, as force.csv without fn_N, or plan.csv of ocp.plan")
+    ] = None,
     list_effects: Annotated[bool, typer.Option(help="list the catalogue with units and usual ranges")] = False,
 ) -> None:
     """Say where model and cell differ, which effect causes it, and how far the gap shrinks with it."""
@@ -42,12 +45,14 @@ def diagnose(
             return effect_list()
         if poses is not None and design is None:
             raise BadInput("--poses goes with --design cell.toml; measured readings belong into the data set's folder")
+        if log is not None and design is None:
+            raise BadInput("--log goes with --design cell.toml; a measured log belongs into the data set's folder as force.csv")
         if design is not None and folder is not None:
             raise BadInput(f"{folder}: --design looks at a plan, not at a data set; give one of them")
         if design is not None:
             from ocp.diagnosis.design import design_text
 
-            return design_text(design, poses)
+            return design_text(design, poses, log)
         if folder is None:
             raise BadInput("no data set is named; give the folder that holds cell.toml and measurements, or --design cell.toml")
         from ocp.diagnosis.answering import write_diagnosis

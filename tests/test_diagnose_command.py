@@ -20,8 +20,9 @@ from ocp.diagnosis.dataset import read_data_set
 from ocp.diagnosis.effect_list import effect_list
 from ocp.diagnosis.findings import Diagnosis, Explanation, Name, Ranked
 from ocp.diagnosis.json_out import Document
-from ocp.diagnosis.next_experiment import Pair, next_experiments, unlike
+from ocp.diagnosis.next_experiment import next_experiments
 from ocp.diagnosis.planned import candidates, foreseen
+from ocp.diagnosis.separation import Pair, unlike
 from ocp.effects.effect import Active
 from ocp.effects.library import library
 from ocp.measuring.setup import read_tracker_setup

@@ -12,7 +12,7 @@ from ocp.diagnosis.tracker.baseline import baseline
 from ocp.diagnosis.tracker.channel import TrackerChannel
 from ocp.diagnosis.tracker.folds import tracker_folds
 from ocp.diagnosis.tracker.noise import reliability
-from ocp.diagnosis.tracker.refit import refit
+from ocp.diagnosis.tracker.refit import settled
 from ocp.diagnosis.unknown import cancelling, hurts, implausible
 from ocp.effects.effect import Active
 from ocp.effects.library import library
@@ -153,7 +153,7 @@ def test_linear_folds_are_as_good_as_nonlinear_refits():
     fold = next(f for f in tracker_folds(readings) if f.kind == "payload")
     quick = c.held_out(fold, c.active)
     left = replace(c.task, campaign=replace(c.task.campaign, readings=readings.take(~fold.held)))
-    fit = refit(left, c.fit.state, c.fit.offset, c.active, c.fit.noise, learn_noise=False)
+    fit = settled(left, c.fit)
     from ocp.diagnosis.tracker.refit import looked
 
     there, _ = looked(c.task, fit.state, fit.active)

@@ -9,14 +9,14 @@ import pytest
 from diagnosis_force_world import HEADER, Pass, Planted, believed_world, log_of, record
 from force_world import arm_posterior, write_log
 
-from ocp.diagnosis.answering import LIKELY
 from ocp.diagnosis.findings import Alternative
-from ocp.diagnosis.force.anticipated import FOLLOWED, Grinding, after_log, anticipated_grinding
+from ocp.diagnosis.force.anticipated import Grinding, after_log, anticipated_grinding
 from ocp.diagnosis.force.arm import arm_of
 from ocp.diagnosis.force.channel import ForceChannel, force_channel
 from ocp.diagnosis.force.fit import Problem, solve
 from ocp.diagnosis.force.prediction import Scene, predict
-from ocp.diagnosis.shrinkage import RUN_SD, Shrinkage, from_grinding
+from ocp.diagnosis.force.shrinkage import RUN_SD, from_grinding
+from ocp.diagnosis.shrinkage import Shrinkage
 from ocp.effects.effect import Active
 from ocp.effects.library import library
 from ocp.force.log import read_force_log
@@ -141,7 +141,6 @@ def test_later_grinding_goes_on_where_the_log_ended(worn):
 def test_the_promise_is_kept_after_the_log(worn):
     before = worn.channel
     after = before.with_active((_wear(),))
-    assert LIKELY == FOLLOWED
     found = from_grinding(anticipated_grinding(before, after), after.noise_floor**2)
     there = [predict(worn.later, c.fit.at.x, c.active) for c in (before, after)]
     e, f = (float(np.sqrt(np.mean((told.fn - worn.truth) ** 2))) for told in there)

@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 from ocp.diagnosis.anticipated import anticipated
 from ocp.diagnosis.dataset import DataSet
 from ocp.diagnosis.findings import Diagnosis
-from ocp.diagnosis.force.anticipated import anticipated_grinding
-from ocp.diagnosis.force.channel import ForceChannel
 from ocp.diagnosis.next_experiment import Experiment
 from ocp.diagnosis.remainder import estimation_variance
-from ocp.diagnosis.shrinkage import NONE, Shrinkage, from_folds, from_grinding, from_model, realised
+from ocp.diagnosis.shrinkage import NONE, Shrinkage, from_folds, from_model, realised
 from ocp.diagnosis.system import Channel, HeldOut
 from ocp.diagnosis.tracker.channel import TrackerChannel
 from robots.pose import Array
@@ -72,8 +70,10 @@ def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequ
         return NONE if realised(square, 0.0, after.noise_floor**2) is not None else None
     if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel) and not after.restless(1.0):
         return from_model(anticipated(before, after, diagnosis.alternatives), held, (after.noise_floor / SCALE[after.unit]) ** 2)
-    if isinstance(before, ForceChannel) and isinstance(after, ForceChannel):
-        return from_grinding(anticipated_grinding(before, after, diagnosis.alternatives), after.noise_floor**2)
+    if before.name == "force":
+        from ocp.diagnosis.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
+
+        return of_grinding(before, after, diagnosis.alternatives)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
     return from_folds(held, estimation_variance(after, active_columns(after)))
 

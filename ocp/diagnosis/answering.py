@@ -2,33 +2,31 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from ocp.calibration_files import sha256
 from ocp.command import Phases, tell_notices
 from ocp.diagnosis.answer import Answer, signal_gap
 from ocp.diagnosis.channels import channels_of
 from ocp.diagnosis.corrected import write_corrected_cell
 from ocp.diagnosis.dataset import read_data_set, read_sealed_force, read_sealed_tracker
 from ocp.diagnosis.document import document_of
-from ocp.diagnosis.findings import Alternative
+from ocp.diagnosis.findings import FOLLOWED, Alternative
 from ocp.diagnosis.json_out import json_text
 from ocp.diagnosis.next_experiment import next_experiments
 from ocp.diagnosis.predictions import averaged, write_force_predictions, write_tracker_predictions
+from ocp.diagnosis.reporting import drawn_beside
 from ocp.diagnosis.search import diagnose
 from ocp.diagnosis.system import Channel, Sealed
 from ocp.effects.effect import Effect
 from ocp.effects.library import library
+from ocp.hashes import sha256
 from ocp.output import check_output, whole_folder
-from ocp.report.diagnosis_report import write_diagnosis_report
 from ocp.report.diagnosis_words import headline
 from robots.errors import BadInput
 
 _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
-LIKELY = 0.15  # probability of alternatives that force predictions follow: a refit of a force log takes seconds
 NEVER = frozenset({"speed"})  # no column of readings at rest
 
 
@@ -69,7 +67,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
     for signal in data.sealed:
         channel = _of(answer.diagnosis.channels, signal)
         sealed = read_sealed_tracker(data) if signal == "tracker" else read_sealed_force(data)
-        least = 0.0 if signal == "tracker" else LIKELY
+        least = 0.0 if signal == "tracker" else FOLLOWED
         kept = [told[0], *(a for a in told[1:] if a.probability >= least)]
         found[signal] = averaged([(a.probability, channel.predict(sealed, a.active)) for a in kept])
     return found
@@ -85,20 +83,21 @@ def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) ->
     check_output(out, overwrite, inputs)
     if out.resolve() == folder.resolve():
         raise BadInput(f"--out {out}: is the data set itself; give another folder")
-    answer = answer_of(folder, phases)
-    with phases.phase("predictions"):
-        sealed = predict_sealed(answer)
-    with whole_folder(out, overwrite) as made:
-        with phases.phase("writing"):
-            (made / "diagnosis.json").write_text(json_text(document_of(answer)), encoding="utf-8")
-            if "tracker" in sealed:
-                write_tracker_predictions(made / "predictions_tracker.csv", sealed["tracker"])
-            if "force" in sealed:
-                write_force_predictions(made / "predictions_force.csv", sealed["force"])
-            write_corrected_cell(made, out, answer.data, answer.diagnosis.channels, answer.diagnosis.active)
-        with phases.phase("report"):
-            whole = replace(answer, seconds=dict(phases.seconds))
-            write_diagnosis_report(whole, made / "report.html", {p.name: sha256(p) for p in answer.data.inputs})
+    with drawn_beside() as draw:
+        answer = answer_of(folder, phases)
+        page = draw(answer, {p.name: sha256(p) for p in answer.data.inputs})
+        with phases.phase("predictions"):
+            sealed = predict_sealed(answer)
+        with whole_folder(out, overwrite) as made:
+            with phases.phase("writing"):
+                (made / "diagnosis.json").write_text(json_text(document_of(answer)), encoding="utf-8")
+                if "tracker" in sealed:
+                    write_tracker_predictions(made / "predictions_tracker.csv", sealed["tracker"])
+                if "force" in sealed:
+                    write_force_predictions(made / "predictions_force.csv", sealed["force"])
+                write_corrected_cell(made, out, answer.data, answer.diagnosis.channels, answer.diagnosis.active)
+            with phases.phase("report"):
+                (made / "report.html").write_bytes(page())
     tell_notices((*answer.notices, *answer.blind))
     return last_line(answer, out)
 

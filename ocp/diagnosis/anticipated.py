@@ -13,10 +13,10 @@ import numpy as np
 from ocp.diagnosis.findings import Alternative
 from ocp.diagnosis.planned import foreseen
 from ocp.diagnosis.system import scan_key
-from ocp.diagnosis.tracker.background import background
 from ocp.diagnosis.tracker.channel import TrackerChannel
+from ocp.diagnosis.tracker.refit import placed
 from ocp.effects.effect import Active
-from robots.calibration.residuals import linearise
+from robots.calibration.residuals import points
 from robots.measurements import Index, Readings
 from robots.pose import Array
 
@@ -66,8 +66,7 @@ def anticipated(
             groups.append(_group(before, models, new))
     told = np.array([o.probability for o in others] or [1.0])
     measured = tuple(after.readings.payloads[k] for k in np.unique(after.readings.payload))
-    lasting = background(models[0].task, models[0].fit).draws
-    return Anticipated(tuple(groups), measured, told / told.sum(), models[0].fit.covariance, lasting)
+    return Anticipated(tuple(groups), measured, told / told.sum(), models[0].fit.covariance, models[0].background.draws)
 
 
 def _with(before: TrackerChannel, after: TrackerChannel, active: tuple[Active, ...]) -> TrackerChannel:
@@ -82,13 +81,19 @@ def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readin
     """Readings `new` about all fits."""
     accepted, c = models[0], models[0].task.campaign
     # Effects of the tracker and of the base act on where the reflector is: predicted, as nobody measured it.
-    place = linearise(c.robot, new, c.instrument, accepted.task.layout, accepted.fit.state).point
+    place = points(c.robot, new, c.instrument, accepted.fit.state)
     new = replace(new, point=place)
-    old = foreseen(before, new).fit.linear.point
-    fits = [foreseen(m, new).fit for m in models]
-    J = np.concatenate([fits[0].linear.J, fits[0].extra], axis=2)
-    moved = np.stack([f.linear.point - old for f in fits])
-    return Group(new.payloads[int(new.payload[0])], moved, J, np.sum(fits[0].linear.d_joints ** 2, axis=1))
+    first = foreseen(accepted, new).fit
+    J = np.concatenate([first.linear.J, first.extra], axis=2)
+    there = [first.linear.point, *(_placed(m, new) for m in models[1:])]
+    moved = np.stack(there) - _placed(before, new)
+    return Group(new.payloads[int(new.payload[0])], moved, J, np.sum(first.linear.d_joints**2, axis=1))
+
+
+def _placed(channel: TrackerChannel, new: Readings) -> Array:
+    """Where a channel's fit predicts the reflectors of readings `new`, (n, 3) m."""
+    task = replace(channel.task, campaign=replace(channel.task.campaign, readings=new))
+    return placed(task, channel.fit.state, channel.fit.active)
 
 
 def _warmths(readings: Readings) -> list[float | None]:

@@ -14,6 +14,7 @@ GROWN = 4  # families that are tried to be added to a set, or put in a member's 
 LINES = 4  # background lines of a set at most
 TELLING = 0.5  # log weight that a background line must gain to be looked at
 NEAR = 8.0  # sets this much (log) below the best are not grown
+NAMED = 2  # best sets without a kernel that are grown even so: a kernel must beat the best names there are
 Key = frozenset[int]
 
 
@@ -84,7 +85,7 @@ class Search:
             self.add(key)
         done: set[Key] = set()
         for _ in range(4 * self.most):
-            fresh = [k for k in self.best() if k not in done]
+            fresh = [k for k in dict.fromkeys((*self.best(), *self._named())) if k not in done]
             if not fresh:
                 break
             for key in fresh:
@@ -95,6 +96,11 @@ class Search:
         """The beam: best sets by weight."""
         order = sorted(self.seen, key=lambda k: -self.seen[k].log)[: self.beam]
         return [k for k in order if self.seen[k].log > self.seen[order[0]].log - NEAR]
+
+    def _named(self) -> list[Key]:
+        """The best sets of names alone."""
+        known = [k for k in self.seen if not self.kernel[list(k)].any()]
+        return sorted(known, key=lambda k: -self.seen[k].log)[:NAMED]
 
     def scan(self, there: Weighed) -> Scan:
         """Every family over a set."""
@@ -115,10 +121,11 @@ class Search:
         """All pairs whose first member is among the most telling: weighed roughly, then the best exactly."""
         order = [f for f in np.argsort(-gain)[:FIRSTS] if np.isfinite(gain[f])]
         found: dict[Key, float] = {}
-        for f in order:
-            f = int(f)
-            there = given(self.pool, [Member(f, int(first.variant[f]), float(first.size[f]))])
-            value = self._value(scan(self.pool, there), frozenset([f])) + gain[f]
+        firsts = [Member(int(f), int(first.variant[f]), float(first.size[f])) for f in order]
+        self.pool.look_ahead(firsts)
+        for one in firsts:
+            f = one.family
+            value = self._value(scan(self.pool, given(self.pool, [one])), frozenset([f])) + gain[f]
             if self.kernel[f]:
                 value[self.kernel] = -np.inf
             for g in np.argsort(-value)[:8]:

@@ -4,8 +4,6 @@ import numpy as np
 
 from ocp.command import Phases
 from ocp.diagnosis.dataset import TRACKER, DataSet
-from ocp.diagnosis.force.channel import force_channel
-from ocp.diagnosis.joints.channel import joint_channel
 from ocp.diagnosis.system import Channel
 from ocp.diagnosis.tracker.baseline import baseline
 from ocp.diagnosis.tracker.channel import TrackerChannel
@@ -47,12 +45,16 @@ def tracker_channel(data: DataSet) -> TrackerChannel:
 
 def _force_channel(data: DataSet) -> Channel:
     """The believed contact refitted to the log, the arm as the tracker's readings place it."""
+    from ocp.diagnosis.force.channel import force_channel  # blade and contact: only for those who measured force
+
     assert data.cell is not None and data.log is not None
     return force_channel(data.cell, data.log, None if data.readings is None else data.folder / TRACKER)
 
 
 def _joint_channel(data: DataSet) -> Channel:
     """Link-side encoders."""
+    from ocp.diagnosis.joints.channel import joint_channel
+
     assert data.joints is not None
     return joint_channel(data.joints, data.setup.robot, data.payload, _stated(data))
 

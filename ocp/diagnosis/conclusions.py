@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from ocp.diagnosis.alternatives import Weights, alternatives
 from ocp.diagnosis.beam import Search, Weighed
@@ -206,6 +206,7 @@ def screened(problem: Problem) -> tuple[Screened, ...]:
     """Score tests of every library effect before anything is accepted."""
     pool, found = problem.pool, []
     total = float(pool.y @ pool.y)
+    energies = {f.name: float(np.einsum("nvi,nvi->v", f.columns, f.columns).max()) for f in pool.families if f.effect is not None}
     for i, family in enumerate(pool.families):
         if family.effect is None:
             continue
@@ -215,10 +216,13 @@ def screened(problem: Problem) -> tuple[Screened, ...]:
         gained = np.einsum("vi,vi->v", b, np.linalg.solve(G + 1e-9 * np.eye(g.m), b[..., None])[..., 0])
         best = int(np.argmax(gained))
         ratio = gained[best] / g.m / max((total - gained[best]) / (pool.freedom - g.m), 1e-9)
-        p = float(f_distribution.sf(ratio, g.m, pool.freedom - g.m))
+        p = float(fdtrc(g.m, pool.freedom - g.m, ratio))
         energy = float(np.trace(G[best])) / g.m
         rival = rival_of(family.effect, family.name.joint, family.scans)
-        price = needed(energy, g.m, family.sizes, family.log_odds, V, int(family.positive.sum()), rival)
+        own = family.name
+        others = np.array([e for n, e in energies.items() if n.effect == own.effect and n.joint != own.joint]) / g.m
+        beside = others if rival is not None and rival.beside else None
+        price = needed(energy, g.m, family.sizes, family.log_odds, V, int(family.positive.sum()), rival, beside)
         smallest = float(np.sqrt(price / max(energy, 1e-12)))
         left = share_left(problem, family, best, energy * g.m)
         found.append(Screened(family.name, float(gained[best]), g.m, V, min(1.0, 1 - (1 - p) ** V), smallest, left))

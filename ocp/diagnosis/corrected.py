@@ -13,12 +13,10 @@ import numpy as np
 
 from ocp.cell_copy import cell_tables_for
 from ocp.diagnosis.dataset import CELL, DataSet
-from ocp.diagnosis.force.channel import ForceChannel
 from ocp.diagnosis.system import Channel
 from ocp.diagnosis.tracker.channel import TrackerChannel
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active
-from ocp.force.fit import FIT_NAMES
 from robots.calibration.reading_model import ARM_NAMES
 from robots.calibration.store import Calibration, write_calibration
 from robots.calibration.toml_text import toml_text
@@ -70,7 +68,7 @@ def _ends(**columns: Array | None) -> dict[str, float]:
 def calibration_of(channels: Sequence[Channel], data: DataSet) -> Calibration | None:
     """The refitted arm, and contact where a force channel has refitted it; None where neither was measured."""
     for channel in channels:
-        if isinstance(channel, ForceChannel):
+        if channel.name == "force":
             return _of_contact(channel, data)
     for channel in channels:
         if isinstance(channel, TrackerChannel):
@@ -78,8 +76,12 @@ def calibration_of(channels: Sequence[Channel], data: DataSet) -> Calibration | 
     return None
 
 
-def _of_contact(channel: ForceChannel, data: DataSet) -> Calibration:
+def _of_contact(channel: Channel, data: DataSet) -> Calibration:
     """Arm, wheel, blade frame and stiffnesses as the force log and the arm's prior leave them, with their joint covariance."""
+    from ocp.diagnosis.force.channel import ForceChannel  # blade and contact: only for those who measured force
+    from ocp.force.fit import FIT_NAMES
+
+    assert isinstance(channel, ForceChannel)
     believed, fit = channel.problem.believed, channel.fit
     r = believed.root.shape[1]
     x = believed.mean + believed.root @ fit.z[:r]

@@ -52,6 +52,9 @@ class Explanation:
     log_evidence: float
 
 
+FOLLOWED = 0.15  # probability from which predictions of the force follow an alternative: refitting a force log takes seconds
+
+
 @dataclass(frozen=True)
 class Alternative:
     """Effects with their values that may be the truth, and the probability that they are; none: the baseline stands."""

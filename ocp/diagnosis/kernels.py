@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.diagnosis.features import SMOOTH, groups, products, smooth, unit, waves, waves_of_two
+from ocp.diagnosis.features import groups, products, smooth, unit, waves, waves_of_two
+from ocp.diagnosis.grinding_kernels import reading_kernels
 from ocp.diagnosis.system import Conditions
 from robots.pose import Array
 
@@ -29,13 +30,13 @@ TILT_RANGE = (1e-5, 3e-4)  # rad, of an axis under load or warmth
 FRAME_RANGE = (2e-5, 5e-4)  # m, of a displacement
 FORCE_RANGE = (0.2, 5.0)  # N, of a force reading
 BEAM = ("range", "azimuth", "elevation")
-_SCALAR = ("s", "feed", "setpoint", "travel", "belt", "clock", "time", "temperature", "wheel_temperature", "run", "line")
 
 
 @dataclass(frozen=True)
 class Kernel:
     """Features (n, V, m) of unit size in gap units (k components): changes (n, k, V, m) SI; where: the condition; source:
-    joint, axis, frame, beam or reading; joint (0: none); typical low and high of its size in `unit`."""
+    joint, axis, frame, beam or reading; joint (0: none); typical low and high of its size, SI; among: of how many variants these
+    are the most telling, 0: they are all there are."""
 
     where: str
     source: str
@@ -43,6 +44,7 @@ class Kernel:
     changes: Array
     low: float
     high: float
+    among: int = 0
 
 
 def kernels(c: Conditions) -> Iterator[Kernel]:
@@ -65,10 +67,10 @@ def kernels(c: Conditions) -> Iterator[Kernel]:
             if c.sight is not None:
                 yield _of_sight(c.point, c.sight)
     elif c.signal == "force":
-        for where, features in _of_reading(c):
-            changes = np.zeros((n, k, 1, features.shape[1]))
-            changes[:, 0, 0] = features
-            yield Kernel(where, "reading", 0, changes, *FORCE_RANGE)
+        for one in reading_kernels(c):
+            changes = np.zeros((n, k, *one.features.shape[1:]))
+            changes[:, one.reading] = one.features
+            yield Kernel(one.where, "reading", 0, changes, *FORCE_RANGE, one.among)
 
 
 def _of_joint(c: Conditions, j: int) -> Iterator[tuple[str, Array]]:
@@ -178,20 +180,6 @@ def _of_nests(c: Conditions) -> Iterator[Kernel]:
         moved = [nest * (time > at) for nest in nests.T for at in instants]
         changes = np.stack([_each(still, one[:, None]) for one in moved], axis=2)
         yield Kernel("target x time", "frame", 0, changes, *FRAME_RANGE)
-
-
-def _of_reading(c: Conditions) -> Iterator[tuple[str, Array]]:
-    """Features (n, m) of the reading itself."""
-    for where in _SCALAR:
-        values = getattr(c, where)
-        if values is None or np.ptp(values) == 0:
-            continue
-        if where in ("run", "line", "travel"):
-            indicator = groups(values)
-            if indicator is not None and indicator.shape[1] <= 12:
-                yield where, indicator
-        else:
-            yield where, smooth(values, SMOOTH if where == "s" else 3)
 
 
 def _time(c: Conditions) -> Array | None:

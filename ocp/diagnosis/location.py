@@ -12,7 +12,9 @@ SHARE_PER_FEATURE = 0.03  # a condition with more features must explain so much 
 SUBSYSTEM = {"target x time": "target", "payload": "payload", "session": "tracker", "time": "tracker", "temperature": "tracker"}
 READING = {
     "s": "blade", "line": "blade", "wheel_temperature": "wheel", "belt": "wheel", "run": "tool", "session": "tool",
-    "setpoint": "flange", "travel": "timing", "feed": "timing",
+    "setpoint": "flange", "travel": "timing", "feed": "timing", "turn": "wheel", "clock wave": "wheel", "time wave": "wheel",
+    "s wave": "blade", "s wave x travel": "flange", "clock x s": "blade", "belt x time": "wheel", "setpoint x clock": "wheel",
+    "setpoint x s": "blade", "travel x feed": "timing", "setpoint x belt": "wheel", "travel x s": "flange",
 }  # fmt: skip
 
 
@@ -25,6 +27,7 @@ def of_effect(problem: Problem, effect: Effect, joint: int, signature: Array) ->
             not family.where
             or " x q" in family.where
             or "ripple" in family.where
+            or "wave" in family.where
             or (family.name.joint != joint and family.name.joint and joint)
         ):
             continue
@@ -59,5 +62,7 @@ def of_tests(tests: list[KernelTest], sure: float = 1e-3) -> Location | None:
 
 def conditions(where: str) -> tuple[str, ...]:
     """What a kernel's name says it depends on: joints' angles q3, approaches approach5, loads tau2, temperature, time, ..."""
-    found = (f"q{p.removeprefix('ripple')}" if p.startswith("ripple") else p for p in where.split(" x ") if p)
+    plain = where.removeprefix("tangential ")
+    found = (f"q{p.removeprefix('ripple')}" if p.startswith("ripple") else p for p in plain.split(" x ") if p)
+    found = (p.removesuffix(" wave") for p in found)
     return tuple(p.rstrip("123456") if p[:4] in ("temp", "time", "payl") else p for p in found)

@@ -1,34 +1,37 @@
 """What to measure next: the experiment that per minute makes surest of the explanations that remain.
 
-For two rivals A and B the evidence that new readings bring if A is true is half of what of A's signature B cannot imitate,
-
-    lambda(A | B) = min over b of |M (C_A a - C_B b)|^2,    log odds + (lambda_new - lambda_now) / 2,
-
-M the projection of nuisance on old and new readings together, a the value found. Measurements with the tracker are simulated
-as rows added to the linear system (`planned`); for force logs and link-side encoders `levers` says what each brings out.
+For two rivals A and B the evidence that new readings bring if A is true is half of what of A's signature B cannot imitate
+(`separation`): log odds + (lambda_new - lambda_now) / 2. Measurements with the tracker (`planned`) and more grinding
+(`planned_grinding`) are simulated as rows added to the linear system. What no rows of the log can stand for, and link-side
+encoders, follow `levers`.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import expit
 
-from ocp.diagnosis.findings import Diagnosis, Name, Ranked
+from ocp.diagnosis.findings import Diagnosis, Name
 from ocp.diagnosis.levers import BY_SIGNAL, Lever
 from ocp.diagnosis.planned import Candidate, before_and_after, candidates, foreseen
-from ocp.diagnosis.projection import project
-from ocp.diagnosis.system import Channel, Variant
+from ocp.diagnosis.separation import NOTHING, Pair, Seen, signature, signature_or_none, unlike
+from ocp.diagnosis.system import Channel
 from ocp.diagnosis.tracker.channel import TrackerChannel
 from ocp.effects.effect import Effect
-from robots.pose import Array
+
+if TYPE_CHECKING:  # a campaign of the tracker alone need not load meshes and contact
+    from ocp.diagnosis.force.channel import ForceChannel
+    from ocp.diagnosis.next_force import Campaign
+    from ocp.diagnosis.planned_grinding import Grinding
 
 RIVAL = 0.05  # probability of an explanation from which it is one to tell apart
 LEAST_GAIN = 0.02  # of probability; an experiment that brings less is not worth its time
+SETTLED = 0.8  # probability from which an experiment is said to tell a rival apart beside the one it tells best
+FORCE = "force"  # name of the channel of a grinding-force log
 MOST = 5
 MOST_PAIRS = 6
-MOST_SCANS = 12  # variants of a rival that are tried
-NOTHING = "none"
 LEAST_LIKELY = 0.15  # probability from which it is asked whether an effect comes on top of the best explanation
 
 
@@ -51,33 +54,42 @@ FLOOR = Experiment(
 BAR = Experiment("scale bar: read both ends of a calibrated bar of two metres in four places around the tracker", 15.0, (), 0.0)
 
 
-@dataclass(frozen=True)
-class Pair:
-    """An effect with its value, its rival (None: nothing), and the probability of the first against the second now."""
-
-    first: Ranked
-    rival: Effect | None
-    joint: int
-    now: float
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of both."""
-        return (str(self.first.name), NOTHING if self.rival is None else str(Name(self.rival.name, self.joint)))
-
-
 def next_experiments(d: Diagnosis, library: dict[str, Effect]) -> tuple[Experiment, ...]:
-    """At most `MOST` experiments, the one that tells most per minute first; empty where nothing is left to tell apart."""
+    """At most `MOST` experiments, the one that tells most per minute first; empty where nothing is left to tell apart.
+
+    Where that leaves none, those that would show effects of the contact which a force log leaves unseen at their usual size.
+    """
     pairs = rivals(d, library)
-    if not pairs:
-        return _for_unknown(d)
+    best = _simulated(d, pairs) if pairs else _for_unknown(d)
+    force = _force_channel(d.channels)
+    if best or force is None or d.p_unknown > 0.5:
+        return best
+    from ocp.diagnosis.next_force import unseen
+
+    return tuple(e for e in _simulated(d, unseen(d, force, library)) if e.expected > 0.5)
+
+
+def _simulated(d: Diagnosis, pairs: Sequence[Pair]) -> tuple[Experiment, ...]:
+    """What tells these pairs apart."""
     found: list[Experiment] = []
     for channel in d.channels:
+        others = [c for c in d.channels if c is not channel]
         if isinstance(channel, TrackerChannel):
-            found += _by_tracker(channel, pairs)
-        else:
+            found += _by_tracker(channel, pairs, others)
+        elif channel.name == FORCE:
+            found += _by_grinding(d.channels, pairs, others)
+        if channel.name in BY_SIGNAL:
             found += _by_levers(channel, pairs)
     return _best(found, {p.names: p.now for p in pairs})
+
+
+def _force_channel(channels: Sequence[Channel]) -> "ForceChannel | None":
+    """The channel of the force log, if there is one."""
+    if not any(c.name == FORCE for c in channels):
+        return None
+    from ocp.diagnosis.force.channel import ForceChannel
+
+    return next(c for c in channels if isinstance(c, ForceChannel))
 
 
 def rivals(d: Diagnosis, library: dict[str, Effect]) -> list[Pair]:
@@ -111,17 +123,32 @@ def rivals(d: Diagnosis, library: dict[str, Effect]) -> list[Pair]:
     return list(found.values())[:MOST_PAIRS]
 
 
-def _by_tracker(channel: TrackerChannel, pairs: Sequence[Pair]) -> list[Experiment]:
+def _by_tracker(channel: TrackerChannel, pairs: Sequence[Pair], others: Sequence[Seen]) -> list[Experiment]:
     joints = tuple(sorted({p.first.name.joint for p in pairs} | {p.joint for p in pairs} - {0}))[:4]
-    seen = [p for p in pairs if _signature(channel, p) is not None]
+    seen = [p for p in pairs if signature(channel, p) is not None]
     if not seen:
         return []
     found = []
-    now = {p.names: unlike([channel], p) for p in seen}
+    now = {p.names: unlike([channel], p, others) for p in seen}
     for candidate in candidates(channel, tuple(j for j in joints if j)):
         there = foreseen(channel, candidate.readings)
-        found += [_expected(candidate, p, unlike([channel, there], p) - now[p.names]) for p in seen]
-    return found + [e for p in seen for e in _without_the_robot(channel, p, now[p.names])]
+        found += [_expected(candidate, p, unlike([channel, there], p, others) - now[p.names]) for p in seen]
+    return found + [e for p in seen for e in _without_the_robot(channel, p, unlike([channel], p))]
+
+
+def _by_grinding(channels: Sequence[Channel], pairs: Sequence[Pair], others: Sequence[Seen]) -> list[Experiment]:
+    """More grinding, and tracker readings where there are none."""
+    from ocp.diagnosis.next_force import more_grinding, tracker_beside
+
+    channel = _force_channel(channels)
+    assert channel is not None
+    own, planned = more_grinding(channel, pairs)
+    now = {p.names: unlike([own], p, others) for p in pairs}
+    found = [_expected(g, p, unlike([own, there], p, others) - now[p.names]) for g, there in planned for p in pairs]
+    if not any(isinstance(c, TrackerChannel) for c in others):
+        campaign, arm_known, readings = tracker_beside(own)
+        found += [_expected(campaign, p, unlike([arm_known], p, [*others, readings]) - now[p.names]) for p in pairs]
+    return found
 
 
 def _without_the_robot(channel: TrackerChannel, pair: Pair, now: float) -> list[Experiment]:
@@ -140,83 +167,59 @@ def _without_the_robot(channel: TrackerChannel, pair: Pair, now: float) -> list[
     elif scale:
         gained = float((pair.first.active.a[0] / BAR_SD) ** 2)
     else:
-        start, end = np.split(_signature_or_none(foreseen(channel, before_and_after(channel.readings)), pair), 2)
+        start, end = np.split(signature_or_none(foreseen(channel, before_and_after(channel.readings)), pair), 2)
         gained = 0.5 * float(np.sum((end - start)[: 3 * FIXED] ** 2))
     return [_expected(BAR if scale else FLOOR, pair, gained)]
 
 
-def _expected(candidate: Candidate | Experiment | Lever, pair: Pair, gained: float) -> Experiment:
+def _expected(candidate: "Candidate | Experiment | Lever | Grinding | Campaign", pair: Pair, gained: float) -> Experiment:
+    """The pair's odds after lambda has grown by `gained`."""
     odds = np.log(max(pair.now, 1e-6) / max(1.0 - pair.now, 1e-6))
     return Experiment(candidate.do, candidate.minutes, pair.names, float(expit(odds + 0.5 * max(gained, 0.0))))
-
-
-def unlike(channels: Sequence[Channel], pair: Pair) -> float:
-    """lambda(A | B): what of the first's signature the rival and the nuisance, over all channels, cannot imitate."""
-    systems = [c.system for c in channels]
-    sd = systems[0].prior_sd
-    signature = np.concatenate([_signature_or_none(c, pair) for c in channels])
-    nuisance = np.concatenate([s.nuisance for s in systems])
-    if pair.rival is None:
-        return float(np.sum(project(nuisance, sd).apply(signature) ** 2))
-    best = np.inf
-    for columns in _rival_columns(channels, pair):
-        whole = np.hstack([nuisance, columns])
-        width = np.concatenate([sd, np.asarray(pair.rival.prior_sd, float)])
-        best = min(best, float(np.sum(project(whole, width).apply(signature) ** 2)))
-    return best
-
-
-def _signature(channel: Channel, pair: Pair) -> Array | None:
-    one = pair.first.active
-    made = channel.variants(one.effect, one.joint, [one.scanned])
-    return made[0].columns @ one.a if made else None
-
-
-def _signature_or_none(channel: Channel, pair: Pair) -> Array:
-    found = _signature(channel, pair)
-    return np.zeros(len(channel.system.residual)) if found is None else found
-
-
-def _rival_columns(channels: Sequence[Channel], pair: Pair) -> list[Array]:
-    """Stacked columns (N, m) of the rival's variants, a few of them evenly over its scan."""
-    assert pair.rival is not None
-    scans = [v.scanned for v in channels[0].variants(pair.rival, pair.joint)] or [{}]
-    pick = np.unique(np.linspace(0, len(scans) - 1, min(MOST_SCANS, len(scans))).round().astype(int))
-    chosen = [scans[k] for k in pick]
-    made: list[list[Variant]] = [c.variants(pair.rival, pair.joint, chosen) for c in channels]
-    found = []
-    for k in range(len(chosen)):
-        parts = [
-            v[k].columns if v else np.zeros((len(c.system.residual), pair.rival.size))
-            for c, v in zip(channels, made, strict=True)
-        ]
-        found.append(np.concatenate(parts))
-    return found
 
 
 def _by_levers(channel: Channel, pairs: Sequence[Pair]) -> list[Experiment]:
     """Experiments that move one of a pair and not the other are worth as much again as the rows taken so far."""
     found = []
-    for lever in BY_SIGNAL.get(channel.name, ()):
+    for lever in BY_SIGNAL[channel.name]:
         for p in pairs:
             moved = [name.split(":")[0] in lever.moves for name in p.names]
-            if (moved[0] != moved[1] or (p.rival is None and moved[0])) and channel.variants(
-                p.first.active.effect, p.first.active.joint, [p.first.active.scanned]
-            ):
+            if (moved[0] != moved[1] or (p.rival is None and moved[0])) and signature(channel, p) is not None:
                 gained = 0.25 * p.first.detectability
                 found.append(_expected(lever, p, gained))
     return found
 
 
-def _best(found: list[Experiment], now: dict[tuple[str, ...], float]) -> tuple[Experiment, ...]:
-    """The experiments by what they bring per minute, for every pair the best two, no experiment twice."""
-    worth = [e for e in found if e.expected - now[e.tells_apart] > LEAST_GAIN]
-    worth.sort(key=lambda e: -(e.expected - now[e.tells_apart]) / e.minutes)
-    kept: list[Experiment] = []
-    for e in worth:
-        if sum(k.tells_apart == e.tells_apart for k in kept) < 2 and all(k.do != e.do for k in kept):
-            kept.append(e)
-    return tuple(kept[:MOST])
+def _best(found: Sequence[Experiment], now: dict[tuple[str, ...], float]) -> tuple[Experiment, ...]:
+    """The experiments by what they bring per minute to all pairs together; those first chosen that add most to what the chosen
+    ones bring, then the best of the others."""
+    each: dict[str, list[Experiment]] = {}
+    for e in found:
+        each.setdefault(e.do, []).append(e)
+
+    def worth(do: str, known: dict[tuple[str, ...], float]) -> float:
+        gains = [e.expected - known[e.tells_apart] for e in each[do]]
+        return sum(g for g in gains if g > LEAST_GAIN) / each[do][0].minutes
+
+    chosen, known = list[str](), dict(now)
+    while len(chosen) < MOST:
+        best = max((do for do in each if do not in chosen), key=lambda do: worth(do, known), default=None)
+        if best is None or worth(best, known) == 0:
+            break
+        chosen.append(best)
+        known.update({e.tells_apart: max(e.expected, known[e.tells_apart]) for e in each[best]})
+    others = sorted((do for do in each if do not in chosen and worth(do, now) > 0), key=lambda do: -worth(do, now))
+    kept = sorted([*chosen, *others[: MOST - len(chosen)]], key=lambda do: -worth(do, now))
+    return tuple(_together(each[do], now) for do in kept)
+
+
+def _together(same: Sequence[Experiment], now: dict[tuple[str, ...], float]) -> Experiment:
+    """One experiment for the pair to which it brings most, with all other rivals of that name that it settles."""
+    best = max(same, key=lambda e: e.expected - now[e.tells_apart])
+    first = best.tells_apart[0]
+    more = [e for e in same if e is not best and e.tells_apart[0] == first and e.expected >= min(SETTLED, best.expected)]
+    names = (*best.tells_apart, *(name for e in more for name in e.tells_apart[1:]))
+    return replace(best, tells_apart=names, expected=min(e.expected for e in (best, *more)))
 
 
 def _for_unknown(d: Diagnosis) -> tuple[Experiment, ...]:

@@ -6,6 +6,7 @@ the range of what anybody should name (every real machine has some), which expla
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -60,30 +61,63 @@ class _Group:
 
 @dataclass(frozen=True)
 class Pool:
-    """y (N,) white under no effect, freedom of it, families and their groups."""
+    """y (N,) white under no effect, freedom of it, families and their groups. `crossed`: products of members' columns with all
+    others, kept because the same few members stand in most sets."""
 
     y: Array
     freedom: int
     families: tuple[Family, ...]
     groups: tuple[_Group, ...]
     place: tuple[tuple[int, int], ...]  # of each family: group, first variant
+    crossed: dict[tuple[int, int], tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def columns(self, member: Member) -> Array:
         """Projected columns (N, m) of a member in units of the priors' upper ends."""
         group, start = self.place[member.family]
         return self.groups[group].X[:, start + member.variant]
 
+    def look_ahead(self, members: Sequence[Member]) -> None:
+        """Take the products of all members that `scan` will ask for at once: the candidates are read from memory only once."""
+        new = list({(m.family, m.variant): m for m in members if (m.family, m.variant) not in self.crossed}.values())
+        if not new:
+            return
+        parts = [self.columns(m) for m in new]
+        C = np.ascontiguousarray(np.hstack(parts).T)
+        every = [C @ g.X.reshape(len(self.y), -1) for g in self.groups]
+        start = 0
+        for m, part in zip(new, parts, strict=True):
+            rows = slice(start, start + part.shape[1])
+            start = rows.stop
+            self.crossed[m.family, m.variant] = tuple(products[rows] for products in every)
+
 
 @dataclass(frozen=True)
 class Given:
-    """Members taken as there, with priors of fixed size: U (N, r) left vectors of their columns, take (r,) of the covariance's
-    inverse, left: what remains of y^T y, log: their joint evidence over the empty set."""
+    """Members taken as there, with priors of fixed size. C (N, r): their columns times the sizes; turn (r, r): inverse of
+    the lower Cholesky factor of 1 + C^T C; inner (r,): turn C^T y; left: what remains of y^T y, log: their joint evidence over
+    the empty set."""
 
     members: tuple[Member, ...]
-    U: Array
-    take: Array
+    C: Array
+    turn: Array
+    inner: Array
     left: float
     log: float
+
+    @cached_property
+    def _directions(self) -> tuple[Array, Array]:
+        U, s, _ = np.linalg.svd(self.C, full_matrices=False)
+        return U, s**2 / (1.0 + s**2)
+
+    @property
+    def U(self) -> Array:
+        """Left singular vectors (N, r) of the columns."""
+        return self._directions[0]
+
+    @property
+    def take(self) -> Array:
+        """What (r,) of the inverse covariance the columns take of each of these directions."""
+        return self._directions[1]
 
 
 @dataclass(frozen=True)
@@ -101,33 +135,41 @@ def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> Pool:
     place = [(-1, -1)] * len(families)
     for m in sorted({f.columns.shape[2] for f in families}):
         chosen = [i for i, f in enumerate(families) if f.columns.shape[2] == m]
-        X = np.ascontiguousarray(np.concatenate([families[i].columns for i in chosen], axis=1))
+        X = np.concatenate([families[i].columns for i in chosen], axis=1)
         counts = [families[i].columns.shape[1] for i in chosen]
         starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
         for i, start in zip(chosen, starts, strict=True):
             place[i] = (len(groups), int(start))
         sizes = np.repeat([families[i].sizes for i in chosen], counts, axis=0)
         positive = np.repeat([families[i].positive for i in chosen], counts, axis=0)
-        G = np.empty((X.shape[1], m, m))
-        for a in range(m):
-            for b in range(a, m):
-                G[:, a, b] = G[:, b, a] = np.einsum("nv,nv->v", X[:, :, a], X[:, :, b])
         inner = (y @ X.reshape(len(y), -1)).reshape(-1, m)
-        groups.append(_Group(m, X, G, inner, sizes, positive, starts, np.array(chosen)))
+        groups.append(_Group(m, X, _squares(X), inner, sizes, positive, starts, np.array(chosen)))
     return Pool(y, freedom, tuple(families), tuple(groups), tuple(place))
+
+
+def _squares(X: Array) -> Array:
+    """X^T X (V, m, m) of every variant of X (N, V, m). Pairs of columns one by one: numpy's sum over three letters is ten times
+    slower."""
+    V, m = X.shape[1:]
+    G = np.empty((V, m, m))
+    for a in range(m):
+        for b in range(a, m):
+            G[:, a, b] = G[:, b, a] = np.einsum("nv,nv->v", X[:, :, a], X[:, :, b])
+    return G
 
 
 def given(pool: Pool, members: Sequence[Member]) -> Given:
     """Joint evidence of members at their sizes."""
     left = float(pool.y @ pool.y)
     if not members:
-        return Given((), np.zeros((len(pool.y), 0)), np.zeros(0), left, 0.0)
+        return Given((), np.zeros((len(pool.y), 0)), np.zeros((0, 0)), np.zeros(0), left, 0.0)
     C = np.hstack([pool.columns(m) * m.size for m in members])
-    U, s, _ = np.linalg.svd(C, full_matrices=False)
-    take = s**2 / (1.0 + s**2)
-    after = max(left - float(take @ (U.T @ pool.y) ** 2), 1e-9)
-    log = -0.5 * float(np.log1p(s**2).sum()) - 0.5 * (pool.freedom + TRUST) * np.log((TRUST + after) / (TRUST + left))
-    return Given(tuple(members), U, take, after, float(log))
+    root = np.linalg.cholesky(np.eye(C.shape[1]) + C.T @ C)
+    turn = np.linalg.inv(root)
+    inner = turn @ (C.T @ pool.y)
+    after = max(left - float(inner @ inner), 1e-9)
+    log = -float(np.log(np.diag(root)).sum()) - 0.5 * (pool.freedom + TRUST) * np.log((TRUST + after) / (TRUST + left))
+    return Given(tuple(members), C, turn, inner, after, float(log))
 
 
 def scan(pool: Pool, there: Given) -> Scan:
@@ -135,14 +177,12 @@ def scan(pool: Pool, there: Given) -> Scan:
     count = len(pool.families)
     log = np.full(count, -np.inf)
     variant, size = np.zeros(count, np.int64), np.ones(count)
-    inner = there.U.T @ pool.y
-    for g in pool.groups:
+    pool.look_ahead(there.members)
+    crossed = [(pool.crossed[m.family, m.variant], m.size) for m in there.members]
+    for k, g in enumerate(pool.groups):
         G, b = g.G, g.b
-        if len(there.take):
-            P = (there.U.T @ g.X.reshape(len(pool.y), -1)).reshape(len(there.take), -1, g.m)
-            held = there.take[:, None, None] * P
-            G = G - np.einsum("rvi,rvj->vij", P, held)
-            b = b - np.einsum("rvi,r->vi", held, inner)
+        if crossed:
+            G, b = _beside(there, np.vstack([s * rows[k] for rows, s in crossed]), G, b)
         every = log_evidence(G, b, g.sizes, g.positive, there.left, pool.freedom)
         _summarise(g, every, (log, variant, size))
     return Scan(log, variant, size)
@@ -154,12 +194,16 @@ def scan_one(pool: Pool, there: Given, family: int) -> tuple[Array, Array]:
     g, count = pool.groups[k], pool.families[family].columns.shape[1]
     rows = slice(start, start + count)
     G, b = g.G[rows], g.b[rows]
-    if len(there.take):
-        P = np.einsum("nr,nvi->rvi", there.U, g.X[:, rows]) if count == 1 else np.tensordot(there.U.T, g.X[:, rows], 1)
-        held = there.take[:, None, None] * P
-        G = G - np.einsum("rvi,rvj->vij", P, held)
-        b = b - np.einsum("rvi,r->vi", held, there.U.T @ pool.y)
+    if there.members:
+        flat = g.X.reshape(len(pool.y), -1)[:, start * g.m : (start + count) * g.m]
+        G, b = _beside(there, there.C.T @ flat, G, b)
     return log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom), g.sizes[start]
+
+
+def _beside(there: Given, crossed: Array, G: Array, b: Array) -> tuple[Array, Array]:
+    """X^T X (V, m, m) and X^T y (V, m) once the columns that are given have taken their part; crossed (r, V m): C^T X."""
+    held = (there.turn @ crossed).reshape(len(crossed), *b.shape)
+    return G - _squares(held), b - np.einsum("rvi,r->vi", held, there.inner)
 
 
 def _summarise(g: _Group, every: Array, out: tuple[Array, Index, Array]) -> None:
@@ -168,7 +212,7 @@ def _summarise(g: _Group, every: Array, out: tuple[Array, Index, Array]) -> None
     counts = np.diff(np.append(g.starts, len(every)))
     per = np.logaddexp.reduce(every, axis=1)
     log[g.families] = np.logaddexp.reduceat(per, g.starts) - np.log(counts * every.shape[1])
-    for f, start, n in zip(g.families, g.starts, counts, strict=True):
-        k = int(np.argmax(per[start : start + n]))
-        variant[f] = k
-        size[f] = g.sizes[start + k, int(np.argmax(every[start + k]))]
+    tops = np.flatnonzero(per == np.repeat(np.maximum.reduceat(per, g.starts), counts))
+    best = tops[np.searchsorted(tops, g.starts)]  # the first of each family that reaches its top
+    variant[g.families] = best - g.starts
+    size[g.families] = g.sizes[best, np.argmax(every[best], axis=1)]

@@ -84,6 +84,7 @@ def kernel_families(channels: Sequence[Channel], stacked: Stack, options: Option
     for name, kernel, columns in made:
         share = options.prior_unknown / len(kinds) / kinds[_kind(kernel)]
         share *= BROKEN if "ripple" in kernel.where else 1.0
+        share *= columns.shape[1] / max(kernel.among, columns.shape[1])
         m, sizes = columns.shape[2], size_grid(kernel.low / kernel.high)
         scans = tuple({"kernel": v} for v in range(columns.shape[1]))
         found.append(

@@ -100,7 +100,8 @@ def choose(search: Search, limit: int) -> Weighed:
     if not names[best]:
         best = _best(search, known)
     overall = _best(search, [k for k in search.seen if names[k] <= limit])
-    return search.seen[best if search.seen[best].log > search.seen[overall].log - BENEFIT else overall]
+    nearly = search.seen[_best(search, known)].log > search.seen[overall].log - BENEFIT
+    return search.seen[best if nearly else overall]
 
 
 def _best(search: Search, keys: Iterable[Key]) -> Key:

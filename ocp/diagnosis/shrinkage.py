@@ -4,20 +4,17 @@
 
 Three ways. Tracker: what the effects change on the campaign's postures with every payload the cell names, beside what remains in
 any case, the parameters' errors and gear errors too small to name (`from_model`, docs/diagnose.md, eq. 2). Force logs: the same
-on the log's recordings, later (`from_grinding`). Encoders: what readings that were left out say, interpolation folds and
-conditions withheld as a whole (`from_folds`).
+on the log's recordings, later (`ocp.diagnosis.force.shrinkage`). Encoders: what readings that were left out say, interpolation
+folds and conditions withheld as a whole (`from_folds`).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
-from scipy.stats import norm
+from scipy.special import expit, log_ndtr, ndtr, ndtri
 
 from ocp.diagnosis.anticipated import Anticipated
-from ocp.diagnosis.force.anticipated import Grinding
-from ocp.diagnosis.force.believed import RUN_SD
 from ocp.diagnosis.system import HeldOut
 from robots.pose import Array
 
@@ -31,7 +28,6 @@ WHOLE, REST = 0.9, 0.25  # probability that nothing is unexplained; of the noise
 # Dirichlet weights of payloads in new readings: one half is Jeffreys' for an unknown mixture, and what is new is rather a payload
 # that was not measured than one that was.
 MEASURED, UNMEASURED = 0.5, 1.0
-RECORDING = 0.5  # the same of a log's recordings: which of its lines, setpoints and feeds come again
 _ROWS = ("before_rows", "after_rows", "noise_rows")
 
 
@@ -61,7 +57,7 @@ def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: in
     which alternative is true, payloads and temperature, postures, parameters' errors and the joints' lasting errors. None: no
     gap to speak of."""
     rng = np.random.default_rng(seed)
-    errors = _errors(new.covariance, rng)
+    errors = drawn_errors(new.covariance, rng)
     lasting = new.lasting[rng.integers(len(new.lasting), size=DRAWS)]
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
     after, before = np.zeros(DRAWS), np.zeros(DRAWS)
@@ -76,7 +72,7 @@ def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: in
     rest = _unexplained(held, _estimation(new), rng)
     if np.median(before + rest) <= NULL**2 * noise:
         return None
-    return _interval(1.0 - np.sqrt((after + rest) / (before + rest)))
+    return interval(1.0 - np.sqrt((after + rest) / (before + rest)))
 
 
 def _estimation(new: Anticipated) -> float:
@@ -85,7 +81,7 @@ def _estimation(new: Anticipated) -> float:
     return float(np.mean(each))
 
 
-def _errors(covariance: Array, rng: np.random.Generator) -> Array:
+def drawn_errors(covariance: Array, rng: np.random.Generator) -> Array:
     """Draws (k, p) of the parameters' errors; by eigenvectors, as free frames and small coefficients differ by many powers."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
@@ -100,27 +96,6 @@ def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:
     rank = np.array([np.sum(of[:i] == p) for i, p in enumerate(of)])  # of the temperature
     chosen = rng.integers(rank.max() + 1, size=DRAWS)
     return np.asarray(mixture[:, of] * (rank == chosen[:, None]))
-
-
-def from_grinding(new: Grinding, noise: float, seed: int = 0) -> Shrinkage | None:
-    """Of force readings: what is anticipated; noise: mean square N^2. Drawn are which alternative is true, how late the readings
-    come, of which recordings they are, the unknowns' errors and what recordings differ by. None: no gap to speak of."""
-    rng = np.random.default_rng(seed)
-    errors = _errors(new.covariance, rng)
-    true = rng.choice(len(new.probability), DRAWS, p=new.probability)
-    when = rng.choice(len(new.share), DRAWS, p=new.share)
-    runs = int(new.run.max()) + 1
-    rows = rng.dirichlet(np.full(runs, RECORDING), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
-    own = RUN_SD * rng.normal(size=(DRAWS, runs))[:, new.run]
-    before, after = np.zeros(DRAWS), np.zeros(DRAWS)
-    for k, moved in enumerate(new.moved):
-        at = when == k
-        off, planted = errors[at] @ new.errors[k].T + own[at], moved[true[at]]
-        after[at] = np.sum(rows[at] * (new.told @ moved - planted + off) ** 2, axis=1)
-        before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
-    if np.median(before) <= NULL**2 * noise:
-        return None
-    return _interval(1.0 - np.sqrt(after / before))
 
 
 def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shrinkage | None:
@@ -143,10 +118,11 @@ def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shr
         pick = np.bincount(rng.integers(len(judged), size=count), minlength=len(judged))
         found += [_drawn(rng, [h], estimation, int(k)) for h, k in zip(judged, pick, strict=True) if k]
     every = np.concatenate(found)
-    return _interval(every if len(every) else np.zeros(1))
+    return interval(every if len(every) else np.zeros(1))
 
 
-def _interval(draws: Array) -> Shrinkage:
+def interval(draws: Array) -> Shrinkage:
+    """Median and interval of draws (k,) of the shrinkage."""
     draws = np.maximum(draws, WORST)
     low, middle, high = np.quantile(draws, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2])
     return Shrinkage(float(middle), float(low), float(high))
@@ -163,10 +139,10 @@ def _unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Gene
     error, scale = max(float(excess.std()) / len(excess) ** 0.5, 1e-300), REST * float(noise.mean())
     # A normal likelihood times an exponential prior is a normal about `centre`, cut at zero.
     centre = told - error**2 / scale
-    log = 0.5 * (centre / error) ** 2 + float(norm.logcdf(centre / error)) + np.log(error / scale) + 0.5 * np.log(2 * np.pi)
+    log = 0.5 * (centre / error) ** 2 + float(log_ndtr(centre / error)) + np.log(error / scale) + 0.5 * np.log(2 * np.pi)
     there = expit(log + np.log((1 - WHOLE) / WHOLE))
     uniform = rng.uniform(size=DRAWS)
-    size = centre - error * norm.ppf(norm.cdf(centre / error) * (1.0 - uniform))
+    size = centre - error * ndtri(ndtr(centre / error) * (1.0 - uniform))
     return np.where(rng.uniform(size=DRAWS) < there, np.maximum(size, 0.0), 0.0)
 
 

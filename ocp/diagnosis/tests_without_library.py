@@ -6,7 +6,7 @@ With unit noise of unknown scale, Q an orthonormal basis of a kernel's projected
 """
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from ocp.diagnosis.findings import BudgetLine, KernelTest
 from ocp.diagnosis.pool import Given
@@ -22,19 +22,20 @@ def after_given(there: Given, rows: Array) -> Array:
 
 
 def kernel_tests(problem: Problem, there: Given) -> list[KernelTest]:
-    """All kernels but ripples (the spectrum's), after what is given, most telling first."""
+    """All kernels but ripples (the spectrum's) and waves that were picked for what they tell, after what is given, most telling
+    first."""
     y = after_given(there, problem.pool.y)
     total, freedom = float(y @ y), problem.pool.freedom
     found = []
     for family in problem.pool.families:
-        if not family.where or "ripple" in family.where:
+        if not family.where or "ripple" in family.where or "wave" in family.where:
             continue
         basis = orthonormal(after_given(there, family.columns.reshape(len(y), -1)))
         m = basis.shape[1]
         gained = float(np.sum((basis.T @ y) ** 2))
         ratio = (gained / max(m, 1)) / max((total - gained) / (freedom - m), 1e-12)
         channel, where, source = family.name.effect[1:].split("/")
-        p = float(f_distribution.sf(ratio, m, freedom - m)) if m else 1.0
+        p = float(fdtrc(m, freedom - m, ratio)) if m else 1.0
         found.append(KernelTest(channel, where, source, family.name.joint, gained - m * (total - gained) / (freedom - m), p))
     return sorted(found, key=lambda t: t.p_value)
 

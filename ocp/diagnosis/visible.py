@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import ncx2
+from scipy.special import chndtrix
 
 from robots.pose import Array
 
 MISSED = 0.1  # share of data sets in which an effect of the told size is not named
 _LAMBDA = np.geomspace(3.0, 400.0, 500)
+NONE: Array = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -32,18 +33,27 @@ class Rival:
 
 
 def needed(
-    energy: float, coefficients: int, sizes: Array, log_odds: float, variants: int, positive: int = 0, rival: Rival | None = None
+    energy: float,
+    coefficients: int,
+    sizes: Array,
+    log_odds: float,
+    variants: int,
+    positive: int = 0,
+    rival: Rival | None = None,
+    beside: Array | None = None,
 ) -> float:
     """Detectability lambda from which an effect is named nine times of ten; inf above 400.
 
     energy: mean square g of its columns at the upper end; sizes (T,) and log_odds of its prior; variants that were scanned;
-    positive: coefficients that physics holds positive.
+    positive: coefficients that physics holds positive; beside (k,): mean squares of what else the rival has (default: as many
+    as its `beside` says, each like the effect's own). What these readings hardly show costs a rival nothing.
     """
     gain = _percentile(coefficients)
-    log = _evidence(gain, energy, coefficients, sizes, coefficients) - np.log(variants) + log_odds + positive * np.log(2.0)
+    log = _evidence(gain, energy, coefficients, sizes) - np.log(variants) + log_odds + positive * np.log(2.0)
     against = np.zeros_like(gain)
     if rival is not None:
-        taken = _evidence(gain, energy, coefficients, rival.sizes, coefficients + rival.beside) - np.log(rival.variants)
+        others = np.full(rival.beside, energy) if beside is None else beside
+        taken = _evidence(gain, energy, coefficients, rival.sizes, others) - np.log(rival.variants)
         against = np.logaddexp(0.0, taken + rival.log_odds)
     named = np.flatnonzero(log > against)
     return float(_LAMBDA[named[0]]) if len(named) else np.inf
@@ -52,11 +62,13 @@ def needed(
 @lru_cache
 def _percentile(coefficients: int) -> Array:
     """Gain (k,) that an effect of each detectability reaches nine times of ten."""
-    return np.asarray(ncx2.ppf(MISSED, coefficients, _LAMBDA))
+    return np.asarray(chndtrix(MISSED, coefficients, _LAMBDA))
 
 
-def _evidence(gain: Array, energy: float, coefficients: int, sizes: Array, paid: int) -> Array:
-    """Log evidence of gains (k,) averaged over prior sizes; paid: coefficients whose spread is paid for."""
-    spread = np.asarray(sizes)[:, None] ** 2 * energy
-    each = -0.5 * paid * np.log1p(spread) + 0.5 * gain * spread / (1.0 + spread)
+def _evidence(gain: Array, energy: float, coefficients: int, sizes: Array, beside: Array = NONE) -> Array:
+    """Log evidence of gains (k,) averaged over prior sizes; beside: mean squares of coefficients whose spread is paid for too."""
+    square = np.asarray(sizes)[:, None] ** 2
+    spread = square * energy
+    each = -0.5 * coefficients * np.log1p(spread) + 0.5 * gain * spread / (1.0 + spread)
+    each = each - 0.5 * np.log1p(square * beside).sum(axis=1, keepdims=True)
     return np.asarray(np.logaddexp.reduce(each, axis=0) - np.log(len(sizes)))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.diagnosis.findings import Alternative
+from ocp.diagnosis.findings import FOLLOWED, Alternative
 from ocp.diagnosis.force.arm import arm_of
 from ocp.diagnosis.force.channel import ForceChannel
 from ocp.diagnosis.force.conditions import LogConditions
@@ -26,7 +26,6 @@ from robots.pose import Array
 LATER = (1.0 / 6.0, 0.5, 5.0 / 6.0)
 AMID = 0.1  # probability that new readings come between the log's own
 ROWS = 600  # of the log, evenly taken
-FOLLOWED = 0.15  # probability of alternatives that predictions of the force follow (`ocp.diagnosis.answering.LIKELY`)
 
 
 @dataclass(frozen=True)

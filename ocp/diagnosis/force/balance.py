@@ -6,17 +6,14 @@ error of a gear) and an extra overlap. docs/diagnosis_force.md, eq. 1 to 3.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ocp.cell import Cell
-from ocp.contact.wheel_law import WheelLaw
-from ocp.effects.compiled import run_rows
 from ocp.force.log import Flags, Index
-from ocp.force.model import LEAST_FORCE, ForceRows
+from ocp.force.model import BeltFunctions, ForceRows
 from ocp.model import build_model
 from ocp.theta import NAMES
 from robots.pose import Array
@@ -58,48 +55,26 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Balance:
-    """Force between wheel and blade of one cell and wheel law; functions are built once for each sign of the belt."""
+class Balance(BeltFunctions):
+    """Force between wheel and blade of one cell and wheel law."""
 
-    cell: Cell
-    law: WheelLaw
-
-    @cached_property
-    def least_force(self) -> float:
-        """N; below it the balance is linear in F (docs/force_registration.md, eq. 3)."""
-        return LEAST_FORCE * self.law.limits["force"][0]
-
-    @cached_property
-    def _functions(self) -> dict[int, dict[str, ca.Function]]:
-        return {}
-
-    def _function(self, belt: int, kind: str) -> ca.Function:
-        made = self._functions.setdefault(belt, {})
-        if not made:
-            friction: Any = ca.SX.sym("mu")  # a symbol in the place of a number: the parts' derivative in it is wanted
-            wheel = replace(self.cell.wheel, belt_speed=float(belt), friction=friction)
-            model = build_model(replace(self.cell, wheel=wheel), self.law)
-            slopes, more = ca.jacobian(model.parts, model.F), ca.jacobian(ca.sum1(model.parts), friction)
-            state = [model.residual, model.parts, slopes, model.arc, model.lateral, model.turn, model.tilt, model.curvature]
-            by = ca.horzcat(ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
-            outputs = {"state": ca.vertcat(*state, ca.vec(model.T_base_blade.T), more), "derivative": by.T}
-            arguments = [model.q, model.F, model.w, model.theta]
-            for name, output in outputs.items():
-                known = ca.substitute(ca.densify(output), friction, self.cell.wheel.friction)
-                made[name] = ca.Function(name, arguments, [known], {"cse": True})
-        return made[kind]
+    def built(self, belt: int) -> dict[str, ca.Function]:
+        """See `evaluate`."""
+        friction: Any = ca.SX.sym("mu")  # a symbol in the place of a number: the parts' derivative in it is wanted
+        wheel = replace(self.cell.wheel, belt_speed=float(belt), friction=friction)
+        model = build_model(replace(self.cell, wheel=wheel), self.law)
+        slopes, more = ca.jacobian(model.parts, model.F), ca.jacobian(ca.sum1(model.parts), friction)
+        state = [model.residual, model.parts, slopes, model.arc, model.lateral, model.turn, model.tilt, model.curvature]
+        by = ca.horzcat(ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
+        outputs = {"state": ca.vertcat(*state, ca.vec(model.T_base_blade.T), more), "derivative": by.T}
+        arguments = [model.q, model.F, model.w, model.theta]
+        known = {name: ca.substitute(ca.densify(o), friction, self.cell.wheel.friction) for name, o in outputs.items()}
+        return {name: ca.Function(name, arguments, [o], {"cse": True}) for name, o in known.items()}
 
     def evaluate(self, kind: str, rows: Rows, F: Array) -> Array:
         """(n, k) of "state" (see STATE; slopes: of the parts in F, m/N) or "derivative" (of the residual in theta (m) and q
         (6)) at forces F (n,)."""
-        base, out = rows.base, np.empty((0, 0))
-        for belt in (-1, 0, 1):
-            at = np.flatnonzero(base.belt == belt)
-            if len(at):
-                values = run_rows(self._function(belt, kind), base.q[at], F[at, None], base.waypoint[at], rows.theta[at])
-                out = out if out.size else np.zeros((len(base), values.shape[1]))
-                out[at] = values
-        return out
+        return self.of_rows(kind, rows.base, rows.theta, F)
 
     def solve(
         self, rows: Rows, guess: Array, pressed: Flags, extra: Extra | None = None, stiffness: Array | None = None

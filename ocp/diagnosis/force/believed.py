@@ -98,7 +98,7 @@ def arm_from_tracker(tracker: Path, cell_file: Path) -> Calibration:
     choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
     first = fit_campaign(campaign, choice)
     fit = fit_campaign(campaign, choice, learned_priors(first), begin=first.state)
-    return _posterior(setup.robot.name, fit.layout, fit.state, fit.covariance, fit.noise.joints)
+    return posterior_of(setup.robot.name, fit.layout, fit.state, fit.covariance, fit.noise.joints)
 
 
 def arm_with_effects(tracker: TrackerChannel, active: Sequence[Active]) -> Calibration:
@@ -106,10 +106,10 @@ def arm_with_effects(tracker: TrackerChannel, active: Sequence[Active]) -> Calib
     made = tracker.with_active(tuple(a for a in active if a.effect.on_arm))
     p = made.task.layout.size
     name = made.task.campaign.robot.name
-    return _posterior(name, made.task.layout, made.fit.state, made.fit.covariance[:p, :p], made.fit.noise.joints)
+    return posterior_of(name, made.task.layout, made.fit.state, made.fit.covariance[:p, :p], made.fit.noise.joints)
 
 
-def _posterior(robot: str, layout: Layout, state: State, covariance: Array, joints: float) -> Calibration:
+def posterior_of(robot: str, layout: Layout, state: State, covariance: Array, joints: float) -> Calibration:
     """Geometry and springs of a tracker fit, with their covariance; joints rad: noise of the joints beside them."""
     inside = [i for i, name in enumerate(ARM_NAMES) if layout.arm[i] >= 0 and name in NAMES]
     columns = layout.arm[inside]

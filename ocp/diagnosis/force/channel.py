@@ -20,7 +20,8 @@ from ocp.diagnosis.force.kept import Kept, Store, kept_rows
 from ocp.diagnosis.force.prediction import M, Scene, predict
 from ocp.diagnosis.force.sealed import predict_sealed
 from ocp.diagnosis.force.seen import NEEDED, conditions, surroundings
-from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant, scan_key
+from ocp.diagnosis.force.waves import telling_waves
+from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
 from ocp.diagnosis.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.library import library
@@ -74,12 +75,17 @@ class ForceChannel:
     @cached_property
     def conditions(self) -> Conditions:
         """What is known of the rows."""
-        return conditions(self.problem, self.fit)
+        return conditions(self.problem, self.fit, self.waves)
+
+    @cached_property
+    def waves(self) -> tuple[Wave, ...]:
+        """Waves that the readings speak for."""
+        return telling_waves(self.problem, self.fit)
 
     @cached_property
     def kept(self) -> Kept:
         """Which rows the system has."""
-        return kept_rows(self.problem, self.fit, self.effects, self.surroundings, self.store)
+        return kept_rows(self.problem, self.fit, self.effects, self.surroundings, self.store, self.waves)
 
     @cached_property
     def system(self) -> System:
@@ -120,7 +126,7 @@ class ForceChannel:
         """Whitened columns about the current fit."""
         if self.blind(effect):
             return []
-        chosen = self._scan(effect, joint) if scans is None else tuple(scans)
+        chosen = self.scan(effect, joint) if scans is None else tuple(scans)
         # The engine asks for a scan and then, for all channels together, by name for what the scan had.
         asked = (effect.name, joint, *map(scan_key, chosen))
         if self.latest.get("asked") != asked:
@@ -140,7 +146,7 @@ class ForceChannel:
             found += [Variant(effect.name, joint, s, rows[:, v], prior) for v, s in enumerate(some)]
         return found
 
-    def _scan(self, effect: Effect, joint: int) -> tuple[Scanned, ...]:
+    def scan(self, effect: Effect, joint: int) -> tuple[Scanned, ...]:
         """The effect's own scan; orders of ripples that the log's short ranges cannot tell apart are thinned."""
         scans = tuple(effect.scan(joint, self.surroundings))
         if joint and scans and set(scans[0]) == {"order"}:
@@ -215,12 +221,12 @@ def force_channel(
         arm = arm_with_effects(channel, ())
     elif arm is None and isinstance(tracker, Path):
         arm = arm_from_tracker(tracker, cell.path)
-    problem = _problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)
+    problem = problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)
     chosen = tuple(library().values() if effects is None else effects)
     return ForceChannel(problem, solve(problem), chosen, tracker=channel)
 
 
-def _problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None) -> Problem:
+def problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None) -> Problem:
     """The problem of a log that is the first of a setup."""
     given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
     believed = believed_contact(cell, arm)
@@ -234,7 +240,7 @@ def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path 
     """Normal readings (n,) N of other conditions by the believed contact refitted to a log, no effect in it: what is left where
     nothing else is wrong. Raises as `force_channel`."""
     setup = prepare_force(replace(cell, effects=()), [log, sealed])
-    problem = _problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
+    problem = problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
     fit, scene = solve(problem), problem.scene
     told = conditions_of(cell, sealed)
     there = replace(scene, rows=setup.rows[1], conditions=told, arm=arm_of(cell, scene.theta, sealed.q, told), pressed=None)

@@ -4,53 +4,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from ocp.cell import Cell
 from ocp.diagnosis.force.balance import STATE, Rows
 from ocp.diagnosis.force.conditions import LogConditions, within_runs
-from ocp.effects.compiled import Hook, Layout, evaluated
-from ocp.effects.context import ContactContext
+from ocp.effects.contact_rows import LAYOUT, ContactPlace, contact_columns
 from ocp.effects.effect import Effect, Scanned
 from ocp.model import axis_directions
 from ocp.theta import BLOCKS
 from robots.pose import Array
 
-# Symbols of a sample and how many numbers each holds.
-FIELDS = (
-    ("F", 1), ("parts", 4), ("slopes", 4), ("curvature", 3), ("lateral", 1), ("tilt", 2), ("arc", 1), ("turn", 1), ("p", 3),
-    ("n", 3), ("t", 3), ("e", 3), ("belt_direction", 3), ("n_base", 3), ("axis", 3), ("R_flange", 9), ("R_blade", 9), ("s", 1),
-    ("setpoint", 1), ("feed", 1), ("belt", 1), ("time", 1), ("clock", 1), ("ground_before", 1), ("warm", 1), ("wheel_warm", 1),
-    ("travel", 1), ("stroke_sign", 1), ("normal_stiffness", 1), ("friction_give", 1), ("lever", 1), ("push_axis", 3),
-    ("clamp_give", 1), ("line", 1),
-)  # fmt: skip
-LAYOUT = Layout(FIELDS)
-_EDGES = np.cumsum([0, *(size for _, size in FIELDS)]).tolist()
-PLACE = {name: slice(i, j) for (name, _), i, j in zip(FIELDS, _EDGES[:-1], _EDGES[1:], strict=True)}
+_EDGES = np.cumsum([0, *(size for _, size in LAYOUT.sizes)]).tolist()
+PLACE = {name: slice(i, j) for (name, _), i, j in zip(LAYOUT.sizes, _EDGES[:-1], _EDGES[1:], strict=True)}
 _STARTS = dict(zip(BLOCKS, np.cumsum([0, *(len(names) for names in BLOCKS.values())]).tolist(), strict=False))
 _AT = {name: slice(_STARTS[name], _STARTS[name] + len(names)) for name, names in BLOCKS.items()}  # of theta
 MOVING = 5e-6  # m/s of stroke below which the flange stands: what rounding of a log's columns alone makes
 
 
 @dataclass(frozen=True)
-class ContactPlace:
-    """What is the same in all samples: radius m and friction of the wheel."""
-
-    radius: float
-    friction: float
-
-    def context(self, row: ca.SX) -> ContactContext:
-        """What hooks see of a symbolic row."""
-        x = LAYOUT.split(row)
-        for name in ("R_flange", "R_blade"):
-            x[name] = ca.reshape(x[name], 3, 3).T
-        return ContactContext(radius=self.radius, friction=self.friction, **x)
-
-
-@dataclass(frozen=True)
 class Samples:
-    """Numbers (n, k) of n samples in the order of FIELDS; columns that a log does not have are nan."""
+    """Numbers (n, k) of n samples in the order of `contact_rows.LAYOUT`; columns that a log does not have are nan."""
 
     values: Array
 
@@ -73,8 +47,7 @@ class Samples:
 
 def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], samples: Samples) -> Array:
     """A contact hook ("overlap", "push", "sensor", "shear") on samples for every variant: (V, n, m)."""
-    hook = Hook(effect, kind, joint, LAYOUT, ContactPlace(cell.wheel.radius, cell.wheel.friction))
-    return np.asarray(evaluated(hook, samples.values, scans)[-1][:, :, 0])
+    return contact_columns(effect, kind, joint, scans, ContactPlace(cell.wheel.radius, cell.wheel.friction), samples.values)
 
 
 def samples_of(cell: Cell, rows: Rows, conditions: LogConditions, F: Array, state: Array, stiffness: Array) -> Samples:

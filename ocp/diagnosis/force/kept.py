@@ -15,7 +15,7 @@ import numpy as np
 from ocp.diagnosis.force.columns import effect_columns
 from ocp.diagnosis.force.fit import ForceFit, Problem
 from ocp.diagnosis.force.whitening import Whitener
-from ocp.diagnosis.system import scan_key
+from ocp.diagnosis.system import Wave, scan_key
 from ocp.effects.effect import Effect, Scanned, Surroundings
 from robots.pose import Array
 
@@ -84,14 +84,18 @@ class Kept:
         return out
 
 
-def kept_rows(problem: Problem, fit: ForceFit, effects: Iterable[Effect], seen: Surroundings, store: Store) -> Kept:
-    """The rows for this fit: fast patterns of `effects` and of all that is active."""
+def kept_rows(
+    problem: Problem, fit: ForceFit, effects: Iterable[Effect], seen: Surroundings, store: Store, waves: Sequence[Wave] = ()
+) -> Kept:
+    """The rows for this fit: fast patterns of `effects`, of all that is active and of waves that were picked."""
     n, count = len(problem.log), len(fit.whiteners)
     chosen, spares = [np.zeros((count, n, 0))], dict[str, Spare]()
     for one in fit.active:
         both = effect_columns(problem.scene, fit.at, fit.slopes, one.effect, one.joint, [one.scanned])
         if both is not None:
             chosen.append(_lost(fit, [c[0] for c in both]))
+    for wave in waves:
+        chosen.append(_lost(fit, [wave.columns, np.zeros_like(wave.columns)][:count]))
     for effect in effects:
         if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, seen):
             continue

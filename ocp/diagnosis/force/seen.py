@@ -3,7 +3,7 @@
 import numpy as np
 
 from ocp.diagnosis.force.fit import ForceFit, Problem
-from ocp.diagnosis.system import Conditions
+from ocp.diagnosis.system import Conditions, Wave
 from ocp.effects.effect import Surroundings
 from ocp.effects.motor_harmonic import ratios_of
 from ocp.force.log import Index
@@ -35,7 +35,7 @@ def surroundings(problem: Problem) -> Surroundings:
     )  # fmt: skip
 
 
-def conditions(problem: Problem, fit: ForceFit) -> Conditions:
+def conditions(problem: Problem, fit: ForceFit, waves: tuple[Wave, ...] = ()) -> Conditions:
     """Of the log's rows, for what is tested without the library."""
     log, c, scene = problem.log, problem.scene.conditions, problem.scene
     payload = scene.cell.workpiece.payload
@@ -49,7 +49,7 @@ def conditions(problem: Problem, fit: ForceFit) -> Conditions:
         line=log.line, session=log.session if len(log.sessions) > 1 else None, s=c.s,
         feed=log.feed, setpoint=log.setpoint, belt=log.belt, contact=log.contact.astype(float), travel=c.travel,
         tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com), d_joints=np.stack(joints, axis=1),
-        gear_ratio=ratios_of(surroundings(problem)),
+        gear_ratio=ratios_of(surroundings(problem)), turned=c.belt / scene.cell.wheel.radius * c.time, waves=waves,
     )  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
-from scipy.stats import beta
 
 from ocp.diagnosis.projection import Projection, project
 from ocp.diagnosis.tracker.refit import Held, Task
@@ -135,8 +134,9 @@ def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.
 
 def _line(q: Array, column: Array, projection: Projection, scale: float) -> _Line:
     """Waves of every order of a joint with angles q (r,) and whitened column (3 r,), per rad of amplitude."""
-    phase = np.repeat(np.outer(q, ORDERS), 3, axis=0)
-    X = projection.apply(column[:, None] * np.hstack([np.cos(phase), np.sin(phase)])) / scale
+    phase = np.outer(q, ORDERS)
+    waves = np.repeat(np.hstack([np.cos(phase), np.sin(phase)]), 3, axis=0)
+    X = projection.apply(column[:, None] * waves) / scale
     c, s = X[:, : len(ORDERS)], X[:, len(ORDERS) :]
     return _Line(X, np.stack([(c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)]))
 
@@ -178,7 +178,7 @@ def _other(task: Task, fit: Held, found: Array, levers: Array, rng: np.random.Ge
     """Draws (k,) rad^2 of what else lasts: a share of the joint noise beyond `found` (k, 6), joints weighed by their levers (6,)
     m^2; the fewer the repeats, the more the prior says."""
     rest = np.maximum(fit.noise.joints**2 - found @ levers / levers.sum(), 0.0)
-    prior = beta.logpdf(_SHARES, *OTHER)
+    prior = (OTHER[0] - 1.0) * np.log(_SHARES) + (OTHER[1] - 1.0) * np.log1p(-_SHARES)
     repeats = task.repeats
     if repeats is not None and repeats.freedom > 0 and fit.noise.joints > 0:
         noise = float(np.sqrt(max(rest.mean(), 1e-18)))

@@ -9,7 +9,6 @@ values, else those joints are rigid. Payloads are as the cell says: a wrong one 
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import norm
 
 from ocp.diagnosis.tracker.refit import Held, Task, refit
 from robots.calibration.fit import LEARNED, Fit, fit_campaign, learned_priors
@@ -65,11 +64,16 @@ def _bend(fit: Fit, others: tuple[int, ...]) -> bool:
     odds = 0.0
     for j in others:
         c, sd = float(fit.state.arm[29 + j]), float(fit.sd[fit.layout.arm[29 + j]])
-        stray = STRAY * norm.pdf(c, 0.0, np.hypot(WIDE, sd))
-        agree = norm.pdf(c, listed[j - 1], np.hypot(SPRING_SD * listed[j - 1], sd))
-        rigid = norm.pdf(c, 0.0, np.hypot(0.05 * listed[j - 1], sd))
+        stray = STRAY * _normal(c, float(np.hypot(WIDE, sd)))
+        agree = _normal(c - listed[j - 1], float(np.hypot(SPRING_SD * listed[j - 1], sd)))
+        rigid = _normal(c, float(np.hypot(0.05 * listed[j - 1], sd)))
         odds += float(np.log((1 - STRAY) * agree + stray) - np.log((1 - STRAY) * rigid + stray))
     return odds > 0.0
+
+
+def _normal(off: float, sd: float) -> float:
+    """Density of a normal law `off` its mean."""
+    return float(np.exp(-0.5 * (off / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd))
 
 
 def _rigid(fit: Fit, others: tuple[int, ...]) -> Fit:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant, scan_key
+from ocp.diagnosis.tracker.background import Background, background
 from ocp.diagnosis.tracker.baseline import relearned
 from ocp.diagnosis.tracker.folds import tracker_folds
 from ocp.diagnosis.tracker.held_out import held_out
@@ -15,7 +16,7 @@ from ocp.diagnosis.tracker.masses import NAMES as MASS_NAMES
 from ocp.diagnosis.tracker.motion import Seen, displaced, motion
 from ocp.diagnosis.tracker.noise import is_restless, plain
 from ocp.diagnosis.tracker.predict import predict
-from ocp.diagnosis.tracker.refit import Held, Task, refit
+from ocp.diagnosis.tracker.refit import Held, Task, refit, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance
@@ -35,7 +36,8 @@ LEAST_CHANGE = {"temperature_C": 0.3, "time_s": 60.0, "clock_s": 60.0}  # K, s: 
 class TrackerChannel:
     """Readings of reflectors with the fit of the believed arm and of the active effects.
 
-    Displacements of screened effects are kept over refits (`store`): they move by a thousandth when the geometry does.
+    Displacements of screened effects are kept over refits (`store`): they move by a thousandth when the geometry does. So is
+    what this channel was refitted to already (`refits`): what is anticipated and what is predicted ask for the same.
     """
 
     task: Task
@@ -43,6 +45,7 @@ class TrackerChannel:
     store: dict[tuple[str, int], tuple[tuple[Scanned, ...], Array]] = field(default_factory=dict, repr=False)
     name: str = "tracker"
     unit: str = "mm"
+    refits: dict[tuple[object, ...], "TrackerChannel"] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def readings(self) -> Readings:
@@ -88,6 +91,11 @@ class TrackerChannel:
     def masses(self) -> Array:
         """What link masses other than believed do to the readings (n, 3, 5) m, to first order."""
         return mass_columns(self.seen, self.fit.linear.d_joints)
+
+    @cached_property
+    def background(self) -> Background:
+        """What of the joint noise comes back, play and ripple too small to name."""
+        return background(self.task, self.fit)
 
     @property
     def noise_floor(self) -> float:
@@ -175,11 +183,12 @@ class TrackerChannel:
     def with_active(self, active: tuple[Active, ...]) -> "TrackerChannel":
         """Refitted with these effects, the geometry's learned prior with them."""
         visible = tuple(a for a in active if not self.blind(a.effect))
-        fit = refit(self.task, self.fit.state, self.fit.offset, visible, self.fit.noise)
-        task = relearned(self.task, fit)
-        if task is not self.task:
-            fit = refit(task, fit.state, fit.offset, fit.active, fit.noise, learn_noise=False)
-        return replace(self, task=task, fit=fit)
+        key = tuple((*kind, a.a.tobytes()) for kind, a in zip(_kinds(visible), visible, strict=True))
+        if key not in self.refits:
+            fit = refit(self.task, self.fit.state, self.fit.offset, visible, self.fit.noise)
+            task = relearned(self.task, fit)
+            self.refits[key] = replace(self, task=task, fit=fit if task is self.task else settled(task, fit))
+        return self.refits[key]
 
     def thinned(self, most: int) -> "TrackerChannel":
         """Fitted to at most so many readings, evenly taken."""
@@ -210,7 +219,7 @@ class TrackerChannel:
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = (self if _kinds(a) == _kinds(self.active) else self.with_active(a) for a in ((), active))
-        return predict(before.task, before.fit, after.task, after.fit, sealed)
+        return predict(before.task, before.fit, after.task, after.fit, after.background.mean, sealed)
 
 
 def _kinds(active: tuple[Active, ...]) -> list[tuple[object, ...]]:

@@ -14,7 +14,7 @@ from ocp.diagnosis.tracker.noise import joint_noise, reliability
 from ocp.effects.effect import Active
 from robots.calibration.layout import Layout, State, moved
 from robots.calibration.noise import Noise, Repeats, reading_covariance, whitener
-from robots.calibration.residuals import Linearised, linearise
+from robots.calibration.residuals import Linearised, linearise, points
 from robots.calibration.solver import Campaign
 from robots.pose import Array
 
@@ -52,20 +52,25 @@ class Task:
     repeats: Repeats | None = None
 
 
-def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noise: Noise, learn_noise: bool = True) -> Held:
-    """Fit from `state` and the active effects' values. Without `learn_noise` the joint noise stays."""
+def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noise: Noise) -> Held:
+    """Fit from `state` and the active effects' values, the joint noise with it."""
     found = _settled(task, state, offset, tuple(active), noise)
-    for _ in range(3 if learn_noise else 0):
+    for _ in range(3):
         used = freedom_used(task.layout, found)
         off = found.linear.residual
         c = task.campaign
         after = joint_noise(c.readings, c.instrument, off, found.linear.d_joints, used, task.repeats)
         small = abs(np.log(after.joints / noise.joints)) < 0.02
         noise = after
-        found = _settled(task, found.state, found.offset, found.active, noise)
+        found = _settled(task, found.state, found.offset, found.active, noise, (found.linear, found.extra))
         if small:
             break
     return found
+
+
+def settled(task: Task, fit: Held) -> Held:
+    """`fit` brought to rest with the priors and readings of `task`; its joint noise stays."""
+    return _settled(task, fit.state, fit.offset, fit.active, fit.noise)
 
 
 def freedom_used(layout: Layout, fit: Held) -> float:
@@ -80,8 +85,7 @@ def looked(task: Task, state: State, active: tuple[Active, ...]) -> tuple[Linear
     n = len(c.readings)
     if not active:
         return linearise(c.robot, c.readings, c.instrument, task.layout, state), np.zeros((n, 3, 0))
-    seen = Seen(c.robot, c.readings, c.instrument, state, c.readings.point, task.reference, task.start.arm[30:])
-    parts, shift, displacement = together(active, seen)
+    parts, shift, displacement = together(active, _seen(task, state))
     turned = replace(c.readings, q=c.readings.q + shift)
     linear = linearise(c.robot, turned, c.instrument, task.layout, state)
     linear = replace(linear, residual=linear.residual - displacement, point=linear.point + displacement)
@@ -89,11 +93,28 @@ def looked(task: Task, state: State, active: tuple[Active, ...]) -> tuple[Linear
     return linear, extra
 
 
-def _settled(task: Task, state: State, offset: Array, active: tuple[Active, ...], noise: Noise) -> Held:
-    """Gauss-Newton until a step is small against the posterior."""
+def placed(task: Task, state: State, active: tuple[Active, ...]) -> Array:
+    """Predicted reflectors (n, 3) m alone, as `looked` gives them."""
+    c = task.campaign
+    if not active:
+        return points(c.robot, c.readings, c.instrument, state)
+    _, shift, displacement = together(active, _seen(task, state))
+    return points(c.robot, replace(c.readings, q=c.readings.q + shift), c.instrument, state) + displacement
+
+
+def _seen(task: Task, state: State) -> Seen:
+    c = task.campaign
+    return Seen(c.robot, c.readings, c.instrument, state, c.readings.point, task.reference, task.start.arm[30:])
+
+
+def _settled(
+    task: Task, state: State, offset: Array, active: tuple[Active, ...], noise: Noise,
+    here: tuple[Linearised, Array] | None = None,
+) -> Held:  # fmt: skip
+    """Gauss-Newton until a step is small against the posterior; here: what `looked` says of the beginning, where it is known."""
     c, layout = task.campaign, task.layout
+    linear, extra = looked(task, state, active) if here is None else here
     for _ in range(STEPS):
-        linear, extra = looked(task, state, active)
         W = whitener(reading_covariance(c.readings, c.instrument, noise, linear.d_joints))
         squared = np.einsum("nij,nj->ni", W, linear.residual)
         weight = reliability((squared**2).sum(axis=1))
@@ -113,9 +134,9 @@ def _settled(task: Task, state: State, offset: Array, active: tuple[Active, ...]
         covariance = scale[:, None] * (V @ V.T) * scale[None, :]
         state, offset = moved(layout, state, step[: layout.size]), offset + step[: layout.size]
         active = _stepped(active, step[layout.size :], covariance[layout.size :, layout.size :])
+        linear, extra = looked(task, state, active)
         if length < SETTLED * np.sqrt(len(prior)):
             break
-    linear, extra = looked(task, state, active)
     return Held(state, offset, active, linear, extra, W, weight, noise, covariance)
 
 

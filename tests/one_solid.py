@@ -1,0 +1,25 @@
+"""The blade's finite elements solved once for a world and its fits, in this process: their accuracy is tested elsewhere."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from ocp.contact.blade_compliance import clamped_blade
+
+
+@contextmanager
+def one_solid() -> Iterator[None]:
+    solids: dict = {}
+
+    def known(vertices, faces, clamp_normal, clamp_offset, material, size):
+        key = (len(vertices), round(size, 9), material)
+        if key not in solids:
+            solids[key] = clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, size)
+        return solids[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("ocp.contact.blade_compliance", "ocp.force.compliance"):
+            patch.setattr(f"{module}.clamped_blade", known)
+        patch.setattr("ocp.force.rows.stations_known", lambda *asked: True)
+        yield
