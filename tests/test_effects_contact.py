@@ -1,5 +1,7 @@
 """Effects at the contact and on the force reading against formulas of their own, number by number."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_effects import PLACES, SEEN, some
@@ -82,9 +84,11 @@ def expected(name, v, x):
         k = np.maximum(x["curvature"][:, 0] - 1 / 0.15, 0) + np.maximum(x["curvature"][:, 1], 0)
         push[name] = v["N"] * k / (k + v["half_per_m"])
     if name == "belt_splice":
-        turn = 2 * np.pi * v["hz"] * np.outer(x["time"], [1, 2, 3])
-        sensor[name] = np.sum(np.array(v["waves_N"][0::2]) * np.cos(turn) + np.array(v["waves_N"][1::2]) * np.sin(turn), axis=1)
+        turns = v["hz"] * (x["clock"] if v["clocked"] else x["time"]) - v["turn"]
+        sensor[name] = v["N"] * np.exp(-0.5 * ((turns - np.round(turns)) / v["length"]) ** 2) * (sign != 0)
     shear = v["dmu"] * F * sign if name == "tangential_force" else zero
+    if name == "belt_splice":
+        shear = 0.35 * sign * sensor[name]
     return give.get(name, zero), push.get(name, zero), sensor.get(name, zero), shear
 
 
@@ -175,12 +179,18 @@ def test_rubber_lets_go_as_a_standard_linear_solid():
     assert lost[x.run == 1][0] == 0.0 and lost[-1] == pytest.approx(-2.0, abs=0.05)
 
 
-def test_knocks_of_a_splice_have_the_height_that_is_told():
+@pytest.mark.parametrize(("clocked", "turn"), [(0.0, 0.3), (1.0, 0.7)])
+def test_knocks_of_a_splice_have_the_height_and_the_places_that_are_told(clocked, turn):
     effect, time = library()["belt_splice"], np.arange(0, 4, 1e-3)
-    knock = 5.0 * (np.abs((time * 8.0 + 0.5) % 1 - 0.5) < 0.05)
-    row = LAYOUT.stack(len(time), {"time": time, "F": np.full(len(time), 20.0)})
-    columns = contact_columns(effect, "sensor", 0, [{"hz": 8.0}], PLACE, row)[0]
-    a = np.linalg.lstsq(np.column_stack([columns, np.ones(len(time))]), knock, rcond=None)[0][:-1]
-    assert effect.values(a, {"hz": 8.0})["N"] == pytest.approx(5.0, rel=0.05)
+    belt = {"F": np.full(len(time), 20.0), "belt": np.full(len(time), -20.0)}
+    row = LAYOUT.stack(len(time), {"time": time, "clock": time + 100.3, **belt})  # 802.4 turns
+    a, scanned = effect.coefficients_of({"N": 5.0, "hz": 8.0, "turn": turn, "length": 0.02, "clocked": clocked})
+    knock = contact_columns(effect, "sensor", 0, [scanned], PLACE, row)[0, :, 0] * a[0]
+    tops = time[1:-1][(knock[1:-1] > knock[:-2]) & (knock[1:-1] >= knock[2:])]
+    assert len(tops) == 32 and knock.max() == pytest.approx(5.0, rel=0.03)
+    assert tops == pytest.approx((np.arange(32) + 0.3) / 8.0, abs=1e-3)
+    assert knock.sum() * 1e-3 / 32 == pytest.approx(5.0 * np.sqrt(2 * np.pi) * 0.02 / 8.0, rel=1e-3)
+    assert effect.values(a, scanned)["N"] == 5.0
+    assert effect.scan(0, replace(SEEN, knocks=(scanned,))) == (scanned,)
     rates = [s["hz"] for s in effect.scan(0, SEEN)]
-    assert min(rates) == 5.0 and max(rates) == pytest.approx(15.0, abs=0.05) and np.diff(rates).max() < 0.05
+    assert min(rates) == 5.0 and max(rates) == 15.0  # where no readings say which

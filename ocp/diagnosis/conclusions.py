@@ -216,16 +216,17 @@ def screened(problem: Problem) -> tuple[Screened, ...]:
         gained = np.einsum("vi,vi->v", b, np.linalg.solve(G + 1e-9 * np.eye(g.m), b[..., None])[..., 0])
         best = int(np.argmax(gained))
         ratio = gained[best] / g.m / max((total - gained[best]) / (pool.freedom - g.m), 1e-9)
-        p = float(fdtrc(g.m, pool.freedom - g.m, ratio))
+        p, among = float(fdtrc(g.m, pool.freedom - g.m, ratio)), max(V, family.among)
         energy = float(np.trace(G[best])) / g.m
         rival = rival_of(family.effect, family.name.joint, family.scans)
         own = family.name
         others = np.array([e for n, e in energies.items() if n.effect == own.effect and n.joint != own.joint]) / g.m
         beside = others if rival is not None and rival.beside else None
-        price = needed(energy, g.m, family.sizes, family.log_odds, V, int(family.positive.sum()), rival, beside)
+        odds = family.log_odds + float(np.log(among / V))
+        price = needed(energy, g.m, family.sizes, odds, among, int(family.positive.sum()), rival, beside)
         smallest = float(np.sqrt(price / max(energy, 1e-12)))
         left = share_left(problem, family, best, energy * g.m)
-        found.append(Screened(family.name, float(gained[best]), g.m, V, min(1.0, 1 - (1 - p) ** V), smallest, left))
+        found.append(Screened(family.name, float(gained[best]), g.m, among, min(1.0, 1 - (1 - p) ** among), smallest, left))
     return tuple(sorted(found, key=lambda s: s.p_value))
 
 

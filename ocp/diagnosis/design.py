@@ -147,7 +147,8 @@ def smallest(channel: Channel, effect: Effect, joint: int, energies: Mapping[int
     sizes, rival = size_grid(ratio_of(effect, scans)), rival_of(effect, joint, scans)
     # Play of all joints stands against that of one: of the others it pays for what these readings show of them.
     others = np.array([e for j, e in energies.items() if j != joint]) if rival is not None and rival.beside else None
-    return float(np.sqrt(needed(energy, effect.size, sizes, odds, len(scans), positive, rival, others) / energy))
+    among = max(len(scans), channel.surroundings.among.get(effect.name, 0))
+    return float(np.sqrt(needed(energy, effect.size, sizes, odds, among, positive, rival, others) / energy))
 
 
 def _scans(channel: Channel, effect: Effect, joint: int) -> tuple[Scanned, ...]:

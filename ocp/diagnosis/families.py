@@ -33,12 +33,13 @@ def names_of(library: Mapping[str, Effect], options: Options) -> list[tuple[Effe
 @dataclass(frozen=True)
 class Candidate:
     """An effect at a joint that the channels can see: scanned values of its variants, whitened columns (N, V, m) per unit
-    coefficient."""
+    coefficient; among: of how many variants these are the most telling, all of them where nobody picked."""
 
     effect: Effect
     joint: int
     scans: tuple[Scanned, ...]
     columns: Array
+    among: int
 
 
 def candidates(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options) -> list[Candidate]:
@@ -52,7 +53,8 @@ def candidates(channels: Sequence[Channel], library: Mapping[str, Effect], optio
             more, _ = stacked_columns(channels, effect, joint, [refined])
             columns, scans = np.concatenate([columns, more], axis=1), (*scans, refined)
         if scans:
-            found.append(Candidate(effect, joint, scans, columns))
+            among = max(c.surroundings.among.get(effect.name, 0) for c in channels)
+            found.append(Candidate(effect, joint, scans, columns, max(among, len(scans))))
     return found
 
 
@@ -82,8 +84,9 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options)
         if not seen.any():
             continue
         kept = tuple(s for s, k in zip(c.scans, seen, strict=True) if k)
-        odds = log_odds(c.effect, kinds, options)
+        odds = log_odds(c.effect, kinds, options) + float(np.log(len(c.scans) / c.among))
         family = family_of(c.effect, c.joint, kept, projected if seen.all() else projected[:, seen], odds)
+        family = replace(family, among=c.among)
         families.append(family)
         if has_twin(c.effect, c.joint, kept):
             small = np.full(SIZES, RIPPLE * ratio_of(c.effect, kept))

@@ -20,8 +20,8 @@ from robots.pose import Array
 @dataclass(frozen=True)
 class Family:
     """Candidates of one name: variants' scanned values, whitened columns (N, V, m) in units of the priors' upper ends `scale`
-    (m,), positive (m,) coefficients that physics holds positive,
-    log prior odds; sizes (T,) of the priors' widths. effect None: a kernel of the library-free tests, or background."""
+    (m,), positive (m,) coefficients that physics holds positive, log prior odds; sizes (T,) of the priors' widths; among: of how
+    many variants these are the most telling (0: all). effect None: a kernel of the library-free tests, or background."""
 
     name: Name
     effect: Effect | None
@@ -33,6 +33,7 @@ class Family:
     log_odds: float
     where: str = ""
     background: bool = False
+    among: int = 0
 
 
 @dataclass(frozen=True)

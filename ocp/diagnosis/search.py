@@ -21,10 +21,12 @@ from ocp.diagnosis.refine import refined
 from ocp.diagnosis.structured import MANY, earn, restless
 from ocp.diagnosis.system import Channel, kinds
 from ocp.effects.effect import Active, Effect
+from robots.errors import Infeasible
 
 USUAL = Options()
 BENEFIT = 8.0  # log evidence by which a kernel must beat every name to keep it out of the fit
 ROUNDS = 5  # of unmasking impostors
+EQUAL = 1.0  # log evidence by which names without an impostor may fall short of those with it and still need nothing beside them
 MOST = 1000  # readings that are searched; what is found is fitted to all
 
 
@@ -42,6 +44,7 @@ def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options
     few = tuple(c.thinned(MOST) if isinstance(c, Thinnable) else c for c in baseline)
     told: list[tuple[Name, str]] = []
     because: list[str] = []
+    levels: list[float] = []
     for _ in range(ROUNDS):
         first = make_problem(few, library, options)
         problem, search = settle(first, library, options)
@@ -50,19 +53,20 @@ def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options
             earning = earn(whole.thinned(MANY) if isinstance(whole, Thinnable) else whole, library, options)
             return findings(baseline, first, earning.problem, earning.search, library, options, earning.refused)
         found = findings(baseline, first, problem, search, library, options)
+        levels.append(max(w.log for w in search.seen.values()))
         if not found.impostors:
             break
         told += found.impostors
         because += found.unknown_because
         options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
-    return _unmasked(found, told, because) if told else found
+    return _unmasked(found, told, because, levels[-1] > max(levels) - EQUAL) if told else found
 
 
-def _unmasked(found: Diagnosis, told: Sequence[tuple[Name, str]], because: Sequence[str]) -> Diagnosis:
+def _unmasked(found: Diagnosis, told: Sequence[tuple[Name, str]], because: Sequence[str], enough: bool) -> Diagnosis:
     """Findings without the impostors that earlier rounds showed: what they fitted so well is there all the same, and most of the
-    probability goes to 'none of these'."""
+    probability goes to 'none of these' unless what is left is `enough`, as good without them."""
     impostors = tuple(dict(told).items())
-    share = 0.0 if found.impostors else SUSPECT  # the last round has moved its own
+    share = 0.0 if found.impostors or enough else SUSPECT  # the last round has moved its own
     moved = share * (1.0 - found.p_none - found.p_unknown)
     kept = tuple(replace(e, probability=(1.0 - share) * e.probability) for e in found.explanations)
     whys = tuple(dict.fromkeys((*because, *found.unknown_because)))
@@ -79,13 +83,19 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
         index = problem.index
         search.run([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
         held = problem.channels[0].active if len(problem.channels) == 1 else _all_active(problem.channels)
-        best = choose(search, len(held) + 1)
-        chosen = refined(problem, best, problem.values(best))
-        if kinds(chosen) in tried | {kinds(held)}:
-            return problem, search
-        tried.add(kinds(chosen))
+        channels: list[Channel] | None = None
+        while channels is None:
+            best = choose(search, len(held) + 1)
+            chosen = refined(problem, best, problem.values(best))
+            if kinds(chosen) in tried | {kinds(held)}:
+                return problem, search
+            tried.add(kinds(chosen))
+            try:
+                channels = [c.with_active(chosen) for c in problem.channels]
+            except Infeasible:  # names under which the model comes to no rest explain nothing
+                del search.seen[frozenset(m.family for m in best.members)]
         seeds = [problem.names(k) for k in search.best()]
-        problem = make_problem([c.with_active(chosen) for c in problem.channels], library, options)
+        problem = make_problem(channels, library, options)
 
 
 def choose(search: Search, limit: int) -> Weighed:

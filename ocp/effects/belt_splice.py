@@ -12,42 +12,34 @@ from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
 from robots.pose import Array
 
 RATES = (5.0, 15.0)  # 1/s, turns of the belt
-WAVES = 3  # harmonics of a knock
-LENGTH = 0.1  # of a turn: how long a knock is taken to last
-STEP = (0.02, 0.25)  # 1/s, bounds on the step of the rates tried
-DRIFT = 0.2  # turns that a knock may leave its place over the longest run
-TONE = 0.35  # of the largest harmonic: where all others are surely below it nothing knocks
-# Amplitude of the first harmonics of knocks of height one and that length, 2 sin(pi m L) / (pi m).
-_SHARES = 2 * np.sin(np.pi * np.arange(1, WAVES + 1) * LENGTH) / (np.pi * np.arange(1, WAVES + 1))
+LENGTHS = (0.01, 0.12)  # of a turn: standard deviation of a knock's bell
+USUAL = 0.03
+GRID = 11  # rates that stand for all where no readings say which
+SCANNED = ("hz", "turn", "length", "clocked")
 
 
 def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
-    step = float(np.clip(DRIFT / max(seen.run_length, 1e-6), *STEP))
-    return [{"hz": round(float(hz), 4)} for hz in np.arange(RATES[0], RATES[1] + 0.5 * step, step)]
+    if seen.knocks:
+        return seen.knocks
+    return [{"hz": float(hz), "turn": 0.0, "length": USUAL, "clocked": 0.0} for hz in np.linspace(*RATES, GRID)]
 
 
-def _knock(x: ContactContext, j: int, scanned: Scanned) -> ca.SX:
-    turn = 2 * np.pi * scanned["hz"] * x.time
-    touching = ca.if_else(x.F > 0, 1.0, 0.0)
-    return row(*(touching * wave(m * turn) for m in range(1, WAVES + 1) for wave in (ca.cos, ca.sin)))
+def _knock(x: ContactContext, scanned: Scanned) -> ca.SX:
+    """Height (1, 1) of the knock; between two knocks it is zero to well below a thousandth."""
+    time = ca.if_else(scanned["clocked"] > 0.5, x.clock, x.time)
+    turns = time * scanned["hz"] - scanned["turn"]
+    away = turns - ca.floor(turns + 0.5)
+    touching = ca.if_else(x.F > 0, 1.0, 0.0) * ca.fabs(ca.sign(x.belt))
+    return touching * ca.exp(-0.5 * (away / scanned["length"]) ** 2)
 
 
 def _values(a: Array, scanned: Scanned) -> dict[str, Any]:
-    amplitudes = np.hypot(a[0::2], a[1::2])
-    return {"N": float(amplitudes @ _SHARES / (_SHARES @ _SHARES)), "hz": scanned["hz"], "waves_N": [float(v) for v in a]}
+    return {"N": float(a[0])} | {key: float(scanned[key]) for key in SCANNED}
 
 
 def _coefficients(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
-    return np.asarray(values["waves_N"], float).reshape(2 * WAVES), {"hz": values["hz"]}
-
-
-def _doubt(a: Array, sd: Array, scanned: Scanned) -> str:
-    """A knock that lasts up to a third of a turn has a second harmonic of at least half the first."""
-    sizes = np.hypot(a[0::2], a[1::2])
-    bounds = sizes + 2 * np.maximum(sd[0::2], sd[1::2])
-    others = np.delete(bounds, np.argmax(sizes))
-    alone = bool((others < TONE * sizes.max()).all())
-    return "it is a single wave, which no knock is" if alone else ""
+    usual = {"turn": 0.0, "length": USUAL, "clocked": 0.0}
+    return np.array([float(values["N"])]), {key: float(values.get(key, usual.get(key, 0.0))) for key in SCANNED}
 
 
 EFFECT = Effect(
@@ -55,20 +47,24 @@ EFFECT = Effect(
     title="splice of the belt",
     subsystem="wheel",
     physics="The splice is thicker than the belt and adds an impulse once per belt revolution, hz times a second (DIAGNOSIS, "
-    "catalogue). Its first three harmonics are fitted, cosine and sine in waves_N against the time of the run; N is the height "
-    "of a knock that lasts a tenth of a turn and has these harmonics.",
+    "catalogue): a bell of height N and standard deviation `length` (share of a turn) at turn, turn + 1, ... turns of the belt, "
+    "in the normal reading, and times the friction in the tangential one. Turns count from the start of each run (clocked 0) or "
+    "on the campaign's clock (1: the belt keeps turning between runs). A force log is searched for rate, place and length "
+    "beforehand (docs/diagnosis_force.md).",
     parameters=(
         Parameter("N", "N", 1.0, 10.0, signed=False),
-        Parameter("hz", "1/s", 5.0, 15.0, signed=False),
-        Parameter("waves_N", "N", 0.0, 2.0, length=2 * WAVES),
+        Parameter("hz", "1/s", *RATES, signed=False),
+        Parameter("turn", "1", 0.0, 1.0, signed=False),
+        Parameter("length", "1", *LENGTHS, signed=False),
+        Parameter("clocked", "1", 0.0, 1.0, signed=False),
     ),
-    coefficients=tuple(f"{part}_{m}" for m in range(1, WAVES + 1) for part in ("cos", "sin")),
-    prior_sd=(2.0,) * (2 * WAVES),
+    coefficients=("N",),
+    prior_sd=(10.0,),
     values=_values,
     coefficients_of=_coefficients,
     needs=("time_s",),
     scan=_scan,
-    symbolic=("hz",),
-    sensor=_knock,
-    doubt=_doubt,
+    symbolic=SCANNED,
+    sensor=lambda x, j, scanned: row(_knock(x, scanned)),
+    shear=lambda x, j, scanned: row(x.friction * ca.sign(x.belt) * _knock(x, scanned)),
 )

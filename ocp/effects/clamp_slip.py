@@ -6,7 +6,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects._forms import after, row, steps
+from ocp.effects._forms import after, row, steps, steps_between_runs
 from ocp.effects.context import ContactContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
 from robots.pose import Array
@@ -16,7 +16,9 @@ NOWHERE = (0.0, 0.0, 0.0)
 
 def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
     sides = [NOWHERE, *(seen.sides[:1] if len(seen.sides) > 1 else ())]
-    return [{"at_s": s["at_s"], "side": side} for side in sides for s in steps(joint, seen)]
+    # A log of many short runs stands still between them for most of its time.
+    between = steps_between_runs(joint, seen) if len(seen.breaks) else []
+    return [{"at_s": s["at_s"], "side": side} for side in sides for s in (*steps(joint, seen), *between)]
 
 
 def _slip(x: ContactContext, j: int, scanned: Scanned) -> ca.SX:

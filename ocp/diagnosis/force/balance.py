@@ -19,7 +19,7 @@ from ocp.theta import NAMES
 from robots.pose import Array
 
 SETPOINT = NAMES.index("flange_setpoint_offset")
-STEPS = 40  # Newton steps in F
+STEPS = 15  # Newton steps in F; six do, and where effects turn the balance over no number does
 TOLERANCE = 2e-4  # N: a step of Newton below this leaves less than 1e-7 N
 # Columns of what `Balance.state` gives.
 STATE = {

@@ -17,12 +17,14 @@ from ocp.diagnosis.force.conditions import conditions_of
 from ocp.diagnosis.force.fit import ForceFit, Problem, solve
 from ocp.diagnosis.force.folds import force_folds, held_out
 from ocp.diagnosis.force.kept import Kept, Store, kept_rows
+from ocp.diagnosis.force.knocks import Knocks, telling_knocks
 from ocp.diagnosis.force.prediction import M, Scene, predict
 from ocp.diagnosis.force.sealed import predict_sealed
 from ocp.diagnosis.force.seen import NEEDED, conditions, surroundings
 from ocp.diagnosis.force.waves import telling_waves
 from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
 from ocp.diagnosis.tracker.channel import TrackerChannel
+from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.library import library
 from ocp.force.fit import pressed_rows
@@ -39,7 +41,7 @@ TOGETHER = 48  # variants evaluated at once
 @dataclass(frozen=True)
 class ForceChannel:
     """A force log with the fit of the believed contact and of the active effects. `store` keeps columns that hardly change,
-    `latest` those that were asked for last."""
+    `knocks` what was found of a splice at first, `latest` those columns that were asked for last."""
 
     problem: Problem
     fit: ForceFit
@@ -48,6 +50,7 @@ class ForceChannel:
     before: "ForceChannel | None" = field(default=None, repr=False)
     judged: dict[str, Any] = field(default_factory=dict, repr=False)
     latest: dict[str, Any] = field(default_factory=dict, repr=False)
+    knocks: dict[str, Knocks] = field(default_factory=dict, repr=False)
     tracker: TrackerChannel | None = field(default=None, repr=False)
     name: str = "force"
     unit: str = "N"
@@ -70,7 +73,10 @@ class ForceChannel:
     @cached_property
     def surroundings(self) -> Surroundings:
         """For the scans."""
-        return surroundings(self.problem)
+        if "first" not in self.knocks:  # knocks are fast: what else is fitted later hardly moves them
+            self.knocks["first"] = telling_knocks(self.problem, self.fit)
+        knocks = self.knocks["first"]
+        return replace(surroundings(self.problem), knocks=knocks.found, among={SPLICE.name: knocks.among})
 
     @cached_property
     def conditions(self) -> Conditions:

@@ -19,6 +19,7 @@ from robots.errors import Infeasible
 from robots.pose import Array
 
 STEPS = 25
+TRIES = 45  # predictions of all steps with their halvings; a fit that comes to rest takes less than half
 REWEIGHTED = 6  # steps with new weights; then they stand
 AT_REST = 1e-3  # squared length of a step in posterior standard deviations
 STILL = 0.01  # squares that `LAST` steps together must lower, else it rests: a hundredth of what one number more may explain
@@ -191,7 +192,7 @@ def _settle(
     added to them (Broyden's update), so that the next one knows. Far misfits of something nobody has named yet make the last
     steps slow (the squares' own curvature is left out); they end where nothing is gained any more.
     """
-    missed, squares = np.zeros((0, len(z))), list[float]()
+    missed, squares, tries = np.zeros((0, len(z))), list[float](), 0
     for step in range(STEPS):
         if step < REWEIGHTED:
             e = problem.residuals(at, z)
@@ -202,6 +203,7 @@ def _settle(
         change = np.asarray(np.linalg.solve(H, A.T @ e_white - z), float)
         squares.append(float(e_white @ e_white + z @ z))
         moved, at, left, share = _moved(problem, z, at, whiteners, change, squares[-1])
+        tries += 1 - round(np.log2(share))
         if share < 1.0:
             took = moved - z
             update = np.outer(e_white - left - A @ took, took / (took @ took))
@@ -210,8 +212,10 @@ def _settle(
         still = step >= REWEIGHTED + LAST and squares[-1 - LAST] - squares[-1] < STILL
         if change @ H @ change < AT_REST or still:
             return z, at, whiteners, step + 1
+        if tries > TRIES:
+            break
     raise Infeasible(
-        f"{problem.log.path}: the fit of the force log does not come to rest in {STEPS} steps; the cell is not the log's"
+        f"{problem.log.path}: the fit of the force log does not come to rest in {step + 1} steps; the cell is not the log's"
     )
 
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from ocp.diagnosis.force.fit import ForceFit, Problem
 from ocp.diagnosis.system import Wave
-from ocp.force.log import Flags
 from robots.pose import Array
 
 PICKED = 3  # waves of each kind
@@ -33,7 +32,7 @@ def telling_waves(problem: Problem, fit: ForceFit) -> tuple[Wave, ...]:
     n = len(log)
     white = fit.whiteners[0]
     y = white.back(fit.residual[:n, None])[:, 0]
-    for where, along, weight, highest in _kinds(problem):
+    for where, along, weight, highest in _kinds(problem, fit):
         # Everything within a run is seen against the run's own mean: the longest stretch sets how many waves differ.
         length = max(float(np.ptp(along[(c.run == r) & log.contact])) for r in np.unique(c.run[log.contact]))
         lowest = LEAST_WAVES / max(length, 1e-9)
@@ -46,20 +45,20 @@ def telling_waves(problem: Problem, fit: ForceFit) -> tuple[Wave, ...]:
         probes = np.unique(np.linspace(0, len(numbers) - 1, PROBES).round().astype(int))
         sizes = [float(np.sum(white.whole(masked[:, None] * _both(numbers[k] * along)) ** 2)) / 2 for k in probes]
         gain = score / np.interp(numbers, numbers[probes], sizes)
-        if where == "time wave":
-            gain[_overtones(fit, numbers, 1.0 / length)] = 0.0
         among = max(int(len(numbers) / 2), PICKED)
         for k in _peaks(gain):
             found.append(Wave(where, float(numbers[k]), masked[:, None] * _both(numbers[k] * along), among))
     return tuple(found)
 
 
-def _kinds(problem: Problem) -> Iterator[tuple[str, Array, Array, float]]:
+def _kinds(problem: Problem, fit: ForceFit) -> Iterator[tuple[str, Array, Array, float]]:
     """What waves may go with: its name, the coordinate (n,), a sign (n,), the highest number."""
     log, c = problem.log, problem.scene.conditions
     steps = np.diff(log.time)[np.diff(log.run) == 0]
     one = np.ones(len(log))
-    if len(steps) and np.median(steps) > 0:
+    # Beside a train of knocks a wave in time is what its bell leaves, at any overtone or its image.
+    knocking = any("hz" in one.scanned for one in fit.active)
+    if len(steps) and np.median(steps) > 0 and not knocking:
         yield "time wave", c.time, one, HIGHEST / (2.0 * float(np.median(steps)))
     way = np.abs(np.diff(c.s))[np.diff(log.run) == 0]
     if len(way) and np.median(way) > 0:
@@ -67,15 +66,6 @@ def _kinds(problem: Problem) -> Iterator[tuple[str, Array, Array, float]]:
         yield "s wave", c.s, one, highest
         if np.ptp(c.travel) > 0:
             yield "s wave x travel", c.s, c.travel, highest
-
-
-def _overtones(fit: ForceFit, numbers: Array, width: float) -> Flags:
-    """Numbers (k,) per s that are multiples of the rate of something fitted: what has a name already, in a shape of its own."""
-    rates = [float(one.scanned["hz"]) for one in fit.active if "hz" in one.scanned]
-    near = np.zeros(len(numbers), bool)
-    for rate in rates:
-        near |= np.abs(numbers - rate * np.round(numbers / rate)) < width
-    return near
 
 
 def _both(turns: Array) -> Array:
