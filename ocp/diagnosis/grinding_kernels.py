@@ -1,7 +1,8 @@
 """Library-free features of a grinding-force log: what the readings themselves may vary with, whatever the cause.
 
-Smooth functions of one condition, products of two, in the normal reading and in the tangential one; waves of the wheel's turn,
-of the campaign's clock, and the few waves of time and path that the log speaks for most (`ocp.diagnosis.force.waves`).
+Smooth functions of one condition, products of two, in the normal reading and in the tangential one; waves
+of the campaign's clock, those of the wheel's turn, and of time and path the one that the log speaks for most
+(`ocp.diagnosis.force.waves`).
 """
 
 from collections.abc import Iterator
@@ -15,7 +16,6 @@ from robots.pose import Array
 
 LEAST_TURN = np.radians(20.0)  # an axis that moved less varies with nothing
 MOST_GROUPS = 12
-TURNS = (1, 2, 3, 4)  # waves per revolution of the wheel
 CLOCK_WAVES = 12  # of the campaign's clock at most, half waves
 _SCALAR = ("s", "feed", "setpoint", "travel", "belt", "clock", "time", "temperature", "wheel_temperature", "run", "line")
 _TWO = (
@@ -49,8 +49,6 @@ def reading_kernels(c: Conditions) -> Iterator[ReadingKernel]:
     for j in range(6):
         if np.ptp(c.q[:, j]) > LEAST_TURN:
             yield ReadingKernel(f"q{j + 1}", 0, smooth(c.q[:, j], 4)[:, None])
-    if c.turned is not None and np.ptp(c.turned) > 2 * np.pi:
-        yield ReadingKernel("turn", 0, np.stack([_wave(k * c.turned) for k in TURNS], axis=1))
     if c.clock is not None and c.run is not None and len(np.unique(c.run)) > 4:
         phase = np.pi * (c.clock - c.clock.min()) / max(float(np.ptp(c.clock)), 1e-9)
         yield ReadingKernel("clock wave", 0, np.stack([_wave(k * phase) for k in range(3, 3 + CLOCK_WAVES)], axis=1))

@@ -65,8 +65,9 @@ def about_prior(system: System) -> Array:
 
 @dataclass(frozen=True)
 class Stack:
-    """Channels one below the other: projections and row blocks; y (N,): white under 'no effect'; freedom: rows less free
-    nuisance; active effects' columns are put back into y (about zero coefficients)."""
+    """Channels one below the other: projections and row blocks; y (N,): white under 'no effect'; freedom: squares that noise
+    alone leaves, rows less free nuisance and what picked rows have more; active effects' columns are put back into y (about
+    zero coefficients)."""
 
     projections: tuple[Projection, ...]
     blocks: tuple[slice, ...]
@@ -82,14 +83,15 @@ class Stack:
 def stack(channels: tuple[Channel, ...], put_back: Array) -> Stack:
     """Stack of the channels' systems; put_back (N,): what the active effects add to the predictions, to be explained
     again."""
-    projections, blocks, parts, start = [], [], [], 0
+    projections, blocks, parts, start, picked = [], [], [], 0, 0.0
     for channel in channels:
         system = channel.system
         block = slice(start, start + len(system.residual))
         start = block.stop
+        picked += system.picked
         projection = project(system.nuisance, system.prior_sd)
         projections.append(projection)
         blocks.append(block)
         parts.append(projection.apply(about_prior(system) + put_back[block]))
     y = np.concatenate(parts)
-    return Stack(tuple(projections), tuple(blocks), y, len(y) - sum(p.free for p in projections))
+    return Stack(tuple(projections), tuple(blocks), y, len(y) - sum(p.free for p in projections) + round(picked))

@@ -25,8 +25,8 @@ from robots.pose import Array
 
 @dataclass(frozen=True)
 class Wave:
-    """A wave that readings speak for: what of (time wave, s wave), its number (per s, per m), columns (n, 2) of its cosine and
-    sine, and among how many it was found."""
+    """A wave that readings speak for: what of (turn, time wave, s wave), its number (per turn, per s, per m), columns
+    (n, 2) of its cosine and sine, and among how many it was found."""
 
     where: str
     number: float
@@ -46,8 +46,8 @@ class Conditions:
     (n, k, 6, 4): in tilts of the six axes about the two directions across them that stand still in the link before, and the two
     that turn with the joint; moments (n, 6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in
     the instrument's frame; sight (n, 3): unit vectors from reflectors to the instrument, in axes of the links that carry them;
-    gear_ratio: those that each of six joints may have; turned (n,) rad the wheel has turned since the run's start; waves: of time
-    and path that the readings speak for.
+    gear_ratio: those that each of six joints may have; waves: of the wheel's turn, and of time and path those that the
+    readings speak for.
     """
 
     signal: str
@@ -78,7 +78,6 @@ class Conditions:
     point: Array | None = None
     sight: Array | None = None
     gear_ratio: tuple[tuple[float, ...], ...] | None = None
-    turned: Array | None = None
     waves: tuple["Wave", ...] = ()
 
 
@@ -86,7 +85,8 @@ class Conditions:
 class System:
     """Whitened linear system of a channel, unit noise: residual (N,), nuisance (N, p) with names (p,), prior_sd (p,) (inf:
     free) and offset (p,) in the nuisance's own units; reading (N,): which of the channel's readings a row belongs to;
-    component (N,): which of its numbers (x, y, z; fn, ft)."""
+    component (N,): which of its numbers (x, y, z; fn, ft); picked: squares beyond their number that rows which were picked for
+    what they show have where nothing is there."""
 
     residual: Array
     nuisance: Array
@@ -95,6 +95,7 @@ class System:
     offset: Array
     reading: Index
     component: Index
+    picked: float = 0.0
 
 
 @dataclass(frozen=True)

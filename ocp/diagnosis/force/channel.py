@@ -21,7 +21,7 @@ from ocp.diagnosis.force.knocks import Knocks, telling_knocks
 from ocp.diagnosis.force.prediction import M, Scene, predict
 from ocp.diagnosis.force.sealed import predict_sealed
 from ocp.diagnosis.force.seen import NEEDED, conditions, surroundings
-from ocp.diagnosis.force.waves import telling_waves
+from ocp.diagnosis.force.waves import picked_squares, telling_waves
 from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
 from ocp.diagnosis.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
@@ -73,10 +73,14 @@ class ForceChannel:
     @cached_property
     def surroundings(self) -> Surroundings:
         """For the scans."""
-        if "first" not in self.knocks:  # knocks are fast: what else is fitted later hardly moves them
+        return replace(surroundings(self.problem), knocks=self.fast.found, among={SPLICE.name: self.fast.among})
+
+    @property
+    def fast(self) -> Knocks:
+        """Knocks that the readings speak for."""
+        if "first" not in self.knocks:  # what else is fitted later hardly moves them
             self.knocks["first"] = telling_knocks(self.problem, self.fit)
-        knocks = self.knocks["first"]
-        return replace(surroundings(self.problem), knocks=knocks.found, among={SPLICE.name: knocks.among})
+        return self.knocks["first"]
 
     @cached_property
     def conditions(self) -> Conditions:
@@ -108,6 +112,7 @@ class ForceChannel:
             residual=rows[:, 0], nuisance=U[:, keep] * s[keep], names=tuple(f"contact {k + 1}" for k in range(int(keep.sum()))),
             prior_sd=np.ones(int(keep.sum())), offset=(Vt @ self.fit.z[: r + o])[keep],
             reading=np.concatenate([*place, far]), component=np.repeat(np.arange(len(parts)), parts),
+            picked=picked_squares(self.waves) + self.fast.picked,
         )  # fmt: skip
 
     @property

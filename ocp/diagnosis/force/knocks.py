@@ -24,6 +24,7 @@ WAVES = 12  # harmonics of the first look
 PLACES = 32  # in a turn
 BELLS = np.geomspace(*LENGTHS, 6)
 KEPT = 6  # trains of each clock that are looked at exactly
+BEST = 2  # of these that are offered: every picked row holds noise that was picked with it
 SHARP = 3  # halvings of the steps there
 PROBES = 12
 USUAL_AMONG = 6000  # rates and places of a log of the usual length, where nothing was measured yet
@@ -36,6 +37,11 @@ class Knocks:
 
     found: tuple[Scanned, ...]
     among: int
+
+    @property
+    def picked(self) -> float:
+        """Squares beyond their number that noise alone has in the rows of the picked trains: each the largest of so many."""
+        return BEST * (2.0 * float(np.log(self.among)) - 1.0) if self.found else 0.0
 
 
 def telling_knocks(problem: Problem, fit: ForceFit) -> Knocks:
@@ -56,7 +62,7 @@ def telling_knocks(problem: Problem, fit: ForceFit) -> Knocks:
         for hz, turn, length in _first_look(rates, S, size):
             found.append(_exact(problem, fit, y, {"hz": hz, "turn": turn, "length": length, "clocked": clocked}))
     found.sort(key=lambda one: -one[0])
-    kept = [scanned for _, scanned in found[: 2 * KEPT]]
+    kept = [scanned for _, scanned in found[:BEST]]
     return Knocks((*kept, *_around(kept[0])), max(among, len(kept)))
 
 

@@ -49,7 +49,7 @@ def conditions(problem: Problem, fit: ForceFit, waves: tuple[Wave, ...] = ()) ->
         line=log.line, session=log.session if len(log.sessions) > 1 else None, s=c.s,
         feed=log.feed, setpoint=log.setpoint, belt=log.belt, contact=log.contact.astype(float), travel=c.travel,
         tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com), d_joints=np.stack(joints, axis=1),
-        gear_ratio=ratios_of(surroundings(problem)), turned=c.belt / scene.cell.wheel.radius * c.time, waves=waves,
+        gear_ratio=ratios_of(surroundings(problem)), waves=waves,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ the squares that the wave takes from the residual; lengths are taken at a few nu
 blocks lose of the picked ones is kept as rows of their own (`kept.py`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from ocp.diagnosis.force.fit import ForceFit, Problem
 from ocp.diagnosis.system import Wave
 from robots.pose import Array
 
-PICKED = 3  # waves of each kind
+PICKED = 1  # waves of each kind: every picked row holds noise that was picked with it
+TURNS = (1, 2, 3, 4)  # waves per revolution of the wheel
 HIGHEST = 0.8  # of half the logging rate
 SHORTEST = 3e-3  # m, of a wave along the path
 LEAST_WAVES = 1.5  # over the longest run; slower ones are the smooth functions'
@@ -25,10 +26,11 @@ PROBES = 12
 
 
 def telling_waves(problem: Problem, fit: ForceFit) -> tuple[Wave, ...]:
-    """The few waves of each kind whose gain is largest, each over its neighbours."""
+    """All of the wheel's turn, and of each other kind the few whose gain is largest, each over its neighbours."""
     log, c = problem.log, problem.scene.conditions
     touching = log.contact.astype(float)
-    found = list[Wave]()
+    turned = c.belt / problem.scene.cell.wheel.radius * c.time / (2 * np.pi)
+    found = [Wave("turn", float(k), touching[:, None] * _both(k * turned), len(TURNS)) for k in TURNS if np.ptp(turned) > 1.0]
     n = len(log)
     white = fit.whiteners[0]
     y = white.back(fit.residual[:n, None])[:, 0]
@@ -49,6 +51,11 @@ def telling_waves(problem: Problem, fit: ForceFit) -> tuple[Wave, ...]:
         for k in _peaks(gain):
             found.append(Wave(where, float(numbers[k]), masked[:, None] * _both(numbers[k] * along), among))
     return tuple(found)
+
+
+def picked_squares(waves: Iterable[Wave]) -> float:
+    """Squares beyond their number that noise alone has in the rows of waves that were picked among many."""
+    return float(sum(2.0 * np.log(w.among) - 2.0 for w in waves if w.where != "turn"))
 
 
 def _kinds(problem: Problem, fit: ForceFit) -> Iterator[tuple[str, Array, Array, float]]:
