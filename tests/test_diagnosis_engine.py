@@ -8,6 +8,7 @@ from scipy.stats import gamma, kstest, norm
 
 from ocp.diagnosis.beam import Search, weigh
 from ocp.diagnosis.evidence import TRUST, WRONG, log_evidence, posterior, size_grid
+from ocp.diagnosis.families import positive_of
 from ocp.diagnosis.findings import Name, Options
 from ocp.diagnosis.pool import Member, given, scan, scan_one
 from ocp.diagnosis.problem import make_problem
@@ -15,6 +16,7 @@ from ocp.diagnosis.projection import project
 from ocp.diagnosis.search import diagnose
 from ocp.diagnosis.system import Conditions
 from ocp.diagnosis.tests_without_library import kernel_tests
+from ocp.effects.library import library
 
 FEW = Options(where=False, prior_effects=0.2)  # a library of six
 RNG = np.random.default_rng(7)
@@ -271,3 +273,8 @@ def test_posterior_covers():
         mean, covariance = posterior(C, C @ a + rng.normal(size=40), np.ones(2))
         inside += abs(mean[0] - a[0]) < 1.645 * np.sqrt(covariance[0, 0])
     assert 0.86 < inside / 400 < 0.94
+
+
+def test_a_share_with_a_sign_beside_it_may_be_negative():
+    assert not positive_of(library()["sensor_crosstalk"]).any()
+    assert positive_of(library()["wheel_wear"]).all() and positive_of(library()["joint_compliance"]).all()
