@@ -33,6 +33,7 @@ def test_known_names():
     st.lists(st.integers(1, 30), min_size=1, max_size=120),
     st.lists(st.sampled_from(["BLADE.src", "blade_01.SRC", "X", "grind_02_a.dat", "GRIND"]), max_size=5),
 )
+@example("0" * 18, [27], [])  # two letters for the 27th part
 def test_names_of_a_program_are_legal_and_distinct_without_case(text, parts, taken):
     main, subs = program_names(text, len(parts), parts, taken)
     flat = [main, *(n for names in subs for n in names)]

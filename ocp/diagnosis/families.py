@@ -33,13 +33,13 @@ def names_of(library: Mapping[str, Effect], options: Options) -> list[tuple[Effe
 @dataclass(frozen=True)
 class Candidate:
     """An effect at a joint that the channels can see: scanned values of its variants, whitened columns (N, V, m) per unit
-    coefficient; among: of how many variants these are the most telling, all of them where nobody picked."""
+    coefficient; among: of how many variants these are the most telling (0: all)."""
 
     effect: Effect
     joint: int
     scans: tuple[Scanned, ...]
     columns: Array
-    among: int
+    among: int = 0
 
 
 def candidates(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options) -> list[Candidate]:
@@ -54,7 +54,7 @@ def candidates(channels: Sequence[Channel], library: Mapping[str, Effect], optio
             columns, scans = np.concatenate([columns, more], axis=1), (*scans, refined)
         if scans:
             among = max(c.surroundings.among.get(effect.name, 0) for c in channels)
-            found.append(Candidate(effect, joint, scans, columns, max(among, len(scans))))
+            found.append(Candidate(effect, joint, scans, columns, among))
     return found
 
 
@@ -84,7 +84,7 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options)
         if not seen.any():
             continue
         kept = tuple(s for s, k in zip(c.scans, seen, strict=True) if k)
-        odds = log_odds(c.effect, kinds, options) + float(np.log(len(c.scans) / c.among))
+        odds = log_odds(c.effect, kinds, options) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
         family = family_of(c.effect, c.joint, kept, projected if seen.all() else projected[:, seen], odds)
         family = replace(family, among=c.among)
         families.append(family)

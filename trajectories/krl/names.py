@@ -54,7 +54,8 @@ def program_names(text: str, passes: int, parts: Iterable[int] = (), taken: Iter
     """
     pieces = list(parts) or [1] * passes
     digits = max(2, len(str(passes)))
-    room = LONGEST - (1 + digits) - (2 if max(pieces, default=1) > 1 else 0)
+    most = max(pieces, default=1)
+    room = LONGEST - (1 + digits) - (1 + len(_letters(most - 1)) if most > 1 else 0)
     used = {PurePath(t).name.rsplit(".", 1)[0].upper() for t in taken}
     base = sanitise(text, room)
     for attempt in range(1, 10_000):
