@@ -1,8 +1,8 @@
 """Library-free features of a grinding-force log: what the readings themselves may vary with, whatever the cause.
 
-Smooth functions of one condition, products of two, in the normal reading and in the tangential one; waves
-of the campaign's clock, those of the wheel's turn, and of time and path the one that the log speaks for most
-(`ocp.diagnosis.force.waves`).
+Smooth functions of one condition, products of two, in the normal reading (how the second axis of a sensor reads is its own affair:
+logs by other hands differ there where nothing is planted); waves of the campaign's clock, those of the wheel's turn, and of time
+and path the one that the log speaks for most (`ocp.diagnosis.force.waves`).
 """
 
 from collections.abc import Iterator
@@ -22,16 +22,14 @@ _TWO = (
     ("travel", "s"), ("travel", "feed"), ("setpoint", "s"), ("setpoint", "clock"), ("setpoint", "belt"), ("setpoint", "feed"),
     ("clock", "s"), ("belt", "time"), ("feed", "s"),
 )  # fmt: skip
-_SHEAR = ("s", "feed", "setpoint", "belt", "clock", "time", "temperature")
 
 
 @dataclass(frozen=True)
 class ReadingKernel:
-    """Features (n, V, m) of a reading (0: normal, 1: tangential) by the condition `where`; among: of how many variants these are
-    the most telling, 0: they are all there are."""
+    """Features (n, V, m) of the normal reading by the condition `where`; among: of how many variants these are the most telling,
+    0: they are all there are."""
 
     where: str
-    reading: int
     features: Array
     among: int = 0
 
@@ -41,26 +39,21 @@ def reading_kernels(c: Conditions) -> Iterator[ReadingKernel]:
     for where in _SCALAR:
         one = _of_one(c, where)
         if one is not None:
-            yield ReadingKernel(where, 0, one[:, None])
+            yield ReadingKernel(where, one[:, None])
     for first, second in _TWO:
         a, b = _of_one(c, first, 2), _of_one(c, second, 3)
         if a is not None and b is not None:
-            yield ReadingKernel(f"{first} x {second}", 0, products(a, b)[:, None])
+            yield ReadingKernel(f"{first} x {second}", products(a, b)[:, None])
     for j in range(6):
         if np.ptp(c.q[:, j]) > LEAST_TURN:
-            yield ReadingKernel(f"q{j + 1}", 0, smooth(c.q[:, j], 4)[:, None])
+            yield ReadingKernel(f"q{j + 1}", smooth(c.q[:, j], 4)[:, None])
     if c.clock is not None and c.run is not None and len(np.unique(c.run)) > 4:
         phase = np.pi * (c.clock - c.clock.min()) / max(float(np.ptp(c.clock)), 1e-9)
-        yield ReadingKernel("clock wave", 0, np.stack([_wave(k * phase) for k in range(3, 3 + CLOCK_WAVES)], axis=1))
+        yield ReadingKernel("clock wave", np.stack([_wave(k * phase) for k in range(3, 3 + CLOCK_WAVES)], axis=1))
     kinds = dict.fromkeys(w.where for w in c.waves)
     for where in kinds:
         waves = [w for w in c.waves if w.where == where]
-        yield ReadingKernel(where, 0, np.stack([w.columns for w in waves], axis=1), waves[0].among)
-    if c.d_joints is not None and c.d_joints.shape[1] > 1:
-        for where in _SHEAR:
-            one = _of_one(c, where, 3)
-            if one is not None:
-                yield ReadingKernel(f"tangential {where}", 1, one[:, None])
+        yield ReadingKernel(where, np.stack([w.columns for w in waves], axis=1), waves[0].among)
 
 
 def _of_one(c: Conditions, where: str, count: int = 3) -> Array | None:

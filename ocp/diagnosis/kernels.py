@@ -69,7 +69,7 @@ def kernels(c: Conditions) -> Iterator[Kernel]:
     elif c.signal == "force":
         for one in reading_kernels(c):
             changes = np.zeros((n, k, *one.features.shape[1:]))
-            changes[:, one.reading] = one.features
+            changes[:, 0] = one.features
             yield Kernel(one.where, "reading", 0, changes, *FORCE_RANGE, one.among)
 
 

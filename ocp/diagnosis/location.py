@@ -62,7 +62,6 @@ def of_tests(tests: list[KernelTest], sure: float = 1e-3) -> Location | None:
 
 def conditions(where: str) -> tuple[str, ...]:
     """What a kernel's name says it depends on: joints' angles q3, approaches approach5, loads tau2, temperature, time, ..."""
-    plain = where.removeprefix("tangential ")
-    found = (f"q{p.removeprefix('ripple')}" if p.startswith("ripple") else p for p in plain.split(" x ") if p)
+    found = (f"q{p.removeprefix('ripple')}" if p.startswith("ripple") else p for p in where.split(" x ") if p)
     found = (p.removesuffix(" wave") for p in found)
     return tuple(p.rstrip("123456") if p[:4] in ("temp", "time", "payl") else p for p in found)

@@ -1,0 +1,18 @@
+"""The open force worlds made by others, whose labels are known: what was right once stays right."""
+
+import pytest
+
+from ocp.command import Phases
+from ocp.diagnosis.channels import channels_of
+from ocp.diagnosis.dataset import read_data_set
+from ocp.diagnosis.search import diagnose
+from ocp.effects.library import library
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"), [("force_two_effects", {"sensor_bias", "tangential_force"}), ("force_wheel_wear", {"wheel_wear"})]
+)
+def test_what_is_planted_is_named(shared_data, name, wanted):
+    found = diagnose(channels_of(read_data_set(shared_data / "worlds" / name), Phases()), library())
+    assert found.verdict == "explained"
+    assert {n.effect for n in found.explanations[0].names} == wanted
