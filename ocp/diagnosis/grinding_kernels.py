@@ -1,8 +1,8 @@
 """Library-free features of a grinding-force log: what the readings themselves may vary with, whatever the cause.
 
-Smooth functions of one condition, products of two, in the normal reading (how the second axis of a sensor reads is its own affair:
-logs by other hands differ there where nothing is planted); waves of the campaign's clock, those of the wheel's turn, and of time
-and path the one that the log speaks for most (`ocp.diagnosis.force.waves`).
+Smooth functions of one condition, products of two, in the normal reading (how the second axis of a sensor reads is its own
+affair: logs by other hands differ there where nothing is planted); waves of the campaign's clock, those of the wheel's turn, and
+of time and path the one that the log speaks for most (`ocp.diagnosis.force.waves`).
 """
 
 from collections.abc import Iterator
