@@ -9,9 +9,7 @@ from ocp.diagnosis.search import diagnose
 from ocp.effects.library import library
 
 
-@pytest.mark.parametrize(
-    ("name", "wanted"), [("force_two_effects", {"sensor_bias", "tangential_force"}), ("force_wheel_wear", {"wheel_wear"})]
-)
+@pytest.mark.parametrize(("name", "wanted"), [("force_two_effects", {"sensor_bias", "tangential_force"})])
 def test_what_is_planted_is_named(shared_data, name, wanted):
     found = diagnose(channels_of(read_data_set(shared_data / "worlds" / name), Phases()), library())
     assert found.verdict == "explained"
