@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis_force_world import Planted
-from test_diagnosis_force import EFFECTS, Made, _active, _again, _log, made, one_solid  # noqa: F401
+from test_diagnosis_force import EFFECTS, Made, _active, _again, _log, made, solved_once  # noqa: F401
 
 from ocp.diagnosis.beam import NOTHING
 from ocp.diagnosis.findings import Options
