@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.blind import figures, intervals, judging, oracle, recipes, rivals, worst
+from ocp.blind import ceiling, figures, intervals, judging, oracle, recipes, rivals, worst
 from ocp.blind.answers import answer_path, make_answer
 from ocp.blind.detectability import nuisance, reading_covariance, whitener
 from ocp.blind.drawing import detectabilities, scaled, usual
@@ -138,6 +138,36 @@ def test_the_oracle_names_what_is_there(machine, scene, library):
     assert oracle.cannot_be_imitated(known, alone) < 0.02 * (alone @ alone)
 
 
+def test_the_oracle_sizes_what_is_there_and_says_what_is_like_it(machine, scene, library):
+    white = whitener(scene)
+    known = oracle.whitened(library, white)
+    rng = np.random.default_rng(4)
+    for text in ("backlash:5=3e-4", "gear_2x:1=2e-4,phase_rad=1", "target_shift=3e-4/0/-1e-4,target=T2,at_s=4000"):
+        effect = parse_effect(text)
+        d = white.apply(machine.points([effect]) - machine.points(()))
+        own = judging.name_of(effect)
+        exact, noisy = (ceiling.estimated(known, d + noise, own) for noise in (0.0, rng.normal(size=len(d))))
+        assert ceiling.size_error(exact, effect) < 0.03
+        assert ceiling.size_error(exact, effect) < ceiling.size_error(noisy, effect) < 4 * np.sqrt(3 / (d @ d))
+        assert ceiling.size_error(exact, scaled(effect, 0.5)) == pytest.approx(1.0, abs=0.05)
+    assert ceiling.estimated(known.without(["backlash"]), d, ("backlash", 5)) is None
+
+
+def test_classes_of_several_effects_are_those_that_stay_when_the_others_are_free(machine, scene, library):
+    white = whitener(scene)
+    known = oracle.whitened(library, white)
+    soft, play = parse_effect("joint_compliance:2=1e-8"), parse_effect("backlash:5=3e-4")
+    alone = [white.apply(machine.points([p]) - machine.points(())) for p in (soft, play)]
+    groups = ceiling.classes_among(known, (soft, play), alone)
+    # Wind-up holds play; nothing else looks like it.
+    assert {("backlash", 5), ("friction_windup", 5)} in groups
+    faint = [1e-3 * alone[0], alone[1]]  # nobody sees it: like everything
+    group, _ = ceiling.classes_among(known, (soft, play), faint)
+    assert ("joint_compliance", 2) in group and len(group) > 20 and ("backlash", 5) not in group
+    twice = [alone[1], 2 * alone[1]]  # the one is the other: neither has a direction of its own
+    assert ceiling.classes_among(known, (play, play), twice) == []
+
+
 @pytest.mark.parametrize("name", sorted(OUTSIDE))
 def test_effects_outside_the_catalogue_move_readings(machine, name):
     effect = draw_effect(np.random.default_rng(2), OUTSIDE[name])
@@ -252,7 +282,8 @@ def row(kind: str, lam=(), first=True, **more):
         "p_none": 0.0, "p_unknown": 0.0, "said": [["backlash", 1, 0.9]], "named": [["backlash", 1]], "classes": [],
         "reliability": [[0.9, first]], "location": 1, "shrinkage": {"predicted": 0.8, "low": 0.7, "high": 0.9},
         "values": [[0.02, [1.0, 2.0]] for _ in lam], "smallest": [0.1 for _ in lam], "exact_smallest": [0.1 for _ in lam],
-        "sure_class": [], "possible_class": [], "true_class": [], "seconds": {"cpu": 2.0, "wall": 3.0},
+        "sure_class": [], "possible_class": [], "true_classes": [], "oracle_error": 0.01, "oracle_class": [],
+        "seconds": {"cpu": 2.0, "wall": 3.0},
         "realised": {"before": 1.0, "after": 0.25, "floor": 0.1, "covered": 0.9},
     }  # fmt: skip
     return base | more
@@ -267,18 +298,24 @@ def test_the_table_of_hand_made_answers():
         row("none", verdict="no_gap", reliability=[]),
         row("none", verdict="explained", reliability=[[0.9, False]], shrinkage=None),
         row("pair", (60.0, 70.0), diagnosis=three),
+        row("single", (40.0,), sure_class=[["gear_1x", 1]], possible_class=[["gear_1x", 1]], oracle_class=[["gear_1x", 1]]),
         row("outside", (200.0,), left=150.0, p_unknown=0.7, reliability=[[0.1, False]], location=1),
         row("outside", (200.0,), left=150.0, p_unknown=0.1, reliability=[[0.1, False]], location=2),
     ]
     found = {f.what: f for f in figures.table(rows)}
     assert found["top-1 effect and joint, lambda >= 100"].estimate.value == 0.5
     assert found["top-1 effect and joint, lambda 15-30"].estimate.value == 1.0
-    assert found["top-1 effect and joint, lambda 30-50"].estimate.count == 0
+    assert found["top-1 effect and joint, lambda 50-100"].estimate.count == 0
     assert found["false alarms, no effect, clean"].estimate.value == 0.5
     assert found["two effects, each lambda >= 50, F1"].estimate.value == pytest.approx(2 * 1 / (3 + 2))
     assert found["none of these, effect the library cannot imitate"].estimate.value == 0.5
     assert found["joint named right, effect outside the library"].estimate.value == 0.5
-    assert found["confident wrong name (p > 0.8)"].estimate.value == pytest.approx(2 / 8)
+    assert found["confident wrong name (p > 0.8)"].estimate.value == pytest.approx(2 / 9)
+    best = {what: f.oracle.value for what, f in found.items() if f.oracle.count}
+    assert best["two effects, each lambda >= 50, F1"] == 1.0 and best["false alarms, no effect, clean"] == 0.0
+    assert best["effect value, median error, lambda >= 100"] == 0.01 and best["joint named right, lambda >= 30"] == 1.0
+    assert found["declared 'cannot tell apart', recall"].estimate.value == 0.0
+    assert best["declared 'cannot tell apart', recall"] == 1.0
     assert found["effect value, coverage of the 90 % interval"].estimate.value == 0.5
     assert found["shrinkage at new conditions, named right, of what can be explained"].estimate.value == pytest.approx(0.75 / 0.9)
     assert found["harmful corrections"].estimate.value == 0.0

@@ -15,6 +15,7 @@ import numpy as np
 
 from ocp.blind import oracle
 from ocp.blind.answers import answer_path
+from ocp.blind.ceiling import classes_among, declared, estimated, size_error
 from ocp.blind.detectability import nuisance, price, reading_covariance, whitener
 from ocp.blind.grinding.machines import draw_grinding
 from ocp.blind.grinding.outside import KINDS as STRANGE
@@ -65,7 +66,7 @@ def scored(check: Check, label: Label, answer: dict[str, Any]) -> dict[str, Any]
     view = view_of(check, label)
     row |= _of_oracle(label, view.seen())
     if answer["error"] is None:
-        groups = [set(map(tuple, row["true_class"]))] if row["true_class"] else []
+        groups = [set(map(tuple, group)) for group in row["true_classes"]]
         row |= _of_answer(label, answer, view.signal)
         row["rivals"] = {m: _judged(label, _names(r["ranking"]), _names(r["named"]), groups) for m, r in answer["rivals"].items()}
         row |= {name: asdict(found) for name, found in view.realised(answer).items()}
@@ -150,20 +151,25 @@ def _of_oracle(label: Label, seen: oracle.Seen) -> dict[str, Any]:
     planted effect, what the library leaves of it, and the smallest size that would be seen."""
     library, alone = seen.library, seen.alone
     first = label.effects[0] if len(label.effects) == 1 else None
-    twins, sure, possible = set[Name](), set[Name](), set[Name]()
-    left: float | None = None
+    row: dict[str, Any] = {"sure_class": [], "possible_class": [], "left": None, "oracle_error": None, "oracle_class": None}
+    groups: list[set[Name]] = []
     if first is not None:
-        twins, sure, possible = (oracle.not_told_apart(library, alone[0], name_of(first), f) for f in (1.0, 1 / UNSURE, UNSURE))
-        left = oracle.cannot_be_imitated(library, alone[0])
+        own = name_of(first)
+        twins, sure, possible = (oracle.not_told_apart(library, alone[0], own, f) for f in (1.0, 1 / UNSURE, UNSURE))
+        groups = [twins | {own}] if twins else []
+        row |= {"sure_class": sorted(sure), "possible_class": sorted(possible)}
+        row["left"] = oracle.cannot_be_imitated(library, alone[0])
+        found = estimated(library, seen.y, own)
+        if found is not None:
+            row |= {"oracle_error": size_error(found, first), "oracle_class": sorted(declared(library, found, own))}
+    elif label.effects:
+        groups = classes_among(library, label.effects, alone)
     names, said = oracle.ranked(library, seen.y), oracle.chosen(library, seen.y)
-    groups = [twins | {name_of(first)}] if first is not None and twins else []
-    return {
+    return row | {
         "oracle": _judged(label, names, said, groups),
-        "true_class": sorted(groups[0]) if groups else [],
-        "sure_class": sorted(sure), "possible_class": sorted(possible),
-        "left": left,
+        "true_classes": [sorted(g) for g in groups],
         "exact_smallest": list(seen.smallest),
-    }  # fmt: skip
+    }
 
 
 def _seen(check: Check, machine: Machine, label: Label) -> oracle.Seen:

@@ -38,7 +38,8 @@ def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
     sections = _sections(check, rows, figures)
     page = render_page(TITLE, _headline(rows, figures), (), sections, KIND)
     (check.folder / "report.html").write_bytes(page.encode("utf-8", "replace"))
-    lines = [{"figure": f.what, "sense": f.sense, "target": f.target, "met": f.met, **_plain(f.estimate)} for f in figures]
+    lines = [{"figure": f.what, "sense": f.sense, "target": f.target, "met": f.met, **_plain(f.estimate),
+              "oracle": _plain(f.oracle)} for f in figures]  # fmt: skip
     (check.folder / "table.json").write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
     (check.folder / "table.md").write_text(_markdown(check, sections), encoding="utf-8")
 
@@ -51,7 +52,7 @@ def last_line(check: Check, rows: Sequence[Row]) -> str:
     return f"{check.folder}: {len(rows)} worlds, {reached}; {check.folder / 'report.html'} shows all"
 
 
-def _plain(e: Estimate) -> dict[str, float | int | None]:
+def _plain(e: Estimate) -> dict[str, Any]:
     return {k: (None if isinstance(v, float) and not np.isfinite(v) else v) for k, v in asdict(e).items()}
 
 
@@ -105,9 +106,13 @@ def _target(f: Figure) -> str:
 def figures_table(figures: Sequence[Figure]) -> Table:
     """The table of DIAGNOSIS.md."""
     mark = {True: "yes", False: "no", None: ""}
-    rows = [(f.what, _target(f), told(f.estimate, f.percent), str(f.estimate.count), mark[f.met]) for f in figures]
+    rows = [
+        (f.what, _target(f), told(f.estimate, f.percent), str(f.estimate.count), mark[f.met],
+         told(f.oracle, f.percent) if f.oracle.count else "")
+        for f in figures
+    ]  # fmt: skip
     missed = [k for k, f in enumerate(figures) if f.met is False]
-    return make_table(("figure", "target", "value (95 %)", "n", "reached"), rows, text=(0, 4), strong=missed)
+    return make_table(("figure", "target", "value (95 %)", "n", "reached", "oracle"), rows, text=(0, 4), strong=missed)
 
 
 def method_table(rows: Sequence[Row], key: str) -> Table:
