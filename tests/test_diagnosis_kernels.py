@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from dropped_effect import dropped_effect
 from linear_channel import LinearChannel, effect
 from scipy.stats import ncx2
 from simulated_campaign import NESTS, PAYLOADS
 from test_diagnosis_tracker import LIBRARY, ROBOT, channel, column, world
 
-import ocp.effects
 from ocp.diagnose import _catalogue
 from ocp.diagnosis.effect_list import effect_list
 from ocp.diagnosis.evidence import size_grid
@@ -187,16 +187,7 @@ def test_an_effect_of_the_told_size_is_named_nine_times_of_ten():
 
 
 def test_a_dropped_file_is_screened_named_planned_and_listed(tmp_path, monkeypatch):
-    (tmp_path / "brand_new.py").write_text(
-        '"""Joint 1 is off by the product of two others."""\n'
-        "from ocp.effects._forms import at_joint, one\nfrom ocp.effects.effect import Effect, Parameter\n"
-        'EFFECT = Effect(name="brand_new", title="new at joint {joint}", subsystem="joint", physics="dq = k q3 q5.",\n'
-        '    parameters=(Parameter("k", "1/rad", 1e-5, 2e-4),), coefficients=("k",), prior_sd=(2e-4,), joints=(1,),\n'
-        '    joint=lambda x, j, scanned: at_joint(j, x.q[2] * x.q[4]), **one("k"))\n'
-    )
-    monkeypatch.setattr(ocp.effects, "__path__", [*ocp.effects.__path__, str(tmp_path)])
-    library.cache_clear()
-    try:
+    with dropped_effect(tmp_path, monkeypatch, "(1,)", "2e-4", "x.q[2] * x.q[4]"):
         readings, _ = world(17, lambda r: column(1, 1.5e-4 * r.q[:, 2] * r.q[:, 4]))
         d = diagnose([channel(readings)], library(), Options(folds=False))
         assert Name("brand_new", 1) in {s.name for s in d.screened}
@@ -206,8 +197,6 @@ def test_a_dropped_file_is_screened_named_planned_and_listed(tmp_path, monkeypat
         assert "brand_new" in effects_table()
         monkeypatch.setattr(sys, "argv", ["diagnose", "--help"])
         assert "brand_new: new at joint j" in (_catalogue() or "")
-    finally:
-        library.cache_clear()
         sys.modules.pop("ocp.effects.brand_new", None)
 
 

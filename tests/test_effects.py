@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dropped_effect import dropped_effect
 from effect_arm import AT, COMPLIANCE, T_TRACKER, Poses, reflectors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_campaign import EXTRA, NESTS, PAYLOADS
 
-import ocp.effects
 from ocp.effects.arm_rows import arm_rows
 from ocp.effects.cell_effects import effect_of, table_of
 from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine
@@ -193,24 +193,13 @@ def test_deviations_follow_from_the_coefficients_covariance():
 
 
 def test_a_dropped_file_is_a_new_effect(tmp_path, monkeypatch):
-    (tmp_path / "brand_new.py").write_text(
-        '"""A joint that leans with the second power of its angle."""\n'
-        "from ocp.effects._forms import at_joint, one\nfrom ocp.effects.effect import Effect, Parameter\n"
-        'EFFECT = Effect(name="brand_new", title="new at joint {joint}", subsystem="joint", physics="dq = k q^2.",\n'
-        '    parameters=(Parameter("k", "1/rad", 0, 1e-4),), coefficients=("k",), prior_sd=(1e-4,), joints=(1, 2),\n'
-        '    joint=lambda x, j, scanned: at_joint(j, x.q[j - 1] ** 2), **one("k"))\n'
-    )
-    monkeypatch.setattr(ocp.effects, "__path__", [*ocp.effects.__path__, str(tmp_path)])
-    library.cache_clear()
-    try:
+    with dropped_effect(tmp_path, monkeypatch, "(1, 2)", "1e-4", "x.q[j - 1] ** 2"):
         effect = library()["brand_new"]
         _, _, rows, p = believed()
         columns = arm_columns(effect, 2, [{}], rows).at(rows, p.point, p.d_joints)
         assert columns[0, :, :, 0] == pytest.approx(p.d_joints[:, :, 1] * POSES.q[:, [1]] ** 2)
         planned = effect_of({"effect": "brand_new", "joint": 2, "k": 3e-5, "sd": {"k": 1e-6}})
         assert planned.a == pytest.approx([3e-5]) and planned.covariance == pytest.approx(np.array([[1e-12]]))
-    finally:
-        library.cache_clear()
         sys.modules.pop("ocp.effects.brand_new", None)
 
 
