@@ -1,0 +1,28 @@
+"""An effect that the catalogue holds because a file of it was dropped beside the others."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+import ocp.effects
+from ocp.effects.library import library
+
+
+@contextmanager
+def dropped_effect(folder: Path, patch: pytest.MonkeyPatch, joints: str, size: str, form: str) -> Iterator[None]:
+    """`brand_new`, a joint's error k times `form`, while the context lasts."""
+    (folder / "brand_new.py").write_text(
+        '"""A joint is off by something new."""\n'
+        "from ocp.effects._forms import at_joint, one\nfrom ocp.effects.effect import Effect, Parameter\n"
+        'EFFECT = Effect(name="brand_new", title="new at joint {joint}", subsystem="joint", physics="dq = k f.",\n'
+        f'    parameters=(Parameter("k", "1/rad", 1e-5, {size}),), coefficients=("k",), prior_sd=({size},), joints={joints},\n'
+        f'    joint=lambda x, j, scanned: at_joint(j, {form}), **one("k"))\n'
+    )
+    patch.setattr(ocp.effects, "__path__", [*ocp.effects.__path__, str(folder)])
+    library.cache_clear()
+    try:
+        yield
+    finally:
+        library.cache_clear()
