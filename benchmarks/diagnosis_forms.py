@@ -48,6 +48,26 @@ def profile(d: Rows, size: float) -> np.ndarray:
     return size * out
 
 
+def later(d: Rows, values: np.ndarray, seconds: float | np.ndarray) -> np.ndarray:
+    """What a log reads of `values` that comes `seconds` late, recording by recording, less the values."""
+    out = np.zeros(len(values))
+    for run in np.unique(d.run):
+        at = d.run == run
+        out[at] = np.interp((d.time_s - seconds)[at], d.time_s[at], values[at]) - values[at]
+    return d.contact * out
+
+
+def moved(d: Rows, shift: tuple[float, float, float], since: float) -> np.ndarray:
+    """A displacement m of the blade in its own frame from an instant of the clock on."""
+    return press(d, (d.clock_s >= since) * (np.stack([d.nx, d.ny, d.nz], axis=1) @ np.array(shift)))
+
+
+def pause(d: Rows) -> float:
+    """An instant between two recordings in the middle of the log."""
+    starts = np.sort([d.clock_s[d.run == r].min() for r in np.unique(d.run)])
+    return float(starts[len(starts) // 2]) - 0.05
+
+
 # name: what is added to fn (n,) N; whether the contact carries it, so that friction shows it too
 FORMS: dict[str, tuple[Callable[[Rows], np.ndarray], bool]] = {
     "belt_splice 3 N, 4 ms": (lambda d: knock(d, 3.0, 8.3, 0.004, "time_s"), True),
@@ -62,6 +82,12 @@ FORMS: dict[str, tuple[Callable[[Rows], np.ndarray], bool]] = {
     "sensor_drift 1 N/h": (lambda d: d.clock_s / 3600.0, False),
     "sensor_gain 3 %": (lambda d: 0.03 * d.fn_N, False),
     "sensor_crosstalk 5 %": (lambda d: 0.05 * d.ft_N, False),
+    "time_delay 20 ms": (lambda d: later(d, d.fn_N, 0.02), True),
+    "path_lag 3e-4 m": (lambda d: later(d, d.fn_N, 0.3 / np.maximum(d.feed_mm_s, 1.0)), True),
+    "wheel_temperature 6e-6 m/K": (lambda d: press(d, 6e-6 * (d.wheel_temperature_C - 25.0)), True),
+    "tool_frame_shift 1.5e-4 m": (lambda d: moved(d, (1e-4, 1e-4, 0.0), pause(d)), True),
+    "clamp_slip 2e-4 m, within a run": (lambda d: moved(d, (0.0, 2e-4, 0.0), pause(d) + 1.0), True),
+    "clamp that gives way 2e-6 m/N": (lambda d: press(d, -2e-6 * d.fn_N * (d.s_mm / d.s_mm.max()) ** 2), True),
     "chatter 0.2 N, 17 Hz": (lambda d: d.contact * 0.2 * np.cos(2 * np.pi * 17.0 * d.time_s), True),
     "oval wheel 3e-5 m": (lambda d: press(d, 3e-5 * np.cos(2 * d.belt_m_s / RADIUS * d.time_s)), True),
 }

@@ -30,7 +30,7 @@ def drawn_beside() -> Iterator[Callable[[Answer, dict[str, str]], Page]]:
 
 
 def _ready() -> None:
-    import_module("ocp.report.diagnosis_report")
+    import_module("ocp.report.diagnosis_report").warm_up()
     gc.freeze()  # what was imported stays: looking through it for garbage again and again takes a tenth of the drawing
 
 

@@ -3,7 +3,9 @@
 from ocp.diagnosis.answer import Answer
 from ocp.report.diagnosis_sections import diagnosis_sections
 from ocp.report.diagnosis_words import headline
+from ocp.report.section import Plot
 from ocp.report.sections_page import render_page
+from ocp.report.svg_inline import inline_svg
 
 KIND = "Diagnosis of the gap between model and cell"
 
@@ -13,3 +15,8 @@ def diagnosis_page(answer: Answer, hashes: dict[str, str]) -> bytes:
     cell, folder = answer.data.setup.tables.name, answer.data.folder.resolve().name
     title = cell if cell == folder else f"{cell}: {folder}"
     return render_page(title, headline(answer), (), diagnosis_sections(answer, hashes), KIND).encode("utf-8", "replace")
+
+
+def warm_up() -> None:
+    """Draw a plot of nothing: fonts and what else matplotlib reads at the first one are there when the answer comes."""
+    inline_svg(Plot("nothing", "nothing", 1.0, lambda canvas: canvas.subplots().set_title("nothing")))
