@@ -1,5 +1,6 @@
 """The force log as a channel of the diagnosis, on logs of the verification's route with effects planted by plain formulas."""
 
+import pickle
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from ocp.diagnosis.force.conditions import conditions_of
 from ocp.diagnosis.force.fit import Problem, solve
 from ocp.diagnosis.force.prediction import predict
 from ocp.diagnosis.force.whitening import Whitener
+from ocp.diagnosis.reporting import _shown
 from ocp.diagnosis.search import diagnose
 from ocp.diagnosis.system import Fold
 from ocp.effects.effect import Active, Effect
@@ -111,6 +113,12 @@ def test_rows_have_unit_noise_under_the_noise_they_were_made_for(made):
 
 WARM = {"joint_thermal", "link_thermal"}  # this log has no column of the temperature
 SHOWN = sorted({n for n, e in EFFECTS.items() if e.on_arm or e.on_contact} - WARM)
+
+
+def test_a_report_is_handed_little_of_a_channel(made):
+    shown = _shown(made.channel)
+    assert np.array_equal(shown.gap(), made.channel.gap()) and shown.noise_floor == made.channel.noise_floor
+    assert len(pickle.dumps(shown)) < 0.05 * len(pickle.dumps(made.channel))
 
 
 def test_a_log_is_blind_to_what_moves_neither_arm_nor_contact_and_to_warmth_it_did_not_record(made):

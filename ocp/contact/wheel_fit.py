@@ -4,7 +4,6 @@ import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import qmc
 
 from ocp.contact.cover import Cover, Store
 from ocp.contact.gap import LocalShape, solve_force
@@ -85,6 +84,8 @@ def draw(cover: Cover, domain: Domain, count: int, seed: int, spread: bool, forc
     spread: waypoints by the variety of their curvature (training) instead of as they come (judging).
     """
     rng = np.random.default_rng(seed)
+    from scipy.stats import qmc  # half a second, which a law from the store need not pay
+
     u = qmc.LatinHypercube(d=6, rng=rng).random(count)
     if spread:
         domain = replace(domain, turn=OVERSIZE * domain.turn, lateral=OVERSIZE * domain.lateral, tilt=OVERSIZE * domain.tilt)

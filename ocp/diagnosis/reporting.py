@@ -7,13 +7,53 @@ here, after the rest.
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from importlib import import_module
+from typing import cast
 
-from ocp.diagnosis.answer import Answer
+from ocp.diagnosis.answer import Answer, SignalGap
+from ocp.diagnosis.system import Channel, Conditions
+from ocp.diagnosis.tracker.channel import TrackerChannel
 from ocp.workers import cores, interrupts_held_back, nothing, workers
+from robots.pose import Array
 
 Page = Callable[[], bytes]
 """Gives the page's bytes, and waits for them where it must."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a report shows of a force channel. The channel itself holds blade and contact of every row, 300 MB of a long log, and
+    would be handed over for seconds."""
+
+    name: str
+    unit: str
+    conditions: Conditions
+    noise_floor: float
+    residual: Array
+
+    def gap(self) -> Array:
+        """Residuals (n, k) SI."""
+        return self.residual
+
+
+def lean(answer: Answer) -> Answer:
+    """An answer with no more of its channels than the report shows."""
+    gaps = tuple(_lean(gap) for gap in answer.gaps)
+    before, after = tuple(g.baseline for g in gaps), tuple(g.corrected for g in gaps)
+    return replace(answer, gaps=gaps, diagnosis=replace(answer.diagnosis, baseline=before, channels=after))
+
+
+def _lean(gap: SignalGap) -> SignalGap:
+    return replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected))
+
+
+def _shown(channel: Channel) -> Channel:
+    if isinstance(channel, TrackerChannel):
+        return replace(channel, store={})
+    if channel.name != "force":
+        return channel
+    return cast(Channel, Shown(channel.name, channel.unit, channel.conditions, channel.noise_floor, channel.gap()))
 
 
 @contextmanager
@@ -26,7 +66,7 @@ def drawn_beside() -> Iterator[Callable[[Answer, dict[str, str]], Page]]:
     with workers(1, _ready) as pool:
         with interrupts_held_back():
             pool.submit(nothing)  # a pool starts its process at the first task
-        yield lambda answer, hashes: pool.submit(_page, answer, hashes).result
+        yield lambda answer, hashes: pool.submit(_page, lean(answer), hashes).result
 
 
 def _ready() -> None:

@@ -170,7 +170,7 @@ class TrackerChannel:
     def _displaced(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None) -> tuple[tuple[Scanned, ...], Array]:
         """Displacements (V, n, 3, m) m per unit coefficient and their scanned values."""
         key = (effect.name, joint)
-        if scans is None and key in self.store:
+        if key in self.store and (scans is None or _same(scans, self.store[key][0])):
             return self.store[key]
         chosen = tuple(effect.scan(joint, self.surroundings) if scans is None else scans)
         if not chosen:
@@ -225,3 +225,7 @@ class TrackerChannel:
 def _kinds(active: tuple[Active, ...]) -> list[tuple[object, ...]]:
     """Effects, joints and scanned values: what a refit does not change."""
     return [(a.effect.name, a.joint, scan_key(a.scanned)) for a in active]
+
+
+def _same(one: Sequence[Scanned], other: Sequence[Scanned]) -> bool:
+    return len(one) == len(other) and all(scan_key(a) == scan_key(b) for a, b in zip(one, other, strict=True))
