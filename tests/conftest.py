@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Tests never read what an earlier run left in the user's cache."""
-    import os
-
-    os.environ["GRINDPLAN_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    """Tests never read what an earlier run left in the user's cache; those of one run share theirs, whichever process they are
+    in: the same blades and wheels are solved once."""
+    base = tmp_path_factory.getbasetemp()
+    os.environ["GRINDPLAN_CACHE"] = str((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "own-cache")

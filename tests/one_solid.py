@@ -5,18 +5,18 @@ from contextlib import contextmanager
 
 import pytest
 
-from ocp.contact.blade_compliance import clamped_blade
+from ocp.contact.blade_compliance import ClampedBlade, clamped_blade
+
+SOLIDS: dict[tuple[object, ...], ClampedBlade] = {}  # of this process, whatever module asks
 
 
 @contextmanager
 def one_solid() -> Iterator[None]:
-    solids: dict = {}
-
     def known(vertices, faces, clamp_normal, clamp_offset, material, size):
         key = (len(vertices), round(size, 9), material)
-        if key not in solids:
-            solids[key] = clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, size)
-        return solids[key]
+        if key not in SOLIDS:
+            SOLIDS[key] = clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, size)
+        return SOLIDS[key]
 
     with pytest.MonkeyPatch.context() as patch:
         for module in ("ocp.contact.blade_compliance", "ocp.force.compliance"):

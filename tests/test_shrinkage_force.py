@@ -134,8 +134,19 @@ def test_later_grinding_goes_on_where_the_log_ended(worn):
         here = at & (told.line == line)
         assert set(soon.ground_before[here]) == {times} and set(far.ground_before[here]) == {2 * times}
     assert np.all(soon.wheel_warm == told.wheel_warm[np.argmax(told.clock)])
+    cold = after_log(replace(told, warm=told.clock / 100.0), 0.5, changing=True)
+    assert np.all(cold.wheel_warm == told.wheel_warm[np.argmin(told.clock)])
+    assert cold.warm == pytest.approx((told.clock.max() + 0.5 * np.ptp(told.clock)) / 100.0)
     # Within a recording time runs as it did.
     assert np.allclose(np.diff(soon.clock)[np.diff(told.run) == 0], np.diff(told.clock)[np.diff(told.run) == 0])
+
+
+def test_who_may_be_fooled_by_warmth_is_shown_two_kinds_of_it(worn):
+    warm = library()["wheel_temperature"]
+    grown = Active(warm, 0, np.zeros(warm.size), {}, np.zeros((warm.size, warm.size)))
+    cold, hot = (anticipated_grinding(worn.channel, worn.channel.with_active((one,))) for one in (_wear(), grown))
+    assert cold.share.sum() == pytest.approx(1.0) == hot.share.sum()
+    assert len(hot.share) - 1 == 2 * (len(cold.share) - 1)
 
 
 def test_the_promise_is_kept_after_the_log(worn):

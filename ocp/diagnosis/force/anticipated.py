@@ -2,7 +2,8 @@
 
 Nothing sealed is read. What wears, is ground away or drifts is larger there than in any part of the log that could be left out,
 and the baseline, registered on the log, does not follow. New readings are taken to come soon after the log's end or as much later
-as the log itself took, or, less probably, between its recordings.
+as the log itself took, or, less probably, between its recordings. Where warmth counts the hall is as warm as at the log's end or
+goes on warming as it did, and the wheel is warm or has cooled down.
 """
 
 from collections.abc import Sequence
@@ -53,22 +54,25 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
     told = after.problem.scene.conditions
     touching = np.flatnonzero(told.contact[rows])
     moved, errors = [], []
-    for conditions in (told, *(after_log(told, share) for share in LATER)):
+    active = [a for m in models for a in m.fit.active]
+    warmths = (False, True) if any("temperature" in column for a in active for column in a.effect.needs) else (False,)
+    later = [after_log(told, share, changing) for share in LATER for changing in warmths]
+    for conditions in (told, *later):
         there = _scene(after, conditions, rows)
         old = _at(before, there).fn
         found = [_at(m, there) for m in models]
         moved.append(np.stack([(made.fn - old)[touching] for made in found]))
         errors.append(linear_normal(models[0].problem, there, found[0])[touching])
     kept = np.where((p >= FOLLOWED) | (np.arange(len(p)) == 0), p, 0.0)
-    share = np.array([AMID, *((1.0 - AMID) / len(LATER) for _ in LATER)])
+    share = np.array([AMID, *((1.0 - AMID) / len(later) for _ in later)])
     run = np.unique(told.run[rows][touching], return_inverse=True)[1].astype(np.int64)
     return Grinding(np.stack(moved), np.stack(errors), _covariance(models[0]), p / p.sum(), kept / kept.sum(), share, run)
 
 
-def after_log(told: LogConditions, share: float) -> LogConditions:
-    """The same recordings `share` of the log's span after its end, as warm as at its end; the lines were ground on as often as
-    before, in proportion."""
-    last = int(np.argmax(told.clock))
+def after_log(told: LogConditions, share: float, changing: bool = False) -> LogConditions:
+    """The same recordings `share` of the log's span after its end; the lines were ground on as often as before, in proportion. As
+    warm as at its end; changing: the hall went on warming at the log's mean rate, and the wheel cooled to where it began."""
+    first, last = int(np.argmin(told.clock)), int(np.argmax(told.clock))
     clock = told.clock + share * float(np.ptp(told.clock)) + float(told.clock.max()) - _start(told)
     ground = told.ground_before.copy()
     for line in np.unique(told.line):
@@ -76,8 +80,10 @@ def after_log(told: LogConditions, share: float) -> LogConditions:
         times = len(np.unique(told.run[at & told.contact]))
         if times and not np.isnan(ground[at]).all():
             ground[at] = np.nanmax(ground[at & told.contact]) + 1.0 + np.round(share * times)
-    warm, wheel_warm = (np.full(len(clock), values[last]) for values in (told.warm, told.wheel_warm))
-    return replace(told, clock=clock, ground_before=ground, warm=warm, wheel_warm=wheel_warm)
+    hall = told.warm[last] + changing * share * (told.warm[last] - told.warm[first])
+    wheel = told.wheel_warm[first if changing else last]
+    n = len(clock)
+    return replace(told, clock=clock, ground_before=ground, warm=np.full(n, hall), wheel_warm=np.full(n, wheel))
 
 
 def _start(told: LogConditions) -> Array:
