@@ -7,13 +7,14 @@ import pytest
 from diagnosis_force_world import Planted
 from test_diagnosis_force import EFFECTS, Made, _active, _again, _log, made, solved_once  # noqa: F401
 
-from ocp.diagnosis.beam import NOTHING
-from ocp.diagnosis.findings import Options
+from ocp.diagnosis.beam import NOTHING, Search
+from ocp.diagnosis.findings import Name, Options
 from ocp.diagnosis.force import fit as fitting
 from ocp.diagnosis.force.fit import linear, solve
 from ocp.diagnosis.force.knocks import telling_knocks
 from ocp.diagnosis.force.prediction import predict
 from ocp.diagnosis.problem import make_problem
+from ocp.diagnosis.products import without_products
 from ocp.diagnosis.search import diagnose, settle
 from robots.errors import Infeasible
 
@@ -131,3 +132,26 @@ def test_drift_tells_how_far_a_value_moves_without_a_fold(made: Made, tmp_path):
     time = [h for n, h in held.items() if n.startswith("time") and h is not None]
     assert time and time[0].drift[0] > 3.0
     assert predict(channel.problem.scene, channel.fit.at.x, channel.active).prompt[0].shape == log.fn.shape
+
+
+def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, monkeypatch):  # noqa: F811
+    """About a fit with a wave in it the column of the flange's stiffness holds the wave too."""
+
+    def overlap(b):
+        return 8e-5 * np.cos(b.columns["belt"] / b.world.truth.wheel.radius * b.columns["time"] + 0.7)
+
+    log, _ = _log(made.base, (Planted(overlap=overlap),), tmp_path)
+    options = Options(folds=False)
+    first = make_problem([_again(made, log)], EFFECTS, options)
+    after = first.channels[0].with_active((_active("wheel_runout", 0, {"clocked": 0.0}),))
+    problem = make_problem([after], EFFECTS, options)
+    search = Search(problem.pool, options.most, options.beam)
+    wave, stiff = (frozenset([problem.index[Name(n, 0)]]) for n in ("wheel_runout", "flange_stiffness"))
+    search.run([wave, stiff])
+    assert search.seen[stiff].log > 0.3 * search.seen[wave].log  # it does
+    monkeypatch.setattr("ocp.diagnosis.products.NEAR", np.inf)  # not as near here as in a log with less in it
+    without_products(first, problem, search, after.active)
+    assert search.seen[stiff].log < 0.1 * search.seen[wave].log
+    found = diagnose([_again(made, log)], EFFECTS, options)
+    assert found.verdict == "explained" and [a.effect.name for a in found.active] == ["wheel_runout"]
+    assert not any(Name("flange_stiffness", 0) in group for group in found.classes)

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ocp.diagnosis.alternatives import Weights, alternatives
-from ocp.diagnosis.beam import Search, Weighed
-from ocp.diagnosis.classes import merged, threshold, twins
+from ocp.diagnosis.beam import Search, Weighed, weigh
+from ocp.diagnosis.classes import merged, mistaken, threshold, twins
 from ocp.diagnosis.families import names_of, rival_of, stacked_columns
 from ocp.diagnosis.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnosis.location import of_effect, of_kernel, of_tests
@@ -24,6 +24,7 @@ from ocp.effects.effect import Active, Effect
 from robots.pose import Array
 
 RANKED = 12  # names that are told with their values
+NEARLY = 2.0  # factor on the threshold below which two effects are alike at the first linearisation
 SUSPECT = 0.75  # share of a suspect explanation's probability that goes to 'none of these'
 
 
@@ -43,7 +44,7 @@ def findings(
     active = problem.values(weighed)
     signatures = [signature(problem, weighed, a) for a in active]
     ranked = ranking(problem, search, found)
-    classes = declared(problem, weighed, active, signatures) if active else suspected(problem, search, ranked)
+    classes = declared(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
     channels = accepted(baseline, problem, active)
     held = held_out(channels, active) if options.folds and active else {}
     false = impostors(channels, active, held) if refused is None else []
@@ -121,15 +122,33 @@ def signature(problem: Problem, weighed: Weighed, one: Active) -> Array:
 
 
 def declared(
-    problem: Problem, weighed: Weighed, active: Sequence[Active], signatures: Sequence[Array]
+    first: Problem, problem: Problem, search: Search, weighed: Weighed, signatures: Sequence[Array]
 ) -> tuple[tuple[Name, ...], ...]:
-    """Classes of the accepted effects with what cannot be told from them."""
+    """Classes of the accepted effects, with these signatures, and what cannot be told from them: here, and where nothing was
+    active yet, for a column at the fit may hold the accepted effect's own pattern (`ocp.diagnosis.products`)."""
     index, found = problem.index, []
-    for one, d in zip(active, signatures, strict=True):
-        name = Name(one.effect.name, one.joint)
+    for (name, alike), d in zip(alike_at(first, problem, weighed), signatures, strict=True):
         member = next(m for m in weighed.members if m.family == index[name])
-        found.append((name, *twins(problem, weighed, member, d)))
+        here = [n for n in twins(problem, weighed, member, d) if alike is None or n in alike]
+        found.append((name, *here, *mistaken(problem, search.seen, weighed, member)))
     return merged(found)
+
+
+def alike_at(first: Problem, problem: Problem, weighed: Weighed) -> list[tuple[Name, set[Name] | None]]:
+    """Accepted names of a set in the order of their values, each with those that are nearly like it at the first linearisation;
+    None where it was no candidate there."""
+    names = [Name(a.effect.name, a.joint) for a in problem.values(weighed)]
+    there = weigh(first.pool, [first.index[n] for n in names if n in first.index])
+    found = list[tuple[Name, set[Name] | None]]()
+    values = {Name(a.effect.name, a.joint): a for a in first.values(there)}
+    for name in names:
+        if name not in values:
+            found.append((name, None))
+            continue
+        member = next(m for m in there.members if m.family == first.index[name])
+        d = signature(first, there, values[name])
+        found.append((name, {*twins(first, there, member, d, NEARLY), *names}))
+    return found
 
 
 def suspected(problem: Problem, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:

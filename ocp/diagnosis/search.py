@@ -17,6 +17,7 @@ from ocp.diagnosis.conclusions import SUSPECT, findings
 from ocp.diagnosis.findings import Diagnosis, Name, Options
 from ocp.diagnosis.probabilities import posterior
 from ocp.diagnosis.problem import Problem, make_problem
+from ocp.diagnosis.products import without_products
 from ocp.diagnosis.refine import refined
 from ocp.diagnosis.structured import MANY, earn, restless
 from ocp.diagnosis.system import Channel, kinds
@@ -83,6 +84,7 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
         index = problem.index
         search.run([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
         held = problem.channels[0].active if len(problem.channels) == 1 else _all_active(problem.channels)
+        without_products(first, problem, search, held)
         channels: list[Channel] | None = None
         while channels is None:
             best = choose(search, len(held) + 1)
