@@ -148,10 +148,10 @@ def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, mo
     search = Search(problem.pool, options.most, options.beam)
     wave, stiff = (frozenset([problem.index[Name(n, 0)]]) for n in ("wheel_runout", "flange_stiffness"))
     search.run([wave, stiff])
-    assert search.seen[stiff].log > 0.3 * search.seen[wave].log  # it does
+    assert search.seen[stiff].log > 0.5 * search.seen[wave].log  # it does
     monkeypatch.setattr("ocp.diagnosis.products.NEAR", np.inf)  # not as near here as in a log with less in it
     without_products(first, problem, search, after.active)
-    assert search.seen[stiff].log < 0.1 * search.seen[wave].log
+    assert search.seen[stiff].log < 0.4 * search.seen[wave].log
     found = diagnose([_again(made, log)], EFFECTS, options)
     assert found.verdict == "explained" and [a.effect.name for a in found.active] == ["wheel_runout"]
     assert not any(Name("flange_stiffness", 0) in group for group in found.classes)
