@@ -155,3 +155,22 @@ def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, mo
     found = diagnose([_again(made, log)], EFFECTS, options)
     assert found.verdict == "explained" and [a.effect.name for a in found.active] == ["wheel_runout"]
     assert not any(Name("flange_stiffness", 0) in group for group in found.classes)
+
+
+def test_left_out_readings_are_the_same_ones_with_and_without_a_name(made, tmp_path):  # noqa: F811
+    """Without the splice its knocks are gross readings: errors of the two could not be compared row by row."""
+    log, _ = _log(made.base, (Planted(reading=lambda c, F: 9.0 * (F > 0) * bell(8.37 * c["time"], 0.02)),), tmp_path)
+    channel = _again(made, log)
+    after = channel.with_active((_active("belt_splice", scanned=channel.surroundings.knocks[0]),))
+    weights = [c.fit.whiteners[0].noise.weight > 0.1 for c in (channel, after)]
+    assert weights[0].sum() < weights[1].sum()
+    for fold in after.folds():
+        without, named = after.held_out(fold, ()), after.held_out(fold, after.active)
+        assert (without is None) == (named is None)
+        assert without is None or len(without.after_rows) == len(named.after_rows)
+
+
+def test_a_fit_that_leaves_what_can_be_computed_is_said_so(made):  # noqa: F811
+    active = replace(_active("flange_stiffness"), a=np.array([300.0]))
+    with pytest.raises(Infeasible, match="the fit of the force log"):
+        solve(made.channel.problem, (active,), made.channel.fit)

@@ -24,7 +24,7 @@ from ocp.effects.library import library
 from ocp.hashes import sha256
 from ocp.output import check_output, whole_folder
 from ocp.report.diagnosis_words import headline
-from robots.errors import BadInput
+from robots.errors import BadInput, Infeasible
 
 _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
 NEVER = frozenset({"speed"})  # no column of readings at rest
@@ -69,7 +69,14 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         sealed = read_sealed_tracker(data) if signal == "tracker" else read_sealed_force(data)
         least = 0.0 if signal == "tracker" else FOLLOWED
         kept = [told[0], *(a for a in told[1:] if a.probability >= least)]
-        found[signal] = averaged([(a.probability, channel.predict(sealed, a.active)) for a in kept])
+        made = []
+        for k, one in enumerate(kept):
+            try:
+                made.append((one.probability, channel.predict(sealed, one.active)))
+            except Infeasible:  # an alternative with which the model comes to no rest predicts nothing
+                if k == 0:
+                    raise
+        found[signal] = averaged(made)
     return found
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from ocp.diagnosis.beam import Key, Search, Weighed
 from ocp.diagnosis.conclusions import SUSPECT, findings
 from ocp.diagnosis.findings import Diagnosis, Name, Options
+from ocp.diagnosis.freed import freed
 from ocp.diagnosis.probabilities import posterior
 from ocp.diagnosis.problem import Problem, make_problem
 from ocp.diagnosis.products import without_products
@@ -79,6 +80,7 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
     problem = first
     seeds: list[tuple[Name, ...]] = []
     tried: set[tuple[object, ...]] = set()
+    promised: tuple[Active, ...] = ()
     while True:
         search = Search(problem.pool, options.most, options.beam)
         index = problem.index
@@ -90,8 +92,14 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
             best = choose(search, len(held) + 1)
             chosen = refined(problem, best, problem.values(best))
             if kinds(chosen) in tried | {kinds(held)}:
-                return problem, search
+                more = freed(problem.channels, promised) if _beyond(promised, held) else None
+                promised = ()
+                if more is None:
+                    return problem, search
+                channels = more
+                break
             tried.add(kinds(chosen))
+            promised = _promised(problem, search, best) or promised
             try:
                 channels = [c.with_active(chosen) for c in problem.channels]
             except Infeasible:  # names under which the model comes to no rest explain nothing
@@ -114,6 +122,19 @@ def choose(search: Search, limit: int) -> Weighed:
     overall = _best(search, [k for k in search.seen if names[k] <= limit])
     nearly = search.seen[_best(search, known)].log > search.seen[overall].log - BENEFIT
     return search.seen[best if nearly else overall]
+
+
+def _promised(problem: Problem, search: Search, taken: Weighed) -> tuple[Active, ...]:
+    """Values of the best set of names, where it has all that is taken now and more, and is far better."""
+    best = search.seen[_best(search, [k for k in search.seen if not search.kernel[list(k)].any()])]
+    whole = problem.values(best)
+    return whole if best.log > taken.log + BENEFIT and _beyond(whole, problem.values(taken)) else ()
+
+
+def _beyond(more: tuple[Active, ...], held: tuple[Active, ...]) -> bool:
+    """Whether there is all that is held, and something else."""
+    one, other = ({(a.effect.name, a.joint) for a in part} for part in (more, held))
+    return one > other
 
 
 def _best(search: Search, keys: Iterable[Key]) -> Key:

@@ -12,6 +12,7 @@ from ocp.diagnosis.families import positive_of
 from ocp.diagnosis.findings import Name
 from ocp.diagnosis.system import Channel, HeldOut
 from ocp.effects.effect import Active
+from robots.errors import Infeasible
 from robots.pose import Array
 
 IMPLAUSIBLE = 3.0  # times the upper end of the typical range
@@ -60,7 +61,10 @@ def impostors(
         for i, one in enumerate(active):
             rest = active[:i] + active[i + 1 :]
             for h in folds:
-                other = channel.held_out(h.fold, rest) if rest else None
+                try:
+                    other = channel.held_out(h.fold, rest) if rest else None
+                except Infeasible:  # nothing fits without it: no impostor
+                    break
                 without = h.before_rows if other is None else other.after_rows
                 drifts = not h.drift or h.drift[i] > DRIFTS
                 if drifts and hurts(h.after_rows, without, h.noise, h.estimation):

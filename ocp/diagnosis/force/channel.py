@@ -15,7 +15,7 @@ from ocp.diagnosis.force.believed import arm_from_tracker, arm_with_effects, bel
 from ocp.diagnosis.force.columns import effect_columns
 from ocp.diagnosis.force.conditions import conditions_of
 from ocp.diagnosis.force.fit import ForceFit, Problem, solve
-from ocp.diagnosis.force.folds import force_folds, held_out
+from ocp.diagnosis.force.folds import GROSS, force_folds, held_out
 from ocp.diagnosis.force.kept import Kept, Store, kept_rows
 from ocp.diagnosis.force.knocks import Knocks, telling_knocks
 from ocp.diagnosis.force.prediction import M, Scene, predict
@@ -196,7 +196,8 @@ class ForceChannel:
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
         after = self._judged(active)
-        return held_out((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold)
+        good = self.fit.whiteners[0].noise.weight > GROSS
+        return held_out((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)
 
     def _judged(self, active: tuple[Active, ...]) -> "ForceChannel":
         """The channel fitted with these effects, whatever values they come with; the last one is kept."""

@@ -22,6 +22,7 @@ STEPS = 25
 TRIES = 45  # predictions of all steps with their halvings; a fit that comes to rest takes less than half
 REWEIGHTED = 6  # steps with new weights; then they stand
 AT_REST = 1e-3  # squared length of a step in posterior standard deviations
+CLOSE = 1.0  # of the squares, gained in the last steps of all: what less is to gain changes no answer
 STILL = 0.01  # squares that `LAST` steps together must lower, else it rests: a hundredth of what one number more may explain
 LAST = 3
 SHORTEST = 1e-3
@@ -106,6 +107,8 @@ def linear(problem: Problem, z: Array, at: Predicted, whiteners: tuple[Whitener,
     e = problem.residuals(at, z)
     parts = [w.whole(np.column_stack([r, c])) for w, r, c in zip(whiteners, e, columns, strict=False) if r is not None]
     both = np.concatenate(parts)
+    if not np.isfinite(both).all():
+        raise Infeasible(f"{problem.log.path}: the fit of the force log leaves what can be computed; the cell is not the log's")
     return Linear(both[:, 0], both[:, 1:], columns[0], slopes)
 
 
@@ -122,7 +125,8 @@ def _columns(problem: Problem, scene: Scene, at: Predicted, slopes: tuple[Array,
     normal, shear = [fn @ root, RUN_SD * runs], [ft @ root, np.zeros_like(runs)]
     for one in at.active:
         made = effect_columns(scene, at, slopes, one.effect, one.joint, [one.scanned])
-        assert made is not None, f"{one.effect.name} is active in a log that cannot show it"
+        if made is None:  # a value so far off that nothing touches, or everything
+            raise Infeasible(f"{problem.log.path}: with {one.effect.name} the fit of the force log leaves what can be computed")
         normal.append(made[0][0] * np.asarray(one.effect.prior_sd))
         shear.append(made[1][0] * np.asarray(one.effect.prior_sd))
     return np.hstack(normal), np.hstack(shear)
@@ -204,8 +208,8 @@ def _settle(
         squares.append(float(e_white @ e_white + z @ z))
         moved, at, left, share = _moved(problem, z, at, whiteners, change, squares[-1])
         tries += 1 - round(np.log2(share))
-        if share < 1.0:
-            took = moved - z
+        took = moved - z
+        if share < 1.0 and took @ took > 0:
             update = np.outer(e_white - left - A @ took, took / (took @ took))
             missed = missed + update if len(missed) else update
         z = moved
@@ -214,6 +218,8 @@ def _settle(
             return z, at, whiteners, step + 1
         if tries > TRIES:
             break
+    if len(squares) > REWEIGHTED + LAST and squares[-1 - LAST] - squares[-1] < CLOSE:
+        return z, at, whiteners, len(squares)  # to and fro along a valley whose floor is reached
     raise Infeasible(
         f"{problem.log.path}: the fit of the force log does not come to rest in {step + 1} steps; the cell is not the log's"
     )

@@ -66,14 +66,15 @@ def _left_out(kind: str, values: Array, log: ForceLog) -> list[Fold]:
     return [Fold(f"{kind}={names[v]}", kind, rows) for v, rows in held] if len(levels) > 1 else []
 
 
-def held_out(before: Fitted, after: Fitted, fold: Fold) -> HeldOut | None:
-    """Squared errors N^2 of the fold's normal readings in contact, everything refitted on the rest, without and with effects.
+def held_out(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut | None:
+    """Squared errors N^2 of the fold's normal readings in contact, everything refitted on the rest, without and with effects;
+    good (n,): readings that are held against a model, the same ones whatever the effects, so that errors can be compared.
 
     What the believed contact itself cannot know there without them counts as noise. Where that is more than a reading's own
     noise nothing is judged: another side of the blade stands where its registration has it, whatever the effect.
     """
     log, held, whitener = after[0].log, np.asarray(fold.held, bool), after[1].whiteners[0]
-    rows = held & log.contact & (whitener.noise.weight > GROSS)
+    rows = held & log.contact & good
     if rows.sum() < LEAST or (~held & log.contact).sum() < LEAST:
         return None
     changes = [_change(*fitted, held) for fitted in (before, after)]
