@@ -1,33 +1,60 @@
-"""Readings that were set aside as gross, and that an effect found earlier would take back.
+"""Readings that were set aside as gross, and an effect that takes them back.
 
-Names are accepted one after the other. A step that comes late in a campaign moves few readings; as the noise falls with every
-name accepted before it, they come to be taken for gross ones, and what nobody counts needs no effect. So where sets of an earlier
-linearisation promised more names than were accepted in the end, the fit with all of them decides: a reading with a name for it is
-rather that than one of the two in a hundred that are grossly wrong.
+What nobody counts needs no effect: a nest that moves before the last few readings is taken for so many gross readings; so is a
+small step once the noise has fallen with the names accepted before it. So where several readings are set aside, all are counted
+once more, what then explains them best is fitted beside what was accepted, and the fit decides: readings with one cause in
+common are rather that than each of them one of the two in a hundred that are grossly wrong.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from ocp.diagnosis.beam import Search, Weighed, weigh
+from ocp.diagnosis.findings import Options
+from ocp.diagnosis.problem import Problem, make_problem
 from ocp.diagnosis.system import Channel
-from ocp.effects.effect import Active
+from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible
 
-FREED = 3  # gross readings that a larger set must take back
+FREED = 3  # gross readings that an effect must take back
 DOUBTED = 0.5  # weight below which a reading is rather gross than good
+FIRSTS = 3  # effects that are tried, the most telling first
 
 
-def freed(channels: Sequence[Channel], promised: tuple[Active, ...]) -> list[Channel] | None:
-    """The channels fitted with what was promised, where that takes gross readings back; else None."""
-    try:
-        found = [c.with_active(promised) for c in channels]
-    except Infeasible:
+@runtime_checkable
+class Openable(Protocol):
+    """A channel that can count every reading in full."""
+
+    def opened(self) -> Channel:
+        """The channel about the same fit with no reading set aside."""
+
+
+def freed(problem: Problem, held: tuple[Active, ...], library: Mapping[str, Effect], options: Options) -> list[Channel] | None:
+    """The channels fitted with one effect more than is held, where that takes gross readings back; else None."""
+    if _gross(problem.channels) < FREED:
         return None
-    return found if sum(map(_gross, channels)) - sum(map(_gross, found)) >= FREED else None
+    whole = make_problem([c.opened() if isinstance(c, Openable) else c for c in problem.channels], library, options)
+    search = Search(whole.pool, options.most, options.beam)
+    names = {(a.effect.name, a.joint) for a in held}
+    key = [i for n, i in whole.index.items() if (n.effect, n.joint) in names]
+    there = weigh(whole.pool, key) if key else Weighed(0.0, ())
+    value = search.scan(there).log + search.odds
+    value[[*key, *np.flatnonzero(search.kernel | search.background)]] = -np.inf
+    for f in np.argsort(-value)[:FIRSTS]:
+        if value[f] <= 0:
+            break
+        try:
+            found = [c.with_active(whole.values(weigh(whole.pool, [*key, int(f)]))) for c in problem.channels]
+        except Infeasible:
+            continue
+        if _gross(problem.channels) - _gross(found) >= FREED:
+            return found
+    return None
 
 
-def _gross(channel: Channel) -> int:
-    """How many readings of a channel count for less than half."""
-    weight = getattr(getattr(channel, "fit", None), "weight", None)
-    return 0 if weight is None else int(np.count_nonzero(np.asarray(weight) < DOUBTED))
+def _gross(channels: Sequence[Channel]) -> int:
+    """How many readings count for less than half."""
+    weights = [getattr(getattr(c, "fit", None), "weight", None) for c in channels]
+    return sum(int(np.count_nonzero(np.asarray(w) < DOUBTED)) for w in weights if w is not None)

@@ -80,7 +80,7 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
     problem = first
     seeds: list[tuple[Name, ...]] = []
     tried: set[tuple[object, ...]] = set()
-    promised: tuple[Active, ...] = ()
+    freeing = True
     while True:
         search = Search(problem.pool, options.most, options.beam)
         index = problem.index
@@ -92,14 +92,13 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
             best = choose(search, len(held) + 1)
             chosen = refined(problem, best, problem.values(best))
             if kinds(chosen) in tried | {kinds(held)}:
-                more = freed(problem.channels, promised) if _beyond(promised, held) else None
-                promised = ()
-                if more is None:
+                channels = freed(problem, held, library, options) if freeing else None
+                if channels is None:
                     return problem, search
-                channels = more
+                freeing = kinds(_all_active(channels)) not in tried  # a set that was tried is not tried for ever
+                tried.add(kinds(_all_active(channels)))
                 break
             tried.add(kinds(chosen))
-            promised = _promised(problem, search, best) or promised
             try:
                 channels = [c.with_active(chosen) for c in problem.channels]
             except Infeasible:  # names under which the model comes to no rest explain nothing
@@ -122,19 +121,6 @@ def choose(search: Search, limit: int) -> Weighed:
     overall = _best(search, [k for k in search.seen if names[k] <= limit])
     nearly = search.seen[_best(search, known)].log > search.seen[overall].log - BENEFIT
     return search.seen[best if nearly else overall]
-
-
-def _promised(problem: Problem, search: Search, taken: Weighed) -> tuple[Active, ...]:
-    """Values of the best set of names, where it has all that is taken now and more, and is far better."""
-    best = search.seen[_best(search, [k for k in search.seen if not search.kernel[list(k)].any()])]
-    whole = problem.values(best)
-    return whole if best.log > taken.log + BENEFIT and _beyond(whole, problem.values(taken)) else ()
-
-
-def _beyond(more: tuple[Active, ...], held: tuple[Active, ...]) -> bool:
-    """Whether there is all that is held, and something else."""
-    one, other = ({(a.effect.name, a.joint) for a in part} for part in (more, held))
-    return one > other
 
 
 def _best(search: Search, keys: Iterable[Key]) -> Key:

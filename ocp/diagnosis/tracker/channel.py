@@ -19,7 +19,7 @@ from ocp.diagnosis.tracker.predict import predict
 from ocp.diagnosis.tracker.refit import Held, Task, refit, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
-from robots.calibration.noise import reading_covariance
+from robots.calibration.noise import reading_covariance, whitener
 from robots.gravity import weight_torques
 from robots.measurements import Readings
 from robots.pose import Array
@@ -199,6 +199,12 @@ class TrackerChannel:
         campaign = replace(self.task.campaign, readings=self.readings.take(rows))
         task = replace(self.task, campaign=campaign)
         return replace(self, task=task, fit=refit(task, self.fit.state, self.fit.offset, (), self.fit.noise), store={})
+
+    def opened(self) -> "TrackerChannel":
+        """About the same fit with no reading set aside as gross."""
+        c = self.task.campaign
+        W = whitener(reading_covariance(c.readings, c.instrument, self.fit.noise, self.fit.linear.d_joints))
+        return replace(self, fit=replace(self.fit, W=W, weight=np.ones_like(self.fit.weight)))
 
     def gap(self) -> Array:
         """Residuals (n, 3) m."""
