@@ -115,8 +115,8 @@ class KernelTest:
 
 @dataclass(frozen=True)
 class SpectrumPeak:
-    """Largest ripple of a joint's angle: order per turn, amplitude rad, p-value over all orders (circular shifts); `power`
-    (m,) over `orders` (m,)."""
+    """Largest ripple of a joint's angle in a signal: order per turn, amplitude rad, p-value over all orders (circular shifts);
+    `power` (m,) over `orders` (m,)."""
 
     joint: int
     order: float
@@ -124,6 +124,7 @@ class SpectrumPeak:
     p_value: float
     orders: Array
     power: Array
+    signal: str = ""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ errors in the order of measuring, against the angles, keeps what they have in co
 angle (circular shifts, Good 2005, chapter 3).
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ocp.diagnosis.findings import SpectrumPeak
@@ -33,7 +35,8 @@ def spectra(problem: Problem, y: Array, seed: int) -> list[SpectrumPeak]:
             a = np.bincount(reading, rows[:, j] * y[block], n).astype(float)
             g = np.bincount(reading, rows[:, j] ** 2, n).astype(float)
             if g.max() > 0:
-                found.append(_peak(j + 1, c.q[:, j], a, g, np.random.default_rng([seed, j])))
+                peak = _peak(j + 1, c.q[:, j], a, g, np.random.default_rng([seed, j]))
+                found.append(replace(peak, signal=channel.name))
     return sorted(found, key=lambda p: p.p_value)
 
 
