@@ -86,7 +86,7 @@ FORMS: dict[str, tuple[Callable[[Rows], np.ndarray], bool]] = {
     "path_lag 3e-4 m": (lambda d: later(d, d.fn_N, 0.3 / np.maximum(d.feed_mm_s, 1.0)), True),
     "wheel_temperature 6e-6 m/K": (lambda d: press(d, 6e-6 * (d.wheel_temperature_C - 25.0)), True),
     "tool_frame_shift 1.5e-4 m": (lambda d: moved(d, (1e-4, 1e-4, 0.0), pause(d)), True),
-    "clamp_slip 2e-4 m, within a run": (lambda d: moved(d, (0.0, 2e-4, 0.0), pause(d) + 1.0), True),
+    "clamp_slip 2e-4 m, 11 rows before a pause": (lambda d: moved(d, (0.0, 2e-4, 0.0), pause(d) + 1.0), True),
     "clamp that gives way 2e-6 m/N": (lambda d: press(d, -2e-6 * d.fn_N * (d.s_mm / d.s_mm.max()) ** 2), True),
     "chatter 0.2 N, 17 Hz": (lambda d: d.contact * 0.2 * np.cos(2 * np.pi * 17.0 * d.time_s), True),
     "oval wheel 3e-5 m": (lambda d: press(d, 3e-5 * np.cos(2 * d.belt_m_s / RADIUS * d.time_s)), True),
