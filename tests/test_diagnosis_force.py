@@ -18,6 +18,7 @@ from ocp.diagnosis.force.columns import derivatives, effect_columns
 from ocp.diagnosis.force.conditions import conditions_of
 from ocp.diagnosis.force.fit import Problem, solve
 from ocp.diagnosis.force.prediction import predict
+from ocp.diagnosis.force.setpoints import with_setpoints_read_off
 from ocp.diagnosis.force.whitening import Whitener
 from ocp.diagnosis.reporting import _shown
 from ocp.diagnosis.search import diagnose
@@ -304,6 +305,47 @@ def test_missing_columns_blind_and_say_so(made):
     assert not channel.variants(EFFECTS["material_removal"], 0) and channel.variants(EFFECTS["wheel_wear"], 0)
     assert len(channel.fit.whiteners) == 1 and channel.conditions.clock is None
     assert {f.kind for f in channel.folds()} >= {"random", "block", "run", "line", "setpoint", "feed", "belt", "travel"}
+
+
+def test_setpoints_that_nobody_wrote_down_are_read_off_and_open_in_the_fit(made, tmp_path):
+    log, _ = _log(made.base, (PLANTED["wheel_wear"][0],), tmp_path)
+    told = log.setpoint
+    channel = force_channel(made.base.world.cell, replace(log, setpoint=None), arm=arm_posterior(made.base.world.cell))
+    read_off, changed = channel.log, told != 20.0  # runs 5 and 6
+    assert np.array_equal(read_off.setpoint_sd > 0, changed) and np.all(np.abs(read_off.setpoint - told) < 1.5)
+    scene, offsets = channel.problem.scene, channel.problem.offsets
+    for k, run in enumerate((5, 6)):  # its column is what another setpoint does to both readings
+        more = replace(scene, rows=replace(scene.rows, setpoint=scene.rows.setpoint + 0.5 * (log.run == run)))
+        ends = [predict(s, channel.fit.at.x, (), channel.fit.at) for s in (scene, more)]
+        for end, column in (("fn", offsets.normal), ("ft", offsets.shear)):
+            change = (getattr(ends[1], end) - getattr(ends[0], end)) / 0.5
+            wanted = column[:, offsets.runs + k] / read_off.setpoint_sd.max()
+            # Wheel and blade give way to more force, so the flange's spring lets go of a seventh of it.
+            np.testing.assert_allclose(change, 0.87 * wanted, atol=0.05 * np.abs(wanted).max())
+    assert [n for n in channel.problem.notices if "no column setpoint_N" in n and "5 (1" in n and "6 (3" in n]
+    assert "setpoint_N" not in channel.problem.scene.conditions.given
+    assert not {f.kind for f in channel.folds()} & {"setpoint"}
+    assert channel.held_out(Fold("run=6", "run", log.run == 6), ()) is None  # nothing is known of it without its readings
+    after = channel.with_active((_active("wheel_wear"),))
+    one = after.active[0]
+    assert one.a[0] == pytest.approx(1.5e-7, abs=4 * np.sqrt(one.covariance[0, 0]) + 0.05e-7) and one.a[0] > 5e-8
+    assert np.sqrt(np.mean(after.gap()[log.contact] ** 2)) < 1.1 * after.noise_floor < 0.25
+    assert [str(n) for n in diagnose([channel], EFFECTS).explanations[0].names] == ["wheel_wear"]
+    sealed = replace(log.take(log.run == 7), fn=np.full(int((log.run == 7).sum()), np.nan), ft=None)
+    known, unknown = (channel.predict(replace(sealed, setpoint=s), ()).sigma.min() for s in (sealed.setpoint, None))
+    assert known < 1.0 and 2.5 < unknown < 6.0  # of ten runs one has 12 and one 30 N
+
+
+def test_forces_that_no_operator_chose_are_no_setpoints(made):
+    log, own = replace(made.channel.log, setpoint=None), made.base.world.cell.flange.setpoint
+    steady = replace(log, fn=np.where(made.channel.log.setpoint == own, log.fn, log.fn * own / made.channel.log.setpoint))
+    assert with_setpoints_read_off(made.channel.log, own) is None and with_setpoints_read_off(log, own) is not None
+    for factor in (1.0, 1.15 ** (log.run % 2), np.where(log.line == 1, 1.4, 1.0), 1.4):  # by less, by line, everywhere
+        assert with_setpoints_read_off(replace(steady, fn=steady.fn * factor), own) is None
+    later = log.run >= 5  # a blade gripped anew, with the column that says so and without
+    moved = replace(steady, fn=steady.fn * np.where(later, 0.6, 1.0))
+    assert with_setpoints_read_off(replace(moved, session=later.astype(int), sessions=("a", "b")), own) is None
+    assert with_setpoints_read_off(moved, own) is not None
 
 
 def test_a_rigid_cell_is_a_channel_too(made):

@@ -18,7 +18,9 @@ from ocp.diagnosis.features import groups, products, smooth
 from ocp.diagnosis.findings import Name, Options
 from ocp.diagnosis.search import SUSPECT, diagnose
 from ocp.diagnosis.system import Fold, HeldOut
+from ocp.diagnosis.unknown import impostors
 from ocp.diagnosis.visible import Rival, needed
+from ocp.effects.effect import Active
 from ocp.effects.library import library
 from ocp.effects.listing import effects_table
 from robots.gravity import GRAVITY, weight_torques
@@ -152,10 +154,18 @@ class Halves(LinearChannel):
     def held_out(self, fold, active):
         """Squares of one where nothing false is active, of nine where it is."""
         n = int(fold.held.sum())
-        wrong = any("false" in a.effect.name for a in active)
+        seen = [a for a in active if not self.blind(a.effect)]
+        wrong = any("false" in a.effect.name for a in seen)
         before, after = np.full(n, 2.0), np.full(n, 9.0 if wrong else 1.0)
-        drift = tuple(9.0 if "false" in a.effect.name else 0.1 for a in active)
+        drift = {(a.effect.name, a.joint): 9.0 if "false" in a.effect.name else 0.1 for a in seen}
         return HeldOut(fold, 2.0, float(after.mean()), 1.0, before, after + 1e-3 * np.arange(n), np.ones(n), 0.0, drift)
+
+
+def test_impostors_are_sought_among_what_a_channel_sees():
+    made = Halves(np.zeros(40), np.ones((40, 1)), np.array([1.0]), {(n, 0): np.ones((1, 40, 1)) for n in ("false", "true")})
+    active = tuple(Active(effect(n), 0, np.ones(1), {}, np.eye(1)) for n in ("elsewhere", "false", "true"))
+    held = {made.name: [made.held_out(fold, active) for fold in made.folds()]}
+    assert impostors([made], active, held) == [(Name("false"), "late")]
 
 
 def test_an_impostor_is_barred_and_what_is_true_is_found_instead():

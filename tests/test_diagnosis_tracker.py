@@ -160,10 +160,10 @@ def test_linear_folds_are_as_good_as_nonlinear_refits():
     slow = np.mean(np.sum(there.residual[fold.held] ** 2, axis=1))
     assert quick is not None and np.sqrt(quick.after) == pytest.approx(np.sqrt(slow), abs=2e-6)
     assert quick.before > 2 * quick.after
-    assert quick.drift[0] < 3.0  # the right form has the same value everywhere
+    assert quick.drift["gear_2x", 3] < 3.0  # the right form has the same value everywhere
     wrong = Active(LIBRARY["encoder_scale"], 3, np.zeros(1), {}, np.eye(1))
     halves = [c.held_out(f, (wrong,)) for f in tracker_folds(readings) if f.kind == "joint range" and "joint 3" in f.name]
-    assert max(h.drift[0] for h in halves if h is not None) > 3.0  # a slope in place of a wave has not
+    assert max(h.drift["encoder_scale", 3] for h in halves if h is not None) > 3.0  # a slope in place of a wave has not
 
 
 def ripple(r):

@@ -21,6 +21,7 @@ from ocp.diagnosis.tests_without_library import budget, kernel_tests
 from ocp.diagnosis.unknown import cancelling, implausible, impostors
 from ocp.diagnosis.visible import needed
 from ocp.effects.effect import Active, Effect
+from robots.errors import Infeasible
 from robots.pose import Array
 
 RANKED = 12  # names that are told with their values
@@ -41,18 +42,23 @@ def findings(
     refused: impostors with their folds, where the names were chosen by held-out errors already."""
     found = posterior(problem, search)
     weighed, best = leader(search, found)
-    active = problem.values(weighed)
+    active, vain = problem.values(weighed), list[tuple[Name, str]]()
+    channels = accepted(baseline, problem, active)
+    if channels is None:
+        vain = [(Name(a.effect.name, a.joint), "no fit with it comes to rest") for a in active]
+        weighed, active, channels = Weighed(0.0, ()), (), tuple(baseline)
     signatures = [signature(problem, weighed, a) for a in active]
     ranked = ranking(problem, search, found)
     classes = declared(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
-    channels = accepted(baseline, problem, active)
     held = held_out(channels, active) if options.folds and active else {}
     false = impostors(channels, active, held) if refused is None else []
-    doubts = [*implausible(active), *cancelling([Name(a.effect.name, a.joint) for a in active], signatures)]
+    doubts = [*vain, *implausible(active), *cancelling([Name(a.effect.name, a.joint) for a in active], signatures)]
     probability, p_unknown = doubted(found, best, bool(doubts or false))
     if false:  # what hurts stays out of the corrected model
         kept = tuple(a for a in active if Name(a.effect.name, a.joint) not in {n for n, _ in false})
-        channels, held = accepted(baseline, problem, kept), held_out(channels, kept) if kept else {}
+        without = accepted(baseline, problem, kept)
+        kept, channels = ((), tuple(baseline)) if without is None else (kept, without)
+        held = held_out(channels, kept) if kept else {}
     else:
         kept = active
     nothing, all_of_it = given(problem.pool, ()), problem.taken(search.seen[search.best()[0]])
@@ -102,13 +108,17 @@ def named_part(problem: Problem, weighed: Weighed) -> Given:
     return problem.taken(Weighed(0.0, tuple(problem.named(weighed))))
 
 
-def accepted(baseline: Sequence[Channel], problem: Problem, active: tuple[Active, ...]) -> tuple[Channel, ...]:
-    """Channels of all readings with the effects active; those of the search where they are that already."""
+def accepted(baseline: Sequence[Channel], problem: Problem, active: tuple[Active, ...]) -> tuple[Channel, ...] | None:
+    """Channels of all readings with the effects active; those of the search where they are that already; None where no fit with
+    them comes to rest."""
     found = []
     for whole, searched in zip(baseline, problem.channels, strict=True):
         visible = tuple(a for a in active if not whole.blind(a.effect))
         same = kinds(searched.active) == kinds(visible) and len(searched.gap()) == len(whole.gap())
-        found.append(searched if same else whole.with_active(active))
+        try:
+            found.append(searched if same else whole.with_active(active))
+        except Infeasible:
+            return None
     return tuple(found)
 
 

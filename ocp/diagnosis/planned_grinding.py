@@ -151,7 +151,7 @@ def _behind(channel: ForceChannel, do: str, wanted: list[Recording], more: float
     new = replace(
         log.take(rows), run=np.repeat(np.arange(len(wanted)), sizes), runs=tuple(f"{k + 1}" for k in range(len(wanted))),
         time=time, fn=np.full(len(rows), np.nan), contact=contact, s=c.s[rows],
-        setpoint=setpoint, feed=told([r.feed for r in wanted]), belt=belt,
+        setpoint=setpoint, setpoint_sd=None, feed=told([r.feed for r in wanted]), belt=belt,
         clock=None if log.clock is None else float(log.clock.max()) + told(starts) + time,
         ground_before=_ground(log, rows, sizes, contact),
         temperature=_after(log, log.temperature, np.zeros(len(rows), bool)),

@@ -16,6 +16,7 @@ from ocp.diagnosis.beam import Key, Search, Weighed
 from ocp.diagnosis.conclusions import SUSPECT, findings
 from ocp.diagnosis.findings import Diagnosis, Name, Options
 from ocp.diagnosis.freed import freed
+from ocp.diagnosis.no_rest import NoRest
 from ocp.diagnosis.probabilities import posterior
 from ocp.diagnosis.problem import Problem, make_problem
 from ocp.diagnosis.products import without_products
@@ -47,9 +48,10 @@ def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options
     told: list[tuple[Name, str]] = []
     because: list[str] = []
     levels: list[float] = []
+    vain = NoRest()
     for _ in range(ROUNDS):
         first = make_problem(few, library, options)
-        problem, search = settle(first, library, options)
+        problem, search = settle(first, library, options, vain)
         if posterior(problem, search).p_unknown > 0.5 and restless(problem, search):
             whole = baseline[0]
             earning = earn(whole.thinned(MANY) if isinstance(whole, Thinnable) else whole, library, options)
@@ -61,6 +63,8 @@ def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options
         told += found.impostors
         because += found.unknown_because
         options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
+    whys = tuple(f"{n}: no fit with it comes to rest" for n in vain.names(found.active))
+    found = replace(found, unknown_because=tuple(dict.fromkeys((*found.unknown_because, *whys))))
     return _unmasked(found, told, because, levels[-1] > max(levels) - EQUAL) if told else found
 
 
@@ -75,9 +79,12 @@ def _unmasked(found: Diagnosis, told: Sequence[tuple[Name, str]], because: Seque
     return replace(found, explanations=kept, p_unknown=found.p_unknown + moved, impostors=impostors, unknown_because=whys)
 
 
-def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> tuple[Problem, Search]:
-    """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active."""
-    problem = first
+def settle(
+    first: Problem, library: Mapping[str, Effect], options: Options, vain: NoRest | None = None
+) -> tuple[Problem, Search]:
+    """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active; vain: what was
+    fitted in vain, and will be."""
+    problem, vain = first, NoRest() if vain is None else vain
     seeds: list[tuple[Name, ...]] = []
     tried: set[tuple[object, ...]] = set()
     freeing = True
@@ -87,6 +94,7 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
         search.run([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
         held = problem.channels[0].active if len(problem.channels) == 1 else _all_active(problem.channels)
         without_products(first, problem, search, held)
+        vain.strike(search, problem, held)
         channels: list[Channel] | None = None
         while channels is None:
             best = choose(search, len(held) + 1)
@@ -101,8 +109,9 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options) -> t
             tried.add(kinds(chosen))
             try:
                 channels = [c.with_active(chosen) for c in problem.channels]
-            except Infeasible:  # names under which the model comes to no rest explain nothing
-                del search.seen[frozenset(m.family for m in best.members)]
+            except Infeasible:
+                vain.add(Name(a.effect.name, a.joint) for a in chosen)
+                vain.strike(search, problem, held)
         seeds = [problem.names(k) for k in search.best()]
         problem = make_problem(channels, library, options)
 

@@ -11,8 +11,8 @@ so that offset is the estimate less its prior mean. Columns of an active effect 
 without it is residual + columns @ a.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -165,18 +165,19 @@ class HeldOut:
     after_rows: Array
     noise_rows: Array
     estimation: float = 0.0
-    drift: tuple[float, ...] = ()
+    drift: Mapping[tuple[str, int], float] = field(default_factory=dict)
 
 
-def drifts(sizes: Sequence[int], change: Array, covariance: Array) -> tuple[float, ...]:
-    """By how many standard errors the values of effects of so many coefficients each move, all moving by `change` (m,), with the
-    covariance (m, m) of the values without a fold."""
-    found, start = [], 0
-    for size in sizes:
-        block = slice(start, start + size)
+def drifts(active: Sequence[Active], change: Array, covariance: Array) -> dict[tuple[str, int], float]:
+    """By how many standard errors the values of effects move, by effect and joint: all coefficients move by `change` (m,), with
+    the covariance (m, m) of the values without a fold."""
+    found, start = dict[tuple[str, int], float](), 0
+    for one in active:
+        block = slice(start, start + one.effect.size)
         start = block.stop
-        found.append(float(np.sqrt(change[block] @ np.linalg.pinv(covariance[block, block]) @ change[block])))
-    return tuple(found)
+        moved = float(np.sqrt(change[block] @ np.linalg.pinv(covariance[block, block]) @ change[block]))
+        found[one.effect.name, one.joint] = moved
+    return found
 
 
 @dataclass(frozen=True)

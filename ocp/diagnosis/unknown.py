@@ -59,6 +59,8 @@ def impostors(
     for channel in channels:
         folds = [h for h in held.get(channel.name, ()) if h.fold.extrapolates]
         for i, one in enumerate(active):
+            if channel.blind(one.effect):
+                continue
             rest = active[:i] + active[i + 1 :]
             for h in folds:
                 try:
@@ -66,7 +68,7 @@ def impostors(
                 except Infeasible:  # nothing fits without it: no impostor
                     break
                 without = h.before_rows if other is None else other.after_rows
-                drifts = not h.drift or h.drift[i] > DRIFTS
+                drifts = not h.drift or h.drift[one.effect.name, one.joint] > DRIFTS
                 if drifts and hurts(h.after_rows, without, h.noise, h.estimation):
                     found.append((Name(one.effect.name, one.joint), h.fold.name))
                     break

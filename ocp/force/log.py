@@ -20,7 +20,7 @@ OPTIONAL = ("s_mm", "ft_N", "sigma_fn_N", "sigma_ft_N", "contact", "session", *C
 # What a missing column cannot show; the words after "no column NAME".
 BLIND = {
     "contact": "rows whose fn_N stays near zero are taken as air runs",
-    "setpoint_N": "the cell's setpoint is taken for every row, flange stiffness and setpoint are hard to tell apart",
+    "setpoint_N": "the cell's setpoint is taken, but for runs that plainly press otherwise",
     "belt_m_s": "the cell's belt speed is taken for every row, a reversed or stopped belt cannot be seen",
     "ft_N": "friction cannot be tested",
     "clock_s": "wear, drift and heat cannot be seen",
@@ -43,7 +43,8 @@ class ForceLog:
     run, session (n,): indices into `runs`, `sessions`; time (n,) s; q (n, 6) rad commanded; p (n, 3) m, n, t (n, 3) unit,
     blade frame; fn (n,) N, nan where it is to be predicted; contact (n,) False in an air run. None where the file has no
     such column: s m, ft N, sigma_fn N, sigma_ft N, setpoint N, feed m/s, belt m/s, line, ground_before, temperatures C,
-    clock s. row (n,): line in the file.
+    clock s. row (n,): line in the file. setpoint_sd (n,) N: one sigma of a setpoint that the readings gave, 0 where it was
+    told; None where all were.
     """
 
     path: Path
@@ -72,6 +73,7 @@ class ForceLog:
     clock: Array | None
     row: Index
     notices: tuple[str, ...] = ()
+    setpoint_sd: Array | None = None
 
     def __len__(self) -> int:
         return len(self.q)

@@ -21,6 +21,7 @@ from ocp.diagnosis.force.knocks import Knocks, telling_knocks
 from ocp.diagnosis.force.prediction import M, Scene, predict
 from ocp.diagnosis.force.sealed import predict_sealed
 from ocp.diagnosis.force.seen import NEEDED, conditions, surroundings
+from ocp.diagnosis.force.setpoints import with_setpoints_read_off
 from ocp.diagnosis.force.waves import picked_squares, telling_waves
 from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
 from ocp.diagnosis.tracker.channel import TrackerChannel
@@ -181,7 +182,7 @@ class ForceChannel:
 
     def gap(self) -> Array:
         """Measured less predicted normal reading (n, 1) N."""
-        return (self.log.fn - self.fit.at.fn)[:, None]
+        return self.problem.gap(self.fit.at, self.fit.z)[:, None]
 
     def whiten(self, changes: Array) -> Array:
         """Whitened rows (N, m) of changes (n, k, m) N of the readings, fn first, then ft where there is one."""
@@ -197,6 +198,8 @@ class ForceChannel:
         """Judge `active` on a fold."""
         after = self._judged(active)
         good = self.fit.whiteners[0].noise.weight > GROSS
+        if self.log.setpoint_sd is not None:  # a setpoint that the readings gave is not known without them
+            good &= self.log.setpoint_sd == 0
         return held_out((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)
 
     def _judged(self, active: tuple[Active, ...]) -> "ForceChannel":
@@ -233,7 +236,10 @@ def force_channel(
         arm = arm_with_effects(channel, ())
     elif arm is None and isinstance(tracker, Path):
         arm = arm_from_tracker(tracker, cell.path)
+    read_off = None if cell.flange is None else with_setpoints_read_off(log, cell.flange.setpoint)
+    log, more = (log, ()) if read_off is None else (read_off[0], read_off[1:])
     problem = problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)
+    problem = replace(problem, notices=(*problem.notices, *more))
     chosen = tuple(library().values() if effects is None else effects)
     return ForceChannel(problem, solve(problem), chosen, tracker=channel)
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ocp.diagnosis.force.believed import RUN_SD, Believed
+from ocp.diagnosis.force.believed import Believed
 from ocp.diagnosis.force.columns import derivatives, effect_columns, nuisance_columns
+from ocp.diagnosis.force.offsets import Offsets
 from ocp.diagnosis.force.prediction import Predicted, Scene, predict
 from ocp.diagnosis.force.whitening import Whitener, as_shear, refreshed, whiteners_of
 from ocp.effects.effect import Active
 from ocp.force.log import ForceLog
-from ocp.force.offsets import offset_columns
 from robots.errors import Infeasible
 from robots.pose import Array
 
@@ -25,35 +25,43 @@ AT_REST = 1e-3  # squared length of a step in posterior standard deviations
 CLOSE = 1.0  # of the squares, gained in the last steps of all: what less is to gain changes no answer
 STILL = 0.01  # squares that `LAST` steps together must lower, else it rests: a hundredth of what one number more may explain
 LAST = 3
-SHORTEST = 1e-3
+SHORTEST = 1e-3  # share of a step
+LOST = 2  # steps one after the other of which not the shortest part lowers anything: there is no way down
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A log and what is believed before it: scene, readings fn and ft (n,) N (ft None where absent), prior; run_offsets (n, o)
-    indicator of the runs in contact."""
+    """A log and what is believed before it: scene, readings fn and ft (n,) N (ft None where absent), prior, and what its
+    recordings add."""
 
     log: ForceLog
     scene: Scene
     believed: Believed
-    run_offsets: Array
+    offsets: Offsets
     notices: tuple[str, ...] = ()
 
     @staticmethod
     def of(log: ForceLog, scene: Scene, believed: Believed, notices: tuple[str, ...] = ()) -> "Problem":
         """The problem of a log."""
-        return Problem(log, scene, believed, offset_columns(log.run, log.contact), notices)
+        return Problem(log, scene, believed, Offsets.of(log, scene.shear), notices)
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Unknowns of the nuisance, of the runs."""
-        return self.believed.root.shape[1], self.run_offsets.shape[1]
+        """Unknowns of the nuisance, of the recordings."""
+        return self.believed.root.shape[1], self.offsets.count
 
     def residuals(self, at: Predicted, z: Array) -> tuple[Array, Array | None]:
-        """Measured less predicted (n,) N of both signals; runs' offsets count as predicted."""
+        """Measured less predicted (n,) N of both signals; what recordings add counts as predicted."""
         r, o = self.sizes
-        offset = RUN_SD * self.run_offsets @ z[r : r + o]
-        return self.log.fn - at.fn - offset, None if self.log.ft is None else self.log.ft - at.ft
+        own = z[r : r + o]
+        shear = None if self.log.ft is None else self.log.ft - at.ft - self.offsets.shear @ own
+        return self.log.fn - at.fn - self.offsets.normal @ own, shear
+
+    def gap(self, at: Predicted, z: Array) -> Array:
+        """Measured less predicted normal reading (n,) N where single runs' own offsets count as gap."""
+        r, o = self.sizes
+        shared = slice(self.offsets.runs, o)
+        return np.asarray(self.log.fn - at.fn - self.offsets.normal[:, shared] @ z[r : r + o][shared])
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,7 @@ class Linear:
 def linear(problem: Problem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]) -> Linear:
     """Linearise."""
     slopes = derivatives(problem.scene, at)
-    columns = _columns(problem, problem.scene, at, slopes, problem.run_offsets)
+    columns = _columns(problem, problem.scene, at, slopes, problem.offsets)
     e = problem.residuals(at, z)
     parts = [w.whole(np.column_stack([r, c])) for w, r, c in zip(whiteners, e, columns, strict=False) if r is not None]
     both = np.concatenate(parts)
@@ -114,15 +122,14 @@ def linear(problem: Problem, z: Array, at: Predicted, whiteners: tuple[Whitener,
 
 def linear_normal(problem: Problem, scene: Scene, at: Predicted) -> Array:
     """Sensitivities (n, k) N of fn in other rows to the unknowns, those of the runs left out."""
-    none = np.zeros((len(at.F), 0))
-    return _columns(problem, scene, at, derivatives(scene, at), none)[0]
+    return _columns(problem, scene, at, derivatives(scene, at), problem.offsets.none(len(at.F)))[0]
 
 
-def _columns(problem: Problem, scene: Scene, at: Predicted, slopes: tuple[Array, Array], runs: Array) -> tuple[Array, Array]:
+def _columns(problem: Problem, scene: Scene, at: Predicted, slopes: tuple[Array, Array], own: Offsets) -> tuple[Array, Array]:
     """Derivatives (n, k) N of fn and ft in z."""
     fn, ft = nuisance_columns(scene, at, slopes[0])
     root = problem.believed.root
-    normal, shear = [fn @ root, RUN_SD * runs], [ft @ root, np.zeros_like(runs)]
+    normal, shear = [fn @ root, own.normal], [ft @ root, own.shear]
     for one in at.active:
         made = effect_columns(scene, at, slopes, one.effect, one.joint, [one.scanned])
         if made is None:  # a value so far off that nothing touches, or everything
@@ -196,7 +203,7 @@ def _settle(
     added to them (Broyden's update), so that the next one knows. Far misfits of something nobody has named yet make the last
     steps slow (the squares' own curvature is left out); they end where nothing is gained any more.
     """
-    missed, squares, tries = np.zeros((0, len(z))), list[float](), 0
+    missed, squares, tries, lost = np.zeros((0, len(z))), list[float](), 0, 0
     for step in range(STEPS):
         if step < REWEIGHTED:
             e = problem.residuals(at, z)
@@ -216,7 +223,8 @@ def _settle(
         still = step >= REWEIGHTED + LAST and squares[-1 - LAST] - squares[-1] < STILL
         if change @ H @ change < AT_REST or still:
             return z, at, whiteners, step + 1
-        if tries > TRIES:
+        lost = lost + 1 if share < SHORTEST else 0
+        if tries > TRIES or lost == LOST:
             break
     if len(squares) > REWEIGHTED + LAST and squares[-1 - LAST] - squares[-1] < CLOSE:
         return z, at, whiteners, len(squares)  # to and fro along a valley whose floor is reached

@@ -39,8 +39,10 @@ def force_folds(log: ForceLog, scene: Scene) -> list[Fold]:
     stretch = np.searchsorted(edges[1:-1], c.s)
     found += [Fold(f"stretch={k + 1}", "block", (stretch == k) & log.contact) for k in range(PARTS)]
     ways: dict[str, Any] = {
-        "run": log.run, "line": log.line, "setpoint": log.setpoint, "feed": log.feed, "belt": log.belt, "travel": c.travel,
+        "run": log.run, "line": log.line, "feed": log.feed, "belt": log.belt, "travel": c.travel,
     }  # fmt: skip
+    if log.setpoint_sd is None:
+        ways["setpoint"] = log.setpoint
     if len(log.sessions) > 1:
         ways["session"] = log.session
     for kind, values in ways.items():
@@ -88,7 +90,7 @@ def held_out(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut 
     covariance = np.asarray(np.linalg.inv(_information(fit, held))[start:, start:], float)
     columns = fit.normal[rows, start:]
     told = np.einsum("ni,ij,nj->n", columns, covariance, columns)
-    drift = drifts([one.effect.size for one in fit.active], changes[1][start:], covariance)
+    drift = drifts(fit.active, changes[1][start:], covariance)
     return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(told.mean()), drift)
 
 
@@ -114,7 +116,7 @@ def _change(problem: Problem, fit: ForceFit, held: Flags) -> Array:
 
 def _errors(problem: Problem, fit: ForceFit, change: Array) -> Array:
     """Measured less predicted normal reading (n,) N with the unknowns moved by `change`."""
-    r, o = problem.sizes
+    r = problem.sizes[0]
     columns = fit.normal.copy()
-    columns[:, r : r + o] = 0.0  # a run's own offset does not carry over
-    return np.asarray(problem.log.fn - fit.at.fn - columns @ change)
+    columns[:, r : r + problem.offsets.runs] = 0.0  # a run's own offset does not carry over
+    return np.asarray(problem.gap(fit.at, fit.z) - columns @ change)

@@ -12,7 +12,7 @@ import numpy as np
 from ocp.cell import Cell
 from ocp.diagnosis.force.arm import arm_of
 from ocp.diagnosis.force.balance import Balance
-from ocp.diagnosis.force.believed import RUN_SD, believed_contact
+from ocp.diagnosis.force.believed import believed_contact
 from ocp.diagnosis.force.channel import ForceChannel
 from ocp.diagnosis.force.columns import nuisance_columns
 from ocp.diagnosis.force.conditions import conditions_of
@@ -84,8 +84,8 @@ class Shared:
     @cached_property
     def _own(self) -> Projection:
         """Of the recordings' offsets."""
-        runs = self.channel.problem.run_offsets
-        return project(self._rows(RUN_SD * runs, np.zeros_like(runs)), np.ones(runs.shape[1]))
+        own = self.channel.problem.offsets
+        return project(self._rows(own.normal, own.shear), np.ones(own.count))
 
     @cached_property
     def system(self) -> System:

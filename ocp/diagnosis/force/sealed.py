@@ -39,14 +39,24 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
         again = solve(measured, fit.active, fit)
         at = predict(there, again.at.x, again.active)
         found.append((again, predict(there, again.at.x, again.active, at)))
-    return Sealed(found[0][1].fn[:, None], found[1][1].fn[:, None], _sigma(problem, there, *found[1])[:, None])
+    sigma = _sigma(problem, there, *found[1], _changed(problem.log, sealed))
+    return Sealed(found[0][1].fn[:, None], found[1][1].fn[:, None], sigma[:, None])
 
 
-def _sigma(problem: Problem, there: Scene, fit: ForceFit, at: Predicted) -> Array:
-    """One sigma (n,) N: unknowns of the fit, and what runs differ by."""
+def _sigma(problem: Problem, there: Scene, fit: ForceFit, at: Predicted, changed: float) -> Array:
+    """One sigma (n,) N: unknowns of the fit, what runs differ by, and setpoints that were changed by a mean square N^2."""
     r, o = problem.sizes
     J = linear_normal(problem, there, at)
     keep = np.r_[np.arange(r), np.arange(r + o, len(fit.z))]
     covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
-    variance = np.einsum("ni,ij,nj->n", J, covariance, J) + RUN_SD**2 * there.rows.contact
+    variance = np.einsum("ni,ij,nj->n", J, covariance, J) + (RUN_SD**2 + changed) * there.rows.contact
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _changed(log: ForceLog, sealed: ForceLog) -> float:
+    """Mean square N^2 by which the setpoint was changed in a log that does not tell it, where readings nobody has seen do not
+    tell it either."""
+    if log.setpoint_sd is None or log.setpoint is None or sealed.setpoint is not None:
+        return 0.0
+    read_off = log.setpoint[log.contact]
+    return float(np.mean((read_off - np.median(read_off)) ** 2))

@@ -220,7 +220,7 @@ class TrackerChannel:
 
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
-        return held_out(self.task, self.fit, fold, active)
+        return held_out(self.task, self.fit, fold, [a for a in active if not self.blind(a.effect)])
 
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""

@@ -40,7 +40,7 @@ def held_out(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> Hel
     after = errors[rows]
     told = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
     moved = a - _solved(task, fit, whole, extra, prior, np.ones(len(r), bool))[1]
-    drift = drifts([one.effect.size for one in active], moved, covariance)
+    drift = drifts(active, moved, covariance)
     S = reading_covariance(r.take(rows), task.campaign.instrument, plain(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
     e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)

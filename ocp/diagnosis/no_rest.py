@@ -1,0 +1,46 @@
+"""Names with which the model comes to no rest: nothing is explained by them, and little time is lost on them.
+
+Where something is missing that nobody names, columns of an effect that changes stiffness or contact reach for it, and the fit
+runs off to values at which wheel and blade hold no balance. Such a fit is dear. A set of names is fitted in vain once, a name
+twice; then sets with it are struck out, in every later round too.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from ocp.diagnosis.beam import Search
+from ocp.diagnosis.findings import Name
+from ocp.diagnosis.problem import Problem
+from ocp.effects.effect import Active
+
+IN_VAIN = 2  # fits
+
+
+@dataclass
+class NoRest:
+    """Sets of names that were fitted in vain, and how often each name was in one."""
+
+    sets: set[frozenset[Name]] = field(default_factory=set)
+    count: Counter[Name] = field(default_factory=Counter)
+
+    def add(self, names: Iterable[Name]) -> None:
+        """A set that was fitted in vain."""
+        found = frozenset(names)
+        self.sets.add(found)
+        self.count.update(found)
+
+    def names(self, held: Iterable[Active] = ()) -> list[Name]:
+        """Names that are given up; those that are in a fit now are not."""
+        fitted = {(a.effect.name, a.joint) for a in held}
+        return sorted(n for n, k in self.count.items() if k >= IN_VAIN and (n.effect, n.joint) not in fitted)
+
+    def strike(self, search: Search, problem: Problem, held: Iterable[Active]) -> None:
+        """Take the sets out of a search that were fitted in vain, or hold a name that is given up."""
+        index = problem.index
+        gone = {index[n] for n in self.names(held) if n in index}
+        vain = [{index[n] for n in names} for names in self.sets if all(n in index for n in names)]
+        kernel = search.kernel | search.background
+        for key in list(search.seen):
+            if gone & key or {f for f in key if not kernel[f]} in vain:
+                del search.seen[key]
