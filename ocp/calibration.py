@@ -176,6 +176,8 @@ def as_in(sealed: Readings, readings: Readings) -> Readings:
     for kind in ("target", "station"):
         index, names = getattr(sealed, kind), getattr(sealed, f"{kind}s")
         known = {getattr(readings, f"{kind}s")[k] for k in np.unique(getattr(readings, kind))}
+        if names == ("",) and "" not in known:
+            raise BadInput(f"{sealed.path}: no column {kind}, and {readings.path.name} has {', '.join(sorted(known))}; add it")
         for row, k in enumerate(index):
             if names[k] not in known:
                 raise BadInput(

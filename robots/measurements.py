@@ -215,7 +215,7 @@ def _partial(table: CsvTable, columns: tuple[str, ...]) -> Array:
 def _words(table: CsvTable, column: str, known: tuple[str, ...] | None = None, where: str = "") -> tuple[Index, tuple[str, ...]]:
     """Index of each row's word and the words; an absent column means the first known word."""
     if column not in table.words:
-        return np.zeros(len(table), np.int64), ((known or ("",))[0],)
+        return np.zeros(len(table), np.int64), known or ("",)
     words = table.words[column]
     names = known if known is not None else tuple(dict.fromkeys(words))
     for row, word in enumerate(words):

@@ -293,6 +293,27 @@ def test_sealed_readings_are_met_within_their_sigma(made, tmp_path):
     assert np.all(after < 3 * found.sigma[:, 0] + 0.05) and found.sigma.max() < 0.2
 
 
+def test_an_effect_that_sealed_conditions_say_nothing_of_is_in_the_sigma(made, tmp_path):
+    def hot(b):
+        return 4e-6 * (b.columns["wheel_temperature"] - 22.0)
+
+    log, truth = _log(made.base, (Planted(overlap=hot),), tmp_path)
+    channel = _again(made, log).with_active((_active("wheel_temperature"),))
+    late = log.run >= 6
+    sealed = replace(log.take(late), fn=np.full(int(late.sum()), np.nan), ft=None)
+    told, untold = (channel.predict(s, channel.active) for s in (sealed, replace(sealed, wheel_temperature=None)))
+    assert not told.lacking and untold.lacking == ("wheel_temperature",)
+    at = sealed.contact
+    errors = [np.sqrt(np.mean((p.corrected[:, 0] - truth[late])[at] ** 2)) for p in (told, untold)]
+    assert errors[0] < 0.3 * errors[1] and untold.sigma[at].mean() > 2 * told.sigma[at].mean()
+    assert errors[1] < 3 * untold.sigma[at].mean() and np.isfinite(untold.corrected).all()
+    # Without its clock the sealed log comes after the log.
+    worn = _again(made, log).with_active((_active("wheel_wear"),))
+    later = worn.predict(replace(sealed, clock=None), worn.active).corrected[at]
+    early = worn.predict(replace(sealed, clock=0 * sealed.clock), worn.active).corrected[at]
+    assert np.abs(later - early).mean() > 0.05
+
+
 def test_missing_columns_blind_and_say_so(made):
     log = replace(made.channel.log, clock=None, ft=None, ground_before=None, wheel_temperature=None)
     scene = replace(made.channel.problem.scene, conditions=conditions_of(made.base.world.cell, log))

@@ -17,6 +17,7 @@ from ocp.diagnosis.unknown import cancelling, hurts, implausible
 from ocp.effects.effect import Active
 from ocp.effects.library import library
 from robots.calibration.solver import Campaign
+from robots.measurements import read_readings
 
 LIBRARY = library()
 RATIO = np.array([256.857, 252.909, 236.368, 198.9, 209.667, 131.151])  # PHYSICS 2.1
@@ -192,6 +193,31 @@ def test_predictions_of_readings_nobody_has_seen(shift, moved):
     assert after < 0.4 * before
     covered = np.mean(np.abs(told.corrected - there) < 1.645 * told.sigma)
     assert 0.75 < covered <= 1.0
+
+
+def test_an_effect_that_conditions_say_nothing_of_is_in_the_sigma():
+    readings, points = world(4, PLANTED["backlash:5"])
+    c = channel(readings).with_active((Active(LIBRARY["backlash"], 5, np.zeros(1), {}, np.eye(1)),))
+    fresh = replace(campaign_readings(np.random.default_rng(99), 200), time=None, temperature=None)
+    there, untold = points(fresh), replace(fresh, approach=None)
+    full, without = (c.predict(r, c.active) for r in (fresh, untold))
+    assert not full.lacking and without.lacking == ("backlash",)
+    off = without.corrected - there
+    assert np.std(full.corrected - there) < 0.5 * np.std(off) and without.sigma.mean() > 2 * full.sigma.mean()
+    assert 0.75 < np.mean(np.abs(off) < 1.645 * without.sigma)
+
+
+def test_payloads_that_hang_in_sealed_conditions_alone_are_those_of_the_cell(tmp_path):
+    axes = ",".join(f"q{i}_deg" for i in range(1, 7))
+    path = tmp_path / "tracker.csv"
+    path.write_text(f"{axes},x_mm,y_mm,z_mm\n0,-90,90,0,20,30,1,2,3\n", encoding="utf-8")
+    plain = read_readings(path, PAYLOADS, INSTRUMENT)
+    readings, points = world(2)
+    light = replace(readings.take(readings.payload == 0), payloads=plain.payloads)
+    fresh = campaign_readings(np.random.default_rng(99), 100)
+    assert len(np.unique(fresh.payload)) > 1 and plain.payloads == fresh.payloads
+    told = channel(light).predict(replace(fresh, time=None, temperature=None), ())
+    assert np.median(np.linalg.norm(told.baseline - points(fresh), axis=1)) < 3e-4
 
 
 @pytest.mark.parametrize("bends", [True, False])

@@ -19,6 +19,7 @@ from ocp.blind.sealing import WITHHELD, WORLDS, Check
 from ocp.command import Phases
 from ocp.diagnosis.answering import answer_of, predict_sealed
 from ocp.diagnosis.document import document_of
+from ocp.diagnosis.system import Sealed
 from ocp.effects.library import library
 from robots.errors import BadInput, Infeasible
 
@@ -55,7 +56,7 @@ def answered(folder: Path) -> dict[str, Any]:
     predicted: dict[str, Any] = {}
     fault = None
     try:
-        predicted = {s: {k: v.round(8).tolist() for k, v in asdict(told).items()} for s, told in predict_sealed(answer).items()}
+        predicted = {s: _rounded(told) for s, told in predict_sealed(answer).items()}
     except FAULTS as error:
         fault = _told(error)
     seconds = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu, **answer.seconds}
@@ -72,6 +73,12 @@ def answered(folder: Path) -> dict[str, Any]:
         "rivals": {method: asdict(named) for method, named in told.items()},
         "seconds": seconds,
     }
+
+
+def _rounded(told: Sealed) -> dict[str, Any]:
+    """Predictions as JSON has them."""
+    parts = {"baseline": told.baseline, "corrected": told.corrected, "sigma": told.sigma}
+    return {name: values.round(8).tolist() for name, values in parts.items()}
 
 
 def _told(error: BaseException) -> str:

@@ -80,6 +80,16 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
     return found
 
 
+def left_out(sealed: dict[str, Sealed]) -> list[str]:
+    """Sentences on effects that are not in the predictions of sealed conditions."""
+    return [
+        f"sealed_{signal}.csv lacks a column that {', '.join(told.lacking)} depends on: not in the corrected predictions, its "
+        "usual size is in their sigma"
+        for signal, told in sealed.items()
+        if told.lacking
+    ]
+
+
 @threadpool_limits.wrap(limits=1, user_api="blas")  # threads only fight over matrices as small as these
 def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) -> str:
     """Diagnose a data set folder and write the answer's folder; the command's last line.
@@ -105,7 +115,7 @@ def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) ->
                 write_corrected_cell(made, out, answer.data, answer.diagnosis.channels, answer.diagnosis.active)
             with phases.phase("report"):
                 (made / "report.html").write_bytes(page())
-    tell_notices((*answer.notices, *answer.blind))
+    tell_notices((*answer.notices, *answer.blind, *left_out(sealed)))
     return last_line(answer, out)
 
 

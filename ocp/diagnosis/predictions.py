@@ -16,7 +16,7 @@ def averaged(parts: Sequence[tuple[float, Sealed]]) -> Sealed:
     total = sum(p for p, _ in parts)
     corrected = sum(p * s.corrected for p, s in parts) / total
     variance = sum(p * (s.sigma**2 + (s.corrected - corrected) ** 2) for p, s in parts) / total
-    return Sealed(parts[0][1].baseline, np.asarray(corrected), np.sqrt(variance))
+    return Sealed(parts[0][1].baseline, np.asarray(corrected), np.sqrt(variance), parts[0][1].lacking)
 
 
 def write_tracker_predictions(path: Path, sealed: Sealed) -> None:
@@ -27,7 +27,8 @@ def write_tracker_predictions(path: Path, sealed: Sealed) -> None:
 
 def write_force_predictions(path: Path, sealed: Sealed) -> None:
     """fn in N of the baseline, of the corrected model and its one sigma; a tangential column of the channel is left out."""
-    normal = Sealed(*(np.asarray(a).reshape(len(a), -1)[:, :1] for a in (sealed.baseline, sealed.corrected, sealed.sigma)))
+    first = [np.asarray(a).reshape(len(a), -1)[:, :1] for a in (sealed.baseline, sealed.corrected, sealed.sigma)]
+    normal = Sealed(first[0], first[1], first[2])
     _write(path, ["fn_N"], normal, 1.0)
 
 

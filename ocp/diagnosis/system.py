@@ -183,11 +183,13 @@ def drifts(active: Sequence[Active], change: Array, covariance: Array) -> dict[t
 @dataclass(frozen=True)
 class Sealed:
     """Predictions (r, k) SI for readings nobody has seen: believed cell refitted, corrected by the named effects, and one
-    sigma of the corrected one for the noise-free value."""
+    sigma of the corrected one for the noise-free value. lacking: named effects that are left out of the correction, because the
+    conditions do not say what they depend on; their usual size is in sigma."""
 
     baseline: Array
     corrected: Array
     sigma: Array
+    lacking: tuple[str, ...] = ()
 
 
 class Channel(Protocol):

@@ -53,10 +53,11 @@ def refuse_mistakes(campaign: Campaign) -> None:
             "file or the cell"
         )
     worst = int(np.argmax(off))
+    nest = ", one reflector nest (else name it in the column target)" if thin.readings.targets == ("",) else ""
     raise BadInput(
         f"{where}: no place of the tracker fits the readings better than {plain * 1e3:.0f} mm (median), farthest line "
-        f"{thin.readings.line[worst]}; check axis angles (degrees, KUKA signs), units (mm), robot.model '{campaign.robot.name}' "
-        "that rows belong together, and that one place of the tracker saw them all (else name it in the column station)"
+        f"{thin.readings.line[worst]}; check axis angles (degrees, KUKA signs), units (mm), robot.model '{campaign.robot.name}', "
+        f"that rows belong together{nest}, and that one place of the tracker saw them all (else name it in the column station)"
     )
 
 

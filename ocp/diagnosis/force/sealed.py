@@ -7,10 +7,11 @@ import numpy as np
 from ocp.diagnosis.force.arm import arm_of
 from ocp.diagnosis.force.balance import Balance
 from ocp.diagnosis.force.believed import RUN_SD
-from ocp.diagnosis.force.conditions import conditions_of
+from ocp.diagnosis.force.conditions import LogConditions, conditions_of
 from ocp.diagnosis.force.fit import ForceFit, Problem, linear_normal, solve
 from ocp.diagnosis.force.prediction import Predicted, Scene, predict
 from ocp.diagnosis.system import Sealed
+from ocp.effects.effect import Active
 from ocp.force.log import ForceLog
 from ocp.force.rows import prepare_force
 from robots.pose import Array
@@ -20,6 +21,7 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
     """Normal readings (n, 1) N of `sealed` without and with effects, what the sensor adds in, and one sigma of the noise-free
     value of the latter.
 
+    Effects for which `sealed` lacks a column are left out of the correction and counted in sigma, as they were in the log.
     The wheel's law is fitted again to cover both logs, and the contact refitted to the first on it. Raises BadInput: points off
     the blade.
     """
@@ -27,7 +29,7 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
     setup = prepare_force(scene.cell, [problem.log, sealed])
     balance = Balance(scene.cell, setup.model.law)
     used = float(scene.conditions.clock.max())
-    told = conditions_of(scene.cell, sealed, 0.0 if "clock_s" in scene.conditions.given else used)
+    told = conditions_of(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
     arm = arm_of(scene.cell, scene.theta, sealed.q, told)
     there = Scene(scene.cell, balance, setup.rows[1], told, arm, scene.theta, scene.given)
     found: list[tuple[ForceFit, Predicted]] = []
@@ -37,19 +39,43 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
             continue
         measured = replace(own, scene=replace(own.scene, balance=balance, rows=setup.rows[0]))
         again = solve(measured, fit.active, fit)
-        at = predict(there, again.at.x, again.active)
-        found.append((again, predict(there, again.at.x, again.active, at)))
-    sigma = _sigma(problem, there, *found[1], _changed(problem.log, sealed))
-    return Sealed(found[0][1].fn[:, None], found[1][1].fn[:, None], sigma[:, None])
+        known, _ = _told(again, told)
+        at = predict(there, again.at.x, known)
+        found.append((again, predict(there, again.at.x, known, at)))
+    (_, baseline), (fit, corrected) = found
+    unknown = _told(fit, told)[1]
+    more = _changed(problem.log, sealed) + _usual(scene, fit, unknown)
+    sigma = _sigma(problem, there, fit, corrected, more)
+    return Sealed(baseline.fn[:, None], corrected.fn[:, None], sigma[:, None], tuple(a.effect.name for a in unknown))
 
 
-def _sigma(problem: Problem, there: Scene, fit: ForceFit, at: Predicted, changed: float) -> Array:
-    """One sigma (n,) N: unknowns of the fit, what runs differ by, and setpoints that were changed by a mean square N^2."""
+def _told(fit: ForceFit, told: LogConditions) -> tuple[tuple[Active, ...], tuple[Active, ...]]:
+    """Active effects for which conditions have all columns, and the others."""
+    known = [set(a.effect.needs) <= told.given for a in fit.active]
+    parts = [tuple(a for a, k in zip(fit.active, known, strict=True) if k is wanted) for wanted in (True, False)]
+    return parts[0], parts[1]
+
+
+def _usual(scene: Scene, fit: ForceFit, unknown: tuple[Active, ...]) -> float:
+    """Mean square N^2 of what some of the active effects do to the normal reading in the log."""
+    if not unknown:
+        return 0.0
+    gone = {(a.effect.name, a.joint) for a in unknown}
+    rest = tuple(a for a in fit.active if (a.effect.name, a.joint) not in gone)
+    ends = [predict(scene, fit.at.x, active, predict(scene, fit.at.x, active)).fn for active in (fit.active, rest)]
+    return float(np.mean((ends[1] - ends[0])[scene.rows.contact] ** 2))
+
+
+def _sigma(problem: Problem, there: Scene, fit: ForceFit, at: Predicted, more: float) -> Array:
+    """One sigma (n,) N: unknowns of the fit as far as they are in the prediction, what runs differ by, and `more` N^2 of what
+    else is not known."""
     r, o = problem.sizes
     J = linear_normal(problem, there, at)
-    keep = np.r_[np.arange(r), np.arange(r + o, len(fit.z))]
+    names = {(a.effect.name, a.joint) for a in at.active}
+    inside = [(a.effect.name, a.joint) in names for a in fit.active for _ in range(a.effect.size)]
+    keep = np.r_[np.arange(r), r + o + np.flatnonzero(inside)]
     covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
-    variance = np.einsum("ni,ij,nj->n", J, covariance, J) + (RUN_SD**2 + changed) * there.rows.contact
+    variance = np.einsum("ni,ij,nj->n", J, covariance, J) + (RUN_SD**2 + more) * there.rows.contact
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 

@@ -225,7 +225,13 @@ class TrackerChannel:
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = (self if _kinds(a) == _kinds(self.active) else self.with_active(a) for a in ((), active))
-        return predict(before.task, before.fit, after.task, after.fit, after.background.mean, sealed)
+        unknown = [a for a in after.active if not _told(a.effect, sealed)]
+        return predict(before.task, before.fit, after.task, after.fit, after.background.mean, sealed, unknown)
+
+
+def _told(effect: Effect, readings: Readings) -> bool:
+    """Whether conditions have the columns that an effect needs."""
+    return all(getattr(readings, COLUMNS[c], None) is not None for c in effect.needs if c in COLUMNS)
 
 
 def _kinds(active: tuple[Active, ...]) -> list[tuple[object, ...]]:

@@ -85,7 +85,7 @@ def looked(task: Task, state: State, active: tuple[Active, ...]) -> tuple[Linear
     n = len(c.readings)
     if not active:
         return linearise(c.robot, c.readings, c.instrument, task.layout, state), np.zeros((n, 3, 0))
-    parts, shift, displacement = together(active, _seen(task, state))
+    parts, shift, displacement = together(active, seen_of(task, state))
     turned = replace(c.readings, q=c.readings.q + shift)
     linear = linearise(c.robot, turned, c.instrument, task.layout, state)
     linear = replace(linear, residual=linear.residual - displacement, point=linear.point + displacement)
@@ -98,11 +98,12 @@ def placed(task: Task, state: State, active: tuple[Active, ...]) -> Array:
     c = task.campaign
     if not active:
         return points(c.robot, c.readings, c.instrument, state)
-    _, shift, displacement = together(active, _seen(task, state))
+    _, shift, displacement = together(active, seen_of(task, state))
     return points(c.robot, replace(c.readings, q=c.readings.q + shift), c.instrument, state) + displacement
 
 
-def _seen(task: Task, state: State) -> Seen:
+def seen_of(task: Task, state: State) -> Seen:
+    """The readings about a state, for effects."""
     c = task.campaign
     return Seen(c.robot, c.readings, c.instrument, state, c.readings.point, task.reference, task.start.arm[30:])
 
