@@ -18,7 +18,7 @@ from ocp.diagnosis.features import groups, products, smooth
 from ocp.diagnosis.findings import Name, Options
 from ocp.diagnosis.search import SUSPECT, diagnose
 from ocp.diagnosis.system import Fold, HeldOut
-from ocp.diagnosis.unknown import impostors
+from ocp.diagnosis.unknown import impostors, relieving
 from ocp.diagnosis.visible import Rival, needed
 from ocp.effects.effect import Active
 from ocp.effects.library import library
@@ -159,6 +159,36 @@ class Halves(LinearChannel):
         before, after = np.full(n, 2.0), np.full(n, 9.0 if wrong else 1.0)
         drift = {(a.effect.name, a.joint): 9.0 if "false" in a.effect.name else 0.1 for a in seen}
         return HeldOut(fold, 2.0, float(after.mean()), 1.0, before, after + 1e-3 * np.arange(n), np.ones(n), 0.0, drift)
+
+
+@dataclass(frozen=True)
+class Placed(LinearChannel):
+    """A channel whose effects take squares from readings and from the registration."""
+
+    taken: tuple[float, float] = (0.0, 0.0)
+
+    def gained(self):
+        """As given."""
+        return self.taken if self.active else (0.0, 0.0)
+
+
+ENOUGH = [(60.0, 40.0), (1.0, 5.0), (90.0, -30.0)]
+
+
+@pytest.mark.parametrize("taken, doubted", [((5.0, 95.0), True), *((t, False) for t in ENOUGH)])
+def test_a_set_that_only_brings_the_registration_back_is_doubted(taken, doubted):
+    rng = np.random.default_rng(3)
+    true = rng.normal(size=200)
+    columns, known = {("true", 0): true[None, :, None]}, {"true": effect("true", (2.0,))}
+    made = Placed(1.2 * true + rng.normal(size=200), np.ones((200, 1)), np.array([1.0]), columns, taken=taken)
+    d = diagnose([made], known, Options(where=False, prior_effects=0.5))
+    assert d.verdict == ("unexplained" if doubted else "explained")
+    assert [a.effect.name for a in d.active] == ([] if doubted else ["true"])
+    assert any("registration" in why for why in d.unknown_because) == doubted
+    assert (d.ranking[0].probability < 0.3) == doubted and d.ranking[0].name == Name("true")
+    assert sum(e.probability for e in d.explanations) + d.p_none + d.p_unknown == pytest.approx(1.0, abs=1e-3)
+    # Where another channel sees the effect too its readings decide.
+    assert not relieving([replace(made, active=d.active), made], (Active(known["true"], 0, np.ones(1), {}, np.eye(1)),))
 
 
 def test_impostors_are_sought_among_what_a_channel_sees():

@@ -111,6 +111,14 @@ def test_contact_effects_are_what_they_say(name, at):
     assert rigid == pytest.approx(columns[0][k] + columns[1][k] * x["slopes"][k].sum(), abs=1e-18)
 
 
+def test_a_profile_as_large_as_its_prior_is_as_large_as_real_ones_get():
+    e = library()["stock_profile"]
+    drawn = np.random.default_rng(1).normal(size=(400, e.size)) * e.prior_sd
+    sizes = [e.values(a, {"length_m": 0.1, "lines": [1.0, 2.0]})["m"] for a in drawn]
+    assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(2e-4, rel=0.05)
+
+
+
 def test_every_effect_on_forces_is_covered():
     assert set(ON_CONTACT) | set(ALONG) == {name for name, e in library().items() if e.on_contact}
     assert ALONG == ["path_lag", "time_delay", "wheel_relaxation"]

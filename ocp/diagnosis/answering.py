@@ -10,7 +10,7 @@ from ocp.command import Phases, tell_notices
 from ocp.diagnosis.answer import Answer, signal_gap
 from ocp.diagnosis.channels import channels_of
 from ocp.diagnosis.corrected import write_corrected_cell
-from ocp.diagnosis.dataset import read_data_set, read_sealed_force, read_sealed_tracker
+from ocp.diagnosis.dataset import blinds, read_data_set, read_sealed_force, read_sealed_tracker
 from ocp.diagnosis.document import document_of
 from ocp.diagnosis.findings import FOLLOWED, Alternative
 from ocp.diagnosis.json_out import json_text
@@ -43,8 +43,8 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
         gaps = tuple(signal_gap(found, b, a) for b, a in zip(found.baseline, found.channels, strict=True))
         experiments = next_experiments(found, known)
     told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
-    blind = tuple(dict.fromkeys((*data.blind, *grouped(found.blind))))
-    notices = tuple(dict.fromkeys((*data.notices, *told)))
+    blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
+    notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
     return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds))
 
 

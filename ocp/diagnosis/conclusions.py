@@ -18,7 +18,7 @@ from ocp.diagnosis.problem import Problem
 from ocp.diagnosis.spectrum import spectra
 from ocp.diagnosis.system import Channel, HeldOut, kinds
 from ocp.diagnosis.tests_without_library import budget, kernel_tests
-from ocp.diagnosis.unknown import cancelling, implausible, impostors
+from ocp.diagnosis.unknown import cancelling, implausible, impostors, relieving
 from ocp.diagnosis.visible import needed
 from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible
@@ -52,9 +52,14 @@ def findings(
     classes = declared(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
     held = held_out(channels, active) if options.folds and active else {}
     false = impostors(channels, active, held) if refused is None else []
-    doubts = [*vain, *implausible(active), *cancelling([Name(a.effect.name, a.joint) for a in active], signatures)]
-    probability, p_unknown = doubted(found, best, bool(doubts or false))
-    if false:  # what hurts stays out of the corrected model
+    relief = relieving(channels, active)
+    doubts = [*vain, *relief, *implausible(active), *cancelling([Name(a.effect.name, a.joint) for a in active], signatures)]
+    probability, p_unknown = doubted(found, best, bool(doubts or false), bool(relief))
+    kept: tuple[Active, ...]
+    if relief:  # nothing that was measured would be met better
+        kept, channels, held = (), tuple(baseline), {}
+        ranked = tuple(replace(r, probability=(1.0 - SUSPECT) * r.probability) for r in ranked)
+    elif false:  # what hurts stays out of the corrected model
         kept = tuple(a for a in active if Name(a.effect.name, a.joint) not in {n for n, _ in false})
         without = accepted(baseline, problem, kept)
         kept, channels = ((), tuple(baseline)) if without is None else (kept, without)
@@ -173,14 +178,12 @@ def suspected(problem: Problem, search: Search, ranked: Sequence[Ranked]) -> tup
     return merged([(name, *twins(problem, weighed, member, signature(problem, weighed, ranked[0].active)))])
 
 
-def doubted(found: Posterior, best: Names, suspect: bool) -> tuple[dict[Names, float], float]:
-    """Probabilities of explanations and p_unknown, with what speaks against the best one moved over."""
-    probability = dict(found.probability)
+def doubted(found: Posterior, best: Names, suspect: bool, every: bool = False) -> tuple[dict[Names, float], float]:
+    """Probabilities of explanations and p_unknown, with what speaks against the best one (or against `every` one) moved over."""
     if not suspect or not best:
-        return probability, found.p_unknown
-    moved = SUSPECT * probability[best]
-    probability[best] -= moved
-    return probability, found.p_unknown + moved
+        return dict(found.probability), found.p_unknown
+    moved = {n: SUSPECT * p if every or n == best else 0.0 for n, p in found.probability.items()}
+    return {n: p - moved[n] for n, p in found.probability.items()}, found.p_unknown + sum(moved.values())
 
 
 def explanations(

@@ -75,7 +75,7 @@ def read_data_set(folder: str | Path) -> DataSet:
         joints = read_joint_log(folder / JOINTS)
     sealed = {signal: folder / name for signal, name in SEALED.items() if (folder / name).is_file()}
     told = [n for part in (readings, log, joints) if part is not None for n in part.notices]
-    blind = tuple(n for n in told if _blinds(n))
+    blind = tuple(n for n in told if blinds(n))
     orphans = [
         f"{path.name} is not predicted: there is no {path.name.removeprefix('sealed_')} to learn from"
         for signal, path in sealed.items() if path.name.removeprefix("sealed_") not in found
@@ -132,7 +132,7 @@ def _check_units(cell: Cell, log: ForceLog) -> None:
         )
 
 
-def _blinds(notice: str) -> bool:
+def blinds(notice: str) -> bool:
     """Whether a notice says what cannot be seen."""
     return notice in BLIND.values() or any(word in notice for word in ("no column", "no link side"))
 

@@ -1,10 +1,12 @@
 """When a named effect is not believed: values no machine shows, terms that cancel each other, and impostors.
 
 An impostor helps where readings lie among those it was fitted to, and where a condition was left out it hurts and its value is
-another. What speaks against a name moves its probability to 'none of these'.
+another. What speaks against a name moves its probability to 'none of these'. So does a set that explains no reading, only why the
+registration is not where it was believed to be.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,6 +21,8 @@ IMPLAUSIBLE = 3.0  # times the upper end of the typical range
 CANCELS = 0.25  # of two signatures' lengths together: what is left when they cancel
 HURTS, SURE = 0.3, 4.0  # of the mean square gap, standard errors: impostors multiply the gap, a small true term misses by chance
 DRIFTS = 3.0  # standard errors: an effect of the right form has the same value wherever it is seen
+RELIEF = 0.25  # of the squares that effects take away: what must be the readings'
+TOLD = 10.0  # squares below which nothing is said of their shares
 GAP = 0.2  # of the noise: gaps below it can neither be helped nor hurt
 
 
@@ -48,6 +52,31 @@ def cancelling(names: Sequence[Name], signatures: Sequence[Array]) -> list[tuple
             a, b = signatures[i], signatures[k]
             if np.linalg.norm(a + b) < CANCELS * min(np.linalg.norm(a), np.linalg.norm(b)):
                 found.append((names[i], f"it all but cancels {names[k]}"))
+    return found
+
+
+@runtime_checkable
+class Registered(Protocol):
+    """A channel that knows how far its own registration had to go from what was believed of it."""
+
+    def gained(self) -> tuple[float, float]:
+        """Squares that the active effects take from the whitened readings, and from the unknowns of the registration."""
+
+
+def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[tuple[Name, str]]:
+    """Names of a set that explains hardly any reading and merely brings the registration nearer to what was believed, with what
+    is wrong. Readings that a registration meets, but only one nobody believes, are as likely a belief that does not hold, or an
+    effect outside the catalogue that acts like one. Not asked where another channel sees the effects too."""
+    found = list[tuple[Name, str]]()
+    for channel in channels:
+        seen = [a for a in active if not channel.blind(a.effect)]
+        elsewhere = any(not other.blind(a.effect) for a in seen for other in channels if other is not channel)
+        if not seen or elsewhere or not isinstance(channel, Registered):
+            continue
+        readings, registration = channel.gained()
+        if registration > 0 and readings + registration > TOLD and readings < RELIEF * (readings + registration):
+            why = "readings are met hardly better with it, the registration is only nearer to what was believed"
+            found += [(Name(a.effect.name, a.joint), why) for a in seen]
     return found
 
 

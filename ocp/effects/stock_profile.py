@@ -14,7 +14,9 @@ from robots.pose import Array
 WAVES = 7  # a constant and up to six half waves along the longest pass
 GROUPS = 5  # lines, or groups of neighbouring lines, with a profile of their own
 LENGTH = 0.2  # m, where a log has no s
-SD = 2e-4 / np.sqrt(np.maximum(np.arange(WAVES), 1.0))  # m; smooth: the shorter the wave the smaller
+LARGEST = 2e-4  # m rms, and of the constant
+_SMOOTH = 1.0 / np.sqrt(np.arange(1.0, WAVES))  # the shorter the wave the smaller
+SD = np.concatenate([[LARGEST], LARGEST * _SMOOTH / np.linalg.norm(_SMOOTH)])  # m; waves of these sizes are LARGEST rms
 
 
 def _groups(lines: Sequence[float]) -> list[list[float]]:
@@ -59,8 +61,8 @@ EFFECT = Effect(
     "lines or another one on each of `lines` (neighbours share one where there are more than five), seven numbers each. m is its "
     "rms size without the constants (DIAGNOSIS, catalogue).",
     parameters=(
-        Parameter("m", "m", 5e-5, 2e-4, signed=False),
-        Parameter("profile_m", "m", 0.0, 2e-4, length=GROUPS * WAVES),
+        Parameter("m", "m", 5e-5, LARGEST, signed=False),
+        Parameter("profile_m", "m", 0.0, LARGEST, length=GROUPS * WAVES),
         Parameter("length_m", "m", 0.05, 1.0, signed=False),
         Parameter("lines", "1", 1, 100, length=0),
     ),

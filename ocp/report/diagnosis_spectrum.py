@@ -35,8 +35,8 @@ def _draw_spectra(canvas: Canvas, peaks: tuple[SpectrumPeak, ...], rows: int) ->
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.xaxis.set_minor_locator(NullLocator())  # small ticks would take half of the drawing
         ax.set_ylim(0, 1.12)
-        name = f"A{peak.joint} by {SHORT[peak.signal]}" if several else f"A{peak.joint}"
-        words = f"{name}: order {peak.order:g} ({SCALE['arcsec'] * peak.amplitude:.1f} arcsec), p {peak.p_value:.2g}"
+        name = f"A{peak.joint} {SHORT[peak.signal]}:" if several else f"A{peak.joint}: order"  # no room for both
+        words = f"{name} {peak.order:g} ({SCALE['arcsec'] * peak.amplitude:.1f} arcsec), p {peak.p_value:.2g}"
         ax.axvline(peak.order, color=LIMIT if found else SOFT, lw=0.7, ls="--")
         dressed(ax, words, "waves per turn" if ax in axes[-3:] else "", "power" if ax in axes[::3] else "")
         ax.title.set_color(INK if found else SOFT)

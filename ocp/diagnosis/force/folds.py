@@ -85,12 +85,14 @@ def held_out(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut 
     if fold.extrapolates and unknown.mean() > noise.mean():
         return None
     noise = noise + unknown
-    fit, start = after[1], sum(after[0].sizes)
-    # What the effects' own errors of estimation without the held rows bring into these.
-    covariance = np.asarray(np.linalg.inv(_information(fit, held))[start:, start:], float)
-    columns = fit.normal[rows, start:]
-    told = np.einsum("ni,ij,nj->n", columns, covariance, columns)
-    drift = drifts(fit.active, changes[1][start:], covariance)
+    fit, (r, o) = after[1], after[0].sizes
+    covariance = np.asarray(np.linalg.inv(_information(fit, held)), float)
+    # What errors of estimation without the held rows bring into these, beyond what they bring without effects: an effect that
+    # the nuisance imitates has a value that is hardly known, and a prediction that is.
+    columns = fit.normal[rows].copy()
+    columns[:, r : r + o] = 0.0
+    told = np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns) - unknown, 0.0)
+    drift = drifts(fit.active, changes[1][r + o :], covariance[r + o :, r + o :])
     return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(told.mean()), drift)
 
 
