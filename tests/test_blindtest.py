@@ -164,6 +164,8 @@ def test_classes_of_several_effects_are_those_that_stay_when_the_others_are_free
     faint = [1e-3 * alone[0], alone[1]]  # nobody sees it: like everything
     group, _ = ceiling.classes_among(known, (soft, play), faint)
     assert ("joint_compliance", 2) in group and len(group) > 20 and ("backlash", 5) not in group
+    mixed = ceiling.classes_among(known, (play, soft), [alone[1] + 5 * alone[0], alone[0]])
+    assert {("backlash", 5), ("friction_windup", 5)} in mixed  # what the other could be is nobody's own
     twice = [alone[1], 2 * alone[1]]  # the one is the other: neither has a direction of its own
     assert ceiling.classes_among(known, (play, play), twice) == []
 
