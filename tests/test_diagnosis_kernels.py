@@ -187,8 +187,11 @@ def test_a_set_that_only_brings_the_registration_back_is_doubted(taken, doubted)
     assert any("registration" in why for why in d.unknown_because) == doubted
     assert (d.ranking[0].probability < 0.3) == doubted and d.ranking[0].name == Name("true")
     assert sum(e.probability for e in d.explanations) + d.p_none + d.p_unknown == pytest.approx(1.0, abs=1e-3)
-    # Where another channel sees the effect too its readings decide.
-    assert not relieving([replace(made, active=d.active), made], (Active(known["true"], 0, np.ones(1), {}, np.eye(1)),))
+    # Where another channel sees the effect too its readings decide; an effect of the arm is itself why the arm is elsewhere.
+    one = Active(known["true"], 0, np.ones(1), {}, np.eye(1))
+    there = replace(made, active=(one,))
+    assert bool(relieving([there], (one,))) == doubted and not relieving([there, made], (one,))
+    assert not relieving([there], (replace(one, effect=replace(one.effect, joint=lambda x, j, scanned: x.q)),))
 
 
 def test_impostors_are_sought_among_what_a_channel_sees():

@@ -66,12 +66,13 @@ class Registered(Protocol):
 def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[tuple[Name, str]]:
     """Names of a set that explains hardly any reading and merely brings the registration nearer to what was believed, with what
     is wrong. Readings that a registration meets, but only one nobody believes, are as likely a belief that does not hold, or an
-    effect outside the catalogue that acts like one. Not asked where another channel sees the effects too."""
+    effect outside the catalogue that acts like one. Not asked where another channel sees the effects too, nor of effects of the
+    arm: where the arm is is what they change."""
     found = list[tuple[Name, str]]()
     for channel in channels:
         seen = [a for a in active if not channel.blind(a.effect)]
         elsewhere = any(not other.blind(a.effect) for a in seen for other in channels if other is not channel)
-        if not seen or elsewhere or not isinstance(channel, Registered):
+        if not seen or elsewhere or any(a.effect.on_arm for a in seen) or not isinstance(channel, Registered):
             continue
         readings, registration = channel.gained()
         if registration > 0 and readings + registration > TOLD and readings < RELIEF * (readings + registration):
