@@ -172,12 +172,18 @@ def _held_by_method(fit: Fit, method: str) -> list[HeldOut]:
 
 
 def as_in(sealed: Readings, readings: Readings) -> Readings:
-    """`sealed` with stations and sessions numbered as in `readings`. Raises BadInput for a target or station not measured."""
+    """`sealed` with stations numbered as in `readings`; where it names no target or station and only one was measured, that one.
+    Raises BadInput for a target or station not measured."""
     for kind in ("target", "station"):
         index, names = getattr(sealed, kind), getattr(sealed, f"{kind}s")
         known = {getattr(readings, f"{kind}s")[k] for k in np.unique(getattr(readings, kind))}
         if names == ("",) and "" not in known:
-            raise BadInput(f"{sealed.path}: no column {kind}, and {readings.path.name} has {', '.join(sorted(known))}; add it")
+            if len(known) > 1:
+                some = ", ".join(sorted(known))
+                raise BadInput(f"{sealed.path}: no column {kind}, or an empty one, and {readings.path.name} has {some}; add it")
+            own = getattr(readings, f"{kind}s")
+            sealed = replace(sealed, **{kind: np.full(len(sealed), own.index(min(known))), f"{kind}s": own})
+            continue
         for row, k in enumerate(index):
             if names[k] not in known:
                 raise BadInput(

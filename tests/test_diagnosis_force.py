@@ -369,6 +369,8 @@ def test_forces_that_no_operator_chose_are_no_setpoints(made):
     assert with_setpoints_read_off(made.channel.log, own) is None and with_setpoints_read_off(log, own) is not None
     for factor in (1.0, 1.15 ** (log.run % 2), np.where(log.line == 1, 1.4, 1.0), 1.4):  # by less, by line, everywhere
         assert with_setpoints_read_off(replace(steady, fn=steady.fn * factor), own) is None
+    hardly = replace(steady, fn=np.where(np.isin(log.run, (0, 2)), -0.1, steady.fn))  # contact that is none
+    assert with_setpoints_read_off(hardly, own) is None
     later = log.run >= 5  # a blade gripped anew, with the column that says so and without
     moved = replace(steady, fn=steady.fn * np.where(later, 0.6, 1.0))
     assert with_setpoints_read_off(replace(moved, session=later.astype(int), sessions=("a", "b")), own) is None

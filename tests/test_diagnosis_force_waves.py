@@ -105,11 +105,22 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
     vain = NoRest()
     for names in (["sensor_bias", "wheel_wear"], ["sensor_bias"]):
         vain.add(Name(n, 0) for n in names)
-    assert vain.names() == [Name("sensor_bias", 0)] and not vain.names([_active("sensor_bias")])
+    assert vain.names() == [Name("sensor_bias", 0)]
+    # What a fit holds may fail for others' sake; and without effects nothing failed.
+    held = NoRest()
+    held.rests([Name("wheel_wear", 0)])
+    for other in ("sensor_bias", "sensor_drift"):
+        held.add([Name("wheel_wear", 0), Name(other, 0)])
+    held.add([])
+    assert not held.names() and len(held.sets) == 2
+    held.add([Name("sensor_bias", 0)])
+    assert held.names() == [Name("sensor_bias", 0)]
+    held.rests([Name("wheel_wear", 0), Name("sensor_bias", 0)])
+    assert not held.names() and len(held.sets) == 2
     search = Search(problem.pool, 3, 4)
     search.run()
     assert any("sensor_bias" in {problem.pool.families[f].name.effect for f in key} for key in search.seen)
-    vain.strike(search, problem, ())
+    vain.strike(search, problem)
     left = {frozenset(problem.pool.families[f].name.effect for f in key) for key in search.seen}
     assert frozenset() in left and frozenset({"sensor_drift"}) in left and not any("sensor_bias" in names for names in left)
     # Nothing fits with the name that the readings ask for: it is not told, and what is told says why.
@@ -129,20 +140,21 @@ def test_a_name_that_no_fit_of_all_readings_takes_is_doubted(made: Made, tmp_pat
     assert any("sensor_bias: no fit with it comes to rest" in why for why in found.unknown_because)
 
 
-@pytest.mark.parametrize("share", [2.0**-10, 2.0**-8])
-def test_a_fit_that_cannot_rest_is_refused_before_long(made: Made, monkeypatch, share):  # noqa: F811
+@pytest.mark.parametrize("share, level, most", [(2.0**-10, 1e3, fitting.LOST), (2.0**-10, 0.0, 5), (2.0**-8, 1e3, 6)])
+def test_a_fit_that_cannot_rest_is_refused_before_long(made: Made, monkeypatch, share, level, most):  # noqa: F811
     calls = []
 
     def never(problem, z, at, whiteners, change, now):
         calls.append(1)
-        return z + 1e-3 * change, at, np.zeros(2 * len(problem.log)), share
+        return z + 1e-3 * change, at, np.full(2 * len(problem.log), level), share
 
     monkeypatch.setattr(fitting, "_moved", never)
     monkeypatch.setattr(fitting, "STILL", -1.0)
     start = made.channel.fit
     with pytest.raises(Infeasible, match="does not come to rest"):
         solve(made.channel.problem, (_active("sensor_bias"),), replace(start, z=start.z + 0.5))
-    assert len(calls) == fitting.LOST if share < fitting.SHORTEST else len(calls) <= fitting.TRIES // 9 + 1
+    assert len(calls) <= most
+    assert most != fitting.LOST or len(calls) == most  # no way down is told at once
 
 
 def test_folds_that_leave_little_are_not_asked(made: Made):  # noqa: F811

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from simulated_campaign import EXTRA, INSTRUMENT, NESTS, PAYLOADS, campaign_readings, measured, random_truth
 
+from ocp.calibration import as_in
 from ocp.diagnosis.findings import Name, Options
 from ocp.diagnosis.search import diagnose
 from ocp.diagnosis.tracker.baseline import baseline
@@ -17,6 +18,7 @@ from ocp.diagnosis.unknown import cancelling, hurts, implausible
 from ocp.effects.effect import Active
 from ocp.effects.library import library
 from robots.calibration.solver import Campaign
+from robots.errors import BadInput
 from robots.measurements import read_readings
 
 LIBRARY = library()
@@ -218,6 +220,18 @@ def test_payloads_that_hang_in_sealed_conditions_alone_are_those_of_the_cell(tmp
     assert len(np.unique(fresh.payload)) > 1 and plain.payloads == fresh.payloads
     told = channel(light).predict(replace(fresh, time=None, temperature=None), ())
     assert np.median(np.linalg.norm(told.baseline - points(fresh), axis=1)) < 3e-4
+
+
+def test_sealed_conditions_without_a_nest_have_the_only_one_that_was_measured():
+    readings, _ = world(2)
+    fresh = replace(campaign_readings(np.random.default_rng(99), 30), targets=("",), target=np.zeros(30, np.int64))
+    with pytest.raises(BadInput, match=r"no column target, or an empty one, and .* has T1, T2.*; add it"):
+        as_in(fresh, readings)
+    second = readings.take(readings.target == 1)
+    found = as_in(fresh, second)
+    assert found.targets == readings.targets and np.all(found.target == 1)
+    told = channel(second).predict(replace(found, time=None, temperature=None), ())
+    assert np.isfinite(told.baseline).all() and np.abs(told.baseline).max() < 10.0
 
 
 @pytest.mark.parametrize("bends", [True, False])

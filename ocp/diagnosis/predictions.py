@@ -16,7 +16,8 @@ def averaged(parts: Sequence[tuple[float, Sealed]]) -> Sealed:
     total = sum(p for p, _ in parts)
     corrected = sum(p * s.corrected for p, s in parts) / total
     variance = sum(p * (s.sigma**2 + (s.corrected - corrected) ** 2) for p, s in parts) / total
-    return Sealed(parts[0][1].baseline, np.asarray(corrected), np.sqrt(variance), parts[0][1].lacking)
+    lacking = tuple(dict.fromkeys(name for _, s in parts for name in s.lacking))
+    return Sealed(parts[0][1].baseline, np.asarray(corrected), np.sqrt(variance), lacking)
 
 
 def write_tracker_predictions(path: Path, sealed: Sealed) -> None:

@@ -63,7 +63,7 @@ def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options
         told += found.impostors
         because += found.unknown_because
         options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
-    whys = tuple(f"{n}: no fit with it comes to rest" for n in vain.names(found.active))
+    whys = tuple(f"{n}: no fit with it comes to rest" for n in vain.names())
     found = replace(found, unknown_because=tuple(dict.fromkeys((*found.unknown_because, *whys))))
     return _unmasked(found, told, because, levels[-1] > max(levels) - EQUAL) if told else found
 
@@ -94,7 +94,8 @@ def settle(
         search.run([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
         held = problem.channels[0].active if len(problem.channels) == 1 else _all_active(problem.channels)
         without_products(first, problem, search, held)
-        vain.strike(search, problem, held)
+        vain.rests(names_of(held))
+        vain.strike(search, problem)
         channels: list[Channel] | None = None
         while channels is None:
             best = choose(search, len(held) + 1)
@@ -110,8 +111,8 @@ def settle(
             try:
                 channels = [c.with_active(chosen) for c in problem.channels]
             except Infeasible:
-                vain.add(Name(a.effect.name, a.joint) for a in chosen)
-                vain.strike(search, problem, held)
+                vain.add(names_of(chosen))
+                vain.strike(search, problem)
         seeds = [problem.names(k) for k in search.best()]
         problem = make_problem(channels, library, options)
 
@@ -134,6 +135,11 @@ def choose(search: Search, limit: int) -> Weighed:
 
 def _best(search: Search, keys: Iterable[Key]) -> Key:
     return max(keys, key=lambda k: search.seen[k].log)
+
+
+def names_of(active: Iterable[Active]) -> list[Name]:
+    """Names of effects."""
+    return [Name(a.effect.name, a.joint) for a in active]
 
 
 def _all_active(channels: Sequence[Channel]) -> tuple[Active, ...]:

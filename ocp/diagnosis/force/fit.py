@@ -26,7 +26,7 @@ CLOSE = 1.0  # of the squares, gained in the last steps of all: what less is to 
 STILL = 0.01  # squares that `LAST` steps together must lower, else it rests: a hundredth of what one number more may explain
 LAST = 3
 SHORTEST = 1e-3  # share of a step
-LOST = 2  # steps one after the other of which not the shortest part lowers anything: there is no way down
+LOST = 2  # steps one after the other whose shortest part raises the squares by more than `CLOSE`: there is no way down
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def _settle(
         still = step >= REWEIGHTED + LAST and squares[-1 - LAST] - squares[-1] < STILL
         if change @ H @ change < AT_REST or still:
             return z, at, whiteners, step + 1
-        lost = lost + 1 if share < SHORTEST else 0
+        lost = lost + 1 if share < SHORTEST and left @ left + moved @ moved > squares[-1] + CLOSE else 0
         if tries > TRIES or lost == LOST:
             break
     if len(squares) > REWEIGHTED + LAST and squares[-1 - LAST] - squares[-1] < CLOSE:

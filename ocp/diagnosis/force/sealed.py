@@ -44,7 +44,8 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
         found.append((again, predict(there, again.at.x, known, at)))
     (_, baseline), (fit, corrected) = found
     unknown = _told(fit, told)[1]
-    more = _changed(problem.log, sealed) + _usual(scene, fit, unknown)
+    setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
+    more = _changed(problem.log, sealed, setpoint) + _usual(scene, fit, unknown)
     sigma = _sigma(problem, there, fit, corrected, more)
     return Sealed(baseline.fn[:, None], corrected.fn[:, None], sigma[:, None], tuple(a.effect.name for a in unknown))
 
@@ -79,10 +80,9 @@ def _sigma(problem: Problem, there: Scene, fit: ForceFit, at: Predicted, more: f
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _changed(log: ForceLog, sealed: ForceLog) -> float:
-    """Mean square N^2 by which the setpoint was changed in a log that does not tell it, where readings nobody has seen do not
-    tell it either."""
+def _changed(log: ForceLog, sealed: ForceLog, own: float) -> float:
+    """Mean square N^2 by which setpoints were off the cell's `own` N in a log that does not tell them, where readings nobody has
+    seen do not tell them either."""
     if log.setpoint_sd is None or log.setpoint is None or sealed.setpoint is not None:
         return 0.0
-    read_off = log.setpoint[log.contact]
-    return float(np.mean((read_off - np.median(read_off)) ** 2))
+    return float(np.mean((log.setpoint[log.contact] - own) ** 2))

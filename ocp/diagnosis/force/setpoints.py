@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.force.log import Flags, ForceLog
+from ocp.force.log import AIR_SHARE, Flags, ForceLog
 from robots.pose import Array
 
 CHANGED = 0.2  # of the force of the run that is compared with
@@ -26,6 +26,8 @@ def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] |
         return None
     pressed = {int(r): rows for r in np.unique(log.run) if np.count_nonzero(rows := (log.run == r) & log.contact) >= LEAST}
     force = {r: float(np.median(log.fn[rows])) for r, rows in pressed.items()}
+    pressed = {r: rows for r, rows in pressed.items() if force[r] > AIR_SHARE * own}  # what hardly touches has no setpoint
+    force = {r: force[r] for r in pressed}
     changed: dict[int, float] = {}
     for group in _over_the_same_points(log, pressed):
         # Most runs of a log are at the cell's setpoint, whatever the cell makes of it.
