@@ -12,13 +12,10 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ocp.cell import read_cell
 from ocp.diagnosis.design_table import Column, Line, table
 from ocp.diagnosis.evidence import size_grid
 from ocp.diagnosis.families import log_odds, positive_of, ratio_of, rival_of
 from ocp.diagnosis.findings import Options
-from ocp.diagnosis.force.channel import ForceChannel
-from ocp.diagnosis.force.planned import LASTS, SIGMA, planned_force_channel
 from ocp.diagnosis.planned_log import read_planned_log
 from ocp.diagnosis.planned_poses import arm_expected, default_poses, planned_channel
 from ocp.diagnosis.projection import project
@@ -37,6 +34,7 @@ from robots.pose import Array
 USUAL = Options()
 POSES, FULL = 50, 150  # the plan looked at where none is given; the campaign held against it
 MOST_SCANS = 24  # variants looked at; the median of them is told
+FORCE = "force"  # the channel of a planned log
 FREE_LIMIT = 1e-9  # lambda at the upper end below which nothing shows
 
 
@@ -82,6 +80,9 @@ def _tracker_plan(setup: TrackerSetup, poses: Path | None) -> Plan:
 
 def _force_plan(cell: Path, log: ForceLog, known: Sequence[Effect], arm: Calibration | None) -> Plan:
     """The believed contact of the plan. Of families of many variants only those that are looked at have their patterns kept."""
+    from ocp.cell import read_cell  # only those who plan a log wait for the contact's imports
+    from ocp.diagnosis.force.planned import planned_force_channel
+
     runs = len(log.runs)
     what = f"the {len(log)} rows of {log.path.name} ({runs} recording{'s' if runs > 1 else ''})"
     return Plan(planned_force_channel(read_cell(cell), log, [_with_few(e) for e in known], arm), what)
@@ -98,6 +99,8 @@ def _with_few(effect: Effect) -> Effect:
 
 def _assumed(log: ForceLog) -> list[str]:
     """What the sizes of a force log rest on beside the file."""
+    from ocp.diagnosis.force.planned import LASTS, SIGMA
+
     told = []
     if log.sigma_fn is None:
         lasts = f"half of its variance lasting {1e3 * LASTS:.0f} ms"
@@ -117,7 +120,7 @@ def seen_by(channel: Channel, known: Sequence[Effect]) -> list[Line]:
         if not _shows(channel, effect):
             continue
         # A delay of all joints is nothing that a reading at rest sees.
-        places = [j for j in effect.places if j or not effect.joints or isinstance(channel, ForceChannel)]
+        places = [j for j in effect.places if j or not effect.joints or channel.name == FORCE]
         blind = channel.blind(effect)
         energies = {j: 0.0 if blind else energy_of(channel, projection.apply, effect, j) for j in places}
         found += [Line(effect, j, smallest(channel, effect, j, energies, kinds), blind) for j in places]
@@ -126,7 +129,7 @@ def seen_by(channel: Channel, known: Sequence[Effect]) -> list[Line]:
 
 def _shows(channel: Channel, effect: Effect) -> bool:
     """Whether an effect changes this signal at all."""
-    return effect.on_arm or (effect.on_contact if isinstance(channel, ForceChannel) else effect.reading is not None)
+    return effect.on_arm or (effect.on_contact if channel.name == FORCE else effect.reading is not None)
 
 
 def energy_of(channel: Channel, project_out: Callable[[Array], Array], effect: Effect, joint: int) -> float:
@@ -153,7 +156,12 @@ def smallest(channel: Channel, effect: Effect, joint: int, energies: Mapping[int
 
 def _scans(channel: Channel, effect: Effect, joint: int) -> tuple[Scanned, ...]:
     """Variants that the diagnosis would try."""
-    return channel.scan(effect, joint) if isinstance(channel, ForceChannel) else tuple(effect.scan(joint, channel.surroundings))
+    if channel.name != FORCE:
+        return tuple(effect.scan(joint, channel.surroundings))
+    from ocp.diagnosis.force.channel import ForceChannel
+
+    assert isinstance(channel, ForceChannel)
+    return channel.scan(effect, joint)
 
 
 def _picked(scans: Sequence[Scanned]) -> list[Scanned]:
