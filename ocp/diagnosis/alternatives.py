@@ -43,7 +43,7 @@ def alternatives(
     """Sets of effects with probabilities that sum to one, the accepted one first; chosen: its set and names, active: what of it
     stays in the corrected model."""
     weighed, names = chosen
-    kept = {Name(a.effect.name, a.joint) for a in active}
+    kept = {Name(*a.key) for a in active}
     dropped = {problem.pool.families[m.family].name for m in problem.named(weighed)} - kept
     told: list[Alternative] = []
     if not active:
@@ -59,7 +59,7 @@ def alternatives(
     for other, p in sorted(weights.explanations.items(), key=lambda item: -item[1])[: MOST + 1]:
         if other != names and p >= LEAST:
             members = problem.values(search.seen[found.best[other]])
-            told.append(Alternative(p, tuple(a for a in members if Name(a.effect.name, a.joint) not in dropped)))
+            told.append(Alternative(p, tuple(a for a in members if Name(*a.key) not in dropped)))
     return _summed(told)
 
 
@@ -68,7 +68,7 @@ def _variants(problem: Problem, weighed: Weighed, active: tuple[Active, ...], wh
     shares: list[tuple[float, tuple[Active, ...]]] = [(1.0, active)]
     for member in problem.named(weighed):
         name = problem.pool.families[member.family].name
-        place = next((i for i, a in enumerate(active) if (a.effect.name, a.joint) == (name.effect, name.joint)), None)
+        place = next((i for i, a in enumerate(active) if a.key == (name.effect, name.joint)), None)
         if place is None or not _words(active[place].scanned):
             continue
         told = _by_words(problem, weighed, member, active[place])

@@ -51,9 +51,7 @@ class Anticipated:
     lasting: Array
 
 
-def anticipated(
-    before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative] = (), seed: int = 0
-) -> Anticipated:
+def anticipated(before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative] = (), seed: int = 0) -> Anticipated:
     """One group for every payload of the cell and every temperature; others: alternatives, the accepted one (which `after` is)
     first."""
     readings = _later(after.readings, seed)

@@ -11,17 +11,16 @@ from ocp.diagnosis.beam import Search, Weighed, weigh
 from ocp.diagnosis.classes import merged, mistaken, threshold, twins
 from ocp.diagnosis.families import names_of, rival_of, stacked_columns
 from ocp.diagnosis.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
+from ocp.diagnosis.judgement import accepted, judged
 from ocp.diagnosis.location import of_effect, of_kernel, of_tests
 from ocp.diagnosis.pool import Family, Given, given
 from ocp.diagnosis.probabilities import SURE, Names, Posterior, posterior
 from ocp.diagnosis.problem import Problem
 from ocp.diagnosis.spectrum import spectra
-from ocp.diagnosis.system import Channel, HeldOut, kinds
+from ocp.diagnosis.system import Channel
 from ocp.diagnosis.tests_without_library import budget, kernel_tests
-from ocp.diagnosis.unknown import cancelling, implausible, impostors, relieving
 from ocp.diagnosis.visible import needed
 from ocp.effects.effect import Active, Effect
-from robots.errors import Infeasible
 from robots.pose import Array
 
 RANKED = 12  # names that are told with their values
@@ -42,37 +41,26 @@ def findings(
     refused: impostors with their folds, where the names were chosen by held-out errors already."""
     found = posterior(problem, search)
     weighed, best = leader(search, found)
-    active, vain = problem.values(weighed), list[tuple[Name, str]]()
+    active = problem.values(weighed)
     channels = accepted(baseline, problem, active)
+    vain = [(Name(*a.key), "no fit with it comes to rest") for a in active] if channels is None else []
     if channels is None:
-        vain = [(Name(a.effect.name, a.joint), "no fit with it comes to rest") for a in active]
         weighed, active, channels = Weighed(0.0, ()), (), tuple(baseline)
     signatures = [signature(problem, weighed, a) for a in active]
     ranked = ranking(problem, search, found)
     classes = declared(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
-    held = held_out(channels, active) if options.folds and active else {}
-    false = impostors(channels, active, held) if refused is None else []
-    relief = relieving(channels, active)
-    doubts = [*vain, *relief, *implausible(active), *cancelling([Name(a.effect.name, a.joint) for a in active], signatures)]
-    probability, p_unknown = doubted(found, best, bool(doubts or false), bool(relief))
-    kept: tuple[Active, ...]
-    if relief:  # nothing that was measured would be met better
-        kept, channels, held = (), tuple(baseline), {}
+    judgement = judged(baseline, problem, channels, active, signatures, options.folds, refused)
+    doubts, because = [*vain, *judgement.doubts], [(n, f"hurts where {f} is left out") for n, f in judgement.impostors]
+    probability, p_unknown = doubted(found, best, bool(doubts or judgement.hurt), judgement.relieved)
+    if judgement.relieved:
         ranked = tuple(replace(r, probability=(1.0 - SUSPECT) * r.probability) for r in ranked)
-    elif false:  # what hurts stays out of the corrected model
-        kept = tuple(a for a in active if Name(a.effect.name, a.joint) not in {n for n, _ in false})
-        without = accepted(baseline, problem, kept)
-        kept, channels = ((), tuple(baseline)) if without is None else (kept, without)
-        held = held_out(channels, kept) if kept else {}
-    else:
-        kept = active
     nothing, all_of_it = given(problem.pool, ()), problem.taken(search.seen[search.best()[0]])
     tests = kernel_tests(problem, nothing) if options.where else []
     after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
     return Diagnosis(
         explanations=explanations(probability, found, classes),
         ranking=ranked,
-        active=kept,
+        active=judgement.kept,
         p_none=found.p_none,
         p_unknown=p_unknown,
         classes=classes,
@@ -82,14 +70,15 @@ def findings(
         left_over=tuple(after),
         spectrum=tuple(spectra(problem, problem.pool.y, options.seed)) if options.where else (),
         screened=screened(first),
-        impostors=tuple(false if refused is None else refused),
-        unknown_because=tuple(f"{n}: {why}" for n, why in doubts)
-        + tuple(f"{n}: hurts where {f} is left out" for n, f in refused or false),
+        impostors=judgement.impostors,
+        unknown_because=tuple(f"{n}: {why}" for n, why in (*doubts, *because)),
         blind=blind(baseline, library, options),
         baseline=baseline,
-        channels=channels,
-        held_out=held,
-        alternatives=alternatives(problem, search, found, Weights(probability, found.p_none, p_unknown), (weighed, best), kept),
+        channels=judgement.channels,
+        held_out=judgement.held_out,
+        alternatives=alternatives(
+            problem, search, found, Weights(probability, found.p_none, p_unknown), (weighed, best), judgement.kept
+        ),
     )
 
 
@@ -111,20 +100,6 @@ def leader(search: Search, found: Posterior) -> tuple[Weighed, Names]:
 def named_part(problem: Problem, weighed: Weighed) -> Given:
     """The library's members of a set as given, priors at the upper ends."""
     return problem.taken(Weighed(0.0, tuple(problem.named(weighed))))
-
-
-def accepted(baseline: Sequence[Channel], problem: Problem, active: tuple[Active, ...]) -> tuple[Channel, ...] | None:
-    """Channels of all readings with the effects active; those of the search where they are that already; None where no fit with
-    them comes to rest."""
-    found = []
-    for whole, searched in zip(baseline, problem.channels, strict=True):
-        visible = tuple(a for a in active if not whole.blind(a.effect))
-        same = kinds(searched.active) == kinds(visible) and len(searched.gap()) == len(whole.gap())
-        try:
-            found.append(searched if same else whole.with_active(active))
-        except Infeasible:
-            return None
-    return tuple(found)
 
 
 def signature(problem: Problem, weighed: Weighed, one: Active) -> Array:
@@ -152,10 +127,10 @@ def declared(
 def alike_at(first: Problem, problem: Problem, weighed: Weighed) -> list[tuple[Name, set[Name] | None]]:
     """Accepted names of a set in the order of their values, each with those that are nearly like it at the first linearisation;
     None where it was no candidate there."""
-    names = [Name(a.effect.name, a.joint) for a in problem.values(weighed)]
+    names = [Name(*a.key) for a in problem.values(weighed)]
     there = weigh(first.pool, [first.index[n] for n in names if n in first.index])
     found = list[tuple[Name, set[Name] | None]]()
-    values = {Name(a.effect.name, a.joint): a for a in first.values(there)}
+    values = {Name(*a.key): a for a in first.values(there)}
     for name in names:
         if name not in values:
             found.append((name, None))
@@ -205,16 +180,10 @@ def ranking(problem: Problem, search: Search, found: Posterior) -> tuple[Ranked,
     for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < 0.5, -found.gain[n]))[:RANKED]:
         f = problem.index[name]
         key = max((k for k in search.seen if f in k), key=lambda k: search.seen[k].log)
-        one = next(a for a in problem.values(search.seen[key]) if (a.effect.name, a.joint) == (name.effect, name.joint))
+        one = next(a for a in problem.values(search.seen[key]) if a.key == (name.effect, name.joint))
         d = signature(problem, search.seen[key], one)
         told.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
     return tuple(sorted(told, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > 0.5 else 0.0)))
-
-
-def held_out(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:
-    """Every fold of every channel that can be judged."""
-    judged = {c.name: [c.held_out(fold, active) for fold in c.folds()] for c in channels}
-    return {name: tuple(h for h in found if h is not None) for name, found in judged.items()}
 
 
 def place(

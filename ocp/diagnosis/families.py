@@ -45,7 +45,7 @@ class Candidate:
 def candidates(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options) -> list[Candidate]:
     """Everything of the library that any channel can see."""
     found = []
-    held = {(a.effect.name, a.joint): a.scanned for c in channels for a in c.active}
+    held = {a.key: a.scanned for c in channels for a in c.active}
     for effect, joint in names_of(library, options):
         columns, scans = stacked_columns(channels, effect, joint, None)
         refined = held.get((effect.name, joint))

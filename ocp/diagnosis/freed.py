@@ -37,7 +37,7 @@ def freed(problem: Problem, held: tuple[Active, ...], library: Mapping[str, Effe
         return None
     whole = make_problem([c.opened() if isinstance(c, Openable) else c for c in problem.channels], library, options)
     search = Search(whole.pool, options.most, options.beam)
-    names = {(a.effect.name, a.joint) for a in held}
+    names = {a.key for a in held}
     key = [i for n, i in whole.index.items() if (n.effect, n.joint) in names]
     there = weigh(whole.pool, key) if key else Weighed(0.0, ())
     value = search.scan(there).log + search.odds

@@ -115,7 +115,7 @@ def rivals(d: Diagnosis, library: dict[str, Effect]) -> list[Pair]:
                 add(theirs[0], None, 1.0 - now)
         if RIVAL < d.p_none < 1 - RIVAL and best.names:
             add(best.names[0], None, best.probability / (best.probability + d.p_none))
-    accepted = {Name(a.effect.name, a.joint) for a in d.active}
+    accepted = {Name(*a.key) for a in d.active}
     for group in d.classes:
         for name in accepted & set(group):
             for rival in sorted(set(group) - {name}):

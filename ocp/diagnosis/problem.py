@@ -57,7 +57,7 @@ class Problem:
                 scaled = covariance[block, block] * np.outer(family.scale, family.scale)
                 scanned = family.scans[m.variant]
                 found.append(Active(family.effect, family.name.joint, mean[block] * family.scale, scanned, scaled))
-        return tuple(sorted(found, key=lambda a: (a.effect.name, a.joint)))
+        return tuple(sorted(found, key=lambda a: a.key))
 
     def taken(self, weighed: Weighed) -> Given:
         """The set as given, with priors at the upper ends: what a fit of it takes from the data."""

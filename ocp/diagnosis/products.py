@@ -22,7 +22,7 @@ def without_products(first: Problem, problem: Problem, search: Search, held: tup
     if problem is first or not held:
         return
     index = problem.index
-    active = {i for n, i in index.items() if any((n.effect, n.joint) == (a.effect.name, a.joint) for a in held)}
+    active = {i for n, i in index.items() if any((n.effect, n.joint) == a.key for a in held)}
     whole = [k for k in search.seen if active <= k]
     if not active or not whole:
         return

@@ -32,7 +32,7 @@ def refined(problem: Problem, weighed: Weighed, active: Sequence[Active]) -> tup
 
 def _sharper(problem: Problem, weighed: Weighed, one: Active, keys: Sequence[str]) -> Active:
     index = problem.index
-    family = next(f for n, f in index.items() if (n.effect, n.joint) == (one.effect.name, one.joint))
+    family = next(f for n, f in index.items() if (n.effect, n.joint) == one.key)
     others = given(problem.pool, [Member(m.family, m.variant, 1.0) for m in weighed.members if m.family != family])
     scans = problem.pool.families[family].scans
     steps = {k: _spacing([s[k] for s in scans if k in s]) for k in keys}

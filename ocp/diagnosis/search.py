@@ -79,9 +79,7 @@ def _unmasked(found: Diagnosis, told: Sequence[tuple[Name, str]], because: Seque
     return replace(found, explanations=kept, p_unknown=found.p_unknown + moved, impostors=impostors, unknown_because=whys)
 
 
-def settle(
-    first: Problem, library: Mapping[str, Effect], options: Options, vain: NoRest | None = None
-) -> tuple[Problem, Search]:
+def settle(first: Problem, library: Mapping[str, Effect], options: Options, vain: NoRest | None = None) -> tuple[Problem, Search]:
     """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active; vain: what was
     fitted in vain, and will be."""
     problem, vain = first, NoRest() if vain is None else vain
@@ -94,7 +92,7 @@ def settle(
         search.run([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
         held = problem.channels[0].active if len(problem.channels) == 1 else _all_active(problem.channels)
         without_products(first, problem, search, held)
-        vain.rests(names_of(held))
+        vain.rests(Name(*a.key) for a in held)
         vain.strike(search, problem)
         channels: list[Channel] | None = None
         while channels is None:
@@ -111,7 +109,7 @@ def settle(
             try:
                 channels = [c.with_active(chosen) for c in problem.channels]
             except Infeasible:
-                vain.add(names_of(chosen))
+                vain.add(Name(*a.key) for a in chosen)
                 vain.strike(search, problem)
         seeds = [problem.names(k) for k in search.best()]
         problem = make_problem(channels, library, options)
@@ -137,12 +135,7 @@ def _best(search: Search, keys: Iterable[Key]) -> Key:
     return max(keys, key=lambda k: search.seen[k].log)
 
 
-def names_of(active: Iterable[Active]) -> list[Name]:
-    """Names of effects."""
-    return [Name(a.effect.name, a.joint) for a in active]
-
-
 def _all_active(channels: Sequence[Channel]) -> tuple[Active, ...]:
     """Effects active in any channel, once each."""
-    found = {(a.effect.name, a.joint): a for c in channels for a in c.active}
+    found = {a.key: a for c in channels for a in c.active}
     return tuple(found.values())

@@ -176,7 +176,7 @@ def drifts(active: Sequence[Active], change: Array, covariance: Array) -> dict[t
         block = slice(start, start + one.effect.size)
         start = block.stop
         moved = float(np.sqrt(change[block] @ np.linalg.pinv(covariance[block, block]) @ change[block]))
-        found[one.effect.name, one.joint] = moved
+        found[one.key] = moved
     return found
 
 

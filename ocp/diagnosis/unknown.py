@@ -33,14 +33,14 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
         upper = np.asarray(one.effect.prior_sd, float)
         sd = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
         if (np.abs(one.a) - 2 * sd > IMPLAUSIBLE * upper).any():
-            found.append((Name(one.effect.name, one.joint), "its value is over three times what real cells show"))
+            found.append((Name(*one.key), "its value is over three times what real cells show"))
         for a, s, positive, key in zip(one.a, sd, positive_of(one.effect), one.effect.coefficients, strict=True):
             if positive and a < -3 * s:
                 told = one.effect.parameters[0].key if key == "share" else key
-                found.append((Name(one.effect.name, one.joint), f"{told} comes out with the wrong sign"))
+                found.append((Name(*one.key), f"{told} comes out with the wrong sign"))
         why = one.effect.doubt(one.a, sd, one.scanned) if one.effect.doubt else ""
         if why:
-            found.append((Name(one.effect.name, one.joint), why))
+            found.append((Name(*one.key), why))
     return found
 
 
@@ -77,7 +77,7 @@ def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[t
         readings, registration = channel.gained()
         if registration > 0 and readings + registration > TOLD and readings < RELIEF * (readings + registration):
             why = "readings are met hardly better with it, the registration is only nearer to what was believed"
-            found += [(Name(a.effect.name, a.joint), why) for a in seen]
+            found += [(Name(*a.key), why) for a in seen]
     return found
 
 
@@ -98,9 +98,9 @@ def impostors(
                 except Infeasible:  # nothing fits without it: no impostor
                     break
                 without = h.before_rows if other is None else other.after_rows
-                drifts = not h.drift or h.drift[one.effect.name, one.joint] > DRIFTS
+                drifts = not h.drift or h.drift[one.key] > DRIFTS
                 if drifts and hurts(h.after_rows, without, h.noise, h.estimation):
-                    found.append((Name(one.effect.name, one.joint), h.fold.name))
+                    found.append((Name(*one.key), h.fold.name))
                     break
     return found
 

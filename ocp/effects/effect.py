@@ -169,6 +169,11 @@ class Active:
     covariance: Array
 
     @property
+    def key(self) -> tuple[str, int]:
+        """Name of the effect and its joint: what tells it from others."""
+        return self.effect.name, self.joint
+
+    @property
     def parameters(self) -> dict[str, Any]:
         """Values by key of the catalogue."""
         return self.effect.values(self.a, self.scanned)

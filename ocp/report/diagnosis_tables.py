@@ -14,7 +14,7 @@ MOST = 20
 def ranking_table(answer: Answer) -> Table:
     """Effects by probability with values and detectability."""
     d = answer.diagnosis
-    accepted = {Name(a.effect.name, a.joint) for a in d.active}
+    accepted = {Name(*a.key) for a in d.active}
     rows = [
         (
             effect_words(r.name), f"{r.probability:.3f}", f"{r.log_evidence:+.1f}", f"{r.detectability:.0f}",

@@ -91,7 +91,7 @@ def _sentence(answer: Answer) -> str:
 
 def _sure(answer: Answer) -> list[Ranked]:
     """Names that stand for certain beside what is unknown, the largest first, three at most."""
-    active = {(a.effect.name, a.joint) for a in answer.diagnosis.active}
+    active = {a.key for a in answer.diagnosis.active}
     return [r for r in answer.diagnosis.ranking if r.probability >= CERTAIN and (r.name.effect, r.name.joint) in active][:3]
 
 
@@ -176,9 +176,7 @@ def _what(answer: Answer) -> str:
     d = answer.diagnosis
     if not d.active:
         return "no effect is named"
-    return "; ".join(
-        f"{effect_words(Name(a.effect.name, a.joint))}: {values_words(a.parameters, a.deviations)}" for a in d.active
-    )
+    return "; ".join(f"{effect_words(Name(*a.key))}: {values_words(a.parameters, a.deviations)}" for a in d.active)
 
 
 def values_words(values: Mapping[str, Any], deviations: Mapping[str, Any]) -> str:
@@ -205,7 +203,7 @@ def _how_sure(answer: Answer) -> str:
     d = answer.diagnosis
     parts = [f"{percent(e.probability)} {effects_words(e.names)}" for e in d.explanations[:3] if e.probability > 0.005]
     parts += [f"{percent(d.p_none)} nothing at all", f"{percent(d.p_unknown)} something outside the catalogue"]
-    accepted = {Name(a.effect.name, a.joint) for a in d.active}
+    accepted = {Name(*a.key) for a in d.active}
     together = [" = ".join(effect_words(n) for n in group) for group in d.classes if accepted & set(group)]
     return "; ".join(parts) + (f". These data cannot tell apart: {'; '.join(together)}" if together else "")
 

@@ -7,12 +7,13 @@ import numpy as np
 from ocp.diagnosis.force.arm import arm_of
 from ocp.diagnosis.force.balance import Balance
 from ocp.diagnosis.force.believed import RUN_SD
-from ocp.diagnosis.force.conditions import LogConditions, conditions_of
+from ocp.diagnosis.force.conditions import conditions_of
 from ocp.diagnosis.force.fit import ForceFit, Problem, linear_normal, solve
 from ocp.diagnosis.force.prediction import Predicted, Scene, predict
+from ocp.diagnosis.foreseen import Foreseen, foreseen
 from ocp.diagnosis.system import Sealed
-from ocp.effects.effect import Active
-from ocp.force.log import ForceLog
+from ocp.effects.effect import Effect
+from ocp.force.log import ForceLog, Index
 from ocp.force.rows import prepare_force
 from robots.pose import Array
 
@@ -33,48 +34,41 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
     arm = arm_of(scene.cell, scene.theta, sealed.q, told)
     there = Scene(scene.cell, balance, setup.rows[1], told, arm, scene.theta, scene.given)
     found: list[tuple[ForceFit, Predicted]] = []
+
+    def has(effect: Effect) -> bool:
+        return set(effect.needs) <= told.given
+
     for own, fit in (before, after):
         if found and fit is before[1]:  # no effect
             found.append(found[0])
             continue
         measured = replace(own, scene=replace(own.scene, balance=balance, rows=setup.rows[0]))
         again = solve(measured, fit.active, fit)
-        known, _ = _told(again, told)
+        known = foreseen(again.active, has).known
         at = predict(there, again.at.x, known)
         found.append((again, predict(there, again.at.x, known, at)))
     (_, baseline), (fit, corrected) = found
-    unknown = _told(fit, told)[1]
+    parted = foreseen(fit.active, has)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
-    more = _changed(problem.log, sealed, setpoint) + _usual(scene, fit, unknown)
-    sigma = _sigma(problem, there, fit, corrected, more)
-    return Sealed(baseline.fn[:, None], corrected.fn[:, None], sigma[:, None], tuple(a.effect.name for a in unknown))
+    more = _changed(problem.log, sealed, setpoint) + _usual(scene, fit, parted)
+    sigma = _sigma(problem, there, fit, corrected, parted.kept, more)
+    return Sealed(baseline.fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
 
 
-def _told(fit: ForceFit, told: LogConditions) -> tuple[tuple[Active, ...], tuple[Active, ...]]:
-    """Active effects for which conditions have all columns, and the others."""
-    known = [set(a.effect.needs) <= told.given for a in fit.active]
-    parts = [tuple(a for a, k in zip(fit.active, known, strict=True) if k is wanted) for wanted in (True, False)]
-    return parts[0], parts[1]
-
-
-def _usual(scene: Scene, fit: ForceFit, unknown: tuple[Active, ...]) -> float:
-    """Mean square N^2 of what some of the active effects do to the normal reading in the log."""
-    if not unknown:
+def _usual(scene: Scene, fit: ForceFit, parted: Foreseen) -> float:
+    """Mean square N^2 of what the unknown ones of the active effects do to the normal reading in the log."""
+    if not parted.unknown:
         return 0.0
-    gone = {(a.effect.name, a.joint) for a in unknown}
-    rest = tuple(a for a in fit.active if (a.effect.name, a.joint) not in gone)
-    ends = [predict(scene, fit.at.x, active, predict(scene, fit.at.x, active)).fn for active in (fit.active, rest)]
+    ends = [predict(scene, fit.at.x, active, predict(scene, fit.at.x, active)).fn for active in (fit.active, parted.known)]
     return float(np.mean((ends[1] - ends[0])[scene.rows.contact] ** 2))
 
 
-def _sigma(problem: Problem, there: Scene, fit: ForceFit, at: Predicted, more: float) -> Array:
-    """One sigma (n,) N: unknowns of the fit as far as they are in the prediction, what runs differ by, and `more` N^2 of what
-    else is not known."""
+def _sigma(problem: Problem, there: Scene, fit: ForceFit, at: Predicted, kept: Index, more: float) -> Array:
+    """One sigma (n,) N: unknowns of the fit, of its effects' coefficients those `kept`, what runs differ by, and `more` N^2 of
+    what else is not known."""
     r, o = problem.sizes
     J = linear_normal(problem, there, at)
-    names = {(a.effect.name, a.joint) for a in at.active}
-    inside = [(a.effect.name, a.joint) in names for a in fit.active for _ in range(a.effect.size)]
-    keep = np.r_[np.arange(r), r + o + np.flatnonzero(inside)]
+    keep = np.r_[np.arange(r), r + o + kept]
     covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
     variance = np.einsum("ni,ij,nj->n", J, covariance, J) + (RUN_SD**2 + more) * there.rows.contact
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ocp.diagnosis.foreseen import foreseen
 from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant, scan_key
 from ocp.diagnosis.tracker.background import Background, background
 from ocp.diagnosis.tracker.baseline import relearned
@@ -225,8 +226,8 @@ class TrackerChannel:
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = (self if _kinds(a) == _kinds(self.active) else self.with_active(a) for a in ((), active))
-        unknown = [a for a in after.active if not _told(a.effect, sealed)]
-        return predict(before.task, before.fit, after.task, after.fit, after.background.mean, sealed, unknown)
+        parted = foreseen(after.active, lambda effect: _told(effect, sealed))
+        return predict(before.task, before.fit, after.task, after.fit, after.background.mean, sealed, parted)
 
 
 def _told(effect: Effect, readings: Readings) -> bool:

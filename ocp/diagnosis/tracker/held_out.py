@@ -32,8 +32,8 @@ def held_out(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> Hel
     seen = Seen(
         task.campaign.robot, r, task.campaign.instrument, fit.state, fit.linear.point, task.reference, task.start.arm[30:]
     )
-    whole = fit.linear.residual + _added(fit.active, seen, fit)[1]
-    extra, _ = _added(active, seen, fit)
+    whole = fit.linear.residual + added(fit.active, seen, fit)[1]
+    extra, _ = added(active, seen, fit)
     before = _solved(task, fit, whole, np.zeros((len(r), 3, 0)), np.zeros(0), train)[0][rows]
     prior = np.concatenate([np.asarray(a.effect.prior_sd, float) for a in active]) if active else np.zeros(0)
     errors, a, covariance = _solved(task, fit, whole, extra, prior, train)
@@ -47,7 +47,7 @@ def held_out(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> Hel
     return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(told.mean()), drift)
 
 
-def _added(active: Sequence[Active], seen: Seen, fit: Held) -> tuple[Array, Array]:
+def added(active: Sequence[Active], seen: Seen, fit: Held) -> tuple[Array, Array]:
     """Columns (n, 3, m) m of effects about the fit, and what they add (n, 3) m at their values."""
     n = len(seen.readings)
     if not active:
