@@ -14,9 +14,9 @@ import time
 import numpy as np
 import trimesh
 
-from ocp.contact import volume_mesh as meshing
-from ocp.contact.blade_compliance import clamped_blade
-from ocp.contact.elasticity import Material
+from ocp.contact.blade import volume_mesh as meshing
+from ocp.contact.blade.compliance import clamped_blade
+from ocp.contact.blade.elasticity import Material
 
 NOTICEABLE = 5e-8  # m/N: 20 N move the blade by one micrometre
 CLAMP, PATCH = 0.010, (3e-3, 6e-3)

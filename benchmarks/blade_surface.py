@@ -1,6 +1,6 @@
 """How near the smooth surface comes to analytic blades, and how long reading, analysis and passes take.
 
-    python benchmarks/blade_surface.py [STL ..]
+python benchmarks/blade_surface.py [STL ..]
 """
 
 import sys

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.calibration import as_in
-from ocp.measuring.setup import read_tracker_setup
+from ocp.calibrate.tracker import as_in
+from ocp.model.measuring_setup import read_tracker_setup
 from robots.calibration.evidence import choose_terms
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.layout import Choice

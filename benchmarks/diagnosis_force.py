@@ -16,11 +16,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from diagnosis_force_world import HEADER, Base, Pass, Planted, believed_world, log_of, moved_joints, record
 from force_world import arm_posterior, write_log
 
-from ocp.diagnosis.force.channel import ForceChannel, force_channel
-from ocp.diagnosis.force.fit import solve
-from ocp.diagnosis.search import diagnose
+from ocp.calibrate.force.log import read_force_log
+from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.force.channel import ForceChannel, force_channel
+from ocp.diagnose.force.fit import solve
 from ocp.effects.library import library
-from ocp.force.log import read_force_log
 
 PLAN = (
     Pass(0), Pass(0, travel=-1), Pass(1), Pass(1, travel=-1), Pass(0, contact=False), Pass(1, feed=0.02), Pass(0, feed=0.08),

@@ -17,12 +17,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ocp.command import Phases
-from ocp.diagnosis.channels import channels_of
-from ocp.diagnosis.dataset import read_data_set
-from ocp.diagnosis.findings import Options
-from ocp.diagnosis.search import diagnose
+from ocp.diagnose.channels import channels_of
+from ocp.diagnose.dataset import read_data_set
+from ocp.diagnose.engine.findings import Options
+from ocp.diagnose.engine.search import diagnose
 from ocp.effects.library import library
+from ocp.shell.command import Phases
 
 STIFFNESS = 5200.0  # N/m: dF per m of overlap in a cell with this flange
 RADIUS, FRICTION = 0.15, 0.35

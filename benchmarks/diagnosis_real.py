@@ -16,23 +16,23 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ocp.command import Phases
-from ocp.diagnosis.answer import SCALE
-from ocp.diagnosis.answering import answer_of
-from ocp.diagnosis.channels import tracker_channel
-from ocp.diagnosis.dataset import DataSet, read_data_set, read_sealed_tracker
-from ocp.diagnosis.earned import Earned, earned
-from ocp.diagnosis.families import candidates
-from ocp.diagnosis.findings import Options
-from ocp.diagnosis.joints import kr300
-from ocp.diagnosis.projection import stack
-from ocp.diagnosis.search import MOST, diagnose
-from ocp.diagnosis.system import HeldOut
-from ocp.diagnosis.tracker.channel import TrackerChannel
-from ocp.diagnosis.tracker.ur import ACHIEVED, TARGET, Campaign, held_rows, read_campaign, write_data_set
+from ocp.diagnose.answer import SCALE
+from ocp.diagnose.answering import answer_of
+from ocp.diagnose.channels import tracker_channel
+from ocp.diagnose.dataset import DataSet, read_data_set, read_sealed_tracker
+from ocp.diagnose.engine.earned import Earned, earned
+from ocp.diagnose.engine.families import candidates
+from ocp.diagnose.engine.findings import Options
+from ocp.diagnose.engine.projection import stack
+from ocp.diagnose.engine.search import MOST, diagnose
+from ocp.diagnose.engine.system import HeldOut
+from ocp.diagnose.published import kr300
+from ocp.diagnose.published.ur import ACHIEVED, TARGET, Campaign, held_rows, read_campaign, write_data_set
+from ocp.diagnose.report.words import headline
+from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active
 from ocp.effects.library import library
-from ocp.report.diagnosis_words import headline
+from ocp.shell.command import Phases
 from robots.calibration.noise import Noise, reading_covariance
 from robots.gravity import GRAVITY
 from robots.measurements import Index

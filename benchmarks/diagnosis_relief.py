@@ -10,15 +10,15 @@ import json
 import sys
 from pathlib import Path
 
-from ocp.blind.sealing import SEALED, WORLDS
-from ocp.command import Phases
-from ocp.diagnosis.channels import channels_of
-from ocp.diagnosis.dataset import read_data_set
-from ocp.diagnosis.findings import Options
-from ocp.diagnosis.force.channel import ForceChannel
-from ocp.diagnosis.problem import make_problem
-from ocp.diagnosis.search import settle
+from ocp.blindtest.worlds.sealing import SEALED, WORLDS
+from ocp.diagnose.channels import channels_of
+from ocp.diagnose.dataset import read_data_set
+from ocp.diagnose.engine.findings import Options
+from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.search import settle
+from ocp.diagnose.force.channel import ForceChannel
 from ocp.effects.library import library
+from ocp.shell.command import Phases
 
 
 def main(check: Path, worlds: list[str]) -> None:

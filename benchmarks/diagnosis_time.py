@@ -22,8 +22,8 @@ PHASES = "import sys; sys.path.insert(0, sys.argv[3]); import diagnosis_time; di
 
 def phases(folder: str, out: str) -> None:
     """Print seconds by phase of one diagnosis in this process as JSON."""
-    from ocp.command import Phases
-    from ocp.diagnosis.answering import write_diagnosis
+    from ocp.diagnose.answering import write_diagnosis
+    from ocp.shell.command import Phases
 
     seconds = {"start and imports": time.process_time()}
 

@@ -11,18 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.cell import Cell, read_cell
-from ocp.collision import Scene
-from ocp.command import Phases
-from ocp.motion import build_motion
-from ocp.optimise import Ground, solve_passes
-from ocp.paths import LaidPaths, lay_paths
-from ocp.plan import BUNDLED
-from ocp.planning import PlanOptions
-from ocp.posture import find_seeds
-from ocp.prepare import Contact, prepare_contact
-from ocp.stage import Weights
-from ocp.theta import believed_theta
+from ocp.data import CELL
+from ocp.model.cell import Cell, read_cell
+from ocp.model.prepare import Contact, prepare_contact
+from ocp.model.theta import believed_theta
+from ocp.plan.motion.collision import Scene
+from ocp.plan.motion.motion import build_motion
+from ocp.plan.passes.optimise import Ground, solve_passes
+from ocp.plan.passes.posture import find_seeds
+from ocp.plan.passes.stage import Weights
+from ocp.plan.paths import LaidPaths, lay_paths
+from ocp.plan.planning import PlanOptions
+from ocp.shell.command import Phases
 from robots.errors import Infeasible
 from robots.pose import transform_from_xyzabc
 
@@ -44,9 +44,7 @@ def plan(cell: Cell, laid: LaidPaths, contact: Contact) -> str:
     scene = Scene(cell, laid.blade.vertices)
     try:
         seeds = find_seeds(cell, scene, contact.law, laid.paths)
-        ground = Ground(
-            cell, believed_theta(cell), Weights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud
-        )
+        ground = Ground(cell, believed_theta(cell), Weights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud)
         solved = solve_passes(ground, laid.paths, seeds, list(contact.compliance.per_pass), 1)
         return f"planned, program of {build_motion(cell, scene, solved).duration:.0f} s"
     except Infeasible as error:
@@ -58,7 +56,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=5)
     arguments = parser.parse_args()
-    cell = read_cell(BUNDLED / "cell.toml")
+    cell = read_cell(CELL)
     cell = replace(cell, process=replace(cell.process, pass_spacing=0.02))
     assert cell.workpiece.stl is not None
     laid = lay_paths(cell, cell.workpiece.stl, PlanOptions(step=2e-3))

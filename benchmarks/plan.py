@@ -24,22 +24,22 @@ import typer
 from plan_peers import HEADER, METHODS, row
 from scipy.interpolate import CubicSpline
 
-from ocp import optimise
-from ocp.cell import read_cell
-from ocp.collision import Scene
-from ocp.command import Phases
-from ocp.contact import blade_compliance as blade
-from ocp.contact.elasticity import Material
-from ocp.optimise import Ground, PassWorker
-from ocp.pass_problem import PassProblem, with_direction
-from ocp.paths import lay_paths
-from ocp.plan_files import write_plan
-from ocp.planning import Plan, PlanOptions, make_plan
-from ocp.posture import Seed, find_seeds
-from ocp.prepare import prepare_contact, typical_patch, wheel_cover
-from ocp.solve import PassSolver
-from ocp.stage import Weights
-from ocp.theta import believed_theta
+from ocp.contact.blade import compliance as blade
+from ocp.contact.blade.elasticity import Material
+from ocp.model.cell import read_cell
+from ocp.model.prepare import prepare_contact, typical_patch, wheel_cover
+from ocp.model.theta import believed_theta
+from ocp.plan.files import write_plan
+from ocp.plan.motion.collision import Scene
+from ocp.plan.passes import optimise
+from ocp.plan.passes.optimise import Ground, PassWorker
+from ocp.plan.passes.posture import Seed, find_seeds
+from ocp.plan.passes.problem import PassProblem, with_direction
+from ocp.plan.passes.solve import PassSolver
+from ocp.plan.passes.stage import Weights
+from ocp.plan.paths import lay_paths
+from ocp.plan.planning import Plan, PlanOptions, make_plan
+from ocp.shell.command import Phases
 from robots.pose import Array
 from trajectories.passes import BladePath, reversed_path
 
@@ -60,7 +60,7 @@ class Job:
 
 
 def prepared(cell_file: Path, stl: Path) -> Job:
-    """Everything up to the optimiser, as `ocp.planning.make_plan` does it."""
+    """Everything up to the optimiser, as `ocp.plan.planning.make_plan` does it."""
     cell = read_cell(cell_file, stl)
     laid = lay_paths(cell, stl, PlanOptions(step=STEP))
     contact = prepare_contact(cell, laid.blade, laid.paths, Phases())

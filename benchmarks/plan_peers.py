@@ -10,12 +10,12 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from ocp.optimise import Ground
-from ocp.pass_problem import PassProblem
-from ocp.posture import joints_near, poses_along
-from ocp.solve import PassSolver
-from ocp.stage import N_PLAIN_ROWS, N_Z
-from ocp.transcription import IPOPT
+from ocp.plan.passes.optimise import Ground
+from ocp.plan.passes.posture import joints_near, poses_along
+from ocp.plan.passes.problem import PassProblem
+from ocp.plan.passes.solve import PassSolver
+from ocp.plan.passes.stage import N_PLAIN_ROWS, N_Z
+from ocp.plan.passes.transcription import IPOPT
 from robots.pose import Array
 
 FORCE_SETTLED = 1e-6  # N: where the correction of the overlap stops

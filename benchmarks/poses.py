@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ocp.command import Phases
-from ocp.measuring.design import Design, planned_readings
-from ocp.measuring.planning import PoseOptions, PosePlan, make_poses
-from ocp.plan import BUNDLED
+from ocp.data import CELL
+from ocp.poses.design import Design, planned_readings
+from ocp.poses.planning import PoseOptions, PosePlan, make_poses
+from ocp.shell.command import Phases
 from robots.calibration.fit import fit_campaign
 from robots.calibration.layout import Choice, State, nominal_state
 from robots.calibration.noise import Noise, reading_covariance
@@ -115,7 +115,7 @@ def at_random(design: Design, near: Array, count: int, rng: np.random.Generator)
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cell", type=Path, default=BUNDLED / "cell.toml")
+    parser.add_argument("--cell", type=Path, default=CELL)
     parser.add_argument("--robots", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--criteria", nargs="*", default=["zone", "O1"])

@@ -1,8 +1,8 @@
-"""`python benchmarks/record_hashes.py CHECKOUT OUT`: hashes of what every command writes, to show that moved code does what it did.
+"""`python benchmarks/record_hashes.py CHECKOUT OUT`: hashes of what every command writes, so that moves are seen to be moves.
 
 Runs plan, poses, simulate, calibrate and diagnose of the checkout on the same inputs, and writes OUT/hashes.json. Inputs that the
-commands make themselves (a path, a program, a calibrated cell) stand in OUT/inputs; `--inputs OLD/inputs` takes those of an earlier
-run. plan.json tells the versions of packages; text of no other file changes from run to run.
+commands make themselves (a path, a program, a calibrated cell) stand in OUT/inputs; `--inputs OLD/inputs` takes those of an
+earlier run. plan.json tells the versions of packages; text of no other file changes from run to run.
 """
 
 import argparse
@@ -62,8 +62,9 @@ def make_inputs(runner: Runner, inputs: Path) -> None:
     inputs.mkdir(parents=True)
     real = SHARED / "real"
     ur5 = real / "ur5_tracker" / "3D_UR5_uncalibrated_grid_cleaned.csv"
-    runner.run("inputs/ur5", "ocp.diagnosis.tracker.ur", ur5, "--out", inputs / "ur5")
-    runner.run("inputs/kr300", "ocp.diagnosis.joints.kr300", real / "kr300_secondary_encoder" / "FF_A.mat", "--out", inputs / "kr300")
+    kr300 = real / "kr300_secondary_encoder" / "FF_A.mat"
+    runner.run("inputs/ur5", "ocp.diagnose.published.ur", ur5, "--out", inputs / "ur5")
+    runner.run("inputs/kr300", "ocp.diagnose.published.kr300", kr300, "--out", inputs / "kr300")
     runner.run("inputs/plan", "ocp.plan", "--out", inputs / "plan")
     runner.run("inputs/lin", "ocp.plan", "--kind", "lin", "--out", inputs / "lin")
     runner.run("inputs/run", "ocp.simulate", inputs / "plan", "--seed", "1", "--out", inputs / "run")
@@ -81,6 +82,7 @@ def commands(inputs: Path) -> list[tuple[str, tuple[str | Path, ...]]]:
     """Folder to write and command, the long ones first."""
     worlds = SHARED / "worlds"
     tracker, force = worlds / "tracker_two_effects", worlds / "force_wheel_wear"
+    readings = (force / "tracker.csv", "--force", force / "force.csv")
     programs = sorted((inputs / "lin").glob("*.src"), key=lambda path: len(path.name))
     return [
         ("plan_axis", ("ocp.plan",)),
@@ -94,7 +96,7 @@ def commands(inputs: Path) -> list[tuple[str, tuple[str | Path, ...]]]:
         ("simulate", ("ocp.simulate", inputs / "plan", "--seed", "3")),
         ("calibrate_ur5", ("ocp.calibrate", inputs / "ur5" / "tracker.csv", "--cell", inputs / "ur5" / "cell.toml")),
         ("calibrate_tracker", ("ocp.calibrate", tracker / "tracker.csv", "--cell", tracker / "cell.toml")),
-        ("calibrate_force", ("ocp.calibrate", force / "tracker.csv", "--force", force / "force.csv", "--cell", force / "cell.toml")),
+        ("calibrate_force", ("ocp.calibrate", *readings, "--cell", force / "cell.toml")),
         ("diagnose_kr300", ("ocp.diagnose", inputs / "kr300")),
         *[(f"diagnose_{w}", ("ocp.diagnose", worlds / w)) for w in WORLDS if w != "force_two_effects"],
     ]  # fmt: skip

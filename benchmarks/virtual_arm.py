@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.calibration import as_in
-from ocp.cell import Cell, read_cell
-from ocp.measuring.setup import read_tracker_setup
-from ocp.twin.arm import make_arm, moments
-from ocp.twin.truth import draw_truth
-from ocp.twin.worlds import random_world
+from ocp.calibrate.tracker import as_in
+from ocp.model.cell import Cell, read_cell
+from ocp.model.measuring_setup import read_tracker_setup
+from ocp.simulate.twin.arm.arm import make_arm, moments
+from ocp.simulate.twin.truth.truth import draw_truth
+from ocp.simulate.twin.worlds import random_world
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.layout import Choice
 from robots.calibration.reading_model import RowInputs, predict_points

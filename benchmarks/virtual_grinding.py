@@ -11,22 +11,22 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ocp.cell import Cell, read_cell
-from ocp.contact.gap import LocalShape, solve_force
-from ocp.plan import BUNDLED
-from ocp.prepare import wheel_cover
-from ocp.twin.arm import make_arm
-from ocp.twin.arm import moments as arm_moments
-from ocp.twin.contact import ContactMoments, Tables, make_grinder
-from ocp.twin.contact.posture import postures, wheel_on_blade
-from ocp.twin.contact.rubber import make_rubber
-from ocp.twin.contact.stations import depth_curves, place_stations
-from ocp.twin.contact.surface import gap, near
-from ocp.twin.contact.table import LEVELS, make_tables
-from ocp.twin.contact.unilateral import press
-from ocp.twin.contact.workpiece import blade_poses, wheel_frames
-from ocp.twin.machine_truth import Truth
-from ocp.twin.truth import draw_truth
+from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.data import CELL
+from ocp.model.cell import Cell, read_cell
+from ocp.model.prepare import wheel_cover
+from ocp.simulate.twin.arm.arm import make_arm
+from ocp.simulate.twin.arm.arm import moments as arm_moments
+from ocp.simulate.twin.contact import ContactMoments, Tables, make_grinder
+from ocp.simulate.twin.contact.posture import postures, wheel_on_blade
+from ocp.simulate.twin.contact.rubber import make_rubber
+from ocp.simulate.twin.contact.stations import depth_curves, place_stations
+from ocp.simulate.twin.contact.surface import gap, near
+from ocp.simulate.twin.contact.table import LEVELS, make_tables
+from ocp.simulate.twin.contact.unilateral import press
+from ocp.simulate.twin.contact.workpiece import blade_poses, wheel_frames
+from ocp.simulate.twin.truth.machine import Truth
+from ocp.simulate.twin.truth.truth import draw_truth
 from robots.csv_table import read_csv_table
 from robots.pose import Array
 from trajectories.blade import Blade, read_blade
@@ -143,7 +143,7 @@ def plan(cell: Cell, blade: Blade, folder: Path) -> None:
 
 
 def main(folder: Path, wanted: list[str]) -> None:
-    cell = read_cell(BUNDLED / "cell.toml")
+    cell = read_cell(CELL)
     blade = read_blade(cell.workpiece.stl, cell.workpiece.stl_unit)
     if not wanted or "cover" in wanted:
         cover(cell, blade)

@@ -8,12 +8,12 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from ocp.cell import read_cell
-from ocp.contact.cover import Cover, WheelGeometry, build_cover, default_cell
-from ocp.contact.gap import LocalShape, solve_force
-from ocp.contact.wheel_fit import FLANGE_STIFFNESS, FORCE_RANGE, Domain, draw, fit_wheel_law
-from ocp.contact.wheel_law import WheelLaw
-from ocp.paths import lay_paths
+from ocp.contact.wheel.cover import Cover, WheelGeometry, build_cover, default_cell
+from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.contact.wheel.law import WheelLaw
+from ocp.contact.wheel.law_fit import FLANGE_STIFFNESS, FORCE_RANGE, Domain, draw, fit_wheel_law
+from ocp.model.cell import read_cell
+from ocp.plan.paths import lay_paths
 
 LARGE = WheelGeometry(radius=0.150, width=0.040, cover_thickness=0.015, modulus=12e6, poisson=0.47)
 SMALL = WheelGeometry(radius=0.075, width=0.025, cover_thickness=0.015, modulus=3.43e6, poisson=0.47)

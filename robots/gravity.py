@@ -20,9 +20,7 @@ from robots.robot import Robot
 GRAVITY = 9.81
 
 
-def gravity_torques(
-    q: Any, mdh: Any, sign: Any, link_mass: Any, link_com: Any, payload_mass: Any, payload_com: Any
-) -> Any:
+def gravity_torques(q: Any, mdh: Any, sign: Any, link_mass: Any, link_com: Any, payload_mass: Any, payload_com: Any) -> Any:
     """Torque of weight (6) N m about each axis at posture q, as a CasADi expression.
 
     q (6) rad, mdh (6, 5), sign (6); link_mass (7) kg and link_com (7, 3) m of the base and links 1..6 in the
@@ -47,16 +45,12 @@ def _point(frame: Any, local: Any) -> Any:
     return frame[:3, :3] @ local + frame[:3, 3]
 
 
-def weight_torques(
-    robot: Robot, q: ArrayLike, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)
-) -> Array:
+def weight_torques(robot: Robot, q: ArrayLike, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
     """Torques of weight (n, 6) N m, positive along +q, at postures q (n, 6) rad.
 
     Payload kg, its centre (3,) m in the flange frame.
     """
-    function = _compiled(
-        *(np.asarray(a, float).tobytes() for a in (robot.mdh, robot.sign, robot.link_mass, robot.link_com))
-    )
+    function = _compiled(*(np.asarray(a, float).tobytes() for a in (robot.mdh, robot.sign, robot.link_mass, robot.link_com)))
     rows = np.asarray(q, float).reshape(-1, 6)
     payload = np.array([payload_mass, *np.asarray(payload_com, float)])
     return evaluate_rows(function, rows, np.broadcast_to(payload, (len(rows), 4)))

@@ -109,9 +109,7 @@ def inverse_all(robot: Robot, T: ArrayLike) -> Solutions:
         return Solutions(postures, branch, state, excess)
     over = np.array([_least_excess(robot, q[0, b]) for _, b in found])
     best = int(np.argmin(over.max(axis=1)))
-    return Solutions(
-        postures, branch, Status.OUTSIDE_LIMITS, float(over[best].max()), int(np.argmax(over[best])) + 1
-    )
+    return Solutions(postures, branch, Status.OUTSIDE_LIMITS, float(over[best].max()), int(np.argmax(over[best])) + 1)
 
 
 def turns(robot: Robot, q: ArrayLike) -> Array:
@@ -151,9 +149,7 @@ def reach_excess(robot: Robot, T: ArrayLike) -> Array:
     inside = np.maximum(abs(family.lateral) - radial, 0.0)
     X, Y = _in_plane(family, centre)
     distance = np.hypot(X, Y)
-    outside = np.maximum(distance - (family.a2 + family.l3), abs(family.a2 - family.l3) - distance).min(
-        axis=1
-    )
+    outside = np.maximum(distance - (family.a2 + family.l3), abs(family.a2 - family.l3) - distance).min(axis=1)
     return np.maximum(np.maximum(outside, inside), 0.0)
 
 

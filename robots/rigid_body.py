@@ -9,9 +9,7 @@ from robots.pose import Array, make_transform, rot_x, rot_y, rot_z
 from robots.robot import Robot
 
 
-def rigid_body_model(
-    robot: Robot, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)
-) -> pin.Model:
+def rigid_body_model(robot: Robot, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)) -> pin.Model:
     """Pinocchio model with joint variables q in the controller's signs, base upright, payload as a point mass.
 
     Joint i turns about sign_i z of link frame i - 1 and starts at the theta offset, so no conversion of q is
@@ -52,9 +50,7 @@ def inverse_dynamics(
     return np.array([pin.rnea(model, data, *row) for row in zip(*rows, strict=True)]).reshape(-1, 6)
 
 
-def generalised_gravity(
-    robot: Robot, q: ArrayLike, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)
-) -> Array:
+def generalised_gravity(robot: Robot, q: ArrayLike, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
     """Torques (n, 6) N m that hold the arm at rest at q (n, 6) rad; minus `robots.gravity.weight_torques`."""
     model = rigid_body_model(robot, payload_mass, payload_com)
     data = model.createData()

@@ -13,8 +13,8 @@ import numpy as np
 from force_world import FINE, OVERLAP, World, correlated, make_world, taught_joints, true_cell
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from ocp.prepare import wheel_cover
-from ocp.verify import verify_pass
+from ocp.model.prepare import wheel_cover
+from ocp.plan.verify.second_route import verify_pass
 from robots.elementary import elementary_forward
 
 Array = np.ndarray

@@ -132,8 +132,10 @@ def _bent_link(q, tau, frames, p, j, v, hung, pieces=2000):
     moment = {0.5: root + (end - root) * at, 1.0: np.full(pieces, root), 0.0: np.full(pieces, end)}[v["root_share"]]
     turn = per_piece * moment
     about = start + at[:, None] * way
-    return p + np.sum(turn[:, None] * np.cross(axis, frames[tip, :3, 3] - about), axis=0) + np.cross(
-        turn.sum() * axis, p - frames[tip, :3, 3]
+    return (
+        p
+        + np.sum(turn[:, None] * np.cross(axis, frames[tip, :3, 3] - about), axis=0)
+        + np.cross(turn.sum() * axis, p - frames[tip, :3, 3])
     )
 
 

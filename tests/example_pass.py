@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from ocp.cell import Cell, read_cell
-from ocp.plan import BUNDLED
+from ocp.data import CELL
+from ocp.model.cell import Cell, read_cell
 from trajectories.passes import BladePath
 
 
@@ -25,7 +25,7 @@ class LineLaw:
 
 
 def bundled_cell() -> Cell:
-    return read_cell(BUNDLED / "cell.toml")
+    return read_cell(CELL)
 
 
 def bar_pass(n: int = 40, radius: float = 0.04, length: float = 0.06, force: float = 20.0, feed: float = 0.04) -> BladePath:

@@ -12,15 +12,15 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from small_plan import small_cell
 
-from ocp.blade_gap import SurfaceCloud
-from ocp.cell import Cell, read_cell
-from ocp.contact.blade_compliance import blade_compliance
-from ocp.contact.cover import Cover
-from ocp.contact.elasticity import Material
-from ocp.model import axis_directions
-from ocp.paths import lay_paths
-from ocp.prepare import typical_patch, wheel_cover
-from ocp.verify import Believed, believed_robot, bent, verify_pass
+from ocp.contact.blade.compliance import blade_compliance
+from ocp.contact.blade.elasticity import Material
+from ocp.contact.wheel.cover import Cover
+from ocp.model.blade_gap import SurfaceCloud
+from ocp.model.cell import Cell, read_cell
+from ocp.model.force_balance import axis_directions
+from ocp.model.prepare import typical_patch, wheel_cover
+from ocp.plan.paths import lay_paths
+from ocp.plan.verify.second_route import Believed, believed_robot, bent, verify_pass
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.calibration.store import Calibration
 from robots.elementary import elementary_forward
@@ -205,4 +205,3 @@ def write_log(path: Path, rows: list[list], header: list[str] | None = None) -> 
     with path.open("w", newline="") as file:
         csv.writer(file).writerows([header or HEADER, *rows])
     return path
-

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.diagnosis.system import Conditions, Fold, HeldOut, Sealed, System, Variant
+from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant
 from ocp.effects.effect import Active, Effect, Parameter, Surroundings
 
 

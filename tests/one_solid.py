@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from ocp.contact.blade_compliance import ClampedBlade, clamped_blade
+from ocp.contact.blade.compliance import ClampedBlade, clamped_blade
 
 SOLIDS: dict[tuple[object, ...], ClampedBlade] = {}  # of this process, whatever module asks
 
@@ -19,7 +19,7 @@ def one_solid() -> Iterator[None]:
         return SOLIDS[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("ocp.contact.blade_compliance", "ocp.force.compliance"):
+        for module in ("ocp.contact.blade.compliance", "ocp.calibrate.force.compliance"):
             patch.setattr(f"{module}.clamped_blade", known)
-        patch.setattr("ocp.force.rows.stations_known", lambda *asked: True)
+        patch.setattr("ocp.calibrate.force.rows.stations_known", lambda *asked: True)
         yield

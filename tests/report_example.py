@@ -13,7 +13,7 @@ import trimesh
 from report_arm import LIMITS, T_FLANGE_BLADE, WHEEL, capsules, elementary_arm, timed_motion
 from scipy.interpolate import CubicSpline
 
-from ocp.report.data import (
+from ocp.plan.report.data import (
     CellAnimation,
     InputFile,
     PassReport,
@@ -160,8 +160,8 @@ def example_report(blade: Path | None = None, lines: int = 8, count: int = 188, 
 
 def main(folder: str, blade: str | None = None) -> None:
     """Write report.html, report.pdf and refused.html (a plan that must not be used) into the folder."""
-    from ocp.report.page import write_page
-    from ocp.report.printed import write_pdf
+    from ocp.plan.report.page import write_page
+    from ocp.plan.report.printed import write_pdf
 
     report = example_report(Path(blade) if blade else None)
     out = Path(folder)

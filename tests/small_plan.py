@@ -12,10 +12,11 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from ocp.plan import BUNDLED, app
+from ocp.data import BLADE, CELL
+from ocp.plan.__main__ import app
 
 ROOT = Path(__file__).resolve().parents[1]
-TEXT = (BUNDLED / "cell.toml").read_text()
+TEXT = (CELL).read_text()
 SMALL = {
     'side = "both"': 'side = "convex"',
     "pass_spacing_mm = 6.0": "pass_spacing_mm = 25.0",
@@ -41,7 +42,7 @@ def small_cell(folder: Path, changes: dict[str, str] | None = None, blade: bool 
         text = text.replace(old, new)
     (folder / "cell.toml").write_text(text)
     if blade:
-        shutil.copy(BUNDLED / "blade.stl", folder / "blade.stl")
+        shutil.copy(BLADE, folder / "blade.stl")
     return folder / "cell.toml"
 
 

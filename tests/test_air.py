@@ -9,10 +9,10 @@ from example_pass import bundled_cell
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ocp import motion
-from ocp.air import FAR, SAMPLE, dense, is_free, lifted, travel
-from ocp.collision import Clearance, Scene
-from ocp.roadmap import connect
+from ocp.plan.motion import motion
+from ocp.plan.motion.air import FAR, SAMPLE, dense, is_free, lifted, travel
+from ocp.plan.motion.collision import Clearance, Scene
+from ocp.plan.motion.roadmap import connect
 from robots.errors import Infeasible
 from robots.kinematics import forward
 
@@ -162,7 +162,7 @@ def test_the_search_is_free_short_and_always_the_same():
 
 
 def test_the_search_gives_up_where_the_wall_has_no_gap(monkeypatch):
-    monkeypatch.setattr("ocp.roadmap.ATTEMPTS", 300)
+    monkeypatch.setattr("ocp.plan.motion.roadmap.ATTEMPTS", 300)
     low, high = np.radians(np.full(6, -180.0)), np.radians(np.full(6, 180.0))
     scene = wall([25, -400], [35, 400])
     assert connect(scene, low, high, np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0]), SAMPLE) is None

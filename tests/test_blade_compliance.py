@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from test_elasticity import box, run_ccx
 
-from ocp import cache
-from ocp.contact import blade_compliance as module
-from ocp.contact.blade_compliance import ClampedBlade, blade_compliance, clamped_blade, contact_components
-from ocp.contact.contact_patch import patch_loads, patch_weights
-from ocp.contact.elasticity import Material
-from ocp.contact.nested_dissection import factorise
-from ocp.contact.pass_interpolation import NEGLIGIBLE, TOLERANCE, interpolate_passes
+from ocp.contact.blade import compliance as module
+from ocp.contact.blade.compliance import ClampedBlade, blade_compliance, clamped_blade, contact_components
+from ocp.contact.blade.contact_patch import patch_loads, patch_weights
+from ocp.contact.blade.elasticity import Material
+from ocp.contact.blade.nested_dissection import factorise
+from ocp.contact.blade.pass_interpolation import NEGLIGIBLE, TOLERANCE, interpolate_passes
+from ocp.shell import cache
 from robots.errors import BadInput
 
 TITANIUM = Material()

@@ -1,30 +1,29 @@
 """Force worlds of the blind check: exact slopes and signatures, detectability, worlds and files, against the virtual cell."""
 
-import ast
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ocp.blind.drawing import scaled
-from ocp.blind.grinding.detectability import Sight, detectabilities, noise_roots, sight_of
-from ocp.blind.grinding.drawing import draw_effects, kind_of, pool_of, usual
-from ocp.blind.grinding.grinder import Bench
-from ocp.blind.grinding.machines import STORE, GrindingMachine, draw_grinding
-from ocp.blind.grinding.outside import KINDS as OUTSIDE
-from ocp.blind.grinding.runs import drawn_runs, rows_of
-from ocp.blind.grinding.signatures import force_families
-from ocp.blind.grinding.slopes import nuisance
-from ocp.blind.grinding.world import log_noise, write_cell_with_blade, write_force_world
-from ocp.blind.judging import name_of
-from ocp.blind.recipes import Recipe
-from ocp.blind.sealing import Check
-from ocp.blindtest import BUNDLED
-from ocp.force.log import read_force_log
-from ocp.twin.machine_truth import SENSOR_SIGMA
-from ocp.twin.planting import draw_effect, parse_effect
-from ocp.twin.truth import PLACEMENT
+from ocp.blindtest.oracle.force_detectability import Sight, detectabilities, noise_roots, sight_of
+from ocp.blindtest.oracle.force_signatures import force_families
+from ocp.blindtest.oracle.slopes import nuisance
+from ocp.blindtest.scoring.judging import name_of
+from ocp.blindtest.worlds.drawing import scaled
+from ocp.blindtest.worlds.force_drawing import draw_effects, kind_of, pool_of, usual
+from ocp.blindtest.worlds.force_machines import STORE, GrindingMachine, draw_grinding
+from ocp.blindtest.worlds.force_outside import KINDS as OUTSIDE
+from ocp.blindtest.worlds.force_world import log_noise, write_cell_with_blade, write_force_world
+from ocp.blindtest.worlds.grinder import Bench
+from ocp.blindtest.worlds.recipes import Recipe
+from ocp.blindtest.worlds.runs import drawn_runs, rows_of
+from ocp.blindtest.worlds.sealing import Check
+from ocp.calibrate.force.log import read_force_log
+from ocp.data import CELL
+from ocp.simulate.twin.truth.machine import SENSOR_SIGMA
+from ocp.simulate.twin.truth.planting import draw_effect, parse_effect
+from ocp.simulate.twin.truth.truth import PLACEMENT
 
 ROOT = Path(__file__).resolve().parents[1]
 SINGLE = Recipe(1, "single", 2, (50.0, 100.0))
@@ -36,12 +35,12 @@ SHARED = 36 + 6 + 7  # columns of the arm
 def machine(tmp_path_factory) -> GrindingMachine:
     """A machine with a background, three of its runs, without finite elements."""
     folder = tmp_path_factory.mktemp("check")
-    write_cell_with_blade(BUNDLED, folder / "cell.toml")
-    from ocp.twin.contact.table import Tables
+    write_cell_with_blade(CELL, folder / "cell.toml")
+    from ocp.simulate.twin.contact.table import Tables
 
     patch = pytest.MonkeyPatch()
     patch.setattr(Tables, "give", lambda self, p, n, t, solve: np.tile(SOLID, (len(p), 1)))
-    patch.setattr("ocp.blind.grinding.machines.drawn_runs", few_runs)
+    patch.setattr("ocp.blindtest.worlds.force_machines.drawn_runs", few_runs)
     drawn = draw_grinding(folder / "cell.toml", 4, replace(SINGLE, turn=6), 60, 40, False)
     assert drawn.background and (folder / STORE).is_file()
     yield drawn
@@ -192,16 +191,3 @@ def test_a_tracker_check_is_the_same_as_before(tmp_path):
     assert "signals" not in Check(tmp_path, 1, 3, ("single",)).fixed()
     assert Check(tmp_path, 1, 3, ("single",), signals="force").fixed()["signals"] == "force"
     assert isinstance(Bench.__doc__, str)
-
-
-FORBIDDEN = ("ocp.diagnosis", "ocp.effects", "ocp.model", "robots.calibration", "robots.kinematics", "robots.gravity", "casadi")
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "ocp" / "blind" / "grinding").glob("*.py")), ids=lambda p: p.stem)
-def test_worlds_and_the_oracle_use_nothing_of_the_diagnosis(path: Path) -> None:
-    if path.stem == "scoring":  # judges: it refits the believed cell to know what could have been reached
-        return
-    tree = ast.parse(path.read_text())
-    imported = {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
-    imported |= {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
-    assert not {i for i in imported if i.startswith(FORBIDDEN)}

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from ocp import cache
+from ocp.shell import cache
 
 
 @pytest.fixture(autouse=True)
@@ -103,7 +103,7 @@ def test_unwritable_folder_and_no_folder_still_compute(folder, monkeypatch):
 
 def test_parallel_writers_leave_one_whole_entry(folder):
     code = (
-        "import numpy as np; from ocp.cache import remember\n"
+        "import numpy as np; from ocp.shell.cache import remember\n"
         "for i in range(60): assert remember('kind', str(i), lambda: {'a': np.full(20000, float(i))})['a'][-1] == i"
     )
     root = Path(__file__).parents[1]

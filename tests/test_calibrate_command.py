@@ -11,8 +11,8 @@ import pytest
 from simulated_campaign import campaign_readings, measured, random_truth
 from small_plan import ROOT, TEXT, tree
 
-from ocp.cell import read_cell
-from ocp.theta import NAMES, believed_theta
+from ocp.model.cell import read_cell
+from ocp.model.theta import NAMES, believed_theta
 from robots.calibration.store import read_calibration
 from robots.measurements import Readings
 

@@ -8,7 +8,7 @@ import pytest
 from example_pass import bundled_cell
 from small_plan import STEP, planned, small_cell
 
-from ocp.theta import NAMES, believed_theta
+from ocp.model.theta import NAMES, believed_theta
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration, write_calibration
 from robots.robot import load_robot

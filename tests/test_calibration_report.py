@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from calibration_example import SIGMA, example_calibration, with_names
 
-from ocp.calibration import MethodTable, TrackerCalibration
-from ocp.report.calibration_advice import advice, extrapolates_badly, tellable_parameters
-from ocp.report.calibration_noise import drift_is_real
-from ocp.report.calibration_report import write_calibration_report
-from ocp.report.calibration_view import held_out_in_base, look_at
-from ocp.report.calibration_words import headline, term_verdict
+from ocp.calibrate.report.advice import advice, extrapolates_badly, tellable_parameters
+from ocp.calibrate.report.noise import drift_is_real
+from ocp.calibrate.report.pages import write_calibration_report
+from ocp.calibrate.report.view import held_out_in_base, look_at
+from ocp.calibrate.report.words import headline, term_verdict
+from ocp.calibrate.tracker import MethodTable, TrackerCalibration
 from ocp.report.flow import column_widths, width_of, wrapped
 from ocp.report.section import WIDTH, Canvas, Plot, Points, Section, table
-from ocp.report.svg_inline import inline_svg
+from ocp.report.svg import inline_svg
 from robots.calibration.evidence import Term
 from robots.calibration.identifiability import Hidden
 from robots.calibration.load_tests import LoadTest

@@ -58,9 +58,7 @@ def test_what_is_written_is_read_to_the_last_bit(tmp_path):
 @given(
     st.lists(st.sampled_from(sorted(SYMBOLS)), min_size=1, max_size=12, unique=True),
     st.integers(0, 1000),
-    st.dictionaries(
-        st.text(max_size=8), st.text(max_size=20) | st.floats(allow_nan=False) | st.booleans(), max_size=4
-    ),
+    st.dictionaries(st.text(max_size=8), st.text(max_size=20) | st.floats(allow_nan=False) | st.booleans(), max_size=4),
 )
 def test_any_names_and_any_provenance_survive(tmp_path_factory, names, seed, provenance):
     before = example(names, seed, provenance=provenance, not_identified={})
@@ -93,9 +91,7 @@ def test_without_the_archive_the_covariance_is_diagonal_and_said_so(tmp_path):
 
 
 def test_calibrated_tables_take_what_is_named_and_keep_the_rest():
-    calibration = example(
-        names=("a1", "th2", "c2"), values=np.array([0.3512, 0.001, 4e-7]), covariance=np.eye(3)
-    )
+    calibration = example(names=("a1", "th2", "c2"), values=np.array([0.3512, 0.001, 4e-7]), covariance=np.eye(3))
     mdh = calibrated_mdh(EXTRA, calibration)
     expected = EXTRA.mdh.copy()
     expected[0, 2], expected[1, 0] = 0.3512, 0.001
@@ -167,9 +163,7 @@ def test_pickled_objects_are_never_loaded(tmp_path):
     before = example()
     write_calibration(path, before)
     without_hash(path)
-    np.savez(
-        tmp_path / "calibration.npz", names=np.array(before.names, dtype=object), covariance=before.covariance
-    )
+    np.savez(tmp_path / "calibration.npz", names=np.array(before.names, dtype=object), covariance=before.covariance)
     with pytest.raises(BadInput, match="not a covariance archive"):
         read_calibration(path)
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.cell import read_cell
-from ocp.plan import BUNDLED
+from ocp.data import CELL
+from ocp.model.cell import read_cell
 from robots.errors import BadInput
 
-TEXT = (BUNDLED / "cell.toml").read_text()
+TEXT = (CELL).read_text()
 
 
 def write(folder: Path, old: str = "", new: str = "") -> Path:
@@ -21,7 +21,7 @@ def write(folder: Path, old: str = "", new: str = "") -> Path:
 
 
 def test_units_are_si_and_radians_inside():
-    cell = read_cell(BUNDLED / "cell.toml")
+    cell = read_cell(CELL)
     assert cell.wheel.radius == pytest.approx(0.040)
     assert cell.wheel.cover_modulus == pytest.approx(10 ** (0.0235 * 45 - 0.6403) * 1e6)
     assert cell.wheel.arc == pytest.approx((-np.pi / 6, np.pi / 6))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from example_pass import bundled_cell
 
-from ocp.collision import ARM_MARGIN, BLADE_MARGIN, Clearance, Scene, flange_pose
+from ocp.plan.motion.collision import ARM_MARGIN, BLADE_MARGIN, Clearance, Scene, flange_pose
 from robots.inverse import inverse_branches
 from robots.kinematics import forward
 from robots.pose import rotation_from_abc

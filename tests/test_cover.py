@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.contact.annulus import element_stiffness, ring_section
-from ocp.contact.cover import WheelGeometry, build_cover, default_cell, width_cells
+from ocp.contact.wheel.annulus import element_stiffness, ring_section
+from ocp.contact.wheel.cover import WheelGeometry, build_cover, default_cell, width_cells
 from robots.errors import BadInput
 
 WHEEL = WheelGeometry(radius=0.150, width=0.040, cover_thickness=0.015, modulus=12e6, poisson=0.47)
@@ -185,7 +185,7 @@ def test_a_store_spares_the_finite_elements(cover, monkeypatch):
             kept[key] = arrays
 
     first = build_cover(WHEEL, 2e-3, Store())
-    monkeypatch.setattr("ocp.contact.cover.ring_section", None)
+    monkeypatch.setattr("ocp.contact.wheel.cover.ring_section", None)
     again = build_cover(replace(WHEEL, modulus=24e6), 2e-3, Store())
     assert np.allclose(2 * again.spectrum, first.spectrum)
 

@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ocp.diagnosis.beam import Weighed
-from ocp.diagnosis.classes import merged, mistaken, twins
-from ocp.diagnosis.evidence import posterior
-from ocp.diagnosis.findings import Name
-from ocp.diagnosis.pool import Family, Member, make_pool
+from ocp.diagnose.engine.beam import Weighed
+from ocp.diagnose.engine.evidence import posterior
+from ocp.diagnose.engine.findings import Name
+from ocp.diagnose.engine.pool import Family, Member, make_pool
+from ocp.diagnose.verdict.classes import merged, mistaken, twins
 from ocp.effects.library import library
 
 N, LONG = 400, 30.0  # rows; length of a column at its prior's upper end, in noises

@@ -6,16 +6,16 @@ from linear_channel import LinearChannel, effect
 from scipy.stats import f as f_law
 from scipy.stats import gamma, kstest, norm
 
-from ocp.diagnosis.beam import Search, weigh
-from ocp.diagnosis.evidence import TRUST, WRONG, log_evidence, posterior, size_grid
-from ocp.diagnosis.families import positive_of
-from ocp.diagnosis.findings import Name, Options
-from ocp.diagnosis.pool import Member, given, scan, scan_one
-from ocp.diagnosis.problem import make_problem
-from ocp.diagnosis.projection import project
-from ocp.diagnosis.search import diagnose
-from ocp.diagnosis.system import Conditions
-from ocp.diagnosis.tests_without_library import kernel_tests
+from ocp.diagnose.engine.beam import Search, weigh
+from ocp.diagnose.engine.evidence import TRUST, WRONG, log_evidence, posterior, size_grid
+from ocp.diagnose.engine.families import positive_of
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.pool import Member, given, scan, scan_one
+from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.projection import project
+from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.engine.system import Conditions
+from ocp.diagnose.verdict.tests_without_library import kernel_tests
 from ocp.effects.library import library
 
 FEW = Options(where=False, prior_effects=0.2)  # a library of six

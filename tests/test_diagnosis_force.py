@@ -11,21 +11,21 @@ from diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, l
 from force_world import arm_posterior, write_log
 from one_solid import one_solid
 
-from ocp.diagnosis.force.balance import Balance
-from ocp.diagnosis.force.believed import believed_contact
-from ocp.diagnosis.force.channel import ForceChannel, force_channel
-from ocp.diagnosis.force.columns import derivatives, effect_columns
-from ocp.diagnosis.force.conditions import conditions_of
-from ocp.diagnosis.force.fit import Problem, solve
-from ocp.diagnosis.force.prediction import predict
-from ocp.diagnosis.force.setpoints import with_setpoints_read_off
-from ocp.diagnosis.force.whitening import Whitener
-from ocp.diagnosis.reporting import _shown
-from ocp.diagnosis.search import diagnose
-from ocp.diagnosis.system import Fold
+from ocp.calibrate.force.log import ForceLog, read_force_log
+from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.engine.system import Fold
+from ocp.diagnose.force.balance import Balance
+from ocp.diagnose.force.believed import believed_contact
+from ocp.diagnose.force.channel import ForceChannel, force_channel
+from ocp.diagnose.force.columns import derivatives, effect_columns
+from ocp.diagnose.force.conditions import conditions_of
+from ocp.diagnose.force.fit import Problem, solve
+from ocp.diagnose.force.prediction import predict
+from ocp.diagnose.force.setpoints import with_setpoints_read_off
+from ocp.diagnose.force.whitening import Whitener
+from ocp.diagnose.reporting import _shown
 from ocp.effects.effect import Active, Effect
 from ocp.effects.library import library
-from ocp.force.log import ForceLog, read_force_log
 
 EFFECTS = library()
 

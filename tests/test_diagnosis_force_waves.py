@@ -7,18 +7,18 @@ import pytest
 from diagnosis_force_world import Planted
 from test_diagnosis_force import EFFECTS, Made, _active, _again, _log, made, solved_once  # noqa: F401
 
-from ocp.diagnosis import conclusions
-from ocp.diagnosis.beam import NOTHING, Search
-from ocp.diagnosis.conclusions import findings
-from ocp.diagnosis.findings import Name, Options
-from ocp.diagnosis.force import fit as fitting
-from ocp.diagnosis.force.fit import linear, solve
-from ocp.diagnosis.force.knocks import telling_knocks
-from ocp.diagnosis.force.prediction import predict
-from ocp.diagnosis.no_rest import NoRest
-from ocp.diagnosis.problem import make_problem
-from ocp.diagnosis.products import without_products
-from ocp.diagnosis.search import diagnose, settle
+from ocp.diagnose.engine.beam import NOTHING, Search
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.no_rest import NoRest
+from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.products import without_products
+from ocp.diagnose.engine.search import diagnose, settle
+from ocp.diagnose.force import fit as fitting
+from ocp.diagnose.force.fit import linear, solve
+from ocp.diagnose.force.knocks import telling_knocks
+from ocp.diagnose.force.prediction import predict
+from ocp.diagnose.verdict import conclusions
+from ocp.diagnose.verdict.conclusions import findings
 from robots.errors import Infeasible
 
 
@@ -190,7 +190,7 @@ def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, mo
     wave, stiff = (frozenset([problem.index[Name(n, 0)]]) for n in ("wheel_runout", "flange_stiffness"))
     search.run([wave, stiff])
     assert search.seen[stiff].log > 0.5 * search.seen[wave].log  # it does
-    monkeypatch.setattr("ocp.diagnosis.products.NEAR", np.inf)  # not as near here as in a log with less in it
+    monkeypatch.setattr("ocp.diagnose.engine.products.NEAR", np.inf)  # not as near here as in a log with less in it
     without_products(first, problem, search, after.active)
     assert search.seen[stiff].log < 0.4 * search.seen[wave].log
 

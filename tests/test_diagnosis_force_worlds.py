@@ -2,11 +2,11 @@
 
 import pytest
 
-from ocp.command import Phases
-from ocp.diagnosis.channels import channels_of
-from ocp.diagnosis.dataset import read_data_set
-from ocp.diagnosis.search import diagnose
+from ocp.diagnose.channels import channels_of
+from ocp.diagnose.dataset import read_data_set
+from ocp.diagnose.engine.search import diagnose
 from ocp.effects.library import library
+from ocp.shell.command import Phases
 
 
 @pytest.mark.parametrize(("name", "wanted"), [("force_two_effects", {"sensor_bias", "tangential_force"})])

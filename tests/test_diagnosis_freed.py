@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from test_diagnosis_tracker import LIBRARY, channel, world
 
-from ocp.diagnosis.findings import Name, Options
-from ocp.diagnosis.freed import FREED, freed
-from ocp.diagnosis.problem import make_problem
-from ocp.diagnosis.search import diagnose
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.freed import FREED, freed
+from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.search import diagnose
 
 SHIFT = np.array([4e-4, -2e-4, 3e-4])
 OPTIONS = Options(folds=False)

@@ -7,12 +7,12 @@ import pytest
 from diagnosis_folder import joint_columns, write_csv
 from simulated_campaign import EXTRA, PAYLOADS
 
-from ocp.diagnosis.joints.channel import ARCSEC, joint_channel
-from ocp.diagnosis.joints.kr300 import write_data_set
-from ocp.diagnosis.joints.log import read_joint_log
-from ocp.diagnosis.joints.noise import BLOCK, Noise, covariance, factors, whiten
-from ocp.diagnosis.shrinkage import from_folds, realised
-from ocp.diagnosis.system import Fold, HeldOut
+from ocp.diagnose.engine.system import Fold, HeldOut
+from ocp.diagnose.joints.channel import ARCSEC, joint_channel
+from ocp.diagnose.joints.log import read_joint_log
+from ocp.diagnose.joints.noise import BLOCK, Noise, covariance, factors, whiten
+from ocp.diagnose.published.kr300 import write_data_set
+from ocp.diagnose.verdict.shrinkage import from_folds, realised
 from ocp.effects.effect import Active
 from ocp.effects.library import library
 from robots.errors import BadInput

@@ -11,15 +11,15 @@ from scipy.stats import ncx2
 from simulated_campaign import NESTS, PAYLOADS
 from test_diagnosis_tracker import LIBRARY, ROBOT, channel, column, world
 
-from ocp.diagnose import _catalogue
-from ocp.diagnosis.effect_list import effect_list
-from ocp.diagnosis.evidence import size_grid
-from ocp.diagnosis.features import groups, products, smooth
-from ocp.diagnosis.findings import Name, Options
-from ocp.diagnosis.search import SUSPECT, diagnose
-from ocp.diagnosis.system import Fold, HeldOut
-from ocp.diagnosis.unknown import impostors, relieving
-from ocp.diagnosis.visible import Rival, needed
+from ocp.diagnose.__main__ import _catalogue
+from ocp.diagnose.effect_list import effect_list
+from ocp.diagnose.engine.evidence import size_grid
+from ocp.diagnose.engine.features import groups, products, smooth
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.search import SUSPECT, diagnose
+from ocp.diagnose.engine.system import Fold, HeldOut
+from ocp.diagnose.verdict.unknown import impostors, relieving
+from ocp.diagnose.verdict.visible import Rival, needed
 from ocp.effects.effect import Active
 from ocp.effects.library import library
 from ocp.effects.listing import effects_table
@@ -47,7 +47,9 @@ JOINTS = {
     "coupled": (lambda r: column(3, 1.5e-4 * np.sin(1.5 * r.q[:, 1])), 3, {"q2"}),
     "resolver": (lambda r: column(3, 6e-5 * np.cos(5 * ROBOT.gear_ratio[2] * r.q[:, 2])), 3, {"motor3"}),
     "loaded mesh": (
-        lambda r: column(2, 1.5e-4 * torque(r, 2) / 4000.0 * np.cos(23 * r.q[:, 1])), 2, {"tau2", "q2"},
+        lambda r: column(2, 1.5e-4 * torque(r, 2) / 4000.0 * np.cos(23 * r.q[:, 1])),
+        2,
+        {"tau2", "q2"},
     ),
     "memory": (lambda r: column(4, 2e-4 * np.tanh(np.diff(r.q[:, 3], prepend=r.q[0, 3]))), 4, {"step4"}),
     "warm gear": (lambda r: column(4, 4e-5 * (r.temperature - 22.0) * np.cos(r.q[:, 3])), 4, {"temperature", "q4"}),

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.diagnosis.channels import tracker_channel
-from ocp.diagnosis.dataset import read_data_set
-from ocp.diagnosis.earned import earned
-from ocp.diagnosis.families import Candidate, candidates
-from ocp.diagnosis.findings import Name, Options
-from ocp.diagnosis.search import diagnose
-from ocp.diagnosis.system import Fold, System
-from ocp.diagnosis.tracker.ur import TARGET, held_rows, read_campaign, write_data_set
+from ocp.diagnose.channels import tracker_channel
+from ocp.diagnose.dataset import read_data_set
+from ocp.diagnose.engine.earned import earned
+from ocp.diagnose.engine.families import Candidate, candidates
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.engine.system import Fold, System
+from ocp.diagnose.published.ur import TARGET, held_rows, read_campaign, write_data_set
 from ocp.effects.library import library
 from robots.errors import BadInput
 

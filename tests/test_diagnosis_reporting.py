@@ -3,9 +3,9 @@ import sys
 
 from diagnosis_folder import write_tracker_folder
 
-from ocp.command import Phases
-from ocp.diagnosis import reporting
-from ocp.diagnosis.answering import write_diagnosis
+from ocp.diagnose import reporting
+from ocp.diagnose.answering import write_diagnosis
+from ocp.shell.command import Phases
 
 LATE = ("matplotlib", "jinja2", "trimesh", "networkx")  # seconds of imports that a tracker's diagnosis does not wait for
 
@@ -21,6 +21,6 @@ def test_one_core_draws_the_same_page_as_two(tmp_path, monkeypatch):
 
 
 def test_what_only_the_report_or_a_force_log_needs_is_imported_late():
-    code = f"import sys, ocp.diagnosis.answering; print([m for m in {LATE} if m in sys.modules])"
+    code = f"import sys, ocp.diagnose.answering; print([m for m in {LATE} if m in sys.modules])"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "[]"

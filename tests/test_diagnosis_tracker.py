@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from simulated_campaign import EXTRA, INSTRUMENT, NESTS, PAYLOADS, campaign_readings, measured, random_truth
 
-from ocp.calibration import as_in
-from ocp.diagnosis.findings import Name, Options
-from ocp.diagnosis.search import diagnose
-from ocp.diagnosis.tracker.baseline import baseline
-from ocp.diagnosis.tracker.channel import TrackerChannel
-from ocp.diagnosis.tracker.folds import tracker_folds
-from ocp.diagnosis.tracker.noise import reliability
-from ocp.diagnosis.tracker.refit import settled
-from ocp.diagnosis.unknown import cancelling, hurts, implausible
+from ocp.calibrate.tracker import as_in
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.tracker.baseline import baseline
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.tracker.folds import tracker_folds
+from ocp.diagnose.tracker.noise import reliability
+from ocp.diagnose.tracker.refit import settled
+from ocp.diagnose.verdict.unknown import cancelling, hurts, implausible
 from ocp.effects.effect import Active
 from ocp.effects.library import library
 from robots.calibration.solver import Campaign
@@ -141,7 +141,7 @@ def test_columns_are_derivatives_of_the_nonlinear_prediction():
         e = LIBRARY[name]
         variant = c.variants(e, joint)[-1]
         step = 1e-2 * np.asarray(e.prior_sd)
-        from ocp.diagnosis.tracker.refit import looked
+        from ocp.diagnose.tracker.refit import looked
 
         one = Active(e, joint, step, variant.scanned, np.eye(len(step)))
         there, _ = looked(c.task, c.fit.state, (one,))
@@ -157,7 +157,7 @@ def test_linear_folds_are_as_good_as_nonlinear_refits():
     quick = c.held_out(fold, c.active)
     left = replace(c.task, campaign=replace(c.task.campaign, readings=readings.take(~fold.held)))
     fit = settled(left, c.fit)
-    from ocp.diagnosis.tracker.refit import looked
+    from ocp.diagnose.tracker.refit import looked
 
     there, _ = looked(c.task, fit.state, fit.active)
     slow = np.mean(np.sum(there.residual[fold.held] ** 2, axis=1))

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_campaign import EXTRA, NESTS, PAYLOADS
 
-from ocp.effects.arm_rows import arm_rows
 from ocp.effects.cell_effects import effect_of, table_of
 from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine
-from ocp.effects.evaluate import TrackerRows, arm_columns, arm_shift, shifted_joints, tracker_columns, tracker_shift
+from ocp.effects.engine.arm_rows import arm_rows
+from ocp.effects.engine.evaluate import TrackerRows, arm_columns, arm_shift, shifted_joints, tracker_columns, tracker_shift
 from ocp.effects.library import library
 from ocp.effects.listing import effects_table, with_table
 from robots.calibration.reading_model import RowInputs, predict

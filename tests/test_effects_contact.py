@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_effects import PLACES, SEEN, some
 
-from ocp.effects.contact_rows import LAYOUT, ContactPlace, added_overlap, contact_columns
 from ocp.effects.context import LogRows
+from ocp.effects.engine.contact_rows import LAYOUT, ContactPlace, added_overlap, contact_columns
 from ocp.effects.library import library
 
 PLACE = ContactPlace(0.15, 0.35)
@@ -57,7 +57,8 @@ def expected(name, v, x):
         "flange_gravity": -v.get("kg", 0) * 9.81 * x["push_axis"][:, 2] / np.sum(x["push_axis"] * x["n_base"], axis=1),
     }
     sensor = {
-        "sensor_bias": v.get("N", 0) + zero, "sensor_drift": v.get("N_per_h", 0) * x["clock"] / 3600,
+        "sensor_bias": v.get("N", 0) + zero,
+        "sensor_drift": v.get("N_per_h", 0) * x["clock"] / 3600,
         "sensor_gain": np.float64(v.get("scale", 0)) * F,
         "sensor_crosstalk": v.get("share", 0) * v.get("share_sign", 0) * 0.35 * sign * F,
         "tangential_force": v.get("leak", 0) * v.get("leak_sign", 0) * (0.35 + v.get("dmu", 0)) * F * sign,
@@ -116,7 +117,6 @@ def test_a_profile_as_large_as_its_prior_is_as_large_as_real_ones_get():
     drawn = np.random.default_rng(1).normal(size=(400, e.size)) * e.prior_sd
     sizes = [e.values(a, {"length_m": 0.1, "lines": [1.0, 2.0]})["m"] for a in drawn]
     assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(2e-4, rel=0.05)
-
 
 
 def test_every_effect_on_forces_is_covered():

@@ -13,18 +13,18 @@ from hypothesis import strategies as st
 from small_plan import STEP, planned, refused, small_cell
 from test_optimal_control import BAR
 
-from ocp.cell import Cell, Conditions, read_cell
-from ocp.collision import Scene
+from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.effects.cell_effects import effect_of
-from ocp.effects.symbolic import CONDITIONS
-from ocp.force.model import ForceModel, ForceRows
-from ocp.pass_problem import PassProblem, with_direction
-from ocp.posture import find_seeds
-from ocp.reversal import WINDOW, approach_signs
-from ocp.solve import PassSolver
-from ocp.stage import Weights
-from ocp.theta import believed_theta, with_effects
-from ocp.verified_effects import BelievedArm, moved_arm
+from ocp.effects.engine.symbolic import CONDITIONS
+from ocp.model.cell import Cell, Conditions, read_cell
+from ocp.model.theta import believed_theta, with_effects
+from ocp.plan.motion.collision import Scene
+from ocp.plan.passes.posture import find_seeds
+from ocp.plan.passes.problem import PassProblem, with_direction
+from ocp.plan.passes.reversal import WINDOW, approach_signs
+from ocp.plan.passes.solve import PassSolver
+from ocp.plan.passes.stage import Weights
+from ocp.plan.verify.effects import BelievedArm, moved_arm
 from robots.elementary import elementary_forward
 from trajectories.passes import reversed_path
 
@@ -133,6 +133,7 @@ def test_a_force_log_of_a_cell_with_effects_sees_them():
 
     class Law(LineLaw):
         process_force = 20.0
+
     rows = [
         ForceRows(q, np.hstack([at.waypoints, replace_clock(at, cell, clock)]), np.full(n, 20.0), np.ones(n), np.ones(n, bool))
         for clock in (0.0, 2000.0)

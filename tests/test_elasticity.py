@@ -9,9 +9,9 @@ import pytest
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.linalg import spsolve
 
-from ocp.contact import elasticity
-from ocp.contact.elasticity import Material, element_stiffness, quadratic_mesh, shape_gradients
-from ocp.contact.nested_dissection import factorise
+from ocp.contact.blade import elasticity
+from ocp.contact.blade.elasticity import Material, element_stiffness, quadratic_mesh, shape_gradients
+from ocp.contact.blade.nested_dissection import factorise
 
 STEEL = Material(210e9, 0.3)
 

@@ -9,16 +9,16 @@ from force_world import HEADER, Run, World, arm_posterior, campaign, correlated,
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
-from ocp.cell import read_cell
-from ocp.force.fit import BIAS, FIT_NAMES, force_prior, reading_jacobian, reading_of, solve_force_log
-from ocp.force.folds import blocks_of, held_out
-from ocp.force.footing import foot_points
-from ocp.force.log import ForceLog, read_force_log
-from ocp.force.model import ForceModel, ForceRows
-from ocp.force.registration import ForceFit, fit_force
-from ocp.force.rows import ForceSetup, prepare_force
-from ocp.registration import registered
-from ocp.report.contact_sections import contact_sections
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior, reading_jacobian, reading_of, solve_force_log
+from ocp.calibrate.force.folds import blocks_of, held_out
+from ocp.calibrate.force.footing import foot_points
+from ocp.calibrate.force.log import ForceLog, read_force_log
+from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.registration import ForceFit, fit_force
+from ocp.calibrate.force.rows import ForceSetup, prepare_force
+from ocp.calibrate.report.contact import contact_sections
+from ocp.model.cell import read_cell
+from ocp.model.registration import registered
 from ocp.report.section import WIDTH, Canvas, Plot, Table
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput

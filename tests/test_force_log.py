@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from ocp.force.log import BLIND, read_force_log
+from ocp.calibrate.force.log import BLIND, read_force_log
 from robots.errors import BadInput
 
 NEEDED = ["run", "time_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from force_world import correlated
 
-from ocp.force.noise import Noise, Runs, estimate_noise, student_weights, whiten
+from ocp.calibrate.force.noise import Noise, Runs, estimate_noise, student_weights, whiten
 
 
 def runs_of(rng, count, length, **kind):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from example_pass import bundled_cell
 
-from ocp.blade_gap import FACING, REACH, SurfaceCloud, surface_shape
-from ocp.contact.gap import LocalShape
-from ocp.gouge import GOUGE_TOLERANCE, find_gouge
+from ocp.contact.wheel.gap import LocalShape
+from ocp.model.blade_gap import FACING, REACH, SurfaceCloud, surface_shape
+from ocp.plan.verify.gouge import GOUGE_TOLERANCE, find_gouge
 
 RADIUS = 0.08  # m of the round bar that plays the blade
 CONTACT = np.array([0.0, RADIUS, 0.0])
@@ -110,7 +110,7 @@ def test_the_far_side_of_the_blade_is_not_seen(cell):
 
 
 def test_without_a_cloud_the_shape_is_its_quadratic():
-    from ocp.blade_gap import SurfaceShape
+    from ocp.model.blade_gap import SurfaceShape
 
     x = np.linspace(-0.01, 0.01, 5)
     plain, real = LocalShape(30.0, 5.0, 2.0, 0.0, 0.01, -0.02), SurfaceShape(30.0, 5.0, 2.0, 0.0, 0.01, -0.02)

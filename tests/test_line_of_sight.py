@@ -6,9 +6,9 @@ import coal
 import numpy as np
 import pytest
 
-from ocp.cell import read_cell
-from ocp.measuring.line_of_sight import BALL, BEAM, Rod, Sight, meets_wheel, nest_direction, segment_distance, visible
-from ocp.plan import BUNDLED
+from ocp.data import CELL
+from ocp.model.cell import read_cell
+from ocp.poses.line_of_sight import BALL, BEAM, Rod, Sight, meets_wheel, nest_direction, segment_distance, visible
 from robots.kinematics import link_frames
 from robots.measurements import Nest
 from robots.pose import apply
@@ -18,7 +18,7 @@ NEST = Nest(6, np.array([0.15, -0.05, 0.25]))
 
 @pytest.fixture(scope="module")
 def cell():
-    return read_cell(BUNDLED / "cell.toml")
+    return read_cell(CELL)
 
 
 def test_distances_of_segments_are_those_of_points_along_them():

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from example_pass import LineLaw, bar_pass, bundled_cell
 
-from ocp.cell import ForceFlange
-from ocp.model import build_model
-from ocp.pass_problem import PassProblem
-from ocp.posture import Seed
-from ocp.solve import PassSolver
-from ocp.stage import N_ROWS, Weights, build_stage
-from ocp.theta import NAMES, UNMODELLED_JOINTS, believed_theta
-from ocp.verify import believed_robot, bent
+from ocp.model.cell import ForceFlange
+from ocp.model.force_balance import build_model
+from ocp.model.theta import NAMES, UNMODELLED_JOINTS, believed_theta
+from ocp.plan.passes.posture import Seed
+from ocp.plan.passes.problem import PassProblem
+from ocp.plan.passes.solve import PassSolver
+from ocp.plan.passes.stage import N_ROWS, Weights, build_stage
+from ocp.plan.verify.second_route import believed_robot, bent
 from robots.calibration.store import Calibration
 from robots.elementary import elementary_forward
 from robots.pose import apply
@@ -96,8 +96,8 @@ def test_robot_compliance_under_contact_equals_finite_differences():
 
 
 def test_turn_and_tilt_read_what_the_pose_was_given():
-    from ocp.collision import flange_pose
-    from ocp.posture import contact_poses, turned_curvature
+    from ocp.plan.motion.collision import flange_pose
+    from ocp.plan.passes.posture import contact_poses, turned_curvature
     from robots.inverse import inverse_branches
 
     cell = replace(bundled_cell(), compliant_joints=())

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ocp.measuring.design import planned_readings
+from ocp.poses.design import planned_readings
 from robots.calibration.layout import Choice, Priors, build_layout, nominal_state
 from robots.calibration.noise import Noise
 from robots.calibration.observability import (

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from example_pass import LineLaw, bar_pass, bundled_cell
 
-from ocp.collision import Scene
-from ocp.pass_problem import PassProblem, with_direction
-from ocp.posture import find_seeds
-from ocp.solve import SPEED_SHARE, PassSolver
-from ocp.stage import N_PARAMETERS, N_ROWS, Weights
-from ocp.theta import Theta, believed_theta
-from ocp.transcription import transcribe
+from ocp.model.theta import Theta, believed_theta
+from ocp.plan.motion.collision import Scene
+from ocp.plan.passes.posture import find_seeds
+from ocp.plan.passes.problem import PassProblem, with_direction
+from ocp.plan.passes.solve import SPEED_SHARE, PassSolver
+from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, Weights
+from ocp.plan.passes.transcription import transcribe
 from robots.errors import Infeasible
 from trajectories.passes import reversed_path
 

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from ocp.output import check_output, whole_folder
+from ocp.shell.output import check_output, whole_folder
 from robots.errors import BadInput, Infeasible
 
 

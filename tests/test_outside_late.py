@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.blind import outside, outside_arm, outside_late, recipes
-from ocp.blind.detectability import whitener
-from ocp.blind.drawing import POOLS, detectabilities, draw_effects, scaled, usual
-from ocp.blind.machines import draw_machine
-from ocp.blind.outside_late import EVERY, KINDS
-from ocp.blind.recipes import Recipe
-from ocp.blind.sealing import write_cell
-from ocp.twin.kinds_arm import KINDS as CATALOGUE
-from ocp.twin.planting import Planted, draw_effect
+from ocp.blindtest.oracle.detectability import whitener
+from ocp.blindtest.worlds import outside, outside_arm, outside_late, recipes
+from ocp.blindtest.worlds.drawing import POOLS, detectabilities, draw_effects, scaled, usual
+from ocp.blindtest.worlds.machines import draw_machine
+from ocp.blindtest.worlds.outside_late import EVERY, KINDS
+from ocp.blindtest.worlds.recipes import Recipe
+from ocp.blindtest.worlds.sealing import write_cell
+from ocp.simulate.twin.truth.kinds_arm import KINDS as CATALOGUE
+from ocp.simulate.twin.truth.planting import Planted, draw_effect
 from robots.errors import BadInput
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -227,6 +227,6 @@ def test_the_second_list_comes_only_where_it_is_asked_for():
 
 
 def test_it_uses_nothing_of_the_diagnosis():
-    tree = ast.parse((ROOT / "ocp" / "blind" / "outside_late.py").read_text())
+    tree = ast.parse((ROOT / "ocp" / "blindtest" / "worlds" / "outside_late.py").read_text())
     imported = {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
-    assert not {i for i in imported if i.startswith(("ocp.diagnosis", "ocp.effects", "ocp.model", "robots.calibration"))}
+    assert not {i for i in imported if i.startswith(("ocp.diagnose", "ocp.effects", "ocp.model", "robots.calibration"))}

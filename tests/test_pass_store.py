@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from example_pass import bar_pass, bundled_cell
 
-from ocp.blade_gap import SurfaceCloud
-from ocp.contact.cover import Cover, WheelGeometry
-from ocp.dataclass_arrays import flattened, rebuilt
-from ocp.direct_contact import DirectContact
-from ocp.optimise import Ground, SolvedPass
-from ocp.pass_problem import PassProblem
-from ocp.pass_store import remembered_passes
-from ocp.posture import Seed
-from ocp.solve import Evaluation, PassSolution
-from ocp.stage import Weights
-from ocp.theta import believed_theta
+from ocp.contact.wheel.cover import Cover, WheelGeometry
+from ocp.model.blade_gap import SurfaceCloud
+from ocp.model.theta import believed_theta
+from ocp.plan.passes.direct_contact import DirectContact
+from ocp.plan.passes.optimise import Ground, SolvedPass
+from ocp.plan.passes.posture import Seed
+from ocp.plan.passes.problem import PassProblem
+from ocp.plan.passes.solve import Evaluation, PassSolution
+from ocp.plan.passes.stage import Weights
+from ocp.plan.passes.store import remembered_passes
+from ocp.shell.dataclass_arrays import flattened, rebuilt
 
 N = 40
 RANDOM = np.random.default_rng(5)

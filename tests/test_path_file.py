@@ -73,6 +73,7 @@ def change(row, column, value):
     def apply(rows):
         rows[row][HEADER.index(column)] = value
         return rows
+
     return apply
 
 
@@ -82,6 +83,7 @@ def flip(columns):
             for column in columns:
                 row[HEADER.index(column)] *= -1.0
         return rows
+
     return apply
 
 

@@ -15,6 +15,7 @@ import pytest
 import small_plan
 from small_plan import STEP, planned, refused, small_cell, tree
 
+from ocp.data import BLADE
 from robots.robot import load_robot
 from trajectories.krl.checks import check_program
 from trajectories.krl.status_turn import ArmLengths
@@ -139,7 +140,7 @@ def test_a_second_run_writes_the_same_bytes(small):
 
 def test_a_blade_named_like_a_statement_gives_a_harmless_cartesian_program(small, tmp_path):
     cell = small_cell(tmp_path, blade=False)
-    shutil.copy(small_plan.BUNDLED / "blade.stl", tmp_path / INJECTED)
+    shutil.copy(BLADE, tmp_path / INJECTED)
     told = planned(tmp_path, INJECTED, "--cell", cell.name, *STEP, "--kind", "cartesian")
     assert told.code == 0, told.err
     checked(tmp_path / "plan")

@@ -6,13 +6,14 @@ from pathlib import Path
 import blade_samples
 import numpy as np
 import pytest
-from small_plan import BUNDLED, STEP, planned, refused, small_cell, tree
+from small_plan import STEP, planned, refused, small_cell, tree
 
+from ocp.data import BLADE
 from robots.calibration.store import Calibration, write_calibration
 from robots.errors import BadInput
 from trajectories.blade import read_blade
 
-STL = (BUNDLED / "blade.stl").read_bytes()
+STL = BLADE.read_bytes()
 RECORD = np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
 
 
@@ -81,7 +82,7 @@ def test_a_blade_that_is_none_is_refused(tmp_path, monkeypatch, name):
 
 
 def test_faults_of_a_blade_that_can_be_mended_are_mended(tmp_path):
-    whole = read_blade(BUNDLED / "blade.stl")
+    whole = read_blade(BLADE)
     corners = facets()
     flat = np.concatenate([corners, np.repeat(corners[:3, :1], 3, axis=1)])
     for name, bad, said in (("inside", corners[:, ::-1], "inside-out"), ("flat", flat, "without area")):

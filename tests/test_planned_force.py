@@ -9,26 +9,26 @@ from diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, l
 from force_world import arm_posterior, write_log
 from one_solid import one_solid
 
-import ocp.diagnosis.force.planned as planned_module
-from ocp.diagnosis.design import design_text, energy_of, seen_by, smallest
-from ocp.diagnosis.evidence import size_grid
-from ocp.diagnosis.findings import Diagnosis, Name, Options, Ranked, Screened
-from ocp.diagnosis.force.channel import ForceChannel, force_channel
-from ocp.diagnosis.force.fit import solve
-from ocp.diagnosis.force.planned import Shared, averaged, foreseen_force, planned_force_channel
-from ocp.diagnosis.next_experiment import next_experiments
-from ocp.diagnosis.next_force import more_grinding, tracker_beside, unseen
-from ocp.diagnosis.planned_grinding import grindings, usual
-from ocp.diagnosis.planned_poses import arm_expected, default_poses, planned_channel
-from ocp.diagnosis.projection import project
-from ocp.diagnosis.search import diagnose
-from ocp.diagnosis.separation import Pair, unlike
-from ocp.diagnosis.visible import Rival, needed
+import ocp.diagnose.force.planned as planned_module
+from ocp.calibrate.force.log import ForceLog, read_force_log
+from ocp.calibrate.force.noise import Noise
+from ocp.diagnose.engine.evidence import size_grid
+from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked, Screened
+from ocp.diagnose.engine.projection import project
+from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.force.channel import ForceChannel, force_channel
+from ocp.diagnose.force.fit import solve
+from ocp.diagnose.force.planned import Shared, averaged, foreseen_force, planned_force_channel
+from ocp.diagnose.foresee.design import design_text, energy_of, seen_by, smallest
+from ocp.diagnose.foresee.next_experiment import next_experiments
+from ocp.diagnose.foresee.next_force import more_grinding, tracker_beside, unseen
+from ocp.diagnose.foresee.planned_grinding import grindings, usual
+from ocp.diagnose.foresee.planned_poses import arm_expected, default_poses, planned_channel
+from ocp.diagnose.foresee.separation import Pair, unlike
+from ocp.diagnose.verdict.visible import Rival, needed
 from ocp.effects.effect import Active, Effect
 from ocp.effects.library import library
-from ocp.force.log import ForceLog, read_force_log
-from ocp.force.noise import Noise
-from ocp.measuring.setup import read_tracker_setup
+from ocp.model.measuring_setup import read_tracker_setup
 
 EFFECTS = library()
 SLOW = ("sensor_bias", "wheel_wear", "wheel_law", "tangential_force", "material_removal", "flange_friction", "sensor_gain")

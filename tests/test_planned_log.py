@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnosis_folder import CELL, SPRINGS
 
-from ocp.diagnosis.planned_log import read_planned_log
+from ocp.diagnose.foresee.planned_log import read_planned_log
 from robots.errors import BadInput
 
 PLACE = ["px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]

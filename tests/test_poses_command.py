@@ -12,27 +12,27 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from ocp.air import dense
-from ocp.cell import read_cell
-from ocp.collision import Scene
-from ocp.measuring.line_of_sight import Sight, visible
-from ocp.measuring.setup import read_tracker_setup
-from ocp.measuring.zone import ground_blade
-from ocp.plan import BUNDLED
-from ocp.poses import app
+from ocp.data import CELL
+from ocp.model.cell import read_cell
+from ocp.model.measuring_setup import read_tracker_setup
+from ocp.plan.motion.air import dense
+from ocp.plan.motion.collision import Scene
+from ocp.poses.__main__ import app
+from ocp.poses.line_of_sight import Sight, visible
+from ocp.poses.zone import ground_blade
 from robots.errors import BadInput
 from robots.measurements import read_readings
 from trajectories.krl.checks import check_program
 from trajectories.krl.status_turn import ArmLengths
 
-TRACKER = '[tracker.targets]\nT1 = [150, -50, 250]\nT2 = [-160, 40, 210]\nT3 = [20, 170, 330]\n'
+TRACKER = "[tracker.targets]\nT1 = [150, -50, 250]\nT2 = [-160, 40, 210]\nT3 = [20, 170, 330]\n"
 HEAVY = "[payloads.heavy]\nmass_kg = 120.0\ncom_mm = [0, 20, 200]\n"
 COUNT = 14
 
 
 def written_cell(folder: Path, tracker: str = TRACKER, payloads: str = HEAVY, **changes: str) -> Path:
     """The bundled cell without its STL (a slab stands for the blade, which is quick), with nests and payloads."""
-    text = (BUNDLED / "cell.toml").read_text()
+    text = (CELL).read_text()
     # Its own tracker and payloads give way to those of the test.
     text = re.sub(r"(?ms)^\[(payloads\.(?!grinder)\w+|tracker[^\]]*)\]$.*?(?=^\[|\Z)", "", text)
     text = text.replace("[controller]", f"{payloads}\n[controller]")

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from example_pass import bar_pass, bundled_cell
 
-from ocp.motion import Motion, Segment
-from ocp.plan_table import write_plan_csv
-from ocp.programming import emitted_times, krl_program, wheel_frame, write_program
-from ocp.readback import _timed
-from ocp.timeline import build_timeline
+from ocp.plan.motion.motion import Motion, Segment
+from ocp.plan.motion.timeline import build_timeline
+from ocp.plan.programming import emitted_times, krl_program, wheel_frame, write_program
+from ocp.plan.table import write_plan_csv
+from ocp.plan.verify.readback import _timed
 from robots.errors import BadInput, Infeasible
 from robots.rigid_body import inverse_dynamics
 from trajectories.joint_trajectory import Limits

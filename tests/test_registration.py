@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from example_pass import LineLaw, bar_pass, bundled_cell
 
-from ocp.pass_problem import PassProblem
-from ocp.posture import Seed
-from ocp.registration import registered
-from ocp.solve import PassSolver
-from ocp.stage import Weights
-from ocp.theta import believed_theta
+from ocp.model.registration import registered
+from ocp.model.theta import believed_theta
+from ocp.plan.passes.posture import Seed
+from ocp.plan.passes.problem import PassProblem
+from ocp.plan.passes.solve import PassSolver
+from ocp.plan.passes.stage import Weights
 from robots.calibration.store import Calibration
 
 

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from report_example import example_report
 
-from ocp.report.data import InputFile, PlanReport, SummaryRow
-from ocp.report.page import render_page, write_page
-from ocp.report.printed import write_pdf
-from ocp.report.quantities import QUANTITIES
+from ocp.plan.report.data import InputFile, PlanReport, SummaryRow
+from ocp.plan.report.page import render_page, write_page
+from ocp.plan.report.printed import write_pdf
+from ocp.plan.report.quantities import QUANTITIES
 
 ROOT = Path(__file__).resolve().parents[1]
 HOSTILE = '</script><script>alert("x")</script><img src=x onerror=alert(1)>&amp;\'$\\frac{$ 叶片 \udcff\x00'
@@ -147,7 +147,7 @@ def test_nothing_can_be_smuggled_into_the_page(report, hostile):
 def test_equal_reports_give_equal_bytes_whatever_the_hash_seed(tmp_path, hostile, report):
     code = (
         "import sys; from pathlib import Path; from report_example import example_report\n"
-        "from ocp.report.page import write_page; from ocp.report.printed import write_pdf\n"
+        "from ocp.plan.report.page import write_page; from ocp.plan.report.printed import write_pdf\n"
         "r = example_report(lines=2, count=40, frames=50); d = Path(sys.argv[1])\n"
         "write_page(r, d / 'other.html'); write_pdf(r, d / 'other.pdf')\n"
     )

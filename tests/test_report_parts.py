@@ -12,16 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_example import example_report, synthetic_blade
 
-from ocp.report.charts import contact_bands, contact_spans, decimals_of, force_panels
-from ocp.report.data import PassReport, PlanReport
-from ocp.report.printed_maps import common_distance
-from ocp.report.printed_style import envelope, printable, shorten
-from ocp.report.quantities import QUANTITIES, colour_range, nice_ticks, quantity
-from ocp.report.surface import cluster_vertices, paint_blade, pass_spacing, refine_near
-from ocp.report.tables import limit_rows, pass_rows
+from ocp.plan.report.charts import contact_bands, contact_spans, decimals_of, force_panels
+from ocp.plan.report.data import PassReport, PlanReport
+from ocp.plan.report.printed_maps import common_distance
+from ocp.plan.report.quantities import QUANTITIES, colour_range, nice_ticks, quantity
+from ocp.plan.report.surface import cluster_vertices, paint_blade, pass_spacing, refine_near
+from ocp.plan.report.tables import limit_rows, pass_rows
+from ocp.report.style import envelope, printable, shorten
 from robots.pose import Array, apply, invert, make_transform, rotation_from_abc
 
-SCRIPTS = Path(__file__).resolve().parents[1] / "ocp" / "report"
+SCRIPTS = Path(__file__).resolve().parents[1] / "ocp" / "plan" / "report" / "viewer"
 
 
 @pytest.fixture(scope="module")

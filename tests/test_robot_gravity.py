@@ -97,9 +97,7 @@ def test_inverse_dynamics_is_consistent_with_energy():
 def test_holding_torque_opposes_the_weight():
     q = np.radians([0, -30, 30, 0, 0, 0])
     still = np.zeros(6)
-    assert np.allclose(
-        inverse_dynamics(EXTRA, 90.0, COM, q, still, still), -weight_torques(EXTRA, q, 90.0, COM)
-    )
+    assert np.allclose(inverse_dynamics(EXTRA, 90.0, COM, q, still, still), -weight_torques(EXTRA, q, 90.0, COM))
     assert weight_torques(EXTRA, q)[0, 1] > 0  # a stretched arm sinks toward +A2
 
 

@@ -41,9 +41,7 @@ def other_arm():
         [0.7, 0.11, 0.02, 0.4, -0.3],
     ])  # fmt: skip
     limit = np.full(6, np.pi)
-    return dataclasses.replace(
-        EXTRA, mdh=mdh, sign=np.array([1.0, -1, -1, 1, -1, 1]), q_min=-limit, q_max=limit, name="other"
-    )
+    return dataclasses.replace(EXTRA, mdh=mdh, sign=np.array([1.0, -1, -1, 1, -1, 1]), q_min=-limit, q_max=limit, name="other")
 
 
 def krl_status(q, a1, a2, a3, d4):

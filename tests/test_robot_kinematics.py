@@ -102,9 +102,7 @@ def test_builders_serve_symbolic_geometry_and_an_arbitrary_point():
     frames = chain(q, mdh, EXTRA.sign)
     point = frames[6][:3, :3] @ local + frames[6][:3, 3]
     by_casadi = ca.jacobian(point, q)
-    both = ca.Function(
-        "both", [q, mdh, local], [geometric_jacobian(frames, EXTRA.sign, point)[:3, :], by_casadi]
-    )
+    both = ca.Function("both", [q, mdh, local], [geometric_jacobian(frames, EXTRA.sign, point)[:3, :], by_casadi])
     a, b = both(np.linspace(-1, 1, 6), bent(EXTRA, 3).mdh, [0.1, -0.2, 0.3])
     assert len(frames) == 7
     assert float(ca.norm_inf(ca.vec(a - b))) < 1e-13

@@ -7,14 +7,14 @@ import pytest
 from simulated_campaign import EXTRA, PAYLOADS, campaign_readings, random_truth
 from test_diagnosis_tracker import LIBRARY, channel, column, diagnosed, world
 
-from ocp.diagnosis.anticipated import Anticipated, Group, anticipated
-from ocp.diagnosis.conclusions import screened
-from ocp.diagnosis.findings import Name, Options
-from ocp.diagnosis.predictions import averaged
-from ocp.diagnosis.problem import make_problem
-from ocp.diagnosis.shrinkage import from_model
-from ocp.diagnosis.system import Fold, HeldOut, Sealed
-from ocp.diagnosis.tracker.background import background
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.system import Fold, HeldOut, Sealed
+from ocp.diagnose.foresee.anticipated import Anticipated, Group, anticipated
+from ocp.diagnose.predictions import averaged
+from ocp.diagnose.tracker.background import background
+from ocp.diagnose.verdict.conclusions import screened
+from ocp.diagnose.verdict.shrinkage import from_model
 from ocp.effects.effect import Active
 from robots.elementary import elementary_weight_torques
 from robots.gravity import GRAVITY

@@ -9,17 +9,17 @@ import pytest
 from diagnosis_force_world import HEADER, Pass, Planted, believed_world, log_of, record
 from force_world import arm_posterior, write_log
 
-from ocp.diagnosis.findings import Alternative
-from ocp.diagnosis.force.anticipated import Grinding, after_log, anticipated_grinding
-from ocp.diagnosis.force.arm import arm_of
-from ocp.diagnosis.force.channel import ForceChannel, force_channel
-from ocp.diagnosis.force.fit import Problem, solve
-from ocp.diagnosis.force.prediction import Scene, predict
-from ocp.diagnosis.force.shrinkage import RUN_SD, from_grinding
-from ocp.diagnosis.shrinkage import Shrinkage
+from ocp.calibrate.force.log import read_force_log
+from ocp.diagnose.engine.findings import Alternative
+from ocp.diagnose.force.anticipated import Grinding, after_log, anticipated_grinding
+from ocp.diagnose.force.arm import arm_of
+from ocp.diagnose.force.channel import ForceChannel, force_channel
+from ocp.diagnose.force.fit import Problem, solve
+from ocp.diagnose.force.prediction import Scene, predict
+from ocp.diagnose.force.shrinkage import RUN_SD, from_grinding
+from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.effect import Active
 from ocp.effects.library import library
-from ocp.force.log import read_force_log
 
 # A log of eleven minutes, and grinding that comes four minutes after it.
 PLAN = (
@@ -99,8 +99,8 @@ def worn(tmp_path_factory) -> Made:
     with pytest.MonkeyPatch.context() as patch:
         give = Stiff()
         patch.setattr("force_world.blade_compliance", lambda *asked: SimpleNamespace(per_pass=[give.at(x.p) for x in asked[5]]))
-        patch.setattr("ocp.force.rows.solve_stations", lambda *asked: give)
-        patch.setattr("ocp.force.rows.stations_known", lambda *asked: True)
+        patch.setattr("ocp.calibrate.force.rows.solve_stations", lambda *asked: give)
+        patch.setattr("ocp.calibrate.force.rows.stations_known", lambda *asked: True)
         rng = np.random.default_rng(7)
         base = record(believed_world(folder, rng, every=6), (*PLAN, *LATE), rng)
         rows, truth = log_of(base, (Planted(overlap=lambda b: -WEAR * b.columns["clock"]),))

@@ -14,8 +14,9 @@ import pytest
 from small_plan import STEP, Told, environment, planned, small_cell, tree
 from typer.testing import CliRunner
 
-from ocp.force.log import read_force_log
-from ocp.simulate import BUNDLED, app
+from ocp.calibrate.force.log import read_force_log
+from ocp.data import CELL
+from ocp.simulate.__main__ import app
 
 COLUMNS = {"s_mm", "setpoint_N", "feed_mm_s", "belt_m_s", "line", "ground_before", "contact", "ft_N", "clock_s", "session",
            "temperature_C", "wheel_temperature_C"}  # fmt: skip
@@ -153,7 +154,7 @@ def test_the_cell_of_the_plan_is_found_by_its_hash_and_never_replaced(plan, tmp_
     alone = tmp_path / "elsewhere" / "plan"
     shutil.copytree(plan, alone)
     one_sentence(simulated(alone, "--out", tmp_path / "run"), 2, "give that file with --cell")
-    told = simulated(alone, "--cell", BUNDLED, "--out", tmp_path / "run", "--poses", "0", "--ladder", "none", "--no-air")
+    told = simulated(alone, "--cell", CELL, "--out", tmp_path / "run", "--poses", "0", "--ladder", "none", "--no-air")
     assert told.code == 0 and "another version of cell.toml" in told.err
 
 

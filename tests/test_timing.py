@@ -80,16 +80,12 @@ def test_no_limit_is_ever_exceeded_on_random_paths(seed, n, size, feed, margin):
     worst = trajectory.worst
     assert max(worst.velocity, worst.acceleration, worst.torque) <= margin + 1e-12
     assert worst.feed <= 1.0
-    assert np.allclose(trajectory.q(0.0), q[0], atol=1e-12) and np.allclose(
-        trajectory.q(trajectory.duration), q[-1], atol=1e-12
-    )
+    assert np.allclose(trajectory.q(0.0), q[0], atol=1e-12) and np.allclose(trajectory.q(trajectory.duration), q[-1], atol=1e-12)
     assert np.allclose(trajectory.qd([0.0, trajectory.duration]), 0, atol=1e-6)
     assert np.allclose(trajectory.q(trajectory.times), q[trajectory.kept], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "distance, v, a", [(1.0, 1.0, 2.0), (1.0, 10.0, 2.0), (0.01, 2.0, 3.0), (2.5, 0.3, 5.0)]
-)
+@pytest.mark.parametrize("distance, v, a", [(1.0, 1.0, 2.0), (1.0, 10.0, 2.0), (0.01, 2.0, 3.0), (2.5, 0.3, 5.0)])
 def test_a_single_axis_move_takes_the_bang_bang_time(distance, v, a):
     limits = Limits(np.full(6, v), np.full(6, a), np.full(6, -9.0), np.full(6, 9.0), margin=1.0)
     goal = np.zeros(6)
@@ -135,9 +131,7 @@ def test_the_path_acceleration_has_no_jumps_and_without_the_running_mean_it_has(
 def test_torque_that_holds_no_posture_at_rest_is_refused_with_axis_station_and_ratio():
     q, s = smooth_pass(size=0.0)
     limits = replace(ARM, torque_max=np.array([7290.0, 3800, 5291, 2182, 1282, 825]))
-    with pytest.raises(
-        Infeasible, match=r"pass 3: axis 2 needs 0\.97\d of its torque limit .* at station .* mm"
-    ):
+    with pytest.raises(Infeasible, match=r"pass 3: axis 2 needs 0\.97\d of its torque limit .* at station .* mm"):
         time_contact_path(q, s, 0.04, limits, label="pass 3")
 
 
@@ -219,12 +213,8 @@ def test_slow_motion_as_the_last_resort_holds_the_limits(monkeypatch):
 
 
 def test_removal_follows_preston():
-    assert relative_removal(
-        np.array([20.0]), np.array([0.1]), np.array([0.004]), 20.0, 0.04
-    ) == pytest.approx(1.0)
-    assert relative_removal(
-        np.array([30.0]), np.array([0.2]), np.array([0.004]), 20.0, 0.04
-    ) == pytest.approx(3.0)
+    assert relative_removal(np.array([20.0]), np.array([0.1]), np.array([0.004]), 20.0, 0.04) == pytest.approx(1.0)
+    assert relative_removal(np.array([30.0]), np.array([0.2]), np.array([0.004]), 20.0, 0.04) == pytest.approx(3.0)
     q, s = smooth_pass()
     trajectory = time_contact_path(q, s, 0.04, ARM)
     assert dwell_times(trajectory).sum() == pytest.approx(trajectory.duration, abs=1e-9)

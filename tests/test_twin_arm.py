@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from ocp.cell import read_cell
-from ocp.twin.arm import make_arm, moments
-from ocp.twin.joint_errors import gear_ratios
-from ocp.twin.joint_log import delayed, joint_log
-from ocp.twin.kinds_arm import KINDS
-from ocp.twin.planting import parse_effect
-from ocp.twin.truth import draw_truth
+from ocp.model.cell import read_cell
+from ocp.simulate.twin.arm.arm import make_arm, moments
+from ocp.simulate.twin.arm.joint_errors import gear_ratios
+from ocp.simulate.twin.joint_log import delayed, joint_log
+from ocp.simulate.twin.truth.kinds_arm import KINDS
+from ocp.simulate.twin.truth.planting import parse_effect
+from ocp.simulate.twin.truth.truth import draw_truth
 from robots.calibration.reading_model import RowInputs, predict_points
 from robots.compliance import point_compliance
 from robots.elementary import elementary_forward, elementary_frames, elementary_weight_torques

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from twin_grinding import HERTZ_RATE, Bench, believed, moving
 
-from ocp.twin.campaign_slip import already_slipped, ground_sides
-from ocp.twin.contact import ContactMoments
-from ocp.twin.run import Machine
+from ocp.simulate.twin.campaign_slip import already_slipped, ground_sides
+from ocp.simulate.twin.contact import ContactMoments
+from ocp.simulate.twin.run import Machine
 
 Array = np.ndarray
 

@@ -10,18 +10,18 @@ from scipy.special import ellipe, ellipk
 from small_plan import small_cell
 from twin_grinding import BAR, FEED, HERTZ_RATE, Bench, moments
 
-from ocp.cell import read_cell
-from ocp.contact.elasticity import Material
-from ocp.contact.gap import LocalShape, solve_force
-from ocp.prepare import wheel_cover
-from ocp.twin.contact.give import solid_give
-from ocp.twin.contact.posture import postures, wheel_on_blade
-from ocp.twin.contact.rubber import make_rubber
-from ocp.twin.contact.section import ring_section
-from ocp.twin.contact.stations import Stations, depth_curves, place_stations
-from ocp.twin.contact.surface import gap, near
-from ocp.twin.contact.table import LATTICE, LEVELS
-from ocp.twin.contact.unilateral import press
+from ocp.contact.blade.elasticity import Material
+from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.model.cell import read_cell
+from ocp.model.prepare import wheel_cover
+from ocp.simulate.twin.contact.give import solid_give
+from ocp.simulate.twin.contact.posture import postures, wheel_on_blade
+from ocp.simulate.twin.contact.rubber import make_rubber
+from ocp.simulate.twin.contact.section import ring_section
+from ocp.simulate.twin.contact.stations import Stations, depth_curves, place_stations
+from ocp.simulate.twin.contact.surface import gap, near
+from ocp.simulate.twin.contact.table import LATTICE, LEVELS
+from ocp.simulate.twin.contact.unilateral import press
 from trajectories.blade import Blade
 
 Array = np.ndarray

@@ -8,12 +8,12 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 from twin_grinding import HERTZ_RATE, Bench, moments, moving
 
-from ocp.twin.contact import ContactMoments
-from ocp.twin.contact.chain import Chain, CoverForce, solve
-from ocp.twin.contact.flange import Mount
-from ocp.twin.contact.table import LEVELS
-from ocp.twin.contact.timing import memory
-from ocp.twin.contact.workpiece import profile
+from ocp.simulate.twin.contact import ContactMoments
+from ocp.simulate.twin.contact.chain import Chain, CoverForce, solve
+from ocp.simulate.twin.contact.flange import Mount
+from ocp.simulate.twin.contact.table import LEVELS
+from ocp.simulate.twin.contact.timing import memory
+from ocp.simulate.twin.contact.workpiece import profile
 
 Array = np.ndarray
 LADDER = np.linspace(1e-4, 1.2e-3, 60)

@@ -9,12 +9,12 @@ from scipy.interpolate import CubicSpline
 from small_plan import small_cell
 from twin_grinding import FEED, believed
 
-from ocp.cell import read_cell
-from ocp.paths import lay_paths
-from ocp.prepare import wheel_cover
-from ocp.twin.contact import ContactMoments, make_grinder
-from ocp.twin.contact.table import make_tables
-from ocp.verify import believed_robot, bent
+from ocp.model.cell import read_cell
+from ocp.model.prepare import wheel_cover
+from ocp.plan.paths import lay_paths
+from ocp.plan.verify.second_route import believed_robot, bent
+from ocp.simulate.twin.contact import ContactMoments, make_grinder
+from ocp.simulate.twin.contact.table import make_tables
 from robots.elementary import elementary_forward
 from trajectories.blade import read_blade
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from twin_grinding import HERTZ_RATE, Bench, believed, moments, moving
 
-from ocp.twin.contact import ContactMoments, ContactResult, read_sensor
-from ocp.twin.contact.timing import memory
-from ocp.twin.kinds_contact import KINDS
+from ocp.simulate.twin.contact import ContactMoments, ContactResult, read_sensor
+from ocp.simulate.twin.contact.timing import memory
+from ocp.simulate.twin.truth.kinds_contact import KINDS
 
 Array = np.ndarray
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from krl_example import GOLDEN, LIMITS, ROBOT, T_BASE_WHEEL, T_FLANGE_BLADE, elementary_forward, example, legs, write
 
-from ocp.cell import read_cell
-from ocp.plan import BUNDLED
-from ocp.twin.collide import Wheel, refuse_hits
-from ocp.twin.controller import drive
-from ocp.twin.krl_program import Pause
-from ocp.twin.krl_text import read_program
-from ocp.twin.nominal import flange, frames, inverse_by_status, jacobian, solve, status_turn
-from ocp.twin.path_motion import flange_poses
+from ocp.data import CELL
+from ocp.model.cell import read_cell
+from ocp.simulate.twin.arm.collide import Wheel, refuse_hits
+from ocp.simulate.twin.controller.controller import drive
+from ocp.simulate.twin.controller.krl_program import Pause
+from ocp.simulate.twin.controller.krl_text import read_program
+from ocp.simulate.twin.controller.nominal import flange, frames, inverse_by_status, jacobian, solve, status_turn
+from ocp.simulate.twin.controller.path_motion import flange_poses
 from robots.errors import BadInput, Infeasible
 from robots.pose import invert
 from trajectories.blade import read_blade
@@ -241,7 +241,7 @@ def obstacle(at: np.ndarray, radius: float = 0.05) -> Wheel:
 
 def hit(q: np.ndarray, wheel: Wheel) -> None:
     """Drive joints q (n, 6) past a wheel with the bundled blade."""
-    cell = read_cell(BUNDLED / "cell.toml")
+    cell = read_cell(CELL)
     blade = read_blade(cell.workpiece.stl)
     n = len(q)
     refuse_hits(

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ocp.cell import read_cell
-from ocp.twin.arm import make_arm, moments
-from ocp.twin.planting import Planted, draw_effect, kinds, labels, parse_effect
-from ocp.twin.truth import draw_truth
+from ocp.model.cell import read_cell
+from ocp.simulate.twin.arm.arm import make_arm, moments
+from ocp.simulate.twin.truth.planting import Planted, draw_effect, kinds, labels, parse_effect
+from ocp.simulate.twin.truth.truth import draw_truth
 from robots.errors import BadInput
 
 CELL = read_cell(Path(__file__).parents[1] / "ocp" / "data" / "cell.toml")

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ocp.calibration import as_in
-from ocp.cell import read_cell
-from ocp.measuring.setup import read_tracker_setup
-from ocp.twin.arm import make_arm, moments
-from ocp.twin.designs import Campaign, design_from_poses, random_design, sealed_design
-from ocp.twin.planting import parse_effect
-from ocp.twin.tracker import instrument, measure, nest_links, true_points
-from ocp.twin.truth import draw_truth
-from ocp.twin.worlds import random_world, tracker_world
+from ocp.calibrate.tracker import as_in
+from ocp.model.cell import read_cell
+from ocp.model.measuring_setup import read_tracker_setup
+from ocp.simulate.twin.arm.arm import make_arm, moments
+from ocp.simulate.twin.designs import Campaign, design_from_poses, random_design, sealed_design
+from ocp.simulate.twin.tracker import instrument, measure, nest_links, true_points
+from ocp.simulate.twin.truth.planting import parse_effect
+from ocp.simulate.twin.truth.truth import draw_truth
+from ocp.simulate.twin.worlds import random_world, tracker_world
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.layout import Choice
 from robots.calibration.solver import Campaign as Readings

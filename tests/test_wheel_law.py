@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ocp.contact.cover import WheelGeometry, build_cover, default_cell
-from ocp.contact.gap import LocalShape, solve_force
-from ocp.contact.strip import chebyshev_products, exponents, reduce_shape
-from ocp.contact.wheel_fit import FLANGE_STIFFNESS, Domain, draw, fit_wheel_law
+from ocp.contact.wheel.cover import WheelGeometry, build_cover, default_cell
+from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.contact.wheel.law_fit import FLANGE_STIFFNESS, Domain, draw, fit_wheel_law
+from ocp.contact.wheel.strip import chebyshev_products, exponents, reduce_shape
 from robots.errors import Infeasible
 
 WHEEL = WheelGeometry(radius=0.075, width=0.025, cover_thickness=0.015, modulus=3.43e6, poisson=0.47)
@@ -193,7 +193,7 @@ def test_products_of_chebyshev_polynomials():
 
 
 def test_a_law_kept_on_disk_is_the_law_that_was_fitted(tmp_path, monkeypatch):
-    from ocp.contact.law_store import remembered_law
+    from ocp.contact.wheel.law_store import remembered_law
 
     monkeypatch.setenv("GRINDPLAN_CACHE", str(tmp_path))
     wheel = WheelGeometry(0.04, 0.015, 0.012, 2.6e6, 0.47)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.cell import Cell, read_cell
-from ocp.plan import BUNDLED
-from ocp.twin.contact import ContactMoments, ContactResult, Grinder, Tables, make_grinder
-from ocp.twin.machine_truth import Truth
-from ocp.twin.planting import parse_effect
-from ocp.twin.truth import draw_truth
+from ocp.data import CELL
+from ocp.model.cell import Cell, read_cell
+from ocp.simulate.twin.contact import ContactMoments, ContactResult, Grinder, Tables, make_grinder
+from ocp.simulate.twin.truth.machine import Truth
+from ocp.simulate.twin.truth.planting import parse_effect
+from ocp.simulate.twin.truth.truth import draw_truth
 from robots.pose import make_transform
 from trajectories.blade import Blade
 
@@ -37,7 +37,7 @@ def bar() -> Blade:
 
 
 def bundled(flange: bool = True) -> Cell:
-    cell = read_cell(BUNDLED / "cell.toml")
+    cell = read_cell(CELL)
     return cell if flange else replace(cell, flange=None)
 
 

@@ -209,9 +209,7 @@ def _chordwise(side: SideSurface, window: Window, options: PassOptions) -> list[
     return lines[::-1] if window.flip else lines
 
 
-def _waypoints(
-    shape: AerofoilShape, side: SideSurface, u: Array, v: Array, line: int, options: PassOptions
-) -> BladePath:
+def _waypoints(shape: AerofoilShape, side: SideSurface, u: Array, v: Array, line: int, options: PassOptions) -> BladePath:
     """A pass at even steps of arc length along the fine polyline (u, v)."""
     fine = side.surface(u, v)
     s_fine = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])

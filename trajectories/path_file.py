@@ -41,9 +41,7 @@ def read_path_file(
     n = np.stack([table[c] for c in ("nx", "ny", "nz")], axis=1)
     t = np.stack([table[c] for c in ("tx", "ty", "tz")], axis=1)
     places = [f"line {number}" for number in numbers]
-    paths, more = paths_from_points(
-        blade, shape, line, p, n, t, 1e-3 * table["feed_mm_s"], table["force_N"], str(path), places
-    )
+    paths, more = paths_from_points(blade, shape, line, p, n, t, 1e-3 * table["feed_mm_s"], table["force_N"], str(path), places)
     return paths, notices + more
 
 

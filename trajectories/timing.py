@@ -59,9 +59,7 @@ def time_contact_path(
     """
     path = _cleaned(q, s, feed, limits, label)
     _check_range_and_rest(path)
-    tightening = _Tightening(
-        np.linspace(0.0, path.s[-1], 2 * len(path.s) + 1), *np.ones((2, 2 * len(path.s) + 1))
-    )
+    tightening = _Tightening(np.linspace(0.0, path.s[-1], 2 * len(path.s) + 1), *np.ones((2, 2 * len(path.s) + 1)))
     cells = int(np.clip(2 * len(path.s), 200, 8000))
     for attempt in range(ROUNDS):
         trajectory = _trajectory(path, _fastest(path, cells * (1 + (attempt > 0)), tightening, window))
@@ -73,9 +71,7 @@ def time_contact_path(
     return _slowed(path, trajectory)
 
 
-def time_joint_move(
-    start: Array, goal: Array, limits: Limits, window: float = WINDOW, label: str = "move"
-) -> JointTrajectory:
+def time_joint_move(start: Array, goal: Array, limits: Limits, window: float = WINDOW, label: str = "move") -> JointTrajectory:
     """Time the straight joint-space move from start (6,) to goal (6,) rad, rest to rest; the same checks.
 
     Raises BadInput where the two are the same posture, Infeasible as `time_contact_path`.
@@ -83,9 +79,7 @@ def time_joint_move(
     start, goal = np.asarray(start, float), np.asarray(goal, float)
     length = float(np.abs(goal - start).max())
     if not length > 1e-9:
-        raise BadInput(
-            f"{label}: start and goal are the same posture, so there is no move to time; leave it out"
-        )
+        raise BadInput(f"{label}: start and goal are the same posture, so there is no move to time; leave it out")
     k = np.linspace(0.0, 1.0, 33)
     return time_contact_path(start + k[:, None] * (goal - start), k * length, None, limits, window, label)
 
@@ -96,9 +90,7 @@ def _cleaned(q: Array, s: Array, feed: Array | float | None, limits: Limits, lab
         raise BadInput(f"{label}: expected joints (n, 6) at n >= 2 stations, got {q.shape} at {s.shape}")
     bound = None if feed is None else np.broadcast_to(np.asarray(feed, float), s.shape)
     if bound is not None and not np.all(bound > 0):
-        raise BadInput(
-            f"{label}: the feed must be above 0 at every waypoint, not {np.min(bound)} m/s; check feed_mm_s"
-        )
+        raise BadInput(f"{label}: the feed must be above 0 at every waypoint, not {np.min(bound)} m/s; check feed_mm_s")
     finite = np.isfinite(q).all(axis=1) & np.isfinite(s)
     if not finite.all():
         raise BadInput(f"{label}: waypoint {int(np.argmin(finite)) + 1} holds a value that is no number")
@@ -183,17 +175,13 @@ def _fastest(path: _Path, cells: int, tightening: _Tightening, window: float) ->
         if np.all(np.isfinite(x)) and np.all(x[1:-1] > 0):
             return time_law(rows.grid, x, window)
     where = path.s[-1] * float(np.argmin(np.isfinite(x))) / len(x)
-    raise Infeasible(
-        f"{path.label}: no time law was found near station {where * 1e3:.1f} mm; the waypoints are not smooth there"
-    )
+    raise Infeasible(f"{path.label}: no time law was found near station {where * 1e3:.1f} mm; the waypoints are not smooth there")
 
 
 def _trajectory(path: _Path, law: PPoly) -> JointTrajectory:
     worst = Worst(*np.full(4, np.nan))
     times = times_at(law, path.s)
-    return JointTrajectory(
-        path.q, law, path.s, times, path.kept, path.feed, path.limits, worst, TimingStatus.HELD
-    )
+    return JointTrajectory(path.q, law, path.s, times, path.kept, path.feed, path.limits, worst, TimingStatus.HELD)
 
 
 def _excess(ratios: Array, limits: Limits) -> Array:
@@ -206,9 +194,7 @@ def _checked(trajectory: JointTrajectory, ratios: Array, status: TimingStatus) -
     return replace(trajectory, worst=worst, status=status)
 
 
-def _tightened(
-    old: _Tightening, trajectory: JointTrajectory, t: Array, excess: Array, window: float
-) -> _Tightening:
+def _tightened(old: _Tightening, trajectory: JointTrajectory, t: Array, excess: Array, window: float) -> _Tightening:
     """Divisors raised where a sample is beyond a limit, as far as the running mean mixes."""
     dynamic, speed = np.ones_like(old.s), np.ones_like(old.s)
     for i in np.flatnonzero(excess.max(axis=1) > 1.0):

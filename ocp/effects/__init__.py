@@ -1,1 +1,4 @@
-"""Effects that the believed cell leaves out, one file each; `ocp.effects.library` finds them."""
+"""The catalogue: one effect a file, found by its name, with its keys, priors and its place in the model.
+
+Here: what an effect does to joints, readings or forces. Not here: who switches it on (a cell) or looks for it (ocp.diagnose).
+"""

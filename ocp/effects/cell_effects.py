@@ -1,10 +1,10 @@
 """Effects as a cell file holds them: `[[effects]]` tables to coefficients with covariance and back.
 
-    [[effects]]
-    effect = "backlash"
-    joint = 5
-    half_width_rad = 2.1e-4
-    sd = { half_width_rad = 4e-6 }          # optional: one sigma of keys
+[[effects]]
+effect = "backlash"
+joint = 5
+half_width_rad = 2.1e-4
+sd = { half_width_rad = 4e-6 }          # optional: one sigma of keys
 """
 
 from collections.abc import Mapping

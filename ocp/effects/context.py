@@ -65,14 +65,14 @@ class TrackerContext:
 class ContactContext:
     """Symbols of a contact sample at the believed model's equilibrium.
 
-    F N normal force; parts m: flange, wheel, blade, robot (`ocp.model.Model.parts`) with slopes m/N: their derivatives in F
-    (flange, wheel, blade, robot); curvature (3) relative 1/m, lateral m, tilt (2), arc rad, turn rad; p, n, t (3): contact
-    point, normal and feed in the blade frame; e, belt_direction, n_base, axis (3): base frame; R_flange (3, 3), R_blade (3,
-    3): in the base frame; s m; setpoint N, feed m/s, belt m/s; time s in the run, clock s in the campaign; ground_before;
-    warm, wheel_warm K above the reference; travel: sign of the motion along the pass (+1 with increasing s); stroke_sign:
-    sign of the flange's stroke rate (+1: it is pressed in); radius m, friction of the cell; normal_stiffness N/m: dF per m of
-    overlap; friction_give m: what the parts give more per unit of the friction coefficient; lever m: height of the contact
-    over the clamp's plane; push_axis (3): direction in which the flange pushes the blade, base frame; clamp_give m: share
+    F N normal force; parts m: flange, wheel, blade, robot (`ocp.model.force_balance.Model.parts`) with slopes m/N: their
+    derivatives in F (flange, wheel, blade, robot); curvature (3) relative 1/m, lateral m, tilt (2), arc rad, turn rad; p, n, t
+    (3): contact point, normal and feed in the blade frame; e, belt_direction, n_base, axis (3): base frame; R_flange (3, 3),
+    R_blade (3, 3): in the base frame; s m; setpoint N, feed m/s, belt m/s; time s in the run, clock s in the campaign;
+    ground_before; warm, wheel_warm K above the reference; travel: sign of the motion along the pass (+1 with increasing s);
+    stroke_sign: sign of the flange's stroke rate (+1: it is pressed in); radius m, friction of the cell; normal_stiffness N/m: dF
+    per m of overlap; friction_give m: what the parts give more per unit of the friction coefficient; lever m: height of the
+    contact over the clamp's plane; push_axis (3): direction in which the flange pushes the blade, base frame; clamp_give m: share
     of parts that is the clamp's stiffness; line of the blade.
     """
 

@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.ft2font import LoadFlags
 
-from ocp.report.printed_style import A4_HEIGHT, INK, RULE, SOFT, Sheet, new_sheet, printable
 from ocp.report.section import WIDTH, Canvas, Part, Plot, Points, Section, Table
+from ocp.report.style import A4_HEIGHT, INK, RULE, SOFT, Sheet, new_sheet, printable
 
 LEFT = 0.7  # inch
 TOP, FOOT = 0.95, A4_HEIGHT - 0.75  # inch from the top

@@ -1,49 +1,32 @@
-"""The report as one HTML file: opens offline in any browser, loads nothing, runs only its own script.
+"""A report of sections as one page that loads nothing and runs nothing: calibration, diagnosis, rehearsal, checks."""
 
-Every word passes through the escaping template, every number for the script through `script_json`. A content
-security policy names the script and the style sheet by their hashes, so that even text that slipped through
-could not run.
-"""
-
+from collections.abc import Sequence
 from pathlib import Path
 
 from markupsafe import Markup
 
-from ocp.report.charts import HEIGHT, LEFT, RIGHT, TOP, WIDTH, contact_bands, force_panels
-from ocp.report.data import PlanReport
-from ocp.report.payload import page_payload, script_json
-from ocp.report.quantities import QUANTITIES
-from ocp.report.tables import limit_rows, pass_rows
+from ocp.report.section import Headline, Plot, Points, Section, Table
+from ocp.report.svg import inline_svg
 from ocp.report.template import fill, joined, source_hash
 
-_SCRIPTS = ("math.js", "mesh.js", "scene.js", "orbit.js", "viewer.js", "page.js")
-_STYLES = ("page.css", "viewer.css")
+_KIT = Path(__file__).parent
+PAGE_STYLE = _KIT / "page.css"
+"""What every page shares, a plan's too."""
 
 
-def write_page(report: PlanReport, path: Path) -> None:
-    """Write the report of a plan as one self-contained HTML file; equal reports give equal bytes.
-
-    Raises OSError where the file cannot be written.
-    """
-    Path(path).write_bytes(render_page(report).encode("utf-8", "replace"))
-
-
-def render_page(report: PlanReport) -> str:
-    """The page as text."""
-    script = '(function () {\n"use strict";\n' + joined(_SCRIPTS) + "})();\n"
-    style = joined(_STYLES)
+def render_page(title: str, head: Headline, notices: Sequence[str], sections: Sequence[Section], kind_of: str) -> str:
+    """The page as text; equal sections give equal text. `kind_of` report, above the title."""
+    style = joined((PAGE_STYLE, _KIT / "sections_page.css"))
+    kinds = {Table: "table", Points: "points", Plot: "plot"}
     return fill(
-        "page.html",
-        report=report,
-        panels=force_panels(report),
-        panel={"width": WIDTH, "height": HEIGHT, "left": LEFT, "right": RIGHT, "top": TOP},
-        bands=contact_bands(report),
-        limits=limit_rows(report),
-        passes=pass_rows(report),
-        quantities=QUANTITIES,
-        payload=Markup(script_json(page_payload(report))),
-        script=Markup(script),
+        _KIT / "sections_page.html",
+        title=title,
+        eyebrow=kind_of,
+        head=head,
+        notices=notices,
+        sections=sections,
+        kind=lambda part: kinds.get(type(part), "words"),
+        svg=lambda plot: Markup(inline_svg(plot)),
         style=Markup(style),
-        script_hash=source_hash(script),
         style_hash=source_hash(style),
     )

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
 
-from ocp.report.printed_style import CURVE, INK, SOFT, printable
 from ocp.report.section import Canvas
+from ocp.report.style import CURVE, INK, SOFT, printable
 from robots.pose import Array
 
 DOTS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0}

@@ -8,24 +8,22 @@ from typing import Any
 
 import jinja2
 
-_FOLDER = Path(__file__).parent
 
-
-def fill(template: str, **values: Any) -> str:
-    """A template of this folder as text: values are escaped, a name without a value is an error, equal values give equal text."""
+def fill(template: Path, **values: Any) -> str:
+    """A template as text: values are escaped, a name without a value is an error, equal values give equal text."""
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_FOLDER),
+        loader=jinja2.FileSystemLoader(template.parent),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(**values)
+    return environment.get_template(template.name).render(**values)
 
 
-def joined(names: Sequence[str]) -> str:
-    """Scripts or styles of this folder, one after the other."""
-    return "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in names)
+def joined(files: Sequence[Path]) -> str:
+    """Scripts or styles, one after the other."""
+    return "\n".join(file.read_text(encoding="utf-8") for file in files)
 
 
 def source_hash(source: str) -> str:

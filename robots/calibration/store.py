@@ -170,9 +170,7 @@ def _parameters(path: Path, data: dict[str, Any]) -> tuple[tuple[str, ...], Arra
         unit = SYMBOLS[name].unit
         if entry.get("unit") != unit:
             found = entry.get("unit")
-            raise BadInput(
-                f"{path}: parameters.{name}.unit = {found!r}, expected '{unit}'; convert the value"
-            )
+            raise BadInput(f"{path}: parameters.{name}.unit = {found!r}, expected '{unit}'; convert the value")
         values.append(_number(path, name, entry, "value", -math.inf))
         sd.append(_number(path, name, entry, "sd", 0.0))
     return tuple(table), np.array(values), np.array(sd)
@@ -187,18 +185,14 @@ def _number(path: Path, name: str, entry: dict[str, Any], key: str, low: float) 
     return float(value)
 
 
-def _covariance(
-    path: Path, data: dict[str, Any], names: tuple[str, ...], sd: Array
-) -> tuple[Array, tuple[str, ...]]:
+def _covariance(path: Path, data: dict[str, Any], names: tuple[str, ...], sd: Array) -> tuple[Array, tuple[str, ...]]:
     """Covariance (m, m) and notices."""
     file = data.get("covariance_file", path.with_suffix(".npz").name)
     if not isinstance(file, str) or Path(file).name != file:
         raise BadInput(f"{path}: covariance_file = {file!r} must be a file name beside this file; correct it")
     archive = path.parent / file
     if not archive.is_file():
-        notice = (
-            f"{archive} is missing: the parameters are taken as uncorrelated, predicted deviations are rough"
-        )
+        notice = f"{archive} is missing: the parameters are taken as uncorrelated, predicted deviations are rough"
         return np.diag(sd**2), (notice,)
     wanted = data.get("covariance_sha256")
     content = archive.read_bytes()
@@ -223,8 +217,7 @@ def _covariance(
     if bad.any():
         i = int(np.argmax(bad))
         raise BadInput(
-            f"{path}: parameters.{names[i]}.sd = {sd[i]:g}, the covariance in {file} has {diagonal[i]:g}; do not edit "
-            "one alone"
+            f"{path}: parameters.{names[i]}.sd = {sd[i]:g}, the covariance in {file} has {diagonal[i]:g}; do not edit one alone"
         )
     return covariance, ()
 
@@ -238,8 +231,7 @@ def _check(where: str, robot: str, names: tuple[str, ...], values: Array, covari
     m = len(names)
     if np.shape(values) != (m,) or np.shape(covariance) != (m, m):
         raise BadInput(
-            f"{where}: {m} names, values {np.shape(values)}, covariance {np.shape(covariance)}; give one value and "
-            "one row each"
+            f"{where}: {m} names, values {np.shape(values)}, covariance {np.shape(covariance)}; give one value and one row each"
         )
     if not (np.isfinite(values).all() and np.isfinite(covariance).all()):
         raise BadInput(f"{where}: a value or covariance for robot '{robot}' is not finite; calibrate again")
@@ -258,6 +250,4 @@ def _check_reasons(where: str, not_identified: dict[str, Any]) -> None:
     for key, reason in not_identified.items():
         wrong = [name for name in key.split() if name not in SYMBOLS]
         if wrong or not key.split() or not isinstance(reason, str):
-            raise BadInput(
-                f"{where}: not_identified '{key}' = {reason!r}, expected parameter names and a reason"
-            )
+            raise BadInput(f"{where}: not_identified '{key}' = {reason!r}, expected parameter names and a reason")

@@ -67,6 +67,4 @@ def _value(value: Any, at: tuple[str, ...]) -> str:
         return _string(value)
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_value(v, at) for v in value) + "]"
-    raise BadInput(
-        f"'{'.'.join(at)}' = {value!r} cannot be written as TOML; use text, numbers or lists of these"
-    )
+    raise BadInput(f"'{'.'.join(at)}' = {value!r} cannot be written as TOML; use text, numbers or lists of these")

@@ -29,9 +29,7 @@ def obstacles(blade: Blade, shape: AerofoilShape) -> Array:
     return np.unique(np.round(points, 7), axis=0)
 
 
-def free_stretch(
-    side: SideSurface, points: Array, u: Array, v: Array, radius: float, width: float
-) -> tuple[Array, Array] | None:
+def free_stretch(side: SideSurface, points: Array, u: Array, v: Array, radius: float, width: float) -> tuple[Array, Array] | None:
     """The longest stretch of the polyline (u, v) on which the wheel keeps GAP from `points`, or None.
 
     The wheel stands on the surface without tilt or turn: its axis is b = n x t, its centre p + radius n.

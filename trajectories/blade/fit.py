@@ -88,9 +88,7 @@ def fit_side(
         gaps = np.linalg.norm(surface(u, v) - p, axis=1)
     before, behind = flanks[:, edge, 1], -flanks[:, other, 0]
     lead_gap, trail_gap = (before, behind) if forward else (behind, before)
-    return SideSurface(
-        name, surface, sign, levels, lead_gap, trail_gap, width, np.array([np.median(gaps), gaps.max()])
-    )
+    return SideSurface(name, surface, sign, levels, lead_gap, trail_gap, width, np.array([np.median(gaps), gaps.max()]))
 
 
 def _knots(u: Array, levels: Array, width: float) -> tuple[Array, Array]:
@@ -111,9 +109,7 @@ def _knots(u: Array, levels: Array, width: float) -> tuple[Array, Array]:
     return clamped_knots(breaks_u), clamped_knots(np.linspace(levels[0], levels[-1], pieces_v + 1))
 
 
-def _own_vertices(
-    blade: Blade, surface: SplineSurface, sign: float, u: Array, v: Array, p: Array
-) -> tuple[Array, Array, Array]:
+def _own_vertices(blade: Blade, surface: SplineSurface, sign: float, u: Array, v: Array, p: Array) -> tuple[Array, Array, Array]:
     """Parameters and positions of the mesh vertices that lie on this side."""
     near = 0.02 * float(np.linalg.norm(np.ptp(p, axis=0)))
     distance, index = cKDTree(p).query(blade.vertices, distance_upper_bound=near)
@@ -127,4 +123,3 @@ def _own_vertices(
     agree = np.einsum("ni,ni->n", n, vertex_normals(blade)[candidates]) > 0.5 * np.linalg.norm(n, axis=1)
     own = inside & agree & (gap < _FARTHEST)
     return pu[own], pv[own], points[own]
-

@@ -50,9 +50,7 @@ def _loops(name: str, vertices: Array, border: list[tuple[int, int]]) -> list[li
         while True:
             options = following.get(loop[-1])
             if not options:
-                raise BadInput(
-                    f"{name}: the border of a hole at {place_mm(vertices[loop[-1]])} does not close; export it again."
-                )
+                raise BadInput(f"{name}: the border of a hole at {place_mm(vertices[loop[-1]])} does not close; export it again.")
             step = options.pop()
             if not options:
                 del following[loop[-1]]

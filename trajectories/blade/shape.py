@@ -74,9 +74,7 @@ def find_shape(blade: Blade) -> AerofoilShape:
             notices.append(f"The smooth {side.name} surface passes mesh vertices at up to {1e6 * side.deviation[1]:.0f} um "
                            f"({1e6 * side.deviation[0]:.1f} um typically): the mesh is rough or has steps there.")  # fmt: skip
     edges = np.array([section.at(nose) for section, nose in zip(sections, noses, strict=True)])
-    return AerofoilShape(
-        frame, levels[[0, -1]], sides, levels, edges[:, order[0]], edges[:, order[1]], tuple(notices)
-    )
+    return AerofoilShape(frame, levels[[0, -1]], sides, levels, edges[:, order[0]], edges[:, order[1]], tuple(notices))
 
 
 def smooth_along(levels: Array, values: Array, pieces: int = 5) -> Array:
@@ -141,9 +139,7 @@ def _sides(
         notices.append("The sections are symmetric, so which side is called convex and which concave is arbitrary.")
     flanks = np.array([section.flank - section.nose[:, None] for section in sections])
     flanks = smooth_along(levels, flanks.reshape(len(levels), -1), 2).reshape(flanks.shape)
-    return {
-        names[edge]: fit_side(blade, names[edge], levels, sections, noses, flanks, edge, lead) for edge in (0, 1)
-    }
+    return {names[edge]: fit_side(blade, names[edge], levels, sections, noses, flanks, edge, lead) for edge in (0, 1)}
 
 
 def _bulge(section: Section, nose: Array, edge: int) -> float:

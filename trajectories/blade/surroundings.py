@@ -47,9 +47,7 @@ def _boundary(shape: AerofoilShape, side: SideSurface) -> dict[str, Array]:
     return {"u": u, "v": v, "p": points, "n": side.normal(u, v), "beyond": nose - points, "nose_normal": forward}
 
 
-def _distance_along(
-    side: SideSurface, rail: dict[str, Array], u: Array, v: Array, p: Array, n: Array, d: Array
-) -> Array:
+def _distance_along(side: SideSurface, rail: dict[str, Array], u: Array, v: Array, p: Array, n: Array, d: Array) -> Array:
     """Arc length (m,) from p in direction d, in the plane of n and d, to the outline or to the limit of turning."""
     normal = np.cross(n, d)
     across = normal @ rail["p"].T - np.einsum("ni,ni->n", normal, p)[:, None]

@@ -1,1 +1,0 @@
-"""The blind check: worlds drawn and sealed, answers, the scorer that opens the labels afterwards."""

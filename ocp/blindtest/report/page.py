@@ -1,0 +1,157 @@
+"""The report of `python -m ocp.blindtest`: report.html, table.json, and table.md for docs/blindtest.md."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from ocp.blindtest.report.plots import curve_plot, reliability_plot
+from ocp.blindtest.scoring.figures import Figure, by_bin, table
+from ocp.blindtest.scoring.intervals import Estimate
+from ocp.blindtest.scoring.rivals import METHODS
+from ocp.blindtest.scoring.worst import chance, planted_words, said_words, why_words, worst
+from ocp.blindtest.worlds.recipes import BINS, WORDS, bin_words
+from ocp.blindtest.worlds.sealing import Check
+from ocp.report.page import render_page
+from ocp.report.section import Headline, Part, Section, Table
+from ocp.report.section import table as make_table
+
+KIND = "Blind check of the diagnosis"
+TITLE = "Sealed worlds of the virtual cell"
+METHOD_WORDS = {
+    "diagnosis": "the diagnosis",
+    "strict": "the diagnosis, declared classes not counted",
+    "oracle": "oracle: knows signatures and noise",
+    "single": "best single free parameter",
+    "stepwise": "stepwise, Bayesian criterion",
+    "sparse": "sparse regression",
+    "unprojected": "score test, not projected",
+}
+Row = dict[str, Any]
+
+
+def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
+    """Write the files into the check's folder. Raises OSError."""
+    figures = table(rows)
+    sections = _sections(check, rows, figures)
+    page = render_page(TITLE, _headline(rows, figures), (), sections, KIND)
+    (check.folder / "report.html").write_bytes(page.encode("utf-8", "replace"))
+    lines = [{"figure": f.what, "sense": f.sense, "target": f.target, "met": f.met, **_plain(f.estimate),
+              "oracle": _plain(f.oracle)} for f in figures]  # fmt: skip
+    (check.folder / "table.json").write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
+    (check.folder / "table.md").write_text(_markdown(check, sections), encoding="utf-8")
+
+
+def last_line(check: Check, rows: Sequence[Row]) -> str:
+    """The command's answer."""
+    figures = table(rows)
+    judged = [f for f in figures if f.met is not None]
+    reached = f"{sum(bool(f.met) for f in judged)} of {len(judged)} figures reach their target"
+    return f"{check.folder}: {len(rows)} worlds, {reached}; {check.folder / 'report.html'} shows all"
+
+
+def _plain(e: Estimate) -> dict[str, Any]:
+    return {k: (None if isinstance(v, float) and not np.isfinite(v) else v) for k, v in asdict(e).items()}
+
+
+def _headline(rows: Sequence[Row], figures: Sequence[Figure]) -> Headline:
+    judged = [f for f in figures if f.met is not None]
+    good = all(f.met for f in judged)
+    missed = [f.what for f in judged if not f.met]
+    kinds = ", ".join(f"{sum(r['kind'] == k for r in rows)} {w}" for k, w in WORDS.items() if any(r["kind"] == k for r in rows))
+    return Headline(
+        good,
+        "All targets reached" if good else f"{len(judged) - len(missed)} of {len(judged)} targets reached",
+        f"{len(rows)} worlds of the virtual cell were drawn and sealed, answered blind, and judged afterwards.",
+        (("worlds", kinds), ("not reached", "; ".join(missed) or "none")),
+    )
+
+
+def _sections(check: Check, rows: Sequence[Row], figures: Sequence[Figure]) -> list[Section]:
+    return [
+        Section("Figures", (
+            "Every figure with its 95 % confidence interval and the number of worlds it rests on. A name counts as right within "
+            "its declared class, with the joint.", figures_table(figures),
+        )),
+        Section("How often the name is right", (curve_plot(rows), method_table(rows, "top1"), method_table(rows, "top3"))),
+        Section("What the probabilities are worth", (reliability_plot(rows),)),
+        Section("The worst answers", (
+            "Planted effects with their detectability, what was said with its probability, and what is wrong with it.",
+            worst_table(rows),
+        )),
+        Section("How it was made", tuple(_made(check))),
+    ]  # fmt: skip
+
+
+def told(e: Estimate, percent: bool) -> str:
+    """Value, interval and count."""
+    if not e.count or not np.isfinite(e.value):
+        return "none"
+    if percent:
+        return f"{100 * e.value:.1f} % ({100 * e.low:.0f}-{100 * e.high:.0f})"
+    return f"{e.value:.3g} ({e.low:.2g}-{e.high:.2g})"
+
+
+def _target(f: Figure) -> str:
+    scale, unit = (100.0, " %") if f.percent else (1.0, "")
+    if not f.target:
+        return ""
+    if f.sense == "in":
+        return f"{scale * f.target[0]:g}-{scale * f.target[1]:g}{unit}"
+    return f"{f.sense} {scale * f.target[0]:g}{unit}"
+
+
+def figures_table(figures: Sequence[Figure]) -> Table:
+    """The table of DIAGNOSIS.md."""
+    mark = {True: "yes", False: "no", None: ""}
+    rows = [
+        (f.what, _target(f), told(f.estimate, f.percent), str(f.estimate.count), mark[f.met],
+         told(f.oracle, f.percent) if f.oracle.count else "")
+        for f in figures
+    ]  # fmt: skip
+    missed = [k for k, f in enumerate(figures) if f.met is False]
+    return make_table(("figure", "target", "value (95 %)", "n", "reached", "oracle"), rows, text=(0, 4), strong=missed)
+
+
+def method_table(rows: Sequence[Row], key: str) -> Table:
+    """Hits in every bin: the diagnosis, the oracle, the rivals, chance."""
+    heads = ("which", *(f"lambda {bin_words(k)}" for k in range(len(BINS))))
+    lines = []
+    for method in ("diagnosis", "strict", "oracle", *METHODS):
+        found = by_bin(rows, key, method)
+        lines.append((METHOD_WORDS[method], *(told(e, True) for e in found)))
+    dealt = chance(rows, key)
+    lines.append(("chance: labels dealt anew", told(dealt, True), "", "", ""))
+    return make_table(heads, lines, title="First name right" if key == "top1" else "Among the first three")
+
+
+def worst_table(rows: Sequence[Row]) -> Table:
+    """The worst twenty."""
+    lines = [(r["world"].lstrip("0"), planted_words(r), said_words(r), why_words(r)) for r in worst(rows)]
+    return make_table(("world", "planted (lambda)", "said", "fault"), lines, text=(0, 1, 2, 3))
+
+
+def _made(check: Check) -> list[Part]:
+    return [
+        f"python -m ocp.blindtest --worlds {check.worlds} --seed {check.seed} --kinds {','.join(check.kinds)} --readings "
+        f"{check.readings}",
+        "Worlds are drawn by the virtual cell, which shares no code with the diagnosis (tests/test_twin_imports.py). Effects and "
+        "sizes are drawn and sealed with their SHA-256 before the first answer; the answering processes are given the folders of "
+        "the measurements alone; labels are opened when all answers are written.",
+        "Lambda is computed from what the virtual machine was drawn with: its own signature of the effect, the instrument's "
+        "noise and repeatability, and the variances of placement, nests, springs and masses.",
+    ]
+
+
+def _markdown(check: Check, sections: Sequence[Section]) -> str:
+    """Tables as text for the documentation."""
+    lines = []
+    for section in sections:
+        for part in section.parts:
+            if isinstance(part, Table):
+                lines += [f"## {part.title or section.title}", "", "| " + " | ".join(part.columns) + " |"]
+                lines += ["|" + "---|" * len(part.columns)]
+                lines += ["| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in part.rows] + [""]
+    return "\n".join([f"{check.worlds} worlds, seed {check.seed}", "", *lines])

@@ -1,0 +1,201 @@
+"""The calibration folder: calibration.toml with its covariance, residuals, blind predictions, report; whole or not at all."""
+
+import csv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ocp.calibrate.report.pages import write_calibration_report
+from ocp.calibrate.tracker import TrackerCalibration
+from ocp.model.cell_copy import cell_tables_for
+from ocp.report.section import Section
+from ocp.shell.command import Phases, tell_notices
+from ocp.shell.hashes import sha256
+from ocp.shell.output import check_output, whole_folder
+from robots.calibration.parameters import SYMBOLS
+from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
+from robots.calibration.store import Calibration, write_calibration
+from robots.calibration.toml_text import toml_text
+from robots.calibration.validation import by_kind
+from robots.errors import BadInput, Infeasible
+from robots.pose import Array, abc_by_spin, abc_from_rotation
+
+BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
+
+
+def write_tracker_calibration(
+    make: Callable[[], TrackerCalibration],
+    out: Path,
+    overwrite: bool,
+    phases: Phases,
+    inputs: Sequence[Path],
+    contact: Callable[[Calibration], tuple[Calibration, Sequence[Section]]] | None = None,
+) -> str:
+    """Make the calibration and write its folder; the command's last line.
+
+    `contact` joins what a force log says of wheel, blade and flange and adds to the report. Raises BadInput and Infeasible of
+    every part; then `out` is as it was.
+    """
+    check_output(out, overwrite, inputs)
+    for file in inputs:
+        if not file.is_file():
+            raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
+    made = make()
+    _refuse_unjudged(made)
+    calibration, extra = tracker_calibration(made, inputs), list[Section]()
+    if contact is not None:
+        calibration, sections = contact(calibration)
+        extra += sections
+    with whole_folder(out, overwrite) as folder:
+        with phases.phase("writing"):
+            write_calibration(folder / "calibration.toml", calibration)
+            _write_cell(made, folder / "cell.toml", out)
+            _write_residuals(made, folder / "residuals.csv")
+            if made.sealed is not None:
+                _write_predictions(made, folder / "predictions_tracker.csv")
+        with phases.phase("report"):
+            write_calibration_report(made, folder, {path.name: sha256(path) for path in inputs}, extra)
+    tell_notices((*made.notices, *calibration.notices))
+    return last_line(made, out, calibration)
+
+
+def last_line(made: TrackerCalibration, out: Path, calibration: Calibration) -> str:
+    """What was written, how good it is, whether it is safe to use."""
+    n, found = len(made.fit.campaign.readings), made.identifiability
+    errors, before = made.methods.error[made.method], made.methods.before
+    return (
+        f"{out}: {n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen; left-out "
+        f"readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm at most (before: "
+        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}{_use(made, errors, before, out)}; "
+        f"{out / 'report.html'} says what was not seen."
+    )
+
+
+def _contact(calibration: Calibration) -> str:
+    """What the force log brought, if there was one."""
+    figures = calibration.provenance.get("force")
+    if not isinstance(figures, dict):
+        return ""
+    return f"The force log is met within {figures['rms_after']:.2f} N rms (before: {figures['rms_before']:.2f}). "
+
+
+def _use(made: TrackerCalibration, errors: Array, before: Array, out: Path) -> str:
+    """Whether to use it. A method that is only compared may be worse than nothing, and is written all the same."""
+    full = made.methods.error.get("full", errors)
+    if errors.mean() >= before.mean():
+        return "It is no better than the arm as believed: do not use it"
+    if errors.mean() > 1.5 * full.mean():
+        return f"Method full meets the same readings within {1e3 * full.mean():.3f} mm: use that one"
+    return f"{out / 'cell.toml'} is the cell with it, for ocp.plan"
+
+
+def _refuse_unjudged(made: TrackerCalibration) -> None:
+    """Raises Infeasible: no reading could be left out."""
+    if not len(made.methods.before):
+        path = made.fit.campaign.readings.path
+        raise Infeasible(f"{path}: too few readings, outliers apart, to leave any out and judge the rest; measure more poses")
+
+
+def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Calibration:
+    """The fit as named parameters with their covariance: geometry, springs, the mounted payload, the base in the tracker."""
+    fit = made.fit
+    layout, state = fit.layout, fit.state
+    names, values, columns = [], [], []
+    for i, name in enumerate(ARM_NAMES):
+        if layout.arm[i] >= 0:
+            names.append(name)
+            values.append(state.arm[i])
+            columns.append(layout.arm[i])
+    if made.method == "geometry":
+        # Fitted without springs, it holds without them only.
+        rigid = [f"c{j}" for j in made.setup.compliant_joints]
+        names += rigid
+        values += [0.0] * len(rigid)
+        columns += [-1] * len(rigid)
+    mounted = made.setup.tables.workpiece.payload if made.setup.tables.workpiece else None
+    readings = fit.campaign.readings
+    if mounted in fit.choice.payloads and mounted in readings.payloads:
+        k = readings.payloads.index(mounted)
+        names += PAYLOAD_NAMES
+        values += list(state.payloads[k])
+        columns += list(layout.payload[k])
+    station = int(np.unique(readings.station)[0])
+    turn = abc_by_spin(state.stations[station])
+    to_named = np.zeros((len(names) + 6, layout.size))
+    fitted = np.array(columns) >= 0
+    to_named[np.flatnonzero(fitted), np.array(columns)[fitted]] = 1.0
+    to_named[len(names) : len(names) + 3, layout.station[station, :3]] = np.eye(3)
+    to_named[len(names) + 3 :, layout.station[station, 3:]] = turn
+    names += BASE
+    values += [*state.stations[station, :3, 3], *abc_from_rotation(state.stations[station, :3, :3])]
+    covariance = to_named @ fit.covariance @ to_named.T
+    return Calibration(
+        robot=made.setup.robot.name,
+        names=tuple(names),
+        values=np.array(values),
+        covariance=0.5 * (covariance + covariance.T),
+        provenance=_provenance(made, inputs),
+        not_identified={k: v for k, v in made.identifiability.not_identified().items() if k in SYMBOLS},
+    )
+
+
+def _provenance(made: TrackerCalibration, inputs: Sequence[Path]) -> dict[str, Any]:
+    fit, readings = made.fit, made.fit.campaign.readings
+    figures = {
+        kind.replace(" ", "_"): {f"{name}_mm": round(1e3 * row[name], 6) for name in ("mean", "rms", "max")}
+        | {"error_over_predicted": round(row["over_predicted"], 4), "readings": int(row["readings"])}
+        for kind, row in by_kind(made.held_out).items()
+    }
+    conditions: dict[str, Any] = {
+        "readings": len(readings),
+        "payloads": [readings.payloads[k] for k in np.unique(readings.payload)],
+        "targets": [readings.targets[k] for k in np.unique(readings.target)],
+        "stations": len(np.unique(readings.station)),
+        "reference_temperature_C": made.setup.tables.reference_temperature_C,
+    }
+    if readings.temperature is not None:
+        conditions["temperature_C"] = [float(readings.temperature.min()), float(readings.temperature.max())]
+    return {
+        "method": made.method,
+        "data_sha256": {path.name: sha256(path) for path in inputs},
+        "conditions": conditions,
+        "held_out": figures,
+        "noise": {"joints_rad": float(fit.noise.joints), "spread": float(fit.spread), "outliers": int((fit.weight < 0.05).sum())},
+        "priors": {"length_m": float(fit.priors.length), "angle_rad": float(fit.priors.angle)},
+        "bending_joints": list(fit.choice.joints),
+        "corrected_payloads": list(fit.choice.payloads),
+    }
+
+
+def _write_cell(made: TrackerCalibration, path: Path, out: Path) -> None:
+    """The cell that names this calibration, ready for `ocp.plan`; `out` is where its folder will stand."""
+    source = made.setup.path
+    tables = cell_tables_for(source, out)
+    tables["robot"]["calibration"] = "calibration.toml"
+    path.write_text(f"# {source.name} with its calibration\n" + toml_text(tables), encoding="utf-8")
+
+
+def _write_residuals(made: TrackerCalibration, path: Path) -> None:
+    """One row a reading: its line, what is left of it before and after, its weight."""
+    fit = made.fit
+    rows = np.column_stack([1e3 * fit.residual[:, :3], 1e3 * made.error_before, 1e3 * made.error_after, fit.weight])
+    header = ("line", "dx_mm", "dy_mm", "dz_mm", "before_mm", "after_mm", "weight")
+    _write_csv(path, header, [(int(line), *row) for line, row in zip(fit.campaign.readings.line, rows, strict=True)], 5)
+
+
+def _write_predictions(made: TrackerCalibration, path: Path) -> None:
+    """Blind predictions of sealed_tracker.csv, its rows in order: the calibrated model and its one sigma."""
+    assert made.sealed_points is not None and made.sealed_covariance is not None
+    sd = np.sqrt(np.diagonal(made.sealed_covariance, axis1=1, axis2=2))
+    header = (*(f"baseline_{c}_mm" for c in "xyz"), *(f"baseline_sigma_{c}_mm" for c in "xyz"))
+    _write_csv(path, header, [tuple(r) for r in 1e3 * np.hstack([made.sealed_points, sd])], 5)
+
+
+def _write_csv(path: Path, header: Sequence[str], rows: Sequence[tuple[float, ...]], digits: int) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for row in rows:
+            writer.writerow([str(v) if isinstance(v, int) else f"{v:.{digits}f}" for v in row])

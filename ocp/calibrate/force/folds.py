@@ -1,0 +1,101 @@
+"""Held-out error of a force fit by blocked folds: whole runs, lines, sessions, setpoints and belt directions left out.
+
+Folds are solved in the linearised problem about the estimate, which is exact Gaussian updating (eq. 12).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocp.calibrate.force.fit import ForceSolution
+from ocp.calibrate.force.log import Flags, ForceLog, Index
+from ocp.calibrate.force.model import ForceRows
+from robots.pose import Array
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Rows in contact that were predicted without them: what was left out, how many, rms and mean of measured minus
+    predicted N, gap N (rms without the noise), expected standard deviation N of the mean, from parameters, noise and offsets."""
+
+    left_out: str
+    rows: int
+    rms: float
+    mean: float
+    gap: float
+    mean_sd: float
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """A way to cut the log into blocks: block (n,) of each row, -1 for none; labels."""
+
+    by: str
+    block: Index
+    labels: tuple[str, ...]
+
+
+def blocks_of(log: ForceLog, rows: ForceRows) -> list[Blocks]:
+    """Every way to cut the log that leaves at least two blocks in contact."""
+    ways = [Blocks("run", log.run, log.runs), Blocks("session", log.session, log.sessions)]
+    if log.line is not None:
+        ways.append(_by_value("line", log.line.astype(float), log.contact))
+    ways.append(_by_value("setpoint", np.round(rows.setpoint, 1), log.contact))
+    ways.append(_by_value("belt direction", rows.belt, log.contact))
+    return [way for way in ways if len(np.unique(way.block[log.contact])) > 1]
+
+
+def _by_value(by: str, values: Array, contact: Flags) -> Blocks:
+    levels = np.unique(values[contact])
+    block = np.where(contact, np.searchsorted(levels, values).clip(max=len(levels) - 1), -1)
+    return Blocks(by, block.astype(np.int64), tuple(f"{level:g}" for level in levels))
+
+
+def held_out(solution: ForceSolution, log: ForceLog, rows: ForceRows) -> dict[str, list[HeldOut]]:
+    """Errors of each block of each way to cut the log, predicted from the other blocks."""
+    out: dict[str, list[HeldOut]] = {}
+    for way in blocks_of(log, rows):
+        present = [b for b in range(len(way.labels)) if (log.contact & (way.block == b)).any()]
+        out[way.by] = [_fold(solution, log, way.labels[b], way.block == b) for b in present]
+    return out
+
+
+def pooled(folds: list[HeldOut]) -> HeldOut:
+    """All folds of one way to cut the log as one figure; the mean is that of the folds' sizes |mean|."""
+    n = np.array([fold.rows for fold in folds], float)
+
+    def together(values: list[float]) -> float:
+        return float(np.sqrt(np.sum(n * np.array(values) ** 2) / n.sum()))
+
+    return HeldOut(
+        "each in turn", int(n.sum()), together([f.rms for f in folds]), together([f.mean for f in folds]),
+        together([f.gap for f in folds]), together([f.mean_sd for f in folds]),
+    )  # fmt: skip
+
+
+def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> HeldOut:
+    """The block's readings from the other rows: a downdate of the information, a step of the unknowns."""
+    white, channel = solution.whitened, solution.channel
+    A, told = white.sensitivity[left], np.zeros_like(solution.information)
+    for kind in channel.kinds.values():
+        at = kind.rows[left[kind.rows]]
+        told += kind.noise.information() * white.sensitivity[at].T @ white.sensitivity[at]
+    information = solution.information - told
+    # At the estimate the whole gradient is zero: what the block pulled is what its absence lets go.
+    change = -np.linalg.solve(information, A.T @ white.residual[left])
+    r = solution.prior.root.shape[1]
+    at = np.flatnonzero(left & log.contact)
+    root = solution.jacobian[at] @ solution.prior.root
+    error = log.fn[at] - solution.reading[at] - root @ change[:r]
+    mean = root.mean(axis=0)
+    spread = mean @ np.linalg.inv(information)[:r, :r] @ mean
+    kind = channel.kinds[True]
+    sigma = channel.sigma()[at]
+    steps = kind.runs.step[np.isfinite(kind.runs.step) & (kind.runs.step > 0)]
+    each = kind.noise.samples_each(float(np.median(steps))) if len(steps) else 1.0
+    runs = np.unique(log.run[at], return_counts=True)[1]
+    offsets = solution.offset**2 * np.sum((runs / len(at)) ** 2)
+    noise = float(np.mean(sigma**2))
+    rms = float(np.sqrt(np.mean(error**2)))
+    gap = float(np.sqrt(max(rms**2 - noise, 0.0)))
+    return HeldOut(label, len(at), rms, float(error.mean()), gap, float(np.sqrt(spread + noise * each / len(at) + offsets)))

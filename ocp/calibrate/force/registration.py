@@ -1,0 +1,202 @@
+"""The contact side of a calibration: a force log in, registrations and stiffnesses with their joint covariance out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, reading_jacobian, reading_of, solve_force_log
+from ocp.calibrate.force.folds import HeldOut, held_out
+from ocp.calibrate.force.log import ForceLog
+from ocp.calibrate.force.model import ForceRows
+from ocp.calibrate.force.rows import ForceSetup, prepare_force
+from ocp.calibrate.force.words import directions_seen, not_identified
+from ocp.model.cell import Cell
+from robots.calibration.parameters import MDH_NAMES
+from robots.calibration.store import Calibration
+from robots.pose import Array
+
+SIGMAS = 5.0  # an innovation beyond this many is told to the user
+
+
+@dataclass(frozen=True)
+class ForceFigures:
+    """Of the rows in contact, N: rms and mean of measured minus predicted, before (at the prior's mean) and after; sigma of
+    a reading, what the fit left beyond it, standard deviation of the runs' offsets; rows, independent readings they are worth,
+    rows in the air, outliers."""
+
+    rms_before: float
+    mean_before: float
+    rms_after: float
+    mean_after: float
+    max_after: float
+    sigma: float
+    gap_before: float
+    gap_after: float
+    run_offset: float
+    rows: int
+    independent: float
+    air_rows: int
+    outliers: int
+
+
+@dataclass(frozen=True)
+class ForceFit:
+    """A fitted force log: solution, figures, held-out errors by way of cutting the log, what cannot be told, notices."""
+
+    log: ForceLog
+    setup: ForceSetup
+    rows: ForceRows
+    solution: ForceSolution
+    figures: ForceFigures
+    held_out: dict[str, list[HeldOut]]
+    not_identified: dict[str, str]
+    notices: tuple[str, ...]
+    known: tuple[str, ...] = field(repr=False, default=())
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Parameters of the joint posterior: the robot's as handed in and all of the contact that the cell leaves open."""
+        sd = np.sqrt(np.diag(self.solution.prior.covariance))
+        return tuple(n for n, s in zip(FIT_NAMES, sd, strict=True) if n in self.known or s > 0)
+
+    @property
+    def values(self) -> Array:
+        """Estimates in the order of `names`, SI."""
+        return self.solution.x[self._at]
+
+    @property
+    def covariance(self) -> Array:
+        """Joint covariance in the order of `names`, robot and contact with their cross-covariances."""
+        return self.solution.covariance[np.ix_(self._at, self._at)]
+
+    @property
+    def _at(self) -> list[int]:
+        return [FIT_NAMES.index(name) for name in self.names]
+
+    def predict(self, rows: ForceRows) -> tuple[Array, Array]:
+        """Reading (n,) N, sensor's bias in, and one sigma (n,) N of its noise-free value; offsets of runs count."""
+        F, reading = reading_of(self.setup.model, rows, self.solution.x)
+        J = reading_jacobian(self.setup.model, rows, self.solution.x, F)
+        return reading, self._sd(J, rows)
+
+    def baseline(self, rows: ForceRows) -> Array:
+        """Reading (n,) N before the fit: at the prior's mean."""
+        return reading_of(self.setup.model, rows, self.solution.prior.mean)[1]
+
+    @cached_property
+    def predicted(self) -> tuple[Array, Array]:
+        """Reading (n,) N and one sigma (n,) N of its noise-free value for the log's own rows."""
+        return self.solution.reading, self._sd(self.solution.jacobian, self.rows)
+
+    def _sd(self, J: Array, rows: ForceRows) -> Array:
+        variance = np.einsum("ni,ij,nj->n", J, self.solution.covariance, J) + rows.contact * self.solution.offset**2
+        return np.sqrt(np.maximum(variance, 0.0))
+
+    def calibration(self, robot: Calibration | None = None) -> Calibration:
+        """`robot`'s calibration with the contact in it: joint values and covariance; parameters that the force log knows
+        nothing of (the measuring frame) stay as they were, uncorrelated with the rest only where they were so."""
+        cell = self.setup.model.cell
+        names, values, covariance = self.names, self.values, self.covariance
+        reasons = self.not_identified if robot is None else robot.not_identified | self.not_identified
+        provenance = {} if robot is None else dict(robot.provenance)
+        if robot is not None:
+            names, values, covariance = _joined(robot, names, values, covariance)
+        provenance["force"] = {name: value for name, value in vars(self.figures).items()}
+        return Calibration(cell.robot.name, names, values, covariance, provenance, reasons, self.notices)
+
+
+def fit_force(
+    cell: Cell, log: ForceLog, robot: Calibration | None = None, setup: ForceSetup | None = None, offsets: bool = True
+) -> ForceFit:
+    """Fit a force log of `cell`, jointly with the posterior `robot` of its arm (default: the cell's own calibration).
+
+    `setup` from `prepare_force(cell, [log, ...])` saves preparing again; the log must be its first. Raises BadInput and
+    Infeasible as `prepare_force` and `solve_force_log`.
+    """
+    if setup is None:
+        setup = prepare_force(cell, [log])
+    rows = setup.rows[0]
+    calibration = cell.calibration if robot is None else robot
+    prior = force_prior(cell, robot)
+    solution = solve_force_log(setup.model, rows, log, prior, offsets)
+    figures = _figures(solution, log)
+    known = () if calibration is None else calibration.names
+    notices = (*log.notices, *setup.notices, *_notices(cell, log, solution, figures, calibration))
+    return ForceFit(log, setup, rows, solution, figures, held_out(solution, log, rows), not_identified(solution), notices, known)
+
+
+def _figures(solution: ForceSolution, log: ForceLog) -> ForceFigures:
+    at = log.contact
+    before, after = log.fn[at] - solution.before[at], log.fn[at] - solution.reading[at]
+    noise = float(np.mean(solution.channel.sigma()[at] ** 2))
+
+    def rms(x: Array) -> float:
+        return float(np.sqrt(np.mean(x**2)))
+
+    def gap(x: Array) -> float:
+        return float(np.sqrt(max(rms(x) ** 2 - noise, 0.0)))
+
+    nominal = np.abs(solution.whitened.residual) / np.sqrt(solution.channel.weight)
+    return ForceFigures(
+        rms(before), float(before.mean()), rms(after), float(after.mean()), float(np.abs(after).max()), float(np.sqrt(noise)),
+        gap(before), gap(after), solution.offset, int(at.sum()), solution.channel.independent(), int((~at).sum()),
+        int((nominal > SIGMAS).sum()),
+    )  # fmt: skip
+
+
+def _notices(
+    cell: Cell, log: ForceLog, solution: ForceSolution, figures: ForceFigures, calibration: Calibration | None
+) -> Sequence[str]:
+    notices = []
+    name = log.path.name
+    if calibration is None or not set(MDH_NAMES) & set(calibration.names):
+        notices.append(f"{name}: no calibration of the arm beside the force log: the cell's arm with wide doubts is taken")
+    if not figures.air_rows:
+        notices.append(f"{name}: no air run: the sensor's bias cannot be told from the flange's setpoint and the wheel's place")
+    if figures.run_offset > 0:
+        notices.append(
+            f"{name}: runs differ by {figures.run_offset:.2f} N (one standard deviation) beyond noise and model; the fit allows "
+            "for it and is less sure; something differs between the runs that the model does not have"
+        )
+    if figures.outliers:
+        notices.append(f"{name}: {figures.outliers} readings lie more than {SIGMAS:g} sigma off and count little")
+    count, gain = directions_seen(solution)
+    notices.append(
+        f"{name}: the log narrows {count} of {len(gain)} directions of what is unknown to less than half, the best "
+        f"{gain[0]:.0f}-fold"
+    )
+    stroke = _stroke(cell, log, solution)
+    if cell.flange is not None and stroke > 0.5 * cell.flange.stroke:
+        notices.append(
+            f"{name}: the flange's stroke reaches {1e3 * stroke:.1f} mm from its middle, it has {5e2 * cell.flange.stroke:.1f}; "
+            "beyond it the model is wrong"
+        )
+    return notices
+
+
+def _stroke(cell: Cell, log: ForceLog, solution: ForceSolution) -> float:
+    """Largest distance (m) of the flange from its middle."""
+    if cell.flange is None:
+        return 0.0
+    setpoint = cell.flange.setpoint if log.setpoint is None else log.setpoint
+    force = solution.reading - solution.x[BIAS]
+    return float(np.abs((force - setpoint)[log.contact]).max() / cell.flange.stiffness)
+
+
+def _joined(robot: Calibration, names: tuple[str, ...], values: Array, covariance: Array) -> tuple[tuple[str, ...], Array, Array]:
+    """The parameters of `robot` that the force model has no place for, carried along by their regression on the others."""
+    rest = [i for i, name in enumerate(robot.names) if name not in names]
+    if not rest:
+        return names, values, covariance
+    shared = [name for name in robot.names if name in names]
+    old = [robot.names.index(name) for name in shared]
+    new = [names.index(name) for name in shared]
+    C = robot.covariance
+    slope = C[np.ix_(rest, old)] @ np.linalg.pinv(C[np.ix_(old, old)], rcond=1e-12, hermitian=True)
+    moved = robot.values[rest] + slope @ (values[new] - robot.values[old])
+    cross = slope @ covariance[new]
+    own = C[np.ix_(rest, rest)] - slope @ (C[np.ix_(old, old)] - covariance[np.ix_(new, new)]) @ slope.T
+    whole = np.block([[covariance, cross.T], [cross, 0.5 * (own + own.T)]])
+    return (*names, *(robot.names[i] for i in rest)), np.concatenate([values, moved]), whole

@@ -1,0 +1,197 @@
+"""From logs to the model's rows: the blade under every contact point, its give, and a wheel law that covers the log."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ocp.calibrate.force.compliance import Stations, solve_stations, stations_known
+from ocp.calibrate.force.defect import with_defect
+from ocp.calibrate.force.effect_conditions import effect_conditions
+from ocp.calibrate.force.footing import Footing, foot_points
+from ocp.calibrate.force.log import ForceLog
+from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.contact.wheel.cover import Cover
+from ocp.contact.wheel.law import WheelLaw
+from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, fit_wheel_law
+from ocp.contact.wheel.law_store import remembered_law
+from ocp.model.blade_gap import SurfaceCloud
+from ocp.model.cell import Cell
+from ocp.model.prepare import typical_patch, wheel_cover
+from ocp.plan.paths import surface_cloud
+from ocp.shell.disk_store import DiskStore
+from ocp.shell.workers import interrupts_held_back, nothing, workers
+from robots.errors import BadInput
+from robots.kinematics import forward
+from robots.pose import Array
+from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
+
+FAR = 10e-3  # m of overlap or gap between wheel and blade at a row in contact, beyond which cell and log do not belong together
+ROOM = (2e-3, 0.01, np.radians(4.0))  # lateral m, tilt, turn rad that the law covers beyond the log's own postures
+SAMPLES, HELD_OUT = 700, 120  # direct solutions: a log asks for a narrower law than a plan
+KINDS = 400  # curvatures handed to the fit
+
+
+@dataclass(frozen=True)
+class ForceSetup:
+    """The model of a cell and its blade that covers some logs, with the rows of each; notices in sentences."""
+
+    model: ForceModel
+    rows: tuple[ForceRows, ...]
+    cover: Cover
+    notices: tuple[str, ...]
+
+
+def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
+    """Model and rows of `logs`, all of one cell (measured and sealed ones together).
+
+    Raises BadInput: no blade, points off its surface, joints that do not bring the blade to the wheel; Infeasible: the
+    blade is too hollow for the wheel.
+    """
+    if cell.workpiece.stl is None:
+        raise BadInput(f"{cell.path}: no blade; name it as workpiece.stl, a force log needs the blade's shape")
+    blade, shape, cloud = _measured(cell.workpiece.stl, cell.workpiece.stl_unit)
+    feet = [foot_points(blade, shape, log) for log in logs]
+    poses = [_posture(cell, log, foot) for log, foot in zip(logs, feet, strict=True)]
+    touching = np.concatenate([log.contact for log in logs])
+    turned, lateral, tilt = (np.concatenate([pose[k] for pose in poses])[touching] for k in range(3))
+    cover = wheel_cover(cell)
+    p, n, t, curvature = (np.concatenate([getattr(foot, k) for foot in feet])[touching] for k in ("p", "n", "t", "curvature"))
+    patch = _rounded(typical_patch(cell, cover, curvature))
+    law, stations = _side_by_side(cell, blade, (p, n, t, patch), lambda: _law(cell, cover, logs, turned, lateral, tilt))
+    model = ForceModel(cell, law)
+    give = np.zeros((len(touching), 3))
+    give[touching] = stations.at(p, n, t)
+    whole = ForceRows.joined(
+        [_rows(cell, log, foot, c) for log, foot, c in zip(logs, feet, np.split(give, _cuts(logs)), strict=True)]
+    )
+    whole = with_defect(model, cover, cloud, whole, _about(cell, logs, law))
+    edges = [0, *_cuts(logs).tolist(), len(whole)]
+    rows = tuple(whole.take(slice(i, j)) for i, j in pairwise(edges))
+    notices = (*blade.notices, *shape.notices, *(text for foot in feet for text in foot.notices))
+    return ForceSetup(model, rows, cover, notices)
+
+
+_LAST: dict[tuple[str, str, str], tuple[Blade, AerofoilShape, SurfaceCloud]] = {}
+
+
+def _measured(stl: Path, unit: str) -> tuple[Blade, AerofoilShape, SurfaceCloud]:
+    """Blade, shape and surface of an STL; the last one is kept, for a log and its sealed conditions ask one after the other."""
+    try:
+        key = (hashlib.sha256(stl.read_bytes()).hexdigest(), stl.name, unit)
+    except OSError:
+        key = ("", str(stl), unit)  # the reader says what is wrong with it
+    if key not in _LAST:
+        blade = read_blade(stl, unit)
+        shape = find_shape(blade)
+        _LAST.clear()
+        _LAST[key] = blade, shape, surface_cloud(shape, blade)
+    return _LAST[key]
+
+
+def _cuts(logs: Sequence[ForceLog]) -> NDArray[np.int64]:
+    return np.asarray(np.cumsum([len(log) for log in logs])[:-1], np.int64)
+
+
+def _side_by_side(
+    cell: Cell, blade: Blade, contacts: tuple[Array, Array, Array, tuple[float, float]], law: Callable[[], WheelLaw]
+) -> tuple[WheelLaw, Stations]:
+    """The wheel's law and the blade's stations, in two processes unless the stations are on disk."""
+    if stations_known(cell, blade, *contacts):
+        return law(), solve_stations(cell, blade, *contacts)
+    with workers(1, nothing) as pool:
+        with interrupts_held_back():
+            waiting = pool.submit(solve_stations, cell, blade, *contacts)
+        made = law()
+        return made, waiting.result()
+
+
+def _rounded(axes: tuple[float, float]) -> tuple[float, float]:
+    """Semi-axes of the patch to a quarter of a millimetre: logs of one blade then share its mesh on disk."""
+    return max(round(axes[0] / 2.5e-4), 1) * 2.5e-4, max(round(axes[1] / 2.5e-4), 1) * 2.5e-4
+
+
+def _about(cell: Cell, logs: Sequence[ForceLog], law: WheelLaw) -> Array:
+    """Force (n,) N about which rows stand: the setpoint with a flange, else as measured, else as usual in the logs."""
+    low, high = law.limits["force"]
+    if cell.flange is not None:
+        force = np.concatenate([np.full(len(x), cell.flange.setpoint) if x.setpoint is None else x.setpoint for x in logs])
+        return np.asarray(np.clip(force, low, high))
+    measured = np.concatenate([x.fn for x in logs])
+    touching = np.concatenate([x.contact for x in logs]) & np.isfinite(measured)
+    usual = float(np.median(measured[touching])) if touching.any() else cell.process.force
+    # Steps of 2 N: noise of single readings is no reason to solve another contact.
+    return np.asarray(np.clip(2.0 * np.round(np.where(np.isfinite(measured), measured, usual) / 2.0), low, high))
+
+
+def _rows(cell: Cell, log: ForceLog, foot: Footing, give: Array) -> ForceRows:
+    own = cell.flange.setpoint if cell.flange is not None else 0.0
+    n = len(log)
+    setpoint = np.full(n, own) if log.setpoint is None else log.setpoint
+    belt = np.sign(np.full(n, cell.wheel.belt_speed) if log.belt is None else log.belt)
+    waypoint = np.hstack([foot.p, foot.n, foot.t, foot.curvature, give, np.zeros((n, 1)), effect_conditions(cell, log)])
+    return ForceRows(log.q, waypoint, setpoint, belt, log.contact)
+
+
+def _posture(cell: Cell, log: ForceLog, foot: Footing) -> tuple[Array, Array, Array]:
+    """Blade curvature (n, 3) in the wheel's axes, lateral (n,) m and tilts (n, 2) of the nominal, unbent arm.
+
+    Good to some millimetres and milliradians: enough to say what the law must cover and whether log and cell agree.
+    """
+    T = forward(cell.robot, log.q) @ cell.workpiece.T_flange_blade
+    n, t = (np.einsum("kij,kj->ki", T[:, :3, :3], v) for v in (foot.n, foot.t))
+    v = np.einsum("kij,kj->ki", T[:, :3, :3], foot.p) + T[:, :3, 3] - cell.wheel.centre
+    axis = cell.wheel.axis
+    lateral = v @ axis
+    radial = v - lateral[:, None] * axis
+    rho = np.linalg.norm(radial, axis=1)
+    e = radial / rho[:, None]
+    _refuse_far(cell, log, rho, lateral, np.sum(n * e, axis=1))
+    belt = np.cross(axis, e)
+    b = np.cross(n, t)
+    A = np.stack([np.stack([np.sum(t * belt, 1), np.sum(b * belt, 1)], 1), np.stack([t @ axis, b @ axis], 1)], 1)
+    k = foot.curvature
+    K = A @ np.stack([k[:, [0, 2]], k[:, [2, 1]]], 1) @ A.transpose(0, 2, 1)
+    tilt = -np.stack([np.sum(n * belt, 1), n @ axis], 1) / np.sum(n * e, axis=1)[:, None]
+    return np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 1]], 1), lateral, tilt
+
+
+def _refuse_far(cell: Cell, log: ForceLog, rho: Array, lateral: Array, facing: Array) -> None:
+    """BadInput where rows in contact are nowhere near the wheel."""
+    gap = np.abs(rho - cell.wheel.radius)
+    wide = np.abs(lateral) > 0.5 * cell.wheel.width + FAR
+    bad = log.contact & ((gap > FAR) | wide | (facing > -0.5))
+    if not bad.any():
+        return
+    k = int(np.argmax(bad))
+    if gap[k] > FAR:
+        how = f"{1e3 * (rho[k] - cell.wheel.radius):.1f} mm off the wheel's surface"
+    elif wide[k]:
+        how = f"{1e3 * lateral[k]:.1f} mm along the axis from the wheel's middle"
+    else:
+        how = "with the blade's back to the wheel"
+    raise BadInput(
+        f"{log.path}, line {log.row[k]}, columns q1_deg to q6_deg: the axes bring the contact point {how} ({int(bad.sum())} such "
+        f"rows in contact); give the log that belongs to {cell.path.name}, axes in degrees"
+    )
+
+
+def _law(cell: Cell, cover: Cover, logs: Sequence[ForceLog], turned: Array, lateral: Array, tilt: Array) -> WheelLaw:
+    """The wheel's law over the log's postures and forces."""
+    forces = np.concatenate([np.concatenate([x[log.contact] for x in (log.setpoint, log.fn) if x is not None]) for log in logs])
+    forces = forces[np.isfinite(forces) & (forces > 0)]
+    low, high = np.percentile(forces, [5, 99.5]) if len(forces) else (cell.process.force, cell.process.force)
+    force = float(np.clip(cell.process.force, high / (0.9 * FORCE_RANGE[1]), max(low, 1.0) / FORCE_RANGE[0]))
+    force = max(force, high / FORCE_RANGE[1])
+    kinds = np.unique(np.round(turned, 2), axis=0)
+    kinds = kinds[:: max(1, len(kinds) // KINDS)]
+    # Rounded up, so that logs of one campaign find the same law on disk.
+    side = float(np.ceil((np.abs(lateral).max() + ROOM[0]) / 1e-3) * 1e-3)
+    slope = float(np.ceil((np.abs(tilt).max() + ROOM[1]) / 0.01) * 0.01)
+    domain = Domain(kinds, ROOM[2], min(side, 0.75 * cell.wheel.width), slope, force)
+    store = DiskStore("wheel")
+    return remembered_law(cover, domain, lambda: fit_wheel_law(cover, domain, SAMPLES, HELD_OUT, store=store))

@@ -1,0 +1,104 @@
+"""What a force log cannot tell, in words: parameters it does not see and those it cannot tell from one another."""
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution
+from ocp.calibrate.force.log import Flags
+from robots.pose import Array
+
+UNSEEN = 0.9  # of the prior's standard deviation: a parameter left with more was not seen
+ALIKE = 0.98  # cosine between two effects on the whole log, from which they are one to it
+TIED = 0.95  # correlation of two estimates from which only one combination of them is known
+VISIBLE = 3.0  # whitened length of one prior standard deviation's effect, from which the log would see it
+
+# What a parameter does, for sentences.
+DOES = {
+    **{f"wheel_{a}": f"moves the wheel along {a} of the base" for a in "xyz"},
+    "wheel_axis_u": "turns the wheel's axis",
+    "wheel_axis_v": "turns the wheel's axis",
+    **{f"blade_{a}": f"moves the blade along {a} of the flange" for a in "xyz"},
+    **{f"blade_{r}": f"turns the blade about {a} of the flange" for r, a in zip("cba", "xyz", strict=True)},
+    "cover_stiffness_scale": "changes how far the cover gives way",
+    "blade_stiffness_scale": "changes how far the blade gives way",
+    "flange_stiffness": "changes the flange's force over its stroke",
+    "flange_setpoint_offset": "adds a constant to the flange's force",
+    "sensor_bias": "adds a constant to the reading",
+}
+CONTACT_NAMES: tuple[str, ...] = tuple(n for n in FIT_NAMES if n in DOES)
+
+
+def not_identified(solution: ForceSolution) -> dict[str, str]:
+    """One name, or several with spaces between, to the reason; arm and payload are the tracker's and not listed."""
+    prior_sd = np.sqrt(np.diag(solution.prior.covariance))
+    sd = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0))
+    index = [i for i, name in enumerate(FIT_NAMES) if name in CONTACT_NAMES and prior_sd[i] > 0]
+    effect = _effects(solution, index, prior_sd)
+    size = np.linalg.norm(effect, axis=0)
+    alike = effect.T @ effect / np.maximum(np.outer(size, size), 1e-12)
+    out: dict[str, str] = {}
+    for k, i in enumerate(index):
+        if sd[i] >= UNSEEN * prior_sd[i]:
+            out[FIT_NAMES[i]] = _why_unseen(solution, index, k, size, alike, sd[i] / prior_sd[i], prior_sd)
+    apart = np.minimum.outer(size, size) * np.sqrt(np.maximum(1.0 - alike**2, 0.0))
+    one = (apart < VISIBLE) & (np.minimum.outer(size, size) > VISIBLE) & (np.abs(alike) > ALIKE)
+    for group in _groups(one):
+        out[" ".join(FIT_NAMES[index[k]] for k in group)] = _why_alike(group, index, alike)
+    for a, i in enumerate(index):
+        for b, j in list(enumerate(index))[a + 1 :]:
+            if one[a, b]:
+                continue
+            tie = solution.covariance[i, j] / (sd[i] * sd[j])
+            if abs(tie) > TIED:
+                kind = "difference" if tie > 0 else "sum"
+                out[f"{FIT_NAMES[i]} {FIT_NAMES[j]}"] = (
+                    f"only their {kind} is seen (correlation {tie:.3f}): {FIT_NAMES[i]} {DOES[FIT_NAMES[i]]}, "
+                    f"{FIT_NAMES[j]} {DOES[FIT_NAMES[j]]}"
+                )
+    return out
+
+
+def directions_seen(solution: ForceSolution) -> tuple[int, Array]:
+    """How many directions of the parameters the log narrowed to less than half, and by how much each (r,), best first: the
+    prior's standard deviation over the one left."""
+    r = solution.prior.root.shape[1]
+    left = np.linalg.inv(solution.information)[:r, :r]
+    gain = 1.0 / np.sqrt(np.linalg.eigvalsh(0.5 * (left + left.T)))
+    return int((gain > 2.0).sum()), np.sort(gain)[::-1]
+
+
+def _effects(solution: ForceSolution, index: list[int], prior_sd: Array) -> Array:
+    """Whitened effect (n, k) of one prior standard deviation of each parameter."""
+    columns = solution.jacobian[:, index] * prior_sd[index]
+    return solution.channel.whitened(np.zeros(len(columns)), columns).sensitivity
+
+
+def _why_unseen(
+    solution: ForceSolution, index: list[int], k: int, size: Array, alike: Array, share: float, prior_sd: Array
+) -> str:
+    name = FIT_NAMES[index[k]]
+    told = "sensor" if index[k] == BIAS else "cell"
+    contact = solution.channel.kinds[True].rows
+    newton = float(np.sqrt(np.mean((solution.jacobian[contact, index[k]] * prior_sd[index[k]]) ** 2)))
+    left = f"not seen by this log: {share:.0%} of the {told}'s standard deviation is left"
+    if size[k] <= VISIBLE:
+        return f"{left}; {name} {DOES[name]}, and one standard deviation moves the force by {newton:.2g} N"
+    others = [j for j in range(len(index)) if j != k and size[j] > VISIBLE]
+    others = sorted(others, key=lambda j: -abs(alike[k, j]))[:3]
+    like = ", ".join(f"{FIT_NAMES[index[j]]} ({abs(alike[k, j]):.0%})" for j in others)
+    return f"{left}; it moves the force by {newton:.2g} N, but others imitate it, nearest {like or 'the arm'}; it {DOES[name]}"
+
+
+def _groups(one: Flags) -> list[list[int]]:
+    """Sets of two and more that hang together in a symmetric matrix, each in order."""
+    count, label = connected_components(one, directed=False)
+    groups = [np.flatnonzero(label == g).tolist() for g in range(count)]
+    return [group for group in groups if len(group) > 1]
+
+
+def _why_alike(group: list[int], index: list[int], alike: Array) -> str:
+    names = [FIT_NAMES[index[k]] for k in group]
+    worst = min(abs(alike[a, b]) for a in group for b in group)
+    does = "; ".join(f"{name} {DOES[name]}" for name in names)
+    first = f"{names[0]} cannot be told from {' and '.join(names[1:])}"
+    return f"{first}: along this log they change the force alike (to {worst:.1%}), only one combination is seen; {does}"

@@ -1,0 +1,237 @@
+"""The calibration as a function: readings in, a fitted and judged arm out. Writing it is `ocp.calibrate.files`."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
+from ocp.shell.command import Phases
+from robots.calibration.evidence import Term, choose_terms
+from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings
+from robots.calibration.identifiability import Identifiability, identify
+from robots.calibration.layout import Choice, State
+from robots.calibration.load_tests import LoadTest, load_test
+from robots.calibration.methods import METHODS, before, calibrate_by
+from robots.calibration.mistakes import refuse_mistakes
+from robots.calibration.noise import Repeats, repeat_scatter
+from robots.calibration.prediction import predictive_covariance
+from robots.calibration.residuals import linearise, residuals
+from robots.calibration.solver import Campaign
+from robots.calibration.validation import FOLDS, GROSS, Fold, HeldOut, folds, hold_out, validate
+from robots.errors import BadInput
+from robots.measurements import Readings, read_readings
+from robots.pose import Array
+
+LEAST_READINGS = 20
+LEAST_POSTURES = 10
+LEAST_OF_STATION = 4
+LEAST_TRAVEL = np.radians(5.0)  # an axis that moved less did not move
+SEALED = "sealed_tracker.csv"
+
+
+@dataclass(frozen=True)
+class MethodTable:
+    """Absolute error (m,) m of each method on readings left out, in the same order `rows` (m,), and before calibration; the
+    same as vectors (m, 3) m, measured less predicted in the tracker's frame."""
+
+    rows: Array
+    before: Array
+    error: dict[str, Array]
+    off_before: Array
+    off: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class TrackerCalibration:
+    """What the readings gave.
+
+    fit of the chosen method; the believed arm with only the tracker placed; identifiability; held-out errors by fold; terms
+    tried; repeats; load test; methods side by side; points (m, 3) m of the sealed conditions with their covariance.
+    """
+
+    setup: TrackerSetup
+    method: str
+    fit: Fit
+    believed: State
+    identifiability: Identifiability
+    held_out: list[HeldOut]
+    terms: list[Term]
+    repeats: Repeats | None
+    load_test: LoadTest | None
+    methods: MethodTable
+    sealed: Readings | None
+    sealed_points: Array | None
+    sealed_covariance: Array | None
+    notices: tuple[str, ...]
+
+    @property
+    def error_before(self) -> Array:
+        """Distance (n,) m of each reading from the believed arm."""
+        c = self.fit.campaign
+        return np.asarray(np.linalg.norm(residuals(c.robot, c.readings, c.instrument, self.believed)[:, :3], axis=1))
+
+    @property
+    def error_after(self) -> Array:
+        """Distance (n,) m of each reading from the fitted arm (not held out)."""
+        return np.asarray(np.linalg.norm(self.fit.residual[:, :3], axis=1))
+
+
+def calibrate_tracker(tracker: Path, cell: Path, method: str, phases: Phases) -> TrackerCalibration:
+    """Read, check, fit and judge. Raises BadInput of every part."""
+    try:
+        return _calibrate(tracker, cell, method, phases)
+    except np.linalg.LinAlgError:
+        raise BadInput(
+            f"{tracker}: the readings leave something open that no prior holds, as the tracker's turn; measure more postures, "
+            "with all axes moved, and give the nests' places in [tracker.targets]"
+        ) from None
+
+
+def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases) -> TrackerCalibration:
+    if method not in METHODS:
+        raise BadInput(f"--method '{method}' is not one of {', '.join(METHODS)}")
+    with phases.phase("readings"):
+        setup = read_tracker_setup(cell)
+        readings = read_readings(tracker, setup.payloads, setup.instrument)
+        campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
+        _refuse_few(readings)
+        refuse_mistakes(campaign)
+        beside = tracker.parent / SEALED
+        sealed = None
+        if beside.exists() and beside.resolve() != tracker.resolve():
+            sealed = as_in(read_readings(beside, setup.payloads, setup.instrument, sealed=True), readings)
+    with phases.phase("fit"):
+        choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
+        first = fit_campaign(campaign, choice)
+        first = fit_campaign(campaign, choice, learned_priors(first), begin=first.state)
+    with phases.phase("terms"):
+        chosen, terms = choose_terms(first) if method == "full" else (choice, [])
+        if chosen == choice:
+            full = first
+        else:
+            full = fit_campaign(campaign, chosen, first.priors, begin=first.state)
+        fit = full if method == "full" else calibrate_by(method, campaign, chosen, first.priors)
+    with phases.phase("held out"):
+        held = validate(full) if method == "full" else _held_by_method(full, method)
+    with phases.phase("methods", len(METHODS)) as advance:
+        table = compare_methods(full, advance)
+    points = covariance = None
+    if sealed is not None:
+        points = predict_readings(fit, sealed)[0]
+    linear = linearise(campaign.robot, replace(readings, turn=None), campaign.instrument, full.layout, full.state)
+    repeats = repeat_scatter(readings, campaign.instrument, linear.d_joints)
+    if sealed is not None:
+        covariance = predictive_covariance(fit, sealed, repeats.joints if repeats else 0.0)
+    return TrackerCalibration(
+        setup=setup,
+        method=method,
+        fit=fit,
+        believed=before(campaign, choice),
+        identifiability=identify(fit),
+        held_out=held,
+        terms=terms,
+        repeats=repeats,
+        load_test=load_test(full),
+        methods=table,
+        sealed=sealed,
+        sealed_points=points,
+        sealed_covariance=covariance,
+        notices=(*readings.notices, *_notices(full)),
+    )
+
+
+def compare_methods(fit: Fit, advance: object = None) -> MethodTable:
+    """All methods on the same blocked folds as `fit`: errors of every reading when it was left out."""
+    blocks = [f for f in folds(fit.campaign) if f.kind == "random"][:FOLDS]
+    off: dict[str, Array] = {}
+    rows = np.array([], int)
+    for method in METHODS:
+        found = [_by_method(fit, fold, method) for fold in blocks]
+        kept = [h for h in found if h is not None]
+        rows = np.concatenate([h.rows for h in kept]) if kept else rows
+        off[method] = np.concatenate([h.off for h in kept]) if kept else np.empty((0, 3))
+        if callable(advance):
+            advance()
+    order = np.argsort(rows)
+    c = fit.campaign
+    off = {method: vectors[order] for method, vectors in off.items()}
+    believed = residuals(c.robot, c.readings, c.instrument, before(c, fit.choice))[rows[order], :3]
+    size = {method: np.linalg.norm(vectors, axis=1) for method, vectors in off.items()}
+    return MethodTable(rows[order], np.linalg.norm(believed, axis=1), size, believed, off)
+
+
+def _by_method(fit: Fit, fold: Fold, method: str) -> HeldOut | None:
+    if method == "full":
+        return hold_out(fit, fold)
+    return hold_out(fit, fold, lambda left, near: calibrate_by(method, left, near.choice, near.priors))
+
+
+def _held_by_method(fit: Fit, method: str) -> list[HeldOut]:
+    return validate(fit, lambda left, near: calibrate_by(method, left, near.choice, near.priors))
+
+
+def as_in(sealed: Readings, readings: Readings) -> Readings:
+    """`sealed` with stations numbered as in `readings`; where it names no target or station and only one was measured, that one.
+    Raises BadInput for a target or station not measured."""
+    for kind in ("target", "station"):
+        index, names = getattr(sealed, kind), getattr(sealed, f"{kind}s")
+        known = {getattr(readings, f"{kind}s")[k] for k in np.unique(getattr(readings, kind))}
+        if names == ("",) and "" not in known:
+            if len(known) > 1:
+                some = ", ".join(sorted(known))
+                raise BadInput(f"{sealed.path}: no column {kind}, or an empty one, and {readings.path.name} has {some}; add it")
+            own = getattr(readings, f"{kind}s")
+            sealed = replace(sealed, **{kind: np.full(len(sealed), own.index(min(known))), f"{kind}s": own})
+            continue
+        for row, k in enumerate(index):
+            if names[k] not in known:
+                raise BadInput(
+                    f"{sealed.path}, line {sealed.line[row]}, column {kind}: '{names[k]}' was not measured in "
+                    f"{readings.path.name}, so where it is is not known; remove the row or measure it"
+                )
+    station = np.array([readings.stations.index(sealed.stations[k]) for k in sealed.station], np.int64)
+    return replace(sealed, station=station, stations=readings.stations)
+
+
+def _refuse_few(readings: Readings) -> None:
+    postures = len(np.unique(np.round(readings.q, 4), axis=0))
+    still = [j + 1 for j in range(6) if np.ptp(readings.q[:, j]) < LEAST_TRAVEL]
+    if len(readings) < LEAST_READINGS:
+        raise BadInput(
+            f"{readings.path}: {len(readings)} readings are too few to calibrate an arm, at least {LEAST_READINGS} are needed "
+            "(40 are good); `python -m ocp.poses` says where to measure"
+        )
+    for k in np.unique(readings.station):
+        seen = int((readings.station == k).sum())
+        if seen < LEAST_OF_STATION:
+            raise BadInput(
+                f"{readings.path}: station '{readings.stations[k]}' has {seen} readings, {LEAST_OF_STATION} are needed to place "
+                "it; remove its rows or measure more from there"
+            )
+    if postures < LEAST_POSTURES or len(still) > 2:
+        what = f"{postures} different postures" if postures < LEAST_POSTURES else f"axes {', '.join(map(str, still))} never moved"
+        raise BadInput(
+            f"{readings.path}: {what}, so the readings cannot tell the arm's errors apart; spread at least {LEAST_POSTURES} "
+            "postures over the axes, `python -m ocp.poses` says where"
+        )
+
+
+def _notices(fit: Fit) -> list[str]:
+    """What the user should know of the readings."""
+    readings, found = fit.campaign.readings, []
+    gross = np.flatnonzero(fit.weight < GROSS)
+    if len(gross):
+        lines = ", ".join(str(readings.line[i]) for i in gross[:8]) + (", .." if len(gross) > 8 else "")
+        word = "is an outlier" if len(gross) == 1 else "are outliers"
+        found.append(f"{len(gross)} of {len(readings)} readings {word} and hardly counted (line{'s' * (len(gross) > 1)} {lines})")
+    if readings.turn is not None and readings.sigma_turn is None:
+        found.append("no column sigma_rot_deg: the 6D target's orientation is taken as good to 0.01 deg")
+    for j in fit.choice.joints:
+        column = fit.layout.arm[29 + j]
+        if fit.state.arm[29 + j] < -2 * fit.sd[column]:
+            found.append(
+                f"the spring of joint {j} comes out negative ({fit.state.arm[29 + j]:.2g} rad/(N m)): it stands for something "
+                "else, as a payload, a mounting that is not upright or a sign; it predicts, but it is no stiffness"
+            )
+    return found

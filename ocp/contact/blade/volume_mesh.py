@@ -1,0 +1,189 @@
+"""Ten-node tetrahedra inside a closed triangle surface, whatever its triangles look like.
+
+The surface is remeshed first (`surface_mesh`), then filled by Netgen; fTetWild, slower but content with almost any
+surface, is the last resort. Each attempt is checked: closed, no turned element, the volume of the surface.
+"""
+
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ocp.contact.blade.elasticity import QuadraticMesh, quadratic_mesh, tetra_volumes
+from ocp.contact.blade.surface_mesh import SizeLaw, edges_of, remesh
+from ocp.shell.cache import content_key, remember
+from robots.errors import BadInput
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+VERSION = "volume mesh 3"  # part of the cache key: raise it when results change
+FINE = 0.25  # edge length at the clamp plane, of the element size
+GROWTH = 0.3  # of edge length per distance from that plane
+TOLERANCE = 1e-5  # m the remeshed surface may leave the STL; a hundredth of the thickness of a 1 mm blade
+LOOSE_TOLERANCE = 2e-5  # m, for fTetWild, whose time grows as its envelope gets thin
+MAX_ELEMENTS = 60_000  # more would take minutes and gigabytes
+MAX_VOLUME_ERROR = 0.01  # of the surface's volume
+SECONDS = {"netgen": 180.0, "fTetWild": 300.0}  # after which a mesher is given up
+_UNIT = 1e-3  # m: meshers get millimetres, for which their absolute tolerances are made
+
+
+@dataclass(frozen=True)
+class VolumeMesh:
+    """A solid mesh and how it was made.
+
+    `volume_error` is relative to the volume inside the given surface; `size` in m.
+    """
+
+    mesh: QuadraticMesh
+    mesher: str
+    size: float
+    volume_error: float
+
+
+def volume_mesh(vertices: Array, faces: Index, size: float, fine_plane: tuple[Array, float] | None = None) -> VolumeMesh:
+    """Fill a closed surface with ten-node tetrahedra.
+
+    Args:
+        vertices: (nv, 3) m.
+        faces: (nf, 3), outward.
+        size: wished edge length in m.
+        fine_plane: unit normal (3,) and offset in m of a plane near which edges are shorter, down to FINE * size.
+
+    Raises:
+        BadInput: the surface is not closed, the size is useless, or no mesher could fill the surface.
+    """
+    vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
+    if not np.isfinite(size) or size <= 0.0:
+        raise BadInput(f"the element size {size} m of the blade mesh is not a positive length")
+    try:
+        edges_of(faces)
+    except ValueError:
+        raise BadInput(
+            "the blade surface has open or doubly used edges, so it encloses no solid; "
+            "close it in the CAD system and export it again"
+        ) from None
+    inside = surface_volume(vertices, faces)
+    if inside <= 0.0:
+        raise BadInput("the blade surface encloses no volume or its facets point inwards; turn the normals outwards")
+    expected = surface_area(vertices, faces) / size**2
+    if expected > MAX_ELEMENTS / 3.0:
+        raise BadInput(
+            f"an element size of {size * 1e3:.3g} mm would need more than {MAX_ELEMENTS} elements on "
+            f"this blade; take at least {size * 1e3 * (3.0 * expected / MAX_ELEMENTS) ** 0.5:.2g} mm"
+        )
+
+    def compute() -> dict[str, NDArray[np.generic]]:
+        points, tetrahedra, mesher = _attempts(vertices, faces, size, inside, fine_plane)
+        return {"points": points, "tetrahedra": tetrahedra, "mesher": np.array(mesher)}
+
+    entry = remember("mesh", content_key(VERSION, vertices, faces, float(size), *(fine_plane or ())), compute)
+    mesh = quadratic_mesh(entry["points"].astype(float), entry["tetrahedra"].astype(np.int64))
+    return VolumeMesh(mesh, str(entry["mesher"]), size, mesh.volume / inside - 1.0)
+
+
+def _size_law(size: float, fine_plane: tuple[Array, float] | None) -> SizeLaw:
+    """Return the wished edge length as a function of place: FINE * size on the plane, growing to `size` away from it.
+
+    The stress is singular along the rim of a clamp; even elements there cost more accuracy than anywhere else.
+    """
+
+    def law(points: Array) -> Array:
+        if fine_plane is None:
+            return np.full(len(points), size)
+        apart = np.abs(points @ fine_plane[0] - fine_plane[1])
+        return np.minimum(FINE * size + GROWTH * apart, size)
+
+    return law
+
+
+def surface_volume(vertices: Array, faces: Index) -> float:
+    """Volume in m^3 inside a closed surface; negative when its facets point inwards."""
+    corner = vertices[faces] - vertices.mean(axis=0)
+    return float(np.linalg.det(corner).sum() / 6.0)
+
+
+def surface_area(vertices: Array, faces: Index) -> float:
+    """Area in m^2 of a triangle surface."""
+    corner = vertices[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    return float(0.5 * np.linalg.norm(normal, axis=1).sum())
+
+
+def _attempts(
+    vertices: Array, faces: Index, size: float, inside: float, fine_plane: tuple[Array, float] | None
+) -> tuple[Array, Index, str]:
+    """Try meshers in turn; the first sound result wins."""
+    reasons = []
+    for mesher, scale in (("netgen", 1.0), ("netgen", 0.8), ("fTetWild", 1.0)):
+        try:
+            if mesher == "netgen":
+                surface = remesh(vertices, faces, _size_law(scale * size, fine_plane), TOLERANCE)
+            else:
+                surface = vertices, faces
+            points, tetrahedra = _run(mesher, *surface, scale * size)
+            return *_checked(points, tetrahedra, inside), mesher
+        except ValueError as error:
+            reasons.append(f"{mesher} at {scale * size * 1e3:.3g} mm: {error}")
+    raise BadInput(
+        "the blade surface could not be filled with tetrahedra ("
+        + "; ".join(reasons)
+        + "); repair the surface in the CAD system or choose another element size"
+    )
+
+
+def _run(mesher: str, vertices: Array, faces: Index, size: float) -> tuple[Array, Index]:
+    """Call a mesher in a child process.
+
+    Raises:
+        ValueError: it was not there, failed or took too long; the message is a short reason.
+    """
+    with tempfile.TemporaryDirectory(prefix="grindplan-mesh-") as folder:
+        source, target = Path(folder) / "surface.npz", Path(folder) / "solid.npz"
+        np.savez(
+            source,
+            vertices=vertices / _UNIT,
+            faces=faces,
+            size=size / _UNIT,
+            tolerance=LOOSE_TOLERANCE / _UNIT,
+        )
+        script = Path(__file__).with_name("mesher.py")
+        try:
+            done = subprocess.run(
+                [sys.executable, "-P", str(script), mesher, str(source), str(target)],
+                cwd=folder,
+                capture_output=True,
+                timeout=SECONDS[mesher],
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise ValueError(f"not done after {SECONDS[mesher]:.0f} s") from None
+        except OSError as error:
+            raise ValueError(f"could not be started ({error})") from None
+        if done.returncode != 0 or not target.exists():
+            said = done.stderr.decode(errors="replace").strip().splitlines()
+            raise ValueError(f"gave up with {said[-1][:120] if said else f'exit code {done.returncode}'}")
+        with np.load(target, allow_pickle=False) as data:
+            return data["points"] * _UNIT, data["tetrahedra"]
+
+
+def _checked(points: Array, tetrahedra: Index, inside: float) -> tuple[Array, Index]:
+    """Return positively oriented tetrahedra.
+
+    Raises:
+        ValueError: the mesh is empty, too large, folded or does not fill the surface.
+    """
+    if not 0 < len(tetrahedra) <= MAX_ELEMENTS:
+        raise ValueError(f"{len(tetrahedra)} elements, wanted 1 to {MAX_ELEMENTS}")
+    volume = tetra_volumes(points, tetrahedra)
+    if np.median(volume) < 0.0:
+        tetrahedra, volume = tetrahedra[:, [1, 0, 2, 3]], -volume
+    if volume.min() <= 0.0:
+        raise ValueError(f"{np.count_nonzero(volume <= 0.0)} turned elements")
+    if abs(volume.sum() / inside - 1.0) > MAX_VOLUME_ERROR:
+        raise ValueError(f"its volume is off by {100.0 * (volume.sum() / inside - 1.0):.1f} %")
+    return points, tetrahedra

@@ -1,0 +1,146 @@
+"""The wheel's law: indentation under a force on any quadratic blade shape, smooth, for CasADi and for NumPy.
+
+d = offset + p (polynomial in the features) + baseline; every symbol in docs/wheel.md, eq. 5-8. The two evaluations
+share no code, so that each checks the other.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from ocp.contact.wheel.cover import WheelGeometry
+from ocp.contact.wheel.strip import all_features, chebyshev_products, force_scale, reduce_shape, strips
+from robots.pose import Array
+
+
+@dataclass(frozen=True)
+class LawError:
+    """Held-out error against direct solutions: all at the process force over the domain, `wide_*` over the force range.
+
+    rms and max in m; as force errors in N on a flange of 5.6 N/mm in series (`flange_*`) and on a rigid cell (`rigid_*`).
+    least_stiffness: smallest dF/dd N/m found over the domain and force range: positive, so d rises with F.
+    samples: how many direct solutions; dropped: how many combinations of the domain lie outside the law's limits.
+    """
+
+    rms: float = np.nan
+    max: float = np.nan
+    flange_rms: float = np.nan
+    flange_max: float = np.nan
+    rigid_rms: float = np.nan
+    rigid_max: float = np.nan
+    wide_rms: float = np.nan
+    wide_max: float = np.nan
+    wide_flange_max: float = np.nan
+    wide_rigid_max: float = np.nan
+    least_stiffness: float = np.nan
+    samples: int = 0
+    dropped: int = 0
+
+
+@dataclass(frozen=True)
+class WheelLaw:
+    """Fitted law of one wheel; build it with `ocp.contact.wheel.law_fit.fit_wheel_law`.
+
+    limits: ranges of force N, kxx 1/m, lateral m, tilt_x, tilt_y (slopes) in which `error` was measured.
+    decay: p over the force scale; count: strips. low, high (5,): ranges of the features; terms (k, 5), coefficients (k,):
+    correction; axis_terms (m, 5), axis_coefficients (m, 2): logarithm of the patch's semi-axes over Hertz's length.
+    """
+
+    geometry: WheelGeometry
+    process_force: float
+    decay: float
+    count: int
+    low: Array
+    high: Array
+    terms: Array
+    coefficients: Array
+    axis_terms: Array
+    axis_coefficients: Array
+    limits: dict[str, tuple[float, float]]
+    error: LawError
+
+    def indentation(self, F: ca.SX, kxx: ca.SX, kyy: ca.SX, kxy: ca.SX, lateral: ca.SX, tilt_x: ca.SX, tilt_y: ca.SX) -> ca.SX:
+        """Interference d (m) at the planned point under `F` > 0 N; arguments scalar, as in docs/architecture.md.
+
+        Exact derivatives, smooth for kxx above its limit; below it kxx is bent to stay positive so that an optimiser
+        may pass through.
+        """
+        g = self.geometry
+        floor = 0.5 * self.limits["kxx"][0]
+        kxx = ca.if_else(kxx > floor, kxx, floor * ca.exp(ca.fmin(kxx, floor) / floor - 1))
+        shear = kxy / kxx
+        ridge = kyy - shear * kxy
+        lean = tilt_x - kxy * lateral
+        slope = tilt_y - ridge * lateral - shear * tilt_x
+        offset = 0.5 * kyy * lateral**2 - tilt_y * lateral - 0.5 * lean**2 / kxx
+        across = kxx * (1 + shear**2)
+        p = self.decay * ca.exp((2 * ca.log(F / g.modulus) + ca.log(across)) / 3)
+
+        places, weights = strips(self.count)
+        a, b = slope * (0.5 * g.width) / p, 0.5 * ridge * (0.5 * g.width) ** 2 / p
+        # Any reference level gives the same sums; this one keeps every exponent in range. Its derivative cancels.
+        reference = 0.5 * (b - ca.sqrt(b**2 + 1) - ca.sqrt(a**2 + 1))
+        share = [w * ca.exp(reference - (a * y + b * y**2)) for w, y in zip(weights, places, strict=True)]
+        total = sum(share)
+        level = ca.log(total) - reference
+        mean = sum(s * y for s, y in zip(share, places, strict=True)) / total
+        square = sum(s * y**2 for s, y in zip(share, places, strict=True)) / total
+        energy = a * mean + b * square
+        features = [
+            ca.log(F / (g.modulus * across * g.width**3)), level + energy, mean**2, square - mean**2,
+            shear**2 / (1 + shear**2),
+        ]  # fmt: skip
+        return offset + p * (self._correction(features) - level)
+
+    def _correction(self, features: list[ca.SX]) -> ca.SX:
+        """The polynomial in Chebyshev products, factored variable by variable."""
+        powers: list[list[ca.SX]] = []
+        for v, feature in enumerate(features):
+            u = (2 * feature - self.low[v] - self.high[v]) / (self.high[v] - self.low[v])
+            chebyshev = [ca.SX(1), u]
+            for _ in range(2, int(self.terms.max()) + 1):
+                chebyshev.append(2 * u * chebyshev[-1] - chebyshev[-2])
+            powers.append(chebyshev)
+        return _nested(self.terms, self.coefficients, powers, 0)
+
+    def evaluate(self, F: Array, kxx: Array, kyy: Array, kxy: Array, lateral: Array, tilt_x: Array, tilt_y: Array) -> Array:
+        """`indentation` in NumPy for arrays (n,) that broadcast, m."""
+        F, *shape = (np.atleast_1d(a) for a in np.broadcast_arrays(F, kxx, kyy, kxy, lateral, tilt_x, tilt_y))
+        reduced = reduce_shape(*shape)
+        g = self.geometry
+        p = self.decay * force_scale(F, reduced.across, g.modulus)
+        base, features = all_features(F, reduced, p, g.modulus, g.width, self.count)
+        correction = chebyshev_products(self._unit(features), self.terms) @ self.coefficients
+        return reduced.offset + base + p * correction
+
+    def patch_semi_axes(
+        self, kxx: Array, kyy: Array, kxy: Array, lateral: Array | float = 0.0, tilt_x: Array | float = 0.0,
+        tilt_y: Array | float = 0.0, F: Array | float | None = None,
+    ) -> Array:  # fmt: skip
+        """Semi-axes (n, 2) m along x and y of the ellipse with the patch's second moments; F defaults to the process force."""
+        F = self.process_force if F is None else F
+        F, *shape = (np.atleast_1d(a).astype(float) for a in np.broadcast_arrays(F, kxx, kyy, kxy, lateral, tilt_x, tilt_y))
+        reduced = reduce_shape(*shape)
+        g = self.geometry
+        scale = force_scale(F, reduced.across, g.modulus)
+        _, features = all_features(F, reduced, self.decay * scale, g.modulus, g.width, self.count)
+        u = np.clip(self._unit(features), -1.0, 1.0)
+        logarithm = chebyshev_products(u, self.axis_terms) @ self.axis_coefficients
+        axes = np.sqrt(scale / reduced.across)[:, None] * np.exp(logarithm)
+        return np.minimum(axes, [np.inf, 0.5 * g.width])
+
+    def _unit(self, features: Array) -> Array:
+        """Features scaled to -1..1 over the sampled ranges."""
+        return (2 * features - self.low - self.high) / (self.high - self.low)
+
+
+def _nested(terms: Array, coefficients: Array, powers: list[list[ca.SX]], variable: int) -> ca.SX:
+    """Sum of coefficient times product of powers, factored variable by variable: about one multiplication a term."""
+    if variable == len(powers):
+        return ca.SX(float(coefficients.sum()))
+    total = ca.SX(0)
+    for e in np.unique(terms[:, variable]):
+        chosen = terms[:, variable] == e
+        total += powers[variable][e] * _nested(terms[chosen], coefficients[chosen], powers, variable + 1)
+    return total

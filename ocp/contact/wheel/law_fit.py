@@ -1,0 +1,226 @@
+"""Fit the wheel's law to direct contact solutions over what one blade and one cell ask for."""
+
+import hashlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ocp.contact.wheel.cover import Cover, Store
+from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.contact.wheel.law import LawError, WheelLaw
+from ocp.contact.wheel.strip import all_features, chebyshev_products, exponents, force_scale, reduce_shape, strip_count
+from robots.errors import Infeasible
+from robots.pose import Array
+
+FORCE_RANGE = (0.2, 3.0)  # of the process force
+FLANGE_STIFFNESS = 5600.0  # N/m, the published cell's (PHYSICS 3.2); the error is quoted on it
+MIN_KXX = 0.5  # of the wheel's own curvature: below it the blade is nearly hollow along the belt and contact wanders
+N_KINDS = 96  # different blade curvatures that training samples are spread over
+DEGREES = (2, 3, 4)
+EARNED = 0.85  # factor on the cross-validated error that one degree more must bring
+FOLDS = 4
+OVERSIZE = 1.15  # the training box over the domain: a polynomial is worst at its corners
+RIDGE = 1e-2  # of the columns' mean square; keeps extrapolation tame
+DECAYS: Array = np.geomspace(0.2, 2.0, 10)
+
+
+@dataclass(frozen=True)
+class Domain:
+    """What the law must cover: curvature (m, 3) k_tt, k_bb, k_tb 1/m of the blade's waypoints; turn rad, lateral m and
+    tilt (slope, both directions) each up to the given size either way; process force N."""
+
+    curvature: Array
+    turn: float
+    lateral: float
+    tilt: float
+    force: float
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Direct solutions: inputs (n, 7) F, kxx, kyy, kxy, lateral, tilt_x, tilt_y; indentation (n,) m; semi_axes (n, 2) m;
+    dropped: combinations outside the limits."""
+
+    inputs: Array
+    indentation: Array
+    semi_axes: Array
+    dropped: int
+
+
+def fit_wheel_law(
+    cover: Cover, domain: Domain, samples: int = 2000, held_out: int = 300, seed: int = 1, store: Store | None = None
+) -> WheelLaw:
+    """Law for `cover` over `domain` from `samples` direct solutions, judged on `held_out` others.
+
+    Chosen by cross-validation among those that rise with the force; deterministic for a given seed. Raises Infeasible
+    where the blade is too hollow along the belt nearly everywhere, or no such law rises with the force.
+    """
+    train = _cached(store, cover, domain, samples, seed, True, FORCE_RANGE)
+    test = _cached(store, cover, domain, held_out, seed + 1, False, (1.0, 1.0))
+    wide = _cached(store, cover, domain, held_out // 2, seed + 2, False, FORCE_RANGE)
+    inputs = np.vstack([s.inputs for s in (train, test, wide)])
+    limits = {
+        "force": (FORCE_RANGE[0] * domain.force, FORCE_RANGE[1] * domain.force),
+        "kxx": (MIN_KXX / cover.geometry.radius, float(1.05 * inputs[:, 1].max())),
+        "lateral": (-domain.lateral, domain.lateral),
+        "tilt_x": (-domain.tilt, domain.tilt),
+        "tilt_y": (-domain.tilt, domain.tilt),
+    }
+    candidates = [(*_fit(cover, domain, train, degree, d, limits), degree) for degree in DEGREES for d in DECAYS]
+    # Each degree more doubles the terms, so it must earn them.
+    candidates.sort(key=lambda c: c[0] * EARNED ** -c[2])
+    for _, law, _ in candidates:
+        if _least_stiffness(law, train.inputs[:, 1:]) > 0:
+            return _judged(law, test, wide)
+    raise Infeasible(
+        f"no smooth law of the wheel rises with the force over {limits['force'][0]:.1f} to {limits['force'][1]:.1f} N for this "
+        "blade; allow less tilt, turn and lateral offset"
+    )
+
+
+def draw(cover: Cover, domain: Domain, count: int, seed: int, spread: bool, forces: tuple[float, float]) -> Samples:
+    """Direct solutions at `count` combinations of waypoint, turn, lateral, tilts and force.
+
+    spread: waypoints by the variety of their curvature (training) instead of as they come (judging).
+    """
+    rng = np.random.default_rng(seed)
+    from scipy.stats import qmc  # half a second, which a law from the store need not pay
+
+    u = qmc.LatinHypercube(d=6, rng=rng).random(count)
+    if spread:
+        domain = replace(domain, turn=OVERSIZE * domain.turn, lateral=OVERSIZE * domain.lateral, tilt=OVERSIZE * domain.tilt)
+        forces = (forces[0] / OVERSIZE, forces[1] * OVERSIZE)
+    kinds = _various(domain.curvature, N_KINDS) if spread else domain.curvature
+    k_tt, k_bb, k_tb = kinds[(u[:, 0] * len(kinds)).astype(int)].T
+    c, s = np.cos(domain.turn * (2 * u[:, 1] - 1)), np.sin(domain.turn * (2 * u[:, 1] - 1))
+    kxx = c * c * k_tt + s * s * k_bb - 2 * s * c * k_tb + 1 / cover.geometry.radius
+    kyy = s * s * k_tt + c * c * k_bb + 2 * s * c * k_tb
+    kxy = s * c * (k_tt - k_bb) + (c * c - s * s) * k_tb
+    force = domain.force * np.exp(np.log(forces[0]) + u[:, 5] * np.log(forces[1] / forces[0]))
+    sides = (2 * u[:, 2:5] - 1) * [domain.lateral, domain.tilt, domain.tilt]
+    inputs = np.column_stack([force, kxx, kyy, kxy, sides])
+    inputs = inputs[kxx >= MIN_KXX / cover.geometry.radius]
+    if len(inputs) < 0.05 * count:
+        raise Infeasible(
+            f"the blade is hollow along the belt for a wheel of radius {cover.geometry.radius * 1e3:.0f} mm in "
+            f"{1 - len(inputs) / count:.0%} of all postures allowed; use a smaller wheel or another direction of the passes"
+        )
+    solved, indentation, axes = [], [], []
+    for F, *shape in inputs:
+        contact = solve_force(cover, F, LocalShape(*shape))
+        if not contact.touches_border:
+            solved.append([F, *shape])
+            indentation.append(contact.indentation)
+            axes.append(contact.semi_axes)
+    if len(solved) < 0.5 * len(inputs):
+        raise Infeasible(
+            f"under {domain.force:g} N the blade would press the wheel's cover round more than the wheel in "
+            f"{1 - len(solved) / len(inputs):.0%} of all postures; ask for less force or use a harder cover"
+        )
+    return Samples(np.array(solved), np.array(indentation), np.array(axes), count - len(solved))
+
+
+def _cached(
+    store: Store | None, cover: Cover, domain: Domain, count: int, seed: int, spread: bool, forces: tuple[float, float]
+) -> Samples:
+    """`draw`, kept in the store."""
+    if store is None:
+        return draw(cover, domain, count, seed, spread, forces)
+    digest = hashlib.sha256(np.ascontiguousarray(domain.curvature).tobytes()).hexdigest()
+    key = (
+        f"wheel samples 2 {cover.geometry} {cover.dx!r} {len(cover.y)} {digest} {domain.turn!r} {domain.lateral!r} "
+        f"{domain.tilt!r} {domain.force!r} {count} {seed} {spread} {forces}"
+    )
+    found = store.load(key)
+    if found is None:
+        s = draw(cover, domain, count, seed, spread, forces)
+        found = {"inputs": s.inputs, "indentation": s.indentation, "axes": s.semi_axes, "dropped": np.array(s.dropped)}
+        store.store(key, found)
+    return Samples(found["inputs"], found["indentation"], found["axes"], int(found["dropped"]))
+
+
+def _various(curvature: Array, count: int) -> Array:
+    """Up to `count` rows as different from each other as can be (farthest point first)."""
+    scaled = curvature / np.maximum(np.ptp(curvature, axis=0), 1e-6)
+    chosen = [int(np.argmax(scaled[:, 1]))]
+    distance = np.linalg.norm(scaled - scaled[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(curvature)):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(scaled - scaled[chosen[-1]], axis=1))
+    return curvature[chosen]
+
+
+def _fit(
+    cover: Cover, domain: Domain, train: Samples, degree: int, decay: float, limits: dict[str, tuple[float, float]]
+) -> tuple[float, WheelLaw]:
+    """Ridge regression of the correction; the score is the rms of the cross-validated errors."""
+    g = cover.geometry
+    force = train.inputs[:, 0]
+    reduced = reduce_shape(*train.inputs[:, 1:].T)
+    scale = force_scale(force, reduced.across, g.modulus)
+    p = decay * scale
+    count = strip_count(domain.force, float(np.median(reduced.across)), g.modulus, g.width)
+    base, features = all_features(force, reduced, p, g.modulus, g.width, count)
+    low, high = features.min(axis=0), features.max(axis=0)
+    high = np.maximum(high, low + 1e-6)
+    u = (2 * features - low - high) / (high - low)
+    terms = exponents(degree)
+    target = train.indentation - reduced.offset - base
+    weight = _importance(force, scale, domain.force)
+    A = chebyshev_products(u, terms) * (p * weight)[:, None]
+    b = target * weight
+    fold = np.arange(len(b)) % FOLDS
+    held = [A[fold == k] @ _ridge(A[fold != k], b[fold != k]) - b[fold == k] for k in range(FOLDS)]
+    axis_terms = exponents(2)
+    log_axes = np.log(train.semi_axes / np.sqrt(scale / reduced.across)[:, None])
+    axis_coefficients = np.asarray(np.linalg.lstsq(chebyshev_products(u, axis_terms), log_axes, rcond=1e-8)[0], float)
+    law = WheelLaw(
+        g, domain.force, float(decay), count, low, high, terms, _ridge(A, b), axis_terms, axis_coefficients, limits, LawError()
+    )
+    return float(np.sqrt(np.mean(np.concatenate(held) ** 2))), law
+
+
+def _importance(force: Array, scale: Array, process_force: float) -> Array:
+    """Weights (n,): error in m to error in N on a rigid cell, F / (1.5 d) being the stiffness, less above process force."""
+    return force / scale / np.maximum(force / process_force, 1.0)
+
+
+def _ridge(A: Array, b: Array) -> Array:
+    """Least squares with a penalty of RIDGE times the mean square of the columns."""
+    H = A.T @ A
+    return np.asarray(np.linalg.solve(H + RIDGE**2 * np.mean(np.diag(H)) * np.eye(len(H)), A.T @ b), float)
+
+
+def _judged(law: WheelLaw, test: Samples, wide: Samples) -> WheelLaw:
+    """The law with its error on held-out samples."""
+    error, stiffness = _misses(law, test)
+    wide_error, wide_stiffness = _misses(law, wide)
+    flange, rigid = error / (1 / FLANGE_STIFFNESS + 1 / stiffness), error * stiffness
+    wide_flange = wide_error / (1 / FLANGE_STIFFNESS + 1 / wide_stiffness)
+    least = _least_stiffness(law, np.vstack([test.inputs, wide.inputs])[:, 1:])
+    summary = LawError(
+        *_rms_max(error), *_rms_max(flange), *_rms_max(rigid), *_rms_max(wide_error),
+        float(np.abs(wide_flange).max()), float(np.abs(wide_error * wide_stiffness).max()), least,
+        len(error) + len(wide_error), test.dropped + wide.dropped,
+    )  # fmt: skip
+    return replace(law, error=summary)
+
+
+def _least_stiffness(law: WheelLaw, shapes: Array) -> float:
+    """Smallest dF/dd N/m over shapes (n, 6) and the force range; negative where d falls with rising F anywhere."""
+    forces = np.geomspace(*law.limits["force"], 12)
+    curves = law.evaluate(np.repeat(forces, len(shapes)), *np.tile(shapes, (len(forces), 1)).T)
+    rise = np.diff(curves.reshape(len(forces), -1), axis=0) / np.diff(forces)[:, None]
+    return float(1 / rise.max()) if rise.min() > 0 else float(1 / rise.min())
+
+
+def _misses(law: WheelLaw, samples: Samples) -> tuple[Array, Array]:
+    """Error (n,) m and the law's stiffness (n,) N/m at the samples."""
+    F, *shape = samples.inputs.T
+    step = 0.02
+    rise = law.evaluate(F * (1 + step), *shape) - law.evaluate(F * (1 - step), *shape)
+    return law.evaluate(F, *shape) - samples.indentation, 2 * step * F / rise
+
+
+def _rms_max(values: Array) -> tuple[float, float]:
+    return float(np.sqrt(np.mean(values**2))), float(np.abs(values).max())

@@ -1,0 +1,150 @@
+"""Frictionless contact of the wheel's cover with a rigid blade: a linear complementarity problem on pressure cells.
+
+With cell forces f, compliance C, gap g and interference d:  0 <= f  perp  C f + g - d >= 0,  sum f = F, which are the
+optimality conditions of min 1/2 f^T C f + g^T f, f >= 0, sum f = F, with d the multiplier. docs/wheel.md, eq. 4.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from ocp.contact.wheel.cover import Cover
+from robots.errors import Infeasible
+from robots.pose import Array
+
+Mask = NDArray[np.bool_]
+MAX_PIVOTS = 300
+PATIENCE = 6  # block exchanges without progress before single exchanges take over (Judice and Pires 1994)
+FORCE_ROUNDING = 1e-12  # of the mean cell force; what counts as pull or overlap
+LEAST_CELLS = 3
+MOMENT_TO_AXIS = 5.0  # mean x^2 = a^2 / 5 under Hertz's ellipsoid of pressure (Johnson 1985, section 4.2)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Solution of one contact; lengths m, forces N, pressures Pa, frame of docs/architecture.md at the planned point.
+
+    indentation: interference at the planned point, may be negative; force; stiffness dF/dd N/m of this set of cells,
+    within some per cent (it jumps where a cell joins); centroid (2,) x, y; semi_axes (2,) along x, y of the ellipse with
+    the same second moments, y at most half the width; pressure (n_y, n_x) on x (n_x,), y (n_y,); response (n_y, n_x):
+    share of each cell in a small rise of the force, sum 1; residual: largest violation of the contact conditions,
+    relative to the largest displacement and the mean force; touches_border: the patch reaches the end of the window
+    along x, so the answer is not trustworthy; resolved: at least LEAST_CELLS cells bear along x and along y, else a
+    finer cover is needed (sharp blade edges); pivots: linear systems solved.
+    """
+
+    indentation: float
+    force: float
+    stiffness: float
+    centroid: Array
+    semi_axes: Array
+    max_pressure: float
+    pressure: Array
+    response: Array
+    x: Array
+    y: Array
+    residual: float
+    touches_border: bool
+    resolved: bool
+    pivots: int
+
+
+def solve_contact(cover: Cover, gap: Array, *, force: float | None = None, indentation: float | None = None) -> Contact:
+    """Contact for a gap (n_y, n_x) m given as cell means, inf where there is no blade; exactly one of force N, indentation m.
+
+    Without overlap a given indentation answers with force 0. Raises Infeasible where no blade lies over the wheel.
+    """
+    if (force is None) == (indentation is None):
+        raise ValueError("give exactly one of force and indentation")
+    if not np.isfinite(gap).any():
+        raise Infeasible("no part of the blade lies over the wheel at this contact point; move the contact on the wheel")
+    if force is not None and force <= 0:
+        return _no_contact(cover, float(gap.min()))
+    if indentation is not None and indentation <= gap.min():
+        return _no_contact(cover, indentation)
+    active = _first_guess(cover, gap, force, indentation)
+    best, patience = gap.size + 1, PATIENCE
+    for pivots in range(1, MAX_PIVOTS + 1):
+        f, rise, d = _equilibrium(cover, gap, active, force, indentation)
+        field = np.zeros_like(gap)
+        field[active] = f
+        opening = cover.displace(field) + gap - d
+        scale = np.abs(f).mean()
+        pull = active.copy()
+        pull[active] = f < -FORCE_ROUNDING * scale
+        overlap = ~active & (opening < -FORCE_ROUNDING * abs(cover.kernel[0, 0, 0]) * scale)
+        wrong = pull | overlap
+        count = int(np.count_nonzero(wrong))
+        if count == 0:
+            return _summary(cover, field, rise, active, opening, d, pivots)
+        if count < best:
+            best, patience = count, PATIENCE
+        else:
+            patience -= 1
+        if patience < 0:
+            last = np.flatnonzero(wrong)[-1]
+            wrong = np.zeros_like(wrong)
+            wrong.flat[last] = True
+        active = active ^ wrong
+        if not active.any():
+            active = gap == gap.min()
+    raise Infeasible(f"the wheel contact did not settle in {MAX_PIVOTS} active sets; the blade's surface is too rough there")
+
+
+def _first_guess(cover: Cover, gap: Array, force: float | None, indentation: float | None) -> Mask:
+    """Cells below the level at which a Winkler bed of the cover's stiffness carries the force."""
+    if indentation is not None:
+        return gap < gap.min() + 0.6 * (indentation - gap.min())
+    assert force is not None
+    g = np.sort(gap[np.isfinite(gap)])
+    geometry = cover.geometry
+    bed = geometry.modulus / geometry.cover_thickness * cover.dx * cover.dy.mean()
+    carried = bed * (g * np.arange(1, len(g) + 1) - np.cumsum(g))
+    count = max(int(np.searchsorted(carried, force)), 1)
+    return gap <= g[count - 1]
+
+
+def _equilibrium(
+    cover: Cover, gap: Array, active: Mask, force: float | None, indentation: float | None
+) -> tuple[Array, Array, float]:
+    """Forces on the active cells that close the gap there, their rise per metre of indentation, and the indentation."""
+    i, m = np.nonzero(active)
+    C = cover.kernel[i[:, None], i[None, :], np.abs(m[:, None] - m[None, :])]
+    solution = cho_solve(cho_factor(C, lower=True, overwrite_a=True, check_finite=False),
+                         np.column_stack([gap[active], np.ones(len(i))]), check_finite=False)  # fmt: skip
+    resting, rise = solution.T
+    d = indentation if indentation is not None else (force + resting.sum()) / rise.sum()
+    return d * rise - resting, rise, float(d)
+
+
+def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Array, d: float, pivots: int) -> Contact:
+    """The solution's figures."""
+    force = float(field.sum())
+    x, y = cover.x[None, :], cover.y[:, None]
+    centroid = np.array([(field * x).sum(), (field * y).sum()]) / force
+    moments = np.array([(field * (x - centroid[0]) ** 2).sum(), (field * (y - centroid[1]) ** 2).sum()]) / force
+    own = np.array([cover.dx**2, np.mean(cover.dy) ** 2]) / 12
+    response = np.zeros_like(field)
+    response[active] = rise / rise.sum()
+    axes = np.sqrt(MOMENT_TO_AXIS * (moments + own))
+    axes[1] = min(axes[1], 0.5 * cover.geometry.width)
+    columns, rows = np.flatnonzero(active.any(axis=0)), np.flatnonzero(active.any(axis=1))
+    resolved = min(len(columns), len(rows)) >= LEAST_CELLS
+    pressure = field / cover.area
+    residual = max(
+        float(np.abs(opening[active]).max()) / float(np.abs(cover.displace(field)).max()),
+        float(-field.min() / field[active].mean()),
+        0.0,
+    )
+    return Contact(
+        d, force, float(rise.sum()), centroid, axes, float(pressure.max()), pressure,
+        response, cover.x, cover.y, residual, bool(columns[0] == 0 or columns[-1] == len(cover.x) - 1), resolved, pivots,
+    )  # fmt: skip
+
+
+def _no_contact(cover: Cover, d: float) -> Contact:
+    """Blade and wheel apart or just touching."""
+    zero = np.zeros((len(cover.y), len(cover.x)))
+    return Contact(d, 0.0, 0.0, np.zeros(2), np.zeros(2), 0.0, zero, zero, cover.x, cover.y, 0.0, False, True, 0)

@@ -1,0 +1,9 @@
+"""The cell and the blade that come with the package.
+
+Here: where they lie. Not here: how they are read (ocp.model.cell, trajectories.blade).
+"""
+
+from pathlib import Path
+
+CELL = Path(__file__).with_name("cell.toml")
+BLADE = Path(__file__).with_name("blade.stl")

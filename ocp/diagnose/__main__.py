@@ -1,0 +1,67 @@
+"""`python -m ocp.diagnose run/`: where the gap lies, which effect causes it, how far it shrinks, what to measure next."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ocp.shell.command import main, run, shown_phases
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+def _catalogue() -> str | None:
+    """The effects as the end of the help; read only for those who ask, it is slow."""
+    if "--help" not in sys.argv:
+        return None
+    from ocp.effects.library import library
+
+    names = [f"{name}: {effect.title.format(joint='j')}" for name, effect in library().items()]
+    return "Effects that are looked for:\n\n" + "\n\n".join(names)
+
+
+@app.command(epilog=_catalogue())
+def diagnose(
+    folder: Annotated[Path | None, typer.Argument(help="data set: cell.toml with tracker.csv, force.csv, joints.csv")] = None,
+    out: Annotated[Path, typer.Option(help="folder to write")] = Path("diagnosis"),
+    overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
+    design: Annotated[Path | None, typer.Option(help="a cell: what a planned measurement could see, before any data")] = None,
+    poses: Annotated[
+        Path | None, typer.Option(help="with --design: the planned readings, as tracker.csv without x, y, z")
+    ] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="with --design: the planned force log, as force.csv without fn_N, or plan.csv of ocp.plan")
+    ] = None,
+    list_effects: Annotated[bool, typer.Option(help="list the catalogue with units and usual ranges")] = False,
+) -> None:
+    """Say where model and cell differ, which effect causes it, and how far the gap shrinks with it."""
+    from robots.errors import BadInput  # imports only once the arguments stand, and only what they ask for
+
+    def job() -> str:
+        if list_effects:
+            from ocp.diagnose.effect_list import effect_list
+
+            return effect_list()
+        if poses is not None and design is None:
+            raise BadInput("--poses goes with --design cell.toml; measured readings belong into the data set's folder")
+        if log is not None and design is None:
+            raise BadInput("--log goes with --design cell.toml; a measured log belongs into the data set's folder as force.csv")
+        if design is not None and folder is not None:
+            raise BadInput(f"{folder}: --design looks at a plan, not at a data set; give one of them")
+        if design is not None:
+            from ocp.diagnose.foresee.design import design_text
+
+            return design_text(design, poses, log)
+        if folder is None:
+            raise BadInput("no data set is named; give the folder that holds cell.toml and measurements, or --design cell.toml")
+        from ocp.diagnose.answering import write_diagnosis
+
+        with shown_phases() as phases:
+            return write_diagnosis(folder, out, overwrite, phases)
+
+    sys.exit(run(job, "not diagnosed"))
+
+
+if __name__ == "__main__":
+    main(app)

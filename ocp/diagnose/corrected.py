@@ -1,0 +1,136 @@
+"""corrected_cell.toml: the cell with the refitted arm and the named effects, as `ocp.plan` reads it.
+
+The user's own keys stay as they are. Files that the cell names are found from the new folder; the arm of the refit stands beside
+the cell as calibration.toml, what force readings moved (wheel, blade frame) in it as well where the channel tells it.
+"""
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ocp.diagnose.dataset import CELL, DataSet
+from ocp.diagnose.engine.system import Channel
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.effects.cell_effects import table_of
+from ocp.effects.effect import Active
+from ocp.model.cell_copy import cell_tables_for
+from robots.calibration.reading_model import ARM_NAMES
+from robots.calibration.store import Calibration, write_calibration
+from robots.calibration.toml_text import toml_text
+from robots.pose import Array, abc_by_spin, abc_from_rotation
+
+CALIBRATION = "calibration.toml"
+BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
+DROPPED = "effects"
+
+
+def write_corrected_cell(folder: Path, out: Path, data: DataSet, channels: Sequence[Channel], active: Sequence[Active]) -> None:
+    """Write corrected_cell.toml and its calibration into `folder`, which will stand at `out`."""
+    source = data.folder / CELL
+    tables = cell_tables_for(source, out, data.cell.workpiece.stl if data.cell is not None else None)
+    tables.pop(DROPPED, None)
+    robot = tables["robot"]
+    calibration = calibration_of(channels, data)
+    if calibration is not None:
+        write_calibration(folder / CALIBRATION, calibration)
+        robot["calibration"] = CALIBRATION
+    elif data.setup.tables.robot.calibration is not None:
+        robot["calibration"] = _with_covariance(folder, data.folder / data.setup.tables.robot.calibration)
+    if active:
+        tables["conditions"] = conditions_at_the_end(data)
+    tables[DROPPED] = [table_of(one) for one in active]
+    if not active:
+        tables.pop(DROPPED)
+    text = f"# {source.name} with what ocp.diagnose found\n" + toml_text(tables)
+    (folder / "corrected_cell.toml").write_text(text, encoding="utf-8")
+
+
+def conditions_at_the_end(data: DataSet) -> dict[str, float]:
+    """What effects depend on when the data end, the next plan's beginning: clocks s, temperatures deg C as far as measured."""
+    found: dict[str, float] = {}
+    readings, log = data.readings, data.log
+    if readings is not None:
+        found |= _ends(time_s=readings.time, temperature_C=readings.temperature)
+    if log is not None:
+        found |= _ends(clock_s=log.clock, temperature_C=log.temperature, wheel_temperature_C=log.wheel_temperature)
+    return found
+
+
+def _ends(**columns: Array | None) -> dict[str, float]:
+    """Last value of each column that is there; clocks at their latest."""
+    last = {name: values for name, values in columns.items() if values is not None and np.isfinite(values).any()}
+    return {name: float(np.nanmax(v) if name in ("time_s", "clock_s") else v[np.isfinite(v)][-1]) for name, v in last.items()}
+
+
+def calibration_of(channels: Sequence[Channel], data: DataSet) -> Calibration | None:
+    """The refitted arm, and contact where a force channel has refitted it; None where neither was measured."""
+    for channel in channels:
+        if channel.name == "force":
+            return _of_contact(channel, data)
+    for channel in channels:
+        if isinstance(channel, TrackerChannel):
+            return _of_arm(channel, data)
+    return None
+
+
+def _of_contact(channel: Channel, data: DataSet) -> Calibration:
+    """Arm, wheel, blade frame and stiffnesses as the force log and the arm's prior leave them, with their joint covariance."""
+    from ocp.calibrate.force.fit import FIT_NAMES
+    from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
+
+    assert isinstance(channel, ForceChannel)
+    believed, fit = channel.problem.believed, channel.fit
+    r = believed.root.shape[1]
+    x = believed.mean + believed.root @ fit.z[:r]
+    covariance = believed.root @ np.linalg.inv(fit.information)[:r, :r] @ believed.root.T
+    covariance = 0.5 * (covariance + covariance.T)
+    known = [i for i in range(len(FIT_NAMES)) if covariance[i, i] > 0]
+    provenance: dict[str, Any] = _provenance(channel) | {"rows": len(channel.log)}
+    if believed.joint_noise:
+        provenance["noise"] = {"joints_rad": believed.joint_noise}
+    return Calibration(
+        robot=data.setup.robot.name,
+        names=tuple(FIT_NAMES[i] for i in known),
+        values=x[known],
+        covariance=covariance[np.ix_(known, known)],
+        provenance=provenance,
+    )
+
+
+def _provenance(channel: Channel) -> dict[str, Any]:
+    effects = [f"{a.effect.name}:{a.joint}" if a.joint else a.effect.name for a in channel.active]
+    return {"made_by": "ocp.diagnose, fitted together with the named effects", "effects": effects}
+
+
+def _of_arm(channel: TrackerChannel, data: DataSet) -> Calibration:
+    """Geometry, springs and the base in the tracker, with their joint covariance."""
+    layout, state = channel.task.layout, channel.fit.state
+    fitted = [i for i in range(len(ARM_NAMES)) if layout.arm[i] >= 0]
+    station = int(np.unique(channel.readings.station)[0])
+    T = state.stations[station]
+    values = np.array([*state.arm[fitted], *T[:3, 3], *abc_from_rotation(T[:3, :3])])
+    to_named = np.zeros((len(values), channel.fit.covariance.shape[0]))
+    to_named[np.arange(len(fitted)), layout.arm[fitted]] = 1.0
+    to_named[len(fitted) : len(fitted) + 3, layout.station[station, :3]] = np.eye(3)
+    to_named[len(fitted) + 3 :, layout.station[station, 3:]] = abc_by_spin(T)
+    covariance = to_named @ channel.fit.covariance @ to_named.T
+    return Calibration(
+        robot=data.setup.robot.name,
+        names=(*(ARM_NAMES[i] for i in fitted), *BASE),
+        values=values,
+        covariance=0.5 * (covariance + covariance.T),
+        provenance=_provenance(channel)
+        | {"readings": len(channel.readings), "noise": {"joints_rad": float(channel.fit.noise.joints)}},
+    )
+
+
+def _with_covariance(folder: Path, calibration: Path) -> str:
+    """Copy a calibration and its covariance beside the cell; its name there."""
+    shutil.copyfile(calibration, folder / calibration.name)
+    archive = calibration.with_suffix(".npz")
+    if archive.is_file():
+        shutil.copyfile(archive, folder / archive.name)
+    return calibration.name

@@ -1,0 +1,147 @@
+"""A data set folder: the cell and whatever was measured in it (FORMATS, "A data set folder")."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ocp.calibrate.force.log import ForceLog, read_force_log
+from ocp.calibrate.tracker import as_in
+from ocp.diagnose.joints.log import JointLog, read_joint_log
+from ocp.model.cell import Cell, read_cell
+from ocp.model.cell_schema import CellTables
+from ocp.model.measuring_setup import TrackerSetup, files_of, read_tracker_setup
+from robots.errors import BadInput
+from robots.measurements import BLIND, Hanging, Readings, read_readings
+
+CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
+SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv"}
+MEASURED = (TRACKER, FORCE, JOINTS)
+LEAST_READINGS = 20  # of a tracker: fewer than the parameters of an arm tell nothing apart
+UNITS = 30.0  # factor by which forces may differ from what the cell asks for before they are taken for another unit
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """What a folder holds; None where a signal was not measured.
+
+    setup: the cell as far as tracker and joints need it; cell: with wheel and blade, where force was measured; inputs: files
+    that were read; sealed: files of conditions to predict, by signal; notices, and what missing columns blind, in sentences.
+    """
+
+    folder: Path
+    setup: TrackerSetup
+    cell: Cell | None
+    readings: Readings | None
+    log: ForceLog | None
+    joints: JointLog | None
+    inputs: tuple[Path, ...]
+    sealed: dict[str, Path]
+    notices: tuple[str, ...]
+    blind: tuple[str, ...]
+
+    @property
+    def payload(self) -> Hanging:
+        """What hangs on the flange while grinding and where nobody says otherwise."""
+        tables, payloads = self.setup.tables, self.setup.payloads
+        named = tables.workpiece.payload if tables.workpiece is not None else None
+        return payloads[named] if named is not None else next(iter(payloads.values()), Hanging())
+
+
+def read_data_set(folder: str | Path) -> DataSet:
+    """Read and check a folder; sealed files are found, not opened.
+
+    Raises BadInput: no such folder, no cell, no measurement, and every fault of a file, with its line and column.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        what = "is a file" if folder.is_file() else "no such folder"
+        raise BadInput(f"{folder}: {what}; give the folder that holds {CELL} and {', '.join(MEASURED)}")
+    if not (folder / CELL).is_file():
+        raise BadInput(f"{folder}: holds no {CELL}; put the cell's file beside the measurements")
+    found = [name for name in MEASURED if (folder / name).is_file()]
+    if not found:
+        raise BadInput(f"{folder}: holds none of {', '.join(MEASURED)}; nothing was measured, so nothing can be diagnosed")
+    setup = read_tracker_setup(folder / CELL)
+    readings = log = joints = cell = None
+    if TRACKER in found:
+        readings = read_readings(folder / TRACKER, setup.payloads, setup.instrument)
+        _check_readings(readings)
+    if FORCE in found:
+        cell = _grinding_cell(folder, setup.tables)
+        log = read_force_log(folder / FORCE)
+        _check_units(cell, log)
+    if JOINTS in found:
+        joints = read_joint_log(folder / JOINTS)
+    sealed = {signal: folder / name for signal, name in SEALED.items() if (folder / name).is_file()}
+    told = [n for part in (readings, log, joints) if part is not None for n in part.notices]
+    blind = tuple(n for n in told if blinds(n))
+    orphans = [
+        f"{path.name} is not predicted: there is no {path.name.removeprefix('sealed_')} to learn from"
+        for signal, path in sealed.items() if path.name.removeprefix("sealed_") not in found
+    ]  # fmt: skip
+    return DataSet(
+        folder=folder, setup=setup, cell=cell, readings=readings, log=log, joints=joints,
+        inputs=(*files_of(folder / CELL), *(folder / name for name in found)),
+        sealed={s: p for s, p in sealed.items() if p.name.removeprefix("sealed_") in found},
+        notices=tuple([n for n in told if n not in blind] + orphans), blind=(*blind, *_not_measured(found)),
+    )  # fmt: skip
+
+
+def read_sealed_tracker(data: DataSet) -> Readings:
+    """Conditions of sealed_tracker.csv, stations numbered as in tracker.csv. Raises BadInput as the readers."""
+    assert data.readings is not None
+    return as_in(read_readings(data.sealed["tracker"], data.setup.payloads, data.setup.instrument, sealed=True), data.readings)
+
+
+def read_sealed_force(data: DataSet) -> ForceLog:
+    """Conditions of sealed_force.csv. Raises BadInput as the reader."""
+    return read_force_log(data.sealed["force"], sealed=True)
+
+
+def _grinding_cell(folder: Path, tables: CellTables) -> Cell:
+    """The cell with its wheel and blade; the folder's blade.stl where the cell names none that is there."""
+    cell = read_cell(folder / CELL)
+    if cell.workpiece.stl is None or not cell.workpiece.stl.is_file():
+        blade = folder / BLADE
+        if not blade.is_file():
+            named = f"workpiece.stl '{tables.workpiece.stl}'" if tables.workpiece and tables.workpiece.stl else BLADE
+            raise BadInput(f"{folder}: {named} is missing; {FORCE} needs the blade that was ground")
+        cell = replace(cell, workpiece=replace(cell.workpiece, stl=blade))
+    return cell
+
+
+def _check_readings(readings: Readings) -> None:
+    postures = len(np.unique(np.round(readings.q, 4), axis=0))
+    if len(readings) < LEAST_READINGS:
+        raise BadInput(
+            f"{readings.path}: {len(readings)} readings are too few to diagnose an arm, at least {LEAST_READINGS} are needed "
+            "(150 are good)"
+        )
+    if postures < LEAST_READINGS // 2:
+        raise BadInput(f"{readings.path}: {postures} different postures; spread at least {LEAST_READINGS // 2} over the axes")
+
+
+def _check_units(cell: Cell, log: ForceLog) -> None:
+    wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
+    seen = float(np.median(log.fn[log.contact]))
+    if wanted > 0 and not 1 / UNITS < seen / wanted < UNITS:
+        raise BadInput(
+            f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
+            "correct the cell's setpoint_N"
+        )
+
+
+def blinds(notice: str) -> bool:
+    """Whether a notice says what cannot be seen."""
+    return notice in BLIND.values() or any(word in notice for word in ("no column", "no link side"))
+
+
+def _not_measured(found: list[str]) -> list[str]:
+    """What absent signals blind."""
+    words = {
+        TRACKER: f"no {TRACKER}: the arm's geometry, drift of the base and payload errors are not seen on their own",
+        FORCE: f"no {FORCE}: wheel, blade, flange and sensor are not seen",
+        JOINTS: f"no {JOINTS}: what lies between motor and link is seen only through the whole arm",
+    }
+    return [text for name, text in words.items() if name not in found]

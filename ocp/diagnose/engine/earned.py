@@ -1,0 +1,223 @@
+"""Which named effects still help where a condition was left out: forward selection by held-out errors instead of evidence.
+
+Evidence takes what is left for white noise. On a real arm it is not: ripples of every gear remain, and with a thousand
+readings the form that happens to follow them nearby wins by any number of log units over the form that physics has. Here every
+candidate is fitted, with the geometry, without a block of the workspace, half of a joint's range, a payload, the latest third,
+and judged on what was left out. Accepted is what lowers the mean of the folds' log mean squares most. A candidate that leaves a
+fold worse than the believed cell alone does is refused; it is tried again when another effect stands (a ripple looks harmful
+as long as the springs are missing). One effect at two joints is tried together: springs that carry the same weight mask each
+other. Those that gain more than what is accepted and that a fold refuses are the impostors.
+
+Everything is linear about the channel's fit, in whitened readings, nuisance within its priors (docs/diagnosis_real.md).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ocp.diagnose.engine.families import Candidate, positive_of
+from ocp.diagnose.engine.findings import Name
+from ocp.diagnose.engine.system import Fold, System
+from ocp.diagnose.verdict.unknown import IMPLAUSIBLE
+from ocp.effects.effect import Scanned
+from robots.pose import Array
+
+SHORT = 12  # candidates of a round that are judged on folds, those that gain most on all readings
+LEAST = 0.02  # of the mean log mean square (1 % of the rms) that a further effect must gain
+WORSE = 1.25  # mean square of a fold against that of the believed cell: above it a candidate is refused
+Mask = NDArray[np.bool_]
+TURNED = 0.15  # the same, more, for a value whose sign no machine has: then a sign or the mounting is not as believed
+WIDE = 3.0  # times the upper end of the usual range: one sigma of coefficients here, so that the data decide
+
+
+@dataclass(frozen=True)
+class Step:
+    """An accepted effect with its scanned values, its coefficients (m,) with all others on all readings, and the mean log mean
+    square of the folds with it and all before it, over that of the believed cell."""
+
+    name: Name
+    scanned: Scanned
+    a: Array
+    score: float
+
+
+@dataclass(frozen=True)
+class Refused:
+    """An effect that gains `gain` (whitened sum of squares) on all readings and that `fold` refuses: its mean square is `ratio`
+    times that of the believed cell alone; beside: effects accepted by then."""
+
+    name: Name
+    gain: float
+    fold: str
+    ratio: float
+    beside: int
+
+
+@dataclass(frozen=True)
+class Earned:
+    """Accepted effects in order; refused ones that gained more than the ones accepted in their round and never were."""
+
+    steps: tuple[Step, ...]
+    refused: tuple[Refused, ...]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A candidate at its best variant: columns (N, m) in units of the usual upper ends `scale` (m,), gain on all readings;
+    turned: its value has a sign that no machine has."""
+
+    name: Name
+    scanned: Scanned
+    columns: Array
+    scale: Array
+    gain: float
+    turned: bool
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A fold with the nuisance taken out of columns by a fit to the rest: name, held rows' and train rows' columns (., k)."""
+
+    name: str
+    train: Array
+    held: Array
+
+
+def earned(system: System, candidates: Sequence[Candidate], folds: Sequence[Fold], most: int = 8) -> Earned:
+    """Effects that hold in left-out conditions, at most `most`. system: about the believed cell's fit without effects;
+    candidates: their whitened columns about the same fit; folds of kind "random" do not count."""
+    apart = [f for f in folds if f.kind != "random"]
+    believed = np.array([np.mean(part.held[:, 0] ** 2) for part in _parts(system, apart, system.residual[:, None])])
+    pool = [_projected(system, c) for c in candidates]
+    chosen: list[Entry] = []
+    scores: list[float] = []
+    refused: dict[Name, Refused] = {}
+    while len(chosen) < most:
+        short = _shortlist(system, pool, candidates, chosen)
+        choices = _choices(short, most - len(chosen))
+        ratios = [_ratios(system, apart, [*chosen, *choice], believed) for choice in choices]
+        told = [float(np.mean(np.log(r))) for r in ratios]
+        bar = scores[-1] if scores else 0.0
+        price = [TURNED * sum(e.turned for e in choice) for choice in choices]
+        wanted = [bar - LEAST * len(choice) - p for choice, p in zip(choices, price, strict=True)]
+        fine = [k for k, r in enumerate(ratios) if r.max() < WORSE and told[k] < wanted[k]]
+        best = min(fine, key=lambda k: told[k] + price[k], default=-1)
+        gain = max(e.gain for e in choices[best]) if fine else 0.0
+        for entry, r in zip(short, ratios, strict=False):  # singles come first among the choices
+            if entry.gain > gain and r.max() >= WORSE:
+                refused[entry.name] = Refused(entry.name, entry.gain, apart[int(np.argmax(r))].name, float(r.max()), len(chosen))
+        if not fine:
+            break
+        chosen += choices[best]
+        scores += [told[best]] * len(choices[best])
+    values = _values(system, chosen)
+    steps = [Step(e.name, e.scanned, a, s) for e, a, s in zip(chosen, values, scores, strict=True)]
+    return Earned(tuple(steps), tuple(r for n, r in refused.items() if n not in {e.name for e in chosen}))
+
+
+def _choices(short: Sequence[Entry], room: int) -> list[list[Entry]]:
+    """What a round may accept: each candidate, and one effect at two joints: springs that carry the same weight mask each
+    other, and neither holds alone."""
+    pairs = [[a, b] for a, b in combinations(short, 2) if a.name.effect == b.name.effect]
+    return [[e] for e in short] + (pairs if room > 1 else [])
+
+
+def _scaled(system: System) -> tuple[Array, Array]:
+    """Nuisance columns (N, p) over their priors, and the priors' own rows' right-hand side (p,), zero where free."""
+    finite = np.isfinite(system.prior_sd)
+    scale = np.where(finite, system.prior_sd, 1.0)
+    return system.nuisance * scale, np.where(finite, -system.offset / scale, 0.0)
+
+
+def _without_nuisance(A: Array, centre: Array, known: Mask, B: Array, rows: Mask) -> tuple[Array, Array]:
+    """Columns B (N, k), the first of them the readings, less the nuisance fitted to `rows` (N,) within its priors: rows of the
+    fit with the priors' below, and all other rows."""
+    prior = np.zeros((int(known.sum()), B.shape[1]))
+    prior[:, 0] = centre[known]
+    top = np.vstack([A[rows], np.eye(A.shape[1])[known]])
+    fitted = np.vstack([B[rows], prior])
+    Q, R = np.linalg.qr(top)
+    turned = Q.T @ fitted
+    return fitted - Q @ turned, B[~rows] - A[~rows] @ np.linalg.lstsq(R, turned, rcond=1e-10)[0]
+
+
+def _parts(system: System, folds: Sequence[Fold], B: Array) -> list[_Part]:
+    A, centre = _scaled(system)
+    known = np.isfinite(system.prior_sd)
+    found = []
+    for fold in folds:
+        train, held = _without_nuisance(A, centre, known, B, ~np.asarray(fold.held, bool)[system.reading])
+        found.append(_Part(fold.name, train, held))
+    return found
+
+
+def _projected(system: System, c: Candidate) -> Array:
+    """Columns (N + p, V, m) of a candidate with the nuisance fitted to all readings taken out, over their priors."""
+    A, centre = _scaled(system)
+    n, V, m = c.columns.shape
+    flat = (c.columns * _scale(c)).reshape(n, V * m)
+    fitted, _ = _without_nuisance(A, 0 * centre, np.isfinite(system.prior_sd), flat, np.ones(n, bool))
+    return fitted.reshape(-1, V, m)
+
+
+def _ratios(system: System, folds: Sequence[Fold], entries: Sequence[Entry], believed: Array) -> Array:
+    """Mean squares (f,) of the folds with entries fitted, over those of the believed cell."""
+    columns = np.hstack([e.columns for e in entries])
+    after = []
+    for part in _parts(system, folds, np.hstack([system.residual[:, None], columns])):
+        a = _solved(part.train[:, 1:], part.train[:, 0])
+        after.append(np.mean((part.held[:, 0] - part.held[:, 1:] @ a) ** 2))
+    return np.array(after) / believed
+
+
+def _solved(C: Array, y: Array) -> Array:
+    """Coefficients (m,) of columns (N, m) over their wide priors."""
+    m = C.shape[1]
+    return np.asarray(np.linalg.lstsq(np.vstack([C, np.eye(m) / WIDE]), np.concatenate([y, np.zeros(m)]), rcond=None)[0])
+
+
+def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candidate], chosen: Sequence[Entry]) -> list[Entry]:
+    """What gains most on all readings beside what is chosen, the largest first; no values over three times what is usual."""
+    fitted = _fitted(system, chosen)
+    Q = np.linalg.qr(fitted[:, 1:])[0]
+    left = fitted[:, 0] - Q @ (Q.T @ fitted[:, 0])
+    taken = {e.name for e in chosen}
+    found = []
+    for X, c in zip(pool, candidates, strict=True):
+        name = Name(c.effect.name, c.joint)
+        if name in taken:
+            continue
+        n, V, m = X.shape
+        beside = (X.reshape(n, -1) - Q @ (Q.T @ X.reshape(n, -1))).reshape(n, V, m)
+        G, b = np.einsum("nvi,nvj->vij", beside, beside) + np.eye(m) / WIDE**2, np.einsum("nvi,n->vi", beside, left)
+        a = np.linalg.solve(G, b[..., None])[..., 0]
+        gain = np.where((np.abs(a) > IMPLAUSIBLE).any(axis=1), 0.0, np.einsum("vi,vi->v", a, b))
+        v = int(np.argmax(gain))
+        turned = bool((a[v] < 0)[positive_of(c.effect)].any())
+        if gain[v] > 0:
+            found.append(Entry(name, c.scans[v], c.columns[:, v] * _scale(c), _scale(c), float(gain[v]), turned))
+    return sorted(found, key=lambda e: -e.gain)[:SHORT]
+
+
+def _fitted(system: System, entries: Sequence[Entry]) -> Array:
+    """Readings and entries' columns with the nuisance fitted to all readings taken out, the priors' rows below."""
+    A, centre = _scaled(system)
+    both = np.hstack([system.residual[:, None], *(e.columns for e in entries)])
+    return _without_nuisance(A, centre, np.isfinite(system.prior_sd), both, np.ones(len(both), bool))[0]
+
+
+def _values(system: System, chosen: Sequence[Entry]) -> list[Array]:
+    """Coefficients of each entry, all fitted together to all readings."""
+    if not chosen:
+        return []
+    fitted = _fitted(system, chosen)
+    a = _solved(fitted[:, 1:], fitted[:, 0])
+    ends = np.cumsum([len(e.scale) for e in chosen])
+    return [block * e.scale for block, e in zip(np.split(a, ends[:-1]), chosen, strict=True)]
+
+
+def _scale(c: Candidate) -> Array:
+    return np.asarray(c.effect.prior_sd, float)

@@ -1,0 +1,180 @@
+"""What the diagnosis finds: names with probabilities, where the gap lies, what cannot be told apart.
+
+`ocp.diagnose.engine.search.diagnose(channels, library, options) -> Diagnosis` makes it.
+"""
+
+from dataclasses import dataclass, field
+
+from ocp.diagnose.engine.system import Channel, HeldOut
+from ocp.effects.effect import Active
+from robots.pose import Array
+
+
+@dataclass(frozen=True, order=True)
+class Name:
+    """An effect and its joint (0: none)."""
+
+    effect: str
+    joint: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.effect}:{self.joint}" if self.joint else self.effect
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to search.
+
+    most: effects of an explanation at most; beam: explanations kept while growing; seed;
+    prior_effects: effects expected in a data set before it is seen; prior_unknown: probability of one outside the catalogue;
+    withheld: names of effects left out of the library (leave-one-effect-out); barred: effects and joints that were shown to be
+    impostors; where, folds: whether to compute those parts.
+    """
+
+    most: int = 4
+    beam: int = 6
+    seed: int = 0
+    prior_effects: float = 0.3
+    prior_unknown: float = 0.05
+    withheld: tuple[str, ...] = ()
+    barred: tuple[Name, ...] = ()
+    where: bool = True
+    folds: bool = True
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A set of effects with its posterior probability and its log evidence over the empty set; the classes of its members
+    are taken together."""
+
+    names: tuple[Name, ...]
+    probability: float
+    log_evidence: float
+
+
+FOLLOWED = 0.15  # probability from which predictions of the force follow an alternative: refitting a force log takes seconds
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Effects with their values that may be the truth, and the probability that they are; none: the baseline stands."""
+
+    probability: float
+    active: tuple[Active, ...]
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """An effect and joint: marginal probability, log evidence (best explanation with it over best without), values with
+    covariance (given the best explanation with it), detectability lambda = score of its value under the projection."""
+
+    name: Name
+    probability: float
+    log_evidence: float
+    active: Active
+    detectability: float
+
+
+@dataclass(frozen=True)
+class Screened:
+    """What the score test says of an effect before anything is accepted: lambda gained, degrees of freedom, variants tried,
+    p-value with the look-elsewhere price; smallest value (share of the typical upper end) that would be seen; share of its
+    signature's lambda that the nuisance leaves."""
+
+    name: Name
+    gained: float
+    freedom: int
+    variants: int
+    p_value: float
+    smallest: float
+    left: float
+
+
+@dataclass(frozen=True)
+class BudgetLine:
+    """Share (0..1) of the gap's mean square beyond noise that a grouping or a smooth dependence explains; p-value."""
+
+    channel: str
+    where: str
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class KernelTest:
+    """Library-free score test: does the gap vary with `where` (q3, approach5, motor2, q2 x q4, time, temperature, payload)?
+    joint 0 where none; source: how it enters (a joint's angle, the tracker's frame, ...)."""
+
+    channel: str
+    where: str
+    source: str
+    joint: int
+    gained: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class SpectrumPeak:
+    """Largest ripple of a joint's angle in a signal: order per turn, amplitude rad, p-value over all orders (circular shifts);
+    `power` (m,) over `orders` (m,)."""
+
+    joint: int
+    order: float
+    amplitude: float
+    p_value: float
+    orders: Array
+    power: Array
+    signal: str = ""
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where the gap lies: signal, subsystem, joint (0: none), the conditions it depends on, segments of the path."""
+
+    signal: str
+    subsystem: str
+    joint: int
+    depends_on: tuple[str, ...]
+    segments: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All findings.
+
+    explanations by probability; these, p_none and p_unknown sum to 1. ranking by marginal probability. active: the accepted
+    effects with values and covariance (of the best explanation; empty for none). classes: names that these data cannot tell
+    apart. kernels, spectrum: of the baseline's gap; left_over: kernel tests after the accepted effects. impostors: accepted
+    terms that hurt where the data are extrapolated, with the fold that says so. unknown_because: what speaks for an effect
+    outside the catalogue. baseline, channels: before and after the accepted effects. held_out: by channel name. alternatives:
+    what predictions average over, `active` first; empty: `active` alone.
+    """
+
+    explanations: tuple[Explanation, ...]
+    ranking: tuple[Ranked, ...]
+    active: tuple[Active, ...]
+    p_none: float
+    p_unknown: float
+    classes: tuple[tuple[Name, ...], ...]
+    location: Location | None
+    budget: tuple[BudgetLine, ...]
+    kernels: tuple[KernelTest, ...]
+    left_over: tuple[KernelTest, ...]
+    spectrum: tuple[SpectrumPeak, ...]
+    screened: tuple[Screened, ...]
+    impostors: tuple[tuple[Name, str], ...]
+    unknown_because: tuple[str, ...]
+    blind: tuple[str, ...]
+    baseline: tuple[Channel, ...]
+    channels: tuple[Channel, ...]
+    held_out: dict[str, tuple[HeldOut, ...]] = field(default_factory=dict)
+    alternatives: tuple[Alternative, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """explained, ambiguous, unexplained or no_gap, as FORMATS.md defines it."""
+        if self.p_none > 0.5:
+            return "no_gap"
+        if self.p_unknown > 0.5:
+            return "unexplained"
+        return "explained" if self.explanations and self.explanations[0].probability >= 0.8 else "ambiguous"

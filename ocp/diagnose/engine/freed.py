@@ -1,0 +1,60 @@
+"""Readings that were set aside as gross, and an effect that takes them back.
+
+What nobody counts needs no effect: a nest that moves before the last few readings is taken for so many gross readings; so is a
+small step once the noise has fallen with the names accepted before it. So where several readings are set aside, all are counted
+once more, what then explains them best is fitted beside what was accepted, and the fit decides: readings with one cause in
+common are rather that than each of them one of the two in a hundred that are grossly wrong.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from ocp.diagnose.engine.beam import Search, Weighed, weigh
+from ocp.diagnose.engine.findings import Options
+from ocp.diagnose.engine.problem import Problem, make_problem
+from ocp.diagnose.engine.system import Channel
+from ocp.effects.effect import Active, Effect
+from robots.errors import Infeasible
+
+FREED = 3  # gross readings that an effect must take back
+DOUBTED = 0.5  # weight below which a reading is rather gross than good
+FIRSTS = 3  # effects that are tried, the most telling first
+
+
+@runtime_checkable
+class Openable(Protocol):
+    """A channel that can count every reading in full."""
+
+    def opened(self) -> Channel:
+        """The channel about the same fit with no reading set aside."""
+
+
+def freed(problem: Problem, held: tuple[Active, ...], library: Mapping[str, Effect], options: Options) -> list[Channel] | None:
+    """The channels fitted with one effect more than is held, where that takes gross readings back; else None."""
+    if _gross(problem.channels) < FREED:
+        return None
+    whole = make_problem([c.opened() if isinstance(c, Openable) else c for c in problem.channels], library, options)
+    search = Search(whole.pool, options.most, options.beam)
+    names = {a.key for a in held}
+    key = [i for n, i in whole.index.items() if (n.effect, n.joint) in names]
+    there = weigh(whole.pool, key) if key else Weighed(0.0, ())
+    value = search.scan(there).log + search.odds
+    value[[*key, *np.flatnonzero(search.kernel | search.background)]] = -np.inf
+    for f in np.argsort(-value)[:FIRSTS]:
+        if value[f] <= 0:
+            break
+        try:
+            found = [c.with_active(whole.values(weigh(whole.pool, [*key, int(f)]))) for c in problem.channels]
+        except Infeasible:
+            continue
+        if _gross(problem.channels) - _gross(found) >= FREED:
+            return found
+    return None
+
+
+def _gross(channels: Sequence[Channel]) -> int:
+    """How many readings count for less than half."""
+    weights = [getattr(getattr(c, "fit", None), "weight", None) for c in channels]
+    return sum(int(np.count_nonzero(np.asarray(w) < DOUBTED)) for w in weights if w is not None)

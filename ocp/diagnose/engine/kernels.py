@@ -1,0 +1,214 @@
+"""Library-free features: what an effect nobody catalogued would look like, by where it enters and what it varies with.
+
+Each kernel is a handful of smooth functions of one condition (or two) that enter the readings at one joint's angle, as a tilt
+of its axis, as a displacement of the instrument's frame, along or across the instrument's beam, or as the reading itself. They
+are tested like effects (same projection, same evidence); a condition that wins although the library was offered speaks for an
+effect outside it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocp.diagnose.engine.features import groups, products, smooth, unit, waves, waves_of_two
+from ocp.diagnose.engine.grinding_kernels import reading_kernels
+from ocp.diagnose.engine.system import Conditions
+from robots.pose import Array
+
+TILTED = 5  # cosines for each direction of a tilting axis
+LEAST_TURN = np.radians(20.0)  # an axis that moved less varies with nothing
+SETTLING = (20.0, 60.0, 200.0)  # s: how fast an axis may come to rest after its stop
+LEAST_TORQUE = 1.0  # N m: loads that change less bend nothing
+ORDERS_OF_TWO = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (2, 3))  # waves per turn of a joint and of another one
+INSTANTS = 7  # at which a nest may move
+MOTOR_WAVES = 8  # per turn of a motor: resolvers err up to there
+LOADED = np.arange(1.0, 81.0)  # orders per turn of ripples that grow with the load
+RIPPLES = np.arange(2.5, 121.0)  # half-integer orders per turn: integers are the library's
+JOINT_RANGE = (2e-5, 5e-4)  # rad, typical low and high of an angle error
+TILT_RANGE = (1e-5, 3e-4)  # rad, of an axis under load or warmth
+FRAME_RANGE = (2e-5, 5e-4)  # m, of a displacement
+FORCE_RANGE = (0.2, 5.0)  # N, of a force reading
+BEAM = ("range", "azimuth", "elevation")
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Features (n, V, m) of unit size in gap units (k components): changes (n, k, V, m) SI; where: the condition; source:
+    joint, axis, frame, beam or reading; joint (0: none); typical low and high of its size, SI; among: of how many variants these
+    are the most telling, 0: they are all there are."""
+
+    where: str
+    source: str
+    joint: int
+    changes: Array
+    low: float
+    high: float
+    among: int = 0
+
+
+def kernels(c: Conditions) -> Iterator[Kernel]:
+    """All kernels that the conditions allow."""
+    if c.d_joints is not None:
+        for j in range(6):
+            if np.ptp(c.q[:, j]) > LEAST_TURN or c.signal != "tracker":
+                for where, features in _of_joint(c, j):
+                    changes = c.d_joints[:, :, j, None, None] * features[:, None]
+                    yield Kernel(where, "joint", j + 1, changes, *JOINT_RANGE)
+                if c.d_tilts is not None:
+                    yield from _of_axis(c, c.d_tilts[:, :, j], j)
+    n, k = c.q.shape[0], 3 if c.d_joints is None else c.d_joints.shape[1]
+    if c.signal == "tracker":
+        for where, features in _of_frame(c):
+            yield Kernel(where, "frame", 0, _each(np.broadcast_to(np.eye(3), (n, 3, 3)), features)[:, :, None], *FRAME_RANGE)
+        yield from _of_nests(c)
+        if c.point is not None:
+            yield from _of_beam(c.point)
+            if c.sight is not None:
+                yield _of_sight(c.point, c.sight)
+    elif c.signal == "force":
+        for one in reading_kernels(c):
+            changes = np.zeros((n, k, *one.features.shape[1:]))
+            changes[:, 0] = one.features
+            yield Kernel(one.where, "reading", 0, changes, *FORCE_RANGE, one.among)
+
+
+def _of_joint(c: Conditions, j: int) -> Iterator[tuple[str, Array]]:
+    """Features (n, V, m) of joint j (0..5), by what they vary with."""
+    name, q = j + 1, c.q[:, j]
+    tau = c.tau[:, j] if c.tau is not None and np.ptp(c.tau[:, j]) > LEAST_TORQUE else None
+    yield f"q{name}", smooth(q)[:, None]
+    yield f"ripple{name}", np.stack([np.cos(RIPPLES * q[:, None]), np.sin(RIPPLES * q[:, None])], axis=2)
+    if c.approach is not None and np.ptp(c.approach[:, j]) > 0:
+        sign = c.approach[:, j]
+        turns = np.stack([np.column_stack([np.ones(len(q)), np.cos(k * q), np.sin(k * q)]) for k in (1, 2)], axis=1)
+        yield f"approach{name}", sign[:, None, None] * turns
+        if tau is not None:
+            yield f"approach{name} x tau{name}", (sign[:, None] * _powers(tau))[:, None]
+        if c.signal == "tracker" and c.time is not None:
+            yield f"approach{name} x wait", (sign[:, None] * _rest(c.time))[:, :, None]
+            yield f"step{name}", smooth(_step(c.time, q), 5)[:, None]
+    ratios = c.gear_ratio[j] if c.gear_ratio is not None else ()
+    if len(ratios):
+        phase = np.outer(q, np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel())
+        yield f"motor{name}", np.stack([np.cos(phase), np.sin(phase)], axis=2)
+    if tau is not None:
+        yield f"tau{name}", smooth(tau, 3)[:, None]
+        if c.signal == "tracker":
+            loaded = np.stack([np.cos(LOADED * q[:, None]), np.sin(LOADED * q[:, None])], axis=2)
+            yield f"tau{name} x ripple{name}", unit(tau)[:, None, None] * loaded
+    for i in range(6):
+        if i != j and np.ptp(c.q[:, i]) > LEAST_TURN:
+            yield f"q{name} x q{i + 1}", np.stack([waves_of_two(q, c.q[:, i], *k) for k in ORDERS_OF_TWO], axis=1)
+            if c.signal == "tracker":
+                yield f"q{i + 1}", smooth(c.q[:, i], 3)[:, None]
+    for where, values in (("temperature", c.temperature), ("time", _time(c))):
+        if values is not None and np.ptp(values) > 0:
+            yield f"{where}{name}", smooth(values, 3)[:, None]
+            if c.signal == "tracker":
+                yield f"{where} x q{name}", products(smooth(values, 2), waves(q))[:, None]
+                if tau is not None:
+                    yield f"{where} x tau{name}", products(smooth(values, 2), _powers(tau)[:, :2])[:, None]
+    indicator = groups(c.payload)
+    if indicator is not None:
+        yield f"payload{name}", indicator[:, None]
+        if c.signal == "tracker":
+            yield f"payload x q{name}", products(indicator, waves(q))[:, None]
+
+
+def _of_axis(c: Conditions, d_tilt: Array, j: int) -> Iterator[Kernel]:
+    """Tilts of the axis of joint j about the two directions across it, d_tilt (n, k, 4): as it turns (bearings, a base plate that
+    is not flat; directions that stand still in the link before), with the weight's moment across it, with warmth, time and
+    payload (directions that stand still, or turn with the joint)."""
+    name = j + 1
+    still, turning = d_tilt[:, :, :2], d_tilt[:, :, 2:]
+    yield Kernel(f"q{name}", "axis", name, _each(still, smooth(c.q[:, j], TILTED))[:, :, None], *JOINT_RANGE)
+    if c.moments is not None and np.ptp(c.moments[:, j]) > LEAST_TORQUE:
+        yield Kernel(f"moment{name}", "axis", name, _each(still, unit(c.moments[:, j]))[:, :, None], *TILT_RANGE)
+    slow = (("temperature", c.temperature), ("time", _time(c)))
+    varying = [(where, smooth(values, 2)) for where, values in slow if values is not None and np.ptp(values) > 0]
+    indicator = groups(c.payload)
+    for where, features in varying + ([("payload", indicator)] if indicator is not None else []):
+        changes = np.stack([_each(d, features) for d in (still, turning)], axis=2)
+        yield Kernel(f"{where}{name}", "axis", name, changes, *TILT_RANGE)
+
+
+def _of_beam(point: Array) -> Iterator[Kernel]:
+    """The instrument's own errors at points (n, 3) m in its frame: along the beam or across it, each a function of range,
+    azimuth or elevation; angles show with the distance, here over its mean."""
+    flat = np.linalg.norm(point[:, :2], axis=1)
+    distance = np.linalg.norm(point, axis=1)
+    along = point / distance[:, None]
+    aside = np.column_stack([-point[:, 1], point[:, 0], np.zeros(len(point))]) / flat[:, None]
+    upward = np.cross(along, aside)
+    directions = along, aside * (flat / flat.mean())[:, None], upward * (distance / distance.mean())[:, None]
+    turned = np.arctan2(point[:, 1], point[:, 0])
+    middle = np.arctan2(np.sin(turned).mean(), np.cos(turned).mean())
+    azimuth = np.angle(np.exp(1j * (turned - middle)))
+    for where, values in zip(BEAM, (distance, azimuth, np.arctan2(point[:, 2], flat)), strict=True):
+        features = smooth(values, 4)
+        changes = np.stack([d[:, :, None] * features[:, None] for d in directions], axis=2)
+        yield Kernel(where, "beam", 0, changes, *FRAME_RANGE)
+
+
+def _of_sight(point: Array, sight: Array) -> Kernel:
+    """Reflectors that are no perfect balls: errors along the beam that vary with the direction (n, 3) from which a reflector is
+    seen, in the axes of the link that carries it, to second order."""
+    along = point / np.linalg.norm(point, axis=1, keepdims=True)
+    x, y, z = sight.T
+    features = np.column_stack([sight, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1.0])
+    return Kernel("sight", "beam", 0, _each(along[:, :, None], features)[:, :, None], *FRAME_RANGE)
+
+
+def _of_frame(c: Conditions) -> Iterator[tuple[str, Array]]:
+    """Features (n, m) of a displacement common to all directions of the frame."""
+    for where, values in (("time", _time(c)), ("temperature", c.temperature)):
+        if values is not None and np.ptp(values) > 0:
+            yield where, smooth(values, 3)
+    for where, index in (("payload", c.payload), ("session", c.session)):
+        indicator = groups(index)
+        if indicator is not None:
+            yield where, indicator
+
+
+def _of_nests(c: Conditions) -> Iterator[Kernel]:
+    """One nest moves, sooner or later: each nest and instant a variant."""
+    time, nests = _time(c), groups(c.target, centred=False)
+    if time is not None and nests is not None and np.ptp(time) > 0:
+        still = np.broadcast_to(np.eye(3), (len(time), 3, 3))
+        instants = np.quantile(time, np.arange(1, INSTANTS + 1) / (INSTANTS + 1))
+        moved = [nest * (time > at) for nest in nests.T for at in instants]
+        changes = np.stack([_each(still, one[:, None]) for one in moved], axis=2)
+        yield Kernel("target x time", "frame", 0, changes, *FRAME_RANGE)
+
+
+def _time(c: Conditions) -> Array | None:
+    return c.clock if c.clock is not None else c.time
+
+
+def _rest(time: Array) -> Array:
+    """What is left (n, V) of the motion to each reading, which began at the reading before, after settling for so long."""
+    order = np.argsort(time, kind="stable")
+    waited = np.empty_like(time)
+    waited[order] = np.diff(time[order], prepend=-np.inf)
+    return np.exp(-waited[:, None] / np.array(SETTLING))
+
+
+def _step(time: Array, q: Array) -> Array:
+    """How far (n,) rad an axis came to each reading from the one before; zero at the first."""
+    order = np.argsort(time, kind="stable")
+    step = np.empty_like(q)
+    step[order] = np.diff(q[order], prepend=q[order[0]])
+    return step
+
+
+def _powers(values: Array) -> Array:
+    """First to third power (n, 3) of values over their largest size."""
+    x = unit(values)
+    return np.column_stack([x, x**2, x**3])
+
+
+def _each(directions: Array, features: Array) -> Array:
+    """Every direction (n, k, d) with every feature (n, m): (n, k, d m)."""
+    n, k, _ = directions.shape
+    return np.asarray((directions[:, :, :, None] * features[:, None, None, :]).reshape(n, k, -1))

@@ -1,0 +1,250 @@
+"""What a channel of readings hands to the engine, and what the engine asks of it; `findings` beside it is what comes out.
+
+A channel is one signal of a data set (tracker, force, joint). It knows its own model; the engine sees whitened linear systems
+only, and does not care which channel a row comes from. About the current fit (nuisance theta, coefficients a of the active
+effects), to first order,
+
+    residual = nuisance @ d_theta + sum over variants of columns @ d_a + unit noise,
+    prior:  (offset + d_theta) / prior_sd ~ N(0, 1)   where prior_sd is finite,
+
+so that offset is the estimate less its prior mean. Columns of an active effect are about its fitted values: the residual
+without it is residual + columns @ a.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from robots.measurements import Index
+from robots.pose import Array
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A wave that readings speak for: what of (turn, time wave, s wave), its number (per turn, per s, per m), columns
+    (n, 2) of its cosine and sine, and among how many it was found."""
+
+    where: str
+    number: float
+    columns: Array
+    among: int
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What is known of n readings of one signal; None where the data set does not say.
+
+    q (n, 6) rad commanded; approach (n, 6) signs of the last motions; payload (n,) index into `payloads`; target (n,) index
+    into `targets`; time (n,) s of the run, clock (n,) s of the campaign; temperature (n,) deg C; wheel_temperature (n,); run,
+    line, session, station (n,) integers; s (n,) m along the pass; feed m/s, setpoint N, belt m/s; contact (n,) bool; tau (n,
+    6) N m load torque; travel (n,) sign of the motion along the pass; d_joints (n, k, 6): derivative of the
+    prediction in the six joint angles, SI per rad (k components of a reading), for kernels and spectra in joint angles; d_tilts
+    (n, k, 6, 4): in tilts of the six axes about the two directions across them that stand still in the link before, and the two
+    that turn with the joint; moments (n, 6, 2) N m of the weight beyond an axis about the two that stand still; point (n, 3) m in
+    the instrument's frame; sight (n, 3): unit vectors from reflectors to the instrument, in axes of the links that carry them;
+    gear_ratio: those that each of six joints may have; waves: of the wheel's turn, and of time and path those that the
+    readings speak for.
+    """
+
+    signal: str
+    q: Array
+    approach: Array | None = None
+    payload: Index | None = None
+    payloads: tuple[str, ...] = ()
+    target: Index | None = None
+    targets: tuple[str, ...] = ()
+    time: Array | None = None
+    clock: Array | None = None
+    temperature: Array | None = None
+    wheel_temperature: Array | None = None
+    run: Index | None = None
+    line: Index | None = None
+    session: Index | None = None
+    station: Index | None = None
+    s: Array | None = None
+    feed: Array | None = None
+    setpoint: Array | None = None
+    belt: Array | None = None
+    contact: Array | None = None
+    tau: Array | None = None
+    travel: Array | None = None
+    d_joints: Array | None = None
+    d_tilts: Array | None = None
+    moments: Array | None = None
+    point: Array | None = None
+    sight: Array | None = None
+    gear_ratio: tuple[tuple[float, ...], ...] | None = None
+    waves: tuple["Wave", ...] = ()
+
+
+@dataclass(frozen=True)
+class System:
+    """Whitened linear system of a channel, unit noise: residual (N,), nuisance (N, p) with names (p,), prior_sd (p,) (inf:
+    free) and offset (p,) in the nuisance's own units; reading (N,): which of the channel's readings a row belongs to;
+    component (N,): which of its numbers (x, y, z; fn, ft); picked: squares beyond their number that rows which were picked for
+    what they show have where nothing is there."""
+
+    residual: Array
+    nuisance: Array
+    names: tuple[str, ...]
+    prior_sd: Array
+    offset: Array
+    reading: Index
+    component: Index
+    picked: float = 0.0
+
+
+@dataclass(frozen=True)
+class Variant:
+    """An effect at one joint (0: none) with one set of scanned values: whitened columns (N, m) per unit coefficient of the
+    prediction (a positive coefficient raises what is predicted), prior_sd (m,) of the coefficients."""
+
+    effect: str
+    joint: int
+    scanned: Scanned
+    columns: Array
+    prior_sd: Array
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What makes it the same variant in several channels."""
+        return (self.effect, self.joint, *scan_key(self.scanned))
+
+
+def scan_key(scanned: Scanned) -> tuple[Any, ...]:
+    """Hashable form of scanned values (floats to nine digits, arrays as tuples)."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.ndarray | list | tuple):
+            return tuple(plain(v) for v in value)
+        return float(f"{value:.9g}") if isinstance(value, float | np.floating) else value
+
+    return tuple((k, plain(scanned[k])) for k in sorted(scanned))
+
+
+def kinds(active: Sequence[Active]) -> tuple[Any, ...]:
+    """Effects, joints and scanned values, numbers to two digits (finer ones are no other effect), whatever their order."""
+
+    def rounded(scanned: Scanned) -> Scanned:
+        return {k: float(f"{v:.2g}") if isinstance(v, float) else v for k, v in scanned.items()}
+
+    return tuple(sorted((a.effect.name, a.joint, repr(scan_key(rounded(a.scanned)))) for a in active))
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Readings to leave out: held (n,) bool. kind: "random" and "block" are interpolation, every other kind (payload,
+    temperature, joint range, approach, feed, setpoint, line, run, session) extrapolates. name: e.g. "payload=heavy"."""
+
+    name: str
+    kind: str
+    held: NDArray[np.bool_]
+
+    @property
+    def extrapolates(self) -> bool:
+        """Whether the held readings lie outside the conditions of the rest."""
+        return self.kind not in ("random", "block")
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Mean square of the gap of the held readings (SI^2: m^2 for 3D errors, N^2, rad^2) before and after the effects, everything
+    refitted on the rest, and what noise alone gives; before_rows, after_rows, noise_rows (r,): the same of every reading;
+    estimation: mean square that the effects' own errors of estimation add to `after`; drift: by how many standard errors each
+    effect's value without the fold differs from that of all readings, empty where nobody looked."""
+
+    fold: Fold
+    before: float
+    after: float
+    noise: float
+    before_rows: Array
+    after_rows: Array
+    noise_rows: Array
+    estimation: float = 0.0
+    drift: Mapping[tuple[str, int], float] = field(default_factory=dict)
+
+
+def drifts(active: Sequence[Active], change: Array, covariance: Array) -> dict[tuple[str, int], float]:
+    """By how many standard errors the values of effects move, by effect and joint: all coefficients move by `change` (m,), with
+    the covariance (m, m) of the values without a fold."""
+    found, start = dict[tuple[str, int], float](), 0
+    for one in active:
+        block = slice(start, start + one.effect.size)
+        start = block.stop
+        moved = float(np.sqrt(change[block] @ np.linalg.pinv(covariance[block, block]) @ change[block]))
+        found[one.key] = moved
+    return found
+
+
+@dataclass(frozen=True)
+class Sealed:
+    """Predictions (r, k) SI for readings nobody has seen: believed cell refitted, corrected by the named effects, and one
+    sigma of the corrected one for the noise-free value. lacking: named effects that are left out of the correction, because the
+    conditions do not say what they depend on; their usual size is in sigma."""
+
+    baseline: Array
+    corrected: Array
+    sigma: Array
+    lacking: tuple[str, ...] = ()
+
+
+class Channel(Protocol):
+    """One signal of a data set, fitted."""
+
+    @property
+    def name(self) -> str:
+        """tracker, force or joint."""
+
+    @property
+    def unit(self) -> str:
+        """Unit in which its gap is told: mm, N, arcsec."""
+
+    @property
+    def conditions(self) -> Conditions:
+        """Of its readings."""
+
+    @property
+    def system(self) -> System:
+        """Whitened about the current fit."""
+
+    @property
+    def active(self) -> tuple[Active, ...]:
+        """Effects in its nonlinear prediction, with fitted values and covariance."""
+
+    @property
+    def noise_floor(self) -> float:
+        """Rms of a reading's noise in `unit` (3D for points)."""
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """What its readings offer to the scans of effects."""
+
+    def blind(self, effect: Effect) -> str:
+        """Why the channel cannot see an effect (a missing column), a sentence; empty where it can."""
+
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
+        """About the current fit; empty where the channel cannot see the effect. `scans`: these scanned values in this order
+        instead of the effect's own scan of the channel's surroundings."""
+
+    def with_active(self, active: tuple[Active, ...]) -> "Channel":
+        """Nuisance and coefficients refitted jointly, nonlinearly, noise re-estimated; values given are where to start."""
+
+    def gap(self) -> Array:
+        """Residuals (n, k) SI of the current fit."""
+
+    def whiten(self, changes: Array) -> Array:
+        """Whitened rows (N, m) of changes (n, k, m) SI of the predictions, as `system` has them: tests without a library
+        make their own columns."""
+
+    def folds(self) -> list[Fold]:
+        """Blocked and extrapolation folds of its readings."""
+
+    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
+        """Judge `active` on a fold; None where too little is left."""
+
+    def predict(self, sealed: Any, active: tuple[Active, ...]) -> Sealed:
+        """Predictions for readings in the channel's own form, with the fit of all readings."""

@@ -1,0 +1,287 @@
+"""The grinding-force log as a channel: believed contact refitted, effects' columns, refits with effects inside."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ocp.calibrate.force.fit import pressed_rows
+from ocp.calibrate.force.log import ForceLog
+from ocp.calibrate.force.rows import ForceSetup, prepare_force
+from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
+from ocp.diagnose.force.arm import arm_of
+from ocp.diagnose.force.balance import Balance
+from ocp.diagnose.force.believed import arm_from_tracker, arm_with_effects, believed_contact
+from ocp.diagnose.force.columns import effect_columns
+from ocp.diagnose.force.conditions import conditions_of
+from ocp.diagnose.force.fit import ForceFit, Problem, solve
+from ocp.diagnose.force.folds import GROSS, force_folds, held_out
+from ocp.diagnose.force.kept import Kept, Store, kept_rows
+from ocp.diagnose.force.knocks import Knocks, telling_knocks
+from ocp.diagnose.force.prediction import M, Scene, predict
+from ocp.diagnose.force.sealed import predict_sealed
+from ocp.diagnose.force.seen import NEEDED, conditions, surroundings
+from ocp.diagnose.force.setpoints import with_setpoints_read_off
+from ocp.diagnose.force.waves import picked_squares, telling_waves
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.effects.belt_splice import EFFECT as SPLICE
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.effects.library import library
+from ocp.model.cell import Cell
+from robots.calibration.store import Calibration
+from robots.pose import Array
+
+NARROW = 1.0  # rad of phase between two orders of a ripple over an axis' range: closer ones a log cannot tell apart
+SMALL = 0.02  # whitened length of a direction of the nuisance (one prior sd) below which it does not count
+TOGETHER = 48  # variants evaluated at once
+
+
+@dataclass(frozen=True)
+class ForceChannel:
+    """A force log with the fit of the believed contact and of the active effects. `store` keeps columns that hardly change,
+    `knocks` what was found of a splice at first, `latest` those columns that were asked for last."""
+
+    problem: Problem
+    fit: ForceFit
+    effects: tuple[Effect, ...] = field(repr=False, default=())
+    store: Store = field(default_factory=dict, repr=False)
+    before: "ForceChannel | None" = field(default=None, repr=False)
+    judged: dict[str, Any] = field(default_factory=dict, repr=False)
+    latest: dict[str, Any] = field(default_factory=dict, repr=False)
+    knocks: dict[str, Knocks] = field(default_factory=dict, repr=False)
+    tracker: TrackerChannel | None = field(default=None, repr=False)
+    name: str = "force"
+    unit: str = "N"
+
+    @property
+    def log(self) -> ForceLog:
+        """As recorded."""
+        return self.problem.log
+
+    @property
+    def active(self) -> tuple[Active, ...]:
+        """Effects in the prediction."""
+        return self.fit.active
+
+    @property
+    def baseline(self) -> "ForceChannel":
+        """The channel without effects."""
+        return self if self.before is None else self.before
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """For the scans."""
+        return replace(surroundings(self.problem), knocks=self.fast.found, among={SPLICE.name: self.fast.among})
+
+    @property
+    def fast(self) -> Knocks:
+        """Knocks that the readings speak for."""
+        if "first" not in self.knocks:  # what else is fitted later hardly moves them
+            self.knocks["first"] = telling_knocks(self.problem, self.fit)
+        return self.knocks["first"]
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """What is known of the rows."""
+        return conditions(self.problem, self.fit, self.waves)
+
+    @cached_property
+    def waves(self) -> tuple[Wave, ...]:
+        """Waves that the readings speak for."""
+        return telling_waves(self.problem, self.fit)
+
+    @cached_property
+    def kept(self) -> Kept:
+        """Which rows the system has."""
+        return kept_rows(self.problem, self.fit, self.effects, self.surroundings, self.store, self.waves)
+
+    @cached_property
+    def system(self) -> System:
+        """Whitened about the current fit; directions of the nuisance turned so that they are independent."""
+        kept, (r, o), n = self.kept, self.problem.sizes, len(self.log)
+        white = np.column_stack([self.fit.residual, self.fit.sensitivity[:, : r + o]]).reshape(len(kept.whiteners), n, -1)
+        rows = _of_whitened(kept, white)
+        U, s, Vt = np.linalg.svd(rows[:, 1:], full_matrices=False)
+        keep = s > SMALL
+        parts = kept.parts
+        place = [w.place for w in kept.whiteners]
+        far = np.full(sum(parts[len(place) :]), place[0][-1])
+        return System(
+            residual=rows[:, 0], nuisance=U[:, keep] * s[keep], names=tuple(f"contact {k + 1}" for k in range(int(keep.sum()))),
+            prior_sd=np.ones(int(keep.sum())), offset=(Vt @ self.fit.z[: r + o])[keep],
+            reading=np.concatenate([*place, far]), component=np.repeat(np.arange(len(parts)), parts),
+            picked=picked_squares(self.waves) + self.fast.picked,
+        )  # fmt: skip
+
+    @property
+    def noise_floor(self) -> float:
+        """Rms of the normal reading's noise, N."""
+        sigma = self.fit.whiteners[0].noise.sigma()[self.log.contact]
+        return float(np.sqrt(np.mean(sigma**2)))
+
+    def blind(self, effect: Effect) -> str:
+        """Why it cannot be seen."""
+        hooks = (effect.overlap, effect.push, effect.sensor, effect.shear, effect.along, effect.along_shear)
+        if not (effect.on_arm or any(hook is not None for hook in hooks)):
+            return f"{effect.name} does not change the contact or the force readings"
+        if self.problem.scene.cell.flange is None and effect.subsystem == "flange":
+            return f"{effect.name}: the cell has no force flange"
+        lacking = [c for c in effect.needs if c not in self.problem.scene.conditions.given]
+        if lacking:
+            return f"force.csv has no column {', '.join(NEEDED.get(c, c) for c in lacking)}: {effect.name} cannot be seen"
+        return ""
+
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
+        """Whitened columns about the current fit."""
+        if self.blind(effect):
+            return []
+        chosen = self.scan(effect, joint) if scans is None else tuple(scans)
+        # The engine asks for a scan and then, for all channels together, by name for what the scan had.
+        asked = (effect.name, joint, *map(scan_key, chosen))
+        if self.latest.get("asked") != asked:
+            self.latest.update(asked=asked, found=self._variants(effect, joint, chosen))
+        return list(self.latest["found"])
+
+    def _variants(self, effect: Effect, joint: int, chosen: Sequence[Scanned]) -> list[Variant]:
+        """As `variants`, evaluated."""
+        prior = np.asarray(effect.prior_sd, float)
+        found = list[Variant]()
+        for start in range(0, len(chosen), TOGETHER):
+            some = chosen[start : start + TOGETHER]
+            made = effect_columns(self.problem.scene, self.fit.at, self.fit.slopes, effect, joint, some)
+            if made is None:
+                return []
+            rows = self.kept.variants(effect, some, made[: len(self.kept.whiteners)])
+            found += [Variant(effect.name, joint, s, rows[:, v], prior) for v, s in enumerate(some)]
+        return found
+
+    def scan(self, effect: Effect, joint: int) -> tuple[Scanned, ...]:
+        """The effect's own scan; orders of ripples that the log's short ranges cannot tell apart are thinned."""
+        scans = tuple(effect.scan(joint, self.surroundings))
+        if joint and scans and set(scans[0]) == {"order"}:
+            span = float(np.ptp(self.surroundings.q_range[joint - 1]))
+            return scans[:: max(1, int(NARROW / max(span, 1e-3)))]
+        return scans
+
+    def with_active(self, active: tuple[Active, ...]) -> "ForceChannel":
+        """Refitted with these effects; those that the log cannot show are left out."""
+        visible = tuple(a for a in active if not self.blind(a.effect))
+        if not visible and self.before is not None:
+            return self.before
+        moved = [a for a in visible if a.effect.on_arm]
+        if self.tracker is not None and (moved or any(a.effect.on_arm for a in self.active)):
+            # What bends the readings of the tracker bends what is believed of the arm.
+            believed = believed_contact(self.problem.scene.cell, arm_with_effects(self.tracker, moved))
+            problem = replace(self.problem, believed=believed)
+            return replace(self, problem=problem, fit=solve(problem, visible), before=self.baseline, judged={}, latest={})
+        fit = solve(self.problem, visible, self.fit)
+        return replace(self, fit=fit, before=self.baseline if visible else None, judged={}, latest={})
+
+    def gap(self) -> Array:
+        """Measured less predicted normal reading (n, 1) N."""
+        return self.problem.gap(self.fit.at, self.fit.z)[:, None]
+
+    def gained(self) -> tuple[float, float]:
+        """Squares that the active effects take from the whitened readings (in this fit's noise), and from the unknowns of the
+        registration, one prior sd each."""
+        squares = []
+        for problem, fit in ((self.baseline.problem, self.baseline.fit), (self.problem, self.fit)):
+            e = problem.residuals(fit.at, fit.z)
+            left = [w.whole(r[:, None]) for w, r in zip(self.fit.whiteners, e, strict=False) if r is not None]
+            own = fit.z[: problem.sizes[0]]
+            squares.append((sum(float(np.sum(x**2)) for x in left), float(own @ own)))
+        return squares[0][0] - squares[1][0], squares[0][1] - squares[1][1]
+
+    def whiten(self, changes: Array) -> Array:
+        """Whitened rows (N, m) of changes (n, k, m) N of the readings, fn first, then ft where there is one."""
+        count = len(self.kept.whiteners)
+        parts = [changes[:, i] if i < changes.shape[1] else np.zeros_like(changes[:, 0]) for i in range(count)]
+        return self.kept.rows(parts)
+
+    def folds(self) -> list[Fold]:
+        """Blocked and extrapolation folds."""
+        return force_folds(self.log, self.problem.scene)
+
+    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
+        """Judge `active` on a fold."""
+        after = self._judged(active)
+        good = self.fit.whiteners[0].noise.weight > GROSS
+        if self.log.setpoint_sd is not None:  # a setpoint that the readings gave is not known without them
+            good &= self.log.setpoint_sd == 0
+        return held_out((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)
+
+    def _judged(self, active: tuple[Active, ...]) -> "ForceChannel":
+        """The channel fitted with these effects, whatever values they come with; the last one is kept."""
+        wanted = _signature(tuple(a for a in active if not self.blind(a.effect)))
+        if wanted == _signature(self.active):
+            return self
+        if self.judged.get("signature") != wanted:
+            self.judged.update(signature=wanted, channel=self.with_active(active))
+        made: ForceChannel = self.judged["channel"]
+        return made
+
+    def predict(self, sealed: ForceLog, active: tuple[Active, ...]) -> Sealed:
+        """Baseline and corrected normal reading (n, 1) N of conditions nobody has seen, one sigma of the corrected one."""
+        after = self._judged(active)
+        return predict_sealed((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), sealed)
+
+
+def force_channel(
+    cell: Cell,
+    log: ForceLog,
+    tracker: Path | TrackerChannel | None = None,
+    arm: Calibration | None = None,
+    effects: Iterable[Effect] | None = None,
+) -> ForceChannel:
+    """The believed contact fitted to a log.
+
+    The arm's prior is `arm`, else what the readings `tracker` say of the believed arm (a channel: with its active effects too),
+    else the cell's. `effects`: those whose fast patterns are kept (default: the library). Raises BadInput, Infeasible: as
+    `prepare_force` and the fit.
+    """
+    channel = tracker if isinstance(tracker, TrackerChannel) else None
+    if arm is None and channel is not None:
+        arm = arm_with_effects(channel, ())
+    elif arm is None and isinstance(tracker, Path):
+        arm = arm_from_tracker(tracker, cell.path)
+    read_off = None if cell.flange is None else with_setpoints_read_off(log, cell.flange.setpoint)
+    log, more = (log, ()) if read_off is None else (read_off[0], read_off[1:])
+    problem = problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)
+    problem = replace(problem, notices=(*problem.notices, *more))
+    chosen = tuple(library().values() if effects is None else effects)
+    return ForceChannel(problem, solve(problem), chosen, tracker=channel)
+
+
+def problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None) -> Problem:
+    """The problem of a log that is the first of a setup."""
+    given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
+    believed = believed_contact(cell, arm)
+    told, theta = conditions_of(cell, log), believed.mean[:M]
+    law, own = setup.model.law, arm_of(cell, theta, log.q, told)
+    scene = Scene(cell, Balance(cell, law), setup.rows[0], told, own, theta, given, pressed_rows(setup.model, log))
+    return Problem.of(log, scene, believed, setup.notices)
+
+
+def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path | None = None) -> Array:
+    """Normal readings (n,) N of other conditions by the believed contact refitted to a log, no effect in it: what is left where
+    nothing else is wrong. Raises as `force_channel`."""
+    setup = prepare_force(replace(cell, effects=()), [log, sealed])
+    problem = problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
+    fit, scene = solve(problem), problem.scene
+    told = conditions_of(cell, sealed)
+    there = replace(scene, rows=setup.rows[1], conditions=told, arm=arm_of(cell, scene.theta, sealed.q, told), pressed=None)
+    return predict(there, fit.at.x, (), predict(there, fit.at.x)).fn
+
+
+def _of_whitened(kept: Kept, white: Array) -> Array:
+    """Rows of the system from columns (S, n, m) that are whitened row by row."""
+    short = [np.concatenate([s.blocks @ c[s.rows] for s in w.stretches]) for w, c in zip(kept.whiteners, white, strict=True)]
+    fast = np.einsum("snk,snm->km", kept.patterns, white)
+    return np.concatenate([*short, fast, np.zeros((kept.spare, white.shape[2]))])
+
+
+def _signature(active: Sequence[Active]) -> tuple[object, ...]:
+    return tuple(sorted((a.effect.name, a.joint, repr(scan_key(a.scanned))) for a in active))

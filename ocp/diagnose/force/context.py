@@ -1,0 +1,104 @@
+"""Numbers of contact samples for the effects' hooks, row by row: the believed model's own figures at its equilibrium."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ocp.diagnose.force.balance import STATE, Rows
+from ocp.diagnose.force.conditions import LogConditions, within_runs
+from ocp.effects.effect import Effect, Scanned
+from ocp.effects.engine.contact_rows import LAYOUT, ContactPlace, contact_columns
+from ocp.model.cell import Cell
+from ocp.model.force_balance import axis_directions
+from ocp.model.theta import BLOCKS
+from robots.pose import Array
+
+_EDGES = np.cumsum([0, *(size for _, size in LAYOUT.sizes)]).tolist()
+PLACE = {name: slice(i, j) for (name, _), i, j in zip(LAYOUT.sizes, _EDGES[:-1], _EDGES[1:], strict=True)}
+_STARTS = dict(zip(BLOCKS, np.cumsum([0, *(len(names) for names in BLOCKS.values())]).tolist(), strict=False))
+_AT = {name: slice(_STARTS[name], _STARTS[name] + len(names)) for name, names in BLOCKS.items()}  # of theta
+MOVING = 5e-6  # m/s of stroke below which the flange stands: what rounding of a log's columns alone makes
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Numbers (n, k) of n samples in the order of `contact_rows.LAYOUT`; columns that a log does not have are nan."""
+
+    values: Array
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def take(self, rows: Any) -> "Samples":
+        """The rows of an index or mask."""
+        return Samples(self.values[rows])
+
+    def at(self, name: str) -> Array:
+        """One field (n,) or (n, k)."""
+        out = self.values[:, PLACE[name]]
+        return out[:, 0] if out.shape[1] == 1 else out
+
+    def put(self, name: str, value: Array | float) -> None:
+        """Set a field of one number."""
+        self.values[:, PLACE[name].start] = value
+
+
+def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], samples: Samples) -> Array:
+    """A contact hook ("overlap", "push", "sensor", "shear") on samples for every variant: (V, n, m)."""
+    return contact_columns(effect, kind, joint, scans, ContactPlace(cell.wheel.radius, cell.wheel.friction), samples.values)
+
+
+def samples_of(cell: Cell, rows: Rows, conditions: LogConditions, F: Array, state: Array, stiffness: Array) -> Samples:
+    """Samples of rows in contact at forces F (n,) N with their state (n, 34); all of them in the order of `rows`.
+
+    Where theta turns the wheel's axis or shifts the blade the frames follow. `stroke_sign` is 0 until `with_stroke_sign`.
+    """
+    base, theta, wheel, c = rows.base, rows.theta, cell.wheel, conditions
+    T, w = state[:, STATE["T"]].reshape(-1, 4, 4), base.waypoint
+    R = T[:, :3, :3]
+    u, v = axis_directions(wheel.axis)
+    turned = theta[:, _AT["wheel_axis"]]
+    axis = wheel.axis - turned[:, :1] * v + turned[:, 1:] * u
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    off = np.einsum("kij,kj->ki", R, w[:, :3]) + T[:, :3, 3] - wheel.centre - theta[:, _AT["wheel_centre"]]
+    radial = off - np.sum(off * axis, axis=1, keepdims=True) * axis
+    e = radial / np.linalg.norm(radial, axis=1, keepdims=True)
+    own = _blade_turn(theta[:, _AT["blade_rotation"]]) @ cell.workpiece.T_flange_blade[:3, :3]
+    flange = R @ own.transpose(0, 2, 1)
+    n_base = np.einsum("kij,kj->ki", R, w[:, 3:6])
+    seen = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_give")
+    told = ("s", "setpoint", "feed", "belt", "time", "clock", "ground_before", "warm", "wheel_warm", "travel")
+    blocks = {name: state[:, STATE[name]] for name in seen} | {name: getattr(c, name) for name in told} | {
+        "F": F, "p": w[:, :3], "n": w[:, 3:6], "t": w[:, 6:9], "e": e, "belt_direction": np.cross(axis, e), "n_base": n_base,
+        "axis": axis, "R_flange": flange.reshape(-1, 9), "R_blade": R.reshape(-1, 9), "stroke_sign": 0.0,
+        "normal_stiffness": stiffness, "push_axis": _push_axis(cell, flange, n_base), "line": c.line,
+        "lever": np.abs(w[:, :3] @ cell.workpiece.clamp_normal - cell.workpiece.clamp_offset),
+        "clamp_give": F / cell.workpiece.clamp_stiffness,
+    }  # fmt: skip
+    return Samples(LAYOUT.stack(len(F), blocks))
+
+
+def with_stroke_sign(samples: Samples, run: Array, time: Array) -> Samples:
+    """Samples with the sign of the flange's stroke rate, +1 where it is pressed in, 0 where it stands."""
+    out = Samples(samples.values.copy())
+    rate = within_runs(run, time, samples.at("parts")[:, 0])
+    out.put("stroke_sign", np.where(np.abs(rate) > MOVING, np.sign(rate), 0.0))
+    return out
+
+
+def _push_axis(cell: Cell, R_flange: Array, n: Array) -> Array:
+    """Directions (n, 3) in which the flange pushes the blade, base frame; the contact's normal where it has no axis."""
+    if cell.flange is None or cell.flange.axis is None:
+        return n
+    direction = R_flange @ cell.flange.axis
+    return np.asarray(direction * np.where(np.sum(direction * n, axis=1, keepdims=True) < 0, -1.0, 1.0))
+
+
+def _blade_turn(r: Array) -> Array:
+    """Rotations (n, 3, 3) of small rotation vectors (n, 3) to second order, as `ocp.model.force_balance` takes them."""
+    S = np.zeros((len(r), 3, 3))
+    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -r[:, 2], r[:, 1], -r[:, 0]
+    S = S - S.transpose(0, 2, 1)
+    return np.asarray(np.eye(3) + S + 0.5 * S @ S)

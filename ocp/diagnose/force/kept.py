@@ -1,0 +1,181 @@
+"""The rows of a log that are handed on: averages over short blocks, and the fast patterns that averages would lose.
+
+Nearly all of what any effect does to a reading is slow against ten samples; averages of whitened rows keep it, with unit
+noise.
+What is fast (a runout, a splice) is kept as products with its own patterns, orthonormal to the averages. Of a family of
+hundreds of fast variants the most telling ones are kept; the others have their length in spare rows without data, so
+that each still pays for its freedom. docs/diagnosis_force.md, eq. 9.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ocp.diagnose.engine.system import Wave, scan_key
+from ocp.diagnose.force.columns import effect_columns
+from ocp.diagnose.force.fit import ForceFit, Problem
+from ocp.diagnose.force.whitening import Whitener
+from ocp.effects.effect import Effect, Scanned, Surroundings
+from robots.pose import Array
+
+LOST = 0.3  # share of a signature that the averages lose, from which its pattern is fast
+VISIBLE = 10.0  # squared whitened length of what they lose, at the prior's upper end, from which it matters
+FEW = 24  # columns of a fast family that are all kept
+MOST = 36  # of a larger one: so many of its most telling
+PROBES = 12  # variants of a family whose length is found exactly
+TOGETHER = 24  # variants evaluated at once
+
+Key = tuple[object, ...]
+Store = dict[str, tuple[tuple[Scanned, ...], Array]]  # fast columns (n, V m) of fn by effect: they hardly depend on the fit
+
+
+@dataclass(frozen=True)
+class Spare:
+    """A large fast family: which variants are kept whole, and the root (m, m) of the length that averages lose of each other."""
+
+    kept: frozenset[Key]
+    keys: tuple[Key, ...]
+    roots: Array
+    nearest: Array
+
+    def root(self, key: Key) -> Array | None:
+        """What stands in the spare rows of a variant (m, m); None where it is kept whole."""
+        if key in self.kept:
+            return None
+        at = self.keys.index(key) if key in self.keys else 0
+        return np.asarray(self.roots[self.nearest[at]])
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Rows of the whitened system: averages of each signal, products with the fast patterns, spare rows without data.
+
+    patterns (S, n, k): orthonormal whitened patterns of S signals together; back (S, n, k): through the filters' transposes.
+    """
+
+    whiteners: tuple[Whitener, ...]
+    patterns: Array = field(repr=False)
+    back: Array = field(repr=False)
+    spares: dict[str, Spare]
+    spare: int
+
+    def rows(self, columns: Sequence[Array]) -> Array:
+        """Columns (n, m) of each signal, N, as rows of the system (N, m)."""
+        short = [w.short(c) for w, c in zip(self.whiteners, columns, strict=True)]
+        fast = sum(b.T @ c for b, c in zip(self.back, columns, strict=True))
+        return np.concatenate([*short, np.asarray(fast), np.zeros((self.spare, columns[0].shape[1]))])
+
+    @property
+    def parts(self) -> list[int]:
+        """Rows of each signal's averages, of the fast patterns, spare."""
+        return [*(len(w.place) for w in self.whiteners), self.patterns.shape[2], self.spare]
+
+    def variants(self, effect: Effect, scans: Sequence[Scanned], columns: Sequence[Array]) -> Array:
+        """Columns (V, n, m) of each signal as rows (N, V, m)."""
+        V, n, m = columns[0].shape
+        out = self.rows([np.moveaxis(c, 0, 1).reshape(n, V * m) for c in columns]).reshape(-1, V, m)
+        spare = self.spares.get(effect.name)
+        if spare is not None:
+            for v, scanned in enumerate(scans):
+                root = spare.root(scan_key(scanned))
+                if root is not None:
+                    out[len(out) - self.spare : len(out) - self.spare + m, v] = root
+        return out
+
+
+def kept_rows(
+    problem: Problem, fit: ForceFit, effects: Iterable[Effect], seen: Surroundings, store: Store, waves: Sequence[Wave] = ()
+) -> Kept:
+    """The rows for this fit: fast patterns of `effects`, of all that is active and of waves that were picked."""
+    n, count = len(problem.log), len(fit.whiteners)
+    chosen, spares = [np.zeros((count, n, 0))], dict[str, Spare]()
+    for one in fit.active:
+        both = effect_columns(problem.scene, fit.at, fit.slopes, one.effect, one.joint, [one.scanned])
+        if both is not None:
+            chosen.append(_lost(fit, [c[0] for c in both]))
+    for wave in waves:
+        chosen.append(_lost(fit, [wave.columns, np.zeros_like(wave.columns)][:count]))
+    for effect in effects:
+        if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, seen):
+            continue
+        scans = tuple(effect.scan(0, seen))
+        made = _whole(problem, fit, effect, scans, store)
+        if len(scans) * effect.size <= FEW:
+            chosen += [_lost(fit, [c[v] for c in made]) for v in range(len(scans))]
+            continue
+        best, spares[effect.name] = _telling(fit, effect, scans, made)
+        chosen += [_lost(fit, [c[v] for c in made]) for v in best]
+    patterns = _orthonormal(np.concatenate(chosen, axis=2))
+    back = np.stack([w.back(p) for w, p in zip(fit.whiteners, patterns, strict=True)])
+    return Kept(fit.whiteners, patterns, back, spares, max((s.roots.shape[1] for s in spares.values()), default=0))
+
+
+def _lost(fit: ForceFit, columns: Sequence[Array]) -> Array:
+    """What the averages lose of columns (n, m) of each signal, whitened: (S, n, m)."""
+    return np.stack([w.lost(w.whole(c)) for w, c in zip(fit.whiteners, columns, strict=False)])
+
+
+def _is_fast(problem: Problem, fit: ForceFit, effect: Effect, seen: Surroundings) -> bool:
+    if not any((effect.overlap, effect.push, effect.sensor, effect.shear)):
+        return False
+    scans = effect.scan(0, seen)
+    if not len(scans):
+        return False
+    made = effect_columns(problem.scene, fit.at, fit.slopes, effect, 0, [scans[len(scans) // 2]])
+    if made is None:
+        return False
+    scale = np.asarray(effect.prior_sd)
+    white = [w.whole(c[0] * scale) for w, c in zip(fit.whiteners, made, strict=False)]
+    whole = sum(float(np.sum(c**2)) for c in white)
+    lost = sum(float(np.sum(w.lost(c) ** 2)) for w, c in zip(fit.whiteners, white, strict=False))
+    return lost > VISIBLE and lost > LOST * whole
+
+
+def _whole(problem: Problem, fit: ForceFit, effect: Effect, scans: Sequence[Scanned], store: Store) -> list[Array]:
+    """Columns (V, n, m) of each signal; those of a family of many are evaluated once."""
+    known = store.get(effect.name)
+    if known is not None and len(known[0]) == len(scans):
+        return [known[1][s] for s in range(len(fit.whiteners))]
+    parts = []
+    for start in range(0, len(scans), TOGETHER):
+        made = effect_columns(problem.scene, fit.at, fit.slopes, effect, 0, scans[start : start + TOGETHER])
+        assert made is not None
+        parts.append(np.stack(made[: len(fit.whiteners)]))
+    columns = np.concatenate(parts, axis=1)
+    store[effect.name] = (tuple(scans), columns)
+    return list(columns)
+
+
+def _telling(fit: ForceFit, effect: Effect, scans: Sequence[Scanned], made: Sequence[Array]) -> tuple[list[int], Spare]:
+    """Variants whose lost part the residual speaks for most, and the lengths of all."""
+    n, m, scale = made[0].shape[1], effect.size, np.asarray(effect.prior_sd)
+    keys = tuple(scan_key(s) for s in scans)
+    probes = np.unique(np.linspace(0, len(scans) - 1, PROBES).round().astype(int))
+    roots = []
+    for v in probes:
+        lost = _lost(fit, [c[v] for c in made]).reshape(-1, m)
+        roots.append(np.asarray(np.linalg.qr(lost, mode="r"), float))
+    nearest = np.array([int(np.argmin(np.abs(probes - v))) for v in range(len(scans))])
+    score = np.zeros((len(scans), m))
+    for s, (whitener, columns) in enumerate(zip(fit.whiteners, made, strict=False)):
+        rest = whitener.lost(fit.residual[s * n : (s + 1) * n, None])
+        score += np.einsum("vnm,n->vm", columns, whitener.back(rest)[:, 0])
+    G = np.stack([r.T @ r for r in roots]) * np.outer(scale, scale)
+    score *= scale
+    gain = np.einsum("vi,vij,vj->v", score, np.linalg.inv(G + np.eye(m))[nearest], score)
+    active = {scan_key(one.scanned) for one in fit.active if one.effect.name == effect.name}
+    best = list(np.argsort(-gain)[: max(MOST // m, 1)])
+    best += [v for v, key in enumerate(keys) if key in active and v not in best]
+    return best, Spare(frozenset({keys[v] for v in best} | active), keys, np.stack(roots), nearest)
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Orthonormal patterns (S, n, k) of the span of columns (S, n, m) over all signals together."""
+    count, n, m = columns.shape
+    if not m:
+        return columns
+    flat = columns.reshape(count * n, m)
+    size = np.linalg.norm(flat, axis=0)
+    U, s, _ = np.linalg.svd(flat[:, size > 0] / size[size > 0], full_matrices=False)
+    return np.asarray(U[:, s > 1e-6 * s[0]] if len(s) else flat[:, :0]).reshape(count, n, -1)

@@ -1,0 +1,82 @@
+"""Force readings nobody has seen: the believed contact refitted, and corrected by the named effects, with one sigma."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ocp.calibrate.force.log import ForceLog, Index
+from ocp.calibrate.force.rows import prepare_force
+from ocp.diagnose.engine.foreseen import Foreseen, foreseen
+from ocp.diagnose.engine.system import Sealed
+from ocp.diagnose.force.arm import arm_of
+from ocp.diagnose.force.balance import Balance
+from ocp.diagnose.force.believed import RUN_SD
+from ocp.diagnose.force.conditions import conditions_of
+from ocp.diagnose.force.fit import ForceFit, Problem, linear_normal, solve
+from ocp.diagnose.force.prediction import Predicted, Scene, predict
+from ocp.effects.effect import Effect
+from robots.pose import Array
+
+
+def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, ForceFit], sealed: ForceLog) -> Sealed:
+    """Normal readings (n, 1) N of `sealed` without and with effects, what the sensor adds in, and one sigma of the noise-free
+    value of the latter.
+
+    Effects for which `sealed` lacks a column are left out of the correction and counted in sigma, as they were in the log.
+    The wheel's law is fitted again to cover both logs, and the contact refitted to the first on it. Raises BadInput: points off
+    the blade.
+    """
+    problem, scene = after[0], after[0].scene
+    setup = prepare_force(scene.cell, [problem.log, sealed])
+    balance = Balance(scene.cell, setup.model.law)
+    used = float(scene.conditions.clock.max())
+    told = conditions_of(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
+    arm = arm_of(scene.cell, scene.theta, sealed.q, told)
+    there = Scene(scene.cell, balance, setup.rows[1], told, arm, scene.theta, scene.given)
+    found: list[tuple[ForceFit, Predicted]] = []
+
+    def has(effect: Effect) -> bool:
+        return set(effect.needs) <= told.given
+
+    for own, fit in (before, after):
+        if found and fit is before[1]:  # no effect
+            found.append(found[0])
+            continue
+        measured = replace(own, scene=replace(own.scene, balance=balance, rows=setup.rows[0]))
+        again = solve(measured, fit.active, fit)
+        known = foreseen(again.active, has).known
+        at = predict(there, again.at.x, known)
+        found.append((again, predict(there, again.at.x, known, at)))
+    (_, baseline), (fit, corrected) = found
+    parted = foreseen(fit.active, has)
+    setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
+    more = _changed(problem.log, sealed, setpoint) + _usual(scene, fit, parted)
+    sigma = _sigma(problem, there, fit, corrected, parted.kept, more)
+    return Sealed(baseline.fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
+
+
+def _usual(scene: Scene, fit: ForceFit, parted: Foreseen) -> float:
+    """Mean square N^2 of what the unknown ones of the active effects do to the normal reading in the log."""
+    if not parted.unknown:
+        return 0.0
+    ends = [predict(scene, fit.at.x, active, predict(scene, fit.at.x, active)).fn for active in (fit.active, parted.known)]
+    return float(np.mean((ends[1] - ends[0])[scene.rows.contact] ** 2))
+
+
+def _sigma(problem: Problem, there: Scene, fit: ForceFit, at: Predicted, kept: Index, more: float) -> Array:
+    """One sigma (n,) N: unknowns of the fit, of its effects' coefficients those `kept`, what runs differ by, and `more` N^2 of
+    what else is not known."""
+    r, o = problem.sizes
+    J = linear_normal(problem, there, at)
+    keep = np.r_[np.arange(r), r + o + kept]
+    covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
+    variance = np.einsum("ni,ij,nj->n", J, covariance, J) + (RUN_SD**2 + more) * there.rows.contact
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _changed(log: ForceLog, sealed: ForceLog, own: float) -> float:
+    """Mean square N^2 by which setpoints were off the cell's `own` N in a log that does not tell them, where readings nobody has
+    seen do not tell them either."""
+    if log.setpoint_sd is None or log.setpoint is None or sealed.setpoint is not None:
+        return 0.0
+    return float(np.mean((log.setpoint[log.contact] - own) ** 2))

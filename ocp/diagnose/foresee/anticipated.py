@@ -1,0 +1,122 @@
+"""What the named effects change where nobody has measured yet: new postures with every payload that the cell names.
+
+Nothing sealed is read. New readings are taken to come after the campaign, with any of the cell's payloads and at any temperature
+of the campaign: an effect that the refitted geometry hides among the payloads measured may show with another one, and then the
+baseline is worse than on the campaign itself.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ocp.diagnose.engine.findings import Alternative
+from ocp.diagnose.engine.system import scan_key
+from ocp.diagnose.foresee.planned import foreseen
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.tracker.refit import placed
+from ocp.effects.effect import Active
+from robots.calibration.residuals import points
+from robots.measurements import Index, Readings
+from robots.pose import Array
+
+LATER = 1.0 / 3.0  # of the campaign's duration: how far ahead new readings are thought
+POSTURES = 60  # of the campaign, evenly taken
+WARMTHS = (0.1, 0.5, 0.9)  # quantiles of the campaign's temperatures
+LEAST = 0.3  # K; less is one temperature
+TOGETHER = ([0], [1, 2], [3], [4], [5])  # axes whose angles stay together: the arm stays off the floor
+
+
+@dataclass(frozen=True)
+class Group:
+    """New readings with one payload at one temperature. moved (a, n, 3) m: what each alternative adds to the baseline; errors
+    (n, 3, p) m per unit of the accepted model's parameters; joints (n, 6) m^2 per rad^2: weight of the joints' lasting errors."""
+
+    payload: str
+    moved: Array
+    errors: Array
+    joints: Array
+
+
+@dataclass(frozen=True)
+class Anticipated:
+    """Groups of new readings; measured: names of the campaign's payloads; probability (a,) of every alternative, the accepted one
+    first; covariance (p, p) of the parameters of the accepted model; lasting (k, 6) draws of the joints' mean squares rad^2 that
+    no fit takes away."""
+
+    groups: tuple[Group, ...]
+    measured: tuple[str, ...]
+    probability: Array
+    covariance: Array
+    lasting: Array
+
+
+def anticipated(before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative] = (), seed: int = 0) -> Anticipated:
+    """One group for every payload of the cell and every temperature; others: alternatives, the accepted one (which `after` is)
+    first."""
+    readings = _later(after.readings, seed)
+    models = [_with(before, after, o.active) for o in others] or [after]
+    groups = []
+    for k in range(len(readings.payloads)):
+        for warmth in _warmths(after.readings):
+            new = replace(readings, payload=np.full(len(readings), k, np.int64))
+            new = new if warmth is None else replace(new, temperature=np.full(len(readings), warmth))
+            groups.append(_group(before, models, new))
+    told = np.array([o.probability for o in others] or [1.0])
+    measured = tuple(after.readings.payloads[k] for k in np.unique(after.readings.payload))
+    return Anticipated(tuple(groups), measured, told / told.sum(), models[0].fit.covariance, models[0].background.draws)
+
+
+def _with(before: TrackerChannel, after: TrackerChannel, active: tuple[Active, ...]) -> TrackerChannel:
+    """The channel with these effects; one of those given where it is that already."""
+    kinds = [[(a.effect.name, a.joint, scan_key(a.scanned)) for a in one] for one in (active, after.active)]
+    if not active:
+        return before
+    return after if kinds[0] == kinds[1] else after.with_active(active)
+
+
+def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readings) -> Group:
+    """Readings `new` about all fits."""
+    accepted, c = models[0], models[0].task.campaign
+    # Effects of the tracker and of the base act on where the reflector is: predicted, as nobody measured it.
+    place = points(c.robot, new, c.instrument, accepted.fit.state)
+    new = replace(new, point=place)
+    first = foreseen(accepted, new).fit
+    J = np.concatenate([first.linear.J, first.extra], axis=2)
+    there = [first.linear.point, *(_placed(m, new) for m in models[1:])]
+    moved = np.stack(there) - _placed(before, new)
+    return Group(new.payloads[int(new.payload[0])], moved, J, np.sum(first.linear.d_joints**2, axis=1))
+
+
+def _placed(channel: TrackerChannel, new: Readings) -> Array:
+    """Where a channel's fit predicts the reflectors of readings `new`, (n, 3) m."""
+    task = replace(channel.task, campaign=replace(channel.task.campaign, readings=new))
+    return placed(task, channel.fit.state, channel.fit.active)
+
+
+def _warmths(readings: Readings) -> list[float | None]:
+    """Temperatures deg C of new readings; None: as measured, or not."""
+    T = readings.temperature
+    if T is None or np.ptp(T) < LEAST:
+        return [None]
+    return [float(t) for t in np.quantile(T, WARMTHS)]
+
+
+def _later(readings: Readings, seed: int) -> Readings:
+    """New postures after the campaign's end, without loads: the angles of its axes in new combinations. On the campaign's own
+    postures a refit has hidden more of an effect than it will hide anywhere else."""
+    rng = np.random.default_rng(seed)
+    rows: Index = np.unique(np.linspace(0, len(readings) - 1, min(len(readings), POSTURES)).astype(np.int64))
+    like = readings.take(rows)
+    q, approach = like.q.copy(), None if like.approach is None else like.approach.copy()
+    for axes in TOGETHER:
+        order = rng.permutation(len(rows))
+        q[:, axes] = like.q[order][:, axes]
+        if approach is not None and like.approach is not None:
+            approach[:, axes] = like.approach[order][:, axes]
+    target = like.target[rng.permutation(len(rows))]
+    new = replace(like, q=q, approach=approach, target=target, turn=None, sigma_turn=None, load=np.zeros((len(rows), 6)))
+    if readings.time is None:
+        return new
+    share = (np.arange(len(rows)) + 1.0) / len(rows)
+    return replace(new, time=np.asarray(readings.time.max() + LATER * np.ptp(readings.time) * share))

@@ -1,0 +1,171 @@
+"""Before any data: what a planned measurement could see of every effect, and what it cannot (docs/diagnose.md, eq. 4).
+
+The planned readings make the same linear system as measured ones would. An effect of relative size t (share of the usual upper
+end, mean over its coefficients) has the detectability t^2 |M C|^2 / m; it is named nine times of ten above what
+`ocp.diagnose.verdict.visible` says, for this many variants and against the background of a good machine.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from ocp.calibrate.force.log import ForceLog
+from ocp.diagnose.engine.evidence import size_grid
+from ocp.diagnose.engine.families import log_odds, positive_of, ratio_of, rival_of
+from ocp.diagnose.engine.findings import Options
+from ocp.diagnose.engine.projection import project
+from ocp.diagnose.engine.system import Channel
+from ocp.diagnose.foresee.design_table import Column, Line, table
+from ocp.diagnose.foresee.planned_log import read_planned_log
+from ocp.diagnose.foresee.planned_poses import arm_expected, default_poses, planned_channel
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.verdict.visible import needed
+from ocp.effects.effect import Effect, Scanned, Surroundings
+from ocp.effects.library import library
+from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
+from robots.calibration.store import Calibration
+from robots.errors import BadInput
+from robots.measurements import read_readings
+from robots.pose import Array
+
+USUAL = Options()
+POSES, FULL = 50, 150  # the plan looked at where none is given; the campaign held against it
+MOST_SCANS = 24  # variants looked at; the median of them is told
+FORCE = "force"  # the channel of a planned log
+FREE_LIMIT = 1e-9  # lambda at the upper end below which nothing shows
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A planned measurement: the channel it would make, in words what it is."""
+
+    channel: Channel
+    what: str
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # as the diagnosis: threads only fight over matrices as small as these
+def design_text(cell: Path, poses: Path | None, log: Path | None = None) -> str:
+    """The table as text: of planned tracker readings (default: `POSES` of them, unless a log alone is planned), of a planned
+    force log, or of both. Raises BadInput: cell, poses or log malformed; Infeasible as the force model."""
+    setup = read_tracker_setup(cell)
+    known = list(library().values())
+    rows = None if log is None else read_planned_log(log)
+    columns, notes, arm = list[Column](), list[str](), None
+    if poses is not None or rows is None:
+        own = _tracker_plan(setup, poses)
+        full = Plan(planned_channel(setup, default_poses(setup, FULL, full=True)), "")
+        every = f"{FULL} poses, all payloads, both directions, warm-up: from"
+        columns += [Column(f"{own.what} see it from", seen_by(own.channel, known), own.what, "needs a force log (--log)")]
+        columns += [Column(every, seen_by(full.channel, known), "", "needs a force log (--log)")]
+        arm = arm_expected(own.channel) if poses is not None and isinstance(own.channel, TrackerChannel) else None
+    if rows is not None and log is not None:
+        plan = _force_plan(cell, rows, known, arm)
+        columns.append(Column(f"{plan.what} see it from", seen_by(plan.channel, known), plan.what, "needs the tracker (--poses)"))
+        notes += _assumed(rows)
+    return table(known, columns, notes)
+
+
+def _tracker_plan(setup: TrackerSetup, poses: Path | None) -> Plan:
+    if poses is None:
+        planned = default_poses(setup, POSES, full=False)
+        return Plan(planned_channel(setup, planned), f"{POSES} unidirectional poses with one payload")
+    planned = read_readings(poses, setup.payloads, setup.instrument, sealed=True)
+    if len(planned) < 20:
+        raise BadInput(f"{poses}: {len(planned)} readings tell nothing of an arm; plan at least 20")
+    return Plan(planned_channel(setup, planned), f"the {len(planned)} readings of {poses.name}")
+
+
+def _force_plan(cell: Path, log: ForceLog, known: Sequence[Effect], arm: Calibration | None) -> Plan:
+    """The believed contact of the plan. Of families of many variants only those that are looked at have their patterns kept."""
+    from ocp.diagnose.force.planned import planned_force_channel
+    from ocp.model.cell import read_cell  # only those who plan a log wait for the contact's imports
+
+    runs = len(log.runs)
+    what = f"the {len(log)} rows of {log.path.name} ({runs} recording{'s' if runs > 1 else ''})"
+    return Plan(planned_force_channel(read_cell(cell), log, [_with_few(e) for e in known], arm), what)
+
+
+def _with_few(effect: Effect) -> Effect:
+    """The effect with the variants that are looked at alone."""
+
+    def scan(joint: int, seen: Surroundings) -> list[Scanned]:
+        return _picked(tuple(effect.scan(joint, seen)))
+
+    return replace(effect, scan=scan)
+
+
+def _assumed(log: ForceLog) -> list[str]:
+    """What the sizes of a force log rest on beside the file."""
+    from ocp.diagnose.force.planned import LASTS, SIGMA
+
+    told = []
+    if log.sigma_fn is None:
+        lasts = f"half of its variance lasting {1e3 * LASTS:.0f} ms"
+        told.append(f"note: a reading's noise is taken to be {SIGMA:g} N, {lasts}; columns sigma_fn_N, sigma_ft_N say other")
+    if log.ft is None:
+        told.append("note: no column ft_N: the tangential force is taken not to be logged; add it (any number) if it will be")
+    return told
+
+
+def seen_by(channel: Channel, known: Sequence[Effect]) -> list[Line]:
+    """What planned readings see of every effect that changes them; why not of those that lack a column."""
+    system = channel.system
+    projection = project(system.nuisance, system.prior_sd)
+    kinds = sum(not channel.blind(e) for e in known)
+    found = []
+    for effect in known:
+        if not _shows(channel, effect):
+            continue
+        # A delay of all joints is nothing that a reading at rest sees.
+        places = [j for j in effect.places if j or not effect.joints or channel.name == FORCE]
+        blind = channel.blind(effect)
+        energies = {j: 0.0 if blind else energy_of(channel, projection.apply, effect, j) for j in places}
+        found += [Line(effect, j, smallest(channel, effect, j, energies, kinds), blind) for j in places]
+    return found
+
+
+def _shows(channel: Channel, effect: Effect) -> bool:
+    """Whether an effect changes this signal at all."""
+    return effect.on_arm or (effect.on_contact if channel.name == FORCE else effect.reading is not None)
+
+
+def energy_of(channel: Channel, project_out: Callable[[Array], Array], effect: Effect, joint: int) -> float:
+    """Detectability |M C|^2 / m of an effect at the usual upper end, the median of its variants."""
+    picked = _picked(_scans(channel, effect, joint))
+    found = [project_out(v.columns * v.prior_sd) for v in (channel.variants(effect, joint, picked) if picked else [])]
+    return float(np.median([(columns**2).sum() for columns in found])) / effect.size if found else 0.0
+
+
+def smallest(channel: Channel, effect: Effect, joint: int, energies: Mapping[int, float], kinds: int) -> float:
+    """Share of the usual upper end from which the effect is named nine times of ten; inf: never. energies: `energy_of` it at its
+    joints; `kinds` effects compete."""
+    energy = energies[joint]
+    if energy < FREE_LIMIT:
+        return np.inf
+    scans = _scans(channel, effect, joint)
+    odds, positive = log_odds(effect, kinds, USUAL), int(positive_of(effect).sum())
+    sizes, rival = size_grid(ratio_of(effect, scans)), rival_of(effect, joint, scans)
+    # Play of all joints stands against that of one: of the others it pays for what these readings show of them.
+    others = np.array([e for j, e in energies.items() if j != joint]) if rival is not None and rival.beside else None
+    among = max(len(scans), channel.surroundings.among.get(effect.name, 0))
+    return float(np.sqrt(needed(energy, effect.size, sizes, odds, among, positive, rival, others) / energy))
+
+
+def _scans(channel: Channel, effect: Effect, joint: int) -> tuple[Scanned, ...]:
+    """Variants that the diagnosis would try."""
+    if channel.name != FORCE:
+        return tuple(effect.scan(joint, channel.surroundings))
+    from ocp.diagnose.force.channel import ForceChannel
+
+    assert isinstance(channel, ForceChannel)
+    return channel.scan(effect, joint)
+
+
+def _picked(scans: Sequence[Scanned]) -> list[Scanned]:
+    """At most `MOST_SCANS`, evenly over the scan."""
+    if not scans:
+        return []
+    return [scans[k] for k in np.unique(np.linspace(0, len(scans) - 1, min(MOST_SCANS, len(scans))).round().astype(int))]

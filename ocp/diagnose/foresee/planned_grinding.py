@@ -1,0 +1,184 @@
+"""Grinding that nobody has logged yet: recordings of a log once more under other conditions, as rows of the same model."""
+
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+
+import numpy as np
+
+from ocp.calibrate.force.log import Flags, ForceLog, Index
+from ocp.calibrate.force.model import ForceRows
+from ocp.diagnose.force.channel import ForceChannel
+from robots.pose import Array
+
+EACH, SETTLING = 0.5, 2.0  # minutes: to begin the next recording; to begin at all
+SET = 1.0  # minutes to change a setpoint, the belt or the program's speed
+IDLE = 20.0  # minutes after which a wheel has cooled
+LADDER = (0.6, 0.8, 1.2, 1.4)  # of the usual setpoint
+HELD, STEP = 60.0, 0.1  # s that a point is pressed, s between its readings
+LINES = 6  # of the blade that are ground once more, at most
+
+
+@dataclass(frozen=True)
+class Grinding:
+    """Recordings that could be made: what to do, minutes, their log (readings nan) and the model's rows."""
+
+    do: str
+    minutes: float
+    log: ForceLog
+    rows: ForceRows
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording to make: rows (k,) of the log whose postures it has, contact; setpoint N, belt m/s, feed m/s and times since
+    its start (k,) s; idle: minutes before it."""
+
+    rows: Index
+    time: Array
+    setpoint: float
+    belt: float
+    feed: float
+    contact: bool = True
+    idle: float = 0.0
+
+
+def grindings(channel: ForceChannel) -> list[Grinding]:
+    """Air runs, other setpoints, feeds and belt speeds, the other direction, one point held, lines once more at once and after a
+    pause: of one line a side of the blade, or of all lines; none of a log without a recording of two rows in contact."""
+    own = usual(channel)
+    if not own:
+        return []
+    sides, all_of_them = own[:2], own[:LINES]
+    told = [_named(channel, one) for one in sides]
+    lines, belt, feed = " and ".join(told), sides[0].belt, sides[0].feed
+    ladder = _ladder(channel, sides[0].setpoint)
+    levels = ", ".join(f"{x:.3g}" for x in ladder)
+    # What to do, its recordings, minutes of preparing.
+    wanted: list[tuple[str, list[Recording], float]] = [
+        (f"air run: retract the flange and run {lines} in the air (contact = 0), then grind {told[0]} once",
+         [*(replace(r, contact=False) for r in sides), sides[0]], 0.0),
+        (f"repeat: grind {lines} twice more as before", [r for r in sides for _ in range(2)], 0.0),
+        (f"pause: let the wheel run idle for {IDLE:.0f} minutes, then grind {lines} again (clock_s, wheel_temperature_C)",
+         [replace(r, idle=IDLE if k == 0 else 0.0) for k, r in enumerate(sides)], 0.0),
+        (f"feed ladder: {lines} at {500 * feed:.0f} and {2000 * feed:.0f} mm/s (feed_mm_s)",
+         [_fed(r, factor) for factor in (0.5, 2.0) for r in sides], 2 * SET),
+        (f"other direction: {lines} from end to start", [replace(r, rows=r.rows[::-1]) for r in sides], 0.0),
+        (f"hold: press the middle of {told[0]} for a minute against the wheel at rest, lift, press again (belt_m_s = 0)",
+         [_held(sides[0])] * 2, SET),
+        (f"belt reversed: {lines} with belt_m_s = {-belt:g}", [replace(r, belt=-belt) for r in sides if belt], SET),
+        (f"wheel speed: {lines} with belt_m_s = {0.5 * belt:g}", [replace(r, belt=0.5 * belt) for r in sides if belt], SET),
+        (f"force ladder: {lines} at {levels} N (setpoint_N)",
+         [replace(r, setpoint=x) for x in ladder for r in sides], SET * len(ladder)),
+        (f"longer log: {len(all_of_them)} lines of the blade once more as before",
+         all_of_them if len(own) > len(sides) else [], 0.0),
+    ]  # fmt: skip
+    return [_behind(channel, do, recordings, more) for do, recordings, more in wanted if recordings]
+
+
+def _ladder(channel: ForceChannel, usual_force: float) -> list[float]:
+    """Setpoints N that the wheel's law covers; none without a flange, which sets them."""
+    scene = channel.problem.scene
+    low, high = scene.balance.law.limits["force"]
+    return [usual_force * share for share in LADDER if scene.cell.flange is not None and low <= usual_force * share <= high]
+
+
+def usual(channel: ForceChannel) -> list[Recording]:
+    """The recordings in contact as most of the log is, one a line, those of different sides of the blade first."""
+    log, c = channel.log, channel.problem.scene.conditions
+    firsts: list[tuple[float, Index]] = []
+    typical = {"setpoint": _mode(c.setpoint[log.contact]), "belt": _mode(c.belt[log.contact])}
+    for run in np.unique(log.run):
+        rows = np.flatnonzero((log.run == run) & log.contact)
+        if len(rows) > 1:
+            odd = sum(float(np.median(getattr(c, k)[rows]) != v) for k, v in typical.items())
+            firsts.append((odd, rows.astype(np.int64)))
+    sides: tuple[dict[int, Index], dict[int, Index]] = {}, {}
+    front = log.n[int(np.argmax(log.contact))]
+    for _, rows in sorted(firsts, key=lambda one: one[0]):
+        sides[int(log.n[rows[0]] @ front <= 0)].setdefault(int(c.line[rows[0]]), rows)
+    order = [rows for both in zip_longest(*(side.values() for side in sides)) for rows in both if rows is not None]
+    return [
+        Recording(
+            rows, log.time[rows] - log.time[rows[0]], float(np.median(c.setpoint[rows])), float(np.median(c.belt[rows])),
+            max(float(np.median(c.feed[rows])), 1e-3),
+        )
+        for rows in order
+    ]  # fmt: skip
+
+
+def _mode(values: Array) -> float:
+    kinds, count = np.unique(values, return_counts=True)
+    return float(kinds[int(np.argmax(count))])
+
+
+def _named(channel: ForceChannel, one: Recording) -> str:
+    log, row = channel.log, one.rows[0]
+    return f"the path of run {log.runs[log.run[row]]}" if log.line is None else f"line {log.line[row]}"
+
+
+def _fed(one: Recording, factor: float) -> Recording:
+    """The same path at another feed, logged as often in time."""
+    span, n = float(one.time[-1]), len(one.rows)
+    count = max(round((n - 1) / factor) + 1, 2)
+    return replace(
+        one, rows=one.rows[np.linspace(0, n - 1, count).round().astype(int)], time=np.linspace(0.0, span / factor, count),
+        feed=one.feed * factor,
+    )  # fmt: skip
+
+
+def _held(one: Recording) -> Recording:
+    """Its middle pressed for a while with the wheel at rest."""
+    time = np.arange(0.0, HELD, STEP)
+    return replace(one, rows=np.full(len(time), one.rows[len(one.rows) // 2]), time=time, belt=0.0)
+
+
+def _behind(channel: ForceChannel, do: str, wanted: list[Recording], more: float) -> Grinding:
+    """Recordings behind the end of the log, one after the other; more: minutes of preparing beside pauses."""
+    log, c = channel.log, channel.problem.scene.conditions
+    rows, sizes = np.concatenate([r.rows for r in wanted]), [len(r.rows) for r in wanted]
+    starts, minutes = list[float](), SETTLING + more
+    for r in wanted:
+        minutes += EACH + r.idle
+        starts.append(60.0 * minutes)
+        minutes += float(r.time[-1]) / 60.0
+
+    def told(values: list[float]) -> Array:
+        return np.repeat(np.asarray(values, float), sizes)
+
+    time = np.concatenate([r.time for r in wanted])
+    contact, cooled = told([float(r.contact) for r in wanted]) > 0, told(list(np.cumsum([r.idle for r in wanted]))) > 0
+    setpoint, belt = told([r.setpoint for r in wanted]), told([r.belt for r in wanted])
+    new = replace(
+        log.take(rows), run=np.repeat(np.arange(len(wanted)), sizes), runs=tuple(f"{k + 1}" for k in range(len(wanted))),
+        time=time, fn=np.full(len(rows), np.nan), contact=contact, s=c.s[rows],
+        setpoint=setpoint, setpoint_sd=None, feed=told([r.feed for r in wanted]), belt=belt,
+        clock=None if log.clock is None else float(log.clock.max()) + told(starts) + time,
+        ground_before=_ground(log, rows, sizes, contact),
+        temperature=_after(log, log.temperature, np.zeros(len(rows), bool)),
+        wheel_temperature=_after(log, log.wheel_temperature, cooled),
+    )  # fmt: skip
+    made = channel.problem.scene.rows.take(rows)
+    return Grinding(do, minutes, new, replace(made, setpoint=setpoint, belt=np.sign(belt), contact=contact))
+
+
+def _after(log: ForceLog, values: Array | None, cooled: Flags) -> Array | None:
+    """A temperature (n,) after the log: as at its end, as low as it ever was where the wheel has cooled."""
+    if values is None:
+        return None
+    last = values[-1] if log.clock is None else values[int(np.argmax(log.clock))]
+    return np.where(cooled, values.min(), last)
+
+
+def _ground(log: ForceLog, rows: Index, sizes: list[int], contact: Flags) -> Index | None:
+    """How often (n,) the line of each new row was ground before."""
+    if log.ground_before is None:
+        return None
+    line = np.zeros(len(log), np.int64) if log.line is None else log.line
+    count = {int(k): int(log.ground_before[(line == k) & log.contact].max(initial=-1)) + 1 for k in np.unique(line)}
+    out, start = np.zeros(len(rows), np.int64), 0
+    for size in sizes:
+        k = int(line[rows[start]])
+        out[start : start + size] = count[k]
+        count[k] += int(contact[start])
+        start += size
+    return out

@@ -1,0 +1,101 @@
+"""How well data, taken or planned, tell an effect from a rival: what of its signature the rival cannot imitate.
+
+    lambda(A | B) = min over b of |M (C_A a - C_B b)|^2
+
+a the value found, M the projection of the nuisance on all rows together (docs/diagnosis.md, eq. 2).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ocp.diagnose.engine.findings import Name, Ranked
+from ocp.diagnose.engine.projection import project
+from ocp.diagnose.engine.system import System, Variant
+from ocp.effects.effect import Effect, Scanned
+from robots.pose import Array
+
+NOTHING = "none"
+MOST_SCANS = 12  # variants of a rival that are tried
+
+
+class Seen(Protocol):
+    """Rows, taken or planned: of a channel all that is asked here."""
+
+    @property
+    def system(self) -> System:
+        """Whitened, with nuisance."""
+
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
+        """Columns of an effect; empty where these rows cannot show it."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """An effect with its value, its rival (None: nothing), and the probability of the first against the second now."""
+
+    first: Ranked
+    rival: Effect | None
+    joint: int
+    now: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of both."""
+        return (str(self.first.name), NOTHING if self.rival is None else str(Name(self.rival.name, self.joint)))
+
+
+def unlike(shared: Sequence[Seen], pair: Pair, beside: Sequence[Seen] = ()) -> float:
+    """lambda(A | B): what of the first's signature the rival and the nuisance cannot imitate. Rows `shared` have the same
+    nuisance; those `beside` one of their own each."""
+    every = [*shared, *beside]
+    projections = [
+        project(np.concatenate([c.system.nuisance for c in group]), group[0].system.prior_sd)
+        for group in (list(shared), *([c] for c in beside)) if group
+    ]  # fmt: skip
+    sizes = [len(c.system.residual) for c in every]
+    first = sum(sizes[: len(shared)])
+    cuts = np.cumsum([first, *sizes[len(shared) :]])[:-1] if shared else np.cumsum(sizes)[:-1]
+
+    def free(columns: Array) -> Array:
+        parts = np.split(columns, cuts)
+        return np.concatenate([p.apply(part) for p, part in zip(projections, parts, strict=True)])
+
+    left = free(np.concatenate([signature_or_none(c, pair) for c in every]))
+    if pair.rival is None:
+        return float(left @ left)
+    sd, columns = np.asarray(pair.rival.prior_sd, float), _rival_columns(every, pair.rival, pair.joint)
+    return min(float(np.sum(project(free(c), sd).apply(left) ** 2)) for c in columns)
+
+
+def signature(seen: Seen, pair: Pair) -> Array | None:
+    """What the first of a pair adds to the rows (N,); None where they cannot show it."""
+    one = pair.first.active
+    made = seen.variants(one.effect, one.joint, [one.scanned])
+    return made[0].columns @ one.a if made else None
+
+
+def signature_or_none(seen: Seen, pair: Pair) -> Array:
+    """As `signature`, zeros where there is none."""
+    found = signature(seen, pair)
+    return np.zeros(len(seen.system.residual)) if found is None else found
+
+
+def scans_of(every: Sequence[Seen], effect: Effect, joint: int) -> list[Scanned]:
+    """Variants of an effect that the first rows which show it offer, a few of them evenly over its scan."""
+    scans = next(([v.scanned for v in made] for c in every if (made := c.variants(effect, joint))), [])
+    pick = np.unique(np.linspace(0, len(scans) - 1, min(MOST_SCANS, len(scans))).round().astype(int))
+    return [scans[k] for k in pick]
+
+
+def _rival_columns(every: Sequence[Seen], rival: Effect, joint: int) -> list[Array]:
+    """Stacked columns (N, m) of the rival's variants; without rows that show it one of zeros."""
+    chosen = scans_of(every, rival, joint)
+    made = [c.variants(rival, joint, chosen) for c in every] if chosen else [[] for _ in every]
+    none = [np.zeros((len(c.system.residual), rival.size)) for c in every]
+    return [
+        np.concatenate([v[k].columns if v else zeros for v, zeros in zip(made, none, strict=True)])
+        for k in range(max(len(chosen), 1))
+    ]

@@ -1,0 +1,160 @@
+"""What the log of link-side encoders says at its instants: speeds, directions, load, the motor's angle a moment ago."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import savgol_filter
+
+from ocp.diagnose.joints.log import JointLog
+from robots.gravity import weight_torques
+from robots.measurements import Hanging, Index
+from robots.pose import Array
+from robots.robot import Robot
+
+MOST = 1500  # readings kept of a log: more of them are no more independent, and the search is linear in them
+LONGEST = 0.06  # s: delays are shorter (DIAGNOSIS, catalogue: up to 0.05)
+RIPPLE = 0.4  # s: window over which recorded torques are smoothed
+SLOW = 0.02  # of a joint's top speed, below which its direction is that of the motion before
+
+
+@dataclass(frozen=True)
+class Signals:
+    """n instants of a log, thinned.
+
+    log: those rows; qd, qdd (n, 6) rad/s, rad/s^2 of the motor side; direction (n, 6) sign of the last motion; tau (n, 6) N m
+    load torque, positive along +q (the motor's with the other sign); measured (6,) whether it was recorded or is the believed
+    arm's weight; splines[run][j]: motor angle in time.
+    """
+
+    log: JointLog
+    qd: Array
+    qdd: Array
+    direction: Array
+    tau: Array
+    measured: NDArray[np.bool_]
+    splines: tuple[tuple[CubicSpline, ...], ...]
+
+    def moving(self, joint: int) -> NDArray[np.bool_]:
+        """Rows (n,) in which a joint moves; all where it mostly rests. Stick friction hides what load a joint at rest has."""
+        speed = np.abs(self.qd[:, joint - 1])
+        found = np.asarray(speed > SLOW * speed.max())
+        return found if found.mean() > 0.3 else np.ones(len(found), bool)
+
+    def inside(self) -> NDArray[np.bool_]:
+        """Rows (n,) away from the ends of their run, where the motor's angle a delay ago (or ahead) was recorded too."""
+        out = np.zeros(len(self.log), bool)
+        for k, of_run in enumerate(self.splines):
+            rows = self.log.run == k
+            start, end = of_run[0].x[0], of_run[0].x[-1]
+            margin = min(LONGEST, 0.05 * (end - start))
+            out[rows] = (self.log.time[rows] >= start + margin) & (self.log.time[rows] <= end - margin)
+        return out
+
+    def motor(self, joint: int, delay: float) -> Array:
+        """Motor angle (n,) rad of a joint `delay` s before each instant; at the ends of a run the angle there."""
+        return self._at(joint, delay, 0)
+
+    def speed(self, joint: int, delay: float) -> Array:
+        """The same of the motor's speed, rad/s."""
+        return self._at(joint, delay, 1)
+
+    def _at(self, joint: int, delay: float, order: int) -> Array:
+        out = np.empty(len(self.log))
+        for k, of_run in enumerate(self.splines):
+            rows = self.log.run == k
+            spline = of_run[joint - 1]
+            at = self.log.time[rows] - delay
+            out[rows] = spline(np.clip(at, spline.x[0], spline.x[-1]), order)
+        return out
+
+
+def signals_of(log: JointLog, robot: Robot, payload: Hanging) -> Signals:
+    """Signals of a log, thinned to `MOST` readings. The sign of the recorded torques is the one with which the joints give way
+    (`load_sign`)."""
+    splines, qd, qdd, direction = _motion(log)
+    measured = np.asarray(np.isfinite(log.tau).any(axis=0))
+    tau = np.where(measured, -_smoothed(log, _filled(log)), weight_torques(robot, log.q, payload.mass, payload.com))
+    rows = _kept(log)
+    thin = Signals(log.take(rows), qd[rows], qdd[rows], direction[rows], tau[rows], measured, splines)
+    turned = np.where(thin.measured, load_sign(thin) * thin.tau, thin.tau)
+    return Signals(thin.log, thin.qd, thin.qdd, thin.direction, turned, measured, splines)
+
+
+def load_sign(signals: Signals) -> float:
+    """+1 where the recorded torques are the motor's, -1 where they are the load's.
+
+    A joint gives way to its load. The one sign of all joints with which link less motor angle, a constant and a lag apart,
+    goes along with the load; drives differ in what they call positive.
+    """
+    total = 0.0
+    for j in signals.log.joints:
+        if not signals.measured[j - 1]:
+            continue
+        gap = signals.log.link[:, j - 1] - signals.log.q[:, j - 1]
+        known = np.isfinite(gap)
+        columns = np.column_stack([np.ones(known.sum()), signals.qd[known, j - 1]])
+        both = np.column_stack([gap[known], signals.tau[known, j - 1]])
+        left = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
+        scale = float(np.linalg.norm(left[:, 0]) * np.linalg.norm(left[:, 1]))
+        total += float(left[:, 0] @ left[:, 1]) / scale if scale > 0 else 0.0
+    return -1.0 if total < 0 else 1.0
+
+
+def _motion(log: JointLog) -> tuple[tuple[tuple[CubicSpline, ...], ...], Array, Array, Array]:
+    """Splines of the motor side by run, speeds, accelerations, directions of the last motion."""
+    qd, qdd, direction = (np.zeros_like(log.q) for _ in range(3))
+    splines = []
+    for k in range(len(log.runs)):
+        rows = np.flatnonzero(log.run == k)
+        time = log.time[rows]
+        if len(rows) < 4:  # a run too short to differentiate stands still
+            still = CubicSpline([time[0], time[0] + 1.0], np.stack([log.q[rows[0]]] * 2))
+            splines.append(tuple(CubicSpline(still.x, still(still.x)[:, j]) for j in range(6)))
+            continue
+        of_run = tuple(CubicSpline(time, log.q[rows, j]) for j in range(6))
+        splines.append(of_run)
+        qd[rows] = np.stack([s(time, 1) for s in of_run], axis=1)
+        qdd[rows] = np.gradient(qd[rows], time, axis=0)
+    top = np.abs(qd).max(axis=0)
+    for k in range(len(log.runs)):
+        rows = np.flatnonzero(log.run == k)
+        sign = np.where(np.abs(qd[rows]) > SLOW * top, np.sign(qd[rows]), 0.0)
+        direction[rows] = np.stack([_held(sign[:, j]) for j in range(6)], axis=1)
+    return tuple(splines), qd, qdd, direction
+
+
+def _held(sign: Array) -> Array:
+    """Signs (n,) with every zero replaced by the sign before it."""
+    last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), -1))
+    return np.where(last >= 0, sign[np.maximum(last, 0)], 0.0)
+
+
+def _filled(log: JointLog) -> Array:
+    """Torques with gaps filled from their neighbours in time."""
+    tau = log.tau.copy()
+    for j in range(6):
+        known = np.flatnonzero(np.isfinite(tau[:, j]))
+        if 0 < len(known) < len(tau):
+            tau[:, j] = np.interp(np.arange(len(tau)), known, tau[known, j])
+    return tau
+
+
+def _smoothed(log: JointLog, tau: Array) -> Array:
+    """Torques without the current's ripple, which inertia keeps from the link; it would make springs look too stiff. A cubic over
+    the window keeps the load's own course (Savitzky and Golay 1964)."""
+    out = np.nan_to_num(tau)
+    for k in range(len(log.runs)):
+        rows = np.flatnonzero(log.run == k)
+        step = float(np.median(np.diff(log.time[rows]))) if len(rows) > 1 else RIPPLE
+        width = 2 * int(RIPPLE / step / 2) + 1
+        if 5 <= width <= len(rows):
+            out[rows] = savgol_filter(out[rows], width, 3, axis=0)
+    return out
+
+
+def _kept(log: JointLog) -> Index:
+    """Every so manieth row, so that `MOST` readings are left."""
+    count = int(np.isfinite(log.link[:, [j - 1 for j in log.joints]]).sum())
+    return np.arange(0, len(log), max(1, int(np.ceil(count / MOST))), dtype=np.int64)

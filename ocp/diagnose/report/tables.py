@@ -1,0 +1,145 @@
+"""Tables of a diagnosis: the evidence behind the one sentence."""
+
+from ocp.diagnose.answer import Answer, SignalGap, figures
+from ocp.diagnose.engine.findings import Name
+from ocp.diagnose.joints.channel import JointChannel
+from ocp.diagnose.joints.problem import nuisance_names
+from ocp.diagnose.report.words import SHORT, condition_words, effect_words, effects_words, figure, values_words
+from ocp.effects.library import library
+from ocp.report.section import Table, table
+
+MOST = 20
+
+
+def ranking_table(answer: Answer) -> Table:
+    """Effects by probability with values and detectability."""
+    d = answer.diagnosis
+    accepted = {Name(*a.key) for a in d.active}
+    rows = [
+        (
+            effect_words(r.name), f"{r.probability:.3f}", f"{r.log_evidence:+.1f}", f"{r.detectability:.0f}",
+            values_words(r.active.parameters, r.active.deviations), _plausible(r.active.parameters, r.name),
+        )
+        for r in d.ranking[:MOST]
+    ]  # fmt: skip
+    strong = [k for k, r in enumerate(d.ranking[:MOST]) if r.name in accepted]
+    columns = ("effect", "probability", "log evidence", "detectability", "value ± one sigma", "against the usual range")
+    return table(columns, rows, text=(0, 4, 5), strong=strong, title="Effects, bold where named")
+
+
+def _plausible(values: dict[str, object], name: Name) -> str:
+    """How a value stands against the typical range of the catalogue."""
+    words = []
+    for p in library()[name.effect].parameters:
+        value = values.get(p.key)
+        if not isinstance(value, int | float) or p.key in ("phase_rad", "order", "at_s") or p.high <= 0:
+            continue
+        if not p.signed and value < 0:
+            words.append(f"{p.key} has the wrong sign")
+        elif abs(value) > 3 * p.high:
+            words.append(f"{p.key} is {abs(value) / p.high:.1f} times the usual upper end: hardly plausible")
+        elif abs(value) > p.high:
+            words.append(f"{p.key} is above the usual {p.low:.1g} to {p.high:.1g}")
+        elif abs(value) < p.low:
+            words.append(f"{p.key} is below the usual {p.low:.1g} to {p.high:.1g}")
+    return "; ".join(words) if words else "usual"
+
+
+def explanations_table(answer: Answer) -> Table:
+    """Sets of effects with probability and evidence."""
+    rows = [
+        (effects_words(e.names), f"{e.probability:.4f}", f"{e.log_evidence:+.1f}") for e in answer.diagnosis.explanations[:12]
+    ]
+    rows += [("nothing at all", f"{answer.diagnosis.p_none:.4f}", "0.0")]
+    rows += [("something outside the catalogue", f"{answer.diagnosis.p_unknown:.4f}", "")]
+    return table(("explanation", "probability", "log evidence over none"), rows, title="Explanations as a whole")
+
+
+def gaps_table(answer: Answer) -> Table:
+    """Gap of every signal before and after."""
+    rows = []
+    for gap in answer.gaps:
+        before, after = figures(gap.before), figures(gap.after)
+        s = gap.shrinkage
+        told = "too small beside noise" if s is None else f"{100 * s.predicted:.0f} % ({100 * s.low:.0f} to {100 * s.high:.0f})"
+        cells = (SHORT[gap.name], gap.unit, figure(gap.noise_floor))
+        rows.append((*cells, *(figure(v[k]) for k in ("rms", "mean", "max") for v in (before, after)), told))
+    columns = (
+        "signal",
+        "unit",
+        "noise",
+        "rms before",
+        "after",
+        "mean before",
+        "after",
+        "max before",
+        "after",
+        "shrinkage expected",
+    )
+    return table(columns, rows, text=(0, 1, 9))
+
+
+def kernels_table(answer: Answer, left_over: bool) -> Table:
+    """Library-free tests, of the baseline's gap or of what the named effects leave."""
+    tests = answer.diagnosis.left_over if left_over else answer.diagnosis.kernels
+    rows = [
+        (SHORT[k.channel], condition_words(k.where), k.source, f"{k.gained:.1f}", f"{k.p_value:.3g}")
+        for k in sorted(tests, key=lambda k: k.p_value)[:12]
+    ]
+    title = "After the named effects: does anything still vary?" if left_over else "Before: what does the gap vary with?"
+    strong = [k for k, row in enumerate(rows) if float(row[4]) < 0.01]
+    return table(("signal", "varies with", "enters as", "evidence", "p-value"), rows, text=(0, 1, 2), strong=strong, title=title)
+
+
+def screened_table(answer: Answer) -> Table:
+    """What each effect's score test said before anything was accepted, and the smallest size that would show."""
+    rows = []
+    for s in sorted(answer.diagnosis.screened, key=lambda s: s.p_value)[:MOST]:
+        figures_of = (f"{s.gained:.1f}", f"{s.freedom}", f"{s.variants}", f"{s.p_value:.2g}")
+        rows.append((str(s.name), *figures_of, _size(s.smallest), f"{100 * s.left:.0f} %"))
+    columns = (
+        "effect",
+        "lambda gained",
+        "freedom",
+        "tried",
+        "p-value",
+        "smallest seen, of the usual upper end",
+        "of it left by the refit",
+    )
+    return table(columns, rows, title="Every effect alone, before any was accepted (those that fit best)")
+
+
+def _size(share: float) -> str:
+    return f"{100 * share:.0f} %" if share < 10 else "not seen"
+
+
+def folds_table(answer: Answer, gap: SignalGap) -> Table:
+    """Every fold: error before and after on what was left out."""
+    rows = []
+    scale = {"mm": 1e3, "N": 1.0, "arcsec": 206264.8}[gap.unit]
+    for h in answer.diagnosis.held_out.get(gap.name, ()):
+        values = [scale * v**0.5 for v in (h.before, h.after, h.noise)]
+        better = "" if h.after <= h.before else "worse"
+        rows.append((h.fold.name, h.fold.kind, str(len(h.before_rows)), *(figure(v) for v in values), better))
+    columns = ("left out", "kind", "readings", f"rms before, {gap.unit}", "after", "noise", "")
+    return table(columns, rows, text=(0, 1, 6), title=f"Left out: {SHORT[gap.name]}")
+
+
+def springs_table(gap: SignalGap) -> Table | None:
+    """Springs that were refitted as part of the believed cell, before and with the effects; None where there are none."""
+    before, after = gap.baseline, gap.corrected
+    if not (isinstance(before, JointChannel) and isinstance(after, JointChannel)) or not after.problem.springs:
+        return None
+    at = {name: k for k, name in enumerate(nuisance_names(after.problem))}
+    rows = []
+    for j, (believed, sd) in after.problem.springs.items():
+        values = (believed, sd, *(float(c.theta[at[f"spring {j}"]]) for c in (before, after)))
+        rows.append((f"joint {j}", *(f"{v:.3g}" for v in values)))
+    columns = ("rad/(N m)", "believed", "one sigma of that", "refitted alone", "refitted with the effects")
+    return table(columns, rows, title="Springs of the believed cell")
+
+
+def next_table(answer: Answer) -> Table:
+    """Experiments with minutes and what they tell."""
+    rows = [(e.do, f"{e.minutes:.0f}", " | ".join(e.tells_apart), f"{e.expected:.2f}") for e in answer.next]
+    return table(("experiment", "minutes", "tells apart", "probability expected"), rows, text=(0, 2))

@@ -1,0 +1,189 @@
+"""What of the joint noise comes back: play and gear ripple too small to name, found in what a fit leaves.
+
+A fit's joint noise holds repeatability, new at every reading, and errors that are the same whenever an axis comes back from the
+same side. Only the latter are in a reading free of noise, so only they limit what a corrected model can reach. They are learnt
+as a population, joints alike (hierarchical normal prior, its size on a grid that begins at zero: clean machines have none):
+
+    y = M sum_j d_j [ b_j s_j + c_j cos(k_j q_j) + d_j sin(k_j q_j) ] + e,    b_j ~ N(0, p^2),  c_j, d_j ~ N(0, r^2)        (1)
+
+y: projected residual of the fit, e: white, k_j: one order a joint, unknown. The sums over k_j are done joint by joint, each given
+what the others explain (mean field, Bishop 2006, section 10.1). What lasts in other ways is the share `OTHER` of the rest,
+weighed by what repeats say.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from ocp.diagnose.engine.projection import Projection, project
+from ocp.diagnose.tracker.refit import Held, Task
+from robots.measurements import Index
+from robots.pose import Array
+
+ORDERS = np.arange(3, 301)  # waves per turn, as the catalogue's gear_harmonic
+SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])  # rad: below what the catalogue names (2e-5, 3e-5)
+CLEAN = 0.5  # prior probability of no play at all, and of no ripple at all
+SWEEPS = 3
+MOST = 400  # readings that are looked at, evenly taken
+DRAWS = 500
+OTHER = (0.3, 6.0)  # beta distribution of the share of the rest that lasts too: 0.05 on average, nearly nothing mostly
+_SHARES = (np.arange(200) + 0.5) / 200
+
+
+@dataclass(frozen=True)
+class Background:
+    """Lasting joint errors: draws (k, 6) of each joint's mean square rad^2 from the posterior."""
+
+    draws: Array
+
+    @property
+    def mean(self) -> Array:
+        """Expected mean square (6,) rad^2."""
+        return np.asarray(self.draws.mean(axis=0))
+
+
+def background(task: Task, fit: Held, seed: int = 0) -> Background:
+    """The background that a fit's residual shows, its named effects taken out."""
+    rng = np.random.default_rng(seed)
+    n = len(task.campaign.readings)
+    rows = np.unique(np.linspace(0, n - 1, min(n, MOST)).astype(np.int64))
+    D = fit.linear.d_joints[rows]
+    y, columns, projection = _projected(task, fit, rows)
+    approach = task.campaign.readings.approach
+    found = np.zeros((DRAWS, 6))
+    if approach is not None and np.ptp(approach[rows], axis=0).any():
+        play = projection.apply(columns * np.repeat(approach[rows], 3, axis=0)) / _scale(y, projection)
+        mean, draws = _play(play, y / _scale(y, projection), rng)
+        found += draws**2
+        y = y - _scale(y, projection) * (play @ mean)
+    found += 0.5 * _ripple(task.campaign.readings.q[rows], columns, projection, y, rng)
+    return Background(found + _other(task, fit, found, np.sum(D**2, axis=(0, 1)), rng)[:, None])
+
+
+def _projected(task: Task, fit: Held, rows: Index) -> tuple[Array, Array, Projection]:
+    """Residual (3 r,) white about zero effects and the prior's nuisance, joints' columns (3 r, 6) not yet projected."""
+    layout = task.layout
+    J = np.concatenate([fit.linear.J, fit.extra], axis=2)
+    A = (fit.W[rows] @ J[rows]).reshape(3 * len(rows), -1)
+    sd = np.concatenate([layout.prior_sd, *[np.asarray(a.effect.prior_sd, float) for a in fit.active]])
+    offset = np.concatenate([np.where(np.isfinite(layout.prior_sd), fit.offset, 0.0), *[a.a for a in fit.active]])
+    projection = project(A, sd)
+    residual = np.einsum("nij,nj->ni", fit.W[rows], fit.linear.residual[rows]).ravel()
+    columns = (fit.W[rows] @ fit.linear.d_joints[rows]).reshape(3 * len(rows), 6)
+    return projection.apply(residual + A @ offset), columns, projection
+
+
+def _scale(y: Array, projection: Projection) -> float:
+    """Rms of white rows: the noise level of a fit is not quite that of its residual."""
+    return float(np.sqrt(max(float(y @ y), 1e-12) / max(len(y) - projection.free, 1)))
+
+
+def _weights(log: Array) -> Array:
+    """Posterior (s,) of the population's size from log evidences over size zero."""
+    prior = np.append(CLEAN, np.full(len(SIZES) - 1, (1.0 - CLEAN) / (len(SIZES) - 1)))
+    log = log + np.log(prior)
+    return np.asarray(np.exp(log - logsumexp(log)))
+
+
+def _play(C: Array, y: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Mean (6,) and draws (k, 6) of half widths rad of all joints' play."""
+    G, b = C.T @ C, C.T @ y
+    log, means, roots = [0.0], [np.zeros(6)], [np.zeros((6, 6))]
+    for size in SIZES[1:]:
+        precision = np.eye(6) / size**2 + G
+        V = np.linalg.inv(precision)
+        log.append(0.5 * float(b @ V @ b - np.linalg.slogdet(size**2 * precision)[1]))
+        means.append(V @ b)
+        roots.append(np.linalg.cholesky(V))
+    weight = _weights(np.array(log))
+    pick = rng.choice(len(SIZES), DRAWS, p=weight)
+    draws = np.array(means)[pick] + np.einsum("kij,kj->ki", np.array(roots)[pick], rng.normal(size=(DRAWS, 6)))
+    return weight @ np.array(means), draws
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Waves of one joint: X (N, 2 k) cosines, then sines; G (3, k): squares of cosines, of sines, products."""
+
+    X: Array
+    G: Array
+
+
+def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.random.Generator) -> Array:
+    """Draws (k, 6) of squared amplitudes rad^2, one wave a joint."""
+    scale = _scale(y, projection)
+    y = y / scale
+    lines = [_line(q[:, j], columns[:, j], projection, scale) for j in range(6)]
+    log, draws = [0.0], [np.zeros((DRAWS, 6))]
+    for size in SIZES[1:]:
+        means = np.zeros((6, len(y)))
+        squares = np.zeros((DRAWS, 6))
+        for sweep in range(SWEEPS):
+            for j, line in enumerate(lines):
+                rest = y - means.sum(axis=0) + means[j]
+                _, weight, centre, V = _wave(line, rest, size)
+                means[j] = line.X @ (weight * centre).ravel()
+                if sweep == SWEEPS - 1:
+                    squares[:, j] = _amplitudes(weight, centre, V, rng)
+        draws.append(squares)
+        log.append(_evidence(lines, means, y, size))
+    pick = rng.choice(len(SIZES), DRAWS, p=_weights(np.array(log)))
+    return np.asarray(np.array(draws)[pick, np.arange(DRAWS)])
+
+
+def _line(q: Array, column: Array, projection: Projection, scale: float) -> _Line:
+    """Waves of every order of a joint with angles q (r,) and whitened column (3 r,), per rad of amplitude."""
+    phase = np.outer(q, ORDERS)
+    waves = np.repeat(np.hstack([np.cos(phase), np.sin(phase)]), 3, axis=0)
+    X = projection.apply(column[:, None] * waves) / scale
+    c, s = X[:, : len(ORDERS)], X[:, len(ORDERS) :]
+    return _Line(X, np.stack([(c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)]))
+
+
+def _wave(line: _Line, y: Array, size: float) -> tuple[float, Array, Array, Array]:
+    """Log evidence of a wave of unknown order, posterior (k,) of the order, means (2, k), covariance (3, k) rad^2."""
+    b = (line.X.T @ y).reshape(2, -1)
+    p, q, r = line.G[0] + size**-2, line.G[1] + size**-2, line.G[2]
+    det = p * q - r * r
+    V = np.stack([q, p, -r]) / det
+    mean = np.stack([V[0] * b[0] + V[2] * b[1], V[2] * b[0] + V[1] * b[1]])
+    log = 0.5 * (b * mean).sum(axis=0) - 0.5 * np.log(det * size**4)
+    total = float(logsumexp(log))
+    return total - float(np.log(len(ORDERS))), np.exp(log - total), mean, V
+
+
+def _evidence(lines: list[_Line], means: Array, y: Array, size: float) -> float:
+    """Log evidence of all six waves over none, one joint after the other, the largest first."""
+    total, rest = 0.0, y
+    for j in np.argsort(-(means**2).sum(axis=1)):
+        log, weight, centre, _ = _wave(lines[j], rest, size)
+        total += log
+        rest = rest - lines[j].X @ (weight * centre).ravel()
+    return total
+
+
+def _amplitudes(weight: Array, mean: Array, V: Array, rng: np.random.Generator) -> Array:
+    """Draws (k,) of the squared amplitude rad^2."""
+    pick = rng.choice(len(weight), DRAWS, p=weight)
+    one, other = rng.normal(size=(2, DRAWS))
+    root = np.sqrt(V[0, pick])
+    slope = V[2, pick] / root
+    c = mean[0, pick] + root * one
+    s = mean[1, pick] + slope * one + np.sqrt(np.maximum(V[1, pick] - slope**2, 0.0)) * other
+    return np.asarray(c**2 + s**2)
+
+
+def _other(task: Task, fit: Held, found: Array, levers: Array, rng: np.random.Generator) -> Array:
+    """Draws (k,) rad^2 of what else lasts: a share of the joint noise beyond `found` (k, 6), joints weighed by their levers (6,)
+    m^2; the fewer the repeats, the more the prior says."""
+    rest = np.maximum(fit.noise.joints**2 - found @ levers / levers.sum(), 0.0)
+    prior = (OTHER[0] - 1.0) * np.log(_SHARES) + (OTHER[1] - 1.0) * np.log1p(-_SHARES)
+    repeats = task.repeats
+    if repeats is not None and repeats.freedom > 0 and fit.noise.joints > 0:
+        noise = float(np.sqrt(max(rest.mean(), 1e-18)))
+        # A scatter of v degrees of freedom is known to 1 / sqrt(2 v); half of it is the tracker's own noise.
+        sd = noise / np.sqrt(0.5 * repeats.freedom)
+        prior = prior - 0.5 * ((repeats.joints - noise * np.sqrt(1.0 - _SHARES)) / sd) ** 2
+    weight = np.exp(prior - logsumexp(prior))
+    return np.asarray(rest * rng.choice(_SHARES, DRAWS, p=weight))

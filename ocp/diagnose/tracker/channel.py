@@ -1,0 +1,244 @@
+"""The tracker as a channel: believed cell refitted, effects' columns, refits with effects inside."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ocp.diagnose.engine.foreseen import foreseen
+from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, scan_key
+from ocp.diagnose.tracker.background import Background, background
+from ocp.diagnose.tracker.baseline import relearned
+from ocp.diagnose.tracker.folds import tracker_folds
+from ocp.diagnose.tracker.held_out import held_out
+from ocp.diagnose.tracker.masses import MASS_SD, mass_columns
+from ocp.diagnose.tracker.masses import NAMES as MASS_NAMES
+from ocp.diagnose.tracker.motion import Seen, displaced, motion
+from ocp.diagnose.tracker.noise import is_restless, plain
+from ocp.diagnose.tracker.predict import predict
+from ocp.diagnose.tracker.refit import Held, Task, refit, settled
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.effects.motor_harmonic import ratios_of
+from robots.calibration.noise import reading_covariance, whitener
+from robots.gravity import weight_torques
+from robots.measurements import Readings
+from robots.pose import Array
+
+COLUMNS = {
+    "approach": "approach", "temperature_C": "temperature", "time_s": "time", "clock_s": "time", "target": "target",
+    "payload": "payload",
+}  # fmt: skip
+ANY = {"target", "payload"}  # one of them is as good as many
+LEAST_CHANGE = {"temperature_C": 0.3, "time_s": 60.0, "clock_s": 60.0}  # K, s: less is no change of conditions
+
+
+@dataclass(frozen=True)
+class TrackerChannel:
+    """Readings of reflectors with the fit of the believed arm and of the active effects.
+
+    Displacements of screened effects are kept over refits (`store`): they move by a thousandth when the geometry does. So is
+    what this channel was refitted to already (`refits`): what is anticipated and what is predicted ask for the same.
+    """
+
+    task: Task
+    fit: Held
+    store: dict[tuple[str, int], tuple[tuple[Scanned, ...], Array]] = field(default_factory=dict, repr=False)
+    name: str = "tracker"
+    unit: str = "mm"
+    refits: dict[tuple[object, ...], "TrackerChannel"] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @property
+    def readings(self) -> Readings:
+        """As measured."""
+        return self.task.campaign.readings
+
+    @cached_property
+    def seen(self) -> Seen:
+        """Readings as effects see them."""
+        c = self.task.campaign
+        return Seen(
+            c.robot,
+            c.readings,
+            c.instrument,
+            self.fit.state,
+            self.fit.linear.point,
+            self.task.reference,
+            self.task.start.arm[30:],
+        )
+
+    @property
+    def active(self) -> tuple[Active, ...]:
+        """Effects in the prediction."""
+        return self.fit.active
+
+    @property
+    def system(self) -> System:
+        """Whitened about the current fit."""
+        n = len(self.readings)
+        layout, linear = self.task.layout, self.fit.linear
+        J = np.concatenate([linear.J, self.masses], axis=2)
+        return System(
+            residual=np.einsum("nij,nj->ni", self.fit.W, linear.residual).ravel(),
+            nuisance=(self.fit.W @ J).reshape(3 * n, -1),
+            names=(*layout.names, *MASS_NAMES),
+            prior_sd=np.append(layout.prior_sd, np.full(len(MASS_NAMES), MASS_SD)),
+            offset=np.append(np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0), np.zeros(len(MASS_NAMES))),
+            reading=np.repeat(np.arange(n), 3),
+            component=np.tile(np.arange(3), n),
+        )
+
+    @cached_property
+    def masses(self) -> Array:
+        """What link masses other than believed do to the readings (n, 3, 5) m, to first order."""
+        return mass_columns(self.seen, self.fit.linear.d_joints)
+
+    @cached_property
+    def background(self) -> Background:
+        """What of the joint noise comes back, play and ripple too small to name."""
+        return background(self.task, self.fit)
+
+    @property
+    def noise_floor(self) -> float:
+        """Rms of a reading's noise in mm (3D)."""
+        c = self.task.campaign
+        S = reading_covariance(self.readings, c.instrument, plain(self.fit.noise), self.fit.linear.d_joints)
+        return float(1e3 * np.sqrt(np.trace(S, axis1=1, axis2=2).mean()))
+
+    def restless(self, scale: float) -> bool:
+        """Whether `scale` times the joint noise that the residual asks for is far above what such joints usually scatter."""
+        return is_restless(scale * self.fit.noise.joints)
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """For the scans."""
+        r, c = self.readings, self.task.campaign
+        seen = np.unique(r.target)
+        return Surroundings(
+            gear_ratio=c.robot.gear_ratio,
+            q_range=np.stack([r.q.min(axis=0), r.q.max(axis=0)], axis=1),
+            time=np.zeros(0) if r.time is None else np.sort(r.time),
+            targets=tuple(r.targets[k] for k in seen),
+            payloads=tuple(r.payloads[k] for k in np.unique(r.payload)),
+            robot=c.robot.name,
+            torque_max=c.robot.torque_max,
+            stiffness=c.robot.stiffness,
+        )
+
+    @property
+    def conditions(self) -> Conditions:
+        """What is known of the readings."""
+        r, c = self.readings, self.task.campaign
+        tau = np.zeros_like(r.q)
+        for k in np.unique(r.payload):
+            rows = r.payload == k
+            mass, *com = self.fit.state.payloads[k]
+            tau[rows] = weight_torques(c.robot, r.q[rows], mass, np.array(com))
+        several = {"session": r.sessions, "station": r.stations}
+        return Conditions(
+            signal=self.name, q=r.q, approach=r.approach, payload=r.payload, payloads=r.payloads, target=r.target,
+            targets=r.targets, time=r.time, clock=r.time, temperature=r.temperature,
+            session=r.session if len(several["session"]) > 1 else None,
+            station=r.station if len(several["station"]) > 1 else None,
+            tau=tau, d_joints=self.fit.linear.d_joints, d_tilts=self.seen.tilts, moments=self.seen.moments,
+            gear_ratio=ratios_of(self.surroundings), point=self.fit.linear.point, sight=self.seen.sight,
+        )  # fmt: skip
+
+    def blind(self, effect: Effect) -> str:
+        """Why it cannot be seen."""
+        if not (effect.on_arm or effect.reading is not None):
+            return f"{effect.name} does not move the arm or the tracker's readings"
+        for column in effect.needs:
+            value = getattr(self.readings, COLUMNS[column], None) if column in COLUMNS else None
+            if value is None:
+                return f"tracker.csv has no column {column}: {effect.name} cannot be seen"
+            if column not in ANY and np.ptp(value) < LEAST_CHANGE.get(column, 0.5):
+                return f"{column} hardly changes in tracker.csv: {effect.name} cannot be seen"
+        return ""
+
+    def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
+        """Whitened columns about the current fit."""
+        if self.blind(effect):
+            return []
+        chosen, moves = self._displaced(effect, joint, scans)
+        if not chosen:
+            return []
+        V, n, _, m = moves.shape
+        rows = (self.fit.W @ moves).reshape(V, 3 * n, m)
+        prior = np.asarray(effect.prior_sd, float)
+        return [Variant(effect.name, joint, s, rows[v], prior) for v, s in enumerate(chosen)]
+
+    def _displaced(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None) -> tuple[tuple[Scanned, ...], Array]:
+        """Displacements (V, n, 3, m) m per unit coefficient and their scanned values."""
+        key = (effect.name, joint)
+        if key in self.store and (scans is None or _same(scans, self.store[key][0])):
+            return self.store[key]
+        chosen = tuple(effect.scan(joint, self.surroundings) if scans is None else scans)
+        if not chosen:
+            return (), np.zeros((0, len(self.readings), 3, effect.size))
+        found = chosen, displaced(motion(effect, joint, chosen, self.seen), self.fit.linear.d_joints)
+        if scans is None and effect.torque is None:  # torques act through the springs, which a refit may move a lot
+            self.store[key] = found
+        return found
+
+    def with_active(self, active: tuple[Active, ...]) -> "TrackerChannel":
+        """Refitted with these effects, the geometry's learned prior with them."""
+        visible = tuple(a for a in active if not self.blind(a.effect))
+        key = tuple((*kind, a.a.tobytes()) for kind, a in zip(_kinds(visible), visible, strict=True))
+        if key not in self.refits:
+            fit = refit(self.task, self.fit.state, self.fit.offset, visible, self.fit.noise)
+            task = relearned(self.task, fit)
+            self.refits[key] = replace(self, task=task, fit=fit if task is self.task else settled(task, fit))
+        return self.refits[key]
+
+    def thinned(self, most: int) -> "TrackerChannel":
+        """Fitted to at most so many readings, evenly taken."""
+        n = len(self.readings)
+        if n <= most:
+            return self
+        rows = np.unique(np.linspace(0, n - 1, most).astype(np.int64))
+        campaign = replace(self.task.campaign, readings=self.readings.take(rows))
+        task = replace(self.task, campaign=campaign)
+        return replace(self, task=task, fit=refit(task, self.fit.state, self.fit.offset, (), self.fit.noise), store={})
+
+    def opened(self) -> "TrackerChannel":
+        """About the same fit with no reading set aside as gross."""
+        c = self.task.campaign
+        W = whitener(reading_covariance(c.readings, c.instrument, self.fit.noise, self.fit.linear.d_joints))
+        return replace(self, fit=replace(self.fit, W=W, weight=np.ones_like(self.fit.weight)))
+
+    def gap(self) -> Array:
+        """Residuals (n, 3) m."""
+        return self.fit.linear.residual
+
+    def whiten(self, changes: Array) -> Array:
+        """Whitened rows of changes (n, 3, m) m."""
+        return np.asarray((self.fit.W @ changes).reshape(3 * len(changes), -1))
+
+    def folds(self) -> list[Fold]:
+        """Blocked and extrapolation folds."""
+        return tracker_folds(self.readings)
+
+    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
+        """Judge `active` on a fold."""
+        return held_out(self.task, self.fit, fold, [a for a in active if not self.blind(a.effect)])
+
+    def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
+        """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
+        before, after = (self if _kinds(a) == _kinds(self.active) else self.with_active(a) for a in ((), active))
+        parted = foreseen(after.active, lambda effect: _told(effect, sealed))
+        return predict(before.task, before.fit, after.task, after.fit, after.background.mean, sealed, parted)
+
+
+def _told(effect: Effect, readings: Readings) -> bool:
+    """Whether conditions have the columns that an effect needs."""
+    return all(getattr(readings, COLUMNS[c], None) is not None for c in effect.needs if c in COLUMNS)
+
+
+def _kinds(active: tuple[Active, ...]) -> list[tuple[object, ...]]:
+    """Effects, joints and scanned values: what a refit does not change."""
+    return [(a.effect.name, a.joint, scan_key(a.scanned)) for a in active]
+
+
+def _same(one: Sequence[Scanned], other: Sequence[Scanned]) -> bool:
+    return len(one) == len(other) and all(scan_key(a) == scan_key(b) for a, b in zip(one, other, strict=True))

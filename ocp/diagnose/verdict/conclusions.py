@@ -1,0 +1,250 @@
+"""From the last linearisation and its weighed sets to the findings."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import fdtrc
+
+from ocp.diagnose.engine.beam import Search, Weighed, weigh
+from ocp.diagnose.engine.families import names_of, rival_of, stacked_columns
+from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
+from ocp.diagnose.engine.pool import Family, Given, given
+from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.engine.system import Channel
+from ocp.diagnose.verdict.alternatives import Weights, alternatives
+from ocp.diagnose.verdict.classes import merged, mistaken, threshold, twins
+from ocp.diagnose.verdict.judgement import accepted, judged
+from ocp.diagnose.verdict.location import of_effect, of_kernel, of_tests
+from ocp.diagnose.verdict.probabilities import SURE, Names, Posterior, posterior
+from ocp.diagnose.verdict.spectrum import spectra
+from ocp.diagnose.verdict.tests_without_library import budget, kernel_tests
+from ocp.diagnose.verdict.visible import needed
+from ocp.effects.effect import Active, Effect
+from robots.pose import Array
+
+RANKED = 12  # names that are told with their values
+NEARLY = 2.0  # factor on the threshold below which two effects are alike at the first linearisation
+SUSPECT = 0.75  # share of a suspect explanation's probability that goes to 'none of these'
+
+
+def findings(
+    baseline: tuple[Channel, ...],
+    first: Problem,
+    problem: Problem,
+    search: Search,
+    library: Mapping[str, Effect],
+    options: Options,
+    refused: Sequence[tuple[Name, str]] | None = None,
+) -> Diagnosis:
+    """All of `Diagnosis`; baseline: all readings without effects; first: the linearisation before anything was accepted;
+    refused: impostors with their folds, where the names were chosen by held-out errors already."""
+    found = posterior(problem, search)
+    weighed, best = leader(search, found)
+    active = problem.values(weighed)
+    channels = accepted(baseline, problem, active)
+    vain = [(Name(*a.key), "no fit with it comes to rest") for a in active] if channels is None else []
+    if channels is None:
+        weighed, active, channels = Weighed(0.0, ()), (), tuple(baseline)
+    signatures = [signature(problem, weighed, a) for a in active]
+    ranked = ranking(problem, search, found)
+    classes = declared(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
+    judgement = judged(baseline, problem, channels, active, signatures, options.folds, refused)
+    doubts, because = [*vain, *judgement.doubts], [(n, f"hurts where {f} is left out") for n, f in judgement.impostors]
+    probability, p_unknown = doubted(found, best, bool(doubts or judgement.hurt), judgement.relieved)
+    if judgement.relieved:
+        ranked = tuple(replace(r, probability=(1.0 - SUSPECT) * r.probability) for r in ranked)
+    nothing, all_of_it = given(problem.pool, ()), problem.taken(search.seen[search.best()[0]])
+    tests = kernel_tests(problem, nothing) if options.where else []
+    after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
+    return Diagnosis(
+        explanations=explanations(probability, found, classes),
+        ranking=ranked,
+        active=judgement.kept,
+        p_none=found.p_none,
+        p_unknown=p_unknown,
+        classes=classes,
+        location=place(problem, found, active, signatures, p_unknown, tests),
+        budget=tuple(budget(problem, tests, all_of_it)),
+        kernels=tuple(tests),
+        left_over=tuple(after),
+        spectrum=tuple(spectra(problem, problem.pool.y, options.seed)) if options.where else (),
+        screened=screened(first),
+        impostors=judgement.impostors,
+        unknown_because=tuple(f"{n}: {why}" for n, why in (*doubts, *because)),
+        blind=blind(baseline, library, options),
+        baseline=baseline,
+        channels=judgement.channels,
+        held_out=judgement.held_out,
+        alternatives=alternatives(
+            problem, search, found, Weights(probability, found.p_none, p_unknown), (weighed, best), judgement.kept
+        ),
+    )
+
+
+def leader(search: Search, found: Posterior) -> tuple[Weighed, Names]:
+    """The set whose effects are accepted and its explanation: the best of those that lead (none, none of these with whatever is
+    named beside the unknown, or the most probable explanation)."""
+    told = max(found.probability, key=lambda n: found.probability[n], default=())
+    if found.p_unknown > 0.5:
+        keys = [k for k in search.seen if search.kernel[list(k)].any()]
+        best = search.seen[max(keys, key=lambda k: search.seen[k].log)]
+        families = search.pool.families
+        sure = tuple(m for m in best.members if found.gain.get(families[m.family].name, np.inf) > SURE)
+        return replace(best, members=sure), ()
+    if not told or found.p_none >= found.probability[told]:
+        return Weighed(0.0, ()), ()
+    return search.seen[found.best[told]], told
+
+
+def named_part(problem: Problem, weighed: Weighed) -> Given:
+    """The library's members of a set as given, priors at the upper ends."""
+    return problem.taken(Weighed(0.0, tuple(problem.named(weighed))))
+
+
+def signature(problem: Problem, weighed: Weighed, one: Active) -> Array:
+    """Projected signature (N,) of an effect of a set at its value."""
+    for m in weighed.members:
+        family = problem.pool.families[m.family]
+        if family.effect is one.effect and family.name.joint == one.joint:
+            return np.asarray(problem.pool.columns(m) @ (one.a / family.scale))
+    raise KeyError(one.effect.name)
+
+
+def declared(
+    first: Problem, problem: Problem, search: Search, weighed: Weighed, signatures: Sequence[Array]
+) -> tuple[tuple[Name, ...], ...]:
+    """Classes of the accepted effects, with these signatures, and what cannot be told from them: here, and where nothing was
+    active yet, for a column at the fit may hold the accepted effect's own pattern (`ocp.diagnose.engine.products`)."""
+    index, found = problem.index, []
+    for (name, alike), d in zip(alike_at(first, problem, weighed), signatures, strict=True):
+        member = next(m for m in weighed.members if m.family == index[name])
+        here = [n for n in twins(problem, weighed, member, d) if alike is None or n in alike]
+        found.append((name, *here, *mistaken(problem, search.seen, weighed, member)))
+    return merged(found)
+
+
+def alike_at(first: Problem, problem: Problem, weighed: Weighed) -> list[tuple[Name, set[Name] | None]]:
+    """Accepted names of a set in the order of their values, each with those that are nearly like it at the first linearisation;
+    None where it was no candidate there."""
+    names = [Name(*a.key) for a in problem.values(weighed)]
+    there = weigh(first.pool, [first.index[n] for n in names if n in first.index])
+    found = list[tuple[Name, set[Name] | None]]()
+    values = {Name(*a.key): a for a in first.values(there)}
+    for name in names:
+        if name not in values:
+            found.append((name, None))
+            continue
+        member = next(m for m in there.members if m.family == first.index[name])
+        d = signature(first, there, values[name])
+        found.append((name, {*twins(first, there, member, d, NEARLY), *names}))
+    return found
+
+
+def suspected(problem: Problem, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:
+    """Class of the first name of the ranking, where nothing is accepted: too weak to be sure of, it may still be measured again,
+    and that under any name of its class."""
+    if not ranked or ranked[0].detectability < threshold(ranked[0].active.effect.size):
+        return ()
+    name = ranked[0].name
+    f = problem.index[name]
+    weighed = max((s for k, s in search.seen.items() if f in k), key=lambda s: s.log)
+    member = next(m for m in weighed.members if m.family == f)
+    return merged([(name, *twins(problem, weighed, member, signature(problem, weighed, ranked[0].active)))])
+
+
+def doubted(found: Posterior, best: Names, suspect: bool, every: bool = False) -> tuple[dict[Names, float], float]:
+    """Probabilities of explanations and p_unknown, with what speaks against the best one (or against `every` one) moved over."""
+    if not suspect or not best:
+        return dict(found.probability), found.p_unknown
+    moved = {n: SUSPECT * p if every or n == best else 0.0 for n, p in found.probability.items()}
+    return {n: p - moved[n] for n, p in found.probability.items()}, found.p_unknown + sum(moved.values())
+
+
+def explanations(
+    probability: dict[Names, float], found: Posterior, classes: Sequence[tuple[Name, ...]]
+) -> tuple[Explanation, ...]:
+    """By probability; sets that differ by names of one class are one, under the more probable of its names."""
+    head = {name: min(c) for c in classes for name in c}
+    groups: dict[Names, list[Names]] = {}
+    for names in sorted(probability, key=lambda n: -probability[n]):
+        groups.setdefault(tuple(sorted({head.get(n, n) for n in names})), []).append(names)
+    told = [Explanation(g[0], sum(probability[n] for n in g), max(found.log[n] for n in g)) for g in groups.values()]
+    return tuple(sorted(told, key=lambda e: -e.probability))
+
+
+def ranking(problem: Problem, search: Search, found: Posterior) -> tuple[Ranked, ...]:
+    """Names by probability to a hundredth, then, where they are probable, by how much of the gap is theirs, else by the evidence
+    for them against their absence (not against their being in the background); values are those of the best set that has them."""
+    told = []
+    for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < 0.5, -found.gain[n]))[:RANKED]:
+        f = problem.index[name]
+        key = max((k for k in search.seen if f in k), key=lambda k: search.seen[k].log)
+        one = next(a for a in problem.values(search.seen[key]) if a.key == (name.effect, name.joint))
+        d = signature(problem, search.seen[key], one)
+        told.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
+    return tuple(sorted(told, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > 0.5 else 0.0)))
+
+
+def place(
+    problem: Problem, found: Posterior, active: Sequence[Active], signatures: Sequence[Array], p_unknown: float,
+    tests: list[KernelTest],
+) -> Location | None:  # fmt: skip
+    """Of the largest named effect, else of the kernel that best stands for an unknown one, else of the tests."""
+    if active and p_unknown < 0.5:
+        k = int(np.argmax([d @ d for d in signatures]))
+        return of_effect(problem, active[k].effect, active[k].joint, signatures[k])
+    if found.where and found.p_unknown > found.p_none:
+        joints: dict[int, float] = {}
+        for name, p in found.where.items():
+            joints[name.joint] = joints.get(name.joint, 0.0) + p
+        joint = max(joints, key=lambda j: joints[j])
+        return of_kernel(max((n for n in found.where if n.joint == joint), key=lambda n: found.where[n]))
+    return of_tests(tests)
+
+
+def screened(problem: Problem) -> tuple[Screened, ...]:
+    """Score tests of every library effect before anything is accepted."""
+    pool, found = problem.pool, []
+    total = float(pool.y @ pool.y)
+    energies = {f.name: float(np.einsum("nvi,nvi->v", f.columns, f.columns).max()) for f in pool.families if f.effect is not None}
+    for i, family in enumerate(pool.families):
+        if family.effect is None:
+            continue
+        k, start = pool.place[i]
+        g, V = pool.groups[k], family.columns.shape[1]
+        G, b = g.G[start : start + V], g.b[start : start + V]
+        gained = np.einsum("vi,vi->v", b, np.linalg.solve(G + 1e-9 * np.eye(g.m), b[..., None])[..., 0])
+        best = int(np.argmax(gained))
+        ratio = gained[best] / g.m / max((total - gained[best]) / (pool.freedom - g.m), 1e-9)
+        p, among = float(fdtrc(g.m, pool.freedom - g.m, ratio)), max(V, family.among)
+        energy = float(np.trace(G[best])) / g.m
+        rival = rival_of(family.effect, family.name.joint, family.scans)
+        own = family.name
+        others = np.array([e for n, e in energies.items() if n.effect == own.effect and n.joint != own.joint]) / g.m
+        beside = others if rival is not None and rival.beside else None
+        odds = family.log_odds + float(np.log(among / V))
+        price = needed(energy, g.m, family.sizes, odds, among, int(family.positive.sum()), rival, beside)
+        smallest = float(np.sqrt(price / max(energy, 1e-12)))
+        left = share_left(problem, family, best, energy * g.m)
+        found.append(Screened(family.name, float(gained[best]), g.m, among, min(1.0, 1 - (1 - p) ** among), smallest, left))
+    return tuple(sorted(found, key=lambda s: s.p_value))
+
+
+def share_left(problem: Problem, family: Family, variant: int, projected: float) -> float:
+    """Share of lambda that the nuisance leaves of a family's signature; projected: mean square over its coefficients with it."""
+    if family.effect is None:
+        return np.nan
+    columns, scans = stacked_columns(problem.channels, family.effect, family.name.joint, [family.scans[variant]])
+    whole = float(np.sum((columns[:, 0] * family.scale) ** 2)) if scans else 0.0
+    return projected / whole if whole > 0 else np.nan
+
+
+def blind(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options) -> tuple[str, ...]:
+    """Effects that no channel can see, with the reason of the channel that could in principle."""
+    found = []
+    for effect in dict.fromkeys(e for e, _ in names_of(library, options)):
+        reasons = [c.blind(effect) for c in channels]
+        if all(reasons):
+            found.append(max(reasons, key=lambda r: "column" in r))
+    return tuple(found)

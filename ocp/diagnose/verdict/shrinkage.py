@@ -1,0 +1,169 @@
+"""How far the gap shrinks once the named effects are in the model: predicted before anyone opens anything sealed.
+
+    G^2 = max(0, mean square of the error - noise^2),    shrinkage = 1 - G_after / G_before          (FORMATS)
+
+Three ways. Tracker: what the effects change on the campaign's postures with every payload the cell names, beside what remains in
+any case, the parameters' errors and gear errors too small to name (`from_model`, docs/diagnose.md, eq. 2). Force logs: the same
+on the log's recordings, later (`ocp.diagnose.force.shrinkage`). Encoders: what readings that were left out say, interpolation
+folds and conditions withheld as a whole (`from_folds`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit, log_ndtr, ndtr, ndtri
+
+from ocp.diagnose.engine.system import HeldOut
+from ocp.diagnose.foresee.anticipated import Anticipated
+from robots.pose import Array
+
+NULL = 0.2  # of the noise: a gap below it is none to speak of (FORMATS)
+LEVEL = 0.9  # of the interval
+DRAWS = 1000
+STRETCHES = 60  # parts of a fold that are drawn as wholes
+NEW = 0.25  # weight of extrapolation folds among the draws
+WORST = -1.0  # a shrinkage below this says no more than "harmful"
+WHOLE, REST = 0.9, 0.25  # probability that nothing is unexplained; of the noise's mean square, what else is
+# Dirichlet weights of payloads in new readings: one half is Jeffreys' for an unknown mixture, and what is new is rather a payload
+# that was not measured than one that was.
+MEASURED, UNMEASURED = 0.5, 1.0
+_ROWS = ("before_rows", "after_rows", "noise_rows")
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """1 - G_after / G_before to expect on new data, with a 90 % interval."""
+
+    predicted: float
+    low: float
+    high: float
+
+
+NONE = Shrinkage(0.0, 0.0, 0.0)
+"""Where no effect is named nothing changes."""
+
+
+def realised(before: float, after: float, noise: float) -> float | None:
+    """Shrinkage from mean squares; None where the gap before is below a fifth of the noise."""
+    gap = before - noise
+    if gap <= NULL**2 * noise or gap <= 0:
+        return None
+    return float(1.0 - np.sqrt(max(after - noise, 0.0) / gap))
+
+
+def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: int = 0) -> Shrinkage | None:
+    """Of tracker readings: what is anticipated, folds for what the effects leave unexplained, noise: mean square m^2. Drawn are
+    which alternative is true, payloads and temperature, postures, parameters' errors and the joints' lasting errors. None: no
+    gap to speak of."""
+    rng = np.random.default_rng(seed)
+    errors = drawn_errors(new.covariance, rng)
+    lasting = new.lasting[rng.integers(len(new.lasting), size=DRAWS)]
+    true = rng.choice(len(new.probability), DRAWS, p=new.probability)
+    after, before = np.zeros(DRAWS), np.zeros(DRAWS)
+    for share, g in zip(_conditions(new, rng).T, new.groups, strict=True):
+        n = g.errors.shape[0]
+        off = (errors @ g.errors.reshape(3 * n, -1).T).reshape(-1, n, 3)
+        rows = share[:, None] * rng.dirichlet(np.ones(n), DRAWS)  # postures drawn anew (Rubin 1981, the Bayesian bootstrap)
+        joints = lasting @ g.joints.T
+        told = np.tensordot(new.probability, g.moved, 1)
+        after += np.sum(rows * (np.sum((told - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
+        before += np.sum(rows * (np.sum((off - g.moved[true]) ** 2, axis=2) + joints), axis=1)
+    rest = _unexplained(held, _estimation(new), rng)
+    if np.median(before + rest) <= NULL**2 * noise:
+        return None
+    return interval(1.0 - np.sqrt((after + rest) / (before + rest)))
+
+
+def _estimation(new: Anticipated) -> float:
+    """Mean square m^2 that the parameters' errors leave."""
+    each = [np.einsum("nij,jk,nik->n", g.errors, new.covariance, g.errors, optimize=True).mean() for g in new.groups]
+    return float(np.mean(each))
+
+
+def drawn_errors(covariance: Array, rng: np.random.Generator) -> Array:
+    """Draws (k, p) of the parameters' errors; by eigenvectors, as free frames and small coefficients differ by many powers."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(rng.normal(size=(DRAWS, len(scale))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T * scale)
+
+
+def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:
+    """Draws (k, g) of the share of every group: payloads mixed, one temperature at a time."""
+    names = list(dict.fromkeys(g.payload for g in new.groups))
+    mixture = rng.dirichlet([MEASURED if n in new.measured else UNMEASURED for n in names], DRAWS)
+    of = np.array([names.index(g.payload) for g in new.groups])
+    rank = np.array([np.sum(of[:i] == p) for i, p in enumerate(of)])  # of the temperature
+    chosen = rng.integers(rank.max() + 1, size=DRAWS)
+    return np.asarray(mixture[:, of] * (rank == chosen[:, None]))
+
+
+def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shrinkage | None:
+    """Of one signal from its folds; estimation: mean square SI^2 that the parameters' errors leave in any case. None where the
+    gap is below a fifth of the noise or nothing could be left out."""
+    inside = [h for h in held if not h.fold.extrapolates]
+    outside = [h for h in held if h.fold.extrapolates]
+    if not inside:
+        inside, outside = outside, []
+    if not inside:
+        return None
+    before, after, noise = (float(np.mean(np.concatenate([getattr(h, k) for h in inside]))) for k in _ROWS)
+    if realised(before, after, noise) is None:
+        return None
+    rng = np.random.default_rng(seed)
+    found = [_drawn(rng, inside, estimation, DRAWS)]
+    judged = [h for h in outside if realised(h.before, h.after, h.noise) is not None]
+    if judged:
+        count = int(len(found[0]) * NEW / (1.0 - NEW))
+        pick = np.bincount(rng.integers(len(judged), size=count), minlength=len(judged))
+        found += [_drawn(rng, [h], estimation, int(k)) for h, k in zip(judged, pick, strict=True) if k]
+    every = np.concatenate(found)
+    return interval(every if len(every) else np.zeros(1))
+
+
+def interval(draws: Array) -> Shrinkage:
+    """Median and interval of draws (k,) of the shrinkage."""
+    draws = np.maximum(draws, WORST)
+    low, middle, high = np.quantile(draws, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2])
+    return Shrinkage(float(middle), float(low), float(high))
+
+
+def _unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Generator) -> Array:
+    """Draws (k,) of the mean square m^2 by which something is unexplained: nothing with prior probability `WHOLE`, else an
+    exponential about `REST` of the noise, given how much worse than noise and estimation make them random folds are."""
+    rows = [(h.after_rows - h.noise_rows, h.noise_rows) for h in held if h.fold.kind == "random"]
+    if not rows:
+        return np.zeros(DRAWS)
+    excess, noise = (np.concatenate(part) for part in zip(*rows, strict=True))
+    told = float(excess.mean()) - 1.25 * estimation  # fitted to four fifths of the readings
+    error, scale = max(float(excess.std()) / len(excess) ** 0.5, 1e-300), REST * float(noise.mean())
+    # A normal likelihood times an exponential prior is a normal about `centre`, cut at zero.
+    centre = told - error**2 / scale
+    log = 0.5 * (centre / error) ** 2 + float(log_ndtr(centre / error)) + np.log(error / scale) + 0.5 * np.log(2 * np.pi)
+    there = expit(log + np.log((1 - WHOLE) / WHOLE))
+    uniform = rng.uniform(size=DRAWS)
+    size = centre - error * ndtri(ndtr(centre / error) * (1.0 - uniform))
+    return np.where(rng.uniform(size=DRAWS) < there, np.maximum(size, 0.0), 0.0)
+
+
+def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float, draws: int) -> Array:
+    """Bootstrap draws (up to `draws`,) of the shrinkage over stretches of the folds' readings; none where a draw has no gap."""
+    sums, count, excused = np.zeros((draws, 3)), np.zeros(draws), np.zeros(draws)
+    for h in held:
+        n = len(h.before_rows)
+        pieces = min(n, STRETCHES)
+        starts = np.array([part[0] for part in np.array_split(np.arange(n), pieces)])
+        whole = np.stack([np.add.reduceat(getattr(h, name), starts) for name in _ROWS], axis=1)
+        sizes = np.diff(np.append(starts, n)).astype(float)
+        pick = rng.integers(pieces, size=(draws, pieces))
+        sums += whole[pick].sum(axis=1)
+        taken = sizes[pick].sum(axis=1)
+        count += taken
+        excused += h.estimation * taken
+    before, after, noise = (sums / count[:, None]).T
+    after = after - excused / count  # what the fold's own want of readings did; that of all readings is `estimation`
+    gap = before - noise
+    there = (gap > NULL**2 * noise) & (gap > 0.0)
+    # What is left is known to chance only; the parameters' errors are there in any case.
+    left = np.maximum(after - noise, np.minimum(estimation, gap))[there]
+    return np.asarray(1.0 - np.sqrt(left / gap[there]))

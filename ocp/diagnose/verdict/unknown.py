@@ -1,0 +1,116 @@
+"""When a named effect is not believed: values no machine shows, terms that cancel each other, and impostors.
+
+An impostor helps where readings lie among those it was fitted to, and where a condition was left out it hurts and its value is
+another. What speaks against a name moves its probability to 'none of these'. So does a set that explains no reading, only why the
+registration is not where it was believed to be.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from ocp.diagnose.engine.families import positive_of
+from ocp.diagnose.engine.findings import Name
+from ocp.diagnose.engine.system import Channel, HeldOut
+from ocp.effects.effect import Active
+from robots.errors import Infeasible
+from robots.pose import Array
+
+IMPLAUSIBLE = 3.0  # times the upper end of the typical range
+CANCELS = 0.25  # of two signatures' lengths together: what is left when they cancel
+HURTS, SURE = 0.3, 4.0  # of the mean square gap, standard errors: impostors multiply the gap, a small true term misses by chance
+DRIFTS = 3.0  # standard errors: an effect of the right form has the same value wherever it is seen
+RELIEF = 0.25  # of the squares that effects take away: what must be the readings'
+TOLD = 10.0  # squares below which nothing is said of their shares
+GAP = 0.2  # of the noise: gaps below it can neither be helped nor hurt
+
+
+def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
+    """Names with values over three times the range, two standard errors sure, with what is wrong."""
+    found = []
+    for one in active:
+        upper = np.asarray(one.effect.prior_sd, float)
+        sd = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
+        if (np.abs(one.a) - 2 * sd > IMPLAUSIBLE * upper).any():
+            found.append((Name(*one.key), "its value is over three times what real cells show"))
+        for a, s, positive, key in zip(one.a, sd, positive_of(one.effect), one.effect.coefficients, strict=True):
+            if positive and a < -3 * s:
+                told = one.effect.parameters[0].key if key == "share" else key
+                found.append((Name(*one.key), f"{told} comes out with the wrong sign"))
+        why = one.effect.doubt(one.a, sd, one.scanned) if one.effect.doubt else ""
+        if why:
+            found.append((Name(*one.key), why))
+    return found
+
+
+def cancelling(names: Sequence[Name], signatures: Sequence[Array]) -> list[tuple[Name, str]]:
+    """Pairs of effects whose signatures (N,) all but cancel: each stands for what the other overdoes."""
+    found = []
+    for i in range(len(names)):
+        for k in range(i):
+            a, b = signatures[i], signatures[k]
+            if np.linalg.norm(a + b) < CANCELS * min(np.linalg.norm(a), np.linalg.norm(b)):
+                found.append((names[i], f"it all but cancels {names[k]}"))
+    return found
+
+
+@runtime_checkable
+class Registered(Protocol):
+    """A channel that knows how far its own registration had to go from what was believed of it."""
+
+    def gained(self) -> tuple[float, float]:
+        """Squares that the active effects take from the whitened readings, and from the unknowns of the registration."""
+
+
+def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[tuple[Name, str]]:
+    """Names of a set that explains hardly any reading and merely brings the registration nearer to what was believed, with what
+    is wrong. Readings that a registration meets, but only one nobody believes, are as likely a belief that does not hold, or an
+    effect outside the catalogue that acts like one. Not asked where another channel sees the effects too, nor of effects of the
+    arm: where the arm is is what they change."""
+    found = list[tuple[Name, str]]()
+    for channel in channels:
+        seen = [a for a in active if not channel.blind(a.effect)]
+        elsewhere = any(not other.blind(a.effect) for a in seen for other in channels if other is not channel)
+        if not seen or elsewhere or any(a.effect.on_arm for a in seen) or not isinstance(channel, Registered):
+            continue
+        readings, registration = channel.gained()
+        if registration > 0 and readings + registration > TOLD and readings < RELIEF * (readings + registration):
+            why = "readings are met hardly better with it, the registration is only nearer to what was believed"
+            found += [(Name(*a.key), why) for a in seen]
+    return found
+
+
+def impostors(
+    channels: Sequence[Channel], active: tuple[Active, ...], held: Mapping[str, Sequence[HeldOut]]
+) -> list[tuple[Name, str]]:
+    """Effects without which the readings of a left-out condition are met better, with the fold that says so."""
+    found = []
+    for channel in channels:
+        folds = [h for h in held.get(channel.name, ()) if h.fold.extrapolates]
+        for i, one in enumerate(active):
+            if channel.blind(one.effect):
+                continue
+            rest = active[:i] + active[i + 1 :]
+            for h in folds:
+                try:
+                    other = channel.held_out(h.fold, rest) if rest else None
+                except Infeasible:  # nothing fits without it: no impostor
+                    break
+                without = h.before_rows if other is None else other.after_rows
+                drifts = not h.drift or h.drift[one.key] > DRIFTS
+                if drifts and hurts(h.after_rows, without, h.noise, h.estimation):
+                    found.append((Name(*one.key), h.fold.name))
+                    break
+    return found
+
+
+def hurts(with_rows: Array, without_rows: Array, noise: float, estimation: float) -> bool:
+    """Whether squared errors (r,) are larger with an effect than without, surely, by more than a little of the gap and by more
+    than what its value's uncertainty on the rest (estimation) excuses."""
+    change = with_rows - without_rows
+    error = float(change.std(ddof=1) / np.sqrt(len(change))) if len(change) > 1 else np.inf
+    gap = max(float(without_rows.mean()) - noise, GAP**2 * noise)
+    return bool(
+        change.mean() > HURTS * gap and change.mean() > SURE * (error + estimation) and with_rows.mean() > noise * (1 + GAP**2)
+    )

@@ -1,1 +1,0 @@
-"""Diagnosis of the gap between the believed cell and its readings: where it lies, which effect causes it, how far it shrinks."""

@@ -1,1 +1,0 @@
-"""The laser tracker's readings as a channel of the diagnosis."""

@@ -1,0 +1,148 @@
+"""Many instants of the arm as flat rows, and the context that hooks of arm effects see of one of them."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.effects.context import ArmContext
+from ocp.effects.engine.compiled import Layout, run_rows
+from robots.calibration.reading_model import RowInputs
+from robots.compliance import deflected_joints
+from robots.gravity import GRAVITY, gravity_torques
+from robots.kinematics import chain
+from robots.pose import Array
+from robots.robot import Robot
+
+LAYOUT = Layout(
+    (
+        ("q", 6), ("q_real", 6), ("tau", 6), ("c", 6), ("approach", 6), ("speed", 6), ("warm", 1), ("time", 1),
+        ("payload", 4), ("hung", 1), ("frames", 84),
+    )
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ArmPlace:
+    """What is the same in all rows: a robot's constants as bytes, and the names of payloads."""
+
+    sign: bytes
+    gear_ratio: bytes
+    link_mass: bytes
+    link_com: bytes
+    payloads: tuple[str, ...]
+
+    @staticmethod
+    def of(robot: Robot, payloads: tuple[str, ...]) -> "ArmPlace":
+        """Of a robot."""
+        sign, ratio, mass, com = (
+            np.asarray(a, float).tobytes() for a in (robot.sign, robot.gear_ratio, robot.link_mass, robot.link_com)
+        )
+        return ArmPlace(sign, ratio, mass, com, payloads)
+
+    def context(self, row: ca.SX) -> ArmContext:
+        """What hooks see of a symbolic row."""
+        x = LAYOUT.split(row)
+        frames = [_frame(x["frames"][12 * i : 12 * i + 12]) for i in range(7)]
+        return arm_context(
+            frames, np.frombuffer(self.sign), np.frombuffer(self.link_mass), np.frombuffer(self.link_com).reshape(7, 3),
+            np.frombuffer(self.gear_ratio), self.payloads, **{name: x[name] for name, _ in LAYOUT.sizes if name != "frames"},
+        )  # fmt: skip
+
+
+def arm_context(
+    frames: list[ca.SX], sign: Array, link_mass: Array, link_com: Array, gear_ratio: Array, payloads: tuple[str, ...], **x: ca.SX
+) -> ArmContext:
+    """The context of an instant with link frames (4, 4) and the symbols of `LAYOUT` by name."""
+
+    def weight_torque(mass: Any, com: Any) -> ca.SX:
+        p = frames[6][:3, 3] + frames[6][:3, :3] @ com
+        torques = []
+        for j in range(6):
+            z, lever = frames[j][:3, 2], p - frames[j][:3, 3]
+            torques.append(sign[j] * mass * GRAVITY * (z[1] * lever[0] - z[0] * lever[1]))
+        return ca.vertcat(*torques)
+
+    return ArmContext(
+        frames=frames, sign=sign, link_mass=link_mass, link_com=link_com, gear_ratio=gear_ratio, payloads=payloads,
+        weight_torque=weight_torque, **x,
+    )  # fmt: skip
+
+
+def _frame(numbers: ca.SX) -> ca.SX:
+    """(4, 4) of twelve numbers, rows of [R p]."""
+    return ca.vertcat(ca.reshape(numbers, 4, 3).T, ca.DM([[0, 0, 0, 1]]))
+
+
+@dataclass(frozen=True)
+class ArmRows:
+    """n instants: place, and state (n, k) in the order of `LAYOUT`; columns that are unknown are nan."""
+
+    place: ArmPlace
+    state: Array
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    def block(self, name: str) -> Array:
+        """Columns of `LAYOUT` by name."""
+        return LAYOUT.block(self.state, name)
+
+    @property
+    def origins(self) -> Array:
+        """Origins (n, 7, 3) m of the link frames in the base frame."""
+        return self.block("frames").reshape(-1, 7, 3, 4)[..., 3]
+
+
+def arm_rows(
+    robot: Robot,
+    arm: Array,
+    inputs: RowInputs,
+    payloads: tuple[str, ...] = (),
+    hung: Array | None = None,
+    approach: Array | None = None,
+    warm: Array | None = None,
+    time: Array | None = None,
+    speed: Array | None = None,
+) -> ArmRows:
+    """Rows of readings `inputs` of `robot` with parameters arm (36,) (`reading_model.ARM_NAMES`).
+
+    hung (n,): index of each row's payload in `payloads`; approach (n, 6); warm (n,) K above the cell's reference; time (n,) s
+    on the campaign's clock; speed (n, 6) rad/s. What is None is unknown: effects that need it come out as nan (as zero where
+    only an instant is asked of it).
+    """
+    n = len(inputs.q)
+    masses = tuple(np.asarray(a, float).tobytes() for a in (robot.sign, robot.link_mass, robot.link_com))
+    whole = np.broadcast_to(arm, (n, 36))
+    state = run_rows(_state(inputs.load_link, *masses), inputs.q, whole, inputs.payload, inputs.load, inputs.load_place)
+    blocks = {
+        "q": inputs.q, "q_real": state[:, :6], "tau": state[:, 6:12], "frames": state[:, 12:], "c": arm[30:], "warm": warm,
+        "approach": approach, "speed": speed, "time": time, "payload": inputs.payload, "hung": 0.0 if hung is None else hung,
+    }  # fmt: skip
+    return ArmRows(ArmPlace.of(robot, payloads), LAYOUT.stack(n, blocks))
+
+
+@lru_cache(maxsize=32)
+def _state(load_link: int, sign_: bytes, mass_: bytes, com_: bytes) -> ca.Function:
+    """(q, arm, payload, load, place) -> q_real (6), tau (6), frames (7 x 12)."""
+    q, arm, payload = ca.SX.sym("q", 6), ca.SX.sym("arm", 36), ca.SX.sym("payload", 4)
+    load, place = ca.SX.sym("load", 6), ca.SX.sym("place", 3)
+    sign, mass, com = np.frombuffer(sign_), np.frombuffer(mass_), np.frombuffer(com_).reshape(7, 3)
+    mdh = ca.reshape(arm[:30], 5, 6).T
+
+    def torque(joints: ca.SX) -> ca.SX:
+        weight = gravity_torques(joints, mdh, sign, mass, com, payload[0], payload[1:])
+        frames = chain(joints, mdh, sign)
+        at = frames[load_link][:3, 3] + frames[load_link][:3, :3] @ place
+        pull = [
+            sign[j] * ca.dot(frames[j][:3, 2], ca.cross(at - frames[j][:3, 3], load[:3]) + load[3:]) if j < load_link else 0
+            for j in range(6)
+        ]
+        return weight + ca.vertcat(*pull)
+
+    real = deflected_joints(q, torque, arm[30:])
+    frames = ca.vertcat(*(ca.vec(frame[:3, :].T) for frame in chain(real, mdh, sign)))
+    out = ca.vertcat(real, torque(real), frames)
+    return ca.Function("arm_state", [q, arm, payload, load, place], [ca.cse(ca.densify(out))])

@@ -1,1 +1,0 @@
-"""The paper's experiments on virtual robots: positions before and after, force at working points (`ocp.experiments`)."""

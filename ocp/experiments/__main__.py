@@ -1,0 +1,58 @@
+"""`python -m ocp.experiments`: the paper's experiments on many virtual robots, with its numbers beside ours."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ocp.data import CELL
+from ocp.shell.command import main, run, shown_phases
+from robots.errors import BadInput
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def experiments(
+    cell: Annotated[Path, typer.Option(help="the cell file")] = CELL,
+    robots: Annotated[int, typer.Option(help="how many virtual robots")] = 30,
+    seed: Annotated[int, typer.Option(help="number of the first robot")] = 0,
+    poses: Annotated[int, typer.Option(help="readings of each calibration")] = 40,
+    mount: Annotated[str, typer.Option(help="flange, rigid or both")] = "both",
+    jobs: Annotated[int, typer.Option(help="processes; 0: as many as there are cores")] = 0,
+    out: Annotated[Path, typer.Option(help="folder to write")] = Path("experiments"),
+    overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
+) -> None:
+    """Calibrate virtual robots, compensate, grind: positions by four methods and force after each step, with a report."""
+    from ocp.experiments.course import MOUNTS
+    from ocp.experiments.many import run_trials, trials_json
+    from ocp.experiments.report import write_experiments
+    from ocp.experiments.summary import last_line
+    from ocp.model.cell import read_cell  # heavy imports only once the arguments stand
+    from ocp.shell.output import check_output, whole_folder
+    from ocp.shell.workers import cores
+
+    def job() -> str:
+        if mount not in (*MOUNTS, "both"):
+            raise BadInput(f"--mount '{mount}' is not flange, rigid or both")
+        for name, value, least, most in (("robots", robots, 1, 10000), ("poses", poses, 20, 1000), ("seed", seed, 0, 2**31)):
+            if not least <= value <= most:
+                raise BadInput(f"--{name} {value} must lie between {least} and {most}")
+        check_output(out, overwrite, [cell])
+        believed = read_cell(cell)
+        mounts = list(MOUNTS) if mount == "both" else [mount]
+        seeds = list(range(seed, seed + robots))
+        with shown_phases() as phases:
+            trials = run_trials(believed, mounts, seeds, poses, jobs or cores(), phases)
+        options: dict[str, object] = {"cell": believed.name, "robots": robots, "seed": seed, "poses": poses, "mounts": mounts}
+        with whole_folder(out, overwrite) as folder:
+            (folder / "experiments.json").write_text(trials_json(trials, options))
+            write_experiments(trials, believed.process.force, (), folder)
+        return f"{out}: {last_line(trials, believed.process.force)}. {out / 'report.html'} has tables and figures."
+
+    sys.exit(run(job, "no experiment"))
+
+
+if __name__ == "__main__":
+    main(app)

@@ -1,1 +1,0 @@
-"""A grinding-force log as evidence: what it says of wheel, blade, flange and sensor, jointly with the arm."""

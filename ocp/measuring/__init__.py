@@ -1,1 +1,0 @@
-"""Measuring the arm: what the cell says of the tracker, and where readings tell most."""

@@ -1,0 +1,285 @@
+"""The cell in SI units: robot, blade in its holder, wheel, force flange, process."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ocp.effects.cell_effects import CellEffect, effect_of
+from ocp.model.cell_schema import CellTables, ConditionsTable, FlangeTable, PayloadTable, WheelTable, WorkpieceTable
+from robots.calibration.store import Calibration, read_calibration
+from robots.errors import BadInput
+from robots.pose import Array, transform_from_xyzabc
+from robots.robot import Robot, load_robot
+from robots.toml_input import read_toml
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What hangs on the flange: mass [kg], centre of mass [m] in the flange frame, name in the cell file."""
+
+    mass: float
+    com: Array
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Workpiece:
+    """The blade in its holder: `T_flange_blade`, material (Pa, kg/m^3), clamp plane `normal . x < offset` held."""
+
+    stl: Path | None
+    stl_unit: str
+    T_flange_blade: Array
+    xyz_sd: float
+    abc_sd: float
+    youngs_modulus: float
+    poisson: float
+    density: float
+    clamp_normal: Array
+    clamp_offset: float
+    clamp_stiffness: float
+    payload: Payload
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """Belt grinding wheel in the base frame; lengths m, modulus Pa, angles rad, belt m/s.
+
+    `axis` and `contact_direction` are unit and perpendicular; arc angles count right-handed about `axis`
+    from `contact_direction`. Standard deviations: `centre_sd` m, `axis_sd` rad.
+    """
+
+    centre: Array
+    axis: Array
+    contact_direction: Array
+    radius: float
+    width: float
+    cover_thickness: float
+    cover_modulus: float
+    cover_poisson: float
+    arc: tuple[float, float]
+    belt_speed: float
+    friction: float
+    centre_sd: float
+    axis_sd: float
+
+
+@dataclass(frozen=True)
+class ForceFlange:
+    """Force-setting flange: `F (n.a) = setpoint + stiffness * stroke`; N, N/m, m; axis None = along the contact normal."""
+
+    setpoint: float
+    stiffness: float
+    stroke: float
+    carried_mass: float
+    gravity_compensated: bool
+    axis: Array | None
+
+
+@dataclass(frozen=True)
+class Process:
+    """What is wanted: force N, feed m/s, spacing m, freedoms (rad, m), margins m."""
+
+    force: float
+    feed: float
+    pass_spacing: float
+    passes: str
+    side: str
+    tilt_tolerance: float
+    turn_tolerance: float
+    lateral_tolerance: float
+    grinding: str
+    root_margin: float
+    tip_margin: float
+    edge_margin: float
+
+
+@dataclass(frozen=True)
+class Controller:
+    """KRL numbers of tool and base, and whether the controller corrects Cartesian targets itself."""
+
+    tool_no: int
+    base_no: int
+    absolute_accuracy: bool
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What effects depend on while a plan runs: warm and wheel_warm K above the cell's reference, time s of the robot's
+    campaign, clock s that the wheel has run, how often every line was ground before."""
+
+    warm: float = 0.0
+    wheel_warm: float = 0.0
+    time: float = 0.0
+    clock: float = 0.0
+    ground_before: int = 0
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Everything that is believed about the cell; `tables` are the file's own values, for readers of other parts."""
+
+    name: str
+    path: Path
+    robot: Robot
+    calibration: Calibration | None
+    compliant_joints: tuple[int, ...]
+    workpiece: Workpiece
+    wheel: Wheel
+    flange: ForceFlange | None
+    process: Process
+    controller: Controller
+    tables: CellTables
+    effects: tuple[CellEffect, ...] = ()
+    conditions: Conditions = Conditions()
+
+
+def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
+    """Read cell.toml; `blade` replaces `[workpiece].stl`.
+
+    Raises BadInput: as `read_toml`, and where tables needed for grinding are absent, the robot is unknown, or
+    the calibration belongs to another robot.
+    """
+    path = Path(path)
+    tables = read_toml(path, CellTables)
+    if tables.workpiece is None or tables.wheel is None:
+        missing = "workpiece" if tables.workpiece is None else "wheel"
+        raise BadInput(f"{path}: table [{missing}] is missing; planning needs it")
+    robot = robot_of(path, tables)
+    if tables.robot.stiffness_Nm_per_rad is not None:
+        robot = replace(robot, stiffness=np.array(tables.robot.stiffness_Nm_per_rad))
+    calibration = None
+    if tables.robot.calibration is not None:
+        calibration = read_calibration(path.parent / tables.robot.calibration)
+        if calibration.robot != robot.name:
+            raise BadInput(
+                f"{path}: calibration '{tables.robot.calibration}' belongs to robot '{calibration.robot}', the cell has "
+                f"'{robot.name}'; calibrate this robot or correct robot.model"
+            )
+    process = _from_table(tables.process)
+    return Cell(
+        name=tables.name,
+        path=path,
+        robot=robot,
+        calibration=calibration,
+        compliant_joints=tables.robot.compliant_joints,
+        workpiece=_workpiece(tables, tables.workpiece, path, Path(blade) if blade is not None else None),
+        wheel=_wheel(tables.wheel),
+        flange=_flange(tables.force_flange),
+        process=Process(**process),
+        controller=Controller(**tables.controller.model_dump()),
+        tables=tables,
+        effects=tuple(effect_of(table.model_dump()) for table in tables.effects),
+        conditions=_conditions(tables.conditions, tables.reference_temperature_C),
+    )
+
+
+def robot_of(path: Path, tables: CellTables) -> Robot:
+    """The robot that a cell file names. Raises BadInput as `load_robot`, with the file and its key."""
+    model = tables.robot.model
+    local = path.parent / model
+    try:
+        return load_robot(local if model.endswith(".toml") and local.exists() else model)
+    except BadInput as error:
+        raise BadInput(f"{path}, robot.model: {error}") from None
+
+
+def _conditions(table: ConditionsTable, reference: float) -> Conditions:
+    warm, wheel = (0.0 if t is None else t - reference for t in (table.temperature_C, table.wheel_temperature_C))
+    return Conditions(warm, wheel, table.time_s, table.clock_s, table.ground_before)
+
+
+def wheel_frame(cell: Cell) -> Array:
+    """T_base_wheel (4, 4): origin where the wheel touches at arc zero, x along the belt, y along the axis."""
+    wheel = cell.wheel
+    T = np.eye(4)
+    x = np.cross(wheel.axis, wheel.contact_direction)
+    T[:3, :3] = np.stack([x, wheel.axis, wheel.contact_direction], axis=1)
+    T[:3, 3] = wheel.centre + wheel.radius * wheel.contact_direction
+    return T
+
+
+_FACTORS = {"_mm": ("", 1e-3), "_deg": ("", np.pi / 180), "_N": ("", 1.0), "_mm_s": ("", 1e-3)}
+
+
+def _from_table(table: Any) -> dict[str, Any]:
+    """Values of a table in SI with the unit suffix taken off the names."""
+    result = {}
+    for key, value in table.model_dump().items():
+        suffix = next((s for s in ("_mm_s", "_mm", "_deg", "_N") if key.endswith(s)), None)
+        if suffix is None:
+            result[key] = value
+        else:
+            result[key.removesuffix(suffix)] = value * _FACTORS[suffix][1]
+    return result
+
+
+def _workpiece(tables: CellTables, table: WorkpieceTable, path: Path, blade: Path | None) -> Workpiece:
+    if blade is None and table.stl is not None:
+        blade = path.parent / table.stl
+    if table.clamp_normal is not None and table.clamp_offset_mm is not None:
+        length = float(np.linalg.norm(table.clamp_normal))
+        normal, offset = np.array(table.clamp_normal) / length, table.clamp_offset_mm / length
+    else:
+        normal, offset = np.eye(3)["xyz".index(table.clamp_axis or "z")], float(table.clamp_to_mm or 0.0)
+    if table.clamp_side == "above":
+        normal, offset = -normal, -offset
+    name = table.payload or next(iter(tables.payloads), None)
+    payload = tables.payloads[name] if name is not None else None
+    return Workpiece(
+        stl=blade,
+        stl_unit=table.stl_unit,
+        T_flange_blade=transform_from_xyzabc(np.array(table.xyz_mm) * 1e-3, np.radians(table.abc_deg)),
+        xyz_sd=table.xyz_sd_mm * 1e-3,
+        abc_sd=float(np.radians(table.abc_sd_deg)),
+        youngs_modulus=table.youngs_modulus_GPa * 1e9,
+        poisson=table.poisson_ratio,
+        density=table.density_kg_m3,
+        clamp_normal=normal,
+        clamp_offset=offset * 1e-3,
+        clamp_stiffness=table.clamp_stiffness_N_per_mm * 1e3,
+        payload=_payload(payload, name or ""),
+    )
+
+
+def _payload(table: PayloadTable | None, name: str) -> Payload:
+    return Payload(0.0, np.zeros(3)) if table is None else Payload(table.mass_kg, np.array(table.com_mm) * 1e-3, name)
+
+
+def _wheel(table: WheelTable) -> Wheel:
+    axis = np.array(table.axis) / np.linalg.norm(table.axis)
+    direction = np.array(table.contact_direction)
+    direction = direction - axis * (axis @ direction)
+    modulus = table.cover_modulus_MPa
+    if modulus is None:
+        # Shore A to Young's modulus, PHYSICS 3.4: log10 E[MPa] = 0.0235 S - 0.6403
+        modulus = 10 ** (0.0235 * (table.shore_A or 0.0) - 0.6403)
+    return Wheel(
+        centre=np.array(table.centre_mm) * 1e-3,
+        axis=axis,
+        contact_direction=direction / np.linalg.norm(direction),
+        radius=table.radius_mm * 1e-3,
+        width=table.width_mm * 1e-3,
+        cover_thickness=table.cover_thickness_mm * 1e-3,
+        cover_modulus=modulus * 1e6,
+        cover_poisson=table.cover_poisson,
+        arc=(float(np.radians(table.contact_arc_deg[0])), float(np.radians(table.contact_arc_deg[1]))),
+        belt_speed=table.belt_speed_m_s,
+        friction=table.friction,
+        centre_sd=table.centre_sd_mm * 1e-3,
+        axis_sd=float(np.radians(table.axis_sd_deg)),
+    )
+
+
+def _flange(table: FlangeTable | None) -> ForceFlange | None:
+    if table is None:
+        return None
+    return ForceFlange(
+        setpoint=table.setpoint_N,
+        stiffness=table.stiffness_N_per_mm * 1e3,
+        stroke=table.stroke_mm * 1e-3,
+        carried_mass=table.carried_mass_kg,
+        gravity_compensated=table.gravity_compensated,
+        axis=None if table.axis is None else np.array(table.axis) / np.linalg.norm(table.axis),
+    )

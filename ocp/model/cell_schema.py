@@ -1,0 +1,214 @@
+"""The keys of cell.toml as users write them: millimetres, degrees, MPa, with their bounds.
+
+Nothing here is converted; `ocp.model.cell` turns these tables into SI.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from ocp.effects.cell_effects import effect_of
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+Vector = tuple[Number, Number, Number]
+
+
+class Table(BaseModel):
+    """A TOML table: unknown keys are errors, types are taken as written."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class RobotTable(Table):
+    """`[robot]`."""
+
+    model: str
+    calibration: str | None = None
+    stiffness_Nm_per_rad: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative] | None = None
+    compliant_joints: tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...] = (2, 3)
+
+
+class PayloadTable(Table):
+    """`[payloads.NAME]`."""
+
+    mass_kg: NotNegative
+    com_mm: Vector = (0.0, 0.0, 0.0)
+
+
+class ControllerTable(Table):
+    """`[controller]`."""
+
+    tool_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
+    base_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
+    absolute_accuracy: bool = False
+
+
+class WorkpieceTable(Table):
+    """`[workpiece]`."""
+
+    payload: str | None = None
+    stl: str | None = None
+    stl_unit: Literal["mm", "m", "in"] = "mm"
+    xyz_mm: Vector
+    abc_deg: Vector = (0.0, 0.0, 0.0)
+    xyz_sd_mm: NotNegative = 0.3
+    abc_sd_deg: NotNegative = 0.05
+    youngs_modulus_GPa: Positive = 114.0
+    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5, strict=True)] = 0.34
+    density_kg_m3: Positive = 4430.0
+    clamp_axis: Literal["x", "y", "z"] | None = None
+    clamp_to_mm: Number | None = None
+    clamp_side: Literal["below", "above"] = "below"
+    clamp_normal: Vector | None = None
+    clamp_offset_mm: Number | None = None
+    clamp_stiffness_N_per_mm: Annotated[float, Field(gt=0, strict=True)] = float("inf")
+
+    @model_validator(mode="after")
+    def _one_clamp(self) -> "WorkpieceTable":
+        by_axis = self.clamp_axis is not None and self.clamp_to_mm is not None
+        by_plane = self.clamp_normal is not None and self.clamp_offset_mm is not None
+        if by_axis == by_plane:
+            raise ValueError("give the clamp either as clamp_axis with clamp_to_mm or as clamp_normal with clamp_offset_mm")
+        if self.clamp_normal is not None and sum(c * c for c in self.clamp_normal) < 1e-12:
+            raise ValueError("clamp_normal has length zero; give the direction across the clamp plane")
+        return self
+
+
+class WheelTable(Table):
+    """`[wheel]`."""
+
+    centre_mm: Vector
+    centre_sd_mm: NotNegative = 0.3
+    axis: Vector
+    axis_sd_deg: NotNegative = 0.05
+    radius_mm: Positive
+    width_mm: Positive
+    cover_thickness_mm: Positive
+    cover_modulus_MPa: Positive | None = None
+    shore_A: Annotated[float, Field(ge=20, le=95, strict=True)] | None = None
+    cover_poisson: Annotated[float, Field(ge=0, le=0.495, strict=True)] = 0.47
+    contact_arc_deg: tuple[Number, Number] = (-30.0, 30.0)
+    contact_direction: Vector
+    belt_speed_m_s: Number = 20.0
+    friction: NotNegative = 0.35
+
+    @model_validator(mode="after")
+    def _sound(self) -> "WheelTable":
+        if (self.cover_modulus_MPa is None) == (self.shore_A is None):
+            raise ValueError("give exactly one of cover_modulus_MPa and shore_A")
+        if self.cover_thickness_mm >= self.radius_mm:
+            raise ValueError(f"cover_thickness_mm {self.cover_thickness_mm:g} must be below radius_mm {self.radius_mm:g}")
+        if not -180 <= self.contact_arc_deg[0] < self.contact_arc_deg[1] <= 180:
+            raise ValueError("contact_arc_deg must be [low, high] with -180 <= low < high <= 180")
+        for name in ("axis", "contact_direction"):
+            if sum(c * c for c in getattr(self, name)) < 1e-12:
+                raise ValueError(f"{name} has length zero")
+        a, c = self.axis, self.contact_direction
+        cross = (a[1] * c[2] - a[2] * c[1], a[2] * c[0] - a[0] * c[2], a[0] * c[1] - a[1] * c[0])
+        lengths = sum(v * v for v in a) * sum(v * v for v in c)
+        if sum(v * v for v in cross) < 0.25 * lengths:
+            raise ValueError("contact_direction must stand across axis (here within 30 deg of it)")
+        return self
+
+
+class FlangeTable(Table):
+    """`[force_flange]`."""
+
+    setpoint_N: NotNegative = 20.0
+    stiffness_N_per_mm: Positive
+    stroke_mm: Positive
+    carried_mass_kg: NotNegative = 0.0
+    gravity_compensated: bool = True
+    axis: Vector | None = None
+
+    @model_validator(mode="after")
+    def _axis(self) -> "FlangeTable":
+        if self.axis is not None and sum(c * c for c in self.axis) < 1e-12:
+            raise ValueError("axis has length zero; omit it to let the flange act along the contact normal")
+        return self
+
+
+class ProcessTable(Table):
+    """`[process]`."""
+
+    force_N: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False, strict=True)] = 20.0
+    feed_mm_s: Positive = 40.0
+    pass_spacing_mm: Positive = 6.0
+    passes: Literal["spanwise", "chordwise"] = "spanwise"
+    side: Literal["convex", "concave", "both"] = "both"
+    tilt_tolerance_deg: Annotated[float, Field(ge=0, le=45, strict=True)] = 3.0
+    turn_tolerance_deg: Annotated[float, Field(ge=0, le=180, strict=True)] = 30.0
+    lateral_tolerance_mm: NotNegative = 10.0
+    grinding: Literal["down", "up"] = "down"
+    root_margin_mm: NotNegative = 5.0
+    tip_margin_mm: NotNegative = 5.0
+    edge_margin_mm: NotNegative = 3.0
+
+
+class LinkTarget(Table):
+    """A reflector nest on a link, or a 6D target."""
+
+    link: Annotated[int, Field(ge=0, le=6, strict=True)] = 6
+    xyz_mm: Vector
+    abc_deg: Vector | None = None
+
+
+class TrackerTable(Table):
+    """`[tracker]`."""
+
+    range_noise_um: NotNegative = 8.0
+    transverse_noise_um_per_m: NotNegative = 3.0
+    target_sd_mm: NotNegative = 1.0
+    targets: dict[str, Vector | LinkTarget] = Field(default_factory=dict)
+
+
+class EffectTable(Table):
+    """`[[effects]]`: an effect of the catalogue with its keys (docs/effects.md)."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=False)
+
+    effect: str
+    joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
+    sd: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _known(self) -> "EffectTable":
+        effect_of(self.model_dump())
+        return self
+
+
+class ConditionsTable(Table):
+    """`[conditions]`: what the cell's effects depend on, as it will be when the plan runs."""
+
+    temperature_C: Number | None = None
+    wheel_temperature_C: Number | None = None
+    time_s: NotNegative = 0.0
+    clock_s: NotNegative = 0.0
+    ground_before: Annotated[int, Field(ge=0, strict=True)] = 0
+
+
+class CellTables(Table):
+    """The whole of cell.toml."""
+
+    name: str = "cell"
+    reference_temperature_C: Number = 20.0
+    robot: RobotTable
+    payloads: dict[str, PayloadTable] = Field(default_factory=dict)
+    controller: ControllerTable = ControllerTable()
+    workpiece: WorkpieceTable | None = None
+    wheel: WheelTable | None = None
+    force_flange: FlangeTable | None = None
+    process: ProcessTable = ProcessTable()
+    tracker: TrackerTable | None = None
+    effects: tuple[EffectTable, ...] = ()
+    conditions: ConditionsTable = ConditionsTable()
+
+    @model_validator(mode="after")
+    def _payload_known(self) -> "CellTables":
+        named = self.workpiece.payload if self.workpiece else None
+        if named is not None and named not in self.payloads:
+            known = ", ".join(sorted(self.payloads)) or "none"
+            raise ValueError(f"workpiece.payload '{named}' is not among [payloads] ({known})")
+        return self

@@ -1,0 +1,79 @@
+"""What a plan rests on: the wheel's cover and law, the blade's compliance; the two are made side by side and cached."""
+
+from concurrent.futures import Future
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocp.contact.blade.compliance import Compliance, blade_compliance, compliance_kept
+from ocp.contact.blade.elasticity import Material
+from ocp.contact.wheel.cover import Cover, WheelGeometry, build_cover, default_cell
+from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.contact.wheel.law import WheelLaw
+from ocp.contact.wheel.law_fit import Domain, fit_wheel_law
+from ocp.contact.wheel.law_store import remembered_law
+from ocp.model.cell import Cell
+from ocp.shell.command import Phases
+from ocp.shell.disk_store import DiskStore
+from ocp.shell.workers import interrupts_held_back, nothing, workers
+from robots.pose import Array
+from trajectories.blade import Blade
+from trajectories.passes import BladePath
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Wheel: cover for direct solutions, law; compliance of the blade at every waypoint."""
+
+    cover: Cover
+    law: WheelLaw
+    compliance: Compliance
+
+
+def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Phases) -> Contact:
+    """Everything that gives way between blade and wheel.
+
+    Raises BadInput (the blade cannot be meshed or clamped), Infeasible (the blade is too hollow for the wheel).
+    """
+    with phases.phase("wheel cover"):
+        cover = wheel_cover(cell)
+    curvature = np.vstack([path.curvature for path in paths])
+    axes = typical_patch(cell, cover, curvature)
+    material = Material(cell.workpiece.youngs_modulus, cell.workpiece.poisson, cell.workpiece.density)
+    clamp = cell.workpiece.clamp_normal, cell.workpiece.clamp_offset
+    task = (blade.vertices, blade.faces, *clamp, material, paths, axes)
+    with ExitStack() as stack:
+        waiting: Future[Compliance] | None = None
+        if not compliance_kept(*task):
+            pool = stack.enter_context(workers(1, nothing))
+            with interrupts_held_back():
+                waiting = pool.submit(blade_compliance, *task)
+        with phases.phase("wheel table"):
+            law = wheel_law(cell, cover, curvature)
+        with phases.phase("blade"):
+            compliance = blade_compliance(*task) if waiting is None else waiting.result()
+    return Contact(cover, law, compliance)
+
+
+def wheel_cover(cell: Cell, coarser: float = 1.0) -> Cover:
+    """The cover's compliance on the grid that the process force asks for, or on one with `coarser` times larger cells."""
+    wheel = cell.wheel
+    geometry = WheelGeometry(wheel.radius, wheel.width, wheel.cover_thickness, wheel.cover_modulus, wheel.cover_poisson)
+    return build_cover(geometry, coarser * default_cell(geometry, cell.process.force), DiskStore("cover"))
+
+
+def wheel_law(cell: Cell, cover: Cover, curvature: Array) -> WheelLaw:
+    """The table over what the blade (curvature (m, 3)) and the cell's tolerances ask for."""
+    process = cell.process
+    lateral = min(process.lateral_tolerance, 0.5 * cell.wheel.width)
+    domain = Domain(curvature, process.turn_tolerance, lateral, float(np.tan(process.tilt_tolerance)), process.force)
+    return remembered_law(cover, domain, lambda: fit_wheel_law(cover, domain, store=DiskStore("wheel")))
+
+
+def typical_patch(cell: Cell, cover: Cover, curvature: Array) -> tuple[float, float]:
+    """Semi-axes (m) of the contact patch on the blade's median curvature, along the feed and across it."""
+    k_tt, k_bb, _ = np.median(curvature, axis=0)
+    kxx = max(k_tt + 1 / cell.wheel.radius, 0.5 / cell.wheel.radius)
+    contact = solve_force(cover, cell.process.force, LocalShape(float(kxx), float(k_bb)))
+    return float(contact.semi_axes[0]), float(contact.semi_axes[1])

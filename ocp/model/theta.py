@@ -1,0 +1,121 @@
+"""The parameters theta of the model: order, believed values and how well they are known."""
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import block_diag
+
+from ocp.model.cell import Cell
+from robots.calibration.parameters import SYMBOLS
+from robots.pose import Array
+
+# Blocks in the order of the vector, each with the parameter names of robots/calibration/parameters.py.
+BLOCKS: dict[str, tuple[str, ...]] = {
+    "mdh": tuple(f"{s}{i}" for i in range(1, 7) for s in ("th", "d", "a", "al", "be")),
+    "c": tuple(f"c{i}" for i in range(1, 7)),
+    "payload_mass": ("payload_mass",),
+    "payload_com": ("payload_com_x", "payload_com_y", "payload_com_z"),
+    "wheel_centre": ("wheel_x", "wheel_y", "wheel_z"),
+    "wheel_axis": ("wheel_axis_u", "wheel_axis_v"),
+    "blade_shift": ("blade_x", "blade_y", "blade_z"),
+    "blade_rotation": ("blade_c", "blade_b", "blade_a"),
+    "cover_stiffness_scale": ("cover_stiffness_scale",),
+    "blade_stiffness_scale": ("blade_stiffness_scale",),
+    "flange_stiffness": ("flange_stiffness",),
+    "flange_setpoint_offset": ("flange_setpoint_offset",),
+}
+NAMES: tuple[str, ...] = tuple(name for names in BLOCKS.values() for name in names)
+assert set(NAMES) <= set(SYMBOLS), "every parameter of the model is in the product's list"
+
+# One sigma of what a cell file does not say (our judgement; docs/model.md lists what each contributes to the force).
+UNCALIBRATED_LENGTH_SD = 3e-4  # m; with the next line about 1.2 mm at the tool, PHYSICS 2.6
+UNCALIBRATED_ANGLE_SD = 3e-4  # rad
+UNMODELLED_JOINTS = 2e-5  # rad; 0.04 mm at 2 m, what gears leave after a calibration (PHYSICS 2.6)
+COMPLIANCE_SD = 0.2  # relative, PHYSICS 2.5
+PAYLOAD_MASS_SD = 0.5  # kg
+PAYLOAD_COM_SD = 5e-3  # m
+COVER_STIFFNESS_SD = 0.15  # relative; five points of Shore A are 30 %
+BLADE_STIFFNESS_SD = 0.05  # relative
+FLANGE_STIFFNESS_SD = 0.05  # relative
+FLANGE_SETPOINT_SD = 0.2  # N
+
+
+@dataclass(frozen=True)
+class Theta:
+    """Values (m,) and covariance (m, m) of the parameters, in the order of `NAMES`, then coefficients of the cell's effects where
+    `with_effects` put them; joint_noise rad: one sigma of what moves a joint without being a parameter (gear errors,
+    repeatability), the same for all axes."""
+
+    values: Array
+    covariance: Array
+    joint_noise: float = 0.0
+
+    size = len(NAMES)
+
+    @staticmethod
+    def split(theta: ca.SX) -> dict[str, ca.SX]:
+        """The blocks of a symbolic theta (without effects) by name."""
+        edges = np.cumsum([0, *(len(names) for names in BLOCKS.values())]).tolist()
+        return dict(zip(BLOCKS, ca.vertsplit(theta, edges), strict=True))
+
+
+def believed_theta(cell: Cell) -> Theta:
+    """The cell's values and, where a calibration gives them, its estimates with their full covariance."""
+    blocks = {
+        "mdh": cell.robot.mdh.ravel(),
+        "c": np.divide(1.0, cell.robot.stiffness, out=np.zeros(6), where=cell.robot.stiffness > 0),
+        "payload_mass": np.array([cell.workpiece.payload.mass]),
+        "payload_com": cell.workpiece.payload.com,
+        "flange_stiffness": np.array([cell.flange.stiffness if cell.flange else 1.0]),
+    }
+    values = np.concatenate([blocks.get(name, np.zeros(len(names))) for name, names in BLOCKS.items()])
+    sd = np.concatenate([_prior_sd(cell, name, blocks) for name in BLOCKS])
+    covariance = np.diag(sd**2)
+    calibration = cell.calibration
+    if calibration is not None:
+        inside = [i for i, name in enumerate(calibration.names) if name in NAMES]
+        at = np.array([NAMES.index(calibration.names[i]) for i in inside], dtype=int)
+        values[at] = calibration.values[inside]
+        covariance[at, :] = 0.0
+        covariance[:, at] = 0.0
+        covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(inside, inside)]
+    return Theta(values, covariance, _joint_noise(cell))
+
+
+def with_effects(cell: Cell, theta: Theta) -> Theta:
+    """`theta` followed by the coefficients of the cell's effects, which are taken as independent of it."""
+    if not cell.effects:
+        return theta
+    values = np.concatenate([theta.values, *(e.a for e in cell.effects)])
+    return replace(theta, values=values, covariance=block_diag(theta.covariance, *(e.covariance for e in cell.effects)))
+
+
+def _joint_noise(cell: Cell) -> float:
+    """What the calibration found beside its parameters, else what such arms have."""
+    noise = cell.calibration.provenance.get("noise") if cell.calibration is not None else None
+    found = noise.get("joints_rad") if isinstance(noise, dict) else None
+    return float(found) if isinstance(found, int | float) and np.isfinite(found) and found > 0 else UNMODELLED_JOINTS
+
+
+def _prior_sd(cell: Cell, block: str, blocks: dict[str, Array]) -> Array:
+    """One sigma of a block where no calibration speaks."""
+    n = len(BLOCKS[block])
+    mdh = np.tile([UNCALIBRATED_ANGLE_SD, *[UNCALIBRATED_LENGTH_SD] * 2, *[UNCALIBRATED_ANGLE_SD] * 2], 6)
+    loaded = float(cell.workpiece.payload.mass > 0)
+    flange = float(cell.flange is not None)
+    fixed: dict[str, Array | float] = {
+        "mdh": mdh,
+        "c": COMPLIANCE_SD * np.abs(blocks["c"]),
+        "payload_mass": PAYLOAD_MASS_SD * loaded,
+        "payload_com": PAYLOAD_COM_SD * loaded,
+        "wheel_centre": cell.wheel.centre_sd,
+        "wheel_axis": cell.wheel.axis_sd,
+        "blade_shift": cell.workpiece.xyz_sd,
+        "blade_rotation": cell.workpiece.abc_sd,
+        "cover_stiffness_scale": COVER_STIFFNESS_SD,
+        "blade_stiffness_scale": BLADE_STIFFNESS_SD,
+        "flange_stiffness": FLANGE_STIFFNESS_SD * flange * float(blocks["flange_stiffness"][0]),
+        "flange_setpoint_offset": FLANGE_SETPOINT_SD * flange,
+    }
+    return np.broadcast_to(np.asarray(fixed[block], float), (n,)).copy()

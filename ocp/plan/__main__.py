@@ -1,0 +1,41 @@
+"""`python -m ocp.plan [blade.stl] [--cell cell.toml]`: a verified KRL program and a report."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ocp.data import CELL
+from ocp.shell.command import main, run, shown_phases
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def plan(
+    blade: Annotated[Path | None, typer.Argument(help="the blade's STL; without it the cell's own")] = None,
+    cell: Annotated[Path, typer.Option(help="the cell file")] = CELL,
+    out: Annotated[Path, typer.Option(help="folder to write")] = Path("plan"),
+    overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
+    path: Annotated[Path | None, typer.Option(help="contact points made elsewhere, path.csv")] = None,
+    program: Annotated[Path | None, typer.Option(help="take the path from an existing KRL program, old.src")] = None,
+    kind: Annotated[str, typer.Option(help="axis (timed splines), cartesian (#TCP splines) or lin (KSS 5)")] = "axis",
+    name: Annotated[str | None, typer.Option(help="name of the program; without it the blade's")] = None,
+    step: Annotated[float, typer.Option(help="distance of waypoints in mm")] = 0.5,
+) -> None:
+    """Plan the grinding of a blade: joints that hold the process force, KRL files and a report to look at first."""
+    from ocp.plan.files import write_plan
+    from ocp.plan.planning import PlanOptions, make_plan  # heavy imports only once the arguments stand
+
+    def job() -> str:
+        options = PlanOptions(path, program, kind, name, step * 1e-3)
+        with shown_phases() as phases:
+            inputs = [file for file in (cell, blade, path, program) if file is not None]
+            return write_plan(lambda: make_plan(cell, blade, options, phases), out, overwrite, phases, inputs)
+
+    sys.exit(run(job))
+
+
+if __name__ == "__main__":
+    main(app)

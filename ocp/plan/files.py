@@ -1,0 +1,153 @@
+"""The plan folder: programs first, read back and judged, then table, summary and reports; whole or not at all."""
+
+import json
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from ocp.plan.motion.timeline import Timeline, build_timeline
+from ocp.plan.planning import Plan
+from ocp.plan.programming import emitted_times, krl_program, write_program
+from ocp.plan.report.build import build_report
+from ocp.plan.report.data import InputFile, SummaryRow
+from ocp.plan.report.page import write_page
+from ocp.plan.report.printed import write_pdf
+from ocp.plan.table import write_plan_csv
+from ocp.plan.verify.readback import Readback, read_back
+from ocp.plan.verify.second_route import believed_robot
+from ocp.shell.command import Phases, tell_notices
+from ocp.shell.hashes import sha256
+from ocp.shell.output import check_output, whole_folder
+
+PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild")
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What of the written plan the summary tells."""
+
+    files: list[str]
+    timeline: Timeline
+    readback: Readback
+
+
+def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path] = ()) -> str:
+    """Make the plan and write its folder; the command's last line.
+
+    Raises BadInput and Infeasible of every part; then `out` is as it was.
+    """
+    check_output(out, overwrite, inputs)
+    plan = make()
+    check_output(out, overwrite, [file for _, file in plan.inputs])
+    with whole_folder(out, overwrite) as folder:
+        written = _write_programs(plan, folder, phases)
+        with phases.phase("report"):
+            summary = _summary(plan, written)
+            verdict = _verdict(plan, written)
+            report = build_report(
+                plan.cell, plan.blade, plan.motion, written.timeline, verdict, summary, _inputs(plan), plan.notices, ()
+            )
+            write_page(report, folder / "report.html")
+            write_pdf(report, folder / "report.pdf")
+        with phases.phase("writing"):
+            _write_json(plan, written, summary, verdict, folder / "plan.json")
+    tell_notices(plan.notices)
+    return (
+        f"{out}: {len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} KRL files, "
+        f"safe to use: {verdict} "
+        f"Look at {out / 'report.html'} before anything moves."
+    )
+
+
+def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
+    cell = plan.cell
+    with phases.phase("writing"):
+        program = krl_program(cell, plan.motion, plan.kind, plan.name)
+        main = write_program(program, folder)
+        timeline = build_timeline(plan.motion, emitted_times(plan.motion, program))
+        write_plan_csv(timeline, folder / "plan.csv")
+    with phases.phase("reading back"):
+        values = plan.theta.values
+        believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
+        readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, main, plan.jobs)
+    files = sorted(p.name for p in folder.iterdir() if p.suffix in (".src", ".dat"))
+    return _Written(files, timeline, readback)
+
+
+def _verdict(plan: Plan, written: _Written) -> str:
+    sd = max(float(p.evaluation.force_sd.max()) for p in plan.motion.passes)
+    goal, asked = _asked(plan)
+    found = (
+        f"the program read back gives {asked} within {written.readback.force_error:.2g} N by the independent route; "
+        f"one standard deviation of the force on the real cell is up to {sd:.2g} N"
+    )
+    if plan.cell.calibration is None:
+        found += " because the cell has no calibration"
+    if 2 * sd > goal:
+        return f"{found}: motion and limits are checked, but calibrate the cell before the blade touches the wheel."
+    return f"{found}."
+
+
+def _asked(plan: Plan) -> tuple[float, str]:
+    """Largest force that the paths ask for, N, and all of them in words."""
+    force = np.concatenate([p.problem.path.force for p in plan.motion.passes])
+    low, high = float(force.min()), float(force.max())
+    return high, f"{high:g} N" if high - low < 1e-9 else f"the {low:g} to {high:g} N asked for"
+
+
+def _summary(plan: Plan, written: _Written) -> tuple[SummaryRow, ...]:
+    motion, back, goal = plan.motion, written.readback, _asked(plan)[0]
+    contact = [s for s in motion.segments if s.kind == "contact"]
+    force = np.concatenate([p.force for p in back.passes])
+    sd = np.concatenate([p.evaluation.force_sd for p in motion.passes])
+    stiffness = np.concatenate([p.evaluation.stiffness for p in motion.passes])
+    give = np.concatenate([p.problem.compliance[:, 0] for p in motion.passes])
+    worst = [max(getattr(s.trajectory.worst, name) for s in motion.segments) for name in ("velocity", "acceleration", "torque")]
+    feed = max(s.trajectory.worst.feed for s in contact)
+    rows = [
+        ("Passes, waypoints", f"{len(motion.passes)}, {plan.waypoints}", ""),
+        ("Force asked for", _asked(plan)[1], ""),
+        ("Force by the independent route", f"{force.min():.3f} to {force.max():.3f}", "N"),
+        ("Largest difference to the force asked for", f"{back.force_error:.4f}", "N"),
+        ("Standard deviation of the force", f"{sd.min():.2f} to {sd.max():.2f}", "N"),
+        ("Stiffness of the contact chain", f"{stiffness.min() / 1e3:.2f} to {stiffness.max() / 1e3:.2f}", "N/mm"),
+        ("Blade deflection under the force", f"{give.min() * goal * 1e3:.4f} to "
+         f"{give.max() * goal * 1e3:.4f}", "mm"),
+        ("Axes read back against the plan", f"{np.degrees(back.axis_error):.6f}", "deg"),
+        ("Duration, of it in contact", f"{motion.duration:.1f}, {sum(s.trajectory.duration for s in contact):.1f}", "s"),
+        ("Largest use of speed, acceleration, torque limits", ", ".join(f"{w:.3f}" for w in worst), ""),
+        ("Largest feed over the one asked for", f"{feed:.3f}", ""),
+        ("Table of the wheel, largest held-out error", f"{plan.wheel_error * 1e6:.1f}", "um"),
+        ("Blade compliance, estimated error", f"{100 * plan.compliance_error:.2f}", "%"),
+    ]  # fmt: skip
+    return tuple(SummaryRow(*row) for row in rows)
+
+
+def _inputs(plan: Plan) -> tuple[InputFile, ...]:
+    return tuple(InputFile(role, path.name, sha256(path)) for role, path in plan.inputs)
+
+
+def _write_json(plan: Plan, written: _Written, summary: tuple[SummaryRow, ...], verdict: str, path: Path) -> None:
+    """plan.json: status, summary, inputs and their hashes, versions; the only file that tells of this machine."""
+    content = {
+        "schema": 1,
+        "status": "safe",
+        "verdict": verdict,
+        "summary": {row.label: f"{row.value} {row.unit}".strip() for row in summary},
+        "force_error_N": written.readback.force_error,
+        "force_sd_max_N": max(float(p.evaluation.force_sd.max()) for p in plan.motion.passes),
+        "duration_s": plan.motion.duration,
+        "passes": [
+            {"line": p.problem.path.line, "side": p.problem.path.side, "waypoints": len(p.problem.path.s),
+             "iterations": p.solution.iterations} for p in plan.motion.passes
+        ],
+        "files": written.files,
+        "inputs": [{"role": role, "name": p.name, "sha256": sha256(p)} for role, p in plan.inputs],
+        "notices": list(plan.notices),
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+    }  # fmt: skip
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,188 @@
+"""Distances between arm, holder, blade, wheel and floor, by coal on simple convex shapes.
+
+The contact itself (blade against wheel) is judged in `ocp.plan.verify.gouge`; here the pair is looked at only off contact.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import coal
+import numpy as np
+
+from ocp.model.cell import Cell
+from robots.kinematics import link_frames
+from robots.pose import Array, invert
+
+# What must stay free (m). Shapes are simple and the arm bends by about a millimetre, so margins are generous.
+ARM_MARGIN = 0.020
+BLADE_MARGIN = 0.003  # blade to wheel off contact
+# The cell file does not describe the holder: a slender rod from the flange half-way to the clamp plane stands for it,
+# because the wheel needs the other half to pass beside the clamp.
+HOLDER_RADIUS = 0.025
+HOLDER_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Body:
+    """A convex shape fixed to a frame: 0..6 = base and links, 7 = wheel and floor (base frame), 6 = flange side."""
+
+    name: str
+    frame: int
+    shape: coal.CollisionGeometry
+    placement: Array
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two bodies that must stay `margin` apart; `off_contact` pairs are skipped while grinding."""
+
+    a: int
+    b: int
+    margin: float
+    off_contact: bool = False
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Smallest distance minus margin over a path: value (m), where in the path, between which bodies."""
+
+    value: float
+    index: int
+    names: tuple[str, str]
+
+    def sentence(self) -> str:
+        """Tell it to a user."""
+        gap = "overlap" if self.value < 0 else "stay free"
+        return f"{self.names[0]} and {self.names[1]} {gap} by {abs(self.value) * 1e3:.1f} mm against the margin"
+
+
+class Scene:
+    """Collision geometry of a cell with a blade; distances of whole joint paths."""
+
+    def __init__(self, cell: Cell, blade_vertices: Array) -> None:
+        """`blade_vertices` (n, 3) m in the blade frame."""
+        self.cell = cell
+        self._bodies = _bodies(cell, blade_vertices)
+        self._pairs = _pairs(cell, self._bodies)
+
+    @cached_property
+    def _request(self) -> coal.DistanceRequest:
+        request = coal.DistanceRequest()
+        request.enable_signed_distance = True
+        return request
+
+    def clearances(self, q: Array, in_contact: bool) -> tuple[Array, list[tuple[str, str]]]:
+        """Distance minus margin of the closest pair at joints q (n, 6): values (n,) m and the bodies' names."""
+        frames = link_frames(self.cell.robot, np.atleast_2d(q))
+        pairs = [p for p in self._pairs if not (in_contact and p.off_contact)]
+        values, names = np.full(len(frames), np.inf), [("", "")] * len(frames)
+        for k, frame in enumerate(frames):
+            placed = [self._place(body, frame) for body in self._bodies]
+            for pair in pairs:
+                a, b = self._bodies[pair.a], self._bodies[pair.b]
+                result = coal.DistanceResult()
+                gap = coal.distance(a.shape, placed[pair.a], b.shape, placed[pair.b], self._request, result)
+                if gap - pair.margin < values[k]:
+                    values[k], names[k] = gap - pair.margin, (a.name, b.name)
+        return values, names
+
+    def clearance(self, q: Array, in_contact: bool) -> Clearance:
+        """The smallest of `clearances` over joints q (n, 6); negative means that a margin is broken."""
+        values, names = self.clearances(q, in_contact)
+        k = int(np.argmin(values))
+        return Clearance(float(values[k]), k, names[k])
+
+    def gradient(self, q: Array, in_contact: bool) -> Array:
+        """Derivative (6,) m/rad of the clearance at one posture q (6,), by central differences of the distances."""
+        step = 1e-4
+        values, _ = self.clearances(q + step * np.vstack([np.eye(6), -np.eye(6)]), in_contact)
+        return (values[:6] - values[6:]) / (2 * step)
+
+    @staticmethod
+    def _place(body: Body, frames: Array) -> coal.Transform3s:
+        T = body.placement if body.frame == 7 else frames[body.frame] @ body.placement
+        return coal.Transform3s(T[:3, :3], T[:3, 3])
+
+
+def _bodies(cell: Cell, vertices: Array) -> list[Body]:
+    names = ("base", "column", "upper arm", "forearm", "wrist", "hand", "flange")
+    bodies = []
+    for link, p0, p1, radius in cell.robot.link_shapes:
+        placement, length = _between(np.asarray(p0, float), np.asarray(p1, float))
+        shape = coal.Capsule(float(radius), length) if length > 1e-6 else coal.Sphere(float(radius))
+        bodies.append(Body(names[link], link, shape, placement))
+    T = cell.workpiece.T_flange_blade
+    n, offset = cell.workpiece.clamp_normal, cell.workpiece.clamp_offset
+    held = vertices[vertices @ n < offset]
+    held = held if len(held) else vertices
+    root = T[:3, :3] @ held.mean(axis=0) + T[:3, 3]
+    placement, length = _between(np.zeros(3), HOLDER_SHARE * root)
+    bodies.append(Body("holder", 6, coal.Capsule(HOLDER_RADIUS, max(length - HOLDER_RADIUS, 1e-3)), placement))
+    points = coal.StdVec_Vec3s()
+    points.extend(list(np.asarray(vertices, float)))
+    bodies.append(Body("blade", 6, coal.Convex.convexHull(points, False, ""), T))
+    R = _frame_with_z(cell.wheel.axis)
+    wheel_placement = np.eye(4)
+    wheel_placement[:3, :3], wheel_placement[:3, 3] = R, cell.wheel.centre
+    bodies.append(Body("wheel", 7, coal.Cylinder(cell.wheel.radius, cell.wheel.width), wheel_placement))
+    bodies.append(Body("floor", 7, coal.Halfspace(np.array([0.0, 0.0, 1.0]), _floor(cell)), np.eye(4)))
+    return bodies
+
+
+def _floor(cell: Cell) -> float:
+    """Height of the floor: the robot's base plane, or just below the wheel where that hangs lower (a pedestal)."""
+    return min(0.0, float(cell.wheel.centre[2]) - cell.wheel.radius - 0.05)
+
+
+def _pairs(cell: Cell, bodies: list[Body]) -> list[Pair]:
+    pairs = []
+    for i, a in enumerate(bodies):
+        for j in range(i + 1, len(bodies)):
+            b = bodies[j]
+            kinds = {a.name, b.name}
+            if "wheel" in kinds and "blade" in kinds:
+                pairs.append(Pair(i, j, BLADE_MARGIN, off_contact=True))
+            elif "wheel" in kinds and "holder" in kinds:
+                pairs.append(Pair(i, j, BLADE_MARGIN))
+            elif "wheel" in kinds:
+                if a.frame >= 1 and "floor" not in kinds:
+                    pairs.append(Pair(i, j, ARM_MARGIN))
+            elif "floor" in kinds:
+                if a.frame >= 2:
+                    pairs.append(Pair(i, j, ARM_MARGIN))
+            elif _far_apart(a, b):
+                pairs.append(Pair(i, j, ARM_MARGIN))
+    return pairs
+
+
+def _far_apart(a: Body, b: Body) -> bool:
+    """Bodies of the arm that can meet: four joints apart (the wrist cannot fold onto the
+    forearm), or the workpiece and anything up to the forearm."""
+    carried = {"holder", "blade"}
+    if a.name in carried and b.name in carried:
+        return False
+    if a.name in carried or b.name in carried:
+        return min(a.frame, b.frame) <= 3
+    return abs(a.frame - b.frame) >= 4
+
+
+def _between(p0: Array, p1: Array) -> tuple[Array, float]:
+    """Placement of a z-aligned shape from p0 to p1, and its length."""
+    axis, length = p1 - p0, float(np.linalg.norm(p1 - p0))
+    T = np.eye(4)
+    T[:3, 3] = 0.5 * (p0 + p1)
+    if length > 1e-9:
+        T[:3, :3] = _frame_with_z(axis / length)
+    return T, length
+
+
+def _frame_with_z(z: Array) -> Array:
+    x = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = x - z * (z @ x)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def flange_pose(cell: Cell, T_base_blade: Array) -> Array:
+    """T_base_flange (..., 4, 4) that puts the blade at T_base_blade."""
+    return np.asarray(T_base_blade @ invert(cell.workpiece.T_flange_blade))

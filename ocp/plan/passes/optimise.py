@@ -1,0 +1,202 @@
+"""All passes of a blade through the optimiser, side by side in worker processes.
+
+A pass is solved, its wheel contact solved directly at the solution, the difference fed back, and solved again; then
+collisions and contact elsewhere on the blade are checked at every waypoint. A seed that fails gives way to the next.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ocp.contact.wheel.cover import Cover
+from ocp.contact.wheel.law import WheelLaw
+from ocp.model.blade_gap import SurfaceCloud
+from ocp.model.cell import Cell
+from ocp.model.theta import Theta
+from ocp.plan.motion.collision import Scene
+from ocp.plan.passes.direct_contact import DirectContact, corrected_defect, solve_directly
+from ocp.plan.passes.posture import Seed
+from ocp.plan.passes.problem import PassProblem, with_direction
+from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
+from ocp.plan.passes.stage import Weights
+from ocp.plan.verify.gouge import GOUGE_TOLERANCE, find_gouge
+from ocp.shell.workers import interrupts_held_back, workers
+from robots.errors import Infeasible
+from robots.pose import Array
+from trajectories.passes import BladePath, reversed_path
+
+DIRECT_TOLERANCE = 0.03  # N between the program's and the direct solution of the wheel's contact
+CORRECTIONS = 4
+SIGN_TOLERANCE = 0.1  # of an axis' sign of motion between the program and its solution
+CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
+GOUGE_THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over that, below the tolerance
+FALLBACKS = 4  # seeds tried before a pass is refused
+
+
+TURN_LIMITS = (1.0, 0.2, 0.02)  # of the turn tolerance, tried in turn while a turned wheel touches the blade elsewhere
+
+
+class TouchesElsewhere(Infeasible):
+    """The wheel would touch the blade beside the contact."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What all passes share: cell, parameters, the wheel's table and cover, the blade's vertices (m, 3) and its
+    surface as a fine cloud."""
+
+    cell: Cell
+    theta: Theta
+    weights: Weights
+    law: WheelLaw
+    cover: Cover
+    vertices: Array
+    cloud: SurfaceCloud
+
+
+@dataclass(frozen=True)
+class SolvedPass:
+    """A pass that holds its force: problem (path in its direction of travel), joints, what the model says of them."""
+
+    problem: PassProblem
+    solution: PassSolution
+    evaluation: Evaluation
+    direct: DirectContact
+
+
+class PassWorker:
+    """Solves passes one after another with one compiled model."""
+
+    def __init__(self, ground: Ground) -> None:
+        self.ground = ground
+        self.solver = PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
+        self.scene = Scene(ground.cell, ground.vertices)
+        travel = np.sign(ground.cell.wheel.belt_speed) or 1.0
+        self.sigma_travel = float(travel * (1 if ground.cell.process.grinding == "down" else -1))
+
+    def solve(self, path: BladePath, seeds: list[Seed], compliance: Array) -> SolvedPass:
+        """The first seed that gives a sound pass. Raises Infeasible with the first seed's reason where none does."""
+        reason: Infeasible | None = None
+        for seed in seeds[:FALLBACKS]:
+            problem = PassProblem.start(path, seed, compliance)
+            if seed.direction < 0:
+                problem = with_direction(problem, reversed_path(path))
+            for limit in TURN_LIMITS:
+                try:
+                    return self._solve(replace(problem, turn_limit=limit * self.ground.cell.process.turn_tolerance))
+                except TouchesElsewhere as error:
+                    reason = reason or error
+                except Infeasible as error:
+                    reason = reason or error
+                    break
+        assert reason is not None
+        raise reason
+
+    def _solve(self, problem: PassProblem) -> SolvedPass:
+        start: PassSolution | None = None
+        problem = self.solver.with_approach(problem)
+        for _ in range(CORRECTIONS):
+            solution = self.solver.solve(problem, start)
+            solved = self.solver.evaluate(problem, solution.q, solution.force)
+            direct = solve_directly(
+                self.ground.cell.wheel, self.ground.cover, self.ground.cloud, problem, solved, self.sigma_travel
+            )
+            better = corrected_defect(problem, solved, direct)
+            off = np.abs((better - problem.defect) * solved.stiffness).max()
+            blocked = self._with_clearances(problem, solution.q)
+            turned = self.solver.with_approach(problem, solution.q)
+            if off < DIRECT_TOLERANCE and blocked is None and not _turns_differ(problem, turned):
+                break
+            problem = replace(blocked or problem, defect=better, approach=turned.approach)
+            start = solution
+        self._refuse_unsound(problem, solution, solved)
+        return SolvedPass(problem, replace(solution, multipliers=None), solved, direct)
+
+    def _with_clearances(self, problem: PassProblem, q: Array) -> PassProblem | None:
+        """The problem with rows that keep what collides free, linear about q; None where nothing collides."""
+        values, _ = self.scene.clearances(q, in_contact=True)
+        if values.min() >= 0:
+            return None
+        clearances = problem.clearances.copy()
+        for k in np.flatnonzero(values < CLEARANCE_BAND):
+            slope = self.scene.gradient(q[k], in_contact=True)
+            clearances[k] = np.roll(clearances[k], 1, axis=0)
+            clearances[k, 0] = [*slope, slope @ q[k] - values[k] + 1e-3]
+        return replace(problem, clearances=clearances)
+
+    def _refuse_unsound(self, problem: PassProblem, solution: PassSolution, solved: Evaluation) -> None:
+        """Raises Infeasible: something collides, the blade touches elsewhere, the flange is at the end of its stroke."""
+        path, cell = problem.path, self.ground.cell
+        name = f"line {path.line} ({path.side})"
+        clearance = self.scene.clearance(solution.q, in_contact=True)
+        if clearance.value < 0:
+            raise Infeasible(
+                f"{name}, waypoint {clearance.index + 1}: {clearance.sentence()}; move the wheel or the blade in its holder"
+            )
+        poses = solved.T_base_blade
+        gouge = find_gouge(
+            cell, self.ground.cloud.points[::GOUGE_THINNING], poses, path.p, solved.curvature, solved.tilt, solved.delta
+        )
+        if gouge.depth > GOUGE_TOLERANCE:
+            raise TouchesElsewhere(
+                f"{name}, waypoint {gouge.index + 1}: the blade would touch the wheel {gouge.distance * 1e3:.1f} mm beside "
+                f"the contact, {gouge.depth * 1e3:.2f} mm deeper than planned (at most {GOUGE_TOLERANCE * 1e3:.2f}); "
+                f"use a smaller or narrower wheel, or larger margins"
+            )
+        if cell.flange is not None:
+            stroke, limit = solved.parts[:, 0], 0.5 * cell.flange.stroke - 1e-3
+            k = int(np.argmax(np.abs(stroke)))
+            if abs(stroke[k]) > limit:
+                raise Infeasible(
+                    f"{name}, waypoint {k + 1}: the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, "
+                    f"{limit * 1e3:.2f} mm are usable; set force_N nearer to the flange's setpoint"
+                )
+
+
+def _turns_differ(one: PassProblem, other: PassProblem) -> bool:
+    """Do the signs of the axes' motion differ by more than a tenth anywhere?"""
+    if one.approach is None or other.approach is None:
+        return False
+    return bool(np.abs(one.approach - other.approach).max() > SIGN_TOLERANCE)
+
+
+_worker: PassWorker | None = None
+
+
+def _start_worker(ground: Ground) -> None:
+    global _worker
+    _worker = PassWorker(ground)
+
+
+def _solve_in_worker(path: BladePath, seeds: list[Seed], compliance: Array) -> SolvedPass:
+    assert _worker is not None
+    return _worker.solve(path, seeds, compliance)
+
+
+def solve_passes(
+    ground: Ground,
+    paths: list[BladePath],
+    seeds: list[list[Seed]],
+    compliance: list[Array],
+    jobs: int,
+    advance: Callable[[], None] = lambda: None,
+) -> list[SolvedPass]:
+    """Solve every pass in `jobs` worker processes (1: in this one).
+
+    Raises Infeasible of the first pass (in order) that has no sound solution.
+    """
+    tasks = list(zip(paths, seeds, compliance, strict=True))
+    if jobs <= 1:
+        worker = PassWorker(ground)
+        solved = []
+        for task in tasks:
+            solved.append(worker.solve(*task))
+            advance()
+        return solved
+    with workers(min(jobs, len(tasks)), _start_worker, ground) as pool:
+        with interrupts_held_back():
+            futures = [pool.submit(_solve_in_worker, *task) for task in tasks]
+        for future in futures:
+            future.add_done_callback(lambda _: advance())
+        return [future.result() for future in futures]

@@ -1,0 +1,269 @@
+"""Where the optimiser starts: branch, direction of travel, place on the wheel and turn, found over the whole grid.
+
+For every pass all inverse-kinematic branches and axis turns are tried on a grid of wheel arc, turn about the normal and
+direction of travel; the best per family (direction, branch, turns) compete in a shortest path over the passes, so that
+neither a pass nor the travel between passes depends on luck.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from ocp.contact.wheel.law import WheelLaw
+from ocp.model.cell import Cell
+from ocp.plan.motion.collision import Scene, flange_pose
+from robots.errors import Infeasible
+from robots.inverse import inverse_branches, reach_excess
+from robots.pose import Array, make_transform
+from trajectories.passes import BladePath
+
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+STATIONS = 7  # along a pass; between them a pass turns little
+LIMIT_MARGIN = np.radians(2.0)
+WRIST_MARGIN = np.radians(8.0)  # distance of axis 5 from the wrist singularity
+SHOULDER_MARGIN = 0.15  # m, wrist centre from axis 1
+ELBOW_MARGIN = np.radians(5.0)
+LEAST_INDENTATION = 5e-5  # m; above the optimiser's own bound, so that it starts inside
+TRAVEL_WEIGHT = 0.5  # cost of a second of travel between passes
+
+
+@dataclass(frozen=True)
+class Seed:
+    """Start of a pass: travel direction +1 or -1, joints (STATIONS, 6) at stations (fractions of the pass), cost."""
+
+    direction: int
+    branch: int
+    arc: float
+    turn: float
+    q: Array
+    at: Array
+    cost: float
+
+
+def contact_poses(cell: Cell, path: BladePath, index: Index, arc: Array, turn: Array, direction: int, sigma: int) -> Array:
+    """Blade poses T_base_blade (..., len(index), 4, 4) that lay waypoints on the wheel.
+
+    `arc`, `turn` (...) rad; touching, without overlap, in the middle of the wheel's width. docs/architecture.md.
+    """
+    wheel = cell.wheel
+    side = np.cross(wheel.axis, wheel.contact_direction)
+    e = np.cos(arc)[..., None] * wheel.contact_direction + np.sin(arc)[..., None] * side
+    belt = np.cross(np.broadcast_to(wheel.axis, e.shape), e)
+    heading = np.cos(turn)[..., None] * belt + np.sin(turn)[..., None] * wheel.axis
+    t = -sigma * (np.sign(wheel.belt_speed) or 1.0) * heading
+    base = np.stack([t, np.cross(-e, t), -e], axis=-1)[..., None, :, :]
+    n, feed = path.n[index], direction * path.t[index]
+    local = np.stack([feed, np.cross(n, feed), n], axis=-1)
+    R = base @ np.swapaxes(local, -1, -2)
+    contact = (wheel.centre + wheel.radius * e)[..., None, :]
+    return make_transform(R, contact - (R @ path.p[index][..., None])[..., 0])
+
+
+def poses_along(cell: Cell, path: BladePath, seed: Seed, overlap: Array, sigma: int) -> Array:
+    """Blade poses (n, 4, 4) that lay every waypoint of `path` (in its direction of travel) on the wheel as the seed does.
+
+    `overlap` (n,) m of the undeformed bodies.
+    """
+    n = len(path.s)
+    T = contact_poses(cell, path, np.arange(n), np.array(seed.arc), np.array(seed.turn), 1, sigma)
+    T[:, :3, 3] += overlap[:, None] * np.einsum("kij,kj->ki", T[:, :3, :3], path.n)
+    return T
+
+
+def joints_near(cell: Cell, path: BladePath, seed: Seed, T_base_blade: Array) -> Array:
+    """Joints (n, 6) of the nominal arm for blade poses (n, 4, 4), on the seed's branch and turns.
+
+    Raises Infeasible where a waypoint between the seed's stations is out of reach.
+    """
+    q, reachable = inverse_branches(cell.robot, flange_pose(cell, T_base_blade))
+    if not reachable[:, seed.branch].all():
+        k = int(np.argmin(reachable[:, seed.branch]))
+        raise Infeasible(f"line {path.line} ({path.side}): waypoint {k + 1} is beyond the robot's reach")
+    near = CubicSpline(seed.at, seed.q)(path.s / path.s[-1])
+    return np.asarray(near + (q[:, seed.branch] - near + np.pi) % (2 * np.pi) - np.pi)
+
+
+def find_seeds(cell: Cell, scene: Scene, law: WheelLaw, paths: list[BladePath]) -> list[list[Seed]]:
+    """For each pass its collision-free seeds, one a family, the one of the cheapest chain over all passes first.
+
+    The chain takes the passes in the order given; the others follow by cost, for the optimiser to fall back on.
+    Raises Infeasible: a pass has no reachable, collision-free posture; the message says what stands in the way.
+    """
+    options = [_options(cell, scene, law, path) for path in paths]
+    cost = [np.array([seed.cost for seed in seeds]) for seeds in options]
+    total, back = cost[0], []
+    for k in range(1, len(paths)):
+        step = TRAVEL_WEIGHT * _travel(cell, options[k - 1], options[k])
+        through = total[:, None] + step
+        back.append(np.argmin(through, axis=0))
+        total = through.min(axis=0) + cost[k]
+    choice = [int(np.argmin(total))]
+    for pointers in reversed(back):
+        choice.append(int(pointers[choice[-1]]))
+    ranked = []
+    for seeds, best in zip(options, reversed(choice), strict=True):
+        others = sorted((s for i, s in enumerate(seeds) if i != best), key=lambda s: s.cost)
+        ranked.append([seeds[best], *others])
+    return ranked
+
+
+def _travel(cell: Cell, before: list[Seed], after: list[Seed]) -> Array:
+    """Seconds from the end of each seed to the start of each of the next, (len(before), len(after))."""
+    end = np.array([s.q[-1] for s in before])[:, None]
+    start = np.array([s.q[0] for s in after])[None]
+    return np.asarray((np.abs(end - start) / cell.robot.qd_max).max(axis=-1))
+
+
+def _options(cell: Cell, scene: Scene, law: WheelLaw, path: BladePath) -> list[Seed]:
+    """The best collision-free seed of every family of a pass."""
+    sigma = 1 if cell.process.grinding == "down" else -1
+    index = np.unique(np.linspace(0, len(path.s) - 1, STATIONS).round().astype(int))
+    low, high = cell.wheel.arc
+    arcs = np.linspace(low, high, 7)[1:-1]
+    turns = cell.process.turn_tolerance * np.linspace(-0.95, 0.95, 9)
+    found: list[Seed] = []
+    reasons: list[tuple[float, str]] = []
+    turns = turns[_bears(cell, law, path, index, turns, reasons)]
+    arc, turn = (grid.ravel() for grid in np.meshgrid(arcs, turns, indexing="ij"))
+    for direction in (1, -1) if len(turns) else ():
+        order = index[::direction]
+        T = flange_pose(cell, contact_poses(cell, path, order, arc, turn, direction, sigma))
+        q, reachable = inverse_branches(cell.robot, T.reshape(-1, 4, 4))
+        q = q.reshape(len(arc), len(order), 8, 6).transpose(0, 2, 1, 3)
+        ok = np.asarray(reachable.reshape(len(arc), len(order), 8).all(axis=1))
+        if not ok.any():
+            excess = reach_excess(cell.robot, T.reshape(-1, 4, 4)).reshape(len(arc), -1).max(axis=1).min()
+            reasons.append((0.0, f"the blade would have to be held {excess * 1e3:.0f} mm beyond the robot's reach"))
+        q = np.unwrap(np.where(np.isfinite(q), q, 0.0), axis=2)
+        found += _families(cell, path, order, direction, arc, turn, q, ok, reasons)
+    free: dict[tuple[int, ...], Seed] = {}
+    blocked = ""
+    for seed in sorted(found, key=lambda s: s.cost):
+        family = _family(seed)
+        if family in free:
+            continue
+        clearance = scene.clearance(seed.q, in_contact=True)
+        if clearance.value >= 0:
+            free[family] = seed
+        elif not blocked:
+            blocked = clearance.sentence()
+    if not free:
+        reason = f"every reachable posture collides: {blocked}" if blocked else max(reasons, key=lambda r: r[0])[1]
+        raise Infeasible(
+            f"line {path.line} ({path.side}): no posture on the wheel's arc "
+            f"{np.degrees(low):.0f}..{np.degrees(high):.0f} deg with turn within "
+            f"{np.degrees(cell.process.turn_tolerance):.0f} deg: "
+            f"{reason}; move the wheel or the blade in its holder, or widen the arc or the turn"
+        )
+    return list(free.values())
+
+
+def turned_curvature(curvature: Array, turn: Array, radius: float) -> tuple[Array, Array, Array]:
+    """Relative kxx, kyy, kxy (1/m) of blade curvatures (n, 3) at turns (..., 1) rad on a wheel of `radius`, untilted.
+
+    The blade's frame is seen from its far side (n = -z), so its k_tb changes sign; docs/model.md, eq. 4.
+    """
+    k_tt, k_bb, k_tb = curvature.T
+    c, s = np.cos(turn), np.sin(turn)
+    kxx = c**2 * k_tt + 2 * s * c * k_tb + s**2 * k_bb + 1 / radius
+    kyy = s**2 * k_tt - 2 * s * c * k_tb + c**2 * k_bb
+    return kxx, kyy, s * c * (k_tt - k_bb) - (c**2 - s**2) * k_tb
+
+
+def _bears(cell: Cell, law: WheelLaw, path: BladePath, index: Index, turns: Array, reasons: list[tuple[float, str]]) -> Array:
+    """Which turns (m,) let the wheel bear at the planned points: overlap there under the programmed force, kxx in range."""
+    kxx, kyy, kxy = turned_curvature(path.curvature[index], turns[:, None], cell.wheel.radius)
+    hollow = kxx < law.limits["kxx"][0]
+    kxx = np.maximum(kxx, law.limits["kxx"][0])
+    force = np.broadcast_to(path.force[index], kxx.shape).ravel()
+    zero = np.zeros(kxx.size)
+    d = law.evaluate(force, kxx.ravel(), kyy.ravel(), kxy.ravel(), zero, zero, zero).reshape(kxx.shape)
+    good = ~hollow & (d > LEAST_INDENTATION)
+    if not good.all(axis=1).any():
+        worst = int(np.argmax((~good).sum(axis=0)))
+        reasons.append(
+            (
+                4.0,
+                f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel, which would bear beside "
+                "the planned point",
+            )
+        )
+    return np.asarray(good.all(axis=1))
+
+
+def _family(seed: Seed) -> tuple[int, ...]:
+    return (seed.direction, seed.branch, *np.floor(seed.q[0][[0, 3, 5]] / np.pi + 0.5).astype(int).tolist())
+
+
+def _families(
+    cell: Cell, path: BladePath, order: Array, direction: int, arc: Array, turn: Array, q: Array, ok: Mask,
+    reasons: list[tuple[float, str]],
+) -> list[Seed]:  # fmt: skip
+    """Seeds within limits from unwrapped branch paths q (grid, 8, stations, 6); notes why others fall."""
+    robot = cell.robot
+    at = path.s[order] / path.s[-1]
+    at = at if direction == 1 else 1.0 - at
+    seconds = np.diff(at) * path.s[-1] / path.feed.mean()
+    seeds = []
+    for shift in _shifts():
+        moved = q + 2 * np.pi * shift
+        over = np.maximum(robot.q_min + LIMIT_MARGIN - moved, moved - robot.q_max + LIMIT_MARGIN).max(axis=2)
+        wrist = np.abs(np.sin(q[..., 4])).min(axis=2)
+        speed = (np.abs(np.diff(q, axis=2)) / seconds[:, None] / robot.qd_max).max(axis=(2, 3))
+        shoulder = np.abs(_wrist_radius(cell, q)).min(axis=2)
+        elbow = np.abs(q[..., 2] - np.arctan2(robot.mdh[2, 2], robot.mdh[3, 1])).min(axis=2)
+        inside = ok & (over <= 0).all(axis=-1)
+        sound = (wrist > np.sin(WRIST_MARGIN)) & (speed < 0.9) & (shoulder > SHOULDER_MARGIN) & (elbow > ELBOW_MARGIN)
+        _note(reasons, ok, over, inside, wrist, speed, shoulder)
+        cost = (
+            (turn / max(cell.process.turn_tolerance, 1e-3))[:, None] ** 2
+            + 0.3 * ((arc - np.mean(cell.wheel.arc)) / np.ptp(cell.wheel.arc))[:, None] ** 2
+            + 0.1 / np.maximum(wrist, 1e-3) ** 2
+            + 3.0 * speed**2
+            + 0.02 * ((moved[..., [3, 5]] / np.pi) ** 2).max(axis=(2, 3))
+            + 0.5 * (np.abs(2 * moved - robot.q_min - robot.q_max) / (robot.q_max - robot.q_min)).max(axis=(2, 3)) ** 4
+            + 0.5 * (_wrist_radius(cell, q) < 0).any(axis=2)  # reaching over its own axis 1, as no one would teach it
+        )
+        for g, b in np.argwhere(inside & sound):
+            seeds.append(Seed(direction, int(b), float(arc[g]), float(turn[g]), moved[g, b], at, float(cost[g, b])))
+    return seeds
+
+
+def _shifts() -> list[Array]:
+    """Whole turns of axes 1, 4, 6."""
+    return [np.array([a, 0, 0, b, 0, c]) for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)]
+
+
+def _wrist_radius(cell: Cell, q: Array) -> Array:
+    """Signed distance of the wrist centre from axis 1 (KRL.md, status bit 0)."""
+    mdh = cell.robot.mdh
+    q23 = q[..., 1] + q[..., 2]
+    return np.asarray(mdh[0, 2] + mdh[1, 2] * np.cos(q[..., 1]) + mdh[3, 1] * np.cos(q23) + mdh[2, 2] * np.sin(q23))
+
+
+def _note(
+    reasons: list[tuple[float, str]], ok: Mask, over: Array, inside: Array, wrist: Array, speed: Array, shoulder: Array
+) -> None:
+    """Remember the farthest that any candidate came and what stopped it."""
+    if not ok.any():
+        return
+    if not inside.any():
+        worst = np.where(ok[..., None], over, np.inf).max(axis=-1)
+        g = np.unravel_index(int(np.argmin(worst)), worst.shape)
+        axis = int(np.argmax(over[g]))
+        reasons.append((1.0 - worst[g], f"axis {axis + 1} would be {np.degrees(over[g][axis]):.1f} deg beyond its limit"))
+        return
+    best = np.where(inside, wrist, 0.0).max()
+    if best <= np.sin(WRIST_MARGIN):
+        reasons.append((2.0, f"axis 5 comes within {np.degrees(np.arcsin(best)):.1f} deg of the wrist singularity"))
+    elif np.where(inside, speed, np.inf).min() >= 0.9:
+        share = np.where(inside, speed, np.inf).min()
+        reasons.append((3.0, f"an axis would need {100 * share:.0f} % of its speed limit at the programmed feed"))
+    elif np.where(inside, shoulder, 0.0).max() <= SHOULDER_MARGIN:
+        reasons.append((3.0, "the wrist passes over axis 1 (overhead singularity)"))
+    else:
+        reasons.append((2.5, "every posture within limits is near a singularity"))

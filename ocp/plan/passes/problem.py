@@ -1,0 +1,75 @@
+"""A pass as the optimiser takes it: waypoints with all they know, in the direction of travel."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ocp.effects.engine.symbolic import CONDITIONS
+from ocp.model.cell import Cell
+from ocp.plan.passes.posture import Seed
+from ocp.plan.passes.stage import N_CLEARANCE
+from robots.pose import Array
+from trajectories.passes import BladePath
+
+
+@dataclass(frozen=True)
+class PassProblem:
+    """A pass in its direction of travel with all that its waypoints know: blade compliance (n, 3) m/N in (n, t, b),
+    wheel defect (n,) m, clearances (n, N_CLEARANCE, 7): rows a.q >= b; turn_limit
+    rad narrows the cell's turn tolerance where a turned wheel would touch the blade elsewhere; approach (n, 6): signs of the
+    axes' motion for effects that depend on them."""
+
+    path: BladePath
+    seed: Seed
+    compliance: Array
+    defect: Array
+    clearances: Array
+    turn_limit: float = np.inf
+    approach: Array | None = None
+
+    @staticmethod
+    def start(path: BladePath, seed: Seed, compliance: Array) -> "PassProblem":
+        """Before any correction by direct contact solutions or collision checks."""
+        n = len(path.s)
+        clearances = np.zeros((n, N_CLEARANCE, 7))
+        clearances[..., 6] = -1.0
+        return PassProblem(path, seed, compliance, np.zeros(n), clearances)
+
+    @property
+    def waypoints(self) -> Array:
+        """Columns `ocp.model.force_balance.WAYPOINT`, (n, 16)."""
+        p = self.path
+        return np.column_stack([p.p, p.n, p.t, p.curvature, self.compliance, self.defect])
+
+    def conditions(self, cell: Cell) -> Array:
+        """Columns `ocp.effects.engine.symbolic.CONDITIONS` of a cell with effects, (n, 24); (n, 0) without.
+
+        The flange holds its stroke and nothing is recorded: stroke rate and recorded speed are zero.
+        """
+        p, n, c = self.path, len(self.path.s), cell.conditions
+        if not cell.effects:
+            return np.zeros((n, 0))
+        blocks = {
+            "approach": np.zeros((n, 6)) if self.approach is None else self.approach, "s": p.s, "feed": p.feed,
+            "line": float(p.line), "ground_before": float(c.ground_before), "time": c.time, "clock": c.clock, "warm": c.warm,
+            "wheel_warm": c.wheel_warm, "travel": float(self.seed.direction), "stroke_sign": 0.0,
+            "setpoint": cell.process.force if cell.flange is None else cell.flange.setpoint,
+            "belt": cell.wheel.belt_speed, "speed": np.zeros((n, 6)),
+        }  # fmt: skip
+        return CONDITIONS.stack(n, blocks)
+
+    def named_conditions(self, cell: Cell) -> dict[str, Array]:
+        """The columns of `conditions` (n, k) by name; empty for a cell without effects."""
+        rows = self.conditions(cell)
+        return {name: CONDITIONS.block(rows, name) for name, _ in CONDITIONS.sizes} if rows.size else {}
+
+    @property
+    def seconds(self) -> Array:
+        """Time between neighbouring waypoints at the programmed feed, (n-1,) s."""
+        return np.asarray(np.diff(self.path.s) / (0.5 * (self.path.feed[1:] + self.path.feed[:-1])))
+
+
+def with_direction(problem: PassProblem, reversed_path: BladePath) -> PassProblem:
+    """The same pass run the other way: compliance along t and b change sign with the contact frame."""
+    flip = np.array([1.0, -1.0, -1.0])
+    return replace(problem, path=reversed_path, compliance=problem.compliance[::-1] * flip)

@@ -1,0 +1,136 @@
+"""The main job as a function: cell and blade in, a verified motion out. Writing it is `ocp.plan.files`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ocp.contact.wheel.cover import Cover
+from ocp.model.blade_gap import SurfaceCloud
+from ocp.model.cell import Cell, read_cell
+from ocp.model.prepare import prepare_contact
+from ocp.model.registration import registered
+from ocp.model.theta import Theta
+from ocp.plan.motion.collision import Scene
+from ocp.plan.motion.motion import Motion, build_motion
+from ocp.plan.passes.optimise import Ground, SolvedPass, solve_passes
+from ocp.plan.passes.posture import find_seeds
+from ocp.plan.passes.stage import Weights
+from ocp.plan.passes.store import remembered_passes
+from ocp.plan.paths import lay_paths
+from ocp.shell.command import Phases
+from ocp.shell.workers import cores
+from robots.errors import BadInput
+from trajectories.blade import Blade
+from trajectories.passes import BladePath
+
+LEAST_STEP, MOST_STEP = 5e-5, 5e-3  # m between waypoints
+FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """Options of the command: a path made elsewhere or an old program, kind of output, name, waypoint distance m, jobs."""
+
+    path: Path | None = None
+    program: Path | None = None
+    kind: str = "axis"
+    name: str | None = None
+    step: float = 5e-4
+    jobs: int = 0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A motion that holds the force, with all that the files and the report need."""
+
+    cell: Cell
+    theta: Theta
+    blade: Blade
+    motion: Motion
+    cover: Cover
+    cloud: SurfaceCloud
+    kind: str
+    name: str
+    jobs: int
+    inputs: tuple[tuple[str, Path], ...]
+    notices: tuple[str, ...]
+    wheel_error: float
+    compliance_error: float
+
+    @property
+    def waypoints(self) -> int:
+        """Waypoints of all passes."""
+        return sum(len(p.problem.path.s) for p in self.motion.passes)
+
+
+def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, phases: Phases) -> Plan:
+    """Plan the grinding of a blade in a cell.
+
+    Raises BadInput (exit code 2) and Infeasible (exit code 1) of every part, one sentence each.
+    """
+    cell, theta = registered(read_cell(cell_file, blade_file))
+    stl = cell.workpiece.stl
+    if stl is None:
+        raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")
+    if options.kind not in ("axis", "cartesian", "lin"):
+        raise BadInput(f"--kind '{options.kind}' is not axis, cartesian or lin")
+    if cell.controller.absolute_accuracy and options.kind != "axis":
+        raise BadInput(
+            f"{cell_file}: controller.absolute_accuracy is true and --kind is '{options.kind}': the controller would correct "
+            "the poses a second time; use --kind axis"
+        )
+    if options.path is not None and options.program is not None:
+        raise BadInput("--path and --program both say where the path comes from; give one of them")
+    if not LEAST_STEP <= options.step <= MOST_STEP:
+        raise BadInput(
+            f"--step {options.step * 1e3:g} mm is not between {LEAST_STEP * 1e3:g} and {MOST_STEP * 1e3:g} mm; 0.5 is usual"
+        )
+    jobs = options.jobs or cores()
+    with phases.phase("passes"):
+        laid = lay_paths(cell, stl, options)
+    contact = prepare_contact(cell, laid.blade, laid.paths, phases)
+    _refuse_forces(laid.paths, contact.law.limits["force"], options)
+    weights = Weights(force_sd=FORCE_SD_WEIGHT if cell.calibration is not None else 0.0)
+    scene = Scene(cell, laid.blade.vertices)
+    ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
+    give = [np.asarray(c) for c in contact.compliance.per_pass]
+
+    def solve() -> list[SolvedPass]:
+        with phases.phase("postures"):
+            seeds = find_seeds(cell, scene, contact.law, laid.paths)
+        with phases.phase("optimal control", len(laid.paths)) as advance:
+            return solve_passes(ground, laid.paths, seeds, give, jobs, advance)
+
+    solved = remembered_passes(ground, laid.paths, give, solve)
+    with phases.phase("timing", len(solved)) as advance:
+        motion = build_motion(cell, scene, solved, advance)
+    inputs = [("cell", cell_file), ("blade", stl)]
+    inputs += [(role, file) for role, file in (("path", options.path), ("program", options.program)) if file is not None]
+    if cell.tables.robot.calibration is not None:
+        inputs.append(("calibration", cell.path.parent / cell.tables.robot.calibration))
+    return Plan(
+        cell=cell,
+        theta=theta,
+        blade=laid.blade,
+        motion=motion,
+        cover=contact.cover,
+        cloud=laid.cloud,
+        kind=options.kind,
+        name=options.name or stl.name,
+        jobs=jobs,
+        inputs=tuple(inputs),
+        notices=(*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices),
+        wheel_error=contact.law.error.max,
+        compliance_error=float(np.max(contact.compliance.interpolation_error)),
+    )
+
+
+def _refuse_forces(paths: list[BladePath], limits: tuple[float, float], options: PlanOptions) -> None:
+    """A path made elsewhere may ask for forces that the wheel's table was not made for."""
+    for path in paths:
+        for k in np.flatnonzero((path.force < limits[0]) | (path.force > limits[1]))[:1]:
+            raise BadInput(
+                f"{options.path or options.program}: line {path.line}, point {k + 1} asks for {path.force[k]:g} N; the wheel's "
+                f"contact is known from {limits[0]:.1f} to {limits[1]:.1f} N about process.force_N; change that or the path"
+            )

@@ -1,0 +1,78 @@
+"""The motion as KRL files in a folder."""
+
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from ocp.model.cell import Cell, wheel_frame
+from ocp.plan.motion.motion import Motion
+from robots.kinematics import forward
+from robots.pose import Array, apply
+from trajectories.joint_trajectory import sample_times
+from trajectories.krl.build import Leg, build_program
+from trajectories.krl.program import Program, Setup, TimedSpline
+from trajectories.krl.status_turn import ArmLengths
+from trajectories.krl.writer import program_files
+
+FORCE_SHARE = 0.05  # N: what the emitted points may cost on the way between them
+FINEST, COARSEST = 1e-6, 2e-5  # m, bounds of the tolerance that follows from it
+AIR_TOLERANCE = 2e-4  # m, off contact
+TABLE_STEP = 0.025  # s between rows of plan.csv where the program itself is not timed
+
+
+def krl_program(cell: Cell, motion: Motion, kind: str, name: str) -> Program:
+    """The program of a motion; `kind` axis, cartesian or lin.
+
+    Raises BadInput where the combination must not be written, Infeasible where the emitted points leave the plan.
+    """
+    groups = [list(legs) for _, legs in groupby(motion.segments, key=lambda s: s.place)]
+    labels = [_label(motion, legs[0].place) for legs in groups]
+    point = cell.workpiece.T_flange_blade[:3, 3]
+
+    def moved(planned: Array, driven: Array) -> Array:
+        difference = apply(forward(cell.robot, planned), point) - apply(forward(cell.robot, driven), point)
+        return np.asarray(np.linalg.norm(difference, axis=1))
+
+    stiffness = max(float(p.evaluation.stiffness.max()) for p in motion.passes)
+    fine = float(np.clip(FORCE_SHARE / stiffness, FINEST, COARSEST))
+    payload = cell.workpiece.payload
+    setup = Setup(
+        T_flange_blade=cell.workpiece.T_flange_blade,
+        T_base_wheel=wheel_frame(cell),
+        arm=ArmLengths.of(cell.robot.mdh),
+        tool_no=cell.controller.tool_no,
+        base_no=cell.controller.base_no,
+        kind=kind,
+        absolute_accuracy=cell.controller.absolute_accuracy,
+        load_mass=payload.mass,
+        load_com=payload.com,
+    )
+
+    def tolerance(leg: Leg) -> float:
+        return fine if leg.kind == "contact" else AIR_TOLERANCE
+
+    return build_program(name, setup, groups, labels, lambda q: forward(cell.robot, q), tolerance, moved)
+
+
+def write_program(program: Program, folder: Path) -> Path:
+    """Write the .src and .dat files; the path of the main program."""
+    files = program_files(program)
+    for file, data in files.items():
+        (folder / file).write_bytes(data)
+    return folder / next(iter(files))
+
+
+def emitted_times(motion: Motion, program: Program) -> list[Array]:
+    """Times of the emitted points of every segment, s since its start; a regular table for programs without times."""
+    splines = [b for sub in program.subs for b in sub.blocks if isinstance(b, TimedSpline)]
+    if len(splines) == len(motion.segments):
+        return [np.minimum(b.t, s.trajectory.duration) for b, s in zip(splines, motion.segments, strict=True)]
+    return [sample_times(s.trajectory, TABLE_STEP) for s in motion.segments]
+
+
+def _label(motion: Motion, place: int) -> str:
+    if place == len(motion.passes):
+        return "way home"
+    path = motion.passes[place].problem.path
+    return f"line {path.line} {path.side}"

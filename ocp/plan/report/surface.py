@@ -1,0 +1,158 @@
+"""The blade as it is drawn: fine enough to carry colour where it was ground, small enough to be shipped.
+
+Every vertex near a pass gets up to four waypoints with weights: the two nearest on each of the two nearest
+passes. Between two passes the weights fade from one to the other, so a value painted on the surface is a
+linear interpolation of neighbouring waypoints and never leaves their range.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ocp.plan.report.data import PassReport
+from robots.pose import Array
+
+MAX_FACES = 60_000
+"""More triangles than this are clustered away: on a screen nobody sees them, and the page stays small."""
+LONE_PASS_WIDTH = 0.004
+"""m; painted width where there is one pass only and no spacing is given: about a contact patch."""
+
+
+@dataclass(frozen=True)
+class PaintedBlade:
+    """Triangles `vertices` (nv, 3) m, `faces` (nf, 3); per vertex `waypoint` (nv, 4) and `weight` (nv, 4).
+
+    Waypoints count through all passes in order. The sum of a vertex's weights is its cover: 1 near a pass,
+    falling with the distance; the surface counts as ground where it is at least 0.5. Being linear across a
+    triangle, that border is a smooth line instead of a row of teeth.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    waypoint: NDArray[np.int64]
+    weight: Array
+
+
+def paint_blade(vertices: Array, faces: NDArray[Any], passes: tuple[PassReport, ...], spacing: float = 0.0) -> PaintedBlade:
+    """Blade mesh ready for drawing, see `PaintedBlade`; `spacing` m between passes, 0 = measured."""
+    spacing = spacing if spacing > 0 else pass_spacing(passes)
+    small = cluster_vertices(np.asarray(vertices, float), np.asarray(faces, np.int64), MAX_FACES)
+    fine, triangles = refine_near(*small, np.concatenate([item.p for item in passes]), spacing)
+    waypoint, weight = paint_weights(fine, vertex_normals(fine, triangles), passes, 0.6 * spacing)
+    return PaintedBlade(fine, triangles, waypoint, weight)
+
+
+def pass_spacing(passes: tuple[PassReport, ...]) -> float:
+    """Distance m between neighbouring passes of one side: the 90th percentile over waypoints."""
+    found = []
+    for item in passes:
+        others = [other.p for other in passes if other.side == item.side and other is not item]
+        if others:
+            found.append(cKDTree(np.concatenate(others)).query(item.p)[0])
+    return float(np.percentile(np.concatenate(found), 90)) if found else LONE_PASS_WIDTH
+
+
+def vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
+    """Unit normals of the vertices (nv, 3), faces weighted by their angle at the vertex.
+
+    Weights by area would let one long triangle beyond an edge turn the normals of a finely divided face away.
+    """
+    corners = vertices[faces]
+    ahead = np.roll(corners, -1, axis=1) - corners
+    behind = np.roll(corners, 1, axis=1) - corners
+    turned = np.cross(ahead, behind)
+    size = np.linalg.norm(turned, axis=2, keepdims=True)
+    angle = np.arctan2(size, (ahead * behind).sum(axis=2, keepdims=True))
+    pull = (angle * turned / np.maximum(size, 1e-300)).reshape(-1, 3)
+    index = faces.ravel()
+    normals = np.stack([np.bincount(index, pull[:, k], minlength=len(vertices)) for k in range(3)], axis=-1)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)[:, None])
+
+
+def cluster_vertices(vertices: Array, faces: NDArray[np.int64], max_faces: int) -> tuple[Array, NDArray[np.int64]]:
+    """Merge vertices that share a grid cell until at most `max_faces` triangles remain (for drawing only)."""
+    size = float(np.ptp(vertices, axis=0).max()) / 400
+    while len(faces) > max_faces:
+        cell = np.floor((vertices - vertices.min(axis=0)) / size).astype(np.int64)
+        _, owner = np.unique(cell, axis=0, return_inverse=True)
+        owner = owner.ravel()
+        count = np.bincount(owner)
+        vertices = np.stack([np.bincount(owner, vertices[:, k]) / count for k in range(3)], axis=-1)
+        faces = owner[faces]
+        distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+        faces, size = faces[distinct], size * 1.3
+    return vertices, np.asarray(faces, np.int64)
+
+
+def refine_near(vertices: Array, faces: NDArray[np.int64], points: Array, spacing: float) -> tuple[Array, NDArray[np.int64]]:
+    """Quarter triangles near `points` until their edges are below half of `spacing`.
+
+    Flat faces of a coarse STL would otherwise smear one colour over many passes. Neighbours of a quartered
+    triangle keep their straight edge, so no gap opens.
+    """
+    tree = cKDTree(points)
+    for _ in range(6):
+        corners = vertices[faces]
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        large = np.flatnonzero(longest > 0.5 * spacing)
+        distance = tree.query(corners[large].mean(axis=1), distance_upper_bound=float(longest.max()) + spacing)[0]
+        large = large[distance < longest[large]]
+        if len(large) == 0 or len(faces) + 3 * len(large) > MAX_FACES:
+            break
+        a, b, c = faces[large].T
+        edges = np.sort(np.concatenate([np.c_[a, b], np.c_[b, c], np.c_[c, a]]), axis=1)
+        edges, index = np.unique(edges, axis=0, return_inverse=True)
+        ab, bc, ca = len(vertices) + index.reshape(3, -1)
+        vertices = np.concatenate([vertices, vertices[edges].mean(axis=1)])
+        quarters = [np.c_[a, ab, ca], np.c_[ab, b, bc], np.c_[ca, bc, c], np.c_[ab, bc, ca]]
+        faces = np.concatenate([np.delete(faces, large, axis=0), *quarters])
+    return vertices, np.asarray(faces, np.int64)
+
+
+def paint_weights(
+    vertices: Array, normals: Array, passes: tuple[PassReport, ...], reach: float
+) -> tuple[NDArray[np.int64], Array]:
+    """Waypoints (nv, 4) and weights (nv, 4) of every vertex; the weights sum to 0.5 at `reach` m from a pass.
+
+    A waypoint counts only where the surface looks its way (within 60 deg): on a thin edge the other side is
+    nearer than the next pass.
+    """
+    count = len(vertices)
+    nearest = np.full((count, 2), np.inf)
+    waypoint, weight = np.zeros((count, 4), np.int64), np.zeros((count, 4))
+    first = 0
+    for item in passes:
+        neighbours = min(2, len(item.s))
+        distance, index = cKDTree(item.p).query(vertices, k=[1, neighbours], distance_upper_bound=1.5 * reach)
+        index = np.minimum(index, len(item.s) - 1)
+        facing = np.einsum("ij,ij->i", item.n[index[:, 0]], normals) > 0.5
+        near = np.where(facing, distance[:, 0], np.inf)
+        share = 1 / (np.maximum(distance, 1e-9))
+        share = share / np.maximum(share.sum(axis=1), 1e-30)[:, None]
+        # The two nearest passes are kept sorted, pair (0, 1) before pair (2, 3).
+        better = near < nearest[:, 0]
+        second = ~better & (near < nearest[:, 1])
+        nearest[better, 1], waypoint[better, 2:], weight[better, 2:] = (
+            nearest[better, 0],
+            waypoint[better, :2],
+            weight[better, :2],
+        )
+        nearest[better, 0], waypoint[better, :2], weight[better, :2] = (
+            near[better],
+            first + index[better],
+            share[better],
+        )
+        nearest[second, 1], waypoint[second, 2:], weight[second, 2:] = (
+            near[second],
+            first + index[second],
+            share[second],
+        )
+        first += len(item.s)
+    blend = 1 / np.maximum(nearest, 1e-9) ** 2
+    total = blend.sum(axis=1)
+    blend = np.where(total[:, None] > 0, blend / np.maximum(total, 1e-30)[:, None], 0)
+    cover = np.clip(1.5 - nearest[:, :1] / reach, 0, 1)
+    return waypoint, weight * np.repeat(cover * blend, 2, axis=1)

@@ -1,0 +1,172 @@
+"""The written text taken as the only truth: read, re-interpolated, and its force predicted by the second route."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ocp.contact.wheel.cover import Cover
+from ocp.model.blade_gap import SurfaceCloud
+from ocp.model.cell import Cell
+from ocp.plan.motion.motion import Motion
+from ocp.plan.verify.second_route import Believed, VerifiedPass, verify_pass
+from ocp.shell.workers import interrupts_held_back, workers
+from robots.errors import Infeasible
+from robots.inverse import inverse_branches
+from robots.pose import Array, invert
+from trajectories.joint_trajectory import SAMPLE
+from trajectories.krl.checks import check_program
+from trajectories.krl.execution import Execution
+from trajectories.krl.interpolation import pose_spline, reinterpolate
+from trajectories.krl.status_turn import ArmLengths
+
+FLANGE_TOLERANCE, RIGID_TOLERANCE = 0.2, 2.0  # N, what a program may be off by (the mission)
+POSE_STEP = 2e-3  # m between poses of a Cartesian program at which its axes are found
+
+
+@dataclass(frozen=True)
+class Readback:
+    """What the text says: force by the second route per pass in driving order; largest differences to the plan.
+
+    force_error N against the programmed force; axis_error rad and time_error s against the planned motion; limit_ratio
+    of the re-interpolated axes at 1 ms (nan for programs whose timing is the controller's).
+    """
+
+    passes: list[VerifiedPass]
+    force_error: float
+    axis_error: float
+    time_error: float
+    limit_ratio: float
+
+
+def read_back(
+    cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud, motion: Motion, main: Path, jobs: int
+) -> Readback:
+    """Read the program `main` and judge it.
+
+    Raises BadInput as the reader does, Infeasible where force, times or limits are not what was planned.
+    """
+    robot = cell.robot
+    absolute = cell.controller.absolute_accuracy
+    execution = check_program(main, (robot.q_min, robot.q_max), ArmLengths.of(robot.mdh), absolute)
+    timed = all(s.times is not None or s.kind == "PTP" for s in execution.segments)
+    driven, axis_error, time_error, ratio = (_timed if timed else _posed)(cell, motion, execution)
+    passes, worst = [], 0.0
+    tolerance = RIGID_TOLERANCE if cell.flange is None else FLANGE_TOLERANCE
+    tasks = [
+        (one.problem.path, one.problem.compliance, *rows, one.problem.named_conditions(cell))
+        for one, rows in zip(motion.passes, driven, strict=True)
+    ]
+    for one, seen in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks, jobs), strict=True):
+        path, s = one.problem.path, seen.s
+        off = np.abs(seen.force - np.interp(s, path.s, path.force))
+        k = int(np.argmax(off))
+        if off[k] > tolerance:
+            raise Infeasible(
+                f"line {path.line} ({path.side}), {s[k] * 1e3:.1f} mm along it: the force read back from the program is "
+                f"{seen.force[k]:.2f} N by the independent route, {off[k]:.2f} N off (at most {tolerance:g}); nothing is written"
+            )
+        passes.append(seen)
+        worst = max(worst, float(off[k]))
+    return Readback(passes, worst, axis_error, time_error, ratio)
+
+
+_shared: tuple[Cell, Believed, Cover, SurfaceCloud] | None = None
+
+
+def _share(*shared: Any) -> None:
+    global _shared
+    _shared = shared
+
+
+def _verify(*task: Any) -> VerifiedPass:
+    assert _shared is not None
+    return verify_pass(*_shared, *task)
+
+
+def _verified(
+    cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud, tasks: list[tuple[Any, ...]], jobs: int
+) -> list[VerifiedPass]:
+    """`verify_pass` of every task (path, compliance, time, q, s), in `jobs` worker processes (1: in this one)."""
+    if jobs <= 1:
+        return [verify_pass(cell, believed, cover, cloud, *task) for task in tasks]
+    with workers(min(jobs, len(tasks)), _share, cell, believed, cover, cloud) as pool:
+        with interrupts_held_back():
+            futures = [pool.submit(_verify, *task) for task in tasks]
+        return [future.result() for future in futures]
+
+
+Driven = list[tuple[Array, Array, Array]]
+
+
+def _timed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, float, float, float]:
+    """Axis programs: the pieces of the text are the segments of the motion, one to one."""
+    program = reinterpolate(execution, cell.robot.qd_max, cell.robot.qdd_max)
+    if len(program.pieces) != len(motion.segments):
+        raise Infeasible(f"the program read back has {len(program.pieces)} timed blocks, {len(motion.segments)} were planned")
+    ends = np.append(program.starts[1:], program.duration)
+    driven: Driven = []
+    axis_error = time_error = ratio = 0.0
+    for segment, start, end in zip(motion.segments, program.starts, ends, strict=True):
+        time_error = max(time_error, abs(end - start - segment.trajectory.duration))
+        t = np.append(np.arange(0.0, end - start, SAMPLE), end - start)
+        q = program.q(start + np.minimum(t, end - start - 1e-9))
+        axis_error = max(axis_error, float(np.abs(q - segment.trajectory.q(t)).max()))
+        use = np.abs(program.qd(start + t[:-1]) / cell.robot.qd_max), np.abs(program.qdd(start + t[:-1]) / cell.robot.qdd_max)
+        ratio = max(ratio, float(use[0].max()), float(use[1].max()))
+        if segment.kind == "contact":
+            driven.append((t, q, segment.trajectory.s(t)))
+    if time_error > 1e-3:
+        raise Infeasible(f"a block of the program lasts {time_error * 1e3:.2f} ms longer or shorter than planned (at most 1)")
+    if ratio > 1.0:
+        raise Infeasible(f"the program read back would use {ratio:.3f} of an axis limit between its points; nothing is written")
+    return driven, axis_error, time_error, ratio
+
+
+def _posed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, float, float, float]:
+    """Pose programs: the controller's nominal kinematics turn the curve through the poses into axes."""
+    blocks: list[Array] = []
+    before: tuple[str, float | None] = ("", None)
+    for s in execution.segments:
+        follows = s.kind == "LIN" and before == ("LIN", s.speed)
+        starts_where_ended = s.kind == "LIN" and before[0] == "LIN"
+        before = (s.kind, s.speed)
+        # Classic lines do not write the pose where the robot stands; a new speed begins a new block.
+        if s.poses is not None and follows:
+            blocks[-1] = np.vstack([blocks[-1], s.poses])
+        elif s.poses is not None and starts_where_ended:
+            blocks.append(np.vstack([blocks[-1][-1:], s.poses]))
+        elif s.poses is not None:
+            blocks.append(s.poses)
+    planned = [s for s in motion.segments if s.kind != "travel"]
+    if len(blocks) != len(planned):
+        raise Infeasible(f"the program read back has {len(blocks)} pose blocks, {len(planned)} were planned")
+    frames = next(s.frames for s in execution.segments if s.poses is not None)
+    if frames.tool is None or frames.base is None:
+        raise Infeasible("the program read back does not set its tool and base frames")
+    driven: Driven = []
+    axis_error = 0.0
+    for segment, poses in zip(planned, blocks, strict=True):
+        if segment.kind != "contact":
+            continue
+        curve, length = pose_spline(poses)
+        chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
+        s_knots = np.linspace(0.0, segment.trajectory.stations[-1], len(poses))
+        u = np.linspace(0.0, length, max(int(np.ceil(length / POSE_STEP)) * 4, 8))
+        along = np.interp(u, chord, s_knots)
+        t = np.interp(along, segment.trajectory.stations, segment.trajectory.times)
+        expected = segment.trajectory.path(along)
+        T = frames.base @ invert(curve(u)) @ invert(frames.tool)
+        q = _axes(cell, T, expected)
+        axis_error = max(axis_error, float(np.abs(q - expected).max()))
+        driven.append((t, q, along))
+    return driven, axis_error, 0.0, float("nan")
+
+
+def _axes(cell: Cell, T: Array, near: Array) -> Array:
+    """Axes (m, 6) of nominal flange poses (m, 4, 4): the branch and turn next to `near` (m, 6)."""
+    q, _ = inverse_branches(cell.robot, T)
+    q = near[:, None] + (q - near[:, None] + np.pi) % (2 * np.pi) - np.pi
+    best = np.nanargmin(np.abs(q - near[:, None]).max(axis=-1), axis=1)
+    return np.asarray(q[np.arange(len(q)), best])

@@ -1,0 +1,190 @@
+"""The force of a written program by a second route, sharing nothing with the model that planned it.
+
+Joints come from the text read back and interpolated as a controller would; kinematics are elementary motions in NumPy,
+gravity torques Pinocchio's at the converged bent posture, Jacobians finite differences, and the wheel contact is the
+Signorini problem solved directly instead of the table. Of a cell's effects the formulas are the library's, the numbers that go
+into them are this route's.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from ocp.contact.wheel.cover import Cover
+from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, surface_shape
+from ocp.model.cell import Cell
+from ocp.plan.passes.direct_contact import stations
+from ocp.plan.verify.effects import BelievedArm, ContactSample, at_stations, moved_arm
+from robots.elementary import elementary_forward
+from robots.gravity import GRAVITY
+from robots.pose import Array, apply
+from robots.rigid_body import inverse_dynamics
+from robots.robot import Robot
+from trajectories.passes import BladePath
+
+FIXED_POINT_STEPS = 4
+DIFFERENCE = 1e-6  # rad, central differences of the contact point
+STATION_SPACING = 2.8e-3  # m between contacts solved; not the planner's stations
+FORCE_STEPS = 4  # Newton steps on the force at a station, until one is below the next line
+FORCE_STEP_ENOUGH = 0.1  # N; the law is so smooth that what is left after it is below 1e-3 N
+
+
+@dataclass(frozen=True)
+class Believed:
+    """The parameters that the second route needs, by value: robot with calibrated MD-H, compliance (6,), registrations."""
+
+    robot: Robot
+    compliance: Array
+    payload_mass: float
+    payload_com: Array
+
+
+@dataclass(frozen=True)
+class VerifiedPass:
+    """Force (m,) N along a pass at times (m,) s, arc length s (m,) m; interference (m,) m."""
+
+    time: Array
+    s: Array
+    force: Array
+    delta: Array
+
+
+def verify_pass(
+    cell: Cell,
+    believed: Believed,
+    cover: Cover,
+    cloud: SurfaceCloud,
+    path: BladePath,
+    compliance: Array,
+    time: Array,
+    q: Array,
+    s: Array,
+    conditions: Mapping[str, Array] | None = None,
+) -> VerifiedPass:
+    """Force along a pass whose joints q (m, 6) at `time` (m,) were read back; the contact is planned at arc length s (m,).
+
+    `compliance` (n, 3) m/N is the blade's in (n, t, b) at the waypoints of `path`; `conditions`: what the cell's effects
+    depend on there, by name, (n, k) each (`ocp.effects.engine.symbolic.CONDITIONS`).
+    """
+    on_path = {name: CubicSpline(path.s, getattr(path, name))(s) for name in ("p", "n", "t")}
+    n = on_path["n"] / np.linalg.norm(on_path["n"], axis=1, keepdims=True)
+    t = on_path["t"] - n * np.sum(on_path["t"] * n, axis=1, keepdims=True)
+    t /= np.linalg.norm(t, axis=1, keepdims=True)
+    seen = at_stations(conditions, path.s, s)
+    q_real, T_flange = _postures(cell, believed, q, seen)
+    T = T_flange @ cell.workpiece.T_flange_blade
+    p = apply(T, on_path["p"])
+    n_base, t_base = (np.einsum("kij,kj->ki", T[:, :3, :3], v) for v in (n, t))
+    wheel = cell.wheel
+    v = p - wheel.centre
+    lateral = v @ wheel.axis
+    radial = v - lateral[:, None] * wheel.axis
+    rho = np.linalg.norm(radial, axis=1)
+    e = radial / rho[:, None]
+    delta = wheel.radius - rho
+
+    at = np.searchsorted(s, np.clip(path.s[stations(path.s, STATION_SPACING)], s[0], s[-1]))
+    at = np.unique(np.clip(at, 0, len(s) - 1))
+    needed, slope = [], []
+    for k in at:
+        waypoint = int(np.argmin(np.abs(path.s - s[k])))
+        base = _local_shape(cell, path, waypoint, n_base[k], t_base[k], e[k], lateral[k])
+        shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
+        here = {name: value[k] for name, value in seen.items()}
+        sample = ContactSample(cell, on_path["p"][k], n[k], t[k], T[k], e[k], float(lateral[k]), base, here)
+        linear = [_linear_give(cell, believed, q_real[k], sample, compliance[waypoint], mu) for mu in (wheel.friction, 1.0, 0.0)]
+        F, rate = _equilibrium(cell, cover, shape, sample, delta[k], float(path.force[waypoint]), linear)
+        slope.append(1.0 / rate)
+        needed.append(delta[k] - (F - path.force[waypoint]) * rate)
+    # What overlap the programmed force needs varies smoothly; the overlap itself is judged at every millisecond.
+    overlap, rise = PchipInterpolator(s[at], np.column_stack([needed, slope]))(s).T
+    force = np.interp(s, path.s, path.force) + rise * (delta - overlap)
+    return VerifiedPass(time, s, np.maximum(force, 0.0), delta)
+
+
+def _equilibrium(
+    cell: Cell, cover: Cover, shape: SurfaceShape, sample: ContactSample, delta: float, F: float, linear: list[Array]
+) -> tuple[float, float]:
+    """Force N at an overlap delta m, by Newton from F, and m/N of the whole chain; linear: m/N of blade and joints with the
+    cell's friction, with 1 and with 0."""
+    push, stroke = _flange(cell, sample.T, sample.T[:3, :3] @ sample.n)
+    for _ in range(FORCE_STEPS):
+        contact = solve_force(cover, F, shape)
+        parts = ((F * push - stroke[0]) * stroke[1] * push, contact.indentation, *(F * linear[0]))
+        slopes = (push**2 * stroke[1], 1.0 / contact.stiffness, *linear[0])
+        more = sample.overlap(F, parts, slopes, F * float(np.sum(linear[1] - linear[2]))) if cell.effects else 0.0
+        step = (delta + more - sum(parts)) / sum(slopes)
+        F = max(F + step, 0.05 * F)
+        if abs(step) < FORCE_STEP_ENOUGH:
+            break
+    return F, sum(slopes)
+
+
+def _postures(cell: Cell, believed: Believed, q: Array, seen: dict[str, Array]) -> tuple[Array, Array]:
+    """Bent joints (m, 6) and flange poses (m, 4, 4) at commanded joints q (m, 6), with the cell's effects."""
+    q_real = bent(cell, believed, q)
+    if not cell.effects:
+        return q_real, elementary_forward(believed.robot, q_real)
+    bends = believed.compliance * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
+    arm = BelievedArm(believed.robot, bends, believed.payload_mass, believed.payload_com)
+    return moved_arm(cell, arm, q, q_real, seen)
+
+
+def bent(cell: Cell, believed: Believed, q: Array) -> Array:
+    """Joints (m, 6) bent by gravity at the converged posture; q commanded (m, 6)."""
+    bends = believed.compliance * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
+    still = np.zeros_like(q)
+    real = q.copy()
+    for _ in range(FIXED_POINT_STEPS):
+        real = q - bends * inverse_dynamics(believed.robot, believed.payload_mass, believed.payload_com, real, still, still)
+    return real
+
+
+def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Array, lateral: float) -> LocalShape:
+    wheel = cell.wheel
+    belt, axis = np.cross(wheel.axis, e), wheel.axis
+    b = np.cross(n, t)
+    A = np.array([[t @ belt, b @ belt], [t @ axis, b @ axis]])
+    k_tt, k_bb, k_tb = path.curvature[k]
+    K = A @ np.array([[k_tt, k_tb], [k_tb, k_bb]]) @ A.T
+    return LocalShape(
+        kxx=K[0, 0] + 1 / wheel.radius, kyy=K[1, 1], kxy=K[0, 1], lateral=float(lateral),
+        tilt_x=-float(n @ belt) / float(n @ e), tilt_y=-float(n @ axis) / float(n @ e),
+        heading=(float(t @ belt), float(t @ axis)),
+    )  # fmt: skip
+
+
+def _linear_give(cell: Cell, believed: Believed, q: Array, at: ContactSample, give: Array, friction: float) -> Array:
+    """Displacement of the contact per newton from the blade with its fixture, and from joints (PHYSICS 3.1), (2,) m/N."""
+    wheel, e = cell.wheel, at.e
+    f = e + friction * np.cross(wheel.axis, e) * np.sign(wheel.belt_speed)
+    n, t = at.T[:3, :3] @ at.n, at.T[:3, :3] @ at.t
+    blade = give[0] * -(f @ n) + give[1] * (f @ t) + give[2] * (f @ np.cross(n, t))
+    nudged = q + DIFFERENCE * np.vstack([np.eye(6), -np.eye(6)])
+    T = elementary_forward(believed.robot, nudged) @ cell.workpiece.T_flange_blade
+    points = apply(T, at.p)
+    J = ((points[:6] - points[6:]) / (2 * DIFFERENCE)).T
+    joints = float((e @ J) @ (believed.compliance * (J.T @ f)))
+    return np.array([float(blade) + 1.0 / cell.workpiece.clamp_stiffness, joints])
+
+
+def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[float, float]]:
+    """Share of the normal force along the flange's axis, and (preload N, compliance m/N) of its stroke."""
+    flange = cell.flange
+    if flange is None:
+        return 0.0, (0.0, 0.0)
+    direction = n
+    if flange.axis is not None:
+        R_flange = T_base_blade[:3, :3] @ cell.workpiece.T_flange_blade[:3, :3].T
+        direction = R_flange @ flange.axis
+        direction = direction * np.sign(direction @ n)
+    weight = 0.0 if flange.gravity_compensated else -flange.carried_mass * GRAVITY * direction[2]
+    return float(direction @ n), (flange.setpoint + weight, 1.0 / flange.stiffness)
+
+
+def believed_robot(cell: Cell, mdh: Array, compliance: Array, payload_mass: float, payload_com: Array) -> Believed:
+    """The robot with calibrated MD-H (6, 5), as the second route takes it."""
+    return Believed(replace(cell.robot, mdh=mdh), compliance, payload_mass, payload_com)

@@ -1,0 +1,60 @@
+"""`python -m ocp.simulate [plan/] [--cell cell.toml]`: run a plan on a virtual cell, see the force, write the logs."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ocp.data import CELL
+from ocp.shell.command import main, run, shown_phases
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def simulate(
+    plan: Annotated[Path | None, typer.Argument(help="folder that ocp.plan wrote; without it only the tracker campaign")] = None,
+    cell: Annotated[Path | None, typer.Option(help="the cell file; without it the one the plan was made with")] = None,
+    blade: Annotated[Path | None, typer.Option(help="the blade's STL, where it is not the cell's own")] = None,
+    effect: Annotated[
+        list[str] | None, typer.Option(help="plant NAME[:JOINT][=SIZE], as backlash:5=2e-4; repeat for more")
+    ] = None,
+    effects: Annotated[str | None, typer.Option(help="plant some at random, as random:2")] = None,
+    sealed: Annotated[bool, typer.Option(help="tell nothing of what was planted, and keep readings back to predict")] = False,
+    machine: Annotated[str, typer.Option(help="drawn (real errors), believed (none), sampled (of the calibration)")] = "drawn",
+    seed: Annotated[int, typer.Option(help="which machine; the same seed is the same machine, calibrated or not")] = 0,
+    size: Annotated[float, typer.Option(help="the machine's own errors, 1 as usual")] = 1.0,
+    poses: Annotated[str, typer.Option(help="postures of the tracker campaign: a number, or a folder of ocp.poses")] = "40",
+    ladder: Annotated[
+        str | None, typer.Option(help="setpoints of the force ladder in N, as 12,20,28; none for no ladder")
+    ] = None,
+    belt: Annotated[str | None, typer.Option(help="further belt speeds in m/s, as 0,-20")] = None,
+    air: Annotated[bool, typer.Option(help="log a pass with the flange drawn back")] = True,
+    joints: Annotated[bool, typer.Option(help="write joints.csv, link-side encoders")] = False,
+    hz: Annotated[float, typer.Option(help="control rate in 1/s")] = 250.0,
+    log_hz: Annotated[float, typer.Option(help="rows of force.csv a second")] = 25.0,
+    clock: Annotated[float, typer.Option(help="seconds that the campaign's clock shows at the start: wear, drift, steps")] = 0.0,
+    list_effects: Annotated[bool, typer.Option("--list-effects", help="print what can be planted")] = False,
+    out: Annotated[Path, typer.Option(help="folder to write")] = Path("run"),
+    overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
+) -> None:
+    """Rehearse a plan on a virtual cell that shares no code with the planner, and write the data a real cell would give."""
+    from ocp.simulate.simulation import Wanted, effects_table, simulate_cell  # heavy imports only once the arguments stand
+
+    def job() -> str:
+        if list_effects:
+            return effects_table()
+        wanted = Wanted(
+            plan=plan, cell=cell, blade=blade, effects=tuple(effect or ()), random=effects, sealed=sealed, machine=machine,
+            seed=seed, size=size, poses=poses, ladder=ladder, belts=belt, air=air, joints=joints, hz=hz, log_hz=log_hz,
+            clock=clock,
+        )  # fmt: skip
+        with shown_phases() as phases:
+            return simulate_cell(wanted, CELL, out, overwrite, phases)
+
+    sys.exit(run(job, "not simulated"))
+
+
+if __name__ == "__main__":
+    main(app)

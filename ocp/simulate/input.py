@@ -1,0 +1,163 @@
+"""What `ocp.simulate` was asked for, checked: numbers, effects, the cell that a plan belongs to."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ocp.model.cell import Cell
+from ocp.simulate.twin.belonging import cell_of_plan, recorded, sha256
+from ocp.simulate.twin.campaign import CampaignPlan, check_plan, default_ladder
+from ocp.simulate.twin.truth.planting import Kind, Planted, draw_effect, kinds, parse_effect
+from robots.errors import BadInput
+
+MOST_EFFECTS = 6
+MODES = ("drawn", "believed", "sampled")
+# Effects that need what a run without a plan, without a flange, without joints.csv does not have.
+_ARM_ONLY = ("arm", "tracker")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The command's arguments as they were given; see `ocp.simulate`."""
+
+    plan: Path | None
+    cell: Path | None
+    blade: Path | None
+    effects: tuple[str, ...]
+    random: str | None
+    sealed: bool
+    machine: str
+    seed: int
+    size: float
+    poses: str
+    ladder: str | None
+    belts: str | None
+    air: bool
+    joints: bool
+    hz: float
+    log_hz: float
+    clock: float = 0.0
+
+
+def check_numbers(wanted: Wanted) -> None:
+    """Raises BadInput: what needs no file to be seen wrong."""
+    if wanted.machine not in MODES:
+        raise BadInput(f"--machine '{wanted.machine}' is not one of {', '.join(MODES)}")
+    for name, value, low, high in (
+        ("--seed", wanted.seed, 0, 2**32), ("--size", wanted.size, 0.0, 5.0), ("--hz", wanted.hz, 20.0, 2000.0),
+        ("--clock", wanted.clock, 0.0, 1e7),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:g}")
+    if wanted.joints and wanted.plan is None:
+        raise BadInput("--joints needs a plan to drive; name the plan's folder")
+    if (wanted.ladder or wanted.belts) and wanted.plan is None:
+        raise BadInput("--ladder and --belt need a plan to grind; name the plan's folder")
+
+
+def cell_file(wanted: Wanted, summary: dict[str, Any], bundled: Path) -> Path:
+    """The cell: the one given, else the plan's own by its hash, without a plan the bundled one. Raises BadInput."""
+    if wanted.cell is not None:
+        return wanted.cell
+    if wanted.plan is None:
+        return bundled
+    folder = wanted.plan if wanted.plan.is_dir() else wanted.plan.parent
+    return cell_of_plan(summary, folder, (folder, folder.resolve().parent, Path.cwd()), bundled)
+
+
+def blade_file(wanted: Wanted, summary: dict[str, Any], own: Path | None) -> Path | None:
+    """A blade that replaces the cell's own: the one given, or, for a cell that was found, one near the plan by its hash."""
+    known = recorded(summary, "blade")
+    if wanted.blade is not None or wanted.cell is not None or known is None or wanted.plan is None:
+        return wanted.blade
+    if own is not None and own.is_file() and sha256(own) == known[1]:
+        return None
+    folder = wanted.plan if wanted.plan.is_dir() else wanted.plan.parent
+    for place in (folder, folder.resolve().parent, Path.cwd()):
+        candidate = place / known[0]
+        if candidate.is_file() and sha256(candidate) == known[1]:
+            return candidate
+    return None
+
+
+def planted_effects(wanted: Wanted, cell: Cell) -> tuple[Planted, ...]:
+    """What is planted: what was named, then what is drawn at random. Raises BadInput in one sentence."""
+    found = [parse_effect(text) for text in wanted.effects]
+    if wanted.random is not None:
+        word, _, number = wanted.random.partition(":")
+        if word != "random" or not number.isdecimal() or not 0 <= int(number) <= MOST_EFFECTS:
+            raise BadInput(
+                f"--effects '{wanted.random}': write random:N with N from 0 to {MOST_EFFECTS}; --effect names single ones"
+            )
+        found += _drawn(wanted, cell, int(number))
+    names = [(one.effect, one.joint) for one in found]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise BadInput(f"effect '{twice[0][0]}' is planted twice in the same place; give it once with the whole size")
+    for one in found:
+        if one.effect.startswith("flange_") and cell.flange is None:
+            raise BadInput(f"effect '{one.effect}': the cell has no [force_flange]; choose another effect")
+        if wanted.plan is None and kinds()[one.effect].part not in _ARM_ONLY:
+            raise BadInput(
+                f"effect '{one.effect}' shows only while grinding; name a plan's folder, or choose an effect of the arm"
+            )
+    return tuple(found)
+
+
+def _drawn(wanted: Wanted, cell: Cell, count: int) -> list[Planted]:
+    """Different effects at random, among those that this run can show."""
+    rng = np.random.default_rng([wanted.seed, 0xEF])
+    usable = [kind for _, kind in sorted(kinds().items()) if _shows(kind, wanted, cell)]
+    chosen = rng.choice(len(usable), size=min(count, len(usable)), replace=False)
+    targets = list(cell.tables.tracker.targets) if cell.tables.tracker is not None else ["T1"]
+    return [draw_effect(rng, usable[int(k)], targets=targets) for k in chosen]
+
+
+def _shows(kind: Kind, wanted: Wanted, cell: Cell) -> bool:
+    if kind.part in _ARM_ONLY:
+        return kind.part == "arm" or cell.tables.tracker is not None
+    return wanted.plan is not None and (cell.flange is not None or not kind.name.startswith("flange_"))
+
+
+def campaign_plan(wanted: Wanted, cell: Cell) -> CampaignPlan:
+    """What is to be ground and logged. Raises BadInput: levels, speeds or rates out of range."""
+    force = cell.process.force
+    if wanted.ladder is None:
+        ladder = default_ladder(force, cell.flange is None)
+    else:
+        ladder = () if wanted.ladder.strip().lower() == "none" else _numbers("--ladder", wanted.ladder)
+    belts = () if wanted.belts is None else _numbers("--belt", wanted.belts)
+    plan = CampaignPlan(ladder, belts, wanted.air, wanted.log_hz, wanted.sealed, wanted.clock)
+    check_plan(plan, wanted.hz, force)
+    return plan
+
+
+def _numbers(name: str, text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise BadInput(f"{name} '{text}' must be numbers between commas, as 12,20,28") from None
+    if not np.isfinite(values).all():
+        raise BadInput(f"{name} '{text}' must be finite numbers between commas")
+    return values
+
+
+def in_words(planted: Sequence[Planted]) -> str:
+    """What was planted, as the last line tells it."""
+    if not planted:
+        return "nothing planted"
+    words = []
+    for one in planted:
+        place = "" if one.joint is None else f":{one.joint}"
+        values = ", ".join(f"{name}={_short(value)}" for name, value in one.values.items())
+        words.append(f"{one.effect}{place} ({values})")
+    return "planted " + ", ".join(words)
+
+
+def _short(value: float | tuple[float, ...] | str) -> str:
+    if isinstance(value, str):
+        return value
+    return "/".join(f"{v:.3g}" for v in value) if isinstance(value, tuple) else f"{value:.3g}"

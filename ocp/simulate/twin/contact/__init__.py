@@ -1,0 +1,8 @@
+"""Wheel, blade, mount and force sensor of the virtual cell (docs/virtual_grinding.md)."""
+
+from ocp.simulate.twin.contact.grinder import Grinder, make_grinder
+from ocp.simulate.twin.contact.moments import ContactMoments, ContactResult
+from ocp.simulate.twin.contact.sensor import read_sensor
+from ocp.simulate.twin.contact.table import Tables
+
+__all__ = ["ContactMoments", "ContactResult", "Grinder", "Tables", "make_grinder", "read_sensor"]

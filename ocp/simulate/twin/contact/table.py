@@ -1,0 +1,243 @@
+"""Depth against force at stations of the blade, solved once for every posture on a lattice and kept for all virtual cells.
+
+A node is a planned contact (p, n, t) with a posture rounded to a lattice; its curve depth(force) holds for modulus 1 (force over
+modulus), so that stiffness, temperature and law act on the force scale alone. Between lattice points the curve is moved by its
+derivatives: tilt, turn and shift along the belt follow from the moments of the pressure (docs/virtual_grinding.md, eq. 6), the
+shift across the wheel and the second order along the belt from solutions beside. A node depends on nothing but its key, so a
+store may be shared, pickled and filled in any order without a reading changing.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from ocp.model.cell import Cell
+from ocp.simulate.twin.contact.posture import wheel_on_blade
+from ocp.simulate.twin.contact.rubber import CELLS_PER_PATCH, Rubber, cell_size, make_rubber
+from ocp.simulate.twin.contact.surface import Facets, facets, gap, near
+from ocp.simulate.twin.contact.unilateral import press
+from robots.pose import Array
+from trajectories.blade import Blade
+
+LEVELS = np.array([0.0, 0.08, 0.3, 0.65, 1.05, 1.7, 3.0, 6.0])  # loads solved, in process forces
+BESIDE = np.array([2, 3, 4, 5, 7])  # levels at which the wheel is moved across
+LATTICE = np.array([2e-3, 1e-3, 1e-2, 2e-2])  # m along, m across, rad tilt, rad turn
+PROCESS = 4  # level nearest to the process force
+ALONG_STEP = 1e-3  # m for the second derivative along the belt, at PROCESS
+REACH = 1.5  # half-lengths of the largest patch that the window shows
+BATCH = 6  # nodes solved side by side
+PATCH = (1.05, 1.3)  # semi-axes of the patch on the blade's solid, along the feed and across, in those of a Hertz patch
+EDGE_ZONE = 6e-3  # m from the blade's edge inside which it crowds the contact
+SHARP = 50.0  # 1/m: curvature, a radius of 20 mm, at which the blade crowds the contact by half
+ABSENT = 1.0  # m of depth to touch where there is no blade: never reached
+
+
+OTHERS = [0, 2, 3]  # of the lattice's coordinates, those along which the pressure's moments are derivatives
+Node = tuple[Array, Array, Array, Array, float]  # value, slope, bend, mixed, crowding of one row of `Curves`
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Depth m of k nodes at the loads, and how it changes off the lattice point.
+
+    value (k, levels); slope (k, levels, 4) in the lattice's coordinates; bend (k, levels, 2): second derivatives along and
+    across, 1/m; mixed (k, levels, 3): of across with OTHERS; crowding (k,): 0 on a flat, 1 at an edge (belt_tension).
+    """
+
+    value: Array
+    slope: Array
+    bend: Array
+    mixed: Array
+    crowding: Array
+
+    def at(self, index: NDArray[np.int64], off: Array) -> Array:
+        """Depth (n, levels) of nodes (n,) at postures `off` (n, 4) from their lattice point."""
+        depth = self.value[index] + np.einsum("klj,kj->kl", self.slope[index], off)
+        depth += np.einsum("klj,kj->kl", self.mixed[index], off[:, OTHERS] * off[:, 1:2])
+        return np.asarray(depth + 0.5 * np.einsum("klj,kj->kl", self.bend[index], off[:, :2] ** 2))
+
+
+@dataclass
+class Tables:
+    """Solved nodes by content; shared by every virtual cell of one blade and one wheel. Pickles with what it has."""
+
+    rubber: Rubber
+    surface: Facets
+    load: float
+    patch: tuple[float, float]
+    nodes: dict[bytes, Node] = field(default_factory=dict)
+    solid: dict[bytes, Array] = field(default_factory=dict)
+
+    def give(self, p: Array, n: Array, t: Array, solve: Callable[[], Array]) -> Array:
+        """Compliance of the blade's solid at contacts (k, 3) m/N, (k, 3); `solve` is asked for all where one is not known."""
+        keys = [row.tobytes() for row in _exact(p, n, t)]
+        if not all(key in self.solid for key in keys):
+            self.solid.update(zip(keys, solve(), strict=True))
+        return np.array([self.solid[key] for key in keys])
+
+    def curves(self, p: Array, n: Array, t: Array, lattice: NDArray[np.int64]) -> Curves:
+        """Curves of k nodes: contacts (k, 3) and lattice points (k, 4); solves those that are not known."""
+        keys = [row.tobytes() for row in np.concatenate([_exact(p, n, t), lattice], axis=1)]
+        missing = {key: k for k, key in enumerate(keys) if key not in self.nodes}
+        order = list(missing.values())
+        for start in range(0, len(order), BATCH):
+            part = np.array(order[start : start + BATCH])
+            for k, node in zip(part, self._solve(p[part], n[part], t[part], lattice[part] * LATTICE), strict=True):
+                self.nodes[keys[k]] = node
+        found = [self.nodes[key] for key in keys]
+        return Curves(
+            np.array([f[0] for f in found]),
+            np.array([f[1] for f in found]),
+            np.array([f[2] for f in found]),
+            np.array([f[3] for f in found]),
+            np.array([f[4] for f in found]),
+        )
+
+    def _solve(self, p: Array, n: Array, t: Array, shape: Array) -> list[Node]:
+        """Value, slope, bend and crowding of nodes (k, 3), (k, 4)."""
+        grid = self.rubber.grid
+        rows = len(grid.y)
+        reach = np.hypot(grid.x[-1] + ALONG_STEP, 0.5 * self.rubber.width) + grid.dy
+        wide = np.concatenate([[grid.y[0] - grid.dy], grid.y, [grid.y[-1] + grid.dy]])
+        step = np.array([ALONG_STEP, 0.0, 0.0, 0.0])
+        gaps, moved, crowding = [], [], []
+        for one in zip(p, n, t, shape, strict=True):
+            around = near(self.surface, one[0], reach + np.abs(one[3][:2]).sum())
+            gaps.append(self._gap(around, *one, wide))
+            moved.append(self._gap(around, one[0], one[1], one[2], one[3] + step, grid.y))
+            crowding.append(_crowding(gaps[-1][:, 1:-1], grid.x, grid.y - one[3][1], self.rubber.radius))
+        base, forces = self._press([(whole[:, 1:-1], k) for whole in gaps for k in LEVELS[1:]])
+        # Beside: one row of cells to each side at some levels, a step along the belt at process force.
+        beside: list[tuple[Array, float]] = []
+        for whole, ahead in zip(gaps, moved, strict=True):
+            beside += [(g, k) for g in (whole[:, :rows], whole[:, 2:]) for k in LEVELS[BESIDE]] + [(ahead, LEVELS[PROCESS])]
+        like = np.concatenate([BESIDE, BESIDE, [PROCESS]]) - 1
+        count, each = len(LEVELS) - 1, len(like)
+        start = np.concatenate([forces[:, :, k * count + like] for k in range(len(gaps))], axis=2)
+        around_it, pressing = self._press(beside, start)
+        return [
+            self._node(
+                gaps[k],
+                shape[k],
+                base[k * count :][:count],
+                forces[:, :, k * count :][:, :, :count],
+                around_it[k * each :][:each],
+                pressing[:, :, k * each :][:, :, : 2 * len(BESIDE)],
+                crowding[k],
+            )
+            for k in range(len(gaps))
+        ]
+
+    def _press(self, tasks: list[tuple[Array, float]], start: Array | None = None) -> tuple[Array, Array]:
+        """Depth (k,) m and cell forces (nx, ny, k) of gaps under loads in process forces; ABSENT where there is no blade."""
+        there = np.flatnonzero([np.isfinite(g).any() for g, _ in tasks])
+        depth = np.full(len(tasks), ABSENT)
+        forces = np.zeros((*tasks[0][0].shape, len(tasks)))
+        if len(there):
+            gaps = np.stack([tasks[k][0] for k in there], axis=2)
+            loads = np.array([tasks[k][1] for k in there]) * self.load
+            solved = press(self.rubber, gaps, loads, None if start is None else start[:, :, there])
+            depth[there], forces[:, :, there] = solved.approach, solved.forces
+        return depth, forces
+
+    def _gap(self, around: Facets, p: Array, n: Array, t: Array, shape: Array, y: Array) -> Array:
+        frame, middle = wheel_on_blade(p, n, t, shape, self.rubber.radius)
+        grid = self.rubber.grid
+        return gap(around, frame, middle, self.rubber.radius, grid.x, y, grid.dx, grid.dy)
+
+    def _node(
+        self, here: Array, shape: Array, base: Array, forces: Array, beside: Array, pressing: Array, crowding: float
+    ) -> Node:  # fmt: skip
+        """One node from its gap with a row more on both sides, the depths at the levels with their cell forces, and the depths
+        and cell forces beside in the order of `_solve`."""
+        value = np.concatenate([[_first(self.rubber, here[:, 1:-1])], base])
+        sideways = len(BESIDE)
+        # The wheel's rows one cell up: it stands one cell farther along its axis, so the contact lies one cell lower on it.
+        down = np.concatenate([[_first(self.rubber, here[:, :-2])], beside[:sideways]])
+        up = np.concatenate([[_first(self.rubber, here[:, 2:])], beside[sideways : 2 * sideways]])
+        cell, known = self.rubber.grid.dy, np.concatenate([[0], BESIDE])
+        across = np.stack([(down - up) / (2 * cell), (down + up - 2 * value[known]) / cell**2], axis=1)
+        level = LEVELS ** (2 / 3)
+        across = PchipInterpolator(level[known], across)(level)
+        slope, bend = np.zeros((len(LEVELS), 4)), np.zeros((len(LEVELS), 2))
+        slope[:, OTHERS] = self._moments(forces, shape[1], LEVELS)
+        mixed = self._moments(pressing[:, :, :sideways], shape[1] + cell, LEVELS[known])
+        mixed = (mixed - self._moments(pressing[:, :, sideways:], shape[1] - cell, LEVELS[known])) / (2 * cell)
+        slope[:, 1], bend[:, 1] = across.T
+        bend[:, 0] = 2 * (beside[-1] - value[PROCESS] - slope[PROCESS, 0] * ALONG_STEP) / ALONG_STEP**2
+        if not (np.concatenate([value, beside, down, up]) < 0.5 * ABSENT).all():
+            slope[:], bend[:], mixed[:] = 0.0, 0.0, 0.0
+        return value, slope, bend, mixed, crowding
+
+    def _moments(self, forces: Array, across: float, levels: Array) -> Array:
+        """Derivatives (LEVELS, 3) of the depth in along, tilt, turn: how the moments of the pressure grow with the load. `forces`
+        are those at `levels` but the first, where there are none."""
+        grid = self.rubber.grid
+        tangent = np.tan(grid.x / self.rubber.radius)[:, None]
+        lever = (grid.y - across)[None, :]
+        arms = np.stack([-tangent + 0 * lever, lever + 0 * tangent, -tangent * lever])
+        moments = np.einsum("axy,xyl->la", arms, forces) / self.load
+        return np.asarray(PchipInterpolator(levels, np.vstack([np.zeros(3), moments])).derivative()(LEVELS))
+
+
+_KEPT: dict[tuple[object, ...], Tables] = {}
+KEPT = 4  # stores kept in a process
+
+
+def make_tables(cell: Cell, blade: Blade) -> Tables:
+    """The store of the cell's wheel and blade: the one this process has, or an empty one.
+
+    It knows the design wheel and the design blade: what a truth changes are scales and shifts.
+    """
+    wheel, piece, force = cell.wheel, cell.workpiece, cell.process.force
+    size = cell_size(wheel.radius, wheel.width, wheel.cover_modulus, wheel.cover_poisson, force)
+    patch = CELLS_PER_PATCH * size
+    reach = min(REACH * patch * LEVELS[-1] ** (1 / 3), 0.8 * wheel.radius)
+    key = (
+        blade.sha256, float(np.ptp(blade.vertices)),
+        *map(float, (wheel.radius, wheel.width, wheel.cover_thickness, wheel.cover_poisson)),
+        wheel.cover_modulus, force,
+        *map(float, piece.clamp_normal), piece.clamp_offset, piece.youngs_modulus, piece.poisson,
+    )  # fmt: skip
+    if key not in _KEPT:
+        while len(_KEPT) >= KEPT:
+            _KEPT.pop(next(iter(_KEPT)))
+        rubber = make_rubber(wheel.radius, wheel.width, wheel.cover_thickness, wheel.cover_poisson, size, reach)
+        ellipse = (round(PATCH[0] * patch, 4), round(min(PATCH[1] * patch, 0.45 * wheel.width), 4))
+        _KEPT[key] = Tables(rubber, facets(blade), force / wheel.cover_modulus, ellipse)
+    return _KEPT[key]
+
+
+def _exact(p: Array, n: Array, t: Array) -> NDArray[np.int64]:
+    """Contacts (k, 9) in tenths of a micrometre and microradians."""
+    return np.round(np.concatenate([p * 1e7, n * 1e6, t * 1e6], axis=1)).astype(np.int64)
+
+
+def _first(rubber: Rubber, here: Array) -> float:
+    """Depth m at which wheel and blade touch."""
+    first = float((here / rubber.cosine[:, None]).min())
+    return first if np.isfinite(first) else ABSENT
+
+
+def _crowding(here: Array, x: Array, y: Array, radius: float) -> float:
+    """Share 0..1 to which an edge of the blade or its curvature crowds the contact.
+
+    The larger of: 1 where the blade ends at the contact, falling to 0 at EDGE_ZONE; and k / (k + SHARP), k its largest curvature.
+    """
+    there = np.isfinite(here)
+    if not there.any():
+        return 0.0
+    far = np.where(there, np.inf, np.hypot(x[:, None], y[None, :]))
+    edge = max(0.0, 1.0 - float(far.min()) / EDGE_ZONE)
+    near_by = there & (np.abs(x)[:, None] < 3e-3) & (np.abs(y)[None, :] < 3e-3)
+    if near_by.sum() < 12:
+        return edge
+    X, Y = np.broadcast_arrays(x[:, None], y[None, :])
+    terms = np.stack([np.ones(near_by.sum()), X[near_by], Y[near_by], X[near_by] ** 2, X[near_by] * Y[near_by], Y[near_by] ** 2])
+    fit = np.linalg.lstsq(terms.T, here[near_by], rcond=None)[0]
+    hessian = np.array([[2 * fit[3] - 1 / radius, fit[4]], [fit[4], 2 * fit[5]]])
+    bent = max(float(np.linalg.eigvalsh(hessian)[-1]), 0.0)
+    return max(edge, bent / (bent + SHARP))

@@ -1,0 +1,239 @@
+"""The virtual controller: a program becomes axes over time.
+
+Between points it does what is known of such controllers (KRL.md): fifth-order curves through the points of a block that begins
+and ends at rest, timed blocks keep their times, path motions keep $VEL.CP where the axes allow it. Only the curve's being
+smooth matters here; the maker's own is not published.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from ocp.simulate.twin.controller.krl_program import KrlProgram, Motion, Pause
+from ocp.simulate.twin.controller.nominal import inverse_by_status, solve
+from ocp.simulate.twin.controller.path_motion import PathSegment, drive_path, flange_poses
+from robots.errors import BadInput, Infeasible
+from robots.pose import Array
+from robots.robot import Robot
+
+Index = NDArray[np.int64]
+
+HZ = 250.0  # samples of the axes a second: the cycle of such controllers is 4 ms (M)
+STOOD = np.radians(1e-3)  # rad; nearer than this the robot already stands where it is sent
+LIMIT = np.radians(1e-3)  # rad, rounding of a printed axis at its limit
+TOLD = 1.02  # share of an axis' speed or acceleration above which the notice comes
+
+
+@dataclass(frozen=True)
+class Track:
+    """Axes over time, n samples at a fixed rate.
+
+    time (n,) s; q, qd (n, 6) rad, rad/s; approach (n, 6) sign of each axis' last motion (0 before its first); motion (n,)
+    index into `places`, each (file, line) of a motion in the program; row (n,) line of the point that was passed last;
+    pauses (m, 2): time s and length s (nan where the program waits for somebody) of each stop; notices in sentences.
+    """
+
+    time: Array
+    q: Array
+    qd: Array
+    approach: Array
+    motion: Index
+    row: Index
+    places: tuple[tuple[str, int], ...]
+    pauses: Array
+    notices: tuple[str, ...]
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        return float(self.time[-1])
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """One motion: its curve over time, and which line of the program it passes at which time."""
+
+    place: tuple[str, int]
+    start: float
+    duration: float
+    curve: Callable[..., Array]
+    rows: tuple[Array, Index]
+
+
+def drive(program: KrlProgram, robot: Robot, hz: float = HZ) -> Track:
+    """Drive the whole program. The robot is taken to stand where the first motion goes.
+
+    Raises BadInput (a first motion without full axes, poses that no status reaches) and Infeasible (an axis beyond its
+    limit, a pose out of reach), with file and line.
+    """
+    pieces: list[_Piece] = []
+    pauses: list[tuple[float, float]] = []
+    clock, where = 0.0, None
+    steps = list(program.steps)
+    k = 0
+    while k < len(steps):
+        step = steps[k]
+        if isinstance(step, Pause):
+            pauses.append((clock, np.nan if step.seconds is None else step.seconds))
+            clock += step.seconds or 0.0
+            k += 1
+            continue
+        chain = _chain(steps, k)
+        k += len(chain)
+        for piece in _pieces(robot, chain, where, clock):
+            pieces.append(piece)
+            clock = piece.start + piece.duration
+        where = _end(robot, chain, where) if not pieces else pieces[-1].curve(pieces[-1].duration)
+    if not pieces:
+        raise BadInput(f"{program.main}: the robot never leaves its first posture")
+    return _sampled(robot, pieces, clock, pauses, hz)
+
+
+def _chain(steps: list[Motion | Pause], k: int) -> list[Motion]:
+    """The motion at k, with the LIN motions after it where they blend into one another."""
+    chain = [steps[k]]
+    while (
+        chain[-1].kind == "LIN" and chain[-1].targets[0].blend and k + len(chain) < len(steps)  # type: ignore[union-attr]
+        and isinstance(steps[k + len(chain)], Motion) and steps[k + len(chain)].kind == "LIN"  # type: ignore[union-attr]
+    ):  # fmt: skip
+        chain.append(steps[k + len(chain)])
+    return chain  # type: ignore[return-value]
+
+
+def _end(robot: Robot, chain: list[Motion], where: Array | None) -> Array:
+    """Where the first motion of a program puts the robot."""
+    first = chain[0]
+    target = first.targets[-1]
+    if target.q is not None:
+        _within(robot, target.q[None], [(first.file, target.line)])
+        return target.q
+    if first.kind != "PTP" or target.status is None or target.pose is None:
+        raise BadInput(f"{first.file}, line {first.line}: the first motion must be a PTP to full axes, or to a pose with S and T")
+    goal = flange_poses(first.frames, target.pose[None])[0]
+    q = inverse_by_status(robot, goal, target.status, target.turn)
+    if q is None:
+        raise BadInput(
+            f"{first.file}, line {first.line}: no posture of {robot.name} reaches this pose with S {target.status}, "
+            f"T {target.turn}"
+        )
+    return q
+
+
+def _pieces(robot: Robot, chain: list[Motion], where: Array | None, clock: float) -> list[_Piece]:
+    first = chain[0]
+    if first.kind in ("LIN", "SPLINE"):
+        if where is None:
+            raise BadInput(f"{first.file}, line {first.line}: the first motion must be a PTP to full axes")
+        segment: PathSegment | None = drive_path(robot, chain, where)
+        if segment is None:
+            return []
+        return [_Piece((first.file, first.line), clock, segment.duration, segment.q, (segment.passed, segment.rows))]
+    targets = first.targets
+    if first.kind == "PTP":
+        goal = targets[0].q if targets[0].q is not None else _posed(robot, first, where)
+        piece = None if where is None else _point_to_point(robot, first, where, goal, clock)
+        return [] if piece is None else [piece]
+    assert first.times is not None
+    q = np.array([t.q for t in targets])
+    _within(robot, q, [(first.file, t.line) for t in targets])
+    found = []
+    if where is not None and (before := _point_to_point(robot, first, where, q[0], clock)) is not None:
+        found.append(before)
+        clock += before.duration
+    rows = np.array([t.line for t in targets])
+    return [
+        *found,
+        _Piece((first.file, first.line), clock, float(first.times[-1]), _rest_to_rest(first.times, q), (first.times, rows)),
+    ]
+
+
+def _posed(robot: Robot, motion: Motion, where: Array | None) -> Array:
+    """The posture of a PTP to a pose: by its status, else the one nearest to where the robot stands."""
+    target = motion.targets[0]
+    assert target.pose is not None
+    if target.status is not None or where is None:
+        return _end(robot, [motion], where)
+    goal = flange_poses(motion.frames, target.pose[None])
+    q, left = solve(robot, goal, where[None])
+    if left[0] > 1e-7:
+        raise Infeasible(f"{motion.file}, line {motion.line}: the arm cannot reach this pose from where it stands")
+    return np.asarray(q[0])
+
+
+def _point_to_point(robot: Robot, motion: Motion, start: Array, goal: Array, clock: float) -> _Piece | None:
+    """Fifth order from rest to rest: peak speed 15/8 d/T, peak acceleration 10/sqrt(3) d/T^2 (zero jerk is not asked for)."""
+    _within(robot, goal[None], [(motion.file, motion.line)])
+    way = np.abs(goal - start)
+    if way.max() < STOOD:
+        return None
+    speed, acceleration = motion.axis_speed * robot.qd_max, motion.axis_acceleration * robot.qdd_max
+    T = max(float((1.875 * way / speed).max()), float(np.sqrt(5.7735 * way / acceleration).max()))
+    curve = _rest_to_rest(np.array([0.0, T]), np.array([start, goal]))
+    return _Piece((motion.file, motion.line), clock, T, curve, (np.zeros(1), np.array([motion.line])))
+
+
+def _rest_to_rest(t: Array, q: Array) -> Callable[..., Array]:
+    """Fifth-order curve, four times smooth, through q (m, 6) at t (m,), without speed and acceleration at its ends."""
+    still = [(1, np.zeros(6)), (2, np.zeros(6))]
+    return make_interp_spline(t, q, k=5, bc_type=(still, still))
+
+
+def _within(robot: Robot, q: Array, places: list[tuple[str, int]]) -> None:
+    """Raises Infeasible: an axis beyond its limit."""
+    over = np.maximum(robot.q_min - q, q - robot.q_max)
+    k, j = np.unravel_index(int(np.argmax(over)), over.shape)
+    if over[k, j] > LIMIT:
+        low, high = np.degrees([robot.q_min[j], robot.q_max[j]])
+        raise Infeasible(
+            f"{places[k][0]}, line {places[k][1]}: A{j + 1} goes to {np.degrees(q[k, j]):.2f} deg, beyond {low:g} to {high:g} of "
+            f"{robot.name}"
+        )
+
+
+def _sampled(robot: Robot, pieces: list[_Piece], end: float, pauses: list[tuple[float, float]], hz: float) -> Track:
+    """Samples at a fixed rate over all pieces; between pieces the robot stands."""
+    time = np.append(np.arange(0.0, end, 1.0 / hz), end)
+    starts = np.array([p.start for p in pieces])
+    which = np.clip(np.searchsorted(starts, time, side="right") - 1, 0, len(pieces) - 1).astype(np.int64)
+    q, qd, qdd = (np.empty((len(time), 6)) for _ in range(3))
+    row = np.empty(len(time), np.int64)
+    for i in np.unique(which):
+        mine = which == i
+        piece = pieces[i]
+        at = np.clip(time[mine] - piece.start, 0.0, piece.duration)
+        q[mine] = piece.curve(at)
+        moving = ((time[mine] - piece.start) <= piece.duration)[:, None]
+        qd[mine], qdd[mine] = (moving * piece.curve(at, nu=order) for order in (1, 2))
+        row[mine] = piece.rows[1][np.clip(np.searchsorted(piece.rows[0], at + 1e-9, side="right") - 1, 0, None)]
+    places = tuple(p.place for p in pieces)
+    _within(robot, q, [(places[w][0], int(r)) for w, r in zip(which, row, strict=True)])
+    notices = _notices(robot, qd, qdd, which, row, places)
+    stops = np.array(pauses).reshape(-1, 2)
+    return Track(time, q, qd, _approach(qd), which, row, places, stops, notices)
+
+
+def _approach(qd: Array) -> Array:
+    """Sign of each axis' last motion: where it stands, that of the motion before."""
+    sign = np.where(np.abs(qd) > 1e-7, np.sign(qd), 0.0)
+    index = np.where(sign != 0, np.arange(len(sign))[:, None], 0)
+    np.maximum.accumulate(index, axis=0, out=index)
+    return np.take_along_axis(sign, index, axis=0)
+
+
+def _notices(
+    robot: Robot, qd: Array, qdd: Array, which: Index, row: Index, places: tuple[tuple[str, int], ...]
+) -> tuple[str, ...]:
+    """Timed blocks that ask for more than the axes do: the controller would be slower there."""
+    found = []
+    for what, values, most in (("speed", qd, robot.qd_max), ("acceleration", qdd, robot.qdd_max)):
+        share = np.abs(values) / most
+        k, j = np.unravel_index(int(np.argmax(share)), share.shape)
+        if share[k, j] > TOLD:
+            found.append(
+                f"{places[which[k]][0]}, line {int(row[k])}: A{j + 1} needs {100 * share[k, j]:.0f} % of its {what}; a "
+                "controller would stretch the time there, here it is kept"
+            )
+    return tuple(found)

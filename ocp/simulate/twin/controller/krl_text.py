@@ -1,0 +1,268 @@
+"""What a KRL program tells a controller to do, read from the .src and .dat files alone.
+
+The virtual controller's own reader: line by line, following calls, keeping frames, speeds and interpolation mode as they are
+assigned. It knows what ocp.plan and ocp.poses write and what stands in such programs without moving anything; whatever else
+could move the robot, or change how it moves, is refused with file and line, because a guess would be a motion nobody checked.
+"""
+
+import re
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ocp.simulate.twin.controller.krl_program import Frames, KrlProgram, Motion, Pause, Target
+from ocp.simulate.twin.controller.krl_values import AXIS_LETTERS, POSE_LETTERS, aggregate, frame_of, number
+from robots.errors import BadInput
+from robots.pose import Array
+
+DEEPEST = 10  # calls inside calls; deeper ones are taken for a program that calls itself
+_NAME = r"[A-Z_$][A-Z0-9_$]*"
+_CALL = re.compile(rf"^({_NAME})\s*\(\s*\)$")
+_POINT = re.compile(r"^(S?PTP|S?LIN|SPL)\s+(\{.*\}|" + _NAME + r")\s*(C_PTP|C_VEL|C_DIS|C_ORI|C_SPL)?$")
+_ASSIGNMENT = re.compile(rf"^({_NAME}(?:\.{_NAME})?)\s*(?:\[\s*(\d+)\s*\])?\s*=\s*(.+)$")
+_DECLARED = re.compile(rf"^(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?(E6POS|POS|E6AXIS|AXIS|FRAME)\s+({_NAME})\s*=\s*(\{{.*\}})$")
+_TIME_BLOCK = re.compile(r"^TIME_BLOCK\s+(START|(?:PART|END)\s*=\s*(\S+))$")
+# Lines that neither move the robot nor change how it moves.
+_IDLE = re.compile(
+    r"^(&.*|(GLOBAL\s+)?INTERRUPT\s.*|BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)|EXT(FCT)?\s.*|(DECL\s+)?(INT|REAL|BOOL|CHAR)\s.*|SIGNAL\s.*|"
+    r"\$OUT\s*\[.*|\$LOAD\s*=.*|\$ADVANCE\s*=.*|GLOBAL\s+INTERRUPT.*)$"
+)
+
+
+@dataclass
+class _Controller:
+    """Registers of the controller while it goes through the program."""
+
+    frames: Frames = field(default_factory=lambda: Frames(np.eye(4), np.eye(4)))
+    tools: dict[int, Array] = field(default_factory=dict)
+    bases: dict[int, Array] = field(default_factory=dict)
+    named: dict[str, str] = field(default_factory=dict)
+    speed: float = 2.0
+    acceleration: float = 2.0
+    axis_speed: Array = field(default_factory=lambda: np.ones(6))
+    axis_acceleration: Array = field(default_factory=lambda: np.ones(6))
+    steps: list[Motion | Pause] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
+
+
+def read_program(place: Path, name: str | None = None) -> KrlProgram:
+    """The program in a folder, or the one whose main .src file is given; `name` picks one of several main programs.
+
+    Raises BadInput, one sentence with file and line: no program, several main programs, a file that is called but absent, a
+    statement that is not understood.
+    """
+    main = main_program(place, name)
+    files = {p.stem.upper(): p for p in main.parent.iterdir() if p.suffix.lower() == ".src"}
+    c = _Controller()
+    _run(c, main, files, 0)
+    program = KrlProgram(main, tuple(c.steps), tuple(c.files))
+    if not program.motions:
+        raise BadInput(f"{main}: moves nothing; give a folder that ocp.plan wrote")
+    return program
+
+
+def main_program(place: Path, name: str | None = None) -> Path:
+    """The .src that no other calls. Raises BadInput where there is none or more than one."""
+    if place.is_file() and place.suffix.lower() == ".src":
+        return place
+    if not place.is_dir():
+        raise BadInput(f"{place}: is no folder; give the folder that ocp.plan wrote")
+    sources = sorted(p for p in place.iterdir() if p.suffix.lower() == ".src")
+    if not sources:
+        raise BadInput(f"{place}: holds no KRL program (.src); give the folder that ocp.plan wrote")
+    called = set()
+    for source in sources:
+        called |= {found.group(1) for _, text in _statements(source) if (found := _CALL.match(text))}
+    mains = [p for p in sources if p.stem.upper() not in called and (name is None or p.stem.upper() == name.upper())]
+    if len(mains) != 1:
+        named = ", ".join(p.name for p in mains) or "none"
+        raise BadInput(f"{place}: main programs: {named}; give the one .src file to run instead of the folder")
+    return mains[0]
+
+
+def _statements(path: Path) -> list[tuple[int, str]]:
+    """Lines with their numbers, upper case, without comments; empty ones left out."""
+    try:
+        text = path.read_bytes().decode("ascii")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give a readable file") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(
+            f"{path}: byte {error.start} is not ASCII, a controller would stop there; write the program anew"
+        ) from None
+    lines = enumerate(text.splitlines(), 1)
+    return [(i, s) for i, line in lines if (s := line.split(";")[0].strip().upper())]
+
+
+def _run(c: _Controller, source: Path, files: dict[str, Path], depth: int) -> None:
+    """Go through one file."""
+    if depth > DEEPEST:
+        raise BadInput(f"{source}: is called from itself; such a program never ends")
+    for suffix in (".dat", ".DAT"):
+        data = source.with_suffix(suffix)
+        if data.exists():
+            _data(c, data)
+            break
+    statements = _statements(source)
+    body = [(i, s) for i, s in statements if not s.startswith("&")]
+    stem = source.stem.upper()
+    if not body or not re.match(rf"^(GLOBAL\s+)?DEF\s+{re.escape(stem)}\s*\(\s*\)$", body[0][1]):
+        at = body[0][0] if body else 1
+        raise BadInput(
+            f"{source}, line {at}: does not begin with DEF {stem}( ); the controller takes module and file by one name"
+        )
+    if body[-1][1] != "END":
+        raise BadInput(f"{source}, line {body[-1][0]}: the file ends without END; it was cut off or holds more than one program")
+    if source.name not in c.files:
+        c.files.append(source.name)
+    rest = iter(body[1:-1])
+    for line, text in rest:
+        if text in ("SPLINE", "PTP_SPLINE"):
+            block: list[tuple[int, str]] = []
+            for at, inner in rest:
+                if inner == "ENDSPLINE":
+                    break
+                block.append((at, inner))
+            else:
+                raise BadInput(f"{source}, line {line}: {text} has no ENDSPLINE; the block must end")
+            c.steps.append((_timed if text == "PTP_SPLINE" else _spline)(c, source, line, block))
+        elif (found := _CALL.match(text)) and found.group(1) in files:
+            _run(c, files[found.group(1)], files, depth + 1)
+        elif text == "RETURN":
+            return
+        else:
+            _statement(c, source, line, text)
+
+
+def _data(c: _Controller, path: Path) -> None:
+    """Named positions of a .dat file."""
+    for line, text in _statements(path):
+        if found := _DECLARED.match(text):
+            c.named[found.group(2)] = found.group(3)
+        elif not (_IDLE.match(text) or re.match(r"^(DEFDAT\s.*|ENDDAT|DECL\s.*)$", text)):
+            raise BadInput(f"{path}, line {line}: '{text[:60]}' is not understood by the virtual controller; take it out")
+
+
+def _statement(c: _Controller, source: Path, line: int, text: str) -> None:
+    """One line outside spline blocks."""
+    where = f"{source}, line {line}"
+    if found := _POINT.match(text):
+        word = found.group(1)
+        if word == "SPL":
+            raise BadInput(f"{where}: SPL stands outside a SPLINE block; the controller refuses that")
+        target = _target(c, where, line, found.group(2), found.group(3) is not None)
+        kind = "PTP" if word in ("PTP", "SPTP") else "LIN"
+        if kind == "PTP" and target.blend:
+            raise BadInput(f"{where}: a PTP that blends into the next motion is not driven here; let it come to rest")
+        c.steps.append(_motion(c, kind, (target,), source, line))
+    elif found := _DECLARED.match(text):
+        c.named[found.group(2)] = found.group(3)
+    elif text == "HALT" or re.match(r"^WAIT\s+FOR\s+.+$", text):
+        c.steps.append(Pause(None, source.name, line))
+    elif found := re.match(r"^WAIT\s+SEC\s+(\S+)$", text):
+        c.steps.append(Pause(number(where, found.group(1)), source.name, line))
+    elif not _IDLE.match(text):
+        found = _ASSIGNMENT.match(text)
+        if not found or not _assign(c, where, *found.groups()):
+            raise BadInput(f"{where}: '{text[:60]}' is not understood by the virtual controller; it might move the robot")
+
+
+def _assign(c: _Controller, where: str, name: str, index: str | None, value: str) -> bool:
+    """An assignment to what motion depends on; False where the name is none of it."""
+    tables = {"TOOL_DATA": c.tools, "BASE_DATA": c.bases}
+    if name in tables and index:
+        tables[name][int(index)] = frame_of(where, value)
+    elif name in ("$TOOL", "$BASE") and not index:
+        table, word = (c.tools, "TOOL_DATA") if name == "$TOOL" else (c.bases, "BASE_DATA")
+        if found := re.match(rf"^{word}\s*\[\s*(\d+)\s*\]$", value):
+            if int(found.group(1)) not in table:
+                raise BadInput(f"{where}: {value} is set nowhere in the program; assign the frame so that it can be known here")
+            T = table[int(found.group(1))]
+        else:
+            T = frame_of(where, value)
+        c.frames = replace(c.frames, tool=T) if name == "$TOOL" else replace(c.frames, base=T)
+    elif name == "$IPO_MODE" and value in ("#TCP", "#BASE"):
+        c.frames = replace(c.frames, held=value == "#TCP")
+    elif name in ("$VEL.CP", "$ACC.CP") and not index:
+        size = _positive(where, name, value)
+        c.speed, c.acceleration = (size, c.acceleration) if name == "$VEL.CP" else (c.speed, size)
+    elif name in ("$VEL_AXIS", "$ACC_AXIS") and index and 1 <= int(index) <= 6:
+        shares = (c.axis_speed if name == "$VEL_AXIS" else c.axis_acceleration).copy()
+        shares[int(index) - 1] = min(_positive(where, name, value), 100.0) / 100.0
+        c.axis_speed, c.axis_acceleration = (shares, c.axis_acceleration) if name == "$VEL_AXIS" else (c.axis_speed, shares)
+    else:
+        # Where blends begin is not modelled; without them nothing else of motion is left.
+        return name.startswith("$APO.")
+    return True
+
+
+def _positive(where: str, name: str, value: str) -> float:
+    size = number(where, value)
+    if size <= 0:
+        raise BadInput(f"{where}: {name} = {size:g} must be above 0, or nothing moves")
+    return size
+
+
+def _target(c: _Controller, where: str, line: int, text: str, blend: bool) -> Target:
+    if not text.startswith("{"):
+        if text not in c.named:
+            raise BadInput(f"{where}: position {text} is declared nowhere with values; write them out")
+        text = c.named[text]
+    values = aggregate(where, text)
+    if set(AXIS_LETTERS) <= set(values):
+        return Target(np.radians([values[a] for a in AXIS_LETTERS]), None, None, None, blend, line)
+    if set(POSE_LETTERS) <= set(values):
+        given = [int(values[k]) if k in values else None for k in ("S", "T")]
+        return Target(None, frame_of(where, text), given[0], given[1], blend, line)
+    raise BadInput(f"{where}: the position is incomplete, A1 to A6 or X, Y, Z, A, B, C are expected; write all of them")
+
+
+def _motion(
+    c: _Controller, kind: str, targets: tuple[Target, ...], source: Path, line: int, times: Array | None = None
+) -> Motion:
+    return Motion(kind, targets, c.frames, c.speed, c.acceleration, c.axis_speed, c.axis_acceleration, source.name, line, times)
+
+
+def _spline(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]) -> Motion:
+    """SPLINE .. ENDSPLINE of poses."""
+    targets = []
+    for at, text in block:
+        found = _POINT.match(text)
+        if not found or found.group(1) not in ("SPL", "SLIN"):
+            raise BadInput(f"{source}, line {at}: '{text[:60]}' does not belong into a SPLINE block; only SPL with poses do")
+        target = _target(c, f"{source}, line {at}", at, found.group(2), False)
+        if target.pose is None:
+            raise BadInput(f"{source}, line {at}: SPL with axes; a SPLINE block goes through poses")
+        targets.append(target)
+    if not targets:
+        raise BadInput(f"{source}, line {line}: the SPLINE block holds no point")
+    return _motion(c, "SPLINE", tuple(targets), source, line)
+
+
+def _timed(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]) -> Motion:
+    """PTP_SPLINE .. ENDSPLINE of axes inside one time block; PARTs are proportions of END."""
+    targets: list[Target] = []
+    parts: list[float] = []
+    end: float | None = None
+    for at, text in block:
+        where = f"{source}, line {at}"
+        point, timing = _POINT.match(text), _TIME_BLOCK.match(text)
+        if point and point.group(1) == "SPTP" and end is None and len(parts) == max(0, len(targets) - 1):
+            targets.append(_target(c, where, at, point.group(2), False))
+        elif timing and timing.group(1) == "START" and len(targets) == 1 and not parts:
+            continue
+        elif timing and timing.group(1).startswith("PART") and len(targets) == len(parts) + 2:
+            parts.append(_positive(where, "PART", timing.group(2)))
+        elif timing and timing.group(1).startswith("END") and len(parts) == len(targets) - 1 and parts:
+            end = _positive(where, "END", timing.group(2))
+        else:
+            raise BadInput(
+                f"{where}: '{text[:60]}' is not understood here; a timed block is SPTP, START, then SPTP and PART by turns, END"
+            )
+    if end is None:
+        raise BadInput(f"{source}, line {line}: the PTP_SPLINE has no complete TIME_BLOCK; only timed blocks can be driven here")
+    if any(target.q is None for target in targets):
+        raise BadInput(f"{source}, line {line}: a timed block goes through axes, A1 to A6, here it holds a pose")
+    times = np.concatenate([[0.0], np.cumsum(parts)]) * (end / sum(parts))
+    return _motion(c, "TIMED", tuple(targets), source, line, times)

@@ -1,0 +1,146 @@
+"""LIN and SPLINE motions: a path of poses, the axes that follow it, and the speed that the axes allow.
+
+Under $IPO_MODE = #TCP a programmed pose is the pose of $BASE seen from $TOOL (KRL.md), and it is this pose that moves along the
+path: FLANGE = BASE P^-1 TOOL^-1. Otherwise FLANGE = BASE P TOOL^-1.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from ocp.simulate.twin.controller.krl_program import Frames, Motion
+from ocp.simulate.twin.controller.nominal import flange, follow
+from robots.errors import Infeasible
+from robots.pose import Array, invert, make_transform
+from robots.robot import Robot
+
+TURN_SPEED = np.radians(200.0)  # rad/s, $VEL.ORI1 as it usually is (M): turns without way take their time by it
+STEP = 2.5e-4  # m along the path between the poses for which axes are worked out
+SAME = 1e-7  # m; points nearer than this are one
+SHARE = 0.98  # of an axis' speed that a path motion uses at most
+
+
+@dataclass(frozen=True)
+class PathSegment:
+    """A path motion: duration s, `q(t, nu)`, and the lines of the program passed at the times `passed` (m,)."""
+
+    duration: float
+    q: Callable[..., Array]
+    passed: Array
+    rows: NDArray[np.int64]
+
+
+def flange_poses(frames: Frames, P: Array) -> Array:
+    """T_base_flange (n, 4, 4) of programmed poses P (n, 4, 4)."""
+    return np.asarray(frames.base @ (invert(P) if frames.held else P) @ invert(frames.tool))
+
+
+def programmed(frames: Frames, T: Array) -> Array:
+    """The programmed poses of flange poses T (n, 4, 4)."""
+    tool = invert(frames.base) @ T @ frames.tool
+    return invert(tool) if frames.held else tool
+
+
+def drive_path(robot: Robot, chain: list[Motion], start: Array) -> PathSegment | None:
+    """A SPLINE, or LINs that blend into one another, from the joints `start` (6,); None where it goes nowhere.
+
+    Raises Infeasible: a pose out of reach.
+    """
+    first = chain[0]
+    targets = [t for motion in chain for t in motion.targets]
+    P = np.array([programmed(first.frames, flange(robot, start))[0], *(_pose(robot, first, t) for t in targets)])
+    lines = np.array([first.line, *(t.line for t in targets)])
+    middle = Rotation.from_matrix(P[len(P) // 2, :3, :3])
+    turn = (middle.inv() * Rotation.from_matrix(P[:, :3, :3])).as_rotvec()
+    points = np.hstack([P[:, :3, 3], turn])
+    way = _ways(points, first.speed)
+    keep = np.concatenate([[True], way > SAME])
+    points, lines = points[keep], lines[keep]
+    if len(points) < 2:
+        return None
+    u = np.concatenate([[0.0], np.cumsum(_ways(points, first.speed))])
+    curve = _through(u, points) if first.kind == "SPLINE" else _rounded(u, points)
+    grid = np.linspace(0.0, u[-1], max(8, int(np.ceil(u[-1] / STEP))) + 1)
+    at = curve(grid)
+    poses = make_transform((middle * Rotation.from_rotvec(at[:, 3:])).as_matrix(), at[:, :3])
+    q, left = follow(robot, flange_poses(first.frames, poses), start)
+    if left.max() > 1e-7:
+        k = int(np.argmax(left))
+        line = int(lines[min(int(np.searchsorted(u, grid[k])), len(lines) - 1)])
+        raise Infeasible(f"{first.file}, line {line}: the arm {robot.name} cannot follow the path to this pose")
+    law = _timing(robot, grid, q, first)
+    joints = CubicSpline(grid, q)
+
+    def evaluate(time: Array, nu: int = 0) -> Array:
+        u, v, a = law.at(np.asarray(time, float))
+        if nu == 0:
+            return np.asarray(joints(u))
+        slope = joints(u, 1)
+        return np.asarray(slope * v[..., None] if nu == 1 else joints(u, 2) * v[..., None] ** 2 + slope * a[..., None])
+
+    return PathSegment(float(law.time[-1]), evaluate, np.interp(u, grid, law.time), lines)
+
+
+def _pose(robot: Robot, motion: Motion, target: object) -> Array:
+    pose, q = target.pose, target.q  # type: ignore[attr-defined]
+    return np.asarray(programmed(motion.frames, flange(robot, q))[0] if pose is None else pose)
+
+
+def _ways(points: Array, speed: float) -> Array:
+    """Length of the way from point to point; a turn counts by the time it takes at `TURN_SPEED`."""
+    step = np.diff(points, axis=0)
+    return np.maximum(np.linalg.norm(step[:, :3], axis=1), np.linalg.norm(step[:, 3:], axis=1) * speed / TURN_SPEED)
+
+
+def _through(u: Array, points: Array) -> BSpline:
+    """Fifth order, or what the number of points allows."""
+    return make_interp_spline(u, points, k=5 if len(u) > 5 else 3 if len(u) > 3 else 1)
+
+
+def _rounded(u: Array, points: Array) -> Callable[[Array], Array]:
+    """A polygon whose corners are rounded by parabolas that begin at the middles of its sides, as blends do at most."""
+    if len(u) < 3:
+        return make_interp_spline(u, points, k=1)
+    middles = 0.5 * (u[1:] + u[:-1])
+    knots = np.concatenate([[u[0]] * 3, middles[1:-1], [u[-1]] * 3])
+    return BSpline(knots, points, 2)
+
+
+@dataclass(frozen=True)
+class _Law:
+    """Where on the path at what time: at `time` (n,) s stations (n,) m, speeds (n,) m/s, constant accelerations between."""
+
+    time: Array
+    station: Array
+    speed: Array
+
+    def at(self, t: Array) -> tuple[Array, Array, Array]:
+        """Station, speed, acceleration at times t."""
+        k = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
+        since = np.clip(t, 0.0, self.time[-1]) - self.time[k]
+        a = (self.speed[k + 1] - self.speed[k]) / (self.time[k + 1] - self.time[k])
+        return self.station[k] + since * (self.speed[k] + 0.5 * a * since), self.speed[k] + a * since, a
+
+
+def _timing(robot: Robot, u: Array, q: Array, motion: Motion) -> _Law:
+    """As fast as $VEL.CP and $ACC.CP say and the axes allow, from rest to rest over the stations u (n,) m.
+
+    With q' and q'' along the path an axis has the speed q' v and the acceleration q'' v^2 + q' a; each term gets half the limit.
+    """
+    curve = CubicSpline(u, q)
+    slope, bend = (np.maximum(np.abs(curve(u, order)), 1e-12) for order in (1, 2))
+    limit = np.minimum(motion.speed, SHARE * (robot.qd_max / slope).min(axis=1))
+    v2 = np.minimum(limit**2, 0.5 * (robot.qdd_max / bend).min(axis=1))
+    a = np.minimum(motion.acceleration, 0.5 * (robot.qdd_max / slope).min(axis=1))
+    step = np.diff(u)
+    v2[0] = v2[-1] = 0.0
+    for k in range(1, len(u)):
+        v2[k] = min(v2[k], v2[k - 1] + 2 * min(a[k - 1], a[k]) * step[k - 1])
+    for k in range(len(u) - 2, -1, -1):
+        v2[k] = min(v2[k], v2[k + 1] + 2 * min(a[k + 1], a[k]) * step[k])
+    v = np.sqrt(v2)
+    return _Law(np.concatenate([[0.0], np.cumsum(2 * step / np.maximum(v[1:] + v[:-1], 1e-9))]), u, v)
