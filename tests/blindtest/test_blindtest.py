@@ -1,0 +1,384 @@
+"""The blind check: sealing, detectability against brute force, exact signatures, the scorer on hand-made answers."""
+
+import ast
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ocp.blindtest.answers import answer_path, make_answer
+from ocp.blindtest.oracle import ceiling, oracle
+from ocp.blindtest.oracle.detectability import nuisance, reading_covariance, whitener
+from ocp.blindtest.oracle.signatures import families
+from ocp.blindtest.running import answer_all, make_all, resume, score_all
+from ocp.blindtest.scoring import figures, intervals, judging, rivals, worst
+from ocp.blindtest.scoring.scoring import score_path
+from ocp.blindtest.worlds import recipes
+from ocp.blindtest.worlds.drawing import detectabilities, scaled, usual
+from ocp.blindtest.worlds.machines import draw_machine
+from ocp.blindtest.worlds.outside import KINDS as OUTSIDE
+from ocp.blindtest.worlds.recipes import KINDS, Recipe
+from ocp.blindtest.worlds.sealing import SEALED, Check, label_path, read_label, read_seal, write_cell
+from ocp.shell.command import Phases
+from ocp.simulate.twin.truth.planting import Planted, draw_effect, parse_effect
+from robots.errors import BadInput
+
+ROOT = Path(__file__).resolve().parents[2]
+CELL = ROOT / "ocp" / "data" / "cell.toml"
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory):
+    cell = tmp_path_factory.mktemp("cell") / "cell.toml"
+    write_cell(CELL, cell)
+    return draw_machine(cell, 3, Recipe(1, "none", 0, None), 40, 10)
+
+
+@pytest.fixture(scope="module")
+def scene(machine):
+    return machine.scene()
+
+
+@pytest.fixture(scope="module")
+def check(tmp_path_factory: pytest.TempPathFactory) -> Check:
+    """Two worlds, made and sealed."""
+    made = Check(tmp_path_factory.mktemp("blind") / "check", 5, 2, ("single", "none"), 60, 12)
+    resume(made, False)
+    write_cell(CELL, made.cell)
+    make_all(made, recipes.recipes(2, made.kinds), 1, Phases())
+    return made
+
+
+def test_derivatives_are_those_of_the_machine(machine, scene):
+    A, sd = nuisance(scene)
+    bare = machine.points(())
+
+    def moved(**changes):
+        return (replace(machine, truth=replace(machine.truth, **changes)).points(()) - bare) / 1e-6
+
+    truth = machine.truth
+    for link in (1, 3, 6):
+        for k in range(6):
+            placement = truth.placement.copy()
+            # Both small motions are in the frame's own axes; the derivative is at the drawn placement.
+            placement[link - 1, k] += 1e-6
+            assert np.allclose(A[:, :, 6 + 6 * (link - 1) + k], moved(placement=placement), atol=5e-3)
+    nests = {name: place + (1e-6 * np.eye(3)[0] if name == "T1" else 0) for name, place in truth.nests.items()}
+    first = list(dict.fromkeys(scene.campaign.targets)).index("T1")
+    assert np.allclose(A[:, :, 42 + 3 * first], moved(nests=nests), atol=1e-4)
+    springs = truth.stiffness * [1, 1 / (1 + 1e-6), 1, 1, 1, 1]
+    column = 42 + 3 * len(set(scene.campaign.targets)) + 1
+    assert np.allclose(A[:, :, column], moved(stiffness=springs), atol=2e-5 + 0.01 * np.abs(A[:, :, column]).max())
+    masses = truth.mass_scale + 1e-6 * np.eye(7)[3]
+    assert np.allclose(A[:, :, column + 5 + 3], moved(mass_scale=masses), atol=0.01 * np.abs(A[:, :, column + 8]).max())
+    assert A.shape[2] == len(sd)
+
+
+def test_lambda_is_the_quadratic_form(machine, scene):
+    effect = parse_effect("backlash:5=1e-4")
+    d = (machine.points([effect]) - machine.points(())).ravel()
+    A, sd = nuisance(scene)
+    A = A.reshape(len(d), -1)
+    Sigma = np.zeros((len(d), len(d)))
+    for k, S in enumerate(reading_covariance(scene)):
+        Sigma[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = S
+    brute = d @ np.linalg.solve(Sigma + (A * sd**2) @ A.T, d)
+    white = whitener(scene)
+    assert detectabilities(machine, scene, white, [effect])[0] == pytest.approx(brute, rel=1e-4)
+    # Twice the size, four times the index; two effects never see each other better than alone.
+    assert detectabilities(machine, scene, white, [scaled(effect, 2.0)])[0] == pytest.approx(4 * brute, rel=1e-3)
+    both = detectabilities(machine, scene, white, [effect, parse_effect("joint_thermal:5=1e-5")])
+    assert both[0] <= brute * (1 + 1e-9)
+
+
+def test_the_noise_is_the_virtual_tracker_s(machine, scene):
+    from ocp.simulate.twin.tracker import measure
+
+    rng = np.random.default_rng(0)
+    arm, m = scene.arm, scene.campaign.moments
+    off = [measure(machine.truth, machine.cell, arm, m, scene.campaign.targets, rng) - scene.point for _ in range(40)]
+    S = reading_covariance(scene)
+    squared = [np.einsum("ni,ni->n", e, np.linalg.solve(S, e[..., None])[..., 0]) for e in off]
+    assert np.mean(squared) == pytest.approx(3.0, abs=0.15)
+
+
+@pytest.mark.parametrize("text", [
+    "joint_compliance:5=2e-6", "joint_stiffening:4=8e-14", "link_bending:3=5e-8", "payload_mass=3", "payload_com=0.01/0.01/-0.02",
+    "gear_2x:1=5e-5,phase_rad=1", "gear_harmonic:4=8e-5,order=19,phase_rad=2", "motor_harmonic:6=8e-5,order=2", "backlash:2=5e-5",
+    "friction_windup:3=5e-5,per_Nm=5e-8", "encoder_scale:6=1e-4", "wrist_coupling:4=1e-3,source_joint=6", "link_thermal=1e-5",
+    "joint_thermal:2=5e-6", "base_tilt=3e-5/1e-5/0,at_s=5000", "tracker_drift=3e-5/0/1e-5,rad_per_h=1e-5/0/0",
+    "target_shift=1e-4/0/-1e-4,target=T2,at_s=4000", "gravity_compensator:2=2e4,lever_link1_m=0.2,lever_arm_m=0.2",
+    "gear_1x:2=1e-4", "tracker_scale=5e-6",
+])  # fmt: skip
+def test_exact_signatures_hold_what_the_machine_does(machine, scene, text, library):
+    effect = parse_effect(text)
+    d = machine.points([effect]) - machine.points(())
+    own = next(f for f in library if f.name == judging.name_of(effect))
+    flat = own.columns.reshape(3 * len(scene), own.columns.shape[2], -1)
+    left = min(np.linalg.norm(d.ravel() - C @ np.linalg.lstsq(C, d.ravel(), rcond=None)[0]) for C in np.moveaxis(flat, 1, 0))
+    assert left < 0.02 * np.linalg.norm(d)
+
+
+@pytest.fixture(scope="module")
+def library(machine, scene):
+    return families(machine, scene)
+
+
+def test_the_oracle_names_what_is_there(machine, scene, library):
+    white = whitener(scene)
+    known = oracle.whitened(library, white)
+    effects = [parse_effect("backlash:5=3e-4"), parse_effect("gear_2x:1=2e-4,phase_rad=1")]
+    d = white.apply(machine.points(effects) - machine.points(()))
+    rng = np.random.default_rng(1)
+    noise = rng.normal(size=len(d))
+    assert set(oracle.chosen(known, d + noise)) == {("backlash", 5), ("gear_2x", 1)}
+    assert oracle.chosen(known, noise) == []
+    assert "backlash" not in {effect for effect, _ in known.without(["backlash"]).names}
+    alone = white.apply(machine.points(effects[:1]) - machine.points(()))
+    assert oracle.cannot_be_imitated(known, alone) < 0.02 * (alone @ alone)
+
+
+def test_the_oracle_sizes_what_is_there_and_says_what_is_like_it(machine, scene, library):
+    white = whitener(scene)
+    known = oracle.whitened(library, white)
+    rng = np.random.default_rng(4)
+    for text in ("backlash:5=3e-4", "gear_2x:1=2e-4,phase_rad=1", "target_shift=3e-4/0/-1e-4,target=T2,at_s=4000"):
+        effect = parse_effect(text)
+        d = white.apply(machine.points([effect]) - machine.points(()))
+        own = judging.name_of(effect)
+        exact, noisy = (ceiling.estimated(known, d + noise, own) for noise in (0.0, rng.normal(size=len(d))))
+        assert ceiling.size_error(exact, effect) < 0.03
+        assert ceiling.size_error(exact, effect) < ceiling.size_error(noisy, effect) < 4 * np.sqrt(3 / (d @ d))
+        assert ceiling.size_error(exact, scaled(effect, 0.5)) == pytest.approx(1.0, abs=0.05)
+    assert ceiling.estimated(known.without(["backlash"]), d, ("backlash", 5)) is None
+
+
+def test_classes_of_several_effects_are_those_that_stay_when_the_others_are_free(machine, scene, library):
+    white = whitener(scene)
+    known = oracle.whitened(library, white)
+    soft, play = parse_effect("joint_compliance:2=1e-8"), parse_effect("backlash:5=3e-4")
+    alone = [white.apply(machine.points([p]) - machine.points(())) for p in (soft, play)]
+    groups = ceiling.classes_among(known, (soft, play), alone)
+    # Wind-up holds play; nothing else looks like it.
+    assert {("backlash", 5), ("friction_windup", 5)} in groups
+    faint = [1e-3 * alone[0], alone[1]]  # nobody sees it: like everything
+    group, _ = ceiling.classes_among(known, (soft, play), faint)
+    assert ("joint_compliance", 2) in group and len(group) > 20 and ("backlash", 5) not in group
+    mixed = ceiling.classes_among(known, (play, soft), [alone[1] + 5 * alone[0], alone[0]])
+    assert {("backlash", 5), ("friction_windup", 5)} in mixed  # what the other could be is nobody's own
+    twice = [alone[1], 2 * alone[1]]  # the one is the other: neither has a direction of its own
+    assert ceiling.classes_among(known, (play, play), twice) == []
+
+
+@pytest.mark.parametrize("name", sorted(OUTSIDE))
+def test_effects_outside_the_catalogue_move_readings(machine, name):
+    effect = draw_effect(np.random.default_rng(2), OUTSIDE[name])
+    d = machine.points([effect]) - machine.points(())
+    twice = machine.points([scaled(effect, 2.0)]) - machine.points(())
+    assert 1e-6 < np.linalg.norm(d, axis=1).max() < 3e-3
+    assert np.allclose(twice, 2 * d, atol=0.02 * np.abs(d).max())
+    assert usual(effect)
+
+
+def test_every_prefix_holds_the_mixture():
+    many = recipes.recipes(190)
+    assert recipes.recipes(40) == many[:40]
+    for kind in KINDS:
+        assert sum(r.kind == kind for r in many) == 10 * recipes.ROUND[kind]
+    bins = [r.target for r in many if r.kind == "single"]
+    assert all(bins.count(b) == 20 for b in recipes.BINS)
+    with pytest.raises(BadInput, match="there is no kind 'quadruple'"):
+        recipes.check_kinds("single,quadruple")
+
+
+def test_effects_come_at_the_detectability_that_was_asked_for(check):
+    label = read_label(check, recipes.recipes(2, check.kinds)[0], read_seal(check))
+    low, high = label.recipe.target
+    assert len(label.effects) == 1 and 0.75 * low < label.lam[0] < 1.25 * high
+    machine = draw_machine(check.cell, check.seed, label.recipe, check.readings, check.blind)
+    again = detectabilities(machine, machine.scene(), whitener(machine.scene()), label.effects)
+    assert again[0] == pytest.approx(label.lam[0])
+
+
+def test_answers_need_no_labels_and_are_resumed(check, tmp_path):
+    planned = recipes.recipes(2, check.kinds)
+    away = tmp_path / "labels"
+    (check.folder / SEALED).rename(away)
+    answer_all(check, planned, 1, Phases())
+    before = [answer_path(check, r.name).stat().st_mtime_ns for r in planned]
+    answer_all(check, planned, 1, Phases())
+    assert before == [answer_path(check, r.name).stat().st_mtime_ns for r in planned]
+    with pytest.raises(BadInput, match="label is missing"):
+        score_all(check, planned, 1, Phases())
+    away.rename(check.folder / SEALED)
+
+    rows = score_all(check, planned, 1, Phases())
+    assert [r["kind"] for r in rows] == [r.kind for r in planned] and all(r["error"] is None for r in rows)
+    assert figures.table(rows) and worst.worst(rows) is not None
+    make_all(check, planned, 1, Phases())  # worlds that are there stay as they are
+    assert before == [answer_path(check, r.name).stat().st_mtime_ns for r in planned]
+
+    path = label_path(check, planned[0])
+    sealed = path.read_text()
+    path.write_text(sealed.replace(" ", "  ", 1))
+    score_path(check, planned[0].name).unlink()
+    with pytest.raises(BadInput, match="is not what was sealed"):
+        score_all(check, planned, 1, Phases())
+    with pytest.raises(BadInput, match="is not what was sealed"):
+        make_all(check, planned, 1, Phases())
+    path.write_text(sealed)
+
+
+def test_a_check_with_other_options_is_not_gone_on_with(check):
+    resume(check, False)
+    with pytest.raises(BadInput, match="another seed"):
+        resume(replace(check, seed=6), False)
+    answer_path(check, "00009").parent.mkdir(exist_ok=True)
+    with pytest.raises(BadInput, match="no answer yet"):
+        score_all(check, recipes.recipes(3, check.kinds), 1, Phases())
+
+
+def test_an_answer_that_fails_is_kept_as_wrong(tmp_path):
+    made = Check(tmp_path, 1, 1, ("none",))
+    (tmp_path / "worlds" / "00001").mkdir(parents=True)
+    (tmp_path / "worlds" / "00001" / "cell.toml").write_text("name = 3\n")
+    assert "BadInput" in make_answer(made, "00001")
+    assert json.loads(answer_path(made, "00001").read_text())["error"]
+
+
+def test_a_name_is_right_within_its_class_with_the_joint():
+    groups = [{("gear_1x", 3), ("encoder_scale", 3)}]
+    assert judging.first_right([("encoder_scale", 3)], [("gear_1x", 3)], groups, 1)
+    assert not judging.first_right([("encoder_scale", 3)], [("gear_1x", 2)], groups, 1)
+    assert not judging.first_right([("encoder_scale", 3)], [("backlash", 3), ("encoder_scale", 3)], [], 1)
+    assert judging.first_right([("encoder_scale", 3)], [("backlash", 3), ("encoder_scale", 3)], [], 3)
+    # One name is never taken for two effects.
+    assert judging.matched([("encoder_scale", 3), ("gear_1x", 3)], [("gear_1x", 3)], groups) == 1
+    assert judging.matched([("encoder_scale", 3), ("gear_1x", 3)], [("gear_1x", 3), ("encoder_scale", 3)], groups) == 2
+
+
+def test_values_are_compared_as_they_are_meant():
+    wave = Planted("gear_1x", 2, {"amplitude_rad": 1e-4, "phase_rad": 6.2})
+    told = {
+        "amplitude_rad": {"value": 1.1e-4, "sd": 5e-6, "unit": "rad"},
+        "phase_rad": {"value": 0.0168, "sd": 0.1, "unit": "rad"},
+    }
+    error, z = judging.values(wave, told)
+    assert error == pytest.approx(0.1) and z == pytest.approx([2.0, 1.0], abs=0.01)
+    spring = Planted("gravity_compensator", 2, {"stiffness_N_m": 2e4, "lever_link1_m": 0.2, "lever_arm_m": 0.3})
+    other = {k: {"value": v, "sd": s, "unit": ""} for k, v, s in
+             (("stiffness_N_m", 1e4, 500.0), ("lever_link1_m", 0.4, None), ("lever_arm_m", 0.3, None))}  # fmt: skip
+    assert judging.values(spring, other)[0] == pytest.approx(0.0)
+    shift = Planted("payload_com", None, {"shift_m": (0.03, 0.0, 0.04)})
+    assert judging.values(shift, {"shift_m": {"value": [0.03, 0.005, 0.04], "sd": [0.01] * 3, "unit": "m"}})[0] == pytest.approx(
+        0.1
+    )
+
+
+def row(kind: str, lam=(), first=True, **more):
+    planted = [["backlash", k + 1, {"half_width_rad": 1e-4}] for k in range(len(lam))]
+    part = {"top1": first, "top3": True, "first": ["backlash", 1], "set": [len(lam), len(lam), len(lam)]}
+    base = {
+        "world": "00001", "kind": kind, "background": False, "planted": planted, "lam": list(lam), "error": None, "left": None,
+        "diagnosis": part, "strict": part, "oracle": part, "rivals": {m: part for m in rivals.METHODS}, "verdict": "explained",
+        "p_none": 0.0, "p_unknown": 0.0, "said": [["backlash", 1, 0.9]], "named": [["backlash", 1]], "classes": [],
+        "reliability": [[0.9, first]], "location": 1, "shrinkage": {"predicted": 0.8, "low": 0.7, "high": 0.9},
+        "values": [[0.02, [1.0, 2.0]] for _ in lam], "smallest": [0.1 for _ in lam], "exact_smallest": [0.1 for _ in lam],
+        "sure_class": [], "possible_class": [], "true_classes": [], "oracle_error": 0.01, "oracle_class": [],
+        "seconds": {"cpu": 2.0, "wall": 3.0},
+        "realised": {"before": 1.0, "after": 0.25, "floor": 0.1, "covered": 0.9},
+    }  # fmt: skip
+    return base | more
+
+
+def test_the_table_of_hand_made_answers():
+    three = {"top1": True, "top3": True, "first": ["backlash", 1], "set": [1, 3, 2]}
+    rows = [
+        row("single", (120.0,)),
+        row("single", (150.0,), False),
+        row("single", (20.0,)),
+        row("none", verdict="no_gap", reliability=[]),
+        row("none", verdict="explained", reliability=[[0.9, False]], shrinkage=None),
+        row("pair", (60.0, 70.0), diagnosis=three),
+        row("single", (40.0,), sure_class=[["gear_1x", 1]], possible_class=[["gear_1x", 1]], oracle_class=[["gear_1x", 1]]),
+        row("outside", (200.0,), left=150.0, p_unknown=0.7, reliability=[[0.1, False]], location=1),
+        row("outside", (200.0,), left=150.0, p_unknown=0.1, reliability=[[0.1, False]], location=2),
+    ]
+    found = {f.what: f for f in figures.table(rows)}
+    assert found["top-1 effect and joint, lambda >= 100"].estimate.value == 0.5
+    assert found["top-1 effect and joint, lambda 15-30"].estimate.value == 1.0
+    assert found["top-1 effect and joint, lambda 50-100"].estimate.count == 0
+    assert found["false alarms, no effect, clean"].estimate.value == 0.5
+    assert found["two effects, each lambda >= 50, F1"].estimate.value == pytest.approx(2 * 1 / (3 + 2))
+    assert found["none of these, effect the library cannot imitate"].estimate.value == 0.5
+    assert found["joint named right, effect outside the library"].estimate.value == 0.5
+    assert found["confident wrong name (p > 0.8)"].estimate.value == pytest.approx(2 / 9)
+    best = {what: f.oracle.value for what, f in found.items() if f.oracle.count}
+    assert best["two effects, each lambda >= 50, F1"] == 1.0 and best["false alarms, no effect, clean"] == 0.0
+    assert best["effect value, median error, lambda >= 100"] == 0.01 and best["joint named right, lambda >= 30"] == 1.0
+    assert found["declared 'cannot tell apart', recall"].estimate.value == 0.0
+    assert best["declared 'cannot tell apart', recall"] == 1.0
+    assert found["effect value, coverage of the 90 % interval"].estimate.value == 0.5
+    assert found["shrinkage at new conditions, named right, of what can be explained"].estimate.value == pytest.approx(0.75 / 0.9)
+    assert found["harmful corrections"].estimate.value == 0.0
+    assert found["predicted against realised shrinkage, median difference"].estimate.value == pytest.approx(0.05)
+    assert found["top-1 effect and joint, lambda >= 100"].met is False
+    bad = worst.worst(rows)
+    assert bad[0]["kind"] == "none" and len(bad) == 4
+    assert "false alarm" in worst.why_words(bad[0]) and "backlash:1 (150)" in [worst.planted_words(r) for r in bad]
+
+
+def test_intervals():
+    assert intervals.share([True] * 9 + [False]).low == pytest.approx(0.5958, abs=1e-3)  # Wilson, 9 of 10
+    assert intervals.share([True] * 9 + [False]).high == pytest.approx(0.9821, abs=1e-3)
+    assert intervals.share([]).count == 0
+    assert intervals.f1([(2, 2, 2), (0, 1, 2)]).value == pytest.approx(2 * 2 / 7)
+    drawn = intervals.median(np.random.default_rng(0).normal(size=200))
+    assert drawn.low < 0.0 < drawn.high and drawn.high - drawn.low < 0.6
+
+
+def test_chance_is_found_by_dealing_labels_anew():
+    effects = ["a", "b", "c", "d"]
+    rows = [row("single", (100.0,), planted=[[effects[k % 4], 1, {}]], said=[[effects[k % 4], 1, 1.0]]) for k in range(80)]
+    assert worst.chance(rows).value == pytest.approx(0.25, abs=0.03)
+
+
+def test_rivals_find_a_strong_effect():
+    rng = np.random.default_rng(4)
+    columns = [rng.normal(size=(90, V, m)) for V, m in ((1, 1), (20, 2), (1, 3), (1, 1))]
+    y = 2.5 * columns[1][:, 7, 0] + rng.normal(size=90)
+    names = (("a", 1), ("b", 2), ("c", 0), ("d", 3))
+    made = rivals.Candidates(names, tuple(columns), y, tuple(columns), y, 90)
+    for method in (rivals.single, rivals.stepwise, rivals.sparse, rivals.unprojected):
+        answer = method(made)
+        assert answer.ranking[0] == ("b", 2) and answer.named[0] == ("b", 2), method
+    quiet = replace(made, y=rng.normal(size=90), residual=rng.normal(size=90))
+    assert rivals.single(quiet).named == () and rivals.unprojected(quiet).named == ()
+
+
+FORBIDDEN = (
+    "ocp.diagnose",
+    "ocp.effects",
+    "ocp.model.force_balance",
+    "ocp.model.theta",
+    "robots.calibration",
+    "robots.kinematics",
+    "robots.gravity",
+    "casadi",
+)
+MAKERS = [path for room in ("worlds", "oracle") for path in sorted((ROOT / "ocp" / "blindtest" / room).glob("*.py"))]
+
+
+@pytest.mark.parametrize("path", MAKERS, ids=lambda p: p.stem)
+def test_worlds_and_the_oracle_use_nothing_of_the_diagnosis(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    imported = {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    imported |= {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    assert not {i for i in imported if i.startswith(FORBIDDEN)}
+
+
+def test_the_answering_step_opens_no_label() -> None:
+    text = (ROOT / "ocp" / "blindtest" / "answers.py").read_text()
+    assert "label_path" not in text and "read_label" not in text and "SEALED" not in text

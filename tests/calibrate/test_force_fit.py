@@ -1,0 +1,365 @@
+"""Registration from grinding logs: data come from the verification's route, never from the model that is fitted."""
+
+import csv
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from scipy.stats import chi2
+
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior, reading_jacobian, reading_of, solve_force_log
+from ocp.calibrate.force.folds import blocks_of, held_out
+from ocp.calibrate.force.footing import foot_points
+from ocp.calibrate.force.log import ForceLog, read_force_log
+from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.registration import ForceFit, fit_force
+from ocp.calibrate.force.rows import ForceSetup, prepare_force
+from ocp.calibrate.report.contact import contact_sections
+from ocp.model.cell import read_cell
+from ocp.model.registration import registered
+from ocp.report.section import WIDTH, Canvas, Plot, Table
+from robots.calibration.store import Calibration, read_calibration, write_calibration
+from robots.errors import BadInput
+from tests.support.force_world import HEADER, Run, World, arm_posterior, campaign, correlated, make_world, write_log
+from trajectories.blade import find_shape, read_blade
+
+LADDER = [Run(0), Run(1), Run(0, 12.0, turn=0.2, arc=0.1), Run(1, 32.0, turn=-0.2, arc=-0.1), Run(0, 20.0, -20.0, arc=0.2),
+          Run(0, contact=False)]  # fmt: skip
+FRESH = Run(1, 26.0, 20.0, 0.1, 0.15)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A world, its log without and with the withheld run, what a noise-free sensor would have shown, setup and fit."""
+
+    world: World
+    log: ForceLog
+    truth: np.ndarray
+    fresh_truth: np.ndarray
+    setup: ForceSetup
+    fit: ForceFit
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory) -> Recorded:
+    rng = np.random.default_rng(2)
+    folder = tmp_path_factory.mktemp("force")
+    world = make_world(folder, rng)
+    rows, truth = campaign(world, [*LADDER, FRESH], rng)
+    log = read_force_log(write_log(folder / "force.csv", rows))
+    fresh = log.run == len(LADDER)
+    setup = prepare_force(world.cell, [log.take(~fresh), log.take(fresh)])
+    fit = fit_force(world.cell, log.take(~fresh), arm_posterior(world.cell), setup)
+    return Recorded(world, log.take(~fresh), truth[~fresh], truth[fresh], setup, fit)
+
+
+def true_parameters(recorded: Recorded) -> np.ndarray:
+    x = recorded.fit.solution.prior.mean.copy()
+    for name, value in recorded.world.injected.items():
+        x[FIT_NAMES.index(name)] = value
+    x[:30], x[30:36] = recorded.world.arm.robot.mdh.ravel(), recorded.world.arm.compliance
+    return x
+
+
+def misfit(recorded: Recorded, x: np.ndarray) -> float:
+    at = recorded.log.contact
+    return float(np.sqrt(np.mean((reading_of(recorded.setup.model, recorded.setup.rows[0], x)[1] - recorded.truth)[at] ** 2)))
+
+
+def test_at_the_true_parameters_the_model_is_the_second_route(recorded):
+    assert misfit(recorded, true_parameters(recorded)) < 0.08
+
+
+def test_a_fresh_run_in_a_new_posture_is_predicted(recorded):
+    rows = recorded.setup.rows[1]
+    reading, sd = recorded.fit.predict(rows)
+    error = reading - recorded.fresh_truth
+    before = recorded.fit.baseline(rows) - recorded.fresh_truth
+    assert np.sqrt(np.mean(before**2)) > 0.5
+    assert np.sqrt(np.mean(error**2)) < 0.12
+    assert np.abs(error).max() < 4 * np.sqrt(sd.max() ** 2 + 0.05**2)
+
+
+def test_injected_errors_lie_where_the_posterior_says(recorded):
+    solution = recorded.fit.solution
+    r = solution.prior.root.shape[1]
+    off = np.linalg.lstsq(solution.prior.root, true_parameters(recorded) - solution.x, rcond=None)[0]
+    information = np.linalg.inv(np.linalg.inv(solution.information)[:r, :r])
+    assert off @ information @ off < chi2.ppf(0.999, r)
+    bias = FIT_NAMES.index("sensor_bias")
+    assert abs(solution.x[bias] - 0.4) < 4 * np.sqrt(solution.covariance[bias, bias]) < 0.4
+
+
+def test_figures_tell_before_and_after(recorded):
+    figures = recorded.fit.figures
+    assert figures.rms_before > 3 * figures.rms_after and figures.gap_after < 0.1
+    assert figures.sigma == pytest.approx(0.2, rel=0.15) and figures.run_offset == 0
+    assert figures.rows == recorded.log.contact.sum() and 30 < figures.independent < figures.rows / 2
+
+
+def test_derivatives_are_those_of_the_force(recorded):
+    model, rows = recorded.setup.model, recorded.setup.rows[0].take(slice(0, None, 53))
+    x = recorded.fit.solution.x
+    F, _ = reading_of(model, rows, x)
+    J = reading_jacobian(model, rows, x, F)
+    sd = np.sqrt(np.diag(recorded.fit.solution.prior.covariance))
+    for i in np.flatnonzero(sd > 0):
+        step = np.zeros_like(x)
+        step[i] = 1e-3 * sd[i]
+        difference = (reading_of(model, rows, x + step)[1] - reading_of(model, rows, x - step)[1]) / 2e-3
+        np.testing.assert_allclose(J[:, i] * sd[i], difference, rtol=2e-3, atol=1e-6, err_msg=FIT_NAMES[i])
+
+
+def test_setpoint_and_belt_hold_row_by_row(recorded):
+    model, rows = recorded.setup.model, recorded.setup.rows[0].take(np.flatnonzero(recorded.log.contact)[::40])
+    x = recorded.fit.solution.x
+    mixed = model.force(rows, x[:BIAS])
+    assert len(np.unique(rows.setpoint)) == 3 and set(rows.belt) == {-1.0, 1.0}
+    for k in range(len(rows)):
+        flange = replace(model.cell.flange, setpoint=rows.setpoint[k])
+        own = replace(model.cell, flange=flange, wheel=replace(model.cell.wheel, belt_speed=rows.belt[k]))
+        row = replace(rows.take([k]), belt=np.sign([own.wheel.belt_speed]))
+        assert ForceModel(own, model.law).force(row, x[:BIAS])[0] == pytest.approx(mixed[k], abs=1e-6)
+    stopped = model.force(replace(rows, belt=np.zeros(len(rows))), x[:BIAS])
+    turned = model.force(replace(rows, belt=-rows.belt), x[:BIAS])
+    assert np.abs(turned - mixed).max() > 1e-3
+    # Friction is linear and small: without it the force stands in the middle.
+    np.testing.assert_allclose(stopped, 0.5 * (mixed + turned), atol=0.02)
+
+
+def test_the_joint_covariance_goes_into_a_calibration_and_back(recorded, tmp_path):
+    robot = arm_posterior(recorded.world.cell)
+    names = (*robot.names, "base_x")
+    covariance = np.zeros((37, 37))
+    covariance[:36, :36] = robot.covariance
+    covariance[36, 36] = 1e-8
+    covariance[36, 2] = covariance[2, 36] = 0.5e-8  # base_x hangs on a1
+    robot = replace(robot, names=names, values=np.append(robot.values, 0.7), covariance=covariance)
+    whole = recorded.fit.calibration(robot)
+    write_calibration(tmp_path / "calibration.toml", whole)
+    back = read_calibration(tmp_path / "calibration.toml")
+    assert {"base_x", "wheel_x", "blade_c", "sensor_bias", "th2"} <= set(back.names)
+    at = {name: i for i, name in enumerate(back.names)}
+    correlation = back.covariance[at["wheel_x"], at["a1"]] / np.sqrt(
+        back.covariance[at["wheel_x"], at["wheel_x"]] * back.covariance[at["a1"], at["a1"]]
+    )
+    # The force sees the wheel against the arm: both moved by the same amount look alike.
+    assert correlation > 0.1
+    moved = back.values[at["a1"]] - recorded.world.cell.robot.mdh[0, 2]
+    assert back.values[at["base_x"]] - 0.7 == pytest.approx(0.5 * moved, rel=1e-6)
+    assert "poses" in back.provenance and back.provenance["force"]["rows"] == recorded.fit.figures.rows
+    cell, theta = registered(replace(recorded.world.cell, calibration=back))
+    law = recorded.setup.model.law
+    softer = replace(law, geometry=replace(law.geometry, modulus=cell.wheel.cover_modulus))
+    rows = recorded.setup.rows[0].take(slice(0, None, 40))
+    give = rows.waypoint.copy()
+    give[:, 12:15] /= 1 + recorded.fit.solution.x[FIT_NAMES.index("blade_stiffness_scale")]
+    rows = replace(rows, waypoint=give, setpoint=rows.setpoint + cell.flange.setpoint - 20.0)
+    plan = ForceModel(cell, softer).force(rows, theta.values)
+    np.testing.assert_allclose(plan, recorded.fit.solution.reading[::40] - recorded.fit.solution.x[BIAS], atol=0.02)
+
+
+def test_folds_are_refits_without_the_block(recorded):
+    log, rows = recorded.log, recorded.setup.rows[0]
+    fold = held_out(recorded.fit.solution, log, rows)["run"][3]
+    kept = log.run != 3
+    prior = force_prior(recorded.world.cell, arm_posterior(recorded.world.cell))
+    again = solve_force_log(recorded.setup.model, rows.take(kept), log.take(kept), prior)
+    reading = reading_of(recorded.setup.model, rows.take(~kept), again.x)[1]
+    error = log.fn[~kept] - reading
+    assert fold.rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.05)
+    assert fold.mean == pytest.approx(error.mean(), abs=0.03)
+    assert {way.by for way in blocks_of(log, rows)} == {"run", "line", "setpoint", "belt direction"}
+
+
+def test_what_cannot_be_seen_is_named(recorded):
+    told = recorded.fit.not_identified
+    assert "wheel_y" in told and "not seen by this log" in told["wheel_y"] and "along y of the base" in told["wheel_y"]
+    together = next(key.split() for key in told if " " in key and "wheel_x" in key.split())
+    assert "blade_y" in together and "cannot be told from" in told[" ".join(together)]
+    assert "sensor_bias" not in told
+
+
+def tampered(recorded: Recorded, fn: np.ndarray, keep: np.ndarray | None = None) -> ForceFit:
+    log, rows = replace(recorded.log, fn=fn), recorded.setup.rows[0]
+    if keep is not None:
+        log, rows = log.take(keep), rows.take(keep)
+    return fit_force(recorded.world.cell, log, arm_posterior(recorded.world.cell), replace(recorded.setup, rows=(rows,)))
+
+
+def test_without_air_the_bias_is_not_told(recorded):
+    fit = tampered(recorded, recorded.log.fn, recorded.log.contact)
+    i = FIT_NAMES.index("sensor_bias")
+    assert fit.solution.covariance[i, i] > 4 * recorded.fit.solution.covariance[i, i]
+    assert any("no air run" in notice for notice in fit.notices)
+
+
+def test_the_sensors_own_sigma_is_the_least_that_is_believed(recorded):
+    log = replace(recorded.log, sigma_fn=np.full(len(recorded.log), 0.6))
+    prior, rows = recorded.fit.solution.prior, recorded.setup.rows[0]
+    shy = solve_force_log(recorded.setup.model, rows, log, prior)
+    bold = solve_force_log(recorded.setup.model, rows, replace(log, sigma_fn=0.01 * log.sigma_fn), prior)
+    i = FIT_NAMES.index("sensor_bias")
+    assert np.all(shy.channel.sigma() >= 0.6) and np.median(bold.channel.sigma()) == pytest.approx(0.2, rel=0.15)
+    assert shy.covariance[i, i] > 4 * bold.covariance[i, i]
+
+
+def test_outliers_hardly_move_the_fit(recorded):
+    rng = np.random.default_rng(5)
+    fn = recorded.log.fn.copy()
+    wild = rng.random(len(fn)) < 0.03
+    fn[wild] += rng.choice([-3.0, 3.0], wild.sum())
+    fit = tampered(recorded, fn)
+    reading, sd = fit.predict(recorded.setup.rows[1])
+    plain, _ = recorded.fit.predict(recorded.setup.rows[1])
+    assert np.abs(reading - plain).max() < 2.0 * sd.mean() and fit.figures.outliers > 0
+
+
+def test_runs_that_differ_make_the_fit_less_sure(recorded):
+    steps = np.array([0.0, 1.0, -0.7, 0.8, -1.2, 0.0])[recorded.log.run]
+    fit = tampered(recorded, recorded.log.fn + steps)
+    assert fit.figures.run_offset > 0.3 and any("runs differ by" in notice for notice in fit.notices)
+    assert fit.predict(recorded.setup.rows[1])[1].mean() > 3 * recorded.fit.predict(recorded.setup.rows[1])[1].mean()
+
+
+def test_intervals_cover(recorded):
+    """Parameters drawn from the prior, readings from the model with correlated noise: 90 % intervals hold 90 %."""
+    rng = np.random.default_rng(7)
+    log, model = recorded.log, recorded.setup.model
+    thin = np.arange(0, len(log), 3)
+    log, rows = log.take(thin), recorded.setup.rows[0].take(thin)
+    prior = recorded.fit.solution.prior
+    seen = ["wheel_x", "blade_y", "blade_c", "cover_stiffness_scale", "sensor_bias"]
+    at = [FIT_NAMES.index(name) for name in seen]
+    fresh = recorded.setup.rows[1].take(slice(0, None, 40))
+    inside = []
+    for _ in range(24):
+        x = prior.mean + prior.root @ rng.normal(size=prior.root.shape[1])
+        noise = np.concatenate([correlated(rng, int((log.run == i).sum())) for i in np.unique(log.run)])
+        solution = solve_force_log(model, rows, replace(log, fn=reading_of(model, rows, x)[1] + noise), prior)
+        sd = np.sqrt(np.diag(solution.covariance))
+        F, reading = reading_of(model, fresh, solution.x)
+        J = reading_jacobian(model, fresh, solution.x, F)
+        spread = np.sqrt(np.einsum("ni,ij,nj->n", J, solution.covariance, J) + solution.offset**2)
+        z = np.concatenate([(x - solution.x)[at] / sd[at], (reading_of(model, fresh, x)[1] - reading) / spread])
+        inside.append(np.abs(z) < 1.645)
+    share = np.mean(inside, axis=0)
+    # 24 campaigns: one figure may lie between 0.70 and 1, all together have little left to chance.
+    assert (share >= 0.7).all() and 0.83 < share.mean() < 0.97, share
+
+
+def test_without_a_flange_force_ends_where_the_overlap_ends(recorded):
+    model = ForceModel(replace(recorded.world.cell, flange=None), recorded.setup.model.law)
+    rows = recorded.setup.rows[0].take(np.full(60, 30))
+    x = recorded.fit.solution.x[:BIAS]
+    # The wheel is drawn back along x step by step, row by row through the blade's points.
+    back = np.linspace(-2e-4, 6e-4, 60)
+    waypoint = rows.waypoint.copy()
+    T = model.evaluate("state", rows, x, np.full(60, 20.0))[0, 13:].reshape(4, 4)
+    waypoint[:, :3] -= back[:, None] * (T[:3, :3].T @ [1.0, 0.0, 0.0])
+    rows = replace(rows, waypoint=waypoint)
+    F = model.force(rows, x)
+    delta = model.evaluate("state", rows, x, np.maximum(F, 1.0))[:, 0]
+    assert (np.diff(F) <= 1e-9).all() and F[0] > 10 and F[-1] == 0 and (F[delta <= 0] == 0).all()
+    assert np.abs(np.diff(F)).max() < 2.0
+    J = model.sensitivity(rows, x, F)
+    assert not J[F == 0].any() and not J[:, FIT_NAMES.index("flange_stiffness")].any()
+    i, step = FIT_NAMES.index("wheel_x"), 1e-7
+    up, down = (model.force(rows, x + sign * step * np.eye(BIAS)[i]) for sign in (1, -1))
+    steady = (F > 0.2) & (F < F[0])
+    np.testing.assert_allclose(J[steady, i], ((up - down) / (2 * step))[steady], rtol=1e-4)
+
+
+def changed(recorded: Recorded, folder, change) -> ForceLog:
+    """The log's file with one change to its rows, read again."""
+    rows = []
+    with recorded.log.path.open() as file:
+        for row in csv.DictReader(file):
+            rows.append(row)
+    rows = rows[: 3 * 30]
+    change(rows)
+    return read_force_log(write_log(folder / "force.csv", [[row[name] for name in HEADER] for row in rows]))
+
+
+def far(rows):
+    rows[5]["q3_deg"] = str(float(rows[5]["q3_deg"]) + 3.0)
+
+
+def lifted(rows):
+    rows[5]["py_mm"] = str(float(rows[5]["py_mm"]) + 0.5)
+
+
+def inward(rows):
+    for name in ("nx", "ny", "nz"):
+        rows[5][name] = str(-float(rows[5][name]))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (far, r"line 7, columns q1_deg to q6_deg: the axes bring the contact point .* mm (off the wheel|along)"),
+        (lifted, r"line 7, columns px_mm, py_mm, pz_mm: the point is 0\.\d+ mm off the surface of .*, the limit is 0.2 mm"),
+        (inward, r"line 7, columns nx, ny, nz: the normal points into the blade"),
+    ],
+)
+def test_logs_of_another_cell_or_blade_are_refused(recorded, tmp_path, change, message):
+    with pytest.raises(BadInput, match=message):
+        prepare_force(recorded.world.cell, [changed(recorded, tmp_path, change)])
+
+
+def test_points_a_little_off_the_surface_are_put_onto_it_and_told(recorded, tmp_path):
+    def off(rows):
+        rows[5]["py_mm"] = str(float(rows[5]["py_mm"]) + 0.1)
+
+    log = changed(recorded, tmp_path, off)
+    blade = read_blade(recorded.world.cell.workpiece.stl)
+    foot = foot_points(blade, find_shape(blade), log)
+    assert "1 points were put onto the blade's surface" in foot.notices[0]
+    # A shift along y is one along the normal and one along the surface.
+    shift = 1e-4 * np.array([0.0, 1.0, 0.0])
+    wanted = recorded.log.p[5] + shift - (shift @ recorded.log.n[5]) * recorded.log.n[5]
+    np.testing.assert_allclose(foot.p[5], wanted, atol=2e-6)
+    untouched = np.delete(np.arange(len(log)), 5)
+    np.testing.assert_array_equal(foot.p[untouched], log.p[untouched])
+
+
+def test_a_cell_without_a_blade_is_refused(recorded):
+    bare = replace(recorded.world.cell, workpiece=replace(recorded.world.cell.workpiece, stl=None))
+    with pytest.raises(BadInput, match=r"no blade; name it as workpiece\.stl"):
+        prepare_force(bare, [recorded.log])
+
+
+def test_an_earlier_calibration_of_the_contact_is_the_prior(recorded):
+    cell = recorded.world.cell
+    covariance = np.array([[0.04, 1e-6], [1e-6, 1e-8]])
+    known = Calibration(cell.robot.name, ("sensor_bias", "wheel_x"), np.array([0.7, 1e-4]), covariance)
+    prior = force_prior(cell, known)
+    i, j = FIT_NAMES.index("sensor_bias"), FIT_NAMES.index("wheel_x")
+    assert (prior.mean[i], prior.mean[j]) == (0.7, 1e-4) and prior.covariance[i, j] == 1e-6
+    np.testing.assert_allclose(prior.root @ prior.root.T, prior.covariance, atol=1e-12 * prior.covariance.max())
+
+
+def test_a_world_made_by_others_is_predicted(shared_data):
+    folder = shared_data / "worlds" / "force_no_effect"
+    cell = read_cell(folder / "cell.toml")
+    log, sealed = read_force_log(folder / "force.csv"), read_force_log(folder / "sealed_force.csv", sealed=True)
+    truth = read_force_log(folder / "labels" / "sealed_force_truth.csv").fn
+    setup = prepare_force(cell, [log, sealed])
+    fit = fit_force(cell, log, arm_posterior(cell), setup)
+    rows: ForceRows = setup.rows[1]
+    before, after = fit.baseline(rows) - truth, fit.predict(rows)[0] - truth
+    assert np.sqrt(np.mean(before**2)) > 0.5 and np.sqrt(np.mean(after**2)) < 0.08
+    assert fit.figures.run_offset == 0
+
+
+def test_the_report_tells_of_the_contact(recorded):
+    sections = contact_sections(recorded.fit)
+    tables = [part for section in sections for part in section.parts if isinstance(part, Table)]
+    rows = {row[0]: row for row in tables[0].rows}
+    k = recorded.fit.names.index("sensor_bias")
+    sd = np.sqrt(recorded.fit.covariance[k, k])
+    assert rows["force reading in the air"][1:3] == (f"{recorded.fit.values[k]:.3f}", f"{sd:.3f}")
+    assert not any("joint" in name for name in rows) and len(tables[1].rows) == len(recorded.fit.held_out)
+    for part in (part for section in sections for part in section.parts if isinstance(part, Plot)):
+        part.draw(Canvas(Figure(figsize=(WIDTH, part.height)), part.height))

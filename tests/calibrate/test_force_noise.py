@@ -1,0 +1,67 @@
+"""Noise of the force channel: what was put in is found, and the filter whitens what a dense covariance would."""
+
+import numpy as np
+import pytest
+
+from ocp.calibrate.force.noise import Noise, Runs, estimate_noise, student_weights, whiten
+from tests.support.force_world import correlated
+
+
+def runs_of(rng, count, length, **kind):
+    run = np.repeat(np.arange(count), length)
+    time = np.tile(0.01 * np.arange(length), count)
+    return run, time, np.concatenate([correlated(rng, length, **kind) for _ in range(count)])
+
+
+def test_filter_is_the_cholesky_factor_of_the_covariance():
+    rng = np.random.default_rng(1)
+    time = np.cumsum(rng.uniform(0.002, 0.05, 60))
+    run = np.repeat([0, 1], 30)
+    noise = Noise(0.3, 0.6, 0.04)
+    apart = np.abs(time[:, None] - time)
+    same = run[:, None] == run
+    V = 0.09 * (0.4 * np.eye(60) + 0.6 * np.exp(-apart / 0.04) * same)
+    columns = rng.normal(size=(60, 3))
+    white, scale = whiten(Runs.of(run, time), noise, np.ones(60), columns)
+    L = np.linalg.cholesky(V)
+    np.testing.assert_allclose(white, np.linalg.solve(L, columns), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(scale, np.diag(L), rtol=1e-9)
+
+
+def test_rows_of_runs_may_be_mixed():
+    rng = np.random.default_rng(2)
+    run, time, y = runs_of(rng, 3, 40)
+    order = np.argsort(time, kind="stable")
+    noise, ones = Noise(0.3, 0.6, 0.04), np.ones(len(y))
+    plain, _ = whiten(Runs.of(run, time), noise, ones, y[:, None])
+    mixed, _ = whiten(Runs.of(run[order], time[order]), noise, ones, y[order][:, None])
+    np.testing.assert_allclose(mixed, plain[order])
+
+
+@pytest.mark.parametrize("share", [0.2, 0.6])
+def test_what_was_put_in_is_found(share):
+    run, time, y = runs_of(np.random.default_rng(3), 14, 210, sigma=0.25, share=share)
+    noise = estimate_noise(run, time, y + np.sin(1.5 * time + run))
+    wanted = Noise(0.25, share, 0.04)
+    assert noise.sigma == pytest.approx(0.25, rel=0.08)
+    # What counts for a covariance: the variance of a long mean.
+    assert noise.sigma**2 * noise.samples_each(0.01) == pytest.approx(0.0625 * wanted.samples_each(0.01), rel=0.3)
+    assert noise.freedom >= 20
+
+
+def test_outliers_leave_the_scale_alone_and_count_little():
+    rng = np.random.default_rng(4)
+    run, time, y = runs_of(rng, 14, 210, sigma=0.25)
+    wild = rng.random(len(y)) < 0.02
+    y[wild] += 4.0 * rng.choice([-1.0, 1.0], wild.sum())
+    noise = estimate_noise(run, time, y)
+    assert noise.sigma == pytest.approx(0.25, rel=0.25) and noise.freedom <= 10
+    weight = np.ones(len(y))
+    for _ in range(3):
+        weight = student_weights(Runs.of(run, time), noise, y, weight)
+    assert np.median(weight[wild]) < 0.1 < 0.9 < np.median(weight[~wild])
+
+
+def test_one_short_run_still_gives_a_sound_noise():
+    noise = estimate_noise(np.zeros(30, int), 0.01 * np.arange(30), correlated(np.random.default_rng(5), 30, sigma=0.2))
+    assert 0.1 < noise.sigma < 0.4 and 1.0 <= noise.samples_each(0.01) < 15

@@ -1,0 +1,280 @@
+"""The engine on numbers alone: evidence against integration, projection, search, classes, honest p-values."""
+
+import numpy as np
+import pytest
+from scipy.stats import f as f_law
+from scipy.stats import gamma, kstest, norm
+
+from ocp.diagnose.engine.beam import Search, weigh
+from ocp.diagnose.engine.evidence import TRUST, WRONG, log_evidence, posterior, size_grid
+from ocp.diagnose.engine.families import positive_of
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.pool import Member, given, scan, scan_one
+from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.projection import project
+from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.engine.system import Conditions
+from ocp.diagnose.verdict.tests_without_library import kernel_tests
+from ocp.effects.library import library
+from tests.support.linear_channel import LinearChannel, effect
+
+FEW = Options(where=False, prior_effects=0.2)  # a library of six
+RNG = np.random.default_rng(7)
+N = 60
+
+
+def brute_force(C, y, sd, positive=False, points=61):
+    """log p(y) over log p(y without C) by summing over a grid of coefficients and noise scales; one or two columns."""
+    precision = np.geomspace(0.02, 3.0, 80)  # of the noise's inverse variance
+    density = gamma(TRUST / 2, scale=2 / TRUST).logpdf(precision) + np.log(precision)
+    m = C.shape[1]
+    with_, without = np.zeros(80), np.zeros(80)
+    for i, h in enumerate(precision):
+        # In the closed form the prior of the coefficients scales with the noise.
+        width = sd / np.sqrt(h)
+        centre = np.linalg.solve(C.T @ C + np.eye(m) / sd**2, C.T @ y)
+        spread = 8 / np.sqrt(h * np.diag(C.T @ C + np.eye(m) / sd**2))
+        axes = [np.linspace(c - s, c + s, points) for c, s in zip(centre, spread, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, m)
+        prior = norm.logpdf(grid, 0, width).sum(axis=1)
+        if positive:
+            prior = np.where((grid >= 0).all(axis=1), prior + m * np.log(2), -np.inf)
+        rest = ((y[None] - grid @ C.T) ** 2).sum(axis=1)
+        cell = np.prod([a[1] - a[0] for a in axes])
+        log = -0.5 * h * rest + prior + 0.5 * len(y) * np.log(h)
+        with_[i] = np.logaddexp.reduce(log) + np.log(cell) + density[i]
+        without[i] = -0.5 * h * (y @ y) + 0.5 * len(y) * np.log(h) + density[i]
+    return np.logaddexp.reduce(with_) - np.logaddexp.reduce(without)
+
+
+@pytest.mark.parametrize("m", [1, 2])
+@pytest.mark.parametrize("size", [0.0, 0.4, 1.5])
+def test_evidence_is_the_integral(m, size):
+    C = RNG.normal(size=(N, m))
+    y = RNG.normal(size=N) + C @ np.full(m, size)
+    sizes = np.array([[0.3, 2.0]])
+    found = log_evidence((C.T @ C)[None], (C.T @ y)[None], sizes, np.zeros((1, m), bool), float(y @ y), N)
+    for t, value in zip(sizes[0], found[0], strict=True):
+        assert value == pytest.approx(brute_force(C, y, t), abs=0.02 + 0.01 * abs(value))
+
+
+def test_three_coefficients_by_eigenvalues_as_two_by_hand():
+    C = RNG.normal(size=(N, 3))
+    y = RNG.normal(size=N) + C[:, 0]
+    padded = C.copy()
+    padded[:, 2] = 0.0  # a column of nothing changes nothing
+    args = (size_grid(0.1)[None], np.zeros((1, 3), bool), float(y @ y), N)
+    three = log_evidence((padded.T @ padded)[None], (padded.T @ y)[None], *args)
+    D = C[:, :2]
+    two = log_evidence((D.T @ D)[None], (D.T @ y)[None], args[0], np.zeros((1, 2), bool), args[2], N)
+    np.testing.assert_allclose(three, two, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [-0.3, 0.1, 1.0])
+def test_positive_coefficients_have_half_a_prior(size):
+    C = RNG.normal(size=(N, 1))
+    y = RNG.normal(size=N) + size * C[:, 0]
+    found = log_evidence((C.T @ C)[None], (C.T @ y)[None], np.array([[0.8]]), np.ones((1, 1), bool), float(y @ y), N)[0, 0]
+    either, right = brute_force(C, y, 0.8), brute_force(C, y, 0.8, positive=True, points=2001)
+    assert found == pytest.approx(np.logaddexp(np.log(WRONG) + either, np.log1p(-WRONG) + right), abs=0.08)
+
+
+def test_projection_whitens_the_nuisance_and_takes_out_free_unknowns():
+    A, sd = RNG.normal(size=(N, 5)), np.array([0.1, 3.0, 1.0, np.inf, np.inf])
+    M = project(A, sd).apply(np.eye(N))
+    Sigma = np.eye(N) + (A[:, :3] * sd[:3] ** 2) @ A[:, :3].T
+    F, _ = np.linalg.qr(A[:, 3:])
+    P = np.eye(N) - F @ F.T
+    np.testing.assert_allclose(M @ A[:, 3:], 0, atol=1e-9)
+    # lambda = c^T Sigma^-1 c with the free unknowns' covariance without bound
+    big = Sigma + 1e9 * A[:, 3:] @ A[:, 3:].T
+    c = RNG.normal(size=N)
+    assert np.sum((M @ c) ** 2) == pytest.approx(c @ np.linalg.solve(big, c), rel=1e-4)
+    np.testing.assert_allclose(M @ Sigma @ M.T, P, atol=1e-8)
+
+
+def test_projection_does_not_care_for_units_or_for_where_the_fit_stands():
+    A, sd = RNG.normal(size=(N, 4)), np.array([1.0, 0.5, np.inf, 2.0])
+    y, scale = RNG.normal(size=N), np.array([1e-3, 1e4, 7.0, 1e-6])
+    e = effect("e")
+    base = LinearChannel(y, A, sd, {("e", 0): RNG.normal(size=(1, N, 1))})
+    other = LinearChannel(y, A * scale, sd / scale, base.columns)
+    moved = LinearChannel(y, A, sd, base.columns, offset=RNG.normal(size=4))
+    free = LinearChannel(y + 1e3 * A[:, 2], A, sd, base.columns)
+    reference = make_problem([base], {"e": e}, Options()).pool
+    for channel in (other, moved, free):
+        pool = make_problem([channel], {"e": e}, Options()).pool
+        np.testing.assert_allclose(pool.y, reference.y, atol=1e-7)
+        np.testing.assert_allclose(pool.families[0].columns, reference.families[0].columns, atol=1e-9)
+
+
+def problem_of(count=6, rows=200, planted=((0, 1.0),), noise=1.0, scans=None, seed=3):
+    """A problem with `count` effects of random columns, some planted."""
+    rng = np.random.default_rng(seed)
+    library = {f"e{i}": effect(f"e{i}", scans=scans) for i in range(count)}
+    variants = 1 if scans is None else len(scans)
+    columns = {(f"e{i}", 0): rng.normal(size=(variants, rows, 1)) for i in range(count)}
+    y = noise * rng.normal(size=rows)
+    for i, a in planted:
+        y = y + a * columns[(f"e{i}", 0)][0, :, 0]
+    channel = LinearChannel(y, rng.normal(size=(rows, 3)), np.full(3, np.inf), columns)
+    return channel, library
+
+
+def test_chain_rule_of_sets():
+    channel, library = problem_of(planted=((0, 1.0), (1, -0.5)))
+    pool = make_problem([channel], library, Options()).pool
+    a, b = Member(0, 0, 1.0), Member(1, 0, 1.0)
+    both, one = given(pool, [a, b]), given(pool, [a])
+    every, sizes = scan_one(pool, one, 1)
+    assert both.log - one.log == pytest.approx(every[0, list(sizes).index(1.0)], abs=1e-8)
+    assert scan(pool, one).log[1] == pytest.approx(np.logaddexp.reduce(every, axis=None) - np.log(every.size), abs=1e-8)
+    single = weigh(pool, [0])
+    assert single.log == pytest.approx(scan(pool, given(pool, [])).log[0] + pool.families[0].log_odds, abs=1e-8)
+
+
+def test_look_elsewhere_costs_the_logarithm_of_the_variants():
+    few, library = problem_of(planted=((0, 1.0),), scans=[{"k": 0}])
+    many, wide = problem_of(planted=((0, 1.0),), scans=[{"k": i} for i in range(50)])
+    one = weigh(make_problem([few], library, Options()).pool, [0]).log
+    fifty = weigh(make_problem([many], wide, Options()).pool, [0]).log
+    exact, _ = scan_one(make_problem([many], wide, Options()).pool, given(make_problem([many], wide, Options()).pool, []), 0)
+    assert fifty == pytest.approx(
+        np.logaddexp.reduce(exact[0]) - np.log(exact.shape[1] * 50) + np.log(Options().prior_effects / 6), abs=0.05
+    )
+    assert one > fifty - 20  # other columns, the same planted size
+
+
+def test_finds_what_was_planted_and_nothing_else():
+    channel, library = problem_of(planted=((0, 0.6), (4, -0.5)))
+    d = diagnose([channel], library, FEW)
+    assert [str(n) for n in d.explanations[0].names] == ["e0", "e4"]
+    assert d.verdict == "explained"
+    values = {a.effect.name: (a.a[0], np.sqrt(a.covariance[0, 0])) for a in d.active}
+    assert abs(values["e0"][0] - 0.6) < 4 * values["e0"][1]
+    assert abs(values["e4"][0] + 0.5) < 4 * values["e4"][1]
+    assert sum(e.probability for e in d.explanations) + d.p_none + d.p_unknown == pytest.approx(1.0)
+
+
+def test_two_channels_share_the_coefficient():
+    one, library = problem_of(planted=((0, 0.25),), rows=80, seed=5)
+    two, _ = problem_of(planted=((0, 0.25),), rows=80, seed=6)
+    alone = weigh(make_problem([one], library, Options()).pool, [0]).log
+    together = weigh(make_problem([one, two], library, Options()).pool, [0]).log
+    other = weigh(make_problem([two], library, Options()).pool, [0]).log
+    assert together > max(alone, other)
+    d = diagnose([one, two], library, FEW)
+    assert d.ranking[0].name == Name("e0")
+
+
+def test_noise_alone_is_none():
+    false = 0
+    for seed in range(60):
+        channel, library = problem_of(planted=(), seed=100 + seed)
+        false += diagnose([channel], library, FEW).p_none < 0.5
+    assert false <= 3
+
+
+def test_a_misjudged_noise_level_names_nothing():
+    channel, library = problem_of(planted=(), noise=1.4)
+    assert diagnose([channel], library, FEW).p_none > 0.5
+
+
+def test_twins_are_declared_and_share_an_explanation():
+    channel, library = problem_of(planted=((0, 0.5),))
+    twin = channel.columns[("e0", 0)] * 1.01 + 0.02 * np.random.default_rng(1).normal(size=(1, 200, 1))
+    channel.columns[("e1", 0)] = twin
+    d = diagnose([channel], library, FEW)
+    assert (Name("e0"), Name("e1")) in d.classes
+    assert d.explanations[0].probability > 0.8
+    assert not any(Name("e3") in c for c in d.classes)
+
+
+def test_a_pair_that_neither_shows_alone():
+    rng = np.random.default_rng(11)
+    a = rng.normal(size=300)
+    b = a + 0.15 * rng.normal(size=300)
+    library = {n: effect(n, low=0.3) for n in ("e0", "e1", "e2")}
+    columns = {("e0", 0): a[None, :, None], ("e1", 0): b[None, :, None], ("e2", 0): rng.normal(size=(1, 300, 1))}
+    channel = LinearChannel(2.0 * (a - b) + rng.normal(size=300), np.ones((300, 1)), np.full(1, np.inf), columns)
+    pool = make_problem([channel], library, Options()).pool
+    search = Search(pool, 3, 6)
+    search.run()
+    assert {pool.families[f].name.effect for f in search.best()[0]} == {"e0", "e1"}
+
+
+def wave_channel(seed, amplitude=0.0):
+    """A joint channel of six angles whose joint 3 swings with q3 times q1, which no library here holds."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-1.5, 1.5, (120, 6))
+    rows = np.repeat(np.arange(120), 6)
+    y = rng.normal(size=720)
+    y.reshape(120, 6)[:, 2] += amplitude * np.cos(2 * q[:, 2]) * np.sin(2 * q[:, 0])
+    d = np.tile(np.eye(6)[None] * 1e5, (120, 1, 1))  # 1e-5 rad of noise
+    c = Conditions("tracker", q=q, d_joints=d)
+    columns = {("e0", 0): rng.normal(size=(1, 720, 1))}
+    return SixRows(y, np.ones((720, 1)), np.full(1, np.inf), columns, conditions_given=c, name="tracker"), rows
+
+
+class SixRows(LinearChannel):
+    """Six rows a reading."""
+
+    @property
+    def system(self):
+        """Readings of six rows."""
+        from dataclasses import replace
+
+        return replace(super().system, reading=np.repeat(np.arange(120), 6), component=np.tile(np.arange(6), 120))
+
+    def whiten(self, changes):
+        """Rows of all six components."""
+        return changes.reshape(720, -1)
+
+
+def test_kernels_speak_for_what_nobody_catalogued():
+    channel, _ = wave_channel(2, amplitude=8.0)
+    d = diagnose([channel], {"e0": effect("e0")}, Options())
+    assert d.p_unknown > 0.9
+    assert d.verdict == "unexplained"
+    assert d.location is not None and d.location.joint == 3
+    assert set(d.location.depends_on) == {"q3", "q1"}
+    assert d.budget[0].share > 0.5
+
+
+def test_kernel_p_values_are_uniform():
+    p = []
+    for seed in range(12):
+        channel, _ = wave_channel(300 + seed)
+        problem = make_problem([channel], {"e0": effect("e0")}, Options())
+        p += [t.p_value for t in kernel_tests(problem, given(problem.pool, []))]
+    # kernels of one data set share some of their features: every second one is enough to be nearly independent
+    assert kstest(p[::3], "uniform").pvalue > 1e-3
+    assert 0.02 < np.mean(np.array(p) < 0.05) < 0.09
+
+
+def test_kernel_tests_are_f_tests_of_least_squares():
+    channel, _ = wave_channel(77)
+    problem = make_problem([channel], {"e0": effect("e0")}, Options())
+    pool = problem.pool
+    found = {(t.where, t.source, t.joint): t for t in kernel_tests(problem, given(pool, []))}
+    family = next(x for x in pool.families if x.where == "q3 x q1")
+    left = np.linalg.lstsq(family.columns.reshape(720, -1), pool.y, rcond=None)[1][0]
+    m = np.linalg.matrix_rank(family.columns.reshape(720, -1))
+    ratio = (pool.y @ pool.y - left) / m / (left / (pool.freedom - m))
+    told = found[("q3 x q1", "joint", 3)]
+    assert told.p_value == pytest.approx(f_law.sf(ratio, m, pool.freedom - m), rel=1e-6)
+
+
+def test_posterior_covers():
+    inside = 0
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        C, a = rng.normal(size=(40, 2)), rng.normal(size=2)
+        mean, covariance = posterior(C, C @ a + rng.normal(size=40), np.ones(2))
+        inside += abs(mean[0] - a[0]) < 1.645 * np.sqrt(covariance[0, 0])
+    assert 0.86 < inside / 400 < 0.94
+
+
+def test_a_share_with_a_sign_beside_it_may_be_negative():
+    assert not positive_of(library()["sensor_crosstalk"]).any()
+    assert positive_of(library()["wheel_wear"]).all() and positive_of(library()["joint_compliance"]).all()

@@ -1,0 +1,394 @@
+"""The force log as a channel of the diagnosis, on logs of the verification's route with effects planted by plain formulas."""
+
+import pickle
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ocp.calibrate.force.log import ForceLog, read_force_log
+from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.engine.system import Fold
+from ocp.diagnose.force.balance import Balance
+from ocp.diagnose.force.believed import believed_contact
+from ocp.diagnose.force.channel import ForceChannel, force_channel
+from ocp.diagnose.force.columns import derivatives, effect_columns
+from ocp.diagnose.force.conditions import conditions_of
+from ocp.diagnose.force.fit import Problem, solve
+from ocp.diagnose.force.prediction import predict
+from ocp.diagnose.force.setpoints import with_setpoints_read_off
+from ocp.diagnose.force.whitening import Whitener
+from ocp.diagnose.reporting import _shown
+from ocp.effects.effect import Active, Effect
+from ocp.effects.library import library
+from tests.support.diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, moved_joints, record
+from tests.support.force_world import arm_posterior, write_log
+from tests.support.one_solid import one_solid
+
+EFFECTS = library()
+
+
+@dataclass(frozen=True)
+class Made:
+    base: Base
+    channel: ForceChannel
+    truth: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def solved_once():
+    with one_solid():
+        yield
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, solved_once) -> Made:
+    folder, rng = tmp_path_factory.mktemp("world"), np.random.default_rng(5)
+    base = record(believed_world(folder, rng, every=4), PLAN, rng)
+    log, truth = _log(base, (), folder)
+    return Made(base, _channel(base, log), truth)
+
+
+def _log(
+    base: Base, planted: tuple[Planted, ...], folder: Path, seed: int = 3, outliers: float = 0.0
+) -> tuple[ForceLog, np.ndarray]:
+    base.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
+    rows, truth = log_of(base, planted, outliers)
+    return read_force_log(write_log(folder / f"force{seed}.csv", rows, HEADER)), truth
+
+
+def _channel(base: Base, log: ForceLog) -> ForceChannel:
+    return force_channel(base.world.cell, log, arm=arm_posterior(base.world.cell))
+
+
+def _again(made: Made, log: ForceLog) -> ForceChannel:
+    """The channel of the same rows with other readings: the model is prepared already."""
+    problem = replace(made.channel.problem, log=log)
+    return ForceChannel(problem, solve(problem, (), made.channel.fit), made.channel.effects)
+
+
+def _part(problem: Problem, rows: np.ndarray) -> Problem:
+    """Some rows of a problem, prepared already (not for effects of the arm)."""
+    scene = problem.scene
+    scene = replace(scene, rows=scene.rows.take(rows), conditions=scene.conditions.take(rows), pressed=scene.pressed[rows])
+    return Problem.of(problem.log.take(rows), scene, problem.believed)
+
+
+def _active(name: str, joint: int = 0, scanned: dict | None = None) -> Active:
+    effect = EFFECTS[name]
+    return Active(effect, joint, np.zeros(effect.size), scanned or {}, np.zeros((effect.size, effect.size)))
+
+
+def _gap(channel: ForceChannel, truth: np.ndarray) -> float:
+    at = channel.log.contact
+    return float(np.sqrt(np.mean((channel.fit.at.fn - truth)[at] ** 2)))
+
+
+def test_without_effects_the_believed_contact_meets_the_second_route(made):
+    assert _gap(made.channel, made.truth) < 0.05
+    assert np.mean(made.channel.fit.residual**2) == pytest.approx(1.0, abs=0.06)
+    assert made.channel.noise_floor == pytest.approx(0.2, rel=0.1)
+
+
+def test_rows_have_unit_noise_under_the_noise_they_were_made_for(made):
+    # Readings drawn from the covariance itself, not through the filter: its Cholesky factor run by run.
+    whitener = made.channel.fit.whiteners[0]
+    rng, n = np.random.default_rng(1), len(made.channel.log)
+    drawn = np.zeros((n, 400))
+    for kind in whitener.noise.kinds.values():
+        log, noise = made.channel.log, kind.noise
+        for run in np.unique(log.run[kind.rows]):
+            at = kind.rows[log.run[kind.rows] == run]
+            lag = np.abs(np.subtract.outer(log.time[at], log.time[at]))
+            C = noise.sigma**2 * noise.share * np.exp(-lag / noise.tau)
+            C[np.diag_indices(len(at))] = noise.sigma**2
+            drawn[at] = np.linalg.cholesky(C) @ rng.normal(size=(len(at), 400))
+    plain = Whitener.of(replace(whitener.noise, weight=np.ones(n)), whitener.blocks)
+    short = plain.short(drawn)
+    covariance = short @ short.T / 400
+    assert np.abs(np.diag(covariance).mean() - 1.0) < 0.01
+    assert np.sqrt(np.mean((covariance - np.diag(np.diag(covariance))) ** 2)) < 1.1 / np.sqrt(400)
+
+
+WARM = {"joint_thermal", "link_thermal"}  # this log has no column of the temperature
+SHOWN = sorted({n for n, e in EFFECTS.items() if e.on_arm or e.on_contact} - WARM)
+
+
+def test_a_report_is_handed_little_of_a_channel(made):
+    shown = _shown(made.channel)
+    assert np.array_equal(shown.gap(), made.channel.gap()) and shown.noise_floor == made.channel.noise_floor
+    assert len(pickle.dumps(shown)) < 0.05 * len(pickle.dumps(made.channel))
+
+
+def test_a_log_is_blind_to_what_moves_neither_arm_nor_contact_and_to_warmth_it_did_not_record(made):
+    assert {n for n in EFFECTS if made.channel.blind(EFFECTS[n])} == set(EFFECTS) - set(SHOWN)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_columns_are_what_the_refitted_balance_does(made, name):
+    channel, effect = made.channel, EFFECTS[name]
+    scene, at = channel.problem.scene, channel.fit.at
+    rows = scene.touching[:: max(1, len(scene.touching) // 400)]
+    for joint in effect.places[:3]:
+        scans = effect.scan(joint, channel.surroundings)
+        if not len(scans):
+            continue
+        scanned = scans[len(scans) // 2]
+        made_columns = effect_columns(scene, at, channel.fit.slopes, effect, joint, [scanned])
+        if made_columns is None:
+            continue
+        for k in range(min(effect.size, 3)):
+            a = np.zeros(effect.size)
+            a[k] = 0.02 * effect.prior_sd[k]
+            both = []
+            for sign in (1.0, -1.0):
+                one = replace(_active(name, joint, dict(scanned)), a=sign * a)
+                there = predict(scene, at.x, (one,), at)
+                both.append(np.concatenate([there.fn[rows], there.ft[rows]]))
+            difference = 0.5 * (both[0] - both[1])
+            column = np.concatenate([c[0][rows, k] for c in made_columns]) * a[k]
+            size = np.abs(difference).max()
+            np.testing.assert_allclose(column, difference, atol=max(0.02 * size, 2e-5), err_msg=f"{name} {joint} {k}")
+
+
+def test_slopes_are_those_of_the_force(made):
+    channel = made.channel
+    scene, at = channel.problem.scene, channel.fit.at
+    theta, joints = derivatives(scene, at)
+    rows = scene.touching[::50]
+    sd = channel.problem.believed.sd
+    for i in np.flatnonzero(sd[: theta.shape[1]] > 0)[::2]:
+        step = np.zeros_like(at.x)
+        step[i] = 1e-2 * sd[i]
+        high, low = (predict(scene, at.x + s * step, (), at).F[rows] for s in (1.0, -1.0))
+        np.testing.assert_allclose(theta[rows, i] * step[i], 0.5 * (high - low), rtol=5e-3, atol=1e-5)
+    assert np.abs(joints[rows]).max() > 100.0
+
+
+def _own_effect(**hooks) -> Effect:
+    one = EFFECTS["sensor_bias"]
+    return replace(one, name="own", sensor=None, **hooks)
+
+
+def test_a_push_is_the_stroke_it_takes(made):
+    # F (n.a) = setpoint + k stroke + push with the flange along the normal: the same force as an overlap of push / k more.
+    channel, at = made.channel, made.channel.problem.scene.touching
+    effect = _own_effect(push=lambda x, j, scanned: 10.0 * x.s)
+    fn = effect_columns(channel.problem.scene, channel.fit.at, channel.fit.slopes, effect, 0, [{}])[0][0, :, 0]
+    step = 0.05
+    extra = step * 10.0 * channel.problem.scene.conditions.s / channel.problem.scene.cell.flange.stiffness
+    force = made.base.force(extra) - made.base.force(-extra)
+    np.testing.assert_allclose(fn[at] * 2 * step, force[at], rtol=0.03, atol=2e-4)
+
+
+def test_a_turn_of_the_base_moves_the_blade_as_a_body(made):
+    channel, turn = made.channel, np.array([1e-5, -3e-5, 2e-5])
+    effect = _own_effect(twist=lambda x, j, scanned: {0: ca.vertcat(ca.SX.zeros(3, 1), ca.SX(turn))})
+    scene, at = channel.problem.scene, channel.problem.scene.touching
+    fn = effect_columns(scene, channel.fit.at, channel.fit.slopes, effect, 0, [{}])[0][0, :, 0]
+    # Where the fit has the contact (a millimetre from where it is: bearing alone is an unknown of the arm), turned as a body.
+    R = channel.fit.at.samples.at("R_blade").reshape(-1, 3, 3)
+    p = np.einsum("nij,nj->ni", R, made.base.columns["p"]) + scene.arm.origin
+    overlap = -np.sum(channel.fit.at.samples.at("e") * np.cross(turn, p), axis=1)
+    force = channel.fit.at.stiffness * overlap
+    np.testing.assert_allclose(fn[at], force[at], atol=0.01 * np.abs(force).max())
+
+
+# What is planted, which effect is to have which values within 4 sd, and how far off the believed contact is at least (N rms).
+PLANTED = {
+    "wheel_wear": (Planted(overlap=lambda b: -1.5e-7 * b.columns["clock"]), {}, {"m_per_s": 1.5e-7}, 0.2),
+    "wheel_runout": (
+        Planted(overlap=lambda b: 3e-5 * np.cos(b.columns["belt"] / b.world.truth.wheel.radius * b.columns["clock"] + 0.7)),
+        {"clocked": 1.0}, {"m": 3e-5, "phase_rad": 0.7}, 0.05,
+    ),
+    "sensor_bias": (Planted(reading=lambda c, F: 0.4 + 0.0 * F), {}, {"N": 0.4}, 0.0),
+    "sensor_crosstalk": (Planted(reading=lambda c, F: 0.05 * 0.35 * F * np.sign(c["belt"])), {}, {"share": 0.05}, 0.1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(PLANTED))
+def test_a_planted_effect_comes_out_with_its_value(made, tmp_path, name):
+    planted, scanned, values, least = PLANTED[name]
+    log, truth = _log(made.base, (planted,), tmp_path)
+    channel = _again(made, log)
+    assert _gap(channel, truth) > least
+    after = channel.with_active((_active(name, 0, scanned),))
+    assert _gap(after, truth) < 0.04
+    assert channel.gained() == (0.0, 0.0) and after.gained()[0] > 0.4 * sum(after.gained()) > 4.0
+    found, sd = after.active[0].parameters, after.active[0].deviations
+    for key, value in values.items():
+        assert abs(found[key] - value) < 4 * sd[key] + 0.03 * abs(value), (key, found[key], sd[key])
+
+
+def test_an_effect_of_the_arm_is_the_same_joint_motion(made, tmp_path):
+    def reversal(b: Base) -> np.ndarray:
+        sign = np.zeros(len(b))
+        for r in np.unique(b.columns["run"]):
+            at = np.flatnonzero(b.columns["run"] == r)
+            sign[at] = np.sign(np.gradient(b.columns["q"][at, 2]))
+        return moved_joints(b, 4e-5 * np.eye(6)[2] * sign[:, None])
+
+    log, truth = _log(made.base, (Planted(overlap=reversal),), tmp_path)
+    channel = _again(made, log)
+    after = channel.with_active((_active("backlash", 3),))
+    assert after.active[0].a[0] == pytest.approx(4e-5, abs=4 * np.sqrt(after.active[0].covariance[0, 0]))
+    assert _gap(after, truth) < min(0.04, 0.7 * _gap(channel, truth))
+
+
+def test_no_effect_is_no_gap_though_readings_are_wild(made, tmp_path):
+    log, _ = _log(made.base, (), tmp_path, 12, 0.01)
+    assert diagnose([_again(made, log)], EFFECTS).verdict == "no_gap"
+
+
+def test_fast_patterns_are_kept_where_averages_lose_them(made):
+    channel, scanned = made.channel, {"clocked": 1.0}
+    whiteners, about = channel.fit.whiteners, (channel.problem.scene, channel.fit.at, channel.fit.slopes)
+    fast = effect_columns(*about, EFFECTS["wheel_runout"], 0, [scanned])
+    length = sum(float(np.sum(w.whole(c[0]) ** 2)) for w, c in zip(whiteners, fast, strict=True))
+    assert sum(float(np.sum(w.short(c[0]) ** 2)) for w, c in zip(whiteners, fast, strict=True)) < 0.5 * length
+    kept = channel.variants(EFFECTS["wheel_runout"], 0, [scanned])[0].columns
+    assert np.sum(kept**2) == pytest.approx(length, rel=1e-3)
+    # A slow effect loses nearly nothing.
+    slow = effect_columns(*about, EFFECTS["wheel_wear"], 0, [{}])
+    full = sum(float(np.sum(w.whole(c[0]) ** 2)) for w, c in zip(whiteners, slow, strict=True))
+    assert np.sum(channel.variants(EFFECTS["wheel_wear"], 0, [{}])[0].columns ** 2) == pytest.approx(full, rel=0.03)
+
+
+def test_a_splice_of_unknown_rate_is_found_among_hundreds(made, tmp_path):
+    def knock(c, F):
+        return 1.5 * (F > 0) * np.exp(-0.5 * (((c["time"] * 8.3) % 1.0 - 0.3) / 0.06) ** 2)
+
+    log, _ = _log(made.base, (Planted(reading=knock),), tmp_path)
+    found = diagnose([_again(made, log)], EFFECTS)
+    assert [str(n) for n in found.explanations[0].names] == ["belt_splice"]
+    assert found.active[0].parameters["hz"] == pytest.approx(8.3, abs=0.1)
+
+
+def test_held_out_errors_are_those_of_a_refit(made, tmp_path):
+    log, _ = _log(made.base, (PLANTED["wheel_wear"][0],), tmp_path)
+    channel = _again(made, log).with_active((_active("wheel_wear"),))
+    late = channel.log.run >= 6
+    judged = channel.held_out(Fold("late", "time", late), channel.active)
+    problem, rest = channel.problem, _part(channel.problem, ~late)
+    rows = late & log.contact
+    for active, mean_square in (((), judged.before), ((_active("wheel_wear"),), judged.after)):
+        fit = solve(rest, active)
+        there = predict(problem.scene, fit.at.x, fit.active)
+        assert np.mean((log.fn - there.fn)[rows] ** 2) == pytest.approx(mean_square, rel=0.1, abs=0.004)
+    assert judged.before > 4 * judged.noise and judged.after < judged.noise + 3 * judged.estimation
+    # The nuisance takes back what the flange's stiffness may be off by: its value is known to 30 %, the readings to a hundredth.
+    soft = _again(made, log).with_active((_active("flange_stiffness"),))
+    for fold in (f for f in soft.folds() if f.kind == "random"):
+        held = soft.held_out(fold, soft.active)
+        assert 0 <= held.estimation < 0.02 * held.noise
+
+
+def test_sealed_readings_are_met_within_their_sigma(made, tmp_path):
+    planted = (PLANTED["wheel_wear"][0], PLANTED["sensor_bias"][0])
+    log, truth = _log(made.base, planted, tmp_path)
+    late = (log.run == 6) | (log.run == 7)  # another setpoint, and the belt reversed
+    part = _part(replace(made.channel.problem, log=log), ~late)
+    channel = ForceChannel(part, solve(part), made.channel.effects)
+    active = (_active("sensor_bias"), _active("wheel_wear"))
+    sealed = replace(log.take(late), fn=np.full(int(late.sum()), np.nan), ft=None)
+    found = channel.predict(sealed, active)
+    before, after = (np.abs(x[:, 0] - truth[late]) for x in (found.baseline, found.corrected))
+    assert np.sqrt(np.mean(after**2)) < 0.25 * np.sqrt(np.mean(before**2))
+    assert np.all(after < 3 * found.sigma[:, 0] + 0.05) and found.sigma.max() < 0.2
+
+
+def test_an_effect_that_sealed_conditions_say_nothing_of_is_in_the_sigma(made, tmp_path):
+    def hot(b):
+        return 4e-6 * (b.columns["wheel_temperature"] - 22.0)
+
+    log, truth = _log(made.base, (Planted(overlap=hot),), tmp_path)
+    channel = _again(made, log).with_active((_active("wheel_temperature"),))
+    late = log.run >= 6
+    sealed = replace(log.take(late), fn=np.full(int(late.sum()), np.nan), ft=None)
+    told, untold = (channel.predict(s, channel.active) for s in (sealed, replace(sealed, wheel_temperature=None)))
+    assert not told.lacking and untold.lacking == ("wheel_temperature",)
+    at = sealed.contact
+    errors = [np.sqrt(np.mean((p.corrected[:, 0] - truth[late])[at] ** 2)) for p in (told, untold)]
+    assert errors[0] < 0.3 * errors[1] and untold.sigma[at].mean() > 2 * told.sigma[at].mean()
+    assert errors[1] < 3 * untold.sigma[at].mean() and np.isfinite(untold.corrected).all()
+    # Without its clock the sealed log comes after the log.
+    worn = _again(made, log).with_active((_active("wheel_wear"),))
+    later = worn.predict(replace(sealed, clock=None), worn.active).corrected[at]
+    early = worn.predict(replace(sealed, clock=0 * sealed.clock), worn.active).corrected[at]
+    assert np.abs(later - early).mean() > 0.05
+
+
+def test_missing_columns_blind_and_say_so(made):
+    log = replace(made.channel.log, clock=None, ft=None, ground_before=None, wheel_temperature=None)
+    scene = replace(made.channel.problem.scene, conditions=conditions_of(made.base.world.cell, log))
+    problem = replace(made.channel.problem, log=log, scene=scene)
+    channel = ForceChannel(problem, solve(problem), made.channel.effects)
+    assert "ground_before" in channel.blind(EFFECTS["material_removal"])
+    assert "clock_s" in channel.blind(EFFECTS["sensor_drift"])
+    assert "wheel_temperature_C" in channel.blind(EFFECTS["wheel_temperature"])
+    assert channel.blind(EFFECTS["tracker_scale"]) and not channel.blind(EFFECTS["wheel_wear"])
+    assert not channel.variants(EFFECTS["material_removal"], 0) and channel.variants(EFFECTS["wheel_wear"], 0)
+    assert len(channel.fit.whiteners) == 1 and channel.conditions.clock is None
+    assert {f.kind for f in channel.folds()} >= {"random", "block", "run", "line", "setpoint", "feed", "belt", "travel"}
+
+
+def test_setpoints_that_nobody_wrote_down_are_read_off_and_open_in_the_fit(made, tmp_path):
+    log, _ = _log(made.base, (PLANTED["wheel_wear"][0],), tmp_path)
+    told = log.setpoint
+    channel = force_channel(made.base.world.cell, replace(log, setpoint=None), arm=arm_posterior(made.base.world.cell))
+    read_off, changed = channel.log, told != 20.0  # runs 5 and 6
+    assert np.array_equal(read_off.setpoint_sd > 0, changed) and np.all(np.abs(read_off.setpoint - told) < 1.5)
+    scene, offsets = channel.problem.scene, channel.problem.offsets
+    for k, run in enumerate((5, 6)):  # its column is what another setpoint does to both readings
+        more = replace(scene, rows=replace(scene.rows, setpoint=scene.rows.setpoint + 0.5 * (log.run == run)))
+        ends = [predict(s, channel.fit.at.x, (), channel.fit.at) for s in (scene, more)]
+        for end, column in (("fn", offsets.normal), ("ft", offsets.shear)):
+            change = (getattr(ends[1], end) - getattr(ends[0], end)) / 0.5
+            wanted = column[:, offsets.runs + k] / read_off.setpoint_sd.max()
+            # Wheel and blade give way to more force, so the flange's spring lets go of a seventh of it.
+            np.testing.assert_allclose(change, 0.87 * wanted, atol=0.05 * np.abs(wanted).max())
+    assert [n for n in channel.problem.notices if "no column setpoint_N" in n and "5 (1" in n and "6 (3" in n]
+    assert "setpoint_N" not in channel.problem.scene.conditions.given
+    assert not {f.kind for f in channel.folds()} & {"setpoint"}
+    assert channel.held_out(Fold("run=6", "run", log.run == 6), ()) is None  # nothing is known of it without its readings
+    after = channel.with_active((_active("wheel_wear"),))
+    one = after.active[0]
+    assert one.a[0] == pytest.approx(1.5e-7, abs=4 * np.sqrt(one.covariance[0, 0]) + 0.05e-7) and one.a[0] > 5e-8
+    assert np.sqrt(np.mean(after.gap()[log.contact] ** 2)) < 1.1 * after.noise_floor < 0.25
+    assert [str(n) for n in diagnose([channel], EFFECTS).explanations[0].names] == ["wheel_wear"]
+    sealed = replace(log.take(log.run == 7), fn=np.full(int((log.run == 7).sum()), np.nan), ft=None)
+    known, unknown = (channel.predict(replace(sealed, setpoint=s), ()).sigma.min() for s in (sealed.setpoint, None))
+    assert known < 1.0 and 2.5 < unknown < 6.0  # of ten runs one has 12 and one 30 N
+
+
+def test_forces_that_no_operator_chose_are_no_setpoints(made):
+    log, own = replace(made.channel.log, setpoint=None), made.base.world.cell.flange.setpoint
+    steady = replace(log, fn=np.where(made.channel.log.setpoint == own, log.fn, log.fn * own / made.channel.log.setpoint))
+    assert with_setpoints_read_off(made.channel.log, own) is None and with_setpoints_read_off(log, own) is not None
+    for factor in (1.0, 1.15 ** (log.run % 2), np.where(log.line == 1, 1.4, 1.0), 1.4):  # by less, by line, everywhere
+        assert with_setpoints_read_off(replace(steady, fn=steady.fn * factor), own) is None
+    hardly = replace(steady, fn=np.where(np.isin(log.run, (0, 2)), -0.1, steady.fn))  # contact that is none
+    assert with_setpoints_read_off(hardly, own) is None
+    later = log.run >= 5  # a blade gripped anew, with the column that says so and without
+    moved = replace(steady, fn=steady.fn * np.where(later, 0.6, 1.0))
+    assert with_setpoints_read_off(replace(moved, session=later.astype(int), sessions=("a", "b")), own) is None
+    assert with_setpoints_read_off(moved, own) is not None
+
+
+def test_a_rigid_cell_is_a_channel_too(made):
+    # The same postures without the flange; readings from the model, sensor_bias planted in them.
+    scene = made.channel.problem.scene
+    cell = replace(scene.cell, flange=None)
+    believed, rng = believed_contact(cell, arm_posterior(cell)), np.random.default_rng(4)
+    scene = replace(scene, cell=cell, balance=Balance(cell, scene.balance.law), pressed=None)
+    truth = predict(scene, believed.mean + 0.3 * believed.root @ rng.normal(size=believed.root.shape[1]))
+    log = replace(made.channel.log, fn=truth.fn + 0.6 + 0.2 * rng.normal(size=len(truth.F)), ft=None)
+    problem = Problem.of(log, scene, believed)
+    channel = ForceChannel(problem, solve(problem), (EFFECTS["sensor_bias"],))
+    assert channel.blind(EFFECTS["flange_stiffness"])
+    assert np.abs(channel.variants(EFFECTS["belt_tension"], 0)[0].columns).max() > 0
+    found = channel.with_active((_active("sensor_bias"),)).active[0]
+    assert abs(found.a[0] - 0.6) < 4 * np.sqrt(found.covariance[0, 0]) + 0.02 < 0.2
+    assert truth.stiffness[scene.touching].min() > 1.5e4  # N/m: a wheel without a flange

@@ -1,0 +1,214 @@
+"""What is fast in a force log, and fits that are not straight: knocks, waves nobody catalogued, delays beside other effects."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ocp.diagnose.engine.beam import NOTHING, Search
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.no_rest import NoRest
+from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.products import without_products
+from ocp.diagnose.engine.search import diagnose, settle
+from ocp.diagnose.force import fit as fitting
+from ocp.diagnose.force.fit import linear, solve
+from ocp.diagnose.force.knocks import telling_knocks
+from ocp.diagnose.force.prediction import predict
+from ocp.diagnose.verdict import conclusions
+from ocp.diagnose.verdict.conclusions import findings
+from robots.errors import Infeasible
+from tests.diagnose.test_diagnosis_force import EFFECTS, Made, _active, _again, _log, made, solved_once  # noqa: F401
+from tests.support.diagnosis_force_world import Planted
+
+
+def bell(turns, length):
+    return np.exp(-0.5 * ((turns - np.round(turns)) / length) ** 2)
+
+
+@pytest.mark.parametrize(("clock", "hz", "turn", "length"), [("time", 8.37, 0.3, 0.03), ("clock", 11.213, 0.85, 0.05)])
+def test_a_train_of_knocks_is_found_by_rate_place_and_length(made: Made, tmp_path, clock, hz, turn, length):  # noqa: F811
+    def knock(c, F):
+        return 1.2 * (F > 0) * (c["belt"] != 0) * bell(hz * c[clock] - turn, length)
+
+    log, _ = _log(made.base, (Planted(reading=knock),), tmp_path)
+    channel = _again(made, log)
+    knocks = telling_knocks(channel.problem, channel.fit)
+    best = knocks.found[0]
+    assert best["clocked"] == float(clock == "clock") and knocks.among > 1000
+    span = np.ptp(getattr(channel.problem.scene.conditions, clock))
+    assert best["hz"] == pytest.approx(hz, abs=0.05 / span)
+    at = 0.5 * span + getattr(channel.problem.scene.conditions, clock).min()  # rate and place are told together
+    off = (best["hz"] * at - best["turn"]) - (hz * at - turn)
+    assert abs(off - np.round(off)) < 0.01 and best["length"] == pytest.approx(length, rel=0.15)
+    after = channel.with_active((_active("belt_splice", scanned=best),)).active[0]
+    # Planted in the normal reading alone: the tangential one, which should show a third of it, holds it down.
+    assert 0.8 * 1.2 < after.a[0] < 1.05 * 1.2
+
+
+def test_noise_alone_offers_no_knocks_worth_their_number(made: Made, tmp_path):  # noqa: F811
+    log, _ = _log(made.base, (), tmp_path, 21)
+    found = diagnose([_again(made, log)], {"belt_splice": EFFECTS["belt_splice"]})
+    assert found.p_none > 0.9
+
+
+def test_a_single_tone_is_no_knock_and_nothing_of_the_catalogue(made: Made, tmp_path):  # noqa: F811
+    def tone(c, F):
+        return 0.12 * (F > 0) * np.cos(2 * np.pi * 9.4 * c["time"] + 1.0)
+
+    log, _ = _log(made.base, (Planted(reading=tone),), tmp_path)
+    found = diagnose([_again(made, log)], EFFECTS)
+    assert found.p_unknown > 0.8 and found.verdict == "unexplained"
+    assert found.location is not None and found.location.depends_on == ("time",)
+
+
+def test_columns_beside_a_delay_are_what_the_prediction_does(made: Made):  # noqa: F811
+    active = tuple(
+        replace(_active(name, scanned=scanned), a=np.array(a))
+        for name, scanned, a in (("time_delay", {"about": 0.01}, [0.04]), ("wheel_relaxation", {"tau": 0.5}, [0.2]),
+                                 ("sensor_gain", {}, [0.03]), ("wheel_wear", {}, [2e-7]))
+    )  # fmt: skip
+    problem = made.channel.problem
+    fit = solve(problem, active, made.channel.fit)
+    z = fit.z + 0.3
+    at = fitting._at(problem, z, fit.active, fit.at)
+    at = fitting._at(problem, z, fit.active, at)
+    made_columns = linear(problem, z, at, fit.whiteners)
+    rng = np.random.default_rng(4)
+    for _ in range(4):
+        direction = rng.normal(size=len(z))
+        direction /= np.linalg.norm(direction)
+        moved = [z - 1e-3 * direction, z + 1e-3 * direction]
+        ends = [problem.residuals(fitting._at(problem, to, fit.active, at), to) for to in moved]
+        slope = np.concatenate([w.whole((b - a)[:, None])[:, 0] for w, a, b in zip(fit.whiteners, *ends, strict=True)]) / 2e-3
+        wanted = -made_columns.sensitivity @ direction
+        assert np.linalg.norm(slope - wanted) < 0.02 * np.linalg.norm(wanted)
+
+
+def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, monkeypatch):  # noqa: F811
+    log, _ = _log(made.base, (Planted(reading=lambda c, F: 0.8 + 0.0 * F),), tmp_path)
+    channel = _again(made, log)
+    known = {n: EFFECTS[n] for n in ("sensor_bias", "sensor_drift", "wheel_wear")}
+    assert diagnose([channel], known).explanations[0].names[0].effect == "sensor_bias"
+    original = type(channel).with_active
+
+    def restless(self, active):
+        if any(a.effect.name == "sensor_bias" for a in active):
+            raise Infeasible("no rest")
+        return original(self, active)
+
+    monkeypatch.setattr(type(channel), "with_active", restless)
+    problem, search = settle(make_problem([channel], known, Options()), known, Options())
+    chosen = {problem.pool.families[f].name.effect for key in search.seen for f in key}
+    assert search.seen[frozenset()] is NOTHING and not any(a.effect.name == "sensor_bias" for a in problem.channels[0].active)
+    assert chosen  # others are still weighed
+    vain = NoRest()
+    for names in (["sensor_bias", "wheel_wear"], ["sensor_bias"]):
+        vain.add(Name(n, 0) for n in names)
+    assert vain.names() == [Name("sensor_bias", 0)]
+    # What a fit holds may fail for others' sake; and without effects nothing failed.
+    held = NoRest()
+    held.rests([Name("wheel_wear", 0)])
+    for other in ("sensor_bias", "sensor_drift"):
+        held.add([Name("wheel_wear", 0), Name(other, 0)])
+    held.add([])
+    assert not held.names() and len(held.sets) == 2
+    held.add([Name("sensor_bias", 0)])
+    assert held.names() == [Name("sensor_bias", 0)]
+    held.rests([Name("wheel_wear", 0), Name("sensor_bias", 0)])
+    assert not held.names() and len(held.sets) == 2
+    search = Search(problem.pool, 3, 4)
+    search.run()
+    assert any("sensor_bias" in {problem.pool.families[f].name.effect for f in key} for key in search.seen)
+    vain.strike(search, problem)
+    left = {frozenset(problem.pool.families[f].name.effect for f in key) for key in search.seen}
+    assert frozenset() in left and frozenset({"sensor_drift"}) in left and not any("sensor_bias" in names for names in left)
+    # Nothing fits with the name that the readings ask for: it is not told, and what is told says why.
+    found = diagnose([channel], known)
+    assert not any(n.effect == "sensor_bias" for e in found.explanations for n in e.names)
+    assert not found.active or all(a.effect.name != "sensor_bias" for a in found.active)
+
+
+def test_a_name_that_no_fit_of_all_readings_takes_is_doubted(made: Made, tmp_path, monkeypatch):  # noqa: F811
+    log, _ = _log(made.base, (Planted(reading=lambda c, F: 0.8 + 0.0 * F),), tmp_path)
+    channel = _again(made, log)
+    known = {n: EFFECTS[n] for n in ("sensor_bias", "sensor_drift", "wheel_wear")}
+    problem, search = settle(make_problem([channel], known, Options()), known, Options())
+    monkeypatch.setattr(conclusions, "accepted", lambda *_: None)
+    found = findings((channel,), problem, problem, search, known, Options())
+    assert found.active == () and found.channels == (channel,) and found.p_unknown > 0.5
+    assert any("sensor_bias: no fit with it comes to rest" in why for why in found.unknown_because)
+
+
+@pytest.mark.parametrize("share, level, most", [(2.0**-10, 1e3, fitting.LOST), (2.0**-10, 0.0, 5), (2.0**-8, 1e3, 6)])
+def test_a_fit_that_cannot_rest_is_refused_before_long(made: Made, monkeypatch, share, level, most):  # noqa: F811
+    calls = []
+
+    def never(problem, z, at, whiteners, change, now):
+        calls.append(1)
+        return z + 1e-3 * change, at, np.full(2 * len(problem.log), level), share
+
+    monkeypatch.setattr(fitting, "_moved", never)
+    monkeypatch.setattr(fitting, "STILL", -1.0)
+    start = made.channel.fit
+    with pytest.raises(Infeasible, match="does not come to rest"):
+        solve(made.channel.problem, (_active("sensor_bias"),), replace(start, z=start.z + 0.5))
+    assert len(calls) <= most
+    assert most != fitting.LOST or len(calls) == most  # no way down is told at once
+
+
+def test_folds_that_leave_little_are_not_asked(made: Made):  # noqa: F811
+    contact = made.channel.log.contact
+    for fold in made.channel.folds():
+        assert (~fold.held & contact).sum() >= contact.sum() / 3
+
+
+def test_drift_tells_how_far_a_value_moves_without_a_fold(made: Made, tmp_path):  # noqa: F811
+    def late(c, F):  # a bias that comes late: a fit without the late rows says another value
+        return 0.9 * (c["clock"] > np.median(c["clock"]))
+
+    log, _ = _log(made.base, (Planted(reading=late),), tmp_path)
+    channel = _again(made, log).with_active((_active("sensor_bias"),))
+    held = {f.name: channel.held_out(f, channel.active) for f in channel.folds() if f.kind in ("time", "random")}
+    time = [h for n, h in held.items() if n.startswith("time") and h is not None]
+    assert time and time[0].drift["sensor_bias", 0] > 3.0
+    assert predict(channel.problem.scene, channel.fit.at.x, channel.active).prompt[0].shape == log.fn.shape
+
+
+def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, monkeypatch):  # noqa: F811
+    """About a fit with a wave in it the column of the flange's stiffness holds the wave too."""
+
+    def overlap(b):
+        return 8e-5 * np.cos(b.columns["belt"] / b.world.truth.wheel.radius * b.columns["time"] + 0.7)
+
+    log, _ = _log(made.base, (Planted(overlap=overlap),), tmp_path)
+    options = Options(folds=False)
+    first = make_problem([_again(made, log)], EFFECTS, options)
+    after = first.channels[0].with_active((_active("wheel_runout", 0, {"clocked": 0.0}),))
+    problem = make_problem([after], EFFECTS, options)
+    search = Search(problem.pool, options.most, options.beam)
+    wave, stiff = (frozenset([problem.index[Name(n, 0)]]) for n in ("wheel_runout", "flange_stiffness"))
+    search.run([wave, stiff])
+    assert search.seen[stiff].log > 0.5 * search.seen[wave].log  # it does
+    monkeypatch.setattr("ocp.diagnose.engine.products.NEAR", np.inf)  # not as near here as in a log with less in it
+    without_products(first, problem, search, after.active)
+    assert search.seen[stiff].log < 0.4 * search.seen[wave].log
+
+
+def test_left_out_readings_are_the_same_ones_with_and_without_a_name(made, tmp_path):  # noqa: F811
+    """Without the splice its knocks are gross readings: errors of the two could not be compared row by row."""
+    log, _ = _log(made.base, (Planted(reading=lambda c, F: 9.0 * (F > 0) * bell(8.37 * c["time"], 0.02)),), tmp_path)
+    channel = _again(made, log)
+    after = channel.with_active((_active("belt_splice", scanned=channel.surroundings.knocks[0]),))
+    weights = [c.fit.whiteners[0].noise.weight > 0.1 for c in (channel, after)]
+    assert weights[0].sum() < weights[1].sum()
+    for fold in after.folds():
+        without, named = after.held_out(fold, ()), after.held_out(fold, after.active)
+        assert (without is None) == (named is None)
+        assert without is None or len(without.after_rows) == len(named.after_rows)
+
+
+def test_a_fit_that_leaves_what_can_be_computed_is_said_so(made):  # noqa: F811
+    active = replace(_active("flange_stiffness"), a=np.array([300.0]))
+    with pytest.raises(Infeasible, match="the fit of the force log"):
+        solve(made.channel.problem, (active,), made.channel.fit)

@@ -1,0 +1,40 @@
+"""Gross readings that an effect takes back."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.freed import FREED, freed
+from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.search import diagnose
+from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, world
+
+SHIFT = np.array([4e-4, -2e-4, 3e-4])
+OPTIONS = Options(folds=False)
+
+
+def late_shift(readings):
+    """One nest moves before its last seven readings."""
+    last = np.flatnonzero(readings.target == 1)[-7:]
+    scanned = {"target": readings.targets[1], "at_s": float(readings.time[last[0]] - 1.0)}
+    moves = channel(readings)._displaced(LIBRARY["target_shift"], 0, [scanned])[1][0] @ SHIFT
+    return replace(readings, point=readings.point + moves)
+
+
+def test_a_late_step_is_rather_a_step_than_gross_readings():
+    believed = channel(late_shift(world(6)[0]))
+    assert (believed.fit.weight < 0.5).sum() >= FREED
+    (found,) = freed(make_problem([believed], LIBRARY, OPTIONS), (), LIBRARY, OPTIONS)
+    assert [a.effect.name for a in found.active] == ["target_shift"] and (found.fit.weight < 0.5).sum() < FREED
+    assert np.abs(found.active[0].a - SHIFT).max() < 1e-4
+    d = diagnose([believed], LIBRARY, OPTIONS)
+    assert d.verdict == "explained" and d.explanations[0].names == (Name("target_shift", 0),)
+
+
+def test_gross_readings_without_a_cause_in_common_stay_so():
+    readings = world(6, outliers=0.08)[0]
+    believed = channel(readings)
+    assert (believed.fit.weight < 0.5).sum() >= FREED
+    assert freed(make_problem([believed], LIBRARY, OPTIONS), (), LIBRARY, OPTIONS) is None
+    assert diagnose([believed], LIBRARY, OPTIONS).verdict == "no_gap"

@@ -1,0 +1,128 @@
+"""Link-side encoders: the log's reader, its noise, delays and springs; shrinkage and experiments on numbers alone."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ocp.diagnose.engine.system import Fold, HeldOut
+from ocp.diagnose.joints.channel import ARCSEC, joint_channel
+from ocp.diagnose.joints.log import read_joint_log
+from ocp.diagnose.joints.noise import BLOCK, Noise, covariance, factors, whiten
+from ocp.diagnose.published.kr300 import write_data_set
+from ocp.diagnose.verdict.shrinkage import from_folds, realised
+from ocp.effects.effect import Active
+from ocp.effects.library import library
+from robots.errors import BadInput
+from robots.robot import load_robot
+from tests.support.diagnosis_folder import joint_columns, write_csv
+from tests.support.simulated_campaign import EXTRA, PAYLOADS
+
+
+def fresh(name: str, joint: int) -> Active:
+    effect = library()[name]
+    return Active(effect, joint, np.zeros(effect.size), {}, np.zeros((effect.size, effect.size)))
+
+
+def channel_of(folder: Path, **options):
+    write_csv(folder / "joints.csv", joint_columns(**options))
+    return joint_channel(read_joint_log(folder / "joints.csv"), EXTRA, PAYLOADS["grinder"])
+
+
+def test_a_delay_is_found_to_a_hundredth_of_a_step(tmp_path):
+    channel = channel_of(tmp_path, seed=2, delay=7.3e-3)
+    found = channel.with_active((fresh("channel_delay", 0),))
+    (one,) = found.active
+    assert abs(one.a[0] - 7.3e-3) < 1e-4  # recorded every 10 ms
+    assert found.gap().std() * ARCSEC < 1.3  # 1.03 arcsec were added
+    assert channel.gap().std() * ARCSEC > 100
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_either_sign_of_the_torques_gives_the_same_springs(tmp_path, sign):
+    channel = channel_of(tmp_path, seed=3, compliance=5e-7, sign=sign)
+    springs = channel.with_active((fresh("channel_delay", 0),)).theta[-3:]
+    assert np.allclose(springs[1:], [1 / 3.3e6 + 5e-7, 1 / 2.46e6], rtol=0.03)
+
+
+def test_the_noise_is_what_was_added(tmp_path):
+    channel = channel_of(tmp_path, seed=4, delay=3e-3, compliance=4e-7)
+    assert abs(channel.noise_floor / (5e-6 * ARCSEC) - 1) < 0.1
+    whole = channel.with_active((fresh("channel_delay", 0),)).system.residual
+    assert 0.8 < np.mean(whole**2) < 1.2
+
+
+def test_whitened_wander_is_white():
+    time = np.arange(BLOCK) * 0.02
+    rng = np.random.default_rng(0)
+
+    noise = Noise(3e-6, 1e-5, 0.1, 4e-5, 1.5, 3e-6, np.ones(BLOCK, bool))
+    C = covariance(time, noise)
+    drawn = np.linalg.cholesky(C) @ rng.normal(size=(BLOCK, 300))
+    white = whiten(factors(time, [np.arange(BLOCK)], noise), drawn)
+    assert abs(np.var(white) - 1) < 0.02
+    assert abs(np.mean(white[1:] * white[:-1])) < 0.02
+    assert C[0, 0] == pytest.approx(3e-6**2 + 1e-5**2 + 4e-5**2, rel=1e-3)
+
+
+def test_held_out_time_blocks_judge_the_delay(tmp_path):
+    channel = channel_of(tmp_path, seed=2, delay=5e-3)
+    found = channel.with_active((fresh("channel_delay", 0),))
+    judged = [found.held_out(f, found.active) for f in found.folds() if f.kind == "block"]
+    assert len(judged) == 5 and all(h is not None and h.after < 0.01 * h.before for h in judged)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda c: {k: v for k, v in c.items() if not k.startswith("link")}, "link1_deg .. link6_deg"),
+        (lambda c: c | {"time_s": c["time_s"][::-1]}, "times must grow"),
+        (lambda c: c | {"link2_deg": -np.asarray(c["link2_deg"])}, "counts the other way"),
+        (lambda c: c | {"link2_deg": np.radians(c["link2_deg"])}, "give both in degrees"),
+        (lambda c: {k: v[:20] for k, v in c.items()}, "record a motion"),
+    ],
+)
+def test_a_log_that_is_a_mistake_is_refused(tmp_path, spoil, words):
+    write_csv(tmp_path / "joints.csv", spoil(joint_columns(1)))
+    with pytest.raises(BadInput, match=words.replace("..", "[.][.]")):
+        read_joint_log(tmp_path / "joints.csv")
+
+
+def test_the_real_kuka_has_a_lag_behind_its_springs(tmp_path, shared_data):
+    write_data_set([shared_data / "real" / "kr300_secondary_encoder" / "FF_A.mat"], tmp_path)
+    log = read_joint_log(tmp_path / "joints.csv")
+    assert log.joints == (1, 2, 3) and len(log) == 2501
+    channel = joint_channel(log, load_robot("kr210_r2700_extra"), PAYLOADS["bare"])
+    alone = channel.gap().std() * ARCSEC  # springs refitted
+    found = channel.with_active((fresh("channel_delay", 0),))
+    assert 50 < alone < 130 and found.gap().std() * ARCSEC < 25
+    assert 2e-3 < found.active[0].a[0] < 4e-3
+    blocks = [found.held_out(f, found.active) for f in found.folds() if f.kind == "block"]
+    before, after, noise = (np.mean([getattr(h, k) for h in blocks]) for k in ("before", "after", "noise"))
+    assert realised(before, after, noise) > 0.7
+
+
+def held(before: float, after: float, kind: str = "random", n: int = 400, seed: int = 0) -> HeldOut:
+    rng = np.random.default_rng(seed)
+    rows = [m * rng.chisquare(3, n) / 3 for m in (before + 1.0, after + 1.0)]
+    return HeldOut(Fold("x", kind, np.ones(n, bool)), rows[0].mean(), rows[1].mean(), 1.0, *rows, np.ones(n))
+
+
+def test_shrinkage_is_predicted_with_its_chance():
+    fold = held(25.0, 1.0)
+    found = from_folds([fold], 0.01)
+    assert found.predicted == pytest.approx(realised(fold.before, fold.after, fold.noise), abs=0.01)
+    assert found.low < found.predicted < found.high and 0.02 < found.high - found.low < 0.1
+    # Nothing is left to see, yet the parameters' own errors remain.
+    assert from_folds([held(25.0, 0.0, seed=1)], 0.25).high < 0.91
+
+
+def test_a_condition_that_is_new_widens_the_promise():
+    inside = [held(25.0, 1.0)]
+    wide = from_folds([*inside, held(25.0, 16.0, "payload", seed=2)], 0.01)
+    assert wide.low < 0.3 < from_folds(inside, 0.01).low
+
+
+def test_no_gap_has_no_shrinkage():
+    assert from_folds([held(0.0, 0.0)], 0.0) is None
+    assert realised(1.03, 1.0, 1.0) is None and realised(2.0, 1.0, 1.0) == 1.0

@@ -1,0 +1,255 @@
+"""Effects that nobody catalogued, on an arm in NumPy: each is placed by what it varies with, and gets no name of the library."""
+
+import sys
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.stats import ncx2
+
+from ocp.diagnose.__main__ import _catalogue
+from ocp.diagnose.effect_list import effect_list
+from ocp.diagnose.engine.evidence import size_grid
+from ocp.diagnose.engine.features import groups, products, smooth
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.search import SUSPECT, diagnose
+from ocp.diagnose.engine.system import Fold, HeldOut
+from ocp.diagnose.verdict.unknown import impostors, relieving
+from ocp.diagnose.verdict.visible import Rival, needed
+from ocp.effects.effect import Active
+from ocp.effects.library import library
+from ocp.effects.listing import effects_table
+from robots.gravity import GRAVITY, weight_torques
+from robots.kinematics import forward
+from tests.diagnose.test_diagnosis_tracker import LIBRARY, ROBOT, channel, column, world
+from tests.support.dropped_effect import dropped_effect
+from tests.support.linear_channel import LinearChannel, effect
+from tests.support.simulated_campaign import NESTS, PAYLOADS
+
+
+def torque(r, j):
+    """Load torque (n,) N m of joint j, payloads as believed."""
+    tau = np.zeros(len(r))
+    for k, name in enumerate(r.payloads):
+        rows = r.payload == k
+        tau[rows] = weight_torques(ROBOT, r.q[rows], PAYLOADS[name].mass, PAYLOADS[name].com)[:, j - 1]
+    return tau
+
+
+def about_head(points, turn):
+    """Displacement (n, 3) of points in the tracker's frame turned by (n,) rad about its vertical."""
+    return turn[:, None] * np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+
+
+JOINTS = {
+    "creep": (lambda r: column(2, 1.2e-7 * torque(r, 2) * np.log1p(r.time / 1800.0)), 2, {"tau2"}),
+    "load hysteresis": (lambda r: column(5, 6e-7 * torque(r, 5) * r.approach[:, 4]), 5, {"approach5", "tau5"}),
+    "coupled": (lambda r: column(3, 1.5e-4 * np.sin(1.5 * r.q[:, 1])), 3, {"q2"}),
+    "resolver": (lambda r: column(3, 6e-5 * np.cos(5 * ROBOT.gear_ratio[2] * r.q[:, 2])), 3, {"motor3"}),
+    "loaded mesh": (
+        lambda r: column(2, 1.5e-4 * torque(r, 2) / 4000.0 * np.cos(23 * r.q[:, 1])),
+        2,
+        {"tau2", "q2"},
+    ),
+    "memory": (lambda r: column(4, 2e-4 * np.tanh(np.diff(r.q[:, 3], prepend=r.q[0, 3]))), 4, {"step4"}),
+    "warm gear": (lambda r: column(4, 4e-5 * (r.temperature - 22.0) * np.cos(r.q[:, 3])), 4, {"temperature", "q4"}),
+}
+
+
+@pytest.mark.parametrize("name", JOINTS)
+def test_what_a_joint_does_outside_the_catalogue_is_placed(name):
+    shift, joint, conditions = JOINTS[name]
+    d = diagnose([channel(world(11, shift)[0])], LIBRARY, Options(folds=False))
+    assert d.verdict == "unexplained" and d.location is not None
+    assert d.location.joint == joint
+    slow = {"time": "temperature"}  # a warm-up in the course of time: the two go together
+    told = {slow.get(c, c) for c in d.location.depends_on}
+    assert conditions <= told
+
+
+def test_a_step_of_a_nest_is_placed_when_its_name_is_withheld():
+    def moved(r):
+        late = (r.target == 1) & (r.time > np.quantile(r.time, 0.55))
+        return late[:, None] * np.array([1.5e-4, -1e-4, 0.5e-4])
+
+    readings, _ = world(12, None, moved)
+    d = diagnose([channel(readings)], LIBRARY, Options(folds=False, withheld=("target_shift",)))
+    assert d.verdict == "unexplained"
+    assert d.location is not None and d.location.subsystem == "target" and d.location.joint == 0
+
+
+def test_the_trackers_circle_is_told_from_the_arm():
+    readings, points = world(13)
+    at = points(readings)
+    azimuth = np.arctan2(at[:, 1], at[:, 0])
+    wave = about_head(at, 6e-5 * np.cos(6.0 * azimuth))
+    d = diagnose([channel(replace(readings, point=readings.point + wave))], LIBRARY, Options(folds=False))
+    assert d.verdict == "unexplained"
+    assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("azimuth",)
+
+
+def test_a_reflector_that_is_no_ball_is_told_from_the_arm():
+    readings, _ = world(16)
+    c = channel(readings)
+    along = readings.point / np.linalg.norm(readings.point, axis=1, keepdims=True)
+    seen = c.conditions.sight
+    assert np.linalg.norm(seen, axis=1) == pytest.approx(np.ones(len(seen)))
+    off = 1.2e-4 * (seen[:, 0] * seen[:, 1] + 0.5 * seen[:, 2])
+    d = diagnose([channel(replace(readings, point=readings.point + off[:, None] * along))], LIBRARY, Options(folds=False))
+    assert d.verdict == "unexplained"
+    assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("sight",)
+
+
+def test_moments_across_an_axis_are_those_of_all_weight_beyond_it():
+    readings, _ = world(14, n=40)
+    c = channel(readings)
+    moments = c.conditions.moments
+    robot = replace(ROBOT, stiffness=np.zeros(6))
+    for i in range(0, 40, 7):
+        frames = _frames(robot, readings.q[i])
+        mass, com = c.fit.state.payloads[readings.payload[i], 0], c.fit.state.payloads[readings.payload[i], 1:]
+        for j in (0, 1, 3):
+            weights = [(robot.link_mass[k], frames[k] @ np.append(robot.link_com[k], 1.0)) for k in range(j + 1, 7)]
+            weights.append((mass, frames[6] @ np.append(com, 1.0)))
+            moment = sum(np.cross(place[:3] - frames[j][:3, 3], [0.0, 0.0, -GRAVITY * m]) for m, place in weights)
+            told = moments[i, j]
+            assert told == pytest.approx([moment @ frames[j][:3, 0], moment @ frames[j][:3, 1]], rel=0.02, abs=8.0)
+
+
+def _frames(robot, q):
+    """Frames (7, 4, 4) of base and links by MD-H, written out."""
+    T, found = np.eye(4), [np.eye(4)]
+    for (offset, d, a, alpha, beta), sign, angle in zip(robot.mdh, robot.sign, q, strict=True):
+        t = sign * angle + offset
+        rz = np.array([[np.cos(t), -np.sin(t), 0, 0], [np.sin(t), np.cos(t), 0, 0], [0, 0, 1, d], [0, 0, 0, 1]])
+        rx = np.array([[1, 0, 0, a], [0, np.cos(alpha), -np.sin(alpha), 0], [0, np.sin(alpha), np.cos(alpha), 0], [0, 0, 0, 1]])
+        ry = np.array([[np.cos(beta), 0, np.sin(beta), 0], [0, 1, 0, 0], [-np.sin(beta), 0, np.cos(beta), 0], [0, 0, 0, 1]])
+        T = T @ rz @ rx @ ry
+        found.append(T)
+    assert found[6] == pytest.approx(forward(robot, q[None])[0], abs=1e-9)
+    return found
+
+
+def test_tilts_are_the_difference_of_a_turn_about_the_axis_origin():
+    readings, _ = world(15, n=30)
+    c = channel(readings)
+    tilts, seen = c.conditions.d_tilts, c.seen
+    for i in (0, 9, 21):
+        frames = _frames(ROBOT, readings.q[i])
+        for j in (0, 2, 4):
+            turned = np.array([np.cos(ROBOT.sign[j] * readings.q[i, j] + ROBOT.mdh[j, 0]), 0.0])
+            turned[1] = np.sin(ROBOT.sign[j] * readings.q[i, j] + ROBOT.mdh[j, 0])
+            axes = frames[j][:3, :2]
+            for k, about in enumerate((axes[:, 0], axes[:, 1], axes @ turned, axes @ np.array([-turned[1], turned[0]]))):
+                moved = seen.turns[i] @ np.cross(about, seen.base_point[i] - frames[j][:3, 3])
+                assert tilts[i, :, j, k] == pytest.approx(moved, rel=0.02, abs=0.02)
+
+
+@dataclass(frozen=True)
+class Halves(LinearChannel):
+    """Two conditions; an effect with `false` in its name predicts the second half wrongly."""
+
+    def folds(self):
+        """The second half left out."""
+        return [Fold("late", "time", np.arange(len(self.y)) >= len(self.y) // 2)]
+
+    def held_out(self, fold, active):
+        """Squares of one where nothing false is active, of nine where it is."""
+        n = int(fold.held.sum())
+        seen = [a for a in active if not self.blind(a.effect)]
+        wrong = any("false" in a.effect.name for a in seen)
+        before, after = np.full(n, 2.0), np.full(n, 9.0 if wrong else 1.0)
+        drift = {(a.effect.name, a.joint): 9.0 if "false" in a.effect.name else 0.1 for a in seen}
+        return HeldOut(fold, 2.0, float(after.mean()), 1.0, before, after + 1e-3 * np.arange(n), np.ones(n), 0.0, drift)
+
+
+@dataclass(frozen=True)
+class Placed(LinearChannel):
+    """A channel whose effects take squares from readings and from the registration."""
+
+    taken: tuple[float, float] = (0.0, 0.0)
+
+    def gained(self):
+        """As given."""
+        return self.taken if self.active else (0.0, 0.0)
+
+
+ENOUGH = [(60.0, 40.0), (1.0, 5.0), (90.0, -30.0)]
+
+
+@pytest.mark.parametrize("taken, doubted", [((5.0, 95.0), True), *((t, False) for t in ENOUGH)])
+def test_a_set_that_only_brings_the_registration_back_is_doubted(taken, doubted):
+    rng = np.random.default_rng(3)
+    true = rng.normal(size=200)
+    columns, known = {("true", 0): true[None, :, None]}, {"true": effect("true", (2.0,))}
+    made = Placed(1.2 * true + rng.normal(size=200), np.ones((200, 1)), np.array([1.0]), columns, taken=taken)
+    d = diagnose([made], known, Options(where=False, prior_effects=0.5))
+    assert d.verdict == ("unexplained" if doubted else "explained")
+    assert [a.effect.name for a in d.active] == ([] if doubted else ["true"])
+    assert any("registration" in why for why in d.unknown_because) == doubted
+    assert (d.ranking[0].probability < 0.3) == doubted and d.ranking[0].name == Name("true")
+    assert sum(e.probability for e in d.explanations) + d.p_none + d.p_unknown == pytest.approx(1.0, abs=1e-3)
+    # Where another channel sees the effect too its readings decide; an effect of the arm is itself why the arm is elsewhere.
+    one = Active(known["true"], 0, np.ones(1), {}, np.eye(1))
+    there = replace(made, active=(one,))
+    assert bool(relieving([there], (one,))) == doubted and not relieving([there, made], (one,))
+    assert not relieving([there], (replace(one, effect=replace(one.effect, joint=lambda x, j, scanned: x.q)),))
+
+
+def test_impostors_are_sought_among_what_a_channel_sees():
+    made = Halves(np.zeros(40), np.ones((40, 1)), np.array([1.0]), {(n, 0): np.ones((1, 40, 1)) for n in ("false", "true")})
+    active = tuple(Active(effect(n), 0, np.ones(1), {}, np.eye(1)) for n in ("elsewhere", "false", "true"))
+    held = {made.name: [made.held_out(fold, active) for fold in made.folds()]}
+    assert impostors([made], active, held) == [(Name("false"), "late")]
+
+
+def test_an_impostor_is_barred_and_what_is_true_is_found_instead():
+    rng = np.random.default_rng(3)
+    true = rng.normal(size=200)
+    false = true + 0.3 * rng.normal(size=200)
+    y = 1.2 * false + rng.normal(size=200)
+    columns = {("false", 0): false[None, :, None], ("true", 0): true[None, :, None]}
+    known = {"false": effect("false", (2.0,)), "true": effect("true", (2.0,))}
+    made = Halves(y, np.ones((200, 1)), np.array([1.0]), columns)
+    d = diagnose([made], known, Options(where=False, prior_effects=0.5))
+    assert [n for n, _ in d.impostors] == [Name("false")] and "late" in d.unknown_because[0]
+    assert [a.effect.name for a in d.active] == ["true"]
+    assert d.p_unknown >= SUSPECT * (1 - d.p_none) * 0.99
+    assert sum(e.probability for e in d.explanations) + d.p_none + d.p_unknown == pytest.approx(1.0, abs=1e-3)
+
+
+def test_an_effect_of_the_told_size_is_named_nine_times_of_ten():
+    rng = np.random.default_rng(5)
+    energy, sizes, odds = 4.0e4, size_grid(0.05), np.log(0.3 / 20)
+    told = needed(energy, 2, sizes, odds, 40)
+    gains = rng.noncentral_chisquare(2, told, 4000)
+    spread = sizes[:, None] ** 2 * energy
+    log = np.logaddexp.reduce(-np.log1p(spread) + 0.5 * gains * spread / (1 + spread), axis=0) - np.log(len(sizes) * 40.0)
+    assert np.mean(log + odds > 0) == pytest.approx(0.9, abs=0.02)
+    assert told > ncx2.mean(2, 0) and needed(energy, 2, sizes, odds, 400) > told
+    background = Rival(np.full(4, 0.01), np.log(0.04), 0, 40)
+    assert needed(energy, 2, sizes, odds, 40, rival=background) > told
+
+
+def test_a_dropped_file_is_screened_named_planned_and_listed(tmp_path, monkeypatch):
+    with dropped_effect(tmp_path, monkeypatch, "(1,)", "2e-4", "x.q[2] * x.q[4]"):
+        readings, _ = world(17, lambda r: column(1, 1.5e-4 * r.q[:, 2] * r.q[:, 4]))
+        d = diagnose([channel(readings)], library(), Options(folds=False))
+        assert Name("brand_new", 1) in {s.name for s in d.screened}
+        assert d.verdict == "explained" and [a.effect.name for a in d.active] == ["brand_new"]
+        assert d.active[0].parameters["k"] == pytest.approx(1.5e-4, rel=0.1)
+        assert any(line.startswith("brand_new") for line in effect_list().splitlines())
+        assert "brand_new" in effects_table()
+        monkeypatch.setattr(sys, "argv", ["diagnose", "--help"])
+        assert "brand_new: new at joint j" in (_catalogue() or "")
+        sys.modules.pop("ocp.effects.brand_new", None)
+
+
+def test_features_are_what_they_say():
+    x = np.linspace(3.0, 9.0, 50)
+    assert smooth(x, 1)[:, 0] == pytest.approx(np.cos(np.pi * (x - 3.0) / 6.0) / (1 + 1 / 16))
+    assert products(x[:, None], smooth(x, 2)) == pytest.approx(x[:, None] * smooth(x, 2))
+    assert groups(np.zeros(5, int)) is None
+    indicator = groups(np.array([0, 0, 0, 1, 1, 2]))
+    assert indicator.shape == (6, 2) and indicator.sum(axis=0) == pytest.approx([0.0, 0.0])
+    assert len(NESTS) > 1

@@ -1,0 +1,25 @@
+import subprocess
+import sys
+
+from ocp.diagnose import reporting
+from ocp.diagnose.answering import write_diagnosis
+from ocp.shell.command import Phases
+from tests.support.diagnosis_folder import write_tracker_folder
+
+LATE = ("matplotlib", "jinja2", "trimesh", "networkx")  # seconds of imports that a tracker's diagnosis does not wait for
+
+
+def test_one_core_draws_the_same_page_as_two(tmp_path, monkeypatch):
+    write_tracker_folder(tmp_path / "set", 3, 1e-4, n=40, sealed=3)
+    pages = []
+    for cores in (1, 2):
+        monkeypatch.setattr(reporting, "cores", lambda cores=cores: cores)
+        write_diagnosis(tmp_path / "set", tmp_path / f"out{cores}", False, Phases())
+        pages.append((tmp_path / f"out{cores}" / "report.html").read_bytes())
+    assert pages[0] == pages[1] and b"<svg" in pages[0]
+
+
+def test_what_only_the_report_or_a_force_log_needs_is_imported_late():
+    code = f"import sys, ocp.diagnose.answering; print([m for m in {LATE} if m in sys.modules])"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"

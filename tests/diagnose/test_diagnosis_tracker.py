@@ -1,0 +1,282 @@
+"""The tracker's channel and the whole search on campaigns of an arm in NumPy that knows none of the diagnosis' models."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ocp.calibrate.tracker import as_in
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.tracker.baseline import baseline
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.tracker.folds import tracker_folds
+from ocp.diagnose.tracker.noise import reliability
+from ocp.diagnose.tracker.refit import settled
+from ocp.diagnose.verdict.unknown import cancelling, hurts, implausible
+from ocp.effects.effect import Active
+from ocp.effects.library import library
+from robots.calibration.solver import Campaign
+from robots.errors import BadInput
+from robots.measurements import read_readings
+from tests.support.simulated_campaign import EXTRA, INSTRUMENT, NESTS, PAYLOADS, campaign_readings, measured, random_truth
+
+LIBRARY = library()
+RATIO = np.array([256.857, 252.909, 236.368, 198.9, 209.667, 131.151])  # PHYSICS 2.1
+ROBOT = replace(EXTRA, gear_ratio=RATIO)
+
+
+def world(seed, shift=None, moved=None, n=150, outliers=0.0, background=0.0, compliance=None):
+    """Readings of an arm whose joints are off by shift(readings) (n, 6) rad and whose reflectors by moved(readings) (n, 3) m in
+    the tracker's frame; the arm, and a function that says where reflectors of other readings would be."""
+    rng = np.random.default_rng(seed)
+    truth = random_truth(rng, background, 2.5e-4)
+    if compliance is not None:
+        truth = replace(truth, compliance=compliance)
+
+    def points(readings, noise=None):
+        q = readings.q if shift is None else readings.q + shift(readings)
+        there = truth.points(replace(readings, q=q), noise)
+        return there if moved is None else there + moved(readings)
+
+    bare = campaign_readings(rng, n)
+    bare = replace(bare, time=np.cumsum(rng.uniform(20, 90, n)))
+    bare = replace(bare, temperature=22.0 + 6.0 * (1 - np.exp(-bare.time / 3000.0)))
+    # `measured` asks the arm itself: give it the planted places through a stand-in with the same method
+    stand_in = type("Arm", (), {"points": staticmethod(points)})()
+    return measured(stand_in, bare, rng, outliers), points
+
+
+def channel(readings, compliant=(2, 3)):
+    """The believed arm fitted."""
+    return TrackerChannel(*baseline(Campaign(ROBOT, readings, PAYLOADS, INSTRUMENT), compliant, 22.0))
+
+
+def column(j, values):
+    """(n, 6) with values in joint j."""
+    out = np.zeros((len(values), 6))
+    out[:, j - 1] = values
+    return out
+
+
+def diagnosed(readings, **options):
+    """Findings without folds, which most tests need not."""
+    return diagnose([channel(readings)], LIBRARY, Options(**({"folds": False} | options)))
+
+
+PLANTED = {
+    "backlash:5": lambda r: column(5, 2e-4 * r.approach[:, 4]),
+    "gear_2x:3": lambda r: column(3, 1e-4 * np.cos(2 * r.q[:, 2] + 1.0)),
+    "joint_thermal:4": lambda r: column(4, 3e-5 * (r.temperature - 22.0)),
+    "motor_harmonic:2": lambda r: column(2, 6e-5 * np.cos(RATIO[1] * r.q[:, 1] + 0.4)),
+    "gear_harmonic:1": lambda r: column(1, 5e-5 * np.cos(37 * r.q[:, 0])),
+}
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_recovers_what_was_planted(name):
+    d = diagnosed(world(4, PLANTED[name])[0])
+    assert d.verdict == "explained"
+    same = [set(map(str, c)) for c in d.classes if name in map(str, c)]
+    assert {str(d.explanations[0].names[0])} <= set().union({name}, *same)
+    assert d.location is not None and d.location.joint == int(name[-1])
+    if name == "backlash:5":
+        assert d.ranking[0].active.parameters["half_width_rad"] == pytest.approx(2e-4, rel=0.1)
+        assert d.location.depends_on == ("approach5",)
+        assert d.budget[0].where == "approach5" and d.budget[0].share > 0.8
+
+
+def test_recovers_a_pair():
+    both = lambda r: PLANTED["backlash:5"](r) + PLANTED["gear_harmonic:1"](r)  # noqa: E731
+    d = diagnosed(world(8, both, outliers=0.02)[0])
+    assert [str(n) for n in d.explanations[0].names] == ["backlash:5", "gear_harmonic:1"]
+    assert d.explanations[0].probability > 0.8
+
+
+def test_recovers_a_nest_that_moved():
+    def moved(r):
+        return np.where((r.time > 4000.0) & (r.target == 1), 1.0, 0.0)[:, None] * np.array([2e-4, -1e-4, 1e-4])
+
+    # In the tracker's frame a nest of a turning flange does not move so; a tilted base or a drift would not pick one nest.
+    d = diagnosed(world(5, None, moved)[0])
+    assert d.p_none < 0.01
+    assert d.location is not None and (d.location.subsystem in ("target", "tracker") or d.p_unknown > 0.5)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_effect_is_none(seed):
+    d = diagnosed(world(seed, outliers=0.02, background=1e-5)[0])
+    assert d.verdict == "no_gap"
+    assert d.active == ()
+
+
+def test_an_effect_outside_the_catalogue_is_placed_but_not_named():
+    d = diagnosed(world(6, lambda r: column(3, 3e-4 * np.sin(2 * r.q[:, 2]) * np.cos(2 * r.q[:, 0])))[0])
+    assert d.verdict == "unexplained"
+    assert d.location is not None and d.location.joint == 3
+    assert set(d.location.depends_on) == {"q3", "q1"}
+
+
+def test_what_is_withheld_from_the_library_is_not_named():
+    readings, _ = world(4, PLANTED["backlash:5"])
+    d = diagnosed(readings, withheld=("backlash", "friction_windup"))
+    assert d.verdict == "unexplained"
+    assert d.location is not None and d.location.joint == 5
+
+
+def test_fitting_effects_and_taking_them_out_again_comes_back():
+    first = channel(world(4, PLANTED["backlash:5"])[0])
+    e = LIBRARY["backlash"]
+    with_it = first.with_active((Active(e, 5, np.array([1e-4]), {}, np.eye(1)),))
+    assert with_it.active[0].a[0] == pytest.approx(2e-4, rel=0.1)
+    assert with_it.noise_floor < first.noise_floor
+    again = with_it.with_active(())
+    np.testing.assert_allclose(again.gap(), first.gap(), atol=4e-6)
+
+
+def test_columns_are_derivatives_of_the_nonlinear_prediction():
+    """Finite differences of the fit's residual in the coefficient, geometry held."""
+    c = channel(world(4)[0])
+    for name, joint in (("backlash", 5), ("payload_mass", 0), ("link_thermal", 0), ("tracker_drift", 0), ("base_tilt", 0)):
+        e = LIBRARY[name]
+        variant = c.variants(e, joint)[-1]
+        step = 1e-2 * np.asarray(e.prior_sd)
+        from ocp.diagnose.tracker.refit import looked
+
+        one = Active(e, joint, step, variant.scanned, np.eye(len(step)))
+        there, _ = looked(c.task, c.fit.state, (one,))
+        moved = np.einsum("nij,nj->ni", c.fit.W, c.fit.linear.residual - there.residual).ravel()
+        np.testing.assert_allclose(moved, variant.columns @ step, atol=2e-3 * max(np.abs(moved).max(), 1e-3))
+
+
+def test_linear_folds_are_as_good_as_nonlinear_refits():
+    readings, _ = world(4, PLANTED["gear_2x:3"])
+    e = LIBRARY["gear_2x"]
+    c = channel(readings).with_active((Active(e, 3, np.zeros(2), {}, np.eye(2)),))
+    fold = next(f for f in tracker_folds(readings) if f.kind == "payload")
+    quick = c.held_out(fold, c.active)
+    left = replace(c.task, campaign=replace(c.task.campaign, readings=readings.take(~fold.held)))
+    fit = settled(left, c.fit)
+    from ocp.diagnose.tracker.refit import looked
+
+    there, _ = looked(c.task, fit.state, fit.active)
+    slow = np.mean(np.sum(there.residual[fold.held] ** 2, axis=1))
+    assert quick is not None and np.sqrt(quick.after) == pytest.approx(np.sqrt(slow), abs=2e-6)
+    assert quick.before > 2 * quick.after
+    assert quick.drift["gear_2x", 3] < 3.0  # the right form has the same value everywhere
+    wrong = Active(LIBRARY["encoder_scale"], 3, np.zeros(1), {}, np.eye(1))
+    halves = [c.held_out(f, (wrong,)) for f in tracker_folds(readings) if f.kind == "joint range" and "joint 3" in f.name]
+    assert max(h.drift["encoder_scale", 3] for h in halves if h is not None) > 3.0  # a slope in place of a wave has not
+
+
+def ripple(r):
+    """(n, 6) rad, twice per turn of joint 3."""
+    return column(3, 2e-4 * np.cos(2 * r.q[:, 2]))
+
+
+def turning(r):
+    """(n, 3) m: the tracker turns about its head with time; about 4 m away; nominal places are good enough."""
+    c = NOMINAL.points(r)
+    return np.cross([3e-5, -2e-5, 3e-5], c) * r.time[:, None] / 3600.0
+
+
+NOMINAL = random_truth(np.random.default_rng(9), 0.0, 2.5e-4)  # the arm of world(9)
+
+
+@pytest.mark.parametrize("shift, moved", [(ripple, None), (None, turning)])
+def test_predictions_of_readings_nobody_has_seen(shift, moved):
+    readings, points = world(9, shift, moved)
+    d = diagnosed(readings)
+    fresh = campaign_readings(np.random.default_rng(99), 200)
+    fresh = replace(fresh, time=np.linspace(0, 8000, 200), temperature=np.full(200, 25.0))
+    there = points(fresh)
+    told = d.channels[0].predict(fresh, d.active)
+    before, after = (np.sqrt(np.mean(np.sum((p - there) ** 2, axis=1))) for p in (told.baseline, told.corrected))
+    assert after < 0.4 * before
+    covered = np.mean(np.abs(told.corrected - there) < 1.645 * told.sigma)
+    assert 0.75 < covered <= 1.0
+
+
+def test_an_effect_that_conditions_say_nothing_of_is_in_the_sigma():
+    readings, points = world(4, PLANTED["backlash:5"])
+    c = channel(readings).with_active((Active(LIBRARY["backlash"], 5, np.zeros(1), {}, np.eye(1)),))
+    fresh = replace(campaign_readings(np.random.default_rng(99), 200), time=None, temperature=None)
+    there, untold = points(fresh), replace(fresh, approach=None)
+    full, without = (c.predict(r, c.active) for r in (fresh, untold))
+    assert not full.lacking and without.lacking == ("backlash",)
+    off = without.corrected - there
+    assert np.std(full.corrected - there) < 0.5 * np.std(off) and without.sigma.mean() > 2 * full.sigma.mean()
+    assert 0.75 < np.mean(np.abs(off) < 1.645 * without.sigma)
+
+
+def test_payloads_that_hang_in_sealed_conditions_alone_are_those_of_the_cell(tmp_path):
+    axes = ",".join(f"q{i}_deg" for i in range(1, 7))
+    path = tmp_path / "tracker.csv"
+    path.write_text(f"{axes},x_mm,y_mm,z_mm\n0,-90,90,0,20,30,1,2,3\n", encoding="utf-8")
+    plain = read_readings(path, PAYLOADS, INSTRUMENT)
+    readings, points = world(2)
+    light = replace(readings.take(readings.payload == 0), payloads=plain.payloads)
+    fresh = campaign_readings(np.random.default_rng(99), 100)
+    assert len(np.unique(fresh.payload)) > 1 and plain.payloads == fresh.payloads
+    told = channel(light).predict(replace(fresh, time=None, temperature=None), ())
+    assert np.median(np.linalg.norm(told.baseline - points(fresh), axis=1)) < 3e-4
+
+
+def test_sealed_conditions_without_a_nest_have_the_only_one_that_was_measured():
+    readings, _ = world(2)
+    fresh = replace(campaign_readings(np.random.default_rng(99), 30), targets=("",), target=np.zeros(30, np.int64))
+    with pytest.raises(BadInput, match=r"no column target, or an empty one, and .* has T1, T2.*; add it"):
+        as_in(fresh, readings)
+    second = readings.take(readings.target == 1)
+    found = as_in(fresh, second)
+    assert found.targets == readings.targets and np.all(found.target == 1)
+    told = channel(second).predict(replace(found, time=None, temperature=None), ())
+    assert np.isfinite(told.baseline).all() and np.abs(told.baseline).max() < 10.0
+
+
+@pytest.mark.parametrize("bends", [True, False])
+def test_listed_springs_bend_where_the_readings_say_so(bends):
+    listed = 1.0 / EXTRA.stiffness
+    compliance = listed * [0, 1, 1, bends * 1.1, bends * 0.9, bends * 1.0]
+    readings, _ = world(3, compliance=compliance)
+    c = channel(readings)
+    assert ("c5" in c.system.names) == bends
+    # A joint that gives where all others are rigid is an effect.
+    if not bends:
+        readings, _ = world(3, compliance=listed * [0, 1, 1, 0, 0.9, 0])
+        d = diagnosed(readings)
+        assert str(d.explanations[0].names[0]) == "joint_compliance:5"
+
+
+def test_blind_without_the_columns():
+    readings = replace(world(1)[0], approach=None, temperature=None)
+    c = channel(readings)
+    assert "approach" in c.blind(LIBRARY["backlash"]) and not c.variants(LIBRARY["backlash"], 5)
+    assert "temperature_C" in c.blind(LIBRARY["link_thermal"])
+    assert c.blind(LIBRARY["gear_1x"]) == ""
+    assert c.blind(LIBRARY["wheel_wear"])
+
+
+def test_a_large_campaign_is_searched_in_part_and_fitted_whole():
+    readings, _ = world(4, PLANTED["backlash:5"], n=1400)
+    d = diagnosed(readings)
+    assert str(d.explanations[0].names[0]) == "backlash:5"
+    assert len(d.channels[0].gap()) == 1400 and d.channels[0].active
+
+
+def test_good_readings_weigh_one_and_gross_ones_nothing():
+    w = reliability(np.array([0.0, 3.0, 9.0, 200.0]))
+    assert w[0] > 0.999 and w[2] > 0.99 and w[3] < 1e-6
+
+
+def test_doubts():
+    e = LIBRARY["backlash"]
+    sure = Active(e, 5, np.array([4 * 8e-4]), {}, np.array([[1e-12]]))
+    assert implausible([sure]) and not implausible([replace(sure, a=np.array([5e-4]))])
+    assert implausible([replace(sure, a=np.array([-1e-4]))])
+    v = np.random.default_rng(0).normal(size=50)
+    assert cancelling([Name("a"), Name("b")], [v, -1.1 * v]) and not cancelling([Name("a"), Name("b")], [v, v])
+    rows = np.random.default_rng(1).uniform(1, 2, 100)
+    assert hurts(2 * rows, rows, 0.5, 0.0) and not hurts(rows, 2 * rows, 0.5, 0.0)
+    assert not hurts(1.2 * rows, rows, 0.5, 10.0)  # excused by its own uncertainty
+    assert NESTS

@@ -1,0 +1,165 @@
+"""The promise of shrinkage for force readings: on numbers alone, and kept on a wearing wheel ground with by the second route."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ocp.calibrate.force.log import read_force_log
+from ocp.diagnose.engine.findings import Alternative
+from ocp.diagnose.force.anticipated import Grinding, after_log, anticipated_grinding
+from ocp.diagnose.force.arm import arm_of
+from ocp.diagnose.force.channel import ForceChannel, force_channel
+from ocp.diagnose.force.fit import Problem, solve
+from ocp.diagnose.force.prediction import Scene, predict
+from ocp.diagnose.force.shrinkage import RUN_SD, from_grinding
+from ocp.diagnose.verdict.shrinkage import Shrinkage
+from ocp.effects.effect import Active
+from ocp.effects.library import library
+from tests.support.diagnosis_force_world import HEADER, Pass, Planted, believed_world, log_of, record
+from tests.support.force_world import arm_posterior, write_log
+
+# A log of eleven minutes, and grinding that comes four minutes after it.
+PLAN = (
+    Pass(0), Pass(1), Pass(0, travel=-1), Pass(1, setpoint=30.0), Pass(0, contact=False), Pass(0, setpoint=12.0),
+    Pass(1, pause=450.0),
+)  # fmt: skip
+LATE = (Pass(1, feed=0.06, setpoint=25.0, pause=240.0), Pass(0, feed=0.03))
+WEAR = 3e-7  # m/s
+NOISE = 0.04  # N^2
+
+
+def new(*moved: float, error: float = 0.1, doubt: float = 0.0, runs: int = 40) -> Grinding:
+    """As many conditions, alike probable, with this rms N of what the effects move; error: rms N of the unknowns; doubt: the
+    probability that nothing is moved."""
+    rng, n, p = np.random.default_rng(0), 10 * runs, 50
+    errors = error * rng.normal(size=(n, p)) / np.sqrt(p)
+    told = np.array([1.0, 0.0])
+    return Grinding(
+        np.stack([np.stack([np.full(n, m), np.zeros(n)]) for m in moved]), np.stack([errors for _ in moved]), np.eye(p),
+        np.array([1 - doubt, doubt]), told, np.full(len(moved), 1 / len(moved)), np.repeat(np.arange(runs), 10),
+    )  # fmt: skip
+
+
+def promise(made: Grinding) -> Shrinkage:
+    found = from_grinding(made, NOISE)
+    assert found is not None
+    return found
+
+
+def test_what_the_effects_move_and_the_unknowns_errors_make_the_promise():
+    left = 0.1**2 + RUN_SD**2
+    found = promise(new(0.5))
+    assert found.predicted == pytest.approx(1 - np.sqrt(left / (left + 0.25)), abs=0.02)
+    assert found.high - found.low < 0.2
+    # Later or sooner, few recordings or many: the promise is as wide as what is not known of them.
+    assert promise(new(0.2, 1.0)).low < 0.55 < 0.87 < promise(new(0.2, 1.0)).high
+    few, many = promise(new(0.5, runs=3)), promise(new(0.5, runs=40))
+    assert few.high - few.low > many.high - many.low
+    assert from_grinding(new(0.01, error=0.01), NOISE) is None  # a gap that nobody would notice
+
+
+def test_intervals_hold_what_they_say():
+    """Worlds drawn from the anticipation itself, three recordings in each."""
+    rng, made = np.random.default_rng(1), new(0.15, 0.25, 0.35)
+    found, inside = promise(made), []
+    for _ in range(300):
+        rows = np.isin(made.run, rng.choice(40, 3, replace=False))
+        off = made.errors[0][rows] @ rng.normal(size=50) + 0.02 * rng.normal(size=40)[made.run[rows]]
+        moved = made.moved[rng.integers(3), 0][rows]
+        inside.append(found.low <= 1 - np.sqrt(np.mean(off**2) / np.mean((off - moved) ** 2)) <= found.high)
+    assert 0.8 < np.mean(inside) < 0.97
+
+
+def test_doubt_about_the_name_is_in_the_promise():
+    assert promise(new(0.5, doubt=0.3)).low < -0.5 < 0.7 < promise(new(0.5)).low
+
+
+@dataclass(frozen=True)
+class Made:
+    """The log's channel without effects; scene of grinding that comes later, its true readings (n,) N."""
+
+    channel: ForceChannel
+    later: Scene
+    truth: np.ndarray
+
+
+class Stiff:
+    """A blade that hardly gives way, in the world and in the fit: finite elements are tested elsewhere."""
+
+    def at(self, p, *frames) -> np.ndarray:
+        return np.tile([2e-6, 0.0, 0.0], (len(p), 1))
+
+
+@pytest.fixture(scope="module")
+def worn(tmp_path_factory) -> Made:
+    folder: Path = tmp_path_factory.mktemp("worn")
+    with pytest.MonkeyPatch.context() as patch:
+        give = Stiff()
+        patch.setattr("force_world.blade_compliance", lambda *asked: SimpleNamespace(per_pass=[give.at(x.p) for x in asked[5]]))
+        patch.setattr("ocp.calibrate.force.rows.solve_stations", lambda *asked: give)
+        patch.setattr("ocp.calibrate.force.rows.stations_known", lambda *asked: True)
+        rng = np.random.default_rng(7)
+        base = record(believed_world(folder, rng, every=6), (*PLAN, *LATE), rng)
+        rows, truth = log_of(base, (Planted(overlap=lambda b: -WEAR * b.columns["clock"]),))
+        whole = force_channel(
+            base.world.cell, read_force_log(write_log(folder / "force.csv", rows, HEADER)), arm=arm_posterior(base.world.cell)
+        ).problem
+    late = base.columns["run"] >= len(PLAN)
+    problem = Problem.of(whole.log.take(~late), _taken(whole.scene, ~late), whole.believed)
+    return Made(ForceChannel(problem, solve(problem)), _taken(whole.scene, late), truth[late])
+
+
+def _taken(scene: Scene, rows: np.ndarray) -> Scene:
+    """Some rows (not for effects of the arm)."""
+    conditions, pressed = scene.conditions.take(rows), scene.pressed[rows]
+    arm = arm_of(scene.cell, scene.theta, scene.rows.take(rows).q, conditions)
+    return replace(scene, rows=scene.rows.take(rows), conditions=conditions, arm=arm, pressed=pressed)
+
+
+def _wear() -> Active:
+    effect = library()["wheel_wear"]
+    return Active(effect, 0, np.zeros(effect.size), {}, np.zeros((effect.size, effect.size)))
+
+
+def test_later_grinding_goes_on_where_the_log_ended(worn):
+    told = worn.channel.problem.scene.conditions
+    soon, far = after_log(told, 0.0), after_log(told, 1.0)
+    assert soon.clock.min() == pytest.approx(told.clock.max()) and far.clock.min() == pytest.approx(2 * told.clock.max(), rel=0.1)
+    at = told.contact
+    for line in np.unique(told.line):
+        times = len(np.unique(told.run[at & (told.line == line)]))
+        here = at & (told.line == line)
+        assert set(soon.ground_before[here]) == {times} and set(far.ground_before[here]) == {2 * times}
+    assert np.all(soon.wheel_warm == told.wheel_warm[np.argmax(told.clock)])
+    cold = after_log(replace(told, warm=told.clock / 100.0), 0.5, changing=True)
+    assert np.all(cold.wheel_warm == told.wheel_warm[np.argmin(told.clock)])
+    assert cold.warm == pytest.approx((told.clock.max() + 0.5 * np.ptp(told.clock)) / 100.0)
+    # Within a recording time runs as it did.
+    assert np.allclose(np.diff(soon.clock)[np.diff(told.run) == 0], np.diff(told.clock)[np.diff(told.run) == 0])
+
+
+def test_who_may_be_fooled_by_warmth_is_shown_two_kinds_of_it(worn):
+    warm = library()["wheel_temperature"]
+    grown = Active(warm, 0, np.zeros(warm.size), {}, np.zeros((warm.size, warm.size)))
+    cold, hot = (anticipated_grinding(worn.channel, worn.channel.with_active((one,))) for one in (_wear(), grown))
+    assert cold.share.sum() == pytest.approx(1.0) == hot.share.sum()
+    assert len(hot.share) - 1 == 2 * (len(cold.share) - 1)
+
+
+def test_the_promise_is_kept_after_the_log(worn):
+    before = worn.channel
+    after = before.with_active((_wear(),))
+    found = from_grinding(anticipated_grinding(before, after), after.noise_floor**2)
+    there = [predict(worn.later, c.fit.at.x, c.active) for c in (before, after)]
+    e, f = (float(np.sqrt(np.mean((told.fn - worn.truth) ** 2))) for told in there)
+    assert e > 0.3 and found is not None, (found, e, f)
+    assert found.low <= 1 - f / e <= found.high
+    assert found.predicted == pytest.approx(1 - f / e, abs=0.12)
+    # One who is not sure of the name promises less.
+    unsure = from_grinding(
+        anticipated_grinding(before, after, (Alternative(0.6, after.active), Alternative(0.4, ()))), after.noise_floor**2
+    )
+    assert unsure is not None and unsure.predicted < found.predicted - 0.1

@@ -1,0 +1,209 @@
+"""The library of effects: what it holds, and every arm and tracker effect against an arm of elementary motions."""
+
+import pickle
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ocp.effects.cell_effects import effect_of, table_of
+from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine
+from ocp.effects.engine.arm_rows import arm_rows
+from ocp.effects.engine.evaluate import TrackerRows, arm_columns, arm_shift, shifted_joints, tracker_columns, tracker_shift
+from ocp.effects.library import library
+from ocp.effects.listing import effects_table, with_table
+from robots.calibration.reading_model import RowInputs, predict
+from tests.support.dropped_effect import dropped_effect
+from tests.support.effect_arm import AT, COMPLIANCE, T_TRACKER, Poses, reflectors
+from tests.support.simulated_campaign import EXTRA, NESTS, PAYLOADS
+
+CATALOGUE = {
+    "joint_compliance": "rad_per_Nm", "joint_stiffening": "rad_per_Nm3", "link_bending": "rad_per_Nm",
+    "gravity_compensator": "stiffness_N_m", "payload_mass": "kg", "payload_com": "shift_m",
+    "gear_1x": "amplitude_rad phase_rad", "gear_2x": "amplitude_rad phase_rad",
+    "gear_harmonic": "order amplitude_rad phase_rad", "motor_harmonic": "order amplitude_rad phase_rad",
+    "backlash": "half_width_rad", "friction_windup": "base_rad per_Nm", "encoder_scale": "scale",
+    "wrist_coupling": "ratio source_joint", "link_thermal": "per_K", "joint_thermal": "rad_per_K", "base_tilt": "rad at_s",
+    "tracker_drift": "m_per_h rad_per_h", "tracker_scale": "scale", "target_shift": "target shift_m at_s", "channel_delay": "s",
+    "wheel_stiffness": "scale", "wheel_law": "exponent", "wheel_relaxation": "g tau", "wheel_wear": "m_per_s",
+    "wheel_temperature": "per_K radius_per_K", "wheel_runout": "m phase_rad", "belt_splice": "N hz", "belt_tension": "N",
+    "time_delay": "s", "path_lag": "m", "tangential_force": "dmu leak", "material_removal": "m_per_pass", "stock_profile": "m",
+    "blade_stiffness": "scale", "clamp_compliance": "m_per_N", "clamp_slip": "m at_s", "tool_frame_shift": "m at_s",
+    "wheel_frame_shift": "m at_s", "sensor_bias": "N", "sensor_drift": "N_per_h", "sensor_gain": "scale",
+    "sensor_crosstalk": "share", "flange_stiffness": "scale", "flange_friction": "N", "flange_gravity": "kg",
+}  # fmt: skip
+POSES = Poses.random(12)
+SEEN = Surroundings(
+    EXTRA.gear_ratio, np.zeros((6, 2)), POSES.time, tuple(NESTS), payloads=tuple(PAYLOADS), robot=EXTRA.name, run_length=5.0,
+    length=0.1, lines=(1, 2, 3),
+)  # fmt: skip
+PLACES = [(name, joint) for name, effect in library().items() for joint in effect.places]
+ON_ARM = [(name, joint) for name, joint in PLACES if library()[name].on_arm or library()[name].reading is not None]
+
+
+def some(name, joint, size=0.2, at=0.7):
+    """An effect with coefficients of `size` of their prior, of a variant in the middle of the scan."""
+    effect = library()[name]
+    scans = effect.scan(joint, SEEN)
+    a = size * np.array(effect.prior_sd) * np.linspace(1.0, 0.6, effect.size)
+    return Active(effect, joint, a, scans[int(at * (len(scans) - 1))], np.diag((0.1 * np.array(effect.prior_sd)) ** 2))
+
+
+@cache
+def still():
+    return reflectors(POSES)
+
+
+@cache
+def believed():
+    n = len(POSES.q)
+    nests, hung = [NESTS[k].place for k in NESTS], [[p.mass, *p.com] for p in PAYLOADS.values()]
+    inputs = RowInputs(POSES.q, np.array(hung)[POSES.payload], np.zeros((n, 6)), np.zeros((n, 3)), np.array(nests)[POSES.nest])
+    arm = np.concatenate([EXTRA.mdh.ravel(), COMPLIANCE])
+    rows = arm_rows(EXTRA, arm, inputs, tuple(PAYLOADS), POSES.payload, POSES.approach, POSES.warm, POSES.time, POSES.speed)
+    return arm, inputs, rows, predict(EXTRA, arm, inputs)
+
+
+def test_the_library_is_the_catalogue():
+    found = library()
+    assert set(found) == set(CATALOGUE)
+    for name, effect in found.items():
+        keys = [p.key for p in effect.parameters]
+        assert set(CATALOGUE[name].split()) <= set(keys), name
+        assert effect.subsystem in SUBSYSTEMS and effect.physics.strip() and effect.size == len(effect.prior_sd)
+        assert all(p.low <= p.high for p in effect.parameters)
+        assert effect.on_arm or effect.on_contact or effect.reading is not None
+
+
+@pytest.mark.parametrize("name,joint", ON_ARM)
+def test_arm_effects_move_reflectors_as_an_elementary_arm_does(name, joint):
+    # Payloads load the hand little: only a huge cubic term moves it visibly.
+    size = 200.0 if name == "joint_stiffening" and joint > 3 else 0.2
+    one = some(name, joint, size, at=0.0 if name == "link_bending" else 0.7)  # an even beam
+    v = one.parameters
+    moved = reflectors(POSES, name, joint, v) - still()
+    _, _, rows, p = believed()
+    seen = p.point @ T_TRACKER.T + AT
+    columns = arm_columns(one.effect, joint, [one.scanned], rows).at(rows, p.point, p.d_joints)[0] @ one.a @ T_TRACKER.T
+    where = TrackerRows(seen, T_TRACKER @ p.R, POSES.nest, tuple(NESTS), POSES.time, POSES.warm)
+    columns = columns + tracker_columns(one.effect, joint, [one.scanned], where)[0] @ one.a
+    size = np.abs(moved).max()
+    assert size > 3e-8 or (joint == 1 and name in ("joint_compliance", "joint_stiffening"))  # nothing loads joint 1
+    # First order in the effect; tilted or grown arms also carry their weight a little elsewhere.
+    assert np.abs(columns - moved).max() < 0.01 * size + 2e-9, name
+    assert tracker_shift([one], where) == pytest.approx(tracker_columns(one.effect, joint, [one.scanned], where)[0] @ one.a)
+
+
+@pytest.mark.parametrize("name", ["backlash", "gravity_compensator", "payload_com", "link_bending", "base_tilt"])
+def test_a_large_effect_is_predicted_by_shifting_the_joints(name):
+    one = some(name, library()[name].places[0], size=0.1 if name == "gravity_compensator" else 1.0)
+    arm, inputs, rows, p = believed()
+    shift = arm_shift([one], rows)
+    there = predict(EXTRA, arm, RowInputs(inputs.q + shift.joints[0, :, :, 0], *list(vars(inputs).values())[1:]))
+    point = there.point + shift.at(rows, there.point, np.zeros_like(p.d_joints))[0, ..., 0]
+    expected = (reflectors(POSES, name, one.joint, one.parameters) - AT) @ T_TRACKER
+    linear = p.point + shift.at(rows, p.point, p.d_joints)[0, ..., 0]
+    assert np.abs(point - expected).max() < 2e-3 * np.abs(expected - p.point).max() + 1e-7
+    if one.effect.twist is None:
+        assert shifted_joints([one], rows) == pytest.approx(shift.joints[0, :, :, 0])
+    assert np.isfinite(linear).all()
+
+
+def test_many_variants_at_once_are_the_variants_one_by_one():
+    _, _, rows, p = believed()
+    for name in ("gear_harmonic", "wrist_coupling", "payload_mass", "target_shift"):
+        effect = library()[name]
+        joint = effect.places[-1]
+        scans = effect.scan(joint, SEEN)[::7] if name == "gear_harmonic" else effect.scan(joint, SEEN)
+        if effect.on_arm:
+            whole = arm_columns(effect, joint, scans, rows).at(rows, p.point, p.d_joints)
+            single = [arm_columns(effect, joint, [s], rows).at(rows, p.point, p.d_joints)[0] for s in scans]
+        else:
+            where = TrackerRows(p.point, p.R, POSES.nest, tuple(NESTS), POSES.time)
+            whole = tracker_columns(effect, joint, scans, where)
+            single = [tracker_columns(effect, joint, [s], where)[0] for s in scans]
+        assert whole == pytest.approx(np.array(single), abs=1e-15), name
+
+
+def test_what_a_data_set_does_not_say_comes_out_as_nan_and_nothing_else_does():
+    _, inputs, _, p = believed()
+    arm = np.concatenate([EXTRA.mdh.ravel(), COMPLIANCE])
+    rows = arm_rows(EXTRA, arm, inputs)
+    for name, joint in ON_ARM:
+        effect = library()[name]
+        if effect.on_arm and not name.startswith("payload"):
+            columns = arm_columns(effect, joint, effect.scan(joint, SEEN)[:1], rows).at(rows, p.point, p.d_joints)
+            unknown = {"approach", "temperature_C", "speed"} & set(effect.needs)
+            assert np.isfinite(columns).all() != bool(unknown), name
+
+
+def test_unknown_ratios_are_those_of_the_sister_machines_and_of_no_other_robot():
+    effect = library()["motor_harmonic"]
+    assert {s["gear_ratio"] for s in effect.scan(2, SEEN)} == {252.909, 269.176}
+    other = Surroundings(np.full(6, np.nan), np.zeros((6, 2)), np.zeros(0), robot="ur5")
+    assert list(effect.scan(2, other)) == []
+    _, _, rows, _ = believed()
+    assert arm_columns(effect, 2, [], rows).joints.shape == (0, 12, 6, 2)
+    known = Surroundings(np.full(6, 100.0), np.zeros((6, 2)), np.zeros(0), robot="ur5")
+    assert [s["gear_ratio"] for s in effect.scan(2, known)] == [100.0, 100.0]
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(PLACES), st.integers(0, 2**31), st.floats(0.0, 1.0))
+def test_values_and_coefficients_are_inverse_and_survive_a_cell_file(place, seed, at):
+    name, joint = place
+    effect, rng = library()[name], np.random.default_rng(seed)
+    scans = effect.scan(joint, SEEN)
+    a = rng.normal(size=effect.size) * np.array(effect.prior_sd) * 0.5
+    one = Active(effect, joint, a, scans[int(at * (len(scans) - 1))], np.diag((0.01 * np.array(effect.prior_sd)) ** 2))
+    assert set(one.parameters) == {p.key for p in effect.parameters}
+    back, scanned = effect.coefficients_of(one.parameters)
+    told = effect.values(back, scanned)
+    for key, value in one.parameters.items():
+        assert told[key] == pytest.approx(value, rel=1e-9, abs=1e-18) if not isinstance(value, str) else told[key] == value
+    from_file = effect_of(table_of(one)).active
+    assert from_file.joint == joint and from_file.effect is effect
+    if not any(key in ("leak_sign", "share_sign") for key in one.parameters):
+        same = {k: v for k, v in scanned.items() if k not in ("unit", "about")}
+        assert effect.values(from_file.a, from_file.scanned | same) == told
+    assert pickle.loads(pickle.dumps(one)).effect is effect
+
+
+@given(st.floats(1e-6, 1.0), st.floats(-3.1, 3.1))
+def test_amplitude_and_phase_are_those_of_the_wave(amplitude, phase):
+    a = cosine_and_sine(amplitude, phase)
+    x = np.linspace(0, 7, 50)
+    assert a[0] * np.cos(x) + a[1] * np.sin(x) == pytest.approx(amplitude * np.cos(x + phase), abs=1e-12)
+    assert amplitude_and_phase(a) == pytest.approx((amplitude, phase))
+
+
+def test_deviations_follow_from_the_coefficients_covariance():
+    rng = np.random.default_rng(3)
+    for name in ("gear_harmonic", "wheel_stiffness", "friction_windup", "tracker_drift", "tangential_force"):
+        one = some(name, library()[name].places[0], size=0.5)
+        draws = rng.multivariate_normal(one.a, 1e-4 * one.covariance, 4000)
+        told = [one.effect.values(a, one.scanned) for a in draws]
+        for key, sd in one.deviations.items():
+            spread = np.std([t[key] for t in told], axis=0)
+            assert np.asarray(sd) * 1e-2 == pytest.approx(spread, rel=0.08, abs=1e-12), (name, key)
+
+
+def test_a_dropped_file_is_a_new_effect(tmp_path, monkeypatch):
+    with dropped_effect(tmp_path, monkeypatch, "(1, 2)", "1e-4", "x.q[j - 1] ** 2"):
+        effect = library()["brand_new"]
+        _, _, rows, p = believed()
+        columns = arm_columns(effect, 2, [{}], rows).at(rows, p.point, p.d_joints)
+        assert columns[0, :, :, 0] == pytest.approx(p.d_joints[:, :, 1] * POSES.q[:, [1]] ** 2)
+        planned = effect_of({"effect": "brand_new", "joint": 2, "k": 3e-5, "sd": {"k": 1e-6}})
+        assert planned.a == pytest.approx([3e-5]) and planned.covariance == pytest.approx(np.array([[1e-12]]))
+        sys.modules.pop("ocp.effects.brand_new", None)
+
+
+def test_the_page_lists_the_library_as_it_is():
+    page = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
+    assert with_table(page) == page, "run: python -m ocp.effects.listing docs/effects.md"
+    assert all(f"| {name}" in effects_table() for name in library())

@@ -1,0 +1,151 @@
+"""Distances between the bodies of a cell: against closed forms, differences, and postures that must fail."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from ocp.plan.motion.collision import ARM_MARGIN, BLADE_MARGIN, Clearance, Scene, flange_pose
+from robots.inverse import inverse_branches
+from robots.kinematics import forward
+from robots.pose import rotation_from_abc
+from tests.support.example_pass import bundled_cell
+
+HOME = np.radians([0.0, -90.0, 90.0, 0.0, 45.0, 0.0])
+BLOCK = np.array(list(itertools.product((-0.02, 0.02), (-0.003, 0.003), (0.0, 0.1))))  # blade frame, m
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return bundled_cell()
+
+
+@pytest.fixture(scope="module")
+def scene(cell):
+    return Scene(cell, BLOCK)
+
+
+def joints_of(cell, T_base_blade):
+    """Postures (k, 6) inside the limits that put the blade at a pose."""
+    q, _ = inverse_branches(cell.robot, flange_pose(cell, T_base_blade)[None])
+    q = q[0][np.isfinite(q[0]).all(axis=1)]
+    return q[((q >= cell.robot.q_min) & (q <= cell.robot.q_max)).all(axis=1)]
+
+
+def blade_before_wheel(cell, gap, lateral=0.0):
+    """The block upright before the wheel, its flat face toward it and `gap` off its surface."""
+    T = np.eye(4)
+    T[:3, :3] = np.stack([[0, 1, 0], [1, 0, 0], [0, 0, -1]], axis=1)  # blade x to base y, y to x, z down
+    wheel = cell.wheel
+    face = wheel.centre + wheel.contact_direction * (wheel.radius + gap)
+    T[:3, 3] = face - T[:3, :3] @ np.array([0.0, 0.003, 0.05]) + np.array([0.0, lateral, 0.0])
+    return T
+
+
+def test_flange_pose_turns_the_holder_back(cell):
+    T = blade_before_wheel(cell, 0.05)
+    q = joints_of(cell, T)
+    assert len(q) > 0
+    np.testing.assert_allclose(forward(cell.robot, q) @ cell.workpiece.T_flange_blade, np.tile(T, (len(q), 1, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("gap", [0.001, 0.004, 0.010])
+def test_blade_to_wheel_is_the_gap_of_the_pose(cell, scene, gap):
+    """A plane 40 mm wide before a cylinder: the distance is the gap at the contact direction, whatever the posture."""
+    for q in joints_of(cell, blade_before_wheel(cell, gap)):
+        values, names = scene.clearances(q[None], in_contact=False)
+        if names[0] == ("blade", "wheel"):
+            assert values[0] == pytest.approx(gap - BLADE_MARGIN, abs=1e-6)
+            break
+    else:
+        pytest.fail("no posture in which blade and wheel are the closest pair")
+
+
+def test_contact_leaves_the_pair_to_the_contact_model(cell, scene):
+    q = joints_of(cell, blade_before_wheel(cell, -0.0005))
+    off, off_names = scene.clearances(q, in_contact=False)
+    on, on_names = scene.clearances(q, in_contact=True)
+    free = on > 0.01
+    assert free.any()
+    assert all(off_names[k] == ("blade", "wheel") and off[k] < 0 for k in np.flatnonzero(free))
+    assert all(set(pair) != {"blade", "wheel"} for pair in on_names)
+    assert (on >= off - 1e-12).all()
+
+
+def test_the_floor_is_as_far_as_the_lowest_point_of_a_capsule(cell, scene):
+    """The arm stretched down beside the base: the lowest capsule over the floor, from link frames alone."""
+    from robots.kinematics import link_frames
+
+    found = 0
+    for a2, a3, a5 in itertools.product(range(-60, 0, 5), range(20, 140, 10), (-90, -45, 0, 45, 90)):
+        q = np.radians([0.0, a2, a3, 0.0, a5, 0.0])
+        if (q < cell.robot.q_min).any() or (q > cell.robot.q_max).any():
+            continue
+        values, names = scene.clearances(q[None], in_contact=False)
+        if names[0][1] != "floor" or names[0][0] in ("blade", "holder") or values[0] < 0:
+            continue
+        frames = link_frames(cell.robot, q[None])[0]
+        lowest = min(
+            (frames[link] @ [*end, 1.0])[2] - radius
+            for link, p0, p1, radius in cell.robot.link_shapes
+            if link >= 2
+            for end in (p0, p1)
+        )
+        assert values[0] == pytest.approx(lowest - ARM_MARGIN, abs=1e-5)
+        found += 1
+    assert found > 3
+
+
+def test_a_forearm_driven_into_the_wheel_is_told(cell, scene):
+    """The wrist centre put at the wheel: on the way there something of the arm comes within the margin."""
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_abc([0.0, np.pi / 2, 0.0])
+    T[:3, 3] = cell.wheel.centre + np.array([0.5, 0.0, 0.3])
+    q_goal, _ = inverse_branches(cell.robot, T[None])
+    q_goal = q_goal[0][np.isfinite(q_goal[0]).all(axis=1)][0]
+    path = HOME + (q_goal - HOME) * np.linspace(0.0, 1.0, 60)[:, None]
+    clearance = scene.clearance(path, in_contact=True)
+    assert clearance.value < -0.05
+    values, names = scene.clearances(path, in_contact=True)
+    assert clearance.index == int(np.argmin(values)) and names[clearance.index] == clearance.names
+    assert any("wheel" in pair and pair[0] in ("forearm", "hand", "wrist", "flange", "upper arm") for pair in names)
+    assert values[0] > 0
+    assert "overlap" in clearance.sentence() and "mm" in clearance.sentence()
+
+
+def test_a_free_home_is_free_and_says_so(scene):
+    clearance = scene.clearance(HOME[None], in_contact=False)
+    assert clearance.value > 0.02 and clearance.index == 0
+    assert "stay free" in clearance.sentence()
+    assert Clearance(-0.0123, 4, ("hand", "wheel")).sentence().startswith("hand and wheel overlap by 12.3 mm")
+
+
+def test_the_gradient_is_the_slope_of_the_clearance(cell, scene):
+    rng = np.random.default_rng(5)
+    compared = 0
+    for q in joints_of(cell, blade_before_wheel(cell, 0.012)):
+        direction = rng.standard_normal(6)
+        direction /= np.linalg.norm(direction)
+        steps = np.array([-2e-3, -1e-3, 0.0, 1e-3, 2e-3])
+        values, names = scene.clearances(q + steps[:, None] * direction, in_contact=False)
+        if len(set(names)) > 1 or values.min() <= 0:
+            continue  # the slope jumps where another pair takes over
+        expected = (values[0] - 8 * values[1] + 8 * values[3] - values[4]) / (12 * 1e-3)
+        assert scene.gradient(q, in_contact=False) @ direction == pytest.approx(expected, abs=2e-3)
+        compared += 1
+    assert compared > 0
+
+
+def test_a_larger_blade_is_nowhere_farther(cell, scene):
+    larger = Scene(cell, 1.5 * BLOCK)
+    q = joints_of(cell, blade_before_wheel(cell, 0.03))
+    small, _ = scene.clearances(q, in_contact=False)
+    large, _ = larger.clearances(q, in_contact=False)
+    assert (large <= small + 1e-6).all() and (large < small - 1e-4).any()
+
+
+def test_axes_of_a_stack_are_judged_one_by_one(scene):
+    q = HOME + np.radians(2.0) * np.arange(5)[:, None] * np.array([1, 0, 0, 1, 1, 0])
+    whole, _ = scene.clearances(q, in_contact=False)
+    single = [scene.clearance(one[None], in_contact=False).value for one in q]
+    np.testing.assert_allclose(whole, single, atol=1e-12)

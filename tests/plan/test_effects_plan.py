@@ -1,0 +1,209 @@
+"""Planning with effects: tables of the cell, the model and its second route, a plan that takes an effect out."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.effects.cell_effects import effect_of
+from ocp.effects.engine.symbolic import CONDITIONS
+from ocp.model.cell import Cell, Conditions, read_cell
+from ocp.model.theta import believed_theta, with_effects
+from ocp.plan.motion.collision import Scene
+from ocp.plan.passes.posture import find_seeds
+from ocp.plan.passes.problem import PassProblem, with_direction
+from ocp.plan.passes.reversal import WINDOW, approach_signs
+from ocp.plan.passes.solve import PassSolver
+from ocp.plan.passes.stage import Weights
+from ocp.plan.verify.effects import BelievedArm, moved_arm
+from robots.elementary import elementary_forward
+from tests.plan.test_optimal_control import BAR
+from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
+from tests.support.small_plan import STEP, planned, refused, small_cell
+from trajectories.passes import reversed_path
+
+ARM = (
+    {"effect": "backlash", "joint": 5, "half_width_rad": 2e-4},
+    {"effect": "joint_compliance", "joint": 5, "rad_per_Nm": 3e-6},
+    {"effect": "gravity_compensator", "stiffness_N_m": 5e4, "lever_link1_m": 0.2, "lever_arm_m": 0.4, "free_length": 1.0,
+     "rest_rad": 0.1},
+    {"effect": "payload_mass", "kg": 8.0, "payload": "grinder"},
+    {"effect": "link_bending", "joint": 2, "rad_per_Nm": 5e-8},
+    {"effect": "link_thermal", "per_K": 1e-5},
+    {"effect": "base_tilt", "rad": [1e-4, -5e-5, 8e-5], "at_s": 100.0},
+    {"effect": "gear_harmonic", "joint": 2, "order": 40, "amplitude_rad": 1e-4, "phase_rad": 0.4},
+)  # fmt: skip
+WEAR = {"effect": "wheel_wear", "m_per_s": 1e-7, "sd": {"m_per_s": 1e-8}}
+
+
+def cell_with(*tables: dict, **conditions: float) -> Cell:
+    return replace(bundled_cell(), effects=tuple(effect_of(t) for t in tables), conditions=Conditions(**conditions))
+
+
+def solver_of(cell: Cell) -> PassSolver:
+    return PassSolver(cell, LineLaw(), with_effects(cell, believed_theta(cell)), Weights())
+
+
+@cache
+def plain() -> tuple[PassSolver, np.ndarray]:
+    """A solver of the cell without effects, and its joints of the pass."""
+    solver = solver_of(bundled_cell())
+    return solver, solver.solve(problem()).q
+
+
+@cache
+def problem(force: float = 20.0) -> PassProblem:
+    cell, path = bundled_cell(), bar_pass(n=24, force=force)
+    seed = find_seeds(cell, Scene(cell, BAR), LineLaw(), [path])[0][0]
+    found = PassProblem.start(path, seed, np.tile([2e-6, 0, 0], (len(path.s), 1)))
+    return with_direction(found, reversed_path(path)) if seed.direction < 0 else found
+
+
+def off(solver: PassSolver, at: PassProblem, q: np.ndarray) -> np.ndarray:
+    """Force error N that `solver`'s cell makes of joints q."""
+    seen = solver.evaluate(at, q, at.path.force)
+    return seen.residual * seen.stiffness
+
+
+def test_a_plan_takes_effects_out_that_a_plain_one_suffers():
+    known = solver_of(cell_with(*ARM, WEAR, warm=5.0, time=200.0, clock=1000.0))
+    solver, naive = plain()
+    at = known.with_approach(problem(), naive)
+    assert at.approach is not None and np.abs(at.approach).max() == pytest.approx(1.0)
+    suffered = off(known, at, naive)
+    assert np.abs(suffered).min() > 0.5  # N: the plain plan is off all along
+    solved = known.solve(at)
+    assert np.abs(off(known, at, solved.q)).max() < 1e-3
+    assert np.abs(off(solver, at, solved.q)).max() > 0.5
+
+
+def test_the_arm_with_effects_equals_the_elementary_route():
+    cell = cell_with(*ARM, warm=5.0, time=200.0)
+    solver, q = solver_of(cell), problem().seed.q[0] + 0.05 * np.sin(np.arange(24 * 6).reshape(24, 6))
+    at = solver.with_approach(problem(), q)
+    values = solver.theta.values
+    bends = values[30:36] * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
+    arm = BelievedArm(cell.robot, bends, float(values[36]), values[37:40])
+    still = q
+    for _ in range(4):
+        still = q + bends * arm.torque(still)
+    _real, T = moved_arm(cell, arm, q, still, at.named_conditions(cell))
+    seen = solver.evaluate(at, q, at.path.force)
+    moved = T @ cell.workpiece.T_flange_blade
+    believed = elementary_forward(cell.robot, still) @ cell.workpiece.T_flange_blade
+    shift = np.abs(moved - believed)[:, :3, 3].max()
+    assert shift > 1e-4
+    # The model takes two fixed-point steps of the sag, this route four.
+    assert np.abs(seen.T_base_blade - moved)[:, :3, 3].max() < 5e-3 * shift
+
+
+def test_overlap_and_push_of_effects_shift_the_balance_by_what_they_are():
+    at, (solver, q) = problem(), plain()
+    before = solver.evaluate(at, q, at.path.force)
+    worn = solver_of(cell_with(WEAR, clock=1000.0)).evaluate(at, q, at.path.force)
+    assert worn.residual - before.residual == pytest.approx(np.full(24, -1e-4), abs=1e-9)
+    assert worn.delta == pytest.approx(before.delta)
+    heavy = solver_of(cell_with({"effect": "flange_gravity", "kg": 0.4})).evaluate(at, q, at.path.force)
+    n_base = np.einsum("kij,kj->ki", before.T_base_blade[:, :3, :3], at.path.n)
+    stroke = -0.4 * 9.81 * n_base[:, 2] / solver.cell.flange.stiffness
+    assert heavy.residual - before.residual == pytest.approx(stroke, abs=1e-9)
+    soft = solver_of(cell_with({"effect": "flange_stiffness", "scale": -0.2})).evaluate(at, q, at.path.force + 3.0)
+    plain_up = solver.evaluate(at, q, at.path.force + 3.0)
+    assert soft.residual - plain_up.residual == pytest.approx(plain_up.parts[:, 0] * (1 - 1 / 0.8), abs=1e-9)
+
+
+def test_the_sd_of_an_effect_enters_that_of_the_force():
+    sure, unsure = (cell_with(WEAR | {"sd": {"m_per_s": sd}}, clock=1000.0) for sd in (0.0, 4e-7))
+    at, (_solver, q) = problem(), plain()
+    less, more = (solver_of(c).evaluate(at, q, at.path.force) for c in (sure, unsure))
+    added = np.sqrt(more.force_sd**2 - less.force_sd**2)
+    assert added == pytest.approx(4e-4 * more.stiffness, rel=1e-6)
+
+
+def test_a_force_log_of_a_cell_with_effects_sees_them():
+    cell = cell_with(WEAR)
+    at, (solver, q) = problem(), plain()
+    n = len(q)
+
+    class Law(LineLaw):
+        process_force = 20.0
+
+    rows = [
+        ForceRows(q, np.hstack([at.waypoints, replace_clock(at, cell, clock)]), np.full(n, 20.0), np.ones(n), np.ones(n, bool))
+        for clock in (0.0, 2000.0)
+    ]
+    model = ForceModel(cell, Law({"force": (2.0, 60.0), "kxx": (1.0, 1e4)}))  # type: ignore[arg-type]
+    theta = believed_theta(cell).values
+    F = [model.force(r, theta) for r in rows]
+    assert np.abs(F[0] - 20.0).max() < 1e-2
+    stiffness = solver.evaluate(at, q, at.path.force).stiffness
+    assert F[1] - F[0] == pytest.approx(-2e-4 * stiffness, rel=0.02)
+
+
+def replace_clock(at: PassProblem, cell: Cell, clock: float) -> np.ndarray:
+    conditions = at.conditions(replace(cell, conditions=Conditions(clock=clock)))
+    assert CONDITIONS.block(conditions, "clock") == pytest.approx(np.full((len(conditions), 1), clock))
+    return conditions
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(-0.02, 0.08), st.integers(20, 200), st.floats(0.5, 50.0))
+def test_signs_of_motion_go_through_zero_where_an_axis_turns_back(turn, n, slope):
+    s = np.linspace(0.0, 0.06, n)
+    q = np.zeros((n, 6))
+    q[:, 1] = slope * np.abs(s - turn)
+    q[:, 2] = -slope * s
+    signs = approach_signs(q, s)
+    assert (signs[:, 2] == pytest.approx(-1.0)) and (signs[:, 0] == 0.0).all()
+    clear = np.abs(s - turn) > WINDOW + 0.06 / (n - 1)
+    assert signs[clear, 1] == pytest.approx(np.sign(s - turn)[clear])
+    assert (np.diff(signs[:, 1]) >= -1e-12).all() and np.abs(signs).max() <= 1.0 + 1e-12
+
+
+REFUSED = {
+    "unknown": ('effect = "backlas"', "unknown effect 'backlas'; near it: backlash"),
+    "joint": ('effect = "backlash"\nhalf_width_rad = 1e-4', "'backlash': joint is missing; give one of 1, 2, 3, 4, 5, 6"),
+    "far": ('effect = "link_bending"\njoint = 5\nrad_per_Nm = 1e-8', "joint = 5 is not possible; give one of 2, 3"),
+    "none": ('effect = "wheel_wear"\njoint = 2\nm_per_s = 1e-7', "'wheel_wear' belongs to no joint; remove joint"),
+    "key": ('effect = "wheel_wear"\nm = 1e-7', "has no key 'm'; its keys are m_per_s"),
+    "missing": ('effect = "friction_windup"\njoint = 2\nbase_rad = 1e-4', "needs the key 'per_Nm'; add it"),
+    "text": ('effect = "wheel_wear"\nm_per_s = "fast"', "m_per_s = 'fast' is not a number"),
+    "vector": ('effect = "base_tilt"\nrad = [1e-4, 0.0]\nat_s = 1.0', "rad = [0.0001, 0.0] is not a list of 3 numbers"),
+    "nan": ('effect = "wheel_wear"\nm_per_s = nan', "has a value that is not a finite number"),
+    "sd": ('effect = "wheel_wear"\nm_per_s = 1e-7\nsd = { m_per_s = -1.0 }', "sd.m_per_s = -1.0 is not zero or above"),
+    "sd key": ('effect = "wheel_wear"\nm_per_s = 1e-7\nsd = { N = 1.0 }', "sd.N, which is no value of this table"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_faulty_table_is_refused_in_a_sentence(case, tmp_path):
+    table, sentence = REFUSED[case]
+    file = small_cell(tmp_path, blade=False)
+    text = file.read_text().rstrip() + "\n"
+    file.write_text(f"{text}[[effects]]\n{table}\n")
+    told = refused("--cell", str(file), "--out", str(tmp_path / "plan"), *STEP)
+    assert told.code == 2 and "Traceback" not in told.err
+    assert not (tmp_path / "plan").exists()
+    said = " ".join(told.err.split())
+    assert sentence in said and f"line {text.count(chr(10)) + 1}: effects[0]" in said
+
+
+def test_the_command_plans_a_corrected_cell_and_its_text_holds_the_force(tmp_path):
+    file = small_cell(tmp_path)
+    text = file.read_text() + (
+        '\n[[effects]]\neffect = "backlash"\njoint = 2\nhalf_width_rad = 1e-4\nsd = { half_width_rad = 2e-6 }\n'
+        '[[effects]]\neffect = "wheel_wear"\nm_per_s = 2e-7\n[conditions]\nclock_s = 900\ntemperature_C = 27.0\n'
+    )
+    file.write_text(text)
+    told = planned(tmp_path, "--cell", "cell.toml", *STEP)
+    assert told.code == 0, told.err
+    summary = json.loads((tmp_path / "plan" / "plan.json").read_text())
+    assert summary["status"] == "safe" and summary["force_error_N"] < 0.1
+    cell = read_cell(Path(file))
+    assert [e.name for e in cell.effects] == ["backlash", "wheel_wear"] and cell.conditions.clock == 900.0

@@ -1,0 +1,187 @@
+"""The blade's real surface under the wheel: departure from the local quadratic, edges, and contact elsewhere."""
+
+import numpy as np
+import pytest
+
+from ocp.contact.wheel.gap import LocalShape
+from ocp.model.blade_gap import FACING, REACH, SurfaceCloud, surface_shape
+from ocp.plan.verify.gouge import GOUGE_TOLERANCE, find_gouge
+from tests.support.example_pass import bundled_cell
+
+RADIUS = 0.08  # m of the round bar that plays the blade
+CONTACT = np.array([0.0, RADIUS, 0.0])
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return bundled_cell()
+
+
+def bar(length: float = 0.03, step: float = 4e-4, radius: float = RADIUS, upto: float = np.inf) -> SurfaceCloud:
+    """A round bar about the blade's x axis seen from +y; its points end at x = upto."""
+    x = np.arange(-length, min(length, upto) + 1e-9, step)
+    angle = np.arange(-length, length + 1e-9, step) / radius
+    X, A = (g.ravel() for g in np.meshgrid(x, angle))
+    normal = np.column_stack([0 * X, np.cos(A), np.sin(A)])
+    return SurfaceCloud(np.column_stack([X, radius * normal[:, 1], radius * normal[:, 2]]), normal)
+
+
+def on_wheel(cell, turn: float = 0.0, delta: float = 0.0) -> np.ndarray:
+    """T_base_blade with CONTACT at the wheel's contact direction, the bar parallel to the wheel's axis, turned about it."""
+    wheel = cell.wheel
+    e, a = wheel.contact_direction, wheel.axis
+    belt = np.cross(a, e)
+    y = -e
+    x = np.cos(turn) * a + np.sin(turn) * belt
+    T = np.eye(4)
+    T[:3, :3] = np.stack([x, y, np.cross(x, y)], axis=1)
+    T[:3, 3] = wheel.centre + (wheel.radius - delta) * e - T[:3, :3] @ CONTACT
+    return T
+
+
+def exact_gap(x, wheel_radius, delta, radius=RADIUS):
+    """Distance along the wheel's radius from the bar to where its nearest point lies, at arc x = R angle of the wheel."""
+    angle = x / wheel_radius
+    d = wheel_radius - delta + radius
+    # Ray from the wheel's centre to the bar, whose centre is d away: the near crossing.
+    return d * np.cos(angle) - np.sqrt(radius**2 - (d * np.sin(angle)) ** 2) - (wheel_radius - delta)
+
+
+@pytest.mark.parametrize("delta", [0.0, 2e-4])
+def test_two_parallel_cylinders_have_the_gap_of_the_textbook(cell, delta):
+    """The departure makes the gap exact where the quadratic has left it."""
+    R = cell.wheel.radius
+    base = LocalShape(kxx=1 / RADIUS + 1 / R, kyy=0.0)
+    shape = surface_shape(cell.wheel, bar(), base, on_wheel(cell, delta=delta), CONTACT)
+    x = np.linspace(-0.015, 0.015, 61)
+    expected = exact_gap(x, R, delta)
+    assert np.abs(expected - base.gap(x, 0 * x)).max() > 5e-5, "the quadratic alone would do; the test tells nothing"
+    for y in (-0.005, 0.0, 0.0061):
+        off = np.abs(shape.gap(x, np.full_like(x, y)) - expected)
+        # Linear between points: 1/8 k h^2 where all are kept, more beyond NEAR, where one in four is.
+        assert off[np.abs(x) < 0.009].max() < 2e-6 and off.max() < 8e-6
+
+
+def test_a_turned_bar_has_the_turned_gap(cell):
+    R, turn = cell.wheel.radius, np.radians(25.0)
+    c, s = np.cos(turn), np.sin(turn)
+    # The curved direction of the bar is across its axis; docs/architecture.md: relative curvature, 1/R in kxx.
+    base = LocalShape(kxx=c**2 / RADIUS + 1 / R, kyy=s**2 / RADIUS, kxy=-c * s / RADIUS)
+    other = LocalShape(kxx=base.kxx, kyy=base.kyy, kxy=-base.kxy)
+    x, y = (g.ravel() for g in np.meshgrid(np.linspace(-2e-3, 2e-3, 9), np.linspace(-2e-3, 2e-3, 9)))
+    errors = []
+    for one in (base, other):
+        shape = surface_shape(cell.wheel, bar(), one, on_wheel(cell, turn), CONTACT)
+        errors.append(np.abs(shape.departure(np.column_stack([x, y]))).max())
+    assert errors[0] < 2e-6 < 10e-6 < errors[1]
+
+
+def test_the_gap_does_not_depend_on_the_quadratic_it_is_told_from(cell):
+    x = np.linspace(-0.008, 0.008, 33)
+    T = on_wheel(cell)
+    gaps = [
+        surface_shape(cell.wheel, bar(), LocalShape(kxx, 0.0, tilt_x=tilt), T, CONTACT).gap(x, 0.3 * x)
+        for kxx, tilt in ((37.5, 0.0), (30.0, 0.01), (60.0, -0.02))
+    ]
+    # The departure is linear between points 0.4 mm apart: 1/8 k h^2 each way.
+    np.testing.assert_allclose(gaps[1], gaps[0], atol=2e-6)
+    np.testing.assert_allclose(gaps[2], gaps[0], atol=2e-6)
+
+
+def test_beyond_an_edge_there_is_no_blade(cell):
+    base = LocalShape(kxx=1 / RADIUS + 1 / cell.wheel.radius, kyy=0.0)
+    shape = surface_shape(cell.wheel, bar(upto=0.003), base, on_wheel(cell), CONTACT)
+    x = np.zeros(4)
+    gap = shape.gap(x, np.array([-0.004, 0.0025, 0.0035, 0.006]))
+    assert np.isfinite(gap[:2]).all() and np.isinf(gap[2:]).all() and (gap[2:] > 0).all()
+
+
+def test_the_far_side_of_the_blade_is_not_seen(cell):
+    base = LocalShape(kxx=1 / RADIUS + 1 / cell.wheel.radius, kyy=0.0)
+    near = bar()
+    back = SurfaceCloud(near.points - [0.0, 0.002, 0.0], -near.normals)
+    both = SurfaceCloud(np.vstack([near.points, back.points]), np.vstack([near.normals, back.normals]))
+    T = on_wheel(cell)
+    x = np.linspace(-0.006, 0.006, 25)
+    one = surface_shape(cell.wheel, near, base, T, CONTACT).gap(x, 0 * x)
+    two = surface_shape(cell.wheel, both, base, T, CONTACT).gap(x, 0 * x)
+    np.testing.assert_allclose(two, one, atol=2e-6)
+    assert 0 < FACING < 1
+
+
+def test_without_a_cloud_the_shape_is_its_quadratic():
+    from ocp.model.blade_gap import SurfaceShape
+
+    x = np.linspace(-0.01, 0.01, 5)
+    plain, real = LocalShape(30.0, 5.0, 2.0, 0.0, 0.01, -0.02), SurfaceShape(30.0, 5.0, 2.0, 0.0, 0.01, -0.02)
+    np.testing.assert_array_equal(real.gap(x, 2 * x), plain.gap(x, 2 * x))
+
+
+# -- contact elsewhere ---------------------------------------------------------------------------------------------
+
+
+def gouge(cell, points, delta=2e-4, poses=None):
+    T = np.stack([on_wheel(cell, delta=delta)] * 2) if poses is None else poses
+    n = len(T)
+    curvature = np.tile([1 / RADIUS + 1 / cell.wheel.radius, 0.0, 0.0], (n, 1))
+    return find_gouge(cell, points, T, np.tile(CONTACT, (n, 1)), curvature, np.zeros((n, 2)), np.full(n, delta))
+
+
+def test_a_round_bar_touches_nowhere_else(cell):
+    assert gouge(cell, bar(0.06).points).depth == 0.0
+
+
+def buried(cell, T, depth, angle, lateral=0.0):
+    """The point in the blade frame that lies `depth` m inside the wheel at an angle from the contact direction."""
+    wheel = cell.wheel
+    belt = np.cross(wheel.axis, wheel.contact_direction)
+    e = np.cos(angle) * wheel.contact_direction + np.sin(angle) * belt
+    p = wheel.centre + (wheel.radius - depth) * e + lateral * wheel.axis
+    return (p - T[:3, 3]) @ T[:3, :3]
+
+
+@pytest.mark.parametrize("angle", [-1.2, 1.0, 2.5])
+def test_a_platform_in_the_wheel_is_found_with_depth_place_and_waypoint(cell, angle):
+    free, deep = on_wheel(cell, delta=-0.5), on_wheel(cell, delta=2e-4)
+    p = buried(cell, deep, 7e-4, angle)
+    assert np.linalg.norm(p - CONTACT) > REACH
+    found = gouge(cell, np.vstack([bar().points, p]), poses=np.stack([free, deep, free]))
+    assert found.index == 1 and found.depth == pytest.approx(7e-4, abs=1e-9)
+    assert found.distance == pytest.approx(cell.wheel.radius * abs(np.sin(angle)), rel=0.02)
+
+
+def test_beside_the_wheel_is_not_in_it_and_a_scratch_is_no_gouge(cell):
+    T = on_wheel(cell, delta=2e-4)
+    half = 0.5 * cell.wheel.width
+    assert gouge(cell, buried(cell, T, 2e-3, 1.0, lateral=1.01 * half)[None]).depth == 0.0
+    assert gouge(cell, buried(cell, T, 2e-3, 1.0, lateral=0.99 * half)[None]).depth == pytest.approx(2e-3, abs=1e-9)
+    assert gouge(cell, buried(cell, T, 0.9 * GOUGE_TOLERANCE, 1.0)[None]).depth == 0.0
+
+
+def test_what_the_direct_contact_sees_is_left_to_it(cell):
+    T = on_wheel(cell, delta=2e-4)
+    p = buried(cell, T, 5e-4, 0.3)
+    assert np.linalg.norm(p - CONTACT) < 0.9 * REACH
+    assert gouge(cell, p[None]).depth == 0.0
+
+
+def test_the_planned_overlap_is_taken_off_along_the_width_too(cell):
+    """2 mm deep, of which the quadratic itself plans 3 - 1/2 100/m (6 mm)^2 = 1.2 mm."""
+    T = on_wheel(cell, delta=3e-3)
+    p = buried(cell, T, 2e-3, 1.0, lateral=6e-3)
+    found = find_gouge(cell, p[None], T[None], CONTACT[None], np.array([[0.0, 100.0, 0.0]]), np.zeros((1, 2)), np.array([3e-3]))
+    assert found.depth == pytest.approx(0.8e-3, abs=1e-9)
+
+
+def test_there_is_no_blade_in_the_bay_of_a_hollow_edge(cell):
+    """Long triangles close the outline of the cloud; taken for surface they were false contact beside a blade's corner."""
+    whole = bar()
+    edge = 3e-3 + 40.0 * whole.points[:, 2] ** 2
+    kept = whole.points[:, 0] <= edge
+    cloud = SurfaceCloud(whole.points[kept], whole.normals[kept])
+    base = LocalShape(kxx=1 / RADIUS + 1 / cell.wheel.radius, kyy=0.0)
+    shape = surface_shape(cell.wheel, cloud, base, on_wheel(cell), CONTACT)
+    across = np.array([-7e-3, -2e-3, 0.0, 2e-3, 7e-3])  # the blade's x lies along the wheel's axis, one way or the other
+    gap = shape.gap(np.zeros(5), across)
+    assert np.isfinite(gap[1:4]).all()
+    assert sorted(np.isinf(gap[[0, 4]])) == [False, True]

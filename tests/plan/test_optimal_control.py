@@ -1,0 +1,147 @@
+"""The nonlinear program of a pass: derivatives, solution, and the reason when there is none."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ocp.model.theta import Theta, believed_theta
+from ocp.plan.motion.collision import Scene
+from ocp.plan.passes.posture import find_seeds
+from ocp.plan.passes.problem import PassProblem, with_direction
+from ocp.plan.passes.solve import SPEED_SHARE, PassSolver
+from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, Weights
+from ocp.plan.passes.transcription import transcribe
+from robots.errors import Infeasible
+from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
+from trajectories.passes import reversed_path
+
+BAR = np.array([[x, y, z] for x in (-0.04, 0.04) for y in (-0.04, 0.04) for z in (0.0, 0.1)])
+
+
+@lru_cache
+def setting():
+    cell = bundled_cell()
+    return cell, PassSolver(cell, LineLaw(), believed_theta(cell), Weights())
+
+
+def ready(path=None):
+    cell, solver = setting()
+    path = path or bar_pass()
+    seed = find_seeds(cell, Scene(cell, BAR), LineLaw(), [path])[0][0]
+    problem = PassProblem.start(path, seed, np.tile([2e-6, 0, 0], (len(path.s), 1)))
+    if seed.direction < 0:
+        problem = with_direction(problem, reversed_path(path))
+    return cell, solver, problem
+
+
+@pytest.mark.parametrize("force_sd", [0.0, 1.0])
+@pytest.mark.parametrize("full", [False, True])
+def test_assembled_derivatives_equal_casadis_own(full, force_sd):
+    cell, solver, problem = ready(bar_pass(n=12))
+    solver = PassSolver(cell, LineLaw(), solver.theta, Weights(force_sd=force_sd))
+    n = 12
+    program = transcribe(solver.stage, n, full)
+    x = np.column_stack([problem.seed.q[0] + 1e-3 * np.arange(6 * n).reshape(n, 6), np.full(n, 20.0)]).ravel()
+    p = program.pack(*solver._parameters(problem, n))
+    nlp = program.solver.get_function("nlp_f"), program.solver.get_function("nlp_g")
+    X, P = ca.MX.sym("x", 7 * n), ca.MX.sym("p", len(p))
+    f, g = nlp[0](X, P), nlp[1](X, P)
+    lam = ca.MX.sym("lam", g.shape[0])
+    own = ca.Function("own", [X, P, lam], [ca.gradient(f, X), ca.jacobian(g, X), ca.hessian(f + ca.dot(lam, g), X)[0]])
+    multipliers = np.cos(np.arange(g.shape[0]))
+    gradient, jacobian, hessian = (np.asarray(ca.DM(v)) for v in own(x, p, multipliers))
+    assert np.asarray(program.solver.get_function("nlp_grad_f")(x, p)[1]).ravel() == pytest.approx(gradient.ravel(), rel=1e-9)
+    assert np.asarray(ca.DM(program.solver.get_function("nlp_jac_g")(x, p)[1])) == pytest.approx(jacobian, rel=1e-9, abs=1e-9)
+    assembled = np.asarray(ca.DM(program.solver.get_function("nlp_hess_l")(x, p, 1.0, multipliers)))
+    scale = np.abs(hessian).max()
+    assert np.triu(assembled) == pytest.approx(np.triu(hessian), rel=1e-8, abs=1e-9 * scale)
+
+
+def test_hessian_and_jacobian_stay_banded():
+    _, solver, _ = ready()
+    program = transcribe(solver.stage, 64, True)
+    rows = program.solver.get_function("nlp_jac_g").sparsity_out(1)
+    assert rows.nnz() <= 64 * (N_ROWS * 7) + 63 * 12
+    assert program.solver.get_function("nlp_hess_l").sparsity_out(0).bw_upper() <= 14
+    assert N_PARAMETERS * 64 + Theta.size + 6 * 125 == program.solver.size1_in("p")
+
+
+def test_a_pass_holds_its_force_inside_every_tolerance():
+    cell, solver, problem = ready()
+    solution = solver.solve(problem)
+    seen = solver.evaluate(problem, solution.q, solution.force)
+    assert np.abs(seen.residual).max() < 1e-9
+    assert solution.force == pytest.approx(np.full(40, 20.0))
+    process = cell.process
+    assert np.abs(seen.turn).max() <= process.turn_tolerance + 1e-6
+    assert np.abs(seen.lateral).max() <= process.lateral_tolerance + 1e-8
+    assert np.abs(np.arctan(seen.tilt)).max() <= process.tilt_tolerance + 1e-6
+    assert (seen.arc >= cell.wheel.arc[0] - 1e-6).all() and (seen.arc <= cell.wheel.arc[1] + 1e-6).all()
+    assert (solution.q > cell.robot.q_min).all() and (solution.q < cell.robot.q_max).all()
+    assert (np.abs(np.diff(solution.q, axis=0)) <= SPEED_SHARE * problem.seconds[:, None] * cell.robot.qd_max + 1e-9).all()
+
+
+def test_the_solution_does_not_depend_on_padding():
+    _, solver, problem = ready()
+    a = solver.solve(problem)
+    exact = PassSolver(solver.cell, LineLaw(), solver.theta, Weights())
+    exact._programs[(64, False)] = transcribe(exact.stage, 40, False)
+    b = exact.solve(problem)
+    assert a.q == pytest.approx(b.q, abs=1e-6)
+
+
+def test_a_force_programmed_per_waypoint_is_met():
+    force = np.linspace(15.0, 25.0, 40)
+    _, solver, problem = ready(replace(bar_pass(), force=force))
+    solution = solver.solve(problem)
+    seen = solver.evaluate(problem, solution.q, solution.force)
+    assert solution.force == pytest.approx(problem.path.force)
+    assert np.abs(seen.residual).max() < 1e-9
+    assert np.ptp(seen.parts[:, 0]) == pytest.approx(10.0 / 5600.0)
+
+
+def test_weight_on_the_standard_deviation_lowers_it():
+    cell, solver, problem = ready()
+    careful = PassSolver(cell, LineLaw(), solver.theta, Weights(force_sd=3.0))
+    plain = solver.solve(problem)
+    safe = careful.solve(problem)
+    before = solver.evaluate(problem, plain.q, plain.force).force_sd.mean()
+    after = solver.evaluate(problem, safe.q, safe.force).force_sd.mean()
+    assert after < 0.995 * before
+
+
+def test_a_hidden_constraint_is_named_with_its_amount():
+    cell, solver, problem = ready()
+    tight = replace(cell, wheel=replace(cell.wheel, arc=(1.2, 1.3)), process=replace(cell.process, tilt_tolerance=1e-3))
+    walled = PassSolver(tight, LineLaw(), solver.theta, Weights())
+    clearances = problem.clearances.copy()
+    clearances[17, 0] = [1.0, 0, 0, 0, 0, 0, 3.0]  # axis 1 above 3 rad there: impossible
+    with pytest.raises(Infeasible, match=r"line 1 \(convex\), waypoint \d+ of 40: .*(clearance|arc|axis \d)"):
+        walled.solve(replace(problem, clearances=clearances))
+
+
+def test_a_feed_beyond_the_axes_is_refused_with_the_axis():
+    _, solver, problem = ready()
+    fast = replace(problem, path=replace(problem.path, feed=np.full(40, 40.0)))
+    with pytest.raises(Infeasible, match=r"axis \d would have to move .* deg more per step|cannot be met"):
+        solver.solve(fast)
+
+
+def test_seeds_choose_the_direction_in_which_the_blade_moves_with_the_belt():
+    cell, _, problem = ready()
+    assert problem.seed.direction in (1, -1)
+    path = bar_pass()
+    forward = find_seeds(cell, Scene(cell, BAR), LineLaw(), [path])[0][0]
+    backward = find_seeds(cell, Scene(cell, BAR), LineLaw(), [reversed_path(path)])[0][0]
+    assert forward.direction == -backward.direction
+    assert forward.cost == pytest.approx(backward.cost, rel=1e-3)
+
+
+def test_an_unreachable_wheel_is_refused_with_the_reason():
+    cell, _, _ = ready()
+    away = replace(cell, wheel=replace(cell.wheel, centre=np.array([4.0, 0.0, 0.9])))
+    with pytest.raises(Infeasible, match="reach"):
+        find_seeds(away, Scene(away, BAR), LineLaw(), [bar_pass()])

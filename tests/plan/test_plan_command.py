@@ -1,0 +1,221 @@
+"""`python -m ocp.plan` as a user meets it: what it writes, what it refuses, what it leaves behind."""
+
+import csv
+import json
+import math
+import os
+import re
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ocp.data import BLADE
+from robots.robot import load_robot
+from tests.support import small_plan
+from tests.support.small_plan import STEP, planned, refused, small_cell, tree
+from trajectories.krl.checks import check_program
+from trajectories.krl.status_turn import ArmLengths
+
+COLUMNS = (
+    "time_s line contact q1_deg q2_deg q3_deg q4_deg q5_deg q6_deg qd1_deg_s qd2_deg_s qd3_deg_s qd4_deg_s qd5_deg_s "
+    "qd6_deg_s qdd1_deg_s2 qdd2_deg_s2 qdd3_deg_s2 qdd4_deg_s2 qdd5_deg_s2 qdd6_deg_s2 px_mm py_mm pz_mm nx ny nz tx ty tz "
+    "s_mm feed_mm_s fn_N fn_sd_N interference_mm limit_ratio"
+).split()
+INJECTED = "x(); $OV_PRO=100 ;.stl"
+
+
+@pytest.fixture(scope="session")
+def small(tmp_path_factory):
+    """Folder in which the small plan was made, and what the command said."""
+    folder = tmp_path_factory.mktemp("small")
+    small_cell(folder)
+    return folder, planned(folder, "--cell", "cell.toml", *STEP)
+
+
+def table(plan: Path) -> dict[str, list[str]]:
+    with (plan / "plan.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def numbers(column: list[str]) -> np.ndarray:
+    return np.array([float(v) if v else math.nan for v in column])
+
+
+def checked(plan: Path, absolute: bool = False):
+    """The program in a plan folder through the independent checks."""
+    robot = load_robot("kr210_r2700_extra")
+    mains = [p for p in sorted(plan.glob("*.src")) if not re.search(r"_\d\d(_[A-Z])?$", p.stem)]
+    assert len(mains) == 1
+    return check_program(mains[0], (robot.q_min, robot.q_max), ArmLengths.of(robot.mdh), absolute)
+
+
+def one_sentence(told, code: int) -> str:
+    assert told.code == code, told
+    assert told.out == ""
+    text = told.err.strip()
+    assert text and "\n" not in text and "Traceback" not in text, told.err
+    return text
+
+
+# -- a plan --------------------------------------------------------------------------------------------------------
+
+
+def test_the_last_line_says_what_was_written_and_whether_it_is_safe(small):
+    folder, told = small
+    assert told.code == 0, told.err
+    assert told.out.count("\n") == 1 and told.out.startswith("plan: ")
+    assert "safe to" in told.out and "plan/report.html" in told.out and "\x1b" not in told.out
+    assert all(line.startswith("note: ") for line in told.err.splitlines())
+    assert sorted(p.name for p in folder.iterdir()) == ["blade.stl", "cell.toml", "plan"]
+
+
+def test_the_folder_holds_programs_in_pairs_table_summary_and_reports(small):
+    plan = small[0] / "plan"
+    sources = sorted(p.stem for p in plan.glob("*.src"))
+    assert sources == sorted(p.stem for p in plan.glob("*.dat")) and len(sources) >= 3
+    others = {p.name for p in plan.iterdir() if p.suffix not in (".src", ".dat")}
+    assert others == {"plan.csv", "plan.json", "report.html", "report.pdf"}
+    assert (plan / "report.pdf").read_bytes().startswith(b"%PDF-")
+    assert "</html>" in (plan / "report.html").read_text(encoding="utf-8")
+    content = json.loads((plan / "plan.json").read_text())
+    assert content["status"] == "safe" and content["force_error_N"] <= 0.2
+    assert {entry["role"] for entry in content["inputs"]} == {"cell", "blade"}
+    assert sorted(content["files"]) == sorted(f"{s}{end}" for s in sources for end in (".src", ".dat"))
+
+
+def test_every_row_of_the_table_holds_force_and_limits(small):
+    rows = table(small[0] / "plan")
+    assert set(COLUMNS) <= set(rows)
+    contact = np.array([v == "1" for v in rows["contact"]])
+    force = numbers(rows["fn_N"])
+    assert contact.any() and not contact.all()
+    assert np.abs(force[contact] - 20.0).max() <= 0.2
+    assert np.isnan(force[~contact]).all()
+    assert 0.0 < numbers(rows["limit_ratio"]).max() <= 1.0
+    assert (numbers(rows["feed_mm_s"])[contact] <= 40.0 * (1 + 1e-4)).all()
+    seconds = numbers(rows["time_s"])
+    assert seconds[0] == 0.0 and (np.diff(seconds) >= 0).all()
+    n = np.column_stack([numbers(rows[c])[contact] for c in ("nx", "ny", "nz")])
+    t = np.column_stack([numbers(rows[c])[contact] for c in ("tx", "ty", "tz")])
+    assert np.abs(np.linalg.norm(n, axis=1) - 1).max() < 1e-6
+    assert np.abs((n * t).sum(axis=1)).max() < 1e-2
+
+
+def test_speeds_in_the_table_are_the_derivative_of_its_joints(small):
+    rows = table(small[0] / "plan")
+    seconds = numbers(rows["time_s"])
+    for axis in range(1, 7):
+        q, qd, qdd = (numbers(rows[f"{name}{axis}_deg{unit}"]) for name, unit in (("q", ""), ("qd", "_s"), ("qdd", "_s2")))
+        dt = np.diff(seconds)
+        short = (dt > 1e-3) & (dt < 0.2)
+        # Hermite's rule: the step of a smooth curve from speeds and accelerations at both ends, error of order dt^5.
+        step = 0.5 * dt * (qd[1:] + qd[:-1]) + dt**2 / 12 * (qdd[:-1] - qdd[1:])
+        assert np.abs(np.diff(q) - step)[short].max() < 0.02
+        assert np.abs(np.diff(q))[dt <= 1e-6].max(initial=0.0) < 1e-5
+
+
+def test_the_program_stands_the_independent_checks_and_ends_where_it_began(small):
+    execution = checked(small[0] / "plan")
+    q = [s.q for s in execution.segments if s.q is not None]
+    np.testing.assert_allclose(q[0][0], q[-1][-1], atol=1e-6)
+
+
+def test_a_second_run_writes_the_same_bytes(small):
+    folder, _ = small
+    told = planned(folder, "blade.stl", "--cell", "cell.toml", *STEP, "--out", "again/deep")
+    assert told.code == 0, told.err
+    one, two = tree(folder / "plan"), tree(folder / "again" / "deep")
+    assert one.keys() == two.keys()
+    assert [name for name in one if one[name] != two[name]] == []
+    shutil.rmtree(folder / "again")
+
+
+# -- kinds, names, folders -----------------------------------------------------------------------------------------
+
+
+def test_a_blade_named_like_a_statement_gives_a_harmless_cartesian_program(small, tmp_path):
+    cell = small_cell(tmp_path, blade=False)
+    shutil.copy(BLADE, tmp_path / INJECTED)
+    told = planned(tmp_path, INJECTED, "--cell", cell.name, *STEP, "--kind", "cartesian")
+    assert told.code == 0, told.err
+    checked(tmp_path / "plan")
+    programs = [p for p in (tmp_path / "plan").iterdir() if p.suffix in (".src", ".dat")]
+    for file in programs:
+        assert re.fullmatch(r"[A-Z][A-Z0-9_]{0,23}\.(src|dat)", file.name)
+        for line in file.read_text(encoding="ascii").splitlines():
+            assert "$OV_PRO" not in line and "=100" not in line and "x()" not in line.lower()
+    assert any("SPLINE" in p.read_text() and "#TCP" in p.read_text() for p in programs)
+    assert "<script>x" not in (tmp_path / "plan" / "report.html").read_text(encoding="utf-8")
+
+
+def test_classic_lines_replace_an_old_folder_only_when_asked(small, tmp_path):
+    cell = small_cell(tmp_path)
+    (tmp_path / "plan").mkdir()
+    (tmp_path / "plan" / "notes.txt").write_text("mine")
+    before = tree(tmp_path)
+    text = one_sentence(refused("--cell", str(cell), "--out", str(tmp_path / "plan")), 2)
+    assert "not empty" in text and "--overwrite" in text
+    assert tree(tmp_path) == before
+    told = planned(tmp_path, "--cell", cell.name, *STEP, "--kind", "lin", "--overwrite")
+    assert told.code == 0, told.err
+    checked(tmp_path / "plan")
+    assert not (tmp_path / "plan" / "notes.txt").exists()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["blade.stl", "cell.toml", "plan"]
+    text = "".join(p.read_text() for p in (tmp_path / "plan").glob("*_0*.src"))
+    assert re.search(r"(?m)^ *LIN ", text) and "C_VEL" in text and "SPLINE" not in text
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_any_work(tmp_path):
+    cell = small_cell(tmp_path)
+    (tmp_path / "file").write_text("no folder")
+    for out in ("file", "file/plan"):
+        before = tree(tmp_path)
+        assert str(tmp_path / out) in one_sentence(refused("--cell", str(cell), "--out", str(tmp_path / out)), 2)
+        assert tree(tmp_path) == before
+
+
+def test_a_wheel_out_of_reach_is_no_bad_input_but_no_plan_either(small, tmp_path, monkeypatch):
+    cell = small_cell(tmp_path, {"centre_mm = [1700, 0, 900]": "centre_mm = [9000, 0, 900]"})
+    monkeypatch.chdir(tmp_path)
+    text = one_sentence(refused("--cell", str(cell), *STEP), 1)
+    assert "line " in text and "nothing written" in text
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["blade.stl", "cell.toml"]
+
+
+def workers(group: int) -> list[str]:
+    """Command lines of the living processes of a group (Linux)."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rsplit(")", 1)[1].split()
+            if int(fields[2]) == group and fields[0] != "Z":
+                found.append((stat.parent / "cmdline").read_text().replace("\0", " "))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
+@pytest.mark.parametrize("moment", ["while workers are at it", "while the folder is written"])
+def test_an_interrupt_leaves_nothing_behind(small, tmp_path, moment):
+    cell = small_cell(tmp_path)
+    process = small_plan.started(tmp_path, "--cell", cell.name, *STEP)
+    end = time.monotonic() + 120
+    while process.poll() is None and time.monotonic() < end:
+        written = list(tmp_path.glob(".plan.*"))
+        if written if "folder" in moment else any("spawn_main" in line for line in workers(process.pid)):
+            break
+        time.sleep(0.02)
+    assert process.poll() is None, "the command was over before it could be interrupted"
+    time.sleep(0.3)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the whole group
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert out == "" and err.strip() == "interrupted, nothing written"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["blade.stl", "cell.toml"]
+    assert not any(workers(process.pid))  # an empty line is a process that is just ending

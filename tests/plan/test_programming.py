@@ -1,0 +1,234 @@
+"""From the motion to the files and back: emitted points, table, and the text read as the only truth."""
+
+import csv
+import itertools
+import re
+from dataclasses import replace
+from functools import cache, partial
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ocp.plan.motion.motion import Motion, Segment
+from ocp.plan.motion.timeline import build_timeline
+from ocp.plan.programming import emitted_times, krl_program, wheel_frame, write_program
+from ocp.plan.table import write_plan_csv
+from ocp.plan.verify.readback import _timed
+from robots.errors import BadInput, Infeasible
+from robots.rigid_body import inverse_dynamics
+from tests.support.example_pass import bar_pass, bundled_cell
+from trajectories.joint_trajectory import Limits
+from trajectories.krl.checks import check_program
+from trajectories.krl.status_turn import ArmLengths
+from trajectories.timing import time_contact_path, time_joint_move
+
+
+@cache
+def cell():
+    return bundled_cell()
+
+
+@cache
+def motion() -> Motion:
+    """Two passes with approach, engage, contact, retreat, and a way home; joints invented, forces smooth."""
+    robot, payload = cell().robot, cell().workpiece.payload
+    limits = Limits.of(robot, partial(inverse_dynamics, robot, payload.mass, payload.com))
+    start = np.radians([5.0, -70.0, 100.0, 10.0, -40.0, 20.0])
+    away = np.radians([0.0, -3.0, 2.0, 0.0, 0.0, 0.0])
+    path = bar_pass(n=26, length=0.05)
+    k = path.s[:, None] / 0.05
+    passes, segments, time = [], [], 0.0
+
+    def add(kind, place, trajectory):
+        nonlocal time
+        segments.append(Segment(kind, place, trajectory, time))
+        time += trajectory.duration
+
+    home = start + 2 * away
+    where = home
+    for place, shift in enumerate((0.0, np.radians(2.0))):
+        q = start + shift + k * np.radians([1.5, -1.0, 2.0, 1.0, -1.5, 4.0]) + np.radians(0.2) * np.sin(3 * k)
+        add("travel", place, time_joint_move(where, q[0] + away, limits))
+        add("engage", place, time_joint_move(q[0] + away, q[0], limits))
+        add("contact", place, time_contact_path(q, path.s, path.feed, limits))
+        add("retreat", place, time_joint_move(q[-1], q[-1] + away, limits))
+        where = q[-1] + away
+        evaluation = SimpleNamespace(
+            force_sd=2.0 + 10 * path.s, delta=1e-4 + 1e-3 * path.s, stiffness=np.full(len(path.s), 5000.0)
+        )
+        problem = SimpleNamespace(path=replace(path, line=3 + place))
+        passes.append(SimpleNamespace(problem=problem, solution=SimpleNamespace(q=q, force=path.force), evaluation=evaluation))
+    add("travel", 2, time_joint_move(where, home, limits))
+    return Motion(passes, segments)
+
+
+def written(folder, kind="axis", name="blade 1.stl"):
+    program = krl_program(cell(), motion(), kind, name)
+    return program, write_program(program, folder)
+
+
+def checked(main):
+    robot = cell().robot
+    return check_program(main, (robot.q_min, robot.q_max), ArmLengths.of(robot.mdh))
+
+
+def test_segments_follow_one_another_without_a_gap():
+    segments = motion().segments
+    for a, b in itertools.pairwise(segments):
+        assert a.end == pytest.approx(b.start)
+        np.testing.assert_allclose(a.trajectory.q(a.trajectory.duration), b.trajectory.q(0.0), atol=1e-9)
+    assert motion().duration == pytest.approx(sum(s.trajectory.duration for s in segments))
+    assert motion().contact(1).kind == "contact" and motion().contact(1).place == 1
+
+
+def test_the_wheel_frame_stands_at_the_contact_with_x_along_the_belt():
+    T, wheel = wheel_frame(cell()), cell().wheel
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
+    np.testing.assert_allclose(T[:3, :3].T @ T[:3, :3], np.eye(3), atol=1e-12)
+    v = T[:3, 3] - wheel.centre
+    assert np.linalg.norm(v) == pytest.approx(wheel.radius) and abs(v @ wheel.axis) < 1e-12
+    np.testing.assert_allclose(T[:3, 0], np.cross(wheel.axis, v / wheel.radius), atol=1e-12)
+
+
+# -- timeline and table --------------------------------------------------------------------------------------------
+
+
+def test_every_emitted_point_is_a_row(tmp_path):
+    program, _ = written(tmp_path)
+    times = emitted_times(motion(), program)
+    rows = build_timeline(motion(), times)
+    assert len(rows.time) == sum(len(t) for t in times)
+    for segment, t in zip(motion().segments, times, strict=True):
+        assert t[0] == 0.0 and t[-1] == pytest.approx(segment.trajectory.duration, abs=2e-3)
+        assert (np.diff(t) > 0).all()
+    for index, segment in enumerate(motion().segments):
+        mine = rows.segment == index
+        at = rows.time[mine] - segment.start
+        np.testing.assert_allclose(rows.q[mine], segment.trajectory.q(at), atol=1e-9)
+        np.testing.assert_allclose(rows.qd[mine], segment.trajectory.qd(at), atol=1e-7)
+        np.testing.assert_allclose(rows.qdd[mine], segment.trajectory.qdd(at), atol=1e-4)
+        np.testing.assert_array_equal(rows.contact[mine], segment.kind == "contact")
+        assert set(rows.line[mine]) == ({0} if segment.kind == "travel" else {3 + segment.place})
+
+
+def test_what_has_no_meaning_off_contact_is_no_number():
+    times = [np.linspace(0, s.trajectory.duration, 30) for s in motion().segments]
+    rows = build_timeline(motion(), times)
+    path = bar_pass(n=26, length=0.05)
+    for name in ("p", "n", "t", "s", "feed", "force", "force_sd", "interference"):
+        values = getattr(rows, name).reshape(len(rows.time), -1)
+        assert np.isnan(values[~rows.contact]).all() and np.isfinite(values[rows.contact]).all(), name
+    on = rows.contact
+    np.testing.assert_allclose(rows.p[on][:, 2], 0.03 + rows.s[on], atol=1e-9)
+    np.testing.assert_allclose(rows.force[on], path.force[0], atol=1e-9)
+    np.testing.assert_allclose(rows.force_sd[on], 2.0 + 10 * rows.s[on], atol=1e-9)
+    np.testing.assert_allclose(rows.interference[on], 1e-4 + 1e-3 * rows.s[on], atol=1e-12)
+    assert (np.diff(rows.time) >= -1e-12).all() and rows.limit_ratio.max() <= 1.0
+
+
+def test_the_table_is_in_millimetres_and_degrees_and_reads_back(tmp_path):
+    times = [np.linspace(0, s.trajectory.duration, 20) for s in motion().segments]
+    rows = build_timeline(motion(), times)
+    write_plan_csv(rows, tmp_path / "plan.csv")
+    text = (tmp_path / "plan.csv").read_bytes().decode("ascii")
+    assert "\r" not in text and text.endswith("\n") and "nan" not in text and "inf" not in text
+    assert not re.search(r"(^|,)-0(\.0*)?(,|$)", text, re.MULTILINE), "a minus before nothing"
+    table = list(csv.DictReader(text.splitlines()))
+    assert len(table) == len(rows.time)
+    off = [row for row in table if row["contact"] == "0"]
+    empty = ("px_mm", "nx", "ty", "s_mm", "feed_mm_s", "fn_N", "fn_sd_N", "interference_mm")
+    assert off and all(row[name] == "" for row in off for name in empty)
+    for i in range(6):
+        read = np.array([float(row[f"q{i + 1}_deg"]) for row in table])
+        np.testing.assert_allclose(np.radians(read), rows.q[:, i], atol=1e-8)
+        read = np.array([float(row[f"qdd{i + 1}_deg_s2"]) for row in table])
+        np.testing.assert_allclose(np.radians(read), rows.qdd[:, i], atol=1e-5)
+    on = [row for row in table if row["contact"] == "1"]
+    np.testing.assert_allclose([float(r["pz_mm"]) for r in on], 1e3 * rows.p[rows.contact, 2], atol=1e-5)
+    np.testing.assert_allclose([float(r["interference_mm"]) for r in on], 1e3 * rows.interference[rows.contact], atol=1e-6)
+    assert {row["line"] for row in table} == {"0", "3", "4"}
+
+
+def test_a_negative_nothing_is_written_without_its_minus(tmp_path):
+    times = [np.array([0.0, s.trajectory.duration]) for s in motion().segments]
+    rows = build_timeline(motion(), times)
+    write_plan_csv(replace(rows, qd=np.full_like(rows.qd, -1e-12), q=np.full_like(rows.q, -0.1)), tmp_path / "a.csv")
+    row = next(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    assert row["qd1_deg_s"] == "0.00000" and row["q1_deg"].startswith("-5.72957")
+
+
+# -- the program ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["axis", "cartesian", "lin"])
+def test_every_kind_stands_the_checks_and_comes_out_the_same_twice(tmp_path, kind):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    _, main = written(tmp_path / "a", kind)
+    written(tmp_path / "b", kind)
+    assert main.name == "BLADE_1.src"
+    execution = checked(main)
+    assert execution.segments
+    one, two = ({p.name: p.read_bytes() for p in (tmp_path / f).iterdir()} for f in "ab")
+    assert one == two
+
+
+def test_absolute_accuracy_and_poses_are_refused():
+    accurate = replace(cell(), controller=replace(cell().controller, absolute_accuracy=True))
+    with pytest.raises(BadInput, match="absolute_accuracy"):
+        krl_program(accurate, motion(), "cartesian", "x")
+
+
+@pytest.mark.parametrize("name", ["x(); $OV_PRO=100 ;.stl", "a\nHALT\n.stl", "END", "ü ß.stl", "", "9" * 80, "..", ";FOLD"])
+def test_no_name_of_a_file_reaches_the_text(tmp_path, name):
+    _, main = written(tmp_path, name=name)
+    assert re.fullmatch(r"[A-Z][A-Z0-9_]{0,23}\.src", main.name)
+    checked(main)
+    for file in tmp_path.iterdir():
+        text = file.read_text(encoding="ascii")
+        assert "$OV_PRO" not in text and not re.search(r"(?m)^\s*HALT", text)
+
+
+# -- read back -----------------------------------------------------------------------------------------------------
+
+
+def test_the_text_moves_the_axes_as_planned(tmp_path):
+    _, main = written(tmp_path)
+    driven, axis_error, time_error, ratio = _timed(cell(), motion(), checked(main))
+    assert axis_error < np.radians(2e-3) and time_error < 1e-3 and 0 < ratio <= 1.0
+    assert len(driven) == 2
+    for t, q, s in driven:
+        assert t[0] == 0.0 and (np.diff(t) > 0).all() and np.diff(t).max() <= 1e-3 + 1e-12
+        assert s[0] == pytest.approx(0.0, abs=1e-9) and s[-1] == pytest.approx(0.05, abs=1e-6)
+        assert q.shape == (len(t), 6)
+
+
+def test_a_point_moved_in_the_text_is_noticed(tmp_path):
+    _, main = written(tmp_path)
+    _, sound, _, _ = _timed(cell(), motion(), checked(main))
+    file = main.with_name(f"{main.stem}_01.src")
+    points = list(re.finditer(r"SPTP \{A1 (-?[\d.]+)", file.read_bytes().decode("ascii")))
+    middle = points[len(points) // 2]
+    text = file.read_bytes().decode("ascii")
+    a, b = middle.span(1)
+    file.write_bytes((text[:a] + f"{float(middle[1]) + 0.05:.6f}" + text[b:]).encode("ascii"))
+    try:
+        _, error, _, _ = _timed(cell(), motion(), checked(main))
+    except Infeasible:
+        return  # the kink alone may break a limit
+    assert error > np.radians(0.04) > 10 * sound
+
+
+def test_a_block_that_is_missing_is_noticed(tmp_path):
+    _, main = written(tmp_path)
+    shorter = Motion(motion().passes, motion().segments[:-1])
+    with pytest.raises(Infeasible, match="timed blocks"):
+        _timed(cell(), shorter, checked(main))
+
+
+def test_a_program_timed_for_a_stronger_machine_is_refused(tmp_path):
+    _, main = written(tmp_path)
+    weak = replace(cell(), robot=replace(cell().robot, qdd_max=0.5 * cell().robot.qdd_max))
+    with pytest.raises(Infeasible, match="of an axis limit"):
+        _timed(weak, motion(), checked(main))

@@ -1,0 +1,219 @@
+"""report.html and report.pdf as a whole: what is in them, that nothing can be smuggled in, equal bytes."""
+
+import base64
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ocp.plan.report.data import InputFile, PlanReport, SummaryRow
+from ocp.plan.report.page import render_page, write_page
+from ocp.plan.report.printed import write_pdf
+from ocp.plan.report.quantities import QUANTITIES
+from tests.support.report_example import example_report
+
+ROOT = Path(__file__).resolve().parents[2]
+HOSTILE = '</script><script>alert("x")</script><img src=x onerror=alert(1)>&amp;\'$\\frac{$ 叶片 \udcff\x00'
+VOID = {"meta", "br", "img", "input", "link", "hr"}
+
+
+class Page(HTMLParser):
+    """Elements, text and attributes of a page; fails where tags do not nest (SVG's self-closing ones allowed)."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag, f"</{tag}> closes something else"
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "script":
+            self.scripts[-1] += data
+        elif self.open and self.open[-1] != "style":
+            self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def report() -> PlanReport:
+    return example_report(lines=2, count=40, frames=50)
+
+
+@pytest.fixture(scope="module")
+def hostile(report: PlanReport) -> PlanReport:
+    passes = tuple(replace(item, side=HOSTILE) for item in report.passes)
+    return replace(
+        report, title=HOSTILE, verdict=HOSTILE, notices=(HOSTILE,), passes=passes,
+        summary=(SummaryRow(HOSTILE, HOSTILE, HOSTILE),), inputs=(InputFile(HOSTILE, HOSTILE, HOSTILE),),
+        versions=((HOSTILE, HOSTILE),), phases=((HOSTILE, 1.0),),
+    )  # fmt: skip
+
+
+def numbers(packed: dict[str, object]) -> np.ndarray:
+    kinds = {"<f4": np.float32, "<u4": np.uint32, "<u2": np.uint16, "<u1": np.uint8}
+    raw = base64.b64decode(str(packed["data"]))
+    return np.frombuffer(raw, kinds[str(packed["dtype"])]).reshape(packed["shape"])
+
+
+def test_page_nests_and_tells_what_matters(report):
+    page = Page(render_page(report))
+    told = " ".join(" ".join(page.words).split())
+    for words in (report.verdict, "Safe to use.", *report.notices, *(row.value for row in report.summary)):
+        assert words in told
+    for item in report.inputs:
+        assert item.sha256 in told and item.name in told
+    unsafe = " ".join(Page(render_page(replace(report, safe=False))).words)
+    assert "Do not use." in unsafe and "Safe to use." not in unsafe
+
+
+def test_page_loads_nothing(report):
+    text = render_page(report)
+    assert set(re.findall(r"https?://[^\s\"'<]*", text)) <= {"http://www.w3.org/2000/svg"}
+    for tag, attributes in Page(text).elements:
+        assert tag not in {"link", "iframe", "object", "embed", "base", "img"}
+        assert not {"src", "srcset", "action", "style"} & attributes.keys()
+        assert not any(name.startswith("on") for name in attributes)
+        assert attributes.get("href", "#").startswith("#")
+    assert "@import" not in text and "url(" not in text
+
+
+def test_policy_allows_exactly_this_script_and_style(report):
+    text = render_page(report)
+    page = Page(text)
+    policy = next(a["content"] for tag, a in page.elements if tag == "meta" and "http-equiv" in a)
+    style = re.search(r"<style>(.*?)</style>", text, re.S)
+    for kind, source in (("script-src", page.scripts[1]), ("style-src", style.group(1))):
+        digest = base64.b64encode(hashlib.sha256(source.encode()).digest()).decode()
+        assert f"{kind} 'sha256-{digest}'" in policy
+    assert "default-src 'none'" in policy and "unsafe" not in policy
+
+
+def test_page_gives_the_arrays_back(report):
+    data = json.loads(Page(render_page(report)).scripts[0])
+    for name in ("p", "n", "t", "s"):
+        expected = np.concatenate([getattr(item, name) for item in report.passes])
+        np.testing.assert_array_equal(numbers(data["passes"][name]), expected.astype(np.float32))
+    for item, sent in zip(QUANTITIES, data["quantities"], strict=True):
+        expected = np.concatenate([getattr(one, item.key) for one in report.passes]) * item.factor
+        np.testing.assert_array_equal(numbers(sent["values"]), expected.astype(np.float32))
+        assert sent["range"][0] <= expected.min() and expected.max() <= sent["range"][1]
+    assert data["passes"]["first"] == [0, 40, 80, 120, 160]
+    animation = report.animation
+    np.testing.assert_array_equal(numbers(data["cell"]["links"]), animation.T_base_link[:, :, :3].astype(np.float32))
+    np.testing.assert_array_equal(numbers(data["cell"]["time"]), animation.time.astype(np.float32))
+    sent = numbers(data["blade"]["vertices"])[: len(report.vertices)]
+    np.testing.assert_array_equal(sent, report.vertices.astype(np.float32))
+    motion = report.motion
+    assert numbers(data["motion"]["time"])[-1] == np.float32(motion.time[-1])
+    np.testing.assert_allclose(numbers(data["motion"]["q_deg"])[0], np.degrees(motion.q[0]), rtol=1e-6)
+
+
+def test_nothing_can_be_smuggled_into_the_page(report, hostile):
+    clean, dirty = Page(render_page(report)), Page(render_page(hostile))
+    count = [tag for tag, _ in clean.elements].count
+    # The same elements but for the sentence on times and the headings of sides: no script, no image, no handler.
+    assert [tag for tag, _ in dirty.elements].count("script") == count("script") == 2
+    assert not any(name.startswith("on") for _, a in dirty.elements for name in a)
+    assert dirty.scripts[1] == clean.scripts[1]
+    assert json.loads(dirty.scripts[0])["passes"]["side"][0] == HOSTILE
+    assert "<" not in dirty.scripts[0] and "&" not in dirty.scripts[0]
+
+
+def test_equal_reports_give_equal_bytes_whatever_the_hash_seed(tmp_path, hostile, report):
+    code = (
+        "import sys; from pathlib import Path; from report_example import example_report\n"
+        "from ocp.plan.report.page import write_page; from ocp.plan.report.printed import write_pdf\n"
+        "r = example_report(lines=2, count=40, frames=50); d = Path(sys.argv[1])\n"
+        "write_page(r, d / 'other.html'); write_pdf(r, d / 'other.pdf')\n"
+    )
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    environment = os.environ | {"PYTHONHASHSEED": "77", "PYTHONPATH": path, "TZ": "Asia/Tokyo", "LC_ALL": "C"}
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True, env=environment, timeout=120)
+    write_page(report, tmp_path / "report.html")
+    write_pdf(report, tmp_path / "report.pdf")
+    for kind in ("html", "pdf"):
+        assert (tmp_path / f"report.{kind}").read_bytes() == (tmp_path / f"other.{kind}").read_bytes(), kind
+
+
+def test_pdf_has_its_sheets_and_words(tmp_path, report):
+    if shutil.which("pdftotext") is None:
+        pytest.skip("pdftotext (poppler-utils) is not installed: the words of the PDF cannot be read back")
+    write_pdf(report, tmp_path / "report.pdf")
+    text = subprocess.run(
+        ["pdftotext", "-layout", str(tmp_path / "report.pdf"), "-"], capture_output=True, check=True, timeout=60
+    ).stdout.decode()
+    sheets = text.split("\f")[:-1]
+    assert len(sheets) == 7
+    joined = " ".join(text.split())
+    assert report.verdict in joined and "page 7 of 7" in joined
+    for words in ("Line 4, concave", "A6 torque", "Tilt 2", "Removal", "Blade compliance", *report.notices):
+        assert words in joined
+    for item in report.inputs:
+        assert item.sha256 in joined
+    raw = (tmp_path / "report.pdf").read_bytes()
+    assert b"/CreationDate" not in raw and b"/Type3" not in raw  # Type 3 fonts print badly and cannot be searched
+
+
+def test_awkward_words_and_missing_values_are_printed(tmp_path, hostile):
+    first = hostile.passes[0]
+    gaps = np.where(np.arange(len(first.s)) % 7 == 3, np.nan, first.force)
+    unknown = np.full(len(first.s), np.nan)
+    passes = (replace(first, force=gaps, removal=unknown, compliance_nn=unknown), *hostile.passes[1:])
+    limits = replace(hostile.limits, torque_max=np.full(6, np.inf))
+    awkward = replace(hostile, passes=passes, limits=limits, notices=("long " * 60,) * 80)
+    write_pdf(awkward, tmp_path / "a.pdf")
+    write_page(awkward, tmp_path / "a.html")
+    assert (tmp_path / "a.pdf").stat().st_size > 50_000
+    assert "not limited" in (tmp_path / "a.html").read_text()
+
+
+def test_report_of_sixteen_passes_stays_small(tmp_path):
+    full = example_report(lines=8, count=188)
+    write_page(full, tmp_path / "report.html")
+    assert (tmp_path / "report.html").stat().st_size < 3_000_000
+
+
+def test_page_comes_alive_in_a_browser(tmp_path, report):
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no chromium: the page's script is not run here")
+    write_page(report, tmp_path / "report.html")
+    flags = "--headless --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --no-first-run"
+    flags += " --disable-background-networking --disable-component-update --disable-sync"
+    address = f"file://{tmp_path}/report.html#view=cell&time=2.0&quantity=force_sd&waypoint=45"
+    shown = subprocess.run(
+        [browser, *flags.split(), f"--user-data-dir={tmp_path}/profile", "--virtual-time-budget=3000",
+         "--dump-dom", address],
+        capture_output=True, timeout=120,
+    )  # fmt: skip
+    told = " ".join(Page(shown.stdout.decode()).words)
+    at = int(np.argmin(np.abs(report.motion.time - 2.0)))
+    assert "2.00 s" in told, shown.stderr.decode()[-2000:]
+    assert abs(float(re.search(r"A2\s+(-?[\d.]+) deg", told).group(1)) - np.degrees(report.motion.q[at, 1])) < 0.2
+    assert re.search(r"Line 2 \(convex\), [\d.]+ mm along", told)
+    assert "Standard deviation of the force, N" in told

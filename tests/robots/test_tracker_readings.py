@@ -1,0 +1,114 @@
+"""tracker.csv: columns in any order, absent ones told, malformed ones refused with line, column and value."""
+
+import numpy as np
+import pytest
+
+from robots.errors import BadInput
+from robots.measurements import read_readings
+from tests.support.simulated_campaign import INSTRUMENT, PAYLOADS
+
+HEADER = "payload,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,target,x_mm,y_mm,z_mm"
+ROW = "weight,10,-90,90,0,20,30,T2,1500,-20,900"
+
+
+BARE = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,x_mm,y_mm,z_mm"
+SIGNS = ",approach1,approach2,approach3,approach4,approach5,approach6"
+
+
+def read(tmp_path, header=HEADER, *rows, instrument=INSTRUMENT, **options):
+    file = tmp_path / "tracker.csv"
+    file.write_text("\n".join([header, *(rows or (ROW,))]) + "\n")
+    return read_readings(file, PAYLOADS, instrument, **options)
+
+
+def test_units_words_and_notices(tmp_path):
+    r = read(tmp_path, HEADER + ",operator", ROW + ",Ann", ROW.replace("T2", "T3").replace("weight", "bare") + ",Bob")
+    assert np.degrees(r.q[0]) == pytest.approx([10, -90, 90, 0, 20, 30])
+    assert r.point[0] == pytest.approx([1.5, -0.02, 0.9])
+    assert [r.targets[k] for k in r.target] == ["T2", "T3"] and [r.payloads[k] for k in r.payload] == ["weight", "bare"]
+    assert any("operator" in n for n in r.notices) and any("backlash cannot be tested" in n for n in r.notices)
+    assert list(r.line) == [2, 3] and r.turn is None and r.sigma is None and not r.load.any()
+
+
+def test_absent_words_mean_the_first(tmp_path):
+    r = read(tmp_path, BARE, "0,-90,90,0,20,30,1,2,3")
+    assert r.payloads[r.payload[0]] == "bare" and r.stations == r.sessions == ("",)
+
+
+def test_orientation_is_rz_ry_rx(tmp_path):
+    r = read(tmp_path, HEADER + ",rx_deg,ry_deg,rz_deg", ROW + ",10,20,30")
+    c, s = np.cos(np.radians([10, 20, 30])), np.sin(np.radians([10, 20, 30]))
+    Rx = np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
+    Ry = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]])
+    Rz = np.array([[c[2], -s[2], 0], [s[2], c[2], 0], [0, 0, 1]])
+    assert r.turn[0] == pytest.approx(Rz @ Ry @ Rx)
+
+
+def test_repeats_are_the_same_posture_nest_payload_load_and_approach(tmp_path):
+    header = HEADER + SIGNS
+    up, down = ",1,1,1,1,1,1", ",1,1,1,1,1,-1"
+    near, far = ROW.replace(",10,", ",10.00002,"), ROW.replace(",10,", ",10.01,")
+    r = read(tmp_path, header, ROW + up, near + up, far + up, ROW + down, ROW.replace("T2", "T1") + up)
+    g = r.repeats()
+    assert g[0] == g[1] and len(set(g[1:])) == 4
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "said"),
+    [
+        (HEADER.replace(",z_mm", ""), ROW.rsplit(",", 1)[0], "column z_mm missing"),
+        (HEADER, ROW.replace("900", "nine"), "line 2, column z_mm: 'nine' is not a number"),
+        (HEADER, ROW.replace("900", "nan"), "line 2, column z_mm: 'nan' is not a finite number"),
+        (HEADER, ROW.replace("T2", "T9"), "column target: T9 is not in the cell's"),
+        (HEADER, ROW.replace("weight", "anvil"), "column payload: anvil is not in the cell's"),
+        (HEADER, ROW + ",1", "12 values where the header names 11 columns"),
+        (HEADER.replace(",", ";"), ROW.replace(",", ";"), "separate them by commas"),
+        (HEADER + ",sigma_um", ROW + ",-3", "column sigma_um: -3 must be above 0"),
+        (HEADER + SIGNS, ROW + ",1,1,2,1,1,1", "approach3: 2 must be -1, 0 or 1"),
+        (HEADER + ",load_link", ROW + ",7", "load_link: 7 must be a link"),
+        (HEADER + ",x_mm", ROW + ",1", "x_mm stands there twice"),
+        (HEADER, ROW.replace("1500,-20,900", "0,0,0"), "line 2: the reading is 0, 0, 0"),
+    ],
+)  # fmt: skip
+def test_malformed_files_are_refused_with_the_place(tmp_path, header, row, said):
+    with pytest.raises(BadInput, match="tracker.csv") as error:
+        read(tmp_path, header, row)
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"\n\n", HEADER.encode(), b"\xff\xfe\x00q1"])
+def test_empty_files_and_foreign_bytes_are_refused(tmp_path, content):
+    (tmp_path / "tracker.csv").write_bytes(content)
+    with pytest.raises(BadInput, match="tracker.csv"):
+        read_readings(tmp_path / "tracker.csv", PAYLOADS, INSTRUMENT)
+
+
+def test_sealed_files_need_no_points(tmp_path):
+    header, row = HEADER.removesuffix(",x_mm,y_mm,z_mm"), ROW.removesuffix(",1500,-20,900")
+    assert np.isnan(read(tmp_path, header, row, sealed=True).point).all()
+    with pytest.raises(BadInput, match="x_mm, y_mm, z_mm missing"):
+        read(tmp_path, header, row)
+
+
+def test_gaps_are_passed_over_and_half_points_refused(tmp_path):
+    gap = ROW.replace("1500,-20,900", ",,")
+    r = read(tmp_path, HEADER, ROW, gap, ROW.replace("1500", "1501"))
+    assert list(r.line) == [2, 4] and any("1 rows without a point" in n for n in r.notices)
+    with pytest.raises(BadInput, match="line 3, column y_mm: the cell is empty"):
+        read(tmp_path, HEADER, ROW, ROW.replace("-20", ""))
+    with pytest.raises(BadInput, match="no row has a point"):
+        read(tmp_path, HEADER, gap)
+    with pytest.raises(BadInput, match="column q1_deg: the cell is empty"):
+        read(tmp_path, HEADER, ROW.replace("weight,10,", "weight,,"))
+
+
+def test_rows_without_an_orientation_are_points(tmp_path):
+    r = read(tmp_path, HEADER + ",rx_deg,ry_deg,rz_deg,sigma_rot_deg", ROW + ",10,20,30,0.01", ROW + ",,,,")
+    assert np.isfinite(r.turn[0]).all() and np.isnan(r.turn[1]).all()
+    part = read(tmp_path, HEADER + ",rx_deg,ry_deg", ROW + ",10,20")
+    assert part.turn is None and any("only rx_deg, ry_deg are given" in n for n in part.notices)
+
+
+def test_without_a_target_column_the_nest_is_unknown_and_the_payload_is_told(tmp_path):
+    r = read(tmp_path, BARE, "0,-90,90,0,20,30,1,2,3")
+    assert r.targets == ("",) and any("'bare' is taken to hang" in n for n in r.notices)

@@ -1,0 +1,296 @@
+"""`python -m ocp.simulate` as a user starts it: a small plan on virtual cells, what it writes, what it refuses."""
+
+import contextlib
+import csv
+import io
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ocp.calibrate.force.log import read_force_log
+from ocp.data import CELL
+from ocp.simulate.__main__ import app
+from tests.support.small_plan import STEP, Told, environment, planned, small_cell, tree
+
+COLUMNS = {"s_mm", "setpoint_N", "feed_mm_s", "belt_m_s", "line", "ground_before", "contact", "ft_N", "clock_s", "session",
+           "temperature_C", "wheel_temperature_C"}  # fmt: skip
+
+
+def simulated(*arguments: str) -> Told:
+    """The command in this process: meshes and wheels that one run solved serve the next."""
+    err = io.StringIO()
+    with contextlib.redirect_stderr(err):
+        result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return Told(result.exit_code, result.stdout, result.stderr or err.getvalue())
+
+
+def one_sentence(told: Told, code: int, says: str) -> None:
+    assert told.code == code and told.out == ""
+    assert says in told.err and "Traceback" not in told.err
+    assert len(told.err.strip().splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory) -> Path:
+    """A plan of a few passes, with its cell beside it."""
+    folder = tmp_path_factory.mktemp("cell")
+    small_cell(folder)
+    told = planned(folder, "--cell", "cell.toml", "--out", "plan", *STEP)
+    assert told.code == 0, told.err
+    return folder / "plan"
+
+
+@pytest.fixture(scope="module")
+def run(plan, tmp_path_factory) -> tuple[Path, Told]:
+    out = tmp_path_factory.mktemp("runs") / "run"
+    told = simulated(plan, "--out", out, "--poses", "8", "--belt", "0,-20", "--joints")
+    assert told.code == 0, told.err
+    return out, told
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_run_writes_a_data_set_that_the_product_reads(run):
+    out, told = run
+    assert told.out.count("\n") == 1 and "nothing planted" in told.out and "rehearsal.html" in told.out
+    assert {p.name for p in out.iterdir()} == {
+        "cell.toml", "blade.stl", "tracker.csv", "force.csv", "joints.csv", "plan.csv", "rehearsal.html",
+        "rehearsal.json", "labels",
+    }  # fmt: skip
+    log = read_force_log(out / "force.csv")
+    assert not log.notices
+    assert set(rows(out / "force.csv")[0]) >= COLUMNS
+    assert sorted(set(log.setpoint)) == [12.0, 20.0, 28.0] and sorted(set(log.belt)) == [-20.0, 0.0, 20.0]
+    assert (~log.contact).any() and np.abs(log.fn[~log.contact]).max() < 3.0
+    assert np.abs(log.ft[log.belt == 0]).mean() < 0.5 and log.ft[(log.belt == -20) & log.contact].mean() < -3
+    assert log.ground_before.max() >= 3 and np.all(np.diff(log.clock) > 0)
+    level = [np.median(log.fn[(log.setpoint == s) & log.contact]) for s in (12.0, 20.0, 28.0)]
+    assert 5.0 < level[1] - level[0] < 9.0 and 5.0 < level[2] - level[1] < 9.0
+    assert len(rows(out / "tracker.csv")) == 24
+    assert json.loads((out / "labels" / "labels.json").read_text())["labels"] == []
+    joints = rows(out / "joints.csv")
+    assert {"q1_deg", "link6_deg", "tau2_Nm"} <= set(joints[0])
+
+
+def test_the_joints_logged_are_those_of_the_program(plan, run):
+    planned_rows = [r for r in rows(plan / "plan.csv") if r["contact"] == "1"]
+    q = np.array([[float(r[f"q{i}_deg"]) for i in range(1, 7)] for r in planned_rows])
+    log = read_force_log(run[0] / "force.csv")
+    for k in range(0, len(log), 37):
+        assert np.abs(q - np.degrees(log.q[k])).max(axis=1).min() < 0.25
+
+
+def test_the_figures_told_are_those_of_the_force(run):
+    out, told = run
+    content = json.loads((out / "rehearsal.json").read_text())
+    force = content["force"]
+    assert f"{force['mean_N']:.2f} N on average" in told.out
+    assert force["min_N"] < force["mean_N"] < force["max_N"]
+    log = read_force_log(out / "force.csv")
+    first = (log.setpoint == 20.0) & (log.ground_before == 0) & log.contact
+    assert abs(np.mean(log.fn[first]) - force["mean_N"]) < 1.0
+    worst = content["worst"][0]
+    parts = worst["parts_N"]
+    assert sum(parts.values()) == pytest.approx(worst["force_N"] - force["goal_N"], abs=0.05)
+    assert worst["mostly"] == max(parts, key=lambda name: parts[name] * sum(parts.values()))
+    page = (out / "rehearsal.html").read_text()
+    assert "<script" not in page and "http" not in page.replace("http-equiv", "")
+
+
+def test_the_believed_machine_grinds_as_planned(plan, tmp_path):
+    """What the planner holds to 20 N gives 20 N on a machine of the same numbers that shares no code with it."""
+    told = simulated(plan, "--out", tmp_path / "run", "--machine", "believed", "--poses", "0", "--ladder", "none", "--no-air")
+    assert told.code == 0, told.err
+    force = json.loads((tmp_path / "run" / "rehearsal.json").read_text())["force"]
+    assert abs(force["mean_N"] - 20.0) < 0.4 and force["sd_N"] < 0.4 and force["within_1_N"] > 0.95
+    assert not (tmp_path / "run" / "tracker.csv").exists()
+
+
+def test_the_same_seed_is_the_same_machine_and_an_effect_changes_nothing_else(plan, run, tmp_path):
+    arguments = ("--poses", "8", "--ladder", "none", "--no-air")
+    for name, more in (("a", ()), ("b", ("--seed", "1")), ("c", ("--effect", "sensor_bias=1.5"))):
+        assert simulated(plan, "--out", tmp_path / name, *arguments, *more).code == 0
+    assert (tmp_path / "a" / "tracker.csv").read_bytes() == (run[0] / "tracker.csv").read_bytes()
+    assert (tmp_path / "b" / "tracker.csv").read_bytes() != (run[0] / "tracker.csv").read_bytes()
+    a, c = (np.array([float(r["fn_N"]) for r in rows(tmp_path / name / "force.csv")]) for name in "ac")
+    assert np.allclose(c - a, 1.5, atol=1e-3)
+
+
+def test_two_runs_write_the_same_bytes(tmp_path):
+    for name in "ab":
+        assert simulated("--out", tmp_path / name, "--poses", "6", "--seed", "3").code == 0
+    assert tree(tmp_path / "a") == tree(tmp_path / "b")
+
+
+def test_what_is_sealed_is_not_told(plan, tmp_path):
+    out = tmp_path / "run"
+    told = simulated(plan, "--out", out, "--effects", "random:2", "--seed", "7", "--sealed", "--poses", "6", "--ladder", "20,26")
+    assert told.code == 0, told.err
+    labels = json.loads((out / "labels" / "labels.json").read_text())["labels"]
+    assert len(labels) == 2
+    openly = [p for p in out.rglob("*") if p.is_file() and "labels" not in p.parts]
+    for label in labels:
+        assert label["effect"] not in told.out + told.err
+        assert not any(label["effect"].encode() in p.read_bytes() for p in openly)
+    assert "fn_N" not in rows(out / "sealed_force.csv")[0] and "x_mm" not in rows(out / "sealed_tracker.csv")[0]
+    truth = rows(out / "labels" / "sealed_force_truth.csv")
+    assert len(truth) == len(rows(out / "sealed_force.csv")) and float(truth[5]["fn_N"]) > 10
+    assert len(rows(out / "labels" / "sealed_tracker_truth.csv")) == len(rows(out / "sealed_tracker.csv"))
+    assert len(read_force_log(out / "sealed_force.csv", sealed=True)) == len(truth)
+
+
+def test_the_cell_of_the_plan_is_found_by_its_hash_and_never_replaced(plan, tmp_path):
+    alone = tmp_path / "elsewhere" / "plan"
+    shutil.copytree(plan, alone)
+    one_sentence(simulated(alone, "--out", tmp_path / "run"), 2, "give that file with --cell")
+    told = simulated(alone, "--cell", CELL, "--out", tmp_path / "run", "--poses", "0", "--ladder", "none", "--no-air")
+    assert told.code == 0 and "another version of cell.toml" in told.err
+
+
+STRANGERS = [
+    ({"xyz_mm = [0, 0, 200]": "xyz_mm = [0, 0, 201]"}, "$TOOL lies 1.000 mm"),
+    ({"centre_mm = [1700, 0, 900]": "centre_mm = [1700, 0, 902]"}, "$BASE lies 2.000 mm"),
+    ({"axis = [0, 1, 0]": "axis = [0, 1, 0.01]"}, "$BASE lies"),
+]
+
+
+@pytest.mark.parametrize(("changes", "says"), STRANGERS)
+def test_a_program_of_another_cell_is_refused(plan, tmp_path, changes, says):
+    cell = small_cell(tmp_path / "other", changes)
+    told = simulated(plan, "--cell", cell, "--out", tmp_path / "run")
+    one_sentence(told, 2, says)
+    assert "BLADE_01.src, line" in told.err and not (tmp_path / "run").exists()
+
+
+def test_another_blade_is_refused(plan, tmp_path):
+    cell = small_cell(tmp_path / "other")
+    blade = cell.parent / "blade.stl"
+    blade.write_bytes(blade.read_bytes() + b" ")
+    one_sentence(simulated(plan, "--cell", cell, "--out", tmp_path / "run"), 2, "planned for another blade")
+
+
+def test_a_robot_that_cannot_go_there_is_refused(plan, tmp_path):
+    cell = small_cell(tmp_path / "other", {'model = "kr210_r2700_extra"': 'model = "narrow.toml"'})
+    text = (Path(__file__).parents[2] / "robots" / "catalogue" / "kr210_r2700_extra.toml").read_text()
+    narrow = text.replace("q_min_deg = [-185", "q_min_deg = [-1").replace("q_max_deg = [185", "q_max_deg = [1")
+    assert narrow != text
+    (tmp_path / "other" / "narrow.toml").write_text(narrow)
+    told = simulated(plan, "--cell", cell, "--out", tmp_path / "run")
+    one_sentence(told, 1, "beyond -1 to 1")
+
+
+def changed_program(plan: Path, folder: Path, old: str, new: str) -> Path:
+    copy = folder / "cell" / "plan"
+    shutil.copytree(plan.parent, folder / "cell")
+    path = copy / "BLADE_01.src"
+    text = path.read_bytes().decode()
+    assert old in text
+    path.write_bytes(text.replace(old, new, 1).encode())
+    return copy
+
+
+def test_a_program_that_drives_into_the_wheel_is_infeasible(plan, tmp_path):
+    """The way in goes on for a hand's breadth beyond the wheel's surface."""
+    text = (plan / "BLADE_01.src").read_bytes().decode()
+    line = next(row for row in text.splitlines() if row.startswith("; contact"))
+    into = changed_program(plan, tmp_path, line, "; into the wheel\r\nLIN_AT\r\n" + line)
+    copy = into / "BLADE_01.src"
+    # Axis 2 leans 4 deg forward from where the blade first touches: about 100 mm at the wheel.
+    before = [row for row in text[: text.index(line)].splitlines() if "SPTP" in row][-1]
+    values = [float(part.split()[1]) for part in before[before.index("{") + 1 : before.index("}")].split(",")]
+    values[1] += 4.0
+    aggregate = "{" + ",".join(f"A{i + 1} {v:.5f}" for i, v in enumerate(values)) + "}"
+    copy.write_bytes(copy.read_bytes().replace(b"LIN_AT", f"PTP {aggregate}".encode()))
+    told = simulated(into, "--out", tmp_path / "run")
+    one_sentence(told, 1, "on the virtual cell")
+    assert "wheel" in told.err and "mm" in told.err and "BLADE_01.src" in told.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--effect", "backlsh:5=1"), "the nearest is 'backlash'"),
+        (("--effect", "wheel_wear"), "shows only while grinding"),
+        (("--effects", "some"), "random:N"),
+        (("--effect", "backlash:5", "--effect", "backlash:5"), "planted twice"),
+        (("--machine", "real"), "not one of drawn, believed, sampled"),
+        (("--machine", "sampled"), "no calibration"),
+        (("--poses", "3"), "give 4 to 2000"),
+        (("--poses", "nowhere"), "neither a number nor a folder"),
+        (("--poses", "0"), "nothing to do"),
+        (("--ladder", "12,20"), "need a plan"),
+        (("--seed", "-1"), "--seed -1"),
+        (("--size", "9"), "--size 9"),
+        (("--cell", "absent.toml"), "absent.toml"),
+    ],
+)
+def test_refusals_are_one_sentence(arguments, says, tmp_path):
+    one_sentence(simulated(*arguments, "--out", tmp_path / "run"), 2, says)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_without_a_program_and_levels_out_of_range(plan, tmp_path):
+    one_sentence(simulated(tmp_path, "--out", tmp_path / "run"), 2, "holds no KRL program")
+    one_sentence(simulated(plan, "--ladder", "12,9000", "--out", tmp_path / "run"), 2, "--ladder 9000")
+    one_sentence(simulated(plan, "--log-hz", "900", "--out", tmp_path / "run"), 2, "--log-hz 900")
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "mine.txt").write_text("keep")
+    one_sentence(simulated(plan, "--out", full), 2, "not empty")
+    one_sentence(simulated(plan, "--out", plan.parent, "--overwrite"), 2, "an input of this run")
+
+
+def test_the_list_of_effects_names_the_catalogue():
+    told = simulated("--list-effects")
+    assert told.code == 0 and len(told.out.splitlines()) > 40
+    assert "half_width_rad" in told.out and "wheel_runout" in told.out
+
+
+def test_a_campaign_of_poses_chosen_by_ocp_poses(tmp_path):
+    table = tmp_path / "poses" / "poses.csv"
+    table.parent.mkdir()
+    table.write_text(
+        "target,payload,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n" + "T1,bare,10,-80,90,0,30,0\nT2,bare,20,-70,80,10,30,5\n"
+    )
+    told = simulated("--poses", table.parent, "--out", tmp_path / "run")
+    assert told.code == 0, told.err
+    read = rows(tmp_path / "run" / "tracker.csv")
+    assert [(r["target"], float(r["q1_deg"])) for r in read] == [("T1", 10.0), ("T2", 20.0)]
+
+
+def test_the_command_itself_starts_and_ends_in_time(tmp_path):
+    """40 postures in at most 5 s on a quiet machine; here with room for a busy one."""
+    import time
+
+    start = time.perf_counter()
+    process = subprocess.run(
+        [sys.executable, "-m", "ocp.simulate", "--out", "run"], cwd=tmp_path, env=environment(), capture_output=True, text=True,
+        timeout=120,
+    )  # fmt: skip
+    assert process.returncode == 0, process.stderr
+    assert time.perf_counter() - start < 30
+    assert "120 readings in tracker.csv" in process.stdout
+
+
+def test_the_clock_of_a_campaign_goes_on(plan, tmp_path):
+    def mean(out: str, *more: str) -> float:
+        told = simulated(plan, "--out", tmp_path / out, "--ladder", "none", "--no-air", "--poses", "0", *more)
+        assert told.code == 0, told.err
+        return float(np.mean([float(row["fn_N"]) for row in rows(tmp_path / out / "force.csv")]))
+
+    worn = ("--effect", "wheel_wear=3e-7")
+    fresh, later = mean("fresh", *worn), mean("later", *worn, "--clock", "1000")
+    # 0.3 mm of radius on a flange of 5.6 N/mm, the rest of the chain in series.
+    assert later - fresh == pytest.approx(-0.3 * 5.6, rel=0.25)
+    one_sentence(simulated(plan, "--clock", "-1", "--out", tmp_path / "x"), 2, "--clock -1 must lie between")

@@ -1,0 +1,88 @@
+"""The planning command as a user starts it, on a cell cut down to a few short passes."""
+
+import contextlib
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from ocp.data import BLADE, CELL
+from ocp.plan.__main__ import app
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = (CELL).read_text()
+SMALL = {
+    'side = "both"': 'side = "convex"',
+    "pass_spacing_mm = 6.0": "pass_spacing_mm = 25.0",
+}
+STEP = ("--step", "2")
+
+
+@dataclass(frozen=True)
+class Told:
+    """Exit code and what the command wrote on both channels."""
+
+    code: int
+    out: str
+    err: str
+
+
+def small_cell(folder: Path, changes: dict[str, str] | None = None, blade: bool = True) -> Path:
+    """A cell.toml in `folder` with the bundled blade beside it; `changes` are replacements that must take hold."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = TEXT
+    for old, new in (SMALL | (changes or {})).items():
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    (folder / "cell.toml").write_text(text)
+    if blade:
+        shutil.copy(BLADE, folder / "blade.stl")
+    return folder / "cell.toml"
+
+
+def environment() -> dict[str, str]:
+    """The environment of a subprocess: this checkout, one thread, the session's own cache."""
+    return os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+
+
+def started(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
+    """The command in a process group of its own, as a shell starts it."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "ocp.plan", *arguments],
+        cwd=folder,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # Tests may themselves run as a background job, where interrupts are ignored and that is inherited.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+def planned(folder: Path, *arguments: str) -> Told:
+    """Run the command to its end in a process of its own, working folder `folder`."""
+    process = started(folder, *arguments)
+    out, err = process.communicate(timeout=300)
+    return Told(process.returncode, out, err)
+
+
+def refused(*arguments: str) -> Told:
+    """Run the command in this process: for what is refused before any work is done."""
+    err = io.StringIO()
+    with contextlib.redirect_stderr(err):
+        result = CliRunner().invoke(app, [*arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return Told(result.exit_code, result.stdout, result.stderr or err.getvalue())
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Every file below `folder` with its bytes, hidden ones included."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}

@@ -1,0 +1,166 @@
+"""The written text: golden files, number formats, determinism, refusals; and the reader gets back what was planned."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robots.errors import BadInput, Infeasible
+from robots.kinematics import forward
+from robots.pose import invert
+from tests.support.krl_example import GOLDEN, LIMITS, ROBOT, Leg, contact_poses, elementary_forward, example, legs, setup, write
+from trajectories.krl.build import build_program
+from trajectories.krl.checks import check_program, check_status_turn
+from trajectories.krl.execution import execute
+from trajectories.krl.program import Comment, PointMotion, PoseSpline, Program, SubProgram, TimedSpline, split_blocks
+from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
+from trajectories.krl.writer import number, program_files
+from trajectories.timing import time_contact_path
+
+ARM = ArmLengths.of(ROBOT.mdh)
+
+
+def short(kind):
+    """A program of few points for the golden text; no solver, no spline: numbers anyone can check by hand."""
+    q = np.radians([[0, -90, 90, 0, 10, 0], [1, -89.5, 90.25, 0, 11, -1e-9], [2, -89, 90.5, 0, 12, 3.5]])
+    P = np.array([np.eye(4)] * 3)
+    P[:, 0, 3] = [0.0, 0.001, 0.002]
+    block = TimedSpline(q, np.array([0.0, 1 / 30, 2 / 30])) if kind == "axis" else PoseSpline(P, q, 0.04)
+    blocks = (PointMotion(q[0]), Comment("contact; $OV_PRO=100\r\nHALT"), block)
+    return Program("GOLD", setup(kind), (SubProgram("GOLD_01", blocks, "line 1"),), ("made by a test",))
+
+
+@pytest.mark.parametrize("kind", ["axis", "cartesian"])
+def test_the_text_is_the_golden_text(kind):
+    for name, data in program_files(short(kind)).items():
+        assert data == (GOLDEN / f"{kind}_{name}").read_bytes(), name
+
+
+def test_the_same_program_is_the_same_bytes():
+    assert program_files(example(passes=2)) == program_files(example(passes=2))
+
+
+def test_numbers_have_no_sign_of_zero_and_no_exponent():
+    assert number(-1e-9, 5) == "0.00000"
+    assert number(-0.0, 4) == "0.0000"
+    assert number(1e-12, 5) == "0.00000"
+    assert number(-12.345678, 5) == "-12.34568"
+    text = b"".join(program_files(example()).values()).decode()
+    assert not re.search(r"-0\.0+\b(?!\d)", text) and not re.search(r"\d[eE][-+]?\d", text)
+
+
+def test_files_are_ascii_with_crlf_and_a_pair_each():
+    files = program_files(example(passes=2))
+    assert set(files) == {f"BLADE_1{s}.{e}" for s in ("", "_01", "_02") for e in ("src", "dat")}
+    for data in files.values():
+        assert data.count(b"\n") == data.count(b"\r\n") and data.endswith(b"\r\n") and data.isascii()
+
+
+def test_what_is_read_back_is_what_was_planned(tmp_path):
+    plan = legs()
+    execution = check_program(write(example(), tmp_path), (ROBOT.q_min, ROBOT.q_max), ARM)
+    assert [s.kind for s in execution.segments] == ["PTP"] + ["PTP_SPLINE"] * 4
+    for segment, leg in zip(execution.segments[1:], plan, strict=True):
+        assert segment.times[-1] == pytest.approx(leg.trajectory.duration, abs=1e-3)
+        assert np.abs(segment.q - leg.trajectory.q(segment.times)).max() < np.radians(0.6e-5)
+
+
+def test_frames_are_read_back(tmp_path):
+    frames = execute(write(example(), tmp_path)).segments[1].frames
+    assert frames.ipo_mode == "#TCP"
+    assert np.allclose(frames.tool, setup().T_flange_blade, atol=1e-6)
+    assert np.allclose(frames.base, setup().T_base_wheel, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["cartesian", "lin"])
+def test_poses_lead_back_to_the_planned_axes_through_the_nominal_arm(kind, tmp_path):
+    """FLANGE = BASE P^-1 TOOL^-1 for every printed P, against the arm written as elementary motions."""
+    contact = legs()[2].trajectory
+    execution = check_program(write(example(kind), tmp_path), (ROBOT.q_min, ROBOT.q_max), ARM)
+    n = int(contact.stations[-1] / 1e-3) + 1
+    if kind == "cartesian":
+        poses = next(s.poses for s in execution.segments if s.poses is not None and len(s.poses) == n)
+    else:
+        lines = [s for s in execution.segments if s.kind == "LIN"]
+        poses = np.concatenate([s.poses for s in lines])
+        first = int(np.argmin(np.linalg.norm(poses[:, :3, 3] - contact_poses(contact.q(0.0))[0, :3, 3], axis=1)))
+        poses = poses[first : first + n]
+    flange = setup().T_base_wheel @ invert(poses) @ invert(setup().T_flange_blade)
+    q_near = contact.q(np.linspace(0, contact.duration, 20001))
+    planned = elementary_forward(q_near[::10])
+    for T in flange[:: max(1, len(flange) // 10)]:
+        distance = np.linalg.norm(planned[:, :3, 3] - T[:3, 3], axis=1)
+        assert distance.min() < 5e-5
+    feed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum()
+    assert feed > 0.01
+
+
+def test_status_and_turn_follow_the_axes(tmp_path):
+    execution = execute(write(example("cartesian"), tmp_path))
+    contact = legs()[2].trajectory
+    segment = max((s for s in execution.segments if s.poses is not None), key=lambda s: len(s.lines))
+    assert np.all(segment.status == 6) and np.all(segment.turn == 0b010010)
+    check_status_turn(segment, contact.q(np.linspace(0, contact.duration, len(segment.lines))), ARM)
+
+
+def test_status_bits_against_the_geometry_of_the_arm():
+    """Bit 0 from the wrist's position in front of or behind axis 1, bit 1 from the forearm's direction."""
+    rng = np.random.default_rng(4)
+    q = rng.uniform(ROBOT.q_min, ROBOT.q_max, (500, 6))
+    wrist = forward(ROBOT, q) @ np.array([0, 0, -0.215, 1.0])
+    ahead = np.cos(-q[:, 0]) * wrist[:, 0] + np.sin(-q[:, 0]) * wrist[:, 1]
+    S = status_of(q, ARM)
+    assert np.array_equal(S & 1, (ahead < 0).astype(int))
+    # the elbow is stretched where the wrist lies on the line of the upper arm: there the bit changes
+    straight = np.arctan2(-0.041, 1.2)
+    for d, bit in ((-0.01, 0), (0.01, 1)):
+        assert (status_of(np.array([[0, 0, straight + d, 0, 0, 0]]), ARM)[0] >> 1) & 1 == bit
+    assert turn_of(np.radians([[-1, 2, -3, 4, 5, -6.0]]))[0] == 0b100101
+    for a5, bit in ((-10, 1), (10, 0), (0, 0), (181, 1), (-181, 0)):
+        assert (status_of(np.radians([[0, 0, 90, 0, a5, 0.0]]), ARM)[0] >> 2) == bit
+
+
+def test_compensated_poses_on_an_absolutely_accurate_controller_are_refused():
+    for kind in ("cartesian", "lin"):
+        with pytest.raises(BadInput, match="a second time"):
+            program_files(replace(short("axis"), setup=setup(kind, absolute_accuracy=True)))
+    program_files(replace(short("axis"), setup=setup("axis", absolute_accuracy=True)))
+
+
+def test_the_base_can_be_left_to_the_controller(tmp_path):
+    program = example("cartesian", base_from_data=True)
+    text = program_files(program)["BLADE_1_01.src"].decode()
+    assert "$BASE=BASE_DATA[1]" in text and "; wheel frame in world, as in BASE_DATA[1]: {X 1550.0000" in text
+    assert execute(write(program, tmp_path)).segments[1].frames.base_no == 1
+
+
+def test_names_that_collide_or_carry_statements_are_refused():
+    gold = short("axis")
+    for wrong in (replace(gold, name="A" * 25), replace(gold, name="gold_01"), replace(gold, name="X; HALT")):
+        with pytest.raises(BadInput, match="name"):
+            program_files(wrong)
+    sub = replace(gold.subs[0], blocks=gold.subs[0].blocks[1:])
+    with pytest.raises(BadInput, match="must begin with a PTP"):
+        program_files(replace(gold, subs=(sub,)))
+
+
+def test_long_passes_are_split_where_the_robot_stands(tmp_path):
+    q = np.radians([0, -90, 90, 0, 10, 0]) + np.linspace(0, 0.1, 900)[:, None] * np.ones(6)
+    blocks = [PointMotion(q[0])]
+    for _ in range(3):
+        blocks += [TimedSpline(q, np.arange(900) * 0.02), TimedSpline(q[::-1], np.arange(900) * 0.02)]
+    groups = split_blocks(blocks)
+    assert [sum(len(b.q) if isinstance(b, TimedSpline) else 1 for b in g) for g in groups] == [1801, 1801, 1801]
+    subs = tuple(SubProgram(f"LONG_01_{c}", tuple(g)) for c, g in zip("ABC", groups, strict=True))
+    execution = check_program(write(Program("LONG", setup(), subs), tmp_path))
+    assert len(execution.segments) == 3 + 6
+    with pytest.raises(BadInput, match="2001 points"):
+        split_blocks([TimedSpline(np.zeros((2001, 6)), np.arange(2001.0))])
+
+
+def test_a_pass_that_cannot_be_emitted_is_named():
+    q = np.radians([5.0, -70, 100, 10, -40, 20]) + np.random.default_rng(0).normal(size=(300, 6)) * 1e-3
+    rough = Leg("contact", time_contact_path(q, np.linspace(0, 0.3, 300), None, LIMITS, window=0.0))
+    with pytest.raises(Infeasible, match="line 7: the emitted program leaves the plan by"):
+        build_program("x", setup(), [[rough]], ["line 7"], elementary_forward, tolerance=lambda leg: 1e-7)

@@ -1,0 +1,189 @@
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from robots.errors import BadInput
+from robots.pose import rotation_from_abc
+from tests.support import blade_samples
+from trajectories.blade import Blade, find_shape, read_blade
+from trajectories.passes import MIN_WAYPOINTS, PassOptions, passes, reversed_path
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def sample():
+    blade = Blade("sample", "", *blade_samples.blade_mesh(100, 30))
+    return blade, find_shape(blade)
+
+
+@pytest.fixture(scope="module")
+def bundled():
+    blade = read_blade(ROOT / "ocp" / "data" / "blade.stl")
+    return blade, find_shape(blade)
+
+
+def length(x):
+    return np.linalg.norm(x, axis=-1)
+
+
+@pytest.mark.parametrize("direction", ["spanwise", "chordwise"])
+def test_frames_margins_and_spacing(sample, direction):
+    options = PassOptions(direction=direction, feed=0.03, force=15.0)
+    paths, notices = passes(*sample, options)
+    assert notices == [] and [path.line for path in paths] == list(range(1, len(paths) + 1))
+    assert {path.side for path in paths} == {"convex", "concave"}
+    for path in paths:
+        assert len(path.p) >= MIN_WAYPOINTS
+        np.testing.assert_allclose(length(path.n), 1.0, atol=1e-12)
+        np.testing.assert_allclose(length(path.t), 1.0, atol=1e-12)
+        np.testing.assert_allclose(np.sum(path.n * path.t, axis=1), 0.0, atol=1e-12)
+        steps = length(np.diff(path.p, axis=0))
+        assert steps.max() < 0.5e-3 * 1.001 and np.ptp(steps) < 0.02 * steps.mean()  # even
+        np.testing.assert_allclose(np.diff(path.s), steps, rtol=0.01)
+        along = np.diff(path.p, axis=0) / steps[:, None]
+        assert np.sum(along * path.t[:-1], axis=1).min() > 0.999  # t is the way of travel
+        assert (path.p[:, 2] > 0.0149).all() and (path.p[:, 2] < 0.0955).all()
+        assert (path.feed == 0.03).all() and (path.force == 15.0).all()
+    if direction == "spanwise":
+        assert all(path.t[:, 2].min() > 0.9 for path in paths)  # root to tip
+    for side in ("convex", "concave"):
+        mine = [path for path in paths if path.side == side]
+        gaps = [length(b.p[::5, None] - a.p[None]).min(axis=1) for a, b in pairwise(mine)]
+        assert 0.5 * options.spacing < min(g.min() for g in gaps) and max(g.max() for g in gaps) < 1.01 * options.spacing
+
+
+def test_the_edge_margin_is_measured_on_the_surface(sample):
+    blade, shape = sample
+    for margin in (3e-3, 6e-3):
+        paths, _ = passes(blade, shape, PassOptions(edge_margin=margin, side="convex"))
+        for path, phi0 in ((paths[0], np.pi), (paths[-1], 0.0)):
+            k = len(path.p) // 2
+            z = path.p[k, 2]
+            fine = np.linspace(phi0, 0.5 * np.pi, 4000)
+            wall = blade_samples.blade_point(fine, np.full(len(fine), z))
+            near = int(np.argmin(length(wall - path.p[k])))
+            assert length(np.diff(wall[: near + 1], axis=0)).sum() == pytest.approx(margin, abs=0.3e-3)
+
+
+def test_extent_against_the_outline(sample):
+    paths, _ = passes(*sample, PassOptions(side="convex", edge_margin=5e-3))
+    for path, to_edge in ((paths[0], 5e-3), (paths[-1], 5e-3)):
+        k = len(path.p) // 2
+        # Half of a round edge lies beyond 60 deg, so the extent is a little less than the way to the nose.
+        assert 0.75 * to_edge < path.extent[k].min() < 1.02 * to_edge
+        np.testing.assert_allclose(path.extent[k, 0], 0.1 - path.p[k, 2], rtol=0.05)
+        np.testing.assert_allclose(path.extent[k, 1], path.p[k, 2], rtol=0.05)
+        across = path.extent[:, 2] + path.extent[:, 3]
+        assert 0.7 * 0.05 < across.min() and across.max() < 1.1 * 0.05
+
+
+def test_thickness_against_a_ray_through_the_mesh(sample):
+    import trimesh
+
+    blade, shape = sample
+    mesh = trimesh.Trimesh(blade.vertices, blade.faces, process=False)
+    for path in passes(blade, shape, PassOptions(spacing=12e-3, step=8e-3))[0]:
+        p, n, thickness = path.p[::6], path.n[::6], path.thickness[::6]
+        points, rays, _ = mesh.ray.intersects_location(p - 1e-5 * n, -n, multiple_hits=False)
+        assert len(rays) == len(p)
+        np.testing.assert_allclose(thickness[rays], length(points - p[rays]), atol=15e-6)
+
+
+def test_reversing_twice_changes_nothing_and_once_keeps_it_right_handed(sample):
+    path = passes(*sample, PassOptions(side="concave"))[0][2]
+    back = reversed_path(path)
+    np.testing.assert_allclose(back.curvature[::-1], path.curvature)
+    np.testing.assert_allclose(back.extent[::-1][:, [1, 0, 3, 2]], path.extent)
+    assert back.s[0] == 0.0 and (np.diff(back.s) > 0).all()
+    assert (np.sum(np.diff(back.p, axis=0) * back.t[:-1], axis=1) > 0.0).all()  # t is the way of travel
+    again = reversed_path(back)
+    for name in ("p", "n", "t", "s", "curvature", "extent", "thickness"):
+        np.testing.assert_allclose(getattr(again, name), getattr(path, name), atol=1e-15)
+
+
+def test_the_reversed_pass_has_the_curvature_of_its_own_frame(sample):
+    from trajectories.blade.spline import curvature_in_frame
+    from trajectories.path_points import foot_parameters
+
+    _, shape = sample
+    path = reversed_path(passes(*sample, PassOptions(side="convex"))[0][3])
+    side = shape.sides["convex"]
+    u, v = foot_parameters(side, shape, path.p)
+    np.testing.assert_allclose(curvature_in_frame(side.surface, u, v, path.n, path.t), path.curvature, rtol=1e-6, atol=1e-6)
+
+
+@given(st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3))
+@settings(max_examples=4, deadline=None, phases=[Phase.explicit, Phase.generate])
+def test_passes_move_with_blade_and_clamp(angles):
+    vertices, faces = blade_samples.blade_mesh(60, 20)
+    options = PassOptions(spacing=15e-3, step=4e-3)
+    R, shift = rotation_from_abc(angles), np.array([0.3, -0.2, 0.5])
+    still = Blade("still", "", vertices, faces)
+    moved = Blade("moved", "", vertices @ R.T + shift, faces)
+    turned = replace(options, clamp_normal=tuple(R[:, 2]), clamp_offset=float(0.010 + R[:, 2] @ shift))
+    first, _ = passes(still, find_shape(still), options)
+    second, _ = passes(moved, find_shape(moved), turned)
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_allclose(b.p, a.p @ R.T + shift, atol=1e-8)
+        np.testing.assert_allclose(b.t, a.t @ R.T, atol=1e-5)
+        np.testing.assert_allclose(b.curvature, a.curvature, atol=1e-3)
+
+
+def test_a_blade_held_at_its_tip_is_ground_the_other_way(sample):
+    options = PassOptions(clamp_offset=0.09, clamp_side="above")
+    paths, _ = passes(*sample, options)
+    for path in paths:
+        assert path.t[:, 2].max() < -0.9
+        assert path.p[0, 2] == pytest.approx(0.085, abs=1e-4) and path.p[-1, 2] == pytest.approx(0.005, abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"clamp_offset": -0.001}, "holds nothing"), ({"clamp_offset": 0.2}, "holds everything"),
+     ({"clamp_offset": 0.2, "clamp_side": "above"}, "holds nothing"), ({"root_margin": 0.09}, "leave nothing"),
+     ({"tip_margin": 0.2}, "leave nothing"), ({"edge_margin": 0.026}, "edge_margin_mm = 26"), ({"side": "left"}, "'convex'"),
+     ({"direction": "diagonal"}, "'spanwise' or 'chordwise'"), ({"spacing": 0.0}, "pass_spacing_mm = 0"),
+     ({"clamp_normal": (0.0, 0.0, 0.0)}, "clamp_normal")],
+)  # fmt: skip
+def test_impossible_wishes_are_refused(sample, change, said):
+    with pytest.raises(BadInput, match=said):
+        passes(*sample, replace(PassOptions(), **change))
+
+
+def test_only_the_aerofoil_is_ground(bundled):
+    for direction in ("spanwise", "chordwise"):
+        paths, _ = passes(*bundled, PassOptions(direction=direction, root_margin=0.0))
+        assert min(path.p[:, 2].min() for path in paths) > 0.0225  # block to 20 mm, fillet to 23
+
+
+@pytest.mark.parametrize("direction", ["spanwise", "chordwise"])
+def test_the_wheel_keeps_off_the_block(bundled, direction):
+    blade, shape = bundled
+    radius, width = 0.05, 0.02
+    options = PassOptions(direction=direction, wheel_radius=radius, wheel_width=width, step=3e-3)
+    paths, notices = passes(blade, shape, options)
+    assert len(notices) == 2 and "because the wheel would touch" in notices[0]
+    x, y = (np.array(side) for side in ((-0.0275, 0.0275), (-0.0065, 0.008)))
+    rim = np.concatenate([
+        np.stack([np.linspace(*x, 200), np.full(200, edge), np.full(200, 0.02)], axis=1) for edge in y
+    ])  # fmt: skip
+    for path in paths:
+        for p, n, t in zip(path.p, path.n, path.t, strict=True):
+            b = np.cross(n, t)
+            r = rim - (p + radius * n)
+            lateral = r @ b
+            near = np.abs(lateral) < width / 2
+            assert (length(r[near] - lateral[near, None] * b) > radius).all()
+    close, _ = passes(blade, shape, PassOptions(direction=direction, step=3e-3))
+    assert min(path.p[:, 2].min() for path in close) < min(path.p[:, 2].min() for path in paths) - 5e-3
+
+
+def test_overhang_is_counted(sample):
+    _, notices = passes(*sample, PassOptions(side="convex", pad_radius=4e-3))
+    assert "waypoints lie closer than 4.0 mm" in notices[0]
