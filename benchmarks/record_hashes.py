@@ -28,6 +28,8 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--inputs", type=Path)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--only", nargs="*", help="beginnings of the commands' labels, as plan_lin or diagnose")
+    parser.add_argument("--against", type=Path, help="hashes.json of an earlier run: tell the files that differ")
     options = parser.parse_args()
     out = options.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
@@ -35,12 +37,14 @@ def main() -> None:
     inputs = (options.inputs or out / "inputs").resolve()
     if not inputs.is_dir():
         make_inputs(runner, inputs)
-    jobs = commands(inputs)
+    jobs = [job for job in commands(inputs) if not options.only or job[0].startswith(tuple(options.only))]
     with concurrent.futures.ThreadPoolExecutor(options.jobs) as pool:
         list(pool.map(lambda job: runner.run(job[0], *job[1], "--out", job[0]), jobs))
     found = {job: hashes(out / job) for job, _ in jobs}
     (out / "hashes.json").write_text(json.dumps(found, indent=1) + "\n")
     print(f"{out / 'hashes.json'}: {sum(map(len, found.values()))} files of {len(found)} commands")
+    if options.against:
+        tell_differences(json.loads(options.against.read_text()), found)
 
 
 class Runner:
@@ -72,10 +76,10 @@ def make_inputs(runner: Runner, inputs: Path) -> None:
                "--cell", inputs / "run" / "cell.toml", "--out", inputs / "calibration")  # fmt: skip
     columns = ["line", "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
     with (inputs / "plan" / "plan.csv").open() as source, (inputs / "path.csv").open("w", newline="") as target:
-        rows = [row for row in csv.DictReader(source) if row["contact"] == "1"]
+        rows = [row for row in csv.DictReader(source) if row["contact"] == "1" and int(row["line"]) % 2]
         table = csv.DictWriter(target, columns, extrasaction="ignore", lineterminator="\n")
         table.writeheader()
-        table.writerows(rows[::20] if len(rows) > 4000 else rows)
+        table.writerows(rows)
 
 
 def commands(inputs: Path) -> list[tuple[str, tuple[str | Path, ...]]]:
@@ -100,6 +104,14 @@ def commands(inputs: Path) -> list[tuple[str, tuple[str | Path, ...]]]:
         ("diagnose_kr300", ("ocp.diagnose", inputs / "kr300")),
         *[(f"diagnose_{w}", ("ocp.diagnose", worlds / w)) for w in WORLDS if w != "force_two_effects"],
     ]  # fmt: skip
+
+
+def tell_differences(before: dict[str, dict[str, str]], after: dict[str, dict[str, str]]) -> None:
+    """Files of the same commands that differ, plan.json with its versions among them."""
+    for job, files in after.items():
+        names = sorted(set(files) | set(before[job]))
+        differ = [name for name in names if files.get(name) != before[job].get(name)]
+        print(f"{job}: {'the same bytes' if not differ else ', '.join(differ)}")
 
 
 def hashes(folder: Path) -> dict[str, str]:

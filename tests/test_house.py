@@ -1,49 +1,71 @@
-"""The house: imports run ocp -> trajectories -> robots, matplotlib stays in the report."""
-
-import ast
-from pathlib import Path
+"""The house: imports run ocp -> trajectories -> robots and inside ocp down the declared order of rooms; names stand once."""
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-ABOVE = {"robots": {"trajectories", "ocp"}, "trajectories": {"ocp"}, "ocp": set()}
+from tests.support.house import ROOT, WINGS, declared, described, floors, imported, room_of, sources, uses
+
+HOUSE = declared()
 
 
-def modules() -> list[tuple[Path, set[str]]]:
-    found = []
-    for wing in ABOVE:
-        for path in sorted((ROOT / wing).rglob("*.py")):
-            names: set[str] = set()
-            for node in ast.walk(ast.parse(path.read_text())):
-                if isinstance(node, ast.Import):
-                    names |= {alias.name for alias in node.names}
-                elif isinstance(node, ast.ImportFrom) and node.module:
-                    assert node.level == 0, f"{path}: relative import"
-                    names.add(node.module)
-            found.append((path, names))
-    return found
-
-
-def test_imports_never_run_back():
-    for path, names in modules():
+def test_imports_never_run_back_between_the_wings():
+    for path in sources():
         wing = path.relative_to(ROOT).parts[0]
-        wrong = {n for n in names if n.split(".")[0] in ABOVE[wing]}
+        above = set(WINGS[WINGS.index(wing) + 1 :])
+        wrong = [(line, name) for line, name in imported(path) if name.split(".")[0] in above]
         assert not wrong, f"{path} imports {wrong}"
 
 
-def test_only_the_report_draws():
-    for path, names in modules():
-        if "report" not in path.parts:
-            assert not {n for n in names if n.split(".")[0] in {"matplotlib", "plotly"}}, path
+def test_rooms_are_those_that_are_declared():
+    assert set(uses()) == set(HOUSE.rooms)
+    assert len(HOUSE.rooms) <= HOUSE.most_rooms
+
+
+def test_no_module_stands_outside_a_room():
+    assert [path.name for path in (ROOT / "ocp").glob("*.py")] == ["__init__.py"]
+    assert {name for _, name in imported(ROOT / "ocp" / "__init__.py")} <= {"os"}
+
+
+@pytest.mark.parametrize("room", HOUSE.rooms)
+def test_a_room_imports_only_rooms_below_it(room):
+    below = set(HOUSE.rooms[: HOUSE.rooms.index(room)])
+    for path in sources("ocp"):
+        if path.parent != ROOT / "ocp" and room_of(path) == room:
+            for line, name in imported(path):
+                parts = name.split(".")
+                assert parts[0] != "ocp" or len(parts) == 1 or parts[1] in below | {room}, f"{path}:{line} imports {name}"
+
+
+def test_the_house_has_few_floors():
+    assert max(floors().values()) <= HOUSE.most_floors
+
+
+def test_folders_are_small_enough_to_be_looked_over():
+    for wing in WINGS:
+        for folder in [ROOT / wing, *(p for p in (ROOT / wing).rglob("*") if p.is_dir() and p.name != "__pycache__")]:
+            entries = [p.name for p in folder.iterdir() if p.name != "__pycache__"]
+            most = HOUSE.most_entries if str(folder.relative_to(ROOT)) not in HOUSE.many else 100
+            assert len(entries) <= most, f"{folder}: {len(entries)} entries"
+
+
+def test_every_room_says_what_lives_there_and_what_does_not():
+    for room in HOUSE.rooms:
+        first, rest = described(room)
+        assert first.endswith((".", "out.")) and "Here:" in rest and "Not here:" in rest, room
+
+
+def test_only_reports_draw():
+    for path in sources():
+        if "report" not in "/".join(path.relative_to(ROOT).parts[1:]):
+            assert not [n for _, n in imported(path) if n.split(".")[0] in {"matplotlib", "plotly"}], path
 
 
 def test_the_krl_reader_shares_nothing_with_the_writer():
-    reader = dict(modules())[ROOT / "trajectories" / "krl" / "reader.py"]
-    assert not {n for n in reader if "krl.writer" in n or "krl.program" in n}
+    names = {name for _, name in imported(ROOT / "trajectories" / "krl" / "reader.py")}
+    assert not {n for n in names if "krl.writer" in n or "krl.program" in n}
 
 
 def test_the_verification_uses_neither_the_model_nor_casadi():
-    names = dict(modules())[ROOT / "ocp" / "plan" / "verify" / "second_route.py"]
+    names = {name for _, name in imported(ROOT / "ocp" / "plan" / "verify" / "second_route.py")}
     forbidden = {
         "casadi",
         "ocp.model.force_balance",
@@ -53,9 +75,3 @@ def test_the_verification_uses_neither_the_model_nor_casadi():
         "robots.kinematics",
     }
     assert not names & forbidden
-
-
-@pytest.mark.parametrize("wing", sorted(ABOVE))
-def test_files_are_short_enough_to_hold_one_idea(wing):
-    for path in (ROOT / wing).rglob("*.py"):
-        assert len(path.read_text().splitlines()) <= 300, path

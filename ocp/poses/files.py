@@ -12,7 +12,7 @@ import numpy as np
 
 from ocp.poses.planning import PosePlan
 from ocp.poses.program import measuring_program, write_and_check
-from ocp.poses.sheet import write_poses_sheet
+from ocp.poses.report import write_poses_sheet
 from ocp.shell.command import Phases, tell_notices
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder

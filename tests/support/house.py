@@ -1,0 +1,114 @@
+"""The house as its sources have it: rooms, what each imports, floors. `python -m tests.support.house docs/architecture.md` writes
+the table of rooms."""
+
+import ast
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+WINGS = ("robots", "trajectories", "ocp")  # each imports only from those before it
+BEGIN, END = "<!-- rooms: python -m tests.support.house docs/architecture.md -->", "<!-- end of rooms -->"
+
+
+@dataclass(frozen=True)
+class Declared:
+    """docs/rooms.toml: the order of the rooms, and the largest counts."""
+
+    rooms: tuple[str, ...]
+    most_rooms: int
+    most_floors: int
+    most_entries: int
+    many: tuple[str, ...]
+
+
+def declared() -> Declared:
+    content = tomllib.loads((ROOT / "docs" / "rooms.toml").read_text(encoding="utf-8"))
+    return Declared(**{key: tuple(value) if isinstance(value, list) else value for key, value in content.items()})
+
+
+def sources(*wings: str) -> list[Path]:
+    return [path for wing in wings or WINGS for path in sorted((ROOT / wing).rglob("*.py"))]
+
+
+@cache
+def is_module(name: str) -> bool:
+    if not name or not all(part.isidentifier() for part in name.split(".")):
+        return False
+    place = ROOT.joinpath(*name.split("."))
+    return place.with_suffix(".py").exists() or (place / "__init__.py").exists()
+
+
+@cache
+def imported(path: Path) -> tuple[tuple[int, str], ...]:
+    """Line and name of every module that a file imports anywhere in it, functions included; for `from a import b` a.b where that
+    is a module. A text that is a module's whole name counts too: it is what `import_module` is given."""
+    return tuple(_imported(path))
+
+
+def _imported(path: Path) -> Iterator[tuple[int, str]]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0 and node.module, f"{path}:{node.lineno}: relative import"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield node.lineno, inner if is_module(inner) else node.module
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "." in node.value and is_module(node.value):
+            yield node.lineno, node.value
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(ROOT / "ocp").parts[0]
+
+
+def uses() -> dict[str, set[str]]:
+    """Rooms of ocp/ with the rooms that each imports."""
+    rooms = [path.name for path in (ROOT / "ocp").iterdir() if (path / "__init__.py").exists()]
+    found: dict[str, set[str]] = {room: set() for room in rooms}
+    for path in sources("ocp"):
+        if path.parent == ROOT / "ocp":
+            continue
+        names = {name.split(".")[1] for _, name in imported(path) if name.startswith("ocp.")}
+        found[room_of(path)] |= names - {room_of(path)}
+    return found
+
+
+def floors() -> dict[str, int]:
+    """A room stands one above the highest it imports; in the declared order, so that a circle is a room that is not there yet."""
+    found: dict[str, int] = {}
+    used = uses()
+    for room in declared().rooms:
+        found[room] = 1 + max((found[other] for other in used.get(room, ())), default=0)
+    return found
+
+
+def described(room: str) -> tuple[str, str]:
+    """What lives in a room, by the docstring of its `__init__`: its first line, and the rest."""
+    text = ast.get_docstring(ast.parse((ROOT / "ocp" / room / "__init__.py").read_text(encoding="utf-8"))) or ""
+    first, _, rest = text.partition("\n")
+    return first.strip(), " ".join(rest.split())
+
+
+def table() -> str:
+    used, floor = uses(), floors()
+    lines = ["| floor | room | what lives there, and what does not | uses |", "|---|---|---|---|"]
+    for room in sorted(declared().rooms, key=lambda r: -floor[r]):
+        others = ", ".join(other for other in declared().rooms if other in used[room])
+        first, rest = described(room)
+        lines.append(f"| {floor[room]} | `{room}` | {first} {rest} | {others} |")
+    return "\n".join(lines)
+
+
+def with_table(page: str) -> str:
+    head, _, rest = page.partition(BEGIN)
+    return f"{head}{BEGIN}\n{table()}\n{END}{rest.partition(END)[2]}"
+
+
+if __name__ == "__main__":
+    page = Path(sys.argv[1])
+    page.write_text(with_table(page.read_text(encoding="utf-8")), encoding="utf-8")
