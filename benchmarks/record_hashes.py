@@ -76,7 +76,7 @@ def make_inputs(runner: Runner, inputs: Path) -> None:
                "--cell", inputs / "run" / "cell.toml", "--out", inputs / "calibration")  # fmt: skip
     columns = ["line", "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
     with (inputs / "plan" / "plan.csv").open() as source, (inputs / "path.csv").open("w", newline="") as target:
-        rows = [row for row in csv.DictReader(source) if row["contact"] == "1" and int(row["line"]) % 2]
+        rows = [row for row in csv.DictReader(source) if row["contact"] == "1" and int(row["line"]) > 8]
         table = csv.DictWriter(target, columns, extrasaction="ignore", lineterminator="\n")
         table.writeheader()
         table.writerows(rows)
