@@ -22,7 +22,7 @@ from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.search import diagnose
 from ocp.effects.library import library
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 
 STIFFNESS = 5200.0  # N/m: dF per m of overlap in a cell with this flange
 RADIUS, FRICTION = 0.15, 0.35

@@ -32,7 +32,7 @@ from ocp.diagnose.report.words import headline
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active
 from ocp.effects.library import library
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.calibration.noise import Noise, reading_covariance
 from robots.gravity import GRAVITY
 from robots.measurements import Index

@@ -18,7 +18,7 @@ from ocp.diagnose.engine.problem import make_problem
 from ocp.diagnose.engine.search import settle
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.effects.library import library
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 
 
 def main(check: Path, worlds: list[str]) -> None:

@@ -23,7 +23,7 @@ PHASES = "import sys; sys.path.insert(0, sys.argv[3]); import diagnosis_time; di
 def phases(folder: str, out: str) -> None:
     """Print seconds by phase of one diagnosis in this process as JSON."""
     from ocp.diagnose.answering import write_diagnosis
-    from ocp.shell.command import Phases
+    from ocp.shell.progress import Phases
 
     seconds = {"start and imports": time.process_time()}
 

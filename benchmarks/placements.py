@@ -22,7 +22,7 @@ from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.stage import Weights
 from ocp.plan.paths import LaidPaths, lay_paths
 from ocp.plan.planning import PlanOptions
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.errors import Infeasible
 from robots.pose import transform_from_xyzabc
 

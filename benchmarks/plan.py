@@ -39,7 +39,7 @@ from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import Weights
 from ocp.plan.paths import lay_paths
 from ocp.plan.planning import Plan, PlanOptions, make_plan
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.pose import Array
 from trajectories.passes import BladePath, reversed_path
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from ocp.data import CELL
 from ocp.poses.design import Design, planned_readings
 from ocp.poses.planning import PoseOptions, PosePlan, make_poses
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.calibration.fit import fit_campaign
 from robots.calibration.layout import Choice, State, nominal_state
 from robots.calibration.noise import Noise, reading_covariance

@@ -20,7 +20,7 @@ from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
 from ocp.diagnose.engine.system import Sealed
 from ocp.effects.library import library
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 
 ANSWERS = "answers"

@@ -9,7 +9,7 @@ from ocp.blindtest.answers import answer_path, make_answer
 from ocp.blindtest.scoring.scoring import make_score
 from ocp.blindtest.worlds.recipes import Recipe
 from ocp.blindtest.worlds.sealing import Check, make_world, read_seal, write_seal
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from ocp.shell.workers import interrupts_held_back, nothing, workers
 from robots.errors import BadInput
 

@@ -11,7 +11,7 @@ from ocp.calibrate.force.registration import fit_force
 from ocp.calibrate.report.contact import contact_sections
 from ocp.model.cell import read_cell
 from ocp.report.section import Section
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
 

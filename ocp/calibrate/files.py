@@ -11,9 +11,10 @@ from ocp.calibrate.report.pages import write_calibration_report
 from ocp.calibrate.tracker import TrackerCalibration
 from ocp.model.cell_copy import cell_tables_for
 from ocp.report.section import Section
-from ocp.shell.command import Phases, tell_notices
+from ocp.shell.command import tell_notices
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder
+from ocp.shell.progress import Phases
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.store import Calibration, write_calibration

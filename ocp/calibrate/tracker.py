@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
 from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings
 from robots.calibration.identifiability import Identifiability, identify

@@ -21,9 +21,10 @@ from ocp.diagnose.report.words import headline
 from ocp.diagnose.reporting import drawn_beside
 from ocp.effects.effect import Effect
 from ocp.effects.library import library
-from ocp.shell.command import Phases, tell_notices
+from ocp.shell.command import tell_notices
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder
+from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 
 _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")

@@ -6,7 +6,7 @@ from ocp.diagnose.dataset import TRACKER, DataSet
 from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.tracker.baseline import baseline
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput

@@ -19,7 +19,7 @@ from ocp.plan.passes.posture import Seed, find_seeds
 from ocp.plan.passes.stage import Weights
 from ocp.plan.paths import lay_paths
 from ocp.plan.planning import PlanOptions
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
 from robots.pose import Array

@@ -12,8 +12,8 @@ from ocp.model.cell import Cell
 from ocp.plan.passes.optimise import SolvedPass
 from ocp.plan.passes.store import FILES, code_hash
 from ocp.shell.cache import content_key, keep, recall
-from ocp.shell.command import Phases
 from ocp.shell.dataclass_arrays import flattened
+from ocp.shell.progress import Phases
 from ocp.shell.workers import interrupts_held_back, workers
 
 Nominal = dict[str, list[SolvedPass]]

@@ -8,7 +8,7 @@ import numpy as np
 from ocp.calibrate.files import tracker_calibration
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
 from ocp.model.cell import Cell
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm.arm import Arm
 from ocp.simulate.twin.designs import Campaign, random_design
 from ocp.simulate.twin.tracker import true_points

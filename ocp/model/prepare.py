@@ -14,8 +14,8 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import Domain, fit_wheel_law
 from ocp.contact.wheel.law_store import remembered_law
 from ocp.model.cell import Cell
-from ocp.shell.command import Phases
 from ocp.shell.disk_store import DiskStore
+from ocp.shell.progress import Phases
 from ocp.shell.workers import interrupts_held_back, nothing, workers
 from robots.pose import Array
 from trajectories.blade import Blade

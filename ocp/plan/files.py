@@ -19,9 +19,10 @@ from ocp.plan.report.printed import write_pdf
 from ocp.plan.table import write_plan_csv
 from ocp.plan.verify.readback import Readback, read_back
 from ocp.plan.verify.second_route import believed_robot
-from ocp.shell.command import Phases, tell_notices
+from ocp.shell.command import tell_notices
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder
+from ocp.shell.progress import Phases
 
 PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild")
 

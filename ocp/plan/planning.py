@@ -18,7 +18,7 @@ from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.stage import Weights
 from ocp.plan.passes.store import remembered_passes
 from ocp.plan.paths import lay_paths
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from ocp.shell.workers import cores
 from robots.errors import BadInput
 from trajectories.blade import Blade

@@ -13,9 +13,10 @@ import numpy as np
 from ocp.poses.planning import PosePlan
 from ocp.poses.program import measuring_program, write_and_check
 from ocp.poses.report import write_poses_sheet
-from ocp.shell.command import Phases, tell_notices
+from ocp.shell.command import tell_notices
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder
+from ocp.shell.progress import Phases
 from robots.calibration.observability import CRITERIA, identifiable_basis, observability, posterior_sd, singular_values
 from robots.calibration.parameters import SYMBOLS
 from robots.measurements import APPROACH, AXES

@@ -17,7 +17,7 @@ from ocp.poses.order import Stop, find_tour
 from ocp.poses.program import Campaign, Pausing
 from ocp.poses.scene import MeasuringScene
 from ocp.poses.zone import Zone, find_zone, ground_blade
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
 from robots.calibration.pose_choice import choose

@@ -1,40 +1,18 @@
 """What every command line shares: progress, the plain last line, exit codes."""
 
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
 
+from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 
 OK, NOT_SOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-
-
-class Phases:
-    """Named phases of a long job with a progress bar on stderr; `seconds` keeps what each took."""
-
-    def __init__(self, progress: Progress | None = None) -> None:
-        self._progress = progress
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def phase(self, name: str, total: int | None = None) -> Iterator[Callable[[], None]]:
-        """Time a phase; the value yielded advances its bar by one of `total`."""
-        task = self._progress.add_task(name, total=total) if self._progress else None
-        start = time.perf_counter()
-
-        def advance() -> None:
-            if self._progress and task is not None:
-                self._progress.advance(task)
-
-        yield advance
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
-        if self._progress and task is not None:
-            self._progress.update(task, total=total or 1, completed=total or 1)
 
 
 @contextmanager
@@ -42,8 +20,15 @@ def shown_phases() -> Iterator[Phases]:
     """Phases with bars on stderr when that is a terminal, silent otherwise."""
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description:<14}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        yield Phases(progress)
+    with Bars(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def show(name: str, done: int, total: int | None) -> None:
+            if done == 0:
+                tasks[name] = bars.add_task(name, total=total)
+            bars.update(tasks[name], completed=done, total=total)
+
+        yield Phases(show)
 
 
 def main(app: typer.Typer) -> None:

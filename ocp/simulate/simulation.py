@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from ocp.model.cell import Cell, read_cell
-from ocp.shell.command import Phases, tell_notices
+from ocp.shell.command import tell_notices
 from ocp.shell.output import check_output, whole_folder
+from ocp.shell.progress import Phases
 from ocp.simulate.input import (
     Wanted,
     blade_file,

@@ -21,7 +21,7 @@ from ocp.blindtest.worlds.machines import draw_machine
 from ocp.blindtest.worlds.outside import KINDS as OUTSIDE
 from ocp.blindtest.worlds.recipes import KINDS, Recipe
 from ocp.blindtest.worlds.sealing import SEALED, Check, label_path, read_label, read_seal, write_cell
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from ocp.simulate.twin.truth.planting import Planted, draw_effect, parse_effect
 from robots.errors import BadInput
 

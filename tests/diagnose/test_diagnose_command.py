@@ -23,7 +23,8 @@ from ocp.diagnose.json_out import Document
 from ocp.effects.effect import Active
 from ocp.effects.library import library
 from ocp.model.measuring_setup import read_tracker_setup
-from ocp.shell.command import Phases, run
+from ocp.shell.command import run
+from ocp.shell.progress import Phases
 from tests.support.diagnosis_folder import CELL, SPRINGS, columns_of, write_csv, write_joint_folder, write_tracker_folder
 from tests.support.simulated_campaign import campaign_readings
 

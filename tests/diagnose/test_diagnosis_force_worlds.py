@@ -6,7 +6,7 @@ from ocp.diagnose.channels import channels_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.search import diagnose
 from ocp.effects.library import library
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 
 
 @pytest.mark.parametrize(("name", "wanted"), [("force_two_effects", {"sensor_bias", "tangential_force"})])

@@ -3,7 +3,7 @@ import sys
 
 from ocp.diagnose import reporting
 from ocp.diagnose.answering import write_diagnosis
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from tests.support.diagnosis_folder import write_tracker_folder
 
 LATE = ("matplotlib", "jinja2", "trimesh", "networkx")  # seconds of imports that a tracker's diagnosis does not wait for

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from robots.calibration.reading_model import RowInputs, predict_points
 from robots.pose import make_transform, rotation_from_abc
 from robots.robot import load_robot

@@ -15,7 +15,7 @@ from ocp.blindtest.worlds.machines import Machine
 from ocp.blindtest.worlds.sealing import write_world
 from ocp.diagnose.channels import channels_of
 from ocp.diagnose.dataset import read_data_set, read_sealed_tracker
-from ocp.shell.command import Phases
+from ocp.shell.progress import Phases
 from ocp.simulate.twin.truth.planting import Planted
 from robots.pose import Array
 
