@@ -24,11 +24,12 @@ from ocp.diagnose.engine.earned import Earned, earned
 from ocp.diagnose.engine.families import candidates
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.projection import stack
-from ocp.diagnose.engine.search import MOST, diagnose
+from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.engine.system import HeldOut
 from ocp.diagnose.published import kr300
 from ocp.diagnose.published.ur import ACHIEVED, TARGET, Campaign, held_rows, read_campaign, write_data_set
 from ocp.diagnose.report.words import headline
+from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active
 from ocp.effects.library import library
@@ -75,8 +76,8 @@ def effects(spec: str, channel: TrackerChannel) -> tuple[Active, ...]:
 
 
 def earned_in(channel: TrackerChannel) -> tuple[Earned, tuple[Active, ...]]:
-    """What holds where conditions are left out, found on at most MOST readings."""
-    few = channel.thinned(MOST)
+    """What holds where conditions are left out, found on at most MOST_SEARCHED readings."""
+    few = channel.thinned(MOST_SEARCHED)
     found = earned(few.system, candidates((few,), library(), Options()), few.folds())
     return found, tuple(Active(library()[s.name.effect], s.name.joint, s.a, s.scanned, np.eye(len(s.a))) for s in found.steps)
 

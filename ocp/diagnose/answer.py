@@ -11,6 +11,7 @@ from ocp.diagnose.engine.findings import Diagnosis
 from ocp.diagnose.engine.system import Channel, HeldOut
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.foresee.next_experiment import Experiment
+from ocp.diagnose.rules import OUTLIER_WEIGHT
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.remainder import estimation_variance
 from ocp.diagnose.verdict.shrinkage import NONE, Shrinkage, from_folds, from_model, realised
@@ -18,7 +19,6 @@ from robots.pose import Array
 
 SCALE = {"mm": 1e3, "N": 1.0, "arcsec": float(np.degrees(1.0) * 3600.0)}
 """Units in which a gap is told, per SI unit."""
-OUTLIER = 0.1  # weight below which a reading does not count
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def counted(channel: Channel) -> NDArray[np.bool_]:
     """Readings (n,) that are neither outliers, which are no gap of the model, nor air runs, in which nothing was ground."""
     weight = getattr(getattr(channel, "fit", None), "weight", None)
     n = len(channel.gap())
-    good = np.ones(n, bool) if weight is None or np.shape(weight) != (n,) else np.asarray(weight > OUTLIER)
+    good = np.ones(n, bool) if weight is None or np.shape(weight) != (n,) else np.asarray(weight > OUTLIER_WEIGHT)
     contact = channel.conditions.contact
     return good if contact is None or not np.any(contact) else good & np.asarray(contact, bool)
 

@@ -11,7 +11,7 @@ from ocp.diagnose.channels import channels_of
 from ocp.diagnose.corrected import write_corrected_cell
 from ocp.diagnose.dataset import blinds, read_data_set, read_sealed_force, read_sealed_tracker
 from ocp.diagnose.document import document_of
-from ocp.diagnose.engine.findings import FOLLOWED, Alternative
+from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.engine.system import Channel, Sealed
 from ocp.diagnose.foresee.next_experiment import next_experiments
@@ -19,6 +19,7 @@ from ocp.diagnose.json_out import json_text
 from ocp.diagnose.predictions import averaged, write_force_predictions, write_tracker_predictions
 from ocp.diagnose.report.words import headline
 from ocp.diagnose.reporting import drawn_beside
+from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.effects.effect import Effect
 from ocp.effects.library import library
 from ocp.shell.command import tell_notices
@@ -68,7 +69,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
     for signal in data.sealed:
         channel = _of(answer.diagnosis.channels, signal)
         sealed = read_sealed_tracker(data) if signal == "tracker" else read_sealed_force(data)
-        least = 0.0 if signal == "tracker" else FOLLOWED
+        least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
         kept = [told[0], *(a for a in told[1:] if a.probability >= least)]
         made = []
         for k, one in enumerate(kept):

@@ -8,6 +8,7 @@ import numpy as np
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.joints.log import JointLog, read_joint_log
+from ocp.diagnose.rules import FORCE_UNIT_FACTOR, LEAST_READINGS
 from ocp.model.cell import Cell, read_cell
 from ocp.model.cell_schema import CellTables
 from ocp.model.measuring_setup import TrackerSetup, files_of, read_tracker_setup
@@ -17,8 +18,6 @@ from robots.measurements import BLIND, Hanging, Readings, read_readings
 CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
 SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv"}
 MEASURED = (TRACKER, FORCE, JOINTS)
-LEAST_READINGS = 20  # of a tracker: fewer than the parameters of an arm tell nothing apart
-UNITS = 30.0  # factor by which forces may differ from what the cell asks for before they are taken for another unit
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def _check_readings(readings: Readings) -> None:
 def _check_units(cell: Cell, log: ForceLog) -> None:
     wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
     seen = float(np.median(log.fn[log.contact]))
-    if wanted > 0 and not 1 / UNITS < seen / wanted < UNITS:
+    if wanted > 0 and not 1 / FORCE_UNIT_FACTOR < seen / wanted < FORCE_UNIT_FACTOR:
         raise BadInput(
             f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
             "correct the cell's setpoint_N"

@@ -22,9 +22,7 @@ from ocp.diagnose.json_out import (
     Shrinkage,
     rounded,
 )
-
-LEAST_NAMED = 1e-4  # probability below which an effect is not listed, but for the first
-MOST_NAMED, LEAST_BUDGET, MOST_BUDGET = 20, 3, 24
+from ocp.diagnose.rules import LEAST_BUDGET, LISTED, MOST_BUDGET, MOST_LISTED
 
 
 def document_of(answer: Answer) -> Document:
@@ -34,7 +32,7 @@ def document_of(answer: Answer) -> Document:
         dataset=answer.data.folder.resolve().name,
         verdict=d.verdict,  # type: ignore[arg-type]
         **_probabilities(d),
-        ranking=[_rank(r) for k, r in enumerate(d.ranking[:MOST_NAMED]) if k == 0 or r.probability >= LEAST_NAMED],
+        ranking=[_rank(r) for k, r in enumerate(d.ranking[:MOST_LISTED]) if k == 0 or r.probability >= LISTED],
         indistinguishable=[[str(name) for name in group] for group in d.classes],
         location=_location(d),
         gap={gap.name: _gap(gap) for gap in answer.gaps},  # type: ignore[misc]
@@ -50,7 +48,7 @@ def document_of(answer: Answer) -> Document:
 
 def _probabilities(d: Diagnosis) -> dict[str, Any]:
     """p_none, p_unknown and explanations, rounded so that they still sum to one."""
-    kept = [e for k, e in enumerate(d.explanations) if k == 0 or e.probability >= LEAST_NAMED]
+    kept = [e for k, e in enumerate(d.explanations) if k == 0 or e.probability >= LISTED]
     shares = np.array([d.p_none, d.p_unknown, *(e.probability for e in kept)], float)
     whole = np.round(np.maximum(shares, 0.0) / max(shares.sum(), 1e-300), 6)
     whole[int(np.argmax(whole))] += 1.0 - whole.sum()

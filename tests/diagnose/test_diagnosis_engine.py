@@ -6,7 +6,7 @@ from scipy.stats import f as f_law
 from scipy.stats import gamma, kstest, norm
 
 from ocp.diagnose.engine.beam import Search, weigh
-from ocp.diagnose.engine.evidence import TRUST, WRONG, log_evidence, posterior, size_grid
+from ocp.diagnose.engine.evidence import log_evidence, posterior, size_grid
 from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
@@ -14,6 +14,7 @@ from ocp.diagnose.engine.problem import make_problem
 from ocp.diagnose.engine.projection import project
 from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.engine.system import Conditions
+from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
 from ocp.diagnose.verdict.tests_without_library import kernel_tests
 from ocp.effects.library import library
 from tests.support.linear_channel import LinearChannel, effect
@@ -26,7 +27,7 @@ N = 60
 def brute_force(C, y, sd, positive=False, points=61):
     """log p(y) over log p(y without C) by summing over a grid of coefficients and noise scales; one or two columns."""
     precision = np.geomspace(0.02, 3.0, 80)  # of the noise's inverse variance
-    density = gamma(TRUST / 2, scale=2 / TRUST).logpdf(precision) + np.log(precision)
+    density = gamma(NOISE_TRUST / 2, scale=2 / NOISE_TRUST).logpdf(precision) + np.log(precision)
     m = C.shape[1]
     with_, without = np.zeros(80), np.zeros(80)
     for i, h in enumerate(precision):
@@ -76,7 +77,7 @@ def test_positive_coefficients_have_half_a_prior(size):
     y = RNG.normal(size=N) + size * C[:, 0]
     found = log_evidence((C.T @ C)[None], (C.T @ y)[None], np.array([[0.8]]), np.ones((1, 1), bool), float(y @ y), N)[0, 0]
     either, right = brute_force(C, y, 0.8), brute_force(C, y, 0.8, positive=True, points=2001)
-    assert found == pytest.approx(np.logaddexp(np.log(WRONG) + either, np.log1p(-WRONG) + right), abs=0.08)
+    assert found == pytest.approx(np.logaddexp(np.log(WRONG_SIGN) + either, np.log1p(-WRONG_SIGN) + right), abs=0.08)
 
 
 def test_projection_whitens_the_nuisance_and_takes_out_free_unknowns():

@@ -190,7 +190,7 @@ def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, mo
     wave, stiff = (frozenset([problem.index[Name(n, 0)]]) for n in ("wheel_runout", "flange_stiffness"))
     search.run([wave, stiff])
     assert search.seen[stiff].log > 0.5 * search.seen[wave].log  # it does
-    monkeypatch.setattr("ocp.diagnose.engine.products.NEAR", np.inf)  # not as near here as in a log with less in it
+    monkeypatch.setattr("ocp.diagnose.engine.products.REWEIGHTED_WITHIN", np.inf)  # not as near here as in a log with less in it
     without_products(first, problem, search, after.active)
     assert search.seen[stiff].log < 0.4 * search.seen[wave].log
 

@@ -12,8 +12,9 @@ from ocp.diagnose.effect_list import effect_list
 from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.features import groups, products, smooth
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.search import SUSPECT, diagnose
+from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.engine.system import Fold, HeldOut
+from ocp.diagnose.rules import SUSPECT
 from ocp.diagnose.verdict.unknown import impostors, relieving
 from ocp.diagnose.verdict.visible import Rival, needed
 from ocp.effects.effect import Active

@@ -6,15 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp.diagnose.engine.pool import Given, Member, Pool, Scan, given, scan, scan_one
+from ocp.diagnose.rules import (
+    BACKGROUND_GAIN,
+    EXACT_PAIRS,
+    EXACT_SINGLES,
+    GROWN,
+    GROWN_NAMES,
+    GROWN_WITHIN,
+    MOST_BACKGROUND,
+    PAIR_FIRSTS,
+)
 from robots.pose import Array
 
-FIRSTS = 30  # families that are tried as the first of a pair with every other
-SINGLES, PAIRS = 20, 24  # that are weighed exactly
-GROWN = 4  # families that are tried to be added to a set, or put in a member's place
-LINES = 4  # background lines of a set at most
-TELLING = 0.5  # log weight that a background line must gain to be looked at
-NEAR = 8.0  # sets this much (log) below the best are not grown
-NAMED = 2  # best sets without a kernel that are grown even so: a kernel must beat the best names there are
 Key = frozenset[int]
 
 
@@ -75,7 +78,7 @@ class Search:
         first = self.scan(NOTHING)
         gain = self._value(first)
         order = np.argsort(-gain)
-        for f in order[:SINGLES]:
+        for f in order[:EXACT_SINGLES]:
             if not np.isfinite(gain[f]):
                 break
             self.add(frozenset([int(f)]))
@@ -95,12 +98,12 @@ class Search:
     def best(self) -> list[Key]:
         """The beam: best sets by weight."""
         order = sorted(self.seen, key=lambda k: -self.seen[k].log)[: self.beam]
-        return [k for k in order if self.seen[k].log > self.seen[order[0]].log - NEAR]
+        return [k for k in order if self.seen[k].log > self.seen[order[0]].log - GROWN_WITHIN]
 
     def _named(self) -> list[Key]:
         """The best sets of names alone."""
         known = [k for k in self.seen if not self.kernel[list(k)].any()]
-        return sorted(known, key=lambda k: -self.seen[k].log)[:NAMED]
+        return sorted(known, key=lambda k: -self.seen[k].log)[:GROWN_NAMES]
 
     def scan(self, there: Weighed) -> Scan:
         """Every family over a set."""
@@ -113,13 +116,13 @@ class Search:
         """Weigh a set unless it was, or has two kernels, or too many members."""
         families = sorted(key)
         lines = int(self.background[families].sum())
-        if key in self.seen or len(key) - lines > self.most or lines > LINES or self.kernel[families].sum() > 1:
+        if key in self.seen or len(key) - lines > self.most or lines > MOST_BACKGROUND or self.kernel[families].sum() > 1:
             return
         self.seen[key] = weigh(self.pool, families, near)
 
     def _pairs(self, first: Scan, gain: Array) -> None:
         """All pairs whose first member is among the most telling: weighed roughly, then the best exactly."""
-        order = [f for f in np.argsort(-gain)[:FIRSTS] if np.isfinite(gain[f])]
+        order = [f for f in np.argsort(-gain)[:PAIR_FIRSTS] if np.isfinite(gain[f])]
         found: dict[Key, float] = {}
         firsts = [Member(int(f), int(first.variant[f]), float(first.size[f])) for f in order]
         self.pool.look_ahead(firsts)
@@ -131,7 +134,7 @@ class Search:
             for g in np.argsort(-value)[:8]:
                 key = frozenset([f, int(g)])
                 found[key] = max(found.get(key, -np.inf), float(value[g]))
-        for key in sorted(found, key=lambda k: -found[k])[:PAIRS]:
+        for key in sorted(found, key=lambda k: -found[k])[:EXACT_PAIRS]:
             self.add(key)
 
     def _around(self, key: Key) -> None:
@@ -157,4 +160,4 @@ class Search:
         """Log weight that each family would add, background lines only where they are telling."""
         value = found.log + self.odds
         value[list(key)] = -np.inf
-        return np.where(self.background & (value < TELLING), -np.inf, value)
+        return np.where(self.background & (value < BACKGROUND_GAIN), -np.inf, value)

@@ -21,16 +21,11 @@ from numpy.typing import NDArray
 from ocp.diagnose.engine.families import Candidate, positive_of
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.system import Fold, System
-from ocp.diagnose.verdict.unknown import IMPLAUSIBLE
+from ocp.diagnose.rules import HELD_OUT_GAIN, HELD_OUT_WORSE, IMPLAUSIBLE, SHORTLIST, WIDE_PRIOR, WRONG_SIGN_GAIN
 from ocp.effects.effect import Scanned
 from robots.pose import Array
 
-SHORT = 12  # candidates of a round that are judged on folds, those that gain most on all readings
-LEAST = 0.02  # of the mean log mean square (1 % of the rms) that a further effect must gain
-WORSE = 1.25  # mean square of a fold against that of the believed cell: above it a candidate is refused
 Mask = NDArray[np.bool_]
-TURNED = 0.15  # the same, more, for a value whose sign no machine has: then a sign or the mounting is not as believed
-WIDE = 3.0  # times the upper end of the usual range: one sigma of coefficients here, so that the data decide
 
 
 @dataclass(frozen=True)
@@ -101,13 +96,13 @@ def earned(system: System, candidates: Sequence[Candidate], folds: Sequence[Fold
         ratios = [_ratios(system, apart, [*chosen, *choice], believed) for choice in choices]
         told = [float(np.mean(np.log(r))) for r in ratios]
         bar = scores[-1] if scores else 0.0
-        price = [TURNED * sum(e.turned for e in choice) for choice in choices]
-        wanted = [bar - LEAST * len(choice) - p for choice, p in zip(choices, price, strict=True)]
-        fine = [k for k, r in enumerate(ratios) if r.max() < WORSE and told[k] < wanted[k]]
+        price = [WRONG_SIGN_GAIN * sum(e.turned for e in choice) for choice in choices]
+        wanted = [bar - HELD_OUT_GAIN * len(choice) - p for choice, p in zip(choices, price, strict=True)]
+        fine = [k for k, r in enumerate(ratios) if r.max() < HELD_OUT_WORSE and told[k] < wanted[k]]
         best = min(fine, key=lambda k: told[k] + price[k], default=-1)
         gain = max(e.gain for e in choices[best]) if fine else 0.0
         for entry, r in zip(short, ratios, strict=False):  # singles come first among the choices
-            if entry.gain > gain and r.max() >= WORSE:
+            if entry.gain > gain and r.max() >= HELD_OUT_WORSE:
                 refused[entry.name] = Refused(entry.name, entry.gain, apart[int(np.argmax(r))].name, float(r.max()), len(chosen))
         if not fine:
             break
@@ -176,7 +171,7 @@ def _ratios(system: System, folds: Sequence[Fold], entries: Sequence[Entry], bel
 def _solved(C: Array, y: Array) -> Array:
     """Coefficients (m,) of columns (N, m) over their wide priors."""
     m = C.shape[1]
-    return np.asarray(np.linalg.lstsq(np.vstack([C, np.eye(m) / WIDE]), np.concatenate([y, np.zeros(m)]), rcond=None)[0])
+    return np.asarray(np.linalg.lstsq(np.vstack([C, np.eye(m) / WIDE_PRIOR]), np.concatenate([y, np.zeros(m)]), rcond=None)[0])
 
 
 def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candidate], chosen: Sequence[Entry]) -> list[Entry]:
@@ -192,14 +187,14 @@ def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candi
             continue
         n, V, m = X.shape
         beside = (X.reshape(n, -1) - Q @ (Q.T @ X.reshape(n, -1))).reshape(n, V, m)
-        G, b = np.einsum("nvi,nvj->vij", beside, beside) + np.eye(m) / WIDE**2, np.einsum("nvi,n->vi", beside, left)
+        G, b = np.einsum("nvi,nvj->vij", beside, beside) + np.eye(m) / WIDE_PRIOR**2, np.einsum("nvi,n->vi", beside, left)
         a = np.linalg.solve(G, b[..., None])[..., 0]
         gain = np.where((np.abs(a) > IMPLAUSIBLE).any(axis=1), 0.0, np.einsum("vi,vi->v", a, b))
         v = int(np.argmax(gain))
         turned = bool((a[v] < 0)[positive_of(c.effect)].any())
         if gain[v] > 0:
             found.append(Entry(name, c.scans[v], c.columns[:, v] * _scale(c), _scale(c), float(gain[v]), turned))
-    return sorted(found, key=lambda e: -e.gain)[:SHORT]
+    return sorted(found, key=lambda e: -e.gain)[:SHORTLIST]
 
 
 def _fitted(system: System, entries: Sequence[Entry]) -> Array:

@@ -9,17 +9,16 @@ with G = C^T C, b = C^T y:
 The noise model's scale is known only so well: its inverse variance has a gamma prior worth nu0 rows, integrated in closed
 form (a Student-t evidence). Sizes t stand on a logarithmic grid between the lower and the upper end of the typical range,
 which stands for log-uniform priors. Coefficients that physics holds positive have half-normal priors: a factor of twice
-their posterior probability of being positive each (and a chance `WRONG` of a sign or a mounting that is not as believed).
+their posterior probability of being positive each (and a chance `WRONG_SIGN` of a sign or a mounting that is not as believed).
 """
 
 import numpy as np
 from scipy.special import stdtr
 
+from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
 from robots.measurements import Index
 from robots.pose import Array
 
-TRUST = 40.0  # rows that the noise model's scale is worth (nu0)
-WRONG = 2e-4  # chance of a sign that physics rules out: such a value is to be named and doubted, not unspeakable
 SIZES = 4  # of the grid of prior widths
 
 
@@ -47,7 +46,7 @@ def log_evidence(G: Array, b: Array, sizes: Array, positive: Array, left: float,
     gained = (turned[:, None, :] ** 2 * spread).sum(axis=2)
     rest = np.maximum(left - gained, 1e-9)
     log = -0.5 * np.log1p(t2 * values[:, None, :]).sum(axis=2)
-    log -= 0.5 * (freedom + TRUST) * np.log((TRUST + rest) / (TRUST + left))
+    log -= 0.5 * (freedom + NOISE_TRUST) * np.log((NOISE_TRUST + rest) / (NOISE_TRUST + left))
     held = np.flatnonzero(positive.any(axis=1))
     if len(held):
         log[held] += _half(held, turned, spread, vectors, positive, rest, freedom)
@@ -62,7 +61,7 @@ def _of_two(G: Array, b: Array, sizes: Array, left: float, freedom: float) -> Ar
     det = np.maximum(p * r - q * q, 1.0)
     gained = t2 * (r * b[:, None, 0] ** 2 - 2 * q * b[:, None, 0] * b[:, None, 1] + p * b[:, None, 1] ** 2) / det
     rest = np.maximum(left - gained, 1e-9)
-    return np.asarray(-0.5 * np.log(det) - 0.5 * (freedom + TRUST) * np.log((TRUST + rest) / (TRUST + left)))
+    return np.asarray(-0.5 * np.log(det) - 0.5 * (freedom + NOISE_TRUST) * np.log((NOISE_TRUST + rest) / (NOISE_TRUST + left)))
 
 
 def _half(
@@ -73,9 +72,9 @@ def _half(
     if vectors is not None:
         mean = np.einsum("vik,vtk->vti", vectors[rows], mean)
         variance = np.einsum("vik,vtk->vti", vectors[rows] ** 2, variance)
-    scale2 = (TRUST + rest[rows]) / (TRUST + freedom)
-    right = stdtr(freedom + TRUST, mean / np.sqrt(variance * scale2[..., None]))
-    each = np.log(WRONG + 2.0 * (1.0 - WRONG) * right)
+    scale2 = (NOISE_TRUST + rest[rows]) / (NOISE_TRUST + freedom)
+    right = stdtr(freedom + NOISE_TRUST, mean / np.sqrt(variance * scale2[..., None]))
+    each = np.log(WRONG_SIGN + 2.0 * (1.0 - WRONG_SIGN) * right)
     return np.asarray(np.where(positive[rows][:, None, :], each, 0.0).sum(axis=2))
 
 

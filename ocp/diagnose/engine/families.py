@@ -10,18 +10,10 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.pool import Family
 from ocp.diagnose.engine.projection import Stack
 from ocp.diagnose.engine.system import Channel, scan_key
+from ocp.diagnose.rules import BACKGROUND_PLAY, BACKGROUND_RIPPLE, PLAY_ODDS, RIPPLE_ODDS, SEEN_LAMBDA
 from ocp.diagnose.verdict.visible import Rival
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
-
-RIPPLE = 0.28  # of the lower end of the typical range: one sigma of a good gear's ripple, which nobody should name
-PLAY = np.array([0.07, 0.15, 0.28, 0.4])  # of the lower end of backlash's range: sizes of a good machine's play
-# Prior odds of a ripple of that size in a joint, and of such play. Every machine has some; the smaller these odds the sooner an
-# effect just above it is named, and the more machines without one are accused: of 150 virtual ones with a background none is
-# (docs/diagnosis.md, "Background").
-LINE = float(np.log(0.04))
-PLAYS = float(np.log(0.09))
-LEAST = 4.0  # lambda at the upper end below which a variant cannot be seen: its evidence would be its prior
 
 
 def names_of(library: Mapping[str, Effect], options: Options) -> list[tuple[Effect, int]]:
@@ -66,11 +58,9 @@ def play(found: Sequence[Candidate], stack: Stack) -> list[Family]:
         return []
     columns = np.hstack([c.columns[:, 0] * c.effect.prior_sd[0] * ratio_of(c.effect, c.scans) for c in parts])
     m = columns.shape[1]
-    return [
-        Family(
-            Name("~play"), None, ({},), stack.apply(columns)[:, None], np.ones(m), PLAY, np.ones(m, bool), PLAYS, background=True
-        )
-    ]  # fmt: skip
+    odds, positive = float(np.log(PLAY_ODDS)), np.ones(m, bool)
+    projected = stack.apply(columns)[:, None]
+    return [Family(Name("~play"), None, ({},), projected, np.ones(m), BACKGROUND_PLAY, positive, odds, background=True)]
 
 
 def library_families(found: Sequence[Candidate], stack: Stack, options: Options) -> list[Family]:
@@ -80,7 +70,7 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options)
     for c in found:
         n, count, m = c.columns.shape
         projected = stack.apply(c.columns.reshape(n, -1)).reshape(n, count, m)
-        seen = ((projected * np.asarray(c.effect.prior_sd)) ** 2).sum(axis=0).max(axis=1) > LEAST
+        seen = ((projected * np.asarray(c.effect.prior_sd)) ** 2).sum(axis=0).max(axis=1) > SEEN_LAMBDA
         if not seen.any():
             continue
         kept = tuple(s for s, k in zip(c.scans, seen, strict=True) if k)
@@ -89,19 +79,18 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options)
         family = replace(family, among=c.among)
         families.append(family)
         if has_twin(c.effect, c.joint, kept):
-            small = np.full(SIZES, RIPPLE * ratio_of(c.effect, kept))
-            families.append(
-                replace(family, name=Name(f"~{c.effect.name}", c.joint), effect=None, sizes=small, log_odds=LINE, background=True)
-            )
+            small = np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(c.effect, kept))
+            twin, odds = Name(f"~{c.effect.name}", c.joint), float(np.log(RIPPLE_ODDS))
+            families.append(replace(family, name=twin, effect=None, sizes=small, log_odds=odds, background=True))
     return families + play(found, stack)
 
 
 def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | None:
     """What of the background takes an effect's gap: its own twin below the usual range, or play in all joints."""
     if has_twin(effect, joint, scans):
-        return Rival(np.full(SIZES, RIPPLE * ratio_of(effect, scans)), LINE, 0, len(scans))
+        return Rival(np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(effect, scans)), float(np.log(RIPPLE_ODDS)), 0, len(scans))
     if joint and "approach" in effect.needs:
-        return Rival(PLAY * ratio_of(effect, scans), PLAYS, 6 - effect.size, 1)
+        return Rival(BACKGROUND_PLAY * ratio_of(effect, scans), float(np.log(PLAY_ODDS)), 6 - effect.size, 1)
     return None
 
 

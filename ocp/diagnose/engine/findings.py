@@ -6,6 +6,7 @@
 from dataclasses import dataclass, field
 
 from ocp.diagnose.engine.system import Channel, HeldOut
+from ocp.diagnose.rules import EXPLAINED, LEADS, PRIOR_EFFECTS, PRIOR_UNKNOWN
 from ocp.effects.effect import Active
 from robots.pose import Array
 
@@ -34,8 +35,8 @@ class Options:
     most: int = 4
     beam: int = 6
     seed: int = 0
-    prior_effects: float = 0.3
-    prior_unknown: float = 0.05
+    prior_effects: float = PRIOR_EFFECTS
+    prior_unknown: float = PRIOR_UNKNOWN
     withheld: tuple[str, ...] = ()
     barred: tuple[Name, ...] = ()
     where: bool = True
@@ -50,9 +51,6 @@ class Explanation:
     names: tuple[Name, ...]
     probability: float
     log_evidence: float
-
-
-FOLLOWED = 0.15  # probability from which predictions of the force follow an alternative: refitting a force log takes seconds
 
 
 @dataclass(frozen=True)
@@ -173,8 +171,8 @@ class Diagnosis:
     @property
     def verdict(self) -> str:
         """explained, ambiguous, unexplained or no_gap, as FORMATS.md defines it."""
-        if self.p_none > 0.5:
+        if self.p_none > LEADS:
             return "no_gap"
-        if self.p_unknown > 0.5:
+        if self.p_unknown > LEADS:
             return "unexplained"
-        return "explained" if self.explanations and self.explanations[0].probability >= 0.8 else "ambiguous"
+        return "explained" if self.explanations and self.explanations[0].probability >= EXPLAINED else "ambiguous"

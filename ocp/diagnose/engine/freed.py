@@ -15,12 +15,9 @@ from ocp.diagnose.engine.beam import Search, Weighed, weigh
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.problem import Problem, make_problem
 from ocp.diagnose.engine.system import Channel
+from ocp.diagnose.rules import DOUBTED_WEIGHT, OUTLIERS_OF_ONE_CAUSE, RECHECKED
 from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible
-
-FREED = 3  # gross readings that an effect must take back
-DOUBTED = 0.5  # weight below which a reading is rather gross than good
-FIRSTS = 3  # effects that are tried, the most telling first
 
 
 @runtime_checkable
@@ -33,7 +30,7 @@ class Openable(Protocol):
 
 def freed(problem: Problem, held: tuple[Active, ...], library: Mapping[str, Effect], options: Options) -> list[Channel] | None:
     """The channels fitted with one effect more than is held, where that takes gross readings back; else None."""
-    if _gross(problem.channels) < FREED:
+    if _gross(problem.channels) < OUTLIERS_OF_ONE_CAUSE:
         return None
     whole = make_problem([c.opened() if isinstance(c, Openable) else c for c in problem.channels], library, options)
     search = Search(whole.pool, options.most, options.beam)
@@ -42,14 +39,14 @@ def freed(problem: Problem, held: tuple[Active, ...], library: Mapping[str, Effe
     there = weigh(whole.pool, key) if key else Weighed(0.0, ())
     value = search.scan(there).log + search.odds
     value[[*key, *np.flatnonzero(search.kernel | search.background)]] = -np.inf
-    for f in np.argsort(-value)[:FIRSTS]:
+    for f in np.argsort(-value)[:RECHECKED]:
         if value[f] <= 0:
             break
         try:
             found = [c.with_active(whole.values(weigh(whole.pool, [*key, int(f)]))) for c in problem.channels]
         except Infeasible:
             continue
-        if _gross(problem.channels) - _gross(found) >= FREED:
+        if _gross(problem.channels) - _gross(found) >= OUTLIERS_OF_ONE_CAUSE:
             return found
     return None
 
@@ -57,4 +54,4 @@ def freed(problem: Problem, held: tuple[Active, ...], library: Mapping[str, Effe
 def _gross(channels: Sequence[Channel]) -> int:
     """How many readings count for less than half."""
     weights = [getattr(getattr(c, "fit", None), "weight", None) for c in channels]
-    return sum(int(np.count_nonzero(np.asarray(w) < DOUBTED)) for w in weights if w is not None)
+    return sum(int(np.count_nonzero(np.asarray(w) < DOUBTED_WEIGHT)) for w in weights if w is not None)

@@ -12,9 +12,9 @@ import numpy as np
 
 from ocp.diagnose.engine.features import SMOOTH, groups, products, smooth
 from ocp.diagnose.engine.system import Conditions
+from ocp.diagnose.rules import LEAST_TURN
 from robots.pose import Array
 
-LEAST_TURN = np.radians(20.0)  # an axis that moved less varies with nothing
 MOST_GROUPS = 12
 CLOCK_WAVES = 12  # of the campaign's clock at most, half waves
 _SCALAR = ("s", "feed", "setpoint", "travel", "belt", "clock", "time", "temperature", "wheel_temperature", "run", "line")

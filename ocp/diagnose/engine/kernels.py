@@ -14,21 +14,16 @@ import numpy as np
 from ocp.diagnose.engine.features import groups, products, smooth, unit, waves, waves_of_two
 from ocp.diagnose.engine.grinding_kernels import reading_kernels
 from ocp.diagnose.engine.system import Conditions
+from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, TILT_KERNEL
 from robots.pose import Array
 
 TILTED = 5  # cosines for each direction of a tilting axis
-LEAST_TURN = np.radians(20.0)  # an axis that moved less varies with nothing
 SETTLING = (20.0, 60.0, 200.0)  # s: how fast an axis may come to rest after its stop
-LEAST_TORQUE = 1.0  # N m: loads that change less bend nothing
 ORDERS_OF_TWO = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (2, 3))  # waves per turn of a joint and of another one
 INSTANTS = 7  # at which a nest may move
 MOTOR_WAVES = 8  # per turn of a motor: resolvers err up to there
 LOADED = np.arange(1.0, 81.0)  # orders per turn of ripples that grow with the load
 RIPPLES = np.arange(2.5, 121.0)  # half-integer orders per turn: integers are the library's
-JOINT_RANGE = (2e-5, 5e-4)  # rad, typical low and high of an angle error
-TILT_RANGE = (1e-5, 3e-4)  # rad, of an axis under load or warmth
-FRAME_RANGE = (2e-5, 5e-4)  # m, of a displacement
-FORCE_RANGE = (0.2, 5.0)  # N, of a force reading
 BEAM = ("range", "azimuth", "elevation")
 
 
@@ -54,13 +49,13 @@ def kernels(c: Conditions) -> Iterator[Kernel]:
             if np.ptp(c.q[:, j]) > LEAST_TURN or c.signal != "tracker":
                 for where, features in _of_joint(c, j):
                     changes = c.d_joints[:, :, j, None, None] * features[:, None]
-                    yield Kernel(where, "joint", j + 1, changes, *JOINT_RANGE)
+                    yield Kernel(where, "joint", j + 1, changes, *JOINT_KERNEL)
                 if c.d_tilts is not None:
                     yield from _of_axis(c, c.d_tilts[:, :, j], j)
     n, k = c.q.shape[0], 3 if c.d_joints is None else c.d_joints.shape[1]
     if c.signal == "tracker":
         for where, features in _of_frame(c):
-            yield Kernel(where, "frame", 0, _each(np.broadcast_to(np.eye(3), (n, 3, 3)), features)[:, :, None], *FRAME_RANGE)
+            yield Kernel(where, "frame", 0, _each(np.broadcast_to(np.eye(3), (n, 3, 3)), features)[:, :, None], *FRAME_KERNEL)
         yield from _of_nests(c)
         if c.point is not None:
             yield from _of_beam(c.point)
@@ -70,7 +65,7 @@ def kernels(c: Conditions) -> Iterator[Kernel]:
         for one in reading_kernels(c):
             changes = np.zeros((n, k, *one.features.shape[1:]))
             changes[:, 0] = one.features
-            yield Kernel(one.where, "reading", 0, changes, *FORCE_RANGE, one.among)
+            yield Kernel(one.where, "reading", 0, changes, *FORCE_KERNEL, one.among)
 
 
 def _of_joint(c: Conditions, j: int) -> Iterator[tuple[str, Array]]:
@@ -122,15 +117,15 @@ def _of_axis(c: Conditions, d_tilt: Array, j: int) -> Iterator[Kernel]:
     payload (directions that stand still, or turn with the joint)."""
     name = j + 1
     still, turning = d_tilt[:, :, :2], d_tilt[:, :, 2:]
-    yield Kernel(f"q{name}", "axis", name, _each(still, smooth(c.q[:, j], TILTED))[:, :, None], *JOINT_RANGE)
+    yield Kernel(f"q{name}", "axis", name, _each(still, smooth(c.q[:, j], TILTED))[:, :, None], *JOINT_KERNEL)
     if c.moments is not None and np.ptp(c.moments[:, j]) > LEAST_TORQUE:
-        yield Kernel(f"moment{name}", "axis", name, _each(still, unit(c.moments[:, j]))[:, :, None], *TILT_RANGE)
+        yield Kernel(f"moment{name}", "axis", name, _each(still, unit(c.moments[:, j]))[:, :, None], *TILT_KERNEL)
     slow = (("temperature", c.temperature), ("time", _time(c)))
     varying = [(where, smooth(values, 2)) for where, values in slow if values is not None and np.ptp(values) > 0]
     indicator = groups(c.payload)
     for where, features in varying + ([("payload", indicator)] if indicator is not None else []):
         changes = np.stack([_each(d, features) for d in (still, turning)], axis=2)
-        yield Kernel(f"{where}{name}", "axis", name, changes, *TILT_RANGE)
+        yield Kernel(f"{where}{name}", "axis", name, changes, *TILT_KERNEL)
 
 
 def _of_beam(point: Array) -> Iterator[Kernel]:
@@ -148,7 +143,7 @@ def _of_beam(point: Array) -> Iterator[Kernel]:
     for where, values in zip(BEAM, (distance, azimuth, np.arctan2(point[:, 2], flat)), strict=True):
         features = smooth(values, 4)
         changes = np.stack([d[:, :, None] * features[:, None] for d in directions], axis=2)
-        yield Kernel(where, "beam", 0, changes, *FRAME_RANGE)
+        yield Kernel(where, "beam", 0, changes, *FRAME_KERNEL)
 
 
 def _of_sight(point: Array, sight: Array) -> Kernel:
@@ -157,7 +152,7 @@ def _of_sight(point: Array, sight: Array) -> Kernel:
     along = point / np.linalg.norm(point, axis=1, keepdims=True)
     x, y, z = sight.T
     features = np.column_stack([sight, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1.0])
-    return Kernel("sight", "beam", 0, _each(along[:, :, None], features)[:, :, None], *FRAME_RANGE)
+    return Kernel("sight", "beam", 0, _each(along[:, :, None], features)[:, :, None], *FRAME_KERNEL)
 
 
 def _of_frame(c: Conditions) -> Iterator[tuple[str, Array]]:
@@ -179,7 +174,7 @@ def _of_nests(c: Conditions) -> Iterator[Kernel]:
         instants = np.quantile(time, np.arange(1, INSTANTS + 1) / (INSTANTS + 1))
         moved = [nest * (time > at) for nest in nests.T for at in instants]
         changes = np.stack([_each(still, one[:, None]) for one in moved], axis=2)
-        yield Kernel("target x time", "frame", 0, changes, *FRAME_RANGE)
+        yield Kernel("target x time", "frame", 0, changes, *FRAME_KERNEL)
 
 
 def _time(c: Conditions) -> Array | None:

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from ocp.diagnose.engine.beam import Search
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.problem import Problem
-
-IN_VAIN = 2  # fits
+from ocp.diagnose.rules import FAILED_FITS
 
 
 @dataclass
@@ -39,7 +38,7 @@ class NoRest:
 
     def names(self) -> list[Name]:
         """Names that are given up."""
-        return sorted(n for n, k in self.count.items() if k >= IN_VAIN and n not in self.fitted)
+        return sorted(n for n, k in self.count.items() if k >= FAILED_FITS and n not in self.fitted)
 
     def strike(self, search: Search, problem: Problem) -> None:
         """Take the sets out of a search that were fitted in vain, or hold a name that is given up."""

@@ -10,8 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp.diagnose.engine.evidence import TRUST, log_evidence
+from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name
+from ocp.diagnose.rules import NOISE_TRUST
 from ocp.effects.effect import Effect, Scanned
 from robots.measurements import Index
 from robots.pose import Array
@@ -174,7 +175,9 @@ def given(pool: Pool, members: Sequence[Member]) -> Given:
     turn = np.linalg.inv(root)
     inner = turn @ (C.T @ pool.y)
     after = max(left - float(inner @ inner), 1e-9)
-    log = -float(np.log(np.diag(root)).sum()) - 0.5 * (pool.freedom + TRUST) * np.log((TRUST + after) / (TRUST + left))
+    log = -float(np.log(np.diag(root)).sum()) - 0.5 * (pool.freedom + NOISE_TRUST) * np.log(
+        (NOISE_TRUST + after) / (NOISE_TRUST + left)
+    )
     return Given(tuple(members), C, turn, inner, after, float(log))
 
 

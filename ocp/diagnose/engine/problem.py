@@ -13,10 +13,9 @@ from ocp.diagnose.engine.kernels import Kernel, kernels
 from ocp.diagnose.engine.pool import Family, Given, Member, Pool, given, make_pool
 from ocp.diagnose.engine.projection import Stack, stack
 from ocp.diagnose.engine.system import Channel
+from ocp.diagnose.rules import BROKEN_ORDER_ODDS
 from ocp.effects.effect import Active, Effect
 from robots.pose import Array
-
-BROKEN = 0.2  # a ripple of a broken order against other kernels: most of a gear's orders are whole, and the library has these
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ def kernel_families(channels: Sequence[Channel], stacked: Stack, options: Option
     found = []
     for name, kernel, columns in made:
         share = options.prior_unknown / len(kinds) / kinds[_kind(kernel)]
-        share *= BROKEN if "ripple" in kernel.where else 1.0
+        share *= BROKEN_ORDER_ODDS if "ripple" in kernel.where else 1.0
         share *= columns.shape[1] / max(kernel.among, columns.shape[1])
         m, sizes = columns.shape[2], size_grid(kernel.low / kernel.high)
         scans = tuple({"kernel": v} for v in range(columns.shape[1]))

@@ -11,10 +11,8 @@ from dataclasses import replace
 
 from ocp.diagnose.engine.beam import Key, Search, weigh
 from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.rules import REWEIGHTED_ROOM, REWEIGHTED_WITHIN
 from ocp.effects.effect import Active
-
-NEAR = 12.0  # sets this much (log) below the best carry no weight, whatever is said of them here
-ROOM = 2.0  # by how much a set may come nearer than it was: columns at the fit are the better ones otherwise
 
 
 def without_products(first: Problem, problem: Problem, search: Search, held: tuple[Active, ...]) -> None:
@@ -30,9 +28,9 @@ def without_products(first: Problem, problem: Problem, search: Search, held: tup
     there = _at(first, problem, best)
     top = max(w.log for w in search.seen.values())
     for key, weighed in list(search.seen.items()):
-        if active <= key or not key or weighed.log < top - NEAR:
+        if active <= key or not key or weighed.log < top - REWEIGHTED_WITHIN:
             continue
-        most = search.seen[best].log + _at(first, problem, key) - there + ROOM
+        most = search.seen[best].log + _at(first, problem, key) - there + REWEIGHTED_ROOM
         if most < weighed.log:
             search.seen[key] = replace(weighed, log=most)
 

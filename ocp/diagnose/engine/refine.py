@@ -13,12 +13,12 @@ from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.families import stacked_columns
 from ocp.diagnose.engine.pool import Given, Member, given
 from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.rules import SHARPER_GAIN
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
 
 HALVINGS = 4
 FIXED = ("order", "source_joint")  # whole numbers
-WORTH = 0.5  # log evidence that a sharper value must gain
 
 
 def refined(problem: Problem, weighed: Weighed, active: Sequence[Active]) -> tuple[Active, ...]:
@@ -44,7 +44,7 @@ def _sharper(problem: Problem, weighed: Weighed, one: Active, keys: Sequence[str
             break
         values, means = _evidence(problem, others, one.effect, one.joint, moves)
         k = int(np.argmax(values))
-        if values[k] > level[0] + WORTH:
+        if values[k] > level[0] + SHARPER_GAIN:
             best, level = moves[k], values[k : k + 1]
             here = Active(one.effect, one.joint, means[k], best, one.covariance)
         else:

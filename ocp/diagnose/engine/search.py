@@ -19,18 +19,15 @@ from ocp.diagnose.engine.no_rest import NoRest
 from ocp.diagnose.engine.problem import Problem, make_problem
 from ocp.diagnose.engine.products import without_products
 from ocp.diagnose.engine.refine import refined
-from ocp.diagnose.engine.structured import MANY, earn, restless
+from ocp.diagnose.engine.structured import earn, restless
 from ocp.diagnose.engine.system import Channel, kinds
-from ocp.diagnose.verdict.conclusions import SUSPECT, findings
+from ocp.diagnose.rules import IMPOSTOR_ROUNDS, KERNEL_BENEFIT, LEADS, MOST_SEARCHED, SELECTED_ON, SUSPECT, WITHOUT_IMPOSTOR
+from ocp.diagnose.verdict.conclusions import findings
 from ocp.diagnose.verdict.probabilities import posterior
 from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible
 
 USUAL = Options()
-BENEFIT = 8.0  # log evidence by which a kernel must beat every name to keep it out of the fit
-ROUNDS = 5  # of unmasking impostors
-EQUAL = 1.0  # log evidence by which names without an impostor may fall short of those with it and still need nothing beside them
-MOST = 1000  # readings that are searched; what is found is fitted to all
 
 
 @runtime_checkable
@@ -44,17 +41,17 @@ class Thinnable(Protocol):
 def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options = USUAL) -> Diagnosis:
     """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
     baseline = tuple(c.with_active(()) if c.active else c for c in channels)
-    few = tuple(c.thinned(MOST) if isinstance(c, Thinnable) else c for c in baseline)
+    few = tuple(c.thinned(MOST_SEARCHED) if isinstance(c, Thinnable) else c for c in baseline)
     told: list[tuple[Name, str]] = []
     because: list[str] = []
     levels: list[float] = []
     vain = NoRest()
-    for _ in range(ROUNDS):
+    for _ in range(IMPOSTOR_ROUNDS):
         first = make_problem(few, library, options)
         problem, search = settle(first, library, options, vain)
-        if posterior(problem, search).p_unknown > 0.5 and restless(problem, search):
+        if posterior(problem, search).p_unknown > LEADS and restless(problem, search):
             whole = baseline[0]
-            earning = earn(whole.thinned(MANY) if isinstance(whole, Thinnable) else whole, library, options)
+            earning = earn(whole.thinned(SELECTED_ON) if isinstance(whole, Thinnable) else whole, library, options)
             return findings(baseline, first, earning.problem, earning.search, library, options, earning.refused)
         found = findings(baseline, first, problem, search, library, options)
         levels.append(max(w.log for w in search.seen.values()))
@@ -65,7 +62,7 @@ def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options
         options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
     whys = tuple(f"{n}: no fit with it comes to rest" for n in vain.names())
     found = replace(found, unknown_because=tuple(dict.fromkeys((*found.unknown_because, *whys))))
-    return _unmasked(found, told, because, levels[-1] > max(levels) - EQUAL) if told else found
+    return _unmasked(found, told, because, levels[-1] > max(levels) - WITHOUT_IMPOSTOR) if told else found
 
 
 def _unmasked(found: Diagnosis, told: Sequence[tuple[Name, str]], because: Sequence[str], enough: bool) -> Diagnosis:
@@ -127,7 +124,7 @@ def choose(search: Search, limit: int) -> Weighed:
     if not names[best]:
         best = _best(search, known)
     overall = _best(search, [k for k in search.seen if names[k] <= limit])
-    nearly = search.seen[_best(search, known)].log > search.seen[overall].log - BENEFIT
+    nearly = search.seen[_best(search, known)].log > search.seen[overall].log - KERNEL_BENEFIT
     return search.seen[best if nearly else overall]
 
 

@@ -18,11 +18,8 @@ from ocp.diagnose.engine.families import candidates, put_back
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.problem import Problem, make_problem
 from ocp.diagnose.engine.system import Channel
+from ocp.diagnose.rules import KERNELS_BESIDE, SELECTED_FIRST
 from ocp.effects.effect import Active, Effect
-
-FIRST = 2  # names of the first pass
-MANY = 2000  # readings that names are earned on
-KERNELS = 6  # that are weighed beside the names
 
 
 @runtime_checkable
@@ -57,7 +54,7 @@ def earn(channel: Channel, library: Mapping[str, Effect], options: Options) -> E
 
     Twice: what is found first (springs, mostly) leaves the geometry, whose prior is as wide as what it had to follow, narrower.
     """
-    first = earned(channel.system, candidates([channel], library, options), channel.folds(), most=FIRST)
+    first = earned(channel.system, candidates([channel], library, options), channel.folds(), most=SELECTED_FIRST)
     about = channel.with_active(_active(first, library))
     system = replace(about.system, residual=about.system.residual + put_back([about], about.active))
     found = earned(system, candidates([about], library, options), channel.folds())
@@ -72,7 +69,7 @@ def earn(channel: Channel, library: Mapping[str, Effect], options: Options) -> E
         search.add(names - {family})
     there = search.seen.get(names, NOTHING)
     gain = np.where(search.kernel, search.scan(there).log + search.odds, -np.inf)
-    for k in np.argsort(-gain)[:KERNELS]:
+    for k in np.argsort(-gain)[:KERNELS_BESIDE]:
         if np.isfinite(gain[k]):
             search.add(names | {int(k)}, there.members)
             for family in names:

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.diagnose.engine.findings import FOLLOWED, Alternative
+from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.engine.system import scan_key
 from ocp.diagnose.force.arm import arm_of
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.conditions import LogConditions
 from ocp.diagnose.force.fit import linear_normal
 from ocp.diagnose.force.prediction import Predicted, Scene, predict
+from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.measurements import Index
@@ -47,7 +48,7 @@ class Grinding:
 
 def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequence[Alternative] = ()) -> Grinding:
     """The log's recordings under later conditions; others: alternatives, the accepted one (which `after` is) first; those below
-    the probability `FOLLOWED` may be true, but no correction follows them."""
+    the probability `FOLLOWED_FORCE` may be true, but no correction follows them."""
     followed = [(m, o.probability) for o in others if (m := _with(before, after, o.active)) is not None] or [(after, 1.0)]
     models, p = [m for m, _ in followed], np.array([one for _, one in followed])
     rows = np.unique(np.linspace(0, len(after.log) - 1, min(len(after.log), ROWS)).astype(np.int64))
@@ -63,7 +64,7 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
         found = [_at(m, there) for m in models]
         moved.append(np.stack([(made.fn - old)[touching] for made in found]))
         errors.append(linear_normal(models[0].problem, there, found[0])[touching])
-    kept = np.where((p >= FOLLOWED) | (np.arange(len(p)) == 0), p, 0.0)
+    kept = np.where((p >= FOLLOWED_FORCE) | (np.arange(len(p)) == 0), p, 0.0)
     share = np.array([AMID, *((1.0 - AMID) / len(later) for _ in later)])
     run = np.unique(told.run[rows][touching], return_inverse=True)[1].astype(np.int64)
     return Grinding(np.stack(moved), np.stack(errors), _covariance(models[0]), p / p.sum(), kept / kept.sum(), share, run)

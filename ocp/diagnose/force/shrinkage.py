@@ -10,7 +10,8 @@ from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.force.anticipated import Grinding, anticipated_grinding
 from ocp.diagnose.force.believed import RUN_SD
 from ocp.diagnose.force.channel import ForceChannel
-from ocp.diagnose.verdict.shrinkage import DRAWS, NULL, Shrinkage, drawn_errors, interval
+from ocp.diagnose.rules import NO_GAP
+from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval
 
 # Dirichlet weight of a recording in new readings: which of a log's lines, setpoints and feeds come again (Jeffreys).
 RECORDING = 0.5
@@ -38,6 +39,6 @@ def from_grinding(new: Grinding, noise: float, seed: int = 0) -> Shrinkage | Non
         off, planted = errors[at] @ new.errors[k].T + own[at], moved[true[at]]
         after[at] = np.sum(rows[at] * (new.told @ moved - planted + off) ** 2, axis=1)
         before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
-    if np.median(before) <= NULL**2 * noise:
+    if np.median(before) <= NO_GAP**2 * noise:
         return None
     return interval(1.0 - np.sqrt(after / before))

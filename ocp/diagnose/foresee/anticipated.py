@@ -13,6 +13,7 @@ import numpy as np
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.engine.system import scan_key
 from ocp.diagnose.foresee.planned import foreseen
+from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import placed
 from ocp.effects.effect import Active
@@ -20,10 +21,7 @@ from robots.calibration.residuals import points
 from robots.measurements import Index, Readings
 from robots.pose import Array
 
-LATER = 1.0 / 3.0  # of the campaign's duration: how far ahead new readings are thought
 POSTURES = 60  # of the campaign, evenly taken
-WARMTHS = (0.1, 0.5, 0.9)  # quantiles of the campaign's temperatures
-LEAST = 0.3  # K; less is one temperature
 TOGETHER = ([0], [1, 2], [3], [4], [5])  # axes whose angles stay together: the arm stays off the floor
 
 
@@ -97,9 +95,9 @@ def _placed(channel: TrackerChannel, new: Readings) -> Array:
 def _warmths(readings: Readings) -> list[float | None]:
     """Temperatures deg C of new readings; None: as measured, or not."""
     T = readings.temperature
-    if T is None or np.ptp(T) < LEAST:
+    if T is None or np.ptp(T) < LEAST_WARMTH:
         return [None]
-    return [float(t) for t in np.quantile(T, WARMTHS)]
+    return [float(t) for t in np.quantile(T, LATER_WARMTHS)]
 
 
 def _later(readings: Readings, seed: int) -> Readings:

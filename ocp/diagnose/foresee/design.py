@@ -21,6 +21,7 @@ from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.foresee.design_table import Column, Line, table
 from ocp.diagnose.foresee.planned_log import read_planned_log
 from ocp.diagnose.foresee.planned_poses import arm_expected, default_poses, planned_channel
+from ocp.diagnose.rules import LEAST_READINGS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.visible import needed
 from ocp.effects.effect import Effect, Scanned, Surroundings
@@ -73,8 +74,8 @@ def _tracker_plan(setup: TrackerSetup, poses: Path | None) -> Plan:
         planned = default_poses(setup, POSES, full=False)
         return Plan(planned_channel(setup, planned), f"{POSES} unidirectional poses with one payload")
     planned = read_readings(poses, setup.payloads, setup.instrument, sealed=True)
-    if len(planned) < 20:
-        raise BadInput(f"{poses}: {len(planned)} readings tell nothing of an arm; plan at least 20")
+    if len(planned) < LEAST_READINGS:
+        raise BadInput(f"{poses}: {len(planned)} readings tell nothing of an arm; plan at least {LEAST_READINGS}")
     return Plan(planned_channel(setup, planned), f"the {len(planned)} readings of {poses.name}")
 
 

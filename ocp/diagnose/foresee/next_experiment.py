@@ -18,6 +18,17 @@ from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.foresee.levers import BY_SIGNAL, Lever
 from ocp.diagnose.foresee.planned import Candidate, before_and_after, candidates, foreseen
 from ocp.diagnose.foresee.separation import NOTHING, Pair, Seen, signature, signature_or_none, unlike
+from ocp.diagnose.rules import (
+    EXPERIMENT_GAIN,
+    EXPERIMENT_REPEATED,
+    LEADS,
+    MOST_EXPERIMENTS,
+    MOST_RIVALS,
+    ON_TOP,
+    RIVAL,
+    SETTLES,
+    UNKNOWN_LOOKED_AT,
+)
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Effect
 
@@ -26,13 +37,7 @@ if TYPE_CHECKING:  # a campaign of the tracker alone need not load meshes and co
     from ocp.diagnose.foresee.next_force import Campaign
     from ocp.diagnose.foresee.planned_grinding import Grinding
 
-RIVAL = 0.05  # probability of an explanation from which it is one to tell apart
-LEAST_GAIN = 0.02  # of probability; an experiment that brings less is not worth its time
-SETTLED = 0.8  # probability from which an experiment is said to tell a rival apart beside the one it tells best
 FORCE = "force"  # name of the channel of a grinding-force log
-MOST = 5
-MOST_PAIRS = 6
-LEAST_LIKELY = 0.15  # probability from which it is asked whether an effect comes on top of the best explanation
 
 
 @dataclass(frozen=True)
@@ -55,18 +60,18 @@ BAR = Experiment("scale bar: read both ends of a calibrated bar of two metres in
 
 
 def next_experiments(d: Diagnosis, library: dict[str, Effect]) -> tuple[Experiment, ...]:
-    """At most `MOST` experiments, the one that tells most per minute first; empty where nothing is left to tell apart.
+    """At most `MOST_EXPERIMENTS`, the one that tells most per minute first; empty where nothing is left to tell apart.
 
     Where that leaves none, those that would show effects of the contact which a force log leaves unseen at their usual size.
     """
     pairs = rivals(d, library)
     best = _simulated(d, pairs) if pairs else _for_unknown(d)
     force = _force_channel(d.channels)
-    if best or force is None or d.p_unknown > 0.5:
+    if best or force is None or d.p_unknown > LEADS:
         return best
     from ocp.diagnose.foresee.next_force import unseen
 
-    return tuple(e for e in _simulated(d, unseen(d, force, library)) if e.expected > 0.5)
+    return tuple(e for e in _simulated(d, unseen(d, force, library)) if e.expected > LEADS)
 
 
 def _simulated(d: Diagnosis, pairs: Sequence[Pair]) -> tuple[Experiment, ...]:
@@ -111,7 +116,7 @@ def rivals(d: Diagnosis, library: dict[str, Effect]) -> list[Pair]:
             mine, theirs = (sorted(set(a.names) - set(b.names)) for a, b in ((best, other), (other, best)))
             for own in mine:
                 add(own, theirs[0] if theirs else None, now)
-            if not mine and theirs and 1.0 - now > LEAST_LIKELY:
+            if not mine and theirs and 1.0 - now > ON_TOP:
                 add(theirs[0], None, 1.0 - now)
         if RIVAL < d.p_none < 1 - RIVAL and best.names:
             add(best.names[0], None, best.probability / (best.probability + d.p_none))
@@ -120,7 +125,7 @@ def rivals(d: Diagnosis, library: dict[str, Effect]) -> list[Pair]:
         for name in accepted & set(group):
             for rival in sorted(set(group) - {name}):
                 add(name, rival, 0.5)
-    return list(found.values())[:MOST_PAIRS]
+    return list(found.values())[:MOST_RIVALS]
 
 
 def _by_tracker(channel: TrackerChannel, pairs: Sequence[Pair], others: Sequence[Seen]) -> list[Experiment]:
@@ -185,7 +190,7 @@ def _by_levers(channel: Channel, pairs: Sequence[Pair]) -> list[Experiment]:
         for p in pairs:
             moved = [name.split(":")[0] in lever.moves for name in p.names]
             if (moved[0] != moved[1] or (p.rival is None and moved[0])) and signature(channel, p) is not None:
-                gained = 0.25 * p.first.detectability
+                gained = EXPERIMENT_REPEATED * p.first.detectability
                 found.append(_expected(lever, p, gained))
     return found
 
@@ -199,17 +204,17 @@ def _best(found: Sequence[Experiment], now: dict[tuple[str, ...], float]) -> tup
 
     def worth(do: str, known: dict[tuple[str, ...], float]) -> float:
         gains = [e.expected - known[e.tells_apart] for e in each[do]]
-        return sum(g for g in gains if g > LEAST_GAIN) / each[do][0].minutes
+        return sum(g for g in gains if g > EXPERIMENT_GAIN) / each[do][0].minutes
 
     chosen, known = list[str](), dict(now)
-    while len(chosen) < MOST:
+    while len(chosen) < MOST_EXPERIMENTS:
         best = max((do for do in each if do not in chosen), key=lambda do: worth(do, known), default=None)
         if best is None or worth(best, known) == 0:
             break
         chosen.append(best)
         known.update({e.tells_apart: max(e.expected, known[e.tells_apart]) for e in each[best]})
     others = sorted((do for do in each if do not in chosen and worth(do, now) > 0), key=lambda do: -worth(do, now))
-    kept = sorted([*chosen, *others[: MOST - len(chosen)]], key=lambda do: -worth(do, now))
+    kept = sorted([*chosen, *others[: MOST_EXPERIMENTS - len(chosen)]], key=lambda do: -worth(do, now))
     return tuple(_together(each[do], now) for do in kept)
 
 
@@ -217,7 +222,7 @@ def _together(same: Sequence[Experiment], now: dict[tuple[str, ...], float]) -> 
     """One experiment for the pair to which it brings most, with all other rivals of that name that it settles."""
     best = max(same, key=lambda e: e.expected - now[e.tells_apart])
     first = best.tells_apart[0]
-    more = [e for e in same if e is not best and e.tells_apart[0] == first and e.expected >= min(SETTLED, best.expected)]
+    more = [e for e in same if e is not best and e.tells_apart[0] == first and e.expected >= min(SETTLES, best.expected)]
     names = (*best.tells_apart, *(name for e in more for name in e.tells_apart[1:]))
     return replace(best, tells_apart=names, expected=min(e.expected for e in (best, *more)))
 
@@ -225,7 +230,7 @@ def _together(same: Sequence[Experiment], now: dict[tuple[str, ...], float]) -> 
 def _for_unknown(d: Diagnosis) -> tuple[Experiment, ...]:
     """Where the gap is there and no name fits: look closer where it lies."""
     at = d.location
-    if d.p_unknown < 0.2 or at is None or at.signal != "tracker" or not at.joint:
+    if d.p_unknown < UNKNOWN_LOOKED_AT or at is None or at.signal != "tracker" or not at.joint:
         return ()
     channel = next(c for c in d.channels if isinstance(c, TrackerChannel))
     sweep = candidates(channel, (at.joint,))[-1]

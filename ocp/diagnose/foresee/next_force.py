@@ -15,13 +15,12 @@ from ocp.diagnose.foresee.planned import PER_READING, SETTLING
 from ocp.diagnose.foresee.planned_grinding import Grinding, grindings
 from ocp.diagnose.foresee.planned_poses import arm_expected, default_poses, planned_channel
 from ocp.diagnose.foresee.separation import Pair, scans_of
+from ocp.diagnose.rules import HIDDEN, NAMED_PRICE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.model.measuring_setup import read_tracker_setup
 
 READINGS, SWAP = 60, 10.0  # of a tracker campaign beside a log; minutes for another payload
-HIDDEN = 8  # effects that a log leaves unseen: those that it shows best first, no more are looked at
-PRICE = 1.7  # 1/2 log(1 + lambda) at the lambda of 30 or so from which effects are named
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ def unseen(d: Diagnosis, channel: ForceChannel, library: dict[str, Effect]) -> l
         if scans:
             a = np.asarray(effect.prior_sd, float) / np.sqrt(effect.size)
             active = Active(effect, joint, a, scans[len(scans) // 2], np.zeros((effect.size, effect.size)))
-            price = PRICE * effect.size + float(np.log(len(scans)))
+            price = NAMED_PRICE * effect.size + float(np.log(len(scans)))
             now = float(expit(log_odds(effect, kinds, Options()) - price))
             found.append(Pair(Ranked(Name(effect.name, joint), now, 0.0, active, 0.0), None, 0, now))
     return found

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, UNIT_TOLERANCE, ForceLog, Index, read_force_log
+from ocp.diagnose.rules import LEAST_CONTACT_ROWS
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array
 
-LEAST = 20  # rows in contact; fewer tell nothing
 NEEDED = ("time_s", "line", "contact", *AXES, *POINT, *NORMAL, *FEED)  # of a plan.csv
 ALONG = ("s_mm", "feed_mm_s")  # told by a plan.csv too
 
@@ -19,12 +19,12 @@ def read_planned_log(path: Path) -> ForceLog:
     """Planned rows; forces nan (fn) or what stands there (ft, which says that it will be logged).
 
     A file without a column run is taken for a plan.csv: every passage in contact is a recording, the program's clock that of the
-    campaign, no line was ground before. Raises BadInput: as `read_force_log`, and where fewer than `LEAST` rows are in contact.
+    campaign, no line was ground before. Raises BadInput: as `read_force_log`, and where too few rows are in contact.
     """
     log = read_force_log(path, sealed=True) if "run" in _header(path) else _of_plan(path)
     count = int(log.contact.sum())
-    if count < LEAST:
-        raise BadInput(f"{path}, column contact: {count} rows in contact tell nothing; plan at least {LEAST}")
+    if count < LEAST_CONTACT_ROWS:
+        raise BadInput(f"{path}, column contact: {count} rows in contact tell nothing; plan at least {LEAST_CONTACT_ROWS}")
     return log
 
 

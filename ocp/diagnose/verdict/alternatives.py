@@ -15,12 +15,9 @@ from ocp.diagnose.engine.beam import Search, Weighed
 from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.pool import Member, given, scan_one
 from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.rules import FOLLOWED, MOST_FOLLOWED, RIGHT_BESIDE_UNKNOWN
 from ocp.diagnose.verdict.probabilities import Names, Posterior
 from ocp.effects.effect import Active, Scanned
-
-LEAST = 0.03  # probability below which an alternative is not followed
-BESIDE = 0.5  # probability that a name beside an effect outside the catalogue is right where nobody measured
-MOST = 5  # alternatives beside the accepted one
 
 
 @dataclass(frozen=True)
@@ -53,11 +50,11 @@ def alternatives(
         told += _variants(problem, weighed, active, whole)
         told.append(Alternative(weights.unknown, ()))
     else:  # what is sure beside an effect outside the catalogue, which it may still imitate in part
-        told += _variants(problem, weighed, active, BESIDE * weights.unknown)
-        told.append(Alternative((1.0 - BESIDE) * weights.unknown, ()))
+        told += _variants(problem, weighed, active, RIGHT_BESIDE_UNKNOWN * weights.unknown)
+        told.append(Alternative((1.0 - RIGHT_BESIDE_UNKNOWN) * weights.unknown, ()))
     told.append(Alternative(weights.none, ()))
-    for other, p in sorted(weights.explanations.items(), key=lambda item: -item[1])[: MOST + 1]:
-        if other != names and p >= LEAST:
+    for other, p in sorted(weights.explanations.items(), key=lambda item: -item[1])[: MOST_FOLLOWED + 1]:
+        if other != names and p >= FOLLOWED:
             members = problem.values(search.seen[found.best[other]])
             told.append(Alternative(p, tuple(a for a in members if Name(*a.key) not in dropped)))
     return _summed(told)
@@ -91,7 +88,7 @@ def _by_words(problem: Problem, weighed: Weighed, member: Member, one: Active) -
     for words, rows, p in zip(groups, groups.values(), weight / weight.sum(), strict=True):
         if words == own:
             told.append((float(p), one))
-        elif p >= LEAST:
+        elif p >= FOLLOWED:
             best = Member(member.family, rows[int(np.argmax(per[rows]))], 1.0)
             values = problem.values(Weighed(0.0, (*others, best)))
             told.append((float(p), next(a for a in values if a.effect is one.effect and a.joint == one.joint)))
@@ -106,8 +103,8 @@ def _words(scanned: Scanned) -> tuple[tuple[str, str], ...]:
 def _summed(told: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """The first, then the most probable others, probabilities summing to one; no effect at all as one alternative."""
     first, rest = told[0], [a for a in told[1:] if a.active]
-    rest = sorted(rest, key=lambda a: -a.probability)[:MOST]
+    rest = sorted(rest, key=lambda a: -a.probability)[:MOST_FOLLOWED]
     nothing = Alternative(sum(a.probability for a in told if not a.active), ())
-    kept = [a for a in (first, *rest, nothing) if a is first or a.probability >= LEAST]
+    kept = [a for a in (first, *rest, nothing) if a is first or a.probability >= FOLLOWED]
     total = sum(a.probability for a in kept) or 1.0
     return tuple(Alternative(a.probability / total, a.active) for a in kept)

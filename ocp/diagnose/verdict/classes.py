@@ -14,17 +14,13 @@ from ocp.diagnose.engine.beam import Key, Weighed
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.pool import Member, Pool, given
 from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.rules import IMITATED, MISTAKEN_WITHIN, TOLD_APART, TOLD_APART_MORE
 from robots.pose import Array
-
-TELLS = (10.5, 12.7, 14.2)  # lambda that is told apart, for 1, 2, 3 parameters
-MORE = 1.3  # for each further one
-NEAR = 5.0  # log weight below the best set up to which another name in a member's place is still possible
-SHARE = 0.5  # of the signature that an imitator takes at least: what is hardly there is imitated by anything
 
 
 def threshold(parameters: int) -> float:
     """Lambda below which a signature is not told from zero."""
-    return TELLS[min(parameters, 3) - 1] + MORE * max(parameters - 3, 0)
+    return TOLD_APART[min(parameters, 3) - 1] + TOLD_APART_MORE * max(parameters - 3, 0)
 
 
 def imitated(pool: Pool, signature: Array, family: int) -> tuple[float, int]:
@@ -54,7 +50,7 @@ def mistaken(problem: Problem, seen: Mapping[Key, Weighed], weighed: Weighed, me
     found = []
     for other, its in seen.items():
         new = other - key
-        if key - other != {member.family} or len(new) != 1 or its.log < weighed.log - NEAR:
+        if key - other != {member.family} or len(new) != 1 or its.log < weighed.log - MISTAKEN_WITHIN:
             continue
         one = next(m for m in its.members if m.family in new)
         family = pool.families[one.family]
@@ -79,7 +75,7 @@ def _beside(problem: Problem, weighed: Weighed, member: Member, signature: Array
 def _imitates(pool: Pool, d: Array, family: int, factor: float = 1.0) -> bool:
     """Whether a family takes so much of a signature (N,) that what it leaves is not told from zero."""
     size, (taken, _) = float(d @ d), imitated(pool, d, family)
-    return taken > SHARE * size and size - taken < factor * threshold(len(pool.families[family].scale))
+    return taken > IMITATED * size and size - taken < factor * threshold(len(pool.families[family].scale))
 
 
 def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:

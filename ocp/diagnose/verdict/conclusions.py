@@ -12,20 +12,17 @@ from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Loc
 from ocp.diagnose.engine.pool import Family, Given, given
 from ocp.diagnose.engine.problem import Problem
 from ocp.diagnose.engine.system import Channel
+from ocp.diagnose.rules import LEADS, NEARLY_ALIKE, RANKED, SURE_BESIDE_UNKNOWN, SUSPECT
 from ocp.diagnose.verdict.alternatives import Weights, alternatives
 from ocp.diagnose.verdict.classes import merged, mistaken, threshold, twins
 from ocp.diagnose.verdict.judgement import accepted, judged
 from ocp.diagnose.verdict.location import of_effect, of_kernel, of_tests
-from ocp.diagnose.verdict.probabilities import SURE, Names, Posterior, posterior
+from ocp.diagnose.verdict.probabilities import Names, Posterior, posterior
 from ocp.diagnose.verdict.spectrum import spectra
 from ocp.diagnose.verdict.tests_without_library import budget, kernel_tests
 from ocp.diagnose.verdict.visible import needed
 from ocp.effects.effect import Active, Effect
 from robots.pose import Array
-
-RANKED = 12  # names that are told with their values
-NEARLY = 2.0  # factor on the threshold below which two effects are alike at the first linearisation
-SUSPECT = 0.75  # share of a suspect explanation's probability that goes to 'none of these'
 
 
 def findings(
@@ -86,11 +83,11 @@ def leader(search: Search, found: Posterior) -> tuple[Weighed, Names]:
     """The set whose effects are accepted and its explanation: the best of those that lead (none, none of these with whatever is
     named beside the unknown, or the most probable explanation)."""
     told = max(found.probability, key=lambda n: found.probability[n], default=())
-    if found.p_unknown > 0.5:
+    if found.p_unknown > LEADS:
         keys = [k for k in search.seen if search.kernel[list(k)].any()]
         best = search.seen[max(keys, key=lambda k: search.seen[k].log)]
         families = search.pool.families
-        sure = tuple(m for m in best.members if found.gain.get(families[m.family].name, np.inf) > SURE)
+        sure = tuple(m for m in best.members if found.gain.get(families[m.family].name, np.inf) > SURE_BESIDE_UNKNOWN)
         return replace(best, members=sure), ()
     if not told or found.p_none >= found.probability[told]:
         return Weighed(0.0, ()), ()
@@ -137,7 +134,7 @@ def alike_at(first: Problem, problem: Problem, weighed: Weighed) -> list[tuple[N
             continue
         member = next(m for m in there.members if m.family == first.index[name])
         d = signature(first, there, values[name])
-        found.append((name, {*twins(first, there, member, d, NEARLY), *names}))
+        found.append((name, {*twins(first, there, member, d, NEARLY_ALIKE), *names}))
     return found
 
 
@@ -177,13 +174,13 @@ def ranking(problem: Problem, search: Search, found: Posterior) -> tuple[Ranked,
     """Names by probability to a hundredth, then, where they are probable, by how much of the gap is theirs, else by the evidence
     for them against their absence (not against their being in the background); values are those of the best set that has them."""
     told = []
-    for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < 0.5, -found.gain[n]))[:RANKED]:
+    for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < LEADS, -found.gain[n]))[:RANKED]:
         f = problem.index[name]
         key = max((k for k in search.seen if f in k), key=lambda k: search.seen[k].log)
         one = next(a for a in problem.values(search.seen[key]) if a.key == (name.effect, name.joint))
         d = signature(problem, search.seen[key], one)
         told.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
-    return tuple(sorted(told, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > 0.5 else 0.0)))
+    return tuple(sorted(told, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > LEADS else 0.0)))
 
 
 def place(
@@ -191,7 +188,7 @@ def place(
     tests: list[KernelTest],
 ) -> Location | None:  # fmt: skip
     """Of the largest named effect, else of the kernel that best stands for an unknown one, else of the tests."""
-    if active and p_unknown < 0.5:
+    if active and p_unknown < LEADS:
         k = int(np.argmax([d @ d for d in signatures]))
         return of_effect(problem, active[k].effect, active[k].joint, signatures[k])
     if found.where and found.p_unknown > found.p_none:

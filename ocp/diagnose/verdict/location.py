@@ -4,11 +4,11 @@ import numpy as np
 
 from ocp.diagnose.engine.findings import KernelTest, Location, Name
 from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.rules import PLACE_SURE, SHARE_PER_FEATURE
 from ocp.diagnose.verdict.tests_without_library import orthonormal
 from ocp.effects.effect import Effect
 from robots.pose import Array
 
-SHARE_PER_FEATURE = 0.03  # a condition with more features must explain so much more of a signature
 SUBSYSTEM = {"target x time": "target", "payload": "payload", "session": "tracker", "time": "tracker", "temperature": "tracker"}
 READING = {
     "s": "blade", "line": "blade", "wheel_temperature": "wheel", "belt": "wheel", "run": "tool", "session": "tool",
@@ -52,7 +52,7 @@ def of_kernel(name: Name) -> Location:
     return Location(signal, subsystem, name.joint, conditions(where))
 
 
-def of_tests(tests: list[KernelTest], sure: float = 1e-3) -> Location | None:
+def of_tests(tests: list[KernelTest], sure: float = PLACE_SURE) -> Location | None:
     """Of the most telling kernel, the number of kernels allowed for; None where none is sure."""
     if not tests or tests[0].p_value * len(tests) > sure:
         return None

@@ -7,10 +7,9 @@ import numpy as np
 from ocp.diagnose.engine.beam import Key, Search
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.rules import NAME_BESIDE_UNKNOWN, SURE_BESIDE_UNKNOWN
 
 Names = tuple[Name, ...]
-SURE = 12.0  # log evidence that a name must gain beside an unknown effect, which its kernel follows only so well
-HALVED = 0.5  # what else its marginal probability is worth there
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def posterior(problem: Problem, search: Search) -> Posterior:
                 best[named], weight[named] = key, float(w)
     gain = {name: w - max(_without(name, problem, search), 0.0) for name, w in with_name.items()}
     for name, p in strange_share.items():
-        marginal[name] = marginal.get(name, 0.0) + p * (1.0 if gain[name] > SURE else HALVED)
+        marginal[name] = marginal.get(name, 0.0) + p * (1.0 if gain[name] > SURE_BESIDE_UNKNOWN else NAME_BESIDE_UNKNOWN)
     return Posterior(probability, weight, p_none, p_unknown, where, marginal, gain, best)
 
 

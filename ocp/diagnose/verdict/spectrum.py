@@ -12,11 +12,11 @@ import numpy as np
 
 from ocp.diagnose.engine.findings import SpectrumPeak
 from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.rules import LEAST_TURN
 from robots.pose import Array
 
 ORDERS = np.arange(1.0, 121.0, 0.5)  # per turn
 SHIFTS = 199
-LEAST_TURN = np.radians(20.0)
 
 
 def spectra(problem: Problem, y: Array, seed: int) -> list[SpectrumPeak]:

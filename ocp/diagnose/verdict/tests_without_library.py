@@ -11,6 +11,7 @@ from scipy.special import fdtrc
 from ocp.diagnose.engine.findings import BudgetLine, KernelTest
 from ocp.diagnose.engine.pool import Given
 from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.rules import BUDGET_SD, SEEN_DIRECTION
 from robots.pose import Array
 
 
@@ -43,14 +44,14 @@ def kernel_tests(problem: Problem, there: Given) -> list[KernelTest]:
 def orthonormal(columns: Array) -> Array:
     """Basis (N, r) of columns, directions that noise could not show left out."""
     U, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(U[:, s > 0.05])  # unit noise at the upper end of the kernel's size: invisible below
+    return np.asarray(U[:, s > SEEN_DIRECTION])
 
 
 def budget(problem: Problem, tests: list[KernelTest], explained: Given) -> list[BudgetLine]:
     """Shares of the gap beyond noise. The noise's scale is what the best explanation leaves."""
     scale2 = explained.left / problem.pool.freedom
     excess = float(problem.pool.y @ problem.pool.y) - problem.pool.freedom * scale2
-    least = 3.0 * np.sqrt(2.0 * problem.pool.freedom) * scale2  # no gap to share out below what noise itself scatters
+    least = BUDGET_SD * np.sqrt(2.0 * problem.pool.freedom) * scale2  # no gap to share out below what noise itself scatters
     lines = []
     for t in tests:
         share = float(np.clip(t.gained / max(excess, least), 0.0, 1.0))

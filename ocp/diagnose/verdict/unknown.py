@@ -13,17 +13,21 @@ import numpy as np
 from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.system import Channel, HeldOut
+from ocp.diagnose.rules import (
+    CANCELS,
+    DRIFTS_SD,
+    HURTS,
+    HURTS_SD,
+    IMPLAUSIBLE,
+    IMPLAUSIBLE_SD,
+    NO_GAP,
+    RELIEF,
+    RELIEF_LEAST,
+    WRONG_SIGN_SD,
+)
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.pose import Array
-
-IMPLAUSIBLE = 3.0  # times the upper end of the typical range
-CANCELS = 0.25  # of two signatures' lengths together: what is left when they cancel
-HURTS, SURE = 0.3, 4.0  # of the mean square gap, standard errors: impostors multiply the gap, a small true term misses by chance
-DRIFTS = 3.0  # standard errors: an effect of the right form has the same value wherever it is seen
-RELIEF = 0.25  # of the squares that effects take away: what must be the readings'
-TOLD = 10.0  # squares below which nothing is said of their shares
-GAP = 0.2  # of the noise: gaps below it can neither be helped nor hurt
 
 
 def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
@@ -32,10 +36,10 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
     for one in active:
         upper = np.asarray(one.effect.prior_sd, float)
         sd = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
-        if (np.abs(one.a) - 2 * sd > IMPLAUSIBLE * upper).any():
+        if (np.abs(one.a) - IMPLAUSIBLE_SD * sd > IMPLAUSIBLE * upper).any():
             found.append((Name(*one.key), "its value is over three times what real cells show"))
         for a, s, positive, key in zip(one.a, sd, positive_of(one.effect), one.effect.coefficients, strict=True):
-            if positive and a < -3 * s:
+            if positive and a < -WRONG_SIGN_SD * s:
                 told = one.effect.parameters[0].key if key == "share" else key
                 found.append((Name(*one.key), f"{told} comes out with the wrong sign"))
         why = one.effect.doubt(one.a, sd, one.scanned) if one.effect.doubt else ""
@@ -75,7 +79,7 @@ def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[t
         if not seen or elsewhere or any(a.effect.on_arm for a in seen) or not isinstance(channel, Registered):
             continue
         readings, registration = channel.gained()
-        if registration > 0 and readings + registration > TOLD and readings < RELIEF * (readings + registration):
+        if registration > 0 and readings + registration > RELIEF_LEAST and readings < RELIEF * (readings + registration):
             why = "readings are met hardly better with it, the registration is only nearer to what was believed"
             found += [(Name(*a.key), why) for a in seen]
     return found
@@ -98,7 +102,7 @@ def impostors(
                 except Infeasible:  # nothing fits without it: no impostor
                     break
                 without = h.before_rows if other is None else other.after_rows
-                drifts = not h.drift or h.drift[one.key] > DRIFTS
+                drifts = not h.drift or h.drift[one.key] > DRIFTS_SD
                 if drifts and hurts(h.after_rows, without, h.noise, h.estimation):
                     found.append((Name(*one.key), h.fold.name))
                     break
@@ -110,7 +114,9 @@ def hurts(with_rows: Array, without_rows: Array, noise: float, estimation: float
     than what its value's uncertainty on the rest (estimation) excuses."""
     change = with_rows - without_rows
     error = float(change.std(ddof=1) / np.sqrt(len(change))) if len(change) > 1 else np.inf
-    gap = max(float(without_rows.mean()) - noise, GAP**2 * noise)
+    gap = max(float(without_rows.mean()) - noise, NO_GAP**2 * noise)
     return bool(
-        change.mean() > HURTS * gap and change.mean() > SURE * (error + estimation) and with_rows.mean() > noise * (1 + GAP**2)
+        change.mean() > HURTS * gap
+        and change.mean() > HURTS_SD * (error + estimation)
+        and with_rows.mean() > noise * (1 + NO_GAP**2)
     )

@@ -14,9 +14,9 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chndtrix
 
+from ocp.diagnose.rules import MISSED
 from robots.pose import Array
 
-MISSED = 0.1  # share of data sets in which an effect of the told size is not named
 _LAMBDA = np.geomspace(3.0, 400.0, 500)
 NONE: Array = np.zeros(0)
 

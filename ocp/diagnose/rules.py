@@ -1,0 +1,375 @@
+"""Every number that changes a verdict of the diagnosis: value, unit, what it guards, and its reason.
+
+A rule's docstring begins with its unit in brackets ([-]: a pure number, [ln]: log evidence, [sd]: standard errors, [lambda]:
+squared whitened length of a signature) and names its `Reason:`, a formula, a source, a test, or honestly that none is known.
+Tolerances, batch sizes and step counts of solvers, shapes of features and the imagined measurements of `foresee` stand where they
+are used; tests/diagnose/test_rules.py holds the line between the two.
+"""
+
+import numpy as np
+
+# ---------- priors: before any reading
+PRIOR_EFFECTS = 0.3
+"""[-] Effects expected in a data set before it is seen; shared by kinds of effects, then by joints. Guards: machines without
+an effect are not accused. Reason: of 300 virtual machines with nothing planted three were accused (docs/diagnosis.md,
+Background)."""
+
+PRIOR_UNKNOWN = 0.05
+"""[-] Probability of an effect outside the catalogue before any reading, shared by kinds of kernels, then by joints. Guards:
+'none of these' against names. Reason: one cell in twenty; what it answers in worlds outside the catalogue is in
+docs/blindtest.md."""
+
+BROKEN_ORDER_ODDS = 0.2
+"""[-] A ripple of a broken order against other kernels. Guards: 'none of these' is not said for a gear's ripple. Reason:
+most orders of a gear are whole numbers, and these are in the catalogue."""
+
+BACKGROUND_RIPPLE = 0.28
+"""[-] Of the lower end of the typical range: one sigma of a good gear's ripple, in every joint. Guards: real machines are
+not accused of the ripple that all have. Reason: set with its odds on machines with nothing planted (docs/diagnosis.md)."""
+
+BACKGROUND_PLAY = np.array([0.07, 0.15, 0.28, 0.4])
+"""[-] Of the lower end of backlash's range: sizes of a good machine's play, in all joints at once. Guards: as
+BACKGROUND_RIPPLE. Reason: as there; below 0.4, so that a joint at the lower end stands out."""
+
+RIPPLE_ODDS = 0.04
+"""[-] Prior odds of a ripple of that size in one joint. Guards: the smaller, the sooner an effect just above it is named,
+and the more machines without one are accused. Reason: of 150 virtual machines with such a background none is accused."""
+
+PLAY_ODDS = 0.09
+"""[-] Prior odds of a good machine's play. Guards and Reason: as RIPPLE_ODDS."""
+
+NOISE_TRUST = 40.0
+"""[-] Rows that the noise model's scale is worth (nu0 of docs/diagnosis.md, eq. 4). Guards: the evidence against a noise
+level that still holds an effect. Reason: 40 rows are a scale known to 16 %, which repeats of a campaign tell
+(docs/diagnosis.md, Noise)."""
+
+WRONG_SIGN = 2e-4
+"""[-] Chance of a sign that physics rules out. Guards: a cell that believes a sign or a mounting wrongly: such a value is to
+be named and doubted, not unspeakable. Reason: below any prior odds of an effect at a joint, so that it never decides between
+two names."""
+
+JOINT_KERNEL = (2e-5, 5e-4)
+"""[rad] Low and high of an unknown error of a joint's angle. Guards: 'none of these'. Reason: about the ranges of the
+catalogue's play and gears (docs/effects.md)."""
+
+TILT_KERNEL = (1e-5, 3e-4)
+"""[rad] The same of an axis that tilts under load or warmth. Reason: about half of the joints' range, as the catalogue's
+thermal and bending effects have it."""
+
+FRAME_KERNEL = (2e-5, 5e-4)
+"""[m] The same of a displacement of the instrument's frame or along its beam. Reason: as a joint's at one metre."""
+
+FORCE_KERNEL = (0.2, 5.0)
+"""[N] The same of a force reading. Reason: from below a reading's usual noise (0.3 N); no reason known for the upper end."""
+
+# ---------- readings: which count, what they can show
+LEAST_READINGS = 20
+"""[readings] Of a tracker, measured or planned. Guards: any verdict from too little. Reason: fewer readings than an arm has
+parameters to be told by them (three numbers each) tell nothing apart."""
+
+LEAST_CONTACT_ROWS = 20
+"""[rows] Of a planned log in contact. Guards: as LEAST_READINGS. Reason: as LEAST_READINGS."""
+
+FORCE_UNIT_FACTOR = 30.0
+"""[-] By which forces may differ from what the cell asks for before they are taken for another unit. Guards: a log in kN or
+g. Reason: no process runs at thirty times its setpoint, and units differ by a hundred and more."""
+
+OUTLIER_WEIGHT = 0.1
+"""[-] Probability of being a good reading below which it is an outlier: of no gap, no fold and no effect. Guards: gaps and
+held-out errors against gross readings. Reason: the mixture (2 % outliers 30 times as wide) leaves hardly a reading between
+0.1 and 0.9."""
+
+DOUBTED_WEIGHT = 0.5
+"""[-] The same where readings that were set aside are looked at once more. Reason: rather an outlier than good."""
+
+OUTLIERS_OF_ONE_CAUSE = 3
+"""[readings] That must be set aside before all are counted once more, and that an effect must take back. Guards: a nest that
+moves before the last few readings, else 'no gap'. Reason: one or two readings are no pattern
+(tests/diagnose/test_diagnosis_freed.py)."""
+
+LEAST_TURN = np.radians(20.0)
+"""[rad] An axis that moved less varies with nothing, in kernels, spectra and folds. Reason: over 20 degrees a wave of one
+turn is a straight line to 1.5 %, which the geometry follows."""
+
+LEAST_TORQUE = 1.0
+"""[N m] Loads that change less bend nothing. Guards: kernels against the rounding of a constant load. Reason: the softest
+joint of the catalogue (5e-6 rad/(N m)) turns by half of the usual joint noise (1e-5 rad)."""
+
+SEEN_LAMBDA = 4.0
+"""[lambda] At the upper end, below which a variant is no candidate. Guards: against names whose evidence would be their
+prior. Reason: two sigma at the largest size that is usual."""
+
+SEEN_DIRECTION = 0.05
+"""[-] Whitened length of a kernel's direction below which it is no degree of freedom of its test. Guards: p-values against
+directions that unit noise at the upper end of the kernel's size could not show. Reason: below a twentieth of the noise."""
+
+# ---------- search: how far it looks (more only costs time), and
+# when it accepts
+MOST_SEARCHED = 1000
+"""[readings] That are searched; what is found is fitted to all. Guards: minutes. Reason: lambda grows with the readings, and
+above a thousand what is not seen is below the background (docs/diagnosis.md, 6)."""
+
+PAIR_FIRSTS = 30
+"""[families] Tried as the first of a pair with every other. Reason: the search's time; the pairs planted in tests/diagnose
+are found."""
+
+EXACT_SINGLES, EXACT_PAIRS = 20, 24
+"""[sets] Of one and of two that are weighed exactly. Reason: as PAIR_FIRSTS."""
+
+GROWN = 4
+"""[families] Tried to be added to a set, or put in a member's place. Reason: as PAIR_FIRSTS."""
+
+MOST_BACKGROUND = 4
+"""[families] Of the background in one set. Reason: as PAIR_FIRSTS; no reason known for four rather than six."""
+
+BACKGROUND_GAIN = 0.5
+"""[ln] That a family of the background must gain to be looked at. Reason: less makes no set likelier than it was."""
+
+GROWN_WITHIN = 8.0
+"""[ln] Sets this much below the best are not grown. Guards: true sets that begin badly. Reason: e^-8 is 3 in ten thousand;
+what grows from there has to gain that first."""
+
+GROWN_NAMES = 2
+"""[sets] Best ones without a kernel that are grown even so. Guards: names against kernels: a kernel must beat the best names
+there are. Reason: one and its rival."""
+
+KERNEL_BENEFIT = 8.0
+"""[ln] By which a kernel must beat every name to keep it out of the fit. Guards: a true name whose kernel still follows the
+noise's excess better. Reason: once fitted both compete again; as GROWN_WITHIN (docs/diagnosis.md, None of these)."""
+
+SHARPER_GAIN = 0.5
+"""[ln] That a scanned number between the grid's must gain. Reason: less is below one sigma of that number."""
+
+REWEIGHTED_WITHIN = 12.0
+"""[ln] Sets this much below the best are not judged again where nothing is active. Reason: e^-12 carries no weight."""
+
+REWEIGHTED_ROOM = 2.0
+"""[ln] By which a set without an active effect may come nearer than it was where nothing was active. Guards: a wheel's
+runout against an effect that multiplies and imitates it. Reason: columns at the fit are the better ones otherwise; without
+the rule such a set had probability 0.39 (docs/diagnosis.md, Products)."""
+
+FAILED_FITS = 2
+"""[fits] After which a name that no fit ever held is given up. Guards: minutes, and names at which the contact has no
+balance. Reason: once may be for another name's sake."""
+
+RECHECKED = 3
+"""[families] Tried for readings that were set aside, the most telling first. Reason: time, each is a nonlinear fit."""
+
+IMPOSTOR_ROUNDS = 5
+"""[rounds] Of barring impostors and searching anew. Reason: time; no reason known for five."""
+
+WITHOUT_IMPOSTOR = 1.0
+"""[ln] By which names without an impostor may fall short of those with it and still need nothing beside them. Guards: 'none
+of these' after an impostor was barred. Reason: a factor of e between two explanations is no difference."""
+
+# ---------- selection on held-out error: arms that miss far more than noise (docs/diagnosis_real.md)
+SELECTED_ON = 2000
+"""[readings] That names are selected on. Reason: time."""
+
+SELECTED_FIRST = 2
+"""[names] Of the first pass, which leaves the geometry, whose prior is as wide as what it had to follow, narrower. Reason:
+what is found first are springs, mostly of two joints (docs/diagnosis_real.md)."""
+
+SHORTLIST = 12
+"""[candidates] Of a round that are judged on folds, those that gain most on all readings. Reason: time."""
+
+HELD_OUT_GAIN = 0.02
+"""[-] Of the mean log mean square that a further name must gain. Guards: names that hold by chance. Reason: 1 % of the rms;
+measured on the UR5 and the UR10 (docs/diagnosis_real.md, eq. 1)."""
+
+HELD_OUT_WORSE = 1.25
+"""[-] Mean square of a fold against that of the believed cell above which a candidate is refused. Guards: against names that
+follow something else nearby. Reason: 12 % of the rms; measured as HELD_OUT_GAIN."""
+
+WRONG_SIGN_GAIN = 0.15
+"""[-] As HELD_OUT_GAIN, more, for a value whose sign no machine has. Guards: as WRONG_SIGN. Reason: then a sign or the
+mounting is not as believed, which is said only where much hangs on it (UR5 of which x_dif is turned round,
+docs/diagnosis_real.md)."""
+
+WIDE_PRIOR = 3.0
+"""[-] Times the upper end of the usual range: one sigma of coefficients there. Reason: the data decide, not the prior; the
+same three as IMPLAUSIBLE."""
+
+KERNELS_BESIDE = 6
+"""[kernels] That are weighed beside the selected names. Reason: time; one tells where the rest lies."""
+
+# ---------- verdict and probabilities
+LEADS = 0.5
+"""[-] Probability from which 'none', 'none of these' or a name leads. Guards: the verdicts no_gap and unexplained. Reason:
+FORMATS.md."""
+
+EXPLAINED = 0.8
+"""[-] Probability of an explanation from which the verdict is 'explained', else 'ambiguous'. Reason: FORMATS.md."""
+
+SURE_BESIDE_UNKNOWN = 12.0
+"""[ln] That a name must gain beside an unknown effect to be believed in full. Guards: names that fill what a kernel follows
+only so well. Reason: a kernel leaves a part of a strong effect; no reason known for twelve."""
+
+NAME_BESIDE_UNKNOWN = 0.5
+"""[-] What else the marginal probability of such a name is worth. Reason: as likely the unknown effect's as its own."""
+
+SUSPECT = 0.75
+"""[-] Share of a doubted explanation's probability that goes to 'none of these'. Guards: the verdict where values,
+cancelling terms or folds speak against a name. Reason: leaves a doubted name below LEADS however probable it was, and not
+without chance."""
+
+IMPLAUSIBLE = 3.0
+"""[-] Times the upper end of the typical range above which (by IMPLAUSIBLE_SD) a value is doubted. Reason: DIAGNOSIS.md, the
+catalogue: implausible means over three times the upper end."""
+
+IMPLAUSIBLE_SD = 2.0
+"""[sd] By which such a value must stand above. Reason: 98 % one-sided."""
+
+WRONG_SIGN_SD = 3.0
+"""[sd] From which a sign is wrong. Reason: one in a thousand."""
+
+CANCELS = 0.25
+"""[-] Of the shorter of two signatures: what both together leave when they cancel. Guards: two terms that overdo each other.
+Reason: then three quarters of each are the other's."""
+
+HURTS = 0.3
+"""[-] Of the mean square gap by which an impostor makes a left-out condition worse. Reason: impostors multiply the gap, a
+small true term misses by chance."""
+
+HURTS_SD = 4.0
+"""[sd] By which it must do so. Reason: thirty folds and four names are looked at; four sigma are one in thirty thousand."""
+
+DRIFTS_SD = 3.0
+"""[sd] By which an impostor's value moves without the fold. Reason: an effect of the right form has the same value wherever
+it is seen."""
+
+NO_GAP = 0.2
+"""[-] Of the noise: a gap below it is none to speak of, and can neither be helped nor hurt. Reason: FORMATS.md."""
+
+RELIEF = 0.25
+"""[-] Of the squares that effects take away: what must be the readings', else only the registration comes nearer to its
+belief. Guards: a wrong belief of the registration against names. Reason: benchmarks/diagnosis_relief.py."""
+
+RELIEF_LEAST = 10.0
+"""[lambda] Squares below which nothing is said of their shares. Reason: below 10.5 nothing is told apart (TOLD_APART)."""
+
+MISSED = 0.1
+"""[-] Share of data sets in which an effect of the visible size is not named. Reason: named nine times of ten, FORMATS.md."""
+
+# ---------- classes: what data cannot tell apart
+TOLD_APART = (10.5, 12.7, 14.2)
+"""[lambda] That is told from nothing, for 1, 2, 3 parameters. Reason: noncentral chi-square: a test at one in twenty finds
+it nine times in ten (DIAGNOSIS.md)."""
+
+TOLD_APART_MORE = 1.3
+"""[lambda] For each further parameter. Reason: the same chi-square, 1.2 for the fourth and less after it, rounded up."""
+
+MISTAKEN_WITHIN = 5.0
+"""[ln] Below the best set up to which another name in a member's place is possible. Reason: e^-5 is below one in a hundred."""
+
+IMITATED = 0.5
+"""[-] Of the signature that an imitator takes at least. Reason: what is hardly there is imitated by anything."""
+
+NEARLY_ALIKE = 2.0
+"""[-] Factor on TOLD_APART below which two effects are alike at the first linearisation. Guards: classes against columns at
+the fit that hold the accepted effect's own pattern. Reason: no reason known for two rather than three."""
+
+# ---------- alternatives and shrinkage
+FOLLOWED = 0.03
+"""[-] Probability below which an alternative is not followed in predictions. Reason: it moves no prediction by more than 3 %
+of what the alternatives differ by."""
+
+FOLLOWED_FORCE = 0.15
+"""[-] The same of force readings. Reason: refitting a force log takes seconds."""
+
+MOST_FOLLOWED = 5
+"""[sets] Alternatives beside the accepted one. Reason: time."""
+
+RIGHT_BESIDE_UNKNOWN = 0.5
+"""[-] Probability that a name beside an effect outside the catalogue is right where nobody measured. Reason: as
+NAME_BESIDE_UNKNOWN."""
+
+INTERVAL = 0.9
+"""[-] Of the shrinkage's interval. Reason: FORMATS.md."""
+
+NEW_CONDITIONS = 0.25
+"""[-] Weight of extrapolation folds among the draws. Guards: the predicted shrinkage where noise is far above usual. Reason:
+new readings lie mostly among the old ones; no reason known for a quarter."""
+
+HARMFUL = -1.0
+"""[-] A shrinkage below this says no more than 'harmful'. Reason: the gap has doubled."""
+
+NOTHING_UNEXPLAINED = 0.9
+"""[-] Probability before the folds that nothing is unexplained. Reason: with UNEXPLAINED_SIZE the intervals cover as often
+as they say (docs/diagnose.md, blind worlds)."""
+
+UNEXPLAINED_SIZE = 0.25
+"""[-] Of the noise's mean square: what else is, on average. Reason: as NOTHING_UNEXPLAINED."""
+
+MEASURED_PAYLOAD, UNMEASURED_PAYLOAD = 0.5, 1.0
+"""[-] Dirichlet weights of payloads in new readings. Reason: one half is Jeffreys' for an unknown mixture; what is new is
+rather a payload that was not measured than one that was."""
+
+LATER = 1.0 / 3.0
+"""[-] Of the campaign's duration: how far ahead new readings are thought. Reason: a sealed set is taken soon after; no
+reason known for a third."""
+
+LATER_WARMTHS = (0.1, 0.5, 0.9)
+"""[-] Quantiles of the campaign's temperatures that new readings are thought at. Reason: cold, usual and warm."""
+
+LEAST_WARMTH = 0.3
+"""[K] Less is one temperature. Reason: an arm of 2.5 m in steel grows by 9 um, below a tracker's noise."""
+
+# ---------- location, budget and lists
+SHARE_PER_FEATURE = 0.03
+"""[-] Of a signature that a condition must explain more for each feature it has more. Reason: many features explain a part
+of anything; no reason known for the value."""
+
+PLACE_SURE = 1e-3
+"""[-] p-value, the number of kernels allowed for, below which a kernel test names a place. Reason: one in a thousand, as
+TOLD_APART."""
+
+BUDGET_SD = 3.0
+"""[sd] Of what noise itself scatters: a gap below it is not shared out. Reason: one in a thousand."""
+
+RANKED = 12
+"""[names] Told with their values. Reason: readability."""
+
+LISTED = 1e-4
+"""[-] Probability below which an effect or explanation is not listed, but for the first. Reason: readability."""
+
+MOST_LISTED = 20
+"""[names] Of the ranking in diagnosis.json. Reason: readability."""
+
+LEAST_BUDGET, MOST_BUDGET = 3, 24
+"""[lines] Of the budget in diagnosis.json. Reason: readability."""
+
+# ---------- what to measure next
+RIVAL = 0.05
+"""[-] Probability of an explanation from which it is one to tell apart. Reason: one in twenty; a plan may hang on it."""
+
+ON_TOP = 0.15
+"""[-] Probability from which it is asked whether an effect comes on top of the best explanation. Reason: no reason known for
+the value; below 1 - EXPLAINED its answer changes no verdict."""
+
+EXPERIMENT_GAIN = 0.02
+"""[-] Of probability: an experiment that brings less is not worth its time. Reason: a tenth of what 'explained' leaves open."""
+
+SETTLES = 0.8
+"""[-] Probability from which an experiment is said to tell a rival apart beside the one it tells best. Reason: EXPLAINED."""
+
+MOST_EXPERIMENTS, MOST_RIVALS = 5, 6
+"""[experiments, pairs] Proposed and looked at. Reason: readability and time."""
+
+UNKNOWN_LOOKED_AT = 0.2
+"""[-] Of p_unknown, from which a closer look is proposed where the gap lies. Reason: then nothing else can be EXPLAINED."""
+
+EXPERIMENT_REPEATED = 0.25
+"""[-] Of lambda now: what an experiment in words adds to it. Reason: a guess (docs/diagnose.md): it moves only part of the
+signature."""
+
+HIDDEN = 8
+"""[effects] That a log leaves unseen and that are looked at, those that it shows best first. Reason: time."""
+
+NAMED_PRICE = 1.7
+"""[ln] That evidence pays for a coefficient. Reason: 1/2 log(1 + lambda) at the lambda of 30 or so from which effects are
+named."""
+
+# ---------- signal: tracker
+# ---------- signal: force
+# ---------- signal: joints

@@ -1,0 +1,91 @@
+"""Every number that changes a verdict of the diagnosis stands in ocp/diagnose/rules.py with its unit and its reason."""
+
+import ast
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from ocp.diagnose import rules
+from tests.support.house import ROOT
+
+ROOM = ROOT / "ocp" / "diagnose"
+FILE = ROOM / "rules.py"
+# Constants with broken numbers that decide nothing: tolerances of solvers, shapes of features, imagined measurements, formats.
+ELSEWHERE = {
+    "engine/features.py": {"SOFT"},
+    "engine/kernels.py": {"SETTLING", "LOADED", "RIPPLES"},
+    "engine/projection.py": {"RANK"},
+    "foresee/design.py": {"FREE_LIMIT"},
+    "foresee/levers.py": {"FORCE", "JOINT"},
+    "foresee/next_experiment.py": {"BAR_SD"},
+    "foresee/next_force.py": {"READINGS", "SWAP"},
+    "foresee/planned.py": {"PER_READING", "SETTLING", "PULL", "WARM"},
+    "foresee/planned_grinding.py": {"EACH", "SETTLING", "SET", "IDLE", "LADDER", "HELD", "STEP"},
+    "foresee/planned_poses.py": {"WARMED", "DURATION", "TRACKER_AT", "LOW"},
+    "answer.py": {"SCALE"},
+    "json_out.py": {"SUM_TOLERANCE"},
+    "verdict/remainder.py": {"SI"},
+    "verdict/spectrum.py": {"ORDERS"},
+    "verdict/visible.py": {"_LAMBDA"},
+}
+FOLDERS_ELSEWHERE = ("published", "report", "force", "joints", "tracker")  # formats and drawing; signals: still to come
+
+
+def assigned(path: Path) -> list[tuple[str, ast.expr, str]]:
+    """All-caps names assigned at a module's top level, their values, and the text that follows each."""
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    found = []
+    for node, after in zip(body, [*body[1:], ast.Pass()], strict=True):
+        text = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+        for target in targets:
+            names = target.elts if isinstance(target, ast.Tuple) else [target]
+            value = node.value  # type: ignore[union-attr]
+            found += [
+                (n.id, value, str(text)) for n in names if isinstance(n, ast.Name) and re.fullmatch("_?[A-Z][A-Z0-9_]*", n.id)
+            ]
+    return found
+
+
+def modules() -> list[Path]:
+    return [p for p in sorted(ROOM.rglob("*.py")) if p != FILE]
+
+
+@cache
+def words(path: Path) -> frozenset[str]:
+    """Names that a module uses (those that it imports by name and then reads)."""
+    return frozenset(n.id for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Name))
+
+
+def is_broken(value: ast.expr) -> bool:
+    """Whether numbers that are no whole ones stand in a value; objects of a class are none."""
+    if isinstance(value, ast.Call) and isinstance(value.func, ast.Name) and value.func.id[0].isupper():
+        return False
+    return any(isinstance(c, ast.Constant) and isinstance(c.value, float) for c in ast.walk(value))
+
+
+RULES = assigned(FILE)
+
+
+@pytest.mark.parametrize(("name", "text"), [(n, t) for n, _, t in RULES])
+def test_a_rule_says_its_unit_and_its_reason_and_is_used(name: str, text: str):
+    assert re.match(r"\[[^\]]+\] \S", text), f"{name}: no unit"
+    assert re.search(r"Reason:\s+\S", text), f"{name}: no reason"
+    assert any(name in words(path) for path in modules()), f"{name} guards nothing"
+
+
+def test_rules_are_numbers_and_stand_once():
+    assert len({n for n, _, _ in RULES}) == len(RULES) > 60
+    for name, _, _ in RULES:
+        assert not isinstance(getattr(rules, name), str | bool), name
+
+
+def test_no_threshold_stands_elsewhere():
+    for path in modules():
+        place = path.relative_to(ROOM)
+        if place.parts[0] in FOLDERS_ELSEWHERE:
+            continue
+        broken = {name for name, value, _ in assigned(path) if is_broken(value)}
+        assert broken == ELSEWHERE.get(str(place), set()), place
