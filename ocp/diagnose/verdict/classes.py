@@ -2,7 +2,7 @@
 
 Effect e with signature d (projected, at its value) and another effect f whose columns C imitate it: what f leaves of it is
 lambda (1 - R^2) = |d|^2 - d^T C (C^T C + 1 / prior^2)^-1 C^T d. Below 10.5, 12.7, 14.2 for 1, 2, 3 parameters no test at this
-size tells them apart (power 0.9 at one in a thousand), and both names stand for one class. The prior keeps an effect from
+size tells them apart (power 0.9 at one in twenty), and both names stand for one class. The prior keeps an effect from
 imitating another with values it never takes.
 """
 
