@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ocp.shell.command import main, run, shown_phases
+from ocp.shell.command import answer, main, run, shown_progress
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -21,17 +21,14 @@ def calibrate(
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
     """Calibrate the robot from laser-tracker readings and, with a force log, the contact of blade and wheel."""
-    from ocp.calibrate.contact import contact_from
-    from ocp.calibrate.files import write_tracker_calibration
-    from ocp.calibrate.tracker import calibrate_tracker  # heavy imports only once the arguments stand
-    from ocp.model.measuring_setup import files_of
+    from ocp.calibrate import interface  # heavy imports only once the arguments stand
 
     def job() -> str:
-        inputs = [file for file in (tracker, force) if file is not None] + files_of(cell)
-        with shown_phases() as phases:
-            contact = None if force is None else contact_from(cell, force, phases)
-            return write_tracker_calibration(
-                lambda: calibrate_tracker(tracker, cell, method, phases), out, overwrite, phases, inputs, contact
+        with shown_progress() as progress:
+            return answer(
+                interface.calibrate(
+                    tracker, cell=cell, out=out, force=force, method=method, overwrite=overwrite, progress=progress
+                )
             )
 
     sys.exit(run(job, "not calibrated"))

@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ from ocp.calibrate.report.pages import write_calibration_report
 from ocp.calibrate.tracker import TrackerCalibration
 from ocp.model.cell_copy import cell_tables_for
 from ocp.report.section import Section
-from ocp.shell.command import tell_notices
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
@@ -26,6 +26,22 @@ from robots.pose import Array, abc_by_spin, abc_from_rotation
 BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
 
 
+@dataclass(frozen=True)
+class CalibrationResult:
+    """A calibration that was written: its folder, the fit with its judgement, the named parameters with their covariance (with a
+    force log: of wheel, blade and flange too), and the one line that says how good it is."""
+
+    folder: Path
+    tracker: TrackerCalibration
+    calibration: Calibration
+    line: str
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the user should know of readings and fit."""
+        return (*self.tracker.notices, *self.calibration.notices)
+
+
 def write_tracker_calibration(
     make: Callable[[], TrackerCalibration],
     out: Path,
@@ -33,8 +49,8 @@ def write_tracker_calibration(
     phases: Phases,
     inputs: Sequence[Path],
     contact: Callable[[Calibration], tuple[Calibration, Sequence[Section]]] | None = None,
-) -> str:
-    """Make the calibration and write its folder; the command's last line.
+) -> CalibrationResult:
+    """Make the calibration and write its folder.
 
     `contact` joins what a force log says of wheel, blade and flange and adds to the report. Raises BadInput and Infeasible of
     every part; then `out` is as it was.
@@ -58,8 +74,7 @@ def write_tracker_calibration(
                 _write_predictions(made, folder / "predictions_tracker.csv")
         with phases.phase("report"):
             write_calibration_report(made, folder, {path.name: sha256(path) for path in inputs}, extra)
-    tell_notices((*made.notices, *calibration.notices))
-    return last_line(made, out, calibration)
+    return CalibrationResult(out, made, calibration, last_line(made, out, calibration))
 
 
 def last_line(made: TrackerCalibration, out: Path, calibration: Calibration) -> str:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ocp.shell.command import main, run, shown_phases
+from ocp.shell.command import answer, main, run, shown_progress
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -55,10 +55,10 @@ def diagnose(
             return design_text(design, poses, log)
         if folder is None:
             raise BadInput("no data set is named; give the folder that holds cell.toml and measurements, or --design cell.toml")
-        from ocp.diagnose.answering import write_diagnosis
+        from ocp.diagnose import interface
 
-        with shown_phases() as phases:
-            return write_diagnosis(folder, out, overwrite, phases)
+        with shown_progress() as progress:
+            return answer(interface.diagnose(folder, out=out, overwrite=overwrite, progress=progress))
 
     sys.exit(run(job, "not diagnosed"))
 

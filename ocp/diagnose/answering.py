@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -22,7 +23,6 @@ from ocp.diagnose.reporting import drawn_beside
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.effects.effect import Effect
 from ocp.effects.library import library
-from ocp.shell.command import tell_notices
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
@@ -92,9 +92,25 @@ def left_out(sealed: dict[str, Sealed]) -> list[str]:
     ]
 
 
+@dataclass(frozen=True)
+class DiagnosisResult:
+    """A diagnosis that was written: its folder, the answer, blind predictions by signal, and the one line that says what was
+    found."""
+
+    folder: Path
+    answer: Answer
+    sealed: dict[str, Sealed]
+    line: str
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the user should know of the data, and what they cannot show."""
+        return (*self.answer.notices, *self.answer.blind, *left_out(self.sealed))
+
+
 @threadpool_limits.wrap(limits=1, user_api="blas")  # threads only fight over matrices as small as these
-def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) -> str:
-    """Diagnose a data set folder and write the answer's folder; the command's last line.
+def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) -> DiagnosisResult:
+    """Diagnose a data set folder and write the answer's folder.
 
     Raises BadInput and Infeasible of every part; then `out` is as it was.
     """
@@ -117,8 +133,7 @@ def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) ->
                 write_corrected_cell(made, out, answer.data, answer.diagnosis.channels, answer.diagnosis.active)
             with phases.phase("report"):
                 (made / "report.html").write_bytes(page())
-    tell_notices((*answer.notices, *answer.blind, *left_out(sealed)))
-    return last_line(answer, out)
+    return DiagnosisResult(out, answer, sealed, last_line(answer, out))
 
 
 def last_line(answer: Answer, out: Path) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import main, run, shown_phases
+from ocp.shell.command import main, run, shown_progress
 from robots.errors import BadInput
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -31,6 +31,7 @@ def experiments(
     from ocp.experiments.summary import last_line
     from ocp.model.cell import read_cell  # heavy imports only once the arguments stand
     from ocp.shell.output import check_output, whole_folder
+    from ocp.shell.progress import Phases
     from ocp.shell.workers import cores
 
     def job() -> str:
@@ -43,8 +44,8 @@ def experiments(
         believed = read_cell(cell)
         mounts = list(MOUNTS) if mount == "both" else [mount]
         seeds = list(range(seed, seed + robots))
-        with shown_phases() as phases:
-            trials = run_trials(believed, mounts, seeds, poses, jobs or cores(), phases)
+        with shown_progress() as progress:
+            trials = run_trials(believed, mounts, seeds, poses, jobs or cores(), Phases(progress))
         options: dict[str, object] = {"cell": believed.name, "robots": robots, "seed": seed, "poses": poses, "mounts": mounts}
         with whole_folder(out, overwrite) as folder:
             (folder / "experiments.json").write_text(trials_json(trials, options))

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import main, run, shown_phases
+from ocp.shell.command import answer, main, run, shown_progress
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -25,14 +25,24 @@ def plan(
     step: Annotated[float, typer.Option(help="distance of waypoints in mm")] = 0.5,
 ) -> None:
     """Plan the grinding of a blade: joints that hold the process force, KRL files and a report to look at first."""
-    from ocp.plan.files import write_plan
-    from ocp.plan.planning import PlanOptions, make_plan  # heavy imports only once the arguments stand
+    from ocp.plan import interface  # heavy imports only once the arguments stand
 
     def job() -> str:
-        options = PlanOptions(path, program, kind, name, step * 1e-3)
-        with shown_phases() as phases:
-            inputs = [file for file in (cell, blade, path, program) if file is not None]
-            return write_plan(lambda: make_plan(cell, blade, options, phases), out, overwrite, phases, inputs)
+        with shown_progress() as progress:
+            return answer(
+                interface.plan(
+                    blade,
+                    out=out,
+                    cell=cell,
+                    overwrite=overwrite,
+                    path=path,
+                    program=program,
+                    kind=kind,
+                    name=name,
+                    step=step * 1e-3,
+                    progress=progress,
+                )
+            )
 
     sys.exit(run(job))
 

@@ -19,12 +19,28 @@ from ocp.plan.report.printed import write_pdf
 from ocp.plan.table import write_plan_csv
 from ocp.plan.verify.readback import Readback, read_back
 from ocp.plan.verify.second_route import believed_robot
-from ocp.shell.command import tell_notices
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
 
 PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild")
+
+
+@dataclass(frozen=True)
+class PlanResult:
+    """A plan whose written program was read back and found safe: the folder, the plan, the verdict in words, and the one line
+    that says what was written."""
+
+    folder: Path
+    plan: Plan
+    readback: Readback
+    verdict: str
+    line: str
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the user should know of a plan that stands."""
+        return self.plan.notices
 
 
 @dataclass(frozen=True)
@@ -36,8 +52,8 @@ class _Written:
     readback: Readback
 
 
-def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path] = ()) -> str:
-    """Make the plan and write its folder; the command's last line.
+def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path] = ()) -> PlanResult:
+    """Make the plan and write its folder.
 
     Raises BadInput and Infeasible of every part; then `out` is as it was.
     """
@@ -56,12 +72,12 @@ def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Pha
             write_pdf(report, folder / "report.pdf")
         with phases.phase("writing"):
             _write_json(plan, written, summary, verdict, folder / "plan.json")
-    tell_notices(plan.notices)
-    return (
+    line = (
         f"{out}: {len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} KRL files, "
         f"safe to use: {verdict} "
         f"Look at {out / 'report.html'} before anything moves."
     )
+    return PlanResult(out, plan, written.readback, verdict, line)
 
 
 def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:

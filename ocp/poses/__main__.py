@@ -8,10 +8,8 @@ import numpy as np
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import main, run, shown_phases
+from ocp.shell.command import answer, main, run, shown_progress
 from robots.errors import BadInput
-
-CHOICES = ("zone", "O1", "O2", "O3", "O4", "O5")
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -38,46 +36,39 @@ def poses(
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
     """Choose the poses of a laser-tracker campaign, tell what accuracy they will give, and write CSV and KRL programs."""
-    from ocp.poses.files import write_poses  # heavy imports only once the arguments stand
-    from ocp.poses.planning import PoseOptions, make_poses
-    from ocp.poses.program import Pausing, base_name
-    from robots.calibration.layout import Priors
-    from robots.calibration.noise import Noise
+    from ocp.poses import interface  # heavy imports only once the arguments stand
 
     def job() -> str:
-        if criterion not in CHOICES:
-            raise BadInput(f"--criterion '{criterion}' is not one of {', '.join(CHOICES)}")
-        _within("--approach", approach, 0.1, 20.0, "deg")
-        _within("--speed", speed, 1, 100, "percent")
-        _within("--wait", wait, 0.1, 3600.0, "s")
-        _within("--input", wait_input, 1, 8192, "")
-        _within("--acceptance", acceptance, 1.0, 180.0, "deg")
-        _within("--prior-mm", prior_mm, 1e-3, 100.0, "mm")
-        _within("--prior-mrad", prior_mrad, 1e-3, 100.0, "mrad")
-        _within("--joint-noise", joint_noise, 0.1, 1000.0, "urad")
-        _within("--seed", seed, 0, 2**32, "")
-        if wait is not None and wait_input is not None:
-            raise BadInput("--wait and --input exclude each other; give one of them")
-        options = PoseOptions(
-            count=count, criterion=criterion, payloads=tuple(payload or ()), targets=tuple(targets or ()),
-            tracker=_place(tracker), seed=seed, name=base_name(name), approach=float(np.radians(approach)),
-            pausing=Pausing(wait, wait_input), speed=speed,
-            acceptance=None if acceptance is None else float(np.radians(acceptance)),
-            priors=Priors(length=1e-3 * prior_mm, angle=1e-3 * prior_mrad), noise=Noise(1e-6 * joint_noise),
-        )  # fmt: skip
-        with shown_phases() as phases:
-            return write_poses(lambda: make_poses(cell, options, phases), out, overwrite, phases, [cell])
+        with shown_progress() as progress:
+            return answer(
+                interface.choose_poses(
+                    cell,
+                    out=out,
+                    count=count,
+                    criterion=criterion,
+                    payloads=payload or (),
+                    targets=targets or (),
+                    tracker=_place(tracker),
+                    seed=seed,
+                    name=name,
+                    approach=float(np.radians(approach)),
+                    wait=wait,
+                    wait_input=wait_input,
+                    speed=speed,
+                    acceptance=None if acceptance is None else float(np.radians(acceptance)),
+                    length_sd=1e-3 * prior_mm,
+                    angle_sd=1e-3 * prior_mrad,
+                    joint_noise=1e-6 * joint_noise,
+                    overwrite=overwrite,
+                    progress=progress,
+                )
+            )
 
     sys.exit(run(job, "no poses chosen"))
 
 
-def _within(name: str, value: float | None, low: float, high: float, unit: str) -> None:
-    if value is not None and not low <= value <= high:
-        raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:g} {unit}".rstrip())
-
-
-def _place(text: str | None) -> np.ndarray | None:
-    """x,y,z in mm as (3,) m."""
+def _place(text: str | None) -> list[float] | None:
+    """x,y,z in mm as three numbers in m."""
     if text is None:
         return None
     try:
@@ -86,7 +77,7 @@ def _place(text: str | None) -> np.ndarray | None:
         values = np.empty(0)
     if values.shape != (3,):
         raise BadInput(f"--tracker '{text}' must be x,y,z in mm in the base frame, as 2500,2500,1500")
-    return 1e-3 * values
+    return [1e-3 * float(v) for v in values]
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import csv
 import json
 import platform
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,6 @@ import numpy as np
 from ocp.poses.planning import PosePlan
 from ocp.poses.program import measuring_program, write_and_check
 from ocp.poses.report import write_poses_sheet
-from ocp.shell.command import tell_notices
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
@@ -24,8 +24,24 @@ from robots.measurements import APPROACH, AXES
 COLUMNS = ("target", "payload", *AXES, *APPROACH)
 
 
-def write_poses(make: Callable[[], PosePlan], out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path] = ()) -> str:
-    """Choose and write a folder; the command's last line. Raises BadInput and Infeasible; then `out` is as it was."""
+@dataclass(frozen=True)
+class PosesResult:
+    """Poses that were chosen and written: the folder, the choice with what to expect of it, and the one line that says so."""
+
+    folder: Path
+    plan: PosePlan
+    line: str
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the user should know of the choice."""
+        return self.plan.notices
+
+
+def write_poses(
+    make: Callable[[], PosePlan], out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path] = ()
+) -> PosesResult:
+    """Choose and write a folder. Raises BadInput and Infeasible; then `out` is as it was."""
     check_output(out, overwrite, inputs)
     plan = make()
     with whole_folder(out, overwrite) as folder:
@@ -35,8 +51,7 @@ def write_poses(make: Callable[[], PosePlan], out: Path, overwrite: bool, phases
             _write_json(plan, programs, inputs, folder / "poses.json")
         with phases.phase("report"):
             write_poses_sheet(plan, folder / "report.pdf")
-    tell_notices(plan.notices)
-    return last_line(plan, out, rows, len(programs))
+    return PosesResult(out, plan, last_line(plan, out, rows, len(programs)))
 
 
 def last_line(plan: PosePlan, out: Path, rows: int, programs: int) -> str:

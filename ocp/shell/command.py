@@ -3,21 +3,22 @@
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
-from ocp.shell.progress import Phases
+from ocp.shell.progress import Progress
 from robots.errors import BadInput, Infeasible
 
 OK, NOT_SOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 @contextmanager
-def shown_phases() -> Iterator[Phases]:
-    """Phases with bars on stderr when that is a terminal, silent otherwise."""
+def shown_progress() -> Iterator[Progress]:
+    """Draws bars of phases on stderr when that is a terminal, nothing otherwise."""
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description:<14}"), BarColumn(), TimeElapsedColumn())
     with Bars(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
@@ -28,7 +29,7 @@ def shown_phases() -> Iterator[Phases]:
                 tasks[name] = bars.add_task(name, total=total)
             bars.update(tasks[name], completed=done, total=total)
 
-        yield Phases(show)
+        yield show
 
 
 def main(app: typer.Typer) -> None:
@@ -58,6 +59,24 @@ def run(job: Callable[[], str], not_solved: str = "no safe plan") -> int:
         return _refuse(f"{not_solved}, nothing written: {error}", NOT_SOLVED)
     except KeyboardInterrupt:
         return _refuse("interrupted, nothing written", INTERRUPTED)
+
+
+class Result(Protocol):
+    """What a command's function returns: the one line that says what was written, and what the user should know of it."""
+
+    @property
+    def line(self) -> str:
+        """What was written, and whether it is safe to use."""
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """One sentence each."""
+
+
+def answer(result: Result) -> str:
+    """The last line of a command; its notices go to stderr."""
+    tell_notices(result.notices)
+    return result.line
 
 
 def tell_notices(notices: Iterable[str]) -> None:

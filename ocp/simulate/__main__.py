@@ -6,8 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ocp.data import CELL
-from ocp.shell.command import main, run, shown_phases
+from ocp.shell.command import answer, main, run, shown_progress
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -40,18 +39,39 @@ def simulate(
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
     """Rehearse a plan on a virtual cell that shares no code with the planner, and write the data a real cell would give."""
-    from ocp.simulate.simulation import Wanted, effects_table, simulate_cell  # heavy imports only once the arguments stand
+    from ocp.simulate import interface  # heavy imports only once the arguments stand
+    from ocp.simulate.input import numbers
+    from ocp.simulate.simulation import effects_table
 
     def job() -> str:
         if list_effects:
             return effects_table()
-        wanted = Wanted(
-            plan=plan, cell=cell, blade=blade, effects=tuple(effect or ()), random=effects, sealed=sealed, machine=machine,
-            seed=seed, size=size, poses=poses, ladder=ladder, belts=belt, air=air, joints=joints, hz=hz, log_hz=log_hz,
-            clock=clock,
-        )  # fmt: skip
-        with shown_phases() as phases:
-            return simulate_cell(wanted, CELL, out, overwrite, phases)
+        none = ladder is not None and ladder.strip().lower() == "none"
+        with shown_progress() as progress:
+            return answer(
+                interface.simulate(
+                    plan,
+                    out=out,
+                    cell=cell,
+                    blade=blade,
+                    effects=effect or (),
+                    random=effects,
+                    sealed=sealed,
+                    machine=machine,
+                    seed=seed,
+                    size=size,
+                    poses=poses,
+                    ladder=() if none else None if ladder is None else numbers("--ladder", ladder),
+                    belts=() if belt is None else numbers("--belt", belt),
+                    air=air,
+                    joints=joints,
+                    hz=hz,
+                    log_hz=log_hz,
+                    clock=clock,
+                    overwrite=overwrite,
+                    progress=progress,
+                )
+            )
 
     sys.exit(run(job, "not simulated"))
 

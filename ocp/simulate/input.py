@@ -33,8 +33,8 @@ class Wanted:
     seed: int
     size: float
     poses: str
-    ladder: str | None
-    belts: str | None
+    ladder: tuple[float, ...] | None
+    belts: tuple[float, ...]
     air: bool
     joints: bool
     hz: float
@@ -128,14 +128,14 @@ def campaign_plan(wanted: Wanted, cell: Cell) -> CampaignPlan:
     if wanted.ladder is None:
         ladder = default_ladder(force, cell.flange is None)
     else:
-        ladder = () if wanted.ladder.strip().lower() == "none" else _numbers("--ladder", wanted.ladder)
-    belts = () if wanted.belts is None else _numbers("--belt", wanted.belts)
-    plan = CampaignPlan(ladder, belts, wanted.air, wanted.log_hz, wanted.sealed, wanted.clock)
+        ladder = wanted.ladder
+    plan = CampaignPlan(ladder, wanted.belts, wanted.air, wanted.log_hz, wanted.sealed, wanted.clock)
     check_plan(plan, wanted.hz, force)
     return plan
 
 
-def _numbers(name: str, text: str) -> tuple[float, ...]:
+def numbers(name: str, text: str) -> tuple[float, ...]:
+    """Numbers between commas, the text of the option `name`. Raises BadInput."""
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:

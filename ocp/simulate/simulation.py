@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ocp.model.cell import Cell, read_cell
-from ocp.shell.command import tell_notices
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
 from ocp.simulate.input import (
@@ -76,8 +75,22 @@ def _key_in_words(key: Key) -> str:
     return f"{key.name}{many} {sign}{key.low:g}..{key.high:g}{unit}"
 
 
-def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, phases: Phases) -> str:
-    """Do all of it and write the folder; the command's last line. Raises BadInput and Infeasible; then `out` is as it was."""
+@dataclass(frozen=True)
+class SimulationResult:
+    """A run of the virtual cell that was written: its folder; the rehearsal of the program (None without a plan); what was
+    planted; rows of force.csv, readings of tracker.csv; and the one line that says what force was seen."""
+
+    folder: Path
+    rehearsal: Rehearsal | None
+    planted: tuple[Planted, ...]
+    rows: int
+    readings: int
+    notices: tuple[str, ...]
+    line: str
+
+
+def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, phases: Phases) -> SimulationResult:
+    """Do all of it and write the folder. Raises BadInput and Infeasible; then `out` is as it was."""
     check_numbers(wanted)
     folder = None if wanted.plan is None else wanted.plan if wanted.plan.is_dir() else wanted.plan.parent
     program = None if wanted.plan is None else read_program(wanted.plan)
@@ -99,8 +112,15 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
         log = _track(wanted, cell, ground)
     with whole_folder(out, overwrite) as partial, phases.phase("writing"):
         rows = _write(wanted, cell, truth, effects, ground, log, folder, partial, notices)
-    tell_notices(notices)
-    return _last_line(wanted, out, effects, ground, log, rows)
+    return SimulationResult(
+        folder=out,
+        rehearsal=None if ground is None else ground.rehearsal,
+        planted=effects,
+        rows=rows,
+        readings=0 if log is None else log.count,
+        notices=tuple(notices),
+        line=_last_line(wanted, out, effects, ground, log, rows),
+    )
 
 
 def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder: Path, phases: Phases) -> _Ground:

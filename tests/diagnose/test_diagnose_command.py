@@ -32,7 +32,7 @@ PLAY = 2e-4
 
 
 def diagnosed(folder: Path, out: Path) -> tuple[str, Document]:
-    line = write_diagnosis(folder, out, False, Phases())
+    line = write_diagnosis(folder, out, False, Phases()).line
     return line, Document.model_validate_json((out / "diagnosis.json").read_text())
 
 
@@ -169,7 +169,7 @@ def test_what_is_wrong_is_said_in_one_sentence_and_nothing_is_written(tmp_path, 
     folder = tmp_path / "set"
     write_tracker_folder(folder, 3, 0.0, n=24, sealed=3)
     spoil(folder)
-    assert run(lambda: write_diagnosis(folder, tmp_path / "out", False, Phases())) == 2
+    assert run(lambda: write_diagnosis(folder, tmp_path / "out", False, Phases()).line) == 2
     told = capsys.readouterr().err.strip()
     assert words in told and len(told.splitlines()) == 1
     assert not (tmp_path / "out").exists()
@@ -200,8 +200,8 @@ def test_a_folder_in_use_is_not_overwritten(tmp_path, capsys):
     write_tracker_folder(tmp_path / "set", 3, 0.0, n=24, sealed=3)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("kept")
-    assert run(lambda: write_diagnosis(tmp_path / "set", tmp_path / "out", False, Phases())) == 2
-    assert run(lambda: write_diagnosis(tmp_path / "set", tmp_path / "set", True, Phases())) == 2
+    assert run(lambda: write_diagnosis(tmp_path / "set", tmp_path / "out", False, Phases()).line) == 2
+    assert run(lambda: write_diagnosis(tmp_path / "set", tmp_path / "set", True, Phases()).line) == 2
     assert (tmp_path / "out" / "mine.txt").read_text() == "kept" and (tmp_path / "set" / "tracker.csv").is_file()
 
 

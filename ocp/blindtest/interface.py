@@ -1,0 +1,79 @@
+"""`ocp.api.blindtest`: worlds drawn and sealed, answered by the diagnosis without their labels, then judged."""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ocp.blindtest.report.page import last_line, write_blindtest_report
+from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
+from ocp.blindtest.scoring.figures import Figure, table
+from ocp.blindtest.worlds.recipes import check_kinds, recipes
+from ocp.blindtest.worlds.sealing import Check, write_cell
+from ocp.data import CELL
+from ocp.shell.progress import Phases, Progress
+from ocp.shell.workers import cores
+from robots.errors import BadInput
+
+SIGNALS = ("tracker", "force", "both")
+KINDS = ("single", "none", "none_background", "pair", "triple", "outside", "left_out")
+
+
+@dataclass(frozen=True)
+class BlindtestResult:
+    """A blind check: its folder, one row of scores a world, the figures with their intervals and targets, and the one line that
+    says how many are reached."""
+
+    folder: Path
+    rows: tuple[dict[str, Any], ...]
+    figures: tuple[Figure, ...]
+    line: str
+    notices: tuple[str, ...] = ()
+
+
+def blindtest(
+    *,
+    out: str | Path,
+    worlds: int = 95,
+    kinds: Sequence[str] = KINDS,
+    signals: str = "tracker",
+    seed: int = 1,
+    jobs: int = 0,
+    cell: str | Path = CELL,
+    readings: int = 150,
+    again: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> BlindtestResult:
+    """Draw and seal worlds, let the diagnosis answer them blind, then open the labels and score; worlds, answers, scores and
+    report stand in the folder `out`, where a later call with the same arguments goes on.
+
+    worlds: how many; kinds of worlds; signals: tracker, force or both; seed: everything is drawn from it; jobs: processes (0:
+    one for each core); cell: whose machines are drawn; readings of a campaign; again: answer all worlds anew; overwrite: begin
+    anew, with new worlds. Raises BadInput: an argument is not what it should be, or `out` holds something else.
+    """
+    folder = Path(out)
+    if signals not in SIGNALS:
+        raise BadInput(f"--signals '{signals}' is not one of {', '.join(SIGNALS)}")
+    limits = (("--worlds", worlds, 1, 20000), ("--readings", readings, 40, 2000), ("--jobs", jobs, 0, 64))
+    for name, value, low, high in limits:
+        if not low <= value <= high:
+            raise BadInput(f"{name} {value} must lie between {low} and {high}")
+    check = Check(folder, seed, worlds, check_kinds(",".join(kinds), signals), readings, signals=signals)
+    if overwrite and folder.is_dir():
+        if not (folder / "plan.json").is_file() and any(folder.iterdir()):
+            raise BadInput(f"{folder}: holds no blind check; --overwrite would delete it, give another --out")
+        shutil.rmtree(folder)
+    resume(check, overwrite)
+    if not check.cell.is_file():
+        write_cell(Path(cell), check.cell, signals)
+    if again:
+        forget_answers(check)
+    planned, count, phases = recipes(worlds, check.kinds), jobs or cores(), Phases(progress)
+    make_all(check, planned, count, phases)
+    answer_all(check, planned, count, phases)
+    rows = score_all(check, planned, count, phases)
+    with phases.phase("report"):
+        write_blindtest_report(check, rows)
+    return BlindtestResult(folder, tuple(rows), tuple(table(rows)), last_line(check, rows))

@@ -1,0 +1,37 @@
+"""`ocp.api.plan`: blade and cell in; a verified program, its table and a report out."""
+
+from pathlib import Path
+
+from ocp.data import CELL
+from ocp.plan.files import PlanResult, write_plan
+from ocp.plan.planning import PlanOptions, make_plan
+from ocp.shell.progress import Phases, Progress
+
+
+def plan(
+    blade: str | Path | None = None,
+    *,
+    out: str | Path,
+    cell: str | Path = CELL,
+    overwrite: bool = False,
+    path: str | Path | None = None,
+    program: str | Path | None = None,
+    kind: str = "axis",
+    name: str | None = None,
+    step: float = 5e-4,
+    progress: Progress | None = None,
+) -> PlanResult:
+    """Plan the grinding of a blade (its STL; None: the cell's own) and write programs, table and report into the folder `out`.
+
+    path: contact points made elsewhere, path.csv; program: an existing KRL program to take the path from; kind: axis (timed
+    splines), cartesian (#TCP splines) or lin (KSS 5); name of the program (None: the blade's); step m between waypoints. Raises
+    BadInput: an argument or a file is not what it should be; Infeasible: there is no safe plan. Nothing is written then.
+    """
+    chosen = PlanOptions(_path(path), _path(program), kind, name, step)
+    files = [file for file in (Path(cell), _path(blade), chosen.path, chosen.program) if file is not None]
+    phases = Phases(progress)
+    return write_plan(lambda: make_plan(Path(cell), _path(blade), chosen, phases), Path(out), overwrite, phases, files)
+
+
+def _path(given: str | Path | None) -> Path | None:
+    return None if given is None else Path(given)

@@ -1,0 +1,86 @@
+"""`ocp.api.choose_poses`: a cell in; where to put the robot before a calibration, as a table and programs, out."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ocp.data import CELL
+from ocp.poses.files import PosesResult, write_poses
+from ocp.poses.planning import PoseOptions, make_poses
+from ocp.poses.program import Pausing, base_name
+from ocp.shell.progress import Phases, Progress
+from robots.calibration.layout import Priors
+from robots.calibration.noise import Noise
+from robots.errors import BadInput
+
+CRITERIA = ("zone", "O1", "O2", "O3", "O4", "O5")
+
+
+def choose_poses(
+    cell: str | Path = CELL,
+    *,
+    out: str | Path,
+    count: int = 40,
+    criterion: str = "zone",
+    payloads: Sequence[str] = (),
+    targets: Sequence[str] = (),
+    tracker: Sequence[float] | None = None,
+    seed: int = 0,
+    name: str = "POSES",
+    approach: float = np.radians(2.0),
+    wait: float | None = None,
+    wait_input: int | None = None,
+    speed: int = 20,
+    acceptance: float | None = None,
+    length_sd: float = 1e-3,
+    angle_sd: float = 1e-3,
+    joint_noise: float = 1e-5,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> PosesResult:
+    """Choose the `count` poses of a laser-tracker campaign that tell most, and write poses.csv, KRL programs and a report into
+    the folder `out`.
+
+    criterion: zone (accuracy at the wheel), or O1 to O5 of the literature; payloads, targets: names of the cell's (none: the
+    one it grinds with, all nests); tracker (3,) m: its head in the base frame (None: chosen); approach rad: how far before
+    every axis an approach begins; wait s at a reading, or for the controller's input `wait_input` (neither: the program halts);
+    speed: percent of the axis speeds; acceptance rad: of a reflector about away from its link's z axis; length_sd m, angle_sd
+    rad: one sigma before the calibration; joint_noise rad: repeatability of an axis, one sigma. Raises BadInput: an argument or
+    the cell is not what it should be; Infeasible: too few postures are free and seen.
+    """
+    if criterion not in CRITERIA:
+        raise BadInput(f"--criterion '{criterion}' is not one of {', '.join(CRITERIA)}")
+    _within("--approach", float(np.degrees(approach)), 0.1, 20.0, "deg")
+    _within("--speed", speed, 1, 100, "percent")
+    _within("--wait", wait, 0.1, 3600.0, "s")
+    _within("--input", wait_input, 1, 8192, "")
+    _within("--acceptance", None if acceptance is None else float(np.degrees(acceptance)), 1.0, 180.0, "deg")
+    _within("--prior-mm", 1e3 * length_sd, 1e-3, 100.0, "mm")
+    _within("--prior-mrad", 1e3 * angle_sd, 1e-3, 100.0, "mrad")
+    _within("--joint-noise", 1e6 * joint_noise, 0.1, 1000.0, "urad")
+    _within("--seed", seed, 0, 2**32, "")
+    if wait is not None and wait_input is not None:
+        raise BadInput("--wait and --input exclude each other; give one of them")
+    options = PoseOptions(
+        count=count,
+        criterion=criterion,
+        payloads=tuple(payloads),
+        targets=tuple(targets),
+        tracker=None if tracker is None else np.asarray(tracker, float),
+        seed=seed,
+        name=base_name(name),
+        approach=float(approach),
+        pausing=Pausing(wait, wait_input),
+        speed=speed,
+        acceptance=acceptance,
+        priors=Priors(length=length_sd, angle=angle_sd),
+        noise=Noise(joint_noise),
+    )
+    phases = Phases(progress)
+    return write_poses(lambda: make_poses(Path(cell), options, phases), Path(out), overwrite, phases, [Path(cell)])
+
+
+def _within(name: str, value: float | None, low: float, high: float, unit: str) -> None:
+    if value is not None and not low * (1 - 1e-12) <= value <= high * (1 + 1e-12):
+        raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:g} {unit}".rstrip())
