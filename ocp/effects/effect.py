@@ -7,7 +7,7 @@ DIAGNOSIS.md (the data contract); signs and units of every key are stated in the
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -192,6 +192,27 @@ class Active:
             found = np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", J, np.atleast_2d(self.covariance), J), 0.0))
             out[key] = float(found) if np.ndim(value) == 0 else found.tolist()
         return out
+
+
+def prior_sds(active: Sequence[Active]) -> Array:
+    """Prior standard deviations (m,) of the coefficients of several effects, one after the other."""
+    return np.concatenate([np.zeros(0), *(np.asarray(one.effect.prior_sd, float) for one in active)])
+
+
+def coefficients(active: Sequence[Active]) -> Array:
+    """Coefficients (m,) of several effects, one after the other."""
+    return np.concatenate([np.zeros(0), *(one.a for one in active)])
+
+
+def with_coefficients(active: Sequence[Active], a: Array, covariance: Array | None = None) -> tuple[Active, ...]:
+    """The effects with coefficients a (m,) and, where it is given, their own blocks of a covariance (m, m)."""
+    found, start = [], 0
+    for one in active:
+        block = slice(start, start + one.effect.size)
+        own = one.covariance if covariance is None else covariance[block, block]
+        found.append(replace(one, a=a[block], covariance=own))
+        start = block.stop
+    return tuple(found)
 
 
 def _slope(effect: Effect, a: Array, scanned: Scanned, i: int, step: float, keys: Mapping[str, Any]) -> dict[str, Array]:

@@ -82,14 +82,14 @@ def fit_campaign(
     start = replace(nominal, stations=begin.stations)
     offset = _offset_to(layout, start, begin)
     noise = noise or Noise()
-    result = solve(campaign, layout, start, begin, offset, noise)
+    result = solve(campaign, layout, begin, offset, noise)
     if estimated:
         for _ in range(3):
             found = joint_noise(campaign, layout, result)
             if abs(np.log(found.joints / noise.joints)) < 0.02:
                 break
             noise = found
-            result = solve(campaign, layout, start, result.state, result.offset, noise)
+            result = solve(campaign, layout, result.state, result.offset, noise)
     return _finished(campaign, choice, priors, layout, start, result, noise)
 
 
@@ -121,7 +121,7 @@ def located(campaign: Campaign, state: State) -> State:
     state = replace(state, stations=stations)
     rigid = Choice(geometry=False, joints=())
     layout = build_layout(c.robot, c.readings, c.instrument, rigid, Priors())
-    return solve(campaign, layout, state, state, np.zeros(layout.size), Noise()).state
+    return solve(campaign, layout, state, np.zeros(layout.size), Noise()).state
 
 
 def _thinned(readings: Readings, most: int) -> Readings:

@@ -1,4 +1,4 @@
-"""One minimisation of the robust misfit: Levenberg-Marquardt on the weighted normal equations, and the joint noise after it.
+"""One minimisation of the robust misfit by reweighted Gauss-Newton steps, and the joint noise after it.
 
 The spread starts at what the data show and is lowered to the noise model's as the fit settles, so that outliers of any
 size lose their weight before they can do harm. docs/calibration.md, eqs. 2 and 3.
@@ -7,19 +7,19 @@ size lose their weight before they can do harm. docs/calibration.md, eqs. 2 and 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 
 from robots.calibration.layout import Layout, State, moved
 from robots.calibration.noise import TURN_SD, Noise, reading_covariance, whitener
 from robots.calibration.residuals import Linearised, linearise, residuals
-from robots.calibration.student import NU, consistency, misfit, spread_of, weights
+from robots.calibration.student import NU, consistency, spread_of, weights
+from robots.gauss_newton import Rule, minimise
 from robots.measurements import Hanging, Index, Instrument, Readings
 from robots.pose import Array
 from robots.robot import Robot
 
-MAX_STEPS = 40
-SETTLED = 1e-3  # of one posterior sd: smaller steps end the fit
+RULE = Rule(steps=40, rest=1e-6, halvings=10)
+JITTER = 1e-12  # precision of every unknown, lest a campaign that says nothing of one be singular
 RELINEARISE = 1e-5  # m or rad: smaller steps leave the Jacobian as it is (its change is below 1e-5 of itself)
 JOINT_NOISE_SD = 1.0  # of its logarithm about what is usual: a factor of three either way, which few readings cannot correct
 LEAST_SPREAD = 0.5  # of the noise model: few readings can be met too well, no instrument is that much better than it says
@@ -43,60 +43,74 @@ class Campaign:
 
 @dataclass(frozen=True)
 class Solution:
-    """State reached and its offset (p,) from the start, residuals with derivatives, whitener, squared distances (n,), spread,
-    steps taken."""
+    """A point of the search and where it ends: state and its offset (p,) from the prior's mean, residuals with derivatives,
+    whitener, squared distances (n,), weights (n,), spread, steps taken. stale: the derivatives are those of an earlier point."""
 
+    campaign: Campaign
+    layout: Layout
+    noise: Noise
     state: State
     offset: Array
     linear: Linearised
     W: Array
     squared: Array
+    weight: Array
     spread: float
     steps: int
+    stale: bool
 
+    @staticmethod
+    def at(campaign: Campaign, layout: Layout, state: State, offset: Array, noise: Noise) -> "Solution":
+        """The point of a state."""
+        linear, W = looked(campaign, layout, state, noise)
+        squared = _squared(W, linear.residual)
+        return Solution(campaign, layout, noise, state, offset, linear, W, squared, np.ones(len(squared)), 1.0, 0, False)
 
-def solve(campaign: Campaign, layout: Layout, start: State, begin: State, offset: Array, noise: Noise) -> Solution:
-    """Levenberg-Marquardt with the spread lowered as the residuals allow."""
-    c = campaign
-    state = begin
-    linear, W = looked(c, layout, state, noise)
-    precision = np.where(np.isfinite(layout.prior_sd), (layout.scale / layout.prior_sd) ** 2, 0.0)
-    squared = _squared(W, linear.residual)
-    k = linear.residual.shape[1]
-    damping, spread, steps = 0.0, spread_of(squared, k), 0  # what the data show
-    while steps < MAX_STEPS:
-        steps += 1
-        weight = weights(squared / spread**2, k)
-        scaled = (W @ linear.J) * layout.scale / spread
-        rhs = np.einsum("nki,nk,n->i", scaled, _whitened(W, linear.residual) / spread, weight)
-        rhs -= precision * offset / layout.scale
-        flat = (scaled * np.sqrt(weight)[:, None, None]).reshape(-1, layout.size)
-        normal = flat.T @ flat + np.diag(precision)
-        cost = _cost(squared, spread, k, offset, layout)
-        while True:
-            damped = normal + np.diag(damping * np.diag(normal) + 1e-12)
-            step = layout.scale * cho_solve(cho_factor(damped), rhs)
-            trial = moved(layout, state, step)
-            residual = _paired(c, residuals(c.robot, c.readings, c.instrument, trial))
-            trial_squared = _squared(W, residual)
-            if _cost(trial_squared, spread, k, offset + step, layout) <= cost * (1 + 1e-12) + 1e-9 or damping > 1e6:
-                break
-            damping = max(10 * damping, 1e-4)
-        damping = 0.0 if damping < 1e-3 else 0.1 * damping
-        # Geometry of the step in posterior sds, without an inverse: step^T normal step.
-        length = float(np.sqrt((step / layout.scale) @ normal @ (step / layout.scale)))
-        state, offset, squared = trial, offset + step, trial_squared
-        if np.abs(step).max() > RELINEARISE:
-            linear, W = looked(c, layout, state, noise)
+    @property
+    def z(self) -> Array:
+        """Offset in units of the layout's scale."""
+        return self.offset / self.layout.scale
+
+    def reweighted(self) -> "Solution":
+        """With the spread that the residuals show and the weights that follow; derivatives at this point."""
+        linear, W, squared = self.linear, self.W, self.squared
+        if self.stale:
+            linear, W = looked(self.campaign, self.layout, self.state, self.noise)
             squared = _squared(W, linear.residual)
-        else:
-            linear = replace(linear, residual=residual)
-        lower = max(spread_of(squared, k), LEAST_SPREAD)
-        settled = length < SETTLED and abs(lower / spread - 1) < 1e-3
-        spread = lower
-        if settled:
-            break
-    return Solution(state, offset, linear, W, squared, spread, steps)
+        k = linear.residual.shape[1]
+        spread = max(spread_of(squared, k), LEAST_SPREAD)
+        weight = weights(squared / spread**2, k)
+        return replace(self, linear=linear, W=W, squared=squared, weight=weight, spread=spread, stale=False)
+
+    def residual(self) -> Array:
+        """Whitened and weighted (n k,)."""
+        return np.asarray((_whitened(self.W, self.linear.residual) * self._root[:, None]).ravel())
+
+    def linearised(self) -> tuple[Array, Array]:
+        """With the sensitivities (n k, p) to z."""
+        columns = (self.W @ self.linear.J) * self.layout.scale * self._root[:, None, None]
+        return self.residual(), columns.reshape(-1, self.layout.size)
+
+    def moved(self, change: Array) -> "Solution":
+        """The point after a step; after a small one the derivatives stay."""
+        c, step = self.campaign, self.layout.scale * change
+        state = moved(self.layout, self.state, step)
+        residual = _paired(c, residuals(c.robot, c.readings, c.instrument, state))
+        return replace(
+            self, state=state, offset=self.offset + step, linear=replace(self.linear, residual=residual),
+            squared=_squared(self.W, residual), steps=self.steps + 1, stale=bool(np.abs(step).max() > RELINEARISE),
+        )  # fmt: skip
+
+    @property
+    def _root(self) -> Array:
+        return np.sqrt(self.weight) / self.spread
+
+
+def solve(campaign: Campaign, layout: Layout, begin: State, offset: Array, noise: Noise) -> Solution:
+    """The most probable state near `begin`, which is `offset` (p,) from the prior's mean."""
+    known = np.isfinite(layout.prior_sd)
+    precision = np.where(known, (layout.scale / layout.prior_sd) ** 2, 0.0) + JITTER
+    return minimise(Solution.at(campaign, layout, begin, offset, noise), precision, RULE).at.reweighted()
 
 
 def looked(campaign: Campaign, layout: Layout, state: State, noise: Noise) -> tuple[Linearised, Array]:
@@ -133,11 +147,6 @@ def _whitened(W: Array, residual: Array) -> Array:
 
 def _squared(W: Array, residual: Array) -> Array:
     return np.asarray((_whitened(W, residual) ** 2).sum(axis=1))
-
-
-def _cost(squared: Array, spread: float, k: int, offset: Array, layout: Layout) -> float:
-    """Negative log posterior."""
-    return misfit(squared / spread**2, k) + 0.5 * float(((offset / layout.prior_sd) ** 2).sum())
 
 
 def joint_noise(campaign: Campaign, layout: Layout, solution: Solution) -> Noise:

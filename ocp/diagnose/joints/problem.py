@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from ocp.diagnose.joints.columns import DELAY, delay_columns, effect_columns
 from ocp.diagnose.joints.noise import Noise, blocks, factors, whiten
 from ocp.diagnose.joints.signals import Signals
-from ocp.effects.effect import Active, Effect, Scanned
+from ocp.effects.effect import Active, Effect, Scanned, coefficients, prior_sds, with_coefficients
 from ocp.effects.engine.arm_rows import ArmRows
+from robots.gauss_newton import Rule, minimise
 from robots.measurements import Hanging, Index
 from robots.pose import Array
 from robots.robot import Robot
@@ -31,6 +32,7 @@ SPRING_SHARE = 0.3  # one sigma of a spring that the cell states, of its complia
 SPRING_SD = 2e-6  # rad/(N m): one sigma of a catalogue's, the upper end of what joints give
 FRICTION_SD = {"viscous": 2e-4, "dry": 3e-5}  # s, rad: 1e-7 rad/(N m) times 2000 N m s/rad and 300 N m, as large drives measure
 STEPS = 4
+RANK = 1e-12  # of the largest singular value; what the readings say less of stays where it is
 
 
 @dataclass(frozen=True)
@@ -165,43 +167,54 @@ def column_of(problem: Problem, one: Active, delays: Array) -> Array:
     return problem.columns(one.effect, one.joint, [one.scanned])[0]
 
 
+@dataclass(frozen=True)
+class _Point:
+    """A point of the search (`robots.gauss_newton`): nuisance theta (p,), effects, mean and scale of all unknowns, columns (n, p)
+    of the nuisance, and the same whitened."""
+
+    problem: Problem
+    theta: Array
+    active: tuple[Active, ...]
+    mean: Array
+    scale: Array
+    columns: Array
+    white: Array
+
+    @property
+    def z(self) -> Array:
+        return (np.concatenate([self.theta, coefficients(self.active)]) - self.mean) / self.scale
+
+    def reweighted(self) -> "_Point":
+        return self
+
+    def residual(self) -> Array:
+        left = self.problem.measured - self.columns @ self.theta - shift_of(self.problem, self.active)
+        return self.problem.whitened(left[:, None])[:, 0]
+
+    def linearised(self) -> tuple[Array, Array]:
+        delays = delays_of(self.active)
+        effects = [self.problem.whitened(column_of(self.problem, one, delays)) for one in self.active]
+        return self.residual(), np.column_stack([self.white, *effects]) * self.scale
+
+    def moved(self, change: Array) -> "_Point":
+        step, p = self.scale * change, len(self.theta)
+        return replace(
+            self, theta=self.theta + step[:p], active=with_coefficients(self.active, coefficients(self.active) + step[p:])
+        )
+
+
 def solve(problem: Problem, active: tuple[Active, ...]) -> tuple[Array, tuple[Active, ...]]:
     """Nuisance (p,) and effects with values and covariance that fit the readings best."""
-    B = nuisance_columns(problem)
-    p = B.shape[1]
     mean, sd = nuisance_prior(problem)
-    mean = np.concatenate([mean, np.zeros(sum(one.effect.size for one in active))])
-    sd = np.concatenate([sd, *(np.array(one.effect.prior_sd, float) for one in active)])
+    p = len(mean)
+    mean, sd = np.append(mean, np.zeros(len(coefficients(active)))), np.append(sd, prior_sds(active))
+    known = np.isfinite(sd)
+    scale = np.where(known, sd, RUN_SD)
     allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance_names(problem)])
-    B = np.where(allowed, 0.0, B)
-    prior = np.diag(1.0 / sd)[np.isfinite(sd)]
+    columns = np.where(allowed, 0.0, nuisance_columns(problem))
     moving = any(one.effect.name == DELAY for one in active)
-    theta, white_B = mean[:p].copy(), problem.whitened(B)
-    for _ in range(STEPS if moving else 1):
-        delays = delays_of(active)
-        columns = [column_of(problem, one, delays) for one in active]
-        left = problem.measured - B @ theta - shift_of(problem, active)
-        white = problem.whitened(np.column_stack([left, *columns]))
-        x = np.concatenate([theta, *(one.a for one in active)])
-        A = np.vstack([np.column_stack([white_B, white[:, 1:]]), prior])
-        step, covariance = _least_squares(A, np.concatenate([white[:, 0], prior @ (mean - x)]))
-        theta, active = (x + step)[:p], _with_values(active, x + step, covariance, p)
-    return theta, active
-
-
-def _least_squares(A: Array, b: Array) -> tuple[Array, Array]:
-    """Solution and (A^T A)^-1 through the SVD of A with columns of unit length."""
-    scale = np.linalg.norm(A, axis=0)
-    scale[scale == 0] = 1.0
-    U, s, Vt = np.linalg.svd(A / scale, full_matrices=False)
-    inverse = np.where(s > 1e-12 * s[0], 1.0 / s, 0.0)
-    return (Vt.T @ (inverse * (U.T @ b))) / scale, (Vt.T * inverse**2) @ Vt / np.outer(scale, scale)
-
-
-def _with_values(active: tuple[Active, ...], x: Array, covariance: Array, at: int) -> tuple[Active, ...]:
-    found = []
-    for one in active:
-        m = one.effect.size
-        found.append(replace(one, a=x[at : at + m], covariance=covariance[at : at + m, at : at + m]))
-        at += m
-    return tuple(found)
+    start = _Point(problem, mean[:p], active, mean, scale, columns, problem.whitened(columns))
+    found = minimise(start, known.astype(float), Rule(STEPS if moving else 1, rank=RANK))
+    covariance = scale[:, None] * found.last.covariance * scale
+    at = found.at
+    return at.theta, with_coefficients(at.active, coefficients(at.active), covariance[p:, p:])

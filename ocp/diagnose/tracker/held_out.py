@@ -11,9 +11,10 @@ import numpy as np
 from ocp.diagnose.engine.system import Fold, HeldOut, drifts
 from ocp.diagnose.tracker.motion import Seen, together
 from ocp.diagnose.tracker.noise import plain
-from ocp.diagnose.tracker.refit import Held, Task
-from ocp.effects.effect import Active
+from ocp.diagnose.tracker.refit import RANK, Held, Task
+from ocp.effects.effect import Active, prior_sds
 from robots.calibration.noise import reading_covariance
+from robots.gauss_newton import linear_step
 from robots.pose import Array
 
 GROSS = 0.1  # reliability below which a reading is an outlier and is not held against a model
@@ -35,7 +36,7 @@ def held_out(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> Hel
     whole = fit.linear.residual + added(fit.active, seen, fit)[1]
     extra, _ = added(active, seen, fit)
     before = _solved(task, fit, whole, np.zeros((len(r), 3, 0)), np.zeros(0), train)[0][rows]
-    prior = np.concatenate([np.asarray(a.effect.prior_sd, float) for a in active]) if active else np.zeros(0)
+    prior = prior_sds(active)
     errors, a, covariance = _solved(task, fit, whole, extra, prior, train)
     after = errors[rows]
     told = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
@@ -66,11 +67,7 @@ def _solved(task: Task, fit: Held, residual: Array, extra: Array, prior: Array, 
     J = np.concatenate([fit.linear.J, extra], axis=2)
     A = (fit.W[train] @ J[train]).reshape(-1, len(sd)) * scale
     y = np.einsum("nij,nj->ni", fit.W[train], residual[train]).ravel()
-    finite = np.isfinite(sd)
-    A = np.vstack([A, np.eye(len(sd))[finite]])
-    y = np.concatenate([y, -(offset / scale)[finite]])
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    safe = s > 1e-9 * s[0]
-    V = scale[:, None] * Vt[safe].T / s[safe]
-    step, last = V @ (U[:, safe].T @ y), slice(layout.size, None)
-    return np.asarray(residual - J @ step), step[last], np.asarray(V[last] @ V[last].T)
+    found = linear_step(y, A, offset / scale, np.isfinite(sd).astype(float), RANK)
+    step, last = scale * found.change, slice(layout.size, None)
+    covariance = scale[last, None] * found.covariance[last, last] * scale[last]
+    return np.asarray(residual - J @ step), step[last], covariance

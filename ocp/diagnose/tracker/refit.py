@@ -6,20 +6,23 @@ millimetre, are added to first order (their second order is below a micrometre).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ocp.diagnose.tracker.motion import Seen, together
 from ocp.diagnose.tracker.noise import joint_noise, reliability
-from ocp.effects.effect import Active
+from ocp.effects.effect import Active, coefficients, prior_sds, with_coefficients
 from robots.calibration.layout import Layout, State, moved
 from robots.calibration.noise import Noise, Repeats, reading_covariance, whitener
 from robots.calibration.residuals import Linearised, linearise, points
 from robots.calibration.solver import Campaign
+from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
 
 STEPS = 8
-SETTLED = 0.01  # of one posterior sd
+SETTLED = 0.01  # of one posterior sd, of each unknown
+RANK = 1e-9  # of the largest singular value; what the readings say less of stays where it is
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ def settled(task: Task, fit: Held) -> Held:
 
 def freedom_used(layout: Layout, fit: Held) -> float:
     """Degrees of freedom that the readings, not the priors, take up."""
-    prior = np.concatenate([layout.prior_sd, *[np.asarray(a.effect.prior_sd, float) for a in fit.active]])
+    prior = np.concatenate([layout.prior_sd, prior_sds(fit.active)])
     return float(np.sum(1.0 - np.diag(fit.covariance) / prior**2))
 
 
@@ -108,44 +111,72 @@ def seen_of(task: Task, state: State) -> Seen:
     return Seen(c.robot, c.readings, c.instrument, state, c.readings.point, task.reference, task.start.arm[30:])
 
 
-def _settled(
-    task: Task, state: State, offset: Array, active: tuple[Active, ...], noise: Noise,
-    here: tuple[Linearised, Array] | None = None,
-) -> Held:  # fmt: skip
-    """Gauss-Newton until a step is small against the posterior; here: what `looked` says of the beginning, where it is known."""
-    c, layout = task.campaign, task.layout
-    linear, extra = looked(task, state, active) if here is None else here
-    for _ in range(STEPS):
-        W = whitener(reading_covariance(c.readings, c.instrument, noise, linear.d_joints))
-        squared = np.einsum("nij,nj->ni", W, linear.residual)
+@dataclass(frozen=True)
+class _Point:
+    """A point of the search (`robots.gauss_newton`): as `Held`, before its covariance is known."""
+
+    task: Task
+    state: State
+    offset: Array
+    active: tuple[Active, ...]
+    noise: Noise
+    linear: Linearised
+    extra: Array
+    W: Array
+    weight: Array
+
+    @cached_property
+    def prior_sd(self) -> Array:
+        """Of all unknowns, coefficients last; inf: free."""
+        return np.concatenate([self.task.layout.prior_sd, prior_sds(self.active)])
+
+    @cached_property
+    def scale(self) -> Array:
+        """Unit of all unknowns."""
+        sd, layout = self.prior_sd, self.task.layout
+        return np.where(np.isfinite(sd), sd, np.concatenate([layout.scale, np.ones(len(sd) - layout.size)]))
+
+    @property
+    def z(self) -> Array:
+        return np.concatenate([self.offset, coefficients(self.active)]) / self.scale
+
+    def reweighted(self) -> "_Point":
+        c = self.task.campaign
+        W = whitener(reading_covariance(c.readings, c.instrument, self.noise, self.linear.d_joints))
+        squared = np.einsum("nij,nj->ni", W, self.linear.residual)
         weight = reliability((squared**2).sum(axis=1))
-        W = W * np.sqrt(weight)[:, None, None]
-        prior = np.concatenate([layout.prior_sd, *[np.asarray(a.effect.prior_sd, float) for a in active]])
-        centre = np.concatenate([offset, *[a.a for a in active]])
-        scale = np.where(np.isfinite(prior), prior, np.concatenate([layout.scale, np.ones(len(prior) - layout.size)]))
-        rows = (W @ np.concatenate([linear.J, extra], axis=2)).reshape(-1, len(prior)) * scale
-        known = np.isfinite(prior)
-        A = np.vstack([rows, np.eye(len(prior))[known]])
-        y = np.concatenate([np.einsum("nij,nj->ni", W, linear.residual).ravel(), -(centre / scale)[known]])
-        U, s, Vt = np.linalg.svd(A, full_matrices=False)
-        safe = s > 1e-9 * s[0]
-        V = Vt[safe].T / s[safe]
-        step = scale * (V @ (U[:, safe].T @ y))
-        length = float(np.linalg.norm(A @ (step / scale)))
-        covariance = scale[:, None] * (V @ V.T) * scale[None, :]
-        state, offset = moved(layout, state, step[: layout.size]), offset + step[: layout.size]
-        active = _stepped(active, step[layout.size :], covariance[layout.size :, layout.size :])
-        linear, extra = looked(task, state, active)
-        if length < SETTLED * np.sqrt(len(prior)):
-            break
-    return Held(state, offset, active, linear, extra, W, weight, noise, covariance)
+        return replace(self, W=W * np.sqrt(weight)[:, None, None], weight=weight)
+
+    def residual(self) -> Array:
+        return np.einsum("nij,nj->ni", self.W, self.linear.residual).ravel()
+
+    def linearised(self) -> tuple[Array, Array]:
+        columns = self.W @ np.concatenate([self.linear.J, self.extra], axis=2)
+        return self.residual(), columns.reshape(-1, len(self.scale)) * self.scale
+
+    def moved(self, change: Array) -> "_Point":
+        step, size = self.scale * change, self.task.layout.size
+        state = moved(self.task.layout, self.state, step[:size])
+        active = with_coefficients(self.active, coefficients(self.active) + step[size:])
+        linear, extra = looked(self.task, state, active)
+        return replace(self, state=state, offset=self.offset + step[:size], active=active, linear=linear, extra=extra)
 
 
-def _stepped(active: tuple[Active, ...], step: Array, covariance: Array) -> tuple[Active, ...]:
-    """Active effects after a step of their coefficients."""
-    found, start = [], 0
-    for one in active:
-        block = slice(start, start + one.effect.size)
-        start = block.stop
-        found.append(replace(one, a=one.a + step[block], covariance=covariance[block, block]))
-    return tuple(found)
+def _settled(
+    task: Task,
+    state: State,
+    offset: Array,
+    active: tuple[Active, ...],
+    noise: Noise,
+    here: tuple[Linearised, Array] | None = None,
+) -> Held:
+    """Gauss-Newton until a step is small against the posterior; here: what `looked` says of the beginning, where it is known."""
+    linear, extra = looked(task, state, active) if here is None else here
+    none = np.zeros(0)
+    start = _Point(task, state, offset, active, noise, linear, extra, none, none)
+    known = np.isfinite(start.prior_sd)
+    found = minimise(start, known.astype(float), Rule(STEPS, SETTLED**2 * len(known), rank=RANK))
+    at, scale, size = found.at, start.scale, task.layout.size
+    covariance = scale[:, None] * found.last.covariance * scale[None, :]
+    named = with_coefficients(at.active, coefficients(at.active), covariance[size:, size:])
+    return Held(at.state, at.offset, named, at.linear, at.extra, at.W, at.weight, noise, covariance)
