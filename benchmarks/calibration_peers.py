@@ -22,16 +22,15 @@ from calibration_peer_runs import WAYS
 from calibration_real import readings_of
 from scipy.optimize import least_squares
 
-from robots.calibration.fit import fit_campaign, located, predict_readings
+from robots.calibration.fit import fit_campaign, located, predict_readings, robust_motion
 from robots.calibration.layout import Choice, Priors, build_layout, moved, nominal_state
 from robots.calibration.noise import Noise, reading_covariance
 from robots.calibration.residuals import residuals
 from robots.calibration.solver import Campaign
-from robots.calibration.start import robust_motion
 from robots.kinematics import forward
-from robots.measurements import Instrument, Nest, Readings
 from robots.pose import Array, transform_from_xyzabc
 from robots.robot import load_robot
+from robots.tracker_readings import Instrument, Nest, Readings
 
 POSES, FRESH = 50, 200
 DEVIATION = 3e-4  # m and rad, sd of each of the 30 MD-H numbers and of the reflector's place

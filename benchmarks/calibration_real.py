@@ -19,9 +19,9 @@ from robots.calibration.layout import Choice, State, build_layout, moved, nomina
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
 from robots.calibration.validation import folds
-from robots.measurements import Index, Instrument, Nest, Readings
 from robots.pose import Array
 from robots.robot import load_robot
+from robots.tracker_readings import Index, Instrument, Nest, Readings
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data" / "real"
 SIGMA = 3e-5  # m, isotropic: GTS3800 at 15 um + 6 um/m (ur5_tracker/SOURCE.txt) and about 2.5 m away

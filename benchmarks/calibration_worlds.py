@@ -9,12 +9,11 @@ import numpy as np
 from ocp.calibrate.tracker import as_in
 from ocp.model.measuring_setup import read_tracker_setup
 from robots.calibration.evidence import choose_terms
-from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
+from robots.calibration.fit import fit_campaign, learned_priors, predict_readings, predictive_covariance
 from robots.calibration.layout import Choice
 from robots.calibration.methods import METHODS, calibrate_by
-from robots.calibration.prediction import predictive_covariance
 from robots.calibration.solver import Campaign
-from robots.measurements import read_readings
+from robots.tracker_readings import read_readings
 
 FOLDER = Path(__file__).resolve().parents[2] / "shared" / "data" / "worlds"
 

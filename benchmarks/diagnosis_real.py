@@ -36,8 +36,8 @@ from ocp.effects.library import library
 from ocp.shell.progress import Phases
 from robots.calibration.noise import Noise, reading_covariance
 from robots.gravity import GRAVITY
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data" / "real"
 FILES = {"ur5": "ur5_tracker/3D_UR5_uncalibrated_grid_cleaned.csv", "ur10": "ur10_tracker/measurements_grid.csv"}

@@ -29,8 +29,8 @@ from robots.calibration.pose_choice import choose
 from robots.calibration.residuals import residuals
 from robots.calibration.solver import Campaign
 from robots.kinematics import link_frames
-from robots.measurements import Readings
 from robots.pose import Array, apply, make_transform
+from robots.tracker_readings import Readings
 
 COUNTS = (12, 16, 20, 30, 40, 60, 80)
 HIGHEST = 80

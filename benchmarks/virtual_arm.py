@@ -21,7 +21,7 @@ from robots.calibration.fit import fit_campaign, learned_priors, predict_reading
 from robots.calibration.layout import Choice
 from robots.calibration.reading_model import RowInputs, predict_points
 from robots.calibration.solver import Campaign
-from robots.measurements import read_readings
+from robots.tracker_readings import read_readings
 
 BUNDLED = Path(__file__).resolve().parents[1] / "ocp" / "data" / "cell.toml"
 LOW, HIGH = np.radians([-90, -120, -20, -170, -115, -170]), np.radians([90, -20, 140, 170, 115, 170])

@@ -108,9 +108,13 @@ class Minimum(Generic[P]):
 
 
 def linear_step(residual: Array, sensitivity: Array, z: Array, precision: Array, rank: float | None = None) -> LinearStep:
-    """Step from z to the minimum of eq. 1 for residual (N,) and sensitivities (N, k); rank as in `Rule`."""
+    """Step from z to the minimum of eq. 1 for residual (N,) and sensitivities (N, k); rank as in `Rule`.
+
+    Raises LinAlgError: by normal equations, where neither residuals nor prior hold some direction.
+    """
     if rank is None:
         normal = sensitivity.T @ sensitivity + np.diag(precision)
+        np.linalg.cholesky(normal)  # refuses what is open in some direction, which `solve` need not notice
         return LinearStep(np.asarray(np.linalg.solve(normal, sensitivity.T @ residual - precision * z)), normal)
     root, known = np.sqrt(precision), precision > 0
     A = np.vstack([sensitivity, np.diag(root)[known]])

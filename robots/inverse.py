@@ -2,35 +2,105 @@
 
 The index of a branch is KUKA's status S (KRL.md): bit 0 the wrist reaches back over axis 1, bit 1 the elbow's
 side, bit 2 the sign of axis 5. Formulas: docs/robot.md.
+
+Arms of one family have a closed inverse: axes 2 and 3 parallel, wrist axes in one point.
 """
 
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robots.arm_family import ArmFamily, arm_family
-from robots.pose import Array, rot_x, rot_z
-from robots.refine import Refined, inverse_refined
+from robots.errors import BadInput
+from robots.kinematics import forward, jacobian
+from robots.pose import Array, invert, make_transform, rot_x, rot_y, rot_z
 from robots.robot import Robot
 
-__all__ = [
-    "Refined",
-    "Solutions",
-    "Status",
-    "inverse_all",
-    "inverse_branches",
-    "inverse_refined",
-    "reach_excess",
-]
-__all__ += ["status", "turn", "turns", "wrap"]
-
+# A calibrated arm differs from its family by far less; beyond this the branches of the family say nothing
+# about it.
+LARGEST_ANGLE = np.radians(5.0)
+LARGEST_LENGTH = 0.02  # m
+EXACT = 1e-12
 # A wrist centre this far outside the reach is taken onto its boundary: rounding of 3 m, a thousandfold.
 _REACH_ROUNDING = 1e-12
 # Below this sine of axis 5, axes 4 and 6 are one direction and axis 4 is set to zero.
 _WRIST_SINGULAR = 1e-10
+ITERATIONS = 30
+TOLERANCE = 1e-10  # m and rad: well below print rounding, well above the rounding of 3 m in double precision
+_LONGEST_STEP = 0.3  # rad
+
+
+@dataclass(frozen=True, eq=False)
+class ArmFamily:
+    """Reduced geometry of an arm with closed inverse, symbols as in docs/robot.md; lengths m, angles rad.
+
+    s1, s3, s4, s5 = sin alpha_i = +-1; link 3 is the vector (a3, -s3 d4), of length l3 and angle psi; lateral
+    = d2 + d3. T_flange_link6: constant inverse of what follows the rotation of joint 6. exact: the robot
+    itself is such an arm.
+    """
+
+    sign: Array
+    offset: Array
+    d1: float
+    a1: float
+    a2: float
+    l3: float
+    psi: float
+    lateral: float
+    s1: float
+    s3: float
+    s4: float
+    s5: float
+    T_flange_link6: Array
+    exact: bool
+
+
+def arm_family(robot: Robot) -> ArmFamily:
+    """The family member nearest to a robot: twists rounded to right angles, wrist offsets and beta set to zero.
+
+    Raises BadInput: the robot is not near such an arm (more than 5 deg or 20 mm away).
+    """
+    family = _family(*(np.asarray(a, float).tobytes() for a in (robot.mdh, robot.sign)))
+    if family is None:
+        raise BadInput(
+            f"robot '{robot.name}' is not of the family with parallel axes 2 and 3 and a spherical wrist, so its postures "
+            "have no closed list; use inverse_refined with a seed"
+        )
+    return family
+
+
+@lru_cache(maxsize=32)
+def _family(mdh_bytes: bytes, sign_bytes: bytes) -> ArmFamily | None:
+    mdh, sign = np.frombuffer(mdh_bytes).reshape(6, 5), np.frombuffer(sign_bytes)
+    _, d, a, alpha, beta = mdh.T
+    quarter = np.round(alpha / (np.pi / 2))
+    if not np.array_equal(quarter[:5] % 2, [1, 0, 1, 1, 1]) or quarter[1] % 4 != 0:
+        return None
+    bent = np.abs(np.concatenate([(alpha - quarter * np.pi / 2)[:5], beta[:5]])).max()
+    apart = np.abs([a[3], a[4], d[4]]).max()
+    if bent > LARGEST_ANGLE or apart > LARGEST_LENGTH:
+        return None
+    s = np.round(np.sin(quarter * np.pi / 2))
+    last = make_transform(rot_x(alpha[5]) @ rot_y(beta[5]), np.array([a[5], 0.0, d[5]]))
+    return ArmFamily(
+        sign=sign,
+        offset=mdh[:, 0],
+        d1=float(d[0]),
+        a1=float(a[0]),
+        a2=float(a[1]),
+        l3=float(np.hypot(a[2], d[3])),
+        psi=float(np.arctan2(-s[2] * d[3], a[2])),
+        lateral=float(d[1] + d[2]),
+        s1=float(s[0]),
+        s3=float(s[2]),
+        s4=float(s[3]),
+        s5=float(s[4]),
+        T_flange_link6=invert(last),
+        exact=bool(max(bent, apart) < EXACT),
+    )
 
 
 class Status(Enum):
@@ -77,7 +147,7 @@ def inverse_branches(robot: Robot, T: ArrayLike) -> tuple[Array, NDArray[np.bool
 
     Axis limits are not looked at (see `turns`). Rows that are out of reach are nan. At the wrist singularity
     axis 4 is zero. Arms that are nearly of the family (calibrated ones) are refined to their own geometry.
-    Raises BadInput: the arm is not near the family of `robots.arm_family`.
+    Raises BadInput: the arm is not near the family of `arm_family`.
     """
     family = arm_family(robot)
     T = np.asarray(T, float).reshape(-1, 4, 4)
@@ -217,3 +287,62 @@ def _least_excess(robot: Robot, q: Array) -> Array:
     """How far (6,) rad each axis of q (6,) stays outside its limits in its best turn; not above zero = inside."""
     turned = q + 2 * np.pi * np.arange(-2, 3)[:, None]
     return np.asarray(np.maximum(robot.q_min - turned, turned - robot.q_max).min(axis=0))
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Joints (n, 6) rad, whether each reached the pose (n,), and what is left: position (n,) m, rotation (n,) rad."""
+
+    q: Array
+    converged: Array
+    position_error: Array
+    rotation_error: Array
+
+    def reason(self, i: int) -> str:
+        """One sentence about row i."""
+        if self.converged[i]:
+            return "the pose is reached"
+        return (
+            f"the pose is missed by {self.position_error[i] * 1e3:.3f} mm and "
+            f"{np.degrees(self.rotation_error[i]):.4f} deg after {ITERATIONS} Newton steps: out of reach, singular, or "
+            "the seed is too far away"
+        )
+
+
+def inverse_refined(robot: Robot, T: ArrayLike, q_seed: ArrayLike, tolerance: float = TOLERANCE) -> Refined:
+    """Joints that bring the flange to poses T (n, 4, 4), from seeds (n, 6) rad, by damped Newton steps.
+
+    The damping falls with the error, so that convergence stays quadratic away from singularities. Limits are
+    not looked at. Rows that do not arrive are told by `converged`, never by an exception.
+    """
+    T = np.asarray(T, float).reshape(-1, 4, 4)
+    q = np.array(np.broadcast_to(np.asarray(q_seed, float), (len(T), 6)))
+    error = pose_error(T, forward(robot, q))
+    for _ in range(ITERATIONS):
+        # Two digits beyond the tolerance: the last step is nearly free and rounding is far below.
+        rows = np.flatnonzero(np.abs(error).max(axis=1) > tolerance / 100)
+        if not len(rows):
+            break
+        q[rows] += _step(jacobian(robot, q[rows]), error[rows])
+        error[rows] = pose_error(T[rows], forward(robot, q[rows]))
+    position, rotation = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
+    return Refined(q, np.maximum(position, rotation) <= tolerance, position, rotation)
+
+
+def pose_error(T_goal: Array, T: Array) -> Array:
+    """Translation and rotation vector (n, 6) m, rad, base axes, that carry poses T (n, 4, 4) to T_goal."""
+    R = T_goal[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)
+    v = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    sine = np.linalg.norm(v, axis=1)
+    angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
+    scale = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-12)
+    return np.concatenate([T_goal[:, :3, 3] - T[:, :3, 3], v * scale[:, None]], axis=1)
+
+
+def _step(J: Array, error: Array) -> Array:
+    """Levenberg steps (m, 6): J^T (J J^T + lambda I)^-1 error, no longer than the largest step."""
+    Jt = np.swapaxes(J, 1, 2)
+    damping = 1e-3 * np.sum(error**2, axis=1) + 1e-15
+    step = Jt @ np.linalg.solve(J @ Jt + damping[:, None, None] * np.eye(6), error[:, :, None])
+    length = np.abs(step).max(axis=(1, 2), keepdims=True)
+    return np.asarray((step * np.minimum(1.0, _LONGEST_STEP / np.maximum(length, 1e-300)))[..., 0])

@@ -18,10 +18,10 @@ from ocp.shell.progress import Phases
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.store import Calibration, write_calibration
-from robots.calibration.toml_text import toml_text
 from robots.calibration.validation import by_kind
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array, abc_by_spin, abc_from_rotation
+from robots.toml_files import toml_text
 
 BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
 

@@ -8,20 +8,19 @@ import numpy as np
 from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
-from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings
+from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings, predictive_covariance
 from robots.calibration.identifiability import Identifiability, identify
 from robots.calibration.layout import Choice, State
 from robots.calibration.load_tests import LoadTest, load_test
 from robots.calibration.methods import METHODS, before, calibrate_by
 from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.noise import Repeats, repeat_scatter
-from robots.calibration.prediction import predictive_covariance
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
 from robots.calibration.validation import FOLDS, GROSS, Fold, HeldOut, folds, hold_out, validate
 from robots.errors import BadInput
-from robots.measurements import Readings, read_readings
 from robots.pose import Array
+from robots.tracker_readings import Readings, read_readings
 
 LEAST_READINGS = 20
 LEAST_POSTURES = 10

@@ -19,8 +19,8 @@ from ocp.effects.effect import Active
 from ocp.model.cell_copy import cell_tables_for
 from robots.calibration.reading_model import ARM_NAMES
 from robots.calibration.store import Calibration, write_calibration
-from robots.calibration.toml_text import toml_text
 from robots.pose import Array, abc_by_spin, abc_from_rotation
+from robots.toml_files import toml_text
 
 CALIBRATION = "calibration.toml"
 BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")

@@ -13,7 +13,7 @@ from ocp.model.cell import Cell, read_cell
 from ocp.model.cell_schema import CellTables
 from ocp.model.measuring_setup import TrackerSetup, files_of, read_tracker_setup
 from robots.errors import BadInput
-from robots.measurements import BLIND, Hanging, Readings, read_readings
+from robots.tracker_readings import BLIND, Hanging, Readings, read_readings
 
 CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
 SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv"}

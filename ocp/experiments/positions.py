@@ -19,8 +19,8 @@ from robots.calibration.layout import Choice
 from robots.calibration.methods import METHODS, calibrate_by
 from robots.calibration.residuals import residuals
 from robots.calibration.store import Calibration
-from robots.measurements import read_readings
 from robots.pose import Array
+from robots.tracker_readings import read_readings
 
 FRESH = 20  # poses, as in the paper's Table 2
 ORACLE = 400  # readings

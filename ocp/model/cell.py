@@ -12,7 +12,7 @@ from robots.calibration.store import Calibration, read_calibration
 from robots.errors import BadInput
 from robots.pose import Array, transform_from_xyzabc
 from robots.robot import Robot, load_robot
-from robots.toml_input import read_toml
+from robots.toml_files import read_toml
 
 
 @dataclass(frozen=True)

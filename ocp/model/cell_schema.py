@@ -5,23 +5,13 @@ Nothing here is converted; `ocp.model.cell` turns these tables into SI.
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from ocp.effects.cell_effects import effect_of
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
-Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-Vector = tuple[Number, Number, Number]
+from robots.toml_files import NotNegative, Number, Positive, TomlTable, Vector
 
 
-class Table(BaseModel):
-    """A TOML table: unknown keys are errors, types are taken as written."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
-
-
-class RobotTable(Table):
+class RobotTable(TomlTable):
     """`[robot]`."""
 
     model: str
@@ -30,14 +20,14 @@ class RobotTable(Table):
     compliant_joints: tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...] = (2, 3)
 
 
-class PayloadTable(Table):
+class PayloadTable(TomlTable):
     """`[payloads.NAME]`."""
 
     mass_kg: NotNegative
     com_mm: Vector = (0.0, 0.0, 0.0)
 
 
-class ControllerTable(Table):
+class ControllerTable(TomlTable):
     """`[controller]`."""
 
     tool_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
@@ -45,7 +35,7 @@ class ControllerTable(Table):
     absolute_accuracy: bool = False
 
 
-class WorkpieceTable(Table):
+class WorkpieceTable(TomlTable):
     """`[workpiece]`."""
 
     payload: str | None = None
@@ -76,7 +66,7 @@ class WorkpieceTable(Table):
         return self
 
 
-class WheelTable(Table):
+class WheelTable(TomlTable):
     """`[wheel]`."""
 
     centre_mm: Vector
@@ -113,7 +103,7 @@ class WheelTable(Table):
         return self
 
 
-class FlangeTable(Table):
+class FlangeTable(TomlTable):
     """`[force_flange]`."""
 
     setpoint_N: NotNegative = 20.0
@@ -130,7 +120,7 @@ class FlangeTable(Table):
         return self
 
 
-class ProcessTable(Table):
+class ProcessTable(TomlTable):
     """`[process]`."""
 
     force_N: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False, strict=True)] = 20.0
@@ -147,7 +137,7 @@ class ProcessTable(Table):
     edge_margin_mm: NotNegative = 3.0
 
 
-class LinkTarget(Table):
+class LinkTarget(TomlTable):
     """A reflector nest on a link, or a 6D target."""
 
     link: Annotated[int, Field(ge=0, le=6, strict=True)] = 6
@@ -155,7 +145,7 @@ class LinkTarget(Table):
     abc_deg: Vector | None = None
 
 
-class TrackerTable(Table):
+class TrackerTable(TomlTable):
     """`[tracker]`."""
 
     range_noise_um: NotNegative = 8.0
@@ -164,7 +154,7 @@ class TrackerTable(Table):
     targets: dict[str, Vector | LinkTarget] = Field(default_factory=dict)
 
 
-class EffectTable(Table):
+class EffectTable(TomlTable):
     """`[[effects]]`: an effect of the catalogue with its keys (docs/effects.md)."""
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=False)
@@ -179,7 +169,7 @@ class EffectTable(Table):
         return self
 
 
-class ConditionsTable(Table):
+class ConditionsTable(TomlTable):
     """`[conditions]`: what the cell's effects depend on, as it will be when the plan runs."""
 
     temperature_C: Number | None = None
@@ -189,7 +179,7 @@ class ConditionsTable(Table):
     ground_before: Annotated[int, Field(ge=0, strict=True)] = 0
 
 
-class CellTables(Table):
+class CellTables(TomlTable):
     """The whole of cell.toml."""
 
     name: str = "cell"

@@ -7,10 +7,10 @@ import numpy as np
 
 from ocp.model.cell import robot_of
 from ocp.model.cell_schema import CellTables, LinkTarget, TrackerTable
-from robots.measurements import Hanging, Instrument, Nest
 from robots.pose import rotation_from_abc
 from robots.robot import Robot
-from robots.toml_input import read_toml
+from robots.toml_files import read_toml
+from robots.tracker_readings import Hanging, Instrument, Nest
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from ocp.poses.line_of_sight import Sight, visible
 from ocp.poses.zone import GroundBlade, near_zone
 from robots.errors import Infeasible
 from robots.gravity import weight_torques
-from robots.measurements import Hanging, Nest
 from robots.pose import Array
+from robots.tracker_readings import Hanging, Nest
 
 Mask = NDArray[np.bool_]
 

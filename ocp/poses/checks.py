@@ -5,8 +5,8 @@ import numpy as np
 from ocp.model.cell import Cell
 from ocp.model.measuring_setup import TrackerSetup
 from robots.errors import BadInput
-from robots.measurements import Nest
 from robots.pose import Array, invert, transform_from_xyzabc
+from robots.tracker_readings import Nest
 
 GROUPS = 2  # payloads that are hung on if the user names none
 BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")

@@ -8,8 +8,8 @@ from ocp.poses.design import Design
 from robots.calibration.observability import identifiable_basis
 from robots.calibration.pose_choice import choose
 from robots.errors import BadInput
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 COUNTS = (10, 12, 14, 16, 18, 20, 25, 30, 35, 40, 50, 60, 80, 100)
 MORE, LITTLE = 10, 0.05  # so many more poses that improve the accuracy by less than this part buy little

@@ -13,8 +13,8 @@ from robots.calibration.noise import Noise
 from robots.calibration.observability import Sensitivity, carried_point, expected_error, sensitivity
 from robots.calibration.pose_choice import Pool
 from robots.kinematics import link_frames
-from robots.measurements import Index, Readings
 from robots.pose import Array, apply
+from robots.tracker_readings import Index, Readings
 
 READINGS = 2  # of every pose: approached from either side
 LEAST_SHARE = 0.5  # of an equal share is what every payload gets at least: springs show in the difference

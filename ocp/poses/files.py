@@ -19,7 +19,7 @@ from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
 from robots.calibration.observability import CRITERIA, identifiable_basis, observability, posterior_sd, singular_values
 from robots.calibration.parameters import SYMBOLS
-from robots.measurements import APPROACH, AXES
+from robots.tracker_readings import APPROACH, AXES
 
 COLUMNS = ("target", "payload", *AXES, *APPROACH)
 

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from ocp.model.cell import Wheel
 from robots.kinematics import link_frames
-from robots.measurements import Nest
 from robots.pose import Array, apply
 from robots.robot import Robot
+from robots.tracker_readings import Nest
 
 Mask = NDArray[np.bool_]
 

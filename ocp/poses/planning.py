@@ -22,8 +22,8 @@ from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
 from robots.calibration.pose_choice import choose
 from robots.errors import BadInput, Infeasible
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 MOST_POSES = 400
 FEWEST_SEEN = 3  # times the poses asked for: as many postures must be seen for a choice to be one

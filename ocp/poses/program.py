@@ -11,8 +11,8 @@ from ocp.plan.motion.air import is_free
 from ocp.plan.motion.collision import Scene
 from ocp.poses.order import Stop, Tour, approaches
 from robots.errors import Infeasible
-from robots.measurements import Hanging
 from robots.pose import Array
+from robots.tracker_readings import Hanging
 from trajectories.krl import program as krl
 from trajectories.krl.checks import check_program
 from trajectories.krl.names import program_names

@@ -5,8 +5,8 @@ import numpy as np
 
 from ocp.model.cell import Cell
 from ocp.plan.motion.collision import ARM_MARGIN, Body, Pair, Scene, _between
-from robots.measurements import Nest
 from robots.pose import Array
+from robots.tracker_readings import Nest
 
 ROD = 0.025  # m, radius of the straight rod that stands for a reflector's bracket; a 1.5 inch ball has 19 mm
 

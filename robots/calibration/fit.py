@@ -6,6 +6,7 @@ Maximum a posteriori with Student-t errors, from a start found in the data alone
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.random import default_rng
 from scipy.linalg import cho_factor, cho_solve
 
 from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state
@@ -13,16 +14,61 @@ from robots.calibration.noise import Noise
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, Solution, joint_noise, solve
-from robots.calibration.start import robust_motion
 from robots.calibration.student import gaussian_moments, moments, spread_of, weights
-from robots.measurements import Index, Readings
-from robots.pose import Array
+from robots.pose import Array, make_transform
+from robots.tracker_readings import Index, Readings
 
+TRIALS, SUBSET = 200, 4  # small sets of readings that are tried to place the tracker, and their size
 LOCATING = 200  # readings of a nest from a station that place both, to begin with
 ROUGH = 1000  # of a longer campaign, fitted first: they leave little to do for the rest
 TRUST = 20.0  # components of residuals that the noise model is worth
 LEARNED = (5e-5, 1e-2)  # m or rad, bounds of the learned priors
 PLAIN, WEAK = Choice(), Priors()
+
+
+def rigid_motion(source: Array, target: Array, weight: Array | None = None) -> Array:
+    """T (4, 4) that moves source (n, 3) onto target (n, 3) in weighted least squares (Kabsch 1976), always right-handed."""
+    w = np.ones(len(source)) if weight is None else weight
+    a, b = (np.average(x, axis=0, weights=w) for x in (source, target))
+    U, _, Vt = np.linalg.svd((source - a).T @ (w[:, None] * (target - b)))
+    R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+    return make_transform(R, b - R @ a)
+
+
+def robust_motion(source: Array, target: Array) -> tuple[Array, float]:
+    """T (4, 4) and the median distance m it leaves: the best of many small subsets, refined on the nearer half.
+
+    Deterministic; half of the readings may be wrong (Rousseeuw 1984).
+    """
+    n = len(source)
+    best = rigid_motion(source, target)
+    least = float(np.median(np.linalg.norm(source @ best[:3, :3].T + best[:3, 3] - target, axis=1)))
+    if n > SUBSET:
+        rows = default_rng(0).random((TRIALS, n)).argpartition(SUBSET, axis=1)[:, :SUBSET]
+        R, t = _motions(source[rows], target[rows])
+        medians = np.median(np.linalg.norm(source @ np.swapaxes(R, 1, 2) + t[:, None] - target, axis=2), axis=1)
+        k = int(np.argmin(medians))
+        best, least = make_transform(R[k], t[k]), float(medians[k])
+    for _ in range(3):
+        off = np.linalg.norm(source @ best[:3, :3].T + best[:3, 3] - target, axis=1)
+        near = off <= np.median(off)
+        if near.sum() >= 3:
+            T = rigid_motion(source[near], target[near])
+            median = float(np.median(np.linalg.norm(source @ T[:3, :3].T + T[:3, 3] - target, axis=1)))
+            if median > least:
+                break
+            best, least = T, median
+    return best, least
+
+
+def _motions(source: Array, target: Array) -> tuple[Array, Array]:
+    """Rotations (m, 3, 3) and shifts (m, 3) that move source (m, k, 3) onto target, all at once (Kabsch 1976)."""
+    a, b = source.mean(axis=1), target.mean(axis=1)
+    U, _, Vt = np.linalg.svd(np.swapaxes(source - a[:, None], 1, 2) @ (target - b[:, None]))
+    V = np.swapaxes(Vt, 1, 2).copy()
+    V[:, :, 2] *= np.sign(np.linalg.det(V @ np.swapaxes(U, 1, 2)))[:, None]
+    R = V @ np.swapaxes(U, 1, 2)
+    return R, b - (R @ a[..., None])[..., 0]
 
 
 @dataclass(frozen=True)
@@ -202,3 +248,16 @@ def predict_readings(fit: Fit, readings: Readings) -> tuple[Array, Array]:
     linear = linearise(c.robot, replace(seen, point=np.nan_to_num(seen.point)), c.instrument, layout, fit.state)
     J = linear.J[:, :3]
     return linear.point, np.asarray(J @ fit.covariance @ np.swapaxes(J, 1, 2))
+
+
+def predictive_covariance(fit: Fit, readings: Readings, repeatability: float = 0.0) -> Array:
+    """Covariance (n, 3, 3) m^2 of where reflectors will be less where `predict_readings` puts them, tracker's frame.
+
+    The joint noise of the fit is more than the joints' repeatability (rad, from repeats; 0 where nothing was repeated):
+    gear errors and the like, which are the same whenever an axis comes back, and so are in a noise-free reading too.
+    """
+    c = fit.campaign
+    seen = replace(readings, turn=None, point=np.nan_to_num(readings.point))
+    d_joints = linearise(c.robot, seen, c.instrument, fit.layout, fit.state).d_joints
+    unmodelled = fit.spread**2 * max(fit.noise.joints**2 - repeatability**2, 0.0)
+    return np.asarray(predict_readings(fit, readings)[1] + unmodelled * d_joints @ np.swapaxes(d_joints, 1, 2))

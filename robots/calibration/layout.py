@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
-from robots.measurements import Hanging, Instrument, Readings
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Hanging, Instrument, Readings
 
 STEP = {"station": 1e-2, "nest": 1e-3}  # scale of unknowns without a prior, m and rad; for conditioning only
 

@@ -14,8 +14,8 @@ from robots.calibration.layout import State, build_layout
 from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.residuals import linearise
 from robots.calibration.student import NU
-from robots.measurements import REPEAT_TOLERANCE, Readings
 from robots.pose import Array
+from robots.tracker_readings import REPEAT_TOLERANCE, Readings
 
 LEAST_SHIFT = 3.0  # joints are fitted whose loads move the reflectors by this many noise sds, summed in squares
 

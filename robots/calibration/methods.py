@@ -19,9 +19,9 @@ from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
 from robots.calibration.student import NU, gaussian_moments, spread_of, weights
 from robots.gravity import weight_torques
-from robots.measurements import Index, Readings
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Index, Readings
 
 METHODS = ("full", "geometry", "relative", "relative-literal")
 PARTNERS = 3  # differences each reading takes part in, about

@@ -10,15 +10,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robots.calibration.fit import located
+from robots.calibration.fit import located, robust_motion
 from robots.calibration.layout import Choice, nominal_state
 from robots.calibration.residuals import residuals
 from robots.calibration.solver import Campaign
-from robots.calibration.start import robust_motion
 from robots.errors import BadInput
-from robots.measurements import Readings
 from robots.pose import Array
 from robots.robot import Robot, catalogue, load_robot
+from robots.tracker_readings import Readings
 
 TURNS_FIT = np.radians(1.0)  # an uncalibrated arm's hand is off by a tenth of it
 FITS = 15e-3  # m; an uncalibrated arm with roughly placed nests stays below

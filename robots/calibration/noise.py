@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robots.measurements import Index, Instrument, Readings
 from robots.pose import Array
+from robots.tracker_readings import Index, Instrument, Readings
 
 TURN_SD = np.radians(0.01)  # of a 6D target where the file gives none
 

@@ -12,9 +12,9 @@ from scipy.linalg import solve_triangular
 from robots.calibration.layout import Layout, State
 from robots.calibration.noise import Noise, reading_covariance, whitener
 from robots.calibration.residuals import linearise
-from robots.measurements import Instrument, Readings
 from robots.pose import Array, skew
 from robots.robot import Robot
+from robots.tracker_readings import Instrument, Readings
 
 # What is known of a tracker's stand before the first reading, m and rad: next to nothing, but not nothing, so that the
 # information matrix of few poses can be inverted.

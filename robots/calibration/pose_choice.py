@@ -11,8 +11,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from robots.calibration.observability import identifiable_basis, observability
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 PASSES = 4  # of exchanges; the first two bring nearly all
 ACTIVE = 1200  # candidates that a pass looks at

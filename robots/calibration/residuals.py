@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from robots.calibration.layout import Layout, State
 from robots.calibration.reading_model import Prediction, RowInputs, predict, predict_points
-from robots.measurements import Index, Instrument, Readings
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Index, Instrument, Readings
 
 
 @dataclass(frozen=True)

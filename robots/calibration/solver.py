@@ -14,9 +14,9 @@ from robots.calibration.noise import TURN_SD, Noise, reading_covariance, whitene
 from robots.calibration.residuals import Linearised, linearise, residuals
 from robots.calibration.student import NU, consistency, spread_of, weights
 from robots.gauss_newton import Rule, minimise
-from robots.measurements import Hanging, Index, Instrument, Readings
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Hanging, Index, Instrument, Readings
 
 RULE = Rule(steps=40, rest=1e-6, halvings=10)
 JITTER = 1e-12  # precision of every unknown, lest a campaign that says nothing of one be singular

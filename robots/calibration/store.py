@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES, SYMBOLS
-from robots.calibration.toml_text import toml_text
 from robots.errors import BadInput
 from robots.pose import Array
 from robots.robot import Robot
+from robots.toml_files import toml_text
 
 SCHEMA = 1
 _TABLES = ("parameters", "not_identified", "provenance")

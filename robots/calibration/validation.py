@@ -11,8 +11,8 @@ from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import linearise
 from robots.calibration.solver import Campaign
 from robots.calibration.student import NU, consistency
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 FOLDS = 5
 LEAST_TRAIN, LEAST_TEST = 15, 3  # readings on each side of a fold

@@ -12,7 +12,7 @@ import pytest
 from ocp.model.cell import read_cell
 from ocp.model.theta import NAMES, believed_theta
 from robots.calibration.store import read_calibration
-from robots.measurements import Readings
+from robots.tracker_readings import Readings
 from tests.support.simulated_campaign import campaign_readings, measured, random_truth
 from tests.support.small_plan import ROOT, TEXT, tree
 

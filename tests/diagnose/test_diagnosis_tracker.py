@@ -18,7 +18,7 @@ from ocp.effects.effect import Active
 from ocp.effects.library import library
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput
-from robots.measurements import read_readings
+from robots.tracker_readings import read_readings
 from tests.support.simulated_campaign import EXTRA, INSTRUMENT, NESTS, PAYLOADS, campaign_readings, measured, random_truth
 
 LIBRARY = library()

@@ -10,8 +10,8 @@ from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.poses.line_of_sight import BALL, BEAM, Rod, Sight, meets_wheel, nest_direction, segment_distance, visible
 from robots.kinematics import link_frames
-from robots.measurements import Nest
 from robots.pose import apply
+from robots.tracker_readings import Nest
 
 NEST = Nest(6, np.array([0.15, -0.05, 0.25]))
 

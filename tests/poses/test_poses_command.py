@@ -21,7 +21,7 @@ from ocp.poses.__main__ import app
 from ocp.poses.line_of_sight import Sight, visible
 from ocp.poses.zone import ground_blade
 from robots.errors import BadInput
-from robots.measurements import read_readings
+from robots.tracker_readings import read_readings
 from trajectories.krl.checks import check_program
 from trajectories.krl.status_turn import ArmLengths
 

@@ -18,7 +18,7 @@ from robots.calibration.solver import Campaign
 from robots.calibration.validation import by_kind, validate
 from robots.elementary import elementary_frames, elementary_weight_torques
 from robots.gravity import GRAVITY
-from robots.measurements import Hanging, Nest
+from robots.tracker_readings import Hanging, Nest
 from tests.support.simulated_campaign import EXTRA, INSTRUMENT, NESTS, PAYLOADS, campaign_readings, measured, random_truth
 
 PRIORS = Priors(3e-4, 3e-4)

@@ -7,11 +7,21 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from robots.arm_family import arm_family
 from robots.errors import BadInput
-from robots.inverse import Status, inverse_all, inverse_branches, reach_excess, status, turn, turns, wrap
+from robots.inverse import (
+    Status,
+    arm_family,
+    inverse_all,
+    inverse_branches,
+    inverse_refined,
+    pose_error,
+    reach_excess,
+    status,
+    turn,
+    turns,
+    wrap,
+)
 from robots.kinematics import forward
-from robots.refine import inverse_refined, pose_error
 from robots.robot import catalogue, load_robot
 
 # The arms with a closed inverse; the UR ones have no spherical wrist.

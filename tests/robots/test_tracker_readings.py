@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from robots.errors import BadInput
-from robots.measurements import read_readings
+from robots.tracker_readings import read_readings
 from tests.support.simulated_campaign import INSTRUMENT, PAYLOADS
 
 HEADER = "payload,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,target,x_mm,y_mm,z_mm"

@@ -23,7 +23,7 @@ from robots.calibration.fit import fit_campaign, learned_priors, predict_reading
 from robots.calibration.layout import Choice
 from robots.calibration.solver import Campaign as Readings
 from robots.errors import BadInput
-from robots.measurements import read_readings
+from robots.tracker_readings import read_readings
 
 BUNDLED = Path(__file__).parents[2] / "ocp" / "data" / "cell.toml"
 HEAVY = "[payloads.weight]"

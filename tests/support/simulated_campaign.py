@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from robots.elementary import elementary_forward, elementary_weight_torques
 from robots.gravity import GRAVITY
-from robots.measurements import Hanging, Instrument, Nest, Readings
 from robots.pose import make_transform
 from robots.robot import Robot, load_robot
+from robots.tracker_readings import Hanging, Instrument, Nest, Readings
 
 EXTRA = load_robot("kr210_r2700_extra")
 PAYLOADS = {

@@ -19,8 +19,8 @@ from ocp.diagnose.engine.families import stacked_columns
 from ocp.diagnose.engine.projection import stack
 from ocp.diagnose.engine.system import Channel
 from ocp.effects.effect import Effect
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 METHODS = ("single", "stepwise", "sparse", "unprojected")
 LEVEL = 0.01  # false alarms that a score test allows itself over all it tries

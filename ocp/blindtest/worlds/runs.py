@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp.blindtest.worlds.course import Course, Line
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 HZ = 100.0  # rows a second
 GAP = 20.0  # s between runs

@@ -12,8 +12,8 @@ from ocp.report.colours import SIDE_COLOURS
 from ocp.report.panels import AFTER, BAD, dots, dressed, keys, panels, reach, running_median
 from ocp.report.section import Canvas, Plot
 from ocp.report.style import RULE, printable, shorten
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 AXIS_COLOURS = (SIDE_COLOURS[0], SIDE_COLOURS[1], "#2a8a7a")  # x, y, z
 MOST_NAMES = 8  # that stand side by side

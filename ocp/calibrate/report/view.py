@@ -12,8 +12,8 @@ from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.student import NU, consistency
 from robots.calibration.validation import GROSS
-from robots.measurements import Readings
 from robots.pose import Array
+from robots.tracker_readings import Readings
 
 Mask = NDArray[np.bool_]
 

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.special import stdtr
 
 from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 SIZES = 4  # of the grid of prior widths
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 SMOOTH = 7  # cosines over a condition's range
 SOFT = 4.0  # wave number at which their prior has fallen to half

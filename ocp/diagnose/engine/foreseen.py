@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp.effects.effect import Active, Effect
-from robots.measurements import Index
+from robots.tracker_readings import Index
 
 
 @dataclass(frozen=True)

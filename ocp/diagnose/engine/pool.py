@@ -14,8 +14,8 @@ from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.rules import NOISE_TRUST
 from ocp.effects.effect import Effect, Scanned
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 PAIRWISE = 3  # columns of a variant up to which its products are taken pair by pair
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 
 @dataclass(frozen=True)

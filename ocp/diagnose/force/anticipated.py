@@ -21,8 +21,8 @@ from ocp.diagnose.force.prediction import Predicted, Scene, predict
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 # How far after the log's end, in its own spans of time: the middles of three equal parts of one span, drawn alike.
 LATER = (1.0 / 6.0, 0.5, 5.0 / 6.0)

@@ -23,8 +23,8 @@ from robots.calibration.layout import Choice, Layout, State
 from robots.calibration.reading_model import ARM_NAMES
 from robots.calibration.solver import Campaign
 from robots.calibration.store import Calibration
-from robots.measurements import read_readings
 from robots.pose import Array
+from robots.tracker_readings import read_readings
 
 # One sigma of what is believed and not refitted: relative for stiffnesses (the finite elements' and the wheel law's own
 # error), N for the sensor's zero.

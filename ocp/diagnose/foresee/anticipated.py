@@ -18,8 +18,8 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import placed
 from ocp.effects.effect import Active
 from robots.calibration.residuals import points
-from robots.measurements import Index, Readings
 from robots.pose import Array
+from robots.tracker_readings import Index, Readings
 
 POSTURES = 60  # of the campaign, evenly taken
 TOGETHER = ([0], [1, 2], [3], [4], [5])  # axes whose angles stay together: the arm stays off the floor

@@ -29,8 +29,8 @@ from ocp.effects.library import library
 from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
-from robots.measurements import read_readings
 from robots.pose import Array
+from robots.tracker_readings import read_readings
 
 USUAL = Options()
 POSES, FULL = 50, 150  # the plan looked at where none is given; the campaign held against it

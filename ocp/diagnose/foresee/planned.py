@@ -7,8 +7,8 @@ import numpy as np
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import looked
 from robots.calibration.noise import reading_covariance, whitener
-from robots.measurements import Readings
 from robots.pose import Array
+from robots.tracker_readings import Readings
 
 PER_READING, SETTLING = 0.7, 3.0  # minutes: move, settle and measure one reading; to begin
 POSTURES, SWEEP = 15, 31  # postures of a check; steps of a sweep

@@ -15,9 +15,9 @@ from robots.calibration.noise import Noise
 from robots.calibration.solver import Campaign
 from robots.calibration.store import Calibration
 from robots.kinematics import forward
-from robots.measurements import Readings
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Readings
 
 WARMED = 8.0  # K over the full campaign
 DURATION = 3.0 * 3600.0  # s of it

@@ -27,9 +27,9 @@ from ocp.diagnose.joints.problem import (
 from ocp.diagnose.joints.signals import signals_of
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
-from robots.measurements import Hanging
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Hanging
 
 ARCSEC = float(np.degrees(1.0) * 3600.0)
 LEAST_TRAIN, LEAST_TEST = 60, 20  # readings on each side of a fold

@@ -16,9 +16,9 @@ from ocp.effects.engine.arm_rows import LAYOUT, ArmRows, arm_rows
 from ocp.effects.engine.compiled import Hook, evaluated
 from robots.calibration.reading_model import RowInputs
 from robots.compliance import compliance_from_stiffness
-from robots.measurements import Hanging
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Hanging
 
 DELAY = "channel_delay"
 

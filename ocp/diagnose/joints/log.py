@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from robots.csv_table import CsvTable, read_csv_table
 from robots.errors import BadInput
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 AXES = tuple(f"q{i}_deg" for i in range(1, 7))
 LINK = tuple(f"link{i}_deg" for i in range(1, 7))

@@ -15,8 +15,8 @@ from scipy.linalg import cho_factor, solve_triangular
 from scipy.optimize import minimize
 
 from ocp.diagnose.joints.signals import Signals
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 BLOCK = 400  # instants whitened together; the wander is forgotten at their border
 FEW = 120  # instants of a block from which the noise is estimated

@@ -23,9 +23,9 @@ from ocp.diagnose.joints.signals import Signals
 from ocp.effects.effect import Active, Effect, Scanned, coefficients, prior_sds, with_coefficients
 from ocp.effects.engine.arm_rows import ArmRows
 from robots.gauss_newton import Rule, minimise
-from robots.measurements import Hanging, Index
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Hanging, Index
 
 RUN_SD = 1e-4  # rad (20 arcsec): how far a zero may move from recording to recording
 SPRING_SHARE = 0.3  # one sigma of a spring that the cell states, of its compliance

@@ -9,9 +9,9 @@ from scipy.signal import savgol_filter
 
 from ocp.diagnose.joints.log import JointLog
 from robots.gravity import weight_torques
-from robots.measurements import Hanging, Index
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Hanging, Index
 
 MOST = 1500  # readings kept of a log: more of them are no more independent, and the search is linear in them
 LONGEST = 0.06  # s: delays are shorter (DIAGNOSIS, catalogue: up to 0.05)

@@ -15,9 +15,9 @@ from scipy.io import loadmat
 
 from ocp.shell.command import main, run
 from ocp.shell.output import check_output, whole_folder
-from robots.calibration.toml_text import toml_text
 from robots.errors import BadInput
 from robots.pose import Array
+from robots.toml_files import toml_text
 
 LINK_SIDE = 3  # axes 1..3 have a secondary encoder
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from ocp.shell.command import main, run
 from ocp.shell.output import check_output, whole_folder
-from robots.calibration.toml_text import toml_text
 from robots.errors import BadInput
-from robots.measurements import APPROACH, AXES, POINT, Index
 from robots.pose import Array
+from robots.toml_files import toml_text
+from robots.tracker_readings import APPROACH, AXES, POINT, Index
 
 UR5_COLUMNS = ["x_t", "y_t", "z_t", "x_dif", "y_dif", "z_dif", *(f"joint_{i}" for i in range(1, 7)), "step_order"]
 UR10_JOINTS = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"]

@@ -18,8 +18,8 @@ from scipy.special import logsumexp
 
 from ocp.diagnose.engine.projection import Projection, project
 from ocp.diagnose.tracker.refit import Held, Task
-from robots.measurements import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 ORDERS = np.arange(3, 301)  # waves per turn, as the catalogue's gear_harmonic
 SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])  # rad: below what the catalogue names (2e-5, 3e-5)

@@ -22,8 +22,8 @@ from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener
 from robots.gravity import weight_torques
-from robots.measurements import Readings
 from robots.pose import Array
+from robots.tracker_readings import Readings
 
 COLUMNS = {
     "approach": "approach", "temperature_C": "temperature", "time_s": "time", "clock_s": "time", "target": "target",

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 
 from ocp.diagnose.engine.system import Fold
-from robots.measurements import Readings
 from robots.pose import Array
+from robots.tracker_readings import Readings
 
 PARTS = 5
 LEAST_RANGE = np.radians(20.0)  # an axis that moved less has no half to leave out

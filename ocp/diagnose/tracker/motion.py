@@ -12,9 +12,9 @@ from ocp.effects.engine.evaluate import TrackerRows, arm_columns, tracker_column
 from robots.calibration.layout import State
 from robots.calibration.reading_model import RowInputs
 from robots.gravity import GRAVITY
-from robots.measurements import Index, Instrument, Readings
 from robots.pose import Array
 from robots.robot import Robot
+from robots.tracker_readings import Index, Instrument, Readings
 
 SOFTEST = (0.5, 2.0)  # of the believed springs: between these torques act on them
 Motion = tuple[Array | None, Array | None]

@@ -12,8 +12,8 @@ from scipy.special import expit
 from robots.calibration.noise import Noise, Repeats, reading_covariance
 from robots.calibration.solver import JOINT_NOISE
 from robots.calibration.student import NU, consistency
-from robots.measurements import Instrument, Readings
 from robots.pose import Array
+from robots.tracker_readings import Instrument, Readings
 
 USUAL, USUAL_SD = 1e-5, 0.7  # rad, joints' repeatability (KR 210: 0.06 mm at 2.7 m) and one sigma of its logarithm
 RESTLESS = 3.5  # of the usual joint noise

@@ -9,8 +9,8 @@ from ocp.diagnose.engine.system import Sealed
 from ocp.diagnose.tracker.held_out import added
 from ocp.diagnose.tracker.refit import Held, Task, looked, seen_of
 from robots.calibration.residuals import points
-from robots.measurements import Readings
 from robots.pose import Array
+from robots.tracker_readings import Readings
 
 
 def predict(

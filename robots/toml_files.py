@@ -1,16 +1,27 @@
-"""A TOML file checked against a schema, every fault told in one sentence with its line."""
+"""TOML files: reading one against a schema, every fault told in one sentence with its line; and writing one."""
 
+import json
 import math
 import re
 import tomllib
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robots.errors import BadInput
 
 Schema = TypeVar("Schema", bound=BaseModel)
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Vector = tuple[Number, Number, Number]
+
+
+class TomlTable(BaseModel):
+    """A table of a schema: unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def read_toml(path: Path, schema: type[Schema], what: str = "cell") -> Schema:
@@ -100,3 +111,65 @@ def _known_keys(schema: type[BaseModel], keys: list[str]) -> str:
             if isinstance(option, type) and issubclass(option, BaseModel):
                 schema = option
     return ", ".join(schema.model_fields)
+
+
+def toml_text(document: dict[str, Any]) -> str:
+    """TOML text that `tomllib` reads back to `document` (numbers to the last bit).
+
+    Raises BadInput: a value that has no TOML form.
+    """
+    return "\n".join(_lines(document, ())).strip() + "\n"
+
+
+def _lines(table: dict[str, Any], at: tuple[str, ...]) -> list[str]:
+    """Scalars first, because everything after a table's header belongs to that table."""
+    plain = {k: v for k, v in table.items() if not isinstance(v, dict) and not _is_tables(v)}
+    lines = [f"{_key(k)} = {_value(v, (*at, k))}" for k, v in plain.items()]
+    for name, inner in table.items():
+        if isinstance(inner, dict):
+            path = (*at, name)
+            body = _lines(inner, path)
+            # A table that holds tables alone needs no header of its own.
+            if not inner or any(not isinstance(v, dict) for v in inner.values()):
+                body = ["", f"[{'.'.join(map(_key, path))}]", *body]
+            lines += body
+    for name, each in table.items():
+        if _is_tables(each):
+            path = (*at, name)
+            for inner in each:
+                lines += ["", f"[[{'.'.join(map(_key, path))}]]", *_lines(inner, path)]
+    return lines
+
+
+def _is_tables(value: Any) -> bool:
+    """A list of tables."""
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(v, dict) for v in value)
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _string(name)
+
+
+def _string(text: str) -> str:
+    """A basic string; JSON's escapes are a subset of TOML's, but for DEL, which TOML wants escaped."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _value(value: Any, at: tuple[str, ...]) -> str:
+    if hasattr(value, "item") and not isinstance(value, list | tuple) and getattr(value, "ndim", 0) == 0:
+        value = value.item()
+    elif hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        if math.isnan(value):
+            return "nan"
+        return repr(value) if math.isfinite(value) else ("inf" if value > 0 else "-inf")
+    if isinstance(value, str):
+        return _string(value)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(v, at) for v in value) + "]"
+    raise BadInput(f"'{'.'.join(at)}' = {value!r} cannot be written as TOML; use text, numbers or lists of these")
