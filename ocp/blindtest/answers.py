@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ocp.blindtest.scoring.rivals import rivals
-from ocp.blindtest.worlds.sealing import WITHHELD, WORLDS, Check
+from ocp.blindtest.scoring.rivals import rival_answers
+from ocp.blindtest.worlds.sealing import WITHHELD, Check
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
 from ocp.diagnose.engine.system import Sealed
@@ -23,28 +23,22 @@ from ocp.effects.library import library
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 
-ANSWERS = "answers"
 FAULTS = (BadInput, Infeasible, ArithmeticError, ValueError, TypeError, LookupError, AssertionError, np.linalg.LinAlgError)
 """What makes a world an error of the answer, counted as wrong, instead of ending the check."""
 
 
-def answer_path(check: Check, name: str) -> Path:
-    """Where the answer to a world lies."""
-    return check.folder / ANSWERS / f"{name}.json"
-
-
 def make_answer(check: Check, name: str) -> str:
     """Answer a world that has none yet; returns its verdict, or what went wrong."""
-    path = answer_path(check, name)
+    path = check.answer(name)
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.part")
-        part.write_text(json.dumps(answered(check.folder / WORLDS / name)) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(answer_world(check.world(name))) + "\n", encoding="utf-8")
         part.replace(path)
     return str(json.loads(path.read_text(encoding="utf-8")).get("error") or "answered")
 
 
-def answered(folder: Path) -> dict[str, Any]:
+def answer_world(folder: Path) -> dict[str, Any]:
     """Everything that is said about a world. A refusal is an answer too; it counts as wrong."""
     withheld = _withheld(folder)
     known = {name: effect for name, effect in library().items() if name not in withheld}
@@ -52,16 +46,16 @@ def answered(folder: Path) -> dict[str, Any]:
     try:
         answer = answer_of(folder, Phases(), known)
     except FAULTS as error:
-        return {"error": _told(error)}
+        return {"error": _fault(error)}
     predicted: dict[str, Any] = {}
     fault = None
     try:
-        predicted = {s: _rounded(told) for s, told in predict_sealed(answer).items()}
+        predicted = {signal: _rounded(sealed) for signal, sealed in predict_sealed(answer).items()}
     except FAULTS as error:
-        fault = _told(error)
+        fault = _fault(error)
     seconds = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu, **answer.seconds}
     d = answer.diagnosis
-    told = rivals(d.baseline, known)
+    named = rival_answers(d.baseline, known)
     return {
         "error": None,
         "document": document_of(answer).model_dump(mode="json", by_alias=True),
@@ -70,18 +64,18 @@ def answered(folder: Path) -> dict[str, Any]:
         "predictions": predicted.get("tracker"),
         **({"predictions_force": predicted["force"]} if "force" in predicted else {}),
         "prediction_error": fault,
-        "rivals": {method: asdict(named) for method, named in told.items()},
+        "rivals": {method: asdict(one) for method, one in named.items()},
         "seconds": seconds,
     }
 
 
-def _rounded(told: Sealed) -> dict[str, Any]:
+def _rounded(sealed: Sealed) -> dict[str, Any]:
     """Predictions as JSON has them."""
-    parts = {"baseline": told.baseline, "corrected": told.corrected, "sigma": told.sigma}
+    parts = {"baseline": sealed.baseline, "corrected": sealed.corrected, "sigma": sealed.sigma}
     return {name: values.round(8).tolist() for name, values in parts.items()}
 
 
-def _told(error: BaseException) -> str:
+def _fault(error: BaseException) -> str:
     """An error and where it came from."""
     place = traceback.extract_tb(error.__traceback__)
     own = next((f for f in reversed(place) if Path(f.filename).is_file()), place[-1])

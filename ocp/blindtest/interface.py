@@ -8,15 +8,16 @@ from typing import Any
 
 from ocp.blindtest.report.page import last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
-from ocp.blindtest.scoring.figures import Figure, table
+from ocp.blindtest.scoring.figures import Figure, all_figures
+from ocp.blindtest.worlds.files import write_cell
+from ocp.blindtest.worlds.pools import SIGNALS
 from ocp.blindtest.worlds.recipes import check_kinds, recipes
-from ocp.blindtest.worlds.sealing import Check, write_cell
+from ocp.blindtest.worlds.sealing import Check
 from ocp.data import CELL
 from ocp.shell.progress import Phases, Progress
 from ocp.shell.workers import cores
 from robots.errors import BadInput
 
-SIGNALS = ("tracker", "force", "both")
 KINDS = ("single", "none", "none_background", "pair", "triple", "outside", "left_out")
 
 
@@ -76,4 +77,4 @@ def blindtest(
     rows = score_all(check, planned, count, phases)
     with phases.phase("report"):
         write_blindtest_report(check, rows)
-    return BlindtestResult(folder, tuple(rows), tuple(table(rows)), last_line(check, rows))
+    return BlindtestResult(folder, tuple(rows), tuple(all_figures(rows)), last_line(check, rows))

@@ -5,10 +5,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from typing import Any
 
-from ocp.blindtest.answers import answer_path, make_answer
+from ocp.blindtest.answers import make_answer
+from ocp.blindtest.drawing import Drawn, draw_effects
+from ocp.blindtest.oracle.oracle import exact_view
 from ocp.blindtest.scoring.scoring import make_score
+from ocp.blindtest.worlds.files import write_world
 from ocp.blindtest.worlds.recipes import Recipe
-from ocp.blindtest.worlds.sealing import Check, make_world, read_seal, write_seal
+from ocp.blindtest.worlds.sealing import WITHHELD, Check, Label, label_path, machine_of, read_seal, write_label, write_seal
+from ocp.shell.hashes import sha256
 from ocp.shell.progress import Phases
 from ocp.shell.workers import interrupts_held_back, nothing, workers
 from robots.errors import BadInput
@@ -32,6 +36,22 @@ def resume(check: Check, overwrite: bool) -> None:
     else:
         check.folder.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(check.fixed()) + "\n", encoding="utf-8")
+
+
+def make_world(check: Check, recipe: Recipe) -> str:
+    """Draw, write and seal a world that is not there yet; the hash of its label. Raises Infeasible of the drawing."""
+    folder, label = check.world(recipe.name), label_path(check, recipe)
+    if not label.is_file():
+        machine = machine_of(check, recipe)
+        drawn = Drawn((), ())
+        if recipe.target is not None:
+            drawn = draw_effects(check.seed, recipe, exact_view(machine), check.signals)
+        write_world(folder, machine, drawn.effects)
+        withheld = tuple(p.effect for p in drawn.effects) if recipe.kind == "left_out" else ()
+        if withheld:
+            (folder / WITHHELD).write_text("\n".join(withheld) + "\n", encoding="utf-8")
+        write_label(label, Label(recipe, drawn.effects, drawn.lam, withheld))
+    return sha256(label)
 
 
 def make_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases) -> None:
@@ -58,7 +78,7 @@ def _answer(check: Check, recipe: Recipe) -> str:
 
 def score_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases) -> list[dict[str, Any]]:
     """Rows of all worlds. Raises BadInput: an answer is missing, or a label is not the sealed one."""
-    missing = [r.name for r in recipes if not answer_path(check, r.name).is_file()]
+    missing = [r.name for r in recipes if not check.answer(r.name).is_file()]
     if missing:
         raise BadInput(f"{check.folder}: world {missing[0]} has no answer yet; labels stay closed until all are written")
     seal = read_seal(check)

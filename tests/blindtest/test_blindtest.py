@@ -8,19 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.blindtest.answers import answer_path, make_answer
-from ocp.blindtest.oracle import ceiling, oracle
-from ocp.blindtest.oracle.detectability import nuisance, reading_covariance, whitener
-from ocp.blindtest.oracle.signatures import families
+from ocp.blindtest.answers import make_answer
+from ocp.blindtest.oracle import oracle
+from ocp.blindtest.oracle.detectability import detectabilities
+from ocp.blindtest.oracle.signatures import tracker_families
+from ocp.blindtest.oracle.tracker import TrackerView, point_covariance, scene_of, tracker_nuisance, tracker_view, tracker_whitener
 from ocp.blindtest.running import answer_all, make_all, resume, score_all
-from ocp.blindtest.scoring import figures, intervals, judging, rivals, worst
+from ocp.blindtest.scoring import figures, intervals, judging, rivals
 from ocp.blindtest.scoring.scoring import score_path
 from ocp.blindtest.worlds import recipes
-from ocp.blindtest.worlds.drawing import detectabilities, scaled, usual
-from ocp.blindtest.worlds.machines import draw_machine
-from ocp.blindtest.worlds.outside import KINDS as OUTSIDE
+from ocp.blindtest.worlds.files import write_cell
+from ocp.blindtest.worlds.machines import draw_tracker_machine
+from ocp.blindtest.worlds.outside_first import ON_ARM
+from ocp.blindtest.worlds.pools import scaled, within_range
 from ocp.blindtest.worlds.recipes import KINDS, Recipe
-from ocp.blindtest.worlds.sealing import SEALED, Check, label_path, read_label, read_seal, write_cell
+from ocp.blindtest.worlds.sealing import SEALED, Check, label_path, read_label, read_seal
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.truth.planting import Planted, draw_effect, parse_effect
 from robots.errors import BadInput
@@ -33,12 +35,12 @@ CELL = ROOT / "ocp" / "data" / "cell.toml"
 def machine(tmp_path_factory: pytest.TempPathFactory):
     cell = tmp_path_factory.mktemp("cell") / "cell.toml"
     write_cell(CELL, cell)
-    return draw_machine(cell, 3, Recipe(1, "none", 0, None), 40, 10)
+    return draw_tracker_machine(cell, 3, Recipe(1, "none", 0, None), 40, 10)
 
 
 @pytest.fixture(scope="module")
 def scene(machine):
-    return machine.scene()
+    return scene_of(machine)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +54,7 @@ def check(tmp_path_factory: pytest.TempPathFactory) -> Check:
 
 
 def test_derivatives_are_those_of_the_machine(machine, scene):
-    A, sd = nuisance(scene)
+    A, sd = tracker_nuisance(scene)
     bare = machine.points(())
 
     def moved(**changes):
@@ -79,17 +81,17 @@ def test_derivatives_are_those_of_the_machine(machine, scene):
 def test_lambda_is_the_quadratic_form(machine, scene):
     effect = parse_effect("backlash:5=1e-4")
     d = (machine.points([effect]) - machine.points(())).ravel()
-    A, sd = nuisance(scene)
+    A, sd = tracker_nuisance(scene)
     A = A.reshape(len(d), -1)
     Sigma = np.zeros((len(d), len(d)))
-    for k, S in enumerate(reading_covariance(scene)):
+    for k, S in enumerate(point_covariance(scene)):
         Sigma[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = S
     brute = d @ np.linalg.solve(Sigma + (A * sd**2) @ A.T, d)
-    white = whitener(scene)
-    assert detectabilities(machine, scene, white, [effect])[0] == pytest.approx(brute, rel=1e-4)
+    view = TrackerView(machine, scene, tracker_whitener(scene))
+    assert detectabilities(view, [effect])[0] == pytest.approx(brute, rel=1e-4)
     # Twice the size, four times the index; two effects never see each other better than alone.
-    assert detectabilities(machine, scene, white, [scaled(effect, 2.0)])[0] == pytest.approx(4 * brute, rel=1e-3)
-    both = detectabilities(machine, scene, white, [effect, parse_effect("joint_thermal:5=1e-5")])
+    assert detectabilities(view, [scaled(effect, 2.0)])[0] == pytest.approx(4 * brute, rel=1e-3)
+    both = detectabilities(view, [effect, parse_effect("joint_thermal:5=1e-5")])
     assert both[0] <= brute * (1 + 1e-9)
 
 
@@ -99,23 +101,40 @@ def test_the_noise_is_the_virtual_tracker_s(machine, scene):
     rng = np.random.default_rng(0)
     arm, m = scene.arm, scene.campaign.moments
     off = [measure(machine.truth, machine.cell, arm, m, scene.campaign.targets, rng) - scene.point for _ in range(40)]
-    S = reading_covariance(scene)
+    S = point_covariance(scene)
     squared = [np.einsum("ni,ni->n", e, np.linalg.solve(S, e[..., None])[..., 0]) for e in off]
     assert np.mean(squared) == pytest.approx(3.0, abs=0.15)
 
 
-@pytest.mark.parametrize("text", [
-    "joint_compliance:5=2e-6", "joint_stiffening:4=8e-14", "link_bending:3=5e-8", "payload_mass=3", "payload_com=0.01/0.01/-0.02",
-    "gear_2x:1=5e-5,phase_rad=1", "gear_harmonic:4=8e-5,order=19,phase_rad=2", "motor_harmonic:6=8e-5,order=2", "backlash:2=5e-5",
-    "friction_windup:3=5e-5,per_Nm=5e-8", "encoder_scale:6=1e-4", "wrist_coupling:4=1e-3,source_joint=6", "link_thermal=1e-5",
-    "joint_thermal:2=5e-6", "base_tilt=3e-5/1e-5/0,at_s=5000", "tracker_drift=3e-5/0/1e-5,rad_per_h=1e-5/0/0",
-    "target_shift=1e-4/0/-1e-4,target=T2,at_s=4000", "gravity_compensator:2=2e4,lever_link1_m=0.2,lever_arm_m=0.2",
-    "gear_1x:2=1e-4", "tracker_scale=5e-6",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "joint_compliance:5=2e-6",
+        "joint_stiffening:4=8e-14",
+        "link_bending:3=5e-8",
+        "payload_mass=3",
+        "payload_com=0.01/0.01/-0.02",
+        "gear_2x:1=5e-5,phase_rad=1",
+        "gear_harmonic:4=8e-5,order=19,phase_rad=2",
+        "motor_harmonic:6=8e-5,order=2",
+        "backlash:2=5e-5",
+        "friction_windup:3=5e-5,per_Nm=5e-8",
+        "encoder_scale:6=1e-4",
+        "wrist_coupling:4=1e-3,source_joint=6",
+        "link_thermal=1e-5",
+        "joint_thermal:2=5e-6",
+        "base_tilt=3e-5/1e-5/0,at_s=5000",
+        "tracker_drift=3e-5/0/1e-5,rad_per_h=1e-5/0/0",
+        "target_shift=1e-4/0/-1e-4,target=T2,at_s=4000",
+        "gravity_compensator:2=2e4,lever_link1_m=0.2,lever_arm_m=0.2",
+        "gear_1x:2=1e-4",
+        "tracker_scale=5e-6",
+    ],
+)
 def test_exact_signatures_hold_what_the_machine_does(machine, scene, text, library):
     effect = parse_effect(text)
     d = machine.points([effect]) - machine.points(())
-    own = next(f for f in library if f.name == judging.name_of(effect))
+    own = next(f for f in library if f.name == oracle.name_of(effect))
     flat = own.columns.reshape(3 * len(scene), own.columns.shape[2], -1)
     left = min(np.linalg.norm(d.ravel() - C @ np.linalg.lstsq(C, d.ravel(), rcond=None)[0]) for C in np.moveaxis(flat, 1, 0))
     assert left < 0.02 * np.linalg.norm(d)
@@ -123,11 +142,11 @@ def test_exact_signatures_hold_what_the_machine_does(machine, scene, text, libra
 
 @pytest.fixture(scope="module")
 def library(machine, scene):
-    return families(machine, scene)
+    return tracker_families(machine, scene)
 
 
 def test_the_oracle_names_what_is_there(machine, scene, library):
-    white = whitener(scene)
+    white = tracker_whitener(scene)
     known = oracle.whitened(library, white)
     effects = [parse_effect("backlash:5=3e-4"), parse_effect("gear_2x:1=2e-4,phase_rad=1")]
     d = white.apply(machine.points(effects) - machine.points(()))
@@ -141,45 +160,45 @@ def test_the_oracle_names_what_is_there(machine, scene, library):
 
 
 def test_the_oracle_sizes_what_is_there_and_says_what_is_like_it(machine, scene, library):
-    white = whitener(scene)
+    white = tracker_whitener(scene)
     known = oracle.whitened(library, white)
     rng = np.random.default_rng(4)
     for text in ("backlash:5=3e-4", "gear_2x:1=2e-4,phase_rad=1", "target_shift=3e-4/0/-1e-4,target=T2,at_s=4000"):
         effect = parse_effect(text)
         d = white.apply(machine.points([effect]) - machine.points(()))
-        own = judging.name_of(effect)
-        exact, noisy = (ceiling.estimated(known, d + noise, own) for noise in (0.0, rng.normal(size=len(d))))
-        assert ceiling.size_error(exact, effect) < 0.03
-        assert ceiling.size_error(exact, effect) < ceiling.size_error(noisy, effect) < 4 * np.sqrt(3 / (d @ d))
-        assert ceiling.size_error(exact, scaled(effect, 0.5)) == pytest.approx(1.0, abs=0.05)
-    assert ceiling.estimated(known.without(["backlash"]), d, ("backlash", 5)) is None
+        own = oracle.name_of(effect)
+        exact, noisy = (oracle.estimated(known, d + noise, own) for noise in (0.0, rng.normal(size=len(d))))
+        assert oracle.size_error(exact, effect) < 0.03
+        assert oracle.size_error(exact, effect) < oracle.size_error(noisy, effect) < 4 * np.sqrt(3 / (d @ d))
+        assert oracle.size_error(exact, scaled(effect, 0.5)) == pytest.approx(1.0, abs=0.05)
+    assert oracle.estimated(known.without(["backlash"]), d, ("backlash", 5)) is None
 
 
 def test_classes_of_several_effects_are_those_that_stay_when_the_others_are_free(machine, scene, library):
-    white = whitener(scene)
+    white = tracker_whitener(scene)
     known = oracle.whitened(library, white)
     soft, play = parse_effect("joint_compliance:2=1e-8"), parse_effect("backlash:5=3e-4")
     alone = [white.apply(machine.points([p]) - machine.points(())) for p in (soft, play)]
-    groups = ceiling.classes_among(known, (soft, play), alone)
+    groups = oracle.classes_among(known, (soft, play), alone)
     # Wind-up holds play; nothing else looks like it.
     assert {("backlash", 5), ("friction_windup", 5)} in groups
     faint = [1e-3 * alone[0], alone[1]]  # nobody sees it: like everything
-    group, _ = ceiling.classes_among(known, (soft, play), faint)
+    group, _ = oracle.classes_among(known, (soft, play), faint)
     assert ("joint_compliance", 2) in group and len(group) > 20 and ("backlash", 5) not in group
-    mixed = ceiling.classes_among(known, (play, soft), [alone[1] + 5 * alone[0], alone[0]])
+    mixed = oracle.classes_among(known, (play, soft), [alone[1] + 5 * alone[0], alone[0]])
     assert {("backlash", 5), ("friction_windup", 5)} in mixed  # what the other could be is nobody's own
     twice = [alone[1], 2 * alone[1]]  # the one is the other: neither has a direction of its own
-    assert ceiling.classes_among(known, (play, play), twice) == []
+    assert oracle.classes_among(known, (play, play), twice) == []
 
 
-@pytest.mark.parametrize("name", sorted(OUTSIDE))
+@pytest.mark.parametrize("name", sorted(ON_ARM))
 def test_effects_outside_the_catalogue_move_readings(machine, name):
-    effect = draw_effect(np.random.default_rng(2), OUTSIDE[name])
+    effect = draw_effect(np.random.default_rng(2), ON_ARM[name].kind)
     d = machine.points([effect]) - machine.points(())
     twice = machine.points([scaled(effect, 2.0)]) - machine.points(())
     assert 1e-6 < np.linalg.norm(d, axis=1).max() < 3e-3
     assert np.allclose(twice, 2 * d, atol=0.02 * np.abs(d).max())
-    assert usual(effect)
+    assert within_range(effect)
 
 
 def test_every_prefix_holds_the_mixture():
@@ -197,8 +216,8 @@ def test_effects_come_at_the_detectability_that_was_asked_for(check):
     label = read_label(check, recipes.recipes(2, check.kinds)[0], read_seal(check))
     low, high = label.recipe.target
     assert len(label.effects) == 1 and 0.75 * low < label.lam[0] < 1.25 * high
-    machine = draw_machine(check.cell, check.seed, label.recipe, check.readings, check.blind)
-    again = detectabilities(machine, machine.scene(), whitener(machine.scene()), label.effects)
+    machine = draw_tracker_machine(check.cell, check.seed, label.recipe, check.readings, check.blind)
+    again = detectabilities(tracker_view(machine), label.effects)
     assert again[0] == pytest.approx(label.lam[0])
 
 
@@ -207,18 +226,18 @@ def test_answers_need_no_labels_and_are_resumed(check, tmp_path):
     away = tmp_path / "labels"
     (check.folder / SEALED).rename(away)
     answer_all(check, planned, 1, Phases())
-    before = [answer_path(check, r.name).stat().st_mtime_ns for r in planned]
+    before = [check.answer(r.name).stat().st_mtime_ns for r in planned]
     answer_all(check, planned, 1, Phases())
-    assert before == [answer_path(check, r.name).stat().st_mtime_ns for r in planned]
+    assert before == [check.answer(r.name).stat().st_mtime_ns for r in planned]
     with pytest.raises(BadInput, match="label is missing"):
         score_all(check, planned, 1, Phases())
     away.rename(check.folder / SEALED)
 
     rows = score_all(check, planned, 1, Phases())
     assert [r["kind"] for r in rows] == [r.kind for r in planned] and all(r["error"] is None for r in rows)
-    assert figures.table(rows) and worst.worst(rows) is not None
+    assert figures.all_figures(rows) and figures.worst(rows) is not None
     make_all(check, planned, 1, Phases())  # worlds that are there stay as they are
-    assert before == [answer_path(check, r.name).stat().st_mtime_ns for r in planned]
+    assert before == [check.answer(r.name).stat().st_mtime_ns for r in planned]
 
     path = label_path(check, planned[0])
     sealed = path.read_text()
@@ -235,7 +254,7 @@ def test_a_check_with_other_options_is_not_gone_on_with(check):
     resume(check, False)
     with pytest.raises(BadInput, match="another seed"):
         resume(replace(check, seed=6), False)
-    answer_path(check, "00009").parent.mkdir(exist_ok=True)
+    check.answer("00009").parent.mkdir(exist_ok=True)
     with pytest.raises(BadInput, match="no answer yet"):
         score_all(check, recipes.recipes(3, check.kinds), 1, Phases())
 
@@ -245,7 +264,7 @@ def test_an_answer_that_fails_is_kept_as_wrong(tmp_path):
     (tmp_path / "worlds" / "00001").mkdir(parents=True)
     (tmp_path / "worlds" / "00001" / "cell.toml").write_text("name = 3\n")
     assert "BadInput" in make_answer(made, "00001")
-    assert json.loads(answer_path(made, "00001").read_text())["error"]
+    assert json.loads(made.answer("00001").read_text())["error"]
 
 
 def test_a_name_is_right_within_its_class_with_the_joint():
@@ -265,31 +284,55 @@ def test_values_are_compared_as_they_are_meant():
         "amplitude_rad": {"value": 1.1e-4, "sd": 5e-6, "unit": "rad"},
         "phase_rad": {"value": 0.0168, "sd": 0.1, "unit": "rad"},
     }
-    error, z = judging.values(wave, told)
+    error, z = judging.value_errors(wave, told)
     assert error == pytest.approx(0.1) and z == pytest.approx([2.0, 1.0], abs=0.01)
     spring = Planted("gravity_compensator", 2, {"stiffness_N_m": 2e4, "lever_link1_m": 0.2, "lever_arm_m": 0.3})
-    other = {k: {"value": v, "sd": s, "unit": ""} for k, v, s in
-             (("stiffness_N_m", 1e4, 500.0), ("lever_link1_m", 0.4, None), ("lever_arm_m", 0.3, None))}  # fmt: skip
-    assert judging.values(spring, other)[0] == pytest.approx(0.0)
+    other = {
+        k: {"value": v, "sd": s, "unit": ""}
+        for k, v, s in (("stiffness_N_m", 1e4, 500.0), ("lever_link1_m", 0.4, None), ("lever_arm_m", 0.3, None))
+    }
+    assert judging.value_errors(spring, other)[0] == pytest.approx(0.0)
     shift = Planted("payload_com", None, {"shift_m": (0.03, 0.0, 0.04)})
-    assert judging.values(shift, {"shift_m": {"value": [0.03, 0.005, 0.04], "sd": [0.01] * 3, "unit": "m"}})[0] == pytest.approx(
-        0.1
-    )
+    assert judging.value_errors(shift, {"shift_m": {"value": [0.03, 0.005, 0.04], "sd": [0.01] * 3, "unit": "m"}})[
+        0
+    ] == pytest.approx(0.1)
 
 
 def row(kind: str, lam=(), first=True, **more):
     planted = [["backlash", k + 1, {"half_width_rad": 1e-4}] for k in range(len(lam))]
     part = {"top1": first, "top3": True, "first": ["backlash", 1], "set": [len(lam), len(lam), len(lam)]}
     base = {
-        "world": "00001", "kind": kind, "background": False, "planted": planted, "lam": list(lam), "error": None, "left": None,
-        "diagnosis": part, "strict": part, "oracle": part, "rivals": {m: part for m in rivals.METHODS}, "verdict": "explained",
-        "p_none": 0.0, "p_unknown": 0.0, "said": [["backlash", 1, 0.9]], "named": [["backlash", 1]], "classes": [],
-        "reliability": [[0.9, first]], "location": 1, "shrinkage": {"predicted": 0.8, "low": 0.7, "high": 0.9},
-        "values": [[0.02, [1.0, 2.0]] for _ in lam], "smallest": [0.1 for _ in lam], "exact_smallest": [0.1 for _ in lam],
-        "sure_class": [], "possible_class": [], "true_classes": [], "oracle_error": 0.01, "oracle_class": [],
+        "world": "00001",
+        "kind": kind,
+        "background": False,
+        "planted": planted,
+        "lam": list(lam),
+        "error": None,
+        "left": None,
+        "diagnosis": part,
+        "strict": part,
+        "oracle": part,
+        "rivals": {m: part for m in rivals.METHODS},
+        "verdict": "explained",
+        "p_none": 0.0,
+        "p_unknown": 0.0,
+        "said": [["backlash", 1, 0.9]],
+        "named": [["backlash", 1]],
+        "classes": [],
+        "reliability": [[0.9, first]],
+        "location": 1,
+        "shrinkage": {"predicted": 0.8, "low": 0.7, "high": 0.9},
+        "values": [[0.02, [1.0, 2.0]] for _ in lam],
+        "smallest": [0.1 for _ in lam],
+        "exact_smallest": [0.1 for _ in lam],
+        "sure_class": [],
+        "possible_class": [],
+        "true_classes": [],
+        "oracle_error": 0.01,
+        "oracle_class": [],
         "seconds": {"cpu": 2.0, "wall": 3.0},
         "realised": {"before": 1.0, "after": 0.25, "floor": 0.1, "covered": 0.9},
-    }  # fmt: skip
+    }
     return base | more
 
 
@@ -306,7 +349,7 @@ def test_the_table_of_hand_made_answers():
         row("outside", (200.0,), left=150.0, p_unknown=0.7, reliability=[[0.1, False]], location=1),
         row("outside", (200.0,), left=150.0, p_unknown=0.1, reliability=[[0.1, False]], location=2),
     ]
-    found = {f.what: f for f in figures.table(rows)}
+    found = {f.what: f for f in figures.all_figures(rows)}
     assert found["top-1 effect and joint, lambda >= 100"].estimate.value == 0.5
     assert found["top-1 effect and joint, lambda 15-30"].estimate.value == 1.0
     assert found["top-1 effect and joint, lambda 50-100"].estimate.count == 0
@@ -325,15 +368,15 @@ def test_the_table_of_hand_made_answers():
     assert found["harmful corrections"].estimate.value == 0.0
     assert found["predicted against realised shrinkage, median difference"].estimate.value == pytest.approx(0.05)
     assert found["top-1 effect and joint, lambda >= 100"].met is False
-    bad = worst.worst(rows)
+    bad = figures.worst(rows)
     assert bad[0]["kind"] == "none" and len(bad) == 4
-    assert "false alarm" in worst.why_words(bad[0]) and "backlash:1 (150)" in [worst.planted_words(r) for r in bad]
+    assert "false alarm" in figures.why_words(bad[0]) and "backlash:1 (150)" in [figures.planted_words(r) for r in bad]
 
 
 def test_intervals():
-    assert intervals.share([True] * 9 + [False]).low == pytest.approx(0.5958, abs=1e-3)  # Wilson, 9 of 10
-    assert intervals.share([True] * 9 + [False]).high == pytest.approx(0.9821, abs=1e-3)
-    assert intervals.share([]).count == 0
+    assert intervals.share_of_hits([True] * 9 + [False]).low == pytest.approx(0.5958, abs=1e-3)  # Wilson, 9 of 10
+    assert intervals.share_of_hits([True] * 9 + [False]).high == pytest.approx(0.9821, abs=1e-3)
+    assert intervals.share_of_hits([]).count == 0
     assert intervals.f1([(2, 2, 2), (0, 1, 2)]).value == pytest.approx(2 * 2 / 7)
     drawn = intervals.median(np.random.default_rng(0).normal(size=200))
     assert drawn.low < 0.0 < drawn.high and drawn.high - drawn.low < 0.6
@@ -342,7 +385,7 @@ def test_intervals():
 def test_chance_is_found_by_dealing_labels_anew():
     effects = ["a", "b", "c", "d"]
     rows = [row("single", (100.0,), planted=[[effects[k % 4], 1, {}]], said=[[effects[k % 4], 1, 1.0]]) for k in range(80)]
-    assert worst.chance(rows).value == pytest.approx(0.25, abs=0.03)
+    assert figures.chance(rows).value == pytest.approx(0.25, abs=0.03)
 
 
 def test_rivals_find_a_strong_effect():
@@ -350,7 +393,7 @@ def test_rivals_find_a_strong_effect():
     columns = [rng.normal(size=(90, V, m)) for V, m in ((1, 1), (20, 2), (1, 3), (1, 1))]
     y = 2.5 * columns[1][:, 7, 0] + rng.normal(size=90)
     names = (("a", 1), ("b", 2), ("c", 0), ("d", 3))
-    made = rivals.Candidates(names, tuple(columns), y, tuple(columns), y, 90)
+    made = rivals.RivalColumns(names, tuple(columns), y, tuple(columns), y, 90)
     for method in (rivals.single, rivals.stepwise, rivals.sparse, rivals.unprojected):
         answer = method(made)
         assert answer.ranking[0] == ("b", 2) and answer.named[0] == ("b", 2), method

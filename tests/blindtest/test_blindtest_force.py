@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.blindtest.oracle.force_detectability import Sight, detectabilities, noise_roots, sight_of
-from ocp.blindtest.oracle.force_signatures import force_families
-from ocp.blindtest.oracle.slopes import nuisance
-from ocp.blindtest.scoring.judging import name_of
-from ocp.blindtest.worlds.drawing import scaled
-from ocp.blindtest.worlds.force_drawing import draw_effects, kind_of, pool_of, usual
-from ocp.blindtest.worlds.force_machines import STORE, GrindingMachine, draw_grinding
-from ocp.blindtest.worlds.force_outside import KINDS as OUTSIDE
-from ocp.blindtest.worlds.force_world import log_noise, write_cell_with_blade, write_force_world
-from ocp.blindtest.worlds.grinder import Bench
+from ocp.blindtest.drawing import draw_effects
+from ocp.blindtest.oracle.detectability import detectabilities
+from ocp.blindtest.oracle.force import ForceView, force_nuisance, force_view, noise_roots
+from ocp.blindtest.oracle.oracle import name_of
+from ocp.blindtest.oracle.signatures import force_families
+from ocp.blindtest.worlds.bench import Bench
+from ocp.blindtest.worlds.files import log_noise, write_cell, write_world
+from ocp.blindtest.worlds.lines import drawn_runs, rows_of_runs
+from ocp.blindtest.worlds.machines import STORE, GrindingMachine, draw_grinding_machine
+from ocp.blindtest.worlds.outside_first import ON_GRINDING
+from ocp.blindtest.worlds.pools import kind_of, pool_of, scaled, within_range
 from ocp.blindtest.worlds.recipes import Recipe
-from ocp.blindtest.worlds.runs import drawn_runs, rows_of
 from ocp.blindtest.worlds.sealing import Check
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
@@ -35,13 +35,13 @@ SHARED = 36 + 6 + 7  # columns of the arm
 def machine(tmp_path_factory) -> GrindingMachine:
     """A machine with a background, three of its runs, without finite elements."""
     folder = tmp_path_factory.mktemp("check")
-    write_cell_with_blade(CELL, folder / "cell.toml")
+    write_cell(CELL, folder / "cell.toml", "force")
     from ocp.simulate.twin.contact.table import Tables
 
     patch = pytest.MonkeyPatch()
     patch.setattr(Tables, "give", lambda self, p, n, t, solve: np.tile(SOLID, (len(p), 1)))
-    patch.setattr("ocp.blindtest.worlds.force_machines.drawn_runs", few_runs)
-    drawn = draw_grinding(folder / "cell.toml", 4, replace(SINGLE, turn=6), 60, 40, False)
+    patch.setattr("ocp.blindtest.worlds.machines.drawn_runs", few_runs)
+    drawn = draw_grinding_machine(folder / "cell.toml", 4, replace(SINGLE, turn=6), 60, 40, False)
     assert drawn.background and (folder / STORE).is_file()
     yield drawn
     patch.undo()
@@ -57,16 +57,16 @@ def few_runs(rng, process, speed):
 
 
 @pytest.fixture(scope="module")
-def sight(machine) -> Sight:
-    return sight_of(machine)
+def view(machine) -> ForceView:
+    return force_view(machine)
 
 
 def change(machine, **truth):
     return machine.log((), truth=replace(machine.truth, **truth)).both - machine.bare.both
 
 
-def test_slopes_hold_what_the_machine_does(machine, sight):
-    found = nuisance(machine, sight.slopes)
+def test_slopes_hold_what_the_machine_does(machine, view):
+    found = force_nuisance(machine, view.slopes)
     truth, cell = machine.truth, machine.bench.cell
     placed = truth.placement.copy()
     placed[2, 4] += 1e-4  # turn of link 3 about its y axis
@@ -76,17 +76,20 @@ def test_slopes_hold_what_the_machine_does(machine, sight):
     tilted = change(machine, wheel_axis_turn=truth.wheel_axis_turn + 1e-4 * np.eye(3)[2]) / 1e-4 * cell.wheel.axis_sd
     linked = change(machine, placement=placed) / 1e-4 * PLACEMENT[1]
     for column, direct in (
-        (found.arm[..., 16], linked), (found.rest[..., 0], moved), (found.rest[..., 5], tilted), (found.rest[..., 10], turned),
-    ):  # fmt: skip
+        (found.arm[..., 16], linked),
+        (found.rest[..., 0], moved),
+        (found.rest[..., 5], tilted),
+        (found.rest[..., 10], turned),
+    ):
         # N for one sigma; where the contact's table changes from one posture to the next (1 um) differences jump.
         assert np.quantile(np.abs(column - direct), 0.97) < 0.03 * np.abs(direct).max() + 2e-3
     assert found.arm.shape[2] == SHARED
 
 
-def test_lambda_is_the_quadratic_form(machine, sight):
+def test_lambda_is_the_quadratic_form(machine, view):
     """By the lemma of Woodbury with covariances of runs inverted one by one; the whitener has singular values instead."""
     effect = parse_effect("wheel_wear=1e-7")
-    found = nuisance(machine, sight.slopes)
+    found = force_nuisance(machine, view.slopes)
     A = np.concatenate([found.arm, found.rest], axis=2)
     d = machine.log([effect]).both - machine.bare.both
     rows = machine.rows
@@ -99,8 +102,8 @@ def test_lambda_is_the_quadratic_form(machine, sight):
             a, e = A[signal][own], d[signal][own]
             B, h, q = B + a.T @ inverse @ a, h + a.T @ inverse @ e, q + e @ inverse @ e
     brute = q - h @ np.linalg.solve(B, h)
-    assert detectabilities(sight, [effect])[0] == pytest.approx(brute, rel=1e-5)
-    both = detectabilities(sight, [effect, parse_effect("sensor_drift=0.5")])
+    assert detectabilities(view, [effect])[0] == pytest.approx(brute, rel=1e-5)
+    both = detectabilities(view, [effect, parse_effect("sensor_drift=0.5")])
     assert both[0] <= brute * (1 + 1e-9)
 
 
@@ -113,14 +116,30 @@ def test_noise_has_the_covariance_that_is_believed(machine):
     assert abs(np.mean([np.mean(w[1:] * w[:-1]) for w in white])) < 0.01
 
 
-@pytest.mark.parametrize("text", [
-    "wheel_stiffness=0.05", "wheel_law=0.05", "wheel_wear=5e-8", "wheel_temperature=-0.003,radius_per_K=2e-6",
-    "wheel_runout=2e-5,phase_rad=1", "belt_splice=1,hz=10.025125628140703", "material_removal=5e-6", "clamp_compliance=1e-7",
-    "tool_frame_shift=5e-5/2e-5/0,at_s=30", "wheel_frame_shift=3e-5/0/0,at_s=30", "sensor_gain=0.01", "sensor_crosstalk=0.02",
-    "tangential_force=0.05,leak=0.02", "backlash:3=2e-5", "joint_thermal:2=2e-6", "wrist_coupling:5=5e-4,source_joint=6",
-    "base_tilt=0/1e-5/0,at_s=30", "gear_harmonic:2=2e-5,order=60,phase_rad=1",
-])  # fmt: skip
-def test_exact_signatures_hold_what_the_machine_does(machine, sight, families, text):
+@pytest.mark.parametrize(
+    "text",
+    [
+        "wheel_stiffness=0.05",
+        "wheel_law=0.05",
+        "wheel_wear=5e-8",
+        "wheel_temperature=-0.003,radius_per_K=2e-6",
+        "wheel_runout=2e-5,phase_rad=1",
+        "belt_splice=1,hz=10.025125628140703",
+        "material_removal=5e-6",
+        "clamp_compliance=1e-7",
+        "tool_frame_shift=5e-5/2e-5/0,at_s=30",
+        "wheel_frame_shift=3e-5/0/0,at_s=30",
+        "sensor_gain=0.01",
+        "sensor_crosstalk=0.02",
+        "tangential_force=0.05,leak=0.02",
+        "backlash:3=2e-5",
+        "joint_thermal:2=2e-6",
+        "wrist_coupling:5=5e-4,source_joint=6",
+        "base_tilt=0/1e-5/0,at_s=30",
+        "gear_harmonic:2=2e-5,order=60,phase_rad=1",
+    ],
+)
+def test_exact_signatures_hold_what_the_machine_does(machine, view, families, text):
     effect = parse_effect(text)
     d = (machine.log([effect]).both - machine.bare.both).ravel()
     assert np.abs(d).max() > 0  # all that are named above are seen on this machine
@@ -131,34 +150,34 @@ def test_exact_signatures_hold_what_the_machine_does(machine, sight, families, t
 
 
 @pytest.fixture(scope="module")
-def families(machine, sight):
-    return force_families(machine, sight.slopes, True)
+def families(machine, view):
+    return force_families(machine, view.slopes, True)
 
 
-@pytest.mark.parametrize("name", sorted(OUTSIDE))
+@pytest.mark.parametrize("name", sorted(ON_GRINDING))
 def test_effects_outside_the_catalogue_move_readings(machine, name):
-    small = scaled(draw_effect(np.random.default_rng(2), OUTSIDE[name]), 0.1)
+    small = scaled(draw_effect(np.random.default_rng(2), ON_GRINDING[name].kind), 0.1)
     log = machine.log([small])
     d = log.both - machine.bare.both
     assert np.array_equal(log.moments.setpoint, machine.bare.moments.setpoint)  # what a flange is told, not what it does
     twice = machine.log([scaled(small, 2.0)]).both - machine.bare.both
     assert 1e-4 < np.abs(d).max() < 5.0
     assert np.allclose(twice, 2 * d, atol=0.05 * np.abs(d).max())
-    assert usual(small) and kind_of(name).part == "outside"
+    assert within_range(small) and kind_of(name).part == "outside"
 
 
-def test_effects_come_at_the_detectability_that_was_asked_for(sight):
-    drawn = draw_effects(4, SINGLE, sight)
+def test_effects_come_at_the_detectability_that_was_asked_for(view):
+    drawn = draw_effects(4, SINGLE, view, "force")
     low, high = SINGLE.target
     assert len(drawn.effects) == 1 and 0.75 * low < drawn.lam[0] < 1.25 * high
-    assert drawn.effects == draw_effects(4, SINGLE, sight).effects
-    assert {k.name for k in pool_of(SINGLE, True)} > {k.name for k in pool_of(SINGLE, False)}
+    assert drawn.effects == draw_effects(4, SINGLE, view, "force").effects
+    assert {k.name for k in pool_of(SINGLE, "both")} > {k.name for k in pool_of(SINGLE, "force")}
 
 
 def test_a_world_is_a_data_set_and_its_sealed_part_shows_no_force(machine, tmp_path):
     effect = parse_effect("sensor_bias=1")
-    write_force_world(tmp_path / "a", machine, (effect,))
-    write_force_world(tmp_path / "b", machine, ())
+    write_world(tmp_path / "a", machine, (effect,))
+    write_world(tmp_path / "b", machine, ())
     shown, bare = (read_force_log(tmp_path / name / "force.csv") for name in "ab")
     assert np.allclose(shown.fn - bare.fn, 1.0, atol=2e-4) and np.allclose(shown.ft, bare.ft)
     assert len(shown) == len(machine.rows.s) and (~shown.contact).any()
@@ -169,7 +188,7 @@ def test_a_world_is_a_data_set_and_its_sealed_part_shows_no_force(machine, tmp_p
 
 def test_sealed_rows_follow_on_the_others(machine):
     effect = parse_effect("clamp_slip=1e-4,at_s=5")  # on the line of the first run, whatever side the sealed one is on
-    side = machine.bench.course.lines[machine.rows.runs[0].line - 1].n(0.03)
+    side = machine.bench.lines[machine.rows.runs[0].line - 1].n(0.03)
     sealed = machine.log([effect], sealed=True)
     change = sealed.fn - machine.log((), sealed=True).fn
     facing = sealed.moments.n @ side
@@ -178,7 +197,7 @@ def test_sealed_rows_follow_on_the_others(machine):
 
 def test_a_whole_campaign_has_what_tells_effects_apart(machine):
     runs, sealed = drawn_runs(np.random.default_rng(3), 20.0, 20.0)
-    rows = rows_of(machine.bench.course, runs)
+    rows = rows_of_runs(machine.bench.lines, runs)
     assert 2000 < len(rows.s) < 4500 and {r.line for r in runs} == {1, 2, 3}
     assert any(not r.contact for r in runs) and any(r.belt < 0 for r in runs) and len({r.setpoint for r in runs}) == 3
     assert {r.travel for r in runs} == {-1, 1} and len({r.feed for r in runs}) == 3

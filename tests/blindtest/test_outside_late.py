@@ -7,18 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.blindtest.oracle.detectability import whitener
-from ocp.blindtest.worlds import outside, outside_arm, outside_late, recipes
-from ocp.blindtest.worlds.drawing import POOLS, detectabilities, draw_effects, scaled, usual
-from ocp.blindtest.worlds.machines import draw_machine
-from ocp.blindtest.worlds.outside_late import EVERY, KINDS
+from ocp.blindtest.drawing import draw_effects
+from ocp.blindtest.oracle.detectability import detectabilities
+from ocp.blindtest.oracle.tracker import scene_of, tracker_view
+from ocp.blindtest.worlds import outside_first, recipes
+from ocp.blindtest.worlds.files import write_cell
+from ocp.blindtest.worlds.machines import arm_of, draw_tracker_machine
+from ocp.blindtest.worlds.outside import moved_by
+from ocp.blindtest.worlds.outside_late import LATE
+from ocp.blindtest.worlds.pools import OUTSIDE, pool_of, scaled, within_range
 from ocp.blindtest.worlds.recipes import Recipe
-from ocp.blindtest.worlds.sealing import write_cell
 from ocp.simulate.twin.truth.kinds_arm import KINDS as CATALOGUE
 from ocp.simulate.twin.truth.planting import Planted, draw_effect
 from robots.errors import BadInput
 
 ROOT = Path(__file__).resolve().parents[2]
+KINDS = {name: one.kind for name, one in LATE.items()}
 NAMES = sorted(KINDS)
 
 
@@ -31,12 +35,12 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def machine(cell):
-    return draw_machine(cell, 4, Recipe(1, "none", 0, None), 60, 20)
+    return draw_tracker_machine(cell, 4, Recipe(1, "none", 0, None), 60, 20)
 
 
 @pytest.fixture(scope="module")
 def scene(machine):
-    return machine.scene()
+    return scene_of(machine)
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +49,11 @@ def bare(machine):
 
 
 def test_ten_that_are_in_no_other_list():
-    assert len(KINDS) == 10 and len(EVERY) == 20
-    assert not set(KINDS) & set(outside.KINDS) and not set(EVERY) & {kind.name for kind in CATALOGUE}
-    forms = [*outside_late._SHIFTS, *outside_late._TWISTS, *outside_late._TURNS, *outside_late._MOVES]
-    assert sorted(forms) == NAMES  # each has one form
+    assert len(KINDS) == 10 and len(outside_first.ON_ARM) == 10
+    assert len(OUTSIDE) == len(LATE) + len(outside_first.ON_ARM) + len(outside_first.ON_GRINDING)
+    assert not set(OUTSIDE) & {kind.name for kind in CATALOGUE}
+    assert len({one.form for one in LATE.values()}) == 10  # each has a form of its own
+    assert {one.moves for one in LATE.values()} == {"angle", "link", "frame", "nest"}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -57,12 +62,12 @@ def test_each_moves_the_reflector_in_proportion_and_not_at_zero(machine, bare, n
     for joint in KINDS[name].joints or (None,):
         effect = draw_effect(rng, KINDS[name], joint)
         d = machine.points([effect]) - bare
-        assert usual(effect)
+        assert within_range(effect)
         assert 2e-6 < np.linalg.norm(d, axis=1).max() < 3e-3
         assert np.allclose(machine.points([scaled(effect, 0.0)]), bare, rtol=0.0, atol=1e-13)
         twice = machine.points([scaled(effect, 2.0)]) - bare
         assert np.allclose(twice, 2 * d, atol=0.02 * np.abs(d).max())
-        assert not usual(scaled(effect, 100.0))
+        assert not within_range(scaled(effect, 100.0))
 
 
 def _angle(scene, joint: int, dq):
@@ -86,9 +91,15 @@ def _by_hand(name, joint, scene, phase=0.7):
     return None
 
 
-@pytest.mark.parametrize("name, joint, size", [
-    ("mesh_error_under_load", 3, 2e-4), ("zero_jump", 2, 1e-4), ("oil_warm_up", 1, 1e-4), ("cable_twist", 6, 1e-4),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, joint, size",
+    [
+        ("mesh_error_under_load", 3, 2e-4),
+        ("zero_jump", 2, 1e-4),
+        ("oil_warm_up", 1, 1e-4),
+        ("cable_twist", 6, 1e-4),
+    ],
+)
 def test_shifts_of_an_axis_are_what_is_written_of_them(machine, scene, bare, name, joint, size):
     shapes = {"order": 30.0, "phase_rad": 0.7, "at_s": 5000.0}
     keys = KINDS[name].keys
@@ -116,16 +127,16 @@ def test_memory_is_of_the_postures_before_and_how_far_they_lay_apart(machine, sc
     q = whole[:, 1]
     # Closed form of a stop operator for a motion without return: the travel since the start, no more than the half width.
     order = np.argsort(q)
-    arm = outside_arm.arm_of(machine.cell, machine.with_effects([effect]), machine.campaign.targets)
+    arm = arm_of(machine.cell, machine.with_effects([effect]), machine.campaign.targets)
     every = arm._instants(scene.campaign.moments)
     instants = replace(every, q=every.q[order])
-    up = outside_late.FORMS.shifts(effect, instants)[:, 1]
+    ((_, up),) = moved_by(LATE, [effect], "angle", instants)
     assert np.allclose(up, -1e-4 * np.minimum(q[order] - q[order][0], 0.8) / 0.8)
     # A small way back takes a small part of it away: a sign of the last motion alone would turn it round.
     there = np.zeros((4, 6))
     there[:, 1] = [-2.0, -0.5, -0.6, -2.2]
-    kept = outside_late.FORMS.shifts(effect, replace(instants, q=there))[:, 1]
-    assert np.allclose(kept, [0.0, -1e-4, -1e-4 * 0.7 / 0.8, 1e-4])
+    ((_, back),) = moved_by(LATE, [effect], "angle", replace(instants, q=there))
+    assert np.allclose(back, [0.0, -1e-4, -1e-4 * 0.7 / 0.8, 1e-4])
     # On the machine the same posture, nest and approach read otherwise after other ways: a function of both alone cannot do it.
     d = machine.points([effect]) - bare
     axis = np.einsum("ni,ni->n", d, scene.D[:, :, 1]) / np.einsum("ni,ni->n", scene.D[:, :, 1], scene.D[:, :, 1])
@@ -208,20 +219,20 @@ def test_the_tracker_s_own_error_alone_leaves_lengths(machine, bare):
 @pytest.mark.parametrize("turn", range(10))
 def test_lambda_is_reached(cell, turn):
     recipe = Recipe(turn + 1, "outside_late", turn, recipes.STRANGE)
-    machine = draw_machine(cell, 6, recipe, 150, 20)
-    drawn = draw_effects(6, recipe, machine)
+    machine = draw_tracker_machine(cell, 6, recipe, 150, 20)
+    view = tracker_view(machine)
+    drawn = draw_effects(6, recipe, view, "tracker")
     low, high = recipes.STRANGE
     assert len(drawn.effects) == 1 and drawn.effects[0].effect in KINDS
-    assert 0.75 * low < drawn.lam[0] < 1.25 * high and usual(drawn.effects[0])
-    scene = machine.scene()
-    assert detectabilities(machine, scene, whitener(scene), drawn.effects)[0] == pytest.approx(drawn.lam[0], rel=1e-6)
+    assert 0.75 * low < drawn.lam[0] < 1.25 * high and within_range(drawn.effects[0])
+    assert detectabilities(view, drawn.effects)[0] == pytest.approx(drawn.lam[0], rel=1e-6)
 
 
 def test_the_second_list_comes_only_where_it_is_asked_for():
     assert "outside_late" not in recipes.KINDS and {r.kind for r in recipes.recipes(190)} == set(recipes.KINDS)
     mixed = recipes.recipes(60, recipes.check_kinds("outside_late,none"))
     assert sum(r.kind == "outside_late" for r in mixed) == 40 and mixed[0].target in (None, recipes.STRANGE)
-    assert {k.name for k in POOLS["outside"]} == set(outside.KINDS)
+    assert {k.name for k in pool_of(Recipe(1, "outside", 0, None), "tracker")} == set(outside_first.ON_ARM)
     with pytest.raises(BadInput, match="has no effects of the force log"):
         recipes.check_kinds("outside_late", "force")
 

@@ -4,25 +4,46 @@ Evidence of a family with columns C (white), coefficients of prior width t times
 
     log Z(t) = -1/2 log det(1 + t^2 G) + 1/2 b^T (G + 1 / t^2)^-1 b,     G = u C^T C u,  b = u C^T y
 
-What it is asked about is linear: y = W (d + A x + noise), noise that of the world's own readings, x drawn anew from P.
+What it is asked about is linear: y = W (d + A x + noise), noise that of the world's own readings, x drawn anew from P. Size and
+class are those of the likeliest member of the planted family, estimated from the readings with the widest usual prior
+(independent of what was planted); so neither is perfect, and a diagnosis that knows less cannot be asked for more.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from ocp.blindtest.oracle.detectability import Whitener
-from ocp.blindtest.oracle.signatures import Family
-from ocp.simulate.twin.truth.planting import Planted, kinds
+from ocp.blindtest.oracle.detectability import ExactView, ExactWhitener
+from ocp.blindtest.oracle.force import ForceView, force_view
+from ocp.blindtest.oracle.signatures import ExactFamily, force_families, tracker_families
+from ocp.blindtest.oracle.tracker import TrackerView, tracker_view
+from ocp.blindtest.worlds.machines import BlindMachine, TrackerMachine
+from ocp.blindtest.worlds.pools import OUTSIDE, coefficients, is_wave, kind_of, share_of_range, upper_end
+from ocp.simulate.twin.truth.planting import Planted
 from robots.pose import Array
 
 SIZES = np.geomspace(0.01, 1.0, 6)  # of the usual upper end
 THRESHOLD = (10.5, 12.7, 14.2)  # lambda that tells a signature of 1, 2, 3 parameters from zero (DIAGNOSIS, method 5)
 MORE = 1.3  # for each further parameter
 MOST = 4
+UNSIZED = ("gravity_compensator", "belt_splice", "stock_profile")  # families whose coefficients are not the effect's first key
+# Effects with two sizes, or one that means nothing without its other keys: no smallest size is reported.
+MANY_SIZED = ("friction_windup", "tracker_drift", "wheel_temperature", "wheel_relaxation", "tangential_force", *UNSIZED)
+SPARED = 1e-12  # squared share of a signature that counts as nothing
 Name = tuple[str, int]
+
+
+def name_of(planted: Planted) -> Name:
+    """Effect and joint, 0 for none."""
+    return planted.effect, planted.joint or 0
+
+
+def exact_view(machine: BlindMachine, folder: Path | None = None, effects: Sequence[Planted] = ()) -> TrackerView | ForceView:
+    """The exact view of a machine, or of a world in `folder` that was made of it with these effects."""
+    return tracker_view(machine, folder, effects) if isinstance(machine, TrackerMachine) else force_view(machine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +63,7 @@ class White:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Observed:
     """A world as the oracle sees it: library, white readings y (N,), white signature (N,) of each planted effect given the
     others, the smallest size of each that would be seen, as a share of its usual upper end."""
 
@@ -52,10 +73,43 @@ class Seen:
     smallest: tuple[float | None, ...]
 
 
-def whitened(found: Sequence[Family], white: Whitener) -> White:
+def observed(
+    machine: BlindMachine, folder: Path, effects: Sequence[Planted], withheld: Sequence[str], rng: np.random.Generator
+) -> Observed:
+    """The world in `folder`, without the families withheld; rng: draws the machine of the oracle's readings."""
+    view = exact_view(machine, folder, effects)
+    library = library_of(view).without(withheld)
+    alone = tuple(view.signature(effects, [p for p in effects if p is not one]) for one in effects)
+    sizes = tuple(smallest_size(view, p, s) for p, s in zip(effects, alone, strict=True))
+    return Observed(library, view.readings(folder, effects, rng), alone, sizes)
+
+
+def library_of(view: TrackerView | ForceView) -> White:
+    """All families, white and per upper end, of both signals where both were measured."""
+    if isinstance(view, TrackerView):
+        return whitened(tracker_families(view.machine, view.scene), view.white)
+    found = force_families(view.machine, view.slopes, view.scene is not None)
+    if view.scene is None or view.machine.arm is None:
+        return whitened(found, view.white)
+    # The same coefficients where both signals see an effect.
+    seen = {f.name: f for f in tracker_families(view.machine.arm, view.scene)}
+    pairs = []
+    for f in found:
+        points, shape = seen.pop(f.name, None), f.columns.shape[2:]
+        there = points is not None and points.columns.shape[2:] == shape
+        pairs.append((f, points.columns if points is not None and there else np.zeros((len(view.scene), 3, *shape))))
+    for f in seen.values():
+        pairs.append((replace(f, columns=np.zeros((2, len(view.machine.rows.s), *f.columns.shape[2:]))), f.columns))
+    return _white([f for f, _ in pairs], [view.white.apply(f.columns * f.upper, points * f.upper) for f, points in pairs])
+
+
+def whitened(found: Sequence[ExactFamily], white: ExactWhitener) -> White:
     """Families as white noise sees them."""
-    columns = tuple(white.apply(f.columns * f.upper) for f in found)
-    return White(tuple(f.name for f in found), columns, _grams(columns), tuple(f.positive for f in found))
+    return _white(found, [white.apply(f.columns * f.upper) for f in found])
+
+
+def _white(found: Sequence[ExactFamily], columns: Sequence[Array]) -> White:
+    return White(tuple(f.name for f in found), tuple(columns), _grams(columns), tuple(f.positive for f in found))
 
 
 def _grams(columns: Sequence[Array]) -> tuple[Array, ...]:
@@ -123,7 +177,7 @@ def left_by(library: White, signature: Array) -> Array:
     return np.array(found)
 
 
-def needed(parameters: int) -> float:
+def threshold(parameters: int) -> float:
     """Lambda below which a signature is not told from zero."""
     return THRESHOLD[min(parameters, 3) - 1] + MORE * max(parameters - 3, 0)
 
@@ -132,7 +186,7 @@ def not_told_apart(library: White, signature: Array, own: Name, factor: float = 
     """Names that imitate a white signature so well that these data cannot tell them from it; `factor` on the threshold."""
     left = left_by(library, signature)
     sizes = [C.shape[2] for C in library.columns]
-    return {n for n, l, m in zip(library.names, left, sizes, strict=True) if n != own and l < factor * needed(m)}
+    return {n for n, l, m in zip(library.names, left, sizes, strict=True) if n != own and l < factor * threshold(m)}
 
 
 def cannot_be_imitated(library: White, signature: Array) -> float:
@@ -148,13 +202,67 @@ def cannot_be_imitated(library: White, signature: Array) -> float:
     return float(left @ left)
 
 
-def upper_end(planted: Planted) -> float:
-    """Upper end of the usual range of an effect's first key at its joint."""
-    key = kinds()[planted.effect].keys[0]
-    return key.high * (key.scale[(planted.joint or 1) - 1] if key.scale else 1.0)
+def smallest_size(view: ExactView, planted: Planted, white: Array) -> float | None:
+    """Share of the usual upper end at which the effect of this white signature would just be told from noise, its family's price
+    paid; None where it has no one size, or none that anybody predicted."""
+    if planted.effect in OUTSIDE or planted.effect in MANY_SIZED:
+        return None
+    lam = float(white @ white)
+    least = threshold(coefficients(planted.effect)) + view.price(planted.effect, planted.joint)
+    return share_of_range(planted) * float(np.sqrt(least / lam)) if lam > 0 else None
 
 
-def parameters_of(effect: str) -> int:
-    """How many coefficients an effect's size has: two of a wave, three of a vector."""
-    keys = kinds()[effect].keys
-    return 2 if any(k.name == "phase_rad" for k in keys) else keys[0].length
+@dataclass(frozen=True, eq=False)
+class LikeliestMember:
+    """The likeliest member of a family: coefficients (m,) per upper end, white signature (N,)."""
+
+    coefficients: Array
+    signature: Array
+
+
+def estimated(library: White, y: Array, own: Name) -> LikeliestMember | None:
+    """The member of a family that the white readings y (N,) speak for most; None where the library lacks the family."""
+    if own not in library.names:
+        return None
+    k = library.names.index(own)
+    C, G = library.columns[k], library.grams[k]
+    b = np.einsum("nvi,n->vi", C, y)
+    inner = G + np.eye(C.shape[2]) / SIZES[-1] ** 2
+    a = np.linalg.solve(inner, b[..., None])[..., 0]
+    best = int(np.argmax(np.einsum("vi,vi->v", a, b) - np.linalg.slogdet(inner)[1]))
+    return LikeliestMember(a[best], C[:, best] @ a[best])
+
+
+def size_error(found: LikeliestMember, planted: Planted) -> float | None:
+    """Error of the first key as a share of its value; None where coefficients are not that key."""
+    key = kind_of(planted.effect).keys[0]
+    true = np.atleast_1d(planted.vector(key.name)) / upper_end(key, planted.joint)
+    if planted.effect in UNSIZED:
+        return None
+    if is_wave(planted.effect):
+        if len(found.coefficients) != 2:
+            return None
+        return float(abs(np.linalg.norm(found.coefficients) - abs(true[0])) / abs(true[0]))
+    if len(found.coefficients) < key.length:
+        return None
+    return float(np.linalg.norm(found.coefficients[: key.length] - true) / np.linalg.norm(true))
+
+
+def classes_among(library: White, planted: Sequence[Planted], alone: Sequence[Array]) -> list[set[Name]]:
+    """For each of several effects: its name and those that these data cannot tell from it, the others' signatures (N,) being
+    free to take any size."""
+    groups = []
+    for k, (one, signature) in enumerate(zip(planted, alone, strict=True)):
+        others = np.array([s for i, s in enumerate(alone) if i != k]).reshape(-1, len(signature)).T
+        Q = np.linalg.svd(others, full_matrices=False)[0]
+        left = signature - Q @ (Q.T @ signature)
+        if left @ left < SPARED * (signature @ signature):
+            continue
+        columns = tuple(C - np.einsum("nk,kvi->nvi", Q, np.einsum("nk,nvi->kvi", Q, C)) for C in library.columns)
+        given = White(library.names, columns, _grams(columns), library.positive)
+        own = name_of(one)
+        taken = {name_of(p) for p in planted}
+        twins = not_told_apart(given, left, own) - taken
+        if twins:
+            groups.append(twins | {own})
+    return groups

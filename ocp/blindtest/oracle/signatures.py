@@ -1,29 +1,54 @@
 """The exact signatures of the whole catalogue on a given machine: what an oracle knows, written a second time from DIAGNOSIS.md.
 
-Angles' effects follow from the machine's own Jacobian, torques and conditions; what is built into the machine (a spring between
-links, a soft link, weights, growth) is the difference of two runs of the virtual cell. Columns are per unit coefficient.
+What turns a joint, displaces a frame or deepens the contact follows from the machine's own Jacobian, slopes, torques and
+conditions; what is built into the machine (a spring between links, a soft link, weights, growth, the cover's law) is the
+difference of two runs of the virtual cell. Columns are per unit coefficient: (n, 3, V, m) m of a tracker's points, (2, n, V, m) N
+of a log's two forces, V variants of m coefficients each.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.blindtest.oracle.detectability import cross_matrices
-from ocp.blindtest.worlds.machines import Machine
-from ocp.blindtest.worlds.scene import Scene
+from ocp.blindtest.oracle.force import WAVES, ForceSlopes
+from ocp.blindtest.oracle.tracker import TrackerScene, cross_matrices
+from ocp.blindtest.worlds.machines import GrindingMachine, TrackerMachine
+from ocp.blindtest.worlds.pools import is_wave, kind_of, upper_end
 from ocp.simulate.twin.arm.joint_errors import gear_ratios
+from ocp.simulate.twin.contact.wheel import SPLICE_SHARE, belt_travel
 from ocp.simulate.twin.truth.kinds_arm import BENDING
-from ocp.simulate.twin.truth.planting import Kind, Planted, Value, kinds
+from ocp.simulate.twin.truth.planting import Planted, Value
 from robots.pose import Array
+from robots.robot import Robot
+from robots.tracker_readings import Index
 
 ORDERS = np.arange(3, 301)
 LEVERS = ((0.1, 0.1), (0.1, 0.3), (0.3, 0.1), (0.2, 0.2), (0.15, 0.6), (0.6, 0.15), (0.4, 0.4), (0.25, 0.4), (0.6, 0.6))  # m
+RATES = np.linspace(5.0, 15.0, 200)  # 1/s of a belt's splice
+TAUS = np.geomspace(0.05, 30.0, 8)  # s of a cover that relaxes
+# Small sizes for differences of the virtual cell, in units of the first key.
+STEPS = {
+    "wheel_stiffness": 0.01,
+    "wheel_law": 0.02,
+    "wheel_wear": 1e-8,
+    "belt_tension": 0.3,
+    "time_delay": 2e-3,
+    "path_lag": 5e-5,
+    "material_removal": 1e-6,
+    "blade_stiffness": 0.02,
+    "clamp_compliance": 5e-8,
+    "flange_stiffness": 0.01,
+    "flange_friction": 0.2,
+    "flange_gravity": 0.05,
+    "link_thermal": 1e-6,
+    "payload_mass": 0.5,
+}
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
-    """An effect at a joint (0: none) with its variants: columns (n, 3, V, m) m per unit coefficient, upper ends (m,) of the usual
+class ExactFamily:
+    """An effect at a joint (0: none) with its variants: columns (..., V, m) per unit coefficient, upper ends (m,) of the usual
     range, whether physics holds all coefficients positive."""
 
     effect: str
@@ -38,87 +63,189 @@ class Family:
         return self.effect, self.joint
 
 
-def families(machine: Machine, scene: Scene) -> list[Family]:
-    """Every effect of the catalogue that a tracker sees, at every joint."""
-    found = [*_of_joints(scene), *_of_torques(machine), *_of_frames(scene)]
+def _family(effect: str, columns: Array, joint: int = 0, keys: int = 1, repeat: int = 1) -> ExactFamily:
+    """Upper ends of the effect's first `keys` keys, each for `repeat` coefficients."""
+    chosen = kind_of(effect).keys[:keys]
+    upper = [upper_end(key, joint) for key in chosen]
+    signed = is_wave(effect) or any(key.signed or key.low < 0 for key in chosen) or len(chosen) > 1
+    return ExactFamily(effect, joint, columns, np.repeat(upper, repeat), not signed)
+
+
+def _seen(found: Iterable[ExactFamily]) -> list[ExactFamily]:
+    """Those that the readings show."""
     return [f for f in found if np.abs(f.columns * f.upper).max() > 1e-9]
 
 
-def _family(effect: str, joint: int, columns: Array, keys: int = 1, repeat: int = 1) -> Family:
-    """Upper ends of the effect's first `keys` keys, each for `repeat` coefficients."""
-    kind: Kind = kinds()[effect]
-    upper = [k.high * (k.scale[joint - 1] if k.scale and joint else 1.0) for k in kind.keys[:keys]]
-    waves = any(k.name == "phase_rad" for k in kind.keys)
-    signed = waves or any(k.signed for k in kind.keys[:keys])
-    return Family(effect, joint, columns, np.repeat(upper, repeat), not signed)
+def _steps(columns: Array, later: Sequence[Array]) -> Array:
+    """Columns (k, n, V, m) of what happens from some time on: `later` holds for each time which rows come after it, shaped to
+    multiply columns (k, n, m)."""
+    return np.stack([columns * on for on in later], axis=2)
 
 
-def _of_joints(scene: Scene) -> Iterator[Family]:
-    """What adds to a joint's angle."""
-    m, tau = scene.campaign.moments, scene.tau
-    ratio = gear_ratios(scene.cell.robot)
+def _of_joints(
+    robot: Robot, turned: Callable[[int, Array], Array], q: Array, sign: Array, tau: Array, warmth: Array, orders: Sequence[Index]
+) -> Iterator[ExactFamily]:
+    """What adds to a joint's angle: `turned(j, f)` changes the readings by angles f (n,) rad of joint j (0..5); q, approach sign,
+    torque (n, 6), warmth (n,), orders of the ripples looked at, by joint."""
+    ratio = gear_ratios(robot)
 
     def at(j: int, *f: Array) -> Array:
-        """Columns (n, 3, 1, m) of angles f (n,) of joint j."""
-        return np.stack([scene.D[:, :, j] * g[:, None] for g in f], axis=2)[:, :, None]
+        return np.stack([turned(j, g) for g in f], axis=2)[:, :, None]
 
     for j in range(6):
-        q, s = m.q[:, j], m.approach[:, j]
-        if np.abs(tau[:, j]).max() > 1e-6:
-            yield _family("joint_compliance", j + 1, at(j, tau[:, j]))
-            if j + 1 in BENDING:
-                yield _family("joint_stiffening", j + 1, at(j, -(tau[:, j] ** 3)))
-        for effect, orders in (
-            ("gear_1x", [1.0]), ("gear_2x", [2.0]), ("gear_harmonic", ORDERS), ("motor_harmonic", ratio[j] * np.array([1, 2])),
-        ):  # fmt: skip
-            waves = [at(j, np.cos(k * q), np.sin(k * q)) for k in orders]
-            yield _family(effect, j + 1, np.concatenate(waves, axis=2), 1, 2)
-        yield _family("backlash", j + 1, at(j, s))
-        yield _family("friction_windup", j + 1, at(j, s, np.abs(tau[:, j]) * s), 2)
-        yield _family("encoder_scale", j + 1, at(j, q))
-        yield _family("joint_thermal", j + 1, at(j, scene.warmth))
+        x, s, t = q[:, j], sign[:, j], tau[:, j]
+        yield _family("joint_compliance", at(j, t), j + 1)
+        if j + 1 in BENDING:
+            yield _family("joint_stiffening", at(j, -(t**3)), j + 1)
+        ripples = (
+            ("gear_1x", [1.0]),
+            ("gear_2x", [2.0]),
+            ("gear_harmonic", orders[j]),
+            ("motor_harmonic", ratio[j] * np.array([1, 2])),
+        )
+        for effect, ks in ripples:
+            waves = [at(j, np.cos(k * x), np.sin(k * x)) for k in ks]
+            yield _family(effect, np.concatenate(waves, axis=2), j + 1, repeat=2)
+        yield _family("backlash", at(j, s), j + 1)
+        yield _family("friction_windup", at(j, s, np.abs(t) * s), j + 1, keys=2)
+        yield _family("encoder_scale", at(j, x), j + 1)
+        yield _family("joint_thermal", at(j, warmth), j + 1)
         if j >= 3:
             others = [i for i in (3, 4, 5) if i != j]
-            yield _family("wrist_coupling", j + 1, np.concatenate([at(j, m.q[:, i]) for i in others], axis=2))
+            yield _family("wrist_coupling", np.concatenate([at(j, q[:, i]) for i in others], axis=2), j + 1)
 
 
-def _of_torques(machine: Machine) -> Iterator[Family]:
+def tracker_families(machine: TrackerMachine, scene: TrackerScene) -> list[ExactFamily]:
+    """Every effect of the catalogue that a tracker sees, at every joint."""
+    m = scene.campaign.moments
+    joints = _of_joints(
+        scene.cell.robot, lambda j, f: scene.D[:, :, j] * f[:, None], m.q, m.approach, scene.tau, scene.warmth, [ORDERS] * 6
+    )
+    return _seen([*joints, *_of_torques(machine), *_of_places(scene)])
+
+
+def _of_torques(machine: TrackerMachine) -> Iterator[ExactFamily]:
     """What is built into the machine: small amounts of it, run and compared."""
     bare = machine.points(())
 
     def change(effect: str, joint: int | None, size: float, **values: Value) -> Array:
         """Columns (n, 3) per unit of the first key."""
-        key = kinds()[effect].keys[0].name
+        key = kind_of(effect).keys[0].name
         one = values.pop(key, size)
         return (machine.points([Planted(effect, joint, {key: one, **values})]) - bare) / size
 
     for joint in (2, 3):
-        yield _family("link_bending", joint, change("link_bending", joint, 1e-8)[:, :, None, None])
+        yield _family("link_bending", change("link_bending", joint, 1e-8)[:, :, None, None], joint)
     springs = [change("gravity_compensator", 2, 1e4, lever_link1_m=a, lever_arm_m=b) for a, b in LEVERS]
-    yield _family("gravity_compensator", 2, np.stack(springs, axis=2)[..., None])
-    yield _family("payload_mass", 0, change("payload_mass", None, 0.5)[:, :, None, None])
+    yield _family("gravity_compensator", np.stack(springs, axis=2)[..., None], 2)
+    yield _family("payload_mass", change("payload_mass", None, 0.5)[:, :, None, None])
     shifts = [change("payload_com", None, 0.01, shift_m=tuple(0.01 * np.eye(3)[i])) for i in range(3)]
-    yield _family("payload_com", 0, np.stack(shifts, axis=2)[:, :, None], 1, 3)
-    yield _family("link_thermal", 0, change("link_thermal", None, 1e-5)[:, :, None, None])
+    yield _family("payload_com", np.stack(shifts, axis=2)[:, :, None], repeat=3)
+    yield _family("link_thermal", change("link_thermal", None, 1e-5)[:, :, None, None])
 
 
-def _of_frames(scene: Scene) -> Iterator[Family]:
+def _of_places(scene: TrackerScene) -> Iterator[ExactFamily]:
     """What happens to the base, the tracker and the nests."""
     n, time = len(scene), scene.campaign.moments.time_s
     motion = np.zeros((n, 6, 3))
     motion[:, 3:] = np.eye(3)
     tilt = scene.moved(0, motion)
-    later = [time >= t for t in time[1:]]
-    yield _family("base_tilt", 0, np.stack([tilt * on[:, None, None] for on in later], axis=2), 1, 3)
+    later = [(time >= t)[:, None, None] for t in time[1:]]
+    yield _family("base_tilt", _steps(tilt, later), repeat=3)
     hours = time[:, None, None] / 3600.0
     drift = hours * np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -cross_matrices(scene.point)], axis=2)
-    yield _family("tracker_drift", 0, drift[:, :, None], 2, 3)
-    yield _family("tracker_scale", 0, scene.point[:, :, None, None])
+    yield _family("tracker_drift", drift[:, :, None], keys=2, repeat=3)
+    yield _family("tracker_scale", scene.point[:, :, None, None])
     turned = scene.turn @ scene.links[np.arange(n), scene.carrier, :3, :3]
     label = np.array(scene.campaign.targets)
     moved = []
     for name in dict.fromkeys(scene.campaign.targets):
         own = label == name
-        moved += [turned * (own & on)[:, None, None] for k, on in enumerate(later) if own[k + 1] and own[: k + 1].any()]
+        moved += [own[:, None, None] & on for k, on in enumerate(later) if own[k + 1] and own[: k + 1].any()]
     if moved:
-        yield _family("target_shift", 0, np.stack(moved, axis=2), 1, 3)
+        yield _family("target_shift", _steps(turned, moved), repeat=3)
+
+
+def force_families(machine: GrindingMachine, s: ForceSlopes, orders_too: bool) -> list[ExactFamily]:
+    """Every effect of the catalogue that a force log sees; orders_too: all orders of ripples, else those that the short ranges of
+    the axes tell apart."""
+    orders = [ORDERS if orders_too else ORDERS[:: max(1, int(1.0 / max(np.ptp(x), 1e-3)))] for x in machine.bare.q.T]
+    warmth = machine.hall(machine.rows) - machine.bench.cell.tables.reference_temperature_C
+    robot, q = machine.bench.cell.robot, machine.bare.q
+    joints = _of_joints(robot, lambda j, f: s.joint[..., j] * f, q, s.approach, s.torque, warmth, orders)
+    stiff = (f for f in joints if f.effect != "joint_stiffening")  # planted only where a tracker measures too
+    return _seen([*_of_wheel(machine, s), *_of_frames(machine, s), *_of_sensor(machine), *_differences(machine), *stiff])
+
+
+def _change(machine: GrindingMachine, effect: str, size: float, joint: int | None = None, **values: Value) -> Array:
+    """Readings (2, n, 1, 1) per unit of the effect's first key."""
+    key = kind_of(effect).keys[0].name
+    log = machine.log([Planted(effect, joint, {key: size, **values})])
+    return np.asarray((log.both - machine.bare.both) / size)[:, :, None, None]
+
+
+def _differences(machine: GrindingMachine) -> Iterator[ExactFamily]:
+    for effect, size in STEPS.items():
+        yield _family(effect, _change(machine, effect, size))
+    for joint in (2, 3):
+        yield _family("link_bending", _change(machine, "link_bending", 1e-8, joint), joint)
+    relaxed = [_change(machine, "wheel_relaxation", 0.02, tau=float(tau)) for tau in TAUS]
+    yield _family("wheel_relaxation", np.concatenate(relaxed, axis=2))
+    soft = _change(machine, "wheel_temperature", -5e-4, radius_per_K=0.0)
+    grown = machine.log([Planted("wheel_temperature", None, {"per_K": 0.0, "radius_per_K": 1e-6})]).both - machine.bare.both
+    yield _family("wheel_temperature", np.concatenate([soft, grown[:, :, None, None] / 1e-6], axis=3), keys=2)
+    rubbed = _change(machine, "tangential_force", 0.02, leak=0.0)
+    leaked = np.stack([machine.bare.result.tangential, np.zeros(len(machine.rows.s))])[:, :, None, None]
+    yield _family("tangential_force", np.concatenate([rubbed, leaked], axis=3), keys=2)
+
+
+def _of_wheel(machine: GrindingMachine, s: ForceSlopes) -> Iterator[ExactFamily]:
+    """What turns with the belt, and stock along the lines."""
+    deeper = -s.flange[..., :3] @ machine.bench.cell.wheel.contact_direction
+    angle = belt_travel(machine.bare.moments) / machine.bench.cell.wheel.radius
+    s_line, line, length = machine.rows.s, machine.rows.each("line"), max(x.length for x in machine.bench.lines)
+    stock = [deeper * np.cos(k * np.pi * s_line / length) * (line == own) for own in np.unique(line) for k in range(1, WAVES + 1)]
+    yield _family("stock_profile", np.stack(stock, axis=2)[:, :, None], repeat=len(stock))
+    waves = np.stack([deeper * np.cos(angle), deeper * np.sin(angle)], axis=2)
+    yield _family("wheel_runout", waves[:, :, None], repeat=2)
+    pushed = _change(machine, "belt_splice", 0.5, hz=1e-9)[:, :, 0, 0]
+    turn = np.mod(RATES * machine.rows.time[:, None] + 0.5, 1.0) - 0.5
+    bump = np.where(np.abs(turn) < 0.5 * SPLICE_SHARE, 0.5 + 0.5 * np.cos(2 * np.pi * turn / SPLICE_SHARE), 0.0)
+    yield _family("belt_splice", (pushed[:, :, None] * bump)[..., None])
+
+
+def _of_frames(machine: GrindingMachine, s: ForceSlopes) -> Iterator[ExactFamily]:
+    """What is displaced from some time on; frames change between runs, the clamp slips at any time, away from the wheel."""
+    rows, moments = machine.rows, machine.bare.moments
+    clock, starts = rows.clock, np.array([r.clock for r in rows.runs])
+    middle = starts + 0.5 * np.array([rows.time[rows.run == k][-1] for k in range(len(starts))])
+    held = machine.bench.cell.workpiece.T_flange_blade[:3, :3]
+    R = s.frames[:, 6, :3, :3]
+    moved = np.einsum("snk,nki->sni", s.flange[..., :3], R)
+    later = [(clock >= t)[:, None] for t in starts[1:]]
+    yield _family("tool_frame_shift", _steps(moved, later), repeat=3)
+    yield _family("wheel_frame_shift", _steps(-s.flange[..., :3], later), repeat=3)
+    slips = []
+    for t in np.sort(np.concatenate([starts[1:], middle])):
+        before = np.flatnonzero(moments.contact & (clock <= t))
+        if len(before):
+            slips.append((moved @ -(held @ moments.n[before[-1]])) * (clock >= t))
+    yield _family("clamp_slip", np.stack(slips, axis=2)[..., None])
+    n = len(clock)
+    twist = np.zeros((n, 6, 3))
+    twist[:, 3:] = np.eye(3)
+    twist[:, :3] = np.cross(np.eye(3)[None], s.frames[:, 6, None, :3, 3]).transpose(0, 2, 1)
+    yield _family("base_tilt", _steps(s.of_twists(twist), later), repeat=3)
+
+
+def _of_sensor(machine: GrindingMachine) -> Iterator[ExactFamily]:
+    """What the reading adds."""
+    none = np.zeros(len(machine.rows.s))
+    shown = {
+        "sensor_bias": none + 1.0,
+        "sensor_drift": machine.rows.clock / 3600.0,
+        "sensor_gain": machine.bare.result.force,
+        "sensor_crosstalk": machine.bare.result.tangential,
+    }
+    for effect, values in shown.items():
+        yield _family(effect, np.stack([values, none])[:, :, None, None])

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from ocp.blindtest.report.plots import curve_plot, reliability_plot
-from ocp.blindtest.scoring.figures import Figure, by_bin, table
+from ocp.blindtest.scoring.figures import Figure, all_figures, by_bin, chance, planted_words, said_words, why_words, worst
 from ocp.blindtest.scoring.intervals import Estimate
 from ocp.blindtest.scoring.rivals import METHODS
-from ocp.blindtest.scoring.worst import chance, planted_words, said_words, why_words, worst
 from ocp.blindtest.worlds.recipes import BINS, WORDS, bin_words
 from ocp.blindtest.worlds.sealing import Check
 from ocp.report.page import render_page
@@ -34,7 +33,7 @@ Row = dict[str, Any]
 
 def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
     """Write the files into the check's folder. Raises OSError."""
-    figures = table(rows)
+    figures = all_figures(rows)
     sections = _sections(check, rows, figures)
     page = render_page(TITLE, _headline(rows, figures), (), sections, KIND)
     (check.folder / "report.html").write_bytes(page.encode("utf-8", "replace"))
@@ -46,7 +45,7 @@ def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
 
 def last_line(check: Check, rows: Sequence[Row]) -> str:
     """The command's answer."""
-    figures = table(rows)
+    figures = all_figures(rows)
     judged = [f for f in figures if f.met is not None]
     reached = f"{sum(bool(f.met) for f in judged)} of {len(judged)} figures reach their target"
     return f"{check.folder}: {len(rows)} worlds, {reached}; {check.folder / 'report.html'} shows all"

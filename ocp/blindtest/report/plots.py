@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ocp.blindtest.scoring.figures import answered, by_bin, hit
-from ocp.blindtest.scoring.intervals import Estimate, share
+from ocp.blindtest.scoring.figures import by_bin, hit, of_kinds
+from ocp.blindtest.scoring.intervals import Estimate, share_of_hits
 from ocp.blindtest.worlds.recipes import BINS
 from ocp.report.panels import AFTER, BAD, BEFORE, dressed, keys, panels
 from ocp.report.section import Canvas, Plot
@@ -64,7 +64,7 @@ def _line(ax: Any, x: Sequence[float], found: Sequence[Estimate], colour: str, a
 
 def reliability_plot(rows: Sequence[dict[str, Any]]) -> Plot:
     """Told probabilities against how often the names were right, worlds whose effects the catalogue holds."""
-    usual = answered(rows, "single", "pair", "triple", "none", "none_background")
+    usual = of_kinds(rows, "single", "pair", "triple", "none", "none_background")
     pairs = [(p, right) for r in usual for p, right in r.get("reliability", ())]
 
     def draw(canvas: Canvas) -> None:
@@ -74,12 +74,12 @@ def reliability_plot(rows: Sequence[dict[str, Any]]) -> Plot:
         for low, high in pairwise(EDGES):
             inside = [(p, right) for p, right in pairs if low < p <= high]
             if inside:
-                e = share([right for _, right in inside])
+                e = share_of_hits([right for _, right in inside])
                 middle = float(np.mean([p for p, _ in inside]))
                 bar = [[e.value - e.low], [e.high - e.value]]
                 axes[0].errorbar(middle, e.value, yerr=bar, color=AFTER, marker="o", markersize=3)
         dressed(axes[1], "single effects", "detectability lambda", "probability of the planted effect")
-        singles = [r for r in answered(rows, "single") if "said" in r]
+        singles = [r for r in of_kinds(rows, "single") if "said" in r]
         for right, colour in ((True, AFTER), (False, BAD)):
             some = [r for r in singles if hit(r, "top1") is right]
             own = [max((p for n, j, p in r["said"] if [n, j] == r["planted"][0][:2]), default=0.0) for r in some]

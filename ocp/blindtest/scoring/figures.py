@@ -1,27 +1,36 @@
-"""The table of DIAGNOSIS.md, "How it is judged", from the rows of scored worlds: each figure with its interval and its worlds."""
+"""The table of DIAGNOSIS.md, "How it is judged", from the rows of scored worlds: each figure with its interval and its worlds;
+what chance would reach; the worst answers in words.
+"""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
 
-from ocp.blindtest.scoring.intervals import NOTHING, Estimate, bootstrap, f1, median, pooled, share
-from ocp.blindtest.scoring.judging import SURE
+from ocp.blindtest.scoring.intervals import NOTHING, Estimate, bootstrap, f1, median, share_in_groups, share_of_hits
+from ocp.blindtest.scoring.judging import SURE, first_right
 from ocp.blindtest.scoring.rivals import METHODS
-from ocp.blindtest.scoring.smallest import found_over_predicted
+from ocp.blindtest.worlds.pools import share_of_range
 from ocp.blindtest.worlds.recipes import BEYOND, BINS, bin_of, bin_words
+from ocp.simulate.twin.truth.planting import Planted
+from robots.pose import Array
 
 Row = dict[str, Any]
 OTHERS = ("oracle", *METHODS)
 STRANGE = 25.0  # lambda that the best two effects of the library leave of one it cannot imitate
 CONFIDENT, HARM, EXPLAINABLE = 0.8, -0.02, 0.1
 FALSE_POSITIVES = 0.05
+POWER = 0.9  # the size that is reported (`ocp.diagnose.verdict.visible`) is named nine times of ten
+LEAST = 30  # worlds without which a curve is not fitted
+SHOWN, DEALS = 20, 200  # worst answers; how often labels are dealt anew
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A line of the table: what, the target and its sense (">=", "<=", "in"), the estimate; percent: told as such; oracle: the
+    """A line of the table: what, the target and its sense (">=", "<=", "in"), the estimate; percent: written as such; oracle: the
     same of one who knows all signatures and the noise, where that is something to know."""
 
     what: str
@@ -42,7 +51,7 @@ class Figure:
         return value >= self.target[0] if self.sense == ">=" else value <= self.target[0]
 
 
-def answered(rows: Iterable[Row], *kinds: str) -> list[Row]:
+def of_kinds(rows: Iterable[Row], *kinds: str) -> list[Row]:
     """Worlds of these kinds; without any: all."""
     return [r for r in rows if not kinds or r["kind"] in kinds]
 
@@ -56,14 +65,14 @@ def hit(row: Row, key: str, method: str = "diagnosis") -> bool:
 def by_bin(rows: Sequence[Row], key: str, method: str = "diagnosis") -> list[Estimate]:
     """Shares of hits over single effects in every bin of the detectability."""
     found: list[list[bool]] = [[] for _ in BINS]
-    for r in answered(rows, "single"):
+    for r in of_kinds(rows, "single"):
         k = bin_of(r["lam"][0])
         if k is not None:
             found[k].append(hit(r, key, method))
-    return [share(hits) for hits in found]
+    return [share_of_hits(hits) for hits in found]
 
 
-def table(rows: Sequence[Row]) -> list[Figure]:
+def all_figures(rows: Sequence[Row]) -> list[Figure]:
     """All figures."""
     return [*_names(rows), *_silence(rows), *_sets(rows), *_values(rows), *_unknown(rows), *_shrinkage(rows), *_rest(rows)]
 
@@ -78,28 +87,28 @@ def _names(rows: Sequence[Row]) -> list[Figure]:
         one, other = TARGETS[k]
         found.append(Figure(f"top-1 effect and joint, lambda {bin_words(k)}", (one,), ">=", first[k], oracle=best_first[k]))
         found.append(Figure(f"top-3, lambda {bin_words(k)}", (other,) if other else (), ">=", three[k], oracle=best_three[k]))
-    singles = answered(rows, "single")
+    singles = of_kinds(rows, "single")
     for words, there in (("noise alone", False), ("outliers, ripple and play", True)):
-        hits = share([hit(r, "top1") for r in singles if r["background"] == there])
+        hits = share_of_hits([hit(r, "top1") for r in singles if r["background"] == there])
         found.append(Figure(f"top-1, all single effects, machines with {words}", (), ">=", hits))
-    likeliest = share([_likeliest(r) for r in singles])
+    likeliest = share_of_hits([_likeliest(r) for r in singles])
     found.append(Figure("top-1, all single effects, ranked by probability alone", (), ">=", likeliest))
-    told = share([hit(r, "top1") and r.get("verdict") != "no_gap" for r in singles if r["lam"][0] >= 30])
-    found.append(Figure("named and not called 'no gap', lambda >= 30", (), ">=", told))
+    heard = share_of_hits([hit(r, "top1") and r.get("verdict") != "no_gap" for r in singles if r["lam"][0] >= 30])
+    found.append(Figure("named and not called 'no gap', lambda >= 30", (), ">=", heard))
     return found
 
 
 def _likeliest(row: Row) -> bool:
-    """Whether the name with the largest told probability is right, whatever the order of the ranking."""
+    """Whether the name with the largest probability is right, whatever the order of the ranking."""
     return bool(max(row.get("reliability", ()), key=lambda pair: pair[0], default=(0.0, False))[1])
 
 
 def _silence(rows: Sequence[Row]) -> list[Figure]:
     def alarms(kind: str) -> Estimate:
-        return share([r.get("verdict") != "no_gap" for r in answered(rows, kind)])
+        return share_of_hits([r.get("verdict") != "no_gap" for r in of_kinds(rows, kind)])
 
     def best(kind: str) -> Estimate:
-        return share([r["oracle"]["set"][1] > 0 for r in answered(rows, kind)])
+        return share_of_hits([r["oracle"]["set"][1] > 0 for r in of_kinds(rows, kind)])
 
     return [
         Figure(f"false alarms, no effect, {words}", (limit,), "<=", alarms(kind), oracle=best(kind))
@@ -109,7 +118,7 @@ def _silence(rows: Sequence[Row]) -> list[Figure]:
 
 def _sets(rows: Sequence[Row]) -> list[Figure]:
     def of(kind: str, method: str) -> Estimate:
-        return f1([tuple(r[method]["set"]) if method in r else (0, 0, len(r["planted"])) for r in answered(rows, kind)])
+        return f1([tuple(r[method]["set"]) if method in r else (0, 0, len(r["planted"])) for r in of_kinds(rows, kind)])
 
     return [
         Figure(f"{many} effects, each lambda >= 50, F1", (target,), ">=", of(kind, "diagnosis"), False, of(kind, "oracle"))
@@ -119,18 +128,18 @@ def _sets(rows: Sequence[Row]) -> list[Figure]:
 
 def _values(rows: Sequence[Row]) -> list[Figure]:
     strong, best, all_z = [], [], []
-    for r in answered(rows, "single"):
-        told = r.get("values", [None])[0]
-        if not hit(r, "top1", "strict") or told is None:
+    for r in of_kinds(rows, "single"):
+        value = r.get("values", [None])[0]
+        if not hit(r, "top1", "strict") or value is None:
             continue
-        error, z = told
+        error, z = value
         if r["lam"][0] >= BINS[-1][0] and error is not None:
             strong.append(error)
             best += [r["oracle_error"]] if r["oracle_error"] is not None else []
         all_z.append([abs(v) <= SURE for v in z])
     return [
         Figure("effect value, median error, lambda >= 100", (0.05,), "<=", median(strong), oracle=median(best)),
-        Figure("effect value, coverage of the 90 % interval", (0.88, 0.92), "in", pooled(all_z)),
+        Figure("effect value, coverage of the 90 % interval", (0.88, 0.92), "in", share_in_groups(all_z)),
     ]
 
 
@@ -140,24 +149,24 @@ def strange(row: Row) -> bool:
 
 
 def _unknown(rows: Sequence[Row]) -> list[Figure]:
-    known = [r.get("p_unknown", 0.0) for r in answered(rows, "single", "pair", "triple", "none", "none_background")]
+    known = [r.get("p_unknown", 0.0) for r in of_kinds(rows, "single", "pair", "triple", "none", "none_background")]
     limit = float(np.quantile(known, 1 - FALSE_POSITIVES)) if known else 0.5
     odd = [r for r in rows if strange(r)]
-    usual = answered(rows, "single", "pair", "triple", "none", "none_background")
+    usual = of_kinds(rows, "single", "pair", "triple", "none", "none_background")
     judged = [r for r in rows if r["kind"] not in BEYOND or strange(r)]
-    seated = [r for r in answered(rows, "single") if r["planted"][0][1] and r["lam"][0] >= 30]
+    seated = [r for r in of_kinds(rows, "single") if r["planted"][0][1] and r["lam"][0] >= 30]
     odd_seated = [r for r in odd if r["planted"][0][1]]
+    at_limit = share_of_hits([r.get("p_unknown", 0.0) > limit or r.get("p_unknown", 0.0) > 0.5 >= limit for r in odd])
+    named, best = (share_of_hits([_joint(r, method) for r in seated]) for method in ("diagnosis", "oracle"))
+    odd_named = share_of_hits([r.get("location") == r["planted"][0][1] for r in odd_seated])
     return [
-        Figure("none of these, effect the library cannot imitate", (0.90,), ">=", share([_says_unknown(r) for r in odd])),
-        Figure("the same at 5 % false positives", (0.90,), ">=",
-               share([r.get("p_unknown", 0.0) > limit or r.get("p_unknown", 0.0) > 0.5 >= limit for r in odd])),
-        Figure("none of these where the catalogue holds all", (0.05,), "<=", share([_says_unknown(r) for r in usual])),
-        Figure("confident wrong name (p > 0.8)", (0.05,), "<=", share([_confident(r) for r in judged])),
-        Figure("joint named right, lambda >= 30", (0.97,), ">=", share([_joint(r) for r in seated]),
-               oracle=share([_joint(r, "oracle") for r in seated])),
-        Figure("joint named right, effect outside the library", (0.85,), ">=",
-               share([r.get("location") == r["planted"][0][1] for r in odd_seated])),
-    ]  # fmt: skip
+        Figure("none of these, effect the library cannot imitate", (0.90,), ">=", share_of_hits([_says_unknown(r) for r in odd])),
+        Figure("the same at 5 % false positives", (0.90,), ">=", at_limit),
+        Figure("none of these where the catalogue holds all", (0.05,), "<=", share_of_hits([_says_unknown(r) for r in usual])),
+        Figure("confident wrong name (p > 0.8)", (0.05,), "<=", share_of_hits([_confident(r) for r in judged])),
+        Figure("joint named right, lambda >= 30", (0.97,), ">=", named, oracle=best),
+        Figure("joint named right, effect outside the library", (0.85,), ">=", odd_named),
+    ]
 
 
 def _says_unknown(row: Row) -> bool:
@@ -173,7 +182,7 @@ def _joint(row: Row, method: str = "diagnosis") -> bool:
     return first is not None and (first[1] == row["planted"][0][1] or hit(row, "top1", method))
 
 
-def seen(row: Row) -> bool:
+def explainable(row: Row) -> bool:
     """Whether there is a gap at the sealed conditions that knowing the effects would shrink."""
     at = row.get("realised")
     return bool(at and row["planted"] and 1 - at["floor"] / at["before"] > EXPLAINABLE)
@@ -185,30 +194,29 @@ def shrinkage(row: Row) -> float:
 
 
 def _shrinkage(rows: Sequence[Row]) -> list[Figure]:
-    named = [r for r in rows if seen(r) and "diagnosis" in r and r["diagnosis"]["set"][0] == len(r["planted"])]
+    named = [r for r in rows if explainable(r) and "diagnosis" in r and r["diagnosis"]["set"][0] == len(r["planted"])]
     parts = [[shrinkage(r), 1 - r["realised"]["floor"] / r["realised"]["before"]] for r in named]
     corrected = [r for r in rows if r.get("realised")]
-    said = [(r["shrinkage"], shrinkage(r)) for r in rows if seen(r) and r.get("shrinkage")]
+    said = [(r["shrinkage"], shrinkage(r)) for r in rows if explainable(r) and r.get("shrinkage")]
     named_said = [(s, x) for s, x in said if s["predicted"] != 0.0]
+    explained = bootstrap(parts, lambda t: float(np.median(t[:, 0] / t[:, 1])))
+    off = median([abs(s["predicted"] - x) for s, x in named_said])
+    inside = share_of_hits([s["low"] <= x <= s["high"] for s, x in named_said])
+    covered = bootstrap([[r["realised"]["covered"]] for r in corrected], lambda t: float(t.mean()))
     return [
-        Figure("shrinkage at new conditions, named right, of what can be explained", (0.90,), ">=",
-               bootstrap(parts, lambda t: float(np.median(t[:, 0] / t[:, 1])))),
-        Figure("harmful corrections", (0.01,), "<=", share([shrinkage(r) < HARM for r in corrected])),
-        Figure("predicted against realised shrinkage, median difference", (0.05,), "<=",
-               median([abs(s["predicted"] - x) for s, x in named_said]), False),
-        Figure("interval of the predicted shrinkage covers", (0.85, 0.95), "in",
-               share([s["low"] <= x <= s["high"] for s, x in named_said])),
-        Figure("90 % band of blind predictions covers", (), "in",
-               bootstrap([[r["realised"]["covered"]] for r in corrected], lambda t: float(t.mean()))),
-    ]  # fmt: skip
+        Figure("shrinkage at new conditions, named right, of what can be explained", (0.90,), ">=", explained),
+        Figure("harmful corrections", (0.01,), "<=", share_of_hits([shrinkage(r) < HARM for r in corrected])),
+        Figure("predicted against realised shrinkage, median difference", (0.05,), "<=", off, False),
+        Figure("interval of the predicted shrinkage covers", (0.85, 0.95), "in", inside),
+        Figure("90 % band of blind predictions covers", (), "in", covered),
+    ]
 
 
 def _rest(rows: Sequence[Row]) -> list[Figure]:
-    (precision, recall), (best_precision, best_recall) = told_apart(rows), told_apart(rows, "oracle")
-    ratio = [
-        [a / b] for r in answered(rows, "single")
-        for a, b in zip(r.get("smallest", ()), r.get("exact_smallest", ()), strict=False) if a and b
-    ]  # fmt: skip
+    (precision, recall), (best_precision, best_recall) = classes_judged(rows), classes_judged(rows, "oracle")
+    singles = of_kinds(rows, "single")
+    sizes = [pair for r in singles for pair in zip(r.get("smallest", ()), r.get("exact_smallest", ()), strict=False)]
+    ratio = [[a / b] for a, b in sizes if a and b]
     seconds: list[list[float]] = [[r["seconds"]["cpu"], r["seconds"]["wall"]] for r in rows if "seconds" in r]
     middle: Callable[[Any], float] = lambda t: float(np.median(t[:, 0]))  # noqa: E731
     return [
@@ -217,15 +225,15 @@ def _rest(rows: Sequence[Row]) -> list[Figure]:
         Figure("smallest size told, over that of a 5 % test with exact signatures", (), "in", bootstrap(ratio, middle), False),
         Figure("smallest detectable size, found over predicted", (0.85, 1.15), "in", found_over_predicted(rows), False),
         Figure("seconds of processor a world (median), everything", (5.0,), "<=", bootstrap(seconds, middle), False),
-        Figure("answers that failed", (0.0,), "<=", share([r["error"] is not None for r in rows])),
+        Figure("answers that failed", (0.0,), "<=", share_of_hits([r["error"] is not None for r in rows])),
     ]
 
 
-def told_apart(rows: Sequence[Row], method: str = "diagnosis") -> tuple[Estimate, Estimate]:
+def classes_judged(rows: Sequence[Row], method: str = "diagnosis") -> tuple[Estimate, Estimate]:
     """Precision and recall of declared classes, over single effects that the diagnosis named right: a name is in the class or
     not, by exact signatures; pairs within a factor of the threshold count either way."""
     said, true = [], []
-    for r in answered(rows, "single"):
+    for r in of_kinds(rows, "single"):
         if not hit(r, "top1") or r["lam"][0] < BINS[0][0]:
             continue
         own = tuple(r["planted"][0][:2])
@@ -236,7 +244,116 @@ def told_apart(rows: Sequence[Row], method: str = "diagnosis") -> tuple[Estimate
             said.append([n in possible for n in declared])
         if sure:
             true.append([n in declared for n in sure])
-    return pooled(said), pooled(true)
+    return share_in_groups(said), share_in_groups(true)
 
 
-__all__ = ["NOTHING", "Figure", "answered", "by_bin", "hit", "seen", "shrinkage", "strange", "table"]
+def found_over_predicted(rows: Sequence[dict[str, Any]]) -> Estimate:
+    """Size at which nine of ten single effects are seen over the predicted one; seen: p_none below one half."""
+    pairs = []
+    for r in rows:
+        if r["kind"] != "single" or not r.get("smallest") or not r["smallest"][0] or not r["exact_smallest"][0]:
+            continue
+        effect, joint, values = r["planted"][0]
+        size = share_of_range(Planted(effect, joint or None, values))
+        pairs.append([np.log(size / r["smallest"][0]), float(r["p_none"] < 0.5)])
+    if len(pairs) < LEAST:
+        return NOTHING
+    return bootstrap(pairs, _at_power)
+
+
+def _at_power(table: Array) -> float:
+    """Ratio at which a logistic curve of log size reaches the power; a weak prior holds its slope where all are seen."""
+    x, hit = table[:, 0], table[:, 1]
+
+    def unlikely(p: Array) -> float:
+        chance = np.clip(expit(np.exp(p[1]) * (x - p[0])), 1e-9, 1 - 1e-9)
+        return float(-(hit * np.log(chance) + (1 - hit) * np.log(1 - chance)).sum() + 0.5 * p[0] ** 2 + 0.5 * (p[1] - 1.5) ** 2)
+
+    middle, slope = minimize(unlikely, np.array([0.0, 1.5]), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3}).x
+    return float(np.exp(middle + np.log(POWER / (1 - POWER)) / np.exp(slope)))
+
+
+def chance(rows: Sequence[Row], key: str = "top1", seed: int = 0) -> Estimate:
+    """Share of hits when the labels of the single effects are dealt out anew among the same answers; the interval is that of the
+    deals."""
+    singles = [r for r in of_kinds(rows, "single") if "said" in r]
+    if len(singles) < 2:
+        return NOTHING
+    rng, within = np.random.default_rng(seed), 3 if key == "top3" else 1
+    labels = [(r["planted"][0][0], int(r["planted"][0][1])) for r in singles]
+    names = [[(str(n), int(j)) for n, j, _ in r["said"]] for r in singles]
+    groups = [[{(str(n), int(j)) for n, j in g} for g in r["classes"]] for r in singles]
+    shares = []
+    for _ in range(DEALS):
+        dealt = rng.permutation(len(labels))
+        hits = [first_right([labels[k]], n, g, within) for k, n, g in zip(dealt, names, groups, strict=True)]
+        shares.append(np.mean(hits))
+    low, high = np.quantile(shares, [0.025, 0.975])
+    return Estimate(float(np.mean(shares)), float(low), float(high), len(singles))
+
+
+def badness(row: Row) -> float:
+    """How wrong an answer is: failures first, then false alarms and wrong names by how sure and how avoidable; 0: right."""
+    if row["error"] is not None:
+        return 1e6
+    score = 0.0
+    wrong = max((p for p, right in row["reliability"] if not right), default=0.0)
+    if row["kind"] in ("none", "none_background"):
+        score += 500.0 * (row["verdict"] != "no_gap")
+    elif strange(row):
+        score += 0.0 if row["p_unknown"] > 0.5 else row["left"]
+    elif row["kind"] not in BEYOND:
+        found, said, planted = row["diagnosis"]["set"]
+        if row["kind"] == "single":
+            score += 0.0 if hit(row, "top1") else row["lam"][0]
+        else:
+            score += 50.0 * (planted - found) + 50.0 * (said - found)
+    if wrong > CONFIDENT and not (row["kind"] in BEYOND and not strange(row)):
+        score += 300.0 * wrong
+    if row.get("realised") and shrinkage(row) < HARM:
+        score += 200.0 * min(-shrinkage(row), 5.0)
+    return score
+
+
+def worst(rows: Sequence[Row], count: int = SHOWN) -> list[Row]:
+    """The worst answers, worst first; right ones are never among them."""
+    bad = [(badness(r), r) for r in rows]
+    return [r for b, r in sorted(bad, key=lambda x: -x[0])[:count] if b > 0]
+
+
+def planted_words(row: Row) -> str:
+    """What was planted, with detectability."""
+    if not row["planted"]:
+        return "nothing"
+    pairs = zip(row["planted"], row["lam"], strict=True)
+    return ", ".join(f"{n}{f':{j}' if j else ''} ({lam:.0f})" for (n, j, _), lam in pairs)
+
+
+def said_words(row: Row) -> str:
+    """What was said."""
+    if row["error"] is not None:
+        return row["error"][:90]
+    head = {"no_gap": "no gap", "unexplained": "none of these"}.get(row["verdict"], row["verdict"])
+    names = ", ".join(f"{n}{f':{j}' if j else ''} {p:.2f}" for n, j, p in row["said"][:3])
+    return f"{head} (none {row['p_none']:.2f}, unknown {row['p_unknown']:.2f}): {names}"
+
+
+def why_words(row: Row) -> str:
+    """Kind of the fault."""
+    parts = []
+    if row["error"] is not None:
+        return "failed"
+    if row["kind"] in ("none", "none_background") and row["verdict"] != "no_gap":
+        parts.append("false alarm")
+    if strange(row) and row["p_unknown"] <= 0.5:
+        parts.append(f"not in the library, {row['left']:.0f} left")
+    if row["kind"] == "single" and not hit(row, "top1"):
+        parts.append("wrong name" + (", oracle too" if not hit(row, "top1", "oracle") else ""))
+    if row["kind"] in ("pair", "triple") and row["diagnosis"]["set"] != [len(row["planted"])] * 3:
+        found, said, planted = row["diagnosis"]["set"]
+        parts.append(f"{found} of {planted} found, {said} named")
+    if any(p > CONFIDENT and not right for p, right in row["reliability"]):
+        parts.append("sure of a wrong name")
+    if row.get("realised") and shrinkage(row) < HARM:
+        parts.append(f"corrected for the worse ({shrinkage(row):.2f})")
+    return "; ".join(parts) + ("; background" if row["background"] else "")

@@ -24,7 +24,7 @@ class Estimate:
 NOTHING = Estimate(float("nan"), float("nan"), float("nan"), 0)
 
 
-def share(hits: Sequence[bool]) -> Estimate:
+def share_of_hits(hits: Sequence[bool]) -> Estimate:
     """Share of hits (Wilson 1927, eq. 6)."""
     n = len(hits)
     if n == 0:
@@ -53,7 +53,7 @@ def median(values: Sequence[float]) -> Estimate:
     return bootstrap([[v] for v in values], lambda t: float(np.median(t)))
 
 
-def pooled(groups: Sequence[Sequence[bool]]) -> Estimate:
+def share_in_groups(groups: Sequence[Sequence[bool]]) -> Estimate:
     """Share of hits in all groups together, groups drawn as wholes: hits of one world are not independent."""
     rows = [[sum(map(bool, g)), len(g)] for g in groups if len(g)]
     return bootstrap(rows, lambda t: float(t[:, 0].sum() / t[:, 1].sum()))

@@ -5,16 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from ocp.blindtest.oracle.oracle import Name
 from ocp.simulate.twin.truth.planting import Planted
 
-Name = tuple[str, int]
 SURE = 1.6449  # standard deviations of a 90 % interval
 KAB = ("stiffness_N_m", "lever_link1_m", "lever_arm_m")  # readings hold the product of a balancer's spring and levers
-
-
-def name_of(planted: Planted) -> Name:
-    """Effect and joint, 0 for none."""
-    return planted.effect, planted.joint or 0
 
 
 def read_name(text: str) -> Name:
@@ -23,12 +18,12 @@ def read_name(text: str) -> Name:
     return effect, int(joint or 0)
 
 
-def ranking(document: dict[str, Any]) -> list[tuple[Name, float]]:
+def ranked_names(document: dict[str, Any]) -> list[tuple[Name, float]]:
     """Names with their marginal probabilities, most probable first."""
     return [((r["effect"], r["joint"] or 0), float(r["probability"])) for r in document["ranking"]]
 
 
-def classes(document: dict[str, Any]) -> list[set[Name]]:
+def declared_classes(document: dict[str, Any]) -> list[set[Name]]:
     """Declared classes of names that cannot be told apart."""
     return [{read_name(text) for text in group} for group in document["indistinguishable"]]
 
@@ -38,7 +33,7 @@ def alike(a: Name, b: Name, groups: Sequence[set[Name]]) -> bool:
     return a == b or any(a in g and b in g for g in groups)
 
 
-def named(document: dict[str, Any]) -> list[Name]:
+def decided_names(document: dict[str, Any]) -> list[Name]:
     """What the answer decides for: the effects of its best explanation, none where having no effect is more probable."""
     best = max(document["explanations"], key=lambda e: e["probability"], default=None)
     if best is None or document["p_none"] >= max(best["probability"], document["p_unknown"]):
@@ -68,15 +63,15 @@ def first_right(planted: Sequence[Name], names: Sequence[Name], groups: Sequence
     return any(alike(p, s, groups) for p in planted for s in names[:within])
 
 
-def values(planted: Planted, parameters: dict[str, Any]) -> tuple[float | None, list[float]]:
+def value_errors(planted: Planted, parameters: dict[str, Any]) -> tuple[float | None, list[float]]:
     """Relative error of the size (None where the answer has no such key), and deviations in standard errors of everything that
     has one."""
     error, z = None, []
     for k, (key, true) in enumerate(planted.values.items()):
-        told = parameters.get(key)
-        if told is None or isinstance(true, str):
+        given = parameters.get(key)
+        if given is None or isinstance(true, str):
             continue
-        mean, sd = _pair(told, key, parameters)
+        mean, sd = _pair(given, key, parameters)
         real = np.atleast_1d(np.asarray(true, float)) * _levers(key, planted.values)
         off = np.atleast_1d(mean) - real
         if key == "phase_rad":
@@ -88,11 +83,11 @@ def values(planted: Planted, parameters: dict[str, Any]) -> tuple[float | None, 
     return error, z
 
 
-def _pair(told: dict[str, Any], key: str, parameters: dict[str, Any]) -> tuple[Any, Any]:
+def _pair(given: dict[str, Any], key: str, parameters: dict[str, Any]) -> tuple[Any, Any]:
     """Mean and standard deviation; of a balancer's product with its levers."""
     factor = _levers(key, {k: p["value"] for k, p in parameters.items()})
-    mean = np.asarray(told["value"], float) * factor
-    return mean, None if told["sd"] is None else np.asarray(told["sd"], float) * factor
+    mean = np.asarray(given["value"], float) * factor
+    return mean, None if given["sd"] is None else np.asarray(given["sd"], float) * factor
 
 
 def _levers(key: str, known: dict[str, Any]) -> float:

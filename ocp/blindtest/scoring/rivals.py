@@ -25,12 +25,12 @@ from robots.tracker_readings import Index
 METHODS = ("single", "stepwise", "sparse", "unprojected")
 LEVEL = 0.01  # false alarms that a score test allows itself over all it tries
 MOST_STEPS, MOST_NONZERO, SCREENED, PATH, SWEEPS = 6, 12, 600, 24, 120
-RANKED = 10  # names that are told
+RANKED = 10  # names that are reported
 Name = tuple[str, int]
 
 
 @dataclass(frozen=True)
-class Named:
+class RivalAnswer:
     """An answer: names in order of belief, and those it decides for (none: no effect)."""
 
     ranking: tuple[Name, ...]
@@ -38,7 +38,7 @@ class Named:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class RivalColumns:
     """Names of all families, their white columns (N, V, m) and white residual (N,), raw and with the nuisance projected out;
     freedom of the rows."""
 
@@ -50,7 +50,7 @@ class Candidates:
     freedom: int
 
 
-def candidates(channels: Sequence[Channel], library: Mapping[str, Effect]) -> Candidates:
+def rival_columns(channels: Sequence[Channel], library: Mapping[str, Effect]) -> RivalColumns:
     """Everything of the library that any of the channels sees."""
     stacked = stack(tuple(channels), np.zeros(sum(len(c.system.residual) for c in channels)))
     names, raw, columns = [], [], []
@@ -64,16 +64,16 @@ def candidates(channels: Sequence[Channel], library: Mapping[str, Effect]) -> Ca
             raw.append(C)
             columns.append(stacked.apply(C.reshape(len(C), -1)).reshape(C.shape))
     residual = np.concatenate([c.system.residual for c in channels])
-    return Candidates(tuple(names), tuple(raw), residual, tuple(columns), stacked.y, stacked.freedom)
+    return RivalColumns(tuple(names), tuple(raw), residual, tuple(columns), stacked.y, stacked.freedom)
 
 
-def rivals(channels: Sequence[Channel], library: Mapping[str, Effect]) -> dict[str, Named]:
+def rival_answers(channels: Sequence[Channel], library: Mapping[str, Effect]) -> dict[str, RivalAnswer]:
     """Answers of all methods, from channels without effects."""
-    c = candidates(channels, library)
+    c = rival_columns(channels, library)
     return {"single": single(c), "stepwise": stepwise(c), "sparse": sparse(c), "unprojected": unprojected(c)}
 
 
-def single(c: Candidates) -> Named:
+def single(c: RivalColumns) -> RivalAnswer:
     """The one coefficient that takes away most."""
     gained = np.array([_each(C, c.y).max() for C in c.columns])
     tried = sum(C.shape[1] * C.shape[2] for C in c.columns)
@@ -82,7 +82,7 @@ def single(c: Candidates) -> Named:
     return _named(c, order, order[:1] if sure else ())
 
 
-def unprojected(c: Candidates) -> Named:
+def unprojected(c: RivalColumns) -> RivalAnswer:
     """Smallest p-value of all variants, the price of trying them paid."""
     logs = []
     for C in c.raw:
@@ -93,7 +93,7 @@ def unprojected(c: Candidates) -> Named:
     return _named(c, order, order[:1] if sure else ())
 
 
-def stepwise(c: Candidates) -> Named:
+def stepwise(c: RivalColumns) -> RivalAnswer:
     """Forward choice by the Bayesian information criterion."""
     y, columns = c.y, list(c.columns)
     chosen: list[int] = []
@@ -120,7 +120,7 @@ def stepwise(c: Candidates) -> Named:
     return _named(c, ranked, chosen)
 
 
-def sparse(c: Candidates) -> Named:
+def sparse(c: RivalColumns) -> RivalAnswer:
     """Penalised least squares on all columns at once, down a path of weights; the weight with the least criterion decides."""
     family = np.concatenate([np.full(C.shape[1] * C.shape[2], k) for k, C in enumerate(c.columns)])
     X = np.concatenate([C.reshape(len(c.y), -1) for C in c.columns], axis=1)
@@ -179,5 +179,5 @@ def _each(C: Array, y: Array) -> Array:
     return np.asarray(np.einsum("nvi,n->vi", C, y) ** 2 / np.maximum(np.einsum("nvi,nvi->vi", C, C), 1e-12))
 
 
-def _named(c: Candidates, order: Sequence[int] | Index, chosen: Sequence[int] | Index) -> Named:
-    return Named(tuple(c.names[k] for k in order[:RANKED]), tuple(c.names[k] for k in chosen))
+def _named(c: RivalColumns, order: Sequence[int] | Index, chosen: Sequence[int] | Index) -> RivalAnswer:
+    return RivalAnswer(tuple(c.names[k] for k in order[:RANKED]), tuple(c.names[k] for k in chosen))

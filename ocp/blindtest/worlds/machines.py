@@ -1,30 +1,51 @@
-"""Machines of blind worlds: drawn from a seed and a number, so that the scorer can draw the very same again."""
+"""Machines of blind worlds: drawn from a seed and a number, so that the scorer can draw the very same again.
+
+A machine that a tracker measures has the errors of real ones. A grinding machine has its stiffnesses, setpoint and sensor as
+their makers leave them: what a cell really shows more of is an effect of the catalogue and would rightly be named. Small things
+below the catalogue's low ends make the background of every other machine.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from ocp.blindtest.worlds.outside_arm import arm_of
+from ocp.blindtest.worlds.bench import Bench, Log, save_store, store_of
+from ocp.blindtest.worlds.lines import LogRows, blade_lines, drawn_runs, rows_of_runs, taught
+from ocp.blindtest.worlds.outside import OutsideArm
+from ocp.blindtest.worlds.pools import OUTSIDE, of_arm
 from ocp.blindtest.worlds.recipes import Recipe
-from ocp.blindtest.worlds.scene import Scene, scene_of
 from ocp.model.cell import Cell, read_cell
+from ocp.simulate.twin.arm.arm import Arm, make_arm
+from ocp.simulate.twin.contact.table import make_tables
 from ocp.simulate.twin.designs import Campaign, random_design, sealed_design
 from ocp.simulate.twin.tracker import true_points
 from ocp.simulate.twin.truth.machine import Truth
 from ocp.simulate.twin.truth.planting import Planted
-from ocp.simulate.twin.truth.truth import draw_truth
+from ocp.simulate.twin.truth.truth import REPEATABILITY, draw_truth
 from robots.pose import Array
 
-# Added to the cell of the blind worlds: a payload that no campaign measures and half of the sealed conditions carry.
-HEAVY = "\n[payloads.heavy]\nmass_kg = 150.0\ncom_mm = [10, -10, 220]\n"
-_MACHINE, _CAMPAIGN, _SEALED, _EFFECTS = range(4)  # streams of one world
+STORE = "contact.pkl"
+# What the makers leave, one sigma: relative stiffness of cover, blade and flange; N of the flange's setpoint and of the sensor's
+# zero; gain and zero (N) of the sensor's tangential axis.
+STIFF_SD, SETPOINT_SD, ZERO_SD, SHEAR_GAIN_SD, SHEAR_ZERO_SD = 0.01, 0.1, 0.02, 0.02, 0.05
+# rad: how well an arm comes back to its path while it runs without a stop, and with the background's unrest.
+REPEATS, RESTLESS = 2e-6, 4e-6
+# Background, below the catalogue's low ends: rad of ripple and play of every joint, N/h, m/s.
+RIPPLE, PLAY, DRIFT, WEAR = 2e-6, 1e-6, 0.02, 3e-9
+WARMING = 4.0  # K by which the hall warms over HOURS in every other machine
+HOURS = 1.0
+# Streams of random numbers of one world.
+_MACHINE, _CAMPAIGN, _SEALED, _EFFECTS = range(4)
+_RUNS, _TAUGHT, _OWN, _NOISE = range(10, 14)
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
-    """A cell with its hidden numbers, nothing planted, and the campaigns on it: to learn from, and sealed."""
+class TrackerMachine:
+    """A machine that a tracker measures: a cell with its hidden numbers, nothing planted, and the campaigns on it, to learn from
+    and sealed."""
 
     cell: Cell
     truth: Truth
@@ -41,9 +62,90 @@ class Machine:
         arm = arm_of(self.cell, truth, campaign.targets)
         return true_points(truth, self.cell, arm, campaign.moments, campaign.targets)
 
-    def scene(self) -> Scene:
-        """Of the campaign to learn from."""
-        return scene_of(self.cell, self.truth, self.campaign)
+
+@dataclass(frozen=True, eq=False)
+class GrindingMachine:
+    """A machine that grinds: its bench and hidden numbers, nothing planted, rows to learn from and sealed ones, whether it has a
+    background; gains: of the tangential axis; warming K/h of the hall; arm: its tracker campaign, where one is measured."""
+
+    bench: Bench
+    truth: Truth
+    rows: LogRows
+    sealed: LogRows
+    background: bool
+    gains: tuple[float, float]
+    warming: float
+    arm: TrackerMachine | None
+    seed: int
+
+    def log(
+        self,
+        effects: Sequence[Planted],
+        sealed: bool = False,
+        unrest: bool = False,
+        moved: Array | None = None,
+        truth: Truth | None = None,
+        gains: tuple[float, float] | None = None,
+    ) -> Log:
+        """Readings without noise with these effects; unrest: the joints come back as badly as they do.
+
+        Sealed rows are driven after the others, for what happened before: a blade slips where it was ground then."""
+        rows = self.whole if sealed else self.rows
+        truth = replace(self.truth if truth is None else truth, effects=tuple(effects))
+        rng = np.random.default_rng([self.seed, int(sealed)]) if unrest else None
+        log = self.bench.log(truth, rows, self.hall(rows), rng, moved, self.gains if gains is None else gains)
+        return log.last(self.sealed) if sealed else log
+
+    @cached_property
+    def whole(self) -> LogRows:
+        """The rows to learn from and then the sealed ones."""
+        return self.rows.then(self.sealed)
+
+    def hall(self, rows: LogRows) -> Array:
+        """Temperature of the hall (n,) deg C."""
+        clock = rows.clock
+        return np.asarray(self.bench.cell.tables.reference_temperature_C + self.warming * clock / 3600.0)
+
+    @cached_property
+    def bare(self) -> Log:
+        """The log without effects."""
+        return self.log(())
+
+    @property
+    def small(self) -> tuple[Planted, ...]:
+        """The background's drift and wear, which no label holds."""
+        if not self.background:
+            return ()
+        rng = np.random.default_rng([self.seed, 5])
+        drift, wear = DRIFT * rng.uniform(-1, 1), WEAR * rng.uniform()
+        return Planted("sensor_drift", None, {"N_per_h": float(drift)}), Planted("wheel_wear", None, {"m_per_s": float(wear)})
+
+    def tracked(self, effects: Sequence[Planted]) -> Array:
+        """Points (n, 3) m that the tracker would read of its arm."""
+        assert self.arm is not None
+        return self.arm.points(of_arm(effects))
+
+
+BlindMachine = TrackerMachine | GrindingMachine
+"""A machine of any signals."""
+
+
+def arm_of(cell: Cell, truth: Truth, targets: Sequence[str]) -> Arm:
+    """The arm of a cell, able to carry effects outside the catalogue where the truth holds any; targets: nest of each instant
+    that it will be asked for."""
+    arm = make_arm(cell, truth)
+    if not any(p.effect in OUTSIDE for p in truth.effects):
+        return arm
+    wrapped = OutsideArm(arm.robot, arm.truth, arm.hardware, arm.reference_C)
+    wrapped.cell, wrapped.targets, wrapped.known = cell, tuple(targets), OUTSIDE
+    return wrapped
+
+
+def draw_machine(cell_path: Path, seed: int, recipe: Recipe, readings: int, blind: int, signals: str) -> BlindMachine:
+    """The machine of a world of any signals."""
+    if signals == "tracker":
+        return draw_tracker_machine(cell_path, seed, recipe, readings, blind)
+    return draw_grinding_machine(cell_path, seed, recipe, readings, blind, signals == "both")
 
 
 def stream(seed: int, recipe: Recipe, part: int) -> np.random.Generator:
@@ -56,14 +158,14 @@ def effects_stream(seed: int, recipe: Recipe) -> np.random.Generator:
     return stream(seed, recipe, _EFFECTS)
 
 
-def draw_machine(cell_path: Path, seed: int, recipe: Recipe, readings: int, blind: int) -> Machine:
+def draw_tracker_machine(cell_path: Path, seed: int, recipe: Recipe, readings: int, blind: int) -> TrackerMachine:
     """The machine of a world. Every other world with effects, and every one that asks for it, has gross readings, ripple and
     play of its own; the rest have noise alone."""
     cell = read_cell(cell_path)
     truth = draw_truth(cell, int(stream(seed, recipe, _MACHINE).integers(2**31)), weight_bends="believed")
-    if not background(recipe):
+    if not has_background(recipe):
         truth = replace(truth, ripple=truth.ripple * [0.0, 1.0, 1.0], play=np.zeros(6), outliers=0.0)
-    return Machine(
+    return TrackerMachine(
         cell,
         truth,
         random_design(cell, stream(seed, recipe, _CAMPAIGN), readings),
@@ -71,8 +173,62 @@ def draw_machine(cell_path: Path, seed: int, recipe: Recipe, readings: int, blin
     )
 
 
-def background(recipe: Recipe) -> bool:
+def has_background(recipe: Recipe) -> bool:
     """Whether a world has outliers and a background of small effects."""
     if recipe.kind in ("none", "none_background"):
         return recipe.kind == "none_background"
     return (recipe.turn // 4 if recipe.kind == "single" else recipe.turn) % 2 == 1
+
+
+def draw_grinding_machine(
+    cell_path: Path, seed: int, recipe: Recipe, readings: int, blind: int, tracker: bool
+) -> GrindingMachine:
+    """The machine of a force world; `tracker`: measured by a tracker too. Contacts that it meets first are kept in the check's
+    folder."""
+    cell = read_cell(cell_path)
+    arm = draw_tracker_machine(cell_path, seed, recipe, readings, blind)
+    piece = cell.workpiece
+    assert piece.stl is not None
+    blade, lines = blade_lines(piece.stl, piece.stl_unit, cell_path)
+    file = cell_path.parent / STORE
+    tables = store_of(file, lambda: make_tables(cell, blade))
+    before = len(tables.nodes)
+    restless = has_background(recipe)
+    truth = _own(arm.truth, stream(seed, recipe, _OWN), restless)
+    joints = taught(lines, cell, truth, make_arm(cell, truth), stream(seed, recipe, _TAUGHT))
+    rng = stream(seed, recipe, _RUNS)
+    runs, sealed = drawn_runs(rng, cell.process.force, cell.wheel.belt_speed)
+    own = stream(seed, recipe, _NOISE)
+    made = GrindingMachine(
+        bench=Bench(cell, blade, lines, joints, tables),
+        truth=truth,
+        rows=rows_of_runs(lines, runs),
+        sealed=rows_of_runs(lines, sealed),
+        background=restless,
+        gains=(SHEAR_GAIN_SD * own.normal(), SHEAR_ZERO_SD * own.normal()),
+        warming=WARMING / HOURS * float(own.uniform()) * (recipe.index % 2),
+        # At the stops of a tracker's campaign the same arm repeats as it does there.
+        arm=replace(arm, truth=replace(truth, repeatability=REPEATABILITY, outliers=arm.truth.outliers)) if tracker else None,
+        seed=int(own.integers(2**31)),
+    )
+    made.bare  # noqa: B018 (fills the store)
+    made.log((), sealed=True)
+    save_store(file, tables, before)
+    return made
+
+
+def _own(truth: Truth, rng: np.random.Generator, restless: bool) -> Truth:
+    """The arm's truth with the contact as its makers leave it."""
+    z = np.clip(rng.normal(size=5), -2.5, 2.5)
+    return replace(
+        truth,
+        effects=(),
+        cover_scale=1 + STIFF_SD * z[0],
+        blade_scale=1 + STIFF_SD * z[1],
+        flange_scale=1 + STIFF_SD * z[2],
+        flange_offset=SETPOINT_SD * z[3],
+        sensor_bias=ZERO_SD * z[4],
+        repeatability=RESTLESS if restless else REPEATS,
+        play=rng.uniform(0, PLAY, 6) * restless,
+        ripple=truth.ripple * [0.0, 1.0, 1.0] + [RIPPLE * restless, 0.0, 0.0] * rng.uniform(0, 1, (6, 1)),
+    )

@@ -1,29 +1,44 @@
-"""Effects that the catalogue does not hold, for worlds in which "none of these" is the right answer.
+"""Effects that the catalogue does not hold: how a list of them is written down, and a virtual arm that carries them.
 
-Each is a form that real arms and trackers show, with one size. Shifts dq (n, 6) rad of the joints depend on the commanded
-posture, the approach, the load torques and the clock; twists of a link are rotation vectors (n, 3) rad in base axes about that
-joint's origin; frame turns are rotation vectors (n, 3) rad of a reading about the tracker's head. All per unit size.
+In a world with such an effect "none of these" is the right answer. There are two lists, kept apart on purpose: the first
+(`outside_first`) was known to the author of the diagnosis, the second (`outside_late`) was invented unseen. An effect has one
+size; its form says, per unit size, how much it moves of one of these:
+
+    angle     dq (n,) rad of its joint
+    link      rotation vectors (n, 3) rad, base axes, of the joint's link and all after it about the joint's origin; of an effect
+              without a joint the whole arm about its base
+    frame     rotation vectors (n, 3) rad, tracker's axes, of the readings about the tracker's head
+    nest      shifts (n, 3) m of the reflector in its nest, base axes
+    overlap   m (n,) by which the contact is deeper
+    push      N (n,) that the flange pushes with beside its setpoint
+    reading   N (n,) that the normal reading shows beside the contact's force
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from ocp.model.cell import Cell
+from ocp.simulate.twin.arm.arm import Arm, Moments
 from ocp.simulate.twin.arm.machine import GRAVITY
+from ocp.simulate.twin.arm.planted import hung
+from ocp.simulate.twin.tracker import nest_links
 from ocp.simulate.twin.truth.planting import Key, Kind, Planted
-from robots.pose import Array, apply
+from robots.pose import Array, apply, invert
 from robots.robot import Robot
 
-SETTLING, CREEP = 60.0, 1800.0  # s: time constants of settling after a stop and of creep under load
-SLACK = 0.35  # share of its range in which a hose pack hangs loose
+Form = Callable[[Planted, Any], Array]
+PHASE = Key("phase_rad", "rad", 0.0, 2 * np.pi, False, 0.0, uniform=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Instants:
-    """What forms may depend on, n readings: q (n, 6) rad, sign (n, 6), tau (n, 6) N m, warmth (n,) K, time (n,) s; links (n, 7,
-    4, 4); mass (n,) kg and centre (n, 3) m (base axes) of the payload; point (n, 3) m of the reading in the tracker's frame, turn
-    (3, 3) from base to tracker axes."""
+class ArmInstants:
+    """What forms of the arm and the tracker may depend on, n readings: q (n, 6) rad, sign (n, 6), tau (n, 6) N m, warmth (n,) K,
+    time (n,) s; links (n, 7, 4, 4); mass (n,) kg and centre (n, 3) m (base axes) of the payload; point (n, 3) m of the reading in
+    the tracker's frame, turn (3, 3) from base to tracker axes. Without noise and without effects outside the catalogue."""
 
     robot: Robot
     q: Array
@@ -37,147 +52,126 @@ class Instants:
     point: Array
     turn: Array
 
+    def moment_across(self, joint: int) -> tuple[Array, Array]:
+        """Moments (n, 3) N m, base axes, of the weight of all links after the joint (0..5) and of the payload about its origin:
+        whole, and the part square to the joint's axis."""
+        origin, axis = self.links[:, joint, :3, 3], self.links[:, joint, :3, 2]
+        weight = np.array([0.0, 0.0, -GRAVITY])
+        moment = self.mass[:, None] * np.cross(self.centre - origin, weight)
+        for link in range(joint + 1, 7):
+            centre = apply(self.links[:, link], np.broadcast_to(self.robot.link_com[link], (len(self.q), 3)))
+            moment = moment + self.robot.link_mass[link] * np.cross(centre - origin, weight)
+        return moment, np.asarray(moment - (moment * axis).sum(axis=1, keepdims=True) * axis)
 
-Form = Callable[[Planted, Instants], Array]
 
+@dataclass(frozen=True, eq=False)
+class GrindingInstants:
+    """What forms of the grinding may depend on (n,): s m, travel +-1, time s since the run's start, clock s, belt m/s, way of the
+    belt m since the run's start, radius m of the wheel, force N without the effect; q (n, 6) rad."""
 
-def _kind(name: str, joints: tuple[int, ...], key: str, unit: str, low: float, high: float, phase: bool = False) -> Kind:
-    keys = (Key(key, unit, low, high, not phase, None),)
-    turn = (Key("phase_rad", "rad", 0.0, 2 * np.pi, False, 0.0, uniform=True),) if phase else ()
-    return Kind(name, joints, keys + turn, "outside")
-
-
-KINDS: dict[str, Kind] = {
-    kind.name: kind
-    for kind in (
-        _kind("bearing_wobble", (1, 2, 3, 4), "rad", "rad", 1e-5, 1e-4, True),
-        _kind("hose_pull", (1, 4, 6), "rad", "rad", 5e-5, 5e-4),
-        _kind("load_hysteresis", (3, 4, 5), "rad_per_Nm", "rad/(N m)", 2e-8, 4e-7),
-        _kind("posture_crosstalk", (2, 3), "rad_per_rad2", "1/rad", 2e-5, 2e-4),
-        _kind("axis_tilt_under_load", (1, 2, 3), "rad_per_Nm", "rad/(N m)", 3e-9, 5e-8),
-        _kind("settling", (1, 2, 3), "rad", "rad", 3e-5, 3e-4),
-        _kind("creep_under_load", (2, 3), "rad_per_Nm", "rad/(N m)", 3e-8, 3e-7),
-        _kind("warm_torsion", (2, 3, 4), "rad_per_K", "rad/K", 2e-6, 2e-5),
-        _kind("azimuth_eccentricity", (), "rad", "rad", 3e-6, 5e-5, True),
-        _kind("beam_bending", (), "rad_per_m", "rad/m", 1e-6, 1e-5),
-    )
-}
-"""By name; `draw_effect` draws from them as from the catalogue's."""
+    s: Array
+    travel: Array
+    time: Array
+    clock: Array
+    belt: Array
+    way: Array
+    radius: float
+    force: Array
+    q: Array
 
 
 @dataclass(frozen=True)
-class Forms:
-    """A list of effects: their kinds, and their forms by what they move, per unit size."""
+class Outside:
+    """An effect of a list: its kind (`draw_effect` draws from it as from the catalogue's), what it moves, the form."""
 
-    kinds: dict[str, Kind]
-    of_joints: dict[str, Form]
-    of_links: dict[str, Form]
-    of_frame: dict[str, Form]
-    of_reflector: dict[str, Form] = field(default_factory=dict)
-
-    def shifts(self, planted: Planted, at: Instants) -> Array:
-        """dq (n, 6) rad of the joints; zero where the effect is none of a joint's angle."""
-        dq = np.zeros_like(at.q)
-        moved = self._moved(self.of_joints, planted, at)
-        if moved is not None and planted.joint is not None:
-            dq[:, planted.joint - 1] = moved
-        return dq
-
-    def twist(self, planted: Planted, at: Instants) -> Array | None:
-        """Rotation vectors (n, 3) rad, base axes, by which the joint's link and all after it turn about the joint's origin; of an
-        effect without a joint the whole arm about its base."""
-        return self._moved(self.of_links, planted, at)
-
-    def frame_turn(self, planted: Planted, at: Instants) -> Array | None:
-        """Rotation vectors (n, 3) rad by which readings turn about the tracker's head, tracker's axes."""
-        return self._moved(self.of_frame, planted, at)
-
-    def move(self, planted: Planted, at: Instants) -> Array | None:
-        """Shifts (n, 3) m of the reflector in its nest, base axes."""
-        return self._moved(self.of_reflector, planted, at)
-
-    def _moved(self, forms: dict[str, Form], planted: Planted, at: Instants) -> Array | None:
-        form = forms.get(planted.effect)
-        if form is None:
-            return None
-        return np.asarray(planted.number(self.kinds[planted.effect].keys[0].name) * form(planted, at))
+    kind: Kind
+    moves: str
+    form: Form
 
 
-def _joint(planted: Planted) -> int:
+def outside(name: str, moves: str, form: Form, joints: tuple[int, ...], *keys: Key) -> Outside:
+    """A line of a list; the first key is the size."""
+    return Outside(Kind(name, joints, keys, "outside"), moves, form)
+
+
+def size(name: str, unit: str, low: float, high: float, signed: bool = True) -> Key:
+    """The key of an effect's size."""
+    return Key(name, unit, low, high, signed, None)
+
+
+def by_name(*effects: Outside) -> dict[str, Outside]:
+    """A list by the names of its effects."""
+    return {one.kind.name: one for one in effects}
+
+
+def joint_index(planted: Planted) -> int:
+    """0..5."""
     return (planted.joint or 1) - 1
 
 
-def _hose_pull(p: Planted, at: Instants) -> Array:
-    """A hose pack hangs loose in the middle of its range (half a turn each way) and pulls back towards its ends, with the square
-    of what it is drawn."""
-    j = _joint(p)
-    share = at.q[:, j] / min(max(abs(at.robot.q_min[j]), at.robot.q_max[j]), np.pi)
-    drawn = np.maximum(np.abs(share) - SLACK, 0.0) / (1.0 - SLACK)
-    return np.asarray(-np.sign(share) * drawn**2)
+def moved_by(
+    known: Mapping[str, Outside], planted: Iterable[Planted], what: str, at: ArmInstants | GrindingInstants
+) -> Iterator[tuple[Planted, Array]]:
+    """Those of the planted effects that move `what`, with how much, at their sizes."""
+    for p in planted:
+        one = known.get(p.effect)
+        if one is not None and one.moves == what:
+            yield p, np.asarray(p.number(one.kind.keys[0].name) * one.form(p, at))
 
 
-def _load_hysteresis(p: Planted, at: Instants) -> Array:
-    """A gear between two loads: lags by its torque, with the torque's sign, behind the motion."""
-    return np.asarray(at.tau[:, _joint(p)] * at.sign[:, _joint(p)])
+class OutsideArm(Arm):
+    """A virtual arm with effects outside the catalogue on top of those inside it, for the nests of a campaign.
+
+    It stands where the virtual cell asks an arm for its links, so that noise, nests and files are the virtual cell's own. Turns
+    of the tracker's frame are done to the scene instead, which is the same to the reading.
+    """
+
+    cell: Cell
+    targets: tuple[str, ...]
+    known: Mapping[str, Outside]
+
+    def links(self, m: Moments, rng: np.random.Generator | None = None) -> Array:
+        """Frames (n, 7, 4, 4) of base and links with all effects; `m` of the campaign whose nests the arm was made for."""
+        planted, known, at = self.truth.effects, self.known, self._instants(m)
+        dq = np.zeros_like(m.q)
+        for p, angle in moved_by(known, planted, "angle", at):
+            dq[:, joint_index(p)] += angle
+        frames = super().links(replace(m, q=m.q + dq), rng).copy()
+        for p, turned in moved_by(known, planted, "link", at):
+            joint = p.joint or 1
+            _turn(frames, slice(joint, 7), at.links[:, joint - 1, :3, 3], turned)
+        head = invert(self.truth.T_tracker_base)[:3, 3]
+        for _, turned in moved_by(known, planted, "frame", at):
+            _turn(frames, slice(0, 7), np.broadcast_to(head, (len(m), 3)), turned @ self.truth.T_tracker_base[:3, :3])
+        for _, shift in moved_by(known, planted, "nest", at):
+            frames[..., :3, 3] += shift[:, None]
+        return frames
+
+    def _instants(self, m: Moments) -> ArmInstants:
+        settled = self.settled(m)
+        n = len(m)
+        names = (m.payload,) * n if isinstance(m.payload, str) else m.payload
+        loads = [hung(self.truth, name) for name in names]
+        nests = np.array([self.truth.nests[name] for name in self.targets]).reshape(-1, 3)
+        on = settled.links[np.arange(n), nest_links(self.cell, self.targets)]
+        return ArmInstants(
+            robot=self.robot,
+            q=m.q,
+            sign=m.approach,
+            tau=settled.load_torque[:, :6],
+            warmth=m.temperature_C - self.reference_C,
+            time=m.time_s,
+            links=settled.links,
+            mass=np.array([mass for mass, _ in loads]),
+            centre=apply(settled.links[:, 6], np.array([c for _, c in loads])),
+            point=apply(self.truth.T_tracker_base, apply(on, nests)),
+            turn=self.truth.T_tracker_base[:3, :3],
+        )
 
 
-def _posture_crosstalk(p: Planted, at: Instants) -> Array:
-    """Coupled drives: the product of joints 2 and 3 about the middle of their ranges."""
-    return np.asarray((at.q[:, 1] + np.pi / 2) * (at.q[:, 2] - np.pi / 2))
-
-
-def _settling(p: Planted, at: Instants) -> Array:
-    """What is left of the motion when a reading is taken soon after the stop: the axis comes to rest from where it came."""
-    waited = np.diff(at.time, prepend=at.time[0] - 10 * SETTLING)
-    return np.asarray(-at.sign[:, _joint(p)] * np.exp(-waited / SETTLING))
-
-
-def _creep(p: Planted, at: Instants) -> Array:
-    """A gear or its grease that gives with the logarithm of the time under load."""
-    return np.asarray(at.tau[:, _joint(p)] * np.log1p(at.time / CREEP))
-
-
-def _bearing_wobble(p: Planted, at: Instants) -> Array:
-    """An out-of-round bearing: the axis nods twice a turn, about the x axis of the frame before the joint."""
-    j = _joint(p)
-    return np.asarray(np.cos(2 * at.q[:, j] + p.number("phase_rad"))[:, None] * at.links[:, j, :3, 0])
-
-
-def _axis_tilt(p: Planted, at: Instants) -> Array:
-    """A main bearing that yields to the moment across its axis, of all links beyond it and the payload."""
-    j = _joint(p)
-    origin, axis = at.links[:, j, :3, 3], at.links[:, j, :3, 2]
-    weight = np.array([0.0, 0.0, -GRAVITY])
-    moment = at.mass[:, None] * np.cross(at.centre - origin, weight)
-    for link in range(j + 1, 7):
-        centre = apply(at.links[:, link], np.broadcast_to(at.robot.link_com[link], (len(at.q), 3)))
-        moment = moment + at.robot.link_mass[link] * np.cross(centre - origin, weight)
-    return np.asarray(moment - (moment * axis).sum(axis=1, keepdims=True) * axis)
-
-
-def _warm_torsion(p: Planted, at: Instants) -> Array:
-    """A link that warms on one side twists about its own length."""
-    j = _joint(p)
-    along = at.links[:, j + 1, :3, 3] - at.links[:, j, :3, 3]
-    return np.asarray(at.warmth[:, None] * along / np.linalg.norm(along, axis=1, keepdims=True))
-
-
-def _azimuth(p: Planted, at: Instants) -> Array:
-    """The circle of the azimuth encoder sits off centre: once per turn of the head."""
-    azimuth = np.arctan2(at.point[:, 1], at.point[:, 0])
-    return np.cos(azimuth + p.number("phase_rad"))[:, None] * np.array([0.0, 0.0, 1.0])
-
-
-def _beam_bending(p: Planted, at: Instants) -> Array:
-    """Air that is warmer at the top bends the beam down, by an angle that grows with the distance."""
-    level = np.stack([at.point[:, 1], -at.point[:, 0], np.zeros(len(at.q))], axis=1)
-    return np.asarray(level / np.linalg.norm(level, axis=1, keepdims=True) * np.linalg.norm(at.point, axis=1, keepdims=True))
-
-
-_SHIFTS: dict[str, Form] = {
-    "hose_pull": _hose_pull, "load_hysteresis": _load_hysteresis, "posture_crosstalk": _posture_crosstalk,
-    "settling": _settling, "creep_under_load": _creep,
-}  # fmt: skip
-_TWISTS: dict[str, Form] = {"bearing_wobble": _bearing_wobble, "axis_tilt_under_load": _axis_tilt, "warm_torsion": _warm_torsion}
-_TURNS: dict[str, Form] = {"azimuth_eccentricity": _azimuth, "beam_bending": _beam_bending}
-FORMS = Forms(KINDS, _SHIFTS, _TWISTS, _TURNS)
+def _turn(frames: Array, links: slice, origin: Array, turn: Array) -> None:
+    """Turn these links' frames (n, ., 4, 4) about points (n, 3) by rotation vectors (n, 3), in place."""
+    R = Rotation.from_rotvec(turn).as_matrix()[:, None]
+    part = frames[:, links]
+    part[..., :3, 3] = origin[:, None] + (R @ (part[..., :3, 3] - origin[:, None])[..., None])[..., 0]
+    part[..., :3, :3] = R @ part[..., :3, :3]

@@ -1,33 +1,31 @@
-"""A machine of a force world: what its sensor would show without noise, with any effects, and the files of its log.
+"""What the sensor of a grinding machine would show without noise, with any effects inside and outside the catalogue.
 
 Contact, arm and sensor are the virtual cell's (`ocp.simulate.twin`); solutions of the contact are kept in the check's folder.
 """
 
 import os
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
-from ocp.blindtest.worlds.course import Course
-from ocp.blindtest.worlds.force_outside import KINDS as OUTSIDE
-from ocp.blindtest.worlds.force_outside import Instants, overlaps, pushes, readings
-from ocp.blindtest.worlds.runs import Rows
+from ocp.blindtest.worlds.lines import GroundLine, LogRows
+from ocp.blindtest.worlds.outside import GrindingInstants, moved_by
+from ocp.blindtest.worlds.pools import OUTSIDE, of_arm
 from ocp.model.cell import Cell
 from ocp.simulate.twin.arm.arm import Moments, make_arm, moments
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Tables, make_grinder, read_sensor
 from ocp.simulate.twin.contact.wheel import belt_travel
-from ocp.simulate.twin.truth.kinds_arm import KINDS as ARM_KINDS
 from ocp.simulate.twin.truth.machine import Truth
-from ocp.simulate.twin.truth.planting import Planted
 from robots.pose import Array
+from trajectories.blade import Blade
 
 SAVED_FROM = 24  # contacts solved anew, from which the store is written again
-ARM = frozenset(kind.name for kind in ARM_KINDS)
-_KEPT: dict[Path, Tables] = {}
+_STORES: dict[Path, Tables] = {}
 _Settled = tuple[Array, Array, Array]
 
 
@@ -35,14 +33,14 @@ _Settled = tuple[Array, Array, Array]
 class Log:
     """What happened at n instants: moments of the contact, the contact, readings fn, ft (n,) N without noise; q (n, 6) rad."""
 
-    rows: Rows
+    rows: LogRows
     q: Array
     moments: ContactMoments
     result: ContactResult
     fn: Array
     ft: Array
 
-    def last(self, rows: Rows) -> "Log":
+    def last(self, rows: LogRows) -> "Log":
         """The last of the instants, those of `rows`."""
         n = len(rows.s)
         names = [f.name for f in fields(self.moments)]
@@ -59,42 +57,51 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A cell, the lines, the joints taught for them, and the contact's store."""
+    """A cell, its blade and the lines on it, the joints taught for them, and the contact's store."""
 
     cell: Cell
-    course: Course
+    blade: Blade
+    lines: tuple[GroundLine, ...]
     joints: tuple[CubicSpline, ...]
     tables: Tables
     settled: dict[tuple[object, ...], _Settled] = field(default_factory=dict)
 
-    def log(self, truth: Truth, rows: Rows, hall: Array, rng: np.random.Generator | None = None, moved: Array | None = None,
-            gains: tuple[float, float] = (0.0, 0.0)) -> Log:  # fmt: skip
+    def log(
+        self,
+        truth: Truth,
+        rows: LogRows,
+        hall: Array,
+        rng: np.random.Generator | None = None,
+        moved: Array | None = None,
+        gains: tuple[float, float] = (0.0, 0.0),
+    ) -> Log:
         """Readings without noise of a truth; hall (n,) deg C; rng: joints repeat as badly as they do; moved (6,) or (n, 6): twist
         m, rad of the flange about its origin, base axes; gains: gain and zero (N) of the tangential axis."""
-        inside = tuple(p for p in truth.effects if p.effect not in OUTSIDE)
         strange = [p for p in truth.effects if p.effect in OUTSIDE]
-        truth = replace(truth, effects=inside, sensor_sigma=0.0)
-        q, T, give = self._settled(truth, rows, hall, rng)
+        truth = replace(truth, effects=tuple(p for p in truth.effects if p.effect not in OUTSIDE), sensor_sigma=0.0)
+        q, T, compliance = self._settled(truth, rows, hall, rng)
         if moved is not None:
             T = _twisted(T, np.broadcast_to(moved, (len(q), 6)).copy())
-        asked = told = self._asked(rows, T, give, hall)
-        grinder = make_grinder(self.cell, truth, self.course.blade, self.tables)
+        asked = shown = self._asked(rows, T, compliance, hall)
+        grinder = make_grinder(self.cell, truth, self.blade, self.tables)
+        at = self._instants(rows, q, asked)
+
+        def outside(what: str, at: GrindingInstants) -> Array:
+            return sum((amount for _, amount in moved_by(OUTSIDE, strange, what, at)), np.zeros(len(q)))
+
         if strange:
-            at = self._instants(rows, q, asked)
-            deeper, pushed = (np.sum([f(p, at) for p in strange], axis=0) for f in (overlaps, pushes))
             T = T.copy()
-            T[:, :3, 3] -= deeper[:, None] * self.cell.wheel.contact_direction
-            asked = replace(asked, T_base_flange=T, setpoint=asked.setpoint + pushed)
+            T[:, :3, 3] -= outside("overlap", at)[:, None] * self.cell.wheel.contact_direction
+            asked = replace(asked, T_base_flange=T, setpoint=asked.setpoint + outside("push", at))
         result = grinder.force(asked)
         fn, ft = read_sensor(truth, result, asked, np.random.default_rng(0))
         if strange:
-            fn = fn + np.sum([readings(p, replace(at, force=result.force)) for p in strange], axis=0)
-        return Log(rows, q, told, result, fn, ft * (1 + gains[0]) + gains[1])
+            fn = fn + outside("reading", replace(at, force=result.force))
+        return Log(rows, q, shown, result, fn, ft * (1 + gains[0]) + gains[1])
 
-    def _settled(self, truth: Truth, rows: Rows, hall: Array, rng: np.random.Generator | None) -> _Settled:
+    def _settled(self, truth: Truth, rows: LogRows, hall: Array, rng: np.random.Generator | None) -> _Settled:
         """Joints (n, 6), the flange's poses (n, 4, 4) and compliances (n, 6, 6); kept for each set of effects of the arm."""
-        own = tuple(p for p in truth.effects if p.effect in ARM)
-        key = (id(rows), id(truth.placement), truth.mass_scale.tobytes(), repr(own))
+        key = (id(rows), id(truth.placement), truth.mass_scale.tobytes(), repr(of_arm(truth.effects)))
         if rng is None and key in self.settled:
             return self.settled[key]
         still = self.still(rows, hall)
@@ -105,7 +112,7 @@ class Bench:
             self.settled[key] = found
         return found
 
-    def still(self, rows: Rows, hall: Array) -> Moments:
+    def still(self, rows: LogRows, hall: Array) -> Moments:
         """The arm's moments on the path."""
         line, travel, feed = rows.each("line"), rows.each("travel"), rows.each("feed")
         q, rate = np.empty((len(rows.s), 6)), np.empty((len(rows.s), 6))
@@ -117,32 +124,49 @@ class Bench:
         name = "" if piece is None else piece.name
         return moments(q, name, hall, approach, rows.clock, visit=rows.run)
 
-    def _asked(self, rows: Rows, T: Array, give: Array, hall: Array) -> ContactMoments:
+    def _asked(self, rows: LogRows, T: Array, compliance: Array, hall: Array) -> ContactMoments:
         n = len(rows.s)
         p, normal, t = (np.empty((n, 3)) for _ in range(3))
         line = rows.each("line").astype(np.int64)
-        for one in self.course.lines:
+        for one in self.lines:
             own = line == one.number
             p[own], normal[own], t[own] = one.at(rows.s[own])
         return ContactMoments(
-            T_base_flange=T, arm_compliance=give, p=p, n=normal, t=t, s=rows.s, line=line,
-            setpoint=rows.each("setpoint"), feed=rows.each("feed"), belt=rows.each("belt"),
-            contact=rows.each("contact").astype(bool), clock_s=rows.clock, time_s=rows.time, run=rows.run,
+            T_base_flange=T,
+            arm_compliance=compliance,
+            p=p,
+            n=normal,
+            t=t,
+            s=rows.s,
+            line=line,
+            setpoint=rows.each("setpoint"),
+            feed=rows.each("feed"),
+            belt=rows.each("belt"),
+            contact=rows.each("contact").astype(bool),
+            clock_s=rows.clock,
+            time_s=rows.time,
+            run=rows.run,
             ground_before=rows.each("ground_before"),
-            wheel_temperature_C=self.cell.tables.reference_temperature_C + rows.wheel_warmth, temperature_C=hall,
-        )  # fmt: skip
+            wheel_temperature_C=self.cell.tables.reference_temperature_C + rows.wheel_warmth,
+            temperature_C=hall,
+        )
 
-    def _instants(self, rows: Rows, q: Array, asked: ContactMoments) -> Instants:
-        return Instants(
-            s=rows.s, travel=rows.each("travel"), time=rows.time, clock=rows.clock, belt=asked.belt, way=belt_travel(asked),
-            radius=self.cell.wheel.radius, force=np.zeros(len(q)), q=q,
-        )  # fmt: skip
+    def _instants(self, rows: LogRows, q: Array, asked: ContactMoments) -> GrindingInstants:
+        return GrindingInstants(
+            s=rows.s,
+            travel=rows.each("travel"),
+            time=rows.time,
+            clock=rows.clock,
+            belt=asked.belt,
+            way=belt_travel(asked),
+            radius=self.cell.wheel.radius,
+            force=np.zeros(len(q)),
+            q=q,
+        )
 
 
 def _twisted(T: Array, twist: Array) -> Array:
     """Flange poses (n, 4, 4) moved by small twists (n, 6) about their origins."""
-    from scipy.spatial.transform import Rotation
-
     out = T.copy()
     out[:, :3, 3] += twist[:, :3]
     out[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ T[:, :3, :3]
@@ -151,12 +175,12 @@ def _twisted(T: Array, twist: Array) -> Array:
 
 def store_of(path: Path, make: Callable[[], Tables]) -> Tables:
     """Solutions of the contact kept in a file and in this process."""
-    if path not in _KEPT:
-        _KEPT[path] = pickle.loads(path.read_bytes()) if path.is_file() else make()
-    return _KEPT[path]
+    if path not in _STORES:
+        _STORES[path] = pickle.loads(path.read_bytes()) if path.is_file() else make()
+    return _STORES[path]
 
 
-def keep(path: Path, tables: Tables, before: int) -> None:
+def save_store(path: Path, tables: Tables, before: int) -> None:
     """Write the store where it grew, with what another process may have written meanwhile; whole or not at all."""
     if len(tables.nodes) < before + SAVED_FROM:
         return
@@ -167,8 +191,3 @@ def keep(path: Path, tables: Tables, before: int) -> None:
     part = path.with_suffix(f".{os.getpid()}.part")
     part.write_bytes(pickle.dumps(tables))
     part.replace(path)
-
-
-def effects_of(truth: Truth, effects: Sequence[Planted]) -> Truth:
-    """The same machine with these effects."""
-    return replace(truth, effects=tuple(effects))

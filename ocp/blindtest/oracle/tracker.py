@@ -1,0 +1,234 @@
+"""A tracker's readings as somebody sees them who knows the machine: where every reflector stands, how it moves, how it is read.
+
+Everything comes from the virtual cell's own frames and torques (`ocp.simulate.twin`); nothing of the diagnosis' model is used, so
+that signatures and detectabilities of the blind check are an independent measure. SI and radians; points in the tracker's axes.
+"""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ocp.blindtest.oracle.detectability import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
+from ocp.blindtest.worlds.machines import TrackerMachine
+from ocp.model.cell import Cell
+from ocp.simulate.twin.arm.arm import Arm, make_arm
+from ocp.simulate.twin.designs import Campaign
+from ocp.simulate.twin.tracker import nest_links
+from ocp.simulate.twin.truth.machine import Truth
+from ocp.simulate.twin.truth.planting import Planted
+from ocp.simulate.twin.truth.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, RIPPLE, STIFFNESS
+from robots.pose import Array, apply
+
+FREE = 1.0  # m, rad: the tracker's place is not known at all
+GROSS = 40.0  # squared white distance of three coordinates: a gross reading, which the oracle leaves out
+_MASS_STEP = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerScene:
+    """A campaign on a machine without planted effects.
+
+    links (n, 7, 4, 4) base axes; point (n, 3) m reflectors in the tracker's frame; inner (n, 3) m the same in base axes; carrier
+    (n,) link that bears the nest; turn (3, 3) rotation from base to tracker axes; D (n, 3, 6) m/rad derivative of the points in
+    the joints' angles (robot's signs); tau (n, 6) N m load torques; warmth (n,) K.
+    """
+
+    cell: Cell
+    truth: Truth
+    campaign: Campaign
+    arm: Arm
+    links: Array
+    point: Array
+    inner: Array
+    carrier: Array
+    turn: Array
+    D: Array
+    tau: Array
+    warmth: Array
+
+    def __len__(self) -> int:
+        return len(self.campaign)
+
+    def moved(self, link: int, motion: Array) -> Array:
+        """Change (n, 3, m) of the points when link `link` and all that follows it make small motions (n, 6, m): m at that link's
+        origin and rad, base axes."""
+        arms = self.inner - self.links[:, link, :3, 3]
+        shift = motion[:, :3] + np.cross(motion[:, 3:], arms[:, :, None], axisa=1, axisb=1, axisc=1)
+        return np.einsum("ij,njm->nim", self.turn, shift) * (self.carrier >= link)[:, None, None]
+
+
+def scene_of(machine: TrackerMachine) -> TrackerScene:
+    """The scene of the campaign to learn from."""
+    cell, truth, campaign = machine.cell, machine.truth, machine.campaign
+    arm = make_arm(cell, truth)
+    m = campaign.moments
+    settled = arm.settled(m)
+    links, n = settled.links, len(campaign)
+    carrier = nest_links(cell, campaign.targets)
+    nests = np.array([truth.nests[name] for name in campaign.targets]).reshape(-1, 3)
+    inner = apply(links[np.arange(n), carrier], nests)
+    turn = truth.T_tracker_base[:3, :3]
+    D = np.empty((n, 3, 6))
+    for j in range(6):
+        # Joint j + 1 turns about the z axis of the frame before it (docs/architecture.md, MD-H), in the robot's sign.
+        axis = cell.robot.sign[j] * links[:, j, :3, 2]
+        D[:, :, j] = np.cross(axis, inner - links[:, j, :3, 3]) @ turn.T * (carrier > j)[:, None]
+    warmth = m.temperature_C - cell.tables.reference_temperature_C
+    point, torque = apply(truth.T_tracker_base, inner), settled.load_torque[:, :6]
+    return TrackerScene(cell, truth, campaign, arm, links, point, inner, carrier, turn, D, torque, warmth)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerView:
+    """A machine that a tracker measures as an oracle sees it; noise (n, 3) m of a world's readings, where they are there."""
+
+    machine: TrackerMachine
+    scene: TrackerScene
+    white: ExactWhitener
+    noise: Array | None = None
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Nests of the campaign."""
+        return tuple(dict.fromkeys(self.machine.campaign.targets))
+
+    def signature(self, effects: Sequence[Planted], without: Sequence[Planted] = ()) -> Array:
+        """White change (3n,) of the readings from `without` to `effects`."""
+        return self.white.apply(self.machine.points(effects) - self.machine.points(without))
+
+    def price(self, effect: str, joint: int | None = None) -> float:
+        """What a scanned family pays: 2 ln(variants)."""
+        return float(2.0 * np.log(variants(effect, self.scene)))
+
+    def instant(self, planted: Planted, rng: np.random.Generator) -> float | None:
+        """None: every effect begins when it was drawn to."""
+        return None
+
+    def readings(self, folder: Path, effects: Sequence[Planted], rng: np.random.Generator) -> Array:
+        """White readings (3n,): the effects, the world's noise, a machine drawn anew."""
+        assert self.noise is not None
+        A, sd = tracker_nuisance(self.scene)
+        drawn = rng.normal(size=len(sd)) * sd
+        return self.white.apply(self.machine.points(effects) - self.machine.points(()) + self.noise + A @ drawn)
+
+
+def tracker_view(machine: TrackerMachine, folder: Path | None = None, effects: Sequence[Planted] = ()) -> TrackerView:
+    """Of a machine; of a world in `folder` with these effects gross readings count for nothing."""
+    scene = scene_of(machine)
+    if folder is None:
+        return TrackerView(machine, scene, tracker_whitener(scene))
+    noise = points_read(folder) - machine.points(effects)
+    squared = np.einsum("ni,ni->n", noise, np.linalg.solve(point_covariance(scene), noise[..., None])[..., 0])
+    usual = squared < GROSS
+    return TrackerView(machine, scene, tracker_whitener(scene, usual), noise * usual[:, None])
+
+
+def points_read(folder: Path) -> Array:
+    """Points (n, 3) m of a world's tracker.csv."""
+    with (folder / "tracker.csv").open(encoding="utf-8") as file:
+        return 1e-3 * np.array([[float(row[f"{c}_mm"]) for c in "xyz"] for row in csv.DictReader(file)])
+
+
+def tracker_root(scene: TrackerScene, usual: Array | None = None) -> Array:
+    """Inverse roots (n, 3, 3) of the covariance of each reading; usual (n,): readings that count."""
+    W = np.linalg.inv(np.linalg.cholesky(point_covariance(scene)))
+    return np.asarray(W if usual is None else W * usual[:, None, None])
+
+
+def white_points(W: Array, changes: Array) -> Array:
+    """White rows (3n, ...) of changes (n, 3, ...) m."""
+    n = len(changes)
+    return np.asarray((W @ changes.reshape(n, 3, -1)).reshape(3 * n, *changes.shape[2:]))
+
+
+def tracker_whitener(scene: TrackerScene, usual: Array | None = None) -> ExactWhitener:
+    """With the variances that machines are drawn with; a machine with background ripple and play has those too."""
+    A, sd = tracker_nuisance(scene)
+    W = tracker_root(scene, usual)
+    return exact_whitener(partial(white_points, W), white_points(W, A) * sd)
+
+
+def point_covariance(scene: TrackerScene) -> Array:
+    """Covariance (n, 3, 3) m^2 of the readings: the instrument's directions, repeatability through the Jacobian; ripples of the
+    background, each of an order nobody knows, scatter like joint noise."""
+    table = scene.cell.tables.tracker
+    along = 1e-6 * (table.range_noise_um if table is not None else 8.0)
+    per_metre = 1e-6 * (table.transverse_noise_um_per_m if table is not None else 3.0)
+    distance = np.linalg.norm(scene.point, axis=1)
+    beam = scene.point / distance[:, None]
+    across = (along + per_metre * distance) ** 2
+    own = across[:, None, None] * np.eye(3) + (along**2 - across)[:, None, None] * beam[:, :, None] * beam[:, None, :]
+    joints = REPEATABILITY**2 + (RIPPLE**2 / 6 if restless(scene) else 0.0)
+    return np.asarray(own + joints * scene.D @ np.swapaxes(scene.D, 1, 2))
+
+
+def restless(scene: TrackerScene) -> bool:
+    """Whether the machine has ripple and play that nobody planted."""
+    return bool(scene.truth.ripple[:, 0].any() or scene.truth.play.any())
+
+
+def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
+    """Derivatives (n, 3, p) of the points and one sigma (p,) of what a machine is drawn with: the tracker's place, the placement
+    of every link, nests, springs, masses, and the play of a background."""
+    n = len(scene)
+    blocks, sds = [], []
+    frame = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -cross_matrices(scene.point)], axis=2)
+    blocks.append(frame)
+    sds += [FREE] * 6
+    for link in range(1, 7):
+        R = scene.links[:, link, :3, :3]
+        motion = np.zeros((n, 6, 6))
+        motion[:, :3, :3] = motion[:, 3:, 3:] = R
+        blocks.append(scene.moved(link, motion))
+        sds += list(np.repeat(PLACEMENT, 3))
+    table = scene.cell.tables.tracker
+    for name in dict.fromkeys(scene.campaign.targets):
+        own = np.array([t == name for t in scene.campaign.targets])
+        R = scene.links[np.arange(n), scene.carrier, :3, :3]
+        blocks.append(scene.turn @ R * own[:, None, None])
+        sds += [1e-3 * (table.target_sd_mm if table is not None else 1.0)] * 3
+    compliance = _compliance(scene)
+    blocks.append(scene.D * (scene.tau * compliance)[:, None, :])
+    sds += [STIFFNESS / np.sqrt(3.0)] * 6
+    blocks.append(_masses(scene, compliance))
+    sds += [MASS_SD] * 7
+    if restless(scene):
+        blocks.append(scene.D * scene.campaign.moments.approach[:, None, :])
+        sds += [PLAY / np.sqrt(3.0)] * 6
+    return np.concatenate(blocks, axis=2), np.array(sds)
+
+
+def _compliance(scene: TrackerScene) -> Array:
+    """rad/(N m) of the joints that weight bends."""
+    k = scene.truth.stiffness
+    return np.asarray(np.divide(1.0, k, out=np.zeros(6), where=k > 0) * scene.truth.bends)
+
+
+def _masses(scene: TrackerScene, compliance: Array) -> Array:
+    """Derivatives (n, 3, 7) in the relative masses of base and links, through the torques they make."""
+    columns = np.zeros((len(scene), 3, 7))
+    for link in range(1, 7):
+        scale = scene.truth.mass_scale.copy()
+        scale[link] += _MASS_STEP
+        changed = make_arm(scene.cell, replace(scene.truth, mass_scale=scale)).settled(scene.campaign.moments)
+        torque = (changed.load_torque[:, :6] - scene.tau) / _MASS_STEP
+        columns[:, :, link] = np.einsum("nij,nj->ni", scene.D, torque * compliance)
+    return columns
+
+
+def cross_matrices(v: Array) -> Array:
+    """Matrices (n, 3, 3) of the cross products v x."""
+    x, y, z = v[:, 0], v[:, 1], v[:, 2]
+    zero = np.zeros(len(v))
+    return np.stack([np.stack([zero, -z, y], 1), np.stack([z, zero, -x], 1), np.stack([-y, x, zero], 1)], axis=1)
+
+
+def variants(effect: str, scene: TrackerScene) -> int:
+    """How many members of a scanned family are looked at: orders, instants, nests; 1 for effects of one form."""
+    nests = len(set(scene.campaign.targets))
+    counts = {"gear_harmonic": GEAR_ORDERS, "motor_harmonic": MOTOR_ORDERS}
+    return (counts | {"base_tilt": len(scene), "target_shift": nests * len(scene)}).get(effect, 1)
