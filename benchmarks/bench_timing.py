@@ -12,8 +12,9 @@ from scipy.interpolate import CubicSpline
 from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
 from trajectories.joint_trajectory import Limits, ramps, sample_times
-from trajectories.krl.interpolation import emit, largest_axis_difference, rest_to_rest_spline
+from trajectories.krl.values import FILE_LIMITS
 from trajectories.path_law import squared_speeds, time_law
+from trajectories.program.interpolation import emit, largest_axis_difference, rest_to_rest_spline
 from trajectories.timing import _cleaned, _rows, _Tightening, time_contact_path
 
 
@@ -58,7 +59,7 @@ def main() -> None:
     for window in (0.0, 0.05, 0.1):
         one = time_contact_path(q, s, 0.04, limits, window=window)
         for step in (0.05, 0.025, 0.0125):
-            e = emit(one, 1.0, largest_axis_difference, step)
+            e = emit(one, FILE_LIMITS, 1.0, largest_axis_difference, step)
             t = sample_times(one)
             qdd = rest_to_rest_spline(e.q, e.times)(t, nu=2)
             ratio = np.abs(qdd / limits.qdd).max()

@@ -97,11 +97,13 @@ class Process:
 
 @dataclass(frozen=True)
 class Controller:
-    """KRL numbers of tool and base, and whether the controller corrects Cartesian targets itself."""
+    """Numbers of tool and base, whether the controller corrects Cartesian targets itself, and the language of its programs, by
+    its name in trajectories.dialects."""
 
     tool_no: int
     base_no: int
     absolute_accuracy: bool
+    dialect: str = "krl"
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ class PayloadTable(TomlTable):
 class ControllerTable(TomlTable):
     """`[controller]`."""
 
+    dialect: Literal["krl"] = "krl"
     tool_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
     base_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
     absolute_accuracy: bool = False

@@ -11,7 +11,7 @@ import numpy as np
 
 from ocp.plan.motion.timeline import Timeline, build_timeline
 from ocp.plan.planning import Plan
-from ocp.plan.programming import emitted_times, krl_program, write_program
+from ocp.plan.programming import emitted_times, grinding_program, write_program
 from ocp.plan.report.build import build_report
 from ocp.plan.report.data import InputFile, SummaryRow
 from ocp.plan.report.page import write_page
@@ -22,6 +22,7 @@ from ocp.plan.verify.second_route import believed_robot
 from ocp.shell.hashes import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
+from trajectories.dialects import dialect_named
 
 PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild")
 
@@ -72,8 +73,9 @@ def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Pha
             write_pdf(report, folder / "report.pdf")
         with phases.phase("writing"):
             _write_json(plan, written, summary, verdict, folder / "plan.json")
+    dialect = dialect_named(plan.cell.controller.dialect)
     line = (
-        f"{out}: {len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} KRL files, "
+        f"{out}: {len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} {dialect.title} files, "
         f"safe to use: {verdict} "
         f"Look at {out / 'report.html'} before anything moves."
     )
@@ -83,16 +85,15 @@ def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Pha
 def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
     cell = plan.cell
     with phases.phase("writing"):
-        program = krl_program(cell, plan.motion, plan.kind, plan.name)
-        main = write_program(program, folder)
+        program = grinding_program(cell, plan.motion, plan.kind, plan.name)
+        files = write_program(cell, program, folder)
         timeline = build_timeline(plan.motion, emitted_times(plan.motion, program))
         write_plan_csv(timeline, folder / "plan.csv")
     with phases.phase("reading back"):
         values = plan.theta.values
         believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
-        readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, main, plan.jobs)
-    files = sorted(p.name for p in folder.iterdir() if p.suffix in (".src", ".dat"))
-    return _Written(files, timeline, readback)
+        readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, files[0], plan.jobs)
+    return _Written(sorted(file.name for file in files), timeline, readback)
 
 
 def _verdict(plan: Plan, written: _Written) -> str:

@@ -1,4 +1,4 @@
-"""A path taken from an existing KRL program: where each of its poses lets the blade touch the wheel."""
+"""A path taken from an existing program: where each of its poses lets the blade touch the wheel."""
 
 from pathlib import Path
 
@@ -12,9 +12,10 @@ from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from trajectories.blade import AerofoilShape, Blade
-from trajectories.krl.old_program import contact_frames_from_program
+from trajectories.dialects import dialect_named
 from trajectories.passes import BladePath
 from trajectories.path_points import paths_from_points
+from trajectories.program.old_program import contact_frames_from_program
 
 APART = 3e-3  # m between nominal blade and wheel: poses farther off are approach, not contact
 STRIP = 2.5e-3  # m about the wheel's middle plane and the deepest point that the local fit uses
@@ -29,8 +30,9 @@ def paths_from_program(
     The contact point of a pose is the blade's deepest point toward the wheel's axis in the wheel's middle plane.
     Raises BadInput: unreadable program, or none of its poses brings the blade to the wheel.
     """
+    execution = dialect_named(cell.controller.dialect).read(source)
     old, notes = contact_frames_from_program(
-        source, lambda q: forward(cell.robot, q), cell.workpiece.T_flange_blade, wheel_frame(cell)
+        execution, lambda q: forward(cell.robot, q), cell.workpiece.T_flange_blade, wheel_frame(cell)
     )
     notices = list(notes)
     p, n, line, places, feed = [], [], [], [], []

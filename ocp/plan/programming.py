@@ -1,4 +1,4 @@
-"""The motion as KRL files in a folder."""
+"""The motion as a robot program: what it is made of, and its files in a folder."""
 
 from itertools import groupby
 from pathlib import Path
@@ -9,11 +9,10 @@ from ocp.model.cell import Cell, wheel_frame
 from ocp.plan.motion.motion import Motion
 from robots.kinematics import forward
 from robots.pose import Array, apply
+from trajectories.dialects import dialect_named
 from trajectories.joint_trajectory import sample_times
-from trajectories.krl.build import Leg, build_program
-from trajectories.krl.program import Program, Setup, TimedSpline
-from trajectories.krl.status_turn import ArmLengths
-from trajectories.krl.writer import program_files
+from trajectories.program.build import Leg, build_program
+from trajectories.program.program import Program, Setup, TimedSpline
 
 FORCE_SHARE = 0.05  # N: what the emitted points may cost on the way between them
 FINEST, COARSEST = 1e-6, 2e-5  # m, bounds of the tolerance that follows from it
@@ -21,7 +20,7 @@ AIR_TOLERANCE = 2e-4  # m, off contact
 TABLE_STEP = 0.025  # s between rows of plan.csv where the program itself is not timed
 
 
-def krl_program(cell: Cell, motion: Motion, kind: str, name: str) -> Program:
+def grinding_program(cell: Cell, motion: Motion, kind: str, name: str) -> Program:
     """The program of a motion; `kind` axis, cartesian or lin.
 
     Raises BadInput where the combination must not be written, Infeasible where the emitted points leave the plan.
@@ -36,31 +35,33 @@ def krl_program(cell: Cell, motion: Motion, kind: str, name: str) -> Program:
 
     stiffness = max(float(p.evaluation.stiffness.max()) for p in motion.passes)
     fine = float(np.clip(FORCE_SHARE / stiffness, FINEST, COARSEST))
-    payload = cell.workpiece.payload
-    setup = Setup(
-        T_flange_blade=cell.workpiece.T_flange_blade,
-        T_base_wheel=wheel_frame(cell),
-        arm=ArmLengths.of(cell.robot.mdh),
-        tool_no=cell.controller.tool_no,
-        base_no=cell.controller.base_no,
-        kind=kind,
-        absolute_accuracy=cell.controller.absolute_accuracy,
-        load_mass=payload.mass,
-        load_com=payload.com,
-    )
 
     def tolerance(leg: Leg) -> float:
         return fine if leg.kind == "contact" else AIR_TOLERANCE
 
-    return build_program(name, setup, groups, labels, lambda q: forward(cell.robot, q), tolerance, moved)
+    dialect, payload = dialect_named(cell.controller.dialect), cell.workpiece.payload
+    setup = program_setup(cell, payload.mass, payload.com, kind)
+    return build_program(dialect, name, setup, groups, labels, lambda q: forward(cell.robot, q), tolerance, moved)
 
 
-def write_program(program: Program, folder: Path) -> Path:
-    """Write the .src and .dat files; the path of the main program."""
-    files = program_files(program)
-    for file, data in files.items():
-        (folder / file).write_bytes(data)
-    return folder / next(iter(files))
+def program_setup(cell: Cell, load_mass: float, load_com: Array, kind: str = "axis") -> Setup:
+    """Frames, robot and numbers that every program of a cell needs, with what hangs on the flange (kg, m)."""
+    return Setup(
+        T_flange_blade=cell.workpiece.T_flange_blade,
+        T_base_wheel=wheel_frame(cell),
+        robot=cell.robot,
+        tool_no=cell.controller.tool_no,
+        base_no=cell.controller.base_no,
+        kind=kind,
+        absolute_accuracy=cell.controller.absolute_accuracy,
+        load_mass=load_mass,
+        load_com=load_com,
+    )
+
+
+def write_program(cell: Cell, program: Program, folder: Path) -> list[Path]:
+    """Write the program's files in the dialect of the cell's controller, the main program's first."""
+    return dialect_named(cell.controller.dialect).write(program, folder)
 
 
 def emitted_times(motion: Motion, program: Program) -> list[Array]:

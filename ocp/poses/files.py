@@ -20,6 +20,7 @@ from ocp.shell.progress import Phases
 from robots.calibration.observability import CRITERIA, identifiable_basis, observability, posterior_sd, singular_values
 from robots.calibration.parameters import SYMBOLS
 from robots.tracker_readings import APPROACH, AXES
+from trajectories.dialects import dialect_named
 
 COLUMNS = ("target", "payload", *AXES, *APPROACH)
 
@@ -61,11 +62,12 @@ def last_line(plan: PosePlan, out: Path, rows: int, programs: int) -> str:
         more = f"more than {int(curve.count[-1]) - 10} poses still help"
     else:
         more = f"beyond {curve.enough} poses ten more improve that by less than 5 %"
+    title = dialect_named(plan.cell.controller.dialect).title + " program"
     mounted = " then ".join(f"{c.payload} ({len(c.stops)})" for c in plan.campaigns)
     place = ", ".join(f"{1e3 * v:.0f}" for v in plan.tracker)
     total, own, scatter = (f"{1e3 * v:.3f}" for v in (curve.chosen_total, curve.chosen, plan.design.repeatability))
     return (
-        f"{out}: {len(plan.chosen)} poses, {rows} readings, {programs} KRL program{'s' if programs > 1 else ''} for {mounted}; "
+        f"{out}: {len(plan.chosen)} poses, {rows} readings, {programs} {title}{'s' if programs > 1 else ''} for {mounted}; "
         f"tracker at ({place}) mm, {plan.tracker_from}. Expected in the grinding zone after calibration: {total} mm (one sigma; "
         f"calibration {own}, robot's own scatter {scatter}); {more}. "
         f"Drive the programs in T1 first; x_mm, y_mm, z_mm of the readings go into {out / 'poses.csv'}."

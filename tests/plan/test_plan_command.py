@@ -18,7 +18,6 @@ from robots.robot import load_robot
 from tests.support import small_plan
 from tests.support.small_plan import STEP, planned, refused, small_cell, tree
 from trajectories.krl.checks import check_program
-from trajectories.krl.status_turn import ArmLengths
 
 COLUMNS = (
     "time_s line contact q1_deg q2_deg q3_deg q4_deg q5_deg q6_deg qd1_deg_s qd2_deg_s qd3_deg_s qd4_deg_s qd5_deg_s "
@@ -51,7 +50,7 @@ def checked(plan: Path, absolute: bool = False):
     robot = load_robot("kr210_r2700_extra")
     mains = [p for p in sorted(plan.glob("*.src")) if not re.search(r"_\d\d(_[A-Z])?$", p.stem)]
     assert len(mains) == 1
-    return check_program(mains[0], (robot.q_min, robot.q_max), ArmLengths.of(robot.mdh), absolute)
+    return check_program(mains[0], robot, absolute)
 
 
 def one_sentence(told, code: int) -> str:

@@ -12,15 +12,16 @@ import pytest
 
 from ocp.plan.motion.motion import Motion, Segment
 from ocp.plan.motion.timeline import build_timeline
-from ocp.plan.programming import emitted_times, krl_program, wheel_frame, write_program
+from ocp.plan.programming import emitted_times, grinding_program, wheel_frame, write_program
 from ocp.plan.table import write_plan_csv
 from ocp.plan.verify.readback import _timed
 from robots.errors import BadInput, Infeasible
 from robots.rigid_body import inverse_dynamics
 from tests.support.example_pass import bar_pass, bundled_cell
+from tests.support.toy_dialect import TOY
+from trajectories.dialects import DIALECTS
 from trajectories.joint_trajectory import Limits
 from trajectories.krl.checks import check_program
-from trajectories.krl.status_turn import ArmLengths
 from trajectories.timing import time_contact_path, time_joint_move
 
 
@@ -64,13 +65,12 @@ def motion() -> Motion:
 
 
 def written(folder, kind="axis", name="blade 1.stl"):
-    program = krl_program(cell(), motion(), kind, name)
-    return program, write_program(program, folder)
+    program = grinding_program(cell(), motion(), kind, name)
+    return program, write_program(cell(), program, folder)[0]
 
 
 def checked(main):
-    robot = cell().robot
-    return check_program(main, (robot.q_min, robot.q_max), ArmLengths.of(robot.mdh))
+    return check_program(main, cell().robot)
 
 
 def test_segments_follow_one_another_without_a_gap():
@@ -177,7 +177,7 @@ def test_every_kind_stands_the_checks_and_comes_out_the_same_twice(tmp_path, kin
 def test_absolute_accuracy_and_poses_are_refused():
     accurate = replace(cell(), controller=replace(cell().controller, absolute_accuracy=True))
     with pytest.raises(BadInput, match="absolute_accuracy"):
-        krl_program(accurate, motion(), "cartesian", "x")
+        grinding_program(accurate, motion(), "cartesian", "x")
 
 
 @pytest.mark.parametrize("name", ["x(); $OV_PRO=100 ;.stl", "a\nHALT\n.stl", "END", "ü ß.stl", "", "9" * 80, "..", ";FOLD"])
@@ -232,3 +232,17 @@ def test_a_program_timed_for_a_stronger_machine_is_refused(tmp_path):
     weak = replace(cell(), robot=replace(cell().robot, qdd_max=0.5 * cell().robot.qdd_max))
     with pytest.raises(Infeasible, match="of an axis limit"):
         _timed(weak, motion(), checked(main))
+
+
+# -- a second dialect ----------------------------------------------------------------------------------------------
+
+
+def test_a_motion_goes_through_a_second_dialect_by_the_same_way(tmp_path, monkeypatch):
+    monkeypatch.setitem(DIALECTS, "toy", TOY)
+    toy = replace(cell(), controller=replace(cell().controller, dialect="toy"))
+    program = grinding_program(toy, motion(), "axis", "blade 1.stl")
+    files = write_program(toy, program, tmp_path)
+    assert [file.name for file in files] == ["blade1stl.toy"]
+    driven, axis_error, time_error, ratio = _timed(toy, motion(), TOY.check(files[0], toy.robot))
+    assert len(driven) == 2 and axis_error < np.radians(2e-3) and time_error < 1e-3 and 0 < ratio <= 1.0
+    assert len(emitted_times(motion(), program)) == len(motion().segments)

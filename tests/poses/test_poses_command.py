@@ -23,7 +23,6 @@ from ocp.poses.zone import ground_blade
 from robots.errors import BadInput
 from robots.tracker_readings import read_readings
 from trajectories.krl.checks import check_program
-from trajectories.krl.status_turn import ArmLengths
 
 TRACKER = "[tracker.targets]\nT1 = [150, -50, 250]\nT2 = [-160, 40, 210]\nT3 = [20, 170, 330]\n"
 HEAVY = "[payloads.heavy]\nmass_kg = 120.0\ncom_mm = [0, 20, 200]\n"
@@ -124,9 +123,9 @@ def test_the_programs_stand_the_checks_and_stop_at_the_readings_from_both_sides(
     assert [m.stem for m in mains(poses)] == ["POSES_GRINDER", "POSES_HEAVY"]
     scene = Scene(read_cell(cell_file), ground_blade(read_cell(cell_file)).vertices)
     for main, payload in zip(mains(poses), wanted, strict=True):
-        execution = check_program(main, (robot.q_min, robot.q_max), ArmLengths.of(robot.mdh), pauses=True)
+        execution = check_program(main, robot, pauses=True)
         points = np.array([s.q[0] for s in execution.segments])
-        assert {s.kind for s in execution.segments} == {"PTP"}
+        assert {s.word for s in execution.segments} == {"PTP"}
         assert scene.clearance(dense(points), in_contact=False).value >= 0
         np.testing.assert_allclose(points[0], points[-1])
         # The text itself, read by hand: what stands before every HALT and the point before that.

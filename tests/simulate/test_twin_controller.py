@@ -28,10 +28,10 @@ from tests.support.krl_example import (
     write,
 )
 from trajectories.blade import read_blade
-from trajectories.krl import program as krl
-from trajectories.krl.execution import execute
-from trajectories.krl.interpolation import reinterpolate
+from trajectories.krl.interpreter import execute
 from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
+from trajectories.program import program as krl
+from trajectories.program.interpolation import reinterpolate
 
 MICROMETRE = 1e-6
 
@@ -81,7 +81,7 @@ def same_as_the_product(folder: Path, main: Path) -> None:
         if segment.times is not None:
             assert motion.times[i] == pytest.approx(segment.times[k], abs=1e-9)
         assert np.allclose(motion.frames.tool, segment.frames.tool) and np.allclose(motion.frames.base, segment.frames.base)
-        assert motion.frames.held == (segment.frames.ipo_mode == "#TCP")
+        assert motion.frames.held == (segment.frames.external_tcp)
 
 
 def test_timed_programs_are_driven_within_a_micrometre_of_the_products_interpolation(tmp_path):

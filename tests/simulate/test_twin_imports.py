@@ -41,6 +41,8 @@ FORBIDDEN = (
     "robots.elementary",
     "robots.inverse",
     "trajectories.krl",
+    "trajectories.program",
+    "trajectories.dialects",
     "robots.calibration",
     "ocp.contact.wheel.law",
     "ocp.contact.wheel.law_fit",

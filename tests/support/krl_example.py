@@ -9,10 +9,9 @@ import numpy as np
 from robots.pose import Array, invert, transform_from_xyzabc
 from robots.robot import Robot, load_robot
 from trajectories.joint_trajectory import JointTrajectory, Limits
-from trajectories.krl.build import build_program
-from trajectories.krl.program import Program, Setup
-from trajectories.krl.status_turn import ArmLengths
-from trajectories.krl.writer import program_files
+from trajectories.krl.dialect import KRL
+from trajectories.program.build import build_program
+from trajectories.program.program import Program, Setup
 from trajectories.timing import time_contact_path, time_joint_move
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -66,7 +65,7 @@ def setup(kind: str = "axis", **options: object) -> Setup:
     return Setup(
         T_FLANGE_BLADE,
         T_BASE_WHEEL,
-        ArmLengths.of(ROBOT.mdh),
+        ROBOT,
         kind=kind,
         load_mass=25.0,
         load_com=np.array([0.01, 0.0, 0.16]),
@@ -77,6 +76,7 @@ def setup(kind: str = "axis", **options: object) -> Setup:
 @cache
 def example(kind: str = "axis", passes: int = 1, **options: object) -> Program:
     return build_program(
+        KRL,
         "blade 1.stl",
         setup(kind, **options),
         [legs()] * passes,
@@ -87,9 +87,7 @@ def example(kind: str = "axis", passes: int = 1, **options: object) -> Program:
 
 
 def write(program: Program, folder: Path) -> Path:
-    for name, data in program_files(program).items():
-        (folder / name).write_bytes(data)
-    return folder / f"{program.name}.src"
+    return KRL.write(program, folder)[0]
 
 
 def contact_poses(q: Array) -> Array:

@@ -9,10 +9,7 @@ import pytest
 from robots.errors import BadInput
 from tests.support.krl_example import ROBOT, example
 from trajectories.krl.checks import check_program
-from trajectories.krl.status_turn import ArmLengths
 
-ARM = ArmLengths.of(ROBOT.mdh)
-RANGE = (ROBOT.q_min, ROBOT.q_max)
 SUB, MAIN, DATA = "BLADE_1_01.src", "BLADE_1.src", "BLADE_1_01.dat"
 
 
@@ -205,7 +202,7 @@ def test_a_mutated_program_is_refused_with_its_line(name, fresh, tmp_path):
         (tmp_path / other).write_bytes(data)
     (tmp_path / file).write_bytes("\r\n".join(lines).encode("latin-1"))
     with pytest.raises(BadInput) as refusal:
-        check_program(tmp_path / MAIN, RANGE, ARM)
+        check_program(tmp_path / MAIN, ROBOT)
     said = str(refusal.value)
     assert said.startswith(f"{file}, line {line}: "), said
     assert message is None or message in said, said
@@ -216,7 +213,7 @@ def test_a_mutated_program_is_refused_with_its_line(name, fresh, tmp_path):
 def test_the_unmutated_program_passes(kind, fresh, tmp_path):
     for name, data in fresh[kind].items():
         (tmp_path / name).write_bytes(data)
-    assert check_program(tmp_path / MAIN, RANGE, ARM).segments
+    assert check_program(tmp_path / MAIN, ROBOT).segments
 
 
 def put(files: dict[str, bytes], folder: Path) -> Path:
@@ -291,7 +288,7 @@ def test_a_program_that_moves_nothing_is_refused(fresh, tmp_path):
 def test_random_damage_is_refused_or_changes_nothing_that_moves(fresh, tmp_path):
     """One random byte of the sub-program is changed: never an exception of another kind, never a silent difference."""
     source = put(fresh["axis"], tmp_path)
-    intact = check_program(source, RANGE, ARM).segments
+    intact = check_program(source, ROBOT).segments
     rng = np.random.default_rng(1)
     data = fresh["axis"][SUB]
     accepted = 0
@@ -299,7 +296,7 @@ def test_random_damage_is_refused_or_changes_nothing_that_moves(fresh, tmp_path)
         at = int(rng.integers(len(data)))
         (tmp_path / SUB).write_bytes(data[:at] + bytes([int(rng.integers(32, 127))]) + data[at + 1 :])
         try:
-            after = check_program(source, RANGE, ARM).segments
+            after = check_program(source, ROBOT).segments
         except BadInput:
             continue
         accepted += 1

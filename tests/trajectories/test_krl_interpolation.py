@@ -6,8 +6,9 @@ import pytest
 from robots.errors import BadInput
 from tests.support.krl_example import ROBOT, contact_poses, example, legs, write
 from trajectories.krl.checks import check_program
-from trajectories.krl.execution import execute
-from trajectories.krl.interpolation import emit, pose_spline, reinterpolate, rest_to_rest_spline
+from trajectories.krl.interpreter import execute
+from trajectories.krl.values import FILE_LIMITS
+from trajectories.program.interpolation import emit, pose_spline, reinterpolate, rest_to_rest_spline
 
 
 def test_the_spline_meets_points_rests_at_the_ends_and_is_exact_for_a_quintic():
@@ -23,9 +24,9 @@ def test_the_spline_meets_points_rests_at_the_ends_and_is_exact_for_a_quintic():
 
 def test_deviation_falls_with_the_step_and_emission_keeps_the_tolerance():
     contact = legs()[2].trajectory
-    deviations = [emit(contact, 1.0, step=h).deviation for h in (0.1, 0.05, 0.025)]
+    deviations = [emit(contact, FILE_LIMITS, 1.0, step=h).deviation for h in (0.1, 0.05, 0.025)]
     assert deviations[0] > 3 * deviations[1] > 9 * deviations[2]
-    coarse = emit(contact, 2e-5, step=0.1)
+    coarse = emit(contact, FILE_LIMITS, 2e-5, step=0.1)
     assert coarse.deviation <= 2e-5
     assert np.diff(coarse.times).min() >= 0.012
     t = np.arange(0, contact.duration, 0.37e-3)
@@ -39,7 +40,7 @@ def test_a_measure_of_the_caller_is_bounded():
     def millimetres(planned, driven):
         return 1e3 * np.linalg.norm((contact_poses(planned) - contact_poses(driven))[:, :3, 3], axis=1)
 
-    assert emit(contact, 0.02, millimetres, step=0.05).deviation <= 0.02
+    assert emit(contact, FILE_LIMITS, 0.02, millimetres, step=0.05).deviation <= 0.02
 
 
 def test_the_program_read_back_drives_the_plan(tmp_path):

@@ -3,7 +3,8 @@ import re
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from trajectories.krl.names import comment_text, is_legal, program_names, sanitise
+from trajectories.krl.names import is_legal, program_names, sanitise
+from trajectories.krl.values import comment_text
 
 
 @given(st.text(max_size=80))

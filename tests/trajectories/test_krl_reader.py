@@ -6,10 +6,11 @@ import pytest
 from robots.errors import BadInput
 from robots.pose import abc_from_rotation, invert, transform_from_xyzabc
 from tests.support.krl_example import T_BASE_WHEEL, T_FLANGE_BLADE, contact_poses, elementary_forward, example, legs, write
-from trajectories.krl.execution import execute
-from trajectories.krl.old_program import contact_frames_from_program
+from trajectories.krl.dialect import KRL
+from trajectories.krl.interpreter import execute
 from trajectories.krl.reader import parse_text, read_module
-from trajectories.krl.syntax import Aggregate, Assignment, BlockStart, Call, Declaration, Motion, Number, Word
+from trajectories.krl.syntax import Aggregate, Assignment, BlockStart, Call, Declaration, MotionStatement, Number, Word
+from trajectories.program.old_program import contact_frames_from_program
 
 Q = np.radians([[5.0, -70, 100, 10, -40, 20], [6.0, -71, 101, 9, -41, 22], [7.0, -72, 102, 8, -42, 24]])
 
@@ -21,6 +22,10 @@ def frame(T):
 
 def e6pos(T):
     return frame(T)[:-1] + ",S 2,T 35,E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0}"
+
+
+def old_passes(source):
+    return contact_frames_from_program(KRL.read(source), elementary_forward, T_FLANGE_BLADE, T_BASE_WHEEL)
 
 
 OLD_SRC = """&ACCESS RVO
@@ -73,9 +78,7 @@ def old_files(folder, mode, poses, src=OLD_SRC):
 
 def test_an_old_program_under_tcp_gives_its_contact_frames(tmp_path):
     P = contact_poses(Q)
-    passes, notices = contact_frames_from_program(
-        old_files(tmp_path, "#TCP", P), elementary_forward, T_FLANGE_BLADE, T_BASE_WHEEL
-    )
+    passes, notices = old_passes(old_files(tmp_path, "#TCP", P))
     assert len(passes) == 1
     assert np.allclose(passes[0].frames, P[1:], atol=1e-8)
     assert np.allclose(passes[0].flange, elementary_forward(Q)[1:], atol=1e-8)
@@ -85,9 +88,7 @@ def test_an_old_program_under_tcp_gives_its_contact_frames(tmp_path):
 
 def test_an_old_program_in_base_coordinates_gives_the_same(tmp_path):
     tool_in_base = invert(T_BASE_WHEEL) @ elementary_forward(Q) @ T_FLANGE_BLADE
-    passes, _ = contact_frames_from_program(
-        old_files(tmp_path, "#BASE", tool_in_base), elementary_forward, T_FLANGE_BLADE, T_BASE_WHEEL
-    )
+    passes, _ = old_passes(old_files(tmp_path, "#BASE", tool_in_base))
     assert np.allclose(passes[0].frames, contact_poses(Q)[1:], atol=1e-8)
 
 
@@ -99,7 +100,7 @@ def test_frames_that_the_program_sets_count_for_its_own_poses(tmp_path):
         f"$VEL.CP=0.05\nSPLINE\n" + "".join(f"SPL {frame(T)}\n" for T in P) + "ENDSPLINE\nEND\n"
     )
     (tmp_path / "x.src").write_text(text)
-    passes, notices = contact_frames_from_program(tmp_path / "x.src", elementary_forward, T_FLANGE_BLADE, T_BASE_WHEEL)
+    passes, notices = old_passes(tmp_path / "x.src")
     assert np.allclose(passes[0].flange, elementary_forward(Q), atol=1e-7)
     assert np.allclose(passes[0].frames, contact_poses(Q), atol=1e-7)
     assert passes[0].feed == 0.05 and not notices
@@ -107,7 +108,7 @@ def test_frames_that_the_program_sets_count_for_its_own_poses(tmp_path):
 
 def test_our_own_axis_program_can_be_the_old_one(tmp_path):
     source = write(example(passes=2), tmp_path)
-    passes, _ = contact_frames_from_program(source, elementary_forward, T_FLANGE_BLADE, T_BASE_WHEEL)
+    passes, _ = old_passes(source)
     contact = legs()[2].trajectory
     assert len(passes) == 8
     assert np.abs(passes[2].q[0] - contact.q(0.0)).max() < 1e-7
@@ -137,7 +138,7 @@ def test_statements_and_their_lines():
     assert kinds[Call].arguments == ("#INITMOV", "0") and kinds[Call].line == 3
     assert kinds[Assignment].target == "$VEL_AXIS[3]" and kinds[Assignment].value == Number(20.0, "20")
     assert kinds[BlockStart].kind == "PTP_SPLINE"
-    assert kinds[Motion].target == Aggregate((("A1", Number(-1.5, "-1.5")),)) and kinds[Motion].line == 6
+    assert kinds[MotionStatement].target == Aggregate((("A1", Number(-1.5, "-1.5")),)) and kinds[MotionStatement].line == 6
 
 
 def read_path(name):
@@ -168,7 +169,7 @@ def test_declarations_with_strings_and_nested_values():
 def test_what_hides_the_path_is_refused_with_its_line(line, words, tmp_path):
     source = old_files(tmp_path, "#TCP", contact_poses(Q), OLD_SRC.replace("LIN XP3", line))
     with pytest.raises(BadInput, match=rf"old\.src, line 26: .*{words}"):
-        contact_frames_from_program(source, elementary_forward, T_FLANGE_BLADE, T_BASE_WHEEL)
+        old_passes(source)
 
 
 def test_files_that_are_none(tmp_path):
@@ -179,4 +180,4 @@ def test_files_that_are_none(tmp_path):
         read_module(tmp_path / "stl.src", strict=False)
     (tmp_path / "ptp.src").write_text("DEF ptp1( )\nPTP {A1 1,A2 2,A3 3,A4 4,A5 5,A6 6}\nEND\n")
     with pytest.raises(BadInput, match="no path of two or more"):
-        contact_frames_from_program(tmp_path / "ptp.src", elementary_forward, T_FLANGE_BLADE, T_BASE_WHEEL)
+        old_passes(tmp_path / "ptp.src")

@@ -10,12 +10,14 @@ from robots.errors import BadInput, Infeasible
 from robots.kinematics import forward
 from robots.pose import invert
 from tests.support.krl_example import GOLDEN, LIMITS, ROBOT, Leg, contact_poses, elementary_forward, example, legs, setup, write
-from trajectories.krl.build import build_program
 from trajectories.krl.checks import check_program, check_status_turn
-from trajectories.krl.execution import execute
-from trajectories.krl.program import Comment, PointMotion, PoseSpline, Program, SubProgram, TimedSpline, split_blocks
+from trajectories.krl.dialect import KRL
+from trajectories.krl.interpreter import execute
 from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
-from trajectories.krl.writer import number, program_files
+from trajectories.krl.values import FILE_LIMITS, fixed
+from trajectories.krl.writer import program_files
+from trajectories.program.build import build_program
+from trajectories.program.program import Comment, PointMotion, PoseSpline, Program, SubProgram, TimedSpline, split_blocks
 from trajectories.timing import time_contact_path
 
 ARM = ArmLengths.of(ROBOT.mdh)
@@ -42,10 +44,10 @@ def test_the_same_program_is_the_same_bytes():
 
 
 def test_numbers_have_no_sign_of_zero_and_no_exponent():
-    assert number(-1e-9, 5) == "0.00000"
-    assert number(-0.0, 4) == "0.0000"
-    assert number(1e-12, 5) == "0.00000"
-    assert number(-12.345678, 5) == "-12.34568"
+    assert fixed(-1e-9, 5) == "0.00000"
+    assert fixed(-0.0, 4) == "0.0000"
+    assert fixed(1e-12, 5) == "0.00000"
+    assert fixed(-12.345678, 5) == "-12.34568"
     text = b"".join(program_files(example()).values()).decode()
     assert not re.search(r"-0\.0+\b(?!\d)", text) and not re.search(r"\d[eE][-+]?\d", text)
 
@@ -59,8 +61,8 @@ def test_files_are_ascii_with_crlf_and_a_pair_each():
 
 def test_what_is_read_back_is_what_was_planned(tmp_path):
     plan = legs()
-    execution = check_program(write(example(), tmp_path), (ROBOT.q_min, ROBOT.q_max), ARM)
-    assert [s.kind for s in execution.segments] == ["PTP"] + ["PTP_SPLINE"] * 4
+    execution = check_program(write(example(), tmp_path), ROBOT)
+    assert [s.word for s in execution.segments] == ["PTP"] + ["PTP_SPLINE"] * 4
     for segment, leg in zip(execution.segments[1:], plan, strict=True):
         assert segment.times[-1] == pytest.approx(leg.trajectory.duration, abs=1e-3)
         assert np.abs(segment.q - leg.trajectory.q(segment.times)).max() < np.radians(0.6e-5)
@@ -68,7 +70,7 @@ def test_what_is_read_back_is_what_was_planned(tmp_path):
 
 def test_frames_are_read_back(tmp_path):
     frames = execute(write(example(), tmp_path)).segments[1].frames
-    assert frames.ipo_mode == "#TCP"
+    assert frames.external_tcp
     assert np.allclose(frames.tool, setup().T_flange_blade, atol=1e-6)
     assert np.allclose(frames.base, setup().T_base_wheel, atol=1e-6)
 
@@ -77,12 +79,12 @@ def test_frames_are_read_back(tmp_path):
 def test_poses_lead_back_to_the_planned_axes_through_the_nominal_arm(kind, tmp_path):
     """FLANGE = BASE P^-1 TOOL^-1 for every printed P, against the arm written as elementary motions."""
     contact = legs()[2].trajectory
-    execution = check_program(write(example(kind), tmp_path), (ROBOT.q_min, ROBOT.q_max), ARM)
+    execution = check_program(write(example(kind), tmp_path), ROBOT)
     n = int(contact.stations[-1] / 1e-3) + 1
     if kind == "cartesian":
         poses = next(s.poses for s in execution.segments if s.poses is not None and len(s.poses) == n)
     else:
-        lines = [s for s in execution.segments if s.kind == "LIN"]
+        lines = [s for s in execution.segments if s.word == "LIN"]
         poses = np.concatenate([s.poses for s in lines])
         first = int(np.argmin(np.linalg.norm(poses[:, :3, 3] - contact_poses(contact.q(0.0))[0, :3, 3], axis=1)))
         poses = poses[first : first + n]
@@ -129,7 +131,7 @@ def test_compensated_poses_on_an_absolutely_accurate_controller_are_refused():
 
 
 def test_the_base_can_be_left_to_the_controller(tmp_path):
-    program = example("cartesian", base_from_data=True)
+    program = example("cartesian", base_on_controller=True)
     text = program_files(program)["BLADE_1_01.src"].decode()
     assert "$BASE=BASE_DATA[1]" in text and "; wheel frame in world, as in BASE_DATA[1]: {X 1550.0000" in text
     assert execute(write(program, tmp_path)).segments[1].frames.base_no == 1
@@ -150,17 +152,17 @@ def test_long_passes_are_split_where_the_robot_stands(tmp_path):
     blocks = [PointMotion(q[0])]
     for _ in range(3):
         blocks += [TimedSpline(q, np.arange(900) * 0.02), TimedSpline(q[::-1], np.arange(900) * 0.02)]
-    groups = split_blocks(blocks)
+    groups = split_blocks(blocks, FILE_LIMITS.file_points)
     assert [sum(len(b.q) if isinstance(b, TimedSpline) else 1 for b in g) for g in groups] == [1801, 1801, 1801]
     subs = tuple(SubProgram(f"LONG_01_{c}", tuple(g)) for c, g in zip("ABC", groups, strict=True))
     execution = check_program(write(Program("LONG", setup(), subs), tmp_path))
     assert len(execution.segments) == 3 + 6
     with pytest.raises(BadInput, match="2001 points"):
-        split_blocks([TimedSpline(np.zeros((2001, 6)), np.arange(2001.0))])
+        split_blocks([TimedSpline(np.zeros((2001, 6)), np.arange(2001.0))], FILE_LIMITS.file_points)
 
 
 def test_a_pass_that_cannot_be_emitted_is_named():
     q = np.radians([5.0, -70, 100, 10, -40, 20]) + np.random.default_rng(0).normal(size=(300, 6)) * 1e-3
     rough = Leg("contact", time_contact_path(q, np.linspace(0, 0.3, 300), None, LIMITS, window=0.0))
     with pytest.raises(Infeasible, match="line 7: the emitted program leaves the plan by"):
-        build_program("x", setup(), [[rough]], ["line 7"], elementary_forward, tolerance=lambda leg: 1e-7)
+        build_program(KRL, "x", setup(), [[rough]], ["line 7"], elementary_forward, tolerance=lambda leg: 1e-7)

@@ -1,31 +1,36 @@
-"""The refusals before a program leaves the house: everything a controller would reject or run in another way."""
+"""The refusals before a program leaves the house: everything a controller would reject or run in another way.
 
+First what needs only the files (pairs, names, line ends, characters, the way numbers are printed), then the order of
+statements (checks_structure.py), then what the program does, held against the machine.
+"""
+
+import re
 from pathlib import Path
 
 import numpy as np
 
 from robots.errors import BadInput
 from robots.pose import Array
+from robots.robot import Robot
 from trajectories.krl.checks_structure import check_module, check_pair
-from trajectories.krl.checks_text import check_files, program_files_of
-from trajectories.krl.execution import Execution, Segment, execute
+from trajectories.krl.interpreter import KrlExecution, KrlSegment, execute
+from trajectories.krl.names import LONGEST, is_legal
 from trajectories.krl.reader import read_module
 from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
 
+EXPONENT = re.compile(r"(?<![\w.$])\d+\.?\d*[eE][+-]?\d+")
+NEGATIVE_ZERO = re.compile(r"-\s*0+(?:\.0*)?(?![\d.])")
+LONG_LINE = 140  # characters, what the controller's editor takes (M)
 SAME = np.radians(1e-4)  # rad: two printed postures closer than this are one
 
 
 def check_program(
-    source: Path,
-    axis_range: tuple[Array, Array] | None = None,
-    arm: ArmLengths | None = None,
-    absolute_accuracy: bool = False,
-    pauses: bool = False,
-) -> Execution:
+    source: Path, robot: Robot | None = None, absolute_accuracy: bool = False, pauses: bool = False
+) -> KrlExecution:
     """What runs when `source` (the main .src) is started, after every check on all .src and .dat of its folder.
 
-    `axis_range` (q_min, q_max) (6,) rad and `arm` bring the checks that need the machine; `absolute_accuracy` refuses
-    poses; `pauses` lets a measuring program stand still (HALT, WAIT). Raises BadInput, which names file and line.
+    `robot` brings the checks of axis ranges, status and turn; `absolute_accuracy` refuses poses; `pauses` lets a measuring
+    program stand still (HALT, WAIT). Raises BadInput, which names file and line.
     """
     source = Path(source)
     check_files(source.parent)
@@ -37,58 +42,51 @@ def check_program(
         if suffix == ".src":
             check_pair(module, stems[stem, ".dat"])
     execution = execute(source)
-    _check_segments(execution.segments, axis_range, arm, absolute_accuracy)
+    _check_segments(execution.segments, robot, absolute_accuracy)
     return execution
 
 
-def _check_segments(
-    segments: tuple[Segment, ...], axis_range: tuple[Array, Array] | None, arm: ArmLengths | None, absolute_accuracy: bool
-) -> None:
+def _check_segments(segments: tuple[KrlSegment, ...], robot: Robot | None, absolute_accuracy: bool) -> None:
     if not segments:
         raise BadInput("the program moves nothing; it calls no pass")
     where: Array | None = None
     for segment in segments:
         if segment.q is not None:
-            if axis_range is not None:
-                _check_range(segment, *axis_range)
-            if segment.kind == "PTP_SPLINE" and where is not None and np.abs(segment.q[0] - where).max() > SAME:
+            if robot is not None:
+                _check_range(segment, robot.q_min, robot.q_max)
+            if segment.word == "PTP_SPLINE" and where is not None and np.abs(segment.q[0] - where).max() > SAME:
                 off = np.degrees(np.abs(segment.q[0] - where).max())
                 raise BadInput(
-                    f"{segment.file}, line {segment.lines[0]}: the block begins {off:.4f} deg off where the robot stands; "
-                    "that way is not timed"
+                    f"{segment.place()}: the block begins {off:.4f} deg off where the robot stands; that way is not timed"
                 )
             where = segment.q[-1]
             continue
         if absolute_accuracy:
-            raise BadInput(
-                f"{segment.file}, line {segment.lines[0]}: poses on an absolutely accurate controller compensate twice"
-            )
-        if segment.frames.ipo_mode != "#TCP":
-            raise BadInput(f"{segment.file}, line {segment.lines[0]}: poses need $IPO_MODE=#TCP, the blade is on the robot")
+            raise BadInput(f"{segment.place()}: poses on an absolutely accurate controller compensate twice")
+        if not segment.frames.external_tcp:
+            raise BadInput(f"{segment.place()}: poses need $IPO_MODE=#TCP, the blade is on the robot")
         if segment.speed is None:
-            raise BadInput(f"{segment.file}, line {segment.lines[0]}: $VEL.CP is not set before the path motion")
-        if arm is not None and where is not None and segment.kind == "SPLINE":
-            check_status_turn(segment, where[None], arm)
+            raise BadInput(f"{segment.place()}: $VEL.CP is not set before the path motion")
+        if robot is not None and where is not None and segment.word == "SPLINE":
+            check_status_turn(segment, where[None], ArmLengths.of(robot.mdh))
         changes = np.flatnonzero(np.diff(segment.status))
         if len(changes):
-            raise BadInput(
-                f"{segment.file}, line {segment.lines[changes[0] + 1]}: S changes inside a block; the branch would jump"
-            )
+            raise BadInput(f"{segment.place(changes[0] + 1)}: S changes inside a block; the branch would jump")
         where = None
 
 
-def _check_range(segment: Segment, low: Array, high: Array) -> None:
+def _check_range(segment: KrlSegment, low: Array, high: Array) -> None:
     assert segment.q is not None
     outside = np.maximum(segment.q - high, low - segment.q)
     if outside.max() > 1e-9:
         i, j = np.unravel_index(np.argmax(outside), outside.shape)
         raise BadInput(
-            f"{segment.file}, line {segment.lines[i]}: axis {j + 1} at {np.degrees(segment.q[i, j]):.3f} deg is outside "
+            f"{segment.place(int(i))}: axis {j + 1} at {np.degrees(segment.q[i, j]):.3f} deg is outside "
             f"{np.degrees(low[j]):.1f}..{np.degrees(high[j]):.1f} deg"
         )
 
 
-def check_status_turn(segment: Segment, q: Array, arm: ArmLengths) -> None:
+def check_status_turn(segment: KrlSegment, q: Array, arm: ArmLengths) -> None:
     """Refuse S or T of the first points of a segment that do not belong to the axes q (m, 6) rad, m <= n."""
     for name, given, right in (
         ("S", segment.status, status_of(q, arm)),
@@ -97,4 +95,54 @@ def check_status_turn(segment: Segment, q: Array, arm: ArmLengths) -> None:
         wrong = np.flatnonzero(given[: len(q)] != right)
         if len(wrong):
             i = int(wrong[0])
-            raise BadInput(f"{segment.file}, line {segment.lines[i]}: {name} is {given[i]} and the axes there have {right[i]}")
+            raise BadInput(f"{segment.place(i)}: {name} is {given[i]} and the axes there have {right[i]}")
+
+
+def program_files_of(folder: Path) -> list[Path]:
+    """Every .src and .dat of a folder, sorted."""
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in (".src", ".dat"))
+
+
+def check_files(folder: Path) -> None:
+    """Refuse (BadInput) file names and pairs that a controller does not take, and every fault of the plain text."""
+    files = program_files_of(folder)
+    seen: dict[str, Path] = {}
+    for path in files:
+        if not is_legal(path.stem):
+            raise BadInput(
+                f"{path.name}, line 1: '{path.stem}' is no program name; letters, digits and _, not a digit first, at most "
+                f"{LONGEST} characters (it has {len(path.stem)}), no word of the language"
+            )
+        twin = seen.setdefault(path.name.upper(), path)
+        if twin is not path:
+            raise BadInput(f"{path.name}, line 1: {twin.name} has the same name on the controller, which ignores case")
+    for path in files:
+        other = ".DAT" if path.suffix.lower() == ".src" else ".SRC"
+        if f"{path.stem}{other}".upper() not in seen:
+            raise BadInput(f"{path.stem}{other.lower()}: the file is missing beside {path.name}; a program is a pair")
+        check_text(path)
+
+
+def check_text(path: Path) -> None:
+    """Refuse (BadInput, with the line) what is not ASCII with CRLF, or a number in a form the controller misreads."""
+    data = path.read_bytes()
+    if not data.endswith(b"\r\n"):
+        last = len(data.split(b"\n"))
+        raise BadInput(f"{path.name}, line {last}: the last line does not end with CR LF; the file is cut off")
+    for number, raw in enumerate(data.split(b"\n")[:-1], start=1):
+        where = f"{path.name}, line {number}"
+        if not raw.endswith(b"\r"):
+            raise BadInput(f"{where}: the line ends with LF alone; a controller file ends its lines with CR LF")
+        body = raw[:-1]
+        if any(b > 126 or b < 32 for b in body):
+            raise BadInput(f"{where}: a character outside printable ASCII; write A-Z, digits and signs only")
+        text = body.decode("ascii")
+        if len(text) > LONG_LINE:
+            raise BadInput(f"{where}: {len(text)} characters, and a line takes {LONG_LINE}")
+        code = re.sub(r'"[^"]*"', "", text).split(";", 1)[0]
+        if code.startswith("&"):
+            continue
+        if found := EXPONENT.search(code):
+            raise BadInput(f"{where}: the number {found.group()} has an exponent; write it with decimals")
+        if found := NEGATIVE_ZERO.search(code):
+            raise BadInput(f"{where}: {found.group()} is a negative zero; write 0 without a sign")

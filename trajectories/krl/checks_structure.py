@@ -3,25 +3,7 @@
 from pathlib import Path
 
 from robots.errors import BadInput
-from trajectories.krl.syntax import (
-    Aggregate,
-    Assignment,
-    BlockEnd,
-    BlockStart,
-    Call,
-    Declaration,
-    Definition,
-    Header,
-    Interrupt,
-    Module,
-    Motion,
-    Number,
-    Other,
-    Pause,
-    Remark,
-    Statement,
-    TimeBlock,
-)
+from trajectories.krl import syntax
 
 MOST_POINTS = 2000  # of a file, KRL.md
 FRAMES = ("$TOOL", "$BASE", "$IPO_MODE", "$LOAD")
@@ -32,14 +14,18 @@ POSE = frozenset("X Y Z A B C S T".split())
 LONGEST_WAIT = 3600.0  # s
 MOST_INPUTS = 8192  # of KSS 8
 ROUNDING = 1e-5  # s, what the printed parts of a block may miss its end by
+MOVING = (syntax.MotionStatement, syntax.BlockStart, syntax.Call)
+ACTING = (*MOVING, syntax.Assignment, syntax.Interrupt, syntax.PauseStatement)  # declarations come before these
+
+Inside = list[syntax.MotionStatement | syntax.TimeBlock]
 
 
-def check_module(module: Module, pauses: bool = False) -> None:
+def check_module(module: syntax.Module, pauses: bool = False) -> None:
     """Refuse (BadInput, file and line) a .src or .dat that a controller would reject or run in another way.
 
     `pauses`: HALT and WAIT may stand in it (measuring); a grinding program would stop with its blade on the wheel.
     """
-    definition = next(s for s in module.statements if isinstance(s, Definition))
+    definition = next(s for s in module.statements if isinstance(s, syntax.Definition))
     if definition.name.upper() != module.path.stem.upper():
         raise _bad(module, definition, f"{definition.kind} {definition.name} stands in a file of another name")
     if (definition.kind == "DEFDAT") != (module.path.suffix.lower() == ".dat"):
@@ -53,19 +39,19 @@ def check_module(module: Module, pauses: bool = False) -> None:
         _check_pauses(module, pauses)
 
 
-def check_pair(source: Module, data: Module) -> None:
+def check_pair(source: syntax.Module, data: syntax.Module) -> None:
     """Refuse a .dat whose DEFDAT has another name than the DEF of its .src."""
     if source.name.upper() != data.name.upper():
-        definition = next(s for s in data.statements if isinstance(s, Definition))
+        definition = next(s for s in data.statements if isinstance(s, syntax.Definition))
         raise _bad(data, definition, f"DEFDAT {data.name} does not belong to DEF {source.name}")
 
 
-def _bad(module: Module, statement: Statement, message: str) -> BadInput:
+def _bad(module: syntax.Module, statement: syntax.Statement, message: str) -> BadInput:
     return BadInput(f"{Path(module.path).name}, line {statement.line}: {message}")
 
 
-def _check_headers(module: Module, definition: Definition) -> None:
-    headers = [s for s in module.statements if isinstance(s, Header)]
+def _check_headers(module: syntax.Module, definition: syntax.Definition) -> None:
+    headers = [s for s in module.statements if isinstance(s, syntax.Header)]
     if not headers or headers[0].line != 1 or not headers[0].text.upper().startswith("&ACCESS"):
         raise _bad(module, module.statements[0], "the file must begin with &ACCESS RVP")
     for h in headers:
@@ -73,16 +59,17 @@ def _check_headers(module: Module, definition: Definition) -> None:
             raise _bad(module, h, f"{h.text[:20]} stands after {definition.kind}; header lines come first")
 
 
-def _check_data(module: Module) -> None:
-    for s in module.statements:
-        if not isinstance(s, (Header, Remark, Definition, Declaration)) and s is not module.statements[-1]:
+def _check_data(module: syntax.Module) -> None:
+    harmless = (syntax.Header, syntax.Remark, syntax.Definition, syntax.Declaration)
+    for s in module.statements[:-1]:
+        if not isinstance(s, harmless):
             raise _bad(module, s, "only declarations belong into a .dat file")
     _check_names(module)
 
 
-def _check_pauses(module: Module, allowed: bool) -> None:
+def _check_pauses(module: syntax.Module, allowed: bool) -> None:
     for s in module.statements:
-        if not isinstance(s, Pause):
+        if not isinstance(s, syntax.PauseStatement):
             continue
         if not allowed:
             raise _bad(module, s, "HALT and WAIT may not stand in a grinding program; the blade would rest on the wheel")
@@ -92,90 +79,90 @@ def _check_pauses(module: Module, allowed: bool) -> None:
             raise _bad(module, s, f"$IN[{s.input.text}] does not exist; inputs are 1 to {MOST_INPUTS}")
 
 
-def _check_names(module: Module) -> None:
+def _check_names(module: syntax.Module) -> None:
     seen: dict[str, int] = {}
     for s in module.statements:
-        if isinstance(s, Declaration) and s.type != "EXT":
+        if isinstance(s, syntax.Declaration) and s.type != "EXT":
             first = seen.setdefault(s.name.upper(), s.line)
             if first != s.line:
                 raise _bad(module, s, f"{s.name} is declared in line {first} already (case does not count)")
 
 
-def _check_order(module: Module) -> None:
+def _check_order(module: syntax.Module) -> None:
     """Declarations, then BAS(#INITMOV,0), then frames, then motion."""
     _check_names(module)
     started, ready = False, False
     frames: set[str] = set()
     for s in module.statements:
-        if isinstance(s, Declaration):
+        if isinstance(s, syntax.Declaration):
             if started:
                 raise _bad(module, s, f"{s.name} is declared after the first statement; declarations come first")
             continue
-        started |= isinstance(s, (Assignment, Call, Motion, BlockStart, Interrupt, Pause))
-        if isinstance(s, Other):
+        started |= isinstance(s, ACTING)
+        if isinstance(s, syntax.Other):
             raise _bad(module, s, f"{s.text[:30]} may not be used here")
-        if isinstance(s, Call) and s.name.upper() == "BAS":
+        if isinstance(s, syntax.Call) and s.name.upper() == "BAS":
             if tuple(a.upper() for a in s.arguments) != ("#INITMOV", "0"):
                 raise _bad(module, s, "only BAS (#INITMOV,0 ) may be called")
             ready, frames = True, set()
-        elif isinstance(s, Assignment):
+        elif isinstance(s, syntax.Assignment):
             _check_assignment(module, s)
             if s.target in FRAMES and not ready:
                 raise _bad(module, s, f"{s.target} is set before BAS (#INITMOV,0 ), which would set it back")
             frames.add(s.target)
-        elif isinstance(s, (Motion, BlockStart)) or (isinstance(s, Call) and s.name.upper() != "BAS"):
+        elif isinstance(s, MOVING):
             missing = [f for f in FRAMES if f not in frames]
             if not ready or missing:
                 what = "BAS (#INITMOV,0 )" if not ready else missing[0]
                 raise _bad(module, s, f"the robot moves before {what} was set")
 
 
-def _check_assignment(module: Module, s: Assignment) -> None:
+def _check_assignment(module: syntax.Module, s: syntax.Assignment) -> None:
     if s.target in FRAMES:
         return
     if s.target not in SPEEDS:
         raise _bad(module, s, f"{s.target} may not be assigned by a grinding program")
-    value = s.value.value if isinstance(s.value, Number) else -1.0
+    value = s.value.value if isinstance(s.value, syntax.Number) else -1.0
     top = 3.0 if s.target == "$VEL.CP" else 100.0
     if not 0 < value <= top:
         raise _bad(module, s, f"{s.target} must be a number above 0 and at most {top:g}")
 
 
-def _check_blocks(module: Module) -> None:
-    block: BlockStart | None = None
+def _check_blocks(module: syntax.Module) -> None:
+    block: syntax.BlockStart | None = None
     points, first = 0, True
-    inside: list[Motion | TimeBlock] = []
+    inside: Inside = []
     for s in module.statements:
-        if isinstance(s, BlockStart):
+        if isinstance(s, syntax.BlockStart):
             if block:
                 raise _bad(module, s, f"{s.kind} inside the block of line {block.line}; is ENDSPLINE missing?")
             block, inside = s, []
-        elif isinstance(s, BlockEnd):
+        elif isinstance(s, syntax.BlockEnd):
             if not block:
                 raise _bad(module, s, "ENDSPLINE without a block")
             _check_times(module, block, inside, s)
             block = None
-        elif isinstance(s, Motion):
+        elif isinstance(s, syntax.MotionStatement):
             points += 1
             _check_motion(module, s, block, first)
             first = False
             inside.append(s)
-        elif isinstance(s, TimeBlock):
+        elif isinstance(s, syntax.TimeBlock):
             if not block:
                 raise _bad(module, s, "TIME_BLOCK outside a spline block")
             inside.append(s)
-        elif block and not isinstance(s, Remark):
+        elif block and not isinstance(s, syntax.Remark):
             raise _bad(module, s, f"inside the {block.kind} of line {block.line} only points, TIME_BLOCK and comments may stand")
         if points > MOST_POINTS:
             raise _bad(module, s, f"more than {MOST_POINTS} points in one file; split the pass")
 
 
-def _check_motion(module: Module, s: Motion, block: BlockStart | None, first: bool) -> None:
+def _check_motion(module: syntax.Module, s: syntax.MotionStatement, block: syntax.BlockStart | None, first: bool) -> None:
     kind = block.kind if block else ""
     if s.kind not in ALLOWED[kind]:
         place = f"the {kind} of line {block.line}" if block else "the open program"
         raise _bad(module, s, f"{s.kind} may not stand in {place}; expected {' or '.join(ALLOWED[kind])}")
-    if not isinstance(s.target, Aggregate):
+    if not isinstance(s.target, syntax.Aggregate):
         raise _bad(module, s, "the position must stand in the line")
     names = {n for n, _ in s.target.items}
     wanted = AXES if s.kind in ("PTP", "SPTP") else POSE
@@ -188,16 +175,16 @@ def _check_motion(module: Module, s: Motion, block: BlockStart | None, first: bo
     if s.kind in ("SPTP", "SPL", "SLIN", "PTP") and s.approximation:
         raise _bad(module, s, f"{s.approximation} does not belong to {s.kind}")
     for name, value in s.target.items:
-        if not isinstance(value, Number):
+        if not isinstance(value, syntax.Number):
             raise _bad(module, s, f"{name} must be a number")
         if name in ("S", "T") and not (value.text.isdigit() and value.value <= (7 if name == "S" else 63)):
             raise _bad(module, s, f"{name} {value.text} is no whole number from 0 to {7 if name == 'S' else 63}")
 
 
-def _check_times(module: Module, block: BlockStart, inside: list[Motion | TimeBlock], end: BlockEnd) -> None:
+def _check_times(module: syntax.Module, block: syntax.BlockStart, inside: Inside, end: syntax.BlockEnd) -> None:
     """SPTP, START, then (SPTP, PART) pairs, then END whose seconds are the sum of the parts."""
-    times = [s for s in inside if isinstance(s, TimeBlock)]
-    if not any(isinstance(s, Motion) for s in inside):
+    times = [s for s in inside if isinstance(s, syntax.TimeBlock)]
+    if not any(isinstance(s, syntax.MotionStatement) for s in inside):
         raise _bad(module, block, f"{block.kind} has no points")
     if not times:
         if block.kind == "PTP_SPLINE":
@@ -213,11 +200,11 @@ def _check_times(module: Module, block: BlockStart, inside: list[Motion | TimeBl
         raise _bad(module, times[-1], f"the parts add up to {total:.5f} s and the end says {stated.text if stated else '?'}")
 
 
-def _check_sequence(module: Module, inside: list[Motion | TimeBlock], end: BlockEnd) -> None:
+def _check_sequence(module: syntax.Module, inside: Inside, end: syntax.BlockEnd) -> None:
     after = {"": "POINT", "POINT": "PART", "START": "POINT", "PART": "POINT"}
     before, started = "", False
     for s in inside:
-        got = s.what if isinstance(s, TimeBlock) else "POINT"
+        got = s.what if isinstance(s, syntax.TimeBlock) else "POINT"
         want = after.get(before, "")
         if before == "POINT" and not started:
             want = "START"

@@ -26,7 +26,7 @@ class Token:
     text: str
 
 
-class Line:
+class TokenLine:
     """The tokens of one line, taken from the left; errors name file and line.
 
     The one object of the reader with a state: the position in the line.

@@ -71,10 +71,3 @@ def program_names(text: str, passes: int, parts: Iterable[int] = (), taken: Iter
 
 def _letters(k: int) -> str:
     return chr(ord("A") + k) if k < 26 else _letters(k // 26 - 1) + chr(ord("A") + k % 26)
-
-
-def comment_text(text: str, longest: int = 100) -> str:
-    """One line of printable ASCII for a KRL comment: whatever is handed in cannot end the line or open a fold."""
-    plain = unicodedata.normalize("NFKD", text).encode("ascii", "replace").decode()
-    plain = re.sub(r"[^ -~]", " ", plain)
-    return re.sub(r"(?i)(END)?FOLD", "F-LD", plain).strip()[:longest].rstrip()

@@ -8,31 +8,8 @@ loops are refused, because then the text does not say which path the robot takes
 from pathlib import Path
 
 from robots.errors import BadInput
-from trajectories.krl.lexer import Line
-from trajectories.krl.syntax import (
-    BLOCKS,
-    MOTIONS,
-    Aggregate,
-    Assignment,
-    BlockEnd,
-    BlockStart,
-    Call,
-    Declaration,
-    Definition,
-    Ending,
-    Header,
-    Interrupt,
-    Module,
-    Motion,
-    Number,
-    Other,
-    Pause,
-    Remark,
-    Statement,
-    TimeBlock,
-    Value,
-    Word,
-)
+from trajectories.krl import syntax
+from trajectories.krl.lexer import TokenLine
 
 BRANCHES = frozenset(
     "IF ELSE ENDIF FOR ENDFOR WHILE ENDWHILE LOOP ENDLOOP REPEAT UNTIL SWITCH CASE DEFAULT ENDSWITCH GOTO EXIT RETURN".split()
@@ -42,7 +19,7 @@ REFUSED_MOTIONS = frozenset("CIRC SCIRC PTP_REL LIN_REL CIRC_REL SPTP_REL SLIN_R
 APPROXIMATIONS = frozenset("C_PTP C_DIS C_VEL C_ORI C_SPL".split())
 
 
-def read_module(path: Path, strict: bool = True) -> Module:
+def read_module(path: Path, strict: bool = True) -> syntax.Module:
     """The statements of one .src or .dat file.
 
     Raises BadInput, which names file and line: not KRL, or not the part of KRL that is allowed; a file that is absent.
@@ -55,9 +32,9 @@ def read_module(path: Path, strict: bool = True) -> Module:
     return parse_text(data.decode("ascii" if data.isascii() else "latin-1"), path, strict)
 
 
-def parse_text(text: str, path: Path, strict: bool = True) -> Module:
+def parse_text(text: str, path: Path, strict: bool = True) -> syntax.Module:
     """The statements of a file's text; `path` is for messages and for the module's identity."""
-    statements: list[Statement] = []
+    statements: list[syntax.Statement] = []
     ended = False
     for number, raw in enumerate(text.split("\n"), start=1):
         line = raw.rstrip("\r")
@@ -69,8 +46,8 @@ def parse_text(text: str, path: Path, strict: bool = True) -> Module:
             break  # local sub-programs of an old file are not the program
         statement = _statement(line, path.name, number, strict)
         statements.append(statement)
-        ended = isinstance(statement, Ending)
-    kinds = [s for s in statements if isinstance(s, Definition)]
+        ended = isinstance(statement, syntax.Ending)
+    kinds = [s for s in statements if isinstance(s, syntax.Definition)]
     last = len(text.rstrip().split("\n"))
     if not kinds:
         raise BadInput(f"{path.name}, line 1: no DEF or DEFDAT; this is no KRL program")
@@ -80,18 +57,18 @@ def parse_text(text: str, path: Path, strict: bool = True) -> Module:
     if not ended:
         raise BadInput(f"{path.name}, line {last}: the file ends without {wanted}; it is cut off")
     ending = statements[-1]
-    if isinstance(ending, Ending) and ending.kind != wanted:
+    if isinstance(ending, syntax.Ending) and ending.kind != wanted:
         raise BadInput(f"{path.name}, line {ending.line}: {ending.kind} ends a {kinds[0].kind}; expected {wanted}")
-    return Module(path, tuple(statements))
+    return syntax.Module(path, tuple(statements))
 
 
-def _statement(text: str, file: str, number: int, strict: bool) -> Statement:
+def _statement(text: str, file: str, number: int, strict: bool) -> syntax.Statement:
     stripped = text.strip()
     if stripped.startswith("&"):
-        return Header(number, stripped)
+        return syntax.Header(number, stripped)
     if stripped.startswith(";"):
-        return Remark(number, stripped[1:])
-    line = Line(file, number, text)
+        return syntax.Remark(number, stripped[1:])
+    line = TokenLine(file, number, text)
     first = line.peek()
     word = first.text.upper()
     if first.kind != "name":
@@ -101,20 +78,20 @@ def _statement(text: str, file: str, number: int, strict: bool) -> Statement:
     if word in ("END", "ENDDAT"):
         line.take()
         line.finish()
-        return Ending(number, word)
-    if word in MOTIONS:
+        return syntax.Ending(number, word)
+    if word in syntax.MOTIONS:
         return _motion(line, strict)
-    if word in BLOCKS and line.peek(1).text != "=":
+    if word in syntax.BLOCKS and line.peek(1).text != "=":
         return _block_start(line, strict)
     if word == "ENDSPLINE":
         line.take()
         _approximation(line)
         line.finish()
-        return BlockEnd(number)
+        return syntax.BlockEnd(number)
     if word == "TIME_BLOCK":
         return _time_block(line)
     if word in ("INTERRUPT", "GLOBAL") and "INTERRUPT" in (word, line.peek(1).text.upper()):
-        return Interrupt(number, line.rest())
+        return syntax.Interrupt(number, line.rest())
     if word in BRANCHES:
         raise line.error(f"{word} decides at run time which way the program goes; only straight programs can be read")
     if word in REFUSED_MOTIONS:
@@ -122,11 +99,11 @@ def _statement(text: str, file: str, number: int, strict: bool) -> Statement:
     if word in ("HALT", "WAIT") and strict:
         return _pause(line)
     if word in HARMLESS and not strict:
-        return Other(number, line.rest())
+        return syntax.Other(number, line.rest())
     return _declaration_or_plain(line, strict)
 
 
-def _definition(line: Line) -> Definition:
+def _definition(line: TokenLine) -> syntax.Definition:
     kind = line.take().text.upper()
     name = line.expect_name(f"a name after {kind}")
     if kind == "DEF":
@@ -135,26 +112,26 @@ def _definition(line: Line) -> Definition:
     else:
         line.accept("PUBLIC")
     line.finish()
-    return Definition(line.number, kind, name)
+    return syntax.Definition(line.number, kind, name)
 
 
-def _block_start(line: Line, strict: bool) -> BlockStart:
+def _block_start(line: TokenLine, strict: bool) -> syntax.BlockStart:
     kind = line.take().text.upper()
     if not strict and line.peek().text.upper() == "WITH":
         line.rest()
     line.finish()
-    return BlockStart(line.number, kind)
+    return syntax.BlockStart(line.number, kind)
 
 
-def _motion(line: Line, strict: bool) -> Motion:
+def _motion(line: TokenLine, strict: bool) -> syntax.MotionStatement:
     kind = line.take().text.upper()
-    target: Value
+    target: syntax.Value
     if line.peek().text == "{":
         target = _aggregate(line)
     elif not strict:
-        target = Word(line.expect_name(f"a position after {kind}").upper())
+        target = syntax.Word(line.expect_name(f"a position after {kind}").upper())
         if line.accept("["):
-            target = Word(f"{target.text}[{line.take().text}]")
+            target = syntax.Word(f"{target.text}[{line.take().text}]")
             line.expect("]")
         if line.peek().text == ":":
             raise line.error("a position made of two by the geometric operator ':' cannot be read")
@@ -164,10 +141,10 @@ def _motion(line: Line, strict: bool) -> Motion:
     if not strict and line.peek().text.upper() == "WITH":
         line.rest()
     line.finish()
-    return Motion(line.number, kind, target, approximation)
+    return syntax.MotionStatement(line.number, kind, target, approximation)
 
 
-def _approximation(line: Line) -> str:
+def _approximation(line: TokenLine) -> str:
     found = ""
     while line.peek().text.upper() in APPROXIMATIONS:
         found = found or line.peek().text.upper()
@@ -175,7 +152,7 @@ def _approximation(line: Line) -> str:
     return found
 
 
-def _time_block(line: Line) -> TimeBlock:
+def _time_block(line: TokenLine) -> syntax.TimeBlock:
     line.take()
     what = line.expect_name("START, PART or END after TIME_BLOCK").upper()
     if what not in ("START", "PART", "END"):
@@ -185,10 +162,10 @@ def _time_block(line: Line) -> TimeBlock:
         line.expect("=")
         value = _number(line)
     line.finish()
-    return TimeBlock(line.number, what, value)
+    return syntax.TimeBlock(line.number, what, value)
 
 
-def _pause(line: Line) -> Pause:
+def _pause(line: TokenLine) -> syntax.PauseStatement:
     """HALT, WAIT SEC with a literal, or WAIT FOR $IN[n]: what a measuring program stands still by."""
     halt = line.take().text.upper() == "HALT"
     seconds = _number(line) if not halt and line.accept("SEC") else None
@@ -199,10 +176,10 @@ def _pause(line: Line) -> Pause:
         number = _number(line)
         line.expect("]")
     line.finish()
-    return Pause(line.number, seconds, number)
+    return syntax.PauseStatement(line.number, seconds, number)
 
 
-def _number(line: Line) -> Number:
+def _number(line: TokenLine) -> syntax.Number:
     sign = ""
     while line.peek().text in ("+", "-"):
         sign += line.take().text
@@ -210,15 +187,15 @@ def _number(line: Line) -> Number:
     if token.kind != "number":
         raise line.error(f"expected a number and found '{token.text or 'the end of the line'}'")
     text = sign + token.text
-    return Number(float(token.text) * (-1.0 if sign.count("-") % 2 else 1.0), text)
+    return syntax.Number(float(token.text) * (-1.0 if sign.count("-") % 2 else 1.0), text)
 
 
-def _aggregate(line: Line) -> Aggregate:
+def _aggregate(line: TokenLine) -> syntax.Aggregate:
     line.expect("{")
     if line.peek().kind == "name" and line.peek(1).text == ":":  # {E6POS: X ..}
         line.take()
         line.take()
-    items: list[tuple[str, Value]] = []
+    items: list[tuple[str, syntax.Value]] = []
     while True:
         name = line.expect_name("the name of a component (or is this a decimal comma?)").upper()
         if line.accept("["):
@@ -230,25 +207,25 @@ def _aggregate(line: Line) -> Aggregate:
         if not line.accept(","):
             break
     line.expect("}", "; is a brace missing?")
-    return Aggregate(tuple(items))
+    return syntax.Aggregate(tuple(items))
 
 
-def _value(line: Line) -> Value:
+def _value(line: TokenLine) -> syntax.Value:
     token = line.peek()
     if token.text == "{":
         return _aggregate(line)
     if token.kind == "number" or token.text in ("-", "+"):
         return _number(line)
     if token.kind in ("enum", "string", "name", "bits"):
-        return Word(line.take().text)
+        return syntax.Word(line.take().text)
     raise line.error(f"expected a value and found '{token.text or 'the end of the line'}'")
 
 
-def _declaration_or_plain(line: Line, strict: bool) -> Statement:
+def _declaration_or_plain(line: TokenLine, strict: bool) -> syntax.Statement:
     word, second = line.peek().text.upper(), line.peek(1)
     if word in ("EXT", "EXTFCT"):
         line.take()
-        return Declaration(line.number, "EXT", line.rest(), None)
+        return syntax.Declaration(line.number, "EXT", line.rest(), None)
     if word in ("DECL", "GLOBAL", "CONST") or (second.kind == "name" and word.isidentifier()):
         return _declaration(line, strict)
     name = line.take().text
@@ -261,23 +238,23 @@ def _declaration_or_plain(line: Line, strict: bool) -> Statement:
     while line.accept("."):
         index += "." + line.expect_name("a component").upper()
     if line.accept("="):
-        return Assignment(line.number, name.upper() + index, _right_side(line, strict))
+        return syntax.Assignment(line.number, name.upper() + index, _right_side(line, strict))
     raise line.error(f"'{line.text.strip()[:40]}' is no statement of the KRL that may be used here")
 
 
-def _right_side(line: Line, strict: bool) -> Value:
+def _right_side(line: TokenLine, strict: bool) -> syntax.Value:
     value = _value(line)
-    if isinstance(value, Word) and line.accept("["):
-        value = Word(f"{value.text.upper()}[{line.take().text}]")
+    if isinstance(value, syntax.Word) and line.accept("["):
+        value = syntax.Word(f"{value.text.upper()}[{line.take().text}]")
         line.expect("]")
     if strict:
         line.finish()
     elif line.peek().kind != "end":
-        value = Word(f"expression {line.rest()}")
+        value = syntax.Word(f"expression {line.rest()}")
     return value
 
 
-def _declaration(line: Line, strict: bool) -> Declaration:
+def _declaration(line: TokenLine, strict: bool) -> syntax.Declaration:
     while line.peek().text.upper() in ("DECL", "GLOBAL", "CONST"):
         line.take()
     kind = line.expect_name("a type").upper()
@@ -287,12 +264,12 @@ def _declaration(line: Line, strict: bool) -> Declaration:
     value = _right_side(line, strict) if line.accept("=") else None
     if strict:
         line.finish()
-    return Declaration(line.number, kind, name, value)
+    return syntax.Declaration(line.number, kind, name, value)
 
 
-def _call(line: Line, name: str) -> Call:
+def _call(line: TokenLine, name: str) -> syntax.Call:
     line.expect("(")
     text = line.rest()
     if not text.endswith(")"):
         raise line.error(f"the call of {name} has no closing bracket")
-    return Call(line.number, name, tuple(a.strip() for a in text[:-1].split(",") if a.strip()))
+    return syntax.Call(line.number, name, tuple(a.strip() for a in text[:-1].split(",") if a.strip()))

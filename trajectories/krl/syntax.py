@@ -44,32 +44,48 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Header(Statement):
+class TextStatement(Statement):
+    """A statement that is kept as its text."""
+
+    text: str
+
+
+class Header(TextStatement):
     """A line that begins with &."""
 
-    text: str
 
-
-@dataclass(frozen=True)
-class Remark(Statement):
+class Remark(TextStatement):
     """A comment or fold."""
 
-    text: str
+
+class Interrupt(TextStatement):
+    """The interrupt statements of the INI fold."""
+
+
+class Other(TextStatement):
+    """A statement without motion that only an old program may hold (waits, outputs, triggers)."""
 
 
 @dataclass(frozen=True)
-class Definition(Statement):
-    """DEF or DEFDAT with the program's name."""
+class KeywordStatement(Statement):
+    """A statement that is one keyword, its `kind`."""
 
     kind: str
-    name: str
 
 
-@dataclass(frozen=True)
-class Ending(Statement):
+class Ending(KeywordStatement):
     """END or ENDDAT."""
 
-    kind: str
+
+class BlockStart(KeywordStatement):
+    """PTP_SPLINE or SPLINE."""
+
+
+@dataclass(frozen=True)
+class Definition(KeywordStatement):
+    """DEF or DEFDAT with the program's name."""
+
+    name: str
 
 
 @dataclass(frozen=True)
@@ -98,22 +114,13 @@ class Call(Statement):
 
 
 @dataclass(frozen=True)
-class Motion(Statement):
+class MotionStatement(KeywordStatement):
     """PTP, LIN, SPTP, SLIN or SPL to a literal position or to a named one; `approximation` as C_VEL or empty."""
 
-    kind: str
     target: Value
     approximation: str
 
 
-@dataclass(frozen=True)
-class BlockStart(Statement):
-    """PTP_SPLINE or SPLINE."""
-
-    kind: str
-
-
-@dataclass(frozen=True)
 class BlockEnd(Statement):
     """ENDSPLINE."""
 
@@ -127,25 +134,11 @@ class TimeBlock(Statement):
 
 
 @dataclass(frozen=True)
-class Interrupt(Statement):
-    """The interrupt statements of the INI fold."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class Pause(Statement):
+class PauseStatement(Statement):
     """HALT, WAIT SEC seconds or WAIT FOR $IN[input]: the robot stands still."""
 
     seconds: Number | None = None
     input: Number | None = None
-
-
-@dataclass(frozen=True)
-class Other(Statement):
-    """A statement without motion that only an old program may hold (waits, outputs, triggers)."""
-
-    text: str
 
 
 @dataclass(frozen=True)

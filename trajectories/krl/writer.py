@@ -2,9 +2,12 @@
 
 import numpy as np
 
-from robots.pose import Array, abc_from_rotation
-from trajectories.krl.names import comment_text
-from trajectories.krl.program import (
+from robots.errors import BadInput
+from trajectories.krl.names import is_legal
+from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
+from trajectories.krl.time_block import timed_spline
+from trajectories.krl.values import FILE_LIMITS, axes_text, comment_text, fixed, frame_text
+from trajectories.program.program import (
     Block,
     Comment,
     PointMotion,
@@ -15,10 +18,10 @@ from trajectories.krl.program import (
     Stop,
     SubProgram,
     TimedSpline,
-    validate,
+    refuse_double_compensation,
 )
-from trajectories.krl.status_turn import status_of, turn_of
 
+KINDS = ("axis", "cartesian", "lin")
 HEADER = ("&ACCESS RVP", "&REL 1")
 INI = (
     ";FOLD INI",
@@ -37,19 +40,38 @@ EXTERNALS = (
     "  ;ENDFOLD (BASISTECH EXT)",
     ";ENDFOLD (EXTERNAL DECLARATIONS)",
 )
-TIME_UNIT = 1e-5  # s, the last decimal of a time part
 
 
 def program_files(program: Program) -> dict[str, bytes]:
     """File name -> bytes of every .src and .dat, main program first.
 
-    Raises BadInput for a program that must not be written (see `validate`).
+    Raises BadInput for a program that must not be written (see `refuse_unwritable`).
     """
-    validate(program)
+    refuse_unwritable(program)
     files = _pair(program.name, program.setup, _main(program), "grindplan main program")
     for sub in program.subs:
         files |= _pair(sub.name, program.setup, _sub(sub, program.setup), sub.comment or "grindplan pass")
     return files
+
+
+def refuse_unwritable(program: Program) -> None:
+    """Refuse (BadInput) what must not be written: illegal or double names, an unknown kind, double compensation."""
+    setup = program.setup
+    names = [program.name, *(s.name for s in program.subs)]
+    wrong = [n for n in names if not is_legal(n)]
+    if wrong:
+        raise BadInput(f"'{wrong[0]}' is no program name: letters, digits and _, at most 24 characters, no keyword")
+    if len({n.upper() for n in names}) < len(names):
+        raise BadInput(f"two programs share a name in {', '.join(names)}; names are compared without case")
+    if setup.kind not in KINDS:
+        raise BadInput(f"kind '{setup.kind}' is not one of {', '.join(KINDS)}")
+    refuse_double_compensation(setup)
+    for sub in program.subs:
+        if sub.points > FILE_LIMITS.file_points:
+            raise BadInput(f"{sub.name} has {sub.points} points and a file takes {FILE_LIMITS.file_points}; split the pass")
+        first = next((b for b in sub.blocks if not isinstance(b, Comment)), None)
+        if not isinstance(first, PointMotion):
+            raise BadInput(f"{sub.name} must begin with a PTP to full axes")
 
 
 def _pair(name: str, setup: Setup, body: list[str], comment: str) -> dict[str, bytes]:
@@ -63,32 +85,15 @@ def _bytes(lines: list[str]) -> bytes:
     return ("\r\n".join(lines) + "\r\n").encode("ascii")
 
 
-def number(value: float, decimals: int) -> str:
-    """Fixed decimals, no exponent, and 0 without a sign."""
-    text = f"{value:.{decimals}f}"
-    return text[1:] if float(text) == 0 and text.startswith("-") else text
-
-
-def _frame(T: Array) -> str:
-    xyz = T[:3, 3] * 1e3
-    abc = np.degrees(abc_from_rotation(T[:3, :3]))
-    parts = [f"{c} {number(v, 4)}" for c, v in zip("XYZ", xyz, strict=True)]
-    return "{" + ",".join(parts + [f"{c} {number(v, 5)}" for c, v in zip("ABC", abc, strict=True)]) + "}"
-
-
-def _axes(q: Array) -> str:
-    return "{" + ",".join(f"A{i} {number(v, 5)}" for i, v in enumerate(np.degrees(q), 1)) + "}"
-
-
 def _frames(setup: Setup) -> list[str]:
     """Frames and load, after BAS(#INITMOV,0), which resets them."""
     com, inertia = setup.load_com * 1e3, setup.load_inertia
-    load = f"$LOAD={{M {number(setup.load_mass, 3)},CM {{"
-    load += ",".join(f"{c} {number(v, 3)}" for c, v in zip("XYZ", com, strict=True))
+    load = f"$LOAD={{M {fixed(setup.load_mass, 3)},CM {{"
+    load += ",".join(f"{c} {fixed(v, 3)}" for c, v in zip("XYZ", com, strict=True))
     load += ",A 0.0,B 0.0,C 0.0},J {"
-    load += ",".join(f"{c} {number(v, 4)}" for c, v in zip("XYZ", inertia, strict=True)) + "}}"
-    tool, base = _frame(setup.T_flange_blade), _frame(setup.T_base_wheel)
-    from_data = setup.base_from_data and setup.kind != "axis"
+    load += ",".join(f"{c} {fixed(v, 4)}" for c, v in zip("XYZ", inertia, strict=True)) + "}}"
+    tool, base = frame_text(setup.T_flange_blade), frame_text(setup.T_base_wheel)
+    from_data = setup.base_on_controller and setup.kind != "axis"
     return [
         f"; blade frame on the flange, as in TOOL_DATA[{setup.tool_no}]",
         f"$TOOL={tool}",
@@ -116,9 +121,9 @@ def _sub(sub: SubProgram, setup: Setup) -> list[str]:
         elif isinstance(block, Stop):
             lines.append(_stop(block))
         elif isinstance(block, PointMotion):
-            lines.append(f"PTP {_axes(block.q)}")
+            lines.append(f"PTP {axes_text(block.q)}")
         elif isinstance(block, TimedSpline):
-            lines += _timed_spline(block)
+            lines += timed_spline(block)
         else:
             lines += _poses(block, setup)
     return lines
@@ -126,7 +131,7 @@ def _sub(sub: SubProgram, setup: Setup) -> list[str]:
 
 def _stop(block: Stop) -> str:
     if block.seconds is not None:
-        return f"WAIT SEC {number(block.seconds, 2)}"
+        return f"WAIT SEC {fixed(block.seconds, 2)}"
     return "HALT" if block.input is None else f"WAIT FOR $IN[{block.input}]"
 
 
@@ -141,20 +146,11 @@ def _axis_speeds(block: Block) -> list[str]:
     return [f"$VEL_AXIS[{i}]={speed:d}" for i in range(1, 7)] + [f"$ACC_AXIS[{i}]={acceleration:d}" for i in range(1, 7)]
 
 
-def _timed_spline(block: TimedSpline) -> list[str]:
-    lines = ["PTP_SPLINE", f"  SPTP {_axes(block.q[0])}", "  TIME_BLOCK START"]
-    # Times are rounded, not steps, so that the parts add up to the end in the printed decimals.
-    ticks = np.rint((np.asarray(block.t) - block.t[0]) / TIME_UNIT).astype(int)
-    for q, part in zip(block.q[1:], np.diff(ticks), strict=True):
-        lines += [f"  SPTP {_axes(q)}", f"  TIME_BLOCK PART={number(part * TIME_UNIT, 5)}"]
-    return [*lines, f"  TIME_BLOCK END={number(ticks[-1] * TIME_UNIT, 5)}", "ENDSPLINE"]
-
-
 def _poses(block: PoseSpline | PoseLines, setup: Setup) -> list[str]:
     q = np.radians(np.round(np.degrees(block.q), 5))  # a sign that is not printed decides no bit
-    S, T = status_of(q, setup.arm), turn_of(q)
-    points = [f"{_frame(P)[:-1]},S {s},T {t}}}" for P, s, t in zip(block.poses, S, T, strict=True)]
-    lines = [f"$VEL.CP={number(block.feed, 5)}", f"$ACC.CP={number(block.acceleration, 3)}"]
+    S, T = status_of(q, ArmLengths.of(setup.robot.mdh)), turn_of(q)
+    points = [f"{frame_text(P)[:-1]},S {s},T {t}}}" for P, s, t in zip(block.poses, S, T, strict=True)]
+    lines = [f"$VEL.CP={fixed(block.feed, 5)}", f"$ACC.CP={fixed(block.acceleration, 3)}"]
     if isinstance(block, PoseSpline):
         return [*lines, "SPLINE", *(f"  SPL {p}" for p in points), "ENDSPLINE"]
     return [*lines, "$APO.CVEL=100", *(f"LIN {p} C_VEL" for p in points[1:-1]), f"LIN {points[-1]}"]

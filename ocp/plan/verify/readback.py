@@ -15,11 +15,10 @@ from ocp.shell.workers import interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches
 from robots.pose import Array, invert
+from trajectories.dialects import dialect_named
 from trajectories.joint_trajectory import SAMPLE
-from trajectories.krl.checks import check_program
-from trajectories.krl.execution import Execution
-from trajectories.krl.interpolation import pose_spline, reinterpolate
-from trajectories.krl.status_turn import ArmLengths
+from trajectories.program.execution import Execution
+from trajectories.program.interpolation import pose_spline, reinterpolate
 
 FLANGE_TOLERANCE, RIGID_TOLERANCE = 0.2, 2.0  # N, what a program may be off by (the mission)
 POSE_STEP = 2e-3  # m between poses of a Cartesian program at which its axes are found
@@ -47,10 +46,9 @@ def read_back(
 
     Raises BadInput as the reader does, Infeasible where force, times or limits are not what was planned.
     """
-    robot = cell.robot
-    absolute = cell.controller.absolute_accuracy
-    execution = check_program(main, (robot.q_min, robot.q_max), ArmLengths.of(robot.mdh), absolute)
-    timed = all(s.times is not None or s.kind == "PTP" for s in execution.segments)
+    controller = cell.controller
+    execution = dialect_named(controller.dialect).check(main, cell.robot, controller.absolute_accuracy)
+    timed = all(s.times is not None or s.kind == "point" for s in execution.segments)
     driven, axis_error, time_error, ratio = (_timed if timed else _posed)(cell, motion, execution)
     passes, worst = [], 0.0
     tolerance = RIGID_TOLERANCE if cell.flange is None else FLANGE_TOLERANCE
@@ -129,10 +127,10 @@ def _posed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, fl
     blocks: list[Array] = []
     before: tuple[str, float | None] = ("", None)
     for s in execution.segments:
-        follows = s.kind == "LIN" and before == ("LIN", s.speed)
-        starts_where_ended = s.kind == "LIN" and before[0] == "LIN"
+        follows = s.kind == "line" and before == ("line", s.speed)
+        starts_where_ended = s.kind == "line" and before[0] == "line"
         before = (s.kind, s.speed)
-        # Classic lines do not write the pose where the robot stands; a new speed begins a new block.
+        # Straight motions do not write the pose where the robot stands; a new speed begins a new block.
         if s.poses is not None and follows:
             blocks[-1] = np.vstack([blocks[-1], s.poses])
         elif s.poses is not None and starts_where_ended:

@@ -8,11 +8,13 @@ import numpy as np
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array, invert
 from trajectories.joint_trajectory import JointTrajectory
-from trajectories.krl.interpolation import Deviation, emit, largest_axis_difference
-from trajectories.krl.names import program_names
-from trajectories.krl.program import (
+from trajectories.path_law import times_at
+from trajectories.program.dialect import Dialect
+from trajectories.program.interpolation import Deviation, emit, largest_axis_difference
+from trajectories.program.program import (
     Block,
     Comment,
+    FileLimits,
     PointMotion,
     PoseLines,
     PoseSpline,
@@ -20,13 +22,11 @@ from trajectories.krl.program import (
     Setup,
     SubProgram,
     TimedSpline,
+    refuse_double_compensation,
     split_blocks,
-    validate,
 )
-from trajectories.path_law import times_at
 
 SPACING = 1e-3  # m between the poses of a Cartesian program
-MOST = 1900
 
 
 class Leg(Protocol):
@@ -42,6 +42,7 @@ class Leg(Protocol):
 
 
 def build_program(
+    dialect: Dialect,
     name: str,
     setup: Setup,
     passes: Sequence[Sequence[Leg]],
@@ -54,31 +55,31 @@ def build_program(
 ) -> Program:
     """The program of all passes; each pass is a sequence of legs that follow one another without a gap.
 
-    `labels` say per pass what it does; `forward` gives the nominal flange poses (n, 4, 4) of joints (n, 6) (poses
-    programs are written through the controller's own, nominal kinematics: PHYSICS.md 4). `tolerance` of a leg and `deviation`
-    as in `emit`; `taken` names on the controller. Raises BadInput (see `validate`) and Infeasible (a leg that cannot be
-    emitted within the tolerance, named by its label).
+    `dialect` says how it may be named and what its files hold; `labels` say per pass what it does; `forward` gives the nominal
+    flange poses (n, 4, 4) of joints (n, 6): programs of poses are written through the controller's own, nominal kinematics
+    (PHYSICS.md 4). `tolerance` of a leg and `deviation` as in `emit`; `taken` names on the controller. Raises BadInput (poses
+    would be corrected twice; a leg of too many points) and Infeasible (a leg that cannot be emitted within the tolerance).
     """
-    groups = []
+    refuse_double_compensation(setup)
+    groups, limits = [], dialect.limits
     for label, legs in zip(labels, passes, strict=True):
         try:
-            groups.append(split_blocks(_blocks(legs, setup, forward, tolerance, deviation)))
+            groups.append(split_blocks(_blocks(legs, setup, limits, forward, tolerance, deviation), limits.file_points))
         except (BadInput, Infeasible) as error:
             raise type(error)(f"{label}: {error}") from None
-    main, names = program_names(name, len(groups), [len(g) for g in groups], taken)
+    main, names = dialect.program_names(name, len(groups), [len(g) for g in groups], taken)
     subs = tuple(
         SubProgram(sub, tuple(blocks), label)
         for label, parts, part_names in zip(labels, groups, names, strict=True)
         for sub, blocks in zip(part_names, parts, strict=True)
     )
-    program = Program(main, setup, subs, tuple(comments))
-    validate(program)
-    return program
+    return Program(main, setup, subs, tuple(comments))
 
 
 def _blocks(
     legs: Sequence[Leg],
     setup: Setup,
+    limits: FileLimits,
     forward: Callable[[Array], Array],
     tolerance: Callable[[Leg], float],
     deviation: Deviation,
@@ -87,23 +88,25 @@ def _blocks(
     for leg in legs:
         blocks.append(Comment(leg.kind))
         if setup.kind == "axis":
-            emission = emit(leg.trajectory, tolerance(leg), deviation)
+            emission = emit(leg.trajectory, limits, tolerance(leg), deviation)
             blocks.append(TimedSpline(emission.q, emission.times))
         elif leg.kind == "travel":
             blocks.append(PointMotion(leg.trajectory.q(leg.trajectory.duration)))
         else:
-            blocks.append(_pose_block(leg.trajectory, setup, forward))
+            blocks.append(_pose_block(leg.trajectory, setup, limits.block_points, forward))
     return blocks
 
 
-def _pose_block(trajectory: JointTrajectory, setup: Setup, forward: Callable[[Array], Array]) -> PoseSpline | PoseLines:
-    """Poses P = (FLANGE TOOL)^-1 BASE at equal stations; $VEL.CP is the speed of P at which the planned feed is driven."""
+def _pose_block(
+    trajectory: JointTrajectory, setup: Setup, most: int, forward: Callable[[Array], Array]
+) -> PoseSpline | PoseLines:
+    """Poses P = (FLANGE TOOL)^-1 BASE at equal stations, and the speed of P at which the planned feed is driven."""
     length = float(trajectory.stations[-1])
-    n = int(np.clip(np.ceil(length / SPACING), 2, MOST - 1))
+    n = int(np.clip(np.ceil(length / SPACING), 2, most - 1))
     times = times_at(trajectory.law, np.linspace(0.0, length, n + 1))
     q = trajectory.q(times)
     P = invert(forward(q) @ setup.T_flange_blade) @ setup.T_base_wheel
-    # Only where the wheel touches at the origin of $BASE is the speed of P the feed itself: the ratio is taken along.
+    # Only where the wheel touches at the origin of the base frame is the speed of P the feed itself: the ratio is taken along.
     chord = np.linalg.norm(np.diff(P[:, :3, 3], axis=0), axis=1)
     feed = float(np.median(chord / np.diff(times)))
     block = PoseSpline if setup.kind == "cartesian" else PoseLines

@@ -1,4 +1,4 @@
-"""What a controller makes of emitted points: a smooth curve of about fifth order (KRL.md), and how many points that needs.
+"""What a controller makes of emitted points: a smooth curve of about fifth order, and how many points that needs.
 
 The model is the quintic spline (C4) through the points of a block that starts and ends at rest. The controller's own
 curve is not published; what can be bounded is how far any such curve can be from the plan, and that falls with the
@@ -15,12 +15,10 @@ from scipy.spatial.transform import Rotation
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array, make_transform
 from trajectories.joint_trajectory import SAMPLE, JointTrajectory
-from trajectories.krl.execution import Execution
+from trajectories.program.execution import Execution
+from trajectories.program.program import FileLimits
 
 STEP = 0.025  # s between emitted points
-SHORTEST = 0.012  # s, the interpolation cycle of the controller: points closer in time say nothing (KRL.md, M)
-MOST = 1900  # points of a block, below the 2000 of a file
-TIME_UNIT, ANGLE_DECIMALS = 1e-5, 5  # what is printed, s and decimals of a degree
 
 Deviation = Callable[[Array, Array], Array]
 
@@ -47,37 +45,38 @@ def largest_axis_difference(planned: Array, driven: Array) -> Array:
 
 def emit(
     trajectory: JointTrajectory,
+    limits: FileLimits,
     tolerance: float = 2e-5,
     deviation: Deviation = largest_axis_difference,
     step: float = STEP,
-    most: int = MOST,
 ) -> Emission:
     """Emission points such that the curve through the printed points stays within `tolerance` of the plan at 1 ms.
 
     `deviation(q_planned, q_driven)` (n, 6), (n, 6) -> (n,) has the unit of `tolerance` (rad; or mm or N if the caller
-    measures so). Starts with equal steps, halves those whose neighbourhood deviates, never below 12 ms. Raises
+    measures so). Starts with equal steps, halves those whose neighbourhood deviates, never below the cycle of `limits`. Raises
     Infeasible, which names time and deviation, where that is not enough.
     """
-    end = np.ceil(trajectory.duration / TIME_UNIT - 1e-6) * TIME_UNIT
+    unit, most = limits.time_unit, limits.block_points
+    end = np.ceil(trajectory.duration / unit - 1e-6) * unit
     n = int(np.clip(np.ceil(end / step), 2, most - 1))
-    times = np.rint(np.linspace(0.0, end, n + 1) / TIME_UNIT) * TIME_UNIT
+    times = np.rint(np.linspace(0.0, end, n + 1) / unit) * unit
     fine = np.arange(0.0, end, SAMPLE)
     planned = trajectory.q(fine)
     while True:
-        q = np.radians(np.round(np.degrees(trajectory.q(times)), ANGLE_DECIMALS))
+        q = np.radians(np.round(np.degrees(trajectory.q(times)), limits.angle_decimals))
         error = deviation(planned, rest_to_rest_spline(q, times)(fine))
         worst = int(np.argmax(error))
         if error[worst] <= tolerance:
             return Emission(times, q, float(error[worst]))
         cell = np.clip(np.searchsorted(times, fine[error > tolerance], side="right") - 1, 0, len(times) - 2)
         near = np.unique(np.clip(np.concatenate([cell - 1, cell, cell + 1]), 0, len(times) - 2))
-        near = near[np.diff(times)[near] >= 2 * SHORTEST]
+        near = near[np.diff(times)[near] >= 2 * limits.cycle]
         if len(near) == 0 or len(times) + len(near) > most:
             raise Infeasible(
                 f"the emitted program leaves the plan by {error[worst]:.3g} (allowed {tolerance:.3g}) at {fine[worst]:.3f} s "
                 f"with {len(times)} points; drive slower there, smooth the path or allow more"
             )
-        middle = np.rint(0.5 * (times[near] + times[near + 1]) / TIME_UNIT) * TIME_UNIT
+        middle = np.rint(0.5 * (times[near] + times[near + 1]) / unit) * unit
         times = np.sort(np.concatenate([times, middle]))
 
 
@@ -120,17 +119,17 @@ class ProgramMotion:
 def reinterpolate(execution: Execution, qd: Array, qdd: Array, part: float = 0.1) -> ProgramMotion:
     """The axes over time that the program read back commands; its first posture is where the robot is taken to stand.
 
-    Timed blocks keep their times. A PTP takes as long as a smooth move needs at `part` of the speeds qd and
+    Timed blocks keep their times. A move to a point takes as long as a smooth move needs at `part` of the speeds qd and
     accelerations qdd (6,); one that goes nowhere takes no time. Raises BadInput for programs of poses, whose axes depend
     on the controller's inverse kinematics: see `pose_spline`.
     """
     starts, pieces, places, clock = [], [], [], 0.0
     where: Array | None = None
     for s in execution.segments:
-        if s.q is None or (s.kind != "PTP" and s.times is None):
-            raise BadInput(f"{s.file}, line {s.lines[0]}: {s.kind} is not an axis motion with times; only those can be replayed")
+        if s.q is None or (s.kind != "point" and s.times is None):
+            raise BadInput(f"{s.place()}: {s.word} is not an axis motion with times; only those can be replayed")
         q, t = s.q, s.times
-        if s.kind == "PTP":
+        if s.kind == "point":
             distance = np.abs(q[0] - where) if where is not None else np.zeros(6)
             # quintic from rest to rest: peak speed 15/8 d/T, peak acceleration 10/sqrt(3) d/T^2
             T = max(float((1.875 * distance / (part * qd)).max()), float(np.sqrt(5.7735 * distance / (part * qdd)).max()))
@@ -148,7 +147,7 @@ def reinterpolate(execution: Execution, qd: Array, qdd: Array, part: float = 0.1
 
 
 def pose_spline(poses: Array) -> tuple[Callable[[Array], Array], float]:
-    """The curve through poses (n, 4, 4) that a SPLINE block drives, over the chord length u in [0, L] m, and L.
+    """The curve through poses (n, 4, 4) that a spline block drives, over the chord length u in [0, L] m, and L.
 
     Positions and rotation vectors (against the middle pose) are quintic splines over the chord length.
     """

@@ -1,14 +1,13 @@
-"""A path taken from an existing KRL program, through the nominal kinematics."""
+"""A path taken from an existing program, through the nominal kinematics."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from robots.errors import BadInput
 from robots.pose import Array, invert
-from trajectories.krl.execution import Execution, Segment, execute
+from trajectories.program.execution import Execution, Segment
 
 
 @dataclass(frozen=True)
@@ -29,16 +28,15 @@ class OldPass:
 
 
 def contact_frames_from_program(
-    source: Path, forward: Callable[[Array], Array], T_flange_blade: Array, T_base_wheel: Array
+    execution: Execution, forward: Callable[[Array], Array], T_flange_blade: Array, T_base_wheel: Array
 ) -> tuple[tuple[OldPass, ...], tuple[str, ...]]:
-    """Passes of an old program and notices about what was passed over.
+    """Passes of an old program, as its dialect reads it, and notices about what was passed over.
 
-    A pass is a spline block, or LIN and SLIN motions in a row; PTP motions separate passes. Poses become flange poses
-    with the frames the program itself sets; where it names only numbers (TOOL_DATA[3]), `T_flange_blade` and
+    A pass is a spline block, or straight motions in a row; moves to a point separate passes. Poses become flange poses
+    with the frames the program itself sets; where it names only their numbers, `T_flange_blade` and
     `T_base_wheel` stand in and a notice says so. What the contact point is follows from `frames`: its origin, where
-    `T_base_wheel` lies on the wheel's surface; else project it. Raises BadInput: unreadable, or no path in it.
+    `T_base_wheel` lies on the wheel's surface; else project it. Raises BadInput where there is no path in it.
     """
-    execution: Execution = execute(Path(source), strict=False)
     notices = list(execution.notices)
     passes: list[OldPass] = []
     group: list[Segment] = []
@@ -49,16 +47,16 @@ def contact_frames_from_program(
         group.clear()
 
     for segment in execution.segments:
-        single = segment.kind in ("LIN", "SLIN", "SPL")
+        single = segment.kind == "line"
         if not single or (group and group[0].file != segment.file):
             close()
-        if segment.kind not in ("PTP", "SPTP"):
+        if segment.kind != "point":
             group.append(segment)
         if not single:
             close()
     close()
     if not passes:
-        raise BadInput(f"{source}: no path of two or more LIN, SLIN or spline points was found in the program")
+        raise BadInput(f"{execution.source}: no path of two or more straight or spline points was found in the program")
     return tuple(passes), tuple(dict.fromkeys(notices))
 
 
@@ -81,6 +79,6 @@ def _flange(segment: Segment, forward: Callable[[Array], Array], tool: Array, ba
             "frames are taken"
         )
     T, B = tool if own.tool is None else own.tool, base if own.base is None else own.base
-    if own.ipo_mode == "#TCP":  # P is the pose of the base seen from the tool
+    if own.external_tcp:  # P is the pose of the base seen from the tool
         return np.asarray(B @ invert(segment.poses) @ invert(T))
     return np.asarray(B @ segment.poses @ invert(T))

@@ -7,11 +7,22 @@ import numpy as np
 
 from robots.errors import BadInput
 from robots.pose import Array
-from trajectories.krl.names import is_legal
-from trajectories.krl.status_turn import ArmLengths
+from robots.robot import Robot
 
-MOST_POINTS = 2000  # points of a sub-program, KRL.md
-KINDS = ("axis", "cartesian", "lin")
+
+@dataclass(frozen=True)
+class FileLimits:
+    """What the files of a language hold and how finely they are printed.
+
+    Most points of a file and of one block (a margin below it); the controller's interpolation cycle s, below which points
+    say nothing; the last printed digit of a time, s, and the decimals of an angle in degrees.
+    """
+
+    file_points: int
+    block_points: int
+    cycle: float
+    time_unit: float
+    angle_decimals: int
 
 
 @dataclass(frozen=True)
@@ -23,7 +34,7 @@ class Comment:
 
 @dataclass(frozen=True)
 class PointMotion:
-    """PTP to full axes q (6,) rad at a part of the axis speeds and accelerations, in percent."""
+    """A move to full axes q (6,) rad, not timed, at a part of the axis speeds and accelerations in percent."""
 
     q: Array
     speed_percent: int = 10
@@ -32,7 +43,7 @@ class PointMotion:
 
 @dataclass(frozen=True)
 class TimedSpline:
-    """PTP_SPLINE through axes q (n, 6) rad, where the robot stands first, at times t (n,) s from 0."""
+    """A spline through axes q (n, 6) rad, the first where the robot stands, at times t (n,) s from 0."""
 
     q: Array
     t: Array
@@ -40,9 +51,10 @@ class TimedSpline:
 
 @dataclass(frozen=True)
 class PoseSpline:
-    """SPLINE under #TCP through poses P (n, 4, 4) of $BASE in $TOOL; the first is where the robot stands.
+    """A spline through poses P (n, 4, 4) of the base frame in the tool frame (the robot holds the workpiece).
 
-    q (n, 6) rad are the axes behind the poses (for S and T), `feed` m/s is $VEL.CP, `acceleration` m/s^2 $ACC.CP.
+    The first pose is where the robot stands; q (n, 6) rad are the axes behind the poses, which tell the arm's branch; `feed`
+    m/s is the speed of the origin of the base frame, `acceleration` m/s^2 what leads up to it.
     """
 
     poses: Array
@@ -53,7 +65,7 @@ class PoseSpline:
 
 @dataclass(frozen=True)
 class PoseLines:
-    """Classic LIN motions, approximated by C_VEL except the last; fields as `PoseSpline`."""
+    """Straight motions from pose to pose, blended into each other except at the last; fields as `PoseSpline`."""
 
     poses: Array
     q: Array
@@ -63,8 +75,8 @@ class PoseLines:
 
 @dataclass(frozen=True)
 class Stop:
-    """The robot stands still, for `seconds` (WAIT SEC), until an `input` is on (WAIT FOR $IN), or with neither until a person
-    starts it again (HALT)."""
+    """The robot stands still: for `seconds`, until an `input` of the controller is on, or with neither until a person starts it
+    again."""
 
     seconds: float | None = None
     input: int | None = None
@@ -89,16 +101,17 @@ class SubProgram:
 
 @dataclass(frozen=True)
 class Setup:
-    """What the controller must know: frames, load, numbers of tool and base, kind of output.
+    """What the controller must know: frames, robot, load, numbers of tool and base, kind of output.
 
-    `T_flange_blade` goes into TOOL, `T_base_wheel` into BASE (4, 4); load: mass kg, centre of mass (3,) m in the flange
-    frame, inertia (3,) kg m^2 about it. `base_from_data`: poses programs take $BASE from BASE_DATA[base_no], which may
-    be taught again when the wheel wears, instead of from the text.
+    `T_flange_blade` is the tool frame, `T_base_wheel` the base frame (4, 4); `robot` the nominal arm, whose branch pose
+    programs name; `kind` axis (timed splines), cartesian (pose splines) or lin (straight motions); load: mass kg, centre of
+    mass (3,) m in the flange frame, inertia (3,) kg m^2 about it. `base_on_controller`: programs of poses take the base frame
+    that the controller keeps under `base_no`, which may be taught again when the wheel wears, instead of one in the text.
     """
 
     T_flange_blade: Array
     T_base_wheel: Array
-    arm: ArmLengths
+    robot: Robot
     tool_no: int = 1
     base_no: int = 1
     kind: str = "axis"
@@ -106,7 +119,7 @@ class Setup:
     load_mass: float = 0.0
     load_com: Array = field(default_factory=lambda: np.zeros(3))
     load_inertia: Array = field(default_factory=lambda: np.zeros(3))
-    base_from_data: bool = False
+    base_on_controller: bool = False
 
 
 @dataclass(frozen=True)
@@ -126,10 +139,10 @@ def points_of(block: Block) -> int:
     return 1 if isinstance(block, PointMotion) else len(block.q)
 
 
-def split_blocks(blocks: Sequence[Block], most: int = MOST_POINTS) -> list[list[Block]]:
+def split_blocks(blocks: Sequence[Block], most: int) -> list[list[Block]]:
     """Blocks in groups of at most `most` points, cut between blocks, where the robot stands still.
 
-    Every further group starts with a PTP to where it stands, so that each file can be selected by itself. A cut inside a
+    Every further group starts with a move to where it stands, so that each file can be started by itself. A cut inside a
     block would stop the wheel on the blade; a block that is too long by itself is refused (BadInput).
     """
     groups: list[list[Block]] = [[]]
@@ -151,25 +164,10 @@ def split_blocks(blocks: Sequence[Block], most: int = MOST_POINTS) -> list[list[
     return groups
 
 
-def validate(program: Program) -> None:
-    """Refuse (BadInput) what must not be written: illegal or double names, an unknown kind, double compensation."""
-    setup = program.setup
-    names = [program.name, *(s.name for s in program.subs)]
-    wrong = [n for n in names if not is_legal(n)]
-    if wrong:
-        raise BadInput(f"'{wrong[0]}' is no program name: letters, digits and _, at most 24 characters, no keyword")
-    if len({n.upper() for n in names}) < len(names):
-        raise BadInput(f"two programs share a name in {', '.join(names)}; names are compared without case")
-    if setup.kind not in KINDS:
-        raise BadInput(f"kind '{setup.kind}' is not one of {', '.join(KINDS)}")
+def refuse_double_compensation(setup: Setup) -> None:
+    """Refuse (BadInput) programs of poses for a controller that corrects poses by itself."""
     if setup.absolute_accuracy and setup.kind != "axis":
         raise BadInput(
             f"controller.absolute_accuracy is true and the output is '{setup.kind}': the controller would correct the "
             "poses a second time; choose the axis program, or a controller without absolute accuracy"
         )
-    for sub in program.subs:
-        if sub.points > MOST_POINTS:
-            raise BadInput(f"{sub.name} has {sub.points} points and a file takes {MOST_POINTS}; split the pass")
-        first = next((b for b in sub.blocks if not isinstance(b, Comment)), None)
-        if not isinstance(first, PointMotion):
-            raise BadInput(f"{sub.name} must begin with a PTP to full axes")
