@@ -20,7 +20,7 @@ from ocp.calibrate.force.log import read_force_log
 from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import solve
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 
 PLAN = (
     Pass(0), Pass(0, travel=-1), Pass(1), Pass(1, travel=-1), Pass(0, contact=False), Pass(1, feed=0.02), Pass(0, feed=0.08),

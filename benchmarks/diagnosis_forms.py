@@ -21,7 +21,7 @@ from ocp.diagnose.channels import channels_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.search import diagnose
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 from ocp.shell.progress import Phases
 
 STIFFNESS = 5200.0  # N/m: dF per m of overlap in a cell with this flange

@@ -31,8 +31,8 @@ from ocp.diagnose.published.ur import ACHIEVED, TARGET, Campaign, held_rows, rea
 from ocp.diagnose.report.words import headline
 from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
-from ocp.effects.library import library
 from ocp.shell.progress import Phases
 from robots.calibration.noise import Noise, reading_covariance
 from robots.gravity import GRAVITY

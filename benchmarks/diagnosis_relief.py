@@ -17,7 +17,7 @@ from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.problem import make_problem
 from ocp.diagnose.engine.search import settle
 from ocp.diagnose.force.channel import ForceChannel
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 from ocp.shell.progress import Phases
 
 

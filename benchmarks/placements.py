@@ -13,13 +13,13 @@ import numpy as np
 
 from ocp.data import CELL
 from ocp.model.cell import Cell, read_cell
-from ocp.model.prepare import Contact, prepare_contact
+from ocp.model.prepare import ContactModel, prepare_contact
 from ocp.model.theta import believed_theta
-from ocp.plan.motion.collision import Scene
+from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.motion.motion import build_motion
 from ocp.plan.passes.optimise import Ground, solve_passes
 from ocp.plan.passes.posture import find_seeds
-from ocp.plan.passes.stage import Weights
+from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import LaidPaths, lay_paths
 from ocp.plan.planning import PlanOptions
 from ocp.shell.progress import Phases
@@ -39,12 +39,14 @@ def placed(cell: Cell, rng: np.random.Generator) -> Cell:
     return replace(cell, workpiece=workpiece, wheel=replace(cell.wheel, centre=centre, axis=axis, contact_direction=toward))
 
 
-def plan(cell: Cell, laid: LaidPaths, contact: Contact) -> str:
+def plan(cell: Cell, laid: LaidPaths, contact: ContactModel) -> str:
     """One line on a placement: how long the program runs, or why there is none."""
-    scene = Scene(cell, laid.blade.vertices)
+    scene = CollisionScene(cell, laid.blade.vertices)
     try:
         seeds = find_seeds(cell, scene, contact.law, laid.paths)
-        ground = Ground(cell, believed_theta(cell), Weights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud)
+        ground = Ground(
+            cell, believed_theta(cell), ObjectiveWeights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud
+        )
         solved = solve_passes(ground, laid.paths, seeds, list(contact.compliance.per_pass), 1)
         return f"planned, program of {build_motion(cell, scene, solved).duration:.0f} s"
     except Infeasible as error:

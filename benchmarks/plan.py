@@ -29,14 +29,14 @@ from ocp.contact.blade.elasticity import Material
 from ocp.model.cell import read_cell
 from ocp.model.prepare import prepare_contact, typical_patch, wheel_cover
 from ocp.model.theta import believed_theta
+from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.files import write_plan
-from ocp.plan.motion.collision import Scene
 from ocp.plan.passes import optimise
 from ocp.plan.passes.optimise import Ground, PassWorker
 from ocp.plan.passes.posture import Seed, find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import PassSolver
-from ocp.plan.passes.stage import Weights
+from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import lay_paths
 from ocp.plan.planning import Plan, PlanOptions, make_plan
 from ocp.shell.progress import Phases
@@ -64,8 +64,8 @@ def prepared(cell_file: Path, stl: Path) -> Job:
     cell = read_cell(cell_file, stl)
     laid = lay_paths(cell, stl, PlanOptions(step=STEP))
     contact = prepare_contact(cell, laid.blade, laid.paths, Phases())
-    seeds = find_seeds(cell, Scene(cell, laid.blade.vertices), contact.law, laid.paths)
-    ground = Ground(cell, believed_theta(cell), Weights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud)
+    seeds = find_seeds(cell, CollisionScene(cell, laid.blade.vertices), contact.law, laid.paths)
+    ground = Ground(cell, believed_theta(cell), ObjectiveWeights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud)
     return Job(ground, laid.paths, seeds, [np.asarray(c) for c in contact.compliance.per_pass])
 
 

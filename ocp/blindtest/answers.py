@@ -19,7 +19,7 @@ from ocp.blindtest.worlds.sealing import WITHHELD, Check
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
 from ocp.diagnose.engine.system import Sealed
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 

@@ -12,7 +12,7 @@ from ocp.blindtest.scoring.scoring import make_score
 from ocp.blindtest.worlds.files import write_world
 from ocp.blindtest.worlds.recipes import Recipe
 from ocp.blindtest.worlds.sealing import WITHHELD, Check, Label, label_path, machine_of, read_seal, write_label, write_seal
-from ocp.shell.hashes import sha256
+from ocp.shell.cache import sha256
 from ocp.shell.progress import Phases
 from ocp.shell.workers import interrupts_held_back, nothing, workers
 from robots.errors import BadInput

@@ -10,9 +10,9 @@ import numpy as np
 
 from ocp.calibrate.report.pages import write_calibration_report
 from ocp.calibrate.tracker import TrackerCalibration
-from ocp.model.cell_copy import cell_tables_for
+from ocp.model.cell import cell_tables_for
 from ocp.report.section import Section
-from ocp.shell.hashes import sha256
+from ocp.shell.cache import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
 from robots.calibration.parameters import SYMBOLS

@@ -15,10 +15,9 @@ def _catalogue() -> str | None:
     """The effects as the end of the help; read only for those who ask, it is slow."""
     if "--help" not in sys.argv:
         return None
-    from ocp.effects.library import library
+    from ocp.effects.catalogue import titles
 
-    names = [f"{name}: {effect.title.format(joint='j')}" for name, effect in library().items()]
-    return "Effects that are looked for:\n\n" + "\n\n".join(names)
+    return "Effects that are looked for:\n\n" + "\n\n".join(titles())
 
 
 @app.command(epilog=_catalogue())
@@ -40,7 +39,7 @@ def diagnose(
 
     def job() -> str:
         if list_effects:
-            from ocp.diagnose.effect_list import effect_list
+            from ocp.effects.catalogue import effect_list
 
             return effect_list()
         if poses is not None and design is None:

@@ -21,9 +21,9 @@ from ocp.diagnose.predictions import averaged, write_force_predictions, write_tr
 from ocp.diagnose.report.words import headline
 from ocp.diagnose.reporting import drawn_beside
 from ocp.diagnose.rules import FOLLOWED_FORCE
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect
-from ocp.effects.library import library
-from ocp.shell.hashes import sha256
+from ocp.shell.cache import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible

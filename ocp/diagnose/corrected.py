@@ -16,7 +16,7 @@ from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active
-from ocp.model.cell_copy import cell_tables_for
+from ocp.model.cell import cell_tables_for
 from robots.calibration.reading_model import ARM_NAMES
 from robots.calibration.store import Calibration, write_calibration
 from robots.pose import Array, abc_by_spin, abc_from_rotation

@@ -1,7 +1,7 @@
 """Backlash of a gear: after a reversal the link stands at the other flank of the teeth."""
 
-from ocp.effects._forms import at_joint, one
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import at_joint, one
 
 EFFECT = Effect(
     name="backlash",

@@ -6,9 +6,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects._forms import after, instants
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import after, instants
 from robots.pose import Array
 
 

@@ -6,9 +6,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects._forms import row
 from ocp.effects.context import ContactContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import row
 from robots.pose import Array
 
 RATES = (5.0, 15.0)  # 1/s, turns of the belt

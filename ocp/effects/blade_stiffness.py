@@ -1,7 +1,7 @@
 """The blade is stiffer or softer than its elements say."""
 
-from ocp.effects._forms import row, share
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import row, share
 
 EFFECT = Effect(
     name="blade_stiffness",
@@ -12,6 +12,6 @@ EFFECT = Effect(
     parameters=(Parameter("scale", "1", 0.0, 0.4),),
     coefficients=("share",),
     prior_sd=(0.4,),
-    overlap=lambda x, j, scanned: row(x.parts[2] - x.clamp_give),
+    overlap=lambda x, j, scanned: row(x.parts[2] - x.clamp_deflection),
     **share("scale"),
 )

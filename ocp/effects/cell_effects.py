@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect, Parameter
-from ocp.effects.library import library
 from robots.pose import Array
 
 RESERVED = ("effect", "joint", "sd")

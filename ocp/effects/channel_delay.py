@@ -2,9 +2,9 @@
 
 import casadi as ca
 
-from ocp.effects._forms import at_joint, one
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.forms import at_joint, one
 
 
 def _lag(x: ArmContext, j: int, scanned: Scanned) -> ca.SX:

@@ -1,7 +1,7 @@
 """The clamp gives: the blade tilts about its root."""
 
-from ocp.effects._forms import one, row
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import one, row
 
 LEVER = 0.06  # m over the clamp where m_per_N holds
 

@@ -6,9 +6,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects._forms import after, row, steps, steps_between_runs
 from ocp.effects.context import ContactContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import after, row, steps, steps_between_runs
 from robots.pose import Array
 
 NOWHERE = (0.0, 0.0, 0.0)

@@ -71,9 +71,9 @@ class ContactContext:
     R_blade (3, 3): in the base frame; s m; setpoint N, feed m/s, belt m/s; time s in the run, clock s in the campaign;
     ground_before; warm, wheel_warm K above the reference; travel: sign of the motion along the pass (+1 with increasing s);
     stroke_sign: sign of the flange's stroke rate (+1: it is pressed in); radius m, friction of the cell; normal_stiffness N/m: dF
-    per m of overlap; friction_give m: what the parts give more per unit of the friction coefficient; lever m: height of the
-    contact over the clamp's plane; push_axis (3): direction in which the flange pushes the blade, base frame; clamp_give m: share
-    of parts that is the clamp's stiffness; line of the blade.
+    per m of overlap; friction_deflection m: by how much more the parts give way per unit of the friction coefficient; lever m:
+    height of the contact over the clamp's plane; push_axis (3): direction in which the flange pushes the blade, base frame;
+    clamp_deflection m: how much of the parts is the clamp's stiffness; line of the blade.
     """
 
     F: ca.SX
@@ -107,10 +107,10 @@ class ContactContext:
     radius: float
     friction: float
     normal_stiffness: ca.SX
-    friction_give: ca.SX
+    friction_deflection: ca.SX
     lever: ca.SX
     push_axis: ca.SX
-    clamp_give: ca.SX
+    clamp_deflection: ca.SX
     line: ca.SX
 
 

@@ -153,7 +153,7 @@ class Effect:
 
 
 def _named(name: str) -> Effect:
-    from ocp.effects.library import library  # not at the top: the library imports the effects, and they this module
+    from ocp.effects.catalogue import library  # not at the top: the library imports the effects, and they this module
 
     return library()[name]
 

@@ -1,7 +1,7 @@
 """An axis turns a little more than its encoder says, in proportion to its angle."""
 
-from ocp.effects._forms import at_joint, one
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import at_joint, one
 
 EFFECT = Effect(
     name="encoder_scale",

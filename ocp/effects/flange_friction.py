@@ -1,7 +1,7 @@
 """The flange sticks: its force depends on the direction of its stroke."""
 
-from ocp.effects._forms import one, row
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import one, row
 
 EFFECT = Effect(
     name="flange_friction",

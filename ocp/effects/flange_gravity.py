@@ -2,8 +2,8 @@
 
 import casadi as ca
 
-from ocp.effects._forms import one, row
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import one, row
 from robots.gravity import GRAVITY
 
 EFFECT = Effect(

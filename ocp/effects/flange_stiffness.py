@@ -1,7 +1,7 @@
 """The force-setting flange is stiffer or softer than the cell says."""
 
-from ocp.effects._forms import row, share
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import row, share
 
 EFFECT = Effect(
     name="flange_stiffness",

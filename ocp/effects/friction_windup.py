@@ -2,8 +2,8 @@
 
 import casadi as ca
 
-from ocp.effects._forms import at_joint, several
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import at_joint, several
 
 EFFECT = Effect(
     name="friction_windup",

@@ -2,8 +2,8 @@
 
 import casadi as ca
 
-from ocp.effects._forms import at_joint, wave
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import at_joint, wave
 
 EFFECT = Effect(
     name="gear_2x",

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from ocp.effects._forms import at_joint, wave
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import at_joint, wave
 
 ORDERS = range(3, 301)
 

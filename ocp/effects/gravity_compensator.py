@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from ocp.effects._forms import at_joint, scanned_with
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import at_joint, scanned_with
 
 _KEYS = ("lever_link1_m", "lever_arm_m", "free_length", "rest_rad")
 LEVER_ARM = 0.4  # m; only the product of the levers and their ratio show

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ocp.effects._forms import at_joint
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import at_joint
 
 TORQUE = np.array([7290.0, 8100.0, 5291.0, 2182.0, 1282.0, 825.0])  # N m at the link side, KR 210 (PHYSICS 2.1)
 LARGEST = 5e-6  # rad/(N m) in a robot of that size

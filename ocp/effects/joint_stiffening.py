@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ocp.effects._forms import at_joint
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import at_joint
 
 # Of a KR 210 (PHYSICS 2.1, 2.5): N m, N m/rad; they only set the prior's scale where a robot has no values of its own.
 TORQUE = np.array([7290.0, 8100.0, 5291.0, 2182.0, 1282.0, 825.0])

@@ -1,7 +1,7 @@
 """A joint's zero moves with the temperature."""
 
-from ocp.effects._forms import at_joint, one
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import at_joint, one
 
 EFFECT = Effect(
     name="joint_thermal",

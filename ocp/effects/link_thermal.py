@@ -2,9 +2,9 @@
 
 import casadi as ca
 
-from ocp.effects._forms import one
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.forms import one
 
 
 def _growth(x: ArmContext, j: int, scanned: Scanned) -> dict[int, ca.SX]:

@@ -1,7 +1,7 @@
 """Grinding takes material off: the same program meets less blade every time."""
 
-from ocp.effects._forms import one, row
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import one, row
 
 FEED = 0.04  # m/s at which m_per_pass holds
 

@@ -6,9 +6,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects._forms import at_joint
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings, amplitude_and_phase, cosine_and_sine
+from ocp.effects.forms import at_joint
 from robots.pose import Array
 
 ORDERS = (1, 2)

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-from ocp.effects._forms import one
-from ocp.effects._shifted import shifted_by_path
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import one, shifted_by_path
 
 ABOUT = (1e-4, 5e-4)  # m; the shift is exact at this lag and to first order about it
 

@@ -2,9 +2,9 @@
 
 import casadi as ca
 
-from ocp.effects._forms import vectors
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.forms import vectors
 from ocp.effects.payload_mass import each_payload
 
 

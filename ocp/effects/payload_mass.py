@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from ocp.effects._forms import scanned_with
 from ocp.effects.context import LOADED
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import scanned_with
 
 
 def each_payload(joint: int, seen: Surroundings) -> Sequence[Scanned]:

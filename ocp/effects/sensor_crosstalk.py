@@ -3,8 +3,8 @@
 import casadi as ca
 import numpy as np
 
-from ocp.effects._forms import row
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import row
 
 EFFECT = Effect(
     name="sensor_crosstalk",

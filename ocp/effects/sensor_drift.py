@@ -1,7 +1,7 @@
 """The force sensor's zero wanders."""
 
-from ocp.effects._forms import HOUR, one, row
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import HOUR, one, row
 
 EFFECT = Effect(
     name="sensor_drift",

@@ -1,7 +1,7 @@
 """The force sensor's gain is off."""
 
-from ocp.effects._forms import one, row
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import one, row
 
 EFFECT = Effect(
     name="sensor_gain",

@@ -6,9 +6,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects._forms import row
 from ocp.effects.context import ContactContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import row
 from robots.pose import Array
 
 WAVES = 7  # a constant and up to six half waves along the longest pass

@@ -6,8 +6,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects._forms import row
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import row
 from robots.pose import Array
 
 FRICTION = 0.35  # of a cell that does not say
@@ -49,7 +49,7 @@ EFFECT = Effect(
     values=_values,
     coefficients_of=_coefficients,
     scan=_scan,
-    overlap=lambda x, j, scanned: row(-x.friction_give, 0.0),
+    overlap=lambda x, j, scanned: row(-x.friction_deflection, 0.0),
     sensor=lambda x, j, scanned: row(0.0, x.F * ca.sign(x.belt)),
     shear=lambda x, j, scanned: row(x.F * ca.sign(x.belt), 0.0),
 )

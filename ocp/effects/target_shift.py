@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from ocp.effects._forms import after, instants, vectors
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import after, instants, vectors
 
 
 def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-from ocp.effects._forms import one
-from ocp.effects._shifted import shifted_by_time
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import one, shifted_by_time
 
 ABOUT = (0.002, 0.015, 0.04)  # s; the shift is exact at this delay and to first order about it
 

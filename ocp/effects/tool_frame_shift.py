@@ -1,7 +1,7 @@
 """The blade is gripped anew and sits elsewhere."""
 
-from ocp.effects._forms import after, steps_between_runs, vectors
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import after, steps_between_runs, vectors
 
 EFFECT = Effect(
     name="tool_frame_shift",

@@ -2,9 +2,9 @@
 
 import casadi as ca
 
-from ocp.effects._forms import HOUR, vectors
 from ocp.effects.context import TrackerContext
 from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.forms import HOUR, vectors
 
 
 def _drift(x: TrackerContext, j: int, scanned: Scanned) -> ca.SX:

@@ -1,7 +1,7 @@
 """The tracker's ranges are a share too long."""
 
-from ocp.effects._forms import one
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import one
 
 EFFECT = Effect(
     name="tracker_scale",

@@ -1,7 +1,7 @@
 """The wheel was moved."""
 
-from ocp.effects._forms import after, steps_between_runs, vectors
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import after, steps_between_runs, vectors
 
 EFFECT = Effect(
     name="wheel_frame_shift",

@@ -2,8 +2,8 @@
 
 import casadi as ca
 
-from ocp.effects._forms import row, share
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import row, share
 
 ABOUT = 20.0  # N where model and wheel agree
 

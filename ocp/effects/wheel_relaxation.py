@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ocp.effects._forms import scanned_with
 from ocp.effects.context import LogRows
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import scanned_with
 from robots.pose import Array
 
 TIMES = (0.05, 0.15, 0.5, 1.5, 5.0, 15.0, 30.0)  # s

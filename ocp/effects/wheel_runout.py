@@ -5,9 +5,9 @@ from typing import Any
 
 import casadi as ca
 
-from ocp.effects._forms import row, wave
 from ocp.effects.context import ContactContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import row, wave
 from robots.pose import Array
 
 _WAVE = wave("m")

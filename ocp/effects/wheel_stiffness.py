@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ocp.effects._forms import row
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import row
 
 LAW = 0.7  # exponent of indentation in force, between a bonded layer (1/2 to 2/3) and a plain spring (1)
 

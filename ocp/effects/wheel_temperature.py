@@ -1,7 +1,7 @@
 """A warm wheel is softer and larger."""
 
-from ocp.effects._forms import row, several
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import row, several
 
 EFFECT = Effect(
     name="wheel_temperature",

@@ -1,7 +1,7 @@
 """The belt and the wheel's cover wear: the radius falls."""
 
-from ocp.effects._forms import one, row
 from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import one, row
 
 EFFECT = Effect(
     name="wheel_wear",

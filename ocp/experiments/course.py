@@ -12,11 +12,11 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.model.prepare import prepare_contact
-from ocp.model.registration import registered
-from ocp.plan.motion.collision import Scene
+from ocp.model.theta import registered
+from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.passes.optimise import Ground, PassWorker, SolvedPass
 from ocp.plan.passes.posture import Seed, find_seeds
-from ocp.plan.passes.stage import Weights
+from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import lay_paths
 from ocp.plan.planning import PlanOptions
 from ocp.shell.progress import Phases
@@ -71,7 +71,7 @@ def lay_course(cell: Cell, mount: str, phases: Phases) -> Course:
     chosen = _spread(laid.paths)
     paths = [laid.paths[k] for k in chosen]
     with phases.phase(f"postures, {mount}"):
-        seeds = find_seeds(cell, Scene(cell, laid.blade.vertices), contact.law, paths)
+        seeds = find_seeds(cell, CollisionScene(cell, laid.blade.vertices), contact.law, paths)
     give = [np.asarray(contact.compliance.per_pass[k]) for k in chosen]
     return Course(cell, laid.blade, laid.cloud, contact.law, contact.cover, paths, seeds, give, len(chosen) // 2)
 
@@ -98,7 +98,7 @@ def compensated(course: Course, calibration: Calibration | None, which: list[int
     softer = course.cover.softer(cell.wheel.cover_modulus)
     law = replace(course.law, geometry=replace(course.law.geometry, modulus=cell.wheel.cover_modulus))
     stiffer = cell.workpiece.youngs_modulus / course.cell.workpiece.youngs_modulus
-    worker = PassWorker(Ground(cell, theta, Weights(), law, softer, course.blade.vertices, course.cloud))
+    worker = PassWorker(Ground(cell, theta, ObjectiveWeights(), law, softer, course.blade.vertices, course.cloud))
     return [worker.solve(course.paths[k], course.seeds[k], course.give[k] / stiffer) for k in which]
 
 

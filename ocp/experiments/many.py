@@ -9,10 +9,8 @@ import numpy as np
 from ocp.experiments.course import Course, compensated, lay_course
 from ocp.experiments.trial import Trial, run_trial
 from ocp.model.cell import Cell
-from ocp.plan.passes.optimise import SolvedPass
-from ocp.plan.passes.store import FILES, code_hash
-from ocp.shell.cache import content_key, keep, recall
-from ocp.shell.dataclass_arrays import flattened
+from ocp.plan.passes.optimise import FILES, SolvedPass, code_hash
+from ocp.shell.cache import content_key, flattened, keep, recall
 from ocp.shell.progress import Phases
 from ocp.shell.workers import interrupts_held_back, workers
 

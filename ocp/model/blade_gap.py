@@ -16,12 +16,13 @@ from ocp.contact.wheel.gap import LocalShape
 from ocp.model.cell import Wheel
 from robots.pose import Array, apply
 
-REACH = 0.026  # m about the planned point; beyond, the wheel has left the blade or `ocp.plan.verify.gouge` speaks
+REACH = 0.026  # m about the planned point; beyond, the wheel has left the blade or `ocp.plan.clearance.secondary_contact` speaks
 NEAR, THINNED = 0.011, 4  # m; farther out one point in four is enough, the gap there matters only if it closes
 FACING = 0.2  # smallest cosine between a point's normal and the wheel for it to be touched from this side
 # Longest side of a triangle between neighbours, near the contact and farther out. Longer ones close the outline of the cloud
 # across a corner or along an edge of the blade: there is no surface in them.
 LONGEST_NEAR, LONGEST_FAR = 2.5e-3, 6e-3  # m
+END_ZONE = 4e-3  # m at both ends of a pass where contacts are solved more densely
 SHARPEST = 1e-9  # m; points this close in (x, y) are one for the triangulation
 
 
@@ -111,3 +112,14 @@ def surface_shape(wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_bl
     return SurfaceShape(
         base.kxx, base.kyy, base.kxy, base.lateral, base.tilt_x, base.tilt_y, None, base.heading, departure=departure
     )
+
+
+def contact_stations(s: Array, spacing: float) -> Array:
+    """Indices of those waypoints, at arc lengths s (n,) m, where the contact is to be solved directly.
+
+    About `spacing` m apart, a third of it near the ends, where the blade's edges come under the wheel.
+    """
+    length = s[-1] - s[0]
+    near = np.arange(0.0, END_ZONE, spacing / 3)
+    wanted = np.concatenate([near, np.arange(END_ZONE, length - END_ZONE, spacing), length - near])
+    return np.unique(np.abs(s[:, None] - s[0] - np.clip(wanted, 0.0, length)).argmin(axis=0))

@@ -13,7 +13,7 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.effects.context import ContactContext
 from ocp.effects.engine.symbolic import CONDITIONS, ModelEffects, planned_arm_context
 from ocp.model.cell import Cell
-from ocp.model.theta import Theta
+from ocp.model.theta import Theta, axis_directions
 from robots.compliance import deflected_joints
 from robots.gravity import GRAVITY, gravity_torques
 from robots.kinematics import chain
@@ -117,9 +117,9 @@ def _extra(
     clamp, slopes = cell.workpiece, ca.jacobian(parts, F)
     context = ContactContext(
         F=F, parts=parts, slopes=slopes, R_flange=R_flange, radius=cell.wheel.radius, friction=cell.wheel.friction,
-        normal_stiffness=1 / ca.sum1(slopes), friction_give=ca.jacobian(ca.sum1(parts), friction),
+        normal_stiffness=1 / ca.sum1(slopes), friction_deflection=ca.jacobian(ca.sum1(parts), friction),
         push_axis=_push_axis(cell, seen["n_base"], R_flange),
-        lever=ca.fabs(ca.dot(clamp.clamp_normal, seen["p"]) - clamp.clamp_offset), clamp_give=F / clamp.clamp_stiffness,
+        lever=ca.fabs(ca.dot(clamp.clamp_normal, seen["p"]) - clamp.clamp_offset), clamp_deflection=F / clamp.clamp_stiffness,
         **seen, **{name: value for name, value in conditions.items() if name not in ("approach", "speed")},
     )  # fmt: skip
     return effects.overlap(context, rigid=cell.flange is None)
@@ -169,14 +169,6 @@ def _tilted_axis(axis: np.ndarray, uv: ca.SX) -> ca.SX:
     u, v = axis_directions(axis)
     tilted = ca.SX(axis) - uv[0] * v + uv[1] * u
     return tilted / ca.norm_2(tilted)
-
-
-def axis_directions(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors u, v (3) with u x v = axis; `wheel_axis_u` turns the axis about u, `wheel_axis_v` about v."""
-    u = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    u = u - axis * (axis @ u)
-    u /= np.linalg.norm(u)
-    return u, np.cross(axis, u)
 
 
 def _relative_curvature(cell: Cell, k: ca.SX, n: ca.SX, t: ca.SX, belt: ca.SX, axis: ca.SX) -> ca.SX:

@@ -11,10 +11,9 @@ from ocp.contact.blade.elasticity import Material
 from ocp.contact.wheel.cover import Cover, WheelGeometry, build_cover, default_cell
 from ocp.contact.wheel.gap import LocalShape, solve_force
 from ocp.contact.wheel.law import WheelLaw
-from ocp.contact.wheel.law_fit import Domain, fit_wheel_law
-from ocp.contact.wheel.law_store import remembered_law
+from ocp.contact.wheel.law_fit import Domain, fit_wheel_law, remembered_law
 from ocp.model.cell import Cell
-from ocp.shell.disk_store import DiskStore
+from ocp.shell.cache import DiskStore
 from ocp.shell.progress import Phases
 from ocp.shell.workers import interrupts_held_back, nothing, workers
 from robots.pose import Array
@@ -23,7 +22,7 @@ from trajectories.passes import BladePath
 
 
 @dataclass(frozen=True)
-class Contact:
+class ContactModel:
     """Wheel: cover for direct solutions, law; compliance of the blade at every waypoint."""
 
     cover: Cover
@@ -31,7 +30,7 @@ class Contact:
     compliance: Compliance
 
 
-def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Phases) -> Contact:
+def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Phases) -> ContactModel:
     """Everything that gives way between blade and wheel.
 
     Raises BadInput (the blade cannot be meshed or clamped), Infeasible (the blade is too hollow for the wheel).
@@ -53,7 +52,7 @@ def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Ph
             law = wheel_law(cell, cover, curvature)
         with phases.phase("blade"):
             compliance = blade_compliance(*task) if waiting is None else waiting.result()
-    return Contact(cover, law, compliance)
+    return ContactModel(cover, law, compliance)
 
 
 def wheel_cover(cell: Cell, coarser: float = 1.0) -> Cover:

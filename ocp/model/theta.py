@@ -1,14 +1,15 @@
-"""The parameters theta of the model: order, believed values and how well they are known."""
+"""The parameters theta of the model: order, believed values, how well they are known, and calibrations folded into the cell."""
 
 from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
 from robots.calibration.parameters import SYMBOLS
-from robots.pose import Array
+from robots.pose import Array, make_transform
 
 # Blocks in the order of the vector, each with the parameter names of robots/calibration/parameters.py.
 BLOCKS: dict[str, tuple[str, ...]] = {
@@ -39,6 +40,10 @@ COVER_STIFFNESS_SD = 0.15  # relative; five points of Shore A are 30 %
 BLADE_STIFFNESS_SD = 0.05  # relative
 FLANGE_STIFFNESS_SD = 0.05  # relative
 FLANGE_SETPOINT_SD = 0.2  # N
+FOLDED = (
+    "wheel_centre", "wheel_axis", "blade_shift", "blade_rotation", "cover_stiffness_scale", "blade_stiffness_scale",
+    "flange_setpoint_offset",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -119,3 +124,52 @@ def _prior_sd(cell: Cell, block: str, blocks: dict[str, Array]) -> Array:
         "flange_setpoint_offset": FLANGE_SETPOINT_SD * flange,
     }
     return np.broadcast_to(np.asarray(fixed[block], float), (n,)).copy()
+
+
+def registered(cell: Cell) -> tuple[Cell, Theta]:
+    """The cell with its registration, stiffnesses and flange as calibrated, and theta with these corrections at zero.
+
+    The covariance stays as it is: the corrections are as uncertain as before, about their new place. Coefficients of the cell's
+    effects follow theta's own parameters.
+    """
+    theta = believed_theta(cell)
+    value = {block: theta.values[[NAMES.index(name) for name in names]] for block, names in BLOCKS.items()}
+    wheel, piece = cell.wheel, cell.workpiece
+    u, v = axis_directions(wheel.axis)
+    axis = _unit(wheel.axis - value["wheel_axis"][0] * v + value["wheel_axis"][1] * u)
+    toward = _unit(wheel.contact_direction - axis * (axis @ wheel.contact_direction))
+    wheel = replace(
+        wheel,
+        centre=wheel.centre + value["wheel_centre"],
+        axis=axis,
+        contact_direction=toward,
+        cover_modulus=wheel.cover_modulus * (1 + float(value["cover_stiffness_scale"][0])),
+    )
+    R = Rotation.from_rotvec(value["blade_rotation"]).as_matrix() @ piece.T_flange_blade[:3, :3]
+    piece = replace(
+        piece,
+        T_flange_blade=make_transform(R, piece.T_flange_blade[:3, 3] + value["blade_shift"]),
+        youngs_modulus=piece.youngs_modulus * (1 + float(value["blade_stiffness_scale"][0])),
+    )
+    flange = cell.flange
+    if flange is not None:
+        flange = replace(
+            flange,
+            stiffness=float(value["flange_stiffness"][0]),
+            setpoint=flange.setpoint + float(value["flange_setpoint_offset"][0]),
+        )
+    values = theta.values.copy()
+    values[[NAMES.index(name) for block in FOLDED for name in BLOCKS[block]]] = 0.0
+    return replace(cell, wheel=wheel, workpiece=piece, flange=flange), with_effects(cell, replace(theta, values=values))
+
+
+def axis_directions(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors u, v (3) with u x v = axis; `wheel_axis_u` turns the axis about u, `wheel_axis_v` about v."""
+    u = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    u = u - axis * (axis @ u)
+    u /= np.linalg.norm(u)
+    return u, np.cross(axis, u)
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))

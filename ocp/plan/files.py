@@ -9,17 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.plan.motion.timeline import Timeline, build_timeline
+from ocp.plan.motion.timeline import Timeline, build_timeline, write_plan_csv
 from ocp.plan.planning import Plan
 from ocp.plan.programming import emitted_times, grinding_program, write_program
 from ocp.plan.report.build import build_report
 from ocp.plan.report.data import InputFile, SummaryRow
 from ocp.plan.report.page import write_page
 from ocp.plan.report.printed import write_pdf
-from ocp.plan.table import write_plan_csv
 from ocp.plan.verify.readback import Readback, read_back
 from ocp.plan.verify.second_route import believed_robot
-from ocp.shell.hashes import sha256
+from ocp.shell.cache import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
 from trajectories.dialects import dialect_named

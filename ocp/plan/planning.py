@@ -9,14 +9,12 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, read_cell
 from ocp.model.prepare import prepare_contact
-from ocp.model.registration import registered
-from ocp.model.theta import Theta
-from ocp.plan.motion.collision import Scene
-from ocp.plan.motion.motion import Motion, build_motion
-from ocp.plan.passes.optimise import Ground, SolvedPass, solve_passes
+from ocp.model.theta import Theta, registered
+from ocp.plan.clearance.collision import CollisionScene
+from ocp.plan.motion.motion import PlannedMotion, build_motion
+from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes, solve_passes
 from ocp.plan.passes.posture import find_seeds
-from ocp.plan.passes.stage import Weights
-from ocp.plan.passes.store import remembered_passes
+from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import lay_paths
 from ocp.shell.progress import Phases
 from ocp.shell.workers import cores
@@ -47,7 +45,7 @@ class Plan:
     cell: Cell
     theta: Theta
     blade: Blade
-    motion: Motion
+    motion: PlannedMotion
     cover: Cover
     cloud: SurfaceCloud
     kind: str
@@ -91,8 +89,8 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         laid = lay_paths(cell, stl, options)
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
     _refuse_forces(laid.paths, contact.law.limits["force"], options)
-    weights = Weights(force_sd=FORCE_SD_WEIGHT if cell.calibration is not None else 0.0)
-    scene = Scene(cell, laid.blade.vertices)
+    weights = ObjectiveWeights(force_sd=FORCE_SD_WEIGHT if cell.calibration is not None else 0.0)
+    scene = CollisionScene(cell, laid.blade.vertices)
     ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
     give = [np.asarray(c) for c in contact.compliance.per_pass]
 

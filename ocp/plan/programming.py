@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.model.cell import Cell, wheel_frame
-from ocp.plan.motion.motion import Motion
+from ocp.plan.motion.motion import PlannedMotion
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from trajectories.dialects import dialect_named
@@ -20,7 +20,7 @@ AIR_TOLERANCE = 2e-4  # m, off contact
 TABLE_STEP = 0.025  # s between rows of plan.csv where the program itself is not timed
 
 
-def grinding_program(cell: Cell, motion: Motion, kind: str, name: str) -> Program:
+def grinding_program(cell: Cell, motion: PlannedMotion, kind: str, name: str) -> Program:
     """The program of a motion; `kind` axis, cartesian or lin.
 
     Raises BadInput where the combination must not be written, Infeasible where the emitted points leave the plan.
@@ -64,7 +64,7 @@ def write_program(cell: Cell, program: Program, folder: Path) -> list[Path]:
     return dialect_named(cell.controller.dialect).write(program, folder)
 
 
-def emitted_times(motion: Motion, program: Program) -> list[Array]:
+def emitted_times(motion: PlannedMotion, program: Program) -> list[Array]:
     """Times of the emitted points of every segment, s since its start; a regular table for programs without times."""
     splines = [b for sub in program.subs for b in sub.blocks if isinstance(b, TimedSpline)]
     if len(splines) == len(motion.segments):
@@ -72,7 +72,7 @@ def emitted_times(motion: Motion, program: Program) -> list[Array]:
     return [sample_times(s.trajectory, TABLE_STEP) for s in motion.segments]
 
 
-def _label(motion: Motion, place: int) -> str:
+def _label(motion: PlannedMotion, place: int) -> str:
     if place == len(motion.passes):
         return "way home"
     path = motion.passes[place].problem.path

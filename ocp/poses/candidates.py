@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 
+import coal
 import numpy as np
 from numpy.typing import NDArray
 
 from ocp.model.cell import Cell
-from ocp.plan.motion.collision import Scene
+from ocp.plan.clearance.collision import ARM_MARGIN, Body, BodyPair, CollisionScene, _between
 from ocp.poses.line_of_sight import Sight, visible
 from ocp.poses.zone import GroundBlade, near_zone
 from robots.errors import Infeasible
@@ -23,10 +24,11 @@ HOLDING = 0.9  # part of an axis torque that the weight may take while the robot
 STAND = (3.5, 1.5)  # m from axis 1 and above the floor of the base: where the tracker is taken to stand
 AZIMUTHS = 24
 SAMPLE = 600  # postures on which stands are compared
+ROD = 0.025  # m, radius of the straight rod that stands for a reflector's bracket; a 1.5 inch ball has 19 mm
 
 
 @dataclass(frozen=True)
-class Candidates:
+class CandidatePoses:
     """Postures q (m, 6) rad with the signs (m, 6) of their first approach, `near` (m,) those close to the wheel, `seen` (m, k)
     which of the k nests the tracker sees."""
 
@@ -37,7 +39,7 @@ class Candidates:
 
 
 def free_postures(
-    cell: Cell, scene: Scene, blade: GroundBlade, payloads: list[Hanging], approach: float, rng: np.random.Generator
+    cell: Cell, scene: CollisionScene, blade: GroundBlade, payloads: list[Hanging], approach: float, rng: np.random.Generator
 ) -> tuple[Array, Array, Mask]:
     """Postures (m, 6) rad, the signs (m, 6) of their first approach, and which are near the wheel.
 
@@ -69,7 +71,7 @@ def free_postures(
     return q[free], sign[free], near[free]
 
 
-def seen_by(cell: Cell, sight: Sight, nests: list[Nest], tracker: Array, q: Array) -> Mask:
+def visible_nests(cell: Cell, sight: Sight, nests: list[Nest], tracker: Array, q: Array) -> Mask:
     """Which nests (n, k) a tracker at (3,) m sees at postures q (n, 6)."""
     return np.stack([visible(cell.robot, cell.wheel, sight, nest, tracker, q) for nest in nests], axis=1)
 
@@ -79,5 +81,26 @@ def choose_stand(cell: Cell, sight: Sight, nests: list[Nest], q: Array, rng: np.
     sample = q if len(q) <= SAMPLE else q[rng.choice(len(q), SAMPLE, replace=False)]
     angle = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     stands = np.stack([STAND[0] * np.cos(angle), STAND[0] * np.sin(angle), np.full(AZIMUTHS, STAND[1])], axis=1)
-    counts = [int(seen_by(cell, sight, nests, stand, sample).sum()) for stand in stands]
+    counts = [int(visible_nests(cell, sight, nests, stand, sample).sum()) for stand in stands]
     return np.asarray(stands[int(np.argmax(counts))])
+
+
+class MeasuringScene(CollisionScene):
+    """A `CollisionScene` with a rod from the flange to every nest it carries; rods may meet column, arm, wheel and floor.
+
+    Nests on other links are taken to sit close to them.
+    """
+
+    def __init__(self, cell: Cell, blade_vertices: Array, nests: dict[str, Nest]) -> None:
+        """`blade_vertices` (n, 3) m in the blade frame; `nests` by name."""
+        super().__init__(cell, blade_vertices)
+        fixed = list(range(len(self._bodies)))
+        for name, nest in nests.items():
+            if nest.link != 6 or nest.place is None:
+                continue
+            placement, length = _between(np.zeros(3), nest.place)
+            self._bodies.append(Body(f"reflector {name}", 6, coal.Capsule(ROD, max(length, 1e-3)), placement))
+            mine = len(self._bodies) - 1
+            for i in fixed:
+                if self._bodies[i].frame <= 3 or self._bodies[i].frame == 7:
+                    self._pairs.append(BodyPair(i, mine, ARM_MARGIN))

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from ocp.model.measuring_setup import TrackerSetup
-from ocp.poses.candidates import Candidates
+from ocp.poses.candidates import CandidatePoses
 from ocp.poses.zone import Zone
 from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state
 from robots.calibration.noise import Noise
-from robots.calibration.observability import Sensitivity, carried_point, expected_error, sensitivity
-from robots.calibration.pose_choice import Pool
+from robots.calibration.observability import Sensitivity, carried_point, expected_error, identifiable_basis, sensitivity
+from robots.calibration.pose_choice import Pool, choose
+from robots.errors import BadInput
 from robots.kinematics import link_frames
 from robots.pose import Array, apply
 from robots.tracker_readings import Index, Readings
@@ -22,6 +23,9 @@ MOST_READINGS = 8000  # candidates; more choose no better and take longer
 # The criterion "zone" looks at readings in the grinding zone and, with less weight, at this many all over the workspace: a
 # calibration that holds at the wheel alone explains nothing, and the next wheel may stand elsewhere.
 WORKSPACE, WORKSPACE_WEIGHT = 20, 0.3
+COUNTS = (10, 12, 14, 16, 18, 20, 25, 30, 35, 40, 50, 60, 80, 100)
+MORE, LITTLE = 10, 0.05  # so many more poses that improve the accuracy by less than this part buy little
+PASSES = 2  # of exchanges for a point of the curve
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class Design:
 
 
 def build_design(
-    setup: TrackerSetup, candidates: Candidates, zone: Zone, targets: list[str], payloads: list[str], grinding: str | None,
+    setup: TrackerSetup, candidates: CandidatePoses, zone: Zone, targets: list[str], payloads: list[str], grinding: str | None,
     tracker: Array, priors: Priors, noise: Noise, count: int, rng: np.random.Generator,
 ) -> Design:  # fmt: skip
     """Every seen (posture, nest) with every payload. `grinding`: the payload while grinding; tracker (3,) m in the base;
@@ -127,3 +131,55 @@ def _nest_in_zone(
     n = len(zone.q)
     rows = planned_readings(zone.q, np.full(n, nest), like.targets, np.full(n, payload), like.payloads)
     return sensitivity(setup.robot, rows, setup.instrument, layout, state, noise)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Poses n (k,) and one sigma (k,) m of the blade's place in the zone: of the calibration alone, and with what the robot
+    scatters by itself; `enough`: the least n from which ten more improve the latter by less than 5 %, None if beyond the curve;
+    `chosen` the calibration's at the number asked for."""
+
+    count: Array
+    calibration: Array
+    total: Array
+    enough: int | None
+    chosen: float
+    chosen_total: float
+
+
+def least_poses(design: Design) -> int:
+    """Fewest poses whose coordinates are as many as the directions that readings can tell apart."""
+    rank = identifiable_basis(design.pool.rows, design.pool.prior, 1000).shape[1]
+    return -(-rank // 3)
+
+
+def refuse_too_few(design: Design, count: int) -> None:
+    """Raises BadInput where `count` poses cannot fix what a calibration looks for."""
+    least = least_poses(design)
+    if count < least:
+        raise BadInput(
+            f"-n {count}: {count} poses give {3 * count} coordinates, and robot, springs, nests and tracker have at least "
+            f"{3 * least - 2} combinations to be told apart; choose at least {least} poses"
+        )
+
+
+def error_curve(design: Design, count: int, criterion: str, chosen: Index) -> Curve:
+    """The curve from the fewest poses to well beyond `count`; its point at `count` is the choice itself."""
+    postures = len(np.unique(design.posture))
+    counts = [n for n in COUNTS if least_poses(design) <= n <= min(max(2 * count, 40), postures)]
+    error = {n: design.error(choose(design.pool, n, criterion, PASSES)) for n in counts if n != count}
+    error[count] = design.error(chosen)
+    n = np.array(sorted(error))
+    calibration = np.array([error[k] for k in n.tolist()])
+    total = np.hypot(calibration, design.repeatability)
+    at = float(error[count])
+    return Curve(n, calibration, total, enough(n, total), at, float(np.hypot(at, design.repeatability)))
+
+
+def enough(count: Array, total: Array) -> int | None:
+    """Least whole n of a curve from which `MORE` poses improve `total` by less than `LITTLE`; between points log-log."""
+    for n in range(int(count[0]), int(count[-1]) - MORE + 1):
+        now, later = np.exp(np.interp(np.log([n, n + MORE]), np.log(count), np.log(total)))
+        if later > (1 - LITTLE) * now:
+            return n
+    return None

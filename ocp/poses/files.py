@@ -14,7 +14,7 @@ import numpy as np
 from ocp.poses.planning import PosePlan
 from ocp.poses.program import measuring_program, write_and_check
 from ocp.poses.report import write_poses_sheet
-from ocp.shell.hashes import sha256
+from ocp.shell.cache import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
 from robots.calibration.observability import CRITERIA, identifiable_basis, observability, posterior_sd, singular_values

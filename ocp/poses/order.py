@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.plan.motion.air import SAMPLE, is_free
-from ocp.plan.motion.collision import Scene
-from ocp.plan.motion.roadmap import connect
+from ocp.plan.clearance.collision import CollisionScene
+from ocp.plan.motion.air import SAMPLE, connect, is_free
 from robots.errors import Infeasible
 from robots.pose import Array
 from robots.robot import Robot
@@ -21,7 +20,7 @@ ROUNDS = 4  # of checking a tour and mending it
 
 
 @dataclass(frozen=True)
-class Stop:
+class MeasuringPose:
     """One pose: joints (6,) rad and the signs (6,) of the first of its two approaches."""
 
     q: Array
@@ -39,12 +38,12 @@ class Tour:
     seconds: float
 
 
-def approaches(stop: Stop, angle: float) -> tuple[Array, Array]:
+def approaches(stop: MeasuringPose, angle: float) -> tuple[Array, Array]:
     """Joints (6,) from which a pose is approached, first against its signs, then with them; `angle` rad away on every axis."""
     return stop.q - angle * stop.sign, stop.q + angle * stop.sign
 
 
-def find_tour(robot: Robot, scene: Scene, stops: list[Stop], angle: float, seed: int) -> Tour:
+def find_tour(robot: Robot, scene: CollisionScene, stops: list[MeasuringPose], angle: float, seed: int) -> Tour:
     """A short, free tour from home through all stops and back. Raises Infeasible: a pose that no free way leads to."""
     home = _home(robot, scene, stops)
     enter = np.array([home, *(approaches(s, angle)[0] for s in stops)])
@@ -66,7 +65,7 @@ def find_tour(robot: Robot, scene: Scene, stops: list[Stop], angle: float, seed:
     return Tour(np.array(order, dtype=np.int64) - 1, home, ways, float(travel))
 
 
-def _home(robot: Robot, scene: Scene, stops: list[Stop]) -> Array:
+def _home(robot: Robot, scene: CollisionScene, stops: list[MeasuringPose]) -> Array:
     """HOME, or the stop with the most room where HOME is not free."""
     inside = bool(((HOME > robot.q_min) & (HOME < robot.q_max)).all())
     if inside and scene.clearance(HOME[None], in_contact=False).value >= 0:
@@ -102,7 +101,7 @@ def _two_opt(seconds: Array, order: list[int]) -> list[int]:
     return best
 
 
-def _way(robot: Robot, scene: Scene, start: Array, goal: Array, home: Array, seed: int) -> Array:
+def _way(robot: Robot, scene: CollisionScene, start: Array, goal: Array, home: Array, seed: int) -> Array:
     """A free polyline: straight, over home, or found by a search."""
     for way in (np.array([start, goal]), np.array([start, home, goal])):
         if is_free(scene, way):

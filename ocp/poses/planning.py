@@ -7,26 +7,25 @@ import numpy as np
 
 from ocp.model.cell import Cell, read_cell
 from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
-from ocp.plan.motion.collision import Scene
-from ocp.poses.candidates import Candidates, Mask, choose_stand, free_postures, seen_by
-from ocp.poses.checks import chosen_payloads, chosen_targets, stated_tracker
-from ocp.poses.curve import Curve, error_curve, refuse_too_few
-from ocp.poses.design import Design, build_design
+from ocp.plan.clearance.collision import CollisionScene
+from ocp.poses.candidates import CandidatePoses, Mask, MeasuringScene, choose_stand, free_postures, visible_nests
+from ocp.poses.design import Curve, Design, build_design, error_curve, refuse_too_few
 from ocp.poses.line_of_sight import Sight, blade_rod
-from ocp.poses.order import Stop, find_tour
+from ocp.poses.order import MeasuringPose, find_tour
 from ocp.poses.program import Campaign, Pausing
-from ocp.poses.scene import MeasuringScene
 from ocp.poses.zone import Zone, find_zone, ground_blade
 from ocp.shell.progress import Phases
 from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
 from robots.calibration.pose_choice import choose
 from robots.errors import BadInput, Infeasible
-from robots.pose import Array
-from robots.tracker_readings import Index
+from robots.pose import Array, invert, transform_from_xyzabc
+from robots.tracker_readings import Index, Nest
 
 MOST_POSES = 400
 FEWEST_SEEN = 3  # times the poses asked for: as many postures must be seen for a choice to be one
+GROUPS = 2  # payloads that are hung on if the user names none
+BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
 
 
 @dataclass(frozen=True)
@@ -55,11 +54,11 @@ class PosePlan:
 
     cell: Cell
     setup: TrackerSetup
-    scene: Scene
+    scene: CollisionScene
     options: PoseOptions
     tracker: Array
     tracker_from: str
-    candidates: Candidates
+    candidates: CandidatePoses
     design: Design
     zone: Zone
     chosen: Index
@@ -86,9 +85,9 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
         sight = Sight(options.reach, options.acceptance, (blade_rod(cell.workpiece.T_flange_blade, blade.vertices),))
         if tracker is None:
             tracker = choose_stand(cell, sight, list(nests.values()), q, rng)
-        seen = seen_by(cell, sight, list(nests.values()), tracker, q)
+        seen = visible_nests(cell, sight, list(nests.values()), tracker, q)
         _refuse_blind(cell, options, tracker, tracker_from, np.asarray(seen.any(axis=1)))
-        candidates = Candidates(q, sign, near, seen)
+        candidates = CandidatePoses(q, sign, near, seen)
     with phases.phase("design"):
         grinding = cell.tables.workpiece.payload if cell.tables.workpiece else None
         design = build_design(
@@ -113,14 +112,14 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
 
 
 def _campaign(
-    cell: Cell, scene: Scene, setup: TrackerSetup, candidates: Candidates, design: Design, mine: Index, payload: str,
+    cell: Cell, scene: CollisionScene, setup: TrackerSetup, candidates: CandidatePoses, design: Design, mine: Index, payload: str,
     options: PoseOptions,
 ) -> Campaign:  # fmt: skip
     """The poses of one payload in the order of a short tour."""
     rows = design.posture[mine]
     # What is driven is what is printed: five decimals of a degree.
     q = np.radians(np.round(np.degrees(candidates.q[rows]), 5))
-    stops = [Stop(*pose) for pose in zip(q, candidates.sign[rows], strict=True)]
+    stops = [MeasuringPose(*pose) for pose in zip(q, candidates.sign[rows], strict=True)]
     tour = find_tour(cell.robot, scene, stops, options.approach, options.seed)
     targets = [design.readings.targets[i] for i in design.target[mine]]
     return Campaign(payload, setup.payloads[payload], [stops[i] for i in tour.order], [targets[i] for i in tour.order], tour)
@@ -139,3 +138,55 @@ def _refuse_blind(cell: Cell, options: PoseOptions, tracker: Array, source: str,
             f"too few to choose {options.count} from; give another --tracker, ask for fewer poses, or check [tracker.targets] of "
             f"{cell.path.name}"
         )
+
+
+def chosen_targets(setup: TrackerSetup, names: tuple[str, ...]) -> dict[str, Nest]:
+    """The nests to be read, all of the cell unless `names` says which. Raises BadInput: none, or an unknown one."""
+    nests = setup.instrument.nests or {}
+    file = setup.path.name
+    if not nests:
+        raise BadInput(f"{file}: table [tracker.targets] is missing or empty; say where the nests are, T1 = [x, y, z] in mm")
+    for name in names:
+        if name not in nests:
+            raise BadInput(f"--targets {name} is not in [tracker.targets] of {file} ({', '.join(nests)})")
+    return {name: nests[name] for name in nests if name in names or not names}
+
+
+def chosen_payloads(setup: TrackerSetup, names: tuple[str, ...]) -> tuple[list[str], list[str]]:
+    """Payloads in the order of mounting, the lightest first, and notices.
+
+    Unless `names` says which: that of the workpiece and the one whose mass is farthest from it. Raises BadInput: none, or an
+    unknown one.
+    """
+    known, file = setup.payloads, setup.path.name
+    if not known:
+        raise BadInput(f"{file}: table [payloads] is missing; add what hangs on the flange as [payloads.NAME]")
+    for name in names:
+        if name not in known:
+            raise BadInput(f"--payload {name} is not in [payloads] of {file} ({', '.join(known)})")
+    chosen = list(dict.fromkeys(names))
+    if not chosen:
+        mounted = setup.tables.workpiece.payload if setup.tables.workpiece else None
+        first = mounted or next(iter(known))
+        others = sorted((n for n in known if n != first), key=lambda n: -abs(known[n].mass - known[first].mass))
+        chosen = [first, *others[: GROUPS - 1]]
+    notices = []
+    if np.ptp([known[name].mass for name in chosen]) < 1.0:
+        notices.append(
+            "all readings carry the same mass: springs show only in how the weight pulls from posture to posture; give a second "
+            "payload, or none at all as [payloads.bare] with mass_kg = 0, to tell them apart from the geometry"
+        )
+    return sorted(chosen, key=lambda n: known[n].mass), notices
+
+
+def stated_tracker(cell: Cell, given: Array | None) -> tuple[Array | None, str]:
+    """The tracker head (3,) m in the base frame from the command line, else from the cell's calibration, else None; and which."""
+    if given is not None:
+        if not np.isfinite(given).all() or np.abs(given).max() > 100.0:
+            raise BadInput("--tracker must be x,y,z in mm in the base frame, at most 100 m away")
+        return given, "from --tracker"
+    calibration = cell.calibration
+    if calibration is not None and set(BASE) <= set(calibration.names):
+        values = np.array([calibration.values[calibration.names.index(name)] for name in BASE])
+        return invert(transform_from_xyzabc(values[:3], values[3:]))[:3, 3], "as in the cell's calibration"
+    return None, "assumed, 3.5 m from axis 1 at 1.5 m height where most readings are seen"

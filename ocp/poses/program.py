@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from ocp.model.cell import Cell
+from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.motion.air import is_free
-from ocp.plan.motion.collision import Scene
 from ocp.plan.programming import program_setup, write_program
-from ocp.poses.order import Stop, Tour, approaches
+from ocp.poses.order import MeasuringPose, Tour, approaches
 from robots.errors import Infeasible
 from robots.tracker_readings import Hanging
 from trajectories.dialects import dialect_named
@@ -34,7 +34,7 @@ class Campaign:
 
     payload: str
     hanging: Hanging
-    stops: list[Stop]
+    stops: list[MeasuringPose]
     targets: list[str]
     tour: Tour
 
@@ -72,7 +72,7 @@ def measuring_program(
 
 
 def write_and_check(
-    cell: Cell, scene: Scene, program: written.Program, campaign: Campaign, angle: float, folder: Path
+    cell: Cell, scene: CollisionScene, program: written.Program, campaign: Campaign, angle: float, folder: Path
 ) -> list[str]:
     """Write a program into `folder`, read it back and compare. Names of its files.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.plan.motion.collision import Scene, flange_pose
+from ocp.plan.clearance.collision import CollisionScene, flange_pose
 from ocp.plan.passes.posture import contact_poses
 from ocp.plan.paths import lay_paths
 from ocp.plan.planning import PlanOptions
@@ -51,7 +51,7 @@ def ground_blade(cell: Cell) -> GroundBlade:
     return GroundBlade(*_slab(cell), (f"{what}: a slab of {width:g} x {half:g} x {span:g} mm stands for the blade",))
 
 
-def find_zone(cell: Cell, scene: Scene, blade: GroundBlade) -> Zone:
+def find_zone(cell: Cell, scene: CollisionScene, blade: GroundBlade) -> Zone:
     """Postures with the blade on the wheel, spread over its passes, free of collisions where such exist.
 
     Raises Infeasible: no posture within the axis limits reaches the wheel.
@@ -99,7 +99,7 @@ def near_zone(cell: Cell, blade: GroundBlade, count: int, rng: np.random.Generat
     return np.asarray(rng.permutation(found)[:count])
 
 
-def _best(cell: Cell, scene: Scene, T_flange: Array) -> Array | None:
+def _best(cell: Cell, scene: CollisionScene, T_flange: Array) -> Array | None:
     """The posture (6,) of flange poses (m, 4, 4) in the middle of the axis ranges, free ones first; None if none."""
     robot = cell.robot
     q, reachable = inverse_branches(robot, T_flange)

@@ -1,4 +1,4 @@
-"""Results kept on disk under the hash of everything they depend on.
+"""Results kept on disk under the hash of everything they depend on, and dataclasses as arrays for it.
 
 An entry is one `.npz` file without pickles. It appears by a rename, so that processes working side by side see
 a whole entry or none; an entry that cannot be read is computed anew. Nothing in here ever makes a run fail:
@@ -11,13 +11,19 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from robots.pose import Array
 
 Part = NDArray[np.generic] | str | int | float | bool | None
 Entry = dict[str, NDArray[np.generic]]
+Kind = TypeVar("Kind")
 
 VARIABLE = "GRINDPLAN_CACHE"  # environment: another folder; empty = keep nothing
 
@@ -110,3 +116,65 @@ def keep(kind: str, key: str, entry: Entry) -> None:
     folder = cache_folder()
     if folder is not None:
         _write(folder / f"{kind}-{key}.npz", entry)
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal. Raises OSError where it cannot be read."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@dataclass(frozen=True)
+class DiskStore:
+    """Arrays kept on disk under `kind` (part of the file name) and any text."""
+
+    kind: str
+
+    def load(self, key: str) -> dict[str, Array] | None:
+        """Arrays stored under `key`, or None."""
+        entry = recall(self.kind, content_key(key))
+        return None if entry is None else {name: np.asarray(value) for name, value in entry.items()}
+
+    def store(self, key: str, arrays: dict[str, Array]) -> None:
+        """Keep `arrays` under `key`."""
+        keep(self.kind, content_key(key), dict(arrays))
+
+
+def flattened(value: Any, prefix: str = "") -> Entry:
+    """Arrays of everything inside `value` under dotted names: nested dataclasses, lists, arrays, numbers, text, paths.
+
+    None leaves no entry. Raises TypeError for any other content, so that nothing is left out of a key by oversight.
+    """
+    if value is None:
+        return {}
+    if is_dataclass(value):
+        parts = [(f.name, getattr(value, f.name)) for f in fields(value)]
+    elif isinstance(value, list | tuple):
+        parts = [(str(i), item) for i, item in enumerate(value)]
+    elif isinstance(value, dict):
+        parts = [(str(name), item) for name, item in value.items()]
+    elif isinstance(value, BaseModel):
+        return {prefix: np.array(value.model_dump_json())}
+    elif isinstance(value, Path):
+        return {prefix: np.array(str(value))}
+    elif isinstance(value, np.ndarray | np.generic | int | float | str):
+        return {prefix: np.asarray(value)}
+    else:
+        raise TypeError(f"{prefix}: {type(value).__name__} cannot be kept as arrays")
+    return {name: array for key, item in parts for name, array in flattened(item, f"{prefix}.{key}").items()}
+
+
+def rebuilt(kind: type[Kind], entry: Entry, prefix: str = "") -> Kind:
+    """The dataclass `kind` of which `flattened` made `entry`: fields are dataclasses, arrays, numbers or text.
+
+    Raises KeyError where a field without a default is missing.
+    """
+    hints = get_type_hints(kind)
+    values: dict[str, Any] = {}
+    for f in fields(kind):  # type: ignore[arg-type]
+        name, hint = f"{prefix}.{f.name}", hints[f.name]
+        if is_dataclass(hint):
+            values[f.name] = rebuilt(hint, entry, name)  # type: ignore[arg-type]
+        elif name in entry or (f.default is MISSING and f.default_factory is MISSING):
+            array = entry[name]
+            values[f.name] = hint(array.item()) if hint in (int, float, str, bool) else array
+    return kind(**values)

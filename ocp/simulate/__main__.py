@@ -41,11 +41,11 @@ def simulate(
     """Rehearse a plan on a virtual cell that shares no code with the planner, and write the data a real cell would give."""
     from ocp.simulate import interface  # heavy imports only once the arguments stand
     from ocp.simulate.input import numbers
-    from ocp.simulate.simulation import effects_table
+    from ocp.simulate.simulation import plantable_effects
 
     def job() -> str:
         if list_effects:
-            return effects_table()
+            return plantable_effects()
         none = ladder is not None and ladder.strip().lower() == "none"
         with shown_progress() as progress:
             return answer(

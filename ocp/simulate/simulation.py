@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ocp.effects.catalogue import key_range
 from ocp.model.cell import Cell, read_cell
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
@@ -33,7 +34,7 @@ from ocp.simulate.twin.plan_knowledge import Matched, match, read_plan_table, re
 from ocp.simulate.twin.rehearsal import Rehearsal, rehearse
 from ocp.simulate.twin.run import Machine, conditions_of, make_machine, refuse_crash
 from ocp.simulate.twin.tracker_log import TrackerLog, tracker_log, write_tracker
-from ocp.simulate.twin.truth.planting import Key, Planted, kinds
+from ocp.simulate.twin.truth.planting import Planted, kinds
 from ocp.simulate.twin.truth.truth import Truth, draw_truth
 from robots.errors import BadInput
 from trajectories.blade import read_blade
@@ -57,22 +58,19 @@ class _Ground:
     matched: Matched
 
 
-def effects_table() -> str:
+def plantable_effects() -> str:
     """What can be planted: name, joints, keys with their typical range and unit."""
     lines = [f"{'effect':<22}{'joints':<9}keys: typical range, unit (a bare size goes to the first; +- either sign)"]
     for name, kind in sorted(kinds().items()):
         joints = "".join(str(j) for j in kind.joints) or "-"
-        keys = "; ".join(_key_in_words(key) for key in kind.keys)
+        keys = "; ".join(
+            f"{key.name} of a nest"
+            if key.unit == "name"
+            else key_range(key.name, key.low, key.high, key.signed, key.length, key.unit)
+            for key in kind.keys
+        )
         lines.append(f"{name:<22}{joints:<9}{keys}")
     return "\n".join(lines)
-
-
-def _key_in_words(key: Key) -> str:
-    if key.unit == "name":
-        return f"{key.name} of a nest"
-    many, sign = f" ({key.length})" if key.length > 1 else "", "+-" if key.signed else ""
-    unit = "" if key.unit == "1" else f" {key.unit}"
-    return f"{key.name}{many} {sign}{key.low:g}..{key.high:g}{unit}"
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ocp.calibrate.force.registration import ForceFit, fit_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.calibrate.report.contact import contact_sections
 from ocp.model.cell import read_cell
-from ocp.model.registration import registered
+from ocp.model.theta import registered
 from ocp.report.section import WIDTH, Canvas, Plot, Table
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput

@@ -7,11 +7,18 @@ import numpy as np
 import pytest
 
 from ocp.contact.blade import compliance as module
-from ocp.contact.blade.compliance import ClampedBlade, blade_compliance, clamped_blade, contact_components
+from ocp.contact.blade.compliance import (
+    NEGLIGIBLE,
+    TOLERANCE,
+    ClampedBlade,
+    blade_compliance,
+    clamped_blade,
+    contact_components,
+    interpolate_passes,
+)
 from ocp.contact.blade.contact_patch import patch_loads, patch_weights
 from ocp.contact.blade.elasticity import Material
 from ocp.contact.blade.nested_dissection import factorise
-from ocp.contact.blade.pass_interpolation import NEGLIGIBLE, TOLERANCE, interpolate_passes
 from ocp.shell import cache
 from robots.errors import BadInput
 from tests.contact.test_elasticity import box, run_ccx

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.contact.wheel.annulus import element_stiffness, ring_section
+from ocp.contact.wheel.annulus import ring_element_stiffness, ring_section
 from ocp.contact.wheel.cover import WheelGeometry, build_cover, default_cell, width_cells
 from robots.errors import BadInput
 
@@ -28,7 +28,7 @@ def cover():
 )
 def test_rigid_motions_cost_no_energy(n, motion):
     r0, r1, width = 0.03, 0.05, 0.01
-    K = element_stiffness(r0, r1, width, 1.0, 5.0)
+    K = ring_element_stiffness(r0, r1, width, 1.0, 5.0)
     r, z = np.meshgrid(np.linspace(r0, r1, 3), np.linspace(-width / 2, width / 2, 3), indexing="ij")
     u = np.column_stack([np.ravel(c) for c in motion(r, z)]).ravel()
     stiffness = K[0] + n * K[1] + n * n * K[2]
@@ -38,7 +38,7 @@ def test_rigid_motions_cost_no_energy(n, motion):
 def test_pressurised_tube():
     """Lame: a ring element under uniform radial stretch u = a r + b / r has strain energy integral of the closed form."""
     r0, r1, width, mu, lam = 0.10, 0.101, 0.01, 1.0, 2.0
-    K = element_stiffness(r0, r1, width, mu, lam)[0]
+    K = ring_element_stiffness(r0, r1, width, mu, lam)[0]
     r = np.repeat(np.linspace(r0, r1, 3), 3)
     u = np.zeros((9, 3))
     a, b = 1.0, 0.004

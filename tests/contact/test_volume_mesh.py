@@ -7,11 +7,9 @@ import pytest
 import trimesh
 
 from ocp.contact.blade import volume_mesh as module
-from ocp.contact.blade.clamp_cut import clamp_cut
 from ocp.contact.blade.elasticity import quadratic_mesh, tetra_volumes
-from ocp.contact.blade.surface_mesh import edges_of, remesh
-from ocp.contact.blade.triangles import shape_quality
-from ocp.contact.blade.volume_mesh import surface_area, surface_volume, volume_mesh
+from ocp.contact.blade.surface_mesh import edges_of, remesh, shape_quality
+from ocp.contact.blade.volume_mesh import clamp_cut, surface_area, surface_volume, volume_mesh
 from ocp.shell import cache
 from robots.errors import BadInput
 

@@ -193,7 +193,7 @@ def test_products_of_chebyshev_polynomials():
 
 
 def test_a_law_kept_on_disk_is_the_law_that_was_fitted(tmp_path, monkeypatch):
-    from ocp.contact.wheel.law_store import remembered_law
+    from ocp.contact.wheel.law_fit import remembered_law
 
     monkeypatch.setenv("GRINDPLAN_CACHE", str(tmp_path))
     wheel = WheelGeometry(0.04, 0.015, 0.012, 2.6e6, 0.47)

@@ -14,14 +14,13 @@ import pytest
 from ocp.diagnose.answering import write_diagnosis
 from ocp.diagnose.channels import tracker_channel
 from ocp.diagnose.dataset import read_data_set
-from ocp.diagnose.effect_list import effect_list
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Ranked
 from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.planned import candidates, foreseen
 from ocp.diagnose.foresee.separation import Pair, unlike
 from ocp.diagnose.json_out import Document
+from ocp.effects.catalogue import effect_list, library
 from ocp.effects.effect import Active
-from ocp.effects.library import library
 from ocp.model.measuring_setup import read_tracker_setup
 from ocp.shell.command import run
 from ocp.shell.progress import Phases
@@ -256,5 +255,5 @@ def test_what_remains_is_asked_for_and_nothing_else(played):
 def test_a_new_effect_is_listed_without_another_change(monkeypatch):
     effects = library()
     added = dict(effects) | {"wobble": replace(effects["backlash"], name="wobble", title="wobble of joint {joint}")}
-    monkeypatch.setattr("ocp.diagnose.effect_list.library", lambda: added)
+    monkeypatch.setattr("ocp.effects.catalogue.library", lambda: added)
     assert any(line.startswith("wobble:1-6") and "half_width_rad" in line for line in effect_list().splitlines())

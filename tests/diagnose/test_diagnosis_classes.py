@@ -9,7 +9,7 @@ from ocp.diagnose.engine.evidence import posterior
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.pool import Family, Member, make_pool
 from ocp.diagnose.verdict.classes import merged, mistaken, twins
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 
 N, LONG = 400, 30.0  # rows; length of a column at its prior's upper end, in noises
 SIZES = np.array([0.1, 0.3, 1.0])

@@ -16,7 +16,7 @@ from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.engine.system import Conditions
 from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
 from ocp.diagnose.verdict.tests_without_library import kernel_tests
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 from tests.support.linear_channel import LinearChannel, effect
 
 FEW = Options(where=False, prior_effects=0.2)  # a library of six

@@ -21,8 +21,8 @@ from ocp.diagnose.force.prediction import predict
 from ocp.diagnose.force.setpoints import with_setpoints_read_off
 from ocp.diagnose.force.whitening import Whitener
 from ocp.diagnose.reporting import _shown
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
-from ocp.effects.library import library
 from tests.support.diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, moved_joints, record
 from tests.support.force_world import arm_posterior, write_log
 from tests.support.one_solid import one_solid

@@ -5,7 +5,7 @@ import pytest
 from ocp.diagnose.channels import channels_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.search import diagnose
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 from ocp.shell.progress import Phases
 
 

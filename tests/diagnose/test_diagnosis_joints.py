@@ -11,8 +11,8 @@ from ocp.diagnose.joints.log import read_joint_log
 from ocp.diagnose.joints.noise import BLOCK, Noise, covariance, factors, whiten
 from ocp.diagnose.published.kr300 import write_data_set
 from ocp.diagnose.verdict.shrinkage import from_folds, realised
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
-from ocp.effects.library import library
 from robots.errors import BadInput
 from robots.robot import load_robot
 from tests.support.diagnosis_folder import joint_columns, write_csv

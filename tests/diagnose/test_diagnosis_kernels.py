@@ -8,7 +8,6 @@ import pytest
 from scipy.stats import ncx2
 
 from ocp.diagnose.__main__ import _catalogue
-from ocp.diagnose.effect_list import effect_list
 from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.features import groups, products, smooth
 from ocp.diagnose.engine.findings import Name, Options
@@ -17,9 +16,8 @@ from ocp.diagnose.engine.system import Fold, HeldOut
 from ocp.diagnose.rules import SUSPECT
 from ocp.diagnose.verdict.unknown import impostors, relieving
 from ocp.diagnose.verdict.visible import Rival, needed
+from ocp.effects.catalogue import effect_list, effects_table, library
 from ocp.effects.effect import Active
-from ocp.effects.library import library
-from ocp.effects.listing import effects_table
 from robots.gravity import GRAVITY, weight_torques
 from robots.kinematics import forward
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, ROBOT, channel, column, world

@@ -14,7 +14,7 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.engine.system import Fold, System
 from ocp.diagnose.published.ur import TARGET, held_rows, read_campaign, write_data_set
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 from robots.errors import BadInput
 
 LIBRARY = library()

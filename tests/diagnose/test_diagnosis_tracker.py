@@ -14,8 +14,8 @@ from ocp.diagnose.tracker.folds import tracker_folds
 from ocp.diagnose.tracker.noise import reliability
 from ocp.diagnose.tracker.refit import settled
 from ocp.diagnose.verdict.unknown import cancelling, hurts, implausible
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
-from ocp.effects.library import library
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput
 from robots.tracker_readings import read_readings

@@ -23,8 +23,8 @@ from ocp.diagnose.foresee.planned_grinding import grindings, usual
 from ocp.diagnose.foresee.planned_poses import arm_expected, default_poses, planned_channel
 from ocp.diagnose.foresee.separation import Pair, unlike
 from ocp.diagnose.verdict.visible import Rival, needed
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
-from ocp.effects.library import library
 from ocp.model.measuring_setup import read_tracker_setup
 from tests.support.diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, record
 from tests.support.force_world import arm_posterior, write_log

@@ -16,8 +16,8 @@ from ocp.diagnose.force.fit import Problem, solve
 from ocp.diagnose.force.prediction import Scene, predict
 from ocp.diagnose.force.shrinkage import RUN_SD, from_grinding
 from ocp.diagnose.verdict.shrinkage import Shrinkage
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
-from ocp.effects.library import library
 from tests.support.diagnosis_force_world import HEADER, Pass, Planted, believed_world, log_of, record
 from tests.support.force_world import arm_posterior, write_log
 

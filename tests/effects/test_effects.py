@@ -10,12 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ocp.effects.catalogue import effects_table, library, with_table
 from ocp.effects.cell_effects import effect_of, table_of
 from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine
-from ocp.effects.engine.arm_rows import arm_rows
 from ocp.effects.engine.evaluate import TrackerRows, arm_columns, arm_shift, shifted_joints, tracker_columns, tracker_shift
-from ocp.effects.library import library
-from ocp.effects.listing import effects_table, with_table
+from ocp.effects.engine.rows import arm_rows
 from robots.calibration.reading_model import RowInputs, predict
 from tests.support.dropped_effect import dropped_effect
 from tests.support.effect_arm import AT, COMPLIANCE, T_TRACKER, Poses, reflectors
@@ -205,5 +204,5 @@ def test_a_dropped_file_is_a_new_effect(tmp_path, monkeypatch):
 
 def test_the_page_lists_the_library_as_it_is():
     page = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
-    assert with_table(page) == page, "run: python -m ocp.effects.listing docs/effects.md"
+    assert with_table(page) == page, "run: python -m ocp.effects.catalogue docs/effects.md"
     assert all(f"| {name}" in effects_table() for name in library())

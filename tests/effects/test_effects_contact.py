@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ocp.effects.catalogue import library
 from ocp.effects.context import LogRows
-from ocp.effects.engine.contact_rows import LAYOUT, ContactPlace, added_overlap, contact_columns
-from ocp.effects.library import library
+from ocp.effects.engine.rows import CONTACT_LAYOUT, ContactPlace, added_overlap, contact_columns
 from tests.effects.test_effects import PLACES, SEEN, some
 
 PLACE = ContactPlace(0.15, 0.35)
@@ -29,11 +29,11 @@ def samples(seed=0):
     turns = np.stack([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(N)])
     return {
         "F": rng.uniform(8, 40, N), "parts": rng.uniform(1e-5, 3e-4, (N, 4)), "slopes": slopes, "e": unit(N), "n_base": unit(N),
-        "curvature": rng.uniform(-20, 400, (N, 3)), "R_flange": turns, "friction_give": rng.normal(size=N) * 1e-5,
+        "curvature": rng.uniform(-20, 400, (N, 3)), "R_flange": turns, "friction_deflection": rng.normal(size=N) * 1e-5,
         "s": rng.uniform(0, 0.1, N), "feed": rng.choice([0.02, 0.04, 0.08], N), "belt": rng.choice([-20.0, 0.0, 20.0], N),
         "time": rng.uniform(0, 5, N), "clock": np.sort(rng.uniform(0, 3600, N)), "ground_before": rng.integers(0, 8, N) * 1.0,
         "wheel_warm": rng.uniform(0, 20, N), "stroke_sign": rng.choice([-1.0, 1.0], N), "line": rng.integers(1, 4, N) * 1.0,
-        "lever": rng.uniform(0.01, 0.08, N), "push_axis": unit(N), "clamp_give": np.full(N, 2e-6),
+        "lever": rng.uniform(0.01, 0.08, N), "push_axis": unit(N), "clamp_deflection": np.full(N, 2e-6),
     }  # fmt: skip
 
 
@@ -48,7 +48,7 @@ def expected(name, v, x):
         "clamp_slip": after * -np.float64(v["m"]) if name == "clamp_slip" else zero,
         "material_removal": -v.get("m_per_pass", 0) * x["ground_before"] * 0.04 / x["feed"],
         "flange_stiffness": x["parts"][:, 0] * (1 - 1 / (1 + v.get("scale", 0))),
-        "blade_stiffness": (x["parts"][:, 2] - x["clamp_give"]) * (1 - 1 / (1 + v.get("scale", 0))),
+        "blade_stiffness": (x["parts"][:, 2] - x["clamp_deflection"]) * (1 - 1 / (1 + v.get("scale", 0))),
         # slopes[1] F = 0.7 d where indentation is a power of the force
         "wheel_stiffness": x["slopes"][:, 1] * F / wheel_law * (1 - (1 + v.get("scale", 0)) ** -wheel_law),
     }
@@ -68,7 +68,7 @@ def expected(name, v, x):
     if name == "wheel_frame_shift":
         give[name] = after * (x["e"] @ v["m"])
     if name == "tangential_force":
-        give[name] = -v["dmu"] * x["friction_give"]
+        give[name] = -v["dmu"] * x["friction_deflection"]
     if name == "wheel_temperature":
         give[name] = x["wheel_warm"] * (v["per_K"] * F * x["slopes"][:, 1] + v["radius_per_K"])
     if name == "wheel_runout":
@@ -98,7 +98,7 @@ def expected(name, v, x):
 def test_contact_effects_are_what_they_say(name, at):
     one, x = some(name, library()[name].places[0], size=0.4, at=at), samples()
     v = one.parameters
-    rows = LAYOUT.stack(N, x | {"R_flange": x["R_flange"].reshape(N, 9)})
+    rows = CONTACT_LAYOUT.stack(N, x | {"R_flange": x["R_flange"].reshape(N, 9)})
     columns = [contact_columns(one.effect, kind, one.joint, [one.scanned], PLACE, rows)[0] @ one.a for kind in KINDS]
     wanted = expected(name, v, x)
     assert max(np.abs(w).max() for w in wanted) > 0
@@ -137,7 +137,7 @@ def test_a_shifted_blade_and_a_shifted_wheel_change_the_overlap_by_what_they_com
 
         v = p - (p @ axis) * axis
         e = v / np.linalg.norm(v)
-        row = LAYOUT.stack(1, {"e": e, "R_flange": R.reshape(1, 9), "clock": 5.0})
+        row = CONTACT_LAYOUT.stack(1, {"e": e, "R_flange": R.reshape(1, 9), "clock": 5.0})
         for name, moved in (("tool_frame_shift", (p + R @ shift, np.zeros(3))), ("wheel_frame_shift", (p, shift))):
             column = contact_columns(library()[name], "overlap", 0, [{"at_s": 1.0}], PLACE, row)[0, 0]
             assert column @ shift == pytest.approx(overlap(*moved) - overlap(p, np.zeros(3)), rel=1e-4, abs=1e-10)
@@ -191,7 +191,7 @@ def test_rubber_lets_go_as_a_standard_linear_solid():
 def test_knocks_of_a_splice_have_the_height_and_the_places_that_are_told(clocked, turn):
     effect, time = library()["belt_splice"], np.arange(0, 4, 1e-3)
     belt = {"F": np.full(len(time), 20.0), "belt": np.full(len(time), -20.0)}
-    row = LAYOUT.stack(len(time), {"time": time, "clock": time + 100.3, **belt})  # 802.4 turns
+    row = CONTACT_LAYOUT.stack(len(time), {"time": time, "clock": time + 100.3, **belt})  # 802.4 turns
     a, scanned = effect.coefficients_of({"N": 5.0, "hz": 8.0, "turn": turn, "length": 0.02, "clocked": clocked})
     knock = contact_columns(effect, "sensor", 0, [scanned], PLACE, row)[0, :, 0] * a[0]
     tops = time[1:-1][(knock[1:-1] > knock[:-2]) & (knock[1:-1] >= knock[2:])]

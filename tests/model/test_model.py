@@ -13,7 +13,7 @@ from ocp.model.theta import NAMES, UNMODELLED_JOINTS, believed_theta
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import PassSolver
-from ocp.plan.passes.stage import N_ROWS, Weights, build_stage
+from ocp.plan.passes.stage import N_ROWS, ObjectiveWeights, build_stage
 from ocp.plan.verify.second_route import believed_robot, bent
 from robots.calibration.store import Calibration
 from robots.elementary import elementary_forward
@@ -35,7 +35,7 @@ def solver(flange=True, friction=None):
     cell = bundled_cell()
     if not flange:
         cell = replace(cell, flange=None)
-    return PassSolver(cell, LineLaw(), believed_theta(cell), Weights())
+    return PassSolver(cell, LineLaw(), believed_theta(cell), ObjectiveWeights())
 
 
 def evaluated(flange=True):
@@ -96,12 +96,12 @@ def test_robot_compliance_under_contact_equals_finite_differences():
 
 
 def test_turn_and_tilt_read_what_the_pose_was_given():
-    from ocp.plan.motion.collision import flange_pose
+    from ocp.plan.clearance.collision import flange_pose
     from ocp.plan.passes.posture import contact_poses, turned_curvature
     from robots.inverse import inverse_branches
 
     cell = replace(bundled_cell(), compliant_joints=())
-    s = PassSolver(cell, LineLaw(), believed_theta(cell), Weights())
+    s = PassSolver(cell, LineLaw(), believed_theta(cell), ObjectiveWeights())
     pass_problem = problem()
     twisted = np.tile([-3.0, 25.0, 4.0], (40, 1))
     pass_problem = replace(pass_problem, path=replace(pass_problem.path, curvature=twisted))
@@ -123,7 +123,7 @@ def test_turn_and_tilt_read_what_the_pose_was_given():
 def test_flange_force_balance(axis, compensated):
     flange = ForceFlange(18.0, 5600.0, 8e-3, 5.0, compensated, None if axis is None else np.array(axis))
     cell = replace(bundled_cell(), flange=flange)
-    s = PassSolver(cell, LineLaw(), believed_theta(cell), Weights())
+    s = PassSolver(cell, LineLaw(), believed_theta(cell), ObjectiveWeights())
     pass_problem = problem()
     q = Q + np.zeros((40, 6))
     seen = s.evaluate(pass_problem, q, np.full(40, 20.0))
@@ -159,7 +159,7 @@ def test_standard_deviation_equals_monte_carlo():
 
 def test_stage_derivatives_equal_differences():
     s = solver()
-    stage = build_stage(s.cell, s.model, Weights(force_sd=1.0), s.theta)
+    stage = build_stage(s.cell, s.model, ObjectiveWeights(force_sd=1.0), s.theta)
     pass_problem = problem()
     par = np.concatenate([pass_problem.waypoints[3], 0.1 * np.arange(14), [1.0, 1.0]])
     z = np.append(Q + 0.01, 20.0)
@@ -209,7 +209,7 @@ def test_joint_noise_adds_to_the_forces_standard_deviation_as_finite_differences
     known = replace(theta, covariance=1e-18 * np.eye(len(theta.values)))
 
     def sd(joint_noise: float):
-        judge = PassSolver(cell, LineLaw(), replace(known, joint_noise=joint_noise), Weights())
+        judge = PassSolver(cell, LineLaw(), replace(known, joint_noise=joint_noise), ObjectiveWeights())
         return judge.evaluate(one, q, one.path.force).force_sd
 
     squares = np.zeros(len(q))

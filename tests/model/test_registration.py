@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.model.registration import registered
-from ocp.model.theta import believed_theta
+from ocp.model.theta import believed_theta, registered
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import PassSolver
-from ocp.plan.passes.stage import Weights
+from ocp.plan.passes.stage import ObjectiveWeights
 from robots.calibration.store import Calibration
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
 
@@ -34,12 +33,14 @@ def test_folded_corrections_leave_the_prediction_unchanged():
     q = np.radians([0.5, -82.0, 101.0, -2.0, 80.0, -84.0]) + np.zeros((40, 6))
     path = bar_pass()
     problem = PassProblem.start(path, Seed(1, 0, 0.0, 0.0, q[:4], np.linspace(0, 1, 4), 0.0), np.zeros((40, 3)))
-    carried = PassSolver(cell, LineLaw(), believed_theta(cell), Weights()).evaluate(problem, q, path.force)
+    carried = PassSolver(cell, LineLaw(), believed_theta(cell), ObjectiveWeights()).evaluate(problem, q, path.force)
     folded_cell, theta = registered(cell)
-    folded = PassSolver(folded_cell, LineLaw(), theta, Weights()).evaluate(problem, q, path.force)
+    folded = PassSolver(folded_cell, LineLaw(), theta, ObjectiveWeights()).evaluate(problem, q, path.force)
     assert folded.delta == pytest.approx(carried.delta, abs=1e-8)
     assert folded.residual == pytest.approx(carried.residual, abs=1e-8)
     assert folded.turn == pytest.approx(carried.turn, abs=1e-6)
     assert folded.force_sd == pytest.approx(carried.force_sd, rel=1e-3)
-    plain = PassSolver(bundled_cell(), LineLaw(), believed_theta(bundled_cell()), Weights()).evaluate(problem, q, path.force)
+    plain = PassSolver(bundled_cell(), LineLaw(), believed_theta(bundled_cell()), ObjectiveWeights()).evaluate(
+        problem, q, path.force
+    )
     assert np.abs(plain.delta - carried.delta).max() > 1e-4

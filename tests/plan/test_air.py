@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ocp.plan.clearance.collision import Clearance, CollisionScene
 from ocp.plan.motion import motion
-from ocp.plan.motion.air import FAR, SAMPLE, dense, is_free, lifted, travel
-from ocp.plan.motion.collision import Clearance, Scene
-from ocp.plan.motion.roadmap import connect
+from ocp.plan.motion.air import FAR, SAMPLE, connect, dense, is_free, lifted, travel
 from robots.errors import Infeasible
 from robots.kinematics import forward
 from tests.support.example_pass import bundled_cell
@@ -140,7 +139,7 @@ def test_no_way_is_told_with_what_is_in_it(cell):
 
 def test_real_shapes_are_kept_clear_too(cell):
     """From one side of the wheel to the other with the real scene: every degree of the way keeps the margins."""
-    scene = Scene(cell, BLOCK)
+    scene = CollisionScene(cell, BLOCK)
     q = np.radians([[-25.0, -75.0, 95.0, 0.0, 50.0, 0.0], [25.0, -75.0, 95.0, 0.0, 50.0, 0.0]])
     normal = np.array([-1.0, 0.0, 0.0])
     if not (is_free(scene, q[:1]) and is_free(scene, q[1:])):
@@ -162,7 +161,7 @@ def test_the_search_is_free_short_and_always_the_same():
 
 
 def test_the_search_gives_up_where_the_wall_has_no_gap(monkeypatch):
-    monkeypatch.setattr("ocp.plan.motion.roadmap.ATTEMPTS", 300)
+    monkeypatch.setattr("ocp.plan.motion.air.ATTEMPTS", 300)
     low, high = np.radians(np.full(6, -180.0)), np.radians(np.full(6, 180.0))
     scene = wall([25, -400], [35, 400])
     assert connect(scene, low, high, np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0]), SAMPLE) is None

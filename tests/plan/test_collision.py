@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ocp.plan.motion.collision import ARM_MARGIN, BLADE_MARGIN, Clearance, Scene, flange_pose
+from ocp.plan.clearance.collision import ARM_MARGIN, BLADE_MARGIN, Clearance, CollisionScene, flange_pose
 from robots.inverse import inverse_branches
 from robots.kinematics import forward
 from robots.pose import rotation_from_abc
@@ -22,7 +22,7 @@ def cell():
 
 @pytest.fixture(scope="module")
 def scene(cell):
-    return Scene(cell, BLOCK)
+    return CollisionScene(cell, BLOCK)
 
 
 def joints_of(cell, T_base_blade):
@@ -137,7 +137,7 @@ def test_the_gradient_is_the_slope_of_the_clearance(cell, scene):
 
 
 def test_a_larger_blade_is_nowhere_farther(cell, scene):
-    larger = Scene(cell, 1.5 * BLOCK)
+    larger = CollisionScene(cell, 1.5 * BLOCK)
     q = joints_of(cell, blade_before_wheel(cell, 0.03))
     small, _ = scene.clearances(q, in_contact=False)
     large, _ = larger.clearances(q, in_contact=False)

@@ -15,13 +15,12 @@ from ocp.effects.cell_effects import effect_of
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.cell import Cell, Conditions, read_cell
 from ocp.model.theta import believed_theta, with_effects
-from ocp.plan.motion.collision import Scene
+from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.passes.posture import find_seeds
-from ocp.plan.passes.problem import PassProblem, with_direction
-from ocp.plan.passes.reversal import WINDOW, approach_signs
+from ocp.plan.passes.problem import WINDOW, PassProblem, approach_signs, with_direction
 from ocp.plan.passes.solve import PassSolver
-from ocp.plan.passes.stage import Weights
-from ocp.plan.verify.effects import BelievedArm, moved_arm
+from ocp.plan.passes.stage import ObjectiveWeights
+from ocp.plan.verify.second_route import BelievedRobot, moved_arm
 from robots.elementary import elementary_forward
 from tests.plan.test_optimal_control import BAR
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
@@ -47,7 +46,7 @@ def cell_with(*tables: dict, **conditions: float) -> Cell:
 
 
 def solver_of(cell: Cell) -> PassSolver:
-    return PassSolver(cell, LineLaw(), with_effects(cell, believed_theta(cell)), Weights())
+    return PassSolver(cell, LineLaw(), with_effects(cell, believed_theta(cell)), ObjectiveWeights())
 
 
 @cache
@@ -60,7 +59,7 @@ def plain() -> tuple[PassSolver, np.ndarray]:
 @cache
 def problem(force: float = 20.0) -> PassProblem:
     cell, path = bundled_cell(), bar_pass(n=24, force=force)
-    seed = find_seeds(cell, Scene(cell, BAR), LineLaw(), [path])[0][0]
+    seed = find_seeds(cell, CollisionScene(cell, BAR), LineLaw(), [path])[0][0]
     found = PassProblem.start(path, seed, np.tile([2e-6, 0, 0], (len(path.s), 1)))
     return with_direction(found, reversed_path(path)) if seed.direction < 0 else found
 
@@ -89,7 +88,7 @@ def test_the_arm_with_effects_equals_the_elementary_route():
     at = solver.with_approach(problem(), q)
     values = solver.theta.values
     bends = values[30:36] * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
-    arm = BelievedArm(cell.robot, bends, float(values[36]), values[37:40])
+    arm = BelievedRobot(cell.robot, bends, float(values[36]), values[37:40])
     still = q
     for _ in range(4):
         still = q + bends * arm.torque(still)

@@ -5,7 +5,7 @@ import pytest
 
 from ocp.contact.wheel.gap import LocalShape
 from ocp.model.blade_gap import FACING, REACH, SurfaceCloud, surface_shape
-from ocp.plan.verify.gouge import GOUGE_TOLERANCE, find_gouge
+from ocp.plan.clearance.secondary_contact import SECONDARY_CONTACT_TOLERANCE, find_secondary_contact
 from tests.support.example_pass import bundled_cell
 
 RADIUS = 0.08  # m of the round bar that plays the blade
@@ -124,7 +124,7 @@ def gouge(cell, points, delta=2e-4, poses=None):
     T = np.stack([on_wheel(cell, delta=delta)] * 2) if poses is None else poses
     n = len(T)
     curvature = np.tile([1 / RADIUS + 1 / cell.wheel.radius, 0.0, 0.0], (n, 1))
-    return find_gouge(cell, points, T, np.tile(CONTACT, (n, 1)), curvature, np.zeros((n, 2)), np.full(n, delta))
+    return find_secondary_contact(cell, points, T, np.tile(CONTACT, (n, 1)), curvature, np.zeros((n, 2)), np.full(n, delta))
 
 
 def test_a_round_bar_touches_nowhere_else(cell):
@@ -155,7 +155,7 @@ def test_beside_the_wheel_is_not_in_it_and_a_scratch_is_no_gouge(cell):
     half = 0.5 * cell.wheel.width
     assert gouge(cell, buried(cell, T, 2e-3, 1.0, lateral=1.01 * half)[None]).depth == 0.0
     assert gouge(cell, buried(cell, T, 2e-3, 1.0, lateral=0.99 * half)[None]).depth == pytest.approx(2e-3, abs=1e-9)
-    assert gouge(cell, buried(cell, T, 0.9 * GOUGE_TOLERANCE, 1.0)[None]).depth == 0.0
+    assert gouge(cell, buried(cell, T, 0.9 * SECONDARY_CONTACT_TOLERANCE, 1.0)[None]).depth == 0.0
 
 
 def test_what_the_direct_contact_sees_is_left_to_it(cell):
@@ -169,7 +169,9 @@ def test_the_planned_overlap_is_taken_off_along_the_width_too(cell):
     """2 mm deep, of which the quadratic itself plans 3 - 1/2 100/m (6 mm)^2 = 1.2 mm."""
     T = on_wheel(cell, delta=3e-3)
     p = buried(cell, T, 2e-3, 1.0, lateral=6e-3)
-    found = find_gouge(cell, p[None], T[None], CONTACT[None], np.array([[0.0, 100.0, 0.0]]), np.zeros((1, 2)), np.array([3e-3]))
+    found = find_secondary_contact(
+        cell, p[None], T[None], CONTACT[None], np.array([[0.0, 100.0, 0.0]]), np.zeros((1, 2)), np.array([3e-3])
+    )
     assert found.depth == pytest.approx(0.8e-3, abs=1e-9)
 
 

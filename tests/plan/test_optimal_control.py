@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from ocp.model.theta import Theta, believed_theta
-from ocp.plan.motion.collision import Scene
+from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import SPEED_SHARE, PassSolver
-from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, Weights
+from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, ObjectiveWeights
 from ocp.plan.passes.transcription import transcribe
 from robots.errors import Infeasible
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
@@ -24,13 +24,13 @@ BAR = np.array([[x, y, z] for x in (-0.04, 0.04) for y in (-0.04, 0.04) for z in
 @lru_cache
 def setting():
     cell = bundled_cell()
-    return cell, PassSolver(cell, LineLaw(), believed_theta(cell), Weights())
+    return cell, PassSolver(cell, LineLaw(), believed_theta(cell), ObjectiveWeights())
 
 
 def ready(path=None):
     cell, solver = setting()
     path = path or bar_pass()
-    seed = find_seeds(cell, Scene(cell, BAR), LineLaw(), [path])[0][0]
+    seed = find_seeds(cell, CollisionScene(cell, BAR), LineLaw(), [path])[0][0]
     problem = PassProblem.start(path, seed, np.tile([2e-6, 0, 0], (len(path.s), 1)))
     if seed.direction < 0:
         problem = with_direction(problem, reversed_path(path))
@@ -41,7 +41,7 @@ def ready(path=None):
 @pytest.mark.parametrize("full", [False, True])
 def test_assembled_derivatives_equal_casadis_own(full, force_sd):
     cell, solver, problem = ready(bar_pass(n=12))
-    solver = PassSolver(cell, LineLaw(), solver.theta, Weights(force_sd=force_sd))
+    solver = PassSolver(cell, LineLaw(), solver.theta, ObjectiveWeights(force_sd=force_sd))
     n = 12
     program = transcribe(solver.stage, n, full)
     x = np.column_stack([problem.seed.q[0] + 1e-3 * np.arange(6 * n).reshape(n, 6), np.full(n, 20.0)]).ravel()
@@ -87,7 +87,7 @@ def test_a_pass_holds_its_force_inside_every_tolerance():
 def test_the_solution_does_not_depend_on_padding():
     _, solver, problem = ready()
     a = solver.solve(problem)
-    exact = PassSolver(solver.cell, LineLaw(), solver.theta, Weights())
+    exact = PassSolver(solver.cell, LineLaw(), solver.theta, ObjectiveWeights())
     exact._programs[(64, False)] = transcribe(exact.stage, 40, False)
     b = exact.solve(problem)
     assert a.q == pytest.approx(b.q, abs=1e-6)
@@ -105,7 +105,7 @@ def test_a_force_programmed_per_waypoint_is_met():
 
 def test_weight_on_the_standard_deviation_lowers_it():
     cell, solver, problem = ready()
-    careful = PassSolver(cell, LineLaw(), solver.theta, Weights(force_sd=3.0))
+    careful = PassSolver(cell, LineLaw(), solver.theta, ObjectiveWeights(force_sd=3.0))
     plain = solver.solve(problem)
     safe = careful.solve(problem)
     before = solver.evaluate(problem, plain.q, plain.force).force_sd.mean()
@@ -116,7 +116,7 @@ def test_weight_on_the_standard_deviation_lowers_it():
 def test_a_hidden_constraint_is_named_with_its_amount():
     cell, solver, problem = ready()
     tight = replace(cell, wheel=replace(cell.wheel, arc=(1.2, 1.3)), process=replace(cell.process, tilt_tolerance=1e-3))
-    walled = PassSolver(tight, LineLaw(), solver.theta, Weights())
+    walled = PassSolver(tight, LineLaw(), solver.theta, ObjectiveWeights())
     clearances = problem.clearances.copy()
     clearances[17, 0] = [1.0, 0, 0, 0, 0, 0, 3.0]  # axis 1 above 3 rad there: impossible
     with pytest.raises(Infeasible, match=r"line 1 \(convex\), waypoint \d+ of 40: .*(clearance|arc|axis \d)"):
@@ -134,8 +134,8 @@ def test_seeds_choose_the_direction_in_which_the_blade_moves_with_the_belt():
     cell, _, problem = ready()
     assert problem.seed.direction in (1, -1)
     path = bar_pass()
-    forward = find_seeds(cell, Scene(cell, BAR), LineLaw(), [path])[0][0]
-    backward = find_seeds(cell, Scene(cell, BAR), LineLaw(), [reversed_path(path)])[0][0]
+    forward = find_seeds(cell, CollisionScene(cell, BAR), LineLaw(), [path])[0][0]
+    backward = find_seeds(cell, CollisionScene(cell, BAR), LineLaw(), [reversed_path(path)])[0][0]
     assert forward.direction == -backward.direction
     assert forward.cost == pytest.approx(backward.cost, rel=1e-3)
 
@@ -144,4 +144,4 @@ def test_an_unreachable_wheel_is_refused_with_the_reason():
     cell, _, _ = ready()
     away = replace(cell, wheel=replace(cell.wheel, centre=np.array([4.0, 0.0, 0.9])))
     with pytest.raises(Infeasible, match="reach"):
-        find_seeds(away, Scene(away, BAR), LineLaw(), [bar_pass()])
+        find_seeds(away, CollisionScene(away, BAR), LineLaw(), [bar_pass()])

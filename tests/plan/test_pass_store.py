@@ -9,13 +9,12 @@ from ocp.contact.wheel.cover import Cover, WheelGeometry
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.theta import believed_theta
 from ocp.plan.passes.direct_contact import DirectContact
-from ocp.plan.passes.optimise import Ground, SolvedPass
+from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import Evaluation, PassSolution
-from ocp.plan.passes.stage import Weights
-from ocp.plan.passes.store import remembered_passes
-from ocp.shell.dataclass_arrays import flattened, rebuilt
+from ocp.plan.passes.stage import ObjectiveWeights
+from ocp.shell.cache import flattened, rebuilt
 from tests.support.example_pass import bar_pass, bundled_cell
 
 N = 40
@@ -37,7 +36,7 @@ def ground() -> Ground:
     x, y = np.arange(8.0), np.arange(4.0)
     cover = Cover(WheelGeometry(0.04, 0.015, 0.012, 2e6, 0.47), x, y, 1.0, np.ones(4), np.ones((5, 4, 4)))
     cloud = SurfaceCloud(np.ones((5, 3)), np.ones((5, 3)))
-    return Ground(cell, believed_theta(cell), Weights(), None, cover, np.ones((4, 3)), cloud)  # type: ignore[arg-type]
+    return Ground(cell, believed_theta(cell), ObjectiveWeights(), None, cover, np.ones((4, 3)), cloud)  # type: ignore[arg-type]
 
 
 def refuse() -> list[SolvedPass]:
@@ -70,7 +69,7 @@ def test_any_input_changes_the_key(change):
     elif change == "compliance":
         give = give * 1.001
     elif change == "weights":
-        base = replace(base, weights=Weights(force_sd=0.5))
+        base = replace(base, weights=ObjectiveWeights(force_sd=0.5))
     else:
         base = replace(base, vertices=base.vertices + 1e-9)
     with pytest.raises(AssertionError, match="solved again"):
@@ -83,6 +82,6 @@ def test_what_cannot_be_kept_is_not_left_out_silently():
 
 
 def test_a_missing_array_is_an_error_not_a_default():
-    entry = flattened(Weights())
+    entry = flattened(ObjectiveWeights())
     with pytest.raises(KeyError):
         rebuilt(SurfaceCloud, entry)

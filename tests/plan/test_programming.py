@@ -10,10 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ocp.plan.motion.motion import Motion, Segment
-from ocp.plan.motion.timeline import build_timeline
+from ocp.plan.motion.motion import MotionSegment, PlannedMotion
+from ocp.plan.motion.timeline import build_timeline, write_plan_csv
 from ocp.plan.programming import emitted_times, grinding_program, wheel_frame, write_program
-from ocp.plan.table import write_plan_csv
 from ocp.plan.verify.readback import _timed
 from robots.errors import BadInput, Infeasible
 from robots.rigid_body import inverse_dynamics
@@ -31,7 +30,7 @@ def cell():
 
 
 @cache
-def motion() -> Motion:
+def motion() -> PlannedMotion:
     """Two passes with approach, engage, contact, retreat, and a way home; joints invented, forces smooth."""
     robot, payload = cell().robot, cell().workpiece.payload
     limits = Limits.of(robot, partial(inverse_dynamics, robot, payload.mass, payload.com))
@@ -43,7 +42,7 @@ def motion() -> Motion:
 
     def add(kind, place, trajectory):
         nonlocal time
-        segments.append(Segment(kind, place, trajectory, time))
+        segments.append(MotionSegment(kind, place, trajectory, time))
         time += trajectory.duration
 
     home = start + 2 * away
@@ -61,7 +60,7 @@ def motion() -> Motion:
         problem = SimpleNamespace(path=replace(path, line=3 + place))
         passes.append(SimpleNamespace(problem=problem, solution=SimpleNamespace(q=q, force=path.force), evaluation=evaluation))
     add("travel", 2, time_joint_move(where, home, limits))
-    return Motion(passes, segments)
+    return PlannedMotion(passes, segments)
 
 
 def written(folder, kind="axis", name="blade 1.stl"):
@@ -222,7 +221,7 @@ def test_a_point_moved_in_the_text_is_noticed(tmp_path):
 
 def test_a_block_that_is_missing_is_noticed(tmp_path):
     _, main = written(tmp_path)
-    shorter = Motion(motion().passes, motion().segments[:-1])
+    shorter = PlannedMotion(motion().passes, motion().segments[:-1])
     with pytest.raises(Infeasible, match="timed blocks"):
         _timed(cell(), shorter, checked(main))
 

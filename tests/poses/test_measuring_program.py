@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ocp.poses.program as measuring
-from ocp.poses.order import Stop, Tour, approaches
+from ocp.poses.order import MeasuringPose, Tour, approaches
 from robots.errors import Infeasible
 from robots.tracker_readings import Hanging
 from tests.support.example_pass import bundled_cell
@@ -18,7 +18,7 @@ ANGLE = np.radians(2.0)
 
 def campaign() -> measuring.Campaign:
     home, q = np.radians([[0.0, -90, 90, 0, 10, 0], [20.0, -80, 95, 5, 30, 10]])
-    stop = Stop(q, np.array([1, 1, -1, 1, -1, 1]))
+    stop = MeasuringPose(q, np.array([1, 1, -1, 1, -1, 1]))
     ways = [np.array([home, approaches(stop, ANGLE)[0]]), np.array([q, home])]
     tour = Tour(np.array([0]), home, ways, 1.0)
     return measuring.Campaign("HEAVY", Hanging(40.0, np.array([0.0, 0.0, 0.2])), [stop], ["flange"], tour)

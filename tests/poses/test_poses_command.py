@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.model.measuring_setup import read_tracker_setup
+from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.motion.air import dense
-from ocp.plan.motion.collision import Scene
 from ocp.poses.__main__ import app
 from ocp.poses.line_of_sight import Sight, visible
 from ocp.poses.zone import ground_blade
@@ -106,7 +106,7 @@ def test_every_reading_is_reachable_free_and_seen(made):
     cell, setup = read_cell(cell_file), read_tracker_setup(cell_file)
     readings = read_readings(poses / "poses.csv", setup.payloads, setup.instrument, sealed=True)
     assert ((readings.q > cell.robot.q_min) & (readings.q < cell.robot.q_max)).all()
-    scene = Scene(cell, ground_blade(cell).vertices)
+    scene = CollisionScene(cell, ground_blade(cell).vertices)
     assert scene.clearance(readings.q, in_contact=False).value >= 0
     for i, name in enumerate(readings.targets):
         q = readings.q[readings.target == i]
@@ -121,7 +121,7 @@ def test_the_programs_stand_the_checks_and_stop_at_the_readings_from_both_sides(
         q = tuple(float(row[f"q{i}_deg"]) for i in range(1, 7))
         wanted.setdefault(row["payload"], []).append((q, tuple(int(row[f"approach{i}"]) for i in range(1, 7))))
     assert [m.stem for m in mains(poses)] == ["POSES_GRINDER", "POSES_HEAVY"]
-    scene = Scene(read_cell(cell_file), ground_blade(read_cell(cell_file)).vertices)
+    scene = CollisionScene(read_cell(cell_file), ground_blade(read_cell(cell_file)).vertices)
     for main, payload in zip(mains(poses), wanted, strict=True):
         execution = check_program(main, robot, pauses=True)
         points = np.array([s.q[0] for s in execution.segments])

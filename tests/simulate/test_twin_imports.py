@@ -23,16 +23,13 @@ OWN = {
     "ocp.contact.blade.surface_mesh",
     "ocp.contact.blade.volume_mesh",
     "ocp.contact.blade.mesher",
-    "ocp.contact.blade.clamp_cut",
     "ocp.contact.blade.contact_patch",
-    "ocp.contact.blade.triangles",
     "ocp.contact.blade.nested_dissection",
 }
 FORBIDDEN = (
     "ocp.model.force_balance",
     "ocp.effects",
     "ocp.model.theta",
-    "ocp.model.registration",
     "ocp.model.blade_gap",
     "ocp.plan.verify.second_route",
     "robots.compliance",

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import ocp.effects
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 
 
 @contextmanager
@@ -15,7 +15,7 @@ def dropped_effect(folder: Path, patch: pytest.MonkeyPatch, joints: str, size: s
     """`brand_new`, a joint's error k times `form`, while the context lasts."""
     (folder / "brand_new.py").write_text(
         '"""A joint is off by something new."""\n'
-        "from ocp.effects._forms import at_joint, one\nfrom ocp.effects.effect import Effect, Parameter\n"
+        "from ocp.effects.forms import at_joint, one\nfrom ocp.effects.effect import Effect, Parameter\n"
         'EFFECT = Effect(name="brand_new", title="new at joint {joint}", subsystem="joint", physics="dq = k f.",\n'
         f'    parameters=(Parameter("k", "1/rad", 1e-5, {size}),), coefficients=("k",), prior_sd=({size},), joints={joints},\n'
         f'    joint=lambda x, j, scanned: at_joint(j, {form}), **one("k"))\n'

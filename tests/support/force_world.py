@@ -19,7 +19,7 @@ from ocp.model.cell import Cell, read_cell
 from ocp.model.force_balance import axis_directions
 from ocp.model.prepare import typical_patch, wheel_cover
 from ocp.plan.paths import lay_paths
-from ocp.plan.verify.second_route import Believed, believed_robot, bent, verify_pass
+from ocp.plan.verify.second_route import BelievedRobot, believed_robot, bent, verify_pass
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.calibration.store import Calibration
 from robots.elementary import elementary_forward
@@ -47,7 +47,7 @@ class World:
 
     cell: Cell
     truth: Cell
-    arm: Believed
+    arm: BelievedRobot
     paths: list[BladePath]
     cloud: SurfaceCloud
     cover: Cover

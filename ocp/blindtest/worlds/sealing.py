@@ -7,7 +7,7 @@ from typing import Any
 
 from ocp.blindtest.worlds.machines import BlindMachine, draw_machine
 from ocp.blindtest.worlds.recipes import Recipe
-from ocp.shell.hashes import sha256
+from ocp.shell.cache import sha256
 from ocp.simulate.twin.truth.planting import Planted, labels
 from robots.errors import BadInput
 

@@ -17,13 +17,12 @@ from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
-from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, fit_wheel_law
-from ocp.contact.wheel.law_store import remembered_law
+from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, fit_wheel_law, remembered_law
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.model.prepare import typical_patch, wheel_cover
 from ocp.plan.paths import surface_cloud
-from ocp.shell.disk_store import DiskStore
+from ocp.shell.cache import DiskStore
 from ocp.shell.workers import interrupts_held_back, nothing, workers
 from robots.errors import BadInput
 from robots.kinematics import forward

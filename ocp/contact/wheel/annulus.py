@@ -21,7 +21,7 @@ TOP_ELEMENT = 0.75
 
 
 @dataclass(frozen=True)
-class Section:
+class RingSection:
     """Stiffness of the ring's section, K(n) = K0 + n K1 + n^2 K2 in LAPACK's lower banded form, for a unit modulus.
 
     bands (3, m, dof); load (dof, cells): force of a unit pressure on one cell per radian and radius; width (cells,) m.
@@ -40,7 +40,7 @@ class Section:
         return np.asarray(S)
 
 
-def ring_section(radius: float, thickness: float, edges: Array, poisson: float, cell: float) -> Section:
+def ring_section(radius: float, thickness: float, edges: Array, poisson: float, cell: float) -> RingSection:
     """Section of a ring of outer `radius` bonded at `radius - thickness`, free elsewhere.
 
     `edges` (cells + 1,) m are the pressure cells across the width, one element each; `cell` m sets the height of the
@@ -60,13 +60,13 @@ def ring_section(radius: float, thickness: float, edges: Array, poisson: float, 
             width = edges[j + 1] - edges[j]
             key = round(width * 1e9)
             if key not in layer:
-                layer[key] = element_stiffness(r_edges[i], r_edges[i + 1], width, mu, lam)
+                layer[key] = ring_element_stiffness(r_edges[i], r_edges[i + 1], width, mu, lam)
             index = _element_dofs(i, j, n_r)
             _add(bands, layer[key], index)
     for j in range(len(edges) - 1):
         top = _element_dofs(len(r_edges) - 2, j, n_r)[[6, 7, 8], 0]
         load[top, j] = np.array([1.0, 4.0, 1.0]) / 6 * (edges[j + 1] - edges[j])
-    return Section(bands, load, np.diff(edges), radius)
+    return RingSection(bands, load, np.diff(edges), radius)
 
 
 def depth_grid(thickness: float, top: float) -> Array:
@@ -78,7 +78,7 @@ def depth_grid(thickness: float, top: float) -> Array:
     return grid * (thickness / grid[-1])
 
 
-def element_stiffness(r0: float, r1: float, width: float, mu: float, lam: float) -> Array:
+def ring_element_stiffness(r0: float, r1: float, width: float, mu: float, lam: float) -> Array:
     """K0, K1, K2 (3, 27, 27) of one Q2 element r0..r1 by `width`; dof = 3 node + component, node = 3 i_r + i_z."""
     half = np.array([0.5 * (r1 - r0), 0.5 * width])
     xi, eta = np.meshgrid(GAUSS_X, GAUSS_X, indexing="ij")

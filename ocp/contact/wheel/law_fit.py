@@ -1,14 +1,18 @@
 """Fit the wheel's law to direct contact solutions over what one blade and one cell ask for."""
 
 import hashlib
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
-from ocp.contact.wheel.cover import Cover, Store
+from ocp.contact.wheel.cover import Cover, Store, WheelGeometry
 from ocp.contact.wheel.gap import LocalShape, solve_force
 from ocp.contact.wheel.law import LawError, WheelLaw
 from ocp.contact.wheel.strip import all_features, chebyshev_products, exponents, force_scale, reduce_shape, strip_count
+from ocp.shell.cache import content_key, remember
 from robots.errors import Infeasible
 from robots.pose import Array
 
@@ -22,6 +26,7 @@ FOLDS = 4
 OVERSIZE = 1.15  # the training box over the domain: a polynomial is worst at its corners
 RIDGE = 1e-2  # of the columns' mean square; keeps extrapolation tame
 DECAYS: Array = np.geomspace(0.2, 2.0, 10)
+VERSION = "wheel law 1"  # raise it when the fit changes
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ class Domain:
 
 
 @dataclass(frozen=True)
-class Samples:
+class LawSamples:
     """Direct solutions: inputs (n, 7) F, kxx, kyy, kxy, lateral, tilt_x, tilt_y; indentation (n,) m; semi_axes (n, 2) m;
     dropped: combinations outside the limits."""
 
@@ -78,7 +83,7 @@ def fit_wheel_law(
     )
 
 
-def draw(cover: Cover, domain: Domain, count: int, seed: int, spread: bool, forces: tuple[float, float]) -> Samples:
+def draw(cover: Cover, domain: Domain, count: int, seed: int, spread: bool, forces: tuple[float, float]) -> LawSamples:
     """Direct solutions at `count` combinations of waypoint, turn, lateral, tilts and force.
 
     spread: waypoints by the variety of their curvature (training) instead of as they come (judging).
@@ -117,12 +122,12 @@ def draw(cover: Cover, domain: Domain, count: int, seed: int, spread: bool, forc
             f"under {domain.force:g} N the blade would press the wheel's cover round more than the wheel in "
             f"{1 - len(solved) / len(inputs):.0%} of all postures; ask for less force or use a harder cover"
         )
-    return Samples(np.array(solved), np.array(indentation), np.array(axes), count - len(solved))
+    return LawSamples(np.array(solved), np.array(indentation), np.array(axes), count - len(solved))
 
 
 def _cached(
     store: Store | None, cover: Cover, domain: Domain, count: int, seed: int, spread: bool, forces: tuple[float, float]
-) -> Samples:
+) -> LawSamples:
     """`draw`, kept in the store."""
     if store is None:
         return draw(cover, domain, count, seed, spread, forces)
@@ -136,7 +141,7 @@ def _cached(
         s = draw(cover, domain, count, seed, spread, forces)
         found = {"inputs": s.inputs, "indentation": s.indentation, "axes": s.semi_axes, "dropped": np.array(s.dropped)}
         store.store(key, found)
-    return Samples(found["inputs"], found["indentation"], found["axes"], int(found["dropped"]))
+    return LawSamples(found["inputs"], found["indentation"], found["axes"], int(found["dropped"]))
 
 
 def _various(curvature: Array, count: int) -> Array:
@@ -151,7 +156,7 @@ def _various(curvature: Array, count: int) -> Array:
 
 
 def _fit(
-    cover: Cover, domain: Domain, train: Samples, degree: int, decay: float, limits: dict[str, tuple[float, float]]
+    cover: Cover, domain: Domain, train: LawSamples, degree: int, decay: float, limits: dict[str, tuple[float, float]]
 ) -> tuple[float, WheelLaw]:
     """Ridge regression of the correction; the score is the rms of the cross-validated errors."""
     g = cover.geometry
@@ -191,7 +196,7 @@ def _ridge(A: Array, b: Array) -> Array:
     return np.asarray(np.linalg.solve(H + RIDGE**2 * np.mean(np.diag(H)) * np.eye(len(H)), A.T @ b), float)
 
 
-def _judged(law: WheelLaw, test: Samples, wide: Samples) -> WheelLaw:
+def _judged(law: WheelLaw, test: LawSamples, wide: LawSamples) -> WheelLaw:
     """The law with its error on held-out samples."""
     error, stiffness = _misses(law, test)
     wide_error, wide_stiffness = _misses(law, wide)
@@ -214,7 +219,7 @@ def _least_stiffness(law: WheelLaw, shapes: Array) -> float:
     return float(1 / rise.max()) if rise.min() > 0 else float(1 / rise.min())
 
 
-def _misses(law: WheelLaw, samples: Samples) -> tuple[Array, Array]:
+def _misses(law: WheelLaw, samples: LawSamples) -> tuple[Array, Array]:
     """Error (n,) m and the law's stiffness (n,) N/m at the samples."""
     F, *shape = samples.inputs.T
     step = 0.02
@@ -224,3 +229,27 @@ def _misses(law: WheelLaw, samples: Samples) -> tuple[Array, Array]:
 
 def _rms_max(values: Array) -> tuple[float, float]:
     return float(np.sqrt(np.mean(values**2))), float(np.abs(values).max())
+
+
+def remembered_law(cover: Cover, domain: Domain, fit: Callable[[], WheelLaw]) -> WheelLaw:
+    """The law for `cover` over `domain`: kept under everything it depends on, else fitted."""
+    key = content_key(
+        VERSION, json.dumps(asdict(cover.geometry)), cover.spectrum, domain.curvature, domain.turn, domain.lateral,
+        domain.tilt, domain.force,
+    )  # fmt: skip
+    return _unpacked(remember("law", key, lambda: _packed(fit())))
+
+
+def _packed(law: WheelLaw) -> dict[str, np.ndarray]:
+    arrays = {f.name: getattr(law, f.name) for f in fields(law) if isinstance(getattr(law, f.name), np.ndarray)}
+    numbers = {f.name: getattr(law, f.name) for f in fields(law) if f.name not in arrays}
+    numbers["geometry"], numbers["error"] = asdict(law.geometry), asdict(law.error)
+    return arrays | {"numbers": np.array(json.dumps(numbers, default=float))}
+
+
+def _unpacked(entry: dict[str, np.ndarray]) -> WheelLaw:
+    numbers: dict[str, Any] = json.loads(str(entry["numbers"]))
+    numbers["geometry"], numbers["error"] = WheelGeometry(**numbers["geometry"]), LawError(**numbers["error"])
+    numbers["limits"] = {name: (float(low), float(high)) for name, (low, high) in numbers["limits"].items()}
+    arrays: dict[str, Any] = {name: value for name, value in entry.items() if name != "numbers"}
+    return WheelLaw(**numbers, **arrays)

@@ -1,8 +1,8 @@
-"""From the wheel's seven inputs to four numbers and a baseline: translation, scaling and symmetry used exactly.
+"""From the wheel's seven inputs to four numbers and a strip_baseline: translation, scaling and symmetry used exactly.
 
 The quadratic gap is moved to the middle of the wheel and to its ridge along x (exact: the cover is the same everywhere
 along x); what is left is (curvature across the ridge, along it, shear, slope). Forces and shapes scale together (exact:
-elasticity is linear). The baseline is a row of strips with an exponential law. NumPy only; docs/wheel.md, eq. 5-8.
+elasticity is linear). The strip_baseline is a row of strips with an exponential law. NumPy only; docs/wheel.md, eq. 5-8.
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ def force_scale(force: Array, across: Array, modulus: float) -> Array:
     return np.cbrt((force / modulus) ** 2 * across)
 
 
-def baseline(decay: Array, ridge: Array, slope: Array, width: float, count: int) -> tuple[Array, Array]:
+def strip_baseline(decay: Array, ridge: Array, slope: Array, width: float, count: int) -> tuple[Array, Array]:
     """Indentation -p ln(mean exp(-h/p)) (n,) m of strips with the law exp(d/p), and features (n, 3) of the load.
 
     decay (n,) p in m; h = slope y + ridge y^2 / 2. Features: log of the loaded share of the width, square of the load's
@@ -81,7 +81,7 @@ def baseline(decay: Array, ridge: Array, slope: Array, width: float, count: int)
 
 def all_features(force: Array, reduced: Reduced, decay: Array, modulus: float, width: float, count: int) -> tuple[Array, Array]:
     """Baseline (n,) m over `count` strips and the N_FEATURES numbers (n, 5) the correction depends on."""
-    base, load = baseline(decay, reduced.ridge, reduced.slope, width, count)
+    base, load = strip_baseline(decay, reduced.ridge, reduced.slope, width, count)
     stiff = np.log(force / (modulus * reduced.across * width**3))
     turned = reduced.shear**2 / (1.0 + reduced.shear**2)
     return base, np.column_stack([stiff, load, turned])

@@ -14,8 +14,8 @@ from ocp.calibrate.force.log import Index
 from ocp.diagnose.engine.system import scan_key
 from ocp.diagnose.force.conditions import LogConditions
 from ocp.effects.effect import Effect, Scanned
-from ocp.effects.engine.arm_rows import ArmRows, arm_rows
 from ocp.effects.engine.evaluate import arm_columns
+from ocp.effects.engine.rows import ArmRows, arm_rows
 from ocp.model.cell import Cell
 from ocp.model.theta import NAMES
 from robots.calibration.reading_model import RowInputs

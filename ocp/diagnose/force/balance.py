@@ -25,7 +25,7 @@ TOLERANCE = 2e-4  # N: a step of Newton below this leaves less than 1e-7 N
 STATE = {
     "residual": slice(0, 1), "parts": slice(1, 5), "slopes": slice(5, 9), "arc": slice(9, 10), "lateral": slice(10, 11),
     "turn": slice(11, 12), "tilt": slice(12, 14), "curvature": slice(14, 17), "T": slice(17, 33),
-    "friction_give": slice(33, 34),
+    "friction_deflection": slice(33, 34),
 }  # fmt: skip
 
 # Extra interference (k,) m of some rows (their indices), at their forces (k,) N and the state's columns there.
@@ -86,7 +86,7 @@ class Balance(BeltFunctions):
         enters by secants. Newton from `guess`, with the `stiffness` (n,) of a solution nearby.
         """
         F = np.array(guess, float)
-        state = np.zeros((len(F), STATE["friction_give"].stop))
+        state = np.zeros((len(F), STATE["friction_deflection"].stop))
         ready, gain = self._gain(rows, F, extra, stiffness)
         total = np.zeros(len(F))
         old_F, old_extra = F.copy(), np.full(len(F), np.nan)

@@ -28,8 +28,8 @@ from ocp.diagnose.force.setpoints import with_setpoints_read_off
 from ocp.diagnose.force.waves import picked_squares, telling_waves
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
-from ocp.effects.library import library
 from ocp.model.cell import Cell
 from robots.calibration.store import Calibration
 from robots.pose import Array

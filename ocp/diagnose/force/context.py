@@ -9,14 +9,14 @@ import numpy as np
 from ocp.diagnose.force.balance import STATE, Rows
 from ocp.diagnose.force.conditions import LogConditions, within_runs
 from ocp.effects.effect import Effect, Scanned
-from ocp.effects.engine.contact_rows import LAYOUT, ContactPlace, contact_columns
+from ocp.effects.engine.rows import CONTACT_LAYOUT, ContactPlace, contact_columns
 from ocp.model.cell import Cell
 from ocp.model.force_balance import axis_directions
 from ocp.model.theta import BLOCKS
 from robots.pose import Array
 
-_EDGES = np.cumsum([0, *(size for _, size in LAYOUT.sizes)]).tolist()
-PLACE = {name: slice(i, j) for (name, _), i, j in zip(LAYOUT.sizes, _EDGES[:-1], _EDGES[1:], strict=True)}
+_EDGES = np.cumsum([0, *(size for _, size in CONTACT_LAYOUT.sizes)]).tolist()
+PLACE = {name: slice(i, j) for (name, _), i, j in zip(CONTACT_LAYOUT.sizes, _EDGES[:-1], _EDGES[1:], strict=True)}
 _STARTS = dict(zip(BLOCKS, np.cumsum([0, *(len(names) for names in BLOCKS.values())]).tolist(), strict=False))
 _AT = {name: slice(_STARTS[name], _STARTS[name] + len(names)) for name, names in BLOCKS.items()}  # of theta
 MOVING = 5e-6  # m/s of stroke below which the flange stands: what rounding of a log's columns alone makes
@@ -24,7 +24,7 @@ MOVING = 5e-6  # m/s of stroke below which the flange stands: what rounding of a
 
 @dataclass(frozen=True)
 class Samples:
-    """Numbers (n, k) of n samples in the order of `contact_rows.LAYOUT`; columns that a log does not have are nan."""
+    """Numbers (n, k) of n samples in the order of `contact_rows.CONTACT_LAYOUT`; columns that a log does not have are nan."""
 
     values: Array
 
@@ -68,16 +68,16 @@ def samples_of(cell: Cell, rows: Rows, conditions: LogConditions, F: Array, stat
     own = _blade_turn(theta[:, _AT["blade_rotation"]]) @ cell.workpiece.T_flange_blade[:3, :3]
     flange = R @ own.transpose(0, 2, 1)
     n_base = np.einsum("kij,kj->ki", R, w[:, 3:6])
-    seen = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_give")
+    seen = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_deflection")
     told = ("s", "setpoint", "feed", "belt", "time", "clock", "ground_before", "warm", "wheel_warm", "travel")
     blocks = {name: state[:, STATE[name]] for name in seen} | {name: getattr(c, name) for name in told} | {
         "F": F, "p": w[:, :3], "n": w[:, 3:6], "t": w[:, 6:9], "e": e, "belt_direction": np.cross(axis, e), "n_base": n_base,
         "axis": axis, "R_flange": flange.reshape(-1, 9), "R_blade": R.reshape(-1, 9), "stroke_sign": 0.0,
         "normal_stiffness": stiffness, "push_axis": _push_axis(cell, flange, n_base), "line": c.line,
         "lever": np.abs(w[:, :3] @ cell.workpiece.clamp_normal - cell.workpiece.clamp_offset),
-        "clamp_give": F / cell.workpiece.clamp_stiffness,
+        "clamp_deflection": F / cell.workpiece.clamp_stiffness,
     }  # fmt: skip
-    return Samples(LAYOUT.stack(len(F), blocks))
+    return Samples(CONTACT_LAYOUT.stack(len(F), blocks))
 
 
 def with_stroke_sign(samples: Samples, run: Array, time: Array) -> Samples:

@@ -25,7 +25,7 @@ from ocp.model.theta import Theta
 from robots.pose import Array
 
 M = Theta.size
-ZEROED = ("parts", "slopes", "normal_stiffness", "friction_give", "clamp_give", "F")  # of rows in the air
+ZEROED = ("parts", "slopes", "normal_stiffness", "friction_deflection", "clamp_deflection", "F")  # of rows in the air
 
 
 @dataclass(frozen=True)

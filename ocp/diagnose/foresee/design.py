@@ -24,8 +24,8 @@ from ocp.diagnose.foresee.planned_poses import arm_expected, default_poses, plan
 from ocp.diagnose.rules import LEAST_READINGS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.visible import needed
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect, Scanned, Surroundings
-from ocp.effects.library import library
 from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
 from robots.calibration.store import Calibration
 from robots.errors import BadInput

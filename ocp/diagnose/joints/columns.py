@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ocp.diagnose.joints.signals import Signals
 from ocp.effects.effect import Effect, Scanned
-from ocp.effects.engine.arm_rows import LAYOUT, ArmRows, arm_rows
 from ocp.effects.engine.compiled import Hook, evaluated
+from ocp.effects.engine.rows import ARM_LAYOUT, ArmRows, arm_rows
 from robots.calibration.reading_model import RowInputs
 from robots.compliance import compliance_from_stiffness
 from robots.pose import Array
@@ -39,7 +39,7 @@ def rows_of(signals: Signals, robot: Robot, payload: Hanging) -> ArmRows:
         robot, arm, inputs, ("",), approach=signals.direction, warm=np.zeros(n), time=signals.log.time, speed=signals.qd
     )
     start = 0
-    for name, size in LAYOUT.sizes:
+    for name, size in ARM_LAYOUT.sizes:
         if name == "tau":
             rows.state[:, start : start + size] = signals.tau
         start += size
@@ -59,8 +59,8 @@ def effect_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: A
     """Angles (variants, n, 6, m) rad of the links per unit coefficient; recorded (6,): whose load was recorded."""
     total = np.zeros((len(scans), len(rows), 6, effect.size))
     if effect.joint is not None:
-        total += evaluated(Hook(effect, "joint", joint, LAYOUT, rows.place), rows.state, scans)[-1]
+        total += evaluated(Hook(effect, "joint", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
     if effect.torque is not None:
         share = rows.block("c") * np.where(recorded, 0.0, 1.0)
-        total += share[None, :, :, None] * evaluated(Hook(effect, "torque", joint, LAYOUT, rows.place), rows.state, scans)[-1]
+        total += share[None, :, :, None] * evaluated(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
     return total

@@ -21,7 +21,7 @@ from ocp.diagnose.joints.columns import DELAY, delay_columns, effect_columns
 from ocp.diagnose.joints.noise import Noise, blocks, factors, whiten
 from ocp.diagnose.joints.signals import Signals
 from ocp.effects.effect import Active, Effect, Scanned, coefficients, prior_sds, with_coefficients
-from ocp.effects.engine.arm_rows import ArmRows
+from ocp.effects.engine.rows import ArmRows
 from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
 from robots.robot import Robot

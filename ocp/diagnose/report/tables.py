@@ -5,7 +5,7 @@ from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.joints.channel import JointChannel
 from ocp.diagnose.joints.problem import nuisance_names
 from ocp.diagnose.report.words import SHORT, condition_words, effect_words, effects_words, figure, values_words
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 from ocp.report.section import Table, table
 
 MOST = 20

@@ -7,7 +7,7 @@ from ocp.calibrate.report.words import listed
 from ocp.diagnose.answer import Answer, SignalGap, figures
 from ocp.diagnose.engine.findings import Name, Ranked
 from ocp.diagnose.verdict.shrinkage import NONE
-from ocp.effects.library import library
+from ocp.effects.catalogue import library
 from ocp.report.section import Headline
 
 SIGNALS = {"tracker": "the laser tracker's readings", "force": "the force readings", "joint": "the link-side encoders"}

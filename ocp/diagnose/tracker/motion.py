@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from ocp.effects.effect import Active, Effect, Scanned
-from ocp.effects.engine.arm_rows import ArmRows, arm_rows
 from ocp.effects.engine.evaluate import TrackerRows, arm_columns, tracker_columns
+from ocp.effects.engine.rows import ArmRows, arm_rows
 from robots.calibration.layout import State
 from robots.calibration.reading_model import RowInputs
 from robots.gravity import GRAVITY

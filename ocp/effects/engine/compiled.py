@@ -21,10 +21,15 @@ _BLOCK = 1 << 16  # pairs of a row and a variant laid out at once
 
 
 @dataclass(frozen=True)
-class Layout:
+class RowLayout:
     """Names and sizes of the blocks of a row."""
 
     sizes: tuple[tuple[str, int], ...]
+
+    @staticmethod
+    def of(text: str) -> "RowLayout":
+        """From a text such as "q 6, warm 1"."""
+        return RowLayout(tuple((name, int(size)) for name, size in (block.split() for block in text.split(","))))
 
     @property
     def size(self) -> int:
@@ -63,7 +68,7 @@ class Hook:
     effect: Effect
     kind: str
     joint: int
-    layout: Layout
+    layout: RowLayout
     place: Any  # hashable; has context(row) -> what the hook is given
 
 

@@ -14,12 +14,11 @@ import numpy as np
 
 from ocp.effects.context import TrackerContext
 from ocp.effects.effect import Active, Effect, Scanned
-from ocp.effects.engine.arm_rows import LAYOUT as ARM
-from ocp.effects.engine.arm_rows import ArmRows
-from ocp.effects.engine.compiled import Hook, Layout, evaluated
+from ocp.effects.engine.compiled import Hook, RowLayout, evaluated
+from ocp.effects.engine.rows import ARM_LAYOUT, ArmRows
 from robots.pose import Array
 
-TRACKER = Layout((("point", 3), ("R", 9), ("time", 1), ("warm", 1), ("target", 1)))
+TRACKER_LAYOUT = RowLayout.of("point 3, R 9, time 1, warm 1, target 1")
 
 
 @dataclass(frozen=True)
@@ -63,15 +62,15 @@ def arm_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: ArmR
     if not scans:
         return ArmColumns(np.zeros((0, len(rows), 6, effect.size)), {})
     if effect.joint is not None:
-        joints = evaluated(Hook(effect, "joint", joint, ARM, rows.place), rows.state, scans)[-1]
+        joints = evaluated(Hook(effect, "joint", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
     else:
         joints = np.zeros((len(scans), len(rows), 6, effect.size))
     if effect.torque is not None:
-        torque = evaluated(Hook(effect, "torque", joint, ARM, rows.place), rows.state, scans)[-1]
+        torque = evaluated(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
         joints = joints + rows.block("c")[None, :, :, None] * torque
     twists = {}
     if effect.twist is not None:
-        twists = evaluated(Hook(effect, "twist", joint, ARM, rows.place), rows.state, scans)
+        twists = evaluated(Hook(effect, "twist", joint, ARM_LAYOUT, rows.place), rows.state, scans)
     return ArmColumns(joints, twists)
 
 
@@ -105,7 +104,7 @@ class TrackerPlace:
 
     def context(self, row: ca.SX) -> TrackerContext:
         """What hooks see of a symbolic row."""
-        x = TRACKER.split(row)
+        x = TRACKER_LAYOUT.split(row)
         return TrackerContext(x["point"], ca.reshape(x["R"], 3, 3).T, x["time"], x["warm"], x["target"], self.targets)
 
 
@@ -128,8 +127,8 @@ def tracker_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: 
     if effect.reading is None or not scans:
         return np.zeros((len(scans), n, 3, effect.size))
     blocks = {"point": rows.point, "R": rows.R.reshape(n, 9), "time": rows.time, "warm": rows.warm, "target": rows.target}
-    hook = Hook(effect, "reading", joint, TRACKER, TrackerPlace(rows.targets))
-    return evaluated(hook, TRACKER.stack(n, blocks), scans)[-1]
+    hook = Hook(effect, "reading", joint, TRACKER_LAYOUT, TrackerPlace(rows.targets))
+    return evaluated(hook, TRACKER_LAYOUT.stack(n, blocks), scans)[-1]
 
 
 def tracker_shift(active: Sequence[Active], rows: TrackerRows) -> Array:

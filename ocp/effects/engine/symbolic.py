@@ -14,17 +14,15 @@ import numpy as np
 
 from ocp.effects.cell_effects import CellEffect
 from ocp.effects.context import ArmContext, ContactContext
-from ocp.effects.engine.arm_rows import arm_context
-from ocp.effects.engine.compiled import Layout
+from ocp.effects.engine.compiled import RowLayout
+from ocp.effects.engine.rows import arm_context
 from robots.robot import Robot
 
 # What effects see of an instant beside the model's own symbols.
-CONDITIONS = Layout(
-    (
-        ("approach", 6), ("s", 1), ("feed", 1), ("line", 1), ("ground_before", 1), ("time", 1), ("clock", 1), ("warm", 1),
-        ("wheel_warm", 1), ("travel", 1), ("stroke_sign", 1), ("setpoint", 1), ("belt", 1), ("speed", 6),
-    )
-)  # fmt: skip
+CONDITIONS = RowLayout.of(
+    "approach 6, s 1, feed 1, line 1, ground_before 1, time 1, clock 1, warm 1, wheel_warm 1, travel 1, stroke_sign 1, "
+    "setpoint 1, belt 1, speed 6"
+)
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,5 @@ def planned_arm_context(
     robot: Robot, payload_name: str, frames: list[ca.SX], conditions: dict[str, ca.SX], **state: ca.SX
 ) -> ArmContext:
     """What arm effects see in the model: `state` are q, q_real, tau, c, payload; frames of the believed posture."""
-    named = {name: conditions[name] for name in ("approach", "warm", "time", "speed")}
-    return arm_context(
-        frames, robot.sign, robot.link_mass, robot.link_com, robot.gear_ratio, (payload_name,), hung=ca.SX(0), **named, **state,
-    )  # fmt: skip
+    state |= {name: conditions[name] for name in ("approach", "warm", "time", "speed")} | {"hung": ca.SX(0)}
+    return arm_context(frames, robot.sign, robot.link_mass, robot.link_com, robot.gear_ratio, (payload_name,), **state)

@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.plan.motion.collision import Scene
-from ocp.plan.motion.roadmap import connect
+from ocp.plan.clearance.collision import CollisionScene
 from robots.errors import Infeasible
 from robots.kinematics import forward, jacobian
 from robots.pose import Array
@@ -14,6 +13,9 @@ from robots.pose import Array
 CLEAR = 0.020  # m off contact, where the linear engage begins and ends
 FAR = (0.10, 0.20, 0.35)  # m off contact, tried in turn as via points between passes
 SAMPLE = np.radians(1.0)  # largest axis step between two poses that are checked for collision
+GROW = np.radians(10.0)  # longest edge of a tree
+ATTEMPTS = 3000
+SHORTCUTS = 60
 
 
 def lifted(cell: Cell, q: Array, normal: Array, distances: Array) -> Array:
@@ -67,12 +69,12 @@ def dense(points: Array, step: float = SAMPLE) -> Array:
     return np.vstack(pieces)
 
 
-def is_free(scene: Scene, points: Array) -> bool:
-    """True if the straight joint moves along `points` (k, 6) keep all margins off contact."""
-    return scene.clearance(dense(points), in_contact=False).value >= 0
+def is_free(scene: CollisionScene, points: Array, step: float = SAMPLE) -> bool:
+    """True if the straight joint moves along `points` (k, 6), looked at every `step` rad, keep all margins off contact."""
+    return scene.clearance(dense(points, step), in_contact=False).value >= 0
 
 
-def travel(cell: Cell, scene: Scene, start: tuple[Array, Array], goal: tuple[Array, Array]) -> Array:
+def travel(cell: Cell, scene: CollisionScene, start: tuple[Array, Array], goal: tuple[Array, Array]) -> Array:
     """Via points (k, 6), ends included, of a free way between two clear poses.
 
     `start` and `goal` are (contact joints lifted by CLEAR, outward wheel radial (3,)) of the passes. Straight first,
@@ -94,3 +96,65 @@ def travel(cell: Cell, scene: Scene, start: tuple[Array, Array], goal: tuple[Arr
         clearance = scene.clearance(dense(direct), in_contact=False)
         raise Infeasible(f"no free way between two passes: on the straight move {clearance.sentence()}; move the wheel")
     return found
+
+
+def connect(
+    scene: CollisionScene, low: Array, high: Array, start: Array, goal: Array, step: float, seed: int = 0
+) -> Array | None:
+    """A collision-free joint polyline (k, 6) from `start` to `goal` within low..high, or None after `ATTEMPTS` samples.
+
+    Two trees are grown toward each other (RRT-Connect, Kuffner and LaValle 2000).
+
+    Same inputs, same answer: the samples come from a generator with a fixed seed.
+    """
+    rng = np.random.default_rng(seed)
+    trees: list[list[Array]] = [[np.asarray(start, float)], [np.asarray(goal, float)]]
+    parents: list[list[int]] = [[-1], [-1]]
+    lower, upper = np.minimum(start, goal) - np.radians(60), np.maximum(start, goal) + np.radians(60)
+    lower, upper = np.maximum(lower, low), np.minimum(upper, high)
+    for attempt in range(ATTEMPTS):
+        a = attempt % 2
+        reached = _extend(scene, trees[a], parents[a], rng.uniform(lower, upper), step)
+        if reached is None:
+            continue
+        target = trees[a][reached]
+        while (other := _extend(scene, trees[1 - a], parents[1 - a], target, step)) is not None:
+            if np.allclose(trees[1 - a][other], target):
+                ends = (reached, other) if a == 0 else (other, reached)
+                points = _branch(trees[0], parents[0], ends[0])[::-1] + _branch(trees[1], parents[1], ends[1])[1:]
+                return _shortened(scene, np.array(points), step, rng)
+    return None
+
+
+def _extend(scene: CollisionScene, tree: list[Array], parents: list[int], target: Array, step: float) -> int | None:
+    """Grow the tree one edge toward target; the new node's index, or None where something is in the way."""
+    nodes = np.array(tree)
+    nearest = int(np.argmin(np.linalg.norm(nodes - target, axis=1)))
+    direction = target - nodes[nearest]
+    length = np.abs(direction).max()
+    new = target if length <= GROW else nodes[nearest] + direction * (GROW / length)
+    if length < 1e-12 or not is_free(scene, np.array([nodes[nearest], new]), step):
+        return None
+    tree.append(new)
+    parents.append(nearest)
+    return len(tree) - 1
+
+
+def _branch(tree: list[Array], parents: list[int], node: int) -> list[Array]:
+    """Nodes from `node` to the root."""
+    points = []
+    while node >= 0:
+        points.append(tree[node])
+        node = parents[node]
+    return points
+
+
+def _shortened(scene: CollisionScene, points: Array, step: float, rng: np.random.Generator) -> Array:
+    """Cut corners where the straight move is free."""
+    for _ in range(SHORTCUTS):
+        if len(points) <= 2:
+            break
+        i, j = sorted(rng.choice(len(points), 2, replace=False))
+        if j > i + 1 and is_free(scene, points[[i, j]], step):
+            points = np.vstack([points[: i + 1], points[j:]])
+    return points

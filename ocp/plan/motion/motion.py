@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from ocp.model.cell import Cell
+from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.motion.air import CLEAR, lifted, travel
-from ocp.plan.motion.collision import Scene
 from ocp.plan.passes.optimise import SolvedPass
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -23,7 +23,7 @@ HOME_LIFT = 0.15  # m off the first contact: where the program begins and ends
 
 
 @dataclass(frozen=True)
-class Segment:
+class MotionSegment:
     """A timed piece of the program: `kind` is travel, engage, contact or retreat; `place` the pass in driving order."""
 
     kind: str
@@ -38,23 +38,25 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PlannedMotion:
     """Passes in driving order and the segments of the program, one after the other without pause."""
 
     passes: list[SolvedPass]
-    segments: list[Segment]
+    segments: list[MotionSegment]
 
     @property
     def duration(self) -> float:
         """Seconds from the first posture to the last."""
         return self.segments[-1].end
 
-    def contact(self, place: int) -> Segment:
+    def contact(self, place: int) -> MotionSegment:
         """The grinding segment of the pass at `place`."""
         return next(s for s in self.segments if s.kind == "contact" and s.place == place)
 
 
-def build_motion(cell: Cell, scene: Scene, solved: list[SolvedPass], advance: Callable[[], None] = lambda: None) -> Motion:
+def build_motion(
+    cell: Cell, scene: CollisionScene, solved: list[SolvedPass], advance: Callable[[], None] = lambda: None
+) -> PlannedMotion:
     """Order the passes for short travel, join them by free moves and time everything.
 
     Raises Infeasible: no free way between two passes, or a limit that cannot be held.
@@ -65,12 +67,12 @@ def build_motion(cell: Cell, scene: Scene, solved: list[SolvedPass], advance: Ca
     order = _order(cell, [(a[-1], b[-1]) for a, b in ends])
     passes, ends = [solved[i] for i in order], [ends[i] for i in order]
     home = lifted(cell, passes[0].solution.q[0], _normal(cell, passes[0], 0), np.array([HOME_LIFT]))[0]
-    segments: list[Segment] = []
+    segments: list[MotionSegment] = []
     time = 0.0
 
     def add(kind: str, place: int, trajectory: JointTrajectory) -> None:
         nonlocal time
-        segments.append(Segment(kind, place, trajectory, time))
+        segments.append(MotionSegment(kind, place, trajectory, time))
         time += trajectory.duration
 
     where = (home, _normal(cell, passes[0], 0))
@@ -92,7 +94,7 @@ def build_motion(cell: Cell, scene: Scene, solved: list[SolvedPass], advance: Ca
     for a, b in itertools.pairwise(way):
         if np.abs(b - a).max() > 1e-9:
             add("travel", len(passes), time_joint_move(a, b, limits, label="way home"))
-    return Motion(passes, segments)
+    return PlannedMotion(passes, segments)
 
 
 def _normal(cell: Cell, solved: SolvedPass, k: int) -> Array:

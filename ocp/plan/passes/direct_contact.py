@@ -7,7 +7,7 @@ from scipy.interpolate import PchipInterpolator
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.gap import LocalShape, solve_force
-from ocp.model.blade_gap import SurfaceCloud, surface_shape
+from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
 from ocp.model.cell import Wheel
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import Evaluation
@@ -15,7 +15,6 @@ from robots.errors import Infeasible
 from robots.pose import Array
 
 STATION_SPACING = 3e-3  # m between waypoints solved directly
-END_ZONE = 4e-3  # m at both ends of a pass
 
 
 @dataclass(frozen=True)
@@ -31,14 +30,6 @@ class DirectContact:
     semi_axes: Array
 
 
-def stations(s: Array, spacing: float = STATION_SPACING) -> Array:
-    """Indices of waypoints about `spacing` apart, a third of it near the ends, where the blade's edges come under the wheel."""
-    length = s[-1] - s[0]
-    near = np.arange(0.0, END_ZONE, spacing / 3)
-    wanted = np.concatenate([near, np.arange(END_ZONE, length - END_ZONE, spacing), length - near])
-    return np.unique(np.abs(s[:, None] - s[0] - np.clip(wanted, 0.0, length)).argmin(axis=0))
-
-
 def solve_directly(
     wheel: Wheel, cover: Cover, cloud: SurfaceCloud, problem: PassProblem, solved: Evaluation, sigma_travel: float
 ) -> DirectContact:
@@ -47,7 +38,7 @@ def solve_directly(
     `sigma_travel` is +1 where the blade moves with the belt at zero turn, else -1 (docs/architecture.md). Raises
     Infeasible of the contact solver, with the waypoint.
     """
-    index = stations(problem.path.s)
+    index = contact_stations(problem.path.s, STATION_SPACING)
     indentation, axes = [], []
     for k in index:
         kxx, kyy, kxy = (float(c) for c in solved.curvature[k])

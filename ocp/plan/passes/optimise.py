@@ -4,23 +4,30 @@ A pass is solved, its wheel contact solved directly at the solution, the differe
 collisions and contact elsewhere on the blade are checked at every waypoint. A seed that fails gives way to the next.
 """
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
+import ocp
+import robots
+import trajectories
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
-from ocp.plan.motion.collision import Scene
+from ocp.plan.clearance.collision import CollisionScene
+from ocp.plan.clearance.secondary_contact import SECONDARY_CONTACT_TOLERANCE, find_secondary_contact
 from ocp.plan.passes.direct_contact import DirectContact, corrected_defect, solve_directly
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
-from ocp.plan.passes.stage import Weights
-from ocp.plan.verify.gouge import GOUGE_TOLERANCE, find_gouge
+from ocp.plan.passes.stage import ObjectiveWeights
+from ocp.shell.cache import content_key, flattened, rebuilt, remember
 from ocp.shell.workers import interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -35,6 +42,7 @@ FALLBACKS = 4  # seeds tried before a pass is refused
 
 
 TURN_LIMITS = (1.0, 0.2, 0.02)  # of the turn tolerance, tried in turn while a turned wheel touches the blade elsewhere
+FILES = (".path", ".stl")  # where a file lies does not matter, what it says is in the key by value
 
 
 class TouchesElsewhere(Infeasible):
@@ -48,7 +56,7 @@ class Ground:
 
     cell: Cell
     theta: Theta
-    weights: Weights
+    weights: ObjectiveWeights
     law: WheelLaw
     cover: Cover
     vertices: Array
@@ -71,7 +79,7 @@ class PassWorker:
     def __init__(self, ground: Ground) -> None:
         self.ground = ground
         self.solver = PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
-        self.scene = Scene(ground.cell, ground.vertices)
+        self.scene = CollisionScene(ground.cell, ground.vertices)
         travel = np.sign(ground.cell.wheel.belt_speed) or 1.0
         self.sigma_travel = float(travel * (1 if ground.cell.process.grinding == "down" else -1))
 
@@ -135,13 +143,13 @@ class PassWorker:
                 f"{name}, waypoint {clearance.index + 1}: {clearance.sentence()}; move the wheel or the blade in its holder"
             )
         poses = solved.T_base_blade
-        gouge = find_gouge(
+        gouge = find_secondary_contact(
             cell, self.ground.cloud.points[::GOUGE_THINNING], poses, path.p, solved.curvature, solved.tilt, solved.delta
         )
-        if gouge.depth > GOUGE_TOLERANCE:
+        if gouge.depth > SECONDARY_CONTACT_TOLERANCE:
             raise TouchesElsewhere(
                 f"{name}, waypoint {gouge.index + 1}: the blade would touch the wheel {gouge.distance * 1e3:.1f} mm beside "
-                f"the contact, {gouge.depth * 1e3:.2f} mm deeper than planned (at most {GOUGE_TOLERANCE * 1e3:.2f}); "
+                f"the contact, {gouge.depth * 1e3:.2f} mm deeper than planned (at most {SECONDARY_CONTACT_TOLERANCE * 1e3:.2f}); "
                 f"use a smaller or narrower wheel, or larger margins"
             )
         if cell.flange is not None:
@@ -200,3 +208,24 @@ def solve_passes(
         for future in futures:
             future.add_done_callback(lambda _: advance())
         return [future.result() for future in futures]
+
+
+def remembered_passes(
+    ground: Ground, paths: list[BladePath], compliance: list[Array], solve: Callable[[], list[SolvedPass]]
+) -> list[SolvedPass]:
+    """The solved passes of `paths` on `ground` with the blade's compliance: kept ones, else those of `solve`."""
+    content = flattened((ground, paths, compliance))
+    parts = [part for name, array in sorted(content.items()) if not name.endswith(FILES) for part in (name, array)]
+    entry = remember("passes", content_key(code_hash(), *parts), lambda: flattened(solve()))
+    return [rebuilt(SolvedPass, entry, f".{i}") for i in range(len(paths))]
+
+
+@cache
+def code_hash() -> str:
+    """Hash of the sources and the data of the three packages: so many of them shape a pass that any change counts."""
+    digest = hashlib.sha256()
+    for package in (ocp, robots, trajectories):
+        for file in sorted(Path(str(package.__file__)).parent.rglob("*")):
+            if file.suffix in (".py", ".toml"):
+                digest.update(file.read_bytes())
+    return digest.hexdigest()

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from ocp.contact.wheel.law import WheelLaw
 from ocp.model.cell import Cell
-from ocp.plan.motion.collision import Scene, flange_pose
+from ocp.plan.clearance.collision import CollisionScene, flange_pose
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches, reach_excess
 from robots.pose import Array, make_transform
@@ -87,7 +87,7 @@ def joints_near(cell: Cell, path: BladePath, seed: Seed, T_base_blade: Array) ->
     return np.asarray(near + (q[:, seed.branch] - near + np.pi) % (2 * np.pi) - np.pi)
 
 
-def find_seeds(cell: Cell, scene: Scene, law: WheelLaw, paths: list[BladePath]) -> list[list[Seed]]:
+def find_seeds(cell: Cell, scene: CollisionScene, law: WheelLaw, paths: list[BladePath]) -> list[list[Seed]]:
     """For each pass its collision-free seeds, one a family, the one of the cheapest chain over all passes first.
 
     The chain takes the passes in the order given; the others follow by cost, for the optimiser to fall back on.
@@ -118,7 +118,7 @@ def _travel(cell: Cell, before: list[Seed], after: list[Seed]) -> Array:
     return np.asarray((np.abs(end - start) / cell.robot.qd_max).max(axis=-1))
 
 
-def _options(cell: Cell, scene: Scene, law: WheelLaw, path: BladePath) -> list[Seed]:
+def _options(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) -> list[Seed]:
     """The best collision-free seed of every family of a pass."""
     sigma = 1 if cell.process.grinding == "down" else -1
     index = np.unique(np.linspace(0, len(path.s) - 1, STATIONS).round().astype(int))

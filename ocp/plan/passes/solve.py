@@ -18,15 +18,14 @@ from ocp.plan.passes.posture import (
     poses_along,
     turned_curvature,
 )
-from ocp.plan.passes.problem import PassProblem
-from ocp.plan.passes.reversal import approach_signs
+from ocp.plan.passes.problem import PassProblem, approach_signs
 from ocp.plan.passes.stage import (
     N_PLAIN_ROWS,
     N_ROWS,
     N_Z,
     ROWS,
+    ObjectiveWeights,
     Stage,
-    Weights,
     build_stage,
     force_variance,
 )
@@ -78,7 +77,7 @@ class Evaluation:
 class PassSolver:
     """The compiled model of a cell, solving pass after pass; programs are built once per padded length."""
 
-    def __init__(self, cell: Cell, law: WheelLaw, theta: Theta, weights: Weights) -> None:
+    def __init__(self, cell: Cell, law: WheelLaw, theta: Theta, weights: ObjectiveWeights) -> None:
         self.cell, self.theta, self.weights = cell, theta, weights
         self.law, self.limits = law, law.limits
         self.sigma = 1 if cell.process.grinding == "down" else -1

@@ -35,7 +35,7 @@ N_PLAIN_ROWS = N_ROWS - N_CLEARANCE  # without the clearances
 
 
 @dataclass(frozen=True)
-class Weights:
+class ObjectiveWeights:
     """Weights of the objective, each against its own tolerance or limit, so that 1 means equally undesirable."""
 
     turn: float = 0.3
@@ -116,7 +116,7 @@ class Stage:
 N_PARAMETERS = N_WAYPOINT + 7 * N_CLEARANCE + 2  # waypoint, clearances (a, b), sign of the shoulder, stage weight
 
 
-def build_stage(cell: Cell, model: Model, weights: Weights, theta: Theta) -> Stage:
+def build_stage(cell: Cell, model: Model, weights: ObjectiveWeights, theta: Theta) -> Stage:
     """Objective and constraint rows of one waypoint.
 
     The values of `theta` are folded in before differentiating: planning holds them, and a third of the instructions go.

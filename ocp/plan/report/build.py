@@ -3,7 +3,7 @@
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.plan.motion.motion import Motion
+from ocp.plan.motion.motion import PlannedMotion
 from ocp.plan.motion.timeline import Timeline
 from ocp.plan.report.data import (
     AxisLimits,
@@ -26,7 +26,7 @@ SAMPLE = 0.02  # s between samples of the drawn motion
 
 
 def build_report(
-    cell: Cell, blade: Blade, motion: Motion, timeline: Timeline, verdict: str, summary: tuple[SummaryRow, ...],
+    cell: Cell, blade: Blade, motion: PlannedMotion, timeline: Timeline, verdict: str, summary: tuple[SummaryRow, ...],
     inputs: tuple[InputFile, ...], notices: tuple[str, ...], versions: tuple[tuple[str, str], ...],
 ) -> PlanReport:  # fmt: skip
     """Everything the pages show of a plan that was found safe."""
@@ -50,7 +50,7 @@ def build_report(
     )
 
 
-def _pass(cell: Cell, motion: Motion, place: int) -> PassReport:
+def _pass(cell: Cell, motion: PlannedMotion, place: int) -> PassReport:
     solved, trajectory = motion.passes[place], motion.contact(place).trajectory
     path, seen = solved.problem.path, solved.evaluation
     feed = trajectory.feed(trajectory.times)
@@ -81,7 +81,7 @@ def _pass(cell: Cell, motion: Motion, place: int) -> PassReport:
     )
 
 
-def _motion(cell: Cell, motion: Motion, timeline: Timeline) -> MotionReport:
+def _motion(cell: Cell, motion: PlannedMotion, timeline: Timeline) -> MotionReport:
     """The timeline thinned to about one sample every SAMPLE seconds."""
     keep = np.concatenate([[True], np.diff(np.floor(timeline.time / SAMPLE)) > 0])
     keep &= np.concatenate([[True], np.diff(timeline.time) > 1e-9])
@@ -101,7 +101,7 @@ def _motion(cell: Cell, motion: Motion, timeline: Timeline) -> MotionReport:
     )
 
 
-def _animation(cell: Cell, motion: Motion) -> CellAnimation:
+def _animation(cell: Cell, motion: PlannedMotion) -> CellAnimation:
     time = np.linspace(0.0, motion.duration, FRAMES)
     q = np.empty((FRAMES, 6))
     for segment in motion.segments:

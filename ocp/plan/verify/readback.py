@@ -9,8 +9,8 @@ import numpy as np
 from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
-from ocp.plan.motion.motion import Motion
-from ocp.plan.verify.second_route import Believed, VerifiedPass, verify_pass
+from ocp.plan.motion.motion import PlannedMotion
+from ocp.plan.verify.second_route import BelievedRobot, VerifiedPass, verify_pass
 from ocp.shell.workers import interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches
@@ -40,7 +40,7 @@ class Readback:
 
 
 def read_back(
-    cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud, motion: Motion, main: Path, jobs: int
+    cell: Cell, believed: BelievedRobot, cover: Cover, cloud: SurfaceCloud, motion: PlannedMotion, main: Path, jobs: int
 ) -> Readback:
     """Read the program `main` and judge it.
 
@@ -70,7 +70,7 @@ def read_back(
     return Readback(passes, worst, axis_error, time_error, ratio)
 
 
-_shared: tuple[Cell, Believed, Cover, SurfaceCloud] | None = None
+_shared: tuple[Cell, BelievedRobot, Cover, SurfaceCloud] | None = None
 
 
 def _share(*shared: Any) -> None:
@@ -84,7 +84,7 @@ def _verify(*task: Any) -> VerifiedPass:
 
 
 def _verified(
-    cell: Cell, believed: Believed, cover: Cover, cloud: SurfaceCloud, tasks: list[tuple[Any, ...]], jobs: int
+    cell: Cell, believed: BelievedRobot, cover: Cover, cloud: SurfaceCloud, tasks: list[tuple[Any, ...]], jobs: int
 ) -> list[VerifiedPass]:
     """`verify_pass` of every task (path, compliance, time, q, s), in `jobs` worker processes (1: in this one)."""
     if jobs <= 1:
@@ -98,7 +98,7 @@ def _verified(
 Driven = list[tuple[Array, Array, Array]]
 
 
-def _timed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, float, float, float]:
+def _timed(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Driven, float, float, float]:
     """Axis programs: the pieces of the text are the segments of the motion, one to one."""
     program = reinterpolate(execution, cell.robot.qd_max, cell.robot.qdd_max)
     if len(program.pieces) != len(motion.segments):
@@ -122,7 +122,7 @@ def _timed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, fl
     return driven, axis_error, time_error, ratio
 
 
-def _posed(cell: Cell, motion: Motion, execution: Execution) -> tuple[Driven, float, float, float]:
+def _posed(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Driven, float, float, float]:
     """Pose programs: the controller's nominal kinematics turn the curve through the poses into axes."""
     blocks: list[Array] = []
     before: tuple[str, float | None] = ("", None)

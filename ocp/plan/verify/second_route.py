@@ -6,19 +6,20 @@ Signorini problem solved directly instead of the table. Of a cell's effects the 
 into them are this route's.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator, interp1d
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.gap import LocalShape, solve_force
-from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, surface_shape
+from ocp.effects.engine.evaluate import arm_shift
+from ocp.effects.engine.rows import ARM_LAYOUT, ArmPlace, ArmRows, ContactPlace, added_overlap
+from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, contact_stations, surface_shape
 from ocp.model.cell import Cell
-from ocp.plan.passes.direct_contact import stations
-from ocp.plan.verify.effects import BelievedArm, ContactSample, at_stations, moved_arm
-from robots.elementary import elementary_forward
+from robots.elementary import elementary_forward, elementary_frames
 from robots.gravity import GRAVITY
 from robots.pose import Array, apply
 from robots.rigid_body import inverse_dynamics
@@ -33,13 +34,27 @@ FORCE_STEP_ENOUGH = 0.1  # N; the law is so smooth that what is left after it is
 
 
 @dataclass(frozen=True)
-class Believed:
-    """The parameters that the second route needs, by value: robot with calibrated MD-H, compliance (6,), registrations."""
+class BelievedRobot:
+    """The arm as the second route takes it, by value: calibrated MD-H, compliance (6,) rad/(N m), payload kg and m."""
 
     robot: Robot
     compliance: Array
     payload_mass: float
     payload_com: Array
+
+    def torque(self, q: Array) -> Array:
+        """Load torque (m, 6) N m of weight at postures q (m, 6), positive along +q."""
+        still = np.zeros_like(q)
+        return -np.asarray(inverse_dynamics(self.robot, self.payload_mass, self.payload_com, q, still, still))
+
+    def bending(self, cell: Cell) -> Array:
+        """Compliance (6,) rad/(N m) of the joints that bend under weight, zero of the others."""
+        return self.compliance * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
+
+
+def believed_robot(cell: Cell, mdh: Array, compliance: Array, payload_mass: float, payload_com: Array) -> BelievedRobot:
+    """The cell's robot with calibrated MD-H (6, 5)."""
+    return BelievedRobot(replace(cell.robot, mdh=mdh), compliance, payload_mass, payload_com)
 
 
 @dataclass(frozen=True)
@@ -54,7 +69,7 @@ class VerifiedPass:
 
 def verify_pass(
     cell: Cell,
-    believed: Believed,
+    believed: BelievedRobot,
     cover: Cover,
     cloud: SurfaceCloud,
     path: BladePath,
@@ -86,7 +101,7 @@ def verify_pass(
     e = radial / rho[:, None]
     delta = wheel.radius - rho
 
-    at = np.searchsorted(s, np.clip(path.s[stations(path.s, STATION_SPACING)], s[0], s[-1]))
+    at = np.searchsorted(s, np.clip(path.s[contact_stations(path.s, STATION_SPACING)], s[0], s[-1]))
     at = np.unique(np.clip(at, 0, len(s) - 1))
     needed, slope = [], []
     for k in at:
@@ -95,7 +110,8 @@ def verify_pass(
         shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
         here = {name: value[k] for name, value in seen.items()}
         sample = ContactSample(cell, on_path["p"][k], n[k], t[k], T[k], e[k], float(lateral[k]), base, here)
-        linear = [_linear_give(cell, believed, q_real[k], sample, compliance[waypoint], mu) for mu in (wheel.friction, 1.0, 0.0)]
+        blade = compliance[waypoint]
+        linear = [_linear_compliance(cell, believed, q_real[k], sample, blade, mu) for mu in (wheel.friction, 1.0, 0.0)]
         F, rate = _equilibrium(cell, cover, shape, sample, delta[k], float(path.force[waypoint]), linear)
         slope.append(1.0 / rate)
         needed.append(delta[k] - (F - path.force[waypoint]) * rate)
@@ -103,6 +119,99 @@ def verify_pass(
     overlap, rise = PchipInterpolator(s[at], np.column_stack([needed, slope]))(s).T
     force = np.interp(s, path.s, path.force) + rise * (delta - overlap)
     return VerifiedPass(time, s, np.maximum(force, 0.0), delta)
+
+
+def _postures(cell: Cell, believed: BelievedRobot, q: Array, seen: dict[str, Array]) -> tuple[Array, Array]:
+    """Bent joints (m, 6) and flange poses (m, 4, 4) at commanded joints q (m, 6), with the cell's effects."""
+    q_real = bent(cell, believed, q)
+    if not cell.effects:
+        return q_real, elementary_forward(believed.robot, q_real)
+    return moved_arm(cell, believed, q, q_real, seen)
+
+
+def bent(cell: Cell, believed: BelievedRobot, q: Array) -> Array:
+    """Joints (m, 6) bent by gravity at the converged posture; q commanded (m, 6)."""
+    bends, real = believed.bending(cell), q.copy()
+    for _ in range(FIXED_POINT_STEPS):
+        real = q + bends * believed.torque(real)
+    return real
+
+
+def at_stations(conditions: Mapping[str, Array] | None, of: Array, s: Array) -> dict[str, Array]:
+    """Conditions (n, k) at arc lengths `of` (n,), between them at s (m,)."""
+    found = {}
+    for name, values in (conditions or {}).items():
+        found[name] = np.asarray(interp1d(of, values, axis=0, bounds_error=False, fill_value=(values[0], values[-1]))(s))
+    return found
+
+
+def moved_arm(cell: Cell, arm: BelievedRobot, q: Array, q_real: Array, seen: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Bent joints (m, 6) and flange poses (m, 4, 4) with the cell's effects; q commanded, q_real as the believed arm bends."""
+    m, bends = len(q), arm.bending(cell)
+    payload = np.concatenate([[arm.payload_mass], arm.payload_com])
+    frames = elementary_frames(arm.robot, q_real)
+    blocks = {"q": q, "q_real": q_real, "tau": arm.torque(q_real), "c": bends, "payload": payload, "hung": 0.0}
+    blocks |= {"frames": frames[:, :, :3, :].reshape(m, 84)}
+    blocks |= {name: seen[name] for name in ("approach", "speed", "warm", "time")}
+    rows = ArmRows(ArmPlace.of(arm.robot, (cell.workpiece.payload.name,)), ARM_LAYOUT.stack(m, blocks))
+    shift = arm_shift([e.active for e in cell.effects], rows)
+    dq, real = shift.joints[0, :, :, 0], q_real
+    for _ in range(FIXED_POINT_STEPS):
+        real = q + dq + bends * arm.torque(real)
+    frames = elementary_frames(arm.robot, real)
+    T, at = frames[:, 6].copy(), frames[..., :3, 3].copy()
+    for link in sorted(shift.twists):
+        motion = shift.twists[link][0, :, :, 0]
+        v, w = motion[:, :3], motion[:, 3:]
+        turned = T[:, :3, 3] - at[:, link]
+        T[:, :3, 3] += v + np.cross(w, turned)
+        T[:, :3, :3] += np.cross(w[:, :, None], T[:, :3, :3], axis=1)
+        for i in range(link + 1, 7):
+            at[:, i] += v + np.cross(w, at[:, i] - at[:, link])
+        at[:, link] += v
+    return real, T
+
+
+@dataclass(frozen=True)
+class ContactSample:
+    """A contact of a pass: point, normal and feed in the blade frame, T_base_blade, outward radial e, lateral m, the local shape,
+    numbers of the cell's conditions there."""
+
+    cell: Cell
+    p: Array
+    n: Array
+    t: Array
+    T: Array
+    e: Array
+    lateral: float
+    shape: LocalShape
+    seen: Mapping[str, Array]
+
+    def overlap(self, F: float, parts: Sequence[float], slopes: Sequence[float], friction_deflection: float) -> float:
+        """Overlap m that the cell's effects add at the force F N; parts m and slopes m/N of flange, wheel, blade, robot;
+        friction_deflection m: by how much more the parts give way per unit of friction."""
+        cell, wheel, R = self.cell, self.cell.wheel, self.T[:3, :3]
+        clamp, start = cell.workpiece, cell.wheel.contact_direction
+        R_flange, normal = R @ clamp.T_flange_blade[:3, :3].T, R @ self.n
+        push = normal
+        if cell.flange is not None and cell.flange.axis is not None:
+            push = R_flange @ cell.flange.axis
+            push = push * np.sign(push @ normal)
+        belt = np.cross(wheel.axis, self.e)
+        heading = -(R @ self.t) * (1 if cell.process.grinding == "down" else -1) * (np.sign(wheel.belt_speed) or 1.0)
+        blocks: dict[str, Any] = {name: value for name, value in self.seen.items() if name not in ("approach", "speed")}
+        blocks |= {"F": F, "parts": np.array(parts), "slopes": np.array(slopes), "normal_stiffness": 1.0 / sum(slopes)}
+        blocks |= {"friction_deflection": friction_deflection, "clamp_deflection": F / clamp.clamp_stiffness}
+        blocks |= {"p": self.p, "n": self.n, "t": self.t, "e": self.e, "axis": wheel.axis, "lateral": self.lateral}
+        blocks |= {"belt_direction": belt, "n_base": normal, "push_axis": push}
+        blocks |= {"R_flange": R_flange.reshape(1, 9), "R_blade": R.reshape(1, 9)}
+        blocks |= {"curvature": np.array([self.shape.kxx, self.shape.kyy, self.shape.kxy])}
+        blocks |= {"tilt": np.array([self.shape.tilt_x, self.shape.tilt_y])}
+        blocks |= {"arc": np.arctan2(np.cross(start, self.e) @ wheel.axis, start @ self.e)}
+        blocks |= {"turn": np.arctan2(heading @ wheel.axis, heading @ belt)}
+        blocks |= {"lever": abs(clamp.clamp_normal @ self.p - clamp.clamp_offset)}
+        active = [e.active for e in cell.effects]
+        return added_overlap(active, ContactPlace(wheel.radius, wheel.friction), blocks, cell.flange is None)
 
 
 def _equilibrium(
@@ -123,26 +232,6 @@ def _equilibrium(
     return F, sum(slopes)
 
 
-def _postures(cell: Cell, believed: Believed, q: Array, seen: dict[str, Array]) -> tuple[Array, Array]:
-    """Bent joints (m, 6) and flange poses (m, 4, 4) at commanded joints q (m, 6), with the cell's effects."""
-    q_real = bent(cell, believed, q)
-    if not cell.effects:
-        return q_real, elementary_forward(believed.robot, q_real)
-    bends = believed.compliance * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
-    arm = BelievedArm(believed.robot, bends, believed.payload_mass, believed.payload_com)
-    return moved_arm(cell, arm, q, q_real, seen)
-
-
-def bent(cell: Cell, believed: Believed, q: Array) -> Array:
-    """Joints (m, 6) bent by gravity at the converged posture; q commanded (m, 6)."""
-    bends = believed.compliance * np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
-    still = np.zeros_like(q)
-    real = q.copy()
-    for _ in range(FIXED_POINT_STEPS):
-        real = q - bends * inverse_dynamics(believed.robot, believed.payload_mass, believed.payload_com, real, still, still)
-    return real
-
-
 def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Array, lateral: float) -> LocalShape:
     wheel = cell.wheel
     belt, axis = np.cross(wheel.axis, e), wheel.axis
@@ -157,18 +246,21 @@ def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Arr
     )  # fmt: skip
 
 
-def _linear_give(cell: Cell, believed: Believed, q: Array, at: ContactSample, give: Array, friction: float) -> Array:
-    """Displacement of the contact per newton from the blade with its fixture, and from joints (PHYSICS 3.1), (2,) m/N."""
+def _linear_compliance(cell: Cell, believed: BelievedRobot, q: Array, at: ContactSample, blade: Array, friction: float) -> Array:
+    """Displacement of the contact per newton from the blade with its fixture, and from joints (PHYSICS 3.1), (2,) m/N.
+
+    blade (3,) m/N: its compliance c_nn, c_nt, c_nb there.
+    """
     wheel, e = cell.wheel, at.e
     f = e + friction * np.cross(wheel.axis, e) * np.sign(wheel.belt_speed)
     n, t = at.T[:3, :3] @ at.n, at.T[:3, :3] @ at.t
-    blade = give[0] * -(f @ n) + give[1] * (f @ t) + give[2] * (f @ np.cross(n, t))
+    held = blade[0] * -(f @ n) + blade[1] * (f @ t) + blade[2] * (f @ np.cross(n, t))
     nudged = q + DIFFERENCE * np.vstack([np.eye(6), -np.eye(6)])
     T = elementary_forward(believed.robot, nudged) @ cell.workpiece.T_flange_blade
     points = apply(T, at.p)
     J = ((points[:6] - points[6:]) / (2 * DIFFERENCE)).T
     joints = float((e @ J) @ (believed.compliance * (J.T @ f)))
-    return np.array([float(blade) + 1.0 / cell.workpiece.clamp_stiffness, joints])
+    return np.array([float(held) + 1.0 / cell.workpiece.clamp_stiffness, joints])
 
 
 def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[float, float]]:
@@ -183,8 +275,3 @@ def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[flo
         direction = direction * np.sign(direction @ n)
     weight = 0.0 if flange.gravity_compensated else -flange.carried_mass * GRAVITY * direction[2]
     return float(direction @ n), (flange.setpoint + weight, 1.0 / flange.stiffness)
-
-
-def believed_robot(cell: Cell, mdh: Array, compliance: Array, payload_mass: float, payload_com: Array) -> Believed:
-    """The robot with calibrated MD-H (6, 5), as the second route takes it."""
-    return Believed(replace(cell.robot, mdh=mdh), compliance, payload_mass, payload_com)

@@ -10,11 +10,11 @@ from robots.pose import Array, apply
 
 # How much deeper than the model's local quadratic a point may lie in the wheel's cover before the contact is no longer
 # the planned one. A cover of 15 mm and 12 MPa gives 0.3 mm under 20 N; a third of that spread elsewhere is not noise.
-GOUGE_TOLERANCE = 1e-4  # m
+SECONDARY_CONTACT_TOLERANCE = 1e-4  # m
 
 
 @dataclass(frozen=True)
-class Gouge:
+class SecondaryContact:
     """Deepest unplanned overlap on a path: depth (m), waypoint index, distance (m) of that point from the contact."""
 
     depth: float
@@ -22,10 +22,10 @@ class Gouge:
     distance: float
 
 
-def find_gouge(
+def find_secondary_contact(
     cell: Cell, points: Array, T_base_blade: Array, contact: Array, curvature: Array, tilt: Array,
     delta: Array,
-) -> Gouge:  # fmt: skip
+) -> SecondaryContact:  # fmt: skip
     """Deepest overlap beyond the local quadratic of each contact.
 
     points (m, 3) of the blade's surface, blade frame: what lies within the reach of the direct contact is left to it;
@@ -33,14 +33,14 @@ def find_gouge(
     tilt (n, 2); delta (n,) m. Frames: docs/architecture.md.
     """
     wheel = cell.wheel
-    worst = Gouge(0.0, 0, 0.0)
+    worst = SecondaryContact(0.0, 0, 0.0)
     for k, T in enumerate(T_base_blade):
         v = apply(T, np.vstack([points, contact[k]])) - wheel.centre
         lateral = v @ wheel.axis
         radial = v - lateral[:, None] * wheel.axis
         depth = wheel.radius - np.linalg.norm(radial, axis=1)
         seen = np.linalg.norm(points - contact[k], axis=1) < 0.9 * REACH
-        near = (np.abs(lateral[:-1]) <= 0.5 * wheel.width) & (depth[:-1] > GOUGE_TOLERANCE) & ~seen
+        near = (np.abs(lateral[:-1]) <= 0.5 * wheel.width) & (depth[:-1] > SECONDARY_CONTACT_TOLERANCE) & ~seen
         if not near.any():
             continue
         e = radial[-1] / np.linalg.norm(radial[-1])
@@ -51,5 +51,5 @@ def find_gouge(
         beyond = depth[:-1][near] - np.maximum(delta[k] - gap, 0.0)
         i = int(np.argmax(beyond))
         if beyond[i] > worst.depth:
-            worst = Gouge(float(beyond[i]), k, float(np.hypot(x[i], y[i])))
+            worst = SecondaryContact(float(beyond[i]), k, float(np.hypot(x[i], y[i])))
     return worst

@@ -1,5 +1,6 @@
-"""Many instants of the arm as flat rows, and the context that hooks of arm effects see of one of them."""
+"""Instants of the arm and contact samples as flat rows, and the context that an effect's hooks see of one row."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -7,8 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects.context import ArmContext
-from ocp.effects.engine.compiled import Layout, run_rows
+from ocp.effects.context import ArmContext, ContactContext
+from ocp.effects.effect import Active, Effect, Scanned
+from ocp.effects.engine.compiled import Hook, RowLayout, evaluated, run_rows
 from robots.calibration.reading_model import RowInputs
 from robots.compliance import deflected_joints
 from robots.gravity import GRAVITY, gravity_torques
@@ -16,12 +18,14 @@ from robots.kinematics import chain
 from robots.pose import Array
 from robots.robot import Robot
 
-LAYOUT = Layout(
-    (
-        ("q", 6), ("q_real", 6), ("tau", 6), ("c", 6), ("approach", 6), ("speed", 6), ("warm", 1), ("time", 1),
-        ("payload", 4), ("hung", 1), ("frames", 84),
-    )
-)  # fmt: skip
+# Blocks of a row, matrices row by row; see ArmContext.
+ARM_LAYOUT = RowLayout.of("q 6, q_real 6, tau 6, c 6, approach 6, speed 6, warm 1, time 1, payload 4, hung 1, frames 84")
+# Blocks of a row, matrices row by row; see ContactContext.
+CONTACT_LAYOUT = RowLayout.of(
+    "F 1, parts 4, slopes 4, curvature 3, lateral 1, tilt 2, arc 1, turn 1, p 3, n 3, t 3, e 3, belt_direction 3, n_base 3, "
+    "axis 3, R_flange 9, R_blade 9, s 1, setpoint 1, feed 1, belt 1, time 1, clock 1, ground_before 1, warm 1, wheel_warm 1, "
+    "travel 1, stroke_sign 1, normal_stiffness 1, friction_deflection 1, lever 1, push_axis 3, clamp_deflection 1, line 1"
+)
 
 
 @dataclass(frozen=True)
@@ -44,18 +48,17 @@ class ArmPlace:
 
     def context(self, row: ca.SX) -> ArmContext:
         """What hooks see of a symbolic row."""
-        x = LAYOUT.split(row)
-        frames = [_frame(x["frames"][12 * i : 12 * i + 12]) for i in range(7)]
-        return arm_context(
-            frames, np.frombuffer(self.sign), np.frombuffer(self.link_mass), np.frombuffer(self.link_com).reshape(7, 3),
-            np.frombuffer(self.gear_ratio), self.payloads, **{name: x[name] for name, _ in LAYOUT.sizes if name != "frames"},
-        )  # fmt: skip
+        x = ARM_LAYOUT.split(row)
+        numbers = x.pop("frames")
+        frames = [_frame(numbers[12 * i : 12 * i + 12]) for i in range(7)]
+        sign, mass, com, ratio = (np.frombuffer(b) for b in (self.sign, self.link_mass, self.link_com, self.gear_ratio))
+        return arm_context(frames, sign, mass, com.reshape(7, 3), ratio, self.payloads, **x)
 
 
 def arm_context(
-    frames: list[ca.SX], sign: Array, link_mass: Array, link_com: Array, gear_ratio: Array, payloads: tuple[str, ...], **x: ca.SX
+    frames: list[ca.SX], sign: Array, link_mass: Array, link_com: Array, gear_ratio: Array, payloads: tuple[str, ...], **x: Any
 ) -> ArmContext:
-    """The context of an instant with link frames (4, 4) and the symbols of `LAYOUT` by name."""
+    """The context of an instant with link frames (4, 4) and the symbols of `ARM_LAYOUT` by name."""
 
     def weight_torque(mass: Any, com: Any) -> ca.SX:
         p = frames[6][:3, 3] + frames[6][:3, :3] @ com
@@ -65,10 +68,8 @@ def arm_context(
             torques.append(sign[j] * mass * GRAVITY * (z[1] * lever[0] - z[0] * lever[1]))
         return ca.vertcat(*torques)
 
-    return ArmContext(
-        frames=frames, sign=sign, link_mass=link_mass, link_com=link_com, gear_ratio=gear_ratio, payloads=payloads,
-        weight_torque=weight_torque, **x,
-    )  # fmt: skip
+    x |= {"frames": frames, "sign": sign, "link_mass": link_mass, "link_com": link_com, "gear_ratio": gear_ratio}
+    return ArmContext(payloads=payloads, weight_torque=weight_torque, **x)
 
 
 def _frame(numbers: ca.SX) -> ca.SX:
@@ -78,7 +79,7 @@ def _frame(numbers: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class ArmRows:
-    """n instants: place, and state (n, k) in the order of `LAYOUT`; columns that are unknown are nan."""
+    """n instants: place, and state (n, k) in the order of `ARM_LAYOUT`; columns that are unknown are nan."""
 
     place: ArmPlace
     state: Array
@@ -87,8 +88,8 @@ class ArmRows:
         return len(self.state)
 
     def block(self, name: str) -> Array:
-        """Columns of `LAYOUT` by name."""
-        return LAYOUT.block(self.state, name)
+        """Columns of `ARM_LAYOUT` by name."""
+        return ARM_LAYOUT.block(self.state, name)
 
     @property
     def origins(self) -> Array:
@@ -117,11 +118,16 @@ def arm_rows(
     masses = tuple(np.asarray(a, float).tobytes() for a in (robot.sign, robot.link_mass, robot.link_com))
     whole = np.broadcast_to(arm, (n, 36))
     state = run_rows(_state(inputs.load_link, *masses), inputs.q, whole, inputs.payload, inputs.load, inputs.load_place)
-    blocks = {
-        "q": inputs.q, "q_real": state[:, :6], "tau": state[:, 6:12], "frames": state[:, 12:], "c": arm[30:], "warm": warm,
-        "approach": approach, "speed": speed, "time": time, "payload": inputs.payload, "hung": 0.0 if hung is None else hung,
-    }  # fmt: skip
-    return ArmRows(ArmPlace.of(robot, payloads), LAYOUT.stack(n, blocks))
+    blocks: dict[str, Any] = {
+        "q": inputs.q,
+        "q_real": state[:, :6],
+        "tau": state[:, 6:12],
+        "frames": state[:, 12:],
+        "c": arm[30:],
+    }
+    blocks |= {"approach": approach, "speed": speed, "warm": warm, "time": time, "payload": inputs.payload}
+    blocks |= {"hung": 0.0 if hung is None else hung}
+    return ArmRows(ArmPlace.of(robot, payloads), ARM_LAYOUT.stack(n, blocks))
 
 
 @lru_cache(maxsize=32)
@@ -146,3 +152,38 @@ def _state(load_link: int, sign_: bytes, mass_: bytes, com_: bytes) -> ca.Functi
     frames = ca.vertcat(*(ca.vec(frame[:3, :].T) for frame in chain(real, mdh, sign)))
     out = ca.vertcat(real, torque(real), frames)
     return ca.Function("arm_state", [q, arm, payload, load, place], [ca.cse(ca.densify(out))])
+
+
+@dataclass(frozen=True)
+class ContactPlace:
+    """What is the same in all rows: the wheel's radius m and the cell's friction."""
+
+    radius: float
+    friction: float
+
+    def context(self, row: ca.SX) -> ContactContext:
+        """What hooks see of a symbolic row."""
+        x = CONTACT_LAYOUT.split(row)
+        for name in ("R_flange", "R_blade"):
+            x[name] = ca.reshape(x[name], 3, 3).T
+        return ContactContext(radius=self.radius, friction=self.friction, **x)
+
+
+def contact_columns(effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], place: ContactPlace, rows: Array) -> Array:
+    """The hook `kind` (overlap, push, sensor, shear) at rows (n, k) of CONTACT_LAYOUT per unit coefficient: (v, n, m)."""
+    if getattr(effect, kind) is None or not scans:
+        return np.zeros((len(scans), len(rows), effect.size))
+    return evaluated(Hook(effect, kind, joint, CONTACT_LAYOUT, place), rows, scans)[-1][:, :, 0]
+
+
+def added_overlap(active: Sequence[Active], place: ContactPlace, blocks: Mapping[str, Any], rigid: bool) -> float:
+    """Overlap m that active effects add to one sample: a push counts as the stroke of the flange that it takes, in a rigid cell
+    as the overlap that brings as much force."""
+    row = CONTACT_LAYOUT.stack(1, blocks)
+    slopes = CONTACT_LAYOUT.block(row, "slopes")[0]
+    total = 0.0
+    for one in active:
+        for kind, give in (("overlap", 1.0), ("push", slopes.sum() if rigid else slopes[0])):
+            if getattr(one.effect, kind) is not None:
+                total += give * float(contact_columns(one.effect, kind, one.joint, (one.scanned,), place, row)[0, 0] @ one.a)
+    return total

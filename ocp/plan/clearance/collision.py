@@ -1,6 +1,6 @@
 """Distances between arm, holder, blade, wheel and floor, by coal on simple convex shapes.
 
-The contact itself (blade against wheel) is judged in `ocp.plan.verify.gouge`; here the pair is looked at only off contact.
+The contact itself (blade against wheel) is judged in `secondary_contact.py`; here the pair is looked at only off contact.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Pair:
+class BodyPair:
     """Two bodies that must stay `margin` apart; `off_contact` pairs are skipped while grinding."""
 
     a: int
@@ -56,7 +56,7 @@ class Clearance:
         return f"{self.names[0]} and {self.names[1]} {gap} by {abs(self.value) * 1e3:.1f} mm against the margin"
 
 
-class Scene:
+class CollisionScene:
     """Collision geometry of a cell with a blade; distances of whole joint paths."""
 
     def __init__(self, cell: Cell, blade_vertices: Array) -> None:
@@ -134,24 +134,24 @@ def _floor(cell: Cell) -> float:
     return min(0.0, float(cell.wheel.centre[2]) - cell.wheel.radius - 0.05)
 
 
-def _pairs(cell: Cell, bodies: list[Body]) -> list[Pair]:
+def _pairs(cell: Cell, bodies: list[Body]) -> list[BodyPair]:
     pairs = []
     for i, a in enumerate(bodies):
         for j in range(i + 1, len(bodies)):
             b = bodies[j]
             kinds = {a.name, b.name}
             if "wheel" in kinds and "blade" in kinds:
-                pairs.append(Pair(i, j, BLADE_MARGIN, off_contact=True))
+                pairs.append(BodyPair(i, j, BLADE_MARGIN, off_contact=True))
             elif "wheel" in kinds and "holder" in kinds:
-                pairs.append(Pair(i, j, BLADE_MARGIN))
+                pairs.append(BodyPair(i, j, BLADE_MARGIN))
             elif "wheel" in kinds:
                 if a.frame >= 1 and "floor" not in kinds:
-                    pairs.append(Pair(i, j, ARM_MARGIN))
+                    pairs.append(BodyPair(i, j, ARM_MARGIN))
             elif "floor" in kinds:
                 if a.frame >= 2:
-                    pairs.append(Pair(i, j, ARM_MARGIN))
+                    pairs.append(BodyPair(i, j, ARM_MARGIN))
             elif _far_apart(a, b):
-                pairs.append(Pair(i, j, ARM_MARGIN))
+                pairs.append(BodyPair(i, j, ARM_MARGIN))
     return pairs
 
 

@@ -1,0 +1,92 @@
+"""The catalogue: all effects by name, and as text for the commands, their help and docs/effects.md.
+
+`python -m ocp.effects.catalogue docs/effects.md` makes the table of that page anew.
+"""
+
+import importlib
+import pkgutil
+import sys
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+import ocp.effects
+from ocp.effects.effect import Effect
+
+BEGIN, END = "<!-- table: python -m ocp.effects.catalogue docs/effects.md -->", "<!-- end of table -->"
+HOOKS = ("joint", "torque", "twist", "reading", "overlap", "push", "sensor", "shear", "along", "along_shear")
+
+
+@cache
+def library() -> dict[str, Effect]:
+    """Effects by name: every module of this package that defines EFFECT, in alphabetical order of the files. A new file is
+    enough to add one."""
+    found = {}
+    for module in sorted(m.name for m in pkgutil.iter_modules(ocp.effects.__path__)):
+        effect = getattr(importlib.import_module(f"ocp.effects.{module}"), "EFFECT", None)
+        if effect is not None:
+            found[effect.name] = effect
+    return found
+
+
+def effects_table() -> str:
+    """Markdown: what every effect is, its keys with usual ranges, where it enters the model, and its physics."""
+    lines = ["| effect | keys, usual range | enters by | what it is |", "|---|---|---|---|"]
+    for effect in library().values():
+        ranges = [key_range(p.key, p.low, p.high, p.signed and p.low >= 0, p.length, p.unit) for p in effect.parameters]
+        hooks = ", ".join(h for h in HOOKS if getattr(effect, h) is not None)
+        needs = f" (needs {', '.join(effect.needs)})" if effect.needs else ""
+        joints = joint_range(effect.joints, least_run=3, between=", ")
+        joints = (f" {joints}" if joints else "") + (" or common" if 0 in effect.joints else "")
+        lines.append(f"| {effect.name}{joints} | {'; '.join(ranges)} | {hooks}{needs} | {effect.physics} |")
+    return "\n".join(line.replace("|tau|", "abs(tau)").replace("|b - a|", "abs(b - a)") for line in lines)
+
+
+def with_table(page: str) -> str:
+    """`page` with its table made anew. Raises ValueError where the marks of the table are missing."""
+    before, rest = page.split(BEGIN)
+    return f"{before}{BEGIN}\n{effects_table()}\n{END}{rest.split(END)[1]}"
+
+
+def effect_list() -> str:
+    """One line an effect for a terminal: name and joints, signals that may show it, keys with usual ranges."""
+    rows = []
+    for effect in library().values():
+        joints = joint_range(effect.joints, least_run=2, between=",")
+        ranges = [key_range(p.key, p.low, p.high, p.signed and p.low > 0, p.length) for p in effect.parameters]
+        rows.append((effect.name + (f":{joints}" if joints else ""), _signals(effect), ", ".join(ranges)))
+    width = max(len(row[0]) for row in rows)
+    return "\n".join(f"{name:<{width}}  {signals:<22}  {keys}" for name, signals, keys in rows)
+
+
+def titles() -> list[str]:
+    """'name: what it is' of every effect."""
+    return [f"{name}: {effect.title.format(joint='j')}" for name, effect in library().items()]
+
+
+def key_range(key: str, low: float, high: float, either_sign: bool, length: int = 1, unit: str = "1") -> str:
+    """A key with its usual range: 'rad (3) +-5e-06..0.0002 rad'; the key alone where it holds a name."""
+    if high == 0:
+        return key
+    count, sign = f" ({length})" if length > 1 else "", "+-" if either_sign else ""
+    return f"{key}{count} {sign}{low:g}..{high:g}" + ("" if unit == "1" else f" {unit}")
+
+
+def joint_range(joints: Iterable[int], least_run: int, between: str) -> str:
+    """Joints above zero as '1-6' where at least `least_run` of them follow each other, else one by one; '' for none."""
+    own = [j for j in joints if j > 0]
+    run = len(own) >= least_run and own == list(range(own[0], own[-1] + 1))
+    return f"{own[0]}-{own[-1]}" if run else between.join(map(str, own))
+
+
+def _signals(effect: Effect) -> str:
+    """Signals that may show an effect."""
+    signals = ["tracker", "force"] if effect.on_arm else []
+    signals += ["joints"] if effect.joint is not None else []
+    signals += ["tracker"] if effect.reading is not None and not effect.on_arm else []
+    return " ".join(dict.fromkeys(signals + (["force"] if effect.on_contact else [])))
+
+
+if __name__ == "__main__":
+    file = Path(sys.argv[1])
+    file.write_text(with_table(file.read_text(encoding="utf-8")), encoding="utf-8")
