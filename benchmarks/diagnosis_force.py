@@ -17,9 +17,9 @@ from diagnosis_force_world import HEADER, Base, Pass, Planted, believed_world, l
 from force_world import arm_posterior, write_log
 
 from ocp.calibrate.force.log import read_force_log
-from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import solve
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 
 PLAN = (
@@ -137,7 +137,7 @@ def main(folder: Path, count: int) -> None:
         problem = replace(channel.problem, log=log)
         fitted = ForceChannel(problem, solve(problem, (), channel.fit), channel.effects)
         gap = np.sqrt(np.mean((fitted.fit.at.fn - truth)[log.contact] ** 2))
-        found = diagnose([fitted], library())
+        found = diagnose_channels([fitted], library())
         best = found.explanations[0] if found.explanations else None
         said = "+".join(map(str, best.names)) if best is not None and found.p_none < best.probability else "none"
         right = [r for r in found.ranking if str(r.name) == name]

@@ -20,7 +20,7 @@ import numpy as np
 from ocp.diagnose.channels import channels_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.findings import Options
-from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.shell.progress import Phases
 
@@ -113,7 +113,7 @@ def main() -> None:
                 out.writerow(names)
                 out.writerows([f"{v:.10g}" for v in row] for row in zip(*(changed[n] for n in names), strict=True))
             start = time.process_time()
-            found = diagnose(channels_of(read_data_set(Path(folder)), Phases()), known, Options())
+            found = diagnose_channels(channels_of(read_data_set(Path(folder)), Phases()), known, Options())
         said = ", ".join(f"{r.name} {r.probability:.2f}" for r in found.ranking[:2]) + f", none of these {found.p_unknown:.2f}"
         first = {a.effect.name: f"{a.parameters[a.effect.parameters[0].key]:.3g}" for a in found.active if a.effect.size == 1}
         value = ", ".join(f"{k} {v}" for k, v in first.items())

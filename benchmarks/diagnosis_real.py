@@ -16,21 +16,21 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ocp.diagnose.answer import SCALE
 from ocp.diagnose.answering import answer_of
 from ocp.diagnose.channels import tracker_channel
 from ocp.diagnose.dataset import DataSet, read_data_set, read_sealed_tracker
-from ocp.diagnose.engine.earned import Earned, earned
 from ocp.diagnose.engine.families import candidates
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.projection import stack
-from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.engine.selection import Earned, earned
 from ocp.diagnose.engine.system import HeldOut
 from ocp.diagnose.published import kr300
 from ocp.diagnose.published.ur import ACHIEVED, TARGET, Campaign, held_rows, read_campaign, write_data_set
 from ocp.diagnose.report.words import headline
 from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.verdict.answer import SCALE
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.shell.progress import Phases
@@ -223,7 +223,7 @@ def corrections(data: DataSet, believed: DataSet) -> Iterator[tuple[str, Array, 
     yield "calibrated, joints rigid", base.predict(sealed, ()).baseline, ""
     yield "calibrated, springs of joints 2 and 3", springs.predict(read_sealed_tracker(believed), ()).baseline, ""
     for label, channel in (("ocp.diagnose, joints rigid", base), ("ocp.diagnose, springs in the cell", springs)):
-        found = diagnose([channel], library(), Options(where=False)).active
+        found = diagnose_channels([channel], library(), Options(where=False)).active
         yield label, channel.predict(sealed, found).corrected, "; ".join(map(told, found))
 
 

@@ -7,20 +7,20 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from ocp.diagnose.answer import Answer, signal_gap
 from ocp.diagnose.channels import channels_of
 from ocp.diagnose.corrected import write_corrected_cell
 from ocp.diagnose.dataset import blinds, read_data_set, read_sealed_force, read_sealed_tracker
-from ocp.diagnose.document import document_of
+from ocp.diagnose.document import document_of, json_text
 from ocp.diagnose.engine.findings import Alternative
-from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.engine.system import Channel, Sealed
+from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
-from ocp.diagnose.json_out import json_text
 from ocp.diagnose.predictions import averaged, write_force_predictions, write_tracker_predictions
 from ocp.diagnose.report.words import headline
 from ocp.diagnose.reporting import drawn_beside
 from ocp.diagnose.rules import FOLLOWED_FORCE
+from ocp.diagnose.verdict.answer import Answer
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect
 from ocp.shell.cache import sha256
@@ -40,7 +40,7 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
         data = read_data_set(folder)
     channels = channels_of(data, phases)
     with phases.phase("diagnosis"):
-        found = diagnose(channels, known)
+        found = diagnose_channels(channels, known)
     with phases.phase("next"):
         gaps = tuple(signal_gap(found, b, a) for b, a in zip(found.baseline, found.channels, strict=True))
         experiments = next_experiments(found, known)

@@ -1,28 +1,159 @@
-"""An answer as the document of diagnosis.json."""
+"""diagnosis.json: its schema, to the letter of FORMATS.md, and how an answer is put into it."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ocp.diagnose.answer import Answer, SignalGap, figures
 from ocp.diagnose.engine.findings import Diagnosis, Name, Ranked
-from ocp.diagnose.json_out import (
-    Budget,
-    Document,
-    Experiment,
-    Explanation,
-    Extrapolation,
-    Figures,
-    Gap,
-    Location,
-    Named,
-    Parameter,
-    Rank,
-    Shrinkage,
-    rounded,
-)
 from ocp.diagnose.rules import LEAST_BUDGET, LISTED, MOST_BUDGET, MOST_LISTED
+from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Verdict = Literal["explained", "ambiguous", "unexplained", "no_gap"]
+Subsystem = Literal[
+    "joint", "link", "base", "payload", "tool", "tracker", "target", "wheel", "blade", "flange", "sensor", "timing"
+]  # fmt: skip
+SUM_TOLERANCE = 1e-6
+
+
+class JsonObject(BaseModel):
+    """A JSON object: nothing but what the schema names."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class NamedJson(JsonObject):
+    """An effect at a joint."""
+
+    effect: str
+    joint: Annotated[int, Field(ge=1, le=6)] | None
+
+
+class ParameterJson(JsonObject):
+    """A value with its standard deviation; what is scanned or a name has none."""
+
+    value: Number | list[Number] | str
+    sd: Number | list[Number] | None
+    unit: str
+
+
+class RankJson(NamedJson):
+    """An effect with its marginal probability, evidence, values and detectability index."""
+
+    probability: Share
+    log_evidence: Number
+    parameters: dict[str, ParameterJson]
+    detectability: Number
+
+
+class ExplanationJson(JsonObject):
+    """A set of effects with its probability."""
+
+    effects: list[NamedJson]
+    probability: Share
+
+
+class BudgetJson(JsonObject):
+    """Share of the gap's mean square beyond noise that goes with a condition."""
+
+    where: str
+    share: Share
+    p_value: Share
+
+
+class LocationJson(JsonObject):
+    """Where the gap lies."""
+
+    signal: Literal["tracker", "force", "joint"] | None
+    subsystem: Subsystem | None
+    joint: Annotated[int, Field(ge=1, le=6)] | None
+    depends_on: list[str]
+    segments: list[str]
+    budget: list[BudgetJson]
+
+
+class FiguresJson(JsonObject):
+    """Of the sizes of the errors of readings."""
+
+    rms: Number
+    mean: Number
+    max: Number
+
+
+class ShrinkageJson(JsonObject):
+    """1 - G_after / G_before on data not used, with a 90 % interval."""
+
+    predicted: Number
+    low: Number
+    high: Number
+
+
+class ExtrapolationJson(JsonObject):
+    """Shrinkage where a condition was left out of the fit; null where the gap there is below a fifth of the noise."""
+
+    withheld: str
+    shrinkage: Number | None
+
+
+class GapJson(JsonObject):
+    """The gap of one signal, before and after the named effects, in its unit."""
+
+    unit: Literal["mm", "N", "arcsec"]
+    noise_floor: Number
+    before: FiguresJson
+    after: FiguresJson
+    shrinkage: ShrinkageJson | None
+    extrapolation: list[ExtrapolationJson]
+
+
+class ExperimentJson(JsonObject):
+    """A measurement that would tell apart what these data do not."""
+
+    do: str
+    minutes: Number
+    tells_apart: list[str]
+    expected_probability: Share
+
+
+class Document(JsonObject):
+    """The whole of diagnosis.json."""
+
+    schema_: Literal[1] = Field(1, alias="schema")
+    dataset: str
+    verdict: Verdict
+    p_none: Share
+    p_unknown: Share
+    ranking: list[RankJson]
+    explanations: list[ExplanationJson]
+    indistinguishable: list[list[str]]
+    location: LocationJson
+    gap: dict[Literal["tracker", "force", "joint"], GapJson]
+    blind_spots: list[str]
+    next_experiment: list[ExperimentJson]
+
+    @model_validator(mode="after")
+    def _sums_to_one(self) -> Self:
+        total = self.p_none + self.p_unknown + sum(e.probability for e in self.explanations)
+        if abs(total - 1.0) > SUM_TOLERANCE:
+            raise ValueError(f"explanations, p_none and p_unknown sum to {total}")
+        return self
+
+
+def json_text(document: Document) -> str:
+    """The file's text, the same for the same document."""
+    return document.model_dump_json(by_alias=True, indent=1) + "\n"
+
+
+def rounded(value: Any, digits: int = 6) -> Any:
+    """Numbers to so many significant digits, inside lists too: files differ only where answers do."""
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}")
+    if isinstance(value, list | tuple):
+        return [rounded(v, digits) for v in value]
+    return value
 
 
 def document_of(answer: Answer) -> Document:
@@ -38,7 +169,7 @@ def document_of(answer: Answer) -> Document:
         gap={gap.name: _gap(gap) for gap in answer.gaps},  # type: ignore[misc]
         blind_spots=list(answer.blind),
         next_experiment=[
-            Experiment(
+            ExperimentJson(
                 do=e.do, minutes=rounded(e.minutes, 3), tells_apart=list(e.tells_apart), expected_probability=_share(e.expected)
             )
             for e in answer.next
@@ -54,27 +185,27 @@ def _probabilities(d: Diagnosis) -> dict[str, Any]:
     whole[int(np.argmax(whole))] += 1.0 - whole.sum()
     whole = np.round(whole, 6)
     explained = [
-        Explanation(effects=[_named(n) for n in e.names], probability=_share(p)) for e, p in zip(kept, whole[2:], strict=True)
+        ExplanationJson(effects=[_named(n) for n in e.names], probability=_share(p)) for e, p in zip(kept, whole[2:], strict=True)
     ]
     return {"p_none": _share(whole[0]), "p_unknown": _share(whole[1]), "explanations": explained}
 
 
-def _named(name: Name) -> Named:
-    return Named(effect=name.effect, joint=name.joint or None)
+def _named(name: Name) -> NamedJson:
+    return NamedJson(effect=name.effect, joint=name.joint or None)
 
 
 def _share(value: float) -> float:
     return float(round(min(max(float(value), 0.0), 1.0), 6))
 
 
-def _rank(r: Ranked) -> Rank:
+def _rank(r: Ranked) -> RankJson:
     known = {p.key: p for p in r.active.effect.parameters}
     deviations = r.active.deviations
     parameters = {
-        key: Parameter(value=_plain(value), sd=_plain(deviations.get(key)), unit=known[key].unit if key in known else "")
+        key: ParameterJson(value=_plain(value), sd=_plain(deviations.get(key)), unit=known[key].unit if key in known else "")
         for key, value in r.active.parameters.items()
     }
-    return Rank(
+    return RankJson(
         effect=r.name.effect, joint=r.name.joint or None, probability=_share(r.probability),
         log_evidence=rounded(float(r.log_evidence)), parameters=parameters, detectability=rounded(float(r.detectability)),
     )  # fmt: skip
@@ -89,24 +220,24 @@ def _plain(value: Any) -> Any:
     return rounded(float(value))
 
 
-def _location(d: Diagnosis) -> Location:
+def _location(d: Diagnosis) -> LocationJson:
     at = d.location
     told = [b for k, b in enumerate(d.budget) if k < LEAST_BUDGET or b.share > 0][:MOST_BUDGET]
-    budget = [Budget(where=b.where, share=_share(b.share), p_value=_share(b.p_value)) for b in told]
+    budget = [BudgetJson(where=b.where, share=_share(b.share), p_value=_share(b.p_value)) for b in told]
     if at is None:
-        return Location(signal=None, subsystem=None, joint=None, depends_on=[], segments=[], budget=budget)
-    return Location(
+        return LocationJson(signal=None, subsystem=None, joint=None, depends_on=[], segments=[], budget=budget)
+    return LocationJson(
         signal=at.signal, subsystem=at.subsystem, joint=at.joint or None,  # type: ignore[arg-type]
         depends_on=list(at.depends_on), segments=list(at.segments), budget=budget,
     )  # fmt: skip
 
 
-def _gap(gap: SignalGap) -> Gap:
-    before, after = (Figures(**{k: rounded(v) for k, v in figures(sizes).items()}) for sizes in (gap.before, gap.after))
+def _gap(gap: SignalGap) -> GapJson:
+    before, after = (FiguresJson(**{k: rounded(v) for k, v in figures(sizes).items()}) for sizes in (gap.before, gap.after))
     s = gap.shrinkage
-    return Gap(
+    return GapJson(
         unit=gap.unit,  # type: ignore[arg-type]
         noise_floor=rounded(gap.noise_floor), before=before, after=after,
-        shrinkage=None if s is None else Shrinkage(predicted=rounded(s.predicted), low=rounded(s.low), high=rounded(s.high)),
-        extrapolation=[Extrapolation(withheld=n, shrinkage=None if v is None else rounded(v)) for n, v in gap.extrapolation],
+        shrinkage=None if s is None else ShrinkageJson(predicted=rounded(s.predicted), low=rounded(s.low), high=rounded(s.high)),
+        extrapolation=[ExtrapolationJson(withheld=n, shrinkage=None if v is None else rounded(v)) for n, v in gap.extrapolation],
     )  # fmt: skip

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import cast
 
-from ocp.diagnose.answer import Answer, SignalGap
 from ocp.diagnose.engine.system import Channel, Conditions
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.shell.workers import cores, interrupts_held_back, nothing, workers
 from robots.pose import Array
 

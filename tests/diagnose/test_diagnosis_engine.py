@@ -12,10 +12,10 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
 from ocp.diagnose.engine.problem import make_problem
 from ocp.diagnose.engine.projection import project
-from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.engine.system import Conditions
 from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
-from ocp.diagnose.verdict.tests_without_library import kernel_tests
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.location import kernel_tests
 from ocp.effects.catalogue import library
 from tests.support.linear_channel import LinearChannel, effect
 
@@ -148,7 +148,7 @@ def test_look_elsewhere_costs_the_logarithm_of_the_variants():
 
 def test_finds_what_was_planted_and_nothing_else():
     channel, library = problem_of(planted=((0, 0.6), (4, -0.5)))
-    d = diagnose([channel], library, FEW)
+    d = diagnose_channels([channel], library, FEW)
     assert [str(n) for n in d.explanations[0].names] == ["e0", "e4"]
     assert d.verdict == "explained"
     values = {a.effect.name: (a.a[0], np.sqrt(a.covariance[0, 0])) for a in d.active}
@@ -164,7 +164,7 @@ def test_two_channels_share_the_coefficient():
     together = weigh(make_problem([one, two], library, Options()).pool, [0]).log
     other = weigh(make_problem([two], library, Options()).pool, [0]).log
     assert together > max(alone, other)
-    d = diagnose([one, two], library, FEW)
+    d = diagnose_channels([one, two], library, FEW)
     assert d.ranking[0].name == Name("e0")
 
 
@@ -172,20 +172,20 @@ def test_noise_alone_is_none():
     false = 0
     for seed in range(60):
         channel, library = problem_of(planted=(), seed=100 + seed)
-        false += diagnose([channel], library, FEW).p_none < 0.5
+        false += diagnose_channels([channel], library, FEW).p_none < 0.5
     assert false <= 3
 
 
 def test_a_misjudged_noise_level_names_nothing():
     channel, library = problem_of(planted=(), noise=1.4)
-    assert diagnose([channel], library, FEW).p_none > 0.5
+    assert diagnose_channels([channel], library, FEW).p_none > 0.5
 
 
 def test_twins_are_declared_and_share_an_explanation():
     channel, library = problem_of(planted=((0, 0.5),))
     twin = channel.columns[("e0", 0)] * 1.01 + 0.02 * np.random.default_rng(1).normal(size=(1, 200, 1))
     channel.columns[("e1", 0)] = twin
-    d = diagnose([channel], library, FEW)
+    d = diagnose_channels([channel], library, FEW)
     assert (Name("e0"), Name("e1")) in d.classes
     assert d.explanations[0].probability > 0.8
     assert not any(Name("e3") in c for c in d.classes)
@@ -234,7 +234,7 @@ class SixRows(LinearChannel):
 
 def test_kernels_speak_for_what_nobody_catalogued():
     channel, _ = wave_channel(2, amplitude=8.0)
-    d = diagnose([channel], {"e0": effect("e0")}, Options())
+    d = diagnose_channels([channel], {"e0": effect("e0")}, Options())
     assert d.p_unknown > 0.9
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.joint == 3

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from ocp.calibrate.force.log import ForceLog, read_force_log
-from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.engine.system import Fold
 from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import believed_contact
@@ -21,6 +20,7 @@ from ocp.diagnose.force.prediction import predict
 from ocp.diagnose.force.setpoints import with_setpoints_read_off
 from ocp.diagnose.force.whitening import Whitener
 from ocp.diagnose.reporting import _shown
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
 from tests.support.diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, moved_joints, record
@@ -239,7 +239,7 @@ def test_an_effect_of_the_arm_is_the_same_joint_motion(made, tmp_path):
 
 def test_no_effect_is_no_gap_though_readings_are_wild(made, tmp_path):
     log, _ = _log(made.base, (), tmp_path, 12, 0.01)
-    assert diagnose([_again(made, log)], EFFECTS).verdict == "no_gap"
+    assert diagnose_channels([_again(made, log)], EFFECTS).verdict == "no_gap"
 
 
 def test_fast_patterns_are_kept_where_averages_lose_them(made):
@@ -261,7 +261,7 @@ def test_a_splice_of_unknown_rate_is_found_among_hundreds(made, tmp_path):
         return 1.5 * (F > 0) * np.exp(-0.5 * (((c["time"] * 8.3) % 1.0 - 0.3) / 0.06) ** 2)
 
     log, _ = _log(made.base, (Planted(reading=knock),), tmp_path)
-    found = diagnose([_again(made, log)], EFFECTS)
+    found = diagnose_channels([_again(made, log)], EFFECTS)
     assert [str(n) for n in found.explanations[0].names] == ["belt_splice"]
     assert found.active[0].parameters["hz"] == pytest.approx(8.3, abs=0.1)
 
@@ -357,7 +357,7 @@ def test_setpoints_that_nobody_wrote_down_are_read_off_and_open_in_the_fit(made,
     one = after.active[0]
     assert one.a[0] == pytest.approx(1.5e-7, abs=4 * np.sqrt(one.covariance[0, 0]) + 0.05e-7) and one.a[0] > 5e-8
     assert np.sqrt(np.mean(after.gap()[log.contact] ** 2)) < 1.1 * after.noise_floor < 0.25
-    assert [str(n) for n in diagnose([channel], EFFECTS).explanations[0].names] == ["wheel_wear"]
+    assert [str(n) for n in diagnose_channels([channel], EFFECTS).explanations[0].names] == ["wheel_wear"]
     sealed = replace(log.take(log.run == 7), fn=np.full(int((log.run == 7).sum()), np.nan), ft=None)
     known, unknown = (channel.predict(replace(sealed, setpoint=s), ()).sigma.min() for s in (sealed.setpoint, None))
     assert known < 1.0 and 2.5 < unknown < 6.0  # of ten runs one has 12 and one 30 N

@@ -7,16 +7,14 @@ import pytest
 
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.no_rest import NoRest
 from ocp.diagnose.engine.problem import make_problem
-from ocp.diagnose.engine.products import without_products
-from ocp.diagnose.engine.search import diagnose, settle
+from ocp.diagnose.engine.search import NoRest, settle, without_products
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.fit import linear, solve
 from ocp.diagnose.force.knocks import telling_knocks
 from ocp.diagnose.force.prediction import predict
-from ocp.diagnose.verdict import conclusions
-from ocp.diagnose.verdict.conclusions import findings
+from ocp.diagnose.verdict import diagnosis
+from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
 from robots.errors import Infeasible
 from tests.diagnose.test_diagnosis_force import EFFECTS, Made, _active, _again, _log, made, solved_once  # noqa: F401
 from tests.support.diagnosis_force_world import Planted
@@ -48,7 +46,7 @@ def test_a_train_of_knocks_is_found_by_rate_place_and_length(made: Made, tmp_pat
 
 def test_noise_alone_offers_no_knocks_worth_their_number(made: Made, tmp_path):  # noqa: F811
     log, _ = _log(made.base, (), tmp_path, 21)
-    found = diagnose([_again(made, log)], {"belt_splice": EFFECTS["belt_splice"]})
+    found = diagnose_channels([_again(made, log)], {"belt_splice": EFFECTS["belt_splice"]})
     assert found.p_none > 0.9
 
 
@@ -57,7 +55,7 @@ def test_a_single_tone_is_no_knock_and_nothing_of_the_catalogue(made: Made, tmp_
         return 0.12 * (F > 0) * np.cos(2 * np.pi * 9.4 * c["time"] + 1.0)
 
     log, _ = _log(made.base, (Planted(reading=tone),), tmp_path)
-    found = diagnose([_again(made, log)], EFFECTS)
+    found = diagnose_channels([_again(made, log)], EFFECTS)
     assert found.p_unknown > 0.8 and found.verdict == "unexplained"
     assert found.location is not None and found.location.depends_on == ("time",)
 
@@ -89,7 +87,7 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
     log, _ = _log(made.base, (Planted(reading=lambda c, F: 0.8 + 0.0 * F),), tmp_path)
     channel = _again(made, log)
     known = {n: EFFECTS[n] for n in ("sensor_bias", "sensor_drift", "wheel_wear")}
-    assert diagnose([channel], known).explanations[0].names[0].effect == "sensor_bias"
+    assert diagnose_channels([channel], known).explanations[0].names[0].effect == "sensor_bias"
     original = type(channel).with_active
 
     def restless(self, active):
@@ -124,7 +122,7 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
     left = {frozenset(problem.pool.families[f].name.effect for f in key) for key in search.seen}
     assert frozenset() in left and frozenset({"sensor_drift"}) in left and not any("sensor_bias" in names for names in left)
     # Nothing fits with the name that the readings ask for: it is not told, and what is told says why.
-    found = diagnose([channel], known)
+    found = diagnose_channels([channel], known)
     assert not any(n.effect == "sensor_bias" for e in found.explanations for n in e.names)
     assert not found.active or all(a.effect.name != "sensor_bias" for a in found.active)
 
@@ -134,7 +132,7 @@ def test_a_name_that_no_fit_of_all_readings_takes_is_doubted(made: Made, tmp_pat
     channel = _again(made, log)
     known = {n: EFFECTS[n] for n in ("sensor_bias", "sensor_drift", "wheel_wear")}
     problem, search = settle(make_problem([channel], known, Options()), known, Options())
-    monkeypatch.setattr(conclusions, "accepted", lambda *_: None)
+    monkeypatch.setattr(diagnosis, "accepted", lambda *_: None)
     found = findings((channel,), problem, problem, search, known, Options())
     assert found.active == () and found.channels == (channel,) and found.p_unknown > 0.5
     assert any("sensor_bias: no fit with it comes to rest" in why for why in found.unknown_because)
@@ -190,7 +188,7 @@ def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, mo
     wave, stiff = (frozenset([problem.index[Name(n, 0)]]) for n in ("wheel_runout", "flange_stiffness"))
     search.run([wave, stiff])
     assert search.seen[stiff].log > 0.5 * search.seen[wave].log  # it does
-    monkeypatch.setattr("ocp.diagnose.engine.products.REWEIGHTED_WITHIN", np.inf)  # not as near here as in a log with less in it
+    monkeypatch.setattr("ocp.diagnose.engine.search.REWEIGHTED_WITHIN", np.inf)  # not as near here as in a log with less in it
     without_products(first, problem, search, after.active)
     assert search.seen[stiff].log < 0.4 * search.seen[wave].log
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.freed import freed
+from ocp.diagnose.engine.outliers import freed
 from ocp.diagnose.engine.problem import make_problem
-from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, world
 
 SHIFT = np.array([4e-4, -2e-4, 3e-4])
@@ -29,7 +29,7 @@ def test_a_late_step_is_rather_a_step_than_gross_readings():
     (found,) = freed(make_problem([believed], LIBRARY, OPTIONS), (), LIBRARY, OPTIONS)
     assert [a.effect.name for a in found.active] == ["target_shift"] and (found.fit.weight < 0.5).sum() < OUTLIERS_OF_ONE_CAUSE
     assert np.abs(found.active[0].a - SHIFT).max() < 1e-4
-    d = diagnose([believed], LIBRARY, OPTIONS)
+    d = diagnose_channels([believed], LIBRARY, OPTIONS)
     assert d.verdict == "explained" and d.explanations[0].names == (Name("target_shift", 0),)
 
 
@@ -38,4 +38,4 @@ def test_gross_readings_without_a_cause_in_common_stay_so():
     believed = channel(readings)
     assert (believed.fit.weight < 0.5).sum() >= OUTLIERS_OF_ONE_CAUSE
     assert freed(make_problem([believed], LIBRARY, OPTIONS), (), LIBRARY, OPTIONS) is None
-    assert diagnose([believed], LIBRARY, OPTIONS).verdict == "no_gap"
+    assert diagnose_channels([believed], LIBRARY, OPTIONS).verdict == "no_gap"

@@ -9,13 +9,13 @@ from scipy.stats import ncx2
 
 from ocp.diagnose.__main__ import _catalogue
 from ocp.diagnose.engine.evidence import size_grid
-from ocp.diagnose.engine.features import groups, products, smooth
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.engine.kernels import groups, products, smooth
 from ocp.diagnose.engine.system import Fold, HeldOut
+from ocp.diagnose.engine.visible import Rival, needed
 from ocp.diagnose.rules import SUSPECT
-from ocp.diagnose.verdict.unknown import impostors, relieving
-from ocp.diagnose.verdict.visible import Rival, needed
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.doubts import impostors, relieving
 from ocp.effects.catalogue import effect_list, effects_table, library
 from ocp.effects.effect import Active
 from robots.gravity import GRAVITY, weight_torques
@@ -58,7 +58,7 @@ JOINTS = {
 @pytest.mark.parametrize("name", JOINTS)
 def test_what_a_joint_does_outside_the_catalogue_is_placed(name):
     shift, joint, conditions = JOINTS[name]
-    d = diagnose([channel(world(11, shift)[0])], LIBRARY, Options(folds=False))
+    d = diagnose_channels([channel(world(11, shift)[0])], LIBRARY, Options(folds=False))
     assert d.verdict == "unexplained" and d.location is not None
     assert d.location.joint == joint
     slow = {"time": "temperature"}  # a warm-up in the course of time: the two go together
@@ -72,7 +72,7 @@ def test_a_step_of_a_nest_is_placed_when_its_name_is_withheld():
         return late[:, None] * np.array([1.5e-4, -1e-4, 0.5e-4])
 
     readings, _ = world(12, None, moved)
-    d = diagnose([channel(readings)], LIBRARY, Options(folds=False, withheld=("target_shift",)))
+    d = diagnose_channels([channel(readings)], LIBRARY, Options(folds=False, withheld=("target_shift",)))
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.subsystem == "target" and d.location.joint == 0
 
@@ -82,7 +82,7 @@ def test_the_trackers_circle_is_told_from_the_arm():
     at = points(readings)
     azimuth = np.arctan2(at[:, 1], at[:, 0])
     wave = about_head(at, 6e-5 * np.cos(6.0 * azimuth))
-    d = diagnose([channel(replace(readings, point=readings.point + wave))], LIBRARY, Options(folds=False))
+    d = diagnose_channels([channel(replace(readings, point=readings.point + wave))], LIBRARY, Options(folds=False))
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("azimuth",)
 
@@ -94,7 +94,9 @@ def test_a_reflector_that_is_no_ball_is_told_from_the_arm():
     seen = c.conditions.sight
     assert np.linalg.norm(seen, axis=1) == pytest.approx(np.ones(len(seen)))
     off = 1.2e-4 * (seen[:, 0] * seen[:, 1] + 0.5 * seen[:, 2])
-    d = diagnose([channel(replace(readings, point=readings.point + off[:, None] * along))], LIBRARY, Options(folds=False))
+    d = diagnose_channels(
+        [channel(replace(readings, point=readings.point + off[:, None] * along))], LIBRARY, Options(folds=False)
+    )
     assert d.verdict == "unexplained"
     assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("sight",)
 
@@ -182,7 +184,7 @@ def test_a_set_that_only_brings_the_registration_back_is_doubted(taken, doubted)
     true = rng.normal(size=200)
     columns, known = {("true", 0): true[None, :, None]}, {"true": effect("true", (2.0,))}
     made = Placed(1.2 * true + rng.normal(size=200), np.ones((200, 1)), np.array([1.0]), columns, taken=taken)
-    d = diagnose([made], known, Options(where=False, prior_effects=0.5))
+    d = diagnose_channels([made], known, Options(where=False, prior_effects=0.5))
     assert d.verdict == ("unexplained" if doubted else "explained")
     assert [a.effect.name for a in d.active] == ([] if doubted else ["true"])
     assert any("registration" in why for why in d.unknown_because) == doubted
@@ -210,7 +212,7 @@ def test_an_impostor_is_barred_and_what_is_true_is_found_instead():
     columns = {("false", 0): false[None, :, None], ("true", 0): true[None, :, None]}
     known = {"false": effect("false", (2.0,)), "true": effect("true", (2.0,))}
     made = Halves(y, np.ones((200, 1)), np.array([1.0]), columns)
-    d = diagnose([made], known, Options(where=False, prior_effects=0.5))
+    d = diagnose_channels([made], known, Options(where=False, prior_effects=0.5))
     assert [n for n, _ in d.impostors] == [Name("false")] and "late" in d.unknown_because[0]
     assert [a.effect.name for a in d.active] == ["true"]
     assert d.p_unknown >= SUSPECT * (1 - d.p_none) * 0.99
@@ -233,7 +235,7 @@ def test_an_effect_of_the_told_size_is_named_nine_times_of_ten():
 def test_a_dropped_file_is_screened_named_planned_and_listed(tmp_path, monkeypatch):
     with dropped_effect(tmp_path, monkeypatch, "(1,)", "2e-4", "x.q[2] * x.q[4]"):
         readings, _ = world(17, lambda r: column(1, 1.5e-4 * r.q[:, 2] * r.q[:, 4]))
-        d = diagnose([channel(readings)], library(), Options(folds=False))
+        d = diagnose_channels([channel(readings)], library(), Options(folds=False))
         assert Name("brand_new", 1) in {s.name for s in d.screened}
         assert d.verdict == "explained" and [a.effect.name for a in d.active] == ["brand_new"]
         assert d.active[0].parameters["k"] == pytest.approx(1.5e-4, rel=0.1)

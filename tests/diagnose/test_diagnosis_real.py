@@ -8,12 +8,12 @@ import pytest
 
 from ocp.diagnose.channels import tracker_channel
 from ocp.diagnose.dataset import read_data_set
-from ocp.diagnose.engine.earned import earned
 from ocp.diagnose.engine.families import Candidate, candidates
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.engine.selection import earned
 from ocp.diagnose.engine.system import Fold, System
 from ocp.diagnose.published.ur import TARGET, held_rows, read_campaign, write_data_set
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from robots.errors import BadInput
 
@@ -162,7 +162,7 @@ def test_gravity_bends_joints_2_and_3_of_the_ur10(real, tmp_path):
 
 def test_the_ur5_has_a_ripple_of_joint_1_that_no_one_catalogued(real, tmp_path):
     channel = few(real / UR5, tmp_path, 400)
-    found = diagnose([channel], LIBRARY, Options(folds=False))
+    found = diagnose_channels([channel], LIBRARY, Options(folds=False))
     assert found.verdict == "unexplained"
     assert found.location is not None and found.location.joint == 1 and "q1" in found.location.depends_on
     peak = next(p for p in found.spectrum if p.joint == 1)

@@ -7,13 +7,13 @@ import pytest
 
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.search import diagnose
 from ocp.diagnose.tracker.baseline import baseline
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.folds import tracker_folds
 from ocp.diagnose.tracker.noise import reliability
 from ocp.diagnose.tracker.refit import settled
-from ocp.diagnose.verdict.unknown import cancelling, hurts, implausible
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.doubts import cancelling, hurts, implausible
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from robots.calibration.solver import Campaign
@@ -61,7 +61,7 @@ def column(j, values):
 
 def diagnosed(readings, **options):
     """Findings without folds, which most tests need not."""
-    return diagnose([channel(readings)], LIBRARY, Options(**({"folds": False} | options)))
+    return diagnose_channels([channel(readings)], LIBRARY, Options(**({"folds": False} | options)))
 
 
 PLANTED = {

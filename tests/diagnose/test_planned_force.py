@@ -12,17 +12,16 @@ from ocp.calibrate.force.noise import Noise
 from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.projection import project
-from ocp.diagnose.engine.search import diagnose
+from ocp.diagnose.engine.visible import Rival, needed
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import solve
 from ocp.diagnose.force.planned import Shared, averaged, foreseen_force, planned_force_channel
 from ocp.diagnose.foresee.design import design_text, energy_of, seen_by, smallest
 from ocp.diagnose.foresee.next_experiment import next_experiments
-from ocp.diagnose.foresee.next_force import more_grinding, tracker_beside, unseen
-from ocp.diagnose.foresee.planned_grinding import grindings, usual
-from ocp.diagnose.foresee.planned_poses import arm_expected, default_poses, planned_channel
+from ocp.diagnose.foresee.planned_grinding import grindings, more_grinding, tracker_beside, unseen, usual
+from ocp.diagnose.foresee.planned_tracker import arm_expected, default_poses, planned_channel
 from ocp.diagnose.foresee.separation import Pair, unlike
-from ocp.diagnose.verdict.visible import Rival, needed
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
 from ocp.model.measuring_setup import read_tracker_setup
@@ -123,7 +122,7 @@ def test_an_effect_above_the_size_told_is_named_and_one_below_is_not(made, plan,
     log = logged(made.base, (Planted(overlap=lambda b: -size * b.columns["clock"]),), tmp_path)
     problem = replace(made.channel.problem, log=log)
     channel = ForceChannel(problem, solve(problem, (), made.channel.fit), made.channel.effects)
-    found = diagnose([channel], EFFECTS, Options(where=False, folds=False))
+    found = diagnose_channels([channel], EFFECTS, Options(where=False, folds=False))
     assert (found.p_none < 0.5) == named, (found.p_none, found.explanations[:3])
 
 

@@ -14,21 +14,17 @@ ROOM = ROOT / "ocp" / "diagnose"
 FILE = ROOM / "rules.py"
 # Constants with broken numbers that decide nothing: tolerances of solvers, shapes of features, imagined measurements, formats.
 ELSEWHERE = {
-    "engine/features.py": {"SOFT"},
-    "engine/kernels.py": {"SETTLING", "LOADED", "RIPPLES"},
+    "engine/kernels.py": {"SOFT", "SETTLING", "LOADED", "RIPPLES"},
     "engine/projection.py": {"RANK"},
     "foresee/design.py": {"FREE_LIMIT"},
-    "foresee/levers.py": {"FORCE", "JOINT"},
-    "foresee/next_experiment.py": {"BAR_SD"},
-    "foresee/next_force.py": {"READINGS", "SWAP"},
-    "foresee/planned.py": {"PER_READING", "SETTLING", "PULL", "WARM"},
-    "foresee/planned_grinding.py": {"EACH", "SETTLING", "SET", "IDLE", "LADDER", "HELD", "STEP"},
-    "foresee/planned_poses.py": {"WARMED", "DURATION", "TRACKER_AT", "LOW"},
-    "answer.py": {"SCALE"},
-    "json_out.py": {"SUM_TOLERANCE"},
-    "verdict/remainder.py": {"SI"},
-    "verdict/spectrum.py": {"ORDERS"},
-    "verdict/visible.py": {"_LAMBDA"},
+    "foresee/next_experiment.py": {"BAR_SD", "BY_SIGNAL"},
+    "foresee/planned_grinding.py": {"EACH", "BEGIN", "READINGS", "SWAP", "SET", "IDLE", "LADDER", "HELD", "STEP"},
+    "foresee/planned_tracker.py": {"PER_READING", "SETTLING", "PULL", "WARM", "WARMED", "DURATION", "TRACKER_AT", "LOW"},
+    "verdict/answer.py": {"SCALE"},
+    "document.py": {"SUM_TOLERANCE"},
+    "verdict/shrinkage.py": {"SI"},
+    "verdict/location.py": {"ORDERS"},
+    "engine/visible.py": {"_LAMBDA"},
 }
 FOLDERS_ELSEWHERE = ("published", "report", "force", "joints", "tracker")  # formats and drawing; signals: still to come
 

@@ -8,11 +8,11 @@ import pytest
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.problem import make_problem
 from ocp.diagnose.engine.system import Fold, HeldOut, Sealed
-from ocp.diagnose.foresee.anticipated import Anticipated, Group, anticipated
+from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.predictions import averaged
 from ocp.diagnose.tracker.background import background
-from ocp.diagnose.verdict.conclusions import screened
-from ocp.diagnose.verdict.shrinkage import from_model
+from ocp.diagnose.verdict.diagnosis import screened
+from ocp.diagnose.verdict.shrinkage import Anticipated, NewReadings, from_model
 from ocp.effects.effect import Active
 from robots.elementary import elementary_weight_torques
 from robots.gravity import GRAVITY
@@ -34,7 +34,7 @@ def new(*moved: float, errors: float = 1.0, lasting: float = 0.0, p: int = 60, d
     n = 400
     errors_of = rng.normal(size=(n, 3, p)) / np.sqrt(3 * p)
     groups = [
-        Group(str(k), np.stack([np.full((n, 3), np.sqrt(m / 3)), np.zeros((n, 3))]), errors_of, np.ones((n, 6)) / 6)
+        NewReadings(str(k), np.stack([np.full((n, 3), np.sqrt(m / 3)), np.zeros((n, 3))]), errors_of, np.ones((n, 6)) / 6)
         for k, m in enumerate(moved)
     ]
     return Anticipated(tuple(groups), ("0",), np.array([1 - doubt, doubt]), errors * np.eye(p), np.full((50, 6), lasting))

@@ -10,8 +10,8 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.pool import Family
 from ocp.diagnose.engine.projection import Stack
 from ocp.diagnose.engine.system import Channel, scan_key
+from ocp.diagnose.engine.visible import Rival
 from ocp.diagnose.rules import BACKGROUND_PLAY, BACKGROUND_RIPPLE, PLAY_ODDS, RIPPLE_ODDS, SEEN_LAMBDA
-from ocp.diagnose.verdict.visible import Rival
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
 

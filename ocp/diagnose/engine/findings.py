@@ -137,6 +137,16 @@ class Location:
 
 
 @dataclass(frozen=True)
+class Experiment:
+    """What to do, minutes, the names it tells apart, and the probability that the true one is expected to have afterwards."""
+
+    do: str
+    minutes: float
+    tells_apart: tuple[str, ...]
+    expected: float
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """All findings.
 

@@ -4,15 +4,18 @@ Each kernel is a handful of smooth functions of one condition (or two) that ente
 of its axis, as a displacement of the instrument's frame, along or across the instrument's beam, or as the reading itself. They
 are tested like effects (same projection, same evidence); a condition that wins although the library was offered speaks for an
 effect outside it.
+
+Kernels of a force log act on the normal reading alone: how a sensor's second axis reads is its own affair, and logs by other
+hands differ there where nothing is planted. Of waves of time and path only the one that the log speaks for most takes part
+(`ocp.diagnose.force.waves`).
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from robots.tracker_readings import Index
 
-from ocp.diagnose.engine.features import groups, products, smooth, unit, waves, waves_of_two
-from ocp.diagnose.engine.grinding_kernels import reading_kernels
 from ocp.diagnose.engine.system import Conditions
 from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, TILT_KERNEL
 from robots.pose import Array
@@ -25,6 +28,15 @@ MOTOR_WAVES = 8  # per turn of a motor: resolvers err up to there
 LOADED = np.arange(1.0, 81.0)  # orders per turn of ripples that grow with the load
 RIPPLES = np.arange(2.5, 121.0)  # half-integer orders per turn: integers are the library's
 BEAM = ("range", "azimuth", "elevation")
+SMOOTH = 7  # cosines over a condition's range
+SOFT = 4.0  # wave number at which their prior has fallen to half
+MOST_GROUPS = 12
+CLOCK_WAVES = 12  # of the campaign's clock at most, half waves
+_SCALAR = ("s", "feed", "setpoint", "travel", "belt", "clock", "time", "temperature", "wheel_temperature", "run", "line")
+_TWO = (
+    ("travel", "s"), ("travel", "feed"), ("setpoint", "s"), ("setpoint", "clock"), ("setpoint", "belt"), ("setpoint", "feed"),
+    ("clock", "s"), ("belt", "time"), ("feed", "s"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -207,3 +219,90 @@ def _each(directions: Array, features: Array) -> Array:
     """Every direction (n, k, d) with every feature (n, m): (n, k, d m)."""
     n, k, _ = directions.shape
     return np.asarray((directions[:, :, :, None] * features[:, None, None, :]).reshape(n, k, -1))
+
+
+def smooth(values: Array, count: int = SMOOTH) -> Array:
+    """Cosines (n, count) over the range of values, falling with their wave number; the constant is left out."""
+    span = float(np.ptp(values)) or 1.0
+    x = (values - values.min()) / span
+    k = np.arange(1, count + 1)
+    return np.asarray(np.cos(np.pi * k * x[:, None]) / (1.0 + (k / SOFT) ** 2))
+
+
+def waves(angle: Array) -> Array:
+    """Once a turn (n, 2)."""
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def unit(values: Array) -> Array:
+    """Values over their largest size."""
+    return np.asarray(values / (np.abs(values).max() or 1.0))
+
+
+def products(one: Array, other: Array) -> Array:
+    """Each of (n, a) times each of (n, b): (n, a b)."""
+    return np.asarray((one[:, :, None] * other[:, None, :]).reshape(len(one), -1))
+
+
+def waves_of_two(q: Array, other: Array, a: int, b: int) -> Array:
+    """Waves (n, 4) of two angles, a per turn of the first times b per turn of the second."""
+    return products(waves(a * q), waves(b * other))
+
+
+def groups(index: Array | Index | None, centred: bool = True) -> Array | None:
+    """Indicators (n, g - 1) of all groups but the largest, or None where there is one group; centred about their means."""
+    if index is None:
+        return None
+    kinds, counts = np.unique(index, return_counts=True)
+    if len(kinds) < 2:
+        return None
+    kept = np.delete(kinds, np.argmax(counts)) if centred else kinds
+    indicator = (np.asarray(index)[:, None] == kept).astype(float)
+    return indicator - indicator.mean(axis=0) if centred else indicator
+
+
+@dataclass(frozen=True)
+class ReadingKernel:
+    """Features (n, V, m) of the normal reading by the condition `where`; among: of how many variants these are the most telling,
+    0: they are all there are."""
+
+    where: str
+    features: Array
+    among: int = 0
+
+
+def reading_kernels(c: Conditions) -> Iterator[ReadingKernel]:
+    """All that the conditions of a force log allow."""
+    for where in _SCALAR:
+        one = _of_one(c, where)
+        if one is not None:
+            yield ReadingKernel(where, one[:, None])
+    for first, second in _TWO:
+        a, b = _of_one(c, first, 2), _of_one(c, second, 3)
+        if a is not None and b is not None:
+            yield ReadingKernel(f"{first} x {second}", products(a, b)[:, None])
+    for j in range(6):
+        if np.ptp(c.q[:, j]) > LEAST_TURN:
+            yield ReadingKernel(f"q{j + 1}", smooth(c.q[:, j], 4)[:, None])
+    if c.clock is not None and c.run is not None and len(np.unique(c.run)) > 4:
+        phase = np.pi * (c.clock - c.clock.min()) / max(float(np.ptp(c.clock)), 1e-9)
+        yield ReadingKernel("clock wave", np.stack([_wave(k * phase) for k in range(3, 3 + CLOCK_WAVES)], axis=1))
+    kinds = dict.fromkeys(w.where for w in c.waves)
+    for where in kinds:
+        waves = [w for w in c.waves if w.where == where]
+        yield ReadingKernel(where, np.stack([w.columns for w in waves], axis=1), waves[0].among)
+
+
+def _of_one(c: Conditions, where: str, count: int = 3) -> Array | None:
+    """Features (n, m) of one condition, None where it is not known or does not vary."""
+    values = getattr(c, where)
+    if values is None or np.ptp(values) == 0:
+        return None
+    if where in ("run", "line", "travel"):
+        indicator = groups(values)
+        return indicator if indicator is not None and indicator.shape[1] <= MOST_GROUPS else None
+    return smooth(values, SMOOTH if where == "s" and count == 3 else count)
+
+
+def _wave(phase: Array) -> Array:
+    return np.column_stack([np.cos(phase), np.sin(phase)])

@@ -1,79 +1,70 @@
-"""The main entry of the diagnosis: search, accept, refit, linearise anew, until the best explanation stands.
-
-What then hurts where the data are extrapolated is an impostor: it is barred, and the search begins anew without it.
+"""The search: accept, refit, linearise anew, until the best explanation stands.
 
 One-shot screening names spurious companions of strong effects (their second order, and a noise level that still holds them), so
 one effect at most is accepted between two refits, and what was accepted may be dropped or exchanged at every later one.
+
+Two things keep it honest. Fits that diverge (`Diverged`): where something is missing that nobody names, columns of an effect
+that changes stiffness or contact reach for it, and the fit runs off to values at which wheel and blade hold no balance. And sets
+that leave an active effect out (`reweighted`): about the accepted fit the column of an effect that multiplies (a flange's
+stiffness, a gain) holds the accepted effect's own pattern times its size, and in large doses passes for that effect.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ocp.diagnose.engine.beam import Key, Search, Weighed
-from ocp.diagnose.engine.findings import Diagnosis, Name, Options
-from ocp.diagnose.engine.freed import freed
-from ocp.diagnose.engine.no_rest import NoRest
+from ocp.diagnose.engine.beam import Key, Search, Weighed, weigh
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.outliers import freed
 from ocp.diagnose.engine.problem import Problem, make_problem
-from ocp.diagnose.engine.products import without_products
 from ocp.diagnose.engine.refine import refined
-from ocp.diagnose.engine.structured import earn, restless
 from ocp.diagnose.engine.system import Channel, kinds
-from ocp.diagnose.rules import IMPOSTOR_ROUNDS, KERNEL_BENEFIT, LEADS, MOST_SEARCHED, SELECTED_ON, SUSPECT, WITHOUT_IMPOSTOR
-from ocp.diagnose.verdict.conclusions import findings
-from ocp.diagnose.verdict.probabilities import posterior
+from ocp.diagnose.rules import (
+    FAILED_FITS,
+    KERNEL_BENEFIT,
+    REWEIGHTED_ROOM,
+    REWEIGHTED_WITHIN,
+)
 from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible
 
-USUAL = Options()
 
+@dataclass
+class NoRest:
+    """Sets of names that were fitted in vain, how often each name was new in one, and names that were in a fit that rests."""
 
-@runtime_checkable
-class Thinnable(Protocol):
-    """A channel that can do with fewer readings."""
+    sets: set[frozenset[Name]] = field(default_factory=set)
+    count: Counter[Name] = field(default_factory=Counter)
+    fitted: set[Name] = field(default_factory=set)
 
-    def thinned(self, most: int) -> Channel:
-        """The channel with at most so many of its readings, evenly taken; itself where it has no more."""
+    def add(self, names: Iterable[Name]) -> None:
+        """A set that was fitted in vain."""
+        found = frozenset(names)
+        if found:  # without effects a channel is the one that was fitted
+            self.sets.add(found)
+            self.count.update(found - self.fitted)
 
+    def rests(self, names: Iterable[Name]) -> None:
+        """A set whose fit comes to rest: what holds its names may fail for others' sake."""
+        found = frozenset(names)
+        self.sets.discard(found)
+        self.fitted |= found
 
-def diagnose(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options = USUAL) -> Diagnosis:
-    """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
-    baseline = tuple(c.with_active(()) if c.active else c for c in channels)
-    few = tuple(c.thinned(MOST_SEARCHED) if isinstance(c, Thinnable) else c for c in baseline)
-    told: list[tuple[Name, str]] = []
-    because: list[str] = []
-    levels: list[float] = []
-    vain = NoRest()
-    for _ in range(IMPOSTOR_ROUNDS):
-        first = make_problem(few, library, options)
-        problem, search = settle(first, library, options, vain)
-        if posterior(problem, search).p_unknown > LEADS and restless(problem, search):
-            whole = baseline[0]
-            earning = earn(whole.thinned(SELECTED_ON) if isinstance(whole, Thinnable) else whole, library, options)
-            return findings(baseline, first, earning.problem, earning.search, library, options, earning.refused)
-        found = findings(baseline, first, problem, search, library, options)
-        levels.append(max(w.log for w in search.seen.values()))
-        if not found.impostors:
-            break
-        told += found.impostors
-        because += found.unknown_because
-        options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
-    whys = tuple(f"{n}: no fit with it comes to rest" for n in vain.names())
-    found = replace(found, unknown_because=tuple(dict.fromkeys((*found.unknown_because, *whys))))
-    return _unmasked(found, told, because, levels[-1] > max(levels) - WITHOUT_IMPOSTOR) if told else found
+    def names(self) -> list[Name]:
+        """Names that are given up."""
+        return sorted(n for n, k in self.count.items() if k >= FAILED_FITS and n not in self.fitted)
 
-
-def _unmasked(found: Diagnosis, told: Sequence[tuple[Name, str]], because: Sequence[str], enough: bool) -> Diagnosis:
-    """Findings without the impostors that earlier rounds showed: what they fitted so well is there all the same, and most of the
-    probability goes to 'none of these' unless what is left is `enough`, as good without them."""
-    impostors = tuple(dict(told).items())
-    share = 0.0 if found.impostors or enough else SUSPECT  # the last round has moved its own
-    moved = share * (1.0 - found.p_none - found.p_unknown)
-    kept = tuple(replace(e, probability=(1.0 - share) * e.probability) for e in found.explanations)
-    whys = tuple(dict.fromkeys((*because, *found.unknown_because)))
-    return replace(found, explanations=kept, p_unknown=found.p_unknown + moved, impostors=impostors, unknown_because=whys)
+    def strike(self, search: Search, problem: Problem) -> None:
+        """Take the sets out of a search that were fitted in vain, or hold a name that is given up."""
+        index = problem.index
+        gone = {index[n] for n in self.names() if n in index}
+        vain = [{index[n] for n in names} for names in self.sets if all(n in index for n in names)]
+        kernel = search.kernel | search.background
+        for key in list(search.seen):
+            if gone & key or {f for f in key if not kernel[f]} in vain:
+                del search.seen[key]
 
 
 def settle(first: Problem, library: Mapping[str, Effect], options: Options, vain: NoRest | None = None) -> tuple[Problem, Search]:
@@ -136,3 +127,30 @@ def _all_active(channels: Sequence[Channel]) -> tuple[Active, ...]:
     """Effects active in any channel, once each."""
     found = {a.key: a for c in channels for a in c.active}
     return tuple(found.values())
+
+
+def without_products(first: Problem, problem: Problem, search: Search, held: tuple[Active, ...]) -> None:
+    """Lower the weight of sets in `search.seen` that look good for a product's sake alone; first: nothing active."""
+    if problem is first or not held:
+        return
+    index = problem.index
+    active = {i for n, i in index.items() if any((n.effect, n.joint) == a.key for a in held)}
+    whole = [k for k in search.seen if active <= k]
+    if not active or not whole:
+        return
+    best = max(whole, key=lambda k: search.seen[k].log)
+    there = _at(first, problem, best)
+    top = max(w.log for w in search.seen.values())
+    for key, weighed in list(search.seen.items()):
+        if active <= key or not key or weighed.log < top - REWEIGHTED_WITHIN:
+            continue
+        most = search.seen[best].log + _at(first, problem, key) - there + REWEIGHTED_ROOM
+        if most < weighed.log:
+            search.seen[key] = replace(weighed, log=most)
+
+
+def _at(first: Problem, problem: Problem, key: Key) -> float:
+    """Log weight of the same names at the first linearisation. What was no candidate there could not be seen: it adds nothing."""
+    families, index = problem.pool.families, first.index
+    known = [index[families[f].name] for f in sorted(key) if families[f].name in index]
+    return weigh(first.pool, known).log

@@ -11,7 +11,7 @@ so that offset is the estimate less its prior mean. Columns of an active effect 
 without it is residual + columns @ a.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -248,3 +248,26 @@ class Channel(Protocol):
 
     def predict(self, sealed: Any, active: tuple[Active, ...]) -> Sealed:
         """Predictions for readings in the channel's own form, with the fit of all readings."""
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """Effects that can be predicted, and those for which a column is missing; kept (k,): places of the known ones' coefficients
+    among those of all."""
+
+    known: tuple[Active, ...]
+    unknown: tuple[Active, ...]
+    kept: Index
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Names of the unknown ones."""
+        return tuple(a.effect.name for a in self.unknown)
+
+
+def foreseen(active: Sequence[Active], told: Callable[[Effect], bool]) -> Foreseen:
+    """Effects parted by whether the conditions have what each needs (`told`)."""
+    inside = [told(a.effect) for a in active]
+    known, unknown = (tuple(a for a, k in zip(active, inside, strict=True) if k is wanted) for wanted in (True, False))
+    kept = np.flatnonzero(np.repeat(inside, [a.effect.size for a in active])) if active else np.zeros(0, np.int64)
+    return Foreseen(known, unknown, kept)

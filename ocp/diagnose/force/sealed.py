@@ -6,8 +6,7 @@ import numpy as np
 
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.rows import prepare_force
-from ocp.diagnose.engine.foreseen import Foreseen, foreseen
-from ocp.diagnose.engine.system import Sealed
+from ocp.diagnose.engine.system import Foreseen, Sealed, foreseen
 from ocp.diagnose.force.arm import arm_of
 from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import RUN_SD

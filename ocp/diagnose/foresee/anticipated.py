@@ -1,21 +1,33 @@
-"""What the named effects change where nobody has measured yet: new postures with every payload that the cell names.
+"""How far each signal's gap is expected to shrink: what the named effects change where nobody has measured yet.
 
-Nothing sealed is read. New readings are taken to come after the campaign, with any of the cell's payloads and at any temperature
-of the campaign: an effect that the refitted geometry hides among the payloads measured may show with another one, and then the
-baseline is worse than on the campaign itself.
+Nothing sealed is read. New tracker readings are taken to come after the campaign, with any of the cell's payloads and at any
+temperature of the campaign: an effect that the refitted geometry hides among the payloads measured may show with another one, and
+then the baseline is worse than on the campaign itself.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ocp.diagnose.engine.findings import Alternative
-from ocp.diagnose.engine.system import scan_key
-from ocp.diagnose.foresee.planned import foreseen
-from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
+from ocp.diagnose.engine.findings import Alternative, Diagnosis
+from ocp.diagnose.engine.system import Channel, HeldOut, scan_key
+from ocp.diagnose.foresee.planned_tracker import foreseen
+from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import placed
+from ocp.diagnose.verdict.answer import SCALE, SignalGap
+from ocp.diagnose.verdict.shrinkage import (
+    NONE,
+    Anticipated,
+    NewReadings,
+    Shrinkage,
+    estimation_variance,
+    from_folds,
+    from_model,
+    realised,
+)
 from ocp.effects.effect import Active
 from robots.calibration.residuals import points
 from robots.pose import Array
@@ -25,28 +37,50 @@ POSTURES = 60  # of the campaign, evenly taken
 TOGETHER = ([0], [1, 2], [3], [4], [5])  # axes whose angles stay together: the arm stays off the floor
 
 
-@dataclass(frozen=True)
-class Group:
-    """New readings with one payload at one temperature. moved (a, n, 3) m: what each alternative adds to the baseline; errors
-    (n, 3, p) m per unit of the accepted model's parameters; joints (n, 6) m^2 per rad^2: weight of the joints' lasting errors."""
+def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel) -> SignalGap:
+    """The gap of one channel; its shrinkage is predicted from what was fitted, before anything sealed is opened."""
+    scale = SCALE[before.unit]
+    kept = counted(after)
+    sizes = [scale * np.linalg.norm(np.atleast_2d(c.gap()), axis=1)[kept] for c in (before, after)]
+    held = diagnosis.held_out.get(before.name, ())
+    told = tuple(
+        (h.fold.name, realised(h.before, h.after, h.noise) if diagnosis.active else None) for h in held if h.fold.extrapolates
+    )
+    shrinkage = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)))
+    return SignalGap(before.name, before.unit, after.noise_floor, sizes[0], sizes[1], shrinkage, told, before, after)
 
-    payload: str
-    moved: Array
-    errors: Array
-    joints: Array
+
+def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float) -> Shrinkage | None:
+    """What to expect on new data; square: mean square of the gap before in the channel's unit."""
+    if not any(after.variants(a.effect, a.joint, [a.scanned]) for a in diagnosis.active):
+        # Nothing is named that this signal shows, so nothing changes.
+        return NONE if realised(square, 0.0, after.noise_floor**2) is not None else None
+    if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel) and not after.restless(1.0):
+        return from_model(anticipated(before, after, diagnosis.alternatives), held, (after.noise_floor / SCALE[after.unit]) ** 2)
+    if before.name == "force":
+        from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
+
+        return of_grinding(before, after, diagnosis.alternatives)
+    # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
+    return from_folds(held, estimation_variance(after, active_columns(after)))
 
 
-@dataclass(frozen=True)
-class Anticipated:
-    """Groups of new readings; measured: names of the campaign's payloads; probability (a,) of every alternative, the accepted one
-    first; covariance (p, p) of the parameters of the accepted model; lasting (k, 6) draws of the joints' mean squares rad^2 that
-    no fit takes away."""
+def counted(channel: Channel) -> NDArray[np.bool_]:
+    """Readings (n,) that are neither outliers, which are no gap of the model, nor air runs, in which nothing was ground."""
+    weight = getattr(getattr(channel, "fit", None), "weight", None)
+    n = len(channel.gap())
+    good = np.ones(n, bool) if weight is None or np.shape(weight) != (n,) else np.asarray(weight > OUTLIER_WEIGHT)
+    contact = channel.conditions.contact
+    return good if contact is None or not np.any(contact) else good & np.asarray(contact, bool)
 
-    groups: tuple[Group, ...]
-    measured: tuple[str, ...]
-    probability: Array
-    covariance: Array
-    lasting: Array
+
+def active_columns(channel: Channel) -> Array:
+    """Whitened columns (N, m) of a channel's active effects, each over its prior's sd."""
+    parts = []
+    for one in channel.active:
+        for variant in channel.variants(one.effect, one.joint, [one.scanned]):
+            parts.append(variant.columns * np.asarray(one.effect.prior_sd, float))
+    return np.hstack(parts) if parts else np.zeros((len(channel.system.residual), 0))
 
 
 def anticipated(before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative] = (), seed: int = 0) -> Anticipated:
@@ -73,7 +107,7 @@ def _with(before: TrackerChannel, after: TrackerChannel, active: tuple[Active, .
     return after if kinds[0] == kinds[1] else after.with_active(active)
 
 
-def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readings) -> Group:
+def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readings) -> NewReadings:
     """Readings `new` about all fits."""
     accepted, c = models[0], models[0].task.campaign
     # Effects of the tracker and of the base act on where the reflector is: predicted, as nobody measured it.
@@ -83,7 +117,7 @@ def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readin
     J = np.concatenate([first.linear.J, first.extra], axis=2)
     there = [first.linear.point, *(_placed(m, new) for m in models[1:])]
     moved = np.stack(there) - _placed(before, new)
-    return Group(new.payloads[int(new.payload[0])], moved, J, np.sum(first.linear.d_joints**2, axis=1))
+    return NewReadings(new.payloads[int(new.payload[0])], moved, J, np.sum(first.linear.d_joints**2, axis=1))
 
 
 def _placed(channel: TrackerChannel, new: Readings) -> Array:

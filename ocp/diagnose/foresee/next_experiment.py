@@ -1,9 +1,9 @@
 """What to measure next: the experiment that per minute makes surest of the explanations that remain.
 
 For two rivals A and B the evidence that new readings bring if A is true is half of what of A's signature B cannot imitate
-(`separation`): log odds + (lambda_new - lambda_now) / 2. Measurements with the tracker (`planned`) and more grinding
+(`separation`): log odds + (lambda_new - lambda_now) / 2. Measurements with the tracker (`planned_tracker`) and more grinding
 (`planned_grinding`) are simulated as rows added to the linear system. What no rows of the log can stand for, and link-side
-encoders, follow `levers`.
+encoders, are judged by what they bring out (`QualitativeExperiment`).
 """
 
 from collections.abc import Sequence
@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import expit
 
-from ocp.diagnose.engine.findings import Diagnosis, Name
+from ocp.diagnose.engine.findings import Diagnosis, Experiment, Name
 from ocp.diagnose.engine.system import Channel
-from ocp.diagnose.foresee.levers import BY_SIGNAL, Lever
-from ocp.diagnose.foresee.planned import Candidate, before_and_after, candidates, foreseen
+from ocp.diagnose.foresee.planned_tracker import Candidate, before_and_after, candidates, foreseen
 from ocp.diagnose.foresee.separation import NOTHING, Pair, Seen, signature, signature_or_none, unlike
 from ocp.diagnose.rules import (
     EXPERIMENT_GAIN,
@@ -34,20 +33,51 @@ from ocp.effects.effect import Effect
 
 if TYPE_CHECKING:  # a campaign of the tracker alone need not load meshes and contact
     from ocp.diagnose.force.channel import ForceChannel
-    from ocp.diagnose.foresee.next_force import Campaign
-    from ocp.diagnose.foresee.planned_grinding import Grinding
+    from ocp.diagnose.foresee.planned_grinding import Campaign, Grinding
 
 FORCE = "force"  # name of the channel of a grinding-force log
 
 
 @dataclass(frozen=True)
-class Experiment:
-    """What to do, minutes, the names it tells apart, and the probability that the true one is expected to have afterwards."""
+class QualitativeExperiment:
+    """An experiment: what to do, minutes, effects whose signature it isolates or turns over (others keep theirs)."""
 
     do: str
     minutes: float
-    tells_apart: tuple[str, ...]
-    expected: float
+    moves: frozenset[str]
+
+
+BY_SIGNAL: dict[str, tuple[QualitativeExperiment, ...]] = {
+    "force": (
+        QualitativeExperiment(
+            "second blade: the same line on a fresh blade of the same kind (session)",
+            15.0,
+            frozenset({"material_removal", "stock_profile", "blade_stiffness"}),
+        ),
+        QualitativeExperiment(
+            "tilt: the same contact with the flange's axis turned up and down by 30 deg",
+            8.0,
+            frozenset({"flange_gravity", "sensor_bias"}),
+        ),
+    ),
+    "joint": (
+        QualitativeExperiment(
+            "the same motion at half and at double speed",
+            3.0,
+            frozenset({"channel_delay", "joint_compliance", "friction_windup"}),
+        ),
+        QualitativeExperiment(
+            "creep: every joint over its range at 1 deg/s and back, so that inertia and delay vanish",
+            10.0,
+            frozenset({"channel_delay", "backlash", "gear_1x", "gear_2x", "gear_harmonic", "motor_harmonic", "encoder_scale"}),
+        ),
+        QualitativeExperiment(
+            "the same motion with a known payload",
+            12.0,
+            frozenset({"joint_compliance", "joint_stiffening", "gravity_compensator", "friction_windup", "payload_mass"}),
+        ),
+    ),
+}
 
 
 FIXED = 3  # reflectors on the floor
@@ -69,7 +99,7 @@ def next_experiments(d: Diagnosis, library: dict[str, Effect]) -> tuple[Experime
     force = _force_channel(d.channels)
     if best or force is None or d.p_unknown > LEADS:
         return best
-    from ocp.diagnose.foresee.next_force import unseen
+    from ocp.diagnose.foresee.planned_grinding import unseen
 
     return tuple(e for e in _simulated(d, unseen(d, force, library)) if e.expected > LEADS)
 
@@ -143,7 +173,7 @@ def _by_tracker(channel: TrackerChannel, pairs: Sequence[Pair], others: Sequence
 
 def _by_grinding(channels: Sequence[Channel], pairs: Sequence[Pair], others: Sequence[Seen]) -> list[Experiment]:
     """More grinding, and tracker readings where there are none."""
-    from ocp.diagnose.foresee.next_force import more_grinding, tracker_beside
+    from ocp.diagnose.foresee.planned_grinding import more_grinding, tracker_beside
 
     channel = _force_channel(channels)
     assert channel is not None
@@ -177,7 +207,9 @@ def _without_the_robot(channel: TrackerChannel, pair: Pair, now: float) -> list[
     return [_expected(BAR if scale else FLOOR, pair, gained)]
 
 
-def _expected(candidate: "Candidate | Experiment | Lever | Grinding | Campaign", pair: Pair, gained: float) -> Experiment:
+def _expected(
+    candidate: "Candidate | Experiment | QualitativeExperiment | Grinding | Campaign", pair: Pair, gained: float
+) -> Experiment:
     """The pair's odds after lambda has grown by `gained`."""
     odds = np.log(max(pair.now, 1e-6) / max(1.0 - pair.now, 1e-6))
     return Experiment(candidate.do, candidate.minutes, pair.names, float(expit(odds + 0.5 * max(gained, 0.0))))

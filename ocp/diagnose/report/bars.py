@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ocp.diagnose.answer import Answer, SignalGap
 from ocp.diagnose.engine.findings import BudgetLine
 from ocp.diagnose.report.words import SHORT, condition_words
+from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.report.panels import AFTER, BEFORE, dots, dressed, panels
 from ocp.report.section import Canvas, Plot
 from ocp.report.style import INK, RULE, SHADE, SOFT, shorten

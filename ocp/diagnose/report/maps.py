@@ -6,8 +6,8 @@ import numpy as np
 
 from ocp.calibrate.report.maps import exaggeration, round_number
 from ocp.calibrate.report.view import in_base
-from ocp.diagnose.answer import SCALE, SignalGap
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.verdict.answer import SCALE, SignalGap
 from ocp.report.colours import SIDE_COLOURS
 from ocp.report.panels import AFTER, BEFORE, dots, dressed, keys, panels, reach, running_median
 from ocp.report.section import Canvas, Plot

@@ -1,8 +1,8 @@
 """The report of `python -m ocp.diagnose`: one page that loads nothing and runs nothing."""
 
-from ocp.diagnose.answer import Answer
 from ocp.diagnose.report.sections import diagnosis_sections
 from ocp.diagnose.report.words import headline
+from ocp.diagnose.verdict.answer import Answer
 from ocp.report.page import render_page
 from ocp.report.section import Plot
 from ocp.report.svg import inline_svg

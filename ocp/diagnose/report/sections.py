@@ -1,7 +1,6 @@
 """The report of a diagnosis as sections: pictures first, evidence after them."""
 
 from ocp.calibrate.report.tables import inputs_table
-from ocp.diagnose.answer import Answer, SignalGap
 from ocp.diagnose.report.bars import budget_plot, probabilities_plot, shrinkage_plot
 from ocp.diagnose.report.maps import blade_plot, hysteresis_plot, log_plot, vectors_plot
 from ocp.diagnose.report.spectrum import spectrum_plot
@@ -17,6 +16,7 @@ from ocp.diagnose.report.tables import (
 )
 from ocp.diagnose.report.words import SHORT, effect_words
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.diagnose.verdict.shrinkage import NONE
 from ocp.report.section import Part, Points, Section
 

@@ -3,9 +3,9 @@
 import numpy as np
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from ocp.diagnose.answer import SCALE
 from ocp.diagnose.engine.findings import SpectrumPeak
 from ocp.diagnose.report.words import SHORT
+from ocp.diagnose.verdict.answer import SCALE
 from ocp.report.panels import AFTER, BEFORE, dressed, panels
 from ocp.report.section import Canvas, Plot
 from ocp.report.style import INK, LIMIT, SOFT

@@ -1,10 +1,10 @@
 """Tables of a diagnosis: the evidence behind the one sentence."""
 
-from ocp.diagnose.answer import Answer, SignalGap, figures
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.joints.channel import JointChannel
 from ocp.diagnose.joints.problem import nuisance_names
 from ocp.diagnose.report.words import SHORT, condition_words, effect_words, effects_words, figure, values_words
+from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 from ocp.effects.catalogue import library
 from ocp.report.section import Table, table
 

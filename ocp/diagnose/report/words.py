@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ocp.calibrate.report.words import listed
-from ocp.diagnose.answer import Answer, SignalGap, figures
 from ocp.diagnose.engine.findings import Name, Ranked
+from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 from ocp.diagnose.verdict.shrinkage import NONE
 from ocp.effects.catalogue import library
 from ocp.report.section import Headline

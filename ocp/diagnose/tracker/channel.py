@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp.diagnose.engine.foreseen import foreseen
-from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, scan_key
+from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, foreseen, scan_key
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.baseline import relearned
 from ocp.diagnose.tracker.folds import tracker_folds

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.diagnose.engine.foreseen import Foreseen
-from ocp.diagnose.engine.system import Sealed
+from ocp.diagnose.engine.system import Foreseen, Sealed
 from ocp.diagnose.tracker.held_out import added
 from ocp.diagnose.tracker.refit import Held, Task, looked, seen_of
 from robots.calibration.residuals import points

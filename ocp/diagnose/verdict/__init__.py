@@ -1,4 +1,5 @@
 """What the search means: names with probabilities, where the gap lies, how far it shrinks, what speaks against it.
 
-Here: conclusions from weighed sets. Not here: their weighing (engine) and their words on paper (report).
+Here: the diagnosis from weighed sets, doubts, classes, places, shrinkage, the answer. Not here: how sets are weighed (engine) and
+how an answer is worded (report).
 """

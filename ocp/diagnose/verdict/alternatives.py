@@ -14,9 +14,9 @@ import numpy as np
 from ocp.diagnose.engine.beam import Search, Weighed
 from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.pool import Member, given, scan_one
+from ocp.diagnose.engine.probabilities import Names, Posterior
 from ocp.diagnose.engine.problem import Problem
 from ocp.diagnose.rules import FOLLOWED, MOST_FOLLOWED, RIGHT_BESIDE_UNKNOWN
-from ocp.diagnose.verdict.probabilities import Names, Posterior
 from ocp.effects.effect import Active, Scanned
 
 

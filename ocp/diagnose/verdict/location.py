@@ -1,11 +1,25 @@
-"""Where the gap lies: subsystem, joint and the conditions it depends on, with or without a name for the cause."""
+"""Where the gap lies: tests without a library, the spectrum in each joint's angle, subsystem, joint and conditions.
+
+Kernel tests are exact F tests under the engine's projection. With unit noise of unknown scale, Q an orthonormal basis of a
+kernel's projected features (m of them),
+
+    F = (|Q^T y|^2 / m) / ((|y|^2 - |Q^T y|^2) / (nu - m))      is F(m, nu - m) distributed when nothing varies.   (docs, eq. 6)
+
+The spectrum is weighted by the Jacobian: every reading tells the error of joint j as e_i = a_i / g_i with weight g_i (a_i, g_i:
+whitened residual times the derivative along the joint's direction, and the derivative's square). A wave of k per turn is fitted
+by weighted least squares. Its null: errors shifted in the order of measuring, against the angles, keep what they have in common
+over time and lose what they owe to the angle (circular shifts, Good 2005, chapter 3).
+"""
+
+from dataclasses import replace
 
 import numpy as np
+from scipy.special import fdtrc
 
-from ocp.diagnose.engine.findings import KernelTest, Location, Name
+from ocp.diagnose.engine.findings import BudgetLine, KernelTest, Location, Name, SpectrumPeak
+from ocp.diagnose.engine.pool import Given
 from ocp.diagnose.engine.problem import Problem
-from ocp.diagnose.rules import PLACE_SURE, SHARE_PER_FEATURE
-from ocp.diagnose.verdict.tests_without_library import orthonormal
+from ocp.diagnose.rules import BUDGET_SD, LEAST_TURN, PLACE_SURE, SEEN_DIRECTION, SHARE_PER_FEATURE
 from ocp.effects.effect import Effect
 from robots.pose import Array
 
@@ -65,3 +79,88 @@ def conditions(where: str) -> tuple[str, ...]:
     found = (f"q{p.removeprefix('ripple')}" if p.startswith("ripple") else p for p in where.split(" x ") if p)
     found = (p.removesuffix(" wave") for p in found)
     return tuple(p.rstrip("123456") if p[:4] in ("temp", "time", "payl") else p for p in found)
+
+
+def after_given(there: Given, rows: Array) -> Array:
+    """Rows (N,) or (N, m) with what is given projected out too."""
+    inner = there.U.T @ rows
+    shrink = 1.0 - np.sqrt(1.0 - there.take)
+    return rows - there.U @ (shrink * inner if rows.ndim == 1 else shrink[:, None] * inner)
+
+
+def kernel_tests(problem: Problem, there: Given) -> list[KernelTest]:
+    """All kernels but ripples (the spectrum's) and waves that were picked for what they tell, after what is given, most telling
+    first."""
+    y = after_given(there, problem.pool.y)
+    total, freedom = float(y @ y), problem.pool.freedom
+    found = []
+    for family in problem.pool.families:
+        if not family.where or "ripple" in family.where or "wave" in family.where:
+            continue
+        basis = orthonormal(after_given(there, family.columns.reshape(len(y), -1)))
+        m = basis.shape[1]
+        gained = float(np.sum((basis.T @ y) ** 2))
+        ratio = (gained / max(m, 1)) / max((total - gained) / (freedom - m), 1e-12)
+        channel, where, source = family.name.effect[1:].split("/")
+        p = float(fdtrc(m, freedom - m, ratio)) if m else 1.0
+        found.append(KernelTest(channel, where, source, family.name.joint, gained - m * (total - gained) / (freedom - m), p))
+    return sorted(found, key=lambda t: t.p_value)
+
+
+def orthonormal(columns: Array) -> Array:
+    """Basis (N, r) of columns, directions that noise could not show left out."""
+    U, s, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(U[:, s > SEEN_DIRECTION])
+
+
+def budget(problem: Problem, tests: list[KernelTest], explained: Given) -> list[BudgetLine]:
+    """Shares of the gap beyond noise. The noise's scale is what the best explanation leaves."""
+    scale2 = explained.left / problem.pool.freedom
+    excess = float(problem.pool.y @ problem.pool.y) - problem.pool.freedom * scale2
+    least = BUDGET_SD * np.sqrt(2.0 * problem.pool.freedom) * scale2  # no gap to share out below what noise itself scatters
+    lines = []
+    for t in tests:
+        share = float(np.clip(t.gained / max(excess, least), 0.0, 1.0))
+        elsewhere = t.joint and t.source in ("joint", "axis") and str(t.joint) not in t.where
+        where = f"{t.where} at joint {t.joint}" if elsewhere else t.where
+        lines.append(BudgetLine(t.channel, where, share, t.p_value))
+    return sorted(lines, key=lambda b: -b.share)
+
+
+ORDERS = np.arange(1.0, 121.0, 0.5)  # per turn
+SHIFTS = 199
+
+
+def spectra(problem: Problem, y: Array, seed: int) -> list[SpectrumPeak]:
+    """Of every channel that knows how joints move its readings: one a joint, most significant first; y (N,) projected."""
+    found = []
+    for channel, block in zip(problem.channels, problem.stack.blocks, strict=True):
+        c = channel.conditions
+        if c.d_joints is None:
+            continue
+        rows = channel.whiten(c.d_joints)
+        reading = channel.system.reading
+        n = len(c.q)
+        for j in range(6):
+            if np.ptp(c.q[:, j]) < LEAST_TURN:
+                continue
+            a = np.bincount(reading, rows[:, j] * y[block], n).astype(float)
+            g = np.bincount(reading, rows[:, j] ** 2, n).astype(float)
+            if g.max() > 0:
+                peak = _peak(j + 1, c.q[:, j], a, g, np.random.default_rng([seed, j]))
+                found.append(replace(peak, signal=channel.name))
+    return sorted(found, key=lambda p: p.p_value)
+
+
+def _peak(joint: int, q: Array, a: Array, g: Array, rng: np.random.Generator) -> SpectrumPeak:
+    shifts = rng.integers(1, len(q), SHIFTS)
+    pick = (np.arange(len(q)) + np.concatenate([[0], shifts])[:, None]) % len(q)
+    # The error moves, the place's weight stays: a_i = e_i g_i.
+    error = np.divide(a, np.sqrt(g), out=np.zeros_like(a), where=g > 0)[pick] * np.sqrt(g)
+    waves = np.exp(1j * ORDERS[None, :] * q[:, None])
+    power = np.abs(error @ waves) ** 2 / (0.5 * g.sum())
+    best = power.max(axis=1)
+    k = int(np.argmax(power[0]))
+    amplitude = float(np.abs(error[0] @ waves[:, k]) / (0.5 * g.sum()))
+    p = float((1 + np.sum(best[1:] >= best[0])) / (SHIFTS + 1))
+    return SpectrumPeak(joint, float(ORDERS[k]), amplitude, p, ORDERS, power[0])

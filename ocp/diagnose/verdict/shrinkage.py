@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit, log_ndtr, ndtr, ndtri
 
-from ocp.diagnose.engine.system import HeldOut
-from ocp.diagnose.foresee.anticipated import Anticipated
+from ocp.diagnose.engine.system import Channel, HeldOut
 from ocp.diagnose.rules import (
     HARMFUL,
     INTERVAL,
@@ -31,6 +30,7 @@ from robots.pose import Array
 DRAWS = 1000
 STRETCHES = 60  # parts of a fold that are drawn as wholes
 _ROWS = ("before_rows", "after_rows", "noise_rows")
+SI = {"mm": 1e-3, "N": 1.0, "arcsec": float(np.radians(1.0) / 3600.0)}
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,30 @@ class Shrinkage:
 
 NONE = Shrinkage(0.0, 0.0, 0.0)
 """Where no effect is named nothing changes."""
+
+
+@dataclass(frozen=True)
+class NewReadings:
+    """New readings with one payload at one temperature. moved (a, n, 3) m: what each alternative adds to the baseline; errors
+    (n, 3, p) m per unit of the accepted model's parameters; joints (n, 6) m^2 per rad^2: weight of the joints' lasting errors."""
+
+    payload: str
+    moved: Array
+    errors: Array
+    joints: Array
+
+
+@dataclass(frozen=True)
+class Anticipated:
+    """Groups of new readings; measured: names of the campaign's payloads; probability (a,) of every alternative, the accepted one
+    first; covariance (p, p) of the parameters of the accepted model; lasting (k, 6) draws of the joints' mean squares rad^2 that
+    no fit takes away."""
+
+    groups: tuple[NewReadings, ...]
+    measured: tuple[str, ...]
+    probability: Array
+    covariance: Array
+    lasting: Array
 
 
 def realised(before: float, after: float, noise: float) -> float | None:
@@ -169,3 +193,17 @@ def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float,
     # What is left is known to chance only; the parameters' errors are there in any case.
     left = np.maximum(after - noise, np.minimum(estimation, gap))[there]
     return np.asarray(1.0 - np.sqrt(left / gap[there]))
+
+
+def estimation_variance(channel: Channel, effects: Array) -> float:
+    """Mean square SI^2 of a reading; effects (N, m): whitened columns of the channel's active effects over their priors' sd.
+
+    With leverage h of a row, a fit without it predicts it with the variance h / (1 - h) of its noise (Allen 1974, PRESS)."""
+    system = channel.system
+    known = np.isfinite(system.prior_sd)
+    A = np.hstack([system.nuisance * np.where(known, system.prior_sd, 1.0), effects])
+    held = np.concatenate([known, np.ones(effects.shape[1], bool)])
+    prior = np.where(held, 1.0, 1e-9 * np.linalg.norm(A, axis=0))
+    U, s, _ = np.linalg.svd(np.vstack([A, np.diag(prior)]), full_matrices=False)
+    leverage = np.minimum((U[: len(A), s > 1e-12 * s[0]] ** 2).sum(axis=1), 0.9)
+    return float((SI[channel.unit] * channel.noise_floor) ** 2 * np.mean(leverage / (1.0 - leverage)))

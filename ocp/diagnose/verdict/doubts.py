@@ -2,17 +2,19 @@
 
 An impostor helps where readings lie among those it was fitted to, and where a condition was left out it hurts and its value is
 another. What speaks against a name moves its probability to 'none of these'. So does a set that explains no reading, only why the
-registration is not where it was believed to be.
+registration is not where it was believed to be. `judged` says what stays in the corrected model.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.engine.system import Channel, HeldOut
+from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.engine.system import Channel, HeldOut, kinds
 from ocp.diagnose.rules import (
     CANCELS,
     DRIFTS_SD,
@@ -120,3 +122,66 @@ def hurts(with_rows: Array, without_rows: Array, noise: float, estimation: float
         and change.mean() > HURTS_SD * (error + estimation)
         and with_rows.mean() > noise * (1 + NO_GAP**2)
     )
+
+
+Spoken = tuple[tuple[Name, str], ...]  # names with what is wrong
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Effects of the corrected model with the channels and folds that hold them; doubts; impostors with the fold where they hurt;
+    hurt: whether some were found here (not refused before); relieved: the set meets no reading better, so nothing is kept."""
+
+    kept: tuple[Active, ...]
+    channels: tuple[Channel, ...]
+    held_out: dict[str, tuple[HeldOut, ...]]
+    doubts: Spoken
+    impostors: Spoken
+    hurt: bool
+    relieved: bool
+
+
+def judged(
+    baseline: tuple[Channel, ...],
+    problem: Problem,
+    channels: tuple[Channel, ...],
+    active: tuple[Active, ...],
+    signatures: Sequence[Array],
+    folds: bool,
+    refused: Sequence[tuple[Name, str]] | None,
+) -> Judgement:
+    """Judge the effects active in `channels`, whose signatures are (N,) each; refused: impostors where names were chosen by
+    held-out errors already, so that none are sought."""
+    held = held_out(channels, active) if folds and active else {}
+    false = impostors(channels, active, held) if refused is None else []
+    relief = relieving(channels, active)
+    doubts = (*relief, *implausible(active), *cancelling([Name(*a.key) for a in active], signatures))
+    kept = active
+    if relief:  # nothing that was measured would be met better
+        kept, channels, held = (), baseline, {}
+    elif false:  # what hurts stays out of the corrected model
+        kept = tuple(a for a in active if Name(*a.key) not in {n for n, _ in false})
+        without = accepted(baseline, problem, kept)
+        kept, channels = ((), baseline) if without is None else (kept, without)
+        held = held_out(channels, kept) if kept else {}
+    return Judgement(kept, channels, held, doubts, tuple(false if refused is None else refused), bool(false), bool(relief))
+
+
+def accepted(baseline: Sequence[Channel], problem: Problem, active: tuple[Active, ...]) -> tuple[Channel, ...] | None:
+    """Channels of all readings with the effects active; those of the search where they are that already; None where no fit with
+    them comes to rest."""
+    found = []
+    for whole, searched in zip(baseline, problem.channels, strict=True):
+        visible = tuple(a for a in active if not whole.blind(a.effect))
+        same = kinds(searched.active) == kinds(visible) and len(searched.gap()) == len(whole.gap())
+        try:
+            found.append(searched if same else whole.with_active(active))
+        except Infeasible:
+            return None
+    return tuple(found)
+
+
+def held_out(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:
+    """Every fold of every channel that can be judged."""
+    judged = {c.name: [c.held_out(fold, active) for fold in c.folds()] for c in channels}
+    return {name: tuple(h for h in found if h is not None) for name, found in judged.items()}

@@ -1,28 +1,42 @@
-"""Which named effects still help where a condition was left out: forward selection by held-out errors instead of evidence.
+"""Names selected on held-out error, for arms whose believed model misses far more than noise.
 
-Evidence takes what is left for white noise. On a real arm it is not: ripples of every gear remain, and with a thousand
-readings the form that happens to follow them nearby wins by any number of log units over the form that physics has. Here every
-candidate is fitted, with the geometry, without a block of the workspace, half of a joint's range, a payload, the latest third,
-and judged on what was left out. Accepted is what lowers the mean of the folds' log mean squares most. A candidate that leaves a
-fold worse than the believed cell alone does is refused; it is tried again when another effect stands (a ripple looks harmful
-as long as the springs are missing). One effect at two joints is tried together: springs that carry the same weight mask each
-other. Those that gain more than what is accepted and that a fold refuses are the impostors.
+Evidence takes what a set of effects leaves for white noise. On a real arm it is not: ripples of every gear remain, and with a
+thousand readings the form that happens to follow them nearby wins by any number of log units over the form that physics has.
+Where the scatter of the residual is many times what joints of such robots usually show, every candidate is therefore fitted,
+with the geometry, without a block of the workspace, half of a joint's range, a payload, the latest third, and judged on what
+was left out. Accepted is what lowers the mean of the folds' log mean squares most. A candidate that leaves a fold worse than
+the believed cell alone does is refused; it is tried again when another effect stands (a ripple looks harmful as long as the
+springs are missing). One effect at two joints is tried together: springs that carry the same weight mask each other. Those that
+gain more than what is accepted and that a fold refuses are the impostors. The kernel that is needed beside the accepted names
+tells where the rest lies.
 
 Everything is linear about the channel's fit, in whitened readings, nuisance within its priors (docs/diagnosis_real.md).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.families import Candidate, positive_of
-from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.engine.system import Fold, System
-from ocp.diagnose.rules import HELD_OUT_GAIN, HELD_OUT_WORSE, IMPLAUSIBLE, SHORTLIST, WIDE_PRIOR, WRONG_SIGN_GAIN
-from ocp.effects.effect import Scanned
+from ocp.diagnose.engine.beam import NOTHING, Search
+from ocp.diagnose.engine.families import Candidate, candidates, positive_of, put_back
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.problem import Problem, make_problem
+from ocp.diagnose.engine.system import Channel, Fold, System
+from ocp.diagnose.rules import (
+    HELD_OUT_GAIN,
+    HELD_OUT_WORSE,
+    IMPLAUSIBLE,
+    KERNELS_BESIDE,
+    SELECTED_FIRST,
+    SHORTLIST,
+    WIDE_PRIOR,
+    WRONG_SIGN_GAIN,
+)
+from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
 
 Mask = NDArray[np.bool_]
@@ -216,3 +230,63 @@ def _values(system: System, chosen: Sequence[Entry]) -> list[Array]:
 
 def _scale(c: Candidate) -> Array:
     return np.asarray(c.effect.prior_sd, float)
+
+
+@runtime_checkable
+class Restless(Protocol):
+    """A channel that can tell whether its residual is far above noise."""
+
+    def restless(self, scale: float) -> bool:
+        """Whether `scale` times the noise that its residual asks for is many times the usual."""
+
+
+@dataclass(frozen=True)
+class Earning:
+    """Linearisation about the names that were earned, their sets weighed, and what was refused with the fold that did."""
+
+    problem: Problem
+    search: Search
+    refused: tuple[tuple[Name, str], ...]
+
+
+def restless(problem: Problem, search: Search) -> bool:
+    """Whether names must be earned: the only channel says that noise is far above the usual, even with all that the best set
+    of names and kernels explains."""
+    channels = problem.channels
+    if len(channels) != 1 or not isinstance(channels[0], Restless):
+        return False
+    left = problem.taken(search.seen[search.best()[0]]).left
+    return channels[0].restless(float(np.sqrt(left / problem.pool.freedom)))
+
+
+def earn(channel: Channel, library: Mapping[str, Effect], options: Options) -> Earning:
+    """Names of a channel fitted without effects, by held-out errors; refused ones are barred from the library.
+
+    Twice: what is found first (springs, mostly) leaves the geometry, whose prior is as wide as what it had to follow, narrower.
+    """
+    first = earned(channel.system, candidates([channel], library, options), channel.folds(), most=SELECTED_FIRST)
+    about = channel.with_active(_active(first, library))
+    system = replace(about.system, residual=about.system.residual + put_back([about], about.active))
+    found = earned(system, candidates([about], library, options), channel.folds())
+    refused = tuple((r.name, r.fold) for r in found.refused)
+    barred = replace(options, barred=(*options.barred, *(n for n, _ in refused)))
+    active = _active(found, library)
+    problem = make_problem([channel.with_active(active)], library, barred)
+    search = Search(problem.pool, max(options.most, len(active)) + 1, options.beam)
+    names = frozenset(problem.index[s.name] for s in found.steps)
+    search.add(names)
+    for family in names:  # what each is worth beside the others
+        search.add(names - {family})
+    there = search.seen.get(names, NOTHING)
+    gain = np.where(search.kernel, search.scan(there).log + search.odds, -np.inf)
+    for k in np.argsort(-gain)[:KERNELS_BESIDE]:
+        if np.isfinite(gain[k]):
+            search.add(names | {int(k)}, there.members)
+            for family in names:
+                search.add((names - {family}) | {int(k)}, there.members)
+    return Earning(problem, search, refused)
+
+
+def _active(found: Earned, library: Mapping[str, Effect]) -> tuple[Active, ...]:
+    """What was earned, to begin a fit from."""
+    return tuple(Active(library[s.name.effect], s.name.joint, s.a, s.scanned, np.eye(len(s.a))) for s in found.steps)

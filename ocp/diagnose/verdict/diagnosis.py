@@ -1,7 +1,11 @@
-"""From the last linearisation and its weighed sets to the findings."""
+"""The main entry of the diagnosis: search, judge, bar impostors and begin anew; from weighed sets to the findings.
+
+What hurts where the data are extrapolated is an impostor: it is barred, and the search begins anew without it.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.special import fdtrc
@@ -10,19 +14,77 @@ from ocp.diagnose.engine.beam import Search, Weighed, weigh
 from ocp.diagnose.engine.families import names_of, rival_of, stacked_columns
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.pool import Family, Given, given
-from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.engine.probabilities import Names, Posterior, posterior
+from ocp.diagnose.engine.problem import Problem, make_problem
+from ocp.diagnose.engine.search import NoRest, settle
+from ocp.diagnose.engine.selection import earn, restless
 from ocp.diagnose.engine.system import Channel
-from ocp.diagnose.rules import LEADS, NEARLY_ALIKE, RANKED, SURE_BESIDE_UNKNOWN, SUSPECT
+from ocp.diagnose.engine.visible import needed
+from ocp.diagnose.rules import (
+    IMPOSTOR_ROUNDS,
+    LEADS,
+    MOST_SEARCHED,
+    NEARLY_ALIKE,
+    RANKED,
+    SELECTED_ON,
+    SURE_BESIDE_UNKNOWN,
+    SUSPECT,
+    WITHOUT_IMPOSTOR,
+)
 from ocp.diagnose.verdict.alternatives import Weights, alternatives
 from ocp.diagnose.verdict.classes import merged, mistaken, threshold, twins
-from ocp.diagnose.verdict.judgement import accepted, judged
-from ocp.diagnose.verdict.location import of_effect, of_kernel, of_tests
-from ocp.diagnose.verdict.probabilities import Names, Posterior, posterior
-from ocp.diagnose.verdict.spectrum import spectra
-from ocp.diagnose.verdict.tests_without_library import budget, kernel_tests
-from ocp.diagnose.verdict.visible import needed
+from ocp.diagnose.verdict.doubts import accepted, judged
+from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_kernel, of_tests, spectra
 from ocp.effects.effect import Active, Effect
 from robots.pose import Array
+
+USUAL = Options()
+
+
+@runtime_checkable
+class Thinnable(Protocol):
+    """A channel that can do with fewer readings."""
+
+    def thinned(self, most: int) -> Channel:
+        """The channel with at most so many of its readings, evenly taken; itself where it has no more."""
+
+
+def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options = USUAL) -> Diagnosis:
+    """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
+    baseline = tuple(c.with_active(()) if c.active else c for c in channels)
+    few = tuple(c.thinned(MOST_SEARCHED) if isinstance(c, Thinnable) else c for c in baseline)
+    told: list[tuple[Name, str]] = []
+    because: list[str] = []
+    levels: list[float] = []
+    vain = NoRest()
+    for _ in range(IMPOSTOR_ROUNDS):
+        first = make_problem(few, library, options)
+        problem, search = settle(first, library, options, vain)
+        if posterior(problem, search).p_unknown > LEADS and restless(problem, search):
+            whole = baseline[0]
+            earning = earn(whole.thinned(SELECTED_ON) if isinstance(whole, Thinnable) else whole, library, options)
+            return findings(baseline, first, earning.problem, earning.search, library, options, earning.refused)
+        found = findings(baseline, first, problem, search, library, options)
+        levels.append(max(w.log for w in search.seen.values()))
+        if not found.impostors:
+            break
+        told += found.impostors
+        because += found.unknown_because
+        options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
+    whys = tuple(f"{n}: no fit with it comes to rest" for n in vain.names())
+    found = replace(found, unknown_because=tuple(dict.fromkeys((*found.unknown_because, *whys))))
+    return _unmasked(found, told, because, levels[-1] > max(levels) - WITHOUT_IMPOSTOR) if told else found
+
+
+def _unmasked(found: Diagnosis, told: Sequence[tuple[Name, str]], because: Sequence[str], enough: bool) -> Diagnosis:
+    """Findings without the impostors that earlier rounds showed: what they fitted so well is there all the same, and most of the
+    probability goes to 'none of these' unless what is left is `enough`, as good without them."""
+    impostors = tuple(dict(told).items())
+    share = 0.0 if found.impostors or enough else SUSPECT  # the last round has moved its own
+    moved = share * (1.0 - found.p_none - found.p_unknown)
+    kept = tuple(replace(e, probability=(1.0 - share) * e.probability) for e in found.explanations)
+    whys = tuple(dict.fromkeys((*because, *found.unknown_because)))
+    return replace(found, explanations=kept, p_unknown=found.p_unknown + moved, impostors=impostors, unknown_because=whys)
 
 
 def findings(
@@ -112,7 +174,7 @@ def declared(
     first: Problem, problem: Problem, search: Search, weighed: Weighed, signatures: Sequence[Array]
 ) -> tuple[tuple[Name, ...], ...]:
     """Classes of the accepted effects, with these signatures, and what cannot be told from them: here, and where nothing was
-    active yet, for a column at the fit may hold the accepted effect's own pattern (`ocp.diagnose.engine.products`)."""
+    active yet, for a column at the fit may hold the accepted effect's own pattern (`ocp.diagnose.engine.search`)."""
     index, found = problem.index, []
     for (name, alike), d in zip(alike_at(first, problem, weighed), signatures, strict=True):
         member = next(m for m in weighed.members if m.family == index[name])
