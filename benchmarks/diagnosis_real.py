@@ -1,7 +1,7 @@
 """Diagnosis of three measured robots (../shared/data/real): the tables of docs/diagnosis_real.md.
 
 `python benchmarks/diagnosis_real.py [ur5] [ur10] [kr300] [--splits N] [--only PART]` from the repository root with PYTHONPATH=.
-Parts of a tracker campaign: answer (what the command says), terms (named terms on readings left out), earned (what holds where
+Parts of a tracker campaign: answer (what the command says), terms (named terms on readings left out), selected (what holds where
 conditions are left out), weight (which way it acts), angles (free curves of the joints' own angles), held (before and after on
 random splits).
 """
@@ -22,10 +22,10 @@ from ocp.diagnose.dataset import DataSet, read_data_set, read_sealed_tracker
 from ocp.diagnose.engine.families import candidates
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.projection import stack
-from ocp.diagnose.engine.selection import Earned, earned
+from ocp.diagnose.engine.selection import SelectedEffects, select_on_held_out
 from ocp.diagnose.engine.system import HeldOut
 from ocp.diagnose.published import kr300
-from ocp.diagnose.published.ur import ACHIEVED, TARGET, Campaign, held_rows, read_campaign, write_data_set
+from ocp.diagnose.published.ur import ACHIEVED, TARGET, PublishedCampaign, held_rows, read_campaign, write_data_set
 from ocp.diagnose.report.words import headline
 from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -57,7 +57,7 @@ READ = 3000  # readings of a campaign at most for the table of terms
 STEP, SIZE = np.radians(3.0), 5e-4  # rad: width and one sigma of the curves' points
 
 
-def data_set(campaign: Campaign, folder: Path, held: Index | None = None) -> DataSet:
+def data_set(campaign: PublishedCampaign, folder: Path, held: Index | None = None) -> DataSet:
     """The campaign written as a user would have it, and read again."""
     folder.mkdir(parents=True)
     write_data_set(campaign, folder, held)
@@ -75,10 +75,10 @@ def effects(spec: str, channel: TrackerChannel) -> tuple[Active, ...]:
     return tuple(found)
 
 
-def earned_in(channel: TrackerChannel) -> tuple[Earned, tuple[Active, ...]]:
+def selected_in(channel: TrackerChannel) -> tuple[SelectedEffects, tuple[Active, ...]]:
     """What holds where conditions are left out, found on at most MOST_SEARCHED readings."""
     few = channel.thinned(MOST_SEARCHED)
-    found = earned(few.system, candidates((few,), library(), Options()), few.folds())
+    found = select_on_held_out(few.system, candidates((few,), library(), Options()), few.folds())
     return found, tuple(Active(library()[s.name.effect], s.name.joint, s.a, s.scanned, np.eye(len(s.a))) for s in found.steps)
 
 
@@ -153,10 +153,10 @@ def terms_part(name: str, channel: TrackerChannel) -> None:
         print(f"| {what} | {cells} | {ratio:.2f} | {there if spec else ''} |", flush=True)
 
 
-def earned_part(channel: TrackerChannel) -> None:
+def selected_part(channel: TrackerChannel) -> None:
     """Forward selection by folds."""
     began = time.process_time()
-    found, active = earned_in(channel)
+    found, active = selected_in(channel)
     print("| accepted | mean log mean square of the folds |\n|---|---|")
     for step, one in zip(found.steps, active, strict=True):
         print(f"| {told(one)} | {step.score:.2f} |")
@@ -227,7 +227,7 @@ def corrections(data: DataSet, believed: DataSet) -> Iterator[tuple[str, Array, 
         yield label, channel.predict(sealed, found).corrected, "; ".join(map(told, found))
 
 
-def held_part(campaign: Campaign, count: int, folder: Path) -> None:
+def held_part(campaign: PublishedCampaign, count: int, folder: Path) -> None:
     """Rms 3D error mm of held-out fifths before and after, the splits of calibration_real.py."""
     table: dict[str, list[float]] = {}
     point = 1e-3 * np.stack([campaign.columns[f"{a}_mm"] for a in "xyz"], axis=1)
@@ -253,7 +253,7 @@ def tracker(name: str, options: argparse.Namespace, folder: Path) -> None:
     parts = {
         "answer": lambda: answer_part(folder / name),
         "terms": lambda: terms_part(name, channel),
-        "earned": lambda: earned_part(channel),
+        "selected": lambda: selected_part(channel),
         "weight": lambda: weight_part(channel),
         "angles": lambda: angles_part(channel, options.splits),
         "held": lambda: held_part(campaign, options.splits, folder / "splits" / name),
@@ -269,7 +269,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", default=["ur5", "ur10", "kr300"])
     parser.add_argument("--splits", type=int, default=5)
-    parser.add_argument("--only", choices=("answer", "terms", "earned", "weight", "angles", "held"))
+    parser.add_argument("--only", choices=("answer", "terms", "selected", "weight", "angles", "held"))
     parser.add_argument("--difference", choices=(ACHIEVED, TARGET), default=ACHIEVED, help="what x_dif of the UR5 is")
     parser.add_argument("--data", type=Path, default=DATA)
     options = parser.parse_args()

@@ -60,7 +60,7 @@ def answer_world(folder: Path) -> dict[str, Any]:
         "error": None,
         "document": document_of(answer).model_dump(mode="json", by_alias=True),
         "screened": [[s.name.effect, s.name.joint, s.smallest, s.p_value] for s in d.screened],
-        "because": [*d.unknown_because],
+        "because": [*d.unknown_reasons],
         "predictions": predicted.get("tracker"),
         **({"predictions_force": predicted["force"]} if "force" in predicted else {}),
         "prediction_error": fault,

@@ -85,7 +85,7 @@ DOUBTED_WEIGHT = 0.5
 OUTLIERS_OF_ONE_CAUSE = 3
 """[readings] That must be set aside before all are counted once more, and that an effect must take back. Guards: a nest that
 moves before the last few readings, else 'no gap'. Reason: one or two readings are no pattern
-(tests/diagnose/test_diagnosis_freed.py)."""
+(tests/diagnose/test_diagnosis_outliers.py)."""
 
 LEAST_TURN = np.radians(20.0)
 """[rad] An axis that moved less varies with nothing, in kernels, spectra and folds. Reason: over 20 degrees a wave of one

@@ -20,6 +20,8 @@ from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.planned_tracker import candidates, foreseen
 from ocp.diagnose.foresee.separation import Pair, unlike
 from ocp.effects.catalogue import effect_list, library
+from ocp.diagnose.foresee.planned_tracker import channel_about, planned_measurements
+from ocp.diagnose.foresee.separation import RivalPair, unlike
 from ocp.effects.effect import Active
 from ocp.model.measuring_setup import read_tracker_setup
 from ocp.shell.command import run
@@ -227,12 +229,12 @@ def windup(per_Nm: float) -> Ranked:
 
 def test_more_readings_never_tell_less(played):
     channel = tracker_channel(read_data_set(played[0]))
-    pair = Pair(windup(2e-8), library()["backlash"], 3, 0.5)
+    pair = RivalPair(windup(2e-8), library()["backlash"], 3, 0.5)
     alone = replace(pair, rival=None)
     now = unlike([channel], pair)
     assert 0 < now < unlike([channel], alone)
-    for candidate in candidates(channel, (3,)):
-        there = foreseen(channel, candidate.readings)
+    for candidate in planned_measurements(channel, (3,)):
+        there = channel_about(channel, candidate.readings)
         assert unlike([channel, there], pair) >= now - 1e-6
         assert unlike([channel, there], alone) >= unlike([channel], alone) - 1e-6
 

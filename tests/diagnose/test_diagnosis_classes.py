@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from ocp.diagnose.engine.beam import Weighed
-from ocp.diagnose.engine.evidence import posterior
+from ocp.diagnose.engine.evidence import coefficients_given
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.pool import Family, Member, make_pool
 from ocp.diagnose.verdict.classes import merged, mistaken, twins
@@ -28,7 +28,7 @@ def family(name: str, columns, background: bool = False) -> Family:
     return Family(Name(name, 2), effect, ({},), scaled, np.ones(m), SIZES, np.zeros(m, bool), -3.0, background=background)
 
 
-def declared(slope: float, play: float = 0.0) -> list[Name]:
+def classes_of(slope: float, play: float = 0.0) -> list[Name]:
     """Twins of a windup of base 0.8 and this slope with the load (shares of the upper end), alone or beside the play of all
     joints, a twelfth of an effect's size."""
     y = LONG / np.sqrt(N) * (0.8 * SIGN + slope * LOAD + play * PLAY[:, 1:].sum(axis=1))
@@ -38,17 +38,17 @@ def declared(slope: float, play: float = 0.0) -> list[Name]:
     pool = make_pool(y, N, [family("windup", windup), *others])
     members = [Member(0, 0, 1.0), *([Member(2, 0, 0.08)] if play else [])]
     C = np.hstack([pool.columns(m) for m in members])
-    a, _ = posterior(C, y, np.repeat([m.size for m in members], [2, 6][: len(members)]))
+    a, _ = coefficients_given(C, y, np.repeat([m.size for m in members], [2, 6][: len(members)]))
     return twins(SimpleNamespace(pool=pool), Weighed(0.0, tuple(members)), members[0], C[:, :2] @ a[:2])
 
 
 def test_a_form_and_what_it_holds_are_one_class_until_the_difference_shows():
-    assert declared(0.0) == [BACKLASH]
-    assert declared(1.0) == []  # what backlash leaves of the load's share is 30 * 1.0 * 0.23 noises: lambda 48
+    assert classes_of(0.0) == [BACKLASH]
+    assert classes_of(1.0) == []  # what backlash leaves of the load's share is 30 * 1.0 * 0.23 noises: lambda 48
 
 
 def test_a_small_background_does_not_take_the_place_of_an_effect():
-    assert declared(0.35, play=0.08) == [BACKLASH]
+    assert classes_of(0.35, play=0.08) == [BACKLASH]
 
 
 def taken_for(angle: float, behind: float) -> list[Name]:
@@ -62,7 +62,7 @@ def taken_for(angle: float, behind: float) -> list[Name]:
 
     def values(weighed: Weighed) -> tuple[SimpleNamespace, ...]:
         C = pool.columns(weighed.members[0])
-        a, _ = posterior(C, y, np.ones(1))
+        a, _ = coefficients_given(C, y, np.ones(1))
         return (SimpleNamespace(effect=library()["backlash"], joint=2, a=a),)
 
     seen = {frozenset([0]): one, frozenset([1]): other, frozenset([0, 1]): Weighed(49.0, (*one.members, *other.members))}

@@ -6,11 +6,11 @@ from scipy.stats import f as f_law
 from scipy.stats import gamma, kstest, norm
 
 from ocp.diagnose.engine.beam import Search, weigh
-from ocp.diagnose.engine.evidence import log_evidence, posterior, size_grid
+from ocp.diagnose.engine.evidence import coefficients_given, log_evidence, size_grid
 from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
-from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.problem import linearised
 from ocp.diagnose.engine.projection import project
 from ocp.diagnose.engine.system import Conditions
 from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
@@ -102,9 +102,9 @@ def test_projection_does_not_care_for_units_or_for_where_the_fit_stands():
     other = LinearChannel(y, A * scale, sd / scale, base.columns)
     moved = LinearChannel(y, A, sd, base.columns, offset=RNG.normal(size=4))
     free = LinearChannel(y + 1e3 * A[:, 2], A, sd, base.columns)
-    reference = make_problem([base], {"e": e}, Options()).pool
+    reference = linearised([base], {"e": e}, Options()).pool
     for channel in (other, moved, free):
-        pool = make_problem([channel], {"e": e}, Options()).pool
+        pool = linearised([channel], {"e": e}, Options()).pool
         np.testing.assert_allclose(pool.y, reference.y, atol=1e-7)
         np.testing.assert_allclose(pool.families[0].columns, reference.families[0].columns, atol=1e-9)
 
@@ -124,7 +124,7 @@ def problem_of(count=6, rows=200, planted=((0, 1.0),), noise=1.0, scans=None, se
 
 def test_chain_rule_of_sets():
     channel, library = problem_of(planted=((0, 1.0), (1, -0.5)))
-    pool = make_problem([channel], library, Options()).pool
+    pool = linearised([channel], library, Options()).pool
     a, b = Member(0, 0, 1.0), Member(1, 0, 1.0)
     both, one = given(pool, [a, b]), given(pool, [a])
     every, sizes = scan_one(pool, one, 1)
@@ -137,9 +137,9 @@ def test_chain_rule_of_sets():
 def test_look_elsewhere_costs_the_logarithm_of_the_variants():
     few, library = problem_of(planted=((0, 1.0),), scans=[{"k": 0}])
     many, wide = problem_of(planted=((0, 1.0),), scans=[{"k": i} for i in range(50)])
-    one = weigh(make_problem([few], library, Options()).pool, [0]).log
-    fifty = weigh(make_problem([many], wide, Options()).pool, [0]).log
-    exact, _ = scan_one(make_problem([many], wide, Options()).pool, given(make_problem([many], wide, Options()).pool, []), 0)
+    one = weigh(linearised([few], library, Options()).pool, [0]).log
+    fifty = weigh(linearised([many], wide, Options()).pool, [0]).log
+    exact, _ = scan_one(linearised([many], wide, Options()).pool, given(linearised([many], wide, Options()).pool, []), 0)
     assert fifty == pytest.approx(
         np.logaddexp.reduce(exact[0]) - np.log(exact.shape[1] * 50) + np.log(Options().prior_effects / 6), abs=0.05
     )
@@ -160,9 +160,9 @@ def test_finds_what_was_planted_and_nothing_else():
 def test_two_channels_share_the_coefficient():
     one, library = problem_of(planted=((0, 0.25),), rows=80, seed=5)
     two, _ = problem_of(planted=((0, 0.25),), rows=80, seed=6)
-    alone = weigh(make_problem([one], library, Options()).pool, [0]).log
-    together = weigh(make_problem([one, two], library, Options()).pool, [0]).log
-    other = weigh(make_problem([two], library, Options()).pool, [0]).log
+    alone = weigh(linearised([one], library, Options()).pool, [0]).log
+    together = weigh(linearised([one, two], library, Options()).pool, [0]).log
+    other = weigh(linearised([two], library, Options()).pool, [0]).log
     assert together > max(alone, other)
     d = diagnose_channels([one, two], library, FEW)
     assert d.ranking[0].name == Name("e0")
@@ -198,7 +198,7 @@ def test_a_pair_that_neither_shows_alone():
     library = {n: effect(n, low=0.3) for n in ("e0", "e1", "e2")}
     columns = {("e0", 0): a[None, :, None], ("e1", 0): b[None, :, None], ("e2", 0): rng.normal(size=(1, 300, 1))}
     channel = LinearChannel(2.0 * (a - b) + rng.normal(size=300), np.ones((300, 1)), np.full(1, np.inf), columns)
-    pool = make_problem([channel], library, Options()).pool
+    pool = linearised([channel], library, Options()).pool
     search = Search(pool, 3, 6)
     search.run()
     assert {pool.families[f].name.effect for f in search.best()[0]} == {"e0", "e1"}
@@ -246,7 +246,7 @@ def test_kernel_p_values_are_uniform():
     p = []
     for seed in range(12):
         channel, _ = wave_channel(300 + seed)
-        problem = make_problem([channel], {"e0": effect("e0")}, Options())
+        problem = linearised([channel], {"e0": effect("e0")}, Options())
         p += [t.p_value for t in kernel_tests(problem, given(problem.pool, []))]
     # kernels of one data set share some of their features: every second one is enough to be nearly independent
     assert kstest(p[::3], "uniform").pvalue > 1e-3
@@ -255,7 +255,7 @@ def test_kernel_p_values_are_uniform():
 
 def test_kernel_tests_are_f_tests_of_least_squares():
     channel, _ = wave_channel(77)
-    problem = make_problem([channel], {"e0": effect("e0")}, Options())
+    problem = linearised([channel], {"e0": effect("e0")}, Options())
     pool = problem.pool
     found = {(t.where, t.source, t.joint): t for t in kernel_tests(problem, given(pool, []))}
     family = next(x for x in pool.families if x.where == "q3 x q1")
@@ -271,7 +271,7 @@ def test_posterior_covers():
     for seed in range(400):
         rng = np.random.default_rng(seed)
         C, a = rng.normal(size=(40, 2)), rng.normal(size=2)
-        mean, covariance = posterior(C, C @ a + rng.normal(size=40), np.ones(2))
+        mean, covariance = coefficients_given(C, C @ a + rng.normal(size=40), np.ones(2))
         inside += abs(mean[0] - a[0]) < 1.645 * np.sqrt(covariance[0, 0])
     assert 0.86 < inside / 400 < 0.94
 

@@ -7,8 +7,8 @@ import pytest
 
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.problem import make_problem
-from ocp.diagnose.engine.search import NoRest, settle, without_products
+from ocp.diagnose.engine.problem import linearised
+from ocp.diagnose.engine.search import Diverged, reweighted, settle
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.fit import linear, solve
 from ocp.diagnose.force.knocks import telling_knocks
@@ -96,16 +96,16 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
         return original(self, active)
 
     monkeypatch.setattr(type(channel), "with_active", restless)
-    problem, search = settle(make_problem([channel], known, Options()), known, Options())
-    chosen = {problem.pool.families[f].name.effect for key in search.seen for f in key}
-    assert search.seen[frozenset()] is NOTHING and not any(a.effect.name == "sensor_bias" for a in problem.channels[0].active)
+    problem, search = settle(linearised([channel], known, Options()), known, Options())
+    chosen = {problem.pool.families[f].name.effect for key in search.sets for f in key}
+    assert search.sets[frozenset()] is NOTHING and not any(a.effect.name == "sensor_bias" for a in problem.channels[0].active)
     assert chosen  # others are still weighed
-    vain = NoRest()
+    diverged = Diverged()
     for names in (["sensor_bias", "wheel_wear"], ["sensor_bias"]):
-        vain.add(Name(n, 0) for n in names)
-    assert vain.names() == [Name("sensor_bias", 0)]
+        diverged.add(Name(n, 0) for n in names)
+    assert diverged.names() == [Name("sensor_bias", 0)]
     # What a fit holds may fail for others' sake; and without effects nothing failed.
-    held = NoRest()
+    held = Diverged()
     held.rests([Name("wheel_wear", 0)])
     for other in ("sensor_bias", "sensor_drift"):
         held.add([Name("wheel_wear", 0), Name(other, 0)])
@@ -117,9 +117,9 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
     assert not held.names() and len(held.sets) == 2
     search = Search(problem.pool, 3, 4)
     search.run()
-    assert any("sensor_bias" in {problem.pool.families[f].name.effect for f in key} for key in search.seen)
-    vain.strike(search, problem)
-    left = {frozenset(problem.pool.families[f].name.effect for f in key) for key in search.seen}
+    assert any("sensor_bias" in {problem.pool.families[f].name.effect for f in key} for key in search.sets)
+    diverged.strike(search, problem)
+    left = {frozenset(problem.pool.families[f].name.effect for f in key) for key in search.sets}
     assert frozenset() in left and frozenset({"sensor_drift"}) in left and not any("sensor_bias" in names for names in left)
     # Nothing fits with the name that the readings ask for: it is not told, and what is told says why.
     found = diagnose_channels([channel], known)
@@ -131,11 +131,11 @@ def test_a_name_that_no_fit_of_all_readings_takes_is_doubted(made: Made, tmp_pat
     log, _ = _log(made.base, (Planted(reading=lambda c, F: 0.8 + 0.0 * F),), tmp_path)
     channel = _again(made, log)
     known = {n: EFFECTS[n] for n in ("sensor_bias", "sensor_drift", "wheel_wear")}
-    problem, search = settle(make_problem([channel], known, Options()), known, Options())
-    monkeypatch.setattr(diagnosis, "accepted", lambda *_: None)
+    problem, search = settle(linearised([channel], known, Options()), known, Options())
+    monkeypatch.setattr(diagnosis, "refitted", lambda *_: None)
     found = findings((channel,), problem, problem, search, known, Options())
     assert found.active == () and found.channels == (channel,) and found.p_unknown > 0.5
-    assert any("sensor_bias: no fit with it comes to rest" in why for why in found.unknown_because)
+    assert any("sensor_bias: no fit with it comes to rest" in why for why in found.unknown_reasons)
 
 
 @pytest.mark.parametrize("share, level, most", [(2.0**-10, 1e3, fitting.LOST), (2.0**-10, 0.0, 5), (2.0**-8, 1e3, 6)])
@@ -181,16 +181,16 @@ def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, mo
 
     log, _ = _log(made.base, (Planted(overlap=overlap),), tmp_path)
     options = Options(folds=False)
-    first = make_problem([_again(made, log)], EFFECTS, options)
+    first = linearised([_again(made, log)], EFFECTS, options)
     after = first.channels[0].with_active((_active("wheel_runout", 0, {"clocked": 0.0}),))
-    problem = make_problem([after], EFFECTS, options)
+    problem = linearised([after], EFFECTS, options)
     search = Search(problem.pool, options.most, options.beam)
     wave, stiff = (frozenset([problem.index[Name(n, 0)]]) for n in ("wheel_runout", "flange_stiffness"))
     search.run([wave, stiff])
-    assert search.seen[stiff].log > 0.5 * search.seen[wave].log  # it does
+    assert search.sets[stiff].log > 0.5 * search.sets[wave].log  # it does
     monkeypatch.setattr("ocp.diagnose.engine.search.REWEIGHTED_WITHIN", np.inf)  # not as near here as in a log with less in it
-    without_products(first, problem, search, after.active)
-    assert search.seen[stiff].log < 0.4 * search.seen[wave].log
+    reweighted(first, problem, search, after.active)
+    assert search.sets[stiff].log < 0.4 * search.sets[wave].log
 
 
 def test_left_out_readings_are_the_same_ones_with_and_without_a_name(made, tmp_path):  # noqa: F811

@@ -12,7 +12,7 @@ from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import groups, products, smooth
 from ocp.diagnose.engine.system import Fold, HeldOut
-from ocp.diagnose.engine.visible import Rival, needed
+from ocp.diagnose.engine.visible import Rival, visible_lambda
 from ocp.diagnose.rules import SUSPECT
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.doubts import impostors, relieving
@@ -154,7 +154,7 @@ class Halves(LinearChannel):
         """The second half left out."""
         return [Fold("late", "time", np.arange(len(self.y)) >= len(self.y) // 2)]
 
-    def held_out(self, fold, active):
+    def fold_errors(self, fold, active):
         """Squares of one where nothing false is active, of nine where it is."""
         n = int(fold.held.sum())
         seen = [a for a in active if not self.blind(a.effect)]
@@ -187,7 +187,7 @@ def test_a_set_that_only_brings_the_registration_back_is_doubted(taken, doubted)
     d = diagnose_channels([made], known, Options(where=False, prior_effects=0.5))
     assert d.verdict == ("unexplained" if doubted else "explained")
     assert [a.effect.name for a in d.active] == ([] if doubted else ["true"])
-    assert any("registration" in why for why in d.unknown_because) == doubted
+    assert any("registration" in why for why in d.unknown_reasons) == doubted
     assert (d.ranking[0].probability < 0.3) == doubted and d.ranking[0].name == Name("true")
     assert sum(e.probability for e in d.explanations) + d.p_none + d.p_unknown == pytest.approx(1.0, abs=1e-3)
     # Where another channel sees the effect too its readings decide; an effect of the arm is itself why the arm is elsewhere.
@@ -213,7 +213,7 @@ def test_an_impostor_is_barred_and_what_is_true_is_found_instead():
     known = {"false": effect("false", (2.0,)), "true": effect("true", (2.0,))}
     made = Halves(y, np.ones((200, 1)), np.array([1.0]), columns)
     d = diagnose_channels([made], known, Options(where=False, prior_effects=0.5))
-    assert [n for n, _ in d.impostors] == [Name("false")] and "late" in d.unknown_because[0]
+    assert [n for n, _ in d.impostors] == [Name("false")] and "late" in d.unknown_reasons[0]
     assert [a.effect.name for a in d.active] == ["true"]
     assert d.p_unknown >= SUSPECT * (1 - d.p_none) * 0.99
     assert sum(e.probability for e in d.explanations) + d.p_none + d.p_unknown == pytest.approx(1.0, abs=1e-3)
@@ -222,14 +222,14 @@ def test_an_impostor_is_barred_and_what_is_true_is_found_instead():
 def test_an_effect_of_the_told_size_is_named_nine_times_of_ten():
     rng = np.random.default_rng(5)
     energy, sizes, odds = 4.0e4, size_grid(0.05), np.log(0.3 / 20)
-    told = needed(energy, 2, sizes, odds, 40)
+    told = visible_lambda(energy, 2, sizes, odds, 40)
     gains = rng.noncentral_chisquare(2, told, 4000)
     spread = sizes[:, None] ** 2 * energy
     log = np.logaddexp.reduce(-np.log1p(spread) + 0.5 * gains * spread / (1 + spread), axis=0) - np.log(len(sizes) * 40.0)
     assert np.mean(log + odds > 0) == pytest.approx(0.9, abs=0.02)
-    assert told > ncx2.mean(2, 0) and needed(energy, 2, sizes, odds, 400) > told
+    assert told > ncx2.mean(2, 0) and visible_lambda(energy, 2, sizes, odds, 400) > told
     background = Rival(np.full(4, 0.01), np.log(0.04), 0, 40)
-    assert needed(energy, 2, sizes, odds, 40, rival=background) > told
+    assert visible_lambda(energy, 2, sizes, odds, 40, rival=background) > told
 
 
 def test_a_dropped_file_is_screened_named_planned_and_listed(tmp_path, monkeypatch):

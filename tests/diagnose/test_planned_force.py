@@ -12,15 +12,15 @@ from ocp.calibrate.force.noise import Noise
 from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.projection import project
-from ocp.diagnose.engine.visible import Rival, needed
+from ocp.diagnose.engine.visible import Rival, visible_lambda
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import solve
 from ocp.diagnose.force.planned import Shared, averaged, foreseen_force, planned_force_channel
-from ocp.diagnose.foresee.design import design_text, energy_of, seen_by, smallest
+from ocp.diagnose.foresee.design import design_text, energy_of, smallest_visible, visible_in
 from ocp.diagnose.foresee.next_experiment import next_experiments
-from ocp.diagnose.foresee.planned_grinding import grindings, more_grinding, tracker_beside, unseen, usual
+from ocp.diagnose.foresee.planned_grinding import grindings, more_grinding, tracker_beside, unseen, usual_recordings
 from ocp.diagnose.foresee.planned_tracker import arm_expected, default_poses, planned_channel
-from ocp.diagnose.foresee.separation import Pair, unlike
+from ocp.diagnose.foresee.separation import RivalPair, unlike
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
@@ -75,7 +75,7 @@ def sizes(channel: ForceChannel, names: tuple[str, ...]) -> np.ndarray:
     found = []
     for name in names:
         effect = EFFECTS[name]
-        found.append(smallest(channel, effect, 0, {0: energy_of(channel, free, effect, 0)}, 40))
+        found.append(smallest_visible(channel, effect, 0, {0: energy_of(channel, free, effect, 0)}, 40))
     return np.array(found)
 
 
@@ -129,17 +129,17 @@ def test_an_effect_above_the_size_told_is_named_and_one_below_is_not(made, plan,
 def test_a_rival_pays_for_what_the_readings_show_of_it():
     rival = Rival(np.array([0.005, 0.01]), np.log(0.09), 5, 1)
     alone, felt, hidden = (
-        needed(1e5, 1, size_grid(0.03), np.log(1e-3), 1, 1, *more)
+        visible_lambda(1e5, 1, size_grid(0.03), np.log(1e-3), 1, 1, *more)
         for more in ((None,), (rival,), (rival, np.zeros(5)))
     )  # fmt: skip
     assert 15 < alone < 60 and alone <= felt < 0.8 * hidden
-    assert needed(1e5, 1, size_grid(0.03), np.log(1e-3), 1, 1, rival, np.full(5, 1e5)) == felt
+    assert visible_lambda(1e5, 1, size_grid(0.03), np.log(1e-3), 1, 1, rival, np.full(5, 1e5)) == felt
 
 
 def test_a_plan_without_clock_or_shear_is_blind_to_what_needs_them(made, plan):
     log = replace(as_planned(made), clock=None, ft=None)
     known = [EFFECTS[n] for n in ("sensor_drift", "tangential_force", "wheel_runout", "tracker_scale")]
-    lines = {line.effect.name: line for line in seen_by(planned_of(made, log, tuple(known)), known)}
+    lines = {line.effect.name: line for line in visible_in(planned_of(made, log, tuple(known)), known)}
     assert "clock_s" in lines["sensor_drift"].blind and "tracker_scale" not in lines
     assert lines["tangential_force"].smallest > 1.1 * sizes(plan, ("tangential_force",))[0]
 
@@ -181,7 +181,7 @@ WEAR = ranked("wheel_wear", [5e-8])
 
 
 def test_recordings_share_the_nuisance_and_nothing_else(made):
-    channel, pair = made.channel, Pair(WEAR, EFFECTS["sensor_drift"], 0, 0.5)
+    channel, pair = made.channel, RivalPair(WEAR, EFFECTS["sensor_drift"], 0, 0.5)
     log, rows = channel.log, channel.problem.scene.rows
     halves = [log.run <= 4, log.run > 4]
     effects = (EFFECTS["wheel_wear"], EFFECTS["sensor_drift"])
@@ -196,7 +196,7 @@ def test_recordings_share_the_nuisance_and_nothing_else(made):
 
 def test_more_grinding_never_tells_less(made):
     for rival in (None, EFFECTS["sensor_drift"], EFFECTS["wheel_runout"]):
-        pair = Pair(WEAR, rival, 0, 0.5)
+        pair = RivalPair(WEAR, rival, 0, 0.5)
         own, planned = more_grinding(made.channel, [pair])
         now = unlike([own], pair)
         assert len(planned) >= 9 and now > 0
@@ -229,7 +229,7 @@ def test_recordings_come_after_the_log_as_they_are_described(made):
     assert np.all(found["belt reversed"].rows.belt == -1) and np.all(found["hold"].rows.belt == 0)
     ladder = found["force ladder"]
     assert np.array_equal(ladder.rows.setpoint, ladder.log.setpoint) and len(np.unique(ladder.log.setpoint)) >= 3
-    turned, own = found["other direction"], usual(channel)[0]
+    turned, own = found["other direction"], usual_recordings(channel)[0]
     assert np.array_equal(turned.log.q[: len(own.rows)], old.q[own.rows][::-1])
 
 
@@ -251,7 +251,7 @@ def test_an_air_run_tells_a_drifting_sensor_and_a_pause_a_warm_wheel(made):
     assert worth == sorted(worth, reverse=True)
     gained = {}
     for rival in ("sensor_drift", "wheel_temperature"):
-        pair = Pair(WEAR, EFFECTS[rival], 0, 0.5)
+        pair = RivalPair(WEAR, EFFECTS[rival], 0, 0.5)
         own, planned = more_grinding(made.channel, [pair])
         gained[rival] = {g.do.split(":")[0]: unlike([own, there], pair) - unlike([own], pair) for g, there in planned}
     drift, heat = gained["sensor_drift"], gained["wheel_temperature"]

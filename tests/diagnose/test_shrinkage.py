@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.problem import make_problem
+from ocp.diagnose.engine.problem import linearised
 from ocp.diagnose.engine.system import Fold, HeldOut, Sealed
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.predictions import averaged
@@ -149,7 +149,7 @@ def test_a_payload_that_may_be_all_payloads_is_not_staked_on_one():
 def test_what_the_nuisance_leaves_of_a_signature():
     c = channel(world(5)[0])
     library = {n: LIBRARY[n] for n in ("encoder_scale", "backlash")}
-    left = {s.name: s.left for s in screened(make_problem([c], library, Options()))}
+    left = {s.name: s.left for s in screened(linearised([c], library, Options()))}
     s = c.system
     known = np.isfinite(s.prior_sd)
     A = s.nuisance * np.where(known, s.prior_sd, 1e6 / np.maximum(np.linalg.norm(s.nuisance, axis=0), 1e-12))

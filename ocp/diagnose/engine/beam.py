@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.diagnose.engine.pool import Given, Member, Pool, Scan, given, scan, scan_one
+from ocp.diagnose.engine.pool import CandidatePool, Given, Member, Scan, given, scan, scan_one
 from ocp.diagnose.rules import (
     BACKGROUND_GAIN,
     EXACT_PAIRS,
@@ -33,7 +33,7 @@ class Weighed:
 NOTHING = Weighed(0.0, ())
 
 
-def weigh(pool: Pool, families: Sequence[int], near: Sequence[Member] = ()) -> Weighed:
+def weigh(pool: CandidatePool, families: Sequence[int], near: Sequence[Member] = ()) -> Weighed:
     """Exact weight of a set: joint evidence at the best variants and sizes, each then averaged over its own variants and
     sizes with the others held."""
     known = {m.family: m for m in near}
@@ -54,7 +54,7 @@ def weigh(pool: Pool, families: Sequence[int], near: Sequence[Member] = ()) -> W
     return Weighed(float(total), tuple(members))
 
 
-def _best(pool: Pool, there: Given, family: int) -> tuple[Member, float]:
+def _best(pool: CandidatePool, there: Given, family: int) -> tuple[Member, float]:
     """Best variant and size of a family over what is there; mean log evidence of all."""
     every, sizes = scan_one(pool, there, family)
     v, t = np.unravel_index(int(np.argmax(every)), every.shape)
@@ -63,11 +63,11 @@ def _best(pool: Pool, there: Given, family: int) -> tuple[Member, float]:
 
 
 class Search:
-    """Sets weighed at one linearisation. `seen` by the families in them; the empty set weighs 0."""
+    """Sets weighed at one linearisation. `sets` by the families in them; the empty set weighs 0."""
 
-    def __init__(self, pool: Pool, most: int, beam: int) -> None:
+    def __init__(self, pool: CandidatePool, most: int, beam: int) -> None:
         self.pool, self.most, self.beam = pool, most, beam
-        self.seen: dict[Key, Weighed] = {frozenset(): NOTHING}
+        self.sets: dict[Key, Weighed] = {frozenset(): NOTHING}
         self._scans: dict[Key, Scan] = {}
         self.odds = np.array([f.log_odds for f in pool.families])
         self.kernel = np.array([f.effect is None and not f.background for f in pool.families])
@@ -97,13 +97,13 @@ class Search:
 
     def best(self) -> list[Key]:
         """The beam: best sets by weight."""
-        order = sorted(self.seen, key=lambda k: -self.seen[k].log)[: self.beam]
-        return [k for k in order if self.seen[k].log > self.seen[order[0]].log - GROWN_WITHIN]
+        order = sorted(self.sets, key=lambda k: -self.sets[k].log)[: self.beam]
+        return [k for k in order if self.sets[k].log > self.sets[order[0]].log - GROWN_WITHIN]
 
     def _named(self) -> list[Key]:
         """The best sets of names alone."""
-        known = [k for k in self.seen if not self.kernel[list(k)].any()]
-        return sorted(known, key=lambda k: -self.seen[k].log)[:GROWN_NAMES]
+        known = [k for k in self.sets if not self.kernel[list(k)].any()]
+        return sorted(known, key=lambda k: -self.sets[k].log)[:GROWN_NAMES]
 
     def scan(self, there: Weighed) -> Scan:
         """Every family over a set."""
@@ -116,9 +116,9 @@ class Search:
         """Weigh a set unless it was, or has two kernels, or too many members."""
         families = sorted(key)
         lines = int(self.background[families].sum())
-        if key in self.seen or len(key) - lines > self.most or lines > MOST_BACKGROUND or self.kernel[families].sum() > 1:
+        if key in self.sets or len(key) - lines > self.most or lines > MOST_BACKGROUND or self.kernel[families].sum() > 1:
             return
-        self.seen[key] = weigh(self.pool, families, near)
+        self.sets[key] = weigh(self.pool, families, near)
 
     def _pairs(self, first: Scan, gain: Array) -> None:
         """All pairs whose first member is among the most telling: weighed roughly, then the best exactly."""
@@ -139,15 +139,15 @@ class Search:
 
     def _around(self, key: Key) -> None:
         """Add a family, drop one, put another in a member's place."""
-        here = self.seen[key]
+        here = self.sets[key]
         for f in self._promising(here, key):
             self.add(key | {f}, here.members)
         for out in key:
             rest = key - {out}
             near = tuple(m for m in here.members if m.family != out)
             self.add(rest, near)
-            if rest in self.seen:
-                for f in self._promising(self.seen[rest], rest):
+            if rest in self.sets:
+                for f in self._promising(self.sets[rest], rest):
                     self.add(rest | {f}, near)
 
     def _promising(self, there: Weighed, key: Key) -> list[int]:

@@ -78,7 +78,7 @@ def _half(
     return np.asarray(np.where(positive[rows][:, None, :], each, 0.0).sum(axis=2))
 
 
-def posterior(C: Array, y: Array, prior_sd: Array) -> tuple[Array, Array]:
+def coefficients_given(C: Array, y: Array, prior_sd: Array) -> tuple[Array, Array]:
     """Mean (m,) and covariance (m, m) of coefficients with prior sd (m,), of columns C (N, m) with unit noise; by SVD."""
     U, s, Vt = np.linalg.svd(C * prior_sd, full_matrices=False)
     V = prior_sd[:, None] * Vt.T

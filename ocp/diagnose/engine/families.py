@@ -70,16 +70,16 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options)
     for c in found:
         n, count, m = c.columns.shape
         projected = stack.apply(c.columns.reshape(n, -1)).reshape(n, count, m)
-        seen = ((projected * np.asarray(c.effect.prior_sd)) ** 2).sum(axis=0).max(axis=1) > SEEN_LAMBDA
-        if not seen.any():
+        visible = ((projected * np.asarray(c.effect.prior_sd)) ** 2).sum(axis=0).max(axis=1) > SEEN_LAMBDA
+        if not visible.any():
             continue
-        kept = tuple(s for s, k in zip(c.scans, seen, strict=True) if k)
+        scans = tuple(s for s, k in zip(c.scans, visible, strict=True) if k)
         odds = log_odds(c.effect, kinds, options) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
-        family = family_of(c.effect, c.joint, kept, projected if seen.all() else projected[:, seen], odds)
+        family = family_of(c.effect, c.joint, scans, projected if visible.all() else projected[:, visible], odds)
         family = replace(family, among=c.among)
         families.append(family)
-        if has_twin(c.effect, c.joint, kept):
-            small = np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(c.effect, kept))
+        if has_twin(c.effect, c.joint, scans):
+            small = np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(c.effect, scans))
             twin, odds = Name(f"~{c.effect.name}", c.joint), float(np.log(RIPPLE_ODDS))
             families.append(replace(family, name=twin, effect=None, sizes=small, log_odds=odds, background=True))
     return families + play(found, stack)

@@ -1,6 +1,6 @@
 """What the diagnosis finds: names with probabilities, where the gap lies, what cannot be told apart.
 
-`ocp.diagnose.engine.search.diagnose(channels, library, options) -> Diagnosis` makes it.
+`ocp.diagnose.verdict.diagnosis.diagnose_channels(channels, library, options) -> Diagnosis` makes it.
 """
 
 from dataclasses import dataclass, field
@@ -153,7 +153,7 @@ class Diagnosis:
     explanations by probability; these, p_none and p_unknown sum to 1. ranking by marginal probability. active: the accepted
     effects with values and covariance (of the best explanation; empty for none). classes: names that these data cannot tell
     apart. kernels, spectrum: of the baseline's gap; left_over: kernel tests after the accepted effects. impostors: accepted
-    terms that hurt where the data are extrapolated, with the fold that says so. unknown_because: what speaks for an effect
+    terms that hurt where the data are extrapolated, with the fold that says so. unknown_reasons: what speaks for an effect
     outside the catalogue. baseline, channels: before and after the accepted effects. held_out: by channel name. alternatives:
     what predictions average over, `active` first; empty: `active` alone.
     """
@@ -171,7 +171,7 @@ class Diagnosis:
     spectrum: tuple[SpectrumPeak, ...]
     screened: tuple[Screened, ...]
     impostors: tuple[tuple[Name, str], ...]
-    unknown_because: tuple[str, ...]
+    unknown_reasons: tuple[str, ...]
     blind: tuple[str, ...]
     baseline: tuple[Channel, ...]
     channels: tuple[Channel, ...]

@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp.diagnose.engine.beam import Search, Weighed, weigh
 from ocp.diagnose.engine.findings import Options
-from ocp.diagnose.engine.problem import Problem, make_problem
+from ocp.diagnose.engine.problem import Linearisation, linearised
 from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.rules import DOUBTED_WEIGHT, OUTLIERS_OF_ONE_CAUSE, RECHECKED
 from ocp.effects.effect import Active, Effect
@@ -28,11 +28,13 @@ class Openable(Protocol):
         """The channel about the same fit with no reading set aside."""
 
 
-def freed(problem: Problem, held: tuple[Active, ...], library: Mapping[str, Effect], options: Options) -> list[Channel] | None:
+def outliers_rechecked(
+    problem: Linearisation, held: tuple[Active, ...], library: Mapping[str, Effect], options: Options
+) -> list[Channel] | None:
     """The channels fitted with one effect more than is held, where that takes gross readings back; else None."""
     if _gross(problem.channels) < OUTLIERS_OF_ONE_CAUSE:
         return None
-    whole = make_problem([c.opened() if isinstance(c, Openable) else c for c in problem.channels], library, options)
+    whole = linearised([c.opened() if isinstance(c, Openable) else c for c in problem.channels], library, options)
     search = Search(whole.pool, options.most, options.beam)
     names = {a.key for a in held}
     key = [i for n, i in whole.index.items() if (n.effect, n.joint) in names]

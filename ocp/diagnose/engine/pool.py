@@ -64,7 +64,7 @@ class _Group:
 
 
 @dataclass(frozen=True)
-class Pool:
+class CandidatePool:
     """y (N,) white under no effect, freedom of it, families and their groups. `crossed`: products of members' columns with all
     others, kept because the same few members stand in most sets."""
 
@@ -133,7 +133,7 @@ class Scan:
     size: Array
 
 
-def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> Pool:
+def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> CandidatePool:
     """Pool of families whose columns are projected already."""
     groups: list[_Group] = []
     place = [(-1, -1)] * len(families)
@@ -148,7 +148,7 @@ def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> Pool:
         positive = np.repeat([families[i].positive for i in chosen], counts, axis=0)
         inner = (y @ X.reshape(len(y), -1)).reshape(-1, m)
         groups.append(_Group(m, X, _squares(X), inner, sizes, positive, starts, np.array(chosen)))
-    return Pool(y, freedom, tuple(families), tuple(groups), tuple(place))
+    return CandidatePool(y, freedom, tuple(families), tuple(groups), tuple(place))
 
 
 def _squares(X: Array) -> Array:
@@ -165,7 +165,7 @@ def _squares(X: Array) -> Array:
     return G
 
 
-def given(pool: Pool, members: Sequence[Member]) -> Given:
+def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
     """Joint evidence of members at their sizes."""
     left = float(pool.y @ pool.y)
     if not members:
@@ -181,7 +181,7 @@ def given(pool: Pool, members: Sequence[Member]) -> Given:
     return Given(tuple(members), C, turn, inner, after, float(log))
 
 
-def scan(pool: Pool, there: Given) -> Scan:
+def scan(pool: CandidatePool, there: Given) -> Scan:
     """Evidence of every family over what is given."""
     count = len(pool.families)
     log = np.full(count, -np.inf)
@@ -197,7 +197,7 @@ def scan(pool: Pool, there: Given) -> Scan:
     return Scan(log, variant, size)
 
 
-def scan_one(pool: Pool, there: Given, family: int) -> tuple[Array, Array]:
+def scan_one(pool: CandidatePool, there: Given, family: int) -> tuple[Array, Array]:
     """Log evidence (V, T) of one family's variants over what is given, and its sizes (T,)."""
     k, start = pool.place[family]
     g, count = pool.groups[k], pool.families[family].columns.shape[1]

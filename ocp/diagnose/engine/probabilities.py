@@ -6,7 +6,7 @@ import numpy as np
 
 from ocp.diagnose.engine.beam import Key, Search
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.engine.problem import Linearisation
 from ocp.diagnose.rules import NAME_BESIDE_UNKNOWN, SURE_BESIDE_UNKNOWN
 
 Names = tuple[Name, ...]
@@ -29,10 +29,10 @@ class Posterior:
     best: dict[Names, Key]
 
 
-def posterior(problem: Problem, search: Search) -> Posterior:
+def posterior(problem: Linearisation, search: Search) -> Posterior:
     """Background lines are summed over: they explain without being named."""
-    keys = list(search.seen)
-    log = np.array([search.seen[k].log for k in keys])
+    keys = list(search.sets)
+    log = np.array([search.sets[k].log for k in keys])
     share = np.exp(log - log.max())
     share /= share.sum()
     families = problem.pool.families
@@ -66,9 +66,9 @@ def posterior(problem: Problem, search: Search) -> Posterior:
     return Posterior(probability, weight, p_none, p_unknown, where, marginal, gain, best)
 
 
-def _without(name: Name, problem: Problem, search: Search) -> float:
+def _without(name: Name, problem: Linearisation, search: Search) -> float:
     """Best log weight of the sets that lack a name, and what may stand for it in the background."""
     families = problem.pool.families
     rivals = {problem.index[name]}
     rivals |= {i for i, f in enumerate(families) if f.background and f.name.joint in (0, name.joint)}
-    return max((s.log for key, s in search.seen.items() if not key & rivals), default=0.0)
+    return max((s.log for key, s in search.sets.items() if not key & rivals), default=0.0)

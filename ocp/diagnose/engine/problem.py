@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp.diagnose.engine.beam import Key, Weighed
-from ocp.diagnose.engine.evidence import posterior, size_grid
+from ocp.diagnose.engine.evidence import coefficients_given, size_grid
 from ocp.diagnose.engine.families import candidates, library_families, put_back
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
-from ocp.diagnose.engine.pool import Family, Given, Member, Pool, given, make_pool
+from ocp.diagnose.engine.pool import CandidatePool, Family, Given, Member, given, make_pool
 from ocp.diagnose.engine.projection import Stack, stack
 from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.rules import BROKEN_ORDER_ODDS
@@ -19,12 +19,12 @@ from robots.pose import Array
 
 
 @dataclass(frozen=True)
-class Problem:
+class Linearisation:
     """Channels about their current fits, their stack and the pool of candidates (y about zero effects)."""
 
     channels: tuple[Channel, ...]
     stack: Stack
-    pool: Pool
+    pool: CandidatePool
 
     @property
     def index(self) -> dict[Name, int]:
@@ -46,7 +46,7 @@ class Problem:
         if not members:
             return ()
         C = np.hstack([self.pool.columns(m) for m in members])
-        mean, covariance = posterior(C, self.pool.y, np.ones(C.shape[1]))
+        mean, covariance = coefficients_given(C, self.pool.y, np.ones(C.shape[1]))
         found, start = [], 0
         for m in members:
             family = self.pool.families[m.family]
@@ -63,14 +63,14 @@ class Problem:
         return given(self.pool, [Member(m.family, m.variant, 1.0) for m in weighed.members])
 
 
-def make_problem(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options) -> Problem:
+def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options) -> Linearisation:
     """Linearise about the channels' current fits."""
     back = np.concatenate([put_back([c], c.active) for c in channels])
     found = candidates(channels, library, options)
     stacked = stack(tuple(channels), back)
     families = library_families(found, stacked, options)
     families += kernel_families(channels, stacked, options)
-    return Problem(tuple(channels), stacked, make_pool(stacked.y, stacked.freedom, families))
+    return Linearisation(tuple(channels), stacked, make_pool(stacked.y, stacked.freedom, families))
 
 
 def kernel_families(channels: Sequence[Channel], stacked: Stack, options: Options) -> list[Family]:

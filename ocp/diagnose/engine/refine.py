@@ -12,7 +12,7 @@ from ocp.diagnose.engine.beam import Weighed
 from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.families import stacked_columns
 from ocp.diagnose.engine.pool import Given, Member, given
-from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.engine.problem import Linearisation
 from ocp.diagnose.rules import SHARPER_GAIN
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
@@ -21,7 +21,7 @@ HALVINGS = 4
 FIXED = ("order", "source_joint")  # whole numbers
 
 
-def refined(problem: Problem, weighed: Weighed, active: Sequence[Active]) -> tuple[Active, ...]:
+def refined(problem: Linearisation, weighed: Weighed, active: Sequence[Active]) -> tuple[Active, ...]:
     """The active effects of a set with scanned numbers moved to where the evidence is highest."""
     found = []
     for one in active:
@@ -30,7 +30,7 @@ def refined(problem: Problem, weighed: Weighed, active: Sequence[Active]) -> tup
     return tuple(found)
 
 
-def _sharper(problem: Problem, weighed: Weighed, one: Active, keys: Sequence[str]) -> Active:
+def _sharper(problem: Linearisation, weighed: Weighed, one: Active, keys: Sequence[str]) -> Active:
     index = problem.index
     family = next(f for n, f in index.items() if (n.effect, n.joint) == one.key)
     others = given(problem.pool, [Member(m.family, m.variant, 1.0) for m in weighed.members if m.family != family])
@@ -58,7 +58,7 @@ def _spacing(values: Sequence[float]) -> float:
     return 0.5 * float(np.median(np.diff(distinct))) if len(distinct) > 1 else 0.0
 
 
-def _evidence(problem: Problem, others: Given, effect: Effect, joint: int, scans: Sequence[Scanned]) -> tuple[Array, Array]:
+def _evidence(problem: Linearisation, others: Given, effect: Effect, joint: int, scans: Sequence[Scanned]) -> tuple[Array, Array]:
     """Log evidence (V,) at the prior's upper end and coefficients (V, m) of variants over the rest of the set."""
     columns, _ = stacked_columns(problem.channels, effect, joint, scans)
     n, V, m = columns.shape

@@ -17,8 +17,8 @@ import numpy as np
 
 from ocp.diagnose.engine.beam import Key, Search, Weighed, weigh
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.outliers import freed
-from ocp.diagnose.engine.problem import Problem, make_problem
+from ocp.diagnose.engine.outliers import outliers_rechecked
+from ocp.diagnose.engine.problem import Linearisation, linearised
 from ocp.diagnose.engine.refine import refined
 from ocp.diagnose.engine.system import Channel, kinds
 from ocp.diagnose.rules import (
@@ -32,22 +32,22 @@ from robots.errors import Infeasible
 
 
 @dataclass
-class NoRest:
-    """Sets of names that were fitted in vain, how often each name was new in one, and names that were in a fit that rests."""
+class Diverged:
+    """Sets of names whose fit diverged, how often each name was new in one, and names that were in a fit that converged."""
 
     sets: set[frozenset[Name]] = field(default_factory=set)
     count: Counter[Name] = field(default_factory=Counter)
     fitted: set[Name] = field(default_factory=set)
 
     def add(self, names: Iterable[Name]) -> None:
-        """A set that was fitted in vain."""
+        """A set whose fit diverged."""
         found = frozenset(names)
         if found:  # without effects a channel is the one that was fitted
             self.sets.add(found)
             self.count.update(found - self.fitted)
 
-    def rests(self, names: Iterable[Name]) -> None:
-        """A set whose fit comes to rest: what holds its names may fail for others' sake."""
+    def converged(self, names: Iterable[Name]) -> None:
+        """A set whose fit converged: what holds its names may fail for others' sake."""
         found = frozenset(names)
         self.sets.discard(found)
         self.fitted |= found
@@ -56,21 +56,23 @@ class NoRest:
         """Names that are given up."""
         return sorted(n for n, k in self.count.items() if k >= FAILED_FITS and n not in self.fitted)
 
-    def strike(self, search: Search, problem: Problem) -> None:
-        """Take the sets out of a search that were fitted in vain, or hold a name that is given up."""
+    def strike(self, search: Search, problem: Linearisation) -> None:
+        """Take the sets out of a search whose fit diverged, or that hold a name that is given up."""
         index = problem.index
         gone = {index[n] for n in self.names() if n in index}
-        vain = [{index[n] for n in names} for names in self.sets if all(n in index for n in names)]
+        failed = [{index[n] for n in names} for names in self.sets if all(n in index for n in names)]
         kernel = search.kernel | search.background
-        for key in list(search.seen):
-            if gone & key or {f for f in key if not kernel[f]} in vain:
-                del search.seen[key]
+        for key in list(search.sets):
+            if gone & key or {f for f in key if not kernel[f]} in failed:
+                del search.sets[key]
 
 
-def settle(first: Problem, library: Mapping[str, Effect], options: Options, vain: NoRest | None = None) -> tuple[Problem, Search]:
-    """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active; vain: what was
-    fitted in vain, and will be."""
-    problem, vain = first, NoRest() if vain is None else vain
+def settle(
+    first: Linearisation, library: Mapping[str, Effect], options: Options, diverged: Diverged | None = None
+) -> tuple[Linearisation, Search]:
+    """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active; diverged: fits
+    that did so far, and what this search adds."""
+    problem, diverged = first, Diverged() if diverged is None else diverged
     seeds: list[tuple[Name, ...]] = []
     tried: set[tuple[object, ...]] = set()
     freeing = True
@@ -79,15 +81,15 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options, vain
         index = problem.index
         search.run([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
         held = problem.channels[0].active if len(problem.channels) == 1 else _all_active(problem.channels)
-        without_products(first, problem, search, held)
-        vain.rests(Name(*a.key) for a in held)
-        vain.strike(search, problem)
+        reweighted(first, problem, search, held)
+        diverged.converged(Name(*a.key) for a in held)
+        diverged.strike(search, problem)
         channels: list[Channel] | None = None
         while channels is None:
-            best = choose(search, len(held) + 1)
+            best = next_set(search, len(held) + 1)
             chosen = refined(problem, best, problem.values(best))
             if kinds(chosen) in tried | {kinds(held)}:
-                channels = freed(problem, held, library, options) if freeing else None
+                channels = outliers_rechecked(problem, held, library, options) if freeing else None
                 if channels is None:
                     return problem, search
                 freeing = kinds(_all_active(channels)) not in tried  # a set that was tried is not tried for ever
@@ -97,30 +99,30 @@ def settle(first: Problem, library: Mapping[str, Effect], options: Options, vain
             try:
                 channels = [c.with_active(chosen) for c in problem.channels]
             except Infeasible:
-                vain.add(Name(*a.key) for a in chosen)
-                vain.strike(search, problem)
+                diverged.add(Name(*a.key) for a in chosen)
+                diverged.strike(search, problem)
         seeds = [problem.names(k) for k in search.best()]
-        problem = make_problem(channels, library, options)
+        problem = linearised(channels, library, options)
 
 
-def choose(search: Search, limit: int) -> Weighed:
+def next_set(search: Search, limit: int) -> Weighed:
     """The best set of at most `limit` names, or the best of all where none so small beats having none.
 
     A name that is nearly as good as a kernel is taken first: once it is fitted the noise level no longer holds it, and both
     compete again. Beside a kernel, too, at most `limit` names are taken at once.
     """
-    names = {k: np.count_nonzero(~search.kernel[list(k)] & ~search.background[list(k)]) for k in search.seen}
-    known = [k for k in search.seen if not search.kernel[list(k)].any()]
+    names = {k: np.count_nonzero(~search.kernel[list(k)] & ~search.background[list(k)]) for k in search.sets}
+    known = [k for k in search.sets if not search.kernel[list(k)].any()]
     best = _best(search, [k for k in known if names[k] <= limit])
     if not names[best]:
         best = _best(search, known)
-    overall = _best(search, [k for k in search.seen if names[k] <= limit])
-    nearly = search.seen[_best(search, known)].log > search.seen[overall].log - KERNEL_BENEFIT
-    return search.seen[best if nearly else overall]
+    overall = _best(search, [k for k in search.sets if names[k] <= limit])
+    nearly = search.sets[_best(search, known)].log > search.sets[overall].log - KERNEL_BENEFIT
+    return search.sets[best if nearly else overall]
 
 
 def _best(search: Search, keys: Iterable[Key]) -> Key:
-    return max(keys, key=lambda k: search.seen[k].log)
+    return max(keys, key=lambda k: search.sets[k].log)
 
 
 def _all_active(channels: Sequence[Channel]) -> tuple[Active, ...]:
@@ -129,27 +131,27 @@ def _all_active(channels: Sequence[Channel]) -> tuple[Active, ...]:
     return tuple(found.values())
 
 
-def without_products(first: Problem, problem: Problem, search: Search, held: tuple[Active, ...]) -> None:
-    """Lower the weight of sets in `search.seen` that look good for a product's sake alone; first: nothing active."""
+def reweighted(first: Linearisation, problem: Linearisation, search: Search, held: tuple[Active, ...]) -> None:
+    """Lower the weight of sets in `search.sets` that look good for a product's sake alone; first: nothing active."""
     if problem is first or not held:
         return
     index = problem.index
     active = {i for n, i in index.items() if any((n.effect, n.joint) == a.key for a in held)}
-    whole = [k for k in search.seen if active <= k]
+    whole = [k for k in search.sets if active <= k]
     if not active or not whole:
         return
-    best = max(whole, key=lambda k: search.seen[k].log)
+    best = max(whole, key=lambda k: search.sets[k].log)
     there = _at(first, problem, best)
-    top = max(w.log for w in search.seen.values())
-    for key, weighed in list(search.seen.items()):
+    top = max(w.log for w in search.sets.values())
+    for key, weighed in list(search.sets.items()):
         if active <= key or not key or weighed.log < top - REWEIGHTED_WITHIN:
             continue
-        most = search.seen[best].log + _at(first, problem, key) - there + REWEIGHTED_ROOM
+        most = search.sets[best].log + _at(first, problem, key) - there + REWEIGHTED_ROOM
         if most < weighed.log:
-            search.seen[key] = replace(weighed, log=most)
+            search.sets[key] = replace(weighed, log=most)
 
 
-def _at(first: Problem, problem: Problem, key: Key) -> float:
+def _at(first: Linearisation, problem: Linearisation, key: Key) -> float:
     """Log weight of the same names at the first linearisation. What was no candidate there could not be seen: it adds nothing."""
     families, index = problem.pool.families, first.index
     known = [index[families[f].name] for f in sorted(key) if families[f].name in index]

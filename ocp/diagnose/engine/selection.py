@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.families import Candidate, candidates, positive_of, put_back
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.problem import Problem, make_problem
+from ocp.diagnose.engine.problem import Linearisation, linearised
 from ocp.diagnose.engine.system import Channel, Fold, System
 from ocp.diagnose.rules import (
     HELD_OUT_GAIN,
@@ -66,7 +66,7 @@ class Refused:
 
 
 @dataclass(frozen=True)
-class Earned:
+class SelectedEffects:
     """Accepted effects in order; refused ones that gained more than the ones accepted in their round and never were."""
 
     steps: tuple[Step, ...]
@@ -95,7 +95,7 @@ class _Part:
     held: Array
 
 
-def earned(system: System, candidates: Sequence[Candidate], folds: Sequence[Fold], most: int = 8) -> Earned:
+def select_on_held_out(system: System, candidates: Sequence[Candidate], folds: Sequence[Fold], most: int = 8) -> SelectedEffects:
     """Effects that hold in left-out conditions, at most `most`. system: about the believed cell's fit without effects;
     candidates: their whitened columns about the same fit; folds of kind "random" do not count."""
     apart = [f for f in folds if f.kind != "random"]
@@ -108,12 +108,12 @@ def earned(system: System, candidates: Sequence[Candidate], folds: Sequence[Fold
         short = _shortlist(system, pool, candidates, chosen)
         choices = _choices(short, most - len(chosen))
         ratios = [_ratios(system, apart, [*chosen, *choice], believed) for choice in choices]
-        told = [float(np.mean(np.log(r))) for r in ratios]
+        errors = [float(np.mean(np.log(r))) for r in ratios]
         bar = scores[-1] if scores else 0.0
         price = [WRONG_SIGN_GAIN * sum(e.turned for e in choice) for choice in choices]
         wanted = [bar - HELD_OUT_GAIN * len(choice) - p for choice, p in zip(choices, price, strict=True)]
-        fine = [k for k, r in enumerate(ratios) if r.max() < HELD_OUT_WORSE and told[k] < wanted[k]]
-        best = min(fine, key=lambda k: told[k] + price[k], default=-1)
+        fine = [k for k, r in enumerate(ratios) if r.max() < HELD_OUT_WORSE and errors[k] < wanted[k]]
+        best = min(fine, key=lambda k: errors[k] + price[k], default=-1)
         gain = max(e.gain for e in choices[best]) if fine else 0.0
         for entry, r in zip(short, ratios, strict=False):  # singles come first among the choices
             if entry.gain > gain and r.max() >= HELD_OUT_WORSE:
@@ -121,10 +121,10 @@ def earned(system: System, candidates: Sequence[Candidate], folds: Sequence[Fold
         if not fine:
             break
         chosen += choices[best]
-        scores += [told[best]] * len(choices[best])
+        scores += [errors[best]] * len(choices[best])
     values = _values(system, chosen)
     steps = [Step(e.name, e.scanned, a, s) for e, a, s in zip(chosen, values, scores, strict=True)]
-    return Earned(tuple(steps), tuple(r for n, r in refused.items() if n not in {e.name for e in chosen}))
+    return SelectedEffects(tuple(steps), tuple(r for n, r in refused.items() if n not in {e.name for e in chosen}))
 
 
 def _choices(short: Sequence[Entry], room: int) -> list[list[Entry]]:
@@ -241,52 +241,52 @@ class Restless(Protocol):
 
 
 @dataclass(frozen=True)
-class Earning:
-    """Linearisation about the names that were earned, their sets weighed, and what was refused with the fold that did."""
+class SelectedLinearisation:
+    """Linearisation about the selected names, their sets weighed, and what was refused with the fold that did."""
 
-    problem: Problem
+    problem: Linearisation
     search: Search
     refused: tuple[tuple[Name, str], ...]
 
 
-def restless(problem: Problem, search: Search) -> bool:
-    """Whether names must be earned: the only channel says that noise is far above the usual, even with all that the best set
-    of names and kernels explains."""
+def restless(problem: Linearisation, search: Search) -> bool:
+    """Whether names must be selected on held-out error: the only channel says that noise is far above the usual, even with all
+    that the best set of names and kernels explains."""
     channels = problem.channels
     if len(channels) != 1 or not isinstance(channels[0], Restless):
         return False
-    left = problem.taken(search.seen[search.best()[0]]).left
+    left = problem.taken(search.sets[search.best()[0]]).left
     return channels[0].restless(float(np.sqrt(left / problem.pool.freedom)))
 
 
-def earn(channel: Channel, library: Mapping[str, Effect], options: Options) -> Earning:
+def select_effects(channel: Channel, library: Mapping[str, Effect], options: Options) -> SelectedLinearisation:
     """Names of a channel fitted without effects, by held-out errors; refused ones are barred from the library.
 
     Twice: what is found first (springs, mostly) leaves the geometry, whose prior is as wide as what it had to follow, narrower.
     """
-    first = earned(channel.system, candidates([channel], library, options), channel.folds(), most=SELECTED_FIRST)
+    first = select_on_held_out(channel.system, candidates([channel], library, options), channel.folds(), most=SELECTED_FIRST)
     about = channel.with_active(_active(first, library))
     system = replace(about.system, residual=about.system.residual + put_back([about], about.active))
-    found = earned(system, candidates([about], library, options), channel.folds())
+    found = select_on_held_out(system, candidates([about], library, options), channel.folds())
     refused = tuple((r.name, r.fold) for r in found.refused)
     barred = replace(options, barred=(*options.barred, *(n for n, _ in refused)))
     active = _active(found, library)
-    problem = make_problem([channel.with_active(active)], library, barred)
+    problem = linearised([channel.with_active(active)], library, barred)
     search = Search(problem.pool, max(options.most, len(active)) + 1, options.beam)
     names = frozenset(problem.index[s.name] for s in found.steps)
     search.add(names)
     for family in names:  # what each is worth beside the others
         search.add(names - {family})
-    there = search.seen.get(names, NOTHING)
+    there = search.sets.get(names, NOTHING)
     gain = np.where(search.kernel, search.scan(there).log + search.odds, -np.inf)
     for k in np.argsort(-gain)[:KERNELS_BESIDE]:
         if np.isfinite(gain[k]):
             search.add(names | {int(k)}, there.members)
             for family in names:
                 search.add((names - {family}) | {int(k)}, there.members)
-    return Earning(problem, search, refused)
+    return SelectedLinearisation(problem, search, refused)
 
 
-def _active(found: Earned, library: Mapping[str, Effect]) -> tuple[Active, ...]:
-    """What was earned, to begin a fit from."""
+def _active(found: SelectedEffects, library: Mapping[str, Effect]) -> tuple[Active, ...]:
+    """What was select_on_held_out, to begin a fit from."""
     return tuple(Active(library[s.name.effect], s.name.joint, s.a, s.scanned, np.eye(len(s.a))) for s in found.steps)

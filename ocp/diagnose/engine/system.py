@@ -265,9 +265,9 @@ class Foreseen:
         return tuple(a.effect.name for a in self.unknown)
 
 
-def foreseen(active: Sequence[Active], told: Callable[[Effect], bool]) -> Foreseen:
+def foreseen(active: Sequence[Active], says: Callable[[Effect], bool]) -> Foreseen:
     """Effects parted by whether the conditions have what each needs (`told`)."""
-    inside = [told(a.effect) for a in active]
+    inside = [says(a.effect) for a in active]
     known, unknown = (tuple(a for a, k in zip(active, inside, strict=True) if k is wanted) for wanted in (True, False))
     kept = np.flatnonzero(np.repeat(inside, [a.effect.size for a in active])) if active else np.zeros(0, np.int64)
     return Foreseen(known, unknown, kept)

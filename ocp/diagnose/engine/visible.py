@@ -32,7 +32,7 @@ class Rival:
     variants: int
 
 
-def needed(
+def visible_lambda(
     energy: float,
     coefficients: int,
     sizes: Array,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.engine.system import Channel, HeldOut, scan_key
-from ocp.diagnose.foresee.planned_tracker import foreseen
+from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import placed
@@ -113,7 +113,7 @@ def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readin
     # Effects of the tracker and of the base act on where the reflector is: predicted, as nobody measured it.
     place = points(c.robot, new, c.instrument, accepted.fit.state)
     new = replace(new, point=place)
-    first = foreseen(accepted, new).fit
+    first = channel_about(accepted, new).fit
     J = np.concatenate([first.linear.J, first.extra], axis=2)
     there = [first.linear.point, *(_placed(m, new) for m in models[1:])]
     moved = np.stack(there) - _placed(before, new)

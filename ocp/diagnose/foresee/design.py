@@ -18,7 +18,7 @@ from ocp.diagnose.engine.families import log_odds, positive_of, ratio_of, rival_
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.projection import project
 from ocp.diagnose.engine.system import Channel
-from ocp.diagnose.engine.visible import needed
+from ocp.diagnose.engine.visible import visible_lambda
 from ocp.diagnose.foresee.planned_log import read_planned_log
 from ocp.diagnose.foresee.planned_tracker import arm_expected, default_poses, planned_channel
 from ocp.diagnose.rules import LEAST_READINGS
@@ -42,7 +42,7 @@ NEVER = frozenset({"speed"})  # no column of readings at rest
 
 
 @dataclass(frozen=True)
-class Plan:
+class PlannedMeasurement:
     """A planned measurement: the channel it would make, in words what it is."""
 
     channel: Channel
@@ -50,7 +50,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Line:
+class DesignLine:
     """What a plan sees of an effect at a joint: smallest share of the usual upper end that would be named (inf: none), or why
     it is blind."""
 
@@ -66,7 +66,7 @@ class Column:
     against), what stands where an effect does not change its readings."""
 
     head: str
-    lines: Sequence[Line]
+    lines: Sequence[DesignLine]
     what: str
     elsewhere: str
 
@@ -81,36 +81,38 @@ def design_text(cell: Path, poses: Path | None, log: Path | None = None) -> str:
     columns, notes, arm = list[Column](), list[str](), None
     if poses is not None or rows is None:
         own = _tracker_plan(setup, poses)
-        full = Plan(planned_channel(setup, default_poses(setup, FULL, full=True)), "")
+        full = PlannedMeasurement(planned_channel(setup, default_poses(setup, FULL, full=True)), "")
         every = f"{FULL} poses, all payloads, both directions, warm-up: from"
-        columns += [Column(f"{own.what} see it from", seen_by(own.channel, known), own.what, "needs a force log (--log)")]
-        columns += [Column(every, seen_by(full.channel, known), "", "needs a force log (--log)")]
+        columns += [Column(f"{own.what} see it from", visible_in(own.channel, known), own.what, "needs a force log (--log)")]
+        columns += [Column(every, visible_in(full.channel, known), "", "needs a force log (--log)")]
         arm = arm_expected(own.channel) if poses is not None and isinstance(own.channel, TrackerChannel) else None
     if rows is not None and log is not None:
         plan = _force_plan(cell, rows, known, arm)
-        columns.append(Column(f"{plan.what} see it from", seen_by(plan.channel, known), plan.what, "needs the tracker (--poses)"))
+        columns.append(
+            Column(f"{plan.what} see it from", visible_in(plan.channel, known), plan.what, "needs the tracker (--poses)")
+        )
         notes += _assumed(rows)
-    return table(known, columns, notes)
+    return design_table(known, columns, notes)
 
 
-def _tracker_plan(setup: TrackerSetup, poses: Path | None) -> Plan:
+def _tracker_plan(setup: TrackerSetup, poses: Path | None) -> PlannedMeasurement:
     if poses is None:
         planned = default_poses(setup, POSES, full=False)
-        return Plan(planned_channel(setup, planned), f"{POSES} unidirectional poses with one payload")
+        return PlannedMeasurement(planned_channel(setup, planned), f"{POSES} unidirectional poses with one payload")
     planned = read_readings(poses, setup.payloads, setup.instrument, sealed=True)
     if len(planned) < LEAST_READINGS:
         raise BadInput(f"{poses}: {len(planned)} readings tell nothing of an arm; plan at least {LEAST_READINGS}")
-    return Plan(planned_channel(setup, planned), f"the {len(planned)} readings of {poses.name}")
+    return PlannedMeasurement(planned_channel(setup, planned), f"the {len(planned)} readings of {poses.name}")
 
 
-def _force_plan(cell: Path, log: ForceLog, known: Sequence[Effect], arm: Calibration | None) -> Plan:
+def _force_plan(cell: Path, log: ForceLog, known: Sequence[Effect], arm: Calibration | None) -> PlannedMeasurement:
     """The believed contact of the plan. Of families of many variants only those that are looked at have their patterns kept."""
     from ocp.diagnose.force.planned import planned_force_channel
     from ocp.model.cell import read_cell  # only those who plan a log wait for the contact's imports
 
     runs = len(log.runs)
     what = f"the {len(log)} rows of {log.path.name} ({runs} recording{'s' if runs > 1 else ''})"
-    return Plan(planned_force_channel(read_cell(cell), log, [_with_few(e) for e in known], arm), what)
+    return PlannedMeasurement(planned_force_channel(read_cell(cell), log, [_with_few(e) for e in known], arm), what)
 
 
 def _with_few(effect: Effect) -> Effect:
@@ -135,7 +137,7 @@ def _assumed(log: ForceLog) -> list[str]:
     return told
 
 
-def seen_by(channel: Channel, known: Sequence[Effect]) -> list[Line]:
+def visible_in(channel: Channel, known: Sequence[Effect]) -> list[DesignLine]:
     """What planned readings see of every effect that changes them; why not of those that lack a column."""
     system = channel.system
     projection = project(system.nuisance, system.prior_sd)
@@ -148,7 +150,7 @@ def seen_by(channel: Channel, known: Sequence[Effect]) -> list[Line]:
         places = [j for j in effect.places if j or not effect.joints or channel.name == FORCE]
         blind = channel.blind(effect)
         energies = {j: 0.0 if blind else energy_of(channel, projection.apply, effect, j) for j in places}
-        found += [Line(effect, j, smallest(channel, effect, j, energies, kinds), blind) for j in places]
+        found += [DesignLine(effect, j, smallest_visible(channel, effect, j, energies, kinds), blind) for j in places]
     return found
 
 
@@ -164,7 +166,7 @@ def energy_of(channel: Channel, project_out: Callable[[Array], Array], effect: E
     return float(np.median([(columns**2).sum() for columns in found])) / effect.size if found else 0.0
 
 
-def smallest(channel: Channel, effect: Effect, joint: int, energies: Mapping[int, float], kinds: int) -> float:
+def smallest_visible(channel: Channel, effect: Effect, joint: int, energies: Mapping[int, float], kinds: int) -> float:
     """Share of the usual upper end from which the effect is named nine times of ten; inf: never. energies: `energy_of` it at its
     joints; `kinds` effects compete."""
     energy = energies[joint]
@@ -176,7 +178,7 @@ def smallest(channel: Channel, effect: Effect, joint: int, energies: Mapping[int
     # Play of all joints stands against that of one: of the others it pays for what these readings show of them.
     others = np.array([e for j, e in energies.items() if j != joint]) if rival is not None and rival.beside else None
     among = max(len(scans), channel.surroundings.among.get(effect.name, 0))
-    return float(np.sqrt(needed(energy, effect.size, sizes, odds, among, positive, rival, others) / energy))
+    return float(np.sqrt(visible_lambda(energy, effect.size, sizes, odds, among, positive, rival, others) / energy))
 
 
 def _scans(channel: Channel, effect: Effect, joint: int) -> tuple[Scanned, ...]:
@@ -196,7 +198,7 @@ def _picked(scans: Sequence[Scanned]) -> list[Scanned]:
     return [scans[k] for k in np.unique(np.linspace(0, len(scans) - 1, min(MOST_SCANS, len(scans))).round().astype(int))]
 
 
-def table(known: Sequence[Effect], columns: Sequence[Column], notes: Sequence[str]) -> str:
+def design_table(known: Sequence[Effect], columns: Sequence[Column], notes: Sequence[str]) -> str:
     """One line an effect: usual range, smallest size each plan sees and at which joints; then what cannot be seen, and why."""
     rows = [("effect", "usual range", *(c.head for c in columns))]
     for effect in known:
@@ -227,7 +229,7 @@ def _of_plan(reason: str) -> str:
     return reason.replace("tracker.csv", "the plan of readings").replace("force.csv", "the planned log")
 
 
-def _seen(lines: Sequence[Line], high: float) -> str:
+def _seen(lines: Sequence[DesignLine], high: float) -> str:
     """Smallest sizes over the joints at which a usual size shows, and those joints."""
     seen = [line for line in lines if line.smallest <= 1.0]
     if not seen:

@@ -15,8 +15,8 @@ from scipy.special import expit
 
 from ocp.diagnose.engine.findings import Diagnosis, Experiment, Name
 from ocp.diagnose.engine.system import Channel
-from ocp.diagnose.foresee.planned_tracker import Candidate, before_and_after, candidates, foreseen
-from ocp.diagnose.foresee.separation import NOTHING, Pair, Seen, signature, signature_or_none, unlike
+from ocp.diagnose.foresee.planned_tracker import PlannedReadings, before_and_after, channel_about, planned_measurements
+from ocp.diagnose.foresee.separation import NOTHING, ReadingRows, RivalPair, pair_signature, signature_or_none, unlike
 from ocp.diagnose.rules import (
     EXPERIMENT_GAIN,
     EXPERIMENT_REPEATED,
@@ -33,7 +33,7 @@ from ocp.effects.effect import Effect
 
 if TYPE_CHECKING:  # a campaign of the tracker alone need not load meshes and contact
     from ocp.diagnose.force.channel import ForceChannel
-    from ocp.diagnose.foresee.planned_grinding import Campaign, Grinding
+    from ocp.diagnose.foresee.planned_grinding import PlannedCampaign, PlannedGrinding
 
 FORCE = "force"  # name of the channel of a grinding-force log
 
@@ -94,7 +94,7 @@ def next_experiments(d: Diagnosis, library: dict[str, Effect]) -> tuple[Experime
 
     Where that leaves none, those that would show effects of the contact which a force log leaves unseen at their usual size.
     """
-    pairs = rivals(d, library)
+    pairs = rival_pairs(d, library)
     best = _simulated(d, pairs) if pairs else _for_unknown(d)
     force = _force_channel(d.channels)
     if best or force is None or d.p_unknown > LEADS:
@@ -104,7 +104,7 @@ def next_experiments(d: Diagnosis, library: dict[str, Effect]) -> tuple[Experime
     return tuple(e for e in _simulated(d, unseen(d, force, library)) if e.expected > LEADS)
 
 
-def _simulated(d: Diagnosis, pairs: Sequence[Pair]) -> tuple[Experiment, ...]:
+def _simulated(d: Diagnosis, pairs: Sequence[RivalPair]) -> tuple[Experiment, ...]:
     """What tells these pairs apart."""
     found: list[Experiment] = []
     for channel in d.channels:
@@ -127,15 +127,15 @@ def _force_channel(channels: Sequence[Channel]) -> "ForceChannel | None":
     return next(c for c in channels if isinstance(c, ForceChannel))
 
 
-def rivals(d: Diagnosis, library: dict[str, Effect]) -> list[Pair]:
+def rival_pairs(d: Diagnosis, library: dict[str, Effect]) -> list[RivalPair]:
     """Pairs that remain: what the best explanation has and another one has instead, members of a class, presence itself."""
     by_name = {r.name: r for r in d.ranking}
-    found: dict[tuple[Name, Name | None], Pair] = {}
+    found: dict[tuple[Name, Name | None], RivalPair] = {}
 
     def add(first: Name, rival: Name | None, now: float) -> None:
         if first in by_name and (first, rival) not in found and (rival is None or rival.effect in library):
             effect = None if rival is None else library[rival.effect]
-            found[first, rival] = Pair(by_name[first], effect, 0 if rival is None else rival.joint, now)
+            found[first, rival] = RivalPair(by_name[first], effect, 0 if rival is None else rival.joint, now)
 
     if d.explanations:
         best = d.explanations[0]
@@ -158,20 +158,20 @@ def rivals(d: Diagnosis, library: dict[str, Effect]) -> list[Pair]:
     return list(found.values())[:MOST_RIVALS]
 
 
-def _by_tracker(channel: TrackerChannel, pairs: Sequence[Pair], others: Sequence[Seen]) -> list[Experiment]:
+def _by_tracker(channel: TrackerChannel, pairs: Sequence[RivalPair], others: Sequence[ReadingRows]) -> list[Experiment]:
     joints = tuple(sorted({p.first.name.joint for p in pairs} | {p.joint for p in pairs} - {0}))[:4]
-    seen = [p for p in pairs if signature(channel, p) is not None]
+    seen = [p for p in pairs if pair_signature(channel, p) is not None]
     if not seen:
         return []
     found = []
     now = {p.names: unlike([channel], p, others) for p in seen}
-    for candidate in candidates(channel, tuple(j for j in joints if j)):
-        there = foreseen(channel, candidate.readings)
+    for candidate in planned_measurements(channel, tuple(j for j in joints if j)):
+        there = channel_about(channel, candidate.readings)
         found += [_expected(candidate, p, unlike([channel, there], p, others) - now[p.names]) for p in seen]
     return found + [e for p in seen for e in _without_the_robot(channel, p, unlike([channel], p))]
 
 
-def _by_grinding(channels: Sequence[Channel], pairs: Sequence[Pair], others: Sequence[Seen]) -> list[Experiment]:
+def _by_grinding(channels: Sequence[Channel], pairs: Sequence[RivalPair], others: Sequence[ReadingRows]) -> list[Experiment]:
     """More grinding, and tracker readings where there are none."""
     from ocp.diagnose.foresee.planned_grinding import more_grinding, tracker_beside
 
@@ -186,7 +186,7 @@ def _by_grinding(channels: Sequence[Channel], pairs: Sequence[Pair], others: Seq
     return found
 
 
-def _without_the_robot(channel: TrackerChannel, pair: Pair, now: float) -> list[Experiment]:
+def _without_the_robot(channel: TrackerChannel, pair: RivalPair, now: float) -> list[Experiment]:
     """Reflectors on the floor and a scale bar see the tracker alone: with them an effect of the tracker cannot pass for one of
     the arm any more."""
     if pair.rival is None:
@@ -202,26 +202,28 @@ def _without_the_robot(channel: TrackerChannel, pair: Pair, now: float) -> list[
     elif scale:
         gained = float((pair.first.active.a[0] / BAR_SD) ** 2)
     else:
-        start, end = np.split(signature_or_none(foreseen(channel, before_and_after(channel.readings)), pair), 2)
+        start, end = np.split(signature_or_none(channel_about(channel, before_and_after(channel.readings)), pair), 2)
         gained = 0.5 * float(np.sum((end - start)[: 3 * FIXED] ** 2))
     return [_expected(BAR if scale else FLOOR, pair, gained)]
 
 
 def _expected(
-    candidate: "Candidate | Experiment | QualitativeExperiment | Grinding | Campaign", pair: Pair, gained: float
+    candidate: "PlannedReadings | Experiment | QualitativeExperiment | PlannedGrinding | PlannedCampaign",
+    pair: RivalPair,
+    gained: float,
 ) -> Experiment:
     """The pair's odds after lambda has grown by `gained`."""
     odds = np.log(max(pair.now, 1e-6) / max(1.0 - pair.now, 1e-6))
     return Experiment(candidate.do, candidate.minutes, pair.names, float(expit(odds + 0.5 * max(gained, 0.0))))
 
 
-def _by_levers(channel: Channel, pairs: Sequence[Pair]) -> list[Experiment]:
+def _by_levers(channel: Channel, pairs: Sequence[RivalPair]) -> list[Experiment]:
     """Experiments that move one of a pair and not the other are worth as much again as the rows taken so far."""
     found = []
     for lever in BY_SIGNAL[channel.name]:
         for p in pairs:
             moved = [name.split(":")[0] in lever.moves for name in p.names]
-            if (moved[0] != moved[1] or (p.rival is None and moved[0])) and signature(channel, p) is not None:
+            if (moved[0] != moved[1] or (p.rival is None and moved[0])) and pair_signature(channel, p) is not None:
                 gained = EXPERIMENT_REPEATED * p.first.detectability
                 found.append(_expected(lever, p, gained))
     return found
@@ -265,5 +267,5 @@ def _for_unknown(d: Diagnosis) -> tuple[Experiment, ...]:
     if d.p_unknown < UNKNOWN_LOOKED_AT or at is None or at.signal != "tracker" or not at.joint:
         return ()
     channel = next(c for c in d.channels if isinstance(c, TrackerChannel))
-    sweep = candidates(channel, (at.joint,))[-1]
+    sweep = planned_measurements(channel, (at.joint,))[-1]
     return (Experiment(sweep.do, sweep.minutes, ("an effect outside the catalogue", NOTHING), float(max(d.p_unknown, 0.9))),)

@@ -1,4 +1,4 @@
-"""Grinding that nobody has logged yet: recordings of a log once more under other conditions, as rows of the same model.
+"""PlannedGrinding that nobody has logged yet: recordings of a log once more under other conditions, as rows of the same model.
 
 With it tracker readings beside a log, and the effects that a log leaves unseen.
 """
@@ -18,7 +18,7 @@ from ocp.diagnose.force.believed import NUISANCE, Believed
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.planned import Shared, foreseen_force
 from ocp.diagnose.foresee.planned_tracker import PER_READING, SETTLING, arm_expected, default_poses, planned_channel
-from ocp.diagnose.foresee.separation import Pair, scans_of
+from ocp.diagnose.foresee.separation import RivalPair, scans_of
 from ocp.diagnose.rules import HIDDEN, NAMED_PRICE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
@@ -35,7 +35,7 @@ READINGS, SWAP = 60, 10.0  # of a tracker campaign beside a log; minutes for ano
 
 
 @dataclass(frozen=True)
-class Grinding:
+class PlannedGrinding:
     """Recordings that could be made: what to do, minutes, their log (readings nan) and the model's rows."""
 
     do: str
@@ -58,10 +58,10 @@ class Recording:
     idle: float = 0.0
 
 
-def grindings(channel: ForceChannel) -> list[Grinding]:
+def grindings(channel: ForceChannel) -> list[PlannedGrinding]:
     """Air runs, other setpoints, feeds and belt speeds, the other direction, one point held, lines once more at once and after a
     pause: of one line a side of the blade, or of all lines; none of a log without a recording of two rows in contact."""
-    own = usual(channel)
+    own = usual_recordings(channel)
     if not own:
         return []
     sides, all_of_them = own[:2], own[:LINES]
@@ -98,7 +98,7 @@ def _ladder(channel: ForceChannel, usual_force: float) -> list[float]:
     return [usual_force * share for share in LADDER if scene.cell.flange is not None and low <= usual_force * share <= high]
 
 
-def usual(channel: ForceChannel) -> list[Recording]:
+def usual_recordings(channel: ForceChannel) -> list[Recording]:
     """The recordings in contact as most of the log is, one a line, those of different sides of the blade first."""
     log, c = channel.log, channel.problem.scene.conditions
     firsts: list[tuple[float, Index]] = []
@@ -148,7 +148,7 @@ def _held(one: Recording) -> Recording:
     return replace(one, rows=np.full(len(time), one.rows[len(one.rows) // 2]), time=time, belt=0.0)
 
 
-def _behind(channel: ForceChannel, do: str, wanted: list[Recording], more: float) -> Grinding:
+def _behind(channel: ForceChannel, do: str, wanted: list[Recording], more: float) -> PlannedGrinding:
     """Recordings behind the end of the log, one after the other; more: minutes of preparing beside pauses."""
     log, c = channel.log, channel.problem.scene.conditions
     rows, sizes = np.concatenate([r.rows for r in wanted]), [len(r.rows) for r in wanted]
@@ -174,7 +174,7 @@ def _behind(channel: ForceChannel, do: str, wanted: list[Recording], more: float
         wheel_temperature=_after(log, log.wheel_temperature, cooled),
     )  # fmt: skip
     made = channel.problem.scene.rows.take(rows)
-    return Grinding(do, minutes, new, replace(made, setpoint=setpoint, belt=np.sign(belt), contact=contact))
+    return PlannedGrinding(do, minutes, new, replace(made, setpoint=setpoint, belt=np.sign(belt), contact=contact))
 
 
 def _after(log: ForceLog, values: Array | None, cooled: Flags) -> Array | None:
@@ -201,21 +201,21 @@ def _ground(log: ForceLog, rows: Index, sizes: list[int], contact: Flags) -> Ind
 
 
 @dataclass(frozen=True)
-class Campaign:
+class PlannedCampaign:
     """Tracker readings that could be taken: what to do, minutes."""
 
     do: str
     minutes: float
 
 
-def more_grinding(channel: ForceChannel, pairs: Sequence[Pair]) -> tuple[Shared, list[tuple[Grinding, Shared]]]:
+def more_grinding(channel: ForceChannel, pairs: Sequence[RivalPair]) -> tuple[Shared, list[tuple[PlannedGrinding, Shared]]]:
     """The log's own rows, and those of every candidate with the nuisance in common."""
     some = _looked_at(channel, pairs)
     own = Shared(replace(channel, effects=some, store={}, latest={}))
     return own, [(g, Shared(foreseen_force(channel, g.log, g.rows, some))) for g in grindings(channel)]
 
 
-def tracker_beside(own: Shared) -> tuple[Campaign, Shared, TrackerChannel]:
+def tracker_beside(own: Shared) -> tuple[PlannedCampaign, Shared, TrackerChannel]:
     """A tracker campaign after the log; the log's rows with the arm as its readings leave it; the readings."""
     channel, scene = own.channel, own.channel.problem.scene
     setup = read_tracker_setup(scene.cell.path)
@@ -226,7 +226,7 @@ def tracker_beside(own: Shared) -> tuple[Campaign, Shared, TrackerChannel]:
     believed = placed_by(channel.problem.believed, planned)
     known = Shared(replace(channel, problem=replace(channel.problem, believed=believed)))
     do = f"tracker campaign: {n} readings with all payloads and both approach directions (ocp.poses)"
-    return Campaign(do, SETTLING + PER_READING * n + SWAP * (len(like.payloads) - 1)), known, planned
+    return PlannedCampaign(do, SETTLING + PER_READING * n + SWAP * (len(like.payloads) - 1)), known, planned
 
 
 def placed_by(believed: Believed, readings: TrackerChannel) -> Believed:
@@ -243,7 +243,7 @@ def placed_by(believed: Believed, readings: TrackerChannel) -> Believed:
     return replace(believed, root=believed.root @ (vectors / np.sqrt(1.0 + np.maximum(values, 0.0))))
 
 
-def _looked_at(channel: ForceChannel, pairs: Sequence[Pair]) -> tuple[Effect, ...]:
+def _looked_at(channel: ForceChannel, pairs: Sequence[RivalPair]) -> tuple[Effect, ...]:
     """The pairs' effects with the variants that are compared: only their fast patterns are kept."""
     scans: dict[str, tuple[Effect, list[Scanned]]] = {}
     for p in pairs:
@@ -260,7 +260,7 @@ def _with_scan(effect: Effect, some: Sequence[Scanned]) -> Effect:
     return replace(effect, scan=scan)
 
 
-def unseen(d: Diagnosis, channel: ForceChannel, library: dict[str, Effect]) -> list[Pair]:
+def unseen(d: Diagnosis, channel: ForceChannel, library: dict[str, Effect]) -> list[RivalPair]:
     """Effects of the contact that this log would not show at their usual size, at that size against nothing; odds are the
     prior's, less what evidence pays for variants and coefficients (docs/diagnosis.md, eq. 4)."""
     smallest = {s.name.effect: s.smallest for s in d.screened}
@@ -276,5 +276,5 @@ def unseen(d: Diagnosis, channel: ForceChannel, library: dict[str, Effect]) -> l
             active = Active(effect, joint, a, scans[len(scans) // 2], np.zeros((effect.size, effect.size)))
             price = NAMED_PRICE * effect.size + float(np.log(len(scans)))
             now = float(expit(log_odds(effect, kinds, Options()) - price))
-            found.append(Pair(Ranked(Name(effect.name, joint), now, 0.0, active, 0.0), None, 0, now))
+            found.append(RivalPair(Ranked(Name(effect.name, joint), now, 0.0, active, 0.0), None, 0, now))
     return found

@@ -1,4 +1,4 @@
-"""Tracker readings that nobody has taken yet: candidates, default postures, the channel and the arm they make."""
+"""Tracker readings that nobody has taken yet: planned_measurements, default postures, the channel and the arm they make."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +29,7 @@ LOW = 0.2  # m above the floor of a flange that can be measured
 
 
 @dataclass(frozen=True)
-class Candidate:
+class PlannedReadings:
     """A measurement that could be made: what to do, minutes, the readings it gives."""
 
     do: str
@@ -37,7 +37,7 @@ class Candidate:
     readings: Readings
 
 
-def foreseen(channel: TrackerChannel, readings: Readings) -> TrackerChannel:
+def channel_about(channel: TrackerChannel, readings: Readings) -> TrackerChannel:
     """The channel that planned readings would make about the present fit: sensitivities, columns, noise. Its residual is zero:
     nobody has measured."""
     task = replace(channel.task, campaign=replace(channel.task.campaign, readings=readings))
@@ -50,7 +50,7 @@ def foreseen(channel: TrackerChannel, readings: Readings) -> TrackerChannel:
     return replace(channel, task=task, fit=fit, store={})
 
 
-def candidates(channel: TrackerChannel, joints: tuple[int, ...]) -> list[Candidate]:
+def planned_measurements(channel: TrackerChannel, joints: tuple[int, ...]) -> list[PlannedReadings]:
     """Measurements on the arm: payload swap, both directions, warm-up, pull test, sweeps of `joints`, wrist flipped."""
     like = _spread(channel.readings)
     found = [_directions(like), *_swaps(channel, like), _warmed(like), _pulls(like), _flipped(channel, like)]
@@ -87,15 +87,15 @@ def _minutes(n: int, more: float = 0.0) -> float:
     return SETTLING + more + PER_READING * n
 
 
-def _directions(like: Readings) -> Candidate:
+def _directions(like: Readings) -> PlannedReadings:
     both = _twice(like)
     n = len(like)
     both = replace(both, approach=np.repeat([[1.0], [-1.0]], n, axis=0) * np.ones(6))
     do = f"measure {n} of the postures twice, every axis coming once from below and once from above (approach1..6 = 1, then -1)"
-    return Candidate(do, _minutes(2 * n), both)
+    return PlannedReadings(do, _minutes(2 * n), both)
 
 
-def _swaps(channel: TrackerChannel, like: Readings) -> list[Candidate]:
+def _swaps(channel: TrackerChannel, like: Readings) -> list[PlannedReadings]:
     found = []
     hung = channel.task.campaign.payloads
     for k, name in enumerate(like.payloads):
@@ -105,11 +105,11 @@ def _swaps(channel: TrackerChannel, like: Readings) -> list[Candidate]:
         if share < 0.2:
             swapped = replace(like, payload=np.full(len(like), k, np.int64))
             do = f"payload swap: measure {len(like)} of the postures with payload '{name}' ({hung[name].mass:g} kg)"
-            found.append(Candidate(do, _minutes(len(like), 10.0), swapped))
+            found.append(PlannedReadings(do, _minutes(len(like), 10.0), swapped))
     return found
 
 
-def _warmed(like: Readings) -> Candidate:
+def _warmed(like: Readings) -> PlannedReadings:
     assert like.temperature is not None and like.time is not None
     n = len(like)
     later = replace(_twice(like), temperature=np.concatenate([like.temperature, like.temperature + WARM]))
@@ -118,10 +118,10 @@ def _warmed(like: Readings) -> Candidate:
         f"warm-up: measure {n} postures cold, let the arm run fast for an hour (about {WARM:.0f} K), measure them again; record "
         "time_s and temperature_C, and three fixed reflectors on the floor before and after"
     )
-    return Candidate(do, _minutes(2 * n, 65.0), later)
+    return PlannedReadings(do, _minutes(2 * n, 65.0), later)
 
 
-def _pulls(like: Readings) -> Candidate:
+def _pulls(like: Readings) -> PlannedReadings:
     n = min(4, len(like))
     pulled = like.take(np.repeat(np.arange(n), 6))
     load = np.zeros((6 * n, 6))
@@ -130,10 +130,10 @@ def _pulls(like: Readings) -> Candidate:
         f"pull test: in {n} postures pull at the flange with {PULL:.0f} N along +x, +y, +z and back (load cell, strap), read the "
         "reflector each time; fill fx_N, fy_N, fz_N"
     )
-    return Candidate(do, _minutes(6 * n, 15.0), replace(pulled, load=load, load_place=np.zeros((6 * n, 3))))
+    return PlannedReadings(do, _minutes(6 * n, 15.0), replace(pulled, load=load, load_place=np.zeros((6 * n, 3))))
 
 
-def _flipped(channel: TrackerChannel, like: Readings) -> Candidate | None:
+def _flipped(channel: TrackerChannel, like: Readings) -> PlannedReadings | None:
     robot = channel.task.campaign.robot
     q = like.q.copy()
     q[:, 3] = np.where(q[:, 3] > 0, q[:, 3] - np.pi, q[:, 3] + np.pi)
@@ -144,10 +144,10 @@ def _flipped(channel: TrackerChannel, like: Readings) -> Candidate | None:
         return None
     flipped = replace(like, q=q).take(inside)
     do = f"posture flip: measure {len(inside)} of the postures with the wrist flipped (A4, A6 by 180 deg, A5 with the other sign)"
-    return Candidate(do, _minutes(len(inside)), flipped)
+    return PlannedReadings(do, _minutes(len(inside)), flipped)
 
 
-def _sweep(channel: TrackerChannel, like: Readings, joint: int) -> Candidate:
+def _sweep(channel: TrackerChannel, like: Readings, joint: int) -> PlannedReadings:
     robot = channel.task.campaign.robot
     low, high = (float(v[joint - 1]) for v in (channel.readings.q.min(axis=0), channel.readings.q.max(axis=0)))
     low, high = max(low, float(robot.q_min[joint - 1])), min(high, float(robot.q_max[joint - 1]))
@@ -161,7 +161,7 @@ def _sweep(channel: TrackerChannel, like: Readings, joint: int) -> Candidate:
     approach[:, joint - 1] = np.repeat([1.0, -1.0], SWEEP)
     ends = f"{np.degrees(low):.0f} to {np.degrees(high):.0f} deg"
     do = f"one-axis sweep: only axis {joint} from {ends} and back in {SWEEP} uneven steps, the other axes at rest"
-    return Candidate(do, _minutes(2 * SWEEP), replace(middle, q=q, approach=approach))
+    return PlannedReadings(do, _minutes(2 * SWEEP), replace(middle, q=q, approach=approach))
 
 
 def _twice(like: Readings) -> Readings:
@@ -183,7 +183,7 @@ def planned_channel(setup: TrackerSetup, readings: Readings) -> TrackerChannel:
     W = np.broadcast_to(np.eye(3), (n, 3, 3))
     none = np.zeros((layout.size, layout.size))
     fit = Held(start, np.zeros(layout.size), (), linear, extra, W, np.ones(n), Noise(), none)
-    return foreseen(TrackerChannel(task, fit), campaign.readings)
+    return channel_about(TrackerChannel(task, fit), campaign.readings)
 
 
 def default_poses(setup: TrackerSetup, count: int, full: bool, seed: int = 0) -> Readings:

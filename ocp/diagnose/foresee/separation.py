@@ -21,7 +21,7 @@ NOTHING = "none"
 MOST_SCANS = 12  # variants of a rival that are tried
 
 
-class Seen(Protocol):
+class ReadingRows(Protocol):
     """Rows, taken or planned: of a channel all that is asked here."""
 
     @property
@@ -33,7 +33,7 @@ class Seen(Protocol):
 
 
 @dataclass(frozen=True)
-class Pair:
+class RivalPair:
     """An effect with its value, its rival (None: nothing), and the probability of the first against the second now."""
 
     first: Ranked
@@ -47,7 +47,7 @@ class Pair:
         return (str(self.first.name), NOTHING if self.rival is None else str(Name(self.rival.name, self.joint)))
 
 
-def unlike(shared: Sequence[Seen], pair: Pair, beside: Sequence[Seen] = ()) -> float:
+def unlike(shared: Sequence[ReadingRows], pair: RivalPair, beside: Sequence[ReadingRows] = ()) -> float:
     """lambda(A | B): what of the first's signature the rival and the nuisance cannot imitate. Rows `shared` have the same
     nuisance; those `beside` one of their own each."""
     every = [*shared, *beside]
@@ -70,27 +70,27 @@ def unlike(shared: Sequence[Seen], pair: Pair, beside: Sequence[Seen] = ()) -> f
     return min(float(np.sum(project(free(c), sd).apply(left) ** 2)) for c in columns)
 
 
-def signature(seen: Seen, pair: Pair) -> Array | None:
+def pair_signature(seen: ReadingRows, pair: RivalPair) -> Array | None:
     """What the first of a pair adds to the rows (N,); None where they cannot show it."""
     one = pair.first.active
     made = seen.variants(one.effect, one.joint, [one.scanned])
     return made[0].columns @ one.a if made else None
 
 
-def signature_or_none(seen: Seen, pair: Pair) -> Array:
-    """As `signature`, zeros where there is none."""
-    found = signature(seen, pair)
+def signature_or_none(seen: ReadingRows, pair: RivalPair) -> Array:
+    """As `pair_signature`, zeros where there is none."""
+    found = pair_signature(seen, pair)
     return np.zeros(len(seen.system.residual)) if found is None else found
 
 
-def scans_of(every: Sequence[Seen], effect: Effect, joint: int) -> list[Scanned]:
+def scans_of(every: Sequence[ReadingRows], effect: Effect, joint: int) -> list[Scanned]:
     """Variants of an effect that the first rows which show it offer, a few of them evenly over its scan."""
     scans = next(([v.scanned for v in made] for c in every if (made := c.variants(effect, joint))), [])
     pick = np.unique(np.linspace(0, len(scans) - 1, min(MOST_SCANS, len(scans))).round().astype(int))
     return [scans[k] for k in pick]
 
 
-def _rival_columns(every: Sequence[Seen], rival: Effect, joint: int) -> list[Array]:
+def _rival_columns(every: Sequence[ReadingRows], rival: Effect, joint: int) -> list[Array]:
     """Stacked columns (N, m) of the rival's variants; without rows that show it one of zeros."""
     chosen = scans_of(every, rival, joint)
     made = [c.variants(rival, joint, chosen) for c in every] if chosen else [[] for _ in every]

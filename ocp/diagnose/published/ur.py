@@ -42,7 +42,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @dataclass(frozen=True)
-class Campaign:
+class PublishedCampaign:
     """Columns of a tracker.csv by name, in the units of their names, and the tables of its cell.toml."""
 
     columns: dict[str, Array]
@@ -52,7 +52,7 @@ class Campaign:
         return len(self.columns[AXES[0]])
 
 
-def read_campaign(path: Path, difference: str = ACHIEVED) -> Campaign:
+def read_campaign(path: Path, difference: str = ACHIEVED) -> PublishedCampaign:
     """The campaign of a file, told apart by its columns. `difference`: what `x_dif` of the UR5 is.
 
     Raises BadInput: no such file, or none of the two campaigns.
@@ -81,16 +81,16 @@ def _table(path: Path, lines: list[str], separator: str) -> dict[str, Array]:
         raise BadInput(f"{path}: holds a row that is not all numbers ({error}); give the file as it was published") from None
 
 
-def _ur5(table: dict[str, Array], sign: float) -> Campaign:
+def _ur5(table: dict[str, Array], sign: float) -> PublishedCampaign:
     """Points in the base frame, mm; postures in the order of `step_order`, in which some are missing."""
     q = np.stack([table[f"joint_{i}"] for i in range(1, 7)], axis=1)
     point = np.stack([table[f"{a}_t"] + sign * table[f"{a}_dif"] for a in "xyz"], axis=1)
     follows = np.diff(table["step_order"], prepend=np.nan) == 1
     columns = _columns(q, point, follows) | {"sigma_um": np.full(len(q), UR5_SIGMA)}
-    return Campaign(columns, cell_tables("UR5 of Jacobi 2025", "ur5", UR5_REFLECTOR))
+    return PublishedCampaign(columns, cell_tables("UR5 of Jacobi 2025", "ur5", UR5_REFLECTOR))
 
 
-def _ur10(table: dict[str, Array]) -> Campaign:
+def _ur10(table: dict[str, Array]) -> PublishedCampaign:
     """Points in the tracker's frame, mm; times to the second, temperature of the air."""
     q = np.degrees(np.stack([table[f"{name}_joint"] for name in UR10_JOINTS], axis=1))
     point = np.stack([table[f"measurement_{a}"] for a in "xyz"], axis=1)
@@ -99,7 +99,7 @@ def _ur10(table: dict[str, Array]) -> Campaign:
     follows = np.concatenate([[False], np.diff(time) >= 0])
     columns = _columns(q, point, follows) | {"time_s": time, "temperature_C": table["measurement_temperature"]}
     cell = cell_tables("UR10 of Landgraf 2021", "ur10", UR10_REFLECTOR)
-    return Campaign(columns, cell | {"reference_temperature_C": round(float(np.median(columns["temperature_C"])), 1)})
+    return PublishedCampaign(columns, cell | {"reference_temperature_C": round(float(np.median(columns["temperature_C"])), 1)})
 
 
 def _columns(q: Array, point: Array, follows: NDArray[np.bool_]) -> dict[str, Array]:
@@ -126,7 +126,7 @@ def held_rows(n: int, share: float, seed: int) -> Index:
     return np.sort(np.random.default_rng(seed).permutation(n)[: int(n * share)])
 
 
-def write_data_set(campaign: Campaign, folder: Path, held: Index | None = None) -> None:
+def write_data_set(campaign: PublishedCampaign, folder: Path, held: Index | None = None) -> None:
     """Write cell.toml and tracker.csv; `held` rows (m,) go to sealed_tracker.csv without what was measured, and with it to
     withheld_tracker.csv, which no command of the product opens."""
     (folder / "cell.toml").write_text(toml_text(campaign.cell), encoding="utf-8")

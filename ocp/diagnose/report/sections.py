@@ -42,8 +42,8 @@ def _what(answer: Answer) -> Section:
             "Impostors: they help where readings are left out at random and do harm where a condition is new.",
             Points(words),
         ]
-    if d.unknown_because:
-        parts += ["What speaks for an effect outside the catalogue:", Points(tuple(d.unknown_because))]
+    if d.unknown_reasons:
+        parts += ["What speaks for an effect outside the catalogue:", Points(tuple(d.unknown_reasons))]
     return Section("Which effect", tuple(parts))
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from ocp.diagnose.engine.beam import Key, Weighed
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.engine.pool import Member, Pool, given
-from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.engine.pool import CandidatePool, Member, given
+from ocp.diagnose.engine.problem import Linearisation
 from ocp.diagnose.rules import IMITATED, MISTAKEN_WITHIN, TOLD_APART, TOLD_APART_MORE
 from robots.pose import Array
 
@@ -23,7 +23,7 @@ def threshold(parameters: int) -> float:
     return TOLD_APART[min(parameters, 3) - 1] + TOLD_APART_MORE * max(parameters - 3, 0)
 
 
-def imitated(pool: Pool, signature: Array, family: int) -> tuple[float, int]:
+def imitated(pool: CandidatePool, signature: Array, family: int) -> tuple[float, int]:
     """The most of a signature's lambda (N,) that a family takes at its prior's upper end, and by which variant."""
     group, start = pool.place[family]
     g = pool.groups[group]
@@ -34,7 +34,7 @@ def imitated(pool: Pool, signature: Array, family: int) -> tuple[float, int]:
     return float(taken[best]), best
 
 
-def twins(problem: Problem, weighed: Weighed, member: Member, signature: Array, factor: float = 1.0) -> list[Name]:
+def twins(problem: Linearisation, weighed: Weighed, member: Member, signature: Array, factor: float = 1.0) -> list[Name]:
     """Names that these data cannot tell from a member of a set with this signature (N,), the others of the set as they are;
     factor on the threshold."""
     inside = {m.family for m in weighed.members}
@@ -43,7 +43,7 @@ def twins(problem: Problem, weighed: Weighed, member: Member, signature: Array, 
     return [problem.pool.families[i].name for i in names if _imitates(problem.pool, d, i, factor)]
 
 
-def mistaken(problem: Problem, seen: Mapping[Key, Weighed], weighed: Weighed, member: Member) -> list[Name]:
+def mistaken(problem: Linearisation, seen: Mapping[Key, Weighed], weighed: Weighed, member: Member) -> list[Name]:
     """Names that put in the member's place explain the data nearly as well, and whose signature, were they what is there, the
     member's family would imitate: a ramp for a step, where a log has readings at its two ends."""
     pool, key = problem.pool, frozenset(m.family for m in weighed.members)
@@ -63,7 +63,7 @@ def mistaken(problem: Problem, seen: Mapping[Key, Weighed], weighed: Weighed, me
     return found
 
 
-def _beside(problem: Problem, weighed: Weighed, member: Member, signature: Array) -> Array:
+def _beside(problem: Linearisation, weighed: Weighed, member: Member, signature: Array) -> Array:
     """A member's signature (N,) less what the others of its set would take of it."""
     families = problem.pool.families
     # Background stays as small as it was found: at an effect's size it would take the effect's place.
@@ -72,7 +72,7 @@ def _beside(problem: Problem, weighed: Weighed, member: Member, signature: Array
     return np.asarray(signature - there.U @ ((1.0 - np.sqrt(1.0 - there.take)) * (there.U.T @ signature)))
 
 
-def _imitates(pool: Pool, d: Array, family: int, factor: float = 1.0) -> bool:
+def _imitates(pool: CandidatePool, d: Array, family: int, factor: float = 1.0) -> bool:
     """Whether a family takes so much of a signature (N,) that what it leaves is not told from zero."""
     size, (taken, _) = float(d @ d), imitated(pool, d, family)
     return taken > IMITATED * size and size - taken < factor * threshold(len(pool.families[family].scale))

@@ -15,11 +15,11 @@ from ocp.diagnose.engine.families import names_of, rival_of, stacked_columns
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.pool import Family, Given, given
 from ocp.diagnose.engine.probabilities import Names, Posterior, posterior
-from ocp.diagnose.engine.problem import Problem, make_problem
-from ocp.diagnose.engine.search import NoRest, settle
-from ocp.diagnose.engine.selection import earn, restless
+from ocp.diagnose.engine.problem import Linearisation, linearised
+from ocp.diagnose.engine.search import Diverged, settle
+from ocp.diagnose.engine.selection import restless, select_effects
 from ocp.diagnose.engine.system import Channel
-from ocp.diagnose.engine.visible import needed
+from ocp.diagnose.engine.visible import visible_lambda
 from ocp.diagnose.rules import (
     IMPOSTOR_ROUNDS,
     LEADS,
@@ -31,9 +31,9 @@ from ocp.diagnose.rules import (
     SUSPECT,
     WITHOUT_IMPOSTOR,
 )
-from ocp.diagnose.verdict.alternatives import Weights, alternatives
+from ocp.diagnose.verdict.alternatives import ExplanationWeights, alternatives
 from ocp.diagnose.verdict.classes import merged, mistaken, threshold, twins
-from ocp.diagnose.verdict.doubts import accepted, judged
+from ocp.diagnose.verdict.doubts import judged, refitted
 from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_kernel, of_tests, spectra
 from ocp.effects.effect import Active, Effect
 from robots.pose import Array
@@ -53,44 +53,44 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
     """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
     baseline = tuple(c.with_active(()) if c.active else c for c in channels)
     few = tuple(c.thinned(MOST_SEARCHED) if isinstance(c, Thinnable) else c for c in baseline)
-    told: list[tuple[Name, str]] = []
-    because: list[str] = []
+    impostors: list[tuple[Name, str]] = []
+    reasons: list[str] = []
     levels: list[float] = []
-    vain = NoRest()
+    diverged = Diverged()
     for _ in range(IMPOSTOR_ROUNDS):
-        first = make_problem(few, library, options)
-        problem, search = settle(first, library, options, vain)
+        first = linearised(few, library, options)
+        problem, search = settle(first, library, options, diverged)
         if posterior(problem, search).p_unknown > LEADS and restless(problem, search):
             whole = baseline[0]
-            earning = earn(whole.thinned(SELECTED_ON) if isinstance(whole, Thinnable) else whole, library, options)
-            return findings(baseline, first, earning.problem, earning.search, library, options, earning.refused)
+            selected = select_effects(whole.thinned(SELECTED_ON) if isinstance(whole, Thinnable) else whole, library, options)
+            return findings(baseline, first, selected.problem, selected.search, library, options, selected.refused)
         found = findings(baseline, first, problem, search, library, options)
-        levels.append(max(w.log for w in search.seen.values()))
+        levels.append(max(w.log for w in search.sets.values()))
         if not found.impostors:
             break
-        told += found.impostors
-        because += found.unknown_because
+        impostors += found.impostors
+        reasons += found.unknown_reasons
         options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
-    whys = tuple(f"{n}: no fit with it comes to rest" for n in vain.names())
-    found = replace(found, unknown_because=tuple(dict.fromkeys((*found.unknown_because, *whys))))
-    return _unmasked(found, told, because, levels[-1] > max(levels) - WITHOUT_IMPOSTOR) if told else found
+    whys = tuple(f"{n}: no fit with it comes to rest" for n in diverged.names())
+    found = replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys))))
+    return _unmasked(found, impostors, reasons, levels[-1] > max(levels) - WITHOUT_IMPOSTOR) if impostors else found
 
 
-def _unmasked(found: Diagnosis, told: Sequence[tuple[Name, str]], because: Sequence[str], enough: bool) -> Diagnosis:
+def _unmasked(found: Diagnosis, earlier: Sequence[tuple[Name, str]], reasons: Sequence[str], enough: bool) -> Diagnosis:
     """Findings without the impostors that earlier rounds showed: what they fitted so well is there all the same, and most of the
     probability goes to 'none of these' unless what is left is `enough`, as good without them."""
-    impostors = tuple(dict(told).items())
+    impostors = tuple(dict(earlier).items())
     share = 0.0 if found.impostors or enough else SUSPECT  # the last round has moved its own
     moved = share * (1.0 - found.p_none - found.p_unknown)
-    kept = tuple(replace(e, probability=(1.0 - share) * e.probability) for e in found.explanations)
-    whys = tuple(dict.fromkeys((*because, *found.unknown_because)))
-    return replace(found, explanations=kept, p_unknown=found.p_unknown + moved, impostors=impostors, unknown_because=whys)
+    explanations = tuple(replace(e, probability=(1.0 - share) * e.probability) for e in found.explanations)
+    whys = tuple(dict.fromkeys((*reasons, *found.unknown_reasons)))
+    return replace(found, explanations=explanations, p_unknown=found.p_unknown + moved, impostors=impostors, unknown_reasons=whys)
 
 
 def findings(
     baseline: tuple[Channel, ...],
-    first: Problem,
-    problem: Problem,
+    first: Linearisation,
+    problem: Linearisation,
     search: Search,
     library: Mapping[str, Effect],
     options: Options,
@@ -101,25 +101,25 @@ def findings(
     found = posterior(problem, search)
     weighed, best = leader(search, found)
     active = problem.values(weighed)
-    channels = accepted(baseline, problem, active)
-    vain = [(Name(*a.key), "no fit with it comes to rest") for a in active] if channels is None else []
+    channels = refitted(baseline, problem, active)
+    failed = [(Name(*a.key), "no fit with it comes to rest") for a in active] if channels is None else []
     if channels is None:
         weighed, active, channels = Weighed(0.0, ()), (), tuple(baseline)
     signatures = [signature(problem, weighed, a) for a in active]
-    ranked = ranking(problem, search, found)
-    classes = declared(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
+    ranked = ranked_names(problem, search, found)
+    classes = classes_of(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
     judgement = judged(baseline, problem, channels, active, signatures, options.folds, refused)
-    doubts, because = [*vain, *judgement.doubts], [(n, f"hurts where {f} is left out") for n, f in judgement.impostors]
+    doubts, hurting = [*failed, *judgement.doubts], [(n, f"hurts where {f} is left out") for n, f in judgement.impostors]
     probability, p_unknown = doubted(found, best, bool(doubts or judgement.hurt), judgement.relieved)
     if judgement.relieved:
         ranked = tuple(replace(r, probability=(1.0 - SUSPECT) * r.probability) for r in ranked)
-    nothing, all_of_it = given(problem.pool, ()), problem.taken(search.seen[search.best()[0]])
+    nothing, all_of_it = given(problem.pool, ()), problem.taken(search.sets[search.best()[0]])
     tests = kernel_tests(problem, nothing) if options.where else []
     after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
     return Diagnosis(
         explanations=explanations(probability, found, classes),
         ranking=ranked,
-        active=judgement.kept,
+        active=judgement.remaining,
         p_none=found.p_none,
         p_unknown=p_unknown,
         classes=classes,
@@ -130,13 +130,13 @@ def findings(
         spectrum=tuple(spectra(problem, problem.pool.y, options.seed)) if options.where else (),
         screened=screened(first),
         impostors=judgement.impostors,
-        unknown_because=tuple(f"{n}: {why}" for n, why in (*doubts, *because)),
+        unknown_reasons=tuple(f"{n}: {why}" for n, why in (*doubts, *hurting)),
         blind=blind(baseline, library, options),
         baseline=baseline,
         channels=judgement.channels,
         held_out=judgement.held_out,
         alternatives=alternatives(
-            problem, search, found, Weights(probability, found.p_none, p_unknown), (weighed, best), judgement.kept
+            problem, search, found, ExplanationWeights(probability, found.p_none, p_unknown), (weighed, best), judgement.remaining
         ),
     )
 
@@ -144,24 +144,24 @@ def findings(
 def leader(search: Search, found: Posterior) -> tuple[Weighed, Names]:
     """The set whose effects are accepted and its explanation: the best of those that lead (none, none of these with whatever is
     named beside the unknown, or the most probable explanation)."""
-    told = max(found.probability, key=lambda n: found.probability[n], default=())
+    names = max(found.probability, key=lambda n: found.probability[n], default=())
     if found.p_unknown > LEADS:
-        keys = [k for k in search.seen if search.kernel[list(k)].any()]
-        best = search.seen[max(keys, key=lambda k: search.seen[k].log)]
+        keys = [k for k in search.sets if search.kernel[list(k)].any()]
+        best = search.sets[max(keys, key=lambda k: search.sets[k].log)]
         families = search.pool.families
         sure = tuple(m for m in best.members if found.gain.get(families[m.family].name, np.inf) > SURE_BESIDE_UNKNOWN)
         return replace(best, members=sure), ()
-    if not told or found.p_none >= found.probability[told]:
+    if not names or found.p_none >= found.probability[names]:
         return Weighed(0.0, ()), ()
-    return search.seen[found.best[told]], told
+    return search.sets[found.best[names]], names
 
 
-def named_part(problem: Problem, weighed: Weighed) -> Given:
+def named_part(problem: Linearisation, weighed: Weighed) -> Given:
     """The library's members of a set as given, priors at the upper ends."""
     return problem.taken(Weighed(0.0, tuple(problem.named(weighed))))
 
 
-def signature(problem: Problem, weighed: Weighed, one: Active) -> Array:
+def signature(problem: Linearisation, weighed: Weighed, one: Active) -> Array:
     """Projected signature (N,) of an effect of a set at its value."""
     for m in weighed.members:
         family = problem.pool.families[m.family]
@@ -170,8 +170,8 @@ def signature(problem: Problem, weighed: Weighed, one: Active) -> Array:
     raise KeyError(one.effect.name)
 
 
-def declared(
-    first: Problem, problem: Problem, search: Search, weighed: Weighed, signatures: Sequence[Array]
+def classes_of(
+    first: Linearisation, problem: Linearisation, search: Search, weighed: Weighed, signatures: Sequence[Array]
 ) -> tuple[tuple[Name, ...], ...]:
     """Classes of the accepted effects, with these signatures, and what cannot be told from them: here, and where nothing was
     active yet, for a column at the fit may hold the accepted effect's own pattern (`ocp.diagnose.engine.search`)."""
@@ -179,11 +179,11 @@ def declared(
     for (name, alike), d in zip(alike_at(first, problem, weighed), signatures, strict=True):
         member = next(m for m in weighed.members if m.family == index[name])
         here = [n for n in twins(problem, weighed, member, d) if alike is None or n in alike]
-        found.append((name, *here, *mistaken(problem, search.seen, weighed, member)))
+        found.append((name, *here, *mistaken(problem, search.sets, weighed, member)))
     return merged(found)
 
 
-def alike_at(first: Problem, problem: Problem, weighed: Weighed) -> list[tuple[Name, set[Name] | None]]:
+def alike_at(first: Linearisation, problem: Linearisation, weighed: Weighed) -> list[tuple[Name, set[Name] | None]]:
     """Accepted names of a set in the order of their values, each with those that are nearly like it at the first linearisation;
     None where it was no candidate there."""
     names = [Name(*a.key) for a in problem.values(weighed)]
@@ -200,14 +200,14 @@ def alike_at(first: Problem, problem: Problem, weighed: Weighed) -> list[tuple[N
     return found
 
 
-def suspected(problem: Problem, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:
+def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:
     """Class of the first name of the ranking, where nothing is accepted: too weak to be sure of, it may still be measured again,
     and that under any name of its class."""
     if not ranked or ranked[0].detectability < threshold(ranked[0].active.effect.size):
         return ()
     name = ranked[0].name
     f = problem.index[name]
-    weighed = max((s for k, s in search.seen.items() if f in k), key=lambda s: s.log)
+    weighed = max((s for k, s in search.sets.items() if f in k), key=lambda s: s.log)
     member = next(m for m in weighed.members if m.family == f)
     return merged([(name, *twins(problem, weighed, member, signature(problem, weighed, ranked[0].active)))])
 
@@ -228,25 +228,25 @@ def explanations(
     groups: dict[Names, list[Names]] = {}
     for names in sorted(probability, key=lambda n: -probability[n]):
         groups.setdefault(tuple(sorted({head.get(n, n) for n in names})), []).append(names)
-    told = [Explanation(g[0], sum(probability[n] for n in g), max(found.log[n] for n in g)) for g in groups.values()]
-    return tuple(sorted(told, key=lambda e: -e.probability))
+    merged_sets = [Explanation(g[0], sum(probability[n] for n in g), max(found.log[n] for n in g)) for g in groups.values()]
+    return tuple(sorted(merged_sets, key=lambda e: -e.probability))
 
 
-def ranking(problem: Problem, search: Search, found: Posterior) -> tuple[Ranked, ...]:
+def ranked_names(problem: Linearisation, search: Search, found: Posterior) -> tuple[Ranked, ...]:
     """Names by probability to a hundredth, then, where they are probable, by how much of the gap is theirs, else by the evidence
     for them against their absence (not against their being in the background); values are those of the best set that has them."""
-    told = []
+    ranked = []
     for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < LEADS, -found.gain[n]))[:RANKED]:
         f = problem.index[name]
-        key = max((k for k in search.seen if f in k), key=lambda k: search.seen[k].log)
-        one = next(a for a in problem.values(search.seen[key]) if a.key == (name.effect, name.joint))
-        d = signature(problem, search.seen[key], one)
-        told.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
-    return tuple(sorted(told, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > LEADS else 0.0)))
+        key = max((k for k in search.sets if f in k), key=lambda k: search.sets[k].log)
+        one = next(a for a in problem.values(search.sets[key]) if a.key == (name.effect, name.joint))
+        d = signature(problem, search.sets[key], one)
+        ranked.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
+    return tuple(sorted(ranked, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > LEADS else 0.0)))
 
 
 def place(
-    problem: Problem, found: Posterior, active: Sequence[Active], signatures: Sequence[Array], p_unknown: float,
+    problem: Linearisation, found: Posterior, active: Sequence[Active], signatures: Sequence[Array], p_unknown: float,
     tests: list[KernelTest],
 ) -> Location | None:  # fmt: skip
     """Of the largest named effect, else of the kernel that best stands for an unknown one, else of the tests."""
@@ -262,7 +262,7 @@ def place(
     return of_tests(tests)
 
 
-def screened(problem: Problem) -> tuple[Screened, ...]:
+def screened(problem: Linearisation) -> tuple[Screened, ...]:
     """Score tests of every library effect before anything is accepted."""
     pool, found = problem.pool, []
     total = float(pool.y @ pool.y)
@@ -283,14 +283,14 @@ def screened(problem: Problem) -> tuple[Screened, ...]:
         others = np.array([e for n, e in energies.items() if n.effect == own.effect and n.joint != own.joint]) / g.m
         beside = others if rival is not None and rival.beside else None
         odds = family.log_odds + float(np.log(among / V))
-        price = needed(energy, g.m, family.sizes, odds, among, int(family.positive.sum()), rival, beside)
+        price = visible_lambda(energy, g.m, family.sizes, odds, among, int(family.positive.sum()), rival, beside)
         smallest = float(np.sqrt(price / max(energy, 1e-12)))
         left = share_left(problem, family, best, energy * g.m)
         found.append(Screened(family.name, float(gained[best]), g.m, among, min(1.0, 1 - (1 - p) ** among), smallest, left))
     return tuple(sorted(found, key=lambda s: s.p_value))
 
 
-def share_left(problem: Problem, family: Family, variant: int, projected: float) -> float:
+def share_left(problem: Linearisation, family: Family, variant: int, projected: float) -> float:
     """Share of lambda that the nuisance leaves of a family's signature; projected: mean square over its coefficients with it."""
     if family.effect is None:
         return np.nan

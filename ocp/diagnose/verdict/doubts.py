@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.engine.problem import Linearisation
 from ocp.diagnose.engine.system import Channel, HeldOut, kinds
 from ocp.diagnose.rules import (
     CANCELS,
@@ -42,8 +42,8 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
             found.append((Name(*one.key), "its value is over three times what real cells show"))
         for a, s, positive, key in zip(one.a, sd, positive_of(one.effect), one.effect.coefficients, strict=True):
             if positive and a < -WRONG_SIGN_SD * s:
-                told = one.effect.parameters[0].key if key == "share" else key
-                found.append((Name(*one.key), f"{told} comes out with the wrong sign"))
+                name = one.effect.parameters[0].key if key == "share" else key
+                found.append((Name(*one.key), f"{name} comes out with the wrong sign"))
         why = one.effect.doubt(one.a, sd, one.scanned) if one.effect.doubt else ""
         if why:
             found.append((Name(*one.key), why))
@@ -76,14 +76,14 @@ def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[t
     arm: where the arm is is what they change."""
     found = list[tuple[Name, str]]()
     for channel in channels:
-        seen = [a for a in active if not channel.blind(a.effect)]
-        elsewhere = any(not other.blind(a.effect) for a in seen for other in channels if other is not channel)
-        if not seen or elsewhere or any(a.effect.on_arm for a in seen) or not isinstance(channel, Registered):
+        visible = [a for a in active if not channel.blind(a.effect)]
+        elsewhere = any(not other.blind(a.effect) for a in visible for other in channels if other is not channel)
+        if not visible or elsewhere or any(a.effect.on_arm for a in visible) or not isinstance(channel, Registered):
             continue
         readings, registration = channel.gained()
         if registration > 0 and readings + registration > RELIEF_LEAST and readings < RELIEF * (readings + registration):
             why = "readings are met hardly better with it, the registration is only nearer to what was believed"
-            found += [(Name(*a.key), why) for a in seen]
+            found += [(Name(*a.key), why) for a in visible]
     return found
 
 
@@ -130,9 +130,9 @@ Spoken = tuple[tuple[Name, str], ...]  # names with what is wrong
 @dataclass(frozen=True)
 class Judgement:
     """Effects of the corrected model with the channels and folds that hold them; doubts; impostors with the fold where they hurt;
-    hurt: whether some were found here (not refused before); relieved: the set meets no reading better, so nothing is kept."""
+    hurt: whether some were found here (not refused before); relieved: the set meets no reading better, so no effect remains."""
 
-    kept: tuple[Active, ...]
+    remaining: tuple[Active, ...]
     channels: tuple[Channel, ...]
     held_out: dict[str, tuple[HeldOut, ...]]
     doubts: Spoken
@@ -143,7 +143,7 @@ class Judgement:
 
 def judged(
     baseline: tuple[Channel, ...],
-    problem: Problem,
+    problem: Linearisation,
     channels: tuple[Channel, ...],
     active: tuple[Active, ...],
     signatures: Sequence[Array],
@@ -152,22 +152,22 @@ def judged(
 ) -> Judgement:
     """Judge the effects active in `channels`, whose signatures are (N,) each; refused: impostors where names were chosen by
     held-out errors already, so that none are sought."""
-    held = held_out(channels, active) if folds and active else {}
+    held = fold_errors(channels, active) if folds and active else {}
     false = impostors(channels, active, held) if refused is None else []
     relief = relieving(channels, active)
     doubts = (*relief, *implausible(active), *cancelling([Name(*a.key) for a in active], signatures))
-    kept = active
+    remaining = active
     if relief:  # nothing that was measured would be met better
-        kept, channels, held = (), baseline, {}
+        remaining, channels, held = (), baseline, {}
     elif false:  # what hurts stays out of the corrected model
-        kept = tuple(a for a in active if Name(*a.key) not in {n for n, _ in false})
-        without = accepted(baseline, problem, kept)
-        kept, channels = ((), baseline) if without is None else (kept, without)
-        held = held_out(channels, kept) if kept else {}
-    return Judgement(kept, channels, held, doubts, tuple(false if refused is None else refused), bool(false), bool(relief))
+        remaining = tuple(a for a in active if Name(*a.key) not in {n for n, _ in false})
+        without = refitted(baseline, problem, remaining)
+        remaining, channels = ((), baseline) if without is None else (remaining, without)
+        held = fold_errors(channels, remaining) if remaining else {}
+    return Judgement(remaining, channels, held, doubts, tuple(false if refused is None else refused), bool(false), bool(relief))
 
 
-def accepted(baseline: Sequence[Channel], problem: Problem, active: tuple[Active, ...]) -> tuple[Channel, ...] | None:
+def refitted(baseline: Sequence[Channel], problem: Linearisation, active: tuple[Active, ...]) -> tuple[Channel, ...] | None:
     """Channels of all readings with the effects active; those of the search where they are that already; None where no fit with
     them comes to rest."""
     found = []
@@ -181,7 +181,7 @@ def accepted(baseline: Sequence[Channel], problem: Problem, active: tuple[Active
     return tuple(found)
 
 
-def held_out(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:
+def fold_errors(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:
     """Every fold of every channel that can be judged."""
     judged = {c.name: [c.held_out(fold, active) for fold in c.folds()] for c in channels}
     return {name: tuple(h for h in found if h is not None) for name, found in judged.items()}

@@ -18,7 +18,7 @@ from scipy.special import fdtrc
 
 from ocp.diagnose.engine.findings import BudgetLine, KernelTest, Location, Name, SpectrumPeak
 from ocp.diagnose.engine.pool import Given
-from ocp.diagnose.engine.problem import Problem
+from ocp.diagnose.engine.problem import Linearisation
 from ocp.diagnose.rules import BUDGET_SD, LEAST_TURN, PLACE_SURE, SEEN_DIRECTION, SHARE_PER_FEATURE
 from ocp.effects.effect import Effect
 from robots.pose import Array
@@ -32,7 +32,7 @@ READING = {
 }  # fmt: skip
 
 
-def of_effect(problem: Problem, effect: Effect, joint: int, signature: Array) -> Location:
+def of_effect(problem: Linearisation, effect: Effect, joint: int, signature: Array) -> Location:
     """Of a named effect with its signature (N,): the condition of its joint (or of none) that goes with it best."""
     best, chosen, signal = -np.inf, "", ""
     size = float(signature @ signature)
@@ -51,7 +51,7 @@ def of_effect(problem: Problem, effect: Effect, joint: int, signature: Array) ->
             best, chosen, signal = share, family.where, family.name.effect[1:].split("/")[0]
     lengths = {c.name: float(signature[b] @ signature[b]) for c, b in zip(problem.channels, problem.stack.blocks, strict=True)}
     signal = max(lengths, key=lambda k: lengths[k])
-    return Location(signal, effect.subsystem, joint, conditions(chosen))
+    return Location(signal, effect.subsystem, joint, depends_on(chosen))
 
 
 def of_kernel(name: Name) -> Location:
@@ -63,7 +63,7 @@ def of_kernel(name: Name) -> Location:
         subsystem = SUBSYSTEM.get(where, "tracker")
     else:
         subsystem = READING.get(where, "sensor")
-    return Location(signal, subsystem, name.joint, conditions(where))
+    return Location(signal, subsystem, name.joint, depends_on(where))
 
 
 def of_tests(tests: list[KernelTest], sure: float = PLACE_SURE) -> Location | None:
@@ -74,7 +74,7 @@ def of_tests(tests: list[KernelTest], sure: float = PLACE_SURE) -> Location | No
     return of_kernel(Name(f"?{t.channel}/{t.where}/{t.source}", t.joint))
 
 
-def conditions(where: str) -> tuple[str, ...]:
+def depends_on(where: str) -> tuple[str, ...]:
     """What a kernel's name says it depends on: joints' angles q3, approaches approach5, loads tau2, temperature, time, ..."""
     found = (f"q{p.removeprefix('ripple')}" if p.startswith("ripple") else p for p in where.split(" x ") if p)
     found = (p.removesuffix(" wave") for p in found)
@@ -88,7 +88,7 @@ def after_given(there: Given, rows: Array) -> Array:
     return rows - there.U @ (shrink * inner if rows.ndim == 1 else shrink[:, None] * inner)
 
 
-def kernel_tests(problem: Problem, there: Given) -> list[KernelTest]:
+def kernel_tests(problem: Linearisation, there: Given) -> list[KernelTest]:
     """All kernels but ripples (the spectrum's) and waves that were picked for what they tell, after what is given, most telling
     first."""
     y = after_given(there, problem.pool.y)
@@ -113,7 +113,7 @@ def orthonormal(columns: Array) -> Array:
     return np.asarray(U[:, s > SEEN_DIRECTION])
 
 
-def budget(problem: Problem, tests: list[KernelTest], explained: Given) -> list[BudgetLine]:
+def budget(problem: Linearisation, tests: list[KernelTest], explained: Given) -> list[BudgetLine]:
     """Shares of the gap beyond noise. The noise's scale is what the best explanation leaves."""
     scale2 = explained.left / problem.pool.freedom
     excess = float(problem.pool.y @ problem.pool.y) - problem.pool.freedom * scale2
@@ -131,7 +131,7 @@ ORDERS = np.arange(1.0, 121.0, 0.5)  # per turn
 SHIFTS = 199
 
 
-def spectra(problem: Problem, y: Array, seed: int) -> list[SpectrumPeak]:
+def spectra(problem: Linearisation, y: Array, seed: int) -> list[SpectrumPeak]:
     """Of every channel that knows how joints move its readings: one a joint, most significant first; y (N,) projected."""
     found = []
     for channel, block in zip(problem.channels, problem.stack.blocks, strict=True):

@@ -92,8 +92,8 @@ def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: in
         off = (errors @ g.errors.reshape(3 * n, -1).T).reshape(-1, n, 3)
         rows = share[:, None] * rng.dirichlet(np.ones(n), DRAWS)  # postures drawn anew (Rubin 1981, the Bayesian bootstrap)
         joints = lasting @ g.joints.T
-        told = np.tensordot(new.probability, g.moved, 1)
-        after += np.sum(rows * (np.sum((told - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
+        expected = np.tensordot(new.probability, g.moved, 1)
+        after += np.sum(rows * (np.sum((expected - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
         before += np.sum(rows * (np.sum((off - g.moved[true]) ** 2, axis=2) + joints), axis=1)
     rest = _unexplained(held, _estimation(new), rng)
     if np.median(before + rest) <= NO_GAP**2 * noise:
@@ -161,10 +161,10 @@ def _unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Gene
     if not rows:
         return np.zeros(DRAWS)
     excess, noise = (np.concatenate(part) for part in zip(*rows, strict=True))
-    told = float(excess.mean()) - 1.25 * estimation  # fitted to four fifths of the readings
+    worse = float(excess.mean()) - 1.25 * estimation  # fitted to four fifths of the readings
     error, scale = max(float(excess.std()) / len(excess) ** 0.5, 1e-300), UNEXPLAINED_SIZE * float(noise.mean())
     # A normal likelihood times an exponential prior is a normal about `centre`, cut at zero.
-    centre = told - error**2 / scale
+    centre = worse - error**2 / scale
     log = 0.5 * (centre / error) ** 2 + float(log_ndtr(centre / error)) + np.log(error / scale) + 0.5 * np.log(2 * np.pi)
     there = expit(log + np.log((1 - NOTHING_UNEXPLAINED) / NOTHING_UNEXPLAINED))
     uniform = rng.uniform(size=DRAWS)
