@@ -154,7 +154,7 @@ class Halves(LinearChannel):
         """The second half left out."""
         return [Fold("late", "time", np.arange(len(self.y)) >= len(self.y) // 2)]
 
-    def fold_errors(self, fold, active):
+    def held_out(self, fold, active):
         """Squares of one where nothing false is active, of nine where it is."""
         n = int(fold.held.sum())
         seen = [a for a in active if not self.blind(a.effect)]
