@@ -19,6 +19,7 @@ from robots.tracker_readings import Index
 from ocp.diagnose.engine.system import Conditions
 from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, TILT_KERNEL
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 TILTED = 5  # cosines for each direction of a tilting axis
 SETTLING = (20.0, 60.0, 200.0)  # s: how fast an axis may come to rest after its stop
