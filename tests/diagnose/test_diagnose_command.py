@@ -17,11 +17,9 @@ from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.document import Document
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Ranked
 from ocp.diagnose.foresee.next_experiment import next_experiments
-from ocp.diagnose.foresee.planned_tracker import candidates, foreseen
-from ocp.diagnose.foresee.separation import Pair, unlike
-from ocp.effects.catalogue import effect_list, library
 from ocp.diagnose.foresee.planned_tracker import channel_about, planned_measurements
 from ocp.diagnose.foresee.separation import RivalPair, unlike
+from ocp.effects.catalogue import effect_list, library
 from ocp.effects.effect import Active
 from ocp.model.measuring_setup import read_tracker_setup
 from ocp.shell.command import run
