@@ -15,15 +15,13 @@ from ocp.report.section import Section
 from ocp.shell.cache import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
+from robots.calibration.fit import as_calibration
 from robots.calibration.parameters import SYMBOLS
-from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.store import Calibration, write_calibration
-from robots.calibration.validation import by_kind
+from robots.calibration.validation import GROSS, by_kind
 from robots.errors import BadInput, Infeasible
-from robots.pose import Array, abc_by_spin, abc_from_rotation
+from robots.pose import Array
 from robots.toml_files import toml_text
-
-BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
 
 
 @dataclass(frozen=True)
@@ -116,42 +114,17 @@ def _refuse_unjudged(made: TrackerCalibration) -> None:
 
 def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Calibration:
     """The fit as named parameters with their covariance: geometry, springs, the mounted payload, the base in the tracker."""
-    fit = made.fit
-    layout, state = fit.layout, fit.state
-    names, values, columns = [], [], []
-    for i, name in enumerate(ARM_NAMES):
-        if layout.arm[i] >= 0:
-            names.append(name)
-            values.append(state.arm[i])
-            columns.append(layout.arm[i])
-    if made.method == "geometry":
-        # Fitted without springs, it holds without them only.
-        rigid = [f"c{j}" for j in made.setup.compliant_joints]
-        names += rigid
-        values += [0.0] * len(rigid)
-        columns += [-1] * len(rigid)
+    fit, readings = made.fit, made.fit.campaign.readings
     mounted = made.setup.tables.workpiece.payload if made.setup.tables.workpiece else None
-    readings = fit.campaign.readings
-    if mounted in fit.choice.payloads and mounted in readings.payloads:
-        k = readings.payloads.index(mounted)
-        names += PAYLOAD_NAMES
-        values += list(state.payloads[k])
-        columns += list(layout.payload[k])
-    station = int(np.unique(readings.station)[0])
-    turn = abc_by_spin(state.stations[station])
-    to_named = np.zeros((len(names) + 6, layout.size))
-    fitted = np.array(columns) >= 0
-    to_named[np.flatnonzero(fitted), np.array(columns)[fitted]] = 1.0
-    to_named[len(names) : len(names) + 3, layout.station[station, :3]] = np.eye(3)
-    to_named[len(names) + 3 :, layout.station[station, 3:]] = turn
-    names += BASE
-    values += [*state.stations[station, :3, 3], *abc_from_rotation(state.stations[station, :3, :3])]
-    covariance = to_named @ fit.covariance @ to_named.T
-    return Calibration(
-        robot=made.setup.robot.name,
-        names=tuple(names),
-        values=np.array(values),
-        covariance=0.5 * (covariance + covariance.T),
+    corrected = mounted is not None and mounted in fit.choice.payloads and mounted in readings.payloads
+    return as_calibration(
+        made.setup.robot.name,
+        fit.layout,
+        fit.state,
+        fit.covariance,
+        int(np.unique(readings.station)[0]),
+        rigid=made.setup.compliant_joints if made.method == "geometry" else (),  # fitted without springs it holds without only
+        payload=readings.payloads.index(mounted) if mounted is not None and corrected else None,
         provenance=_provenance(made, inputs),
         not_identified={k: v for k, v in made.identifiability.not_identified().items() if k in SYMBOLS},
     )
@@ -178,7 +151,11 @@ def _provenance(made: TrackerCalibration, inputs: Sequence[Path]) -> dict[str, A
         "data_sha256": {path.name: sha256(path) for path in inputs},
         "conditions": conditions,
         "held_out": figures,
-        "noise": {"joints_rad": float(fit.noise.joints), "spread": float(fit.spread), "outliers": int((fit.weight < 0.05).sum())},
+        "noise": {
+            "joints_rad": float(fit.noise.joints),
+            "spread": float(fit.spread),
+            "outliers": int((fit.weight < GROSS).sum()),
+        },
         "priors": {"length_m": float(fit.priors.length), "angle_rad": float(fit.priors.angle)},
         "bending_joints": list(fit.choice.joints),
         "corrected_payloads": list(fit.choice.payloads),

@@ -4,7 +4,7 @@ import numpy as np
 
 from ocp.diagnose.dataset import TRACKER, DataSet
 from ocp.diagnose.engine.system import Channel
-from ocp.diagnose.tracker.baseline import baseline
+from ocp.diagnose.tracker.baseline import believed_baseline
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.shell.progress import Phases
 from robots.calibration.mistakes import refuse_mistakes
@@ -34,7 +34,7 @@ def tracker_channel(data: DataSet) -> TrackerChannel:
     campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
     try:
         refuse_mistakes(campaign)
-        task, fit = baseline(campaign, setup.compliant_joints, setup.tables.reference_temperature_C, _stated(data))
+        task, fit = believed_baseline(campaign, setup.compliant_joints, setup.tables.reference_temperature_C, _stated(data))
     except np.linalg.LinAlgError:
         raise BadInput(
             f"{readings.path}: the readings leave something open that no prior holds, as the tracker's turn; measure more "

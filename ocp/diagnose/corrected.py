@@ -17,13 +17,12 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active
 from ocp.model.cell import cell_tables_for
-from robots.calibration.reading_model import ARM_NAMES
+from robots.calibration.fit import as_calibration
 from robots.calibration.store import Calibration, write_calibration
-from robots.pose import Array, abc_by_spin, abc_from_rotation
+from robots.pose import Array
 from robots.toml_files import toml_text
 
 CALIBRATION = "calibration.toml"
-BASE = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")
 DROPPED = "effects"
 
 
@@ -107,23 +106,15 @@ def _provenance(channel: Channel) -> dict[str, Any]:
 
 def _of_arm(channel: TrackerChannel, data: DataSet) -> Calibration:
     """Geometry, springs and the base in the tracker, with their joint covariance."""
-    layout, state = channel.task.layout, channel.fit.state
-    fitted = [i for i in range(len(ARM_NAMES)) if layout.arm[i] >= 0]
-    station = int(np.unique(channel.readings.station)[0])
-    T = state.stations[station]
-    values = np.array([*state.arm[fitted], *T[:3, 3], *abc_from_rotation(T[:3, :3])])
-    to_named = np.zeros((len(values), channel.fit.covariance.shape[0]))
-    to_named[np.arange(len(fitted)), layout.arm[fitted]] = 1.0
-    to_named[len(fitted) : len(fitted) + 3, layout.station[station, :3]] = np.eye(3)
-    to_named[len(fitted) + 3 :, layout.station[station, 3:]] = abc_by_spin(T)
-    covariance = to_named @ channel.fit.covariance @ to_named.T
-    return Calibration(
-        robot=data.setup.robot.name,
-        names=(*(ARM_NAMES[i] for i in fitted), *BASE),
-        values=values,
-        covariance=0.5 * (covariance + covariance.T),
-        provenance=_provenance(channel)
-        | {"readings": len(channel.readings), "noise": {"joints_rad": float(channel.fit.noise.joints)}},
+    fit, readings = channel.fit, channel.readings
+    provenance = {"readings": len(readings), "noise": {"joints_rad": float(fit.noise.joints)}}
+    return as_calibration(
+        data.setup.robot.name,
+        channel.task.layout,
+        fit.state,
+        fit.covariance,
+        int(np.unique(readings.station)[0]),
+        provenance=_provenance(channel) | provenance,
     )
 
 

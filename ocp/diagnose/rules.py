@@ -371,5 +371,117 @@ NAMED_PRICE = 1.7
 named."""
 
 # ---------- signal: tracker
+USUAL_JOINT_NOISE = 1e-5
+"""[rad] Joints' repeatability before the readings are looked at. Guards: how sure a reading is where the residual still holds a
+gap. Reason: a KR 210 repeats to 0.06 mm at 2.7 m by its sheet, which is 2e-5 rad of one joint and half of that of several."""
+
+USUAL_JOINT_NOISE_SD = 0.7
+"""[-] One sigma of its logarithm. Guards: robots better or worse than usual. Reason: a factor of two either way."""
+
+RESTLESS = 3.5
+"""[-] Of the usual joint noise, above which what the residual asks for is a gap, not noise. Guards: an effect that hides in the
+noise. Reason: none is known; nearly two of USUAL_JOINT_NOISE_SD."""
+
+REPEATED_NOISE_SD = 0.3
+"""[-] One sigma of the logarithm of the joint noise where repeats tell it, the scatter of few repeats apart. Guards: as
+USUAL_JOINT_NOISE_SD. Reason: repeats in place show less than coming back from afar; by how much nobody knows."""
+
+LEAST_REPEATED = 12
+"""[-] Degrees of freedom of repeats from which they tell the joint noise. Guards: as REPEATED_NOISE_SD. Reason: five readings of
+one posture, a scatter known to 20 %."""
+
+OUTLIER_SHARE = 0.02
+"""[-] Of gross readings among all. Guards: evidence against single readings that are wrong. Reason: none is known; one in
+fifty."""
+
+OUTLIER_SIZE = 30.0
+"""[-] Of a gross reading against a good one, in sigmas. Guards: as OUTLIER_SHARE. Reason: none is known; a
+millimetre or two where readings scatter by hundredths."""
+
+BELIEVED_SPRING_SD = 0.35
+"""[-] Of the compliance of a joint that is believed to bend. Guards: a spring that is off by more is named (joint_compliance).
+Reason: none is known; about a third."""
+
+STRAY_SPRINGS = 0.1
+"""[-] Share of joints that agree neither with their listed spring nor with none. Guards: whether listed springs belong to the
+baseline, against one joint that decides for all. Reason: none is known; one in ten."""
+
+STRAY_COMPLIANCE = 2.5e-6
+"""[rad/(N m)] Scale of such joints' compliance. Guards: as STRAY_SPRINGS. Reason: half of the softest joint of the
+catalogue."""
+
+RELEARNED_WIDTH = 0.15
+"""[-] Of the logarithm of a learned prior's width, below which it stays. Guards: refits for nothing. Reason: a width from some
+twenty numbers is known to 15 %."""
+
+LINK_MASS_SD = 0.01
+"""[-] Of a link's mass. Guards: payloads and springs that weight tells apart. Reason: makers' masses hold to about a percent
+(DIAGNOSIS)."""
+
+SPRINGS_WITHIN = (0.5, 2.0)
+"""[-] Of the believed springs: torques bend the joints through springs kept between these. Guards: a balancer that the fitted
+springs stand in for, and would hide. Reason: about two of
+BELIEVED_SPRING_SD, which no right spring leaves."""
+
+LEAST_CHANGES = {"temperature_C": 0.3, "time_s": 60.0, "clock_s": 60.0}
+"""[K, s] A condition that changes less shows no effect that depends on it. Guards: names of effects that a campaign cannot show.
+Reason: 0.3 K of 12 um/(m K) on 2.5 m are a hundredth of a millimetre; a minute is a reading or two."""
+
+FOLD_WARMTH = 1.0
+"""[K] Over which temperature must vary for the warmest third to be left out. Guards: folds that extrapolate nothing. Reason:
+three times LEAST_CHANGES."""
+
+FOLD_TIME = 600.0
+"""[s] The same of time. Guards: as FOLD_WARMTH. Reason: ten minutes, some twenty readings."""
+
+NO_BACKGROUND = 0.5
+"""[-] Prior probability that a machine has no play at all that lasts, and no ripple. Guards: what a corrected model is promised
+to leave. Reason: none is known; even odds."""
+
+BACKGROUND_SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])
+"""[rad] Play and ripple that are looked for in what a fit leaves. Guards: as NO_BACKGROUND. Reason: below what the catalogue
+names (2e-5 of ripple, 3e-5 of play)."""
+
+OTHER_LASTS = (0.3, 6.0)
+"""[-] Beta distribution of the share of the remaining joint noise that lasts too. Guards: as NO_BACKGROUND. Reason: 0.05 on
+average, nearly nothing mostly; none is known."""
+
 # ---------- signal: force
 # ---------- signal: joints
+RUN_OFFSET_SD = 1e-4
+"""[rad] By which an encoder's zero may move from recording to recording. Guards: effects against a referencing anew. Reason: none
+is known; 20 arcsec."""
+
+SPRING_SHARE = 0.3
+"""[-] One sigma of a spring that the cell states, of its compliance. Guards: a spring that is off by more is named. Reason: as
+BELIEVED_SPRING_SD."""
+
+CATALOGUE_SPRING_SD = 2e-6
+"""[rad/(N m)] The same of a catalogue's. Guards: as SPRING_SHARE. Reason: the upper end of what joints give."""
+
+FRICTION_SD = {"viscous": 2e-4, "dry": 3e-5}
+"""[s, rad] Of the drive's own friction that a recorded motor torque holds, as the gap it feigns. Guards: a delay or play that is
+friction. Reason: 1e-7 rad/(N m) times 2000 N m s/rad and 300 N m, as large drives measure."""
+
+ENCODER_ACCURACY = np.radians(15.0 / 3600.0)
+"""[rad] To which what springs, friction and a delay leave is the encoder's own. Guards: a bent ring that is taken for a gear.
+Reason: 5 to 10 arcsec by the sheets of ring encoders, and eccentricity on top."""
+
+LEAST_ENCODER_NOISE = 1e-8
+"""[rad] White noise is at least. Guards: recordings without any. Reason: 0.002 arcsec, finer than any encoder."""
+
+RECORDING_FAULT = 8.0
+"""[sd] Robust sigmas beyond which a reading is a fault of the recording. Guards: the noise against single wild samples. Reason:
+no Gaussian sample among millions."""
+
+LONGEST_DELAY = 0.06
+"""[s] Delays are shorter. Guards: rows at the ends of a recording, where the motor's angle a delay ago is not known. Reason: the
+catalogue's go up to 0.05 s."""
+
+TORQUE_WINDOW = 0.4
+"""[s] Over which recorded torques are smoothed. Guards: springs against the current's ripple, which inertia keeps from the link.
+Reason: none is known; a cubic over it keeps the load's own course."""
+
+RESTING_SPEED = 0.02
+"""[-] Of a joint's top speed, below which its direction is that of the motion before. Guards: play and friction against the noise
+of a joint at rest. Reason: none is known."""

@@ -3,19 +3,23 @@
 Maximum a posteriori with Student-t errors, from a start found in the data alone. docs/calibration.md has the equations.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.random import default_rng
 from scipy.linalg import cho_factor, cho_solve
 
-from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state
+from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state, offset_between
 from robots.calibration.noise import Noise
-from robots.calibration.parameters import MDH_NAMES
+from robots.calibration.parameters import BASE_NAMES
+from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.residuals import linearise, residuals
-from robots.calibration.solver import Campaign, Solution, joint_noise, solve
+from robots.calibration.solver import Campaign, Solution, solve
+from robots.calibration.store import Calibration
 from robots.calibration.student import gaussian_moments, moments, spread_of, weights
-from robots.pose import Array, make_transform
+from robots.pose import Array, abc_by_spin, abc_from_rotation, make_transform
 from robots.tracker_readings import Index, Readings
 
 TRIALS, SUBSET = 200, 4  # small sets of readings that are tried to place the tracker, and their size
@@ -126,12 +130,12 @@ def fit_campaign(
         else:
             begin = located(campaign, nominal)
     start = replace(nominal, stations=begin.stations)
-    offset = _offset_to(layout, start, begin)
+    offset = offset_between(layout, start, begin)
     noise = noise or Noise()
     result = solve(campaign, layout, begin, offset, noise)
     if estimated:
         for _ in range(3):
-            found = joint_noise(campaign, layout, result)
+            found = result.joint_noise()
             if abs(np.log(found.joints / noise.joints)) < 0.02:
                 break
             noise = found
@@ -144,15 +148,18 @@ def learned_priors(fit: Fit) -> Priors:
 
     What no reading determines then varies as much as what the readings do determine: the gauge's honest sd.
     """
-    lengths = np.array([name[0] == "d" or (name[0] == "a" and name[1] != "l") for name in MDH_NAMES])
-    found = []
-    for kind, before in ((lengths, fit.priors.length), (~lengths, fit.priors.angle)):
-        columns = fit.layout.arm[:30][kind]
-        columns = columns[columns >= 0]
-        known = np.sum(1.0 - (fit.sd[columns] / before) ** 2)
-        size = np.sqrt(np.sum(fit.offset[columns] ** 2) / max(known, 1.0)) if known > 2.0 else before
-        found.append(float(np.clip(size, *LEARNED)))
-    return replace(fit.priors, length=found[0], angle=found[1])
+    widths = [
+        learned_width(fit.offset[columns], fit.sd[columns], before)
+        for columns, before in zip(fit.layout.geometry, (fit.priors.length, fit.priors.angle), strict=True)
+    ]
+    return replace(fit.priors, length=widths[0], angle=widths[1])
+
+
+def learned_width(offset: Array, sd: Array, before: float) -> float:
+    """One sigma of the prior of unknowns that are alike, from what a fit with the prior `before` made of them: the rms of their
+    offsets (m,) over the number of directions seen, which posterior sd (m,) tell (MacKay 1992, eq. 2.20)."""
+    known = float(np.sum(1.0 - (sd / before) ** 2))
+    return float(np.clip(np.sqrt(np.sum(offset**2) / known), *LEARNED)) if known > 2.0 else before
 
 
 def located(campaign: Campaign, state: State) -> State:
@@ -176,18 +183,6 @@ def _thinned(readings: Readings, most: int) -> Readings:
     groups = [np.flatnonzero(kind == k) for k in np.unique(kind)]
     few = [rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.int64))] for rows in groups]
     return readings.take(np.sort(np.concatenate(few)))
-
-
-def _offset_to(layout: Layout, start: State, begin: State) -> Array:
-    """Offset (p,) from `start` to `begin` in the unknowns that are plain numbers; turns and stations begin at zero."""
-    offset = np.zeros(layout.size)
-    for columns, change in (
-        (layout.arm, begin.arm - start.arm),
-        (layout.payload, begin.payloads - start.payloads),
-        (layout.nest[:, :3], begin.nests - start.nests),
-    ):
-        offset[columns[columns >= 0]] = change[columns >= 0]
-    return offset
 
 
 def _finished(
@@ -261,3 +256,41 @@ def predictive_covariance(fit: Fit, readings: Readings, repeatability: float = 0
     d_joints = linearise(c.robot, seen, c.instrument, fit.layout, fit.state).d_joints
     unmodelled = fit.spread**2 * max(fit.noise.joints**2 - repeatability**2, 0.0)
     return np.asarray(predict_readings(fit, readings)[1] + unmodelled * d_joints @ np.swapaxes(d_joints, 1, 2))
+
+
+def as_calibration(
+    robot: str,
+    layout: Layout,
+    state: State,
+    covariance: Array,
+    station: int,
+    rigid: Sequence[int] = (),
+    payload: int | None = None,
+    provenance: dict[str, Any] | None = None,
+    not_identified: dict[str, str] | None = None,
+) -> Calibration:
+    """A fit's state as named parameters: the arm's unknowns, joints `rigid` (1..6) without their springs, the payload of an
+    index, the base in a station's frame. covariance (p, p) begins with the layout's unknowns."""
+    fitted = np.flatnonzero(layout.arm >= 0)
+    names = [*(ARM_NAMES[i] for i in fitted), *(f"c{j}" for j in rigid)]
+    values = [*state.arm[fitted], *np.zeros(len(rigid))]
+    columns = [*layout.arm[fitted], *np.full(len(rigid), -1)]
+    if payload is not None:
+        names += PAYLOAD_NAMES
+        values += [*state.payloads[payload]]
+        columns += [*layout.payload[payload]]
+    T = state.stations[station]
+    known = np.array(columns) >= 0
+    to_named = np.zeros((len(names) + 6, len(covariance)))
+    to_named[np.flatnonzero(known), np.array(columns)[known]] = 1.0
+    to_named[len(names) : len(names) + 3, layout.station[station, :3]] = np.eye(3)
+    to_named[len(names) + 3 :, layout.station[station, 3:]] = abc_by_spin(T)
+    named = to_named @ covariance @ to_named.T
+    return Calibration(
+        robot=robot,
+        names=(*names, *BASE_NAMES),
+        values=np.array([*values, *T[:3, 3], *abc_from_rotation(T[:3, :3])]),
+        covariance=0.5 * (named + named.T),
+        provenance=provenance or {},
+        not_identified=not_identified or {},
+    )

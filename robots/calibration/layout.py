@@ -13,6 +13,8 @@ from robots.tracker_readings import Hanging, Instrument, Readings
 
 STEP = {"station": 1e-2, "nest": 1e-3}  # scale of unknowns without a prior, m and rad; for conditioning only
 
+IS_LENGTH = np.array([name[0] == "d" or (name[0] == "a" and name[1] != "l") for name in MDH_NAMES])  # (30,)
+
 
 @dataclass(frozen=True)
 class Priors:
@@ -63,6 +65,12 @@ class Layout:
     def size(self) -> int:
         """Number of unknowns."""
         return len(self.names)
+
+    @property
+    def geometry(self) -> tuple[Array, Array]:
+        """Columns of the MD-H lengths and of the MD-H angles that are unknowns."""
+        columns = self.arm[:30]
+        return columns[IS_LENGTH & (columns >= 0)], columns[~IS_LENGTH & (columns >= 0)]
 
     def index(self, name: str) -> int:
         """Column of a name."""
@@ -137,6 +145,18 @@ def nominal_state(
         turns=np.array(turns),
         stations=np.tile(np.eye(4), (len(readings.stations), 1, 1)),
     )
+
+
+def offset_between(layout: Layout, start: State, state: State) -> Array:
+    """Offset (p,) from `start` to `state` in the unknowns that are plain numbers; turns and stations begin at zero."""
+    offset = np.zeros(layout.size)
+    for columns, change in (
+        (layout.arm, state.arm - start.arm),
+        (layout.payload, state.payloads - start.payloads),
+        (layout.nest[:, :3], state.nests - start.nests),
+    ):
+        offset[columns[columns >= 0]] = change[columns >= 0]
+    return offset
 
 
 def moved(layout: Layout, state: State, dx: Array) -> State:

@@ -3,10 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
+from robots.calibration.student import NU, consistency
 from robots.pose import Array
 from robots.tracker_readings import Index, Instrument, Readings
 
+JOINT_NOISE = (1e-6, 3e-3)  # rad, where the joint noise is searched
 TURN_SD = np.radians(0.01)  # of a 6D target where the file gives none
 
 
@@ -37,6 +40,38 @@ def reading_covariance(readings: Readings, instrument: Instrument, noise: Noise,
 def whitener(covariance: Array) -> Array:
     """W (n, k, k) with W covariance W^T = 1."""
     return np.linalg.inv(np.linalg.cholesky(covariance))
+
+
+def joint_noise(
+    off: Array,
+    readings: Readings,
+    instrument: Instrument,
+    d_joints: Array,
+    used: float,
+    usual: float,
+    usual_sd: float,
+    pairs: Index | None = None,
+) -> Noise:
+    """Most probable joint noise for residuals off (n, 3) m of a fit that took up `used` degrees of freedom (Student's t).
+
+    Before any reading it is `usual` rad, with one sigma `usual_sd` of its logarithm. d_joints as in `reading_covariance`; pairs
+    (m, 2): the residuals (m, 3) are those of differences between readings.
+    """
+    freedom = max(1.0 - used / (3.0 * len(off)), 0.1)
+    still = reading_covariance(readings, instrument, Noise(0.0), d_joints)
+    per_joint = d_joints @ np.swapaxes(d_joints, 1, 2)
+    if pairs is not None:
+        still, per_joint = (m[pairs[:, 0]] + m[pairs[:, 1]] for m in (still, per_joint))
+
+    def unlikely(log_joints: float) -> float:
+        covariance = freedom * consistency(3) * (still + np.exp(2 * log_joints) * per_joint)
+        _, logdet = np.linalg.slogdet(covariance)
+        squared = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[..., None])[..., 0])
+        known = (log_joints - np.log(usual)) / usual_sd
+        return float(0.5 * ((NU + 3) * np.log1p(squared / NU) + logdet).sum() + 0.5 * known**2)
+
+    found = minimize_scalar(unlikely, bounds=tuple(np.log(JOINT_NOISE)), method="bounded", options={"xatol": 1e-2})
+    return Noise(float(np.exp(found.x)))
 
 
 @dataclass(frozen=True)
@@ -71,10 +106,10 @@ def repeat_scatter(readings: Readings, instrument: Instrument, d_joints: Array) 
             drift = (spread * centred).sum(axis=0) / (spread**2).sum()
             centred = centred - spread * drift
     dof = 1.0 - 1.0 / count[group]
-    plain = reading_covariance(readings.take(rows), instrument, Noise(0.0), d_joints[rows])
+    still = reading_covariance(readings.take(rows), instrument, Noise(0.0), d_joints[rows])
     per_joint = d_joints[rows] @ np.swapaxes(d_joints[rows], 1, 2)
     squares = (centred**2).sum(axis=1) / dof
-    expected, slope = np.trace(plain, axis1=1, axis2=2), np.trace(per_joint, axis1=1, axis2=2)
+    expected, slope = np.trace(still, axis1=1, axis2=2), np.trace(per_joint, axis1=1, axis2=2)
     chi = 2.366 / 3.0  # median over mean of chi-square with three degrees of freedom
     ratio = float(np.median(squares) / chi)
     joints = float(np.sqrt(max(ratio - np.median(expected), 0.0) / np.median(slope)))

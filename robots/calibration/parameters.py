@@ -52,3 +52,4 @@ SYMBOLS: dict[str, Symbol] = {
 # Row-major order of Robot.mdh.
 MDH_NAMES: tuple[str, ...] = tuple(f"{s}{i}" for i in range(1, 7) for s in ("th", "d", "a", "al", "be"))
 COMPLIANCE_NAMES: tuple[str, ...] = tuple(f"c{i}" for i in range(1, 7))
+BASE_NAMES: tuple[str, ...] = ("base_x", "base_y", "base_z", "base_a", "base_b", "base_c")

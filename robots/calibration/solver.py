@@ -1,4 +1,4 @@
-"""One minimisation of the robust misfit by reweighted Gauss-Newton steps, and the joint noise after it.
+"""One minimisation of the robust misfit by reweighted Gauss-Newton steps.
 
 The spread starts at what the data show and is lowered to the noise model's as the fit settles, so that outliers of any
 size lose their weight before they can do harm. docs/calibration.md, eqs. 2 and 3.
@@ -7,12 +7,11 @@ size lose their weight before they can do harm. docs/calibration.md, eqs. 2 and 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from robots.calibration.layout import Layout, State, moved
-from robots.calibration.noise import TURN_SD, Noise, reading_covariance, whitener
+from robots.calibration.noise import TURN_SD, Noise, joint_noise, reading_covariance, whitener
 from robots.calibration.residuals import Linearised, linearise, residuals
-from robots.calibration.student import NU, consistency, spread_of, weights
+from robots.calibration.student import spread_of, weights
 from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
 from robots.robot import Robot
@@ -23,7 +22,6 @@ JITTER = 1e-12  # precision of every unknown, lest a campaign that says nothing 
 RELINEARISE = 1e-5  # m or rad: smaller steps leave the Jacobian as it is (its change is below 1e-5 of itself)
 JOINT_NOISE_SD = 1.0  # of its logarithm about what is usual: a factor of three either way, which few readings cannot correct
 LEAST_SPREAD = 0.5  # of the noise model: few readings can be met too well, no instrument is that much better than it says
-JOINT_NOISE = (1e-6, 3e-3)  # rad, where the joint noise is searched
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ class Solution:
     @staticmethod
     def at(campaign: Campaign, layout: Layout, state: State, offset: Array, noise: Noise) -> "Solution":
         """The point of a state."""
-        linear, W = looked(campaign, layout, state, noise)
+        linear, W = _linearised(campaign, layout, state, noise)
         squared = _squared(W, linear.residual)
         return Solution(campaign, layout, noise, state, offset, linear, W, squared, np.ones(len(squared)), 1.0, 0, False)
 
@@ -75,7 +73,7 @@ class Solution:
         """With the spread that the residuals show and the weights that follow; derivatives at this point."""
         linear, W, squared = self.linear, self.W, self.squared
         if self.stale:
-            linear, W = looked(self.campaign, self.layout, self.state, self.noise)
+            linear, W = _linearised(self.campaign, self.layout, self.state, self.noise)
             squared = _squared(W, linear.residual)
         k = linear.residual.shape[1]
         spread = max(spread_of(squared, k), LEAST_SPREAD)
@@ -101,6 +99,12 @@ class Solution:
             squared=_squared(self.W, residual), steps=self.steps + 1, stale=bool(np.abs(step).max() > RELINEARISE),
         )  # fmt: skip
 
+    def joint_noise(self) -> Noise:
+        """The joint noise that explains the residuals best."""
+        c, off = self.campaign, self.linear.residual[:, :3]
+        usual = Noise().joints
+        return joint_noise(off, c.readings, c.instrument, self.linear.d_joints, self.layout.size, usual, JOINT_NOISE_SD, c.pairs)
+
     @property
     def _root(self) -> Array:
         return np.sqrt(self.weight) / self.spread
@@ -113,7 +117,7 @@ def solve(campaign: Campaign, layout: Layout, begin: State, offset: Array, noise
     return minimise(Solution.at(campaign, layout, begin, offset, noise), precision, RULE).at.reweighted()
 
 
-def looked(campaign: Campaign, layout: Layout, state: State, noise: Noise) -> tuple[Linearised, Array]:
+def _linearised(campaign: Campaign, layout: Layout, state: State, noise: Noise) -> tuple[Linearised, Array]:
     """Residuals with derivatives and their whitener, of readings or of pairs of them."""
     c = campaign
     linear = linearise(c.robot, c.readings, c.instrument, layout, state)
@@ -147,24 +151,3 @@ def _whitened(W: Array, residual: Array) -> Array:
 
 def _squared(W: Array, residual: Array) -> Array:
     return np.asarray((_whitened(W, residual) ** 2).sum(axis=1))
-
-
-def joint_noise(campaign: Campaign, layout: Layout, solution: Solution) -> Noise:
-    """The joint noise whose covariance explains the residuals best (Student-t likelihood), freedom of the fit allowed for."""
-    readings = campaign.readings
-    off, d_joints = solution.linear.residual[:, :3], solution.linear.d_joints
-    freedom = max(1.0 - layout.size / (3.0 * len(off)), 0.1)
-    plain = reading_covariance(readings, campaign.instrument, Noise(0.0), d_joints)
-    per_joint = d_joints @ np.swapaxes(d_joints, 1, 2)
-    if campaign.pairs is not None:
-        plain, per_joint = (m[campaign.pairs[:, 0]] + m[campaign.pairs[:, 1]] for m in (plain, per_joint))
-
-    def unlikely(log_joints: float) -> float:
-        covariance = freedom * consistency(3) * (plain + np.exp(2 * log_joints) * per_joint)
-        _, logdet = np.linalg.slogdet(covariance)
-        squared = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[..., None])[..., 0])
-        known = (log_joints - np.log(Noise().joints)) / JOINT_NOISE_SD
-        return float(0.5 * ((NU + 3) * np.log1p(squared / NU) + logdet).sum() + 0.5 * known**2)
-
-    found = minimize_scalar(unlikely, bounds=tuple(np.log(JOINT_NOISE)), method="bounded", options={"xatol": 1e-2})
-    return Noise(float(np.exp(found.x)))

@@ -19,11 +19,6 @@ def weights(squared: Array, k: int) -> Array:
     return np.asarray((NU + k) / (NU * consistency(k) + squared))
 
 
-def misfit(squared: Array, k: int) -> float:
-    """Negative log density of all readings, but for a constant."""
-    return float(0.5 * (NU + k) * np.log1p(squared / (NU * consistency(k))).sum())
-
-
 def moments(squared: Array, k: int) -> tuple[float, float, float]:
     """Of psi = w z: mean square of a component, mean slope, and variance of the slope."""
     w = weights(squared, k)

@@ -8,7 +8,7 @@ import pytest
 from ocp.diagnose.engine.system import Fold, HeldOut
 from ocp.diagnose.joints.channel import ARCSEC, joint_channel
 from ocp.diagnose.joints.log import read_joint_log
-from ocp.diagnose.joints.noise import BLOCK, Noise, covariance, factors, whiten
+from ocp.diagnose.joints.noise import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
 from ocp.diagnose.published.kr300 import write_data_set
 from ocp.diagnose.verdict.shrinkage import from_folds, realised
 from ocp.effects.catalogue import library
@@ -56,10 +56,10 @@ def test_whitened_wander_is_white():
     time = np.arange(BLOCK) * 0.02
     rng = np.random.default_rng(0)
 
-    noise = Noise(3e-6, 1e-5, 0.1, 4e-5, 1.5, 3e-6, np.ones(BLOCK, bool))
+    noise = EncoderNoise(3e-6, 1e-5, 0.1, 4e-5, 1.5, 3e-6, np.ones(BLOCK, bool))
     C = covariance(time, noise)
     drawn = np.linalg.cholesky(C) @ rng.normal(size=(BLOCK, 300))
-    white = whiten(factors(time, [np.arange(BLOCK)], noise), drawn)
+    white = whiten_blocks(factors(time, [np.arange(BLOCK)], noise), drawn)
     assert abs(np.var(white) - 1) < 0.02
     assert abs(np.mean(white[1:] * white[:-1])) < 0.02
     assert C[0, 0] == pytest.approx(3e-6**2 + 1e-5**2 + 4e-5**2, rel=1e-3)

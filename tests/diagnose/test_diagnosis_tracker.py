@@ -7,11 +7,10 @@ import pytest
 
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.tracker.baseline import baseline
+from ocp.diagnose.tracker.baseline import believed_baseline
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.folds import tracker_folds
-from ocp.diagnose.tracker.noise import reliability
-from ocp.diagnose.tracker.refit import settled
+from ocp.diagnose.tracker.held_out import tracker_folds
+from ocp.diagnose.tracker.refit import reliability, settled
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.doubts import cancelling, hurts, implausible
 from ocp.effects.catalogue import library
@@ -49,7 +48,7 @@ def world(seed, shift=None, moved=None, n=150, outliers=0.0, background=0.0, com
 
 def channel(readings, compliant=(2, 3)):
     """The believed arm fitted."""
-    return TrackerChannel(*baseline(Campaign(ROBOT, readings, PAYLOADS, INSTRUMENT), compliant, 22.0))
+    return TrackerChannel(*believed_baseline(Campaign(ROBOT, readings, PAYLOADS, INSTRUMENT), compliant, 22.0))
 
 
 def column(j, values):
@@ -141,10 +140,10 @@ def test_columns_are_derivatives_of_the_nonlinear_prediction():
         e = LIBRARY[name]
         variant = c.variants(e, joint)[-1]
         step = 1e-2 * np.asarray(e.prior_sd)
-        from ocp.diagnose.tracker.refit import looked
+        from ocp.diagnose.tracker.refit import linearise_with
 
         one = Active(e, joint, step, variant.scanned, np.eye(len(step)))
-        there, _ = looked(c.task, c.fit.state, (one,))
+        there, _ = linearise_with(c.task, c.fit.state, (one,))
         moved = np.einsum("nij,nj->ni", c.fit.W, c.fit.linear.residual - there.residual).ravel()
         np.testing.assert_allclose(moved, variant.columns @ step, atol=2e-3 * max(np.abs(moved).max(), 1e-3))
 
@@ -157,9 +156,9 @@ def test_linear_folds_are_as_good_as_nonlinear_refits():
     quick = c.held_out(fold, c.active)
     left = replace(c.task, campaign=replace(c.task.campaign, readings=readings.take(~fold.held)))
     fit = settled(left, c.fit)
-    from ocp.diagnose.tracker.refit import looked
+    from ocp.diagnose.tracker.refit import linearise_with
 
-    there, _ = looked(c.task, fit.state, fit.active)
+    there, _ = linearise_with(c.task, fit.state, fit.active)
     slow = np.mean(np.sum(there.residual[fold.held] ** 2, axis=1))
     assert quick is not None and np.sqrt(quick.after) == pytest.approx(np.sqrt(slow), abs=2e-6)
     assert quick.before > 2 * quick.after

@@ -25,8 +25,13 @@ ELSEWHERE = {
     "verdict/shrinkage.py": {"SI"},
     "verdict/location.py": {"ORDERS"},
     "engine/visible.py": {"_LAMBDA"},
+    "joints/channel.py": {"ARCSEC"},
+    "joints/log.py": {"MOVED", "APART"},
+    "joints/problem.py": {"RANK"},
+    "tracker/background.py": {"_SHARES"},
+    "tracker/refit.py": {"SETTLED", "RANK"},
 }
-FOLDERS_ELSEWHERE = ("published", "report", "force", "joints", "tracker")  # formats and drawing; signals: still to come
+FOLDERS_ELSEWHERE = ("published", "report", "force")  # formats and drawing; signals: still to come
 
 
 def assigned(path: Path) -> list[tuple[str, ast.expr, str]]:

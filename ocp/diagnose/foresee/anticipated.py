@@ -16,7 +16,7 @@ from ocp.diagnose.engine.system import Channel, HeldOut, scan_key
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.refit import placed
+from ocp.diagnose.tracker.refit import points_with
 from ocp.diagnose.verdict.answer import SCALE, SignalGap
 from ocp.diagnose.verdict.shrinkage import (
     NONE,
@@ -123,7 +123,7 @@ def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readin
 def _placed(channel: TrackerChannel, new: Readings) -> Array:
     """Where a channel's fit predicts the reflectors of readings `new`, (n, 3) m."""
     task = replace(channel.task, campaign=replace(channel.task.campaign, readings=new))
-    return placed(task, channel.fit.state, channel.fit.active)
+    return points_with(task, channel.fit.state, channel.fit.active)
 
 
 def _warmths(readings: Readings) -> list[float | None]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ocp.diagnose.force.believed import posterior_of
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.refit import Held, Task, looked
+from ocp.diagnose.tracker.refit import Held, Task, linearise_with
 from ocp.model.measuring_setup import TrackerSetup
 from robots.calibration.layout import Choice, Priors, build_layout, nominal_state
 from robots.calibration.noise import Noise, reading_covariance, whitener
@@ -41,7 +41,7 @@ def channel_about(channel: TrackerChannel, readings: Readings) -> TrackerChannel
     """The channel that planned readings would make about the present fit: sensitivities, columns, noise. Its residual is zero:
     nobody has measured."""
     task = replace(channel.task, campaign=replace(channel.task.campaign, readings=readings))
-    linear, extra = looked(task, channel.fit.state, channel.fit.active)
+    linear, extra = linearise_with(task, channel.fit.state, channel.fit.active)
     readings = replace(readings, point=linear.point)
     task = replace(task, campaign=replace(task.campaign, readings=readings))
     W = whitener(reading_covariance(readings, task.campaign.instrument, channel.fit.noise, linear.d_joints))
@@ -178,7 +178,7 @@ def planned_channel(setup: TrackerSetup, readings: Readings) -> TrackerChannel:
     stations[:, :3, 3] = -TRACKER_AT
     start = replace(start, stations=stations)
     task = Task(campaign, layout, start, setup.tables.reference_temperature_C, None)
-    linear, extra = looked(task, start, ())
+    linear, extra = linearise_with(task, start, ())
     n = len(readings)
     W = np.broadcast_to(np.eye(3), (n, 3, 3))
     none = np.zeros((layout.size, layout.size))

@@ -8,28 +8,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant
-from ocp.diagnose.joints.columns import DELAY, delay_columns, rows_of, seen
-from ocp.diagnose.joints.folds import joint_folds
 from ocp.diagnose.joints.log import JointLog
 from ocp.diagnose.joints.noise import noise_of
 from ocp.diagnose.joints.problem import (
-    SPRING_SD,
-    SPRING_SHARE,
-    Problem,
+    DELAY,
+    EncoderProblem,
     column_of,
+    delay_columns,
     delays_of,
-    nuisance_columns,
+    encoder_rows,
+    fit_encoders,
     nuisance_names,
     nuisance_prior,
+    nuisance_sensitivities,
+    seen_by_encoder,
     shift_of,
-    solve,
 )
 from ocp.diagnose.joints.signals import signals_of
+from ocp.diagnose.rules import CATALOGUE_SPRING_SD, SPRING_SHARE
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
 from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Hanging
+
+BLOCKS = 5
+
+
+def joint_folds(problem: EncoderProblem) -> list[Fold]:
+    """Blocks of time in each run (kind "block"); runs; half of a joint's range, one direction, the fast half of a joint."""
+    signals, log = problem.signals, problem.signals.log
+    block = np.empty(len(log), int)
+    for k in np.unique(log.run):
+        rows = np.flatnonzero(log.run == k)
+        time = log.time[rows] - log.time[rows[0]]
+        block[rows] = np.minimum((BLOCKS * time / max(time[-1], 1e-9)).astype(int), BLOCKS - 1)
+    found = [Fold(f"time block {k + 1} of {BLOCKS}", "block", block[problem.row] == k) for k in range(BLOCKS)]
+    if len(log.runs) > 1:
+        found += [Fold(f"run={name}", "run", log.run[problem.row] == k) for k, name in enumerate(log.runs)]
+    for j in problem.noise:
+        found += _of_joint(problem, j, log.q[:, j - 1], signals.qd[:, j - 1], signals.direction[:, j - 1])
+    return found
+
+
+def _of_joint(problem: EncoderProblem, j: int, q: Array, qd: Array, direction: Array) -> list[Fold]:
+    mine = problem.joint == j
+    row = problem.row
+    middle, fast = float(np.median(q[row[mine]])), float(np.median(np.abs(qd[row[mine]])))
+    found = [Fold(f"q{j}>{np.degrees(middle):.0f}deg", "joint range", mine & (q > middle)[row])]
+    if (direction < 0).any() and (direction > 0).any():
+        found.append(Fold(f"direction{j}=-", "approach", mine & (direction < 0)[row]))
+    found.append(Fold(f"speed{j}>{np.degrees(fast):.0f}deg/s", "speed", mine & (np.abs(qd) > fast)[row]))
+    return found
+
 
 ARCSEC = float(np.degrees(1.0) * 3600.0)
 LEAST_TRAIN, LEAST_TEST = 60, 20  # readings on each side of a fold
@@ -40,7 +71,7 @@ _HAVE = frozenset({"approach", "time_s", "tau", "speed"})  # what a motion log b
 class JointChannel:
     """Link-side encoders fitted: nuisance theta (p,) (offsets rad, believed springs rad/(N m)), active effects."""
 
-    problem: Problem
+    problem: EncoderProblem
     theta: Array
     active: tuple[Active, ...] = ()
     name: str = "joint"
@@ -80,7 +111,7 @@ class JointChannel:
         """Whitened about the current fit."""
         if "system" not in self._kept:
             mean, sd = nuisance_prior(self.problem)
-            white = self.problem.whitened(np.column_stack([self.gap()[:, 0], nuisance_columns(self.problem)]))
+            white = self.problem.whitened(np.column_stack([self.gap()[:, 0], nuisance_sensitivities(self.problem)]))
             n = len(white)
             self._kept["system"] = System(
                 white[:, 0], white[:, 1:], nuisance_names(self.problem), sd, self.theta - mean, np.arange(n, dtype=np.int64),
@@ -91,7 +122,7 @@ class JointChannel:
 
     def blind(self, effect: Effect) -> str:
         """Why the channel cannot see an effect; empty where it can."""
-        if not seen(effect):
+        if not seen_by_encoder(effect):
             return f"{effect.name}: no link-side encoder sees it"
         lacking = [need for need in effect.needs if need not in _HAVE]
         return f"joints.csv has no column {lacking[0]}: {effect.name} cannot be seen" if lacking else ""
@@ -122,7 +153,7 @@ class JointChannel:
     def gap(self) -> Array:
         """Link angle less predicted, (n, 1) rad."""
         p = self.problem
-        return (p.measured - nuisance_columns(p) @ self.theta - shift_of(p, self.active))[:, None]
+        return (p.measured - nuisance_sensitivities(p) @ self.theta - shift_of(p, self.active))[:, None]
 
     def whiten(self, changes: Array) -> Array:
         """Whitened rows of changes (n, 1, m) rad."""
@@ -155,12 +186,12 @@ class JointChannel:
         joints = np.array(list(self.problem.noise))
         signals = signals_of(replace(sealed, link=sealed.q), self.problem.robot, self.problem.payload)
         n = len(signals.log)
-        arm = rows_of(signals, self.problem.robot, self.problem.payload)
+        arm = encoder_rows(signals, self.problem.robot, self.problem.payload)
         row, joint = np.repeat(np.arange(n), len(joints)), np.tile(joints, n)
         there = replace(self.problem, signals=signals, arm=arm, row=row, joint=joint)
         kept = [k for k, name in enumerate(nuisance_names(self.problem)) if " run " not in name]
         same = [k for k, name in enumerate(nuisance_names(there)) if " run " not in name]
-        columns = nuisance_columns(there)[:, same]
+        columns = nuisance_sensitivities(there)[:, same]
         motor = signals.log.q[:, joints - 1]
         baseline = motor + (columns @ bare.theta[kept]).reshape(n, -1)
         corrected = motor + (columns @ other.theta[kept] + shift_of(there, other.active)).reshape(n, -1)
@@ -168,9 +199,9 @@ class JointChannel:
         return Sealed(baseline, corrected, np.broadcast_to(sigma, baseline.shape))
 
 
-def fitted(problem: Problem, active: tuple[Active, ...], rows: NDArray[np.bool_]) -> JointChannel:
+def fitted(problem: EncoderProblem, active: tuple[Active, ...], rows: NDArray[np.bool_]) -> JointChannel:
     """The channel of all readings with what fits those of a mask best."""
-    theta, active = solve(problem.part(rows), active)
+    theta, active = fit_encoders(problem.part(rows), active)
     return JointChannel(problem, theta, active)
 
 
@@ -186,7 +217,7 @@ def joint_channel(log: JointLog, robot: Robot, payload: Hanging, stated: bool = 
     )
     notices = (f"{log.path.name}: {lost} readings are far off their neighbours and not counted",) if lost else ()
     compliance = {j: float(1.0 / robot.stiffness[j - 1]) for j in noise if robot.stiffness[j - 1] > 0}
-    springs = {j: (c, SPRING_SHARE * c if stated else SPRING_SD) for j, c in compliance.items()}
-    arm = rows_of(signals, robot, payload)
-    problem = Problem(signals, arm, robot, payload, noise, row, joint, springs, notices)
+    springs = {j: (c, SPRING_SHARE * c if stated else CATALOGUE_SPRING_SD) for j, c in compliance.items()}
+    arm = encoder_rows(signals, robot, payload)
+    problem = EncoderProblem(signals, arm, robot, payload, noise, row, joint, springs, notices)
     return fitted(problem, (), np.ones(len(row), bool))

@@ -1,4 +1,4 @@
-"""Noise of link-side encoders: white from instant to instant, and a wander that no function of the state explains.
+"""EncoderNoise of link-side encoders: white from instant to instant, and a wander that no function of the state explains.
 
 Residuals of a log at 250 Hz are far from independent: taken as white they would make every ripple certain. The wander is an
 Ornstein-Uhlenbeck process, covariance s^2 exp(-|dt| / T) (Rasmussen and Williams 2006, eq. B.27), white noise is added. Both are
@@ -15,18 +15,16 @@ from scipy.linalg import cho_factor, solve_triangular
 from scipy.optimize import minimize
 
 from ocp.diagnose.joints.signals import Signals
+from ocp.diagnose.rules import ENCODER_ACCURACY, LEAST_ENCODER_NOISE, RECORDING_FAULT
 from robots.pose import Array
 from robots.tracker_readings import Index
 
 BLOCK = 400  # instants whitened together; the wander is forgotten at their border
 FEW = 120  # instants of a block from which the noise is estimated
-LEAST = 1e-8  # rad (0.002 arcsec): finer than any encoder
-GROSS = 8.0  # robust sigmas beyond which a reading is a fault of the recording
-ACCURACY = np.radians(15.0 / 3600.0)  # rad: a ring encoder on a joint, 5 to 10 arcsec by its sheet and its eccentricity on top
 
 
 @dataclass(frozen=True)
-class Noise:
+class EncoderNoise:
     """white rad; quick and slow wander rad with their memories s; floor rad: scatter from instant to instant; good (n,): rows of
     the signals that count: neither absent, at rest nor grossly off."""
 
@@ -54,14 +52,14 @@ def state_columns(signals: Signals, joint: int, broad: bool) -> Array:
     return columns[:, size > 0] / size[size > 0]
 
 
-def noise_of(signals: Signals, joint: int) -> Noise:
-    """Noise of the link side of a joint."""
+def noise_of(signals: Signals, joint: int) -> EncoderNoise:
+    """EncoderNoise of the link side of a joint."""
     gap = signals.log.link[:, joint - 1] - signals.log.q[:, joint - 1]
     good = np.isfinite(gap) & signals.moving(joint) & signals.inside()
     columns = state_columns(signals, joint, broad=True)
     for _ in range(3):
         left = _left(columns, gap, good)
-        wild = np.abs(left) > GROSS * max(1.4826 * float(np.median(np.abs(left))), LEAST)
+        wild = np.abs(left) > RECORDING_FAULT * max(1.4826 * float(np.median(np.abs(left))), LEAST_ENCODER_NOISE)
         if not wild.any():
             break
         good[np.flatnonzero(good)[wild]] = False
@@ -71,11 +69,11 @@ def noise_of(signals: Signals, joint: int) -> Noise:
     white, quick, quick_memory = _likeliest(left, pieces, time)
     # What a spring, friction and a delay leave is the encoder's own up to its accuracy class, not a gap of the robot.
     plain = _left(state_columns(signals, joint, broad=False), gap, good)
-    slow = float(np.sqrt(max(float(np.mean(plain**2)) - white**2 - quick**2, LEAST**2)))
+    slow = float(np.sqrt(max(float(np.mean(plain**2)) - white**2 - quick**2, LEAST_ENCODER_NOISE**2)))
     _, _, slow_memory = _likeliest(plain, pieces, time, longest=True)
     step = float(np.median(np.diff(time)))
     floor = np.hypot(white, quick * np.sqrt(1.0 - np.exp(-step / quick_memory)))
-    return Noise(white, quick, quick_memory, min(slow, ACCURACY), slow_memory, float(floor), good)
+    return EncoderNoise(white, quick, quick_memory, min(slow, ENCODER_ACCURACY), slow_memory, float(floor), good)
 
 
 def _left(columns: Array, gap: Array, good: NDArray[np.bool_]) -> Array:
@@ -93,19 +91,19 @@ def blocks(signals: Signals, rows: Index) -> list[Index]:
     return found
 
 
-def covariance(time: Array, noise: Noise) -> Array:
+def covariance(time: Array, noise: EncoderNoise) -> Array:
     """Of one block at `time` (m,) s, (m, m) rad^2."""
     apart = np.abs(time[:, None] - time[None, :])
     wander = noise.quick**2 * np.exp(-apart / noise.quick_memory) + noise.slow**2 * np.exp(-apart / noise.slow_memory)
-    return np.asarray(wander + (noise.white**2 + LEAST**2) * np.eye(len(time)))
+    return np.asarray(wander + (noise.white**2 + LEAST_ENCODER_NOISE**2) * np.eye(len(time)))
 
 
-def factors(time: Array, pieces: list[Index], noise: Noise) -> list[tuple[Index, Array]]:
+def factors(time: Array, pieces: list[Index], noise: EncoderNoise) -> list[tuple[Index, Array]]:
     """Places of each block and the lower root of its covariance."""
     return [(piece, cho_factor(covariance(time[piece], noise), lower=True)[0]) for piece in pieces]
 
 
-def whiten(roots: list[tuple[Index, Array]], columns: Array) -> Array:
+def whiten_blocks(roots: list[tuple[Index, Array]], columns: Array) -> Array:
     """Columns (n, m) in rad as independent rows of unit noise."""
     out = np.empty_like(columns)
     for piece, root in roots:
@@ -115,7 +113,7 @@ def whiten(roots: list[tuple[Index, Array]], columns: Array) -> Array:
 
 def _likeliest(left: Array, pieces: list[Index], time: Array, longest: bool = False) -> tuple[float, float, float]:
     """White rad, wander rad and memory s of residuals; `longest`: of at least a tenth of a block, for what wanders slowly."""
-    size = max(float(np.sqrt(np.mean(left**2))), LEAST)
+    size = max(float(np.sqrt(np.mean(left**2))), LEAST_ENCODER_NOISE)
     # The parts of a long log say the same; a few are enough, of slow wander every so manieth instant.
     pieces = pieces[:: max(1, len(pieces) // 3)]
     pieces = [p[:: -(-len(p) // FEW)] if longest else p[:FEW] for p in pieces]
@@ -125,7 +123,7 @@ def _likeliest(left: Array, pieces: list[Index], time: Array, longest: bool = Fa
 
     def cost(x: Array) -> float:
         white, wander, memory = size * np.exp(x[0]), size * np.exp(x[1]), step * np.exp(x[2])
-        noise = Noise(white, wander, memory, 0.0, 1.0, white, np.empty(0, bool))
+        noise = EncoderNoise(white, wander, memory, 0.0, 1.0, white, np.empty(0, bool))
         total = 0.0
         for piece in pieces:
             factor = cho_factor(covariance(time[piece], noise), lower=True)[0]

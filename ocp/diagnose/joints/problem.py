@@ -17,26 +17,71 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.joints.columns import DELAY, delay_columns, effect_columns
-from ocp.diagnose.joints.noise import Noise, blocks, factors, whiten
+from ocp.diagnose.joints.noise import EncoderNoise, blocks, factors, whiten_blocks
 from ocp.diagnose.joints.signals import Signals
+from ocp.diagnose.rules import FRICTION_SD, RUN_OFFSET_SD
 from ocp.effects.effect import Active, Effect, Scanned, coefficients, prior_sds, with_coefficients
-from ocp.effects.engine.rows import ArmRows
+from ocp.effects.engine.compiled import Hook, evaluated
+from ocp.effects.engine.rows import ARM_LAYOUT, ArmRows, arm_rows
+from robots.calibration.reading_model import RowInputs
+from robots.compliance import compliance_from_stiffness
 from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Hanging, Index
 
-RUN_SD = 1e-4  # rad (20 arcsec): how far a zero may move from recording to recording
-SPRING_SHARE = 0.3  # one sigma of a spring that the cell states, of its compliance
-SPRING_SD = 2e-6  # rad/(N m): one sigma of a catalogue's, the upper end of what joints give
-FRICTION_SD = {"viscous": 2e-4, "dry": 3e-5}  # s, rad: 1e-7 rad/(N m) times 2000 N m s/rad and 300 N m, as large drives measure
+DELAY = "channel_delay"
+
+
+def seen_by_encoder(effect: Effect) -> bool:
+    """Whether a link-side encoder can see the effect at all."""
+    return effect.joint is not None or effect.torque is not None
+
+
+def encoder_rows(signals: Signals, robot: Robot, payload: Hanging) -> ArmRows:
+    """The arm at the instants of a log: the believed arm with the recorded loads in place of its own."""
+    n = len(signals.log)
+    none = np.zeros((n, 3))
+    hung = np.broadcast_to([payload.mass, *payload.com], (n, 4))
+    arm = np.concatenate([robot.mdh.ravel(), compliance_from_stiffness(robot.stiffness)])
+    inputs = RowInputs(signals.log.q, hung, np.zeros((n, 6)), none, none)
+    rows = arm_rows(
+        robot, arm, inputs, ("",), approach=signals.direction, warm=np.zeros(n), time=signals.log.time, speed=signals.qd
+    )
+    start = 0
+    for name, size in ARM_LAYOUT.sizes:
+        if name == "tau":
+            rows.state[:, start : start + size] = signals.tau
+        start += size
+    return rows
+
+
+def delay_columns(signals: Signals, joint: int, delays: Array) -> Array:
+    """Angle (n, 6) rad of each link per s of delay of one joint's link side (0: of all), about the delays (6,) s."""
+    out = np.zeros_like(signals.log.q)
+    for j in signals.log.joints:
+        if joint in (0, j):
+            out[:, j - 1] = -signals.speed(j, float(delays[j - 1]))
+    return out
+
+
+def encoder_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: ArmRows, recorded: NDArray[np.bool_]) -> Array:
+    """Angles (variants, n, 6, m) rad of the links per unit coefficient; recorded (6,): whose load was recorded."""
+    total = np.zeros((len(scans), len(rows), 6, effect.size))
+    if effect.joint is not None:
+        total += evaluated(Hook(effect, "joint", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
+    if effect.torque is not None:
+        share = rows.block("c") * np.where(recorded, 0.0, 1.0)
+        total += share[None, :, :, None] * evaluated(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
+    return total
+
+
 STEPS = 4
 RANK = 1e-12  # of the largest singular value; what the readings say less of stays where it is
 
 
 @dataclass(frozen=True)
-class Problem:
+class EncoderProblem:
     """What the log is, apart from what is fitted: signals, arm at its instants, robot, payload, noise by joint, the readings as
     pairs (row of the signals, joint 1..6), and springs by joint: compliance rad/(N m) and its one sigma."""
 
@@ -44,7 +89,7 @@ class Problem:
     arm: ArmRows
     robot: Robot
     payload: Hanging
-    noise: dict[int, Noise]
+    noise: dict[int, EncoderNoise]
     row: Index
     joint: Index
     springs: dict[int, tuple[float, float]]
@@ -58,7 +103,7 @@ class Problem:
 
     @property
     def scatter(self) -> Array:
-        """Noise (n,) rad from instant to instant."""
+        """EncoderNoise (n,) rad from instant to instant."""
         return np.array([self.noise[j].floor for j in self.joint])
 
     def of_readings(self, links: Array) -> Array:
@@ -67,7 +112,7 @@ class Problem:
 
     def columns(self, effect: Effect, joint: int, scans: Sequence[Scanned]) -> Array:
         """Sensitivities (variants, readings, m) rad of the gap in an effect's coefficients."""
-        return np.asarray(effect_columns(effect, joint, scans, self.arm, self.signals.measured)[:, self.row, self.joint - 1])
+        return np.asarray(encoder_columns(effect, joint, scans, self.arm, self.signals.measured)[:, self.row, self.joint - 1])
 
     @cached_property
     def roots(self) -> dict[int, tuple[Index, list[tuple[Index, Array]]]]:
@@ -83,15 +128,15 @@ class Problem:
         """Columns (readings, m) rad as rows of unit noise."""
         out = np.empty_like(columns)
         for at, roots in self.roots.values():
-            out[at] = whiten(roots, columns[at])
+            out[at] = whiten_blocks(roots, columns[at])
         return out
 
-    def part(self, rows: NDArray[np.bool_]) -> "Problem":
+    def part(self, rows: NDArray[np.bool_]) -> "EncoderProblem":
         """The readings of a mask."""
         return replace(self, row=self.row[rows], joint=self.joint[rows])
 
 
-def nuisance_names(problem: Problem) -> tuple[str, ...]:
+def nuisance_names(problem: EncoderProblem) -> tuple[str, ...]:
     """One offset a joint, where there are several runs one a joint and run too, and the believed springs."""
     runs = problem.signals.log.runs
     names = [f"offset {j}" for j in problem.noise]
@@ -99,17 +144,17 @@ def nuisance_names(problem: Problem) -> tuple[str, ...]:
         names += [f"offset {j} run {name}" for j in problem.noise for name in runs]
     return (
         *names,
-        *(f"{kind} {j}" for kind in FRICTION_SD for j in recorded(problem)),
+        *(f"{kind} {j}" for kind in FRICTION_SD for j in torque_recorded(problem)),
         *(f"spring {j}" for j in problem.springs),
     )
 
 
-def recorded(problem: Problem) -> list[int]:
+def torque_recorded(problem: EncoderProblem) -> list[int]:
     """Joints whose motor torque was recorded."""
     return [j for j in problem.noise if problem.signals.measured[j - 1]]
 
 
-def nuisance_prior(problem: Problem) -> tuple[Array, Array]:
+def nuisance_prior(problem: EncoderProblem) -> tuple[Array, Array]:
     """Prior mean and sd (p,) of the nuisance; sd infinite: free."""
     mean, sd = [], []
     for name in nuisance_names(problem):
@@ -119,11 +164,11 @@ def nuisance_prior(problem: Problem) -> tuple[Array, Array]:
             sd.append(problem.springs[int(joint)][1])
         else:
             mean.append(0.0)
-            sd.append(FRICTION_SD.get(kind, RUN_SD if " run " in name else np.inf))
+            sd.append(FRICTION_SD.get(kind, RUN_OFFSET_SD if " run " in name else np.inf))
     return np.array(mean), np.array(sd)
 
 
-def nuisance_columns(problem: Problem) -> Array:
+def nuisance_sensitivities(problem: EncoderProblem) -> Array:
     """Sensitivities (readings, p) of the gap in the nuisance."""
     runs = problem.signals.log.runs
     columns = [(problem.joint == j).astype(float) for j in problem.noise]
@@ -132,7 +177,7 @@ def nuisance_columns(problem: Problem) -> Array:
         columns += [((problem.joint == j) & (run == k)).astype(float) for j in problem.noise for k in range(len(runs))]
     tau = problem.signals.tau
     for friction in (problem.signals.qd, problem.signals.direction):
-        columns += [np.where(problem.joint == j, -friction[problem.row, j - 1], 0.0) for j in recorded(problem)]
+        columns += [np.where(problem.joint == j, -friction[problem.row, j - 1], 0.0) for j in torque_recorded(problem)]
     columns += [np.where(problem.joint == j, tau[problem.row, j - 1], 0.0) for j in problem.springs]
     return np.stack(columns, axis=1)
 
@@ -146,7 +191,7 @@ def delays_of(active: Sequence[Active]) -> Array:
     return out
 
 
-def shift_of(problem: Problem, active: Sequence[Active]) -> Array:
+def shift_of(problem: EncoderProblem, active: Sequence[Active]) -> Array:
     """Link less motor angle (n,) rad that the effects explain."""
     signals = problem.signals
     total = np.zeros(len(problem.row))
@@ -160,7 +205,7 @@ def shift_of(problem: Problem, active: Sequence[Active]) -> Array:
     return total
 
 
-def column_of(problem: Problem, one: Active, delays: Array) -> Array:
+def column_of(problem: EncoderProblem, one: Active, delays: Array) -> Array:
     """Columns (n, m) of an active effect about the present delays."""
     if one.effect.name == DELAY:
         return problem.of_readings(delay_columns(problem.signals, one.joint, delays)[:, :, None])
@@ -172,7 +217,7 @@ class _Point:
     """A point of the search (`robots.gauss_newton`): nuisance theta (p,), effects, mean and scale of all unknowns, columns (n, p)
     of the nuisance, and the same whitened."""
 
-    problem: Problem
+    problem: EncoderProblem
     theta: Array
     active: tuple[Active, ...]
     mean: Array
@@ -203,15 +248,15 @@ class _Point:
         )
 
 
-def solve(problem: Problem, active: tuple[Active, ...]) -> tuple[Array, tuple[Active, ...]]:
+def fit_encoders(problem: EncoderProblem, active: tuple[Active, ...]) -> tuple[Array, tuple[Active, ...]]:
     """Nuisance (p,) and effects with values and covariance that fit the readings best."""
     mean, sd = nuisance_prior(problem)
     p = len(mean)
     mean, sd = np.append(mean, np.zeros(len(coefficients(active)))), np.append(sd, prior_sds(active))
     known = np.isfinite(sd)
-    scale = np.where(known, sd, RUN_SD)
+    scale = np.where(known, sd, RUN_OFFSET_SD)
     allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance_names(problem)])
-    columns = np.where(allowed, 0.0, nuisance_columns(problem))
+    columns = np.where(allowed, 0.0, nuisance_sensitivities(problem))
     moving = any(one.effect.name == DELAY for one in active)
     start = _Point(problem, mean[:p], active, mean, scale, columns, problem.whitened(columns))
     found = minimise(start, known.astype(float), Rule(STEPS if moving else 1, rank=RANK))

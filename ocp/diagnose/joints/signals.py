@@ -8,15 +8,13 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
 from ocp.diagnose.joints.log import JointLog
+from ocp.diagnose.rules import LONGEST_DELAY, RESTING_SPEED, TORQUE_WINDOW
 from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Hanging, Index
 
 MOST = 1500  # readings kept of a log: more of them are no more independent, and the search is linear in them
-LONGEST = 0.06  # s: delays are shorter (DIAGNOSIS, catalogue: up to 0.05)
-RIPPLE = 0.4  # s: window over which recorded torques are smoothed
-SLOW = 0.02  # of a joint's top speed, below which its direction is that of the motion before
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class Signals:
     def moving(self, joint: int) -> NDArray[np.bool_]:
         """Rows (n,) in which a joint moves; all where it mostly rests. Stick friction hides what load a joint at rest has."""
         speed = np.abs(self.qd[:, joint - 1])
-        found = np.asarray(speed > SLOW * speed.max())
+        found = np.asarray(speed > RESTING_SPEED * speed.max())
         return found if found.mean() > 0.3 else np.ones(len(found), bool)
 
     def inside(self) -> NDArray[np.bool_]:
@@ -48,7 +46,7 @@ class Signals:
         for k, of_run in enumerate(self.splines):
             rows = self.log.run == k
             start, end = of_run[0].x[0], of_run[0].x[-1]
-            margin = min(LONGEST, 0.05 * (end - start))
+            margin = min(LONGEST_DELAY, 0.05 * (end - start))
             out[rows] = (self.log.time[rows] >= start + margin) & (self.log.time[rows] <= end - margin)
         return out
 
@@ -120,7 +118,7 @@ def _motion(log: JointLog) -> tuple[tuple[tuple[CubicSpline, ...], ...], Array, 
     top = np.abs(qd).max(axis=0)
     for k in range(len(log.runs)):
         rows = np.flatnonzero(log.run == k)
-        sign = np.where(np.abs(qd[rows]) > SLOW * top, np.sign(qd[rows]), 0.0)
+        sign = np.where(np.abs(qd[rows]) > RESTING_SPEED * top, np.sign(qd[rows]), 0.0)
         direction[rows] = np.stack([_held(sign[:, j]) for j in range(6)], axis=1)
     return tuple(splines), qd, qdd, direction
 
@@ -147,8 +145,8 @@ def _smoothed(log: JointLog, tau: Array) -> Array:
     out = np.nan_to_num(tau)
     for k in range(len(log.runs)):
         rows = np.flatnonzero(log.run == k)
-        step = float(np.median(np.diff(log.time[rows]))) if len(rows) > 1 else RIPPLE
-        width = 2 * int(RIPPLE / step / 2) + 1
+        step = float(np.median(np.diff(log.time[rows]))) if len(rows) > 1 else TORQUE_WINDOW
+        width = 2 * int(TORQUE_WINDOW / step / 2) + 1
         if 5 <= width <= len(rows):
             out[rows] = savgol_filter(out[rows], width, 3, axis=0)
     return out

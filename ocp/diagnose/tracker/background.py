@@ -7,7 +7,7 @@ as a population, joints alike (hierarchical normal prior, its size on a grid tha
     y = M sum_j d_j [ b_j s_j + c_j cos(k_j q_j) + d_j sin(k_j q_j) ] + e,    b_j ~ N(0, p^2),  c_j, d_j ~ N(0, r^2)        (1)
 
 y: projected residual of the fit, e: white, k_j: one order a joint, unknown. The sums over k_j are done joint by joint, each given
-what the others explain (mean field, Bishop 2006, section 10.1). What lasts in other ways is the share `OTHER` of the rest,
+what the others explain (mean field, Bishop 2006, section 10.1). What lasts in other ways is the share `OTHER_LASTS` of the rest,
 weighed by what repeats say.
 """
 
@@ -17,17 +17,15 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ocp.diagnose.engine.projection import Projection, project
+from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND, OTHER_LASTS
 from ocp.diagnose.tracker.refit import Held, Task
 from robots.pose import Array
 from robots.tracker_readings import Index
 
 ORDERS = np.arange(3, 301)  # waves per turn, as the catalogue's gear_harmonic
-SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])  # rad: below what the catalogue names (2e-5, 3e-5)
-CLEAN = 0.5  # prior probability of no play at all, and of no ripple at all
 SWEEPS = 3
 MOST = 400  # readings that are looked at, evenly taken
 DRAWS = 500
-OTHER = (0.3, 6.0)  # beta distribution of the share of the rest that lasts too: 0.05 on average, nearly nothing mostly
 _SHARES = (np.arange(200) + 0.5) / 200
 
 
@@ -81,7 +79,7 @@ def _scale(y: Array, projection: Projection) -> float:
 
 def _weights(log: Array) -> Array:
     """Posterior (s,) of the population's size from log evidences over size zero."""
-    prior = np.append(CLEAN, np.full(len(SIZES) - 1, (1.0 - CLEAN) / (len(SIZES) - 1)))
+    prior = np.append(NO_BACKGROUND, np.full(len(BACKGROUND_SIZES) - 1, (1.0 - NO_BACKGROUND) / (len(BACKGROUND_SIZES) - 1)))
     log = log + np.log(prior)
     return np.asarray(np.exp(log - logsumexp(log)))
 
@@ -90,14 +88,14 @@ def _play(C: Array, y: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Mean (6,) and draws (k, 6) of half widths rad of all joints' play."""
     G, b = C.T @ C, C.T @ y
     log, means, roots = [0.0], [np.zeros(6)], [np.zeros((6, 6))]
-    for size in SIZES[1:]:
+    for size in BACKGROUND_SIZES[1:]:
         precision = np.eye(6) / size**2 + G
         V = np.linalg.inv(precision)
         log.append(0.5 * float(b @ V @ b - np.linalg.slogdet(size**2 * precision)[1]))
         means.append(V @ b)
         roots.append(np.linalg.cholesky(V))
     weight = _weights(np.array(log))
-    pick = rng.choice(len(SIZES), DRAWS, p=weight)
+    pick = rng.choice(len(BACKGROUND_SIZES), DRAWS, p=weight)
     draws = np.array(means)[pick] + np.einsum("kij,kj->ki", np.array(roots)[pick], rng.normal(size=(DRAWS, 6)))
     return weight @ np.array(means), draws
 
@@ -116,7 +114,7 @@ def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.
     y = y / scale
     lines = [_line(q[:, j], columns[:, j], projection, scale) for j in range(6)]
     log, draws = [0.0], [np.zeros((DRAWS, 6))]
-    for size in SIZES[1:]:
+    for size in BACKGROUND_SIZES[1:]:
         means = np.zeros((6, len(y)))
         squares = np.zeros((DRAWS, 6))
         for sweep in range(SWEEPS):
@@ -128,7 +126,7 @@ def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.
                     squares[:, j] = _amplitudes(weight, centre, V, rng)
         draws.append(squares)
         log.append(_evidence(lines, means, y, size))
-    pick = rng.choice(len(SIZES), DRAWS, p=_weights(np.array(log)))
+    pick = rng.choice(len(BACKGROUND_SIZES), DRAWS, p=_weights(np.array(log)))
     return np.asarray(np.array(draws)[pick, np.arange(DRAWS)])
 
 
@@ -178,7 +176,7 @@ def _other(task: Task, fit: Held, found: Array, levers: Array, rng: np.random.Ge
     """Draws (k,) rad^2 of what else lasts: a share of the joint noise beyond `found` (k, 6), joints weighed by their levers (6,)
     m^2; the fewer the repeats, the more the prior says."""
     rest = np.maximum(fit.noise.joints**2 - found @ levers / levers.sum(), 0.0)
-    prior = (OTHER[0] - 1.0) * np.log(_SHARES) + (OTHER[1] - 1.0) * np.log1p(-_SHARES)
+    prior = (OTHER_LASTS[0] - 1.0) * np.log(_SHARES) + (OTHER_LASTS[1] - 1.0) * np.log1p(-_SHARES)
     repeats = task.repeats
     if repeats is not None and repeats.freedom > 0 and fit.noise.joints > 0:
         noise = float(np.sqrt(max(rest.mean(), 1e-18)))

@@ -10,23 +10,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from ocp.diagnose.rules import BELIEVED_SPRING_SD, RELEARNED_WIDTH, STRAY_COMPLIANCE, STRAY_SPRINGS
 from ocp.diagnose.tracker.refit import Held, Task, refit
-from robots.calibration.fit import LEARNED, Fit, fit_campaign, learned_priors
-from robots.calibration.layout import Choice, Layout, Priors, believed_compliance, build_layout, nominal_state
+from robots.calibration.fit import Fit, fit_campaign, learned_priors, learned_width
+from robots.calibration.layout import Choice, Priors, believed_compliance, build_layout, nominal_state, offset_between
 from robots.calibration.noise import Noise, repeat_scatter
-from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.residuals import linearise
 from robots.calibration.solver import Campaign
 from robots.calibration.validation import GROSS
-from robots.pose import Array
-
-SPRING_SD = 0.35  # relative, of a believed spring
-STRAY = 0.1  # share of joints that agree with neither belief
-WIDE = 2.5e-6  # rad/(N m), scale of compliances that agree with neither
-RELEARN = 0.15  # of the logarithm of a learned prior's width: smaller changes are none
 
 
-def baseline(campaign: Campaign, compliant: tuple[int, ...], reference: float, stated: bool = True) -> tuple[Task, Held]:
+def believed_baseline(campaign: Campaign, compliant: tuple[int, ...], reference: float, stated: bool = True) -> tuple[Task, Held]:
     """Task and fit of the believed cell; `compliant` joints of the cell, reference temperature deg C; stated: whether the cell
     lists the springs itself. Springs that only the robot's catalogue knows belong to `compliant` joints alone."""
     points = replace(campaign, readings=replace(campaign.readings, turn=None, sigma_turn=None))
@@ -37,7 +31,7 @@ def baseline(campaign: Campaign, compliant: tuple[int, ...], reference: float, s
     if others and not _bend(first, others):
         first = fit_campaign(points, Choice(joints=believed), Priors(), begin=_rigid(first, others).state)
         others = ()
-    priors = replace(learned_priors(first), compliance=SPRING_SD)
+    priors = replace(learned_priors(first), compliance=BELIEVED_SPRING_SD)
     choice = Choice(joints=(*believed, *others))
     c = points
     layout = build_layout(c.robot, c.readings, c.instrument, choice, priors)
@@ -47,15 +41,7 @@ def baseline(campaign: Campaign, compliant: tuple[int, ...], reference: float, s
     repeats = repeat_scatter(c.readings.take(good), c.instrument, d_joints[good])
     start = replace(nominal, stations=first.state.stations)
     task = Task(points, layout, start, reference, repeats)
-    return task, refit(task, first.state, _offset(layout, start.arm, start.nests, first), (), Noise(first.noise.joints))
-
-
-def _offset(layout: Layout, arm: Array, nests: Array, fit: Fit) -> Array:
-    """Offset (p,) of a fit's state from the prior's mean; stations have none."""
-    offset = np.zeros(layout.size)
-    for columns, change in ((layout.arm, fit.state.arm - arm), (layout.nest[:, :3], fit.state.nests - nests)):
-        offset[columns[columns >= 0]] = change[columns >= 0]
-    return offset
+    return task, refit(task, first.state, offset_between(layout, start, first.state), (), Noise(first.noise.joints))
 
 
 def _bend(fit: Fit, others: tuple[int, ...]) -> bool:
@@ -64,10 +50,10 @@ def _bend(fit: Fit, others: tuple[int, ...]) -> bool:
     odds = 0.0
     for j in others:
         c, sd = float(fit.state.arm[29 + j]), float(fit.sd[fit.layout.arm[29 + j]])
-        stray = STRAY * _normal(c, float(np.hypot(WIDE, sd)))
-        agree = _normal(c - listed[j - 1], float(np.hypot(SPRING_SD * listed[j - 1], sd)))
+        stray = STRAY_SPRINGS * _normal(c, float(np.hypot(STRAY_COMPLIANCE, sd)))
+        agree = _normal(c - listed[j - 1], float(np.hypot(BELIEVED_SPRING_SD * listed[j - 1], sd)))
         rigid = _normal(c, float(np.hypot(0.05 * listed[j - 1], sd)))
-        odds += float(np.log((1 - STRAY) * agree + stray) - np.log((1 - STRAY) * rigid + stray))
+        odds += float(np.log((1 - STRAY_SPRINGS) * agree + stray) - np.log((1 - STRAY_SPRINGS) * rigid + stray))
     return odds > 0.0
 
 
@@ -89,19 +75,13 @@ def relearned(task: Task, fit: Held) -> Task:
     layout = task.layout
     sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     prior, scale = layout.prior_sd.copy(), layout.scale.copy()
-    lengths = np.array([name[0] == "d" or (name[0] == "a" and name[1] != "l") for name in MDH_NAMES])
     changed = False
-    for kind in (lengths, ~lengths):
-        columns = layout.arm[:30][kind]
-        columns = columns[columns >= 0]
+    for columns in layout.geometry:
         if not len(columns):
             continue
         before = float(prior[columns[0]])
-        known = float(np.sum(1.0 - (sd[columns] / before) ** 2))
-        if known <= 2.0:
-            continue
-        width = float(np.clip(np.sqrt(np.sum(fit.offset[columns] ** 2) / known), *LEARNED))
-        if abs(np.log(width / before)) > RELEARN:
+        width = learned_width(fit.offset[columns], sd[columns], before)
+        if abs(np.log(width / before)) > RELEARNED_WIDTH:
             prior[columns] = scale[columns] = width
             changed = True
     return replace(task, layout=replace(layout, prior_sd=prior, scale=scale)) if changed else task

@@ -7,16 +7,12 @@ from functools import cached_property
 import numpy as np
 
 from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, foreseen, scan_key
+from ocp.diagnose.rules import LEAST_CHANGES, LINK_MASS_SD
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.baseline import relearned
-from ocp.diagnose.tracker.folds import tracker_folds
-from ocp.diagnose.tracker.held_out import held_out
-from ocp.diagnose.tracker.masses import MASS_SD, mass_columns
-from ocp.diagnose.tracker.masses import NAMES as MASS_NAMES
-from ocp.diagnose.tracker.motion import Seen, displaced, motion
-from ocp.diagnose.tracker.noise import is_restless, plain
-from ocp.diagnose.tracker.predict import predict
-from ocp.diagnose.tracker.refit import Held, Task, refit, settled
+from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
+from ocp.diagnose.tracker.motion import MASS_NAMES, PlacedReadings, displaced, mass_columns, motion
+from ocp.diagnose.tracker.refit import Held, Task, gap_noise, is_restless, refit, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener
@@ -29,7 +25,6 @@ COLUMNS = {
     "payload": "payload",
 }  # fmt: skip
 ANY = {"target", "payload"}  # one of them is as good as many
-LEAST_CHANGE = {"temperature_C": 0.3, "time_s": 60.0, "clock_s": 60.0}  # K, s: less is no change of conditions
 
 
 @dataclass(frozen=True)
@@ -53,10 +48,10 @@ class TrackerChannel:
         return self.task.campaign.readings
 
     @cached_property
-    def seen(self) -> Seen:
+    def seen(self) -> PlacedReadings:
         """Readings as effects see them."""
         c = self.task.campaign
-        return Seen(
+        return PlacedReadings(
             c.robot,
             c.readings,
             c.instrument,
@@ -81,7 +76,7 @@ class TrackerChannel:
             residual=np.einsum("nij,nj->ni", self.fit.W, linear.residual).ravel(),
             nuisance=(self.fit.W @ J).reshape(3 * n, -1),
             names=(*layout.names, *MASS_NAMES),
-            prior_sd=np.append(layout.prior_sd, np.full(len(MASS_NAMES), MASS_SD)),
+            prior_sd=np.append(layout.prior_sd, np.full(len(MASS_NAMES), LINK_MASS_SD)),
             offset=np.append(np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0), np.zeros(len(MASS_NAMES))),
             reading=np.repeat(np.arange(n), 3),
             component=np.tile(np.arange(3), n),
@@ -101,7 +96,7 @@ class TrackerChannel:
     def noise_floor(self) -> float:
         """Rms of a reading's noise in mm (3D)."""
         c = self.task.campaign
-        S = reading_covariance(self.readings, c.instrument, plain(self.fit.noise), self.fit.linear.d_joints)
+        S = reading_covariance(self.readings, c.instrument, gap_noise(self.fit.noise), self.fit.linear.d_joints)
         return float(1e3 * np.sqrt(np.trace(S, axis1=1, axis2=2).mean()))
 
     def restless(self, scale: float) -> bool:
@@ -151,7 +146,7 @@ class TrackerChannel:
             value = getattr(self.readings, COLUMNS[column], None) if column in COLUMNS else None
             if value is None:
                 return f"tracker.csv has no column {column}: {effect.name} cannot be seen"
-            if column not in ANY and np.ptp(value) < LEAST_CHANGE.get(column, 0.5):
+            if column not in ANY and np.ptp(value) < LEAST_CHANGES.get(column, 0.5):
                 return f"{column} hardly changes in tracker.csv: {effect.name} cannot be seen"
         return ""
 
@@ -220,16 +215,16 @@ class TrackerChannel:
 
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
-        return held_out(self.task, self.fit, fold, [a for a in active if not self.blind(a.effect)])
+        return held_out_readings(self.task, self.fit, fold, [a for a in active if not self.blind(a.effect)])
 
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = (self if _kinds(a) == _kinds(self.active) else self.with_active(a) for a in ((), active))
-        parted = foreseen(after.active, lambda effect: _told(effect, sealed))
-        return predict(before.task, before.fit, after.task, after.fit, after.background.mean, sealed, parted)
+        parted = foreseen(after.active, lambda effect: _has_columns(effect, sealed))
+        return predict_sealed_readings(before.task, before.fit, after.task, after.fit, after.background.mean, sealed, parted)
 
 
-def _told(effect: Effect, readings: Readings) -> bool:
+def _has_columns(effect: Effect, readings: Readings) -> bool:
     """Whether conditions have the columns that an effect needs."""
     return all(getattr(readings, COLUMNS[c], None) is not None for c in effect.needs if c in COLUMNS)
 

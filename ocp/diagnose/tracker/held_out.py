@@ -5,32 +5,70 @@ micrometre, so one weighted least-squares solution with the priors stands for a 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.cluster.vq import kmeans2
 
-from ocp.diagnose.engine.system import Fold, HeldOut, drifts
-from ocp.diagnose.tracker.motion import Seen, together
-from ocp.diagnose.tracker.noise import plain
-from ocp.diagnose.tracker.refit import RANK, Held, Task
+from ocp.diagnose.engine.system import Fold, Foreseen, HeldOut, Sealed, drifts
+from ocp.diagnose.rules import FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
+from ocp.diagnose.tracker.motion import PlacedReadings, together
+from ocp.diagnose.tracker.refit import RANK, Held, Task, gap_noise, linearise_with, seen_of
 from ocp.effects.effect import Active, prior_sds
 from robots.calibration.noise import reading_covariance
+from robots.calibration.residuals import points
 from robots.gauss_newton import linear_step
 from robots.pose import Array
+from robots.tracker_readings import Readings
 
-GROSS = 0.1  # reliability below which a reading is an outlier and is not held against a model
+PARTS = 5
+LEAST = 8  # readings on each side
+
+
+def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
+    """Random and regional parts (repeats stay together), then payloads, sessions, warm and late readings, halves of joints'
+    ranges, approach from one side."""
+    r = readings
+    group = r.repeats()
+    part = np.random.default_rng(seed).permutation(np.arange(group.max() + 1) % PARTS)[group]
+    found = [Fold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
+    _, label = kmeans2(r.q[:, :3], PARTS, seed=seed, minit="++")
+    found += [Fold(f"block={k + 1}", "block", label == k) for k in np.unique(label)]
+    for kind, index, names in (("payload", r.payload, r.payloads), ("session", r.session, r.sessions)):
+        if len(np.unique(index)) > 1:
+            found += [Fold(f"{kind}={names[k]}", kind, index == k) for k in np.unique(index)]
+    for kind, values, least in (("temperature", r.temperature, FOLD_WARMTH), ("time", r.time, FOLD_TIME)):
+        if values is not None and np.ptp(values) > least:
+            found += _thirds(kind, values)
+    for j in range(6):
+        if np.ptp(r.q[:, j]) > LEAST_TURN:
+            middle = float(np.median(r.q[:, j]))
+            degrees = f"{np.degrees(middle):.0f}"
+            found.append(Fold(f"joint {j + 1} above {degrees} deg", "joint range", r.q[:, j] > middle))
+            found.append(Fold(f"joint {j + 1} below {degrees} deg", "joint range", r.q[:, j] <= middle))
+    return [f for f in found if f.held.sum() >= LEAST and (~f.held).sum() >= LEAST]
+
+
+def _thirds(kind: str, values: Array) -> list[Fold]:
+    """The highest third."""
+    cut = float(np.quantile(values, 2 / 3))
+    unit = {"temperature": "C", "time": "s"}[kind]
+    return [Fold(f"{kind} above {cut:.4g} {unit}", kind, values > cut)]
+
+
 LEAST_TRAIN, LEAST_TEST = 15, 3
 
 
-def held_out(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> HeldOut | None:
+def held_out_readings(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> HeldOut | None:
     """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects and with `active`."""
     r = task.campaign.readings
     held = np.asarray(fold.held, bool)
     train = ~held
-    known = np.isin(r.target, r.target[train]) & np.isin(r.station, r.station[train]) & (fit.weight > GROSS)
+    known = np.isin(r.target, r.target[train]) & np.isin(r.station, r.station[train]) & (fit.weight > OUTLIER_WEIGHT)
     rows = np.flatnonzero(held & known)
     if train.sum() < LEAST_TRAIN or len(rows) < LEAST_TEST:
         return None
-    seen = Seen(
+    seen = PlacedReadings(
         task.campaign.robot, r, task.campaign.instrument, fit.state, fit.linear.point, task.reference, task.start.arm[30:]
     )
     whole = fit.linear.residual + added(fit.active, seen, fit)[1]
@@ -42,13 +80,13 @@ def held_out(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> Hel
     told = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
     moved = a - _solved(task, fit, whole, extra, prior, np.ones(len(r), bool))[1]
     drift = drifts(active, moved, covariance)
-    S = reading_covariance(r.take(rows), task.campaign.instrument, plain(fit.noise), fit.linear.d_joints[rows])
+    S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
     e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)
     return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(told.mean()), drift)
 
 
-def added(active: Sequence[Active], seen: Seen, fit: Held) -> tuple[Array, Array]:
+def added(active: Sequence[Active], seen: PlacedReadings, fit: Held) -> tuple[Array, Array]:
     """Columns (n, 3, m) m of effects about the fit, and what they add (n, 3) m at their values."""
     n = len(seen.readings)
     if not active:
@@ -71,3 +109,34 @@ def _solved(task: Task, fit: Held, residual: Array, extra: Array, prior: Array, 
     step, last = scale * found.change, slice(layout.size, None)
     covariance = scale[last, None] * found.covariance[last, last] * scale[last]
     return np.asarray(residual - J @ step), step[last], covariance
+
+
+def predict_sealed_readings(before_task: Task, before: Held, after_task: Task, after: Held, lasting: Array, sealed: Readings,
+    parted: Foreseen,
+) -> Sealed:  # fmt: skip
+    """`sealed` use the same names (targets, payloads, stations) as the readings that were fitted; `before` has no effects.
+    lasting (6,): mean square rad^2 of each joint's errors that last (`background`); parted: which of `after`'s effects the
+    conditions say enough of."""
+    seen = replace(sealed, turn=None, sigma_turn=None, point=np.nan_to_num(sealed.point))
+    baseline = points(before_task.campaign.robot, seen, before_task.campaign.instrument, before.state)
+    corrected, covariance = _points(after_task, after, seen, lasting, parted)
+    usual = np.mean(added(parted.unknown, seen_of(after_task, after.state), after)[1] ** 2, axis=0)
+    sigma = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0) + usual)
+    return Sealed(baseline, corrected, sigma, parted.lacking)
+
+
+def _points(task: Task, fit: Held, sealed: Readings, lasting: Array, parted: Foreseen) -> tuple[Array, Array]:
+    """Points (n, 3) m in the tracker's frame, with the effects that are known there, and covariance (n, 3, 3) m^2 of where
+    noise-free reflectors will be; lasting (6,): mean square rad^2 of each joint's errors that are the same whenever its axis
+    comes back, and so are in noise-free readings."""
+    c = task.campaign
+    # Effects of the tracker and of the base act on where the reflector is: predicted, as nobody measured it.
+    place = points(c.robot, sealed, c.instrument, fit.state)
+    asked = replace(task, campaign=replace(c, readings=replace(sealed, point=place)))
+    linear, extra = linearise_with(asked, fit.state, parted.known)
+    J = np.concatenate([linear.J, extra], axis=2)
+    own = linear.J.shape[2]
+    keep = np.r_[np.arange(own), own + parted.kept]
+    covariance = fit.covariance[np.ix_(keep, keep)]
+    D = linear.d_joints * np.sqrt(lasting)
+    return linear.point, np.asarray(J @ covariance @ np.swapaxes(J, 1, 2) + D @ np.swapaxes(D, 1, 2))

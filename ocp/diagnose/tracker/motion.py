@@ -1,27 +1,27 @@
 """What effects do to tracker readings: shifts of the joint angles, and displacements of the reflectors that come on top."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from ocp.diagnose.rules import SPRINGS_WITHIN
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.effects.engine.evaluate import TrackerRows, arm_columns, tracker_columns
 from ocp.effects.engine.rows import ArmRows, arm_rows
 from robots.calibration.layout import State
 from robots.calibration.reading_model import RowInputs
-from robots.gravity import GRAVITY
+from robots.gravity import GRAVITY, weight_torques
 from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Index, Instrument, Readings
 
-SOFTEST = (0.5, 2.0)  # of the believed springs: between these torques act on them
 Motion = tuple[Array | None, Array | None]
 
 
 @dataclass(frozen=True)
-class Seen:
+class PlacedReadings:
     """Readings with commanded joints (signs, loads, times as measured), the arm's parameters they are predicted with, their
     reflectors `point` (n, 3) m in the tracker's frame, the cell's reference temperature deg C, and what the joints' springs were
     believed to be before any reading (6,) rad/(N m).
@@ -64,7 +64,7 @@ class Seen:
         link = np.array([nests[name].link if name in nests else 6 for name in r.targets])[r.target]
         pulled = np.where(np.abs(r.load).max(axis=1) > 0, r.load_link, 6)
         found = []
-        springs = np.clip(self.state.arm[30:], SOFTEST[0] * self.believed, SOFTEST[1] * self.believed)
+        springs = np.clip(self.state.arm[30:], SPRINGS_WITHIN[0] * self.believed, SPRINGS_WITHIN[1] * self.believed)
         whole = np.concatenate([self.state.arm[:30], np.where(self.believed > 0, springs, self.state.arm[30:])])
         for on, load_link in sorted({*zip(link.tolist(), pulled.tolist(), strict=True)}):
             rows = np.flatnonzero((link == on) & (pulled == load_link))
@@ -131,7 +131,7 @@ class Seen:
         return TrackerRows(self.point, R, r.target.astype(float), r.targets, r.time, self.warm)
 
 
-def motion(effect: Effect, joint: int, scans: Sequence[Scanned], seen: Seen) -> Motion:
+def motion(effect: Effect, joint: int, scans: Sequence[Scanned], seen: PlacedReadings) -> Motion:
     """Shift of the joints (V, n, 6, m) rad and displacement of the reflectors (V, n, 3, m) m in the tracker's frame that comes
     on top, per unit coefficient, of V variants; None where there is none of a kind."""
     shape = (len(scans), len(seen))
@@ -164,7 +164,7 @@ def displaced(found: Motion, d_joints: Array) -> Array:
     return np.asarray(moved if point is None else moved + point)
 
 
-def together(active: Sequence[Active], seen: Seen) -> tuple[list[Array], Array, Array]:
+def together(active: Sequence[Active], seen: PlacedReadings) -> tuple[list[Array], Array, Array]:
     """Of active effects: shift and displacement (n, 9, m) per unit coefficient, one array each; the whole shift (n, 6) rad and
     the whole displacement (n, 3) m at their values."""
     n = len(seen)
@@ -180,3 +180,19 @@ def together(active: Sequence[Active], seen: Seen) -> tuple[list[Array], Array, 
         whole += part @ one.a
         parts.append(part)
     return parts, whole[:, :6], whole[:, 6:]
+
+
+LINKS = (2, 3, 4, 5, 6)  # the base and link 1 turn about the vertical only
+MASS_NAMES = tuple(f"mass_link{i}" for i in LINKS)
+
+
+def mass_columns(seen: PlacedReadings, d_joints: Array) -> Array:
+    """Displacement (n, 3, 5) m per unit of relative mass of links 2 to 6; d_joints (n, 3, 6) m/rad."""
+    springs = np.clip(seen.state.arm[30:], 0.0, None)
+    found = []
+    for link in LINKS:
+        alone = np.zeros_like(seen.robot.link_mass)
+        alone[link] = seen.robot.link_mass[link]
+        tau = weight_torques(replace(seen.robot, link_mass=alone), seen.readings.q)
+        found.append(np.einsum("nij,nj->ni", d_joints, springs * tau))
+    return np.stack(found, axis=2)

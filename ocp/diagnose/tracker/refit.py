@@ -9,16 +9,52 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import expit
 
-from ocp.diagnose.tracker.motion import Seen, together
-from ocp.diagnose.tracker.noise import joint_noise, reliability
+from ocp.diagnose.rules import (
+    LEAST_REPEATED,
+    OUTLIER_SHARE,
+    OUTLIER_SIZE,
+    REPEATED_NOISE_SD,
+    RESTLESS,
+    USUAL_JOINT_NOISE,
+    USUAL_JOINT_NOISE_SD,
+)
+from ocp.diagnose.tracker.motion import PlacedReadings, together
 from ocp.effects.effect import Active, coefficients, prior_sds, with_coefficients
 from robots.calibration.layout import Layout, State, moved
-from robots.calibration.noise import Noise, Repeats, reading_covariance, whitener
+from robots.calibration.noise import JOINT_NOISE, Noise, Repeats, joint_noise, reading_covariance, whitener
 from robots.calibration.residuals import Linearised, linearise, points
 from robots.calibration.solver import Campaign
 from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
+
+
+def gap_noise(noise: Noise) -> Noise:
+    """The joint noise that a gap is told against: what the residual asks for unless that is far above the usual (`is_restless`),
+    for then it is the gap itself."""
+    return Noise(USUAL_JOINT_NOISE) if is_restless(noise.joints) else noise
+
+
+def is_restless(joints: float) -> bool:
+    """Whether joint noise (rad) is far above what such joints usually scatter."""
+    return joints > RESTLESS * USUAL_JOINT_NOISE
+
+
+def reliability(squared: Array) -> Array:
+    """Probability (n,) that a reading of whitened squared distance `squared` (three components) is none of the outliers: flat
+    at one for good readings, so that Gaussian evidence stays exact, and zero for gross ones."""
+    log_odds = np.log((1 - OUTLIER_SHARE) / OUTLIER_SHARE) + 3 * np.log(OUTLIER_SIZE) - 0.5 * squared * (1 - 1 / OUTLIER_SIZE**2)
+    return np.asarray(expit(log_odds))
+
+
+def usual_noise(repeats: Repeats | None) -> tuple[float, float]:
+    """Joint noise rad before the residual is looked at, and one sigma of its logarithm: what repeats show where there are enough,
+    else what is usual."""
+    if repeats is None or repeats.freedom < LEAST_REPEATED or repeats.joints <= 0:
+        return USUAL_JOINT_NOISE, USUAL_JOINT_NOISE_SD
+    return max(repeats.joints, JOINT_NOISE[0]), REPEATED_NOISE_SD + 2.0 / np.sqrt(repeats.freedom)
+
 
 STEPS = 8
 SETTLED = 0.01  # of one posterior sd, of each unknown
@@ -62,7 +98,7 @@ def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noi
         used = freedom_used(task.layout, found)
         off = found.linear.residual
         c = task.campaign
-        after = joint_noise(c.readings, c.instrument, off, found.linear.d_joints, used, task.repeats)
+        after = joint_noise(off, c.readings, c.instrument, found.linear.d_joints, used, *usual_noise(task.repeats))
         small = abs(np.log(after.joints / noise.joints)) < 0.02
         noise = after
         found = _settled(task, found.state, found.offset, found.active, noise, (found.linear, found.extra))
@@ -82,7 +118,7 @@ def freedom_used(layout: Layout, fit: Held) -> float:
     return float(np.sum(1.0 - np.diag(fit.covariance) / prior**2))
 
 
-def looked(task: Task, state: State, active: tuple[Active, ...]) -> tuple[Linearised, Array]:
+def linearise_with(task: Task, state: State, active: tuple[Active, ...]) -> tuple[Linearised, Array]:
     """Residuals about state and effects, and the effects' columns (n, 3, m)."""
     c = task.campaign
     n = len(c.readings)
@@ -96,8 +132,8 @@ def looked(task: Task, state: State, active: tuple[Active, ...]) -> tuple[Linear
     return linear, extra
 
 
-def placed(task: Task, state: State, active: tuple[Active, ...]) -> Array:
-    """Predicted reflectors (n, 3) m alone, as `looked` gives them."""
+def points_with(task: Task, state: State, active: tuple[Active, ...]) -> Array:
+    """Predicted reflectors (n, 3) m alone, as `linearise_with` gives them."""
     c = task.campaign
     if not active:
         return points(c.robot, c.readings, c.instrument, state)
@@ -105,10 +141,10 @@ def placed(task: Task, state: State, active: tuple[Active, ...]) -> Array:
     return points(c.robot, replace(c.readings, q=c.readings.q + shift), c.instrument, state) + displacement
 
 
-def seen_of(task: Task, state: State) -> Seen:
+def seen_of(task: Task, state: State) -> PlacedReadings:
     """The readings about a state, for effects."""
     c = task.campaign
-    return Seen(c.robot, c.readings, c.instrument, state, c.readings.point, task.reference, task.start.arm[30:])
+    return PlacedReadings(c.robot, c.readings, c.instrument, state, c.readings.point, task.reference, task.start.arm[30:])
 
 
 @dataclass(frozen=True)
@@ -158,7 +194,7 @@ class _Point:
         step, size = self.scale * change, self.task.layout.size
         state = moved(self.task.layout, self.state, step[:size])
         active = with_coefficients(self.active, coefficients(self.active) + step[size:])
-        linear, extra = looked(self.task, state, active)
+        linear, extra = linearise_with(self.task, state, active)
         return replace(self, state=state, offset=self.offset + step[:size], active=active, linear=linear, extra=extra)
 
 
@@ -170,8 +206,8 @@ def _settled(
     noise: Noise,
     here: tuple[Linearised, Array] | None = None,
 ) -> Held:
-    """Gauss-Newton until a step is small against the posterior; here: what `looked` says of the beginning, where it is known."""
-    linear, extra = looked(task, state, active) if here is None else here
+    """Gauss-Newton until a step is small against the posterior; here: `linearise_with` at the beginning where it is known."""
+    linear, extra = linearise_with(task, state, active) if here is None else here
     none = np.zeros(0)
     start = _Point(task, state, offset, active, noise, linear, extra, none, none)
     known = np.isfinite(start.prior_sd)
