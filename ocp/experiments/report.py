@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import MultipleLocator
 
-from ocp.calibrate.report.pages import write_sheets
 from ocp.experiments.summary import PAPER_FORCES, PAPER_POSITIONS, force_rows, position_rows
 from ocp.experiments.trial import STEPS, Trial
-from ocp.report.page import render_page
-from ocp.report.panels import AFTER, BAD, BEFORE, dots, dressed, keys, log_scale, panels
-from ocp.report.section import Canvas, Headline, Plot, Points, Section, Table, table
-from ocp.report.style import INK, SOFT
+from ocp.report.parts import Plot, Points, Table, table
+from ocp.report.plotting import Canvas, dots, dressed, keys, log_scale, panels
+from ocp.report.report import Report
+from ocp.report.section import Headline, Section
+from ocp.report.style import AFTER, BAD, BEFORE, INK, SOFT
 
 KIND = "Experiments on virtual robots"
 METHOD_WORDS = {
@@ -29,10 +29,9 @@ METHOD_WORDS = {
 def write_experiments(trials: Sequence[Trial], wanted: float, notices: Sequence[str], folder: Path) -> None:
     """report.html and report.pdf in `folder`; `wanted` N is the process force."""
     title = f"{len(trials)} robots, {wanted:g} N"
-    head, sections = _headline(trials, wanted), experiment_sections(trials, wanted)
-    page = render_page(title, head, notices, sections, KIND)
-    (folder / "report.html").write_bytes(page.encode("utf-8", "replace"))
-    write_sheets(title, head, notices, sections, folder / "report.pdf", KIND)
+    report = Report(KIND, title, _headline(trials, wanted), notices, experiment_sections(trials, wanted))
+    report.write_page(folder / "report.html")
+    report.write_pdf(folder / "report.pdf")
 
 
 def experiment_sections(trials: Sequence[Trial], wanted: float) -> list[Section]:

@@ -12,10 +12,8 @@ import numpy as np
 from ocp.plan.motion.timeline import Timeline, build_timeline, write_plan_csv
 from ocp.plan.planning import Plan
 from ocp.plan.programming import emitted_times, grinding_program, write_program
-from ocp.plan.report.build import build_report
-from ocp.plan.report.data import InputFile, SummaryRow
-from ocp.plan.report.page import write_page
-from ocp.plan.report.printed import write_pdf
+from ocp.plan.report.pages import write_plan_report
+from ocp.plan.report.plan_report import InputFile, SummaryRow, build_report
 from ocp.plan.verify.readback import Readback, read_back
 from ocp.plan.verify.second_route import believed_robot
 from ocp.shell.cache import sha256
@@ -66,10 +64,9 @@ def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Pha
             summary = _summary(plan, written)
             verdict = _verdict(plan, written)
             report = build_report(
-                plan.cell, plan.blade, plan.motion, written.timeline, verdict, summary, _inputs(plan), plan.notices, ()
+                plan.cell, plan.blade, plan.motion, written.timeline, verdict, summary, _inputs(plan), plan.notices
             )
-            write_page(report, folder / "report.html")
-            write_pdf(report, folder / "report.pdf")
+            write_plan_report(report, folder)
         with phases.phase("writing"):
             _write_json(plan, written, summary, verdict, folder / "plan.json")
     dialect = dialect_named(plan.cell.controller.dialect)

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.patches import Circle
 
-from ocp.report.colours import SIDE_COLOURS
-from ocp.report.style import CURVE, INK, LIMIT, SOFT, STYLE, Sheet, new_sheet, number_sheets, printable
+from ocp.report.sheets import Sheet, new_sheet, number_sheets
+from ocp.report.style import CURVE, INK, LIMIT, SIDE_COLOURS, SOFT, STYLE, printable
 from robots.kinematics import link_frames
 from robots.pose import Array, apply
 

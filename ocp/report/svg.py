@@ -12,7 +12,7 @@ from html import escape
 import matplotlib
 from matplotlib.figure import Figure
 
-from ocp.report.section import WIDTH, Canvas, Plot
+from ocp.report.plotting import WIDTH, Canvas, Draw
 from ocp.report.style import STYLE
 
 _SVG_STYLE = STYLE | {"svg.fonttype": "none", "svg.hashsalt": "report"}
@@ -23,11 +23,11 @@ _MARK = re.compile(r'<use (href="#[^"]+" x="[^"]+" y="[^"]+")((?: [\w-]+="[^"]*"
 _REFERENCE = re.compile(r'(?:href="#|url\(#)([^")]+)')
 
 
-def inline_svg(plot: Plot) -> str:
-    """The `<svg>` element of a plot; equal plots give equal text."""
+def inline_svg(key: str, caption: str, height: float, draw: Draw) -> str:
+    """The `<svg>` element of a plot of `height` inch, `WIDTH` wide; `key` begins its names, `caption` is read aloud."""
     with matplotlib.rc_context(_SVG_STYLE):
-        figure = Figure(figsize=(WIDTH, plot.height))
-        plot.draw(Canvas(figure, plot.height))
+        figure = Figure(figsize=(WIDTH, height))
+        draw(Canvas(figure, height))
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
     text = buffer.getvalue()
@@ -36,8 +36,8 @@ def inline_svg(plot: Plot) -> str:
     text = _STYLE.sub(lambda found: _attributes(found.group(1)), text)
     text = text.replace("xlink:href=", "href=")
     text = re.sub(r"<[^>]+>", lambda tag: _LONG_NUMBER.sub(r"\1", tag.group(0)), text)
-    text = re.sub(r">\s+<", "><", _gathered(_renamed(text, plot.key)))
-    return _headed(text, plot).strip()
+    text = re.sub(r">\s+<", "><", _gathered(_renamed(text, key)))
+    return _headed(text, caption).strip()
 
 
 def _attributes(style: str) -> str:
@@ -79,12 +79,12 @@ def _gathered(text: str) -> str:
     return re.sub(rf"(?:{_MARK.pattern}\s*){{2,}}", group, text)
 
 
-def _headed(text: str, plot: Plot) -> str:
+def _headed(text: str, caption: str) -> str:
     """The element's own attributes: a view box to scale, a role and a name for those who listen."""
     box = re.search(r'viewBox="([^"]*)"', text)
     assert box is not None
     head = (
-        f'<svg viewBox="{box.group(1)}" role="img" aria-label="{escape(plot.caption, quote=True)}" '
+        f'<svg viewBox="{box.group(1)}" role="img" aria-label="{escape(caption, quote=True)}" '
         'stroke-linejoin="round" stroke-linecap="butt">'
     )
     return head + text[text.index(">") + 1 :]

@@ -21,7 +21,7 @@ from ocp.simulate.input import (
     in_words,
     planted_effects,
 )
-from ocp.simulate.report.rehearsal import verdict, write_rehearsal_page
+from ocp.simulate.report import rehearsal_headline, write_rehearsal_page
 from ocp.simulate.twin.arm.arm import make_arm
 from ocp.simulate.twin.belonging import refuse_stranger
 from ocp.simulate.twin.campaign import Campaign, run_campaign
@@ -231,7 +231,7 @@ def _last_line(
     """What was seen, where it is written, what to do with it."""
     parts = []
     if ground is not None:
-        parts.append(verdict(ground.rehearsal, MACHINES[wanted.machine].format(seed=wanted.seed)).sentence)
+        parts.append(rehearsal_headline(ground.rehearsal, MACHINES[wanted.machine].format(seed=wanted.seed)).sentence)
         worst = ground.rehearsal.worst[0]
         x, y, z = 1e3 * worst.p
         parts.append(

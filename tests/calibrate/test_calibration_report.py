@@ -19,9 +19,9 @@ from ocp.calibrate.report.pages import write_calibration_report
 from ocp.calibrate.report.view import held_out_in_base, look_at
 from ocp.calibrate.report.words import headline, term_verdict
 from ocp.calibrate.tracker import MethodTable, TrackerCalibration
-from ocp.report.flow import column_widths, width_of, wrapped
-from ocp.report.section import WIDTH, Canvas, Plot, Points, Section, table
-from ocp.report.svg import inline_svg
+from ocp.report.parts import Plot, Points, table
+from ocp.report.plotting import Canvas
+from ocp.report.section import Section
 from robots.calibration.evidence import Term
 from robots.calibration.identifiability import Hidden
 from robots.calibration.load_tests import LoadTest
@@ -337,28 +337,3 @@ def test_drift_is_told_from_chance(made):
 )
 def test_terms_are_judged_in_words(term, words):
     assert words in term_verdict(term)
-
-
-def test_labels_keep_their_decimals():
-    def draw(canvas: Canvas) -> None:
-        ax = canvas.subplots(1, 1)
-        ax.plot([0, 1, 2], [1, 2, 3], "o")
-        ax.set_title("0.0375 < 1 & more")
-
-    text = inline_svg(Plot("one", 'a "caption"', 2.0, draw))
-    assert "0.0375 &lt; 1 &amp; more" in text and "style=" not in text and 'aria-label="a &quot;caption&quot;"' in text
-    assert text.count("<use href=") >= 3 and f'viewBox="0 0 {72 * WIDTH:.2f}' in text
-
-
-def test_wrapped_lines_fit_and_lose_nothing():
-    words = "Neighbours that point the same way are a pattern " * 3 + "averyveryveryverylongnamewithoutanyspaceinit" * 2
-    lines = wrapped(words, 2.0, 8.0)
-    assert all(width_of(line, 8.0) <= 2.0 for line in lines)
-    assert "".join(lines).replace(" ", "") == words.replace(" ", "")
-    wide = table(("a", "b", "c"), [("x", "word " * 60, "12.5")], text=(0, 1))
-    assert sum(column_widths(wide)) <= WIDTH and column_widths(wide)[2] >= width_of("12.5", 7.0)
-
-
-def test_a_table_with_a_short_row_is_refused():
-    with pytest.raises(ValueError, match="2 entries for 3 columns"):
-        table(("a", "b", "c"), [("1", "2")])

@@ -18,7 +18,8 @@ from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.calibrate.report.contact import contact_sections
 from ocp.model.cell import read_cell
 from ocp.model.theta import registered
-from ocp.report.section import WIDTH, Canvas, Plot, Table
+from ocp.report.parts import Plot, Table
+from ocp.report.plotting import WIDTH, Canvas
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput
 from tests.support.force_world import HEADER, Run, World, arm_posterior, campaign, correlated, make_world, write_log

@@ -11,13 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ocp.plan.report.charts import contact_bands, contact_spans, decimals_of, force_panels
-from ocp.plan.report.data import PassReport, PlanReport
-from ocp.plan.report.printed_maps import common_distance
+from ocp.plan.report.axes import limit_rows, limit_table
+from ocp.plan.report.force import decimals_of, force_panels, pass_table
+from ocp.plan.report.maps import common_distance
+from ocp.plan.report.plan_report import PassReport, PlanReport
 from ocp.plan.report.quantities import QUANTITIES, colour_range, nice_ticks, quantity
 from ocp.plan.report.surface import cluster_vertices, paint_blade, pass_spacing, refine_near
-from ocp.plan.report.tables import limit_rows, pass_rows
-from ocp.report.style import envelope, printable, shorten
 from robots.pose import Array, apply, invert, make_transform, rotation_from_abc
 from tests.support.report_example import example_report, synthetic_blade
 
@@ -94,17 +93,21 @@ def test_limit_table_tells_the_worst_use(report):
     assert rows["A5", "position"].ratio == pytest.approx(1.0) and rows["A5", "position"].time == motion.time[100]
     assert rows["A2", "speed"].ratio == pytest.approx(1.25) and rows["A2", "speed"].time == motion.time[200]
     assert rows["A2", "speed"].limit == "115.00 deg/s"
+    table = limit_table(tuple(rows.values()))
+    assert 5 in table.strong and table.rows[5][4] == "125 % over the limit"
+    assert table.bars[4][5] == pytest.approx(1.25)
     free = replace(report, limits=replace(limits, torque_max=np.full(6, np.inf)))
+    assert limit_table(limit_rows(free)).rows[3][3:5] == ("none", "not limited")
     assert [row.limit for row in limit_rows(free) if row.kind == "torque"] == ["none"] * 6
 
 
 def test_pass_table_counts_every_pass(report):
-    rows = pass_rows(report)
-    assert [row.line for row in rows] == ["1", "2", "3", "4", "5", "6"]
+    rows = pass_table(report).rows
+    assert [row[0] for row in rows] == ["1", "2", "3", "4", "5", "6"]
     force = report.passes[0].force
-    assert rows[0].force == f"{force.min():.2f} .. {force.max():.2f}"
+    assert rows[0][4] == f"{force.min():.2f} .. {force.max():.2f}"
     unknown = replace(report.passes[0], force=np.full(len(force), np.nan))
-    assert pass_rows(replace(report, passes=(unknown,)))[0].force == "not known"
+    assert pass_table(replace(report, passes=(unknown,))).rows[0][4] == "not known"
 
 
 def test_force_panels_share_one_scale_and_break_at_gaps(report):
@@ -117,13 +120,11 @@ def test_force_panels_share_one_scale_and_break_at_gaps(report):
 
 
 def test_contact_spans_are_the_passes_in_time(report):
-    spans = contact_spans(report)
+    spans = report.contact_spans()
     assert [line for line, _, _ in spans] == [item.line for item in report.passes]
     for (_, start, end), item in zip(spans, report.passes, strict=True):
         mean_feed = item.s[-1] / (end - start)
         assert item.feed.min() * 0.98 < mean_feed < item.feed.max() * 1.02
-    bands = contact_bands(report)
-    assert all(0 <= band.left and band.left + band.width <= 100.001 for band in bands)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6), st.integers(2, 8))
@@ -149,21 +150,6 @@ def test_passes_fed_against_each_other_share_one_distance(report):
     along = common_distance([forth, back])
     np.testing.assert_allclose(along[0], forth.p[:, 0])
     np.testing.assert_allclose(along[1], back.p[:, 0], atol=1e-15)
-
-
-def test_thinned_curves_keep_their_peaks():
-    x = np.linspace(0, 1, 20_000)
-    y = np.sin(9 * x)
-    y[[777, 12_345]] = 5.0, -7.0
-    thin_x, thin_y = envelope(x, y, bins=200)
-    assert len(thin_x) <= 400 and (np.diff(thin_x) > 0).all()
-    assert thin_y.max() == 5.0 and thin_y.min() == -7.0
-
-
-def test_words_are_made_printable():
-    assert printable("a\nb\x00c µ ✓") == "a b c µ ✓"
-    assert printable("叶") == "\u25a1"
-    assert shorten("abcdefghij", 5) == "ab…ij" and shorten("abc", 5) == "abc"
 
 
 def test_the_pages_arithmetic_agrees_with_numpy(tmp_path):

@@ -7,7 +7,7 @@ to look right in a picture, no planner.
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from ocp.plan.report.data import AxisLimits, MotionReport, PassReport, WheelShape
+from ocp.plan.report.plan_report import AxisLimits, MotionReport, PassReport, WheelShape
 from robots.pose import Array, apply, invert, make_transform, rot_x, rot_y, rot_z
 
 LIMITS = AxisLimits(

@@ -1,7 +1,7 @@
 """A made-up but plausible plan for looking at reports: right shapes and magnitudes, no planner behind it.
 
 Forces and deviations are smooth invented functions of the place on the blade. From the root, to look:
-`PYTHONPATH=. python tests/report_example.py DIR [blade.stl]`
+`python -m tests.support.report_example DIR [blade.stl]`
 """
 
 import sys
@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from scipy.interpolate import CubicSpline
 
-from ocp.plan.report.data import (
+from ocp.plan.report.plan_report import (
     CellAnimation,
     InputFile,
     PassReport,
@@ -146,7 +146,6 @@ def example_report(blade: Path | None = None, lines: int = 8, count: int = 188, 
             "12 duplicate vertices of twisted.stl were merged.",
             "No temperature is set: the cell's 22 C is taken.",
         ),
-        versions=(("grindplan", "0.1.0"), ("casadi", "3.8.0"), ("numpy", np.__version__)),
         target_force=20.0,
         vertices=vertices,
         faces=faces,
@@ -160,16 +159,14 @@ def example_report(blade: Path | None = None, lines: int = 8, count: int = 188, 
 
 def main(folder: str, blade: str | None = None) -> None:
     """Write report.html, report.pdf and refused.html (a plan that must not be used) into the folder."""
-    from ocp.plan.report.page import write_page
-    from ocp.plan.report.printed import write_pdf
+    from ocp.plan.report.pages import plan_pages, write_plan_report
 
     report = example_report(Path(blade) if blade else None)
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)
-    write_page(report, out / "report.html")
-    write_pdf(report, out / "report.pdf")
+    write_plan_report(report, out)
     refused = replace(report, safe=False, verdict="Axis 5 passes its speed limit on line 3; no program was written.")
-    write_page(refused, out / "refused.html")
+    plan_pages(refused).write_page(out / "refused.html")
 
 
 if __name__ == "__main__":

@@ -8,10 +8,9 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from ocp.calibrate.report.view import ReadingsView, present
-from ocp.report.colours import SIDE_COLOURS
-from ocp.report.panels import AFTER, BAD, dots, dressed, keys, panels, reach, running_median
-from ocp.report.section import Canvas, Plot
-from ocp.report.style import RULE, printable, shorten
+from ocp.report.parts import Plot
+from ocp.report.plotting import Canvas, dots, dressed, keys, panels, reach, running_median
+from ocp.report.style import AFTER, BAD, RULE, SIDE_COLOURS, printable, shorten
 from robots.pose import Array
 from robots.tracker_readings import Index
 

@@ -5,8 +5,9 @@ import numpy as np
 from ocp.calibrate.force.fit import FIT_NAMES
 from ocp.calibrate.force.folds import pooled
 from ocp.calibrate.force.registration import ForceFit
-from ocp.report.panels import dressed, keys, panels
-from ocp.report.section import Canvas, Draw, Part, Plot, Points, Section, Table, table
+from ocp.report.parts import Plot, Points, Table, table
+from ocp.report.plotting import Canvas, Draw, dressed, keys, panels
+from ocp.report.section import Part, Section
 from ocp.report.style import CURVE, SOFT, TARGET
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
@@ -27,9 +28,9 @@ def contact_sections(fit: ForceFit) -> list[Section]:
         "Measured less predicted force by recording and against the predicted force: grey with the cell as believed, blue after "
         "the fit."
     )
-    parts: tuple[Part, ...] = (words, _parameters(fit), _held_out(fit), Plot("contact-force", caption, 2.6, _draw(fit)))
+    parts: tuple[Part | str, ...] = (words, _parameters(fit), _held_out(fit), Plot("contact-force", caption, 2.6, _draw(fit)))
     hidden = tuple(f"{key.replace(' ', ', ')}: {reason}" for key, reason in fit.not_identified.items())
-    unseen: tuple[Part, ...] = (Points(hidden),) if hidden else ("Everything that the cell leaves open was seen.",)
+    unseen: tuple[Part | str, ...] = (Points(hidden),) if hidden else ("Everything that the cell leaves open was seen.",)
     return [
         Section("Blade, wheel and flange, from the force log", parts),
         Section("What the force log cannot separate", unseen),

@@ -5,10 +5,9 @@ import numpy as np
 from ocp.calibrate.report.view import held_out_in_base
 from ocp.calibrate.report.words import beyond_chance, fold_name
 from ocp.calibrate.tracker import TrackerCalibration
-from ocp.report.colours import SIDE_COLOURS
-from ocp.report.panels import AFTER, BAD, BEFORE, dots, dressed, keys, log_scale, panels
-from ocp.report.section import Canvas, Plot
-from ocp.report.style import INK, RULE, printable, shorten
+from ocp.report.parts import Plot
+from ocp.report.plotting import Canvas, dots, dressed, keys, log_scale, panels
+from ocp.report.style import AFTER, BAD, BEFORE, INK, RULE, SIDE_COLOURS, printable, shorten
 
 COLOURS = {"full": AFTER, "geometry": SIDE_COLOURS[1], "relative": SIDE_COLOURS[3], "relative-literal": "#2a8a7a"}
 HONEST = (0.8, 1.25)  # error over prediction that is drawn as honest

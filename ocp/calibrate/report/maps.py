@@ -4,10 +4,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ocp.calibrate.report.view import Mask, ReadingsView
-from ocp.report.colours import SIDE_COLOURS
-from ocp.report.panels import AFTER, BAD, BEFORE, dots, dressed, keys, panels, reach, running_median
-from ocp.report.section import Canvas, Plot
-from ocp.report.style import INK, RULE, SOFT
+from ocp.report.parts import Plot
+from ocp.report.plotting import Canvas, dots, dressed, keys, panels, reach, running_median
+from ocp.report.style import AFTER, BAD, BEFORE, INK, RULE, SIDE_COLOURS, SOFT
 from robots.pose import Array
 
 _MAP_HEIGHT, _JOINT_HEIGHT = 4.9, 3.5

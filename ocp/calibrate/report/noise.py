@@ -5,7 +5,7 @@ import numpy as np
 from ocp.calibrate.report.view import ReadingsView
 from ocp.calibrate.report.words import count_of, listed, mm
 from ocp.calibrate.tracker import TrackerCalibration
-from ocp.report.section import Table, table
+from ocp.report.parts import Table, table
 
 LINES = 12  # outliers whose lines are listed
 BY_CHANCE = 16.3  # chi-square of 3 degrees of freedom, exceeded 1 time in 1000

@@ -4,7 +4,7 @@ import numpy as np
 
 from ocp.calibrate.report.view import named, present
 from ocp.calibrate.tracker import TrackerCalibration
-from ocp.report.section import Table, table
+from ocp.report.parts import Table, table
 from robots.calibration.layout import believed_compliance
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.pose import abc_from_rotation

@@ -12,7 +12,6 @@ from ocp.calibrate.report.spectrum import seen_plot, whitened_plot
 from ocp.calibrate.report.tables import (
     folds_table,
     hidden_table,
-    inputs_table,
     methods_table,
     springs_table,
     terms_table,
@@ -21,7 +20,8 @@ from ocp.calibrate.report.tables import (
 from ocp.calibrate.report.view import ReadingsView
 from ocp.calibrate.report.words import terms_note
 from ocp.calibrate.tracker import TrackerCalibration
-from ocp.report.section import Part, Points, Section
+from ocp.report.parts import Points, made_from
+from ocp.report.section import Part, Section
 
 
 def calibration_sections(
@@ -30,7 +30,7 @@ def calibration_sections(
     """All sections after the headline; `extra` stands before what to measure next."""
     tellable = tellable_parameters(c)
     todo = advice(c, view, tellable)
-    next_part: Part = Points(tuple(todo), numbered=True) if todo else "Nothing is lacking that these rules know of."
+    next_part: Part | str = Points(tuple(todo), numbered=True) if todo else "Nothing is lacking that these rules know of."
     return [
         _before_and_after(c),
         _left_out(c),
@@ -49,7 +49,7 @@ def calibration_sections(
         _noise(c, view),
         *extra,
         Section("What to measure next", (next_part,)),
-        Section("Made from", (inputs_table(hashes),) if hashes else ("No file was named.",)),
+        made_from(hashes),
     ]  # fmt: skip
 
 
@@ -117,6 +117,6 @@ def _terms(c: TrackerCalibration) -> Section:
 
 
 def _noise(c: TrackerCalibration, view: ReadingsView) -> Section:
-    parts: tuple[Part, ...] = (noise_table(c, view), load_test_words(c))
+    parts: tuple[Part | str, ...] = (noise_table(c, view), load_test_words(c))
     springs = springs_table(c)
     return Section("Noise, repeats and load tests", (*parts, springs) if springs.rows else parts)

@@ -7,9 +7,9 @@ from scipy.stats import chi, norm
 
 from ocp.calibrate.report.view import ReadingsView
 from ocp.calibrate.tracker import TrackerCalibration
-from ocp.report.panels import AFTER, BAD, BEFORE, dots, dressed, keys, log_scale, panels
-from ocp.report.section import Canvas, Plot
-from ocp.report.style import INK, SHADE, SOFT
+from ocp.report.parts import Plot
+from ocp.report.plotting import Canvas, dots, dressed, keys, log_scale, panels
+from ocp.report.style import AFTER, BAD, BEFORE, INK, SHADE, SOFT
 from robots.calibration.fit import Fit
 from robots.calibration.identifiability import SEPARATED
 from robots.calibration.parameters import SYMBOLS

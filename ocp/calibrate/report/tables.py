@@ -6,7 +6,7 @@ from ocp.calibrate.report.parameters import signed
 from ocp.calibrate.report.view import ReadingsView, held_out_in_base, named
 from ocp.calibrate.report.words import KINDS, mm, term_verdict
 from ocp.calibrate.tracker import TrackerCalibration
-from ocp.report.section import Table, table
+from ocp.report.parts import Table, table
 from robots.calibration.identifiability import Hidden, described
 from robots.calibration.validation import by_kind
 from robots.pose import Array
@@ -132,8 +132,3 @@ def _spring(value: float, sd: float | None = None) -> str:
 
 def _stiffness(value: float) -> str:
     return f"{1e-6 / value:.3f}" if np.isfinite(value) and value > 0 else ""
-
-
-def inputs_table(hashes: dict[str, str]) -> Table:
-    """Files and their hashes."""
-    return table(("file", "SHA-256"), list(hashes.items()), text=(0, 1))

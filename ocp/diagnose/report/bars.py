@@ -5,9 +5,9 @@ import numpy as np
 from ocp.diagnose.engine.findings import BudgetLine
 from ocp.diagnose.report.words import SHORT, condition_words
 from ocp.diagnose.verdict.answer import Answer, SignalGap
-from ocp.report.panels import AFTER, BEFORE, dots, dressed, panels
-from ocp.report.section import Canvas, Plot
-from ocp.report.style import INK, RULE, SHADE, SOFT, shorten
+from ocp.report.parts import Plot
+from ocp.report.plotting import Canvas, dots, dressed, panels
+from ocp.report.style import AFTER, BEFORE, INK, RULE, SHADE, SOFT, shorten
 
 MOST = 10
 SURE = 0.01  # p-value up to which a line of the budget is drawn as found

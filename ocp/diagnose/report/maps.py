@@ -8,10 +8,9 @@ from ocp.calibrate.report.maps import exaggeration, round_number
 from ocp.calibrate.report.view import in_base
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import SCALE, SignalGap
-from ocp.report.colours import SIDE_COLOURS
-from ocp.report.panels import AFTER, BEFORE, dots, dressed, keys, panels, reach, running_median
-from ocp.report.section import Canvas, Plot
-from ocp.report.style import COLOUR_MAP, INK, RULE, SOFT
+from ocp.report.parts import Plot
+from ocp.report.plotting import Canvas, dots, dressed, keys, panels, reach, running_median
+from ocp.report.style import AFTER, BEFORE, COLOUR_MAP, INK, RULE, SIDE_COLOURS, SOFT
 from robots.pose import Array
 
 _ROW = 2.35

@@ -1,6 +1,5 @@
 """The report of a diagnosis as sections: pictures first, evidence after them."""
 
-from ocp.calibrate.report.tables import inputs_table
 from ocp.diagnose.report.bars import budget_plot, probabilities_plot, shrinkage_plot
 from ocp.diagnose.report.maps import blade_plot, hysteresis_plot, log_plot, vectors_plot
 from ocp.diagnose.report.spectrum import spectrum_plot
@@ -18,7 +17,8 @@ from ocp.diagnose.report.words import SHORT, effect_words
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.diagnose.verdict.shrinkage import NONE
-from ocp.report.section import Part, Points, Section
+from ocp.report.parts import Points, made_from
+from ocp.report.section import Part, Section
 
 
 def diagnosis_sections(answer: Answer, hashes: dict[str, str]) -> list[Section]:
@@ -27,12 +27,12 @@ def diagnosis_sections(answer: Answer, hashes: dict[str, str]) -> list[Section]:
     if answer.next:
         found.append(Section("What to measure next", (_next_words(), next_table(answer))))
     found.append(_not_seen(answer))
-    return [*found, _evidence(answer), Section("Made from", (inputs_table(hashes),))]
+    return [*found, _evidence(answer), made_from(hashes)]
 
 
 def _what(answer: Answer) -> Section:
     d = answer.diagnosis
-    parts: list[Part] = [probabilities_plot(answer)]
+    parts: list[Part | str] = [probabilities_plot(answer)]
     groups = [" = ".join(effect_words(name) for name in group) for group in d.classes]
     if groups:
         parts += ["These data cannot tell apart the members of each of these classes:", Points(tuple(groups))]
@@ -48,7 +48,7 @@ def _what(answer: Answer) -> Section:
 
 
 def _better(answer: Answer) -> Section:
-    parts: list[Part] = [
+    parts: list[Part | str] = [
         "Sizes of the readings' errors, outliers apart; 'before' is the believed cell with its parameters refitted, as a good "
         "calibration leaves it.",
         gaps_table(answer),
@@ -61,7 +61,7 @@ def _better(answer: Answer) -> Section:
 def _where(answer: Answer) -> Section:
     d = answer.diagnosis
     joint = d.location.joint if d.location else 0
-    parts: list[Part] = [budget_plot(answer)] if d.budget else []
+    parts: list[Part | str] = [budget_plot(answer)] if d.budget else []
     for gap in answer.gaps:
         parts += _pictures(gap, joint)
     if d.spectrum:
@@ -69,10 +69,10 @@ def _where(answer: Answer) -> Section:
     return Section("Where it lies", tuple(parts))
 
 
-def _pictures(gap: SignalGap, joint: int) -> list[Part]:
+def _pictures(gap: SignalGap, joint: int) -> list[Part | str]:
     """Figures of one signal."""
     c = gap.baseline.conditions
-    parts: list[Part] = []
+    parts: list[Part | str] = []
     if isinstance(gap.baseline, TrackerChannel):
         parts.append(vectors_plot(gap))
     elif gap.name == "force":
@@ -92,7 +92,7 @@ def _next_words() -> str:
 
 
 def _not_seen(answer: Answer) -> Section:
-    parts: list[Part] = [Points(answer.blind)] if answer.blind else ["Every effect of the catalogue could be tested."]
+    parts: list[Part | str] = [Points(answer.blind)] if answer.blind else ["Every effect of the catalogue could be tested."]
     if answer.notices:
         parts += ["Notices", Points(answer.notices)]
     return Section("What these data cannot show", tuple(parts))
@@ -100,7 +100,7 @@ def _not_seen(answer: Answer) -> Section:
 
 def _evidence(answer: Answer) -> Section:
     d = answer.diagnosis
-    parts: list[Part] = [
+    parts: list[Part | str] = [
         "Detectability is the energy of an effect's signature over the noise once everything else was refitted; above about 30 a "
         "name can be trusted. Log evidence is natural, over the data without the effect.",
         ranking_table(answer), explanations_table(answer),

@@ -6,9 +6,9 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from ocp.diagnose.engine.findings import SpectrumPeak
 from ocp.diagnose.report.words import SHORT
 from ocp.diagnose.verdict.answer import SCALE
-from ocp.report.panels import AFTER, BEFORE, dressed, panels
-from ocp.report.section import Canvas, Plot
-from ocp.report.style import INK, LIMIT, SOFT
+from ocp.report.parts import Plot
+from ocp.report.plotting import Canvas, dressed, panels
+from ocp.report.style import AFTER, BEFORE, INK, LIMIT, SOFT
 
 CERTAIN = 0.01  # p-value up to which a peak is marked as found
 

@@ -6,7 +6,7 @@ from ocp.diagnose.joints.problem import nuisance_names
 from ocp.diagnose.report.words import SHORT, condition_words, effect_words, effects_words, figure, values_words
 from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 from ocp.effects.catalogue import library
-from ocp.report.section import Table, table
+from ocp.report.parts import Table, table
 
 MOST = 20
 

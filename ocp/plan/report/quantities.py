@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.plan.report.data import PlanReport
-from ocp.report.colours import SIDE_COLOURS
+from ocp.plan.report.plan_report import PlanReport
+from ocp.report.style import SIDE_COLOURS
 from robots.pose import Array
 
 
@@ -46,7 +46,7 @@ def quantity(key: str) -> Quantity:
     return {item.key: item for item in QUANTITIES}[key]
 
 
-def values(report: PlanReport, item: Quantity) -> Array:
+def values_along(report: PlanReport, item: Quantity) -> Array:
     """The quantity at every waypoint of all passes in order, display units, (n,)."""
     return item.factor * np.concatenate([np.asarray(getattr(one, item.key), float) for one in report.passes])
 
@@ -57,7 +57,7 @@ def colour_range(report: PlanReport, item: Quantity) -> tuple[float, float]:
     Around a centre the range is symmetric, so that the middle colour is "as wanted"; it never gets so
     narrow that differences without meaning (solver tolerance) show as colour.
     """
-    known = values(report, item)
+    known = values_along(report, item)
     known = known[np.isfinite(known)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     if item.centre in ("target", "one"):

@@ -1,24 +1,43 @@
-"""The blade as it is drawn: fine enough to carry colour where it was ground, small enough to be shipped.
+"""The blade as it is drawn: fine enough to carry colour where it was ground, small enough to be shipped; a still picture of it.
 
 Every vertex near a pass gets up to four waypoints with weights: the two nearest on each of the two nearest
 passes. Between two passes the weights fade from one to the other, so a value painted on the surface is a
 linear interpolation of neighbouring waypoints and never leaves their range.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Colormap, Normalize, to_rgb
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ocp.plan.report.data import PassReport
+from ocp.report.plotting import Canvas
+from ocp.report.style import NOT_GROUND, SOFT
 from robots.pose import Array
 
 MAX_FACES = 60_000
 """More triangles than this are clustered away: on a screen nobody sees them, and the page stays small."""
 LONE_PASS_WIDTH = 0.004
 """m; painted width where there is one pass only and no spacing is given: about a contact patch."""
+
+
+_LIGHT = np.array([0.35, 0.35, 0.87])
+
+
+@dataclass(frozen=True)
+class GroundPass:
+    """Where the blade is ground: points `p` (n, 3) m with outward normals `n` (n, 3), way `s` (n,) m, side of the blade."""
+
+    side: str
+    p: Array
+    n: Array
+    s: Array
 
 
 @dataclass(frozen=True)
@@ -36,16 +55,16 @@ class PaintedBlade:
     weight: Array
 
 
-def paint_blade(vertices: Array, faces: NDArray[Any], passes: tuple[PassReport, ...], spacing: float = 0.0) -> PaintedBlade:
+def paint_blade(vertices: Array, faces: NDArray[Any], passes: Sequence[GroundPass], spacing: float = 0.0) -> PaintedBlade:
     """Blade mesh ready for drawing, see `PaintedBlade`; `spacing` m between passes, 0 = measured."""
     spacing = spacing if spacing > 0 else pass_spacing(passes)
     small = cluster_vertices(np.asarray(vertices, float), np.asarray(faces, np.int64), MAX_FACES)
     fine, triangles = refine_near(*small, np.concatenate([item.p for item in passes]), spacing)
-    waypoint, weight = paint_weights(fine, vertex_normals(fine, triangles), passes, 0.6 * spacing)
+    waypoint, weight = paint_weights(fine, angle_weighted_normals(fine, triangles), passes, 0.6 * spacing)
     return PaintedBlade(fine, triangles, waypoint, weight)
 
 
-def pass_spacing(passes: tuple[PassReport, ...]) -> float:
+def pass_spacing(passes: Sequence[GroundPass]) -> float:
     """Distance m between neighbouring passes of one side: the 90th percentile over waypoints."""
     found = []
     for item in passes:
@@ -55,7 +74,7 @@ def pass_spacing(passes: tuple[PassReport, ...]) -> float:
     return float(np.percentile(np.concatenate(found), 90)) if found else LONE_PASS_WIDTH
 
 
-def vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
+def angle_weighted_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     """Unit normals of the vertices (nv, 3), faces weighted by their angle at the vertex.
 
     Weights by area would let one long triangle beyond an edge turn the normals of a finely divided face away.
@@ -112,9 +131,7 @@ def refine_near(vertices: Array, faces: NDArray[np.int64], points: Array, spacin
     return vertices, np.asarray(faces, np.int64)
 
 
-def paint_weights(
-    vertices: Array, normals: Array, passes: tuple[PassReport, ...], reach: float
-) -> tuple[NDArray[np.int64], Array]:
+def paint_weights(vertices: Array, normals: Array, passes: Sequence[GroundPass], reach: float) -> tuple[NDArray[np.int64], Array]:
     """Waypoints (nv, 4) and weights (nv, 4) of every vertex; the weights sum to 0.5 at `reach` m from a pass.
 
     A waypoint counts only where the surface looks its way (within 60 deg): on a thin edge the other side is
@@ -140,19 +157,61 @@ def paint_weights(
             waypoint[better, :2],
             weight[better, :2],
         )
-        nearest[better, 0], waypoint[better, :2], weight[better, :2] = (
-            near[better],
-            first + index[better],
-            share[better],
-        )
-        nearest[second, 1], waypoint[second, 2:], weight[second, 2:] = (
-            near[second],
-            first + index[second],
-            share[second],
-        )
+        for rows, rank in ((better, 0), (second, 1)):
+            pair = slice(2 * rank, 2 * rank + 2)
+            nearest[rows, rank], waypoint[rows, pair], weight[rows, pair] = near[rows], first + index[rows], share[rows]
         first += len(item.s)
     blend = 1 / np.maximum(nearest, 1e-9) ** 2
     total = blend.sum(axis=1)
     blend = np.where(total[:, None] > 0, blend / np.maximum(total, 1e-30)[:, None], 0)
     cover = np.clip(1.5 - nearest[:, :1] / reach, 0, 1)
     return waypoint, weight * np.repeat(cover * blend, 2, axis=1)
+
+
+def draw_blade(
+    canvas: Canvas, blade: PaintedBlade, values: Array, span: tuple[float, float], colours: Colormap, toward: Array, unit: str
+) -> None:
+    """The blade from both sides, upright along its longest axis, coloured by the waypoints' `values` between the ends of `span`.
+
+    `toward` (3,): direction from which the first picture is seen, as far as it is square to the longest axis.
+    """
+    cover = blade.weight.sum(axis=1)
+    value = (blade.weight * np.nan_to_num(values)[blade.waypoint]).sum(axis=1) / np.maximum(cover, 1e-12)
+    norm = Normalize(*span)
+    axes = list(canvas.subplots(1, 2, left=0.05, right=0.75, top=0.1, bottom=0.1, across=0.2))
+    upright = int(np.argmax(np.ptp(blade.vertices, axis=0)))
+    level = np.where(np.arange(3) == upright, 0.0, toward)
+    level = level / np.linalg.norm(level)
+    ground = cover[blade.faces].mean(axis=1) >= 0.5
+    painted = np.asarray(colours(norm(value[blade.faces].mean(axis=1))))[:, :3]
+    painted = np.where(ground[:, None], painted, to_rgb(NOT_GROUND))
+    for ax, sign in zip(axes, (1.0, -1.0), strict=True):
+        _draw_side(ax, blade, painted, sign * level, np.eye(3)[upright])
+    beside = axes[-1].get_position()
+    bar = canvas.figure.add_axes(
+        (beside.x1 + 0.2 / canvas.figure.get_figwidth(), beside.y0 + 0.1 * beside.height, 0.012, 0.8 * beside.height)
+    )
+    canvas.figure.colorbar(ScalarMappable(norm, colours), cax=bar)
+    bar.tick_params(length=2, labelsize=6.5)
+    bar.set_title(unit, fontsize=7, color=SOFT, loc="left")
+
+
+def _draw_side(ax: Axes, blade: PaintedBlade, colours: Array, toward: Array, up: Array) -> None:
+    """Faces that look toward the viewer in their `colours` (nf, 3), the far ones first, shaded a little by their slope."""
+    right = np.cross(up, toward)
+    corners = blade.vertices[blade.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    normal = normal / np.maximum(size, 1e-30)[:, None]
+    visible = np.flatnonzero((normal @ toward > 0) & (size > 0))
+    visible = visible[np.argsort((corners[visible].mean(axis=1)) @ toward, kind="stable")]
+    flat = 1e3 * np.stack([corners[visible] @ right, corners[visible] @ up], axis=-1)
+    shade = 0.78 + 0.22 * np.clip(normal[visible] @ (_LIGHT @ np.stack([right, up, toward])), 0, 1)
+    faces = PolyCollection(
+        list(flat), facecolors=colours[visible] * shade[:, None], edgecolors="face", linewidths=0.15, rasterized=True
+    )
+    ax.add_collection(faces)
+    ax.set_xlim(flat[..., 0].min(), flat[..., 0].max())
+    ax.set_ylim(flat[..., 1].min(), flat[..., 1].max())
+    ax.set_aspect("equal")
+    ax.set_axis_off()

@@ -3,19 +3,32 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from ocp.blindtest.report.plots import curve_plot, reliability_plot
-from ocp.blindtest.scoring.figures import Figure, all_figures, by_bin, chance, planted_words, said_words, why_words, worst
-from ocp.blindtest.scoring.intervals import Estimate
+from ocp.blindtest.scoring.figures import (
+    Figure,
+    all_figures,
+    by_bin,
+    chance,
+    hit,
+    of_kinds,
+    planted_words,
+    said_words,
+    why_words,
+    worst,
+)
+from ocp.blindtest.scoring.intervals import Estimate, share_of_hits
 from ocp.blindtest.scoring.rivals import METHODS
 from ocp.blindtest.worlds.recipes import BINS, WORDS, bin_words
 from ocp.blindtest.worlds.sealing import Check
-from ocp.report.page import render_page
-from ocp.report.section import Headline, Part, Section, Table
-from ocp.report.section import table as make_table
+from ocp.report.parts import Plot, Table, table
+from ocp.report.plotting import Canvas, dressed, keys, panels
+from ocp.report.report import Report
+from ocp.report.section import Headline, Part, Section
+from ocp.report.style import AFTER, BAD, BEFORE, SOFT
 
 KIND = "Blind check of the diagnosis"
 TITLE = "Sealed worlds of the virtual cell"
@@ -28,6 +41,11 @@ METHOD_WORDS = {
     "sparse": "sparse regression",
     "unprojected": "score test, not projected",
 }
+# Share of first names that are right when data are drawn from the model itself, at these lambda (DIAGNOSIS, "How it is judged").
+CEILING = ((15, 22, 30, 50, 100), (0.71, 0.92, 0.93, 0.96, 0.98))
+CURVES = (("diagnosis", AFTER, 0.97), ("oracle", "#12643a", 1.03), ("stepwise", BEFORE, 1.09), ("sparse", BAD, 0.91))
+EDGES = (0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
+LAST = 300.0  # where the open bin is drawn
 Row = dict[str, Any]
 
 
@@ -35,8 +53,7 @@ def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
     """Write the files into the check's folder. Raises OSError."""
     figures = all_figures(rows)
     sections = _sections(check, rows, figures)
-    page = render_page(TITLE, _headline(rows, figures), (), sections, KIND)
-    (check.folder / "report.html").write_bytes(page.encode("utf-8", "replace"))
+    Report(KIND, TITLE, _headline(rows, figures), (), sections).write_page(check.folder / "report.html")
     lines = [{"figure": f.what, "sense": f.sense, "target": f.target, "met": f.met, **_plain(f.estimate),
               "oracle": _plain(f.oracle)} for f in figures]  # fmt: skip
     (check.folder / "table.json").write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
@@ -74,8 +91,8 @@ def _sections(check: Check, rows: Sequence[Row], figures: Sequence[Figure]) -> l
             "Every figure with its 95 % confidence interval and the number of worlds it rests on. A name counts as right within "
             "its declared class, with the joint.", figures_table(figures),
         )),
-        Section("How often the name is right", (curve_plot(rows), method_table(rows, "top1"), method_table(rows, "top3"))),
-        Section("What the probabilities are worth", (reliability_plot(rows),)),
+        Section("How often the name is right", (_curve_plot(rows), method_table(rows, "top1"), method_table(rows, "top3"))),
+        Section("What the probabilities are worth", (_reliability_plot(rows),)),
         Section("The worst answers", (
             "Planted effects with their detectability, what was said with its probability, and what is wrong with it.",
             worst_table(rows),
@@ -111,7 +128,7 @@ def figures_table(figures: Sequence[Figure]) -> Table:
         for f in figures
     ]  # fmt: skip
     missed = [k for k, f in enumerate(figures) if f.met is False]
-    return make_table(("figure", "target", "value (95 %)", "n", "reached", "oracle"), rows, text=(0, 4), strong=missed)
+    return table(("figure", "target", "value (95 %)", "n", "reached", "oracle"), rows, text=(0, 4), strong=missed)
 
 
 def method_table(rows: Sequence[Row], key: str) -> Table:
@@ -123,16 +140,16 @@ def method_table(rows: Sequence[Row], key: str) -> Table:
         lines.append((METHOD_WORDS[method], *(told(e, True) for e in found)))
     dealt = chance(rows, key)
     lines.append(("chance: labels dealt anew", told(dealt, True), "", "", ""))
-    return make_table(heads, lines, title="First name right" if key == "top1" else "Among the first three")
+    return table(heads, lines, title="First name right" if key == "top1" else "Among the first three")
 
 
 def worst_table(rows: Sequence[Row]) -> Table:
     """The worst twenty."""
     lines = [(r["world"].lstrip("0"), planted_words(r), said_words(r), why_words(r)) for r in worst(rows)]
-    return make_table(("world", "planted (lambda)", "said", "fault"), lines, text=(0, 1, 2, 3))
+    return table(("world", "planted (lambda)", "said", "fault"), lines, text=(0, 1, 2, 3))
 
 
-def _made(check: Check) -> list[Part]:
+def _made(check: Check) -> list[Part | str]:
     return [
         f"python -m ocp.blindtest --worlds {check.worlds} --seed {check.seed} --kinds {','.join(check.kinds)} --readings "
         f"{check.readings}",
@@ -154,3 +171,75 @@ def _markdown(check: Check, sections: Sequence[Section]) -> str:
                 lines += ["|" + "---|" * len(part.columns)]
                 lines += ["| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in part.rows] + [""]
     return "\n".join([f"{check.worlds} worlds, seed {check.seed}", "", *lines])
+
+
+def _curve_plot(rows: Sequence[Row]) -> Plot:
+    """Top-1 and top-3 over the bins of lambda, with intervals."""
+    shares = {(m, k): by_bin(rows, k, m) for m, *_ in CURVES for k in ("top1", "top3")}
+    centres = [np.sqrt(low * min(high, LAST)) for low, high in BINS]
+
+    def draw(canvas: Canvas) -> None:
+        axes = panels(canvas, 1, 2)[0]
+        for ax, key, title in zip(axes, ("top1", "top3"), ("first name right", "among the first three"), strict=True):
+            dressed(ax, title, "detectability lambda", "share of worlds")
+            for method, colour, aside in CURVES:
+                _line(ax, centres, shares[method, key], colour, aside)
+            if key == "top1":
+                ax.plot(*CEILING, color=SOFT, linewidth=0.7, linestyle=":")
+            ax.set_xscale("log")
+            _ticks(ax)
+            ax.set_xlim(13, LAST)
+            ax.set_ylim(0, 1.03)
+        keys(axes[1], [(m, c) for m, c, _ in CURVES], loc="lower right", bbox_to_anchor=(1.0, 0.0), ncols=1)
+
+    words = (
+        "Single effects of the catalogue by detectability, with 95 % intervals: the diagnosis, the oracle that knows every "
+        "signature and the true noise, two rivals; dotted: what is reached on data drawn from the model itself."
+    )
+    return Plot("names-by-detectability", words, 2.4, draw)
+
+
+def _ticks(ax: Any) -> None:
+    """The edges of the bins as plain numbers."""
+    ax.minorticks_off()
+    ax.set_xticks([15, 30, 50, 100, 300], ["15", "30", "50", "100", "300"])
+
+
+def _line(ax: Any, x: Sequence[float], found: Sequence[Estimate], colour: str, aside: float) -> None:
+    known = [(a * aside, e) for a, e in zip(x, found, strict=True) if e.count]
+    if not known:
+        return
+    at = [a for a, _ in known]
+    value = np.array([e.value for _, e in known])
+    bars = np.abs(np.array([[e.value - e.low, e.high - e.value] for _, e in known]).T)
+    ax.errorbar(at, value, yerr=bars, color=colour, linewidth=1.0, elinewidth=0.7, marker="o", markersize=3)
+
+
+def _reliability_plot(rows: Sequence[Row]) -> Plot:
+    """Told probabilities against how often the names were right, worlds whose effects the catalogue holds."""
+    usual = of_kinds(rows, "single", "pair", "triple", "none", "none_background")
+    pairs = [(p, right) for r in usual for p, right in r.get("reliability", ())]
+
+    def draw(canvas: Canvas) -> None:
+        axes = panels(canvas, 1, 2)[0]
+        dressed(axes[0], "names", "told probability", "share that was right")
+        axes[0].plot([0, 1], [0, 1], color=SOFT, linewidth=0.7, linestyle=":")
+        for low, high in pairwise(EDGES):
+            inside = [(p, right) for p, right in pairs if low < p <= high]
+            if inside:
+                e = share_of_hits([right for _, right in inside])
+                middle = float(np.mean([p for p, _ in inside]))
+                bar = [[e.value - e.low], [e.high - e.value]]
+                axes[0].errorbar(middle, e.value, yerr=bar, color=AFTER, marker="o", markersize=3)
+        dressed(axes[1], "single effects", "detectability lambda", "probability of the planted effect")
+        singles = [r for r in of_kinds(rows, "single") if "said" in r]
+        for right, colour in ((True, AFTER), (False, BAD)):
+            some = [r for r in singles if hit(r, "top1") is right]
+            own = [max((p for n, j, p in r["said"] if [n, j] == r["planted"][0][:2]), default=0.0) for r in some]
+            axes[1].plot([r["lam"][0] for r in some], own, color=colour, linestyle="none", marker="o", markersize=2.4)
+        axes[1].set_xscale("log")
+        _ticks(axes[1])
+        keys(axes[1], [("first name right", AFTER), ("wrong", BAD)])
+
+    words = "Left: a name told with probability p should be right in a share p of all cases. Right: what the planted effect got."
+    return Plot("probabilities", words, 2.3, draw)

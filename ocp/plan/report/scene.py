@@ -1,25 +1,88 @@
-"""What the page's script gets: one JSON object with the large arrays as base64 of little-endian numbers.
+"""The section "Blade and cell": the scene that can be turned and played on the page, a still picture of the blade on paper.
 
-The text is made safe to stand inside a <script> element whatever a user's file is called.
+The page's script gets one JSON object with the large arrays as base64 of little-endian numbers, made safe to stand inside a
+<script> element whatever a user's file is called.
 """
 
 import base64
 import json
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import ArrayLike
 
-from ocp.plan.report.charts import LEFT, RIGHT, WIDTH
-from ocp.plan.report.data import CellAnimation, PlanReport
-from ocp.plan.report.quantities import QUANTITIES, colour_range, values
-from ocp.plan.report.surface import paint_blade, pass_spacing
-from ocp.report.colours import NOT_GROUND, VIRIDIS
+from ocp.plan.report.force import PANEL
+from ocp.plan.report.plan_report import CellAnimation, PlanReport
+from ocp.plan.report.quantities import QUANTITIES, colour_range, values_along
+from ocp.plan.report.surface import PaintedBlade, draw_blade, paint_blade, pass_spacing
+from ocp.report.parts import Plot
+from ocp.report.plotting import Canvas
+from ocp.report.section import Part, Section
+from ocp.report.sheets import Sheets
+from ocp.report.style import COLOUR_MAP, NOT_GROUND, VIRIDIS
 
+_VIEWER = Path(__file__).parent / "viewer"
+_SCRIPTS = ("math.js", "mesh.js", "scene.js", "orbit.js", "viewer.js", "page.js")
 MAX_FRAMES = 600
 """Frames of the animation that are shipped; between them the page interpolates."""
 MAX_SAMPLES = 2000
 """Motion samples shipped for the readout: one per pixel of a wide screen."""
+
+
+def scene_section(report: PlanReport) -> Section:
+    """Blade, passes, arm and wheel in three dimensions."""
+    script = "\n".join((_VIEWER / name).read_text(encoding="utf-8") for name in _SCRIPTS)
+    painted = paint_blade(report.vertices, report.faces, report.passes, report.pass_spacing)
+    return Section(
+        "Blade and cell",
+        (Scene(report, painted),),
+        style=(_VIEWER / "viewer.css").read_text(encoding="utf-8"),
+        script=f'(function () {{\n"use strict";\n{script}}})();\n',
+    )
+
+
+@dataclass(frozen=True)
+class Scene(Part):
+    """The plan to be looked at from all sides; `painted`: its blade, ready for drawing."""
+
+    report: PlanReport
+    painted: PaintedBlade
+
+    def on_page(self) -> Markup:
+        """Canvas, controls and the script's data."""
+        option = Markup('<option value="{}">{}</option>')
+        options = (option.format(q.key, f"{q.label}, {q.unit}" if q.unit else q.label) for q in QUANTITIES)
+        band = Markup('<rect x="{:.3f}" y="0" width="{:.3f}" height="6"><title>line {}</title></rect>')
+        time = self.report.motion.time
+        share = 100 / float(time[-1] - time[0])
+        bands = (band.format(share * (a - float(time[0])), share * (b - a), line) for line, a, b in self.report.contact_spans())
+        return Markup((_VIEWER / "scene.html").read_text(encoding="utf-8")).format(
+            options=Markup("\n").join(options),
+            bands=Markup("\n").join(bands),
+            payload=Markup(script_json(page_payload(self.report, self.painted))),
+        )
+
+    def on_sheets(self, sheets: Sheets) -> None:
+        """The blade from both sides, coloured by the force."""
+        self._still().on_sheets(sheets)
+
+    def beginning(self) -> float:
+        """All of it."""
+        return self._still().beginning()
+
+    def _still(self) -> Plot:
+        item = QUANTITIES[0]
+        caption = f"{item.label} in {item.unit}; grey is not ground. In report.html the blade can be turned and the cell moves."
+        return Plot("blade", caption, 2.6, self._draw)
+
+    def _draw(self, canvas: Canvas) -> None:
+        item = QUANTITIES[0]
+        toward = self.report.passes[0].n.mean(axis=0)
+        values, span = values_along(self.report, item), colour_range(self.report, item)
+        draw_blade(canvas, self.painted, values, span, COLOUR_MAP, toward, item.unit)
 
 
 def encode(array: ArrayLike, dtype: str = "<f4") -> dict[str, Any]:
@@ -41,7 +104,7 @@ def script_json(payload: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def page_payload(report: PlanReport) -> dict[str, Any]:
+def page_payload(report: PlanReport, painted: PaintedBlade) -> dict[str, Any]:
     """Everything the page's script draws and reads out, see scene.js and viewer.js for its use."""
     return {
         "target": float(report.target_force),
@@ -54,25 +117,24 @@ def page_payload(report: PlanReport) -> dict[str, Any]:
                 "unit": item.unit,
                 "decimals": item.decimals,
                 "range": [float(bound) for bound in colour_range(report, item)],
-                "values": encode(values(report, item)),
+                "values": encode(values_along(report, item)),
             }
             for item in QUANTITIES
         ],
-        "blade": _blade(report),
+        "blade": _blade(painted),
         "passes": _passes(report),
         "motion": _motion(report),
         "cell": _cell(report.animation),
         "panel": {
-            "width": WIDTH,
-            "left": LEFT,
-            "span": WIDTH - LEFT - RIGHT,
+            "width": PANEL.width,
+            "left": PANEL.left,
+            "span": PANEL.width - PANEL.left - PANEL.right,
             "longest": max(float(item.s[-1]) for item in report.passes) or 1e-3,
         },
     }
 
 
-def _blade(report: PlanReport) -> dict[str, Any]:
-    painted = paint_blade(report.vertices, report.faces, report.passes, report.pass_spacing)
+def _blade(painted: PaintedBlade) -> dict[str, Any]:
     index = "<u2" if max(len(painted.vertices), int(painted.waypoint.max()) + 1) < 2**16 else "<u4"
     return {
         "vertices": encode(painted.vertices),

@@ -1,6 +1,6 @@
-"""What a plan's report shows: frozen arrays in SI units, filled by the planner, read by page and print.
+"""What a plan's report shows: frozen arrays in SI units. `build_report` arranges what the plan holds, the sections draw it.
 
-Nothing here computes physics and nothing here formats: the two writers take the same `PlanReport`.
+Nothing is computed here that the plan does not hold, and nothing is formatted.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ocp.model.cell import Cell
+from ocp.plan.motion.motion import PlannedMotion
+from ocp.plan.motion.timeline import Timeline
+from ocp.plan.report.surface import GroundPass
+from robots.kinematics import link_frames
 from robots.pose import Array
+from robots.rigid_body import inverse_dynamics
+from trajectories.blade import Blade
+from trajectories.removal import removal_of
+
+FRAMES = 500  # of the animation
+SAMPLE = 0.02  # s between samples of the drawn motion
 
 
 @dataclass(frozen=True)
@@ -35,7 +46,7 @@ class InputFile:
 
 
 @dataclass(frozen=True)
-class PassReport:
+class PassReport(GroundPass):
     """One planned pass; n waypoints in the blade frame.
 
     `p`, `n`, `t` (n, 3): contact point m, outward normal, feed direction; `s` (n,) m along the pass.
@@ -47,11 +58,7 @@ class PassReport:
     """
 
     line: int
-    side: str
-    p: Array
-    n: Array
     t: Array
-    s: Array
     force: Array
     force_sd: Array
     interference: Array
@@ -152,9 +159,7 @@ class PlanReport:
 
     `verdict` is one sentence; `safe` says whether the program may be run. `vertices` (nv, 3) m and `faces`
     (nf, 3) are the blade. `target_force` N. `pass_spacing` m between neighbouring passes (0 = take it from
-    the passes). `versions`: name and version of what made the plan. `phases`: (name, seconds) of the run;
-    give them only where equal bytes out of equal inputs do not matter. Raises ValueError where array shapes
-    do not agree.
+    the passes). Raises ValueError where array shapes do not agree.
     """
 
     title: str
@@ -163,7 +168,6 @@ class PlanReport:
     summary: tuple[SummaryRow, ...]
     inputs: tuple[InputFile, ...]
     notices: tuple[str, ...]
-    versions: tuple[tuple[str, str], ...]
     target_force: float
     vertices: Array
     faces: NDArray[Any]
@@ -172,7 +176,6 @@ class PlanReport:
     limits: AxisLimits
     animation: CellAnimation
     pass_spacing: float = 0.0
-    phases: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         _require("vertices", self.vertices, (len(self.vertices), 3))
@@ -180,7 +183,115 @@ class PlanReport:
         if not self.passes or len(self.motion.time) < 2 or len(self.animation.time) < 2:
             raise ValueError("a report needs at least one pass, two motion samples and two animation frames")
 
+    def contact_spans(self) -> tuple[tuple[int, float, float], ...]:
+        """(line, start s, end s) of every stretch of contact."""
+        motion = self.motion
+        key = np.where(np.asarray(motion.contact, bool), np.asarray(motion.line, int), 0)
+        edges = np.flatnonzero(np.diff(key)) + 1
+        starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [len(key)]]) - 1
+        time = motion.time
+        return tuple((int(key[a]), float(time[a]), float(time[b])) for a, b in zip(starts, ends, strict=True) if key[a])
+
 
 def _require(name: str, value: NDArray[Any], shape: tuple[int, ...]) -> None:
     if np.shape(value) != shape:
         raise ValueError(f"{name} has shape {np.shape(value)}, expected {shape}")
+
+
+def build_report(
+    cell: Cell,
+    blade: Blade,
+    motion: PlannedMotion,
+    timeline: Timeline,
+    verdict: str,
+    summary: tuple[SummaryRow, ...],
+    inputs: tuple[InputFile, ...],
+    notices: tuple[str, ...],
+) -> PlanReport:
+    """Everything the pages show of a plan that was found safe."""
+    robot = cell.robot
+    return PlanReport(
+        title=f"Grinding plan for {blade.name}",
+        verdict=verdict,
+        safe=True,
+        summary=summary,
+        inputs=inputs,
+        notices=notices,
+        target_force=cell.process.force,
+        vertices=blade.vertices,
+        faces=blade.faces,
+        passes=tuple(_pass(cell, motion, place) for place in range(len(motion.passes))),
+        motion=_motion(cell, motion, timeline),
+        limits=AxisLimits(robot.q_min, robot.q_max, robot.qd_max, robot.qdd_max, robot.torque_max),
+        animation=_animation(cell, motion),
+        pass_spacing=cell.process.pass_spacing,
+    )
+
+
+def _pass(cell: Cell, motion: PlannedMotion, place: int) -> PassReport:
+    solved, trajectory = motion.passes[place], motion.contact(place).trajectory
+    path, seen = solved.problem.path, solved.evaluation
+    feed = trajectory.feed(trajectory.times)
+    ratio = trajectory.limit_ratio(trajectory.times)
+    removal = removal_of(trajectory, solved.solution.force[trajectory.kept], cell.process.force, cell.process.feed)
+
+    def at_waypoints(values: Array) -> Array:
+        return np.interp(path.s, trajectory.stations, values)
+
+    return PassReport(
+        line=path.line,
+        side=path.side,
+        p=path.p,
+        n=path.n,
+        t=path.t,
+        s=path.s,
+        force=solved.solution.force,
+        force_sd=seen.force_sd,
+        interference=seen.delta,
+        compliance_nn=solved.problem.compliance[:, 0],
+        removal=at_waypoints(removal),
+        limit_ratio=at_waypoints(ratio),
+        arc=seen.arc,
+        lateral=seen.lateral,
+        turn=seen.turn,
+        tilt=np.arctan(seen.tilt),
+        feed=at_waypoints(feed),
+    )
+
+
+def _motion(cell: Cell, motion: PlannedMotion, timeline: Timeline) -> MotionReport:
+    """The timeline thinned to about one sample every SAMPLE seconds."""
+    keep = np.concatenate([[True], np.diff(np.floor(timeline.time / SAMPLE)) > 0])
+    keep &= np.concatenate([[True], np.diff(timeline.time) > 1e-9])
+    payload = cell.workpiece.payload
+    q, qd, qdd = timeline.q[keep], timeline.qd[keep], timeline.qdd[keep]
+    return MotionReport(
+        time=timeline.time[keep],
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        torque=inverse_dynamics(cell.robot, payload.mass, payload.com, q, qd, qdd),
+        contact=timeline.contact[keep],
+        line=timeline.line[keep],
+        feed=np.nan_to_num(timeline.feed[keep]),
+        force=timeline.force[keep],
+        force_sd=timeline.force_sd[keep],
+    )
+
+
+def _animation(cell: Cell, motion: PlannedMotion) -> CellAnimation:
+    time = np.linspace(0.0, motion.duration, FRAMES)
+    q = np.empty((FRAMES, 6))
+    for segment in motion.segments:
+        inside = (time >= segment.start) & (time <= segment.end + 1e-9)
+        q[inside] = segment.trajectory.q(time[inside] - segment.start)
+    frames = link_frames(cell.robot, q)
+    wheel = cell.wheel
+    return CellAnimation(
+        time=time,
+        T_base_link=frames,
+        T_base_blade=frames[:, -1] @ cell.workpiece.T_flange_blade,
+        T_flange_blade=cell.workpiece.T_flange_blade,
+        capsules=cell.robot.link_shapes,
+        wheel=WheelShape(wheel.centre, wheel.axis, wheel.radius, wheel.width, wheel.contact_direction),
+    )

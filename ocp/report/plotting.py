@@ -1,20 +1,54 @@
-"""Axes of plots that stand on the page and on paper alike: margins in inches, quiet frames, titles at the left."""
+"""Plots in the report's manner, on page and paper alike: axes with margins in inches, quiet frames, titles at the left."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from ocp.report.section import Canvas
-from ocp.report.style import CURVE, INK, SOFT, printable
+from ocp.report.style import INK, SOFT, printable
 from robots.pose import Array
 
+WIDTH = 6.87
+"""inch: A4 less its margins. On the page a plot is scaled to the column."""
 DOTS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0}
-BEFORE = "#8a94a0"  # grey of everything before calibration
-AFTER = CURVE
-BAD = "#9c2f0a"  # outliers
 MANY = 1500  # points of a panel from which they are drawn as pixels: a page of 100 000 marks opens slowly
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """A part of a matplotlib figure to draw in: `WIDTH` by `height` inch, its lower left corner at `left`, `bottom` inch of the
+    figure."""
+
+    figure: Figure
+    height: float
+    left: float = 0.0
+    bottom: float = 0.0
+
+    def subplots(
+        self, rows: int = 1, columns: int = 1, left: float = 0.5, right: float = 0.05, top: float = 0.22, bottom: float = 0.4,
+        across: float = 0.45, down: float = 0.5, widths: Sequence[float] | None = None, **options: Any,
+    ) -> Any:  # fmt: skip
+        """Axes that fill the canvas, as `Figure.subplots` gives them; margins and gaps in inch, `widths` of the columns relative
+        to each other."""
+        width, height = self.figure.get_size_inches()
+        panel_width = (WIDTH - left - right - across * (columns - 1)) / columns
+        panel_height = (self.height - top - bottom - down * (rows - 1)) / rows
+        grid = self.figure.add_gridspec(
+            rows, columns, width_ratios=widths,
+            left=(self.left + left) / width, right=(self.left + WIDTH - right) / width,
+            bottom=(self.bottom + bottom) / height, top=(self.bottom + self.height - top) / height,
+            wspace=across / panel_width, hspace=down / panel_height,
+        )  # fmt: skip
+        return grid.subplots(**options)
+
+
+Draw = Callable[[Canvas], None]
+"""Draws a plot; labels that come from a user go through `printable`."""
 
 
 def panels(canvas: Canvas, rows: int, columns: int, **options: Any) -> list[list[Axes]]:
@@ -72,3 +106,16 @@ def running_median(x: Array, y: Array, bins: int = 12, fewest: int = 5) -> tuple
         return np.array([]), np.array([])
     parts = np.array_split(np.argsort(x, kind="stable"), bins)
     return np.array([np.median(x[p]) for p in parts]), np.array([np.median(y[p]) for p in parts])
+
+
+def envelope(x: Array, y: Array, bins: int = 500) -> tuple[Array, Array]:
+    """A curve of at most 2 `bins` points that keeps every peak: least and largest value of each bin."""
+    if len(x) <= 2 * bins:
+        return np.asarray(x, float), np.asarray(y, float)
+    edges = np.linspace(0, len(x), bins + 1).astype(int)
+    pick = []
+    for a, b in pairwise(edges):
+        part = np.nan_to_num(y[a:b])
+        pick += sorted({a + int(part.argmin()), a + int(part.argmax())})
+    index = np.array(pick)
+    return np.asarray(x, float)[index], np.asarray(y, float)[index]

@@ -1,0 +1,264 @@
+"""The section "Predicted force along each pass": a panel a pass, with its band of two standard deviations, and their table.
+
+On the page the panels are small SVG of their own, so that pointing at one can mark the place on the blade (viewer/page.js).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+
+from ocp.plan.report.plan_report import PassReport, PlanReport
+from ocp.plan.report.quantities import nice_ticks
+from ocp.report.parts import Plot, Table, table
+from ocp.report.plotting import Canvas, dressed, envelope, panels
+from ocp.report.section import Part, Section
+from ocp.report.sheets import Sheets
+from ocp.report.style import CURVE, SOFT, TARGET
+from robots.pose import Array
+
+MAX_POINTS = 400
+"""Points drawn of one pass on the page; a panel is about 400 pixels wide."""
+PASSES_PER_SHEET = 16
+"""Eight rows of two: about 20 mm high each, enough to read a tenth of the axis."""
+
+
+@dataclass(frozen=True)
+class PanelSize:
+    """Size and margins of one panel in SVG units."""
+
+    width: float = 320.0
+    height: float = 132.0
+    left: float = 34.0
+    right: float = 8.0
+    top: float = 8.0
+    bottom: float = 20.0
+
+
+PANEL = PanelSize()
+
+
+def force_section(report: PlanReport) -> Section:
+    """Force along the passes, and what each pass is in figures."""
+    words = (
+        "Line: predicted normal force in N over the distance along the pass in mm; band: plus and minus two standard deviations; "
+        f"dashed: target {report.target_force:g} N."
+    )
+    style = (Path(__file__).parent / "viewer" / "panels.css").read_text(encoding="utf-8")
+    return Section("Predicted force along each pass", (words, ForcePanels(report), pass_table(report)), style=style)
+
+
+@dataclass(frozen=True)
+class ForcePanels(Part):
+    """One panel a pass; all share both axes, so that passes can be compared at a glance."""
+
+    report: PlanReport
+
+    def on_page(self) -> Markup:
+        """As many panels side by side as there is room for."""
+        return Markup('<div class="panels wide">\n{}\n</div>').format(Markup("\n").join(map(_figure, force_panels(self.report))))
+
+    def on_sheets(self, sheets: Sheets) -> None:
+        """Two columns, over as many sheets as they take."""
+        for plot in self._plots():
+            plot.on_sheets(sheets)
+
+    def beginning(self) -> float:
+        """The first sheet's."""
+        return next(self._plots()).beginning()
+
+    def _plots(self) -> Iterator[Plot]:
+        count = len(self.report.passes)
+        for first in range(0, count, PASSES_PER_SHEET):
+            last = min(first + PASSES_PER_SHEET, count)
+            caption = f"In the order of the program: passes {first + 1} to {last} of {count}."
+            height = 0.52 + 1.05 * ((last - first + 1) // 2)
+            yield Plot(f"force-{first}", caption, height, partial(_draw_forces, self.report, self.report.passes[first:last]))
+
+
+def _draw_forces(report: PlanReport, group: Sequence[PassReport], canvas: Canvas) -> None:
+    rows = (len(group) + 1) // 2
+    axes = [ax for row in panels(canvas, rows, 2, down=0.36, across=0.3, bottom=0.3, sharex=True, sharey=True) for ax in row]
+    for ax, item in zip(axes, group, strict=False):
+        _draw_force(ax, item, report.target_force)
+    axes[0].set_xlim(0, _longest(report))
+    axes[0].set_ylim(*force_range(report))
+    for ax in axes[len(group) :]:
+        ax.set_visible(False)
+    # Shared axes print their numbers in the lowest row only; an odd last row leaves one column without.
+    for ax in axes[max(len(group) - 2, 0) : len(group)]:
+        ax.tick_params(labelbottom=True)
+
+
+def _draw_force(ax: Axes, item: PassReport, target: float) -> None:
+    s = 1e3 * np.asarray(item.s, float)
+    ax.fill_between(s, item.force - 2 * item.force_sd, item.force + 2 * item.force_sd, color=CURVE, alpha=0.18, lw=0)
+    ax.axhline(target, color=TARGET, lw=0.8, dashes=(4, 3))
+    ax.plot(*envelope(s, item.force), color=CURVE)
+    ax.locator_params(axis="y", nbins=4)
+    dressed(ax, f"Line {item.line}, {item.side}")
+    ax.set_title(_figures(item), fontsize=6.5, color=SOFT, loc="right", pad=3)
+
+
+def _figures(item: PassReport) -> str:
+    """Range of the force and largest deviation in words, where they are known."""
+    force, sd = item.force[np.isfinite(item.force)], item.force_sd[np.isfinite(item.force_sd)]
+    words = [f"{force.min():.2f} to {force.max():.2f} N"] if len(force) else ["force not known"]
+    return ", ".join(words + ([f"sd up to {sd.max():.2f} N"] if len(sd) else []))
+
+
+@dataclass(frozen=True)
+class Tick:
+    """A tick: place in the panel and its label."""
+
+    at: float
+    label: str
+
+
+@dataclass(frozen=True)
+class ForcePanel:
+    """One pass: paths of the band of two standard deviations and of the force, ticks, target height."""
+
+    index: int
+    line: int
+    side: str
+    band: str
+    curve: str
+    target: float
+    x_ticks: tuple[Tick, ...]
+    y_ticks: tuple[Tick, ...]
+
+
+def force_panels(report: PlanReport) -> tuple[ForcePanel, ...]:
+    """One panel a pass; all share the axes, so that passes can be compared at a glance."""
+    low, high = force_range(report)
+    longest = _longest(report)
+    y_ticks = nice_ticks(low, high, 4)
+    decimals = decimals_of(y_ticks)
+
+    def across(s: Array) -> Array:
+        return PANEL.left + (PANEL.width - PANEL.left - PANEL.right) * np.asarray(s) / longest
+
+    def up(force: Array) -> Array:
+        return PANEL.height - PANEL.bottom - (PANEL.height - PANEL.top - PANEL.bottom) * (np.asarray(force) - low) / (high - low)
+
+    panels = []
+    for index, item in enumerate(report.passes):
+        pick = np.linspace(0, len(item.s) - 1, min(len(item.s), MAX_POINTS)).round().astype(int)
+        x, force, sd = across(1e3 * item.s[pick]), item.force[pick], item.force_sd[pick]
+        panels.append(
+            ForcePanel(
+                index=index,
+                line=int(item.line),
+                side=item.side,
+                band=_band_path(x, up(force + 2 * sd), up(force - 2 * sd)),
+                curve=_path(x, up(force)),
+                target=round(float(up(np.array(report.target_force))), 1),
+                x_ticks=tuple(Tick(round(float(across(t)), 1), f"{t:g}") for t in nice_ticks(0, longest, 5)),
+                y_ticks=tuple(Tick(round(float(up(t)), 1), f"{t:.{decimals}f}") for t in y_ticks),
+            )
+        )
+    return tuple(panels)
+
+
+def force_range(report: PlanReport) -> tuple[float, float]:
+    """Common axis N of all force panels: target, forces and twice their deviations, with 5 % of air."""
+    ends = [report.target_force - 0.1, report.target_force + 0.1]
+    for item in report.passes:
+        for edge in (item.force, item.force - 2 * item.force_sd, item.force + 2 * item.force_sd):
+            known = edge[np.isfinite(edge)]
+            ends += [float(known.min()), float(known.max())] if len(known) else []
+    low, high = min(ends), max(ends)
+    return low - 0.05 * (high - low), high + 0.05 * (high - low)
+
+
+def _longest(report: PlanReport) -> float:
+    return max(float(item.s[-1]) for item in report.passes) * 1e3 or 1.0
+
+
+def _figure(panel: ForcePanel) -> Markup:
+    """A panel as HTML. Only numbers are put into paths; words are escaped."""
+    right = PANEL.width - PANEL.right
+    grid = Markup(
+        '<line class="grid" x1="{}" x2="{}" y1="{}" y2="{}"/><text class="y" x="{}" y="{}">{}</text>',
+    )
+    y_ticks = (grid.format(PANEL.left, right, t.at, t.at, PANEL.left - 5, t.at + 3.5, t.label) for t in panel.y_ticks)
+    x_ticks = (Markup('<text class="x" x="{}" y="{}">{}</text>').format(t.at, PANEL.height - 6, t.label) for t in panel.x_ticks)
+    return Markup(
+        '<figure>\n<figcaption><b>Line {line}</b> {side} <span class="pointed"></span></figcaption>\n'
+        '<svg viewBox="0 0 {size.width} {size.height}" data-pass="{index}" role="img" aria-label="Force along line {line}">\n'
+        '{y_ticks}\n{x_ticks}\n<path class="band" d="{band}"/>'
+        '<line class="target" x1="{size.left}" x2="{right}" y1="{target}" y2="{target}"/><path class="curve" d="{curve}"/>'
+        '<line class="cursor" x1="-9" x2="-9" y1="{size.top}" y2="{foot}"/>\n</svg>\n</figure>'
+    ).format(
+        **{name: getattr(panel, name) for name in ("index", "line", "side", "band", "curve", "target")},
+        size=PANEL,
+        right=right,
+        foot=PANEL.height - PANEL.bottom,
+        y_ticks=Markup("\n").join(y_ticks),
+        x_ticks=Markup("\n").join(x_ticks),
+    )
+
+
+def decimals_of(ticks: Array) -> int:
+    """Digits after the point that tell neighbouring ticks apart."""
+    step = float(ticks[1] - ticks[0]) if len(ticks) > 1 else 1.0
+    return max(0, int(np.ceil(-np.log10(step) - 1e-9)))
+
+
+def _path(x: Array, y: Array) -> str:
+    """SVG path through the finite points, a gap (new M) wherever some are not finite."""
+    words, pen = [], "M"
+    for a, b in zip(x.tolist(), y.tolist(), strict=True):
+        if not (np.isfinite(a) and np.isfinite(b)):
+            pen = "M"
+            continue
+        words.append(f"{pen}{a:.1f} {b:.1f}")
+        pen = "L"
+    return "".join(words)
+
+
+def _band_path(x: Array, upper: Array, lower: Array) -> str:
+    """Closed SVG path around a band, over the points where both edges are finite."""
+    known = np.isfinite(upper) & np.isfinite(lower)
+    if not known.any():
+        return ""
+    there = np.concatenate([x[known], x[known][::-1]])
+    edge = np.concatenate([upper[known], lower[known][::-1]])
+    return _path(there, edge) + "Z"
+
+
+def pass_table(report: PlanReport) -> Table:
+    """One row a pass, in the order of the program: length, force, largest deviation, feed, largest use of a limit."""
+    columns = ("Line", "Side", "Length, mm", "Waypoints", "Force, N", "Largest sd, N", "Feed, mm/s", "Largest use of a limit")
+    rows = [
+        (
+            str(item.line),
+            item.side,
+            f"{1e3 * item.s[-1]:.1f}",
+            str(len(item.s)),
+            _span(item.force, 2),
+            _largest(item.force_sd, 2),
+            _span(1e3 * np.asarray(item.feed), 1),
+            _largest(item.limit_ratio, 2),
+        )
+        for item in report.passes
+    ]
+    return table(columns, rows, text=(0, 1), title="Passes")
+
+
+def _span(sampled: Array, decimals: int) -> str:
+    known = sampled[np.isfinite(sampled)]
+    if len(known) == 0:
+        return "not known"
+    low, high = f"{known.min():.{decimals}f}", f"{known.max():.{decimals}f}"
+    return low if low == high else f"{low} .. {high}"
+
+
+def _largest(sampled: Array, decimals: int) -> str:
+    known = sampled[np.isfinite(sampled)]
+    return f"{known.max():.{decimals}f}" if len(known) else "not known"
