@@ -4,6 +4,7 @@
 """
 
 import importlib
+import os
 import pkgutil
 import sys
 from collections.abc import Iterable
@@ -12,21 +13,44 @@ from pathlib import Path
 
 import ocp.effects
 from ocp.effects.effect import Effect
+from robots.errors import BadInput
 
+OWN_EFFECTS = "GRINDPLAN_EFFECTS"  # environment: a folder with further effects, one a file; worker processes inherit it
 BEGIN, END = "<!-- table: python -m ocp.effects.catalogue docs/effects.md -->", "<!-- end of table -->"
 HOOKS = ("joint", "torque", "twist", "reading", "overlap", "push", "sensor", "shear", "along", "along_shear")
 
 
-@cache
 def library() -> dict[str, Effect]:
-    """Effects by name: every module of this package that defines EFFECT, in alphabetical order of the files. A new file is
-    enough to add one."""
+    """Effects by name, in alphabetical order of their files: every module of this package that defines EFFECT, and of the folder
+    that the environment names. A new file is enough to add one.
+
+    Raises BadInput: the folder of own effects is none, or has a file named as one of the catalogue's.
+    """
+    return _library(os.environ.get(OWN_EFFECTS, ""), tuple(ocp.effects.__path__))
+
+
+@cache
+def _library(own: str, places: tuple[str, ...]) -> dict[str, Effect]:
+    names = {m.name for m in pkgutil.iter_modules(places)}
+    if own and own not in places:
+        if not Path(own).is_dir():
+            raise BadInput(f"{OWN_EFFECTS}={own}: no such folder; give the folder that holds your effects' files")
+        added = {m.name for m in pkgutil.iter_modules([own])}
+        if twice := sorted(names & added):
+            raise BadInput(f"{Path(own) / twice[0]}.py: the catalogue has a file of this name; give yours another")
+        names |= added
+        ocp.effects.__path__.append(own)
     found = {}
-    for module in sorted(m.name for m in pkgutil.iter_modules(ocp.effects.__path__)):
+    for module in sorted(names):
         effect = getattr(importlib.import_module(f"ocp.effects.{module}"), "EFFECT", None)
         if effect is not None:
             found[effect.name] = effect
     return found
+
+
+def forget_library() -> None:
+    """The next caller reads the files anew."""
+    _library.cache_clear()
 
 
 def effects_table() -> str:

@@ -11,6 +11,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 
@@ -46,16 +47,22 @@ def _start(file: str) -> None:
 def interrupts_held_back() -> Iterator[None]:
     """While work is handed out (that is when workers are spawned) new processes learn to ignore Ctrl-C.
 
-    The disposition is inherited; the parent's own is put back at the end of the block.
+    The disposition is inherited; the parent's own is put back at the end of the block. Nor do new processes import the script
+    that called: it may have no guard against being run again, or no file at all, and no work of ours is defined there.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
     try:
-        yield
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
     finally:
-        signal.signal(signal.SIGINT, before)
+        sys.modules["__main__"] = script
 
 
 def cores() -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import ocp.effects
-from ocp.effects.catalogue import library
+from ocp.effects.catalogue import forget_library
 
 
 @contextmanager
@@ -21,8 +21,8 @@ def dropped_effect(folder: Path, patch: pytest.MonkeyPatch, joints: str, size: s
         f'    joint=lambda x, j, scanned: at_joint(j, {form}), **one("k"))\n'
     )
     patch.setattr(ocp.effects, "__path__", [*ocp.effects.__path__, str(folder)])
-    library.cache_clear()
+    forget_library()
     try:
         yield
     finally:
-        library.cache_clear()
+        forget_library()
