@@ -44,6 +44,7 @@ FOLDED = (
     "wheel_centre", "wheel_axis", "blade_shift", "blade_rotation", "cover_stiffness_scale", "blade_stiffness_scale",
     "flange_setpoint_offset",
 )  # fmt: skip
+RANK = 1e-12  # of the largest eigenvalue of a correlation; less is rounding, no freedom
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,19 @@ class Theta:
         """The blocks of a symbolic theta (without effects) by name."""
         edges = np.cumsum([0, *(len(names) for names in BLOCKS.values())]).tolist()
         return dict(zip(BLOCKS, ca.vertsplit(theta, edges), strict=True))
+
+
+def covariance_root(covariance: Array) -> Array:
+    """Root L (m, r) of a covariance (m, m): L L^T, so that x = mean + L z with z standard normal.
+
+    Parameters of all sizes stand side by side (rad, N/m): the eigenvalues are those of the correlations. What has no spread
+    drops out, and so do directions below RANK times the largest eigenvalue: nothing ill-conditioned is inverted.
+    """
+    sd = np.sqrt(np.diag(covariance))
+    scale = np.where(sd > 0, sd, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    keep = values > RANK * values.max()
+    return np.asarray(scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]))
 
 
 def believed_theta(cell: Cell) -> Theta:

@@ -13,7 +13,7 @@ from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.calibrate.force.offsets import offset_columns, offset_size
 from ocp.model.cell import Cell
-from ocp.model.theta import NAMES, believed_theta
+from ocp.model.theta import NAMES, believed_theta, covariance_root
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -27,7 +27,6 @@ AT_REST = 1e-3  # squared length of a step in posterior standard deviations
 LEAST_SHARE = 0.2
 SHORTEST = 1e-3  # share of a step below which halving it is given up
 PRESSED = 0.3  # of the process force
-RANK = 1e-12  # of the largest eigenvalue of the prior's correlation; less is no freedom at all
 
 
 @dataclass(frozen=True)
@@ -78,11 +77,7 @@ def force_prior(cell: Cell, robot: Calibration | None = None) -> Prior:
         at = [FIT_NAMES.index(calibration.names[i]) for i in inside]
         mean[at] = calibration.values[inside]
         covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(inside, inside)]
-    sd = np.sqrt(np.diag(covariance))
-    scale = np.where(sd > 0, sd, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    keep = values > RANK * values.max()
-    return Prior(mean, covariance, scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]))
+    return Prior(mean, covariance, covariance_root(covariance))
 
 
 def reading_of(

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.calibrate.force.fit import BIAS, FIT_NAMES, RANK, force_prior
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active
 from ocp.model.cell import Cell
 from ocp.model.measuring_setup import read_tracker_setup
-from ocp.model.theta import NAMES
+from ocp.model.theta import NAMES, covariance_root
 from robots.calibration.fit import fit_campaign, learned_priors
 from robots.calibration.layout import Choice, Layout, State
 from robots.calibration.reading_model import ARM_NAMES
@@ -75,16 +75,7 @@ def believed_contact(cell: Cell, arm: Calibration | None = None) -> Believed:
     noise = calibration.provenance.get("noise") if calibration is not None else None
     joints = noise.get("joints_rad") if isinstance(noise, dict) else 0.0
     mean = np.concatenate([prior.mean, np.zeros(len(EXTRA))])
-    return Believed(mean, _root(whole), float(joints) if isinstance(joints, int | float) else 0.0)
-
-
-def _root(covariance: Array) -> Array:
-    """Root (m, r) of a covariance; parameters without a spread drop out, nothing ill-conditioned is inverted."""
-    sd = np.sqrt(np.diag(covariance))
-    scale = np.where(sd > 0, sd, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    keep = values > RANK * values.max()
-    return np.asarray(scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]))
+    return Believed(mean, covariance_root(whole), float(joints) if isinstance(joints, int | float) else 0.0)
 
 
 def arm_from_tracker(tracker: Path, cell_file: Path) -> Calibration:

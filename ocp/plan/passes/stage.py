@@ -12,7 +12,7 @@ import numpy as np
 
 from ocp.model.cell import Cell
 from ocp.model.force_balance import N_WAYPOINT, Model
-from ocp.model.theta import Theta
+from ocp.model.theta import Theta, covariance_root
 
 N_Z = 7
 # Linear clearance rows a.q >= b that collision checks may add at a waypoint.
@@ -149,11 +149,6 @@ def build_stage(cell: Cell, model: Model, weights: ObjectiveWeights, theta: Thet
 
 def force_variance(model: Model, theta: Theta) -> ca.SX:
     """Variance N^2 of the predicted force to first order: dF/dx = -(dr/dx) / (dr/dF) in the parameters and in the joints."""
-    sd = np.sqrt(np.diag(theta.covariance))
-    scale = np.where(sd > 0, sd, 1.0)  # parameters of all sizes stand side by side: radians and newtons per metre
-    values, vectors = np.linalg.eigh(theta.covariance / np.outer(scale, scale))
-    keep = values > values.max() * 1e-14
-    root = scale[:, None] * vectors[:, keep] * np.sqrt(values[keep])
-    sensitivity = ca.jacobian(model.residual, model.theta) @ ca.DM(root)
+    sensitivity = ca.jacobian(model.residual, model.theta) @ ca.DM(covariance_root(theta.covariance))
     joints = theta.joint_noise**2 * ca.sumsqr(ca.jacobian(model.residual, model.q))
     return (ca.sumsqr(sensitivity) + joints) / ca.jacobian(model.residual, model.F) ** 2
