@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.diagnose.engine.system import Fold
 from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import believed_contact
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.columns import derivatives, effect_columns
-from ocp.diagnose.force.conditions import conditions_of
 from ocp.diagnose.force.fit import Problem, solve
 from ocp.diagnose.force.prediction import predict
 from ocp.diagnose.force.setpoints import with_setpoints_read_off
@@ -322,7 +322,7 @@ def test_an_effect_that_sealed_conditions_say_nothing_of_is_in_the_sigma(made, t
 
 def test_missing_columns_blind_and_say_so(made):
     log = replace(made.channel.log, clock=None, ft=None, ground_before=None, wheel_temperature=None)
-    scene = replace(made.channel.problem.scene, conditions=conditions_of(made.base.world.cell, log))
+    scene = replace(made.channel.problem.scene, conditions=log_conditions(made.base.world.cell, log))
     problem = replace(made.channel.problem, log=log, scene=scene)
     channel = ForceChannel(problem, solve(problem), made.channel.effects)
     assert "ground_before" in channel.blind(EFFECTS["material_removal"])

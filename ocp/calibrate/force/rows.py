@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.calibrate.force.compliance import Stations, solve_stations, stations_known
+from ocp.calibrate.force.conditions import effect_conditions
 from ocp.calibrate.force.defect import with_defect
-from ocp.calibrate.force.effect_conditions import effect_conditions
 from ocp.calibrate.force.footing import Footing, foot_points
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ocp.calibrate.force.conditions import LogConditions
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.engine.system import scan_key
 from ocp.diagnose.force.arm import arm_of
 from ocp.diagnose.force.channel import ForceChannel
-from ocp.diagnose.force.conditions import LogConditions
 from ocp.diagnose.force.fit import linear_normal
 from ocp.diagnose.force.prediction import Predicted, Scene, predict
 from ocp.diagnose.rules import FOLLOWED_FORCE

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from ocp.calibrate.force.conditions import LogConditions
 from ocp.calibrate.force.log import Index
 from ocp.diagnose.engine.system import scan_key
-from ocp.diagnose.force.conditions import LogConditions
 from ocp.effects.effect import Effect, Scanned
 from ocp.effects.engine.evaluate import arm_columns
 from ocp.effects.engine.rows import ArmRows, arm_rows

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.fit import pressed_rows
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
@@ -16,7 +17,6 @@ from ocp.diagnose.force.arm import arm_of
 from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import arm_from_tracker, arm_with_effects, believed_contact
 from ocp.diagnose.force.columns import effect_columns
-from ocp.diagnose.force.conditions import conditions_of
 from ocp.diagnose.force.fit import ForceFit, Problem, solve
 from ocp.diagnose.force.folds import GROSS, force_folds, held_out
 from ocp.diagnose.force.kept import Kept, Store, kept_rows
@@ -259,7 +259,7 @@ def problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | 
     """The problem of a log that is the first of a setup."""
     given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
     believed = believed_contact(cell, arm)
-    told, theta = conditions_of(cell, log), believed.mean[:M]
+    told, theta = log_conditions(cell, log), believed.mean[:M]
     law, own = setup.model.law, arm_of(cell, theta, log.q, told)
     scene = Scene(cell, Balance(cell, law), setup.rows[0], told, own, theta, given, pressed_rows(setup.model, log))
     return Problem.of(log, scene, believed, setup.notices)
@@ -271,7 +271,7 @@ def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path 
     setup = prepare_force(replace(cell, effects=()), [log, sealed])
     problem = problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
     fit, scene = solve(problem), problem.scene
-    told = conditions_of(cell, sealed)
+    told = log_conditions(cell, sealed)
     there = replace(scene, rows=setup.rows[1], conditions=told, arm=arm_of(cell, scene.theta, sealed.q, told), pressed=None)
     return predict(there, fit.at.x, (), predict(there, fit.at.x)).fn
 

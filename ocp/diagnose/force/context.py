@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ocp.calibrate.force.conditions import LogConditions
 from ocp.diagnose.force.balance import STATE, Rows
-from ocp.diagnose.force.conditions import LogConditions, within_runs
 from ocp.effects.effect import Effect, Scanned
 from ocp.effects.engine.rows import CONTACT_LAYOUT, ContactPlace, contact_columns
 from ocp.model.cell import Cell
@@ -83,7 +83,7 @@ def samples_of(cell: Cell, rows: Rows, conditions: LogConditions, F: Array, stat
 def with_stroke_sign(samples: Samples, run: Array, time: Array) -> Samples:
     """Samples with the sign of the flange's stroke rate, +1 where it is pressed in, 0 where it stands."""
     out = Samples(samples.values.copy())
-    rate = within_runs(run, time, samples.at("parts")[:, 0])
+    rate = _smooth_rate(run, time, samples.at("parts")[:, 0])
     out.put("stroke_sign", np.where(np.abs(rate) > MOVING, np.sign(rate), 0.0))
     return out
 
@@ -102,3 +102,18 @@ def _blade_turn(r: Array) -> Array:
     S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -r[:, 2], r[:, 1], -r[:, 0]
     S = S - S.transpose(0, 2, 1)
     return np.asarray(np.eye(3) + S + 0.5 * S @ S)
+
+
+def _smooth_rate(run: Array, time: Array, values: Array, window: int = 5) -> Array:
+    """Rate (n,) of values (n,) per second inside each run, smoothed over `window` samples: for signs of slow motions."""
+    out = np.zeros(len(values))
+    for r in np.unique(run):
+        at = np.flatnonzero(run == r)
+        if len(at) < 3 or not np.all(np.diff(time[at]) > 0):
+            continue
+        rate = np.gradient(values[at], time[at])
+        kernel = np.ones(min(window, len(at))) / min(window, len(at))
+        pad = len(kernel) // 2
+        padded = np.pad(rate, (pad, len(kernel) - 1 - pad), mode="edge")
+        out[at] = np.convolve(padded, kernel, mode="valid")
+    return out

@@ -11,6 +11,7 @@ import numpy as np
 
 from ocp.calibrate.force.channel import ForceChannel as SensorNoise
 from ocp.calibrate.force.channel import Kind
+from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceRows
 from ocp.calibrate.force.noise import Noise, Runs
@@ -22,7 +23,6 @@ from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import believed_contact
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.columns import nuisance_columns
-from ocp.diagnose.force.conditions import conditions_of
 from ocp.diagnose.force.fit import ForceFit, Problem, linear, scale_of, signals, told
 from ocp.diagnose.force.prediction import M, Scene, predict
 from ocp.diagnose.force.whitening import BLOCKS, Whitener
@@ -49,7 +49,7 @@ def planned_force_channel(cell: Cell, log: ForceLog, effects: Iterable[Effect], 
     rows = np.flatnonzero(_place(log) % every == 0)
     log, model_rows = log.take(rows), setup.rows[0].take(rows)
     believed = believed_contact(cell, arm)
-    known, theta = conditions_of(cell, log), believed.mean[:M]
+    known, theta = log_conditions(cell, log), believed.mean[:M]
     own = arm_of(cell, theta, log.q, known)
     scene = Scene(cell, Balance(cell, setup.model.law), model_rows, known, own, theta, given, log.contact)
     noise = averaged(Noise(1.0, SHARE, LASTS), every)
@@ -64,7 +64,7 @@ def planned_force_channel(cell: Cell, log: ForceLog, effects: Iterable[Effect], 
 def foreseen_force(channel: ForceChannel, log: ForceLog, rows: ForceRows, effects: Iterable[Effect]) -> ForceChannel:
     """The channel that more rows of `log` would make about the fit of a measured one, with its noise."""
     old, fit = channel.problem, channel.fit
-    known = conditions_of(old.scene.cell, log, float(old.scene.conditions.clock.max()))
+    known = log_conditions(old.scene.cell, log, float(old.scene.conditions.clock.max()))
     arm = arm_of(old.scene.cell, old.scene.theta, log.q, known)
     problem = Problem.of(log, replace(old.scene, rows=rows, conditions=known, arm=arm, pressed=log.contact), old.believed)
     whiteners = tuple(

@@ -10,13 +10,13 @@ from functools import cached_property
 
 import numpy as np
 
+from ocp.calibrate.force.conditions import LogConditions
 from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.model import ForceRows
 from ocp.diagnose.force.arm import BLADE, Arm
 from ocp.diagnose.force.balance import PROBE, STATE, Balance, Rows
 from ocp.diagnose.force.believed import SHEAR_BIAS, SHEAR_GAIN
-from ocp.diagnose.force.conditions import LogConditions
 from ocp.diagnose.force.context import PLACE, Samples, hook_columns, samples_of, with_stroke_sign
 from ocp.effects.context import LogRows
 from ocp.effects.effect import Active, Effect, Scanned

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.rows import prepare_force
 from ocp.diagnose.engine.system import Foreseen, Sealed, foreseen
 from ocp.diagnose.force.arm import arm_of
 from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import RUN_SD
-from ocp.diagnose.force.conditions import conditions_of
 from ocp.diagnose.force.fit import ForceFit, Problem, linear_normal, solve
 from ocp.diagnose.force.prediction import Predicted, Scene, predict
 from ocp.effects.effect import Effect
@@ -29,7 +29,7 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
     setup = prepare_force(scene.cell, [problem.log, sealed])
     balance = Balance(scene.cell, setup.model.law)
     used = float(scene.conditions.clock.max())
-    told = conditions_of(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
+    told = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
     arm = arm_of(scene.cell, scene.theta, sealed.q, told)
     there = Scene(scene.cell, balance, setup.rows[1], told, arm, scene.theta, scene.given)
     found: list[tuple[ForceFit, Predicted]] = []

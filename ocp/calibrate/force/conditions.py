@@ -1,4 +1,7 @@
-"""What a force log says of its rows beyond forces: where along the pass, which way each axis moves, how long the wheel ran."""
+"""Conditions of a force log's rows: where along the pass, which way each axis moves, how long the wheel ran, how warm it is.
+
+`log_conditions` has what the log says; `effect_conditions` completes it by the cell's own, laid out for the effects in the model.
+"""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -6,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from ocp.calibrate.force.log import Flags, ForceLog, Index
+from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.cell import Cell
 from robots.pose import Array
 
 STILL = 1e-4  # rad/s; an axis slower than this stands
+LEAST_FEED = 1e-3  # m/s; effects divide by the feed
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,8 @@ class LogConditions:
         return LogConditions(**{k: v[rows] if isinstance(v, np.ndarray) else v for k, v in values.items()})
 
 
-def conditions_of(cell: Cell, log: ForceLog, used: float = 0.0) -> LogConditions:
-    """Conditions of a log's rows; `used` s: how long the wheel ground before it, where the log has no clock."""
+def log_conditions(cell: Cell, log: ForceLog, used: float = 0.0) -> LogConditions:
+    """Conditions of a log's rows; `used` s: how long the wheel ground before it, for logs without a clock."""
     n = len(log)
     s = _along(log) if log.s is None else log.s
     rate_s, rate_q = _rate(log, s[:, None])[:, 0], _rate(log, log.q)
@@ -102,16 +107,21 @@ def _contact_time(log: ForceLog) -> Array:
     return np.asarray(np.cumsum(step * log.contact))
 
 
-def within_runs(run: Array, time: Array, values: Array, window: int = 5) -> Array:
-    """Rate (n,) of values (n,) per second inside each run, smoothed over `window` samples: for signs of slow motions."""
-    out = np.zeros(len(values))
-    for r in np.unique(run):
-        at = np.flatnonzero(run == r)
-        if len(at) < 3 or not np.all(np.diff(time[at]) > 0):
-            continue
-        rate = np.gradient(values[at], time[at])
-        kernel = np.ones(min(window, len(at))) / min(window, len(at))
-        pad = len(kernel) // 2
-        padded = np.pad(rate, (pad, len(kernel) - 1 - pad), mode="edge")
-        out[at] = np.convolve(padded, kernel, mode="valid")
-    return out
+def effect_conditions(cell: Cell, log: ForceLog) -> Array:
+    """Columns (n, 24) for the model's effects (`ocp.effects.engine.symbolic.CONDITIONS`); (n, 0) for a cell without effects.
+
+    What the log does not say is the cell's `[conditions]`. The stroke rate of the flange is not logged: its friction is left
+    out.
+    """
+    if not cell.effects:
+        return np.zeros((len(log), 0))
+    own, c = cell.conditions, log_conditions(cell, log, cell.conditions.clock)
+    blocks = vars(c) | {
+        "time": c.clock,
+        "feed": np.maximum(c.feed, LEAST_FEED) if log.feed is None else c.feed,
+        "stroke_sign": 0.0,
+        "ground_before": float(own.ground_before) if log.ground_before is None else c.ground_before,
+        "warm": own.warm if log.temperature is None else c.warm,
+        "wheel_warm": own.wheel_warm if log.wheel_temperature is None else c.wheel_warm,
+    }
+    return CONDITIONS.stack(len(log), blocks)
