@@ -12,7 +12,7 @@ from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior, reading_jacobi
 from ocp.calibrate.force.folds import blocks_of, held_out
 from ocp.calibrate.force.footing import foot_points
 from ocp.calibrate.force.log import ForceLog, read_force_log
-from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.registration import ForceFit, fit_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.calibrate.report.contact import contact_sections
@@ -257,11 +257,11 @@ def test_without_a_flange_force_ends_where_the_overlap_ends(recorded):
     # The wheel is drawn back along x step by step, row by row through the blade's points.
     back = np.linspace(-2e-4, 6e-4, 60)
     waypoint = rows.waypoint.copy()
-    T = model.evaluate("state", rows, x, np.full(60, 20.0))[0, 13:].reshape(4, 4)
+    T = model.evaluate("state", PlacedRows.of(model.cell, rows, x), np.full(60, 20.0))[0, STATE["T"]].reshape(4, 4)
     waypoint[:, :3] -= back[:, None] * (T[:3, :3].T @ [1.0, 0.0, 0.0])
     rows = replace(rows, waypoint=waypoint)
     F = model.force(rows, x)
-    delta = model.evaluate("state", rows, x, np.maximum(F, 1.0))[:, 0]
+    delta = model.evaluate("state", PlacedRows.of(model.cell, rows, x), np.maximum(F, 1.0))[:, STATE["overlap"]][:, 0]
     assert (np.diff(F) <= 1e-9).all() and F[0] > 10 and F[-1] == 0 and (F[delta <= 0] == 0).all()
     assert np.abs(np.diff(F)).max() < 2.0
     J = model.sensitivity(rows, x, F)

@@ -10,8 +10,8 @@ import pytest
 
 from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, read_force_log
+from ocp.calibrate.force.model import ForceModel
 from ocp.diagnose.engine.system import Fold
-from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import believed_contact
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.columns import derivatives, effect_columns
@@ -382,7 +382,7 @@ def test_a_rigid_cell_is_a_channel_too(made):
     scene = made.channel.problem.scene
     cell = replace(scene.cell, flange=None)
     believed, rng = believed_contact(cell, arm_posterior(cell)), np.random.default_rng(4)
-    scene = replace(scene, cell=cell, balance=Balance(cell, scene.balance.law), pressed=None)
+    scene = replace(scene, cell=cell, model=ForceModel(cell, scene.model.law), pressed=None)
     truth = predict(scene, believed.mean + 0.3 * believed.root @ rng.normal(size=believed.root.shape[1]))
     log = replace(made.channel.log, fn=truth.fn + 0.6 + 0.2 * rng.normal(size=len(truth.F)), ft=None)
     problem = Problem.of(log, scene, believed)

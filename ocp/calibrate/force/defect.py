@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from ocp.calibrate.force.compliance import NORMAL_LENGTH, spread_stations
-from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.gap import LocalShape, solve_force
 from ocp.model.blade_gap import SurfaceCloud, surface_shape
@@ -36,8 +36,8 @@ def with_defect(model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: Forc
         return rows
     part = rows.take(touching)
     theta = believed_theta(replace(model.cell, calibration=None)).values
-    state = model.evaluate("state", part, theta, force[touching])
-    lateral = LATERAL_WEIGHT * state[:, 6:7]
+    state = model.evaluate("state", PlacedRows.of(model.cell, part, theta), force[touching])
+    lateral = LATERAL_WEIGHT * state[:, STATE["lateral"]]
     p, n = part.waypoint[:, :3], part.waypoint[:, 3:6]
     place = np.hstack([p, NORMAL_LENGTH * n, FORCE_LENGTH * force[touching, None], lateral])
     at = spread_stations(p, place[:, 3:] / NORMAL_LENGTH, SPACING)
@@ -68,8 +68,10 @@ def _departure(
     model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, state: Array, force: float, k: int
 ) -> float:
     """Defect m of row k; nan where there is no solution."""
-    lateral, tilt_x, tilt_y, kxx, kyy, kxy = (float(v) for v in state[k, [6, 8, 9, 10, 11, 12]])
-    T = state[k, 13:].reshape(4, 4)
+    lateral, tilt_x, tilt_y, kxx, kyy, kxy = (
+        float(v) for name in ("lateral", "tilt", "curvature") for v in state[k, STATE[name]]
+    )
+    T = state[k, STATE["T"]].reshape(4, 4)
     wheel = model.cell.wheel
     t, v = T[:3, :3] @ rows.waypoint[k, 6:9], T[:3, :3] @ rows.waypoint[k, :3] + T[:3, 3] - wheel.centre
     e = v - wheel.axis * (v @ wheel.axis)

@@ -1,19 +1,19 @@
-"""Contact force of logged rows from the one symbolic model, and its derivative in every parameter.
+"""Contact force of logged rows from the one symbolic model, solved row by row, and its derivative in every parameter.
 
 The force is implicit: residual(q, F, w, theta) = 0 (docs/model.md, eq. 2), so dF/dtheta = -(dr/dtheta) / (dr/dF).
-docs/force_registration.md, eq. 1 to 3.
+Calibration solves all rows at the same parameters (docs/force_registration.md, eq. 1 to 3); the diagnosis gives every row its
+own (a blade that moved, an error of a gear) and an extra interference by effects (docs/diagnosis_force.md, eq. 1 to 3).
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from ocp.calibrate.force.log import Flags, Index
 from ocp.contact.wheel.law import WheelLaw
 from ocp.effects.engine.compiled import run_rows
 from ocp.model.cell import Cell
@@ -22,11 +22,21 @@ from ocp.model.theta import NAMES, Theta
 from robots.pose import Array
 
 SETPOINT = NAMES.index("flange_setpoint_offset")
-NEWTON_STEPS = 30
+STEPS = 15  # Newton steps in F; six do, and where effects turn the balance over no number does
 FORCE_TOLERANCE = 1e-5  # N; a Newton step of this size leaves some 1e-10 N
 # Share of the wheel law's lowest force below which the balance is continued along its tangent: the law's polynomial in
 # log F is not meant to be followed to zero.
 LEAST_FORCE = 0.5
+PROBE = 0.05  # N; over which the change of the extra interference with the force is first taken
+# Columns of what `ForceModel.evaluate` gives as "state".
+STATE = {
+    "residual": slice(0, 1), "slope": slice(1, 2), "overlap": slice(2, 3), "parts": slice(3, 7), "slopes": slice(7, 11),
+    "arc": slice(11, 12), "lateral": slice(12, 13), "turn": slice(13, 14), "tilt": slice(14, 16), "curvature": slice(16, 19),
+    "T": slice(19, 35), "friction_give": slice(35, 36),
+}  # fmt: skip
+
+# Extra interference (k,) m of some rows (their indices), at their forces (k,) N and the state's columns there.
+Extra = Callable[[Index, Array, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -39,7 +49,7 @@ class ForceRows:
     waypoint: Array
     setpoint: Array
     belt: Array
-    contact: NDArray[np.bool_]
+    contact: Flags
 
     def __len__(self) -> int:
         return len(self.q)
@@ -55,8 +65,29 @@ class ForceRows:
 
 
 @dataclass(frozen=True)
-class BeltFunctions(ABC):
-    """Functions of the balance of one cell and wheel law for many rows, built once for each sign of the belt."""
+class PlacedRows:
+    """Rows with parameters theta (n, m) of their own; each row's own setpoint is in them, a shift of its joints in `base.q`."""
+
+    base: ForceRows
+    theta: Array
+
+    @staticmethod
+    def of(cell: Cell, base: ForceRows, theta: Array, shift: Array | None = None) -> "PlacedRows":
+        """Rows at parameters theta (m,) or (n, m) with joints moved by `shift` (n, 6) rad."""
+        whole = np.array(np.broadcast_to(theta, (len(base), theta.shape[-1])))
+        if cell.flange is not None:
+            # A row's own setpoint is the cell's plus a known offset: the model stays as it is.
+            whole[:, SETPOINT] += base.setpoint - cell.flange.setpoint
+        return PlacedRows(base if shift is None else replace(base, q=base.q + shift), whole)
+
+    def take(self, rows: Any) -> "PlacedRows":
+        """The rows of an index or mask."""
+        return PlacedRows(self.base.take(rows), self.theta[rows])
+
+
+@dataclass(frozen=True)
+class ForceModel:
+    """Force between wheel and blade of one cell and wheel law. Its functions are built once for each sign of the belt."""
 
     cell: Cell
     law: WheelLaw
@@ -70,81 +101,117 @@ class BeltFunctions(ABC):
     def _functions(self) -> dict[int, dict[str, ca.Function]]:
         return {}
 
-    @abstractmethod
-    def built(self, belt: int) -> dict[str, ca.Function]:
-        """The functions (q, F, w, theta) -> numbers of a row by their kinds, for a belt of the given sign."""
+    def _built(self, belt: int) -> dict[str, ca.Function]:
+        friction: Any = ca.SX.sym("mu")  # a symbol in the place of a number: the parts' derivative in it is wanted
+        wheel = replace(self.cell.wheel, belt_speed=float(belt), friction=friction)
+        model = build_model(replace(self.cell, wheel=wheel), self.law)
+        slope, slopes = ca.jacobian(model.residual, model.F), ca.jacobian(model.parts, model.F)
+        state = [model.residual, slope, model.delta, model.parts, slopes, model.arc, model.lateral, model.turn, model.tilt,
+                 model.curvature, ca.vec(model.T_base_blade.T), ca.jacobian(ca.sum1(model.parts), friction)]  # fmt: skip
+        by = ca.horzcat(slope, ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
+        outputs = {"state": ca.vertcat(*state), "derivative": by.T}
+        arguments = [model.q, model.F, model.w, model.theta]
+        known = {name: ca.substitute(ca.densify(o), friction, self.cell.wheel.friction) for name, o in outputs.items()}
+        return {name: ca.Function(name, arguments, [o], {"cse": True}) for name, o in known.items()}
 
-    def of_rows(self, kind: str, rows: ForceRows, theta: Array, F: Array) -> Array:
-        """Numbers (n, k) of a kind at each row's own theta (n, m) and F (n,); no rows give (0, 0)."""
+    def evaluate(self, kind: str, rows: PlacedRows, F: Array) -> Array:
+        """Numbers (n, k) at forces F (n,) N: "state" (columns `STATE`: residual m and its slope in F m/N, overlap m, the four
+        parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, the
+        parts' derivative in the friction m) or "derivative" (of the residual in F, theta (m) and q (6)). No rows: (0, 0)."""
         out: Array = np.empty((0, 0))
         for belt in (-1, 0, 1):
-            at = np.flatnonzero(rows.belt == belt)
+            at = np.flatnonzero(rows.base.belt == belt)
             if not len(at):
                 continue
             if belt not in self._functions:
-                self._functions[belt] = self.built(belt)
-            values = run_rows(self._functions[belt][kind], rows.q[at], F[at, None], rows.waypoint[at], theta[at])
+                self._functions[belt] = self._built(belt)
+            base = rows.base
+            values = run_rows(self._functions[belt][kind], base.q[at], F[at, None], base.waypoint[at], rows.theta[at])
             if not out.size:
-                out = np.zeros((len(rows), values.shape[1]))
+                out = np.zeros((len(base), values.shape[1]))
             out[at] = values
         return out
 
+    def solve(
+        self,
+        rows: PlacedRows,
+        guess: Array,
+        pressed: Flags | None = None,
+        extra: Extra | None = None,
+        stiffness: Array | None = None,
+        tolerance: float = FORCE_TOLERANCE,
+    ) -> tuple[Array, Array, Array]:
+        """Contact force (n,) N of rows in contact, zero where the wheel does not reach the blade; the state there (n, k); the
+        contact's stiffness (n,) N/m: force by a small overlap more.
 
-@dataclass(frozen=True)
-class ForceModel(BeltFunctions):
-    """Force between wheel and blade of one cell and wheel law."""
-
-    def built(self, belt: int) -> dict[str, ca.Function]:
-        """See `evaluate`."""
-        model = build_model(replace(self.cell, wheel=replace(self.cell.wheel, belt_speed=float(belt))), self.law)
-        slope = ca.jacobian(model.residual, model.F)
-        state = ca.vertcat(model.delta, model.parts, model.arc, model.lateral, model.turn, model.tilt, model.curvature)
-        outputs = {
-            "balance": ca.vertcat(model.residual, slope),
-            "derivative": ca.vertcat(slope, ca.jacobian(model.residual, model.theta).T),
-            "state": ca.vertcat(state, ca.vec(model.T_base_blade.T)),
-        }
-        arguments = [model.q, model.F, model.w, model.theta]
-        return {name: ca.Function(name, arguments, [ca.densify(o)], {"cse": True}) for name, o in outputs.items()}
-
-    def evaluate(self, kind: str, rows: ForceRows, theta: Array, F: Array) -> Array:
-        """Rows (n, k) of "balance" (residual m, its slope in F m/N), "derivative" (slope, dr/dtheta) or "state" (overlap
-        m, parts (4) m, arc, lateral, turn, tilt (2), relative curvature (3), T_base_blade (16)) at theta (m,) and F (n,)."""
-        whole = np.tile(theta, (len(rows), 1))
-        if self.cell.flange is not None:
-            # A row's own setpoint is the cell's plus a known offset: the model stays as it is.
-            whole[:, SETPOINT] += rows.setpoint - self.cell.flange.setpoint
-        return self.of_rows(kind, rows, whole, F)
-
-    def force(self, rows: ForceRows, theta: Array, guess: Array | None = None, pressed: NDArray[np.bool_] | None = None) -> Array:
-        """Contact force (n,) N, zero in the air and where the wheel does not reach the blade; Newton from `guess` (n,).
-
-        Rows known to be `pressed` (n,) get a negative force instead, the tangent's over the gap: a fit that starts too far
-        off then still sees which way the wheel is.
+        Rows known to be `pressed` (n,) get a negative force instead, the tangent's over the gap: a fit that starts too far off
+        then still sees which way the wheel is. `extra` is the interference that effects add; what it changes with the force
+        enters by secants. Newton from `guess`, with the `stiffness` (n,) of a solution nearby, until steps are below
+        `tolerance` N.
         """
-        F = np.zeros(len(rows))
-        active = np.flatnonzero(rows.contact)
-        if not len(active):
-            return F
-        start = np.maximum(rows.setpoint if self.cell.flange is not None else self.law.process_force, self.least_force)
-        F[active] = (np.broadcast_to(start, len(rows)) if guess is None else guess)[active]
-        for _ in range(NEWTON_STEPS):
+        F, pressed = np.array(guess, float), np.zeros(len(guess), bool) if pressed is None else pressed
+        state = np.zeros((len(F), STATE["friction_give"].stop))
+        ready, gain = self._gain(rows, F, extra, stiffness)
+        total = np.zeros(len(F))
+        old_F, old_extra = F.copy(), np.full(len(F), np.nan)
+        active = np.arange(len(F), dtype=np.int64)
+        for _ in range(STEPS):
             part = rows.take(active)
-            residual, slope = self.evaluate("balance", part, theta, np.maximum(F[active], self.least_force)).T
-            residual = residual + slope * np.minimum(F[active] - self.least_force, 0.0)
-            step = -residual / slope
+            at = np.maximum(F[active], self.least_force)
+            now = self.evaluate("state", part, at) if ready is None else ready
+            ready = None
+            state[active] = now
+            given = -now[:, STATE["slope"]][:, 0]
+            add = np.zeros(len(active)) if extra is None else extra(active, at, now)
+            moved = at - old_F[active]
+            known = np.isfinite(old_extra[active]) & (np.abs(moved) > 1e-3)
+            gain[active] = _reasonable(np.divide(add - old_extra[active], moved, out=gain[active], where=known), given)
+            total[active] = given - gain[active]
+            step = (now[:, 0] + add - total[active] * (F[active] - at)) / total[active]
+            old_F[active], old_extra[active] = at, add
             # From far off a step may overshoot into forces where the law is steep: at most a factor of three up.
-            F[active] = np.minimum(F[active] + step, 3.0 * np.maximum(F[active], self.least_force))
-            active = active[np.abs(step) > FORCE_TOLERANCE]
+            F[active] = np.minimum(F[active] + step, 3.0 * at)
+            active = active[np.abs(step) > tolerance]
             if not len(active):
                 break
-        return np.maximum(F, 0.0) if pressed is None else np.where(pressed, F, np.maximum(F, 0.0))
+        touching = pressed | (F > 0)
+        return np.where(touching, F, 0.0), state, np.where(touching, 1.0 / np.maximum(total, 1e-12), 0.0)
+
+    def _gain(self, rows: PlacedRows, F: Array, extra: Extra | None, stiffness: Array | None) -> tuple[Array | None, Array]:
+        """The state at F where it was needed, and the derivative (n,) m/N of the extra interference in F."""
+        if extra is None:
+            return None, np.zeros(len(F))
+        here, index = np.maximum(F, self.least_force), np.arange(len(F), dtype=np.int64)
+        now = self.evaluate("state", rows, here)
+        given = -now[:, STATE["slope"]][:, 0]
+        if stiffness is not None and (stiffness > 0).all():
+            return now, np.asarray(given - 1.0 / stiffness)
+        there = here + PROBE
+        change: Array = extra(index, there, self.evaluate("state", rows, there)) - extra(index, here, now)
+        return now, _reasonable(change / PROBE, given)
+
+    def force(self, rows: ForceRows, theta: Array, guess: Array | None = None, pressed: Flags | None = None) -> Array:
+        """Contact force (n,) N at parameters theta (m,), zero in the air; see `solve`. Newton from `guess` (n,)."""
+        F = np.zeros(len(rows))
+        at = np.flatnonzero(rows.contact)
+        if len(at):
+            usual = np.maximum(rows.setpoint if self.cell.flange is not None else self.law.process_force, self.least_force)
+            start = np.broadcast_to(usual, len(rows)) if guess is None else guess
+            part = PlacedRows.of(self.cell, rows.take(at), theta)
+            F[at] = self.solve(part, start[at], None if pressed is None else pressed[at])[0]
+        return F
 
     def sensitivity(self, rows: ForceRows, theta: Array, F: Array) -> Array:
         """dF/dtheta (n, m) at the forces F (n,) that `force` gave; zero where the force is zero."""
         out = np.zeros((len(rows), Theta.size))
         at = np.flatnonzero(rows.contact & (F != 0))
         if len(at):
-            values = self.evaluate("derivative", rows.take(at), theta, np.maximum(F[at], self.least_force))
-            out[at] = -values[:, 1:] / values[:, :1]
+            part = PlacedRows.of(self.cell, rows.take(at), theta)
+            values = self.evaluate("derivative", part, np.maximum(F[at], self.least_force))
+            out[at] = -values[:, 1 : 1 + Theta.size] / values[:, :1]
         return out
+
+
+def _reasonable(gain: Array, given: Array) -> Array:
+    """Effects that change the stiffness beyond reason would turn the balance over."""
+    return np.asarray(np.clip(gain, -3.0 * given, 0.7 * given))

@@ -11,10 +11,10 @@ import numpy as np
 from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.fit import pressed_rows
 from ocp.calibrate.force.log import ForceLog
+from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
 from ocp.diagnose.force.arm import arm_of
-from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import arm_from_tracker, arm_with_effects, believed_contact
 from ocp.diagnose.force.columns import effect_columns
 from ocp.diagnose.force.fit import ForceFit, Problem, solve
@@ -261,7 +261,7 @@ def problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | 
     believed = believed_contact(cell, arm)
     told, theta = log_conditions(cell, log), believed.mean[:M]
     law, own = setup.model.law, arm_of(cell, theta, log.q, told)
-    scene = Scene(cell, Balance(cell, law), setup.rows[0], told, own, theta, given, pressed_rows(setup.model, log))
+    scene = Scene(cell, ForceModel(cell, law), setup.rows[0], told, own, theta, given, pressed_rows(setup.model, log))
     return Problem.of(log, scene, believed, setup.notices)
 
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ocp.calibrate.force.fit import BIAS
+from ocp.calibrate.force.model import PlacedRows
 from ocp.diagnose.force.arm import BLADE
-from ocp.diagnose.force.balance import Rows
 from ocp.diagnose.force.believed import NUISANCE, SHEAR_BIAS, SHEAR_GAIN
 from ocp.diagnose.force.context import hook_columns
 from ocp.diagnose.force.prediction import M, Predicted, Scene, carried, interference, remembered, remembering
@@ -20,10 +20,10 @@ def derivatives(scene: Scene, at: Predicted) -> tuple[Array, Array]:
     """Contact force's derivatives of all rows: in theta (n, M) and in the joints (n, 6), zero in the air."""
     n, rows = len(scene.rows), scene.touching
     theta, joints = np.zeros((n, M)), np.zeros((n, 6))
-    held = np.maximum(at.F[rows], scene.balance.least_force)
-    values = scene.balance.evaluate("derivative", Rows(at.rows.base, at.rows.theta), held)
+    held = np.maximum(at.F[rows], scene.model.least_force)
+    values = scene.model.evaluate("derivative", PlacedRows(at.rows.base, at.rows.theta), held)
     scaled = at.stiffness[rows, None] * values
-    theta[rows], joints[rows] = scaled[:, :M], scaled[:, M:]
+    theta[rows], joints[rows] = scaled[:, 1 : 1 + M], scaled[:, 1 + M :]
     return theta, joints
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ocp.calibrate.force.conditions import LogConditions
-from ocp.diagnose.force.balance import STATE, Rows
+from ocp.calibrate.force.model import STATE, PlacedRows
 from ocp.effects.effect import Effect, Scanned
 from ocp.effects.engine.rows import CONTACT_LAYOUT, ContactPlace, contact_columns
 from ocp.model.cell import Cell
@@ -50,7 +50,7 @@ def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Seque
     return contact_columns(effect, kind, joint, scans, ContactPlace(cell.wheel.radius, cell.wheel.friction), samples.values)
 
 
-def samples_of(cell: Cell, rows: Rows, conditions: LogConditions, F: Array, state: Array, stiffness: Array) -> Samples:
+def samples_of(cell: Cell, rows: PlacedRows, conditions: LogConditions, F: Array, state: Array, stiffness: Array) -> Samples:
     """Samples of rows in contact at forces F (n,) N with their state (n, 34); all of them in the order of `rows`.
 
     Where theta turns the wheel's axis or shifts the blade the frames follow. `stroke_sign` is 0 until `with_stroke_sign`.

@@ -13,13 +13,12 @@ from ocp.calibrate.force.channel import ForceChannel as SensorNoise
 from ocp.calibrate.force.channel import Kind
 from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, Index
-from ocp.calibrate.force.model import ForceRows
+from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.calibrate.force.noise import Noise, Runs
 from ocp.calibrate.force.rows import prepare_force
 from ocp.diagnose.engine.projection import Projection, project
 from ocp.diagnose.engine.system import System, Variant
 from ocp.diagnose.force.arm import arm_of
-from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import believed_contact
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.columns import nuisance_columns
@@ -51,7 +50,7 @@ def planned_force_channel(cell: Cell, log: ForceLog, effects: Iterable[Effect], 
     believed = believed_contact(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
     own = arm_of(cell, theta, log.q, known)
-    scene = Scene(cell, Balance(cell, setup.model.law), model_rows, known, own, theta, given, log.contact)
+    scene = Scene(cell, ForceModel(cell, setup.model.law), model_rows, known, own, theta, given, log.contact)
     noise = averaged(Noise(1.0, SHARE, LASTS), every)
     whiteners = tuple(
         _whitener(one, np.full(len(log), SIGMA) if one.sigma_fn is None else one.sigma_fn, {True: noise, False: noise}, blocks)

@@ -13,9 +13,8 @@ import numpy as np
 from ocp.calibrate.force.conditions import LogConditions
 from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import Flags, Index
-from ocp.calibrate.force.model import ForceRows
+from ocp.calibrate.force.model import PROBE, STATE, ForceModel, ForceRows, PlacedRows
 from ocp.diagnose.force.arm import BLADE, Arm
-from ocp.diagnose.force.balance import PROBE, STATE, Balance, Rows
 from ocp.diagnose.force.believed import SHEAR_BIAS, SHEAR_GAIN
 from ocp.diagnose.force.context import PLACE, Samples, hook_columns, samples_of, with_stroke_sign
 from ocp.effects.context import LogRows
@@ -26,6 +25,7 @@ from robots.pose import Array
 
 M = Theta.size
 ZEROED = ("parts", "slopes", "normal_stiffness", "friction_deflection", "clamp_deflection", "F")  # of rows in the air
+TOLERANCE = 2e-4  # N: a step of Newton below this leaves less than 1e-7 N
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Scene:
     effects that the cell itself states, always in the prediction; pressed (n,): rows that only contact explains."""
 
     cell: Cell
-    balance: Balance
+    model: ForceModel
     rows: ForceRows
     conditions: LogConditions
     arm: Arm
@@ -45,8 +45,8 @@ class Scene:
     @cached_property
     def air(self) -> Samples:
         """Samples of all rows without contact: where the arm is, no force."""
-        low, rows = np.full(len(self.rows), self.balance.least_force), Rows.of(self.cell, self.rows, self.theta)
-        state = self.balance.evaluate("state", rows, low)
+        low, rows = np.full(len(self.rows), self.model.least_force), PlacedRows.of(self.cell, self.rows, self.theta)
+        state = self.model.evaluate("state", rows, low)
         out = samples_of(self.cell, rows, self.conditions, low, state, np.zeros(len(low)))
         for name in ZEROED:
             out.values[:, PLACE[name]] = 0.0
@@ -79,7 +79,7 @@ class Predicted:
     stiffness: Array
     fn_slope: Array
     ft_slope: Array
-    rows: Rows
+    rows: PlacedRows
     prompt: tuple[Array, Array]
 
 
@@ -90,7 +90,7 @@ def predict(scene: Scene, x: Array, active: Sequence[Active] = (), near: Predict
     rows = placed(scene, x, whole)
     guess = rows.base.setpoint if near is None else near.F[at]
     if scene.cell.flange is None and near is None:
-        guess = np.full(len(at), scene.balance.law.process_force)
+        guess = np.full(len(at), scene.model.law.process_force)
     same = near is not None and len(near.active) == len(active)
     known = near.stiffness[at] if near is not None and same else None
     signs = None if near is None else near.samples.at("stroke_sign")[at]
@@ -108,7 +108,7 @@ def predict(scene: Scene, x: Array, active: Sequence[Active] = (), near: Predict
 
     bending = [a for a in whole if a.effect.overlap is not None or a.effect.push is not None]
     pressed = np.zeros(len(at), bool) if scene.pressed is None else scene.pressed[at]
-    force, state, stiff = scene.balance.solve(rows, guess, pressed, extra if bending else None, known)
+    force, state, stiff = scene.model.solve(rows, guess, pressed, extra if bending else None, known, TOLERANCE)
     samples, F, stiffness = Samples(scene.air.values.copy()), np.zeros(n), np.zeros(n)
     samples.values[at] = samples_of(scene.cell, rows, inside, force, state, stiff).values
     F[at], stiffness[at] = force, stiff
@@ -128,7 +128,7 @@ def predict(scene: Scene, x: Array, active: Sequence[Active] = (), near: Predict
     return replace(made, fn=fn + late_n, ft=ft + late_t)
 
 
-def placed(scene: Scene, x: Array, active: Sequence[Active]) -> Rows:
+def placed(scene: Scene, x: Array, active: Sequence[Active]) -> PlacedRows:
     """Rows in contact at parameters x, their joints and blade moved by what active effects do to the arm."""
     at = scene.touching
     base = scene.rows.take(at)
@@ -139,7 +139,7 @@ def placed(scene: Scene, x: Array, active: Sequence[Active]) -> Rows:
             shift[:, moved.moving] += moved.shift[0, at] @ one.a
             if moved.blade is not None:
                 theta[:, BLADE] += moved.blade[0, at] @ one.a
-    return Rows.of(scene.cell, base, theta, shift)
+    return PlacedRows.of(scene.cell, base, theta, shift)
 
 
 def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned], samples: Samples) -> Array:

@@ -6,10 +6,10 @@ import numpy as np
 
 from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, Index
+from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import prepare_force
 from ocp.diagnose.engine.system import Foreseen, Sealed, foreseen
 from ocp.diagnose.force.arm import arm_of
-from ocp.diagnose.force.balance import Balance
 from ocp.diagnose.force.believed import RUN_SD
 from ocp.diagnose.force.fit import ForceFit, Problem, linear_normal, solve
 from ocp.diagnose.force.prediction import Predicted, Scene, predict
@@ -27,11 +27,11 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
     """
     problem, scene = after[0], after[0].scene
     setup = prepare_force(scene.cell, [problem.log, sealed])
-    balance = Balance(scene.cell, setup.model.law)
+    model = ForceModel(scene.cell, setup.model.law)
     used = float(scene.conditions.clock.max())
     told = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
     arm = arm_of(scene.cell, scene.theta, sealed.q, told)
-    there = Scene(scene.cell, balance, setup.rows[1], told, arm, scene.theta, scene.given)
+    there = Scene(scene.cell, model, setup.rows[1], told, arm, scene.theta, scene.given)
     found: list[tuple[ForceFit, Predicted]] = []
 
     def has(effect: Effect) -> bool:
@@ -41,7 +41,7 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
         if found and fit is before[1]:  # no effect
             found.append(found[0])
             continue
-        measured = replace(own, scene=replace(own.scene, balance=balance, rows=setup.rows[0]))
+        measured = replace(own, scene=replace(own.scene, model=model, rows=setup.rows[0]))
         again = solve(measured, fit.active, fit)
         known = foreseen(again.active, has).known
         at = predict(there, again.at.x, known)

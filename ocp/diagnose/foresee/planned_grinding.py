@@ -94,7 +94,7 @@ def grindings(channel: ForceChannel) -> list[PlannedGrinding]:
 def _ladder(channel: ForceChannel, usual_force: float) -> list[float]:
     """Setpoints N that the wheel's law covers; none without a flange, which sets them."""
     scene = channel.problem.scene
-    low, high = scene.balance.law.limits["force"]
+    low, high = scene.model.law.limits["force"]
     return [usual_force * share for share in LADDER if scene.cell.flange is not None and low <= usual_force * share <= high]
 
 
