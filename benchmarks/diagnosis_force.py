@@ -18,7 +18,7 @@ from force_world import arm_posterior, write_log
 
 from ocp.calibrate.force.log import read_force_log
 from ocp.diagnose.force.channel import ForceChannel, force_channel
-from ocp.diagnose.force.fit import solve
+from ocp.diagnose.force.fit import fit_effects
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 
@@ -135,7 +135,7 @@ def main(folder: Path, count: int) -> None:
         log = read_force_log(write_log(folder / f"force_{count}.csv", rows, HEADER))
         start = time.process_time()
         problem = replace(channel.problem, log=log)
-        fitted = ForceChannel(problem, solve(problem, (), channel.fit), channel.effects)
+        fitted = ForceChannel(problem, fit_effects(problem, (), channel.fit), channel.effects)
         gap = np.sqrt(np.mean((fitted.fit.at.fn - truth)[log.contact] ** 2))
         found = diagnose_channels([fitted], library())
         best = found.explanations[0] if found.explanations else None

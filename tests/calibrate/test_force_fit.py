@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior, reading_jacobian, reading_of, solve_force_log
-from ocp.calibrate.force.folds import blocks_of, held_out
-from ocp.calibrate.force.footing import foot_points
+from ocp.calibrate.force.folds import blocks_of, held_out_blocks
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.registration import ForceFit, fit_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
+from ocp.calibrate.force.surface_points import surface_points
 from ocp.calibrate.report.contact import contact_sections
 from ocp.model.cell import read_cell
 from ocp.model.theta import registered
@@ -163,7 +163,7 @@ def test_the_joint_covariance_goes_into_a_calibration_and_back(recorded, tmp_pat
 
 def test_folds_are_refits_without_the_block(recorded):
     log, rows = recorded.log, recorded.setup.rows[0]
-    fold = held_out(recorded.fit.solution, log, rows)["run"][3]
+    fold = held_out_blocks(recorded.fit.solution, log, rows)["run"][3]
     kept = log.run != 3
     prior = force_prior(recorded.world.cell, arm_posterior(recorded.world.cell))
     again = solve_force_log(recorded.setup.model, rows.take(kept), log.take(kept), prior)
@@ -315,7 +315,7 @@ def test_points_a_little_off_the_surface_are_put_onto_it_and_told(recorded, tmp_
 
     log = changed(recorded, tmp_path, off)
     blade = read_blade(recorded.world.cell.workpiece.stl)
-    foot = foot_points(blade, find_shape(blade), log)
+    foot = surface_points(blade, find_shape(blade), log)
     assert "1 points were put onto the blade's surface" in foot.notices[0]
     # A shift along y is one along the normal and one along the surface.
     shift = 1e-4 * np.array([0.0, 1.0, 0.0])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ocp.calibrate.force.noise import Noise, Runs, estimate_noise, student_weights, whiten
+from ocp.calibrate.force.noise import CorrelatedNoise, Runs, estimate_noise, student_weights, whiten
 from tests.support.force_world import correlated
 
 
@@ -17,7 +17,7 @@ def test_filter_is_the_cholesky_factor_of_the_covariance():
     rng = np.random.default_rng(1)
     time = np.cumsum(rng.uniform(0.002, 0.05, 60))
     run = np.repeat([0, 1], 30)
-    noise = Noise(0.3, 0.6, 0.04)
+    noise = CorrelatedNoise(0.3, 0.6, 0.04)
     apart = np.abs(time[:, None] - time)
     same = run[:, None] == run
     V = 0.09 * (0.4 * np.eye(60) + 0.6 * np.exp(-apart / 0.04) * same)
@@ -32,7 +32,7 @@ def test_rows_of_runs_may_be_mixed():
     rng = np.random.default_rng(2)
     run, time, y = runs_of(rng, 3, 40)
     order = np.argsort(time, kind="stable")
-    noise, ones = Noise(0.3, 0.6, 0.04), np.ones(len(y))
+    noise, ones = CorrelatedNoise(0.3, 0.6, 0.04), np.ones(len(y))
     plain, _ = whiten(Runs.of(run, time), noise, ones, y[:, None])
     mixed, _ = whiten(Runs.of(run[order], time[order]), noise, ones, y[order][:, None])
     np.testing.assert_allclose(mixed, plain[order])
@@ -42,7 +42,7 @@ def test_rows_of_runs_may_be_mixed():
 def test_what_was_put_in_is_found(share):
     run, time, y = runs_of(np.random.default_rng(3), 14, 210, sigma=0.25, share=share)
     noise = estimate_noise(run, time, y + np.sin(1.5 * time + run))
-    wanted = Noise(0.25, share, 0.04)
+    wanted = CorrelatedNoise(0.25, share, 0.04)
     assert noise.sigma == pytest.approx(0.25, rel=0.08)
     # What counts for a covariance: the variance of a long mean.
     assert noise.sigma**2 * noise.samples_each(0.01) == pytest.approx(0.0625 * wanted.samples_each(0.01), rel=0.3)

@@ -12,11 +12,10 @@ from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
 from ocp.diagnose.engine.system import Fold
-from ocp.diagnose.force.believed import believed_contact
 from ocp.diagnose.force.channel import ForceChannel, force_channel
-from ocp.diagnose.force.columns import derivatives, effect_columns
-from ocp.diagnose.force.fit import Problem, solve
-from ocp.diagnose.force.prediction import predict
+from ocp.diagnose.force.fit import ForceProblem, fit_effects
+from ocp.diagnose.force.prediction import effect_derivatives, force_derivatives, predict_readings
+from ocp.diagnose.force.prior import nuisance_prior
 from ocp.diagnose.force.setpoints import with_setpoints_read_off
 from ocp.diagnose.force.whitening import Whitener
 from ocp.diagnose.reporting import _shown
@@ -66,14 +65,14 @@ def _channel(base: Base, log: ForceLog) -> ForceChannel:
 def _again(made: Made, log: ForceLog) -> ForceChannel:
     """The channel of the same rows with other readings: the model is prepared already."""
     problem = replace(made.channel.problem, log=log)
-    return ForceChannel(problem, solve(problem, (), made.channel.fit), made.channel.effects)
+    return ForceChannel(problem, fit_effects(problem, (), made.channel.fit), made.channel.effects)
 
 
-def _part(problem: Problem, rows: np.ndarray) -> Problem:
+def _part(problem: ForceProblem, rows: np.ndarray) -> ForceProblem:
     """Some rows of a problem, prepared already (not for effects of the arm)."""
     scene = problem.scene
     scene = replace(scene, rows=scene.rows.take(rows), conditions=scene.conditions.take(rows), pressed=scene.pressed[rows])
-    return Problem.of(problem.log.take(rows), scene, problem.believed)
+    return ForceProblem.of(problem.log.take(rows), scene, problem.believed)
 
 
 def _active(name: str, joint: int = 0, scanned: dict | None = None) -> Active:
@@ -136,7 +135,7 @@ def test_columns_are_what_the_refitted_balance_does(made, name):
         if not len(scans):
             continue
         scanned = scans[len(scans) // 2]
-        made_columns = effect_columns(scene, at, channel.fit.slopes, effect, joint, [scanned])
+        made_columns = effect_derivatives(scene, at, channel.fit.slopes, effect, joint, [scanned])
         if made_columns is None:
             continue
         for k in range(min(effect.size, 3)):
@@ -145,7 +144,7 @@ def test_columns_are_what_the_refitted_balance_does(made, name):
             both = []
             for sign in (1.0, -1.0):
                 one = replace(_active(name, joint, dict(scanned)), a=sign * a)
-                there = predict(scene, at.x, (one,), at)
+                there = predict_readings(scene, at.x, (one,), at)
                 both.append(np.concatenate([there.fn[rows], there.ft[rows]]))
             difference = 0.5 * (both[0] - both[1])
             column = np.concatenate([c[0][rows, k] for c in made_columns]) * a[k]
@@ -156,13 +155,13 @@ def test_columns_are_what_the_refitted_balance_does(made, name):
 def test_slopes_are_those_of_the_force(made):
     channel = made.channel
     scene, at = channel.problem.scene, channel.fit.at
-    theta, joints = derivatives(scene, at)
+    theta, joints = force_derivatives(scene, at)
     rows = scene.touching[::50]
     sd = channel.problem.believed.sd
     for i in np.flatnonzero(sd[: theta.shape[1]] > 0)[::2]:
         step = np.zeros_like(at.x)
         step[i] = 1e-2 * sd[i]
-        high, low = (predict(scene, at.x + s * step, (), at).F[rows] for s in (1.0, -1.0))
+        high, low = (predict_readings(scene, at.x + s * step, (), at).F[rows] for s in (1.0, -1.0))
         np.testing.assert_allclose(theta[rows, i] * step[i], 0.5 * (high - low), rtol=5e-3, atol=1e-5)
     assert np.abs(joints[rows]).max() > 100.0
 
@@ -176,7 +175,7 @@ def test_a_push_is_the_stroke_it_takes(made):
     # F (n.a) = setpoint + k stroke + push with the flange along the normal: the same force as an overlap of push / k more.
     channel, at = made.channel, made.channel.problem.scene.touching
     effect = _own_effect(push=lambda x, j, scanned: 10.0 * x.s)
-    fn = effect_columns(channel.problem.scene, channel.fit.at, channel.fit.slopes, effect, 0, [{}])[0][0, :, 0]
+    fn = effect_derivatives(channel.problem.scene, channel.fit.at, channel.fit.slopes, effect, 0, [{}])[0][0, :, 0]
     step = 0.05
     extra = step * 10.0 * channel.problem.scene.conditions.s / channel.problem.scene.cell.flange.stiffness
     force = made.base.force(extra) - made.base.force(-extra)
@@ -187,7 +186,7 @@ def test_a_turn_of_the_base_moves_the_blade_as_a_body(made):
     channel, turn = made.channel, np.array([1e-5, -3e-5, 2e-5])
     effect = _own_effect(twist=lambda x, j, scanned: {0: ca.vertcat(ca.SX.zeros(3, 1), ca.SX(turn))})
     scene, at = channel.problem.scene, channel.problem.scene.touching
-    fn = effect_columns(scene, channel.fit.at, channel.fit.slopes, effect, 0, [{}])[0][0, :, 0]
+    fn = effect_derivatives(scene, channel.fit.at, channel.fit.slopes, effect, 0, [{}])[0][0, :, 0]
     # Where the fit has the contact (a millimetre from where it is: bearing alone is an unknown of the arm), turned as a body.
     R = channel.fit.at.samples.at("R_blade").reshape(-1, 3, 3)
     p = np.einsum("nij,nj->ni", R, made.base.columns["p"]) + scene.arm.origin
@@ -245,13 +244,13 @@ def test_no_effect_is_no_gap_though_readings_are_wild(made, tmp_path):
 def test_fast_patterns_are_kept_where_averages_lose_them(made):
     channel, scanned = made.channel, {"clocked": 1.0}
     whiteners, about = channel.fit.whiteners, (channel.problem.scene, channel.fit.at, channel.fit.slopes)
-    fast = effect_columns(*about, EFFECTS["wheel_runout"], 0, [scanned])
+    fast = effect_derivatives(*about, EFFECTS["wheel_runout"], 0, [scanned])
     length = sum(float(np.sum(w.whole(c[0]) ** 2)) for w, c in zip(whiteners, fast, strict=True))
     assert sum(float(np.sum(w.short(c[0]) ** 2)) for w, c in zip(whiteners, fast, strict=True)) < 0.5 * length
     kept = channel.variants(EFFECTS["wheel_runout"], 0, [scanned])[0].columns
     assert np.sum(kept**2) == pytest.approx(length, rel=1e-3)
     # A slow effect loses nearly nothing.
-    slow = effect_columns(*about, EFFECTS["wheel_wear"], 0, [{}])
+    slow = effect_derivatives(*about, EFFECTS["wheel_wear"], 0, [{}])
     full = sum(float(np.sum(w.whole(c[0]) ** 2)) for w, c in zip(whiteners, slow, strict=True))
     assert np.sum(channel.variants(EFFECTS["wheel_wear"], 0, [{}])[0].columns ** 2) == pytest.approx(full, rel=0.03)
 
@@ -274,8 +273,8 @@ def test_held_out_errors_are_those_of_a_refit(made, tmp_path):
     problem, rest = channel.problem, _part(channel.problem, ~late)
     rows = late & log.contact
     for active, mean_square in (((), judged.before), ((_active("wheel_wear"),), judged.after)):
-        fit = solve(rest, active)
-        there = predict(problem.scene, fit.at.x, fit.active)
+        fit = fit_effects(rest, active)
+        there = predict_readings(problem.scene, fit.at.x, fit.active)
         assert np.mean((log.fn - there.fn)[rows] ** 2) == pytest.approx(mean_square, rel=0.1, abs=0.004)
     assert judged.before > 4 * judged.noise and judged.after < judged.noise + 3 * judged.estimation
     # The nuisance takes back what the flange's stiffness may be off by: its value is known to 30 %, the readings to a hundredth.
@@ -290,7 +289,7 @@ def test_sealed_readings_are_met_within_their_sigma(made, tmp_path):
     log, truth = _log(made.base, planted, tmp_path)
     late = (log.run == 6) | (log.run == 7)  # another setpoint, and the belt reversed
     part = _part(replace(made.channel.problem, log=log), ~late)
-    channel = ForceChannel(part, solve(part), made.channel.effects)
+    channel = ForceChannel(part, fit_effects(part), made.channel.effects)
     active = (_active("sensor_bias"), _active("wheel_wear"))
     sealed = replace(log.take(late), fn=np.full(int(late.sum()), np.nan), ft=None)
     found = channel.predict(sealed, active)
@@ -324,7 +323,7 @@ def test_missing_columns_blind_and_say_so(made):
     log = replace(made.channel.log, clock=None, ft=None, ground_before=None, wheel_temperature=None)
     scene = replace(made.channel.problem.scene, conditions=log_conditions(made.base.world.cell, log))
     problem = replace(made.channel.problem, log=log, scene=scene)
-    channel = ForceChannel(problem, solve(problem), made.channel.effects)
+    channel = ForceChannel(problem, fit_effects(problem), made.channel.effects)
     assert "ground_before" in channel.blind(EFFECTS["material_removal"])
     assert "clock_s" in channel.blind(EFFECTS["sensor_drift"])
     assert "wheel_temperature_C" in channel.blind(EFFECTS["wheel_temperature"])
@@ -343,7 +342,7 @@ def test_setpoints_that_nobody_wrote_down_are_read_off_and_open_in_the_fit(made,
     scene, offsets = channel.problem.scene, channel.problem.offsets
     for k, run in enumerate((5, 6)):  # its column is what another setpoint does to both readings
         more = replace(scene, rows=replace(scene.rows, setpoint=scene.rows.setpoint + 0.5 * (log.run == run)))
-        ends = [predict(s, channel.fit.at.x, (), channel.fit.at) for s in (scene, more)]
+        ends = [predict_readings(s, channel.fit.at.x, (), channel.fit.at) for s in (scene, more)]
         for end, column in (("fn", offsets.normal), ("ft", offsets.shear)):
             change = (getattr(ends[1], end) - getattr(ends[0], end)) / 0.5
             wanted = column[:, offsets.runs + k] / read_off.setpoint_sd.max()
@@ -381,12 +380,12 @@ def test_a_rigid_cell_is_a_channel_too(made):
     # The same postures without the flange; readings from the model, sensor_bias planted in them.
     scene = made.channel.problem.scene
     cell = replace(scene.cell, flange=None)
-    believed, rng = believed_contact(cell, arm_posterior(cell)), np.random.default_rng(4)
+    believed, rng = nuisance_prior(cell, arm_posterior(cell)), np.random.default_rng(4)
     scene = replace(scene, cell=cell, model=ForceModel(cell, scene.model.law), pressed=None)
-    truth = predict(scene, believed.mean + 0.3 * believed.root @ rng.normal(size=believed.root.shape[1]))
+    truth = predict_readings(scene, believed.mean + 0.3 * believed.root @ rng.normal(size=believed.root.shape[1]))
     log = replace(made.channel.log, fn=truth.fn + 0.6 + 0.2 * rng.normal(size=len(truth.F)), ft=None)
-    problem = Problem.of(log, scene, believed)
-    channel = ForceChannel(problem, solve(problem), (EFFECTS["sensor_bias"],))
+    problem = ForceProblem.of(log, scene, believed)
+    channel = ForceChannel(problem, fit_effects(problem), (EFFECTS["sensor_bias"],))
     assert channel.blind(EFFECTS["flange_stiffness"])
     assert np.abs(channel.variants(EFFECTS["belt_tension"], 0)[0].columns).max() > 0
     found = channel.with_active((_active("sensor_bias"),)).active[0]

@@ -10,9 +10,9 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.problem import linearised
 from ocp.diagnose.engine.search import Diverged, reweighted, settle
 from ocp.diagnose.force import fit as fitting
-from ocp.diagnose.force.fit import linear, solve
-from ocp.diagnose.force.knocks import telling_knocks
-from ocp.diagnose.force.prediction import predict
+from ocp.diagnose.force.fit import linear, fit_effects
+from ocp.diagnose.force.splice_trains import likely_trains
+from ocp.diagnose.force.prediction import predict_readings
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
 from robots.errors import Infeasible
@@ -31,7 +31,7 @@ def test_a_train_of_knocks_is_found_by_rate_place_and_length(made: Made, tmp_pat
 
     log, _ = _log(made.base, (Planted(reading=knock),), tmp_path)
     channel = _again(made, log)
-    knocks = telling_knocks(channel.problem, channel.fit)
+    knocks = likely_trains(channel.problem, channel.fit)
     best = knocks.found[0]
     assert best["clocked"] == float(clock == "clock") and knocks.among > 1000
     span = np.ptp(getattr(channel.problem.scene.conditions, clock))
@@ -67,7 +67,7 @@ def test_columns_beside_a_delay_are_what_the_prediction_does(made: Made):  # noq
                                  ("sensor_gain", {}, [0.03]), ("wheel_wear", {}, [2e-7]))
     )  # fmt: skip
     problem = made.channel.problem
-    fit = solve(problem, active, made.channel.fit)
+    fit = fit_effects(problem, active, made.channel.fit)
     z = fit.z + 0.3
     at = fitting._at(problem, z, fit.active, fit.at)
     at = fitting._at(problem, z, fit.active, at)
@@ -150,7 +150,7 @@ def test_a_fit_that_cannot_rest_is_refused_before_long(made: Made, monkeypatch, 
     monkeypatch.setattr(fitting, "STILL", -1.0)
     start = made.channel.fit
     with pytest.raises(Infeasible, match="does not come to rest"):
-        solve(made.channel.problem, (_active("sensor_bias"),), replace(start, z=start.z + 0.5))
+        fit_effects(made.channel.problem, (_active("sensor_bias"),), replace(start, z=start.z + 0.5))
     assert len(calls) <= most
     assert most != fitting.LOST or len(calls) == most  # no way down is told at once
 
@@ -170,7 +170,7 @@ def test_drift_tells_how_far_a_value_moves_without_a_fold(made: Made, tmp_path):
     held = {f.name: channel.held_out(f, channel.active) for f in channel.folds() if f.kind in ("time", "random")}
     time = [h for n, h in held.items() if n.startswith("time") and h is not None]
     assert time and time[0].drift["sensor_bias", 0] > 3.0
-    assert predict(channel.problem.scene, channel.fit.at.x, channel.active).prompt[0].shape == log.fn.shape
+    assert predict_readings(channel.problem.scene, channel.fit.at.x, channel.active).prompt[0].shape == log.fn.shape
 
 
 def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, monkeypatch):  # noqa: F811
@@ -209,4 +209,4 @@ def test_left_out_readings_are_the_same_ones_with_and_without_a_name(made, tmp_p
 def test_a_fit_that_leaves_what_can_be_computed_is_said_so(made):  # noqa: F811
     active = replace(_active("flange_stiffness"), a=np.array([300.0]))
     with pytest.raises(Infeasible, match="the fit of the force log"):
-        solve(made.channel.problem, (active,), made.channel.fit)
+        fit_effects(made.channel.problem, (active,), made.channel.fit)

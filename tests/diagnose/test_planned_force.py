@@ -8,14 +8,14 @@ import pytest
 
 import ocp.diagnose.force.planned as planned_module
 from ocp.calibrate.force.log import ForceLog, read_force_log
-from ocp.calibrate.force.noise import Noise
+from ocp.calibrate.force.noise import CorrelatedNoise
 from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.projection import project
 from ocp.diagnose.engine.visible import Rival, visible_lambda
 from ocp.diagnose.force.channel import ForceChannel, force_channel
-from ocp.diagnose.force.fit import solve
-from ocp.diagnose.force.planned import Shared, averaged, foreseen_force, planned_force_channel
+from ocp.diagnose.force.fit import fit_effects
+from ocp.diagnose.force.planned import Shared, noise_of_means, foreseen_force, planned_force_channel
 from ocp.diagnose.foresee.design import design_text, energy_of, smallest_visible, visible_in
 from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.planned_grinding import grindings, more_grinding, tracker_beside, unseen, usual_recordings
@@ -111,7 +111,7 @@ def test_every_fourth_row_with_the_noise_of_four_tells_the_same(made, plan, monk
 
 
 def test_means_keep_what_lasts():
-    noise = averaged(Noise(0.3, 0.5, 0.05), 4)
+    noise = noise_of_means(CorrelatedNoise(0.3, 0.5, 0.05), 4)
     assert noise.sigma**2 * noise.share == pytest.approx(0.5 * 0.09)
     assert noise.sigma**2 * (1 - noise.share) == pytest.approx(0.5 * 0.09 / 4)
 
@@ -121,7 +121,7 @@ def test_an_effect_above_the_size_told_is_named_and_one_below_is_not(made, plan,
     size = factor * sizes(plan, ("wheel_wear",))[0] * 1e-6
     log = logged(made.base, (Planted(overlap=lambda b: -size * b.columns["clock"]),), tmp_path)
     problem = replace(made.channel.problem, log=log)
-    channel = ForceChannel(problem, solve(problem, (), made.channel.fit), made.channel.effects)
+    channel = ForceChannel(problem, fit_effects(problem, (), made.channel.fit), made.channel.effects)
     found = diagnose_channels([channel], EFFECTS, Options(where=False, folds=False))
     assert (found.p_none < 0.5) == named, (found.p_none, found.explanations[:3])
 

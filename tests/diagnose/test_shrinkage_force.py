@@ -9,12 +9,11 @@ import pytest
 
 from ocp.calibrate.force.log import read_force_log
 from ocp.diagnose.engine.findings import Alternative
-from ocp.diagnose.force.anticipated import Grinding, after_log, anticipated_grinding
-from ocp.diagnose.force.arm import arm_of
+from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel, force_channel
-from ocp.diagnose.force.fit import Problem, solve
-from ocp.diagnose.force.prediction import Scene, predict
-from ocp.diagnose.force.shrinkage import RUN_SD, from_grinding
+from ocp.diagnose.force.fit import ForceProblem, fit_effects
+from ocp.diagnose.force.prediction import LogScene, predict_readings
+from ocp.diagnose.force.shrinkage import RUN_SD, LaterGrinding, after_log, anticipated_grinding, from_grinding
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
@@ -31,19 +30,19 @@ WEAR = 3e-7  # m/s
 NOISE = 0.04  # N^2
 
 
-def new(*moved: float, error: float = 0.1, doubt: float = 0.0, runs: int = 40) -> Grinding:
+def new(*moved: float, error: float = 0.1, doubt: float = 0.0, runs: int = 40) -> LaterGrinding:
     """As many conditions, alike probable, with this rms N of what the effects move; error: rms N of the unknowns; doubt: the
     probability that nothing is moved."""
     rng, n, p = np.random.default_rng(0), 10 * runs, 50
     errors = error * rng.normal(size=(n, p)) / np.sqrt(p)
     told = np.array([1.0, 0.0])
-    return Grinding(
+    return LaterGrinding(
         np.stack([np.stack([np.full(n, m), np.zeros(n)]) for m in moved]), np.stack([errors for _ in moved]), np.eye(p),
         np.array([1 - doubt, doubt]), told, np.full(len(moved), 1 / len(moved)), np.repeat(np.arange(runs), 10),
     )  # fmt: skip
 
 
-def promise(made: Grinding) -> Shrinkage:
+def promise(made: LaterGrinding) -> Shrinkage:
     found = from_grinding(made, NOISE)
     assert found is not None
     return found
@@ -82,7 +81,7 @@ class Made:
     """The log's channel without effects; scene of grinding that comes later, its true readings (n,) N."""
 
     channel: ForceChannel
-    later: Scene
+    later: LogScene
     truth: np.ndarray
 
 
@@ -108,14 +107,14 @@ def worn(tmp_path_factory) -> Made:
             base.world.cell, read_force_log(write_log(folder / "force.csv", rows, HEADER)), arm=arm_posterior(base.world.cell)
         ).problem
     late = base.columns["run"] >= len(PLAN)
-    problem = Problem.of(whole.log.take(~late), _taken(whole.scene, ~late), whole.believed)
-    return Made(ForceChannel(problem, solve(problem)), _taken(whole.scene, late), truth[late])
+    problem = ForceProblem.of(whole.log.take(~late), _taken(whole.scene, ~late), whole.believed)
+    return Made(ForceChannel(problem, fit_effects(problem)), _taken(whole.scene, late), truth[late])
 
 
-def _taken(scene: Scene, rows: np.ndarray) -> Scene:
+def _taken(scene: LogScene, rows: np.ndarray) -> LogScene:
     """Some rows (not for effects of the arm)."""
     conditions, pressed = scene.conditions.take(rows), scene.pressed[rows]
-    arm = arm_of(scene.cell, scene.theta, scene.rows.take(rows).q, conditions)
+    arm = logged_arm(scene.cell, scene.theta, scene.rows.take(rows).q, conditions)
     return replace(scene, rows=scene.rows.take(rows), conditions=conditions, arm=arm, pressed=pressed)
 
 
@@ -153,7 +152,7 @@ def test_the_promise_is_kept_after_the_log(worn):
     before = worn.channel
     after = before.with_active((_wear(),))
     found = from_grinding(anticipated_grinding(before, after), after.noise_floor**2)
-    there = [predict(worn.later, c.fit.at.x, c.active) for c in (before, after)]
+    there = [predict_readings(worn.later, c.fit.at.x, c.active) for c in (before, after)]
     e, f = (float(np.sqrt(np.mean((told.fn - worn.truth) ** 2))) for told in there)
     assert e > 0.3 and found is not None, (found, e, f)
     assert found.low <= 1 - f / e <= found.high

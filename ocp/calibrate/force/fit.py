@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.calibrate.force.channel import ForceChannel, Whitened, channel_of
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.noise import ReadingNoise, Whitened, channel_of
 from ocp.calibrate.force.offsets import offset_columns, offset_size
 from ocp.model.cell import Cell
 from ocp.model.theta import NAMES, believed_theta, covariance_root
@@ -58,7 +58,7 @@ class ForceSolution:
     reading: Array
     before: Array
     jacobian: Array
-    channel: ForceChannel
+    channel: ReadingNoise
     whitened: Whitened
     information: Array
     steps: int
@@ -159,12 +159,12 @@ class _Problem:
         offset = state.extra @ state.z[self.prior.root.shape[1] :]
         return np.asarray(self.log.fn - state.reading - offset)
 
-    def linearised(self, state: _State, channel: ForceChannel) -> tuple[Whitened, Array]:
+    def linearised(self, state: _State, channel: ReadingNoise) -> tuple[Whitened, Array]:
         """Whitened residuals and sensitivities to z, and the reading's derivatives (n, m) in x."""
         jacobian = reading_jacobian(self.model, self.rows, state.x, state.F)
         return channel.whitened(self.residual(state), np.hstack([jacobian @ self.prior.root, state.extra])), jacobian
 
-    def settle(self, state: _State, channel: ForceChannel) -> tuple[_State, ForceChannel]:
+    def settle(self, state: _State, channel: ReadingNoise) -> tuple[_State, ReadingNoise]:
         """Gauss-Newton with the channel's noise and, at first, new weights at every step (eq. 8, 9)."""
         previous, share = np.zeros_like(state.z), 1.0
         for step in range(STEPS):
@@ -182,7 +182,7 @@ class _Problem:
             f"{self.log.path}: the fit of the force log does not come to rest in {STEPS} steps; the cell is not the log's"
         )
 
-    def _moved(self, state: _State, channel: ForceChannel, white: Whitened, change: Array, jacobian: Array) -> _State:
+    def _moved(self, state: _State, channel: ReadingNoise, white: Whitened, change: Array, jacobian: Array) -> _State:
         """The step, halved until the weighted squares do not rise."""
         now = float(white.residual @ white.residual + state.z @ state.z)
         share = 1.0

@@ -14,7 +14,7 @@ from robots.pose import Array
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutForce:
     """Rows in contact that were predicted without them: what was left out, how many, rms and mean of measured minus
     predicted N, gap N (rms without the noise), expected standard deviation N of the mean, from parameters, noise and offsets."""
 
@@ -51,29 +51,29 @@ def _by_value(by: str, values: Array, contact: Flags) -> Blocks:
     return Blocks(by, block.astype(np.int64), tuple(f"{level:g}" for level in levels))
 
 
-def held_out(solution: ForceSolution, log: ForceLog, rows: ForceRows) -> dict[str, list[HeldOut]]:
+def held_out_blocks(solution: ForceSolution, log: ForceLog, rows: ForceRows) -> dict[str, list[HeldOutForce]]:
     """Errors of each block of each way to cut the log, predicted from the other blocks."""
-    out: dict[str, list[HeldOut]] = {}
+    out: dict[str, list[HeldOutForce]] = {}
     for way in blocks_of(log, rows):
         present = [b for b in range(len(way.labels)) if (log.contact & (way.block == b)).any()]
         out[way.by] = [_fold(solution, log, way.labels[b], way.block == b) for b in present]
     return out
 
 
-def pooled(folds: list[HeldOut]) -> HeldOut:
+def pooled_blocks(folds: list[HeldOutForce]) -> HeldOutForce:
     """All folds of one way to cut the log as one figure; the mean is that of the folds' sizes |mean|."""
     n = np.array([fold.rows for fold in folds], float)
 
     def together(values: list[float]) -> float:
         return float(np.sqrt(np.sum(n * np.array(values) ** 2) / n.sum()))
 
-    return HeldOut(
+    return HeldOutForce(
         "each in turn", int(n.sum()), together([f.rms for f in folds]), together([f.mean for f in folds]),
         together([f.gap for f in folds]), together([f.mean_sd for f in folds]),
     )  # fmt: skip
 
 
-def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> HeldOut:
+def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> HeldOutForce:
     """The block's readings from the other rows: a downdate of the information, a step of the unknowns."""
     white, channel = solution.whitened, solution.channel
     A, told = white.sensitivity[left], np.zeros_like(solution.information)
@@ -98,4 +98,4 @@ def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> He
     noise = float(np.mean(sigma**2))
     rms = float(np.sqrt(np.mean(error**2)))
     gap = float(np.sqrt(max(rms**2 - noise, 0.0)))
-    return HeldOut(label, len(at), rms, float(error.mean()), gap, float(np.sqrt(spread + noise * each / len(at) + offsets)))
+    return HeldOutForce(label, len(at), rms, float(error.mean()), gap, float(np.sqrt(spread + noise * each / len(at) + offsets)))

@@ -32,7 +32,7 @@ PROBE = 0.05  # N; over which the change of the extra interference with the forc
 STATE = {
     "residual": slice(0, 1), "slope": slice(1, 2), "overlap": slice(2, 3), "parts": slice(3, 7), "slopes": slice(7, 11),
     "arc": slice(11, 12), "lateral": slice(12, 13), "turn": slice(13, 14), "tilt": slice(14, 16), "curvature": slice(16, 19),
-    "T": slice(19, 35), "friction_give": slice(35, 36),
+    "T": slice(19, 35), "friction_deflection": slice(35, 36),
 }  # fmt: skip
 
 # Extra interference (k,) m of some rows (their indices), at their forces (k,) N and the state's columns there.
@@ -150,7 +150,7 @@ class ForceModel:
         `tolerance` N.
         """
         F, pressed = np.array(guess, float), np.zeros(len(guess), bool) if pressed is None else pressed
-        state = np.zeros((len(F), STATE["friction_give"].stop))
+        state = np.zeros((len(F), STATE["friction_deflection"].stop))
         ready, gain = self._gain(rows, F, extra, stiffness)
         total = np.zeros(len(F))
         old_F, old_extra = F.copy(), np.full(len(F), np.nan)

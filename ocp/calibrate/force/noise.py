@@ -1,22 +1,23 @@
-"""Noise of a force channel: white scatter plus an exponentially correlated part, whitened run by run by its Kalman filter.
+"""Noise of force readings: white scatter plus an exponentially correlated part, whitened run by run by its Kalman filter.
 
-docs/force_registration.md, eq. 4 to 6. Rows of different runs are independent; samples need not be evenly spaced.
+docs/force_registration.md, eq. 4 to 6. Rows of different runs are independent; samples need not be evenly spaced. Rows in
+contact and rows in the air have their own noise (`ReadingNoise`), and every row a weight of Student's t.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
+from ocp.calibrate.force.log import ForceLog, Index
 from robots.pose import Array
 
-Index = NDArray[np.int64]
 DEGREE = 3  # of the polynomial in time that a run's residual may follow while its scatter is measured
 ENOUGH = 20  # rows of a run from which such a polynomial, and not its mean alone, is taken out
 STRETCH = 500  # rows; longer runs are filtered in stretches of about this, side by side
 MOST = 8000  # rows that the estimate looks at
+FEW = 20  # rows of a kind from which its noise is estimated
 # Logit of the correlated share and logarithm of tau in samples, as they usually are: what few rows cannot tell stays there.
 USUAL: Array = np.array([0.0, np.log(4.0)])
 USUAL_SD: Array = np.array([1.5, 0.8])
@@ -24,7 +25,7 @@ FREEDOMS = (4.0, 6.0, 10.0, 20.0, 60.0)  # of Student's t; 60 is as good as a no
 
 
 @dataclass(frozen=True)
-class Noise:
+class CorrelatedNoise:
     """sigma N (or a factor on given sigmas); share (0..1) of its variance that is correlated, over the time tau s; freedom of
     Student's t."""
 
@@ -65,7 +66,7 @@ class Runs:
         return Runs(index, step)
 
 
-def whiten(runs: Runs, noise: Noise, weight: Array, columns: Array) -> tuple[Array, Array]:
+def whiten(runs: Runs, noise: CorrelatedNoise, weight: Array, columns: Array) -> tuple[Array, Array]:
     """Innovations (n, m) of `columns` (n, m), each over its own standard deviation, and those deviations (n,).
 
     One linear map for all columns. weight (n,) divides a sample's variance: small for an outlier.
@@ -87,7 +88,7 @@ def whiten(runs: Runs, noise: Noise, weight: Array, columns: Array) -> tuple[Arr
     return out, scale
 
 
-def _gains(step: Array, index: Index, noise: Noise, weight: Array) -> tuple[Array, Array, Array]:
+def _gains(step: Array, index: Index, noise: CorrelatedNoise, weight: Array) -> tuple[Array, Array, Array]:
     """Decay of the correlated part since the sample before, the filter's gain and the variance (k, stretches) of what it does not
     foresee, sample by sample; they do not depend on the readings."""
     variance, correlated = noise.sigma**2, noise.share * noise.sigma**2
@@ -104,8 +105,8 @@ def _gains(step: Array, index: Index, noise: Noise, weight: Array) -> tuple[Arra
     return decay, gain, total
 
 
-def estimate_noise(run: Index, time: Array, residual: Array, before: Noise | None = None) -> Noise:
-    """Noise of residuals (n,) whose slow course in each run is not noise: restricted maximum likelihood (eq. 5).
+def estimate_noise(run: Index, time: Array, residual: Array, before: CorrelatedNoise | None = None) -> CorrelatedNoise:
+    """CorrelatedNoise of residuals (n,) whose slow course in each run is not noise: restricted maximum likelihood (eq. 5).
 
     Slow means a cubic in time; what is slower than that is for the fit to explain. `before`: an estimate to start from.
     """
@@ -137,7 +138,7 @@ def estimate_noise(run: Index, time: Array, residual: Array, before: Noise | Non
     return _with_freedom(noise, white[:, 0])
 
 
-def student_weights(runs: Runs, noise: Noise, residual: Array, weight: Array) -> Array:
+def student_weights(runs: Runs, noise: CorrelatedNoise, residual: Array, weight: Array) -> Array:
     """Weights (n,) of Student's t at the innovations that the filter sees with the weights before."""
     white, _ = whiten(runs, noise, weight, residual[:, None])
     return _weights(white[:, 0] / np.sqrt(weight), noise.freedom)
@@ -147,10 +148,10 @@ def _weights(z: Array, freedom: float) -> Array:
     return np.asarray((freedom + 1.0) / (freedom + z**2))
 
 
-def _noise(x: Array, step: float) -> Noise:
+def _noise(x: Array, step: float) -> CorrelatedNoise:
     """Noise of unbounded numbers: logarithm of sigma, logit of the share, logarithm of tau in samples."""
     share = 1.0 / (1.0 + np.exp(-np.clip(x[1], -6.0, 4.0)))
-    return Noise(float(np.exp(x[0])), float(share), float(max(step, 1e-9) * np.exp(np.clip(x[2], -1.0, 5.0))))
+    return CorrelatedNoise(float(np.exp(x[0])), float(share), float(max(step, 1e-9) * np.exp(np.clip(x[2], -1.0, 5.0))))
 
 
 def _logit(share: float) -> float:
@@ -177,7 +178,7 @@ def _detrended(runs: Runs, columns: Array) -> Array:
     return rest
 
 
-def _restricted(runs: Runs, noise: Noise, weight: Array, columns: Array) -> float:
+def _restricted(runs: Runs, noise: CorrelatedNoise, weight: Array, columns: Array) -> float:
     """Minus twice the restricted log likelihood: the slow courses are integrated out."""
     white, scale = whiten(runs, noise, weight, columns)
     total = 2.0 * float(np.log(scale).sum())
@@ -190,7 +191,7 @@ def _restricted(runs: Runs, noise: Noise, weight: Array, columns: Array) -> floa
     return total
 
 
-def _with_freedom(noise: Noise, white: Array) -> Noise:
+def _with_freedom(noise: CorrelatedNoise, white: Array) -> CorrelatedNoise:
     """The freedom and scale of Student's t that fit the innovations best."""
     best = None
     for freedom in FREEDOMS:
@@ -201,10 +202,93 @@ def _with_freedom(noise: Noise, white: Array) -> Noise:
         if best is None or score > best[0] + 1.0:
             best = (score, freedom, s)
     assert best is not None
-    return Noise(noise.sigma * best[2], noise.share, noise.tau, best[1])
+    return CorrelatedNoise(noise.sigma * best[2], noise.share, noise.tau, best[1])
 
 
 def _log_likelihood(z: Array, freedom: float) -> float:
     """Of independent samples (n,) of Student's t; scipy.stats has it too, and takes half a second to import."""
     constant = gammaln((freedom + 1.0) / 2.0) - gammaln(freedom / 2.0) - 0.5 * np.log(freedom * np.pi)
     return float(len(z) * constant - 0.5 * (freedom + 1.0) * np.log1p(z**2 / freedom).sum())
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Innovations of the residuals (n,) and of the sensitivities (n, k), each of unit variance (eq. 6)."""
+
+    residual: Array
+    sensitivity: Array
+
+
+@dataclass(frozen=True)
+class NoiseGroup:
+    """Rows of one kind (contact or air): their places, their stretches, their noise as a factor on `ReadingNoise.base`."""
+
+    rows: Index
+    runs: Runs
+    noise: CorrelatedNoise
+
+
+@dataclass(frozen=True)
+class ReadingNoise:
+    """base (n,) N: the sensor's own sigma, 1 where it gives none; weight (n,) of Student's t; kinds by contact (True) and air."""
+
+    base: Array
+    weight: Array
+    kinds: dict[bool, NoiseGroup]
+
+    def reweighted(self, residual: Array) -> "ReadingNoise":
+        """Weights for residuals (n,) N, outliers low."""
+        weight = self.weight.copy()
+        for kind in self.kinds.values():
+            at = kind.rows
+            weight[at] = student_weights(kind.runs, kind.noise, residual[at] / self.base[at], weight[at])
+        return replace(self, weight=weight)
+
+    def whitened(self, residual: Array, sensitivity: Array) -> Whitened:
+        """Residuals (n,) and sensitivities (n, k), in N, through the filter."""
+        columns = np.column_stack([residual, sensitivity]) / self.base[:, None]
+        out = np.zeros_like(columns)
+        for kind in self.kinds.values():
+            out[kind.rows] = whiten(kind.runs, kind.noise, self.weight[kind.rows], columns[kind.rows])[0]
+        return Whitened(out[:, 0], out[:, 1:])
+
+    def information(self, sensitivity: Array) -> Array:
+        """What whitened sensitivities (n, k) tell about the k unknowns, (k, k) (eq. 10)."""
+        return np.asarray(sum(k.noise.information() * sensitivity[k.rows].T @ sensitivity[k.rows] for k in self.kinds.values()))
+
+    def sigma(self) -> Array:
+        """One sigma (n,) N of each reading."""
+        out = self.base.copy()
+        for kind in self.kinds.values():
+            out[kind.rows] *= kind.noise.sigma
+        return out
+
+    def independent(self) -> float:
+        """How many independent readings the rows in contact are worth for their mean."""
+        kind = self.kinds[True]
+        steps = kind.runs.step[np.isfinite(kind.runs.step) & (kind.runs.step > 0)]
+        return len(kind.rows) / (kind.noise.samples_each(float(np.median(steps))) if len(steps) else 1.0)
+
+
+def channel_of(log: ForceLog, residual: Array, before: ReadingNoise | None = None) -> ReadingNoise:
+    """Noise of a log from the scatter of its residuals (n,) N, at least the sensor's own sigma where it gives one.
+
+    `before`: an earlier estimate of the same log to start from.
+    """
+    base = np.ones(len(log)) if log.sigma_fn is None else log.sigma_fn
+    kinds: dict[bool, NoiseGroup] = {}
+    for contact in (True, False):
+        rows = np.flatnonzero(log.contact == contact)
+        if not len(rows):
+            continue
+        run, time = log.run[rows], log.time[rows]
+        if len(rows) >= FEW:
+            noise = estimate_noise(run, time, residual[rows] / base[rows], before.kinds[contact].noise if before else None)
+        elif kinds:
+            noise = kinds[True].noise
+        else:
+            noise = CorrelatedNoise(float(np.std(residual[rows] / base[rows])) or 1.0, 0.0, 1.0)
+        if log.sigma_fn is not None:
+            noise = replace(noise, sigma=max(noise.sigma, 1.0))
+        kinds[contact] = NoiseGroup(rows, Runs.of(run, time), noise)
+    return ReadingNoise(base, before.weight if before else np.ones(len(log)), kinds)

@@ -7,11 +7,11 @@ from functools import cached_property
 import numpy as np
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, reading_jacobian, reading_of, solve_force_log
-from ocp.calibrate.force.folds import HeldOut, held_out
+from ocp.calibrate.force.folds import HeldOutForce, held_out_blocks
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceRows
+from ocp.calibrate.force.not_identified import directions_seen, not_identified
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
-from ocp.calibrate.force.words import directions_seen, not_identified
 from ocp.model.cell import Cell
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration
@@ -50,7 +50,7 @@ class ForceFit:
     rows: ForceRows
     solution: ForceSolution
     figures: ForceFigures
-    held_out: dict[str, list[HeldOut]]
+    held_out: dict[str, list[HeldOutForce]]
     not_identified: dict[str, str]
     notices: tuple[str, ...]
     known: tuple[str, ...] = field(repr=False, default=())
@@ -124,7 +124,9 @@ def fit_force(
     figures = _figures(solution, log)
     known = () if calibration is None else calibration.names
     notices = (*log.notices, *setup.notices, *_notices(cell, log, solution, figures, calibration))
-    return ForceFit(log, setup, rows, solution, figures, held_out(solution, log, rows), not_identified(solution), notices, known)
+    return ForceFit(
+        log, setup, rows, solution, figures, held_out_blocks(solution, log, rows), not_identified(solution), notices, known
+    )
 
 
 def _figures(solution: ForceSolution, log: ForceLog) -> ForceFigures:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ocp.calibrate.force.compliance import Stations, solve_stations, stations_known
 from ocp.calibrate.force.conditions import effect_conditions
-from ocp.calibrate.force.defect import with_defect
-from ocp.calibrate.force.footing import Footing, foot_points
+from ocp.calibrate.force.indentation_correction import with_indentation_correction
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.surface_points import SurfacePoints, surface_points
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, fit_wheel_law, remembered_law
@@ -54,7 +54,7 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell.path}: no blade; name it as workpiece.stl, a force log needs the blade's shape")
     blade, shape, cloud = _measured(cell.workpiece.stl, cell.workpiece.stl_unit)
-    feet = [foot_points(blade, shape, log) for log in logs]
+    feet = [surface_points(blade, shape, log) for log in logs]
     poses = [_posture(cell, log, foot) for log, foot in zip(logs, feet, strict=True)]
     touching = np.concatenate([log.contact for log in logs])
     turned, lateral, tilt = (np.concatenate([pose[k] for pose in poses])[touching] for k in range(3))
@@ -68,7 +68,7 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     whole = ForceRows.joined(
         [_rows(cell, log, foot, c) for log, foot, c in zip(logs, feet, np.split(give, _cuts(logs)), strict=True)]
     )
-    whole = with_defect(model, cover, cloud, whole, _about(cell, logs, law))
+    whole = with_indentation_correction(model, cover, cloud, whole, _about(cell, logs, law))
     edges = [0, *_cuts(logs).tolist(), len(whole)]
     rows = tuple(whole.take(slice(i, j)) for i, j in pairwise(edges))
     notices = (*blade.notices, *shape.notices, *(text for foot in feet for text in foot.notices))
@@ -127,7 +127,7 @@ def _about(cell: Cell, logs: Sequence[ForceLog], law: WheelLaw) -> Array:
     return np.asarray(np.clip(2.0 * np.round(np.where(np.isfinite(measured), measured, usual) / 2.0), low, high))
 
 
-def _rows(cell: Cell, log: ForceLog, foot: Footing, give: Array) -> ForceRows:
+def _rows(cell: Cell, log: ForceLog, foot: SurfacePoints, give: Array) -> ForceRows:
     own = cell.flange.setpoint if cell.flange is not None else 0.0
     n = len(log)
     setpoint = np.full(n, own) if log.setpoint is None else log.setpoint
@@ -136,7 +136,7 @@ def _rows(cell: Cell, log: ForceLog, foot: Footing, give: Array) -> ForceRows:
     return ForceRows(log.q, waypoint, setpoint, belt, log.contact)
 
 
-def _posture(cell: Cell, log: ForceLog, foot: Footing) -> tuple[Array, Array, Array]:
+def _posture(cell: Cell, log: ForceLog, foot: SurfacePoints) -> tuple[Array, Array, Array]:
     """Blade curvature (n, 3) in the wheel's axes, lateral (n,) m and tilts (n, 2) of the nominal, unbent arm.
 
     Good to some millimetres and milliradians: enough to say what the law must cover and whether log and cell agree.

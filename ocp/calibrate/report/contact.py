@@ -3,7 +3,7 @@
 import numpy as np
 
 from ocp.calibrate.force.fit import FIT_NAMES
-from ocp.calibrate.force.folds import pooled
+from ocp.calibrate.force.folds import pooled_blocks
 from ocp.calibrate.force.registration import ForceFit
 from ocp.report.parts import Plot, Points, Table, table
 from ocp.report.plotting import Canvas, Draw, dressed, keys, panels
@@ -55,7 +55,7 @@ def _parameters(fit: ForceFit) -> Table:
 def _held_out(fit: ForceFit) -> Table:
     rows = []
     for way, folds in fit.held_out.items():
-        together = pooled(folds)
+        together = pooled_blocks(folds)
         rows.append((way, str(len(folds)), f"{together.rms:.3f}", f"{together.mean:+.3f}", f"{together.gap:.3f}"))
     return table(("left out by", "blocks", "rms N", "mean N", "without the noise N"), rows)
 

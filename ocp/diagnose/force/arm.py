@@ -35,7 +35,7 @@ class Moved:
 
 
 @dataclass(frozen=True)
-class Arm:
+class LoggedArm:
     """The arm at n rows of a log; origin (n, 3) m of the blade's frame and turn (n, 3, 3) of the flange, base frame."""
 
     rows: ArmRows = field(repr=False)
@@ -62,7 +62,7 @@ class Arm:
         return Moved(moving, np.ascontiguousarray(found.joints[:, :, moving]), blade)
 
 
-def arm_of(cell: Cell, theta: Array, q: Array, conditions: LogConditions) -> Arm:
+def logged_arm(cell: Cell, theta: Array, q: Array, conditions: LogConditions) -> LoggedArm:
     """The arm with parameters theta (m,) at commanded joints q (n, 6) rad."""
     n = len(q)
     parameters = theta[:36].copy()
@@ -82,4 +82,4 @@ def arm_of(cell: Cell, theta: Array, q: Array, conditions: LogConditions) -> Arm
     flange = rows.block("frames").reshape(-1, 7, 3, 4)[:, 6]
     place = cell.workpiece.T_flange_blade[:3, 3] + theta[list(BLADE[:3])]
     origin = flange[:, :, 3] + flange[:, :, :3] @ place
-    return Arm(rows, origin, flange[:, :, :3])
+    return LoggedArm(rows, origin, flange[:, :, :3])

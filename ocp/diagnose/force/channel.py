@@ -10,33 +10,35 @@ import numpy as np
 
 from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.fit import pressed_rows
-from ocp.calibrate.force.log import ForceLog
+from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
-from ocp.diagnose.force.arm import arm_of
-from ocp.diagnose.force.believed import arm_from_tracker, arm_with_effects, believed_contact
-from ocp.diagnose.force.columns import effect_columns
-from ocp.diagnose.force.fit import ForceFit, Problem, solve
-from ocp.diagnose.force.folds import GROSS, force_folds, held_out
-from ocp.diagnose.force.kept import Kept, Store, kept_rows
-from ocp.diagnose.force.knocks import Knocks, telling_knocks
-from ocp.diagnose.force.prediction import M, Scene, predict
-from ocp.diagnose.force.sealed import predict_sealed
-from ocp.diagnose.force.seen import NEEDED, conditions, surroundings
+from ocp.diagnose.force.arm import logged_arm
+from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
+from ocp.diagnose.force.folds import GROSS, fold_errors, force_folds
+from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
+from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_readings
+from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, nuisance_prior
+from ocp.diagnose.force.sealed import predict_sealed_force
 from ocp.diagnose.force.setpoints import with_setpoints_read_off
+from ocp.diagnose.force.splice_trains import SpliceTrains, likely_trains
 from ocp.diagnose.force.waves import picked_squares, telling_waves
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.effects.motor_harmonic import ratios_of
 from ocp.model.cell import Cell
 from robots.calibration.store import Calibration
+from robots.gravity import weight_torques
 from robots.pose import Array
 
 NARROW = 1.0  # rad of phase between two orders of a ripple over an axis' range: closer ones a log cannot tell apart
 SMALL = 0.02  # whitened length of a direction of the nuisance (one prior sd) below which it does not count
 TOGETHER = 48  # variants evaluated at once
+# What columns a need of an effect stands for, where they are not called alike.
+NEEDED = {"approach": "q1_deg to q6_deg with time_s", "speed": "q1_deg to q6_deg with time_s"}
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,14 @@ class ForceChannel:
     """A force log with the fit of the believed contact and of the active effects. `store` keeps columns that hardly change,
     `knocks` what was found of a splice at first, `latest` those columns that were asked for last."""
 
-    problem: Problem
-    fit: ForceFit
+    problem: ForceProblem
+    fit: EffectFit
     effects: tuple[Effect, ...] = field(repr=False, default=())
     store: Store = field(default_factory=dict, repr=False)
     before: "ForceChannel | None" = field(default=None, repr=False)
     judged: dict[str, Any] = field(default_factory=dict, repr=False)
     latest: dict[str, Any] = field(default_factory=dict, repr=False)
-    knocks: dict[str, Knocks] = field(default_factory=dict, repr=False)
+    knocks: dict[str, SpliceTrains] = field(default_factory=dict, repr=False)
     tracker: TrackerChannel | None = field(default=None, repr=False)
     name: str = "force"
     unit: str = "N"
@@ -77,16 +79,16 @@ class ForceChannel:
         return replace(surroundings(self.problem), knocks=self.fast.found, among={SPLICE.name: self.fast.among})
 
     @property
-    def fast(self) -> Knocks:
-        """Knocks that the readings speak for."""
+    def fast(self) -> SpliceTrains:
+        """Trains of a belt's splice that the readings speak for."""
         if "first" not in self.knocks:  # what else is fitted later hardly moves them
-            self.knocks["first"] = telling_knocks(self.problem, self.fit)
+            self.knocks["first"] = likely_trains(self.problem, self.fit)
         return self.knocks["first"]
 
     @cached_property
     def conditions(self) -> Conditions:
         """What is known of the rows."""
-        return conditions(self.problem, self.fit, self.waves)
+        return known_conditions(self.problem, self.fit, self.waves)
 
     @cached_property
     def waves(self) -> tuple[Wave, ...]:
@@ -94,9 +96,9 @@ class ForceChannel:
         return telling_waves(self.problem, self.fit)
 
     @cached_property
-    def kept(self) -> Kept:
+    def kept(self) -> LogAverages:
         """Which rows the system has."""
-        return kept_rows(self.problem, self.fit, self.effects, self.surroundings, self.store, self.waves)
+        return log_averages(self.problem, self.fit, self.effects, self.surroundings, self.store, self.waves)
 
     @cached_property
     def system(self) -> System:
@@ -151,7 +153,7 @@ class ForceChannel:
         found = list[Variant]()
         for start in range(0, len(chosen), TOGETHER):
             some = chosen[start : start + TOGETHER]
-            made = effect_columns(self.problem.scene, self.fit.at, self.fit.slopes, effect, joint, some)
+            made = effect_derivatives(self.problem.scene, self.fit.at, self.fit.slopes, effect, joint, some)
             if made is None:
                 return []
             rows = self.kept.variants(effect, some, made[: len(self.kept.whiteners)])
@@ -174,10 +176,10 @@ class ForceChannel:
         moved = [a for a in visible if a.effect.on_arm]
         if self.tracker is not None and (moved or any(a.effect.on_arm for a in self.active)):
             # What bends the readings of the tracker bends what is believed of the arm.
-            believed = believed_contact(self.problem.scene.cell, arm_with_effects(self.tracker, moved))
+            believed = nuisance_prior(self.problem.scene.cell, arm_with_effects(self.tracker, moved))
             problem = replace(self.problem, believed=believed)
-            return replace(self, problem=problem, fit=solve(problem, visible), before=self.baseline, judged={}, latest={})
-        fit = solve(self.problem, visible, self.fit)
+            return replace(self, problem=problem, fit=fit_effects(problem, visible), before=self.baseline, judged={}, latest={})
+        fit = fit_effects(self.problem, visible, self.fit)
         return replace(self, fit=fit, before=self.baseline if visible else None, judged={}, latest={})
 
     def gap(self) -> Array:
@@ -211,7 +213,7 @@ class ForceChannel:
         good = self.fit.whiteners[0].noise.weight > GROSS
         if self.log.setpoint_sd is not None:  # a setpoint that the readings gave is not known without them
             good &= self.log.setpoint_sd == 0
-        return held_out((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)
+        return fold_errors((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)
 
     def _judged(self, active: tuple[Active, ...]) -> "ForceChannel":
         """The channel fitted with these effects, whatever values they come with; the last one is kept."""
@@ -226,7 +228,7 @@ class ForceChannel:
     def predict(self, sealed: ForceLog, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected normal reading (n, 1) N of conditions nobody has seen, one sigma of the corrected one."""
         after = self._judged(active)
-        return predict_sealed((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), sealed)
+        return predict_sealed_force((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), sealed)
 
 
 def force_channel(
@@ -252,17 +254,17 @@ def force_channel(
     problem = problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)
     problem = replace(problem, notices=(*problem.notices, *more))
     chosen = tuple(library().values() if effects is None else effects)
-    return ForceChannel(problem, solve(problem), chosen, tracker=channel)
+    return ForceChannel(problem, fit_effects(problem), chosen, tracker=channel)
 
 
-def problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None) -> Problem:
+def problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None) -> ForceProblem:
     """The problem of a log that is the first of a setup."""
     given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
-    believed = believed_contact(cell, arm)
+    believed = nuisance_prior(cell, arm)
     told, theta = log_conditions(cell, log), believed.mean[:M]
-    law, own = setup.model.law, arm_of(cell, theta, log.q, told)
-    scene = Scene(cell, ForceModel(cell, law), setup.rows[0], told, own, theta, given, pressed_rows(setup.model, log))
-    return Problem.of(log, scene, believed, setup.notices)
+    law, own = setup.model.law, logged_arm(cell, theta, log.q, told)
+    scene = LogScene(cell, ForceModel(cell, law), setup.rows[0], told, own, theta, given, pressed_rows(setup.model, log))
+    return ForceProblem.of(log, scene, believed, setup.notices)
 
 
 def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path | None = None) -> Array:
@@ -270,13 +272,13 @@ def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path 
     nothing else is wrong. Raises as `force_channel`."""
     setup = prepare_force(replace(cell, effects=()), [log, sealed])
     problem = problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
-    fit, scene = solve(problem), problem.scene
+    fit, scene = fit_effects(problem), problem.scene
     told = log_conditions(cell, sealed)
-    there = replace(scene, rows=setup.rows[1], conditions=told, arm=arm_of(cell, scene.theta, sealed.q, told), pressed=None)
-    return predict(there, fit.at.x, (), predict(there, fit.at.x)).fn
+    there = replace(scene, rows=setup.rows[1], conditions=told, arm=logged_arm(cell, scene.theta, sealed.q, told), pressed=None)
+    return predict_readings(there, fit.at.x, (), predict_readings(there, fit.at.x)).fn
 
 
-def _of_whitened(kept: Kept, white: Array) -> Array:
+def _of_whitened(kept: LogAverages, white: Array) -> Array:
     """Rows of the system from columns (S, n, m) that are whitened row by row."""
     short = [np.concatenate([s.blocks @ c[s.rows] for s in w.stretches]) for w, c in zip(kept.whiteners, white, strict=True)]
     fast = np.einsum("snk,snm->km", kept.patterns, white)
@@ -285,3 +287,58 @@ def _of_whitened(kept: Kept, white: Array) -> Array:
 
 def _signature(active: Sequence[Active]) -> tuple[object, ...]:
     return tuple(sorted((a.effect.name, a.joint, repr(scan_key(a.scanned))) for a in active))
+
+
+def surroundings(problem: ForceProblem) -> Surroundings:
+    """For the scans of effects."""
+    log, c, cell = problem.log, problem.scene.conditions, problem.scene.cell
+    clocked = "clock_s" in c.given
+    first, last = _ends(c.run, c.clock)
+    breaks = 0.5 * (last[:-1] + first[1:]) if clocked and len(first) > 1 else np.empty(0)
+    spans = [np.ptp(c.time[c.run == r]) for r in np.unique(c.run)]
+    lengths = [np.ptp(c.s[(c.line == k) & log.contact]) for k in np.unique(c.line[log.contact])]
+    steps = np.diff(log.time)[np.diff(log.run) == 0]
+    names = tuple(cell.tables.payloads)
+    own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
+    return Surroundings(
+        gear_ratio=cell.robot.gear_ratio, q_range=np.stack([log.q.min(axis=0), log.q.max(axis=0)], axis=1),
+        time=np.sort(c.clock) if clocked else np.empty(0), step=float(np.median(steps)) if len(steps) else 0.0,
+        payloads=(own,) if own in names else (), breaks=np.sort(breaks), run_length=float(max(spans)),
+        length=float(max(lengths, default=0.0)), robot=cell.robot.name, torque_max=cell.robot.torque_max,
+        stiffness=cell.robot.stiffness, lines=tuple(float(k) for k in np.unique(c.line[log.contact])),
+        sides=_sides(log.n[log.contact]), friction=cell.wheel.friction,
+    )  # fmt: skip
+
+
+def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, ...] = ()) -> Conditions:
+    """Of the log's rows, for what is tested without the library."""
+    log, c, scene = problem.log, problem.scene.conditions, problem.scene
+    payload = scene.cell.workpiece.payload
+    joints = [fit.at.fn_slope[:, None] * fit.slopes[1]]
+    if log.ft is not None:
+        joints.append(fit.at.ft_slope[:, None] * fit.slopes[1])
+    known = c.given
+    return Conditions(
+        signal="force", q=log.q, approach=c.approach, time=c.time, clock=c.clock if "clock_s" in known else None,
+        temperature=log.temperature, wheel_temperature=log.wheel_temperature, run=log.run,
+        line=log.line, session=log.session if len(log.sessions) > 1 else None, s=c.s,
+        feed=log.feed, setpoint=log.setpoint, belt=log.belt, contact=log.contact.astype(float), travel=c.travel,
+        tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com), d_joints=np.stack(joints, axis=1),
+        gear_ratio=ratios_of(surroundings(problem)), waves=waves,
+    )  # fmt: skip
+
+
+def _sides(n: Array) -> tuple[tuple[float, float, float], ...]:
+    """Mean normals of the sides of the blade that normals (n, 3) belong to: that of the first row, and the one behind it."""
+    groups = [n[n @ n[0] > 0], n[n @ n[0] <= 0]] if len(n) else []
+    means = [part.mean(axis=0) / np.linalg.norm(part.mean(axis=0)) for part in groups if len(part)]
+    return tuple((float(m[0]), float(m[1]), float(m[2])) for m in means)
+
+
+def _ends(run: Index, clock: Array) -> tuple[Array, Array]:
+    """First and last instants of the runs, in the order of the clock."""
+    runs = np.unique(run)
+    first = np.array([clock[run == r].min() for r in runs])
+    last = np.array([clock[run == r].max() for r in runs])
+    order = np.argsort(first)
+    return first[order], last[order]

@@ -9,10 +9,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ocp.calibrate.force.log import ForceLog
-from ocp.diagnose.force.believed import Believed
-from ocp.diagnose.force.columns import derivatives, effect_columns, nuisance_columns
 from ocp.diagnose.force.offsets import Offsets
-from ocp.diagnose.force.prediction import Predicted, Scene, predict
+from ocp.diagnose.force.prediction import (
+    LogScene,
+    Predicted,
+    effect_derivatives,
+    force_derivatives,
+    nuisance_derivatives,
+    predict_readings,
+)
+from ocp.diagnose.force.prior import NuisancePrior
 from ocp.diagnose.force.whitening import Whitener, as_shear, refreshed, whiteners_of
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
@@ -30,20 +36,20 @@ LOST = 2  # steps one after the other whose shortest part raises the squares by 
 
 
 @dataclass(frozen=True)
-class Problem:
+class ForceProblem:
     """A log and what is believed before it: scene, readings fn and ft (n,) N (ft None where absent), prior, and what its
     recordings add."""
 
     log: ForceLog
-    scene: Scene
-    believed: Believed
+    scene: LogScene
+    believed: NuisancePrior
     offsets: Offsets
     notices: tuple[str, ...] = ()
 
     @staticmethod
-    def of(log: ForceLog, scene: Scene, believed: Believed, notices: tuple[str, ...] = ()) -> "Problem":
+    def of(log: ForceLog, scene: LogScene, believed: NuisancePrior, notices: tuple[str, ...] = ()) -> "ForceProblem":
         """The problem of a log."""
-        return Problem(log, scene, believed, Offsets.of(log, scene.shear), notices)
+        return ForceProblem(log, scene, believed, Offsets.of(log, scene.shear), notices)
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -65,7 +71,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class ForceFit:
+class EffectFit:
     """A fit: z standard normal unknowns (nuisance, runs, coefficients in units of prior_sd), the prediction there, one whitener a
     signal, whitened residual (N,) and sensitivities (N, k) to z (row by row), normal (n, k) N: sensitivities of fn itself,
     information (k, k) with the prior's in, slopes of the force in theta and the joints, steps taken."""
@@ -108,9 +114,9 @@ class Linear:
     slopes: tuple[Array, Array]
 
 
-def linear(problem: Problem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]) -> Linear:
+def linear(problem: ForceProblem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]) -> Linear:
     """Linearise."""
-    slopes = derivatives(problem.scene, at)
+    slopes = force_derivatives(problem.scene, at)
     columns = _columns(problem, problem.scene, at, slopes, problem.offsets)
     e = problem.residuals(at, z)
     parts = [w.whole(np.column_stack([r, c])) for w, r, c in zip(whiteners, e, columns, strict=False) if r is not None]
@@ -120,18 +126,20 @@ def linear(problem: Problem, z: Array, at: Predicted, whiteners: tuple[Whitener,
     return Linear(both[:, 0], both[:, 1:], columns[0], slopes)
 
 
-def linear_normal(problem: Problem, scene: Scene, at: Predicted) -> Array:
+def linear_normal(problem: ForceProblem, scene: LogScene, at: Predicted) -> Array:
     """Sensitivities (n, k) N of fn in other rows to the unknowns, those of the runs left out."""
-    return _columns(problem, scene, at, derivatives(scene, at), problem.offsets.none(len(at.F)))[0]
+    return _columns(problem, scene, at, force_derivatives(scene, at), problem.offsets.none(len(at.F)))[0]
 
 
-def _columns(problem: Problem, scene: Scene, at: Predicted, slopes: tuple[Array, Array], own: Offsets) -> tuple[Array, Array]:
+def _columns(
+    problem: ForceProblem, scene: LogScene, at: Predicted, slopes: tuple[Array, Array], own: Offsets
+) -> tuple[Array, Array]:
     """Derivatives (n, k) N of fn and ft in z."""
-    fn, ft = nuisance_columns(scene, at, slopes[0])
+    fn, ft = nuisance_derivatives(scene, at, slopes[0])
     root = problem.believed.root
     normal, shear = [fn @ root, own.normal], [ft @ root, own.shear]
     for one in at.active:
-        made = effect_columns(scene, at, slopes, one.effect, one.joint, [one.scanned])
+        made = effect_derivatives(scene, at, slopes, one.effect, one.joint, [one.scanned])
         if made is None:  # a value so far off that nothing touches, or everything
             raise Infeasible(f"{problem.log.path}: with {one.effect.name} the fit of the force log leaves what can be computed")
         normal.append(made[0][0] * np.asarray(one.effect.prior_sd))
@@ -139,7 +147,7 @@ def _columns(problem: Problem, scene: Scene, at: Predicted, slopes: tuple[Array,
     return np.hstack(normal), np.hstack(shear)
 
 
-def solve(problem: Problem, active: tuple[Active, ...] = (), start: ForceFit | None = None) -> ForceFit:
+def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: EffectFit | None = None) -> EffectFit:
     """The most probable nuisance and coefficients; effects' own values are where the search starts, `start` is a fit nearby.
 
     The noise comes from the scatter about the first prediction, then about the fit's. Raises Infeasible: no rest.
@@ -162,13 +170,13 @@ def solve(problem: Problem, active: tuple[Active, ...] = (), start: ForceFit | N
     if any(w is not old for w, old in zip(anew, whiteners, strict=True)):
         z, at, whiteners, second = _settle(problem, z, at, anew)
     line = linear(problem, z, at, whiteners)
-    information = np.eye(len(z)) + told(whiteners, line.sensitivity)
+    information = np.eye(len(z)) + reading_information(whiteners, line.sensitivity)
     covariance = np.linalg.inv(information)[r + o :, r + o :] * np.outer(scale, scale)
     edges = np.cumsum([0, *(one.effect.size for one in active)])
     fitted = tuple(
         replace(one, covariance=covariance[i:j, i:j]) for one, i, j in zip(at.active, edges[:-1], edges[1:], strict=True)
     )
-    return ForceFit(
+    return EffectFit(
         z, replace(at, active=fitted), whiteners, line.residual, line.sensitivity, line.normal, information, line.slopes,
         first + second,
     )  # fmt: skip
@@ -179,7 +187,7 @@ def signals(log: ForceLog) -> tuple[ForceLog, ...]:
     return (log,) if log.ft is None else (log, as_shear(log))
 
 
-def told(whiteners: tuple[Whitener, ...], sensitivity: Array) -> Array:
+def reading_information(whiteners: tuple[Whitener, ...], sensitivity: Array) -> Array:
     """What whitened sensitivities (N, k) tell about z, (k, k), in the noise's own law (Student's t)."""
     n = len(sensitivity) // len(whiteners)
     total = np.zeros((sensitivity.shape[1], sensitivity.shape[1]))
@@ -188,14 +196,14 @@ def told(whiteners: tuple[Whitener, ...], sensitivity: Array) -> Array:
     return total
 
 
-def _at(problem: Problem, z: Array, active: tuple[Active, ...], near: Predicted | None) -> Predicted:
+def _at(problem: ForceProblem, z: Array, active: tuple[Active, ...], near: Predicted | None) -> Predicted:
     r, o = problem.sizes
     x = problem.believed.mean + problem.believed.root @ z[:r]
-    return predict(problem.scene, x, with_values(active, scale_of(active) * z[r + o :]), near)
+    return predict_readings(problem.scene, x, with_values(active, scale_of(active) * z[r + o :]), near)
 
 
 def _settle(
-    problem: Problem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]
+    problem: ForceProblem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]
 ) -> tuple[Array, Predicted, tuple[Whitener, ...], int]:
     """Gauss-Newton at this noise; weights of Student's t follow in the first steps.
 
@@ -234,7 +242,7 @@ def _settle(
 
 
 def _moved(
-    problem: Problem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...], change: Array, now: float
+    problem: ForceProblem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...], change: Array, now: float
 ) -> tuple[Array, Predicted, Array, float]:
     """The step, halved until the weighted squares do not rise: unknowns, prediction and whitened residual (N,) there, share
     taken."""

@@ -11,11 +11,11 @@ import numpy as np
 
 from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.diagnose.engine.system import Fold, HeldOut, drifts
-from ocp.diagnose.force.fit import ForceFit, Problem
-from ocp.diagnose.force.prediction import Scene
+from ocp.diagnose.force.fit import EffectFit, ForceProblem
+from ocp.diagnose.force.prediction import LogScene
 from robots.pose import Array
 
-Fitted = tuple[Problem, ForceFit]
+Fitted = tuple[ForceProblem, EffectFit]
 PARTS = 5
 PIECE = 40  # rows of a run that stay together in random folds
 LEAST = 40  # rows in contact on each side
@@ -23,7 +23,7 @@ REST = 1 / 3  # of the rows in contact that must be left: what few rows say abou
 GROSS = 0.1  # weight of a reading below which it is an outlier and is not held against a model
 
 
-def force_folds(log: ForceLog, scene: Scene) -> list[Fold]:
+def force_folds(log: ForceLog, scene: LogScene) -> list[Fold]:
     """Pieces of runs (random) and stretches of the passes (block); then runs, lines, setpoints, feeds, belts, directions of
     travel, sessions, times, each left out as a whole."""
     c = scene.conditions
@@ -68,7 +68,7 @@ def _left_out(kind: str, values: Array, log: ForceLog) -> list[Fold]:
     return [Fold(f"{kind}={names[v]}", kind, rows) for v, rows in held] if len(levels) > 1 else []
 
 
-def held_out(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut | None:
+def fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut | None:
     """Squared errors N^2 of the fold's normal readings in contact, everything refitted on the rest, without and with effects;
     good (n,): readings that are held against a model, the same ones whatever the effects, so that errors can be compared.
 
@@ -96,27 +96,27 @@ def held_out(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut 
     return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(told.mean()), drift)
 
 
-def _information(fit: ForceFit, held: Flags) -> Array:
+def _information(fit: EffectFit, held: Flags) -> Array:
     """What the rows beside the held ones tell (k, k), the prior's in."""
     rest = fit.sensitivity[~np.tile(held, len(fit.whiteners))]
     return np.asarray(np.eye(len(fit.z)) + rest.T @ rest)
 
 
-def _extrapolated(problem: Problem, fit: ForceFit, held: Flags) -> Array:
+def _extrapolated(problem: ForceProblem, fit: EffectFit, held: Flags) -> Array:
     """Variance (n,) N^2 that the nuisance has in the readings when it is fitted without the held rows."""
     r = problem.sizes[0]
     covariance = np.linalg.inv(_information(fit, held))[:r, :r]
     return np.asarray(np.einsum("ni,ij,nj->n", fit.normal[:, :r], covariance, fit.normal[:, :r]))
 
 
-def _change(problem: Problem, fit: ForceFit, held: Flags) -> Array:
+def _change(problem: ForceProblem, fit: EffectFit, held: Flags) -> Array:
     """By how much the unknowns (k,) move without the held rows."""
     out = np.tile(held, len(fit.whiteners))
     # At the estimate the whole gradient is zero: what the held rows pulled is what their absence lets go.
     return np.asarray(-np.linalg.solve(_information(fit, held), fit.sensitivity[out].T @ fit.residual[out]))
 
 
-def _errors(problem: Problem, fit: ForceFit, change: Array) -> Array:
+def _errors(problem: ForceProblem, fit: EffectFit, change: Array) -> Array:
     """Measured less predicted normal reading (n,) N with the unknowns moved by `change`."""
     r = problem.sizes[0]
     columns = fit.normal.copy()

@@ -6,7 +6,7 @@ import numpy as np
 
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.offsets import offset_columns
-from ocp.diagnose.force.believed import RUN_SD
+from ocp.diagnose.force.prior import RUN_SD
 from robots.pose import Array
 
 

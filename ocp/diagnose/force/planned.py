@@ -9,21 +9,18 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp.calibrate.force.channel import ForceChannel as SensorNoise
-from ocp.calibrate.force.channel import Kind
 from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel, ForceRows
-from ocp.calibrate.force.noise import Noise, Runs
+from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise, Runs
 from ocp.calibrate.force.rows import prepare_force
 from ocp.diagnose.engine.projection import Projection, project
 from ocp.diagnose.engine.system import System, Variant
-from ocp.diagnose.force.arm import arm_of
-from ocp.diagnose.force.believed import believed_contact
+from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel
-from ocp.diagnose.force.columns import nuisance_columns
-from ocp.diagnose.force.fit import ForceFit, Problem, linear, scale_of, signals, told
-from ocp.diagnose.force.prediction import M, Scene, predict
+from ocp.diagnose.force.fit import EffectFit, ForceProblem, linear, reading_information, scale_of, signals
+from ocp.diagnose.force.prediction import LogScene, M, nuisance_derivatives, predict_readings
+from ocp.diagnose.force.prior import nuisance_prior
 from ocp.diagnose.force.whitening import BLOCKS, Whitener
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.model.cell import Cell
@@ -47,16 +44,16 @@ def planned_force_channel(cell: Cell, log: ForceLog, effects: Iterable[Effect], 
     every = int(np.ceil(len(log) / MOST))
     rows = np.flatnonzero(_place(log) % every == 0)
     log, model_rows = log.take(rows), setup.rows[0].take(rows)
-    believed = believed_contact(cell, arm)
+    believed = nuisance_prior(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
-    own = arm_of(cell, theta, log.q, known)
-    scene = Scene(cell, ForceModel(cell, setup.model.law), model_rows, known, own, theta, given, log.contact)
-    noise = averaged(Noise(1.0, SHARE, LASTS), every)
+    own = logged_arm(cell, theta, log.q, known)
+    scene = LogScene(cell, ForceModel(cell, setup.model.law), model_rows, known, own, theta, given, log.contact)
+    noise = noise_of_means(CorrelatedNoise(1.0, SHARE, LASTS), every)
     whiteners = tuple(
         _whitener(one, np.full(len(log), SIGMA) if one.sigma_fn is None else one.sigma_fn, {True: noise, False: noise}, blocks)
         for one, blocks in zip(signals(log), BLOCKS, strict=False)
     )
-    problem = Problem.of(log, scene, believed, setup.notices)
+    problem = ForceProblem.of(log, scene, believed, setup.notices)
     return ForceChannel(*_unmeasured(problem, np.zeros(believed.root.shape[1]), (), whiteners), tuple(effects))
 
 
@@ -64,8 +61,8 @@ def foreseen_force(channel: ForceChannel, log: ForceLog, rows: ForceRows, effect
     """The channel that more rows of `log` would make about the fit of a measured one, with its noise."""
     old, fit = channel.problem, channel.fit
     known = log_conditions(old.scene.cell, log, float(old.scene.conditions.clock.max()))
-    arm = arm_of(old.scene.cell, old.scene.theta, log.q, known)
-    problem = Problem.of(log, replace(old.scene, rows=rows, conditions=known, arm=arm, pressed=log.contact), old.believed)
+    arm = logged_arm(old.scene.cell, old.scene.theta, log.q, known)
+    problem = ForceProblem.of(log, replace(old.scene, rows=rows, conditions=known, arm=arm, pressed=log.contact), old.believed)
     whiteners = tuple(
         _whitener(one, np.full(len(log), np.median(w.noise.base)), _noises(w), blocks)
         for one, w, blocks in zip(signals(log), fit.whiteners, BLOCKS, strict=False)
@@ -90,7 +87,7 @@ class Shared:
     def system(self) -> System:
         """Whitened rows without a residual; the nuisance of all recordings."""
         problem, fit = self.channel.problem, self.channel.fit
-        normal, shear = nuisance_columns(problem.scene, fit.at, fit.slopes[0])
+        normal, shear = nuisance_derivatives(problem.scene, fit.at, fit.slopes[0])
         columns = self._own.apply(self._rows(normal @ problem.believed.root, shear @ problem.believed.root))
         n, p = columns.shape
         none = np.zeros(n, np.int64)
@@ -107,23 +104,25 @@ class Shared:
 
 
 def _unmeasured(
-    problem: Problem, z: Array, active: tuple[Active, ...], whiteners: tuple[Whitener, ...]
-) -> tuple[Problem, ForceFit]:
+    problem: ForceProblem, z: Array, active: tuple[Active, ...], whiteners: tuple[Whitener, ...]
+) -> tuple[ForceProblem, EffectFit]:
     """The problem with readings as predicted at nuisance z and these effects, and the fit that stands there."""
     x = problem.believed.mean + problem.believed.root @ z
-    at = predict(problem.scene, x, active, predict(problem.scene, x, active))  # the stroke's sign comes from a first prediction
+    at = predict_readings(
+        problem.scene, x, active, predict_readings(problem.scene, x, active)
+    )  # the stroke's sign comes from a first prediction
     log = replace(problem.log, fn=at.fn, ft=None if problem.log.ft is None else at.ft)
     problem, scale = replace(problem, log=log), scale_of(active)
     values = np.concatenate([one.a for one in active] or [np.zeros(0)]) / np.where(scale > 0, scale, 1.0)
     whole = np.concatenate([z, np.zeros(problem.sizes[1]), values])
     made = linear(problem, whole, at, whiteners)
-    information = np.eye(len(whole)) + told(whiteners, made.sensitivity)
-    return problem, ForceFit(
+    information = np.eye(len(whole)) + reading_information(whiteners, made.sensitivity)
+    return problem, EffectFit(
         whole, at, whiteners, made.residual, made.sensitivity, made.normal, information, made.slopes, 0
     )  # fmt: skip
 
 
-def averaged(noise: Noise, count: int) -> Noise:
+def noise_of_means(noise: CorrelatedNoise, count: int) -> CorrelatedNoise:
     """The noise of means of `count` rows that stand close together: what is white shrinks, what lasts stays."""
     white = (1.0 - noise.share) / count
     whole = noise.share + white
@@ -139,17 +138,17 @@ def _place(log: ForceLog) -> Index:
     return out
 
 
-def _noises(whitener: Whitener) -> dict[bool, Noise]:
+def _noises(whitener: Whitener) -> dict[bool, CorrelatedNoise]:
     """Noise in contact and in the air; one stands for the other where a log has one of them."""
     known = {contact: kind.noise for contact, kind in whitener.noise.kinds.items()}
-    return {contact: known.get(contact, known.get(not contact, Noise(1.0, SHARE, LASTS))) for contact in (True, False)}
+    return {contact: known.get(contact, known.get(not contact, CorrelatedNoise(1.0, SHARE, LASTS))) for contact in (True, False)}
 
 
-def _whitener(log: ForceLog, base: Array, noise: dict[bool, Noise], blocks: int) -> Whitener:
+def _whitener(log: ForceLog, base: Array, noise: dict[bool, CorrelatedNoise], blocks: int) -> Whitener:
     """The filter of a signal of planned rows; base (n,) N times a noise's sigma is one sigma of a reading."""
     kinds = {}
     for contact, law in noise.items():
         rows = np.flatnonzero(log.contact == contact)
         if len(rows):
-            kinds[contact] = Kind(rows, Runs.of(log.run[rows], log.time[rows]), law)
-    return Whitener.of(SensorNoise(base, np.ones(len(log)), kinds), blocks)
+            kinds[contact] = NoiseGroup(rows, Runs.of(log.run[rows], log.time[rows]), law)
+    return Whitener.of(ReadingNoise(base, np.ones(len(log)), kinds), blocks)

@@ -1,4 +1,4 @@
-"""What the log would show: contact force, normal and tangential reading of every row, with active effects in the balance.
+"""What the log would show: both readings of every row with active effects in the balance, and their derivatives.
 
 Effects that add interference or push enter the balance itself and the force is solved again; those of the sensor, and those
 that remember the log, enter the reading. docs/diagnosis_force.md, eq. 1 to 5.
@@ -14,9 +14,9 @@ from ocp.calibrate.force.conditions import LogConditions
 from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.model import PROBE, STATE, ForceModel, ForceRows, PlacedRows
-from ocp.diagnose.force.arm import BLADE, Arm
-from ocp.diagnose.force.believed import SHEAR_BIAS, SHEAR_GAIN
-from ocp.diagnose.force.context import PLACE, Samples, hook_columns, samples_of, with_stroke_sign
+from ocp.diagnose.force.arm import BLADE, LoggedArm
+from ocp.diagnose.force.prior import NUISANCE, SHEAR_BIAS, SHEAR_GAIN
+from ocp.diagnose.force.samples import PLACE, ContactSamples, hook_columns, samples_of, with_stroke_sign
 from ocp.effects.context import LogRows
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.model.cell import Cell
@@ -24,12 +24,13 @@ from ocp.model.theta import Theta
 from robots.pose import Array
 
 M = Theta.size
-ZEROED = ("parts", "slopes", "normal_stiffness", "friction_deflection", "clamp_deflection", "F")  # of rows in the air
+Both = tuple[Array, Array]  # of fn and ft, N
 TOLERANCE = 2e-4  # N: a step of Newton below this leaves less than 1e-7 N
+ZEROED = ("parts", "slopes", "normal_stiffness", "friction_deflection", "clamp_deflection", "F")  # of rows in the air
 
 
 @dataclass(frozen=True)
-class Scene:
+class LogScene:
     """Rows of one log with everything about them that does not depend on the estimate; theta (M,) is the prior's mean; given:
     effects that the cell itself states, always in the prediction; pressed (n,): rows that only contact explains."""
 
@@ -37,13 +38,13 @@ class Scene:
     model: ForceModel
     rows: ForceRows
     conditions: LogConditions
-    arm: Arm
+    arm: LoggedArm
     theta: Array
     given: tuple[Active, ...] = ()
     pressed: Flags | None = None
 
     @cached_property
-    def air(self) -> Samples:
+    def air(self) -> ContactSamples:
         """Samples of all rows without contact: where the arm is, no force."""
         low, rows = np.full(len(self.rows), self.model.least_force), PlacedRows.of(self.cell, self.rows, self.theta)
         state = self.model.evaluate("state", rows, low)
@@ -75,7 +76,7 @@ class Predicted:
     F: Array
     fn: Array
     ft: Array
-    samples: Samples
+    samples: ContactSamples
     stiffness: Array
     fn_slope: Array
     ft_slope: Array
@@ -83,11 +84,11 @@ class Predicted:
     prompt: tuple[Array, Array]
 
 
-def predict(scene: Scene, x: Array, active: Sequence[Active] = (), near: Predicted | None = None) -> Predicted:
+def predict_readings(scene: LogScene, x: Array, active: Sequence[Active] = (), near: Predicted | None = None) -> Predicted:
     """Readings at nuisance x (`believed.NUISANCE`) and coefficients of `active`; Newton starts at `near`'s force, and the sign
     of the flange's stroke is taken from there."""
     at, n, whole = scene.touching, len(scene.rows), (*scene.given, *active)
-    rows = placed(scene, x, whole)
+    rows = placed_rows(scene, x, whole)
     guess = rows.base.setpoint if near is None else near.F[at]
     if scene.cell.flange is None and near is None:
         guess = np.full(len(at), scene.model.law.process_force)
@@ -109,14 +110,14 @@ def predict(scene: Scene, x: Array, active: Sequence[Active] = (), near: Predict
     bending = [a for a in whole if a.effect.overlap is not None or a.effect.push is not None]
     pressed = np.zeros(len(at), bool) if scene.pressed is None else scene.pressed[at]
     force, state, stiff = scene.model.solve(rows, guess, pressed, extra if bending else None, known, TOLERANCE)
-    samples, F, stiffness = Samples(scene.air.values.copy()), np.zeros(n), np.zeros(n)
+    samples, F, stiffness = ContactSamples(scene.air.values.copy()), np.zeros(n), np.zeros(n)
     samples.values[at] = samples_of(scene.cell, rows, inside, force, state, stiff).values
     F[at], stiffness[at] = force, stiff
     samples = with_stroke_sign(samples, np.where(scene.rows.contact, scene.conditions.run, -1), scene.conditions.time)
     fn, ft = _readings(scene, x, whole, samples, F)
     fn_slope, ft_slope = np.ones(n), scene.shear * (1.0 + x[SHEAR_GAIN])
     if any(a.effect.sensor is not None or a.effect.shear is not None for a in whole):
-        more = Samples(samples.values.copy())
+        more = ContactSamples(samples.values.copy())
         more.put("F", F + PROBE)
         fn_more, ft_more = _readings(scene, x, whole, more, F + PROBE)
         fn_slope, ft_slope = (fn_more - fn) / PROBE, (ft_more - ft) / PROBE
@@ -128,7 +129,7 @@ def predict(scene: Scene, x: Array, active: Sequence[Active] = (), near: Predict
     return replace(made, fn=fn + late_n, ft=ft + late_t)
 
 
-def placed(scene: Scene, x: Array, active: Sequence[Active]) -> PlacedRows:
+def placed_rows(scene: LogScene, x: Array, active: Sequence[Active]) -> PlacedRows:
     """Rows in contact at parameters x, their joints and blade moved by what active effects do to the arm."""
     at = scene.touching
     base = scene.rows.take(at)
@@ -142,7 +143,7 @@ def placed(scene: Scene, x: Array, active: Sequence[Active]) -> PlacedRows:
     return PlacedRows.of(scene.cell, base, theta, shift)
 
 
-def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned], samples: Samples) -> Array:
+def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned], samples: ContactSamples) -> Array:
     """Interference (V, n, m) m per unit coefficient of an effect's overlap and push. A push moves the flange's balance: it counts
     as the stroke it takes; in a rigid cell as the overlap that brings as much force."""
     out = np.zeros((len(scans), len(samples), effect.size))
@@ -155,12 +156,12 @@ def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned
     return out
 
 
-def remembered(scene: Scene, made: Predicted, effect: Effect, joint: int, scanned: Scanned) -> tuple[Array, Array]:
+def remembered(scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned) -> tuple[Array, Array]:
     """What an effect that remembers the log adds to both readings (n, m) N per unit coefficient."""
     return _memory(scene, made, effect, joint, scanned, (made.F, *made.prompt), effect.size)
 
 
-def carried(scene: Scene, made: Predicted, changes: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+def carried(scene: LogScene, made: Predicted, changes: tuple[Array, Array, Array]) -> tuple[Array, Array]:
     """What the memory of all that is active makes of changes (n, k) N of the force and of the contact's own share of both
     readings: in both readings (n, k) N."""
     normal, shear = np.zeros_like(changes[1]), np.zeros_like(changes[2])
@@ -170,13 +171,13 @@ def carried(scene: Scene, made: Predicted, changes: tuple[Array, Array, Array]) 
     return normal, shear
 
 
-def remembering(scene: Scene, made: Predicted) -> list[Active]:
+def remembering(scene: LogScene, made: Predicted) -> list[Active]:
     """Those of all that is active that remember the log."""
     return [a for a in (*scene.given, *made.active) if a.effect.along is not None or a.effect.along_shear is not None]
 
 
 def _memory(
-    scene: Scene, made: Predicted, effect: Effect, joint: int, scanned: Scanned, forces: tuple[Array, Array, Array], count: int
+    scene: LogScene, made: Predicted, effect: Effect, joint: int, scanned: Scanned, forces: tuple[Array, Array, Array], count: int
 ) -> tuple[Array, Array]:
     """Memory (n, count) N in both readings of the force and of both readings (n,), or of columns (n, k) of their changes."""
     none = np.zeros((len(made.F), count))
@@ -198,7 +199,7 @@ def _memory(
     return normal, normal * scene.shear[:, None]
 
 
-def _readings(scene: Scene, x: Array, active: Sequence[Active], samples: Samples, F: Array) -> tuple[Array, Array]:
+def _readings(scene: LogScene, x: Array, active: Sequence[Active], samples: ContactSamples, F: Array) -> tuple[Array, Array]:
     """Both readings (n,) N with what active effects do to the sensor, before anything that remembers."""
     fn, ft = _own(scene, x, F)
     for one in active:
@@ -210,6 +211,84 @@ def _readings(scene: Scene, x: Array, active: Sequence[Active], samples: Samples
     return fn, ft
 
 
-def _own(scene: Scene, x: Array, F: Array) -> tuple[Array, Array]:
+def _own(scene: LogScene, x: Array, F: Array) -> tuple[Array, Array]:
     """Both readings (n,) N of the contact's own force."""
     return F + x[BIAS], scene.shear * F * (1.0 + x[SHEAR_GAIN]) + x[SHEAR_BIAS]
+
+
+def force_derivatives(scene: LogScene, at: Predicted) -> tuple[Array, Array]:
+    """Contact force's derivatives of all rows: in theta (n, M) and in the joints (n, 6), zero in the air."""
+    n, rows = len(scene.rows), scene.touching
+    theta, joints = np.zeros((n, M)), np.zeros((n, 6))
+    held = np.maximum(at.F[rows], scene.model.least_force)
+    values = scene.model.evaluate("derivative", PlacedRows(at.rows.base, at.rows.theta), held)
+    scaled = at.stiffness[rows, None] * values
+    theta[rows], joints[rows] = scaled[:, 1 : 1 + M], scaled[:, 1 + M :]
+    return theta, joints
+
+
+def nuisance_derivatives(scene: LogScene, at: Predicted, theta: Array) -> Both:
+    """Derivatives (n, len(NUISANCE)) of fn and ft in the nuisance; theta (n, M): those of the force."""
+    n = len(at.F)
+    fn, ft = np.zeros((n, len(NUISANCE))), np.zeros((n, len(NUISANCE)))
+    fn[:, :M], ft[:, :M] = at.fn_slope[:, None] * theta, at.ft_slope[:, None] * theta
+    fn[:, BIAS] = 1.0
+    ft[:, SHEAR_GAIN], ft[:, SHEAR_BIAS] = scene.shear * at.F, 1.0
+    if remembering(scene, at):
+        force = np.zeros_like(fn)
+        force[:, :M] = theta
+        own, shear = force.copy(), force * _shear(scene, at)[:, None]
+        own[:, BIAS], shear[:, SHEAR_GAIN], shear[:, SHEAR_BIAS] = 1.0, scene.shear * at.F, 1.0
+        late_n, late_t = carried(scene, at, (force, own, shear))
+        fn, ft = fn + late_n, ft + late_t
+    return fn, ft
+
+
+def effect_derivatives(
+    scene: LogScene, at: Predicted, slopes: tuple[Array, Array], effect: Effect, joint: int, scans: Sequence[Scanned]
+) -> Both | None:
+    """Change (V, n, m) N of fn and ft per unit coefficient of each variant; None where the log does not say what the effect
+    depends on. `slopes`: of `derivatives`."""
+    theta, joints = slopes
+    n, rows = len(at.F), scene.touching
+    fn, ft = np.zeros((len(scans), n, effect.size)), np.zeros((len(scans), n, effect.size))
+    force = np.zeros_like(fn)
+    if effect.overlap is not None or effect.push is not None:
+        part = at.samples.take(rows)
+        force[:, rows] = at.stiffness[rows, None] * interference(scene.cell, effect, joint, scans, part)
+    if effect.on_arm:
+        moved = scene.arm.columns(effect, joint, scans)
+        force += np.einsum("nj,vnjm->vnm", joints[:, moved.moving], moved.shift, optimize=True)
+        if moved.blade is not None:
+            force += np.einsum("nj,vnjm->vnm", theta[:, BLADE], moved.blade, optimize=True)
+    if force.any():
+        fn += at.fn_slope[:, None] * force
+        ft += at.ft_slope[:, None] * force
+    if effect.sensor is not None:
+        fn += hook_columns(scene.cell, effect, "sensor", joint, scans, at.samples)
+    if effect.shear is not None:
+        ft += hook_columns(scene.cell, effect, "shear", joint, scans, at.samples)
+    if remembering(scene, at) and force.any():
+        own = _rows(force)
+        late_n, late_t = carried(scene, at, (own, own, own * _shear(scene, at)[:, None]))
+        fn, ft = fn + _back(late_n, fn.shape), ft + _back(late_t, ft.shape)
+    if effect.along is not None or effect.along_shear is not None:
+        for v, scanned in enumerate(scans):
+            late_n, late_t = remembered(scene, at, effect, joint, scanned)
+            fn[v], ft[v] = fn[v] + late_n, ft[v] + late_t
+    return (fn, ft) if np.isfinite(fn).all() and np.isfinite(ft).all() else None
+
+
+def _shear(scene: LogScene, at: Predicted) -> Array:
+    """The contact's own tangential reading (n,) per newton of its force."""
+    return np.asarray(scene.shear * (1.0 + at.x[SHEAR_GAIN]))
+
+
+def _rows(columns: Array) -> Array:
+    """Columns (V, n, m) as (n, V m)."""
+    return np.moveaxis(columns, 1, 0).reshape(columns.shape[1], -1)
+
+
+def _back(rows: Array, shape: tuple[int, ...]) -> Array:
+    """The other way round: (n, V m) as (V, n, m)."""
+    return np.moveaxis(rows.reshape(shape[1], shape[0], shape[2]), 0, 1)

@@ -9,15 +9,17 @@ from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import prepare_force
 from ocp.diagnose.engine.system import Foreseen, Sealed, foreseen
-from ocp.diagnose.force.arm import arm_of
-from ocp.diagnose.force.believed import RUN_SD
-from ocp.diagnose.force.fit import ForceFit, Problem, linear_normal, solve
-from ocp.diagnose.force.prediction import Predicted, Scene, predict
+from ocp.diagnose.force.arm import logged_arm
+from ocp.diagnose.force.prior import RUN_SD
+from ocp.diagnose.force.fit import EffectFit, ForceProblem, linear_normal, fit_effects
+from ocp.diagnose.force.prediction import Predicted, LogScene, predict_readings
 from ocp.effects.effect import Effect
 from robots.pose import Array
 
 
-def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, ForceFit], sealed: ForceLog) -> Sealed:
+def predict_sealed_force(
+    before: tuple[ForceProblem, EffectFit], after: tuple[ForceProblem, EffectFit], sealed: ForceLog
+) -> Sealed:
     """Normal readings (n, 1) N of `sealed` without and with effects, what the sensor adds in, and one sigma of the noise-free
     value of the latter.
 
@@ -30,9 +32,9 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
     model = ForceModel(scene.cell, setup.model.law)
     used = float(scene.conditions.clock.max())
     told = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
-    arm = arm_of(scene.cell, scene.theta, sealed.q, told)
-    there = Scene(scene.cell, model, setup.rows[1], told, arm, scene.theta, scene.given)
-    found: list[tuple[ForceFit, Predicted]] = []
+    arm = logged_arm(scene.cell, scene.theta, sealed.q, told)
+    there = LogScene(scene.cell, model, setup.rows[1], told, arm, scene.theta, scene.given)
+    found: list[tuple[EffectFit, Predicted]] = []
 
     def has(effect: Effect) -> bool:
         return set(effect.needs) <= told.given
@@ -42,10 +44,10 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
             found.append(found[0])
             continue
         measured = replace(own, scene=replace(own.scene, model=model, rows=setup.rows[0]))
-        again = solve(measured, fit.active, fit)
+        again = fit_effects(measured, fit.active, fit)
         known = foreseen(again.active, has).known
-        at = predict(there, again.at.x, known)
-        found.append((again, predict(there, again.at.x, known, at)))
+        at = predict_readings(there, again.at.x, known)
+        found.append((again, predict_readings(there, again.at.x, known, at)))
     (_, baseline), (fit, corrected) = found
     parted = foreseen(fit.active, has)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
@@ -54,15 +56,18 @@ def predict_sealed(before: tuple[Problem, ForceFit], after: tuple[Problem, Force
     return Sealed(baseline.fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
 
 
-def _usual(scene: Scene, fit: ForceFit, parted: Foreseen) -> float:
+def _usual(scene: LogScene, fit: EffectFit, parted: Foreseen) -> float:
     """Mean square N^2 of what the unknown ones of the active effects do to the normal reading in the log."""
     if not parted.unknown:
         return 0.0
-    ends = [predict(scene, fit.at.x, active, predict(scene, fit.at.x, active)).fn for active in (fit.active, parted.known)]
+    ends = [
+        predict_readings(scene, fit.at.x, active, predict_readings(scene, fit.at.x, active)).fn
+        for active in (fit.active, parted.known)
+    ]
     return float(np.mean((ends[1] - ends[0])[scene.rows.contact] ** 2))
 
 
-def _sigma(problem: Problem, there: Scene, fit: ForceFit, at: Predicted, kept: Index, more: float) -> Array:
+def _sigma(problem: ForceProblem, there: LogScene, fit: EffectFit, at: Predicted, kept: Index, more: float) -> Array:
     """One sigma (n,) N: unknowns of the fit, of its effects' coefficients those `kept`, what runs differ by, and `more` N^2 of
     what else is not known."""
     r, o = problem.sizes

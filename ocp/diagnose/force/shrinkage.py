@@ -1,20 +1,136 @@
 """How far the gap of a force log shrinks: what the named effects change in grinding that comes after it.
 
-Beside them stands what remains in any case, the errors of the unknowns and what recordings differ by (docs/diagnose.md, eq. 2).
+The log's recordings are ground once more, later on the same clock; nothing sealed is read. What wears, is ground away or drifts
+is larger there than in any part of the log that could be left out, and the baseline, registered on the log, does not follow. New
+readings are taken to come soon after the log's end or as much later as the log itself took, or, less probably, between its
+recordings. Where warmth counts the hall is as warm as at the log's end or goes on warming as it did, and the wheel is warm or has
+cooled down. Beside what the effects change stand the errors of the unknowns and what recordings differ by (docs/diagnose.md,
+eq. 2).
 """
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ocp.calibrate.force.conditions import LogConditions
 from ocp.diagnose.engine.findings import Alternative
-from ocp.diagnose.engine.system import Channel
-from ocp.diagnose.force.anticipated import Grinding, anticipated_grinding
-from ocp.diagnose.force.believed import RUN_SD
+from ocp.diagnose.engine.system import Channel, scan_key
+from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel
-from ocp.diagnose.rules import NO_GAP
+from ocp.diagnose.force.fit import linear_normal
+from ocp.diagnose.force.prediction import LogScene, Predicted, predict_readings
+from ocp.diagnose.force.prior import RUN_SD
+from ocp.diagnose.rules import FOLLOWED_FORCE, NO_GAP
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval
+from ocp.effects.effect import Active
+from robots.errors import Infeasible
+from robots.tracker_readings import Index
+from robots.pose import Array
 
+# How far after the log's end, in its own spans of time: the middles of three equal parts of one span, drawn alike.
+LATER = (1.0 / 6.0, 0.5, 5.0 / 6.0)
+AMID = 0.1  # probability that new readings come between the log's own
+ROWS = 600  # of the log, evenly taken
 # Dirichlet weight of a recording in new readings: which of a log's lines, setpoints and feeds come again (Jeffreys).
 RECORDING = 0.5
+
+
+@dataclass(frozen=True)
+class LaterGrinding:
+    """n rows in contact under c conditions: moved (c, a, n) N, what each of a alternatives adds to the baseline's normal reading;
+    errors (c, n, p) N per unit of the accepted fit's unknowns, their covariance (p, p); probability (a,) of the alternatives, the
+    accepted one first; told (a,): their weight in the correction; share (c,): probability of the conditions; run (n,): which
+    recording (0, 1, ..) a row is of."""
+
+    moved: Array
+    errors: Array
+    covariance: Array
+    probability: Array
+    told: Array
+    share: Array
+    run: Index
+
+
+def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequence[Alternative] = ()) -> LaterGrinding:
+    """The log's recordings under later conditions; others: alternatives, the accepted one (which `after` is) first; those below
+    the probability `FOLLOWED_FORCE` may be true, but no correction follows them."""
+    followed = [(m, o.probability) for o in others if (m := _with(before, after, o.active)) is not None] or [(after, 1.0)]
+    models, p = [m for m, _ in followed], np.array([one for _, one in followed])
+    rows = np.unique(np.linspace(0, len(after.log) - 1, min(len(after.log), ROWS)).astype(np.int64))
+    told = after.problem.scene.conditions
+    touching = np.flatnonzero(told.contact[rows])
+    moved, errors = [], []
+    active = [a for m in models for a in m.fit.active]
+    warmths = (False, True) if any("temperature" in column for a in active for column in a.effect.needs) else (False,)
+    later = [after_log(told, share, changing) for share in LATER for changing in warmths]
+    for conditions in (told, *later):
+        there = _scene(after, conditions, rows)
+        old = _at(before, there).fn
+        found = [_at(m, there) for m in models]
+        moved.append(np.stack([(made.fn - old)[touching] for made in found]))
+        errors.append(linear_normal(models[0].problem, there, found[0])[touching])
+    kept = np.where((p >= FOLLOWED_FORCE) | (np.arange(len(p)) == 0), p, 0.0)
+    share = np.array([AMID, *((1.0 - AMID) / len(later) for _ in later)])
+    run = np.unique(told.run[rows][touching], return_inverse=True)[1].astype(np.int64)
+    return LaterGrinding(np.stack(moved), np.stack(errors), _covariance(models[0]), p / p.sum(), kept / kept.sum(), share, run)
+
+
+def after_log(told: LogConditions, share: float, changing: bool = False) -> LogConditions:
+    """The same recordings `share` of the log's span after its end; the lines were ground on as often as before, in proportion. As
+    warm as at its end; changing: the hall went on warming at the log's mean rate, and the wheel cooled to where it began."""
+    first, last = int(np.argmin(told.clock)), int(np.argmax(told.clock))
+    clock = told.clock + share * float(np.ptp(told.clock)) + float(told.clock.max()) - _start(told)
+    ground = told.ground_before.copy()
+    for line in np.unique(told.line):
+        at = told.line == line
+        times = len(np.unique(told.run[at & told.contact]))
+        if times and not np.isnan(ground[at]).all():
+            ground[at] = np.nanmax(ground[at & told.contact]) + 1.0 + np.round(share * times)
+    hall = told.warm[last] + changing * share * (told.warm[last] - told.warm[first])
+    wheel = told.wheel_warm[first if changing else last]
+    n = len(clock)
+    return replace(told, clock=clock, ground_before=ground, warm=np.full(n, hall), wheel_warm=np.full(n, wheel))
+
+
+def _start(told: LogConditions) -> Array:
+    """Clock s at the start of every row's recording (n,)."""
+    run = np.unique(told.run, return_inverse=True)[1]
+    first = np.full(int(run.max()) + 1, np.inf)
+    np.minimum.at(first, run, told.clock)
+    return first[run]
+
+
+def _with(before: ForceChannel, after: ForceChannel, active: tuple[Active, ...]) -> ForceChannel | None:
+    """The channel with these effects; one of those given where it is that already, None where no fit with them comes to rest."""
+    kinds = [{(a.effect.name, a.joint, scan_key(a.scanned)) for a in one} for one in (active, after.active)]
+    if not active:
+        return before
+    try:
+        return after if kinds[0] == kinds[1] else after.with_active(active)
+    except Infeasible:
+        return None
+
+
+def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> LogScene:
+    """Some of the log's rows under other conditions. Effects that remember see time in coarser steps."""
+    scene, told = channel.problem.scene, conditions.take(rows)
+    arm = logged_arm(scene.cell, scene.theta, channel.log.q[rows], told)
+    pressed = None if scene.pressed is None else scene.pressed[rows]
+    return replace(scene, rows=scene.rows.take(rows), conditions=told, arm=arm, pressed=pressed)
+
+
+def _at(channel: ForceChannel, scene: LogScene) -> Predicted:
+    """What a channel's fit predicts there; once more with the sign of the stroke that comes out."""
+    x, active = channel.fit.at.x, channel.fit.active
+    return predict_readings(scene, x, active, predict_readings(scene, x, active))
+
+
+def _covariance(channel: ForceChannel) -> Array:
+    """Of the unknowns that go on: the nuisance and the effects' coefficients, not what single recordings were off by."""
+    fit, (r, o) = channel.fit, channel.problem.sizes
+    keep = np.r_[np.arange(r), np.arange(r + o, len(fit.z))]
+    return np.asarray(np.linalg.inv(fit.information)[np.ix_(keep, keep)])
 
 
 def of_grinding(before: Channel, after: Channel, alternatives: tuple[Alternative, ...]) -> Shrinkage | None:
@@ -23,7 +139,7 @@ def of_grinding(before: Channel, after: Channel, alternatives: tuple[Alternative
     return from_grinding(anticipated_grinding(before, after, alternatives), after.noise_floor**2)
 
 
-def from_grinding(new: Grinding, noise: float, seed: int = 0) -> Shrinkage | None:
+def from_grinding(new: LaterGrinding, noise: float, seed: int = 0) -> Shrinkage | None:
     """Of force readings: what is anticipated; noise: mean square N^2. Drawn are which alternative is true, how late the readings
     come, of which recordings they are, the unknowns' errors and what recordings differ by. None: no gap to speak of."""
     rng = np.random.default_rng(seed)

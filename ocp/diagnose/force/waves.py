@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from ocp.diagnose.engine.system import Wave
-from ocp.diagnose.force.fit import ForceFit, Problem
+from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from robots.pose import Array
 
 PICKED = 1  # waves of each kind: every picked row holds noise that was picked with it
@@ -25,7 +25,7 @@ FINE = 4  # numbers tried in the width of a line
 PROBES = 12
 
 
-def telling_waves(problem: Problem, fit: ForceFit) -> tuple[Wave, ...]:
+def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
     """All of the wheel's turn, and of each other kind the few whose gain is largest, each over its neighbours."""
     log, c = problem.log, problem.scene.conditions
     touching = log.contact.astype(float)
@@ -58,7 +58,7 @@ def picked_squares(waves: Iterable[Wave]) -> float:
     return float(sum(2.0 * np.log(w.among) - 2.0 for w in waves if w.where != "turn"))
 
 
-def _kinds(problem: Problem, fit: ForceFit) -> Iterator[tuple[str, Array, Array, float]]:
+def _kinds(problem: ForceProblem, fit: EffectFit) -> Iterator[tuple[str, Array, Array, float]]:
     """What waves may go with: its name, the coordinate (n,), a sign (n,), the highest number."""
     log, c = problem.log, problem.scene.conditions
     steps = np.diff(log.time)[np.diff(log.run) == 0]

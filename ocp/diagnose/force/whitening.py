@@ -11,9 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from ocp.calibrate.force.channel import ForceChannel, channel_of
 from ocp.calibrate.force.log import ForceLog, Index
-from ocp.calibrate.force.noise import whiten
+from ocp.calibrate.force.noise import ReadingNoise, channel_of, whiten
 from robots.pose import Array
 
 BLOCKS = (300, 150)  # of a log that are kept of its rows, of fn and ft: whitened rows are averaged to about so many
@@ -42,12 +41,12 @@ class Stretch:
 class Whitener:
     """One signal's noise with its filter. Columns of n rows of the log come out whitened, or whitened and averaged."""
 
-    noise: ForceChannel
+    noise: ReadingNoise
     stretches: tuple[Stretch, ...]
     blocks: int
 
     @staticmethod
-    def of(noise: ForceChannel, blocks: int) -> "Whitener":
+    def of(noise: ReadingNoise, blocks: int) -> "Whitener":
         """The filter for this noise, these weights, with about so many blocks."""
         count = sum(len(kind.rows) for kind in noise.kinds.values())
         length = max(1, round(count / blocks))
@@ -101,7 +100,7 @@ class Whitener:
         """Weights of Student's t for residuals (n,) N."""
         return self.with_noise(self.noise.reweighted(residual))
 
-    def with_noise(self, noise: ForceChannel) -> "Whitener":
+    def with_noise(self, noise: ReadingNoise) -> "Whitener":
         """The filter for another noise; this one where only weights differ, and those hardly."""
         same = noise.kinds is self.noise.kinds and float(np.abs(noise.weight - self.noise.weight).max()) < SETTLED
         return self if same else Whitener.of(noise, self.blocks)

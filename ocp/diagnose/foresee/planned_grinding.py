@@ -14,7 +14,7 @@ from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import ForceRows
 from ocp.diagnose.engine.families import log_odds
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked
-from ocp.diagnose.force.believed import NUISANCE, Believed
+from ocp.diagnose.force.prior import NUISANCE, NuisancePrior
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.planned import Shared, foreseen_force
 from ocp.diagnose.foresee.planned_tracker import PER_READING, SETTLING, arm_expected, default_poses, planned_channel
@@ -229,7 +229,7 @@ def tracker_beside(own: Shared) -> tuple[PlannedCampaign, Shared, TrackerChannel
     return PlannedCampaign(do, SETTLING + PER_READING * n + SWAP * (len(like.payloads) - 1)), known, planned
 
 
-def placed_by(believed: Believed, readings: TrackerChannel) -> Believed:
+def placed_by(believed: NuisancePrior, readings: TrackerChannel) -> NuisancePrior:
     """What is believed of the contact once tracker readings have told of the arm, whose prior they share in nothing else.
 
     The readings add H = C^-1 - P^-1 to the information on the arm, C their posterior and P its prior there.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.diagnose.force.believed import posterior_of
+from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import Held, Task, linearise_with
 from ocp.model.measuring_setup import TrackerSetup

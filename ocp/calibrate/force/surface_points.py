@@ -19,7 +19,7 @@ TRUSTED_ANGLE = np.radians(1.0)
 
 
 @dataclass(frozen=True)
-class Footing:
+class SurfacePoints:
     """Contact points p (n, 3) m with n, t (n, 3) unit and square, curvature (n, 3) k_tt, k_bb, k_tb 1/m; blade frame."""
 
     p: Array
@@ -29,7 +29,7 @@ class Footing:
     notices: tuple[str, ...]
 
 
-def foot_points(blade: Blade, shape: AerofoilShape, log: ForceLog) -> Footing:
+def surface_points(blade: Blade, shape: AerofoilShape, log: ForceLog) -> SurfacePoints:
     """Feet of the rows in contact; rows in the air keep their own frames and have no curvature.
 
     Raises BadInput for points farther than OFF_SURFACE from the blade and for normals that are not its outward ones.
@@ -55,7 +55,7 @@ def foot_points(blade: Blade, shape: AerofoilShape, log: ForceLog) -> Footing:
     rest = touching[name == "edge"]
     if len(rest):
         curvature[rest] = facet_curvature(blade, p[rest], n[rest], t[rest], np.cross(n[rest], t[rest]))
-    return Footing(p, n, t, curvature, _notices(log, gap, moved, angle, turned, len(rest)))
+    return SurfacePoints(p, n, t, curvature, _notices(log, gap, moved, angle, turned, len(rest)))
 
 
 def _refuse(log: ForceLog, blade: Blade, touching: NDArray[np.int64], gap: Array, angle: Array) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.diagnose.force.fit import ForceFit, Problem
+from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.effects.belt_splice import LENGTHS, RATES
 from ocp.effects.effect import Scanned
 from robots.pose import Array
@@ -32,7 +32,7 @@ FAR = 2**22  # points at most of the transform over a campaign's clock
 
 
 @dataclass(frozen=True)
-class Knocks:
+class SpliceTrains:
     """Scanned values of `belt_splice`, most telling first, and how many differ."""
 
     found: tuple[Scanned, ...]
@@ -44,14 +44,14 @@ class Knocks:
         return BEST * (2.0 * float(np.log(self.among)) - 1.0) if self.found else 0.0
 
 
-def telling_knocks(problem: Problem, fit: ForceFit) -> Knocks:
+def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
     """The trains of knocks that the residual speaks for most; none where nothing was measured or time does not run."""
     log, c = problem.log, problem.scene.conditions
     steps = np.diff(log.time)[np.diff(log.run) == 0]
     if not fit.residual.any():
-        return Knocks((), USUAL_AMONG)
+        return SpliceTrains((), USUAL_AMONG)
     if not len(steps) or np.median(steps) <= 0:
-        return Knocks((), 1)
+        return SpliceTrains((), 1)
     y = _told(problem, fit)
     size = _sizes(problem, fit)
     found, among = list[tuple[float, Scanned]](), 0
@@ -63,10 +63,10 @@ def telling_knocks(problem: Problem, fit: ForceFit) -> Knocks:
             found.append(_exact(problem, fit, y, {"hz": hz, "turn": turn, "length": length, "clocked": clocked}))
     found.sort(key=lambda one: -one[0])
     kept = [scanned for _, scanned in found[:BEST]]
-    return Knocks((*kept, *_around(kept[0])), max(among, len(kept)))
+    return SpliceTrains((*kept, *_around(kept[0])), max(among, len(kept)))
 
 
-def _told(problem: Problem, fit: ForceFit) -> Array:
+def _told(problem: ForceProblem, fit: EffectFit) -> Array:
     """What a train in the normal reading, with its friction in the tangential one, is multiplied with (n,)."""
     n, mask = len(problem.log), problem.log.contact * (problem.scene.conditions.belt != 0)
     y = fit.whiteners[0].back(fit.residual[:n, None])[:, 0]
@@ -75,7 +75,7 @@ def _told(problem: Problem, fit: ForceFit) -> Array:
     return np.asarray(y * mask)
 
 
-def _sizes(problem: Problem, fit: ForceFit) -> tuple[Array, Array]:
+def _sizes(problem: ForceProblem, fit: EffectFit) -> tuple[Array, Array]:
     """Frequencies (k,) 1/s and mean squared whitened lengths (k,) of a unit wave in all of the log."""
     log, c = problem.log, problem.scene.conditions
     mask = (log.contact * (c.belt != 0)).astype(float)
@@ -137,7 +137,7 @@ def _first_look(rates: Array, S: Array, size: tuple[Array, Array]) -> Iterator[t
         best[max(0, k - spacing) : k + spacing + 1] = -np.inf
 
 
-def _exact(problem: Problem, fit: ForceFit, y: Array, scanned: Scanned) -> tuple[float, Scanned]:
+def _exact(problem: ForceProblem, fit: EffectFit, y: Array, scanned: Scanned) -> tuple[float, Scanned]:
     """Gain of a train, its rate, place and length moved to where it is largest."""
     c = problem.scene.conditions
     time = c.clock if scanned["clocked"] else c.time
@@ -163,7 +163,7 @@ def _exact(problem: Problem, fit: ForceFit, y: Array, scanned: Scanned) -> tuple
     return float(level), best
 
 
-def _gains(problem: Problem, fit: ForceFit, y: Array, time: Array, scans: Sequence[Scanned]) -> Array:
+def _gains(problem: ForceProblem, fit: EffectFit, y: Array, time: Array, scans: Sequence[Scanned]) -> Array:
     """Squares (v,) that trains take from the residual, by their own columns."""
     mask = (problem.log.contact * (problem.scene.conditions.belt != 0)).astype(float)
     turns = [time * s["hz"] - s["turn"] for s in scans]

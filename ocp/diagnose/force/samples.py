@@ -23,17 +23,17 @@ MOVING = 5e-6  # m/s of stroke below which the flange stands: what rounding of a
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Numbers (n, k) of n samples in the order of `contact_rows.CONTACT_LAYOUT`; columns that a log does not have are nan."""
+class ContactSamples:
+    """Numbers (n, k) of n samples in the order of `rows.CONTACT_LAYOUT`; columns that a log does not have are nan."""
 
     values: Array
 
     def __len__(self) -> int:
         return len(self.values)
 
-    def take(self, rows: Any) -> "Samples":
+    def take(self, rows: Any) -> "ContactSamples":
         """The rows of an index or mask."""
-        return Samples(self.values[rows])
+        return ContactSamples(self.values[rows])
 
     def at(self, name: str) -> Array:
         """One field (n,) or (n, k)."""
@@ -45,12 +45,14 @@ class Samples:
         self.values[:, PLACE[name].start] = value
 
 
-def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], samples: Samples) -> Array:
+def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], samples: ContactSamples) -> Array:
     """A contact hook ("overlap", "push", "sensor", "shear") on samples for every variant: (V, n, m)."""
     return contact_columns(effect, kind, joint, scans, ContactPlace(cell.wheel.radius, cell.wheel.friction), samples.values)
 
 
-def samples_of(cell: Cell, rows: PlacedRows, conditions: LogConditions, F: Array, state: Array, stiffness: Array) -> Samples:
+def samples_of(
+    cell: Cell, rows: PlacedRows, conditions: LogConditions, F: Array, state: Array, stiffness: Array
+) -> ContactSamples:
     """Samples of rows in contact at forces F (n,) N with their state (n, 34); all of them in the order of `rows`.
 
     Where theta turns the wheel's axis or shifts the blade the frames follow. `stroke_sign` is 0 until `with_stroke_sign`.
@@ -77,12 +79,12 @@ def samples_of(cell: Cell, rows: PlacedRows, conditions: LogConditions, F: Array
         "lever": np.abs(w[:, :3] @ cell.workpiece.clamp_normal - cell.workpiece.clamp_offset),
         "clamp_deflection": F / cell.workpiece.clamp_stiffness,
     }  # fmt: skip
-    return Samples(CONTACT_LAYOUT.stack(len(F), blocks))
+    return ContactSamples(CONTACT_LAYOUT.stack(len(F), blocks))
 
 
-def with_stroke_sign(samples: Samples, run: Array, time: Array) -> Samples:
+def with_stroke_sign(samples: ContactSamples, run: Array, time: Array) -> ContactSamples:
     """Samples with the sign of the flange's stroke rate, +1 where it is pressed in, 0 where it stands."""
-    out = Samples(samples.values.copy())
+    out = ContactSamples(samples.values.copy())
     rate = _smooth_rate(run, time, samples.at("parts")[:, 0])
     out.put("stroke_sign", np.where(np.abs(rate) > MOVING, np.sign(rate), 0.0))
     return out

@@ -42,7 +42,7 @@ SHEAR_GAIN, SHEAR_BIAS = len(FIT_NAMES), len(FIT_NAMES) + 1
 
 
 @dataclass(frozen=True)
-class Believed:
+class NuisancePrior:
     """Prior of the nuisance in the order of NUISANCE: mean (m,), root (m, r): x = mean + root z, z standard normal; joint
     noise rad of the arm beside its parameters."""
 
@@ -56,7 +56,7 @@ class Believed:
         return np.sqrt(np.sum(self.root**2, axis=1))
 
 
-def believed_contact(cell: Cell, arm: Calibration | None = None) -> Believed:
+def nuisance_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
     """Prior of the cell, its arm as `arm` says where given."""
     calibration = cell.calibration if arm is None else arm
     prior = force_prior(replace(cell, calibration=calibration))
@@ -75,7 +75,7 @@ def believed_contact(cell: Cell, arm: Calibration | None = None) -> Believed:
     noise = calibration.provenance.get("noise") if calibration is not None else None
     joints = noise.get("joints_rad") if isinstance(noise, dict) else 0.0
     mean = np.concatenate([prior.mean, np.zeros(len(EXTRA))])
-    return Believed(mean, covariance_root(whole), float(joints) if isinstance(joints, int | float) else 0.0)
+    return NuisancePrior(mean, covariance_root(whole), float(joints) if isinstance(joints, int | float) else 0.0)
 
 
 def arm_from_tracker(tracker: Path, cell_file: Path) -> Calibration:

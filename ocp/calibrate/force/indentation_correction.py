@@ -24,7 +24,7 @@ NEIGHBOURS = 12
 DEFECT = N_WAYPOINT - 1  # its column of a waypoint
 
 
-def with_defect(model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, force: Array) -> ForceRows:
+def with_indentation_correction(model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, force: Array) -> ForceRows:
     """`rows` with the defect (m) of each in its waypoint: indentation under `force` (n,) N on the real surface less that on
     the local quadratic, both solved on `cover`, at the cell's nominal postures. Its cells are to be fine: where the blade
     ends under the wheel, coarse ones put the edge in the wrong place (docs/force_registration.md).

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ocp.diagnose.engine.system import Wave, scan_key
-from ocp.diagnose.force.columns import effect_columns
-from ocp.diagnose.force.fit import ForceFit, Problem
+from ocp.diagnose.force.fit import EffectFit, ForceProblem
+from ocp.diagnose.force.prediction import effect_derivatives
 from ocp.diagnose.force.whitening import Whitener
 from ocp.effects.effect import Effect, Scanned, Surroundings
 from robots.pose import Array
@@ -48,7 +48,7 @@ class Spare:
 
 
 @dataclass(frozen=True)
-class Kept:
+class LogAverages:
     """Rows of the whitened system: averages of each signal, products with the fast patterns, spare rows without data.
 
     patterns (S, n, k): orthonormal whitened patterns of S signals together; back (S, n, k): through the filters' transposes.
@@ -84,14 +84,14 @@ class Kept:
         return out
 
 
-def kept_rows(
-    problem: Problem, fit: ForceFit, effects: Iterable[Effect], seen: Surroundings, store: Store, waves: Sequence[Wave] = ()
-) -> Kept:
+def log_averages(
+    problem: ForceProblem, fit: EffectFit, effects: Iterable[Effect], seen: Surroundings, store: Store, waves: Sequence[Wave] = ()
+) -> LogAverages:
     """The rows for this fit: fast patterns of `effects`, of all that is active and of waves that were picked."""
     n, count = len(problem.log), len(fit.whiteners)
     chosen, spares = [np.zeros((count, n, 0))], dict[str, Spare]()
     for one in fit.active:
-        both = effect_columns(problem.scene, fit.at, fit.slopes, one.effect, one.joint, [one.scanned])
+        both = effect_derivatives(problem.scene, fit.at, fit.slopes, one.effect, one.joint, [one.scanned])
         if both is not None:
             chosen.append(_lost(fit, [c[0] for c in both]))
     for wave in waves:
@@ -108,21 +108,21 @@ def kept_rows(
         chosen += [_lost(fit, [c[v] for c in made]) for v in best]
     patterns = _orthonormal(np.concatenate(chosen, axis=2))
     back = np.stack([w.back(p) for w, p in zip(fit.whiteners, patterns, strict=True)])
-    return Kept(fit.whiteners, patterns, back, spares, max((s.roots.shape[1] for s in spares.values()), default=0))
+    return LogAverages(fit.whiteners, patterns, back, spares, max((s.roots.shape[1] for s in spares.values()), default=0))
 
 
-def _lost(fit: ForceFit, columns: Sequence[Array]) -> Array:
+def _lost(fit: EffectFit, columns: Sequence[Array]) -> Array:
     """What the averages lose of columns (n, m) of each signal, whitened: (S, n, m)."""
     return np.stack([w.lost(w.whole(c)) for w, c in zip(fit.whiteners, columns, strict=False)])
 
 
-def _is_fast(problem: Problem, fit: ForceFit, effect: Effect, seen: Surroundings) -> bool:
+def _is_fast(problem: ForceProblem, fit: EffectFit, effect: Effect, seen: Surroundings) -> bool:
     if not any((effect.overlap, effect.push, effect.sensor, effect.shear)):
         return False
     scans = effect.scan(0, seen)
     if not len(scans):
         return False
-    made = effect_columns(problem.scene, fit.at, fit.slopes, effect, 0, [scans[len(scans) // 2]])
+    made = effect_derivatives(problem.scene, fit.at, fit.slopes, effect, 0, [scans[len(scans) // 2]])
     if made is None:
         return False
     scale = np.asarray(effect.prior_sd)
@@ -132,14 +132,14 @@ def _is_fast(problem: Problem, fit: ForceFit, effect: Effect, seen: Surroundings
     return lost > VISIBLE and lost > LOST * whole
 
 
-def _whole(problem: Problem, fit: ForceFit, effect: Effect, scans: Sequence[Scanned], store: Store) -> list[Array]:
+def _whole(problem: ForceProblem, fit: EffectFit, effect: Effect, scans: Sequence[Scanned], store: Store) -> list[Array]:
     """Columns (V, n, m) of each signal; those of a family of many are evaluated once."""
     known = store.get(effect.name)
     if known is not None and len(known[0]) == len(scans):
         return [known[1][s] for s in range(len(fit.whiteners))]
     parts = []
     for start in range(0, len(scans), TOGETHER):
-        made = effect_columns(problem.scene, fit.at, fit.slopes, effect, 0, scans[start : start + TOGETHER])
+        made = effect_derivatives(problem.scene, fit.at, fit.slopes, effect, 0, scans[start : start + TOGETHER])
         assert made is not None
         parts.append(np.stack(made[: len(fit.whiteners)]))
     columns = np.concatenate(parts, axis=1)
@@ -147,7 +147,7 @@ def _whole(problem: Problem, fit: ForceFit, effect: Effect, scans: Sequence[Scan
     return list(columns)
 
 
-def _telling(fit: ForceFit, effect: Effect, scans: Sequence[Scanned], made: Sequence[Array]) -> tuple[list[int], Spare]:
+def _telling(fit: EffectFit, effect: Effect, scans: Sequence[Scanned], made: Sequence[Array]) -> tuple[list[int], Spare]:
     """Variants whose lost part the residual speaks for most, and the lengths of all."""
     n, m, scale = made[0].shape[1], effect.size, np.asarray(effect.prior_sd)
     keys = tuple(scan_key(s) for s in scans)
