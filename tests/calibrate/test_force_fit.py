@@ -14,7 +14,7 @@ from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.registration import ForceFit, fit_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
-from ocp.calibrate.force.surface_points import surface_points
+from ocp.calibrate.force.surface_points import points_on_surface
 from ocp.calibrate.report.contact import contact_sections
 from ocp.model.cell import read_cell
 from ocp.model.theta import registered
@@ -315,7 +315,7 @@ def test_points_a_little_off_the_surface_are_put_onto_it_and_told(recorded, tmp_
 
     log = changed(recorded, tmp_path, off)
     blade = read_blade(recorded.world.cell.workpiece.stl)
-    foot = surface_points(blade, find_shape(blade), log)
+    foot = points_on_surface(blade, find_shape(blade), log)
     assert "1 points were put onto the blade's surface" in foot.notices[0]
     # A shift along y is one along the normal and one along the surface.
     shift = 1e-4 * np.array([0.0, 1.0, 0.0])

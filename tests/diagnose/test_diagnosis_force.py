@@ -14,8 +14,8 @@ from ocp.calibrate.force.model import ForceModel
 from ocp.diagnose.engine.system import Fold
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
-from ocp.diagnose.force.prediction import effect_derivatives, force_derivatives, predict_readings
-from ocp.diagnose.force.prior import nuisance_prior
+from ocp.diagnose.force.prediction import effect_derivatives, force_derivatives, predict_forces
+from ocp.diagnose.force.prior import contact_prior
 from ocp.diagnose.force.setpoints import with_setpoints_read_off
 from ocp.diagnose.force.whitening import Whitener
 from ocp.diagnose.reporting import _shown
@@ -144,7 +144,7 @@ def test_columns_are_what_the_refitted_balance_does(made, name):
             both = []
             for sign in (1.0, -1.0):
                 one = replace(_active(name, joint, dict(scanned)), a=sign * a)
-                there = predict_readings(scene, at.x, (one,), at)
+                there = predict_forces(scene, at.x, (one,), at)
                 both.append(np.concatenate([there.fn[rows], there.ft[rows]]))
             difference = 0.5 * (both[0] - both[1])
             column = np.concatenate([c[0][rows, k] for c in made_columns]) * a[k]
@@ -161,7 +161,7 @@ def test_slopes_are_those_of_the_force(made):
     for i in np.flatnonzero(sd[: theta.shape[1]] > 0)[::2]:
         step = np.zeros_like(at.x)
         step[i] = 1e-2 * sd[i]
-        high, low = (predict_readings(scene, at.x + s * step, (), at).F[rows] for s in (1.0, -1.0))
+        high, low = (predict_forces(scene, at.x + s * step, (), at).F[rows] for s in (1.0, -1.0))
         np.testing.assert_allclose(theta[rows, i] * step[i], 0.5 * (high - low), rtol=5e-3, atol=1e-5)
     assert np.abs(joints[rows]).max() > 100.0
 
@@ -274,7 +274,7 @@ def test_held_out_errors_are_those_of_a_refit(made, tmp_path):
     rows = late & log.contact
     for active, mean_square in (((), judged.before), ((_active("wheel_wear"),), judged.after)):
         fit = fit_effects(rest, active)
-        there = predict_readings(problem.scene, fit.at.x, fit.active)
+        there = predict_forces(problem.scene, fit.at.x, fit.active)
         assert np.mean((log.fn - there.fn)[rows] ** 2) == pytest.approx(mean_square, rel=0.1, abs=0.004)
     assert judged.before > 4 * judged.noise and judged.after < judged.noise + 3 * judged.estimation
     # The nuisance takes back what the flange's stiffness may be off by: its value is known to 30 %, the readings to a hundredth.
@@ -342,7 +342,7 @@ def test_setpoints_that_nobody_wrote_down_are_read_off_and_open_in_the_fit(made,
     scene, offsets = channel.problem.scene, channel.problem.offsets
     for k, run in enumerate((5, 6)):  # its column is what another setpoint does to both readings
         more = replace(scene, rows=replace(scene.rows, setpoint=scene.rows.setpoint + 0.5 * (log.run == run)))
-        ends = [predict_readings(s, channel.fit.at.x, (), channel.fit.at) for s in (scene, more)]
+        ends = [predict_forces(s, channel.fit.at.x, (), channel.fit.at) for s in (scene, more)]
         for end, column in (("fn", offsets.normal), ("ft", offsets.shear)):
             change = (getattr(ends[1], end) - getattr(ends[0], end)) / 0.5
             wanted = column[:, offsets.runs + k] / read_off.setpoint_sd.max()
@@ -380,9 +380,9 @@ def test_a_rigid_cell_is_a_channel_too(made):
     # The same postures without the flange; readings from the model, sensor_bias planted in them.
     scene = made.channel.problem.scene
     cell = replace(scene.cell, flange=None)
-    believed, rng = nuisance_prior(cell, arm_posterior(cell)), np.random.default_rng(4)
+    believed, rng = contact_prior(cell, arm_posterior(cell)), np.random.default_rng(4)
     scene = replace(scene, cell=cell, model=ForceModel(cell, scene.model.law), pressed=None)
-    truth = predict_readings(scene, believed.mean + 0.3 * believed.root @ rng.normal(size=believed.root.shape[1]))
+    truth = predict_forces(scene, believed.mean + 0.3 * believed.root @ rng.normal(size=believed.root.shape[1]))
     log = replace(made.channel.log, fn=truth.fn + 0.6 + 0.2 * rng.normal(size=len(truth.F)), ft=None)
     problem = ForceProblem.of(log, scene, believed)
     channel = ForceChannel(problem, fit_effects(problem), (EFFECTS["sensor_bias"],))

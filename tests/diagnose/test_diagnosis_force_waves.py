@@ -12,7 +12,7 @@ from ocp.diagnose.engine.search import Diverged, reweighted, settle
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.fit import linear, fit_effects
 from ocp.diagnose.force.splice_trains import likely_trains
-from ocp.diagnose.force.prediction import predict_readings
+from ocp.diagnose.force.prediction import predict_forces
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
 from robots.errors import Infeasible
@@ -170,7 +170,7 @@ def test_drift_tells_how_far_a_value_moves_without_a_fold(made: Made, tmp_path):
     held = {f.name: channel.held_out(f, channel.active) for f in channel.folds() if f.kind in ("time", "random")}
     time = [h for n, h in held.items() if n.startswith("time") and h is not None]
     assert time and time[0].drift["sensor_bias", 0] > 3.0
-    assert predict_readings(channel.problem.scene, channel.fit.at.x, channel.active).prompt[0].shape == log.fn.shape
+    assert predict_forces(channel.problem.scene, channel.fit.at.x, channel.active).prompt[0].shape == log.fn.shape
 
 
 def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, monkeypatch):  # noqa: F811

@@ -12,7 +12,7 @@ from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
-from ocp.diagnose.force.prediction import LogScene, predict_readings
+from ocp.diagnose.force.prediction import LogScene, predict_forces
 from ocp.diagnose.force.shrinkage import RUN_SD, LaterGrinding, after_log, anticipated_grinding, from_grinding
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.catalogue import library
@@ -97,7 +97,10 @@ def worn(tmp_path_factory) -> Made:
     folder: Path = tmp_path_factory.mktemp("worn")
     with pytest.MonkeyPatch.context() as patch:
         give = Stiff()
-        patch.setattr("force_world.blade_compliance", lambda *asked: SimpleNamespace(per_pass=[give.at(x.p) for x in asked[5]]))
+        patch.setattr(
+            "tests.support.force_world.blade_compliance",
+            lambda *asked: SimpleNamespace(per_pass=[give.at(x.p) for x in asked[5]]),
+        )
         patch.setattr("ocp.calibrate.force.rows.solve_stations", lambda *asked: give)
         patch.setattr("ocp.calibrate.force.rows.stations_known", lambda *asked: True)
         rng = np.random.default_rng(7)
@@ -152,7 +155,7 @@ def test_the_promise_is_kept_after_the_log(worn):
     before = worn.channel
     after = before.with_active((_wear(),))
     found = from_grinding(anticipated_grinding(before, after), after.noise_floor**2)
-    there = [predict_readings(worn.later, c.fit.at.x, c.active) for c in (before, after)]
+    there = [predict_forces(worn.later, c.fit.at.x, c.active) for c in (before, after)]
     e, f = (float(np.sqrt(np.mean((told.fn - worn.truth) ** 2))) for told in there)
     assert e > 0.3 and found is not None, (found, e, f)
     assert found.low <= 1 - f / e <= found.high

@@ -14,7 +14,7 @@ from ocp.calibrate.force.conditions import effect_conditions
 from ocp.calibrate.force.indentation_correction import with_indentation_correction
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
-from ocp.calibrate.force.surface_points import SurfacePoints, surface_points
+from ocp.calibrate.force.surface_points import SurfacePoints, points_on_surface
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, fit_wheel_law, remembered_law
@@ -54,7 +54,7 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell.path}: no blade; name it as workpiece.stl, a force log needs the blade's shape")
     blade, shape, cloud = _measured(cell.workpiece.stl, cell.workpiece.stl_unit)
-    feet = [surface_points(blade, shape, log) for log in logs]
+    feet = [points_on_surface(blade, shape, log) for log in logs]
     poses = [_posture(cell, log, foot) for log, foot in zip(logs, feet, strict=True)]
     touching = np.concatenate([log.contact for log in logs])
     turned, lateral, tilt = (np.concatenate([pose[k] for pose in poses])[touching] for k in range(3))

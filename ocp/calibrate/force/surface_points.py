@@ -29,7 +29,7 @@ class SurfacePoints:
     notices: tuple[str, ...]
 
 
-def surface_points(blade: Blade, shape: AerofoilShape, log: ForceLog) -> SurfacePoints:
+def points_on_surface(blade: Blade, shape: AerofoilShape, log: ForceLog) -> SurfacePoints:
     """Feet of the rows in contact; rows in the air keep their own frames and have no curvature.
 
     Raises BadInput for points farther than OFF_SURFACE from the blade and for normals that are not its outward ones.

@@ -18,8 +18,8 @@ from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.folds import GROSS, fold_errors, force_folds
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
-from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_readings
-from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, nuisance_prior
+from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_forces
+from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior
 from ocp.diagnose.force.sealed import predict_sealed_force
 from ocp.diagnose.force.setpoints import with_setpoints_read_off
 from ocp.diagnose.force.splice_trains import SpliceTrains, likely_trains
@@ -176,7 +176,7 @@ class ForceChannel:
         moved = [a for a in visible if a.effect.on_arm]
         if self.tracker is not None and (moved or any(a.effect.on_arm for a in self.active)):
             # What bends the readings of the tracker bends what is believed of the arm.
-            believed = nuisance_prior(self.problem.scene.cell, arm_with_effects(self.tracker, moved))
+            believed = contact_prior(self.problem.scene.cell, arm_with_effects(self.tracker, moved))
             problem = replace(self.problem, believed=believed)
             return replace(self, problem=problem, fit=fit_effects(problem, visible), before=self.baseline, judged={}, latest={})
         fit = fit_effects(self.problem, visible, self.fit)
@@ -260,7 +260,7 @@ def force_channel(
 def problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None) -> ForceProblem:
     """The problem of a log that is the first of a setup."""
     given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
-    believed = nuisance_prior(cell, arm)
+    believed = contact_prior(cell, arm)
     told, theta = log_conditions(cell, log), believed.mean[:M]
     law, own = setup.model.law, logged_arm(cell, theta, log.q, told)
     scene = LogScene(cell, ForceModel(cell, law), setup.rows[0], told, own, theta, given, pressed_rows(setup.model, log))
@@ -275,7 +275,7 @@ def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path 
     fit, scene = fit_effects(problem), problem.scene
     told = log_conditions(cell, sealed)
     there = replace(scene, rows=setup.rows[1], conditions=told, arm=logged_arm(cell, scene.theta, sealed.q, told), pressed=None)
-    return predict_readings(there, fit.at.x, (), predict_readings(there, fit.at.x)).fn
+    return predict_forces(there, fit.at.x, (), predict_forces(there, fit.at.x)).fn
 
 
 def _of_whitened(kept: LogAverages, white: Array) -> Array:

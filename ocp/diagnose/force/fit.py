@@ -16,7 +16,7 @@ from ocp.diagnose.force.prediction import (
     effect_derivatives,
     force_derivatives,
     nuisance_derivatives,
-    predict_readings,
+    predict_forces,
 )
 from ocp.diagnose.force.prior import NuisancePrior
 from ocp.diagnose.force.whitening import Whitener, as_shear, refreshed, whiteners_of
@@ -199,7 +199,7 @@ def reading_information(whiteners: tuple[Whitener, ...], sensitivity: Array) -> 
 def _at(problem: ForceProblem, z: Array, active: tuple[Active, ...], near: Predicted | None) -> Predicted:
     r, o = problem.sizes
     x = problem.believed.mean + problem.believed.root @ z[:r]
-    return predict_readings(problem.scene, x, with_values(active, scale_of(active) * z[r + o :]), near)
+    return predict_forces(problem.scene, x, with_values(active, scale_of(active) * z[r + o :]), near)
 
 
 def _settle(

@@ -19,8 +19,8 @@ from ocp.diagnose.engine.system import System, Variant
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, linear, reading_information, scale_of, signals
-from ocp.diagnose.force.prediction import LogScene, M, nuisance_derivatives, predict_readings
-from ocp.diagnose.force.prior import nuisance_prior
+from ocp.diagnose.force.prediction import LogScene, M, nuisance_derivatives, predict_forces
+from ocp.diagnose.force.prior import contact_prior
 from ocp.diagnose.force.whitening import BLOCKS, Whitener
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.model.cell import Cell
@@ -44,7 +44,7 @@ def planned_force_channel(cell: Cell, log: ForceLog, effects: Iterable[Effect], 
     every = int(np.ceil(len(log) / MOST))
     rows = np.flatnonzero(_place(log) % every == 0)
     log, model_rows = log.take(rows), setup.rows[0].take(rows)
-    believed = nuisance_prior(cell, arm)
+    believed = contact_prior(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
     own = logged_arm(cell, theta, log.q, known)
     scene = LogScene(cell, ForceModel(cell, setup.model.law), model_rows, known, own, theta, given, log.contact)
@@ -108,8 +108,8 @@ def _unmeasured(
 ) -> tuple[ForceProblem, EffectFit]:
     """The problem with readings as predicted at nuisance z and these effects, and the fit that stands there."""
     x = problem.believed.mean + problem.believed.root @ z
-    at = predict_readings(
-        problem.scene, x, active, predict_readings(problem.scene, x, active)
+    at = predict_forces(
+        problem.scene, x, active, predict_forces(problem.scene, x, active)
     )  # the stroke's sign comes from a first prediction
     log = replace(problem.log, fn=at.fn, ft=None if problem.log.ft is None else at.ft)
     problem, scale = replace(problem, log=log), scale_of(active)

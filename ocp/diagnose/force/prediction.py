@@ -84,7 +84,7 @@ class Predicted:
     prompt: tuple[Array, Array]
 
 
-def predict_readings(scene: LogScene, x: Array, active: Sequence[Active] = (), near: Predicted | None = None) -> Predicted:
+def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), near: Predicted | None = None) -> Predicted:
     """Readings at nuisance x (`believed.NUISANCE`) and coefficients of `active`; Newton starts at `near`'s force, and the sign
     of the flange's stroke is taken from there."""
     at, n, whole = scene.touching, len(scene.rows), (*scene.given, *active)

@@ -56,7 +56,7 @@ class NuisancePrior:
         return np.sqrt(np.sum(self.root**2, axis=1))
 
 
-def nuisance_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
+def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
     """Prior of the cell, its arm as `arm` says where given."""
     calibration = cell.calibration if arm is None else arm
     prior = force_prior(replace(cell, calibration=calibration))

@@ -12,7 +12,7 @@ from ocp.diagnose.engine.system import Foreseen, Sealed, foreseen
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.prior import RUN_SD
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, linear_normal, fit_effects
-from ocp.diagnose.force.prediction import Predicted, LogScene, predict_readings
+from ocp.diagnose.force.prediction import Predicted, LogScene, predict_forces
 from ocp.effects.effect import Effect
 from robots.pose import Array
 
@@ -46,8 +46,8 @@ def predict_sealed_force(
         measured = replace(own, scene=replace(own.scene, model=model, rows=setup.rows[0]))
         again = fit_effects(measured, fit.active, fit)
         known = foreseen(again.active, has).known
-        at = predict_readings(there, again.at.x, known)
-        found.append((again, predict_readings(there, again.at.x, known, at)))
+        at = predict_forces(there, again.at.x, known)
+        found.append((again, predict_forces(there, again.at.x, known, at)))
     (_, baseline), (fit, corrected) = found
     parted = foreseen(fit.active, has)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
@@ -61,7 +61,7 @@ def _usual(scene: LogScene, fit: EffectFit, parted: Foreseen) -> float:
     if not parted.unknown:
         return 0.0
     ends = [
-        predict_readings(scene, fit.at.x, active, predict_readings(scene, fit.at.x, active)).fn
+        predict_forces(scene, fit.at.x, active, predict_forces(scene, fit.at.x, active)).fn
         for active in (fit.active, parted.known)
     ]
     return float(np.mean((ends[1] - ends[0])[scene.rows.contact] ** 2))

@@ -19,7 +19,7 @@ from ocp.diagnose.engine.system import Channel, scan_key
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
-from ocp.diagnose.force.prediction import LogScene, Predicted, predict_readings
+from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
 from ocp.diagnose.force.prior import RUN_SD
 from ocp.diagnose.rules import FOLLOWED_FORCE, NO_GAP
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval
@@ -123,7 +123,7 @@ def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> Log
 def _at(channel: ForceChannel, scene: LogScene) -> Predicted:
     """What a channel's fit predicts there; once more with the sign of the stroke that comes out."""
     x, active = channel.fit.at.x, channel.fit.active
-    return predict_readings(scene, x, active, predict_readings(scene, x, active))
+    return predict_forces(scene, x, active, predict_forces(scene, x, active))
 
 
 def _covariance(channel: ForceChannel) -> Array:
