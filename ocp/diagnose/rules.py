@@ -75,9 +75,9 @@ FORCE_UNIT_FACTOR = 30.0
 g. Reason: no process runs at thirty times its setpoint, and units differ by a hundred and more."""
 
 OUTLIER_WEIGHT = 0.1
-"""[-] Probability of being a good reading below which it is an outlier: of no gap, no fold and no effect. Guards: gaps and
-held-out errors against gross readings. Reason: the mixture (2 % outliers 30 times as wide) leaves hardly a reading between
-0.1 and 0.9."""
+"""[-] Probability of being a good reading (of a force reading: its weight of Student's t) below which it is an outlier: of no
+gap, no fold and no effect. Guards: gaps and held-out errors against gross readings. Reason: the mixture (2 % outliers 30 times
+as wide) leaves hardly a reading between 0.1 and 0.9."""
 
 DOUBTED_WEIGHT = 0.5
 """[-] The same where readings that were set aside are looked at once more. Reason: rather an outlier than good."""
@@ -447,6 +447,97 @@ OTHER_LASTS = (0.3, 6.0)
 average, nearly nothing mostly; none is known."""
 
 # ---------- signal: force
+STIFFNESS_SD = 0.01
+"""[-] Relative: one sigma of the stiffnesses of cover, blade and flange beside the effects that change them. Guards: these
+effects: with a calibration's freedom the believed contact would take them away unseen. Reason: the error of the finite elements
+and of the wheel's law (docs/diagnosis_force.md, Nuisance or effect)."""
+
+SENSOR_BIAS_SD = 0.02
+"""[N] The same of the sensor's zero, beside the effect sensor_bias. Reason: as STIFFNESS_SD; what taring leaves."""
+
+SHEAR_GAIN_SD = 0.03
+"""[-] One sigma of the tangential reading's gain. Guards: tangential_force and friction. Reason: it comes from a sensor's second
+axis, whose gain and zero are worse known than the first's."""
+
+SHEAR_BIAS_SD = 0.1
+"""[N] The same of its zero. Guards and Reason: as SHEAR_GAIN_SD."""
+
+RUN_SD = 0.02
+"""[N] What recordings differ by for reasons too small to name: repeatability of the arm, temperature of the air. Guards: effects
+that move whole runs against being too sure. Reason: well below a reading's usual noise (0.3 N); no reason known for the value."""
+
+LEAST_DIRECTION = 0.02
+"""[-] Whitened length of a direction of the believed contact, one prior sigma, below which it does not count. Guards: evidence
+against directions that no reading shows. Reason: a fiftieth of the noise; SEEN_DIRECTION is the kernels'."""
+
+ORDERS_APART = 1.0
+"""[rad] Of phase over an axis' range by which two orders of a ripple differ that are both looked at. Guards: prior odds against
+copies of one ripple. Reason: closer ones a log's short ranges cannot tell apart."""
+
+FAST_SHARE = 0.3
+"""[-] Of a signature's squares that averages over blocks lose, from which its pattern is kept beside them. Guards: what is fast
+against being seen too weakly. Reason: a runout loses nearly all, what is slow nearly nothing; no reason known for the value."""
+
+FAST_LAMBDA = 10.0
+"""[lambda] That is lost at least, at the upper end. Guards: as FAST_SHARE. Reason: below TOLD_APART nothing is told apart."""
+
+TRAINS_OFFERED = 2
+"""[trains] Of a belt's splice that are offered of all rates and places. Guards: against names found in noise: every picked row
+holds noise that was picked with it. Reason: the true one and its rival."""
+
+USUAL_TRAINS = 6000
+"""[trains] That differ in a log of the usual length, where nothing was measured yet. Reason: some 190 lines of the spectrum
+between the lowest and the highest rate, 32 places of a turn each."""
+
+WAVES_PICKED = 1
+"""[waves] Of each kind that are offered. Guards and Reason: as TRAINS_OFFERED."""
+
+LEAST_WAVES = 1.5
+"""[waves] Over the longest run. Guards: waves against what is merely slow. Reason: slower ones are the smooth functions'."""
+
+FOLD_PARTS = 5
+"""[folds] Of pieces of runs and of stretches of the passes. Reason: the usual five."""
+
+FOLD_PIECE = 40
+"""[rows] Of a run that stay together in random folds. Guards: interpolation against the sensor's correlated noise. Reason: ten
+times the time over which it is correlated (4 samples)."""
+
+FOLD_ROWS = 40
+"""[rows] In contact on each side of a fold. Reason: twice LEAST_CONTACT_ROWS."""
+
+FOLD_REST = 1 / 3
+"""[-] Of the rows in contact that a fold must leave. Guards: verdicts against folds that judge the many by the few. Reason: no
+reason known for a third rather than a half."""
+
+SETPOINT_CHANGED = 0.2
+"""[-] Of the force over the same points by which a run must differ to have had another setpoint. Guards: an operator's force
+ladder that nobody wrote down against being an error of the cell. Reason: no effect of the usual size moves a whole run by a
+fifth (DIAGNOSIS.md)."""
+
+SETPOINT_ALIKE = 0.1
+"""[-] Of a force: runs at one setpoint. Reason: half of SETPOINT_CHANGED."""
+
+SETPOINT_SD = 0.1
+"""[-] Of the cell's setpoint: one sigma of one that was read off. Guards: effects against a setpoint that is not known. Reason:
+as SETPOINT_ALIKE."""
+
+SETPOINT_ROWS = 20
+"""[rows] In contact that tell a run's force. Reason: LEAST_CONTACT_ROWS."""
+
+SAME_POINTS = 2e-3
+"""[m] Between the middles of two runs over the same points. Reason: below the step from one line of a blade to the next."""
+
+LATER_FORCE = (1.0 / 6.0, 0.5, 5.0 / 6.0)
+"""[-] Of the log's span: how far after its end new readings are thought. Reason: the middles of three equal parts of one more
+span, drawn alike."""
+
+BETWEEN_RUNS = 0.1
+"""[-] Probability that new readings come between the log's own. Reason: sealed readings are rather taken later; no reason known
+for a tenth."""
+
+RECORDING_WEIGHT = 0.5
+"""[-] Dirichlet weight of a recording in new readings: which lines, setpoints and feeds come again. Reason: Jeffreys'."""
+
 # ---------- signal: joints
 RUN_OFFSET_SD = 1e-4
 """[rad] By which an encoder's zero may move from recording to recording. Guards: effects against a referencing anew. Reason: none

@@ -16,6 +16,12 @@ FILE = ROOM / "rules.py"
 ELSEWHERE = {
     "engine/kernels.py": {"SOFT", "SETTLING", "LOADED", "RIPPLES"},
     "engine/projection.py": {"RANK"},
+    "force/fit.py": {"AT_REST", "CLOSE", "STILL", "SHORTEST"},
+    "force/planned.py": {"SIGMA", "SHARE", "LASTS"},
+    "force/prediction.py": {"TOLERANCE"},
+    "force/samples.py": {"MOVING"},
+    "force/waves.py": {"HIGHEST", "SHORTEST"},
+    "force/whitening.py": {"SETTLED", "CHANGED"},
     "foresee/design.py": {"FREE_LIMIT"},
     "foresee/next_experiment.py": {"BAR_SD", "BY_SIGNAL"},
     "foresee/planned_grinding.py": {"EACH", "BEGIN", "READINGS", "SWAP", "SET", "IDLE", "LADDER", "HELD", "STEP"},
@@ -31,7 +37,7 @@ ELSEWHERE = {
     "tracker/background.py": {"_SHARES"},
     "tracker/refit.py": {"SETTLED", "RANK"},
 }
-FOLDERS_ELSEWHERE = ("published", "report", "force")  # formats and drawing; signals: still to come
+FOLDERS_ELSEWHERE = ("published", "report")  # formats and drawing
 
 
 def assigned(path: Path) -> list[tuple[str, ast.expr, str]]:

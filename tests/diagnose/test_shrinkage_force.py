@@ -13,7 +13,8 @@ from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.prediction import LogScene, predict_forces
-from ocp.diagnose.force.shrinkage import RUN_SD, LaterGrinding, after_log, anticipated_grinding, from_grinding
+from ocp.diagnose.force.shrinkage import LaterGrinding, after_log, anticipated_grinding, from_grinding
+from ocp.diagnose.rules import RUN_SD
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active

@@ -73,6 +73,15 @@ def pooled_blocks(folds: list[HeldOutForce]) -> HeldOutForce:
     )  # fmt: skip
 
 
+def without_rows(information: Array, sensitivity: Array, residual: Array) -> tuple[Array, Array]:
+    """By how much unknowns (k,) move when rows are left out, and their covariance (k, k) then (eq. 12).
+
+    information (k, k): of the rows that stay, the prior's in; whitened sensitivity (m, k) and residual (m,) of those left out.
+    At the estimate the whole gradient is zero: what these rows pulled is what their absence lets go.
+    """
+    return np.asarray(-np.linalg.solve(information, sensitivity.T @ residual)), np.asarray(np.linalg.inv(information), float)
+
+
 def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> HeldOutForce:
     """The block's readings from the other rows: a downdate of the information, a step of the unknowns."""
     white, channel = solution.whitened, solution.channel
@@ -80,15 +89,13 @@ def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> He
     for kind in channel.kinds.values():
         at = kind.rows[left[kind.rows]]
         told += kind.noise.information() * white.sensitivity[at].T @ white.sensitivity[at]
-    information = solution.information - told
-    # At the estimate the whole gradient is zero: what the block pulled is what its absence lets go.
-    change = -np.linalg.solve(information, A.T @ white.residual[left])
+    change, covariance = without_rows(solution.information - told, A, white.residual[left])
     r = solution.prior.root.shape[1]
     at = np.flatnonzero(left & log.contact)
     root = solution.jacobian[at] @ solution.prior.root
     error = log.fn[at] - solution.reading[at] - root @ change[:r]
     mean = root.mean(axis=0)
-    spread = mean @ np.linalg.inv(information)[:r, :r] @ mean
+    spread = mean @ covariance[:r, :r] @ mean
     kind = channel.kinds[True]
     sigma = channel.sigma()[at]
     steps = kind.runs.step[np.isfinite(kind.runs.step) & (kind.runs.step > 0)]

@@ -16,7 +16,7 @@ from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
-from ocp.diagnose.force.folds import GROSS, fold_errors, force_folds
+from ocp.diagnose.force.folds import fold_errors, force_folds
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
 from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_forces
 from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior
@@ -24,6 +24,7 @@ from ocp.diagnose.force.sealed import predict_sealed_force
 from ocp.diagnose.force.setpoints import with_setpoints_read_off
 from ocp.diagnose.force.splice_trains import SpliceTrains, likely_trains
 from ocp.diagnose.force.waves import picked_squares, telling_waves
+from ocp.diagnose.rules import LEAST_DIRECTION, ORDERS_APART, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.catalogue import library
@@ -34,8 +35,6 @@ from robots.calibration.store import Calibration
 from robots.gravity import weight_torques
 from robots.pose import Array
 
-NARROW = 1.0  # rad of phase between two orders of a ripple over an axis' range: closer ones a log cannot tell apart
-SMALL = 0.02  # whitened length of a direction of the nuisance (one prior sd) below which it does not count
 TOGETHER = 48  # variants evaluated at once
 # What columns a need of an effect stands for, where they are not called alike.
 NEEDED = {"approach": "q1_deg to q6_deg with time_s", "speed": "q1_deg to q6_deg with time_s"}
@@ -107,7 +106,7 @@ class ForceChannel:
         white = np.column_stack([self.fit.residual, self.fit.sensitivity[:, : r + o]]).reshape(len(kept.whiteners), n, -1)
         rows = _of_whitened(kept, white)
         U, s, Vt = np.linalg.svd(rows[:, 1:], full_matrices=False)
-        keep = s > SMALL
+        keep = s > LEAST_DIRECTION
         parts = kept.parts
         place = [w.place for w in kept.whiteners]
         far = np.full(sum(parts[len(place) :]), place[0][-1])
@@ -165,7 +164,7 @@ class ForceChannel:
         scans = tuple(effect.scan(joint, self.surroundings))
         if joint and scans and set(scans[0]) == {"order"}:
             span = float(np.ptp(self.surroundings.q_range[joint - 1]))
-            return scans[:: max(1, int(NARROW / max(span, 1e-3)))]
+            return scans[:: max(1, int(ORDERS_APART / max(span, 1e-3)))]
         return scans
 
     def with_active(self, active: tuple[Active, ...]) -> "ForceChannel":
@@ -210,7 +209,7 @@ class ForceChannel:
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
         after = self._judged(active)
-        good = self.fit.whiteners[0].noise.weight > GROSS
+        good = self.fit.whiteners[0].noise.weight > OUTLIER_WEIGHT
         if self.log.setpoint_sd is not None:  # a setpoint that the readings gave is not known without them
             good &= self.log.setpoint_sd == 0
         return fold_errors((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ocp.calibrate.force.log import ForceLog
-from ocp.diagnose.force.offsets import Offsets
+from ocp.calibrate.force.offsets import RunOffsets
 from ocp.diagnose.force.prediction import (
     LogScene,
     Predicted,
@@ -20,6 +20,7 @@ from ocp.diagnose.force.prediction import (
 )
 from ocp.diagnose.force.prior import NuisancePrior
 from ocp.diagnose.force.whitening import Whitener, as_shear, refreshed, whiteners_of
+from ocp.diagnose.rules import RUN_SD
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -43,13 +44,13 @@ class ForceProblem:
     log: ForceLog
     scene: LogScene
     believed: NuisancePrior
-    offsets: Offsets
+    offsets: RunOffsets
     notices: tuple[str, ...] = ()
 
     @staticmethod
     def of(log: ForceLog, scene: LogScene, believed: NuisancePrior, notices: tuple[str, ...] = ()) -> "ForceProblem":
         """The problem of a log."""
-        return ForceProblem(log, scene, believed, Offsets.of(log, scene.shear), notices)
+        return ForceProblem(log, scene, believed, RunOffsets.of(log, scene.shear, RUN_SD), notices)
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -132,7 +133,7 @@ def linear_normal(problem: ForceProblem, scene: LogScene, at: Predicted) -> Arra
 
 
 def _columns(
-    problem: ForceProblem, scene: LogScene, at: Predicted, slopes: tuple[Array, Array], own: Offsets
+    problem: ForceProblem, scene: LogScene, at: Predicted, slopes: tuple[Array, Array], own: RunOffsets
 ) -> tuple[Array, Array]:
     """Derivatives (n, k) N of fn and ft in z."""
     fn, ft = nuisance_derivatives(scene, at, slopes[0])

@@ -16,11 +16,10 @@ from ocp.diagnose.engine.system import Wave, scan_key
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import effect_derivatives
 from ocp.diagnose.force.whitening import Whitener
+from ocp.diagnose.rules import FAST_LAMBDA, FAST_SHARE
 from ocp.effects.effect import Effect, Scanned, Surroundings
 from robots.pose import Array
 
-LOST = 0.3  # share of a signature that the averages lose, from which its pattern is fast
-VISIBLE = 10.0  # squared whitened length of what they lose, at the prior's upper end, from which it matters
 FEW = 24  # columns of a fast family that are all kept
 MOST = 36  # of a larger one: so many of its most telling
 PROBES = 12  # variants of a family whose length is found exactly
@@ -129,7 +128,7 @@ def _is_fast(problem: ForceProblem, fit: EffectFit, effect: Effect, seen: Surrou
     white = [w.whole(c[0] * scale) for w, c in zip(fit.whiteners, made, strict=False)]
     whole = sum(float(np.sum(c**2)) for c in white)
     lost = sum(float(np.sum(w.lost(c) ** 2)) for w, c in zip(fit.whiteners, white, strict=False))
-    return lost > VISIBLE and lost > LOST * whole
+    return lost > FAST_LAMBDA and lost > FAST_SHARE * whole
 
 
 def _whole(problem: ForceProblem, fit: EffectFit, effect: Effect, scans: Sequence[Scanned], store: Store) -> list[Array]:

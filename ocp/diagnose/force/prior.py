@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
+from ocp.diagnose.rules import SENSOR_BIAS_SD, SHEAR_BIAS_SD, SHEAR_GAIN_SD, STIFFNESS_SD
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active
 from ocp.model.cell import Cell
@@ -26,15 +27,6 @@ from robots.calibration.store import Calibration
 from robots.pose import Array
 from robots.tracker_readings import read_readings
 
-# One sigma of what is believed and not refitted: relative for stiffnesses (the finite elements' and the wheel law's own
-# error), N for the sensor's zero.
-STIFFNESS_SD = 0.01
-BIAS_SD = 0.02
-# The tangential reading comes from a sensor's second axis: its gain and its zero are worse known than the first's.
-SHEAR_GAIN_SD = 0.03
-SHEAR_BIAS_SD = 0.1  # N
-# What runs differ by for reasons too small to name (repeatability of the arm, temperature of the air), N.
-RUN_SD = 0.02
 SCALES = ("cover_stiffness_scale", "blade_stiffness_scale")
 EXTRA = ("shear_gain", "shear_bias")  # after FIT_NAMES
 NUISANCE = (*FIT_NAMES, *EXTRA)
@@ -62,7 +54,7 @@ def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
     prior = force_prior(replace(cell, calibration=calibration))
     known = () if calibration is None else calibration.names
     covariance = prior.covariance.copy()
-    small = {name: STIFFNESS_SD for name in SCALES} | {"sensor_bias": BIAS_SD}
+    small = {name: STIFFNESS_SD for name in SCALES} | {"sensor_bias": SENSOR_BIAS_SD}
     if cell.flange is not None:
         small["flange_stiffness"] = STIFFNESS_SD * cell.flange.stiffness
     for name, sd in small.items():

@@ -10,9 +10,9 @@ from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import prepare_force
 from ocp.diagnose.engine.system import Foreseen, Sealed, foreseen
 from ocp.diagnose.force.arm import logged_arm
-from ocp.diagnose.force.prior import RUN_SD
-from ocp.diagnose.force.fit import EffectFit, ForceProblem, linear_normal, fit_effects
-from ocp.diagnose.force.prediction import Predicted, LogScene, predict_forces
+from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
+from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
+from ocp.diagnose.rules import RUN_SD
 from ocp.effects.effect import Effect
 from robots.pose import Array
 

@@ -10,13 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from ocp.calibrate.force.log import AIR_SHARE, Flags, ForceLog
+from ocp.diagnose.rules import SAME_POINTS, SETPOINT_ALIKE, SETPOINT_CHANGED, SETPOINT_ROWS, SETPOINT_SD
 from robots.pose import Array
-
-CHANGED = 0.2  # of the force of the run that is compared with
-LIKE = 0.1  # of a force: runs at one setpoint
-OPEN = 0.1  # of the cell's setpoint: one sigma of a setpoint that was read off
-SAME = 2e-3  # m between the middles of two runs over the same points
-LEAST = 20  # rows in contact that tell a run's force
 
 
 def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] | None:
@@ -24,7 +19,8 @@ def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] |
     setpoint. None: the log tells them, or nothing speaks against one for all."""
     if log.setpoint is not None or not own > 0:
         return None
-    pressed = {int(r): rows for r in np.unique(log.run) if np.count_nonzero(rows := (log.run == r) & log.contact) >= LEAST}
+    touching = {int(r): (log.run == r) & log.contact for r in np.unique(log.run)}
+    pressed = {r: rows for r, rows in touching.items() if np.count_nonzero(rows) >= SETPOINT_ROWS}
     force = {r: float(np.median(log.fn[rows])) for r, rows in pressed.items()}
     pressed = {r: rows for r, rows in pressed.items() if force[r] > AIR_SHARE * own}  # what hardly touches has no setpoint
     force = {r: force[r] for r in pressed}
@@ -32,18 +28,18 @@ def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] |
     for group in _over_the_same_points(log, pressed):
         # Most runs of a log are at the cell's setpoint, whatever the cell makes of it.
         usual = _usual([force[r] for r in group], _usual(list(force.values()), own))
-        changed |= {r: own + force[r] - usual for r in group if abs(force[r] - usual) > CHANGED * usual}
+        changed |= {r: own + force[r] - usual for r in group if abs(force[r] - usual) > SETPOINT_CHANGED * usual}
     if not changed:
         return None
     setpoint, sd = np.full(len(log), own), np.zeros(len(log))
     for r, value in changed.items():
-        setpoint[log.run == r], sd[log.run == r] = max(value, 0.0), OPEN * own
+        setpoint[log.run == r], sd[log.run == r] = max(value, 0.0), SETPOINT_SD * own
     return replace(log, setpoint=setpoint, setpoint_sd=sd), _told(log, changed, own)
 
 
 def _usual(forces: list[float], likely: float) -> float:
     """The one of some forces N that most of them are like, of several such the one nearest to `likely`."""
-    return max(forces, key=lambda u: (sum(abs(f - u) <= LIKE * u for f in forces), -abs(u - likely)))
+    return max(forces, key=lambda u: (sum(abs(f - u) <= SETPOINT_ALIKE * u for f in forces), -abs(u - likely)))
 
 
 def _told(log: ForceLog, changed: dict[int, float], own: float) -> str:
@@ -60,7 +56,7 @@ def _over_the_same_points(log: ForceLog, pressed: dict[int, Flags]) -> list[list
     for r, rows in pressed.items():
         p, n, session = log.p[rows].mean(axis=0), log.n[rows].mean(axis=0), int(log.session[np.argmax(rows)])
         for middle, normal, at, members in groups:
-            if at == session and np.linalg.norm(p - middle) < SAME and n @ normal > 0:
+            if at == session and np.linalg.norm(p - middle) < SAME_POINTS and n @ normal > 0:
                 members.append(r)
                 break
         else:

@@ -20,20 +20,14 @@ from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
 from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
-from ocp.diagnose.force.prior import RUN_SD
-from ocp.diagnose.rules import FOLLOWED_FORCE, NO_GAP
+from ocp.diagnose.rules import BETWEEN_RUNS, FOLLOWED_FORCE, LATER_FORCE, NO_GAP, RECORDING_WEIGHT, RUN_SD
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.tracker_readings import Index
 from robots.pose import Array
 
-# How far after the log's end, in its own spans of time: the middles of three equal parts of one span, drawn alike.
-LATER = (1.0 / 6.0, 0.5, 5.0 / 6.0)
-AMID = 0.1  # probability that new readings come between the log's own
 ROWS = 600  # of the log, evenly taken
-# Dirichlet weight of a recording in new readings: which of a log's lines, setpoints and feeds come again (Jeffreys).
-RECORDING = 0.5
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,7 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
     moved, errors = [], []
     active = [a for m in models for a in m.fit.active]
     warmths = (False, True) if any("temperature" in column for a in active for column in a.effect.needs) else (False,)
-    later = [after_log(told, share, changing) for share in LATER for changing in warmths]
+    later = [after_log(told, share, changing) for share in LATER_FORCE for changing in warmths]
     for conditions in (told, *later):
         there = _scene(after, conditions, rows)
         old = _at(before, there).fn
@@ -71,7 +65,7 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
         moved.append(np.stack([(made.fn - old)[touching] for made in found]))
         errors.append(linear_normal(models[0].problem, there, found[0])[touching])
     kept = np.where((p >= FOLLOWED_FORCE) | (np.arange(len(p)) == 0), p, 0.0)
-    share = np.array([AMID, *((1.0 - AMID) / len(later) for _ in later)])
+    share = np.array([BETWEEN_RUNS, *((1.0 - BETWEEN_RUNS) / len(later) for _ in later)])
     run = np.unique(told.run[rows][touching], return_inverse=True)[1].astype(np.int64)
     return LaterGrinding(np.stack(moved), np.stack(errors), _covariance(models[0]), p / p.sum(), kept / kept.sum(), share, run)
 
@@ -147,7 +141,7 @@ def from_grinding(new: LaterGrinding, noise: float, seed: int = 0) -> Shrinkage 
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
     when = rng.choice(len(new.share), DRAWS, p=new.share)
     runs = int(new.run.max()) + 1
-    rows = rng.dirichlet(np.full(runs, RECORDING), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
+    rows = rng.dirichlet(np.full(runs, RECORDING_WEIGHT), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
     own = RUN_SD * rng.normal(size=(DRAWS, runs))[:, new.run]
     before, after = np.zeros(DRAWS), np.zeros(DRAWS)
     for k, moved in enumerate(new.moved):

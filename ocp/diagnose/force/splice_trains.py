@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
+from ocp.diagnose.rules import TRAINS_OFFERED, USUAL_TRAINS
 from ocp.effects.belt_splice import LENGTHS, RATES
 from ocp.effects.effect import Scanned
 from robots.pose import Array
@@ -24,10 +25,8 @@ WAVES = 12  # harmonics of the first look
 PLACES = 32  # in a turn
 BELLS = np.geomspace(*LENGTHS, 6)
 KEPT = 6  # trains of each clock that are looked at exactly
-BEST = 2  # of these that are offered: every picked row holds noise that was picked with it
 SHARP = 3  # halvings of the steps there
 PROBES = 12
-USUAL_AMONG = 6000  # rates and places of a log of the usual length, where nothing was measured yet
 FAR = 2**22  # points at most of the transform over a campaign's clock
 
 
@@ -41,7 +40,7 @@ class SpliceTrains:
     @property
     def picked(self) -> float:
         """Squares beyond their number that noise alone has in the rows of the picked trains: each the largest of so many."""
-        return BEST * (2.0 * float(np.log(self.among)) - 1.0) if self.found else 0.0
+        return TRAINS_OFFERED * (2.0 * float(np.log(self.among)) - 1.0) if self.found else 0.0
 
 
 def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
@@ -49,7 +48,7 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
     log, c = problem.log, problem.scene.conditions
     steps = np.diff(log.time)[np.diff(log.run) == 0]
     if not fit.residual.any():
-        return SpliceTrains((), USUAL_AMONG)
+        return SpliceTrains((), USUAL_TRAINS)
     if not len(steps) or np.median(steps) <= 0:
         return SpliceTrains((), 1)
     y = _told(problem, fit)
@@ -62,7 +61,7 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
         for hz, turn, length in _first_look(rates, S, size):
             found.append(_exact(problem, fit, y, {"hz": hz, "turn": turn, "length": length, "clocked": clocked}))
     found.sort(key=lambda one: -one[0])
-    kept = [scanned for _, scanned in found[:BEST]]
+    kept = [scanned for _, scanned in found[:TRAINS_OFFERED]]
     return SpliceTrains((*kept, *_around(kept[0])), max(among, len(kept)))
 
 

@@ -14,13 +14,12 @@ import numpy as np
 
 from ocp.diagnose.engine.system import Wave
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
+from ocp.diagnose.rules import LEAST_WAVES, WAVES_PICKED
 from robots.pose import Array
 
-PICKED = 1  # waves of each kind: every picked row holds noise that was picked with it
 TURNS = (1, 2, 3, 4)  # waves per revolution of the wheel
 HIGHEST = 0.8  # of half the logging rate
 SHORTEST = 3e-3  # m, of a wave along the path
-LEAST_WAVES = 1.5  # over the longest run; slower ones are the smooth functions'
 FINE = 4  # numbers tried in the width of a line
 PROBES = 12
 
@@ -47,7 +46,7 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         probes = np.unique(np.linspace(0, len(numbers) - 1, PROBES).round().astype(int))
         sizes = [float(np.sum(white.whole(masked[:, None] * _both(numbers[k] * along)) ** 2)) / 2 for k in probes]
         gain = score / np.interp(numbers, numbers[probes], sizes)
-        among = max(int(len(numbers) / 2), PICKED)
+        among = max(int(len(numbers) / 2), WAVES_PICKED)
         for k in _peaks(gain):
             found.append(Wave(where, float(numbers[k]), masked[:, None] * _both(numbers[k] * along), among))
     return tuple(found)
@@ -83,7 +82,7 @@ def _both(turns: Array) -> Array:
 def _peaks(gain: Array) -> list[int]:
     """Indices of the largest gains, a line's width apart."""
     left, found = gain.copy(), list[int]()
-    while len(found) < PICKED and left.max() > 0:
+    while len(found) < WAVES_PICKED and left.max() > 0:
         k = int(np.argmax(left))
         found.append(k)
         left[max(0, k - FINE) : k + FINE + 1] = 0.0
