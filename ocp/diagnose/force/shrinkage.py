@@ -24,8 +24,8 @@ from ocp.diagnose.rules import BETWEEN_RUNS, FOLLOWED_FORCE, LATER_FORCE, NO_GAP
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
-from robots.tracker_readings import Index
 from robots.pose import Array
+from robots.tracker_readings import Index
 
 ROWS = 600  # of the log, evenly taken
 
