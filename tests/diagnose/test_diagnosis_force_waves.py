@@ -138,21 +138,21 @@ def test_a_name_that_no_fit_of_all_readings_takes_is_doubted(made: Made, tmp_pat
     assert any("sensor_bias: no fit with it comes to rest" in why for why in found.unknown_reasons)
 
 
-@pytest.mark.parametrize("share, level, most", [(2.0**-10, 1e3, fitting.LOST), (2.0**-10, 0.0, 5), (2.0**-8, 1e3, 6)])
-def test_a_fit_that_cannot_rest_is_refused_before_long(made: Made, monkeypatch, share, level, most):  # noqa: F811
+@pytest.mark.parametrize("halvings, level, most", [(10, 1e3, 2), (10, 0.0, 5), (8, 1e3, 6)])
+def test_a_fit_that_cannot_rest_is_refused_before_long(made: Made, monkeypatch, halvings, level, most):  # noqa: F811
     calls = []
 
-    def never(problem, z, at, whiteners, change, now):
+    def never(at, change, precision, now, rule):
         calls.append(1)
-        return z + 1e-3 * change, at, np.full(2 * len(problem.log), level), share
+        return replace(at, z=at.z + 1e-3 * change), np.full(2 * len(at.problem.log), level), halvings
 
-    monkeypatch.setattr(fitting, "_moved", never)
-    monkeypatch.setattr(fitting, "STILL", -1.0)
+    monkeypatch.setattr("robots.gauss_newton._shortened", never)
+    monkeypatch.setattr(fitting, "RULE", replace(fitting.RULE, valley=replace(fitting.RULE.valley, still=-1.0)))
     start = made.channel.fit
     with pytest.raises(Infeasible, match="does not come to rest"):
         fit_effects(made.channel.problem, (_active("sensor_bias"),), replace(start, z=start.z + 0.5))
     assert len(calls) <= most
-    assert most != fitting.LOST or len(calls) == most  # no way down is told at once
+    assert most != fitting.RULE.valley.lost or len(calls) == most  # no way down is told at once
 
 
 def test_folds_that_leave_little_are_not_asked(made: Made):  # noqa: F811

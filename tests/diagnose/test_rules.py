@@ -16,7 +16,6 @@ FILE = ROOM / "rules.py"
 ELSEWHERE = {
     "engine/kernels.py": {"SOFT", "SETTLING", "LOADED", "RIPPLES"},
     "engine/projection.py": {"RANK"},
-    "force/fit.py": {"AT_REST", "CLOSE", "STILL", "SHORTEST"},
     "force/planned.py": {"SIGMA", "SHARE", "LASTS"},
     "force/prediction.py": {"TOLERANCE"},
     "force/samples.py": {"MOVING"},

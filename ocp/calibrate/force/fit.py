@@ -4,11 +4,11 @@ docs/force_registration.md, eq. 7 to 11. Prior: the robot's calibration with its
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ocp.calibrate.force.log import ForceLog
+from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.calibrate.force.noise import ReadingNoise, Whitened, channel_of
 from ocp.calibrate.force.offsets import offset_columns, offset_size
@@ -16,16 +16,14 @@ from ocp.model.cell import Cell
 from ocp.model.theta import NAMES, believed_theta, covariance_root
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible
+from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
 
 FIT_NAMES: tuple[str, ...] = (*NAMES, "sensor_bias")
 BIAS = len(NAMES)
 BIAS_SD = 1.0  # N where no calibration says; DIAGNOSIS: sensors are off by 0.1 to 2 N
-STEPS = 25  # Gauss-Newton steps between two estimates of the noise
-REWEIGHTED = 10  # steps with new weights; then they stand, for they may swing where a log falls into two parts
-AT_REST = 1e-3  # squared length of a step in posterior standard deviations
-LEAST_SHARE = 0.2
-SHORTEST = 1e-3  # share of a step below which halving it is given up
+# At rest within 3 % of the posterior's standard deviations. Weights may swing where a log falls into two parts: ten steps.
+RULE = Rule(steps=25, rest=1e-3, reweighted=10, halvings=10, relaxed=True)
 PRESSED = 0.3  # of the process force
 
 
@@ -81,7 +79,7 @@ def force_prior(cell: Cell, robot: Calibration | None = None) -> Prior:
 
 
 def reading_of(
-    model: ForceModel, rows: ForceRows, x: Array, guess: Array | None = None, pressed: NDArray[np.bool_] | None = None
+    model: ForceModel, rows: ForceRows, x: Array, guess: Array | None = None, pressed: Flags | None = None
 ) -> tuple[Array, Array]:
     """Contact force (n,) N and what the sensor shows (n,) N at parameters x (m,); Newton starts at `guess` (n,).
 
@@ -91,7 +89,7 @@ def reading_of(
     return F, F + x[BIAS]
 
 
-def pressed_rows(model: ForceModel, log: ForceLog) -> NDArray[np.bool_]:
+def pressed_rows(model: ForceModel, log: ForceLog) -> Flags:
     """Rows (n,) that read a force which only contact explains, far above what a sensor is off by."""
     return np.asarray(log.contact & (log.fn > PRESSED * model.law.process_force))
 
@@ -107,101 +105,101 @@ def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Pr
     The noise comes from the scatter about the prior's prediction first, then about the fit's. Raises Infeasible where the
     iteration does not come to rest.
     """
-    problem = _Problem(model, rows, log, prior, pressed_rows(model, log))
-    F, before = reading_of(model, rows, prior.mean, None, problem.pressed)
-    state = _State(np.zeros(prior.root.shape[1]), prior.mean, F, before, np.zeros((len(log), 0)), 0)
-    channel = channel_of(log, log.fn - before)
-    state, channel = problem.settle(state, channel)
-    channel = channel_of(log, log.fn - state.reading, channel)
-    state, channel = problem.settle(state, channel)
-    size = 0.0
+    known = _Log(model, rows, log, prior, pressed_rows(model, log))
+    F, before = reading_of(model, rows, prior.mean, None, known.pressed)
+    r = prior.root.shape[1]
+    none = np.zeros((len(log), 0))
+    at, steps = _settled(_Point(known, np.zeros(r), prior.mean, F, before, none, channel_of(log, log.fn - before)))
+    at, more = _settled(replace(at, channel=channel_of(log, log.fn - at.reading, at.channel)))
+    steps, size = steps + more, 0.0
     if offsets:
         indicator = offset_columns(log.run, log.contact)
-        white, _ = problem.linearised(state, channel)
-        shown = channel.whitened(np.zeros(len(log)), indicator).sensitivity
-        size = offset_size(white.sensitivity, shown, white.residual + white.sensitivity @ state.z)
+        white = at.whitened
+        shown = at.channel.whitened(np.zeros(len(log)), indicator).sensitivity
+        size = offset_size(white.sensitivity, shown, white.residual + white.sensitivity @ at.z)
         if size > 0:
-            z = np.concatenate([state.z, np.zeros(indicator.shape[1])])
-            state, channel = problem.settle(replace(state, z=z, extra=size * indicator), channel)
-    white, jacobian = problem.linearised(state, channel)
-    information = np.eye(len(state.z)) + channel.information(white.sensitivity)
-    r = prior.root.shape[1]
+            z = np.concatenate([at.z, np.zeros(indicator.shape[1])])
+            at, more = _settled(replace(at, z=z, extra=size * indicator))
+            steps += more
+    information = np.eye(len(at.z)) + at.channel.information(at.whitened.sensitivity)
     covariance = prior.root @ np.linalg.inv(information)[:r, :r] @ prior.root.T
     return ForceSolution(
-        prior, state.x, 0.5 * (covariance + covariance.T), state.z, size, state.extra, state.reading, before, jacobian, channel,
-        white, information, state.steps,
+        prior, at.x, 0.5 * (covariance + covariance.T), at.z, size, at.extra, at.reading, before, at.jacobian, at.channel,
+        at.whitened, information, steps,
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class _State:
-    """An iterate: unknowns z, parameters x, contact force F and reading (n,) N, columns (n, o) of the offsets, steps so far."""
-
-    z: Array
-    x: Array
-    F: Array
-    reading: Array
-    extra: Array
-    steps: int
-
-
-@dataclass(frozen=True)
-class _Problem:
+class _Log:
     """One log to fit."""
 
     model: ForceModel
     rows: ForceRows
     log: ForceLog
     prior: Prior
-    pressed: NDArray[np.bool_]
+    pressed: Flags
 
-    def residual(self, state: _State) -> Array:
-        offset = state.extra @ state.z[self.prior.root.shape[1] :]
-        return np.asarray(self.log.fn - state.reading - offset)
 
-    def linearised(self, state: _State, channel: ReadingNoise) -> tuple[Whitened, Array]:
-        """Whitened residuals and sensitivities to z, and the reading's derivatives (n, m) in x."""
-        jacobian = reading_jacobian(self.model, self.rows, state.x, state.F)
-        return channel.whitened(self.residual(state), np.hstack([jacobian @ self.prior.root, state.extra])), jacobian
+@dataclass(frozen=True)
+class _Point:
+    """A point of the search (`robots.gauss_newton.Iterate`): unknowns z, parameters x, contact force F and reading (n,) N,
+    columns (n, o) N of the offsets, noise and weights."""
 
-    def settle(self, state: _State, channel: ReadingNoise) -> tuple[_State, ReadingNoise]:
-        """Gauss-Newton with the channel's noise and, at first, new weights at every step (eq. 8, 9)."""
-        previous, share = np.zeros_like(state.z), 1.0
-        for step in range(STEPS):
-            if step < REWEIGHTED:
-                channel = channel.reweighted(self.residual(state))
-            white, jacobian = self.linearised(state, channel)
-            A = white.sensitivity
-            H = np.eye(len(state.z)) + A.T @ A
-            change = np.asarray(np.linalg.solve(H, A.T @ white.residual - state.z), float)
-            share = _relaxed(share, previous, change, H)
-            state, previous = self._moved(state, channel, white, share * change, jacobian), change
-            if change @ H @ change < AT_REST:
-                return state, channel
+    known: _Log
+    z: Array
+    x: Array
+    F: Array
+    reading: Array
+    extra: Array
+    channel: ReadingNoise
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """The reading's derivatives (n, m) in x."""
+        return reading_jacobian(self.known.model, self.known.rows, self.x, self.F)
+
+    @cached_property
+    def whitened(self) -> Whitened:
+        """Residuals and sensitivities to z."""
+        return self.channel.whitened(self._gap(), np.hstack([self.jacobian @ self.known.prior.root, self.extra]))
+
+    def reweighted(self) -> "_Point":
+        """With the weights that follow from the residuals (eq. 9)."""
+        return replace(self, channel=self.channel.reweighted(self._gap()))
+
+    def residual(self) -> Array:
+        """Whitened (n,)."""
+        return self.channel.whitened(self._gap(), np.zeros((len(self.F), 0))).residual
+
+    def linearised(self) -> tuple[Array, Array]:
+        """Whitened residuals (n,) and sensitivities (n, k) to z. Raises Infeasible where they are no numbers."""
+        white = self.whitened
+        if not (np.isfinite(white.residual).all() and np.isfinite(white.sensitivity).all()):
+            raise Infeasible(
+                f"{self.known.log.path}: the fit of the force log leaves what can be computed; the cell is not the log's"
+            )
+        return white.residual, white.sensitivity
+
+    def moved(self, change: Array) -> "_Point":
+        """The point at z + change."""
+        known, prior, z = self.known, self.known.prior, self.z + change
+        x = prior.mean + prior.root @ z[: prior.root.shape[1]]
+        # Where the derivative points, Newton's iteration on the force is over after a step or two.
+        guess = self.F + self.jacobian[:, :BIAS] @ (x - self.x)[:BIAS]
+        F, reading = reading_of(known.model, known.rows, x, guess, known.pressed)
+        return replace(self, z=z, x=x, F=F, reading=reading)
+
+    def _gap(self) -> Array:
+        """Measured less predicted (n,) N, the runs' offsets in the prediction."""
+        return np.asarray(self.known.log.fn - self.reading - self.extra @ self.z[self.known.prior.root.shape[1] :])
+
+
+def _settled(start: _Point) -> tuple[_Point, int]:
+    """The most probable point with the channel's noise, and how many steps led there (eq. 8, 9)."""
+    found = minimise(start, np.ones(len(start.z)), RULE)
+    if not found.rested:
+        path = start.known.log.path
         raise Infeasible(
-            f"{self.log.path}: the fit of the force log does not come to rest in {STEPS} steps; the cell is not the log's"
+            f"{path}: the fit of the force log does not come to rest in {RULE.steps} steps; the cell is not the log's"
         )
-
-    def _moved(self, state: _State, channel: ReadingNoise, white: Whitened, change: Array, jacobian: Array) -> _State:
-        """The step, halved until the weighted squares do not rise."""
-        now = float(white.residual @ white.residual + state.z @ state.z)
-        share = 1.0
-        while True:
-            z = state.z + share * change
-            x = self.prior.mean + self.prior.root @ z[: self.prior.root.shape[1]]
-            # Where the derivative points, Newton's iteration on the force is over after a step or two.
-            guess = state.F + jacobian[:, :BIAS] @ (x - state.x)[:BIAS]
-            F, reading = reading_of(self.model, self.rows, x, guess, self.pressed)
-            trial = _State(z, x, F, reading, state.extra, state.steps + 1)
-            left = channel.whitened(self.residual(trial), np.zeros((len(F), 0))).residual
-            if float(left @ left + z @ z) <= now * (1.0 + 1e-9) + 1e-6 or share < SHORTEST:
-                return trial
-            share *= 0.5
-
-
-def _relaxed(share: float, previous: Array, change: Array, H: Array) -> float:
-    """Share of the next step. Where residuals are large, Gauss-Newton steps overshoot in turn to either side: from how much of
-    the step before comes back follows the share that would have met the middle."""
-    length = float(previous @ H @ previous)
-    back = float(previous @ H @ change) / length if length > 0 else 0.0
-    return float(np.clip(share / max(1.0 - back, 1e-3), LEAST_SHARE, 1.0))
+    return found.at, found.steps

@@ -23,17 +23,17 @@ from ocp.diagnose.force.whitening import Whitener, as_shear, refreshed, whitener
 from ocp.diagnose.rules import RUN_SD
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
+from robots.gauss_newton import Rule, Valley, minimise
 from robots.pose import Array
 
-STEPS = 25
-TRIES = 45  # predictions of all steps with their halvings; a fit that comes to rest takes less than half
-REWEIGHTED = 6  # steps with new weights; then they stand
-AT_REST = 1e-3  # squared length of a step in posterior standard deviations
-CLOSE = 1.0  # of the squares, gained in the last steps of all: what less is to gain changes no answer
-STILL = 0.01  # squares that `LAST` steps together must lower, else it rests: a hundredth of what one number more may explain
-LAST = 3
-SHORTEST = 1e-3  # share of a step
-LOST = 2  # steps one after the other whose shortest part raises the squares by more than `CLOSE`: there is no way down
+# At rest within 3 % of the posterior's standard deviations. Far misfits of something nobody has named yet make the last steps
+# slow (the squares' own curvature is left out): they end where three steps together gain a hundredth of what one number more may
+# explain. A search that ends otherwise is a fit where less than one of the squares is to be gained, which changes no answer. One
+# that comes to rest takes less than half of the predictions.
+RULE = Rule(
+    steps=25, rest=1e-3, reweighted=6, halvings=10, rise=1e-3, broyden=True,
+    valley=Valley(over=3, still=0.01, close=1.0, tries=45, lost=2),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -164,12 +164,14 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
         whiteners = whiteners_of(problem.log, *problem.residuals(at, z))
     else:
         whiteners = start.whiteners
-    z, at, whiteners, first = _settle(problem, z, at, whiteners)
-    rest = problem.residuals(at, z)
-    anew = tuple(refreshed(log, w, e) for log, w, e in zip(signals(problem.log), whiteners, rest, strict=False) if e is not None)
-    second = 0
-    if any(w is not old for w, old in zip(anew, whiteners, strict=True)):
-        z, at, whiteners, second = _settle(problem, z, at, anew)
+    point, steps = _settled(_Point(problem, z, at, whiteners))
+    rest = problem.residuals(point.at, point.z)
+    pairs = zip(signals(problem.log), point.whiteners, rest, strict=False)
+    anew = tuple(refreshed(log, w, e) for log, w, e in pairs if e is not None)
+    if any(w is not old for w, old in zip(anew, point.whiteners, strict=True)):
+        point, more = _settled(replace(point, whiteners=anew))
+        steps += more
+    z, at, whiteners = point.z, point.at, point.whiteners
     line = linear(problem, z, at, whiteners)
     information = np.eye(len(z)) + reading_information(whiteners, line.sensitivity)
     covariance = np.linalg.inv(information)[r + o :, r + o :] * np.outer(scale, scale)
@@ -178,8 +180,7 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
         replace(one, covariance=covariance[i:j, i:j]) for one, i, j in zip(at.active, edges[:-1], edges[1:], strict=True)
     )
     return EffectFit(
-        z, replace(at, active=fitted), whiteners, line.residual, line.sensitivity, line.normal, information, line.slopes,
-        first + second,
+        z, replace(at, active=fitted), whiteners, line.residual, line.sensitivity, line.normal, information, line.slopes, steps,
     )  # fmt: skip
 
 
@@ -203,56 +204,44 @@ def _at(problem: ForceProblem, z: Array, active: tuple[Active, ...], near: Predi
     return predict_forces(problem.scene, x, with_values(active, scale_of(active) * z[r + o :]), near)
 
 
-def _settle(
-    problem: ForceProblem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]
-) -> tuple[Array, Predicted, tuple[Whitener, ...], int]:
-    """Gauss-Newton at this noise; weights of Student's t follow in the first steps.
+@dataclass(frozen=True)
+class _Point:
+    """A point of the search (`robots.gauss_newton.Iterate`): unknowns z, prediction there, one whitener a signal.
 
-    Columns leave out how an effect's interference turns with the arm. Where a step lowers nothing, what they missed along it is
-    added to them (Broyden's update), so that the next one knows. Far misfits of something nobody has named yet make the last
-    steps slow (the squares' own curvature is left out); they end where nothing is gained any more.
+    Columns leave out how an effect's interference turns with the arm; where a halved step shows what they missed, the search adds
+    it (Broyden's update).
     """
-    missed, squares, tries, lost = np.zeros((0, len(z))), list[float](), 0, 0
-    for step in range(STEPS):
-        if step < REWEIGHTED:
-            e = problem.residuals(at, z)
-            whiteners = tuple(w.reweighted(r) for w, r in zip(whiteners, e, strict=False) if r is not None)
-        line = linear(problem, z, at, whiteners)
-        A, e_white = line.sensitivity + missed if len(missed) else line.sensitivity, line.residual
-        H = np.eye(len(z)) + A.T @ A
-        change = np.asarray(np.linalg.solve(H, A.T @ e_white - z), float)
-        squares.append(float(e_white @ e_white + z @ z))
-        moved, at, left, share = _moved(problem, z, at, whiteners, change, squares[-1])
-        tries += 1 - round(np.log2(share))
-        took = moved - z
-        if share < 1.0 and took @ took > 0:
-            update = np.outer(e_white - left - A @ took, took / (took @ took))
-            missed = missed + update if len(missed) else update
-        z = moved
-        still = step >= REWEIGHTED + LAST and squares[-1 - LAST] - squares[-1] < STILL
-        if change @ H @ change < AT_REST or still:
-            return z, at, whiteners, step + 1
-        lost = lost + 1 if share < SHORTEST and left @ left + moved @ moved > squares[-1] + CLOSE else 0
-        if tries > TRIES or lost == LOST:
-            break
-    if len(squares) > REWEIGHTED + LAST and squares[-1 - LAST] - squares[-1] < CLOSE:
-        return z, at, whiteners, len(squares)  # to and fro along a valley whose floor is reached
-    raise Infeasible(
-        f"{problem.log.path}: the fit of the force log does not come to rest in {step + 1} steps; the cell is not the log's"
-    )
+
+    problem: ForceProblem
+    z: Array
+    at: Predicted
+    whiteners: tuple[Whitener, ...]
+
+    def reweighted(self) -> "_Point":
+        """With the weights of Student's t that follow from the residuals."""
+        e = self.problem.residuals(self.at, self.z)
+        return replace(self, whiteners=tuple(w.reweighted(r) for w, r in zip(self.whiteners, e, strict=False) if r is not None))
+
+    def residual(self) -> Array:
+        """Whitened (N,)."""
+        e = self.problem.residuals(self.at, self.z)
+        return np.concatenate([w.whole(r[:, None])[:, 0] for w, r in zip(self.whiteners, e, strict=False) if r is not None])
+
+    def linearised(self) -> tuple[Array, Array]:
+        """Whitened residuals (N,) and sensitivities (N, k) to z."""
+        line = linear(self.problem, self.z, self.at, self.whiteners)
+        return line.residual, line.sensitivity
+
+    def moved(self, change: Array) -> "_Point":
+        """The point at z + change."""
+        z = self.z + change
+        return replace(self, z=z, at=_at(self.problem, z, self.at.active, self.at))
 
 
-def _moved(
-    problem: ForceProblem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...], change: Array, now: float
-) -> tuple[Array, Predicted, Array, float]:
-    """The step, halved until the weighted squares do not rise: unknowns, prediction and whitened residual (N,) there, share
-    taken."""
-    share = 1.0
-    while True:
-        trial = z + share * change
-        there = _at(problem, trial, at.active, at)
-        e = problem.residuals(there, trial)
-        left = np.concatenate([w.whole(r[:, None])[:, 0] for w, r in zip(whiteners, e, strict=False) if r is not None])
-        if float(left @ left + trial @ trial) <= now * (1.0 + 1e-9) + 1e-3 or share < SHORTEST:
-            return trial, there, left, share
-        share *= 0.5
+def _settled(start: _Point) -> tuple[_Point, int]:
+    """The most probable point at this noise, and how many steps led there."""
+    found = minimise(start, np.ones(len(start.z)), RULE)
+    if not found.rested:
+        path, n = start.problem.log.path, found.steps
+        raise Infeasible(f"{path}: the fit of the force log does not come to rest in {n} steps; the cell is not the log's")
+    return found.at, found.steps
