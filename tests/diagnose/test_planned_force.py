@@ -15,7 +15,7 @@ from ocp.diagnose.engine.projection import project
 from ocp.diagnose.engine.visible import Rival, visible_lambda
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import fit_effects
-from ocp.diagnose.force.planned import Shared, noise_of_means, foreseen_force, planned_force_channel
+from ocp.diagnose.force.planned import Shared, foreseen_force, noise_of_means, planned_force_channel
 from ocp.diagnose.foresee.design import design_text, energy_of, smallest_visible, visible_in
 from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.foresee.planned_grinding import grindings, more_grinding, tracker_beside, unseen, usual_recordings

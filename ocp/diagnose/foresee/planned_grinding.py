@@ -14,9 +14,9 @@ from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import ForceRows
 from ocp.diagnose.engine.families import log_odds
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked
-from ocp.diagnose.force.prior import NUISANCE, NuisancePrior
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.planned import Shared, foreseen_force
+from ocp.diagnose.force.prior import NUISANCE, NuisancePrior
 from ocp.diagnose.foresee.planned_tracker import PER_READING, SETTLING, arm_expected, default_poses, planned_channel
 from ocp.diagnose.foresee.separation import RivalPair, scans_of
 from ocp.diagnose.rules import HIDDEN, NAMED_PRICE
