@@ -19,8 +19,8 @@ SCANNED = ("hz", "turn", "length", "clocked")
 
 
 def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
-    if seen.knocks:
-        return seen.knocks
+    if seen.splice_trains:
+        return seen.splice_trains
     return [{"hz": float(hz), "turn": 0.0, "length": USUAL, "clocked": 0.0} for hz in np.linspace(*RATES, GRID)]
 
 

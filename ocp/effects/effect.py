@@ -47,8 +47,8 @@ class Surroundings:
     targets, payloads: names; step s: sampling step of logs; breaks: instants s on that clock between runs or sessions;
     run_length s: longest run; length m: of the longest pass; lines: numbers of the lines ground; sides: mean outward normals
     (3,), blade frame, of the sides ground; friction of the cell; robot: its catalogue name; torque_max (6,) N m, stiffness (6,)
-    N m/rad of the believed robot (None, 0: those of a KR 210 set the scale of priors); knocks: trains of a belt's splice that a
-    force log speaks for; among: by effect, of how many variants its scan offers the most telling.
+    N m/rad of the believed robot (None, 0: those of a KR 210 set the scale of priors); splice_trains: of a belt, that a force
+    log speaks for; among: by effect, of how many variants its scan offers the most telling.
     """
 
     gear_ratio: Array
@@ -66,7 +66,7 @@ class Surroundings:
     lines: tuple[float, ...] = ()
     sides: tuple[tuple[float, float, float], ...] = ()
     friction: float = 0.35
-    knocks: tuple[Scanned, ...] = ()
+    splice_trains: tuple[Scanned, ...] = ()
     among: Mapping[str, int] = field(default_factory=dict)
 
 

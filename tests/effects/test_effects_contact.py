@@ -199,6 +199,6 @@ def test_knocks_of_a_splice_have_the_height_and_the_places_that_are_told(clocked
     assert tops == pytest.approx((np.arange(32) + 0.3) / 8.0, abs=1e-3)
     assert knock.sum() * 1e-3 / 32 == pytest.approx(5.0 * np.sqrt(2 * np.pi) * 0.02 / 8.0, rel=1e-3)
     assert effect.values(a, scanned)["N"] == 5.0
-    assert effect.scan(0, replace(SEEN, knocks=(scanned,))) == (scanned,)
+    assert effect.scan(0, replace(SEEN, splice_trains=(scanned,))) == (scanned,)
     rates = [s["hz"] for s in effect.scan(0, SEEN)]
     assert min(rates) == 5.0 and max(rates) == 15.0  # where no readings say which

@@ -53,8 +53,8 @@ def log_conditions(cell: Cell, log: ForceLog, used: float = 0.0) -> LogCondition
     rate_s, rate_q = _rate(log, s[:, None])[:, 0], _rate(log, log.q)
     unknown = np.full(n, np.nan)
     own = cell.flange.setpoint if cell.flange is not None else cell.process.force
-    told = log.setpoint if log.setpoint_sd is None else None
-    optional = {"s_mm": log.s, "ft_N": log.ft, "setpoint_N": told, "feed_mm_s": log.feed, "belt_m_s": log.belt,
+    setpoint = log.setpoint if log.setpoint_sd is None else None
+    optional = {"s_mm": log.s, "ft_N": log.ft, "setpoint_N": setpoint, "feed_mm_s": log.feed, "belt_m_s": log.belt,
                 "line": log.line, "ground_before": log.ground_before, "temperature_C": log.temperature,
                 "wheel_temperature_C": log.wheel_temperature, "clock_s": log.clock}  # fmt: skip
     given = frozenset({"time_s", "approach", "speed", *(name for name, column in optional.items() if column is not None)})

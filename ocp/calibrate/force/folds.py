@@ -85,11 +85,11 @@ def without_rows(information: Array, sensitivity: Array, residual: Array) -> tup
 def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> HeldOutForce:
     """The block's readings from the other rows: a downdate of the information, a step of the unknowns."""
     white, channel = solution.whitened, solution.channel
-    A, told = white.sensitivity[left], np.zeros_like(solution.information)
+    A, taken = white.sensitivity[left], np.zeros_like(solution.information)
     for kind in channel.kinds.values():
         at = kind.rows[left[kind.rows]]
-        told += kind.noise.information() * white.sensitivity[at].T @ white.sensitivity[at]
-    change, covariance = without_rows(solution.information - told, A, white.residual[left])
+        taken += kind.noise.information() * white.sensitivity[at].T @ white.sensitivity[at]
+    change, covariance = without_rows(solution.information - taken, A, white.residual[left])
     r = solution.prior.root.shape[1]
     at = np.flatnonzero(left & log.contact)
     root = solution.jacobian[at] @ solution.prior.root

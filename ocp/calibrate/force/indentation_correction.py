@@ -16,16 +16,16 @@ from ocp.shell.cache import Entry, content_key, remember
 from robots.errors import Infeasible
 from robots.pose import Array
 
-VERSION = "force defect 1"  # part of the cache key: raise it when results change
+VERSION = "indentation correction 1"  # part of the cache key: raise it when results change
 SPACING = 16e-3  # m between stations; the departure from the quadratic varies slowly along a pass
 FORCE_LENGTH = 1e-3  # m that one newton counts for in distances between stations
 LATERAL_WEIGHT = 2.0  # a shift across the wheel counts this much more than one along the blade: its edges matter
 NEIGHBOURS = 12
-DEFECT = N_WAYPOINT - 1  # its column of a waypoint
+CORRECTION = N_WAYPOINT - 1  # its column of a waypoint
 
 
 def with_indentation_correction(model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, force: Array) -> ForceRows:
-    """`rows` with the defect (m) of each in its waypoint: indentation under `force` (n,) N on the real surface less that on
+    """`rows` with the correction (m) of each in its waypoint: indentation under `force` (n,) N on the real surface less that on
     the local quadratic, both solved on `cover`, at the cell's nominal postures. Its cells are to be fine: where the blade
     ends under the wheel, coarse ones put the edge in the wrong place (docs/force_registration.md).
 
@@ -48,26 +48,26 @@ def with_indentation_correction(model: ForceModel, cover: Cover, cloud: SurfaceC
 
     def compute() -> Entry:
         chosen = part.take(at)
-        return {"defect": np.array([_departure(model, cover, cloud, chosen, state[at], float(force[touching[i]]), k)
+        return {"correction": np.array([_departure(model, cover, cloud, chosen, state[at], float(force[touching[i]]), k)
                                     for k, i in enumerate(at)])}  # fmt: skip
 
-    known = np.asarray(remember("force-defect", key, compute)["defect"], float)
+    known = np.asarray(remember("force-correction", key, compute)["correction"], float)
     sound = np.isfinite(known)
     waypoint = rows.waypoint.copy()
     if sound.sum() >= 3:
         smooth = RBFInterpolator(
             1e3 * place[at][sound], known[sound], min(NEIGHBOURS, int(sound.sum())), kernel="linear", degree=0
         )
-        waypoint[touching, DEFECT] = smooth(1e3 * place)
+        waypoint[touching, CORRECTION] = smooth(1e3 * place)
     elif sound.any():
-        waypoint[touching, DEFECT] = known[sound].mean()
+        waypoint[touching, CORRECTION] = known[sound].mean()
     return replace(rows, waypoint=waypoint)
 
 
 def _departure(
     model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, state: Array, force: float, k: int
 ) -> float:
-    """Defect m of row k; nan where there is no solution."""
+    """Correction m of row k; nan where there is no solution."""
     lateral, tilt_x, tilt_y, kxx, kyy, kxy = (
         float(v) for name in ("lateral", "tilt", "curvature") for v in state[k, STATE[name]]
     )

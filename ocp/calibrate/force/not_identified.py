@@ -77,10 +77,10 @@ def _why_unseen(
     solution: ForceSolution, index: list[int], k: int, size: Array, alike: Array, share: float, prior_sd: Array
 ) -> str:
     name = FIT_NAMES[index[k]]
-    told = "sensor" if index[k] == BIAS else "cell"
+    source = "sensor" if index[k] == BIAS else "cell"
     contact = solution.channel.kinds[True].rows
     newton = float(np.sqrt(np.mean((solution.jacobian[contact, index[k]] * prior_sd[index[k]]) ** 2)))
-    left = f"not seen by this log: {share:.0%} of the {told}'s standard deviation is left"
+    left = f"not seen by this log: {share:.0%} of the {source}'s standard deviation is left"
     if size[k] <= VISIBLE:
         return f"{left}; {name} {DOES[name]}, and one standard deviation moves the force by {newton:.2g} N"
     others = [j for j in range(len(index)) if j != k and size[j] > VISIBLE]

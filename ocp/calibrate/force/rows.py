@@ -1,4 +1,4 @@
-"""From logs to the model's rows: the blade under every contact point, its give, and a wheel law that covers the log."""
+"""From logs to the model's rows: the blade under every contact point, its compliance, and a wheel law that covers the log."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -54,24 +54,24 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell.path}: no blade; name it as workpiece.stl, a force log needs the blade's shape")
     blade, shape, cloud = _measured(cell.workpiece.stl, cell.workpiece.stl_unit)
-    feet = [points_on_surface(blade, shape, log) for log in logs]
-    poses = [_posture(cell, log, foot) for log, foot in zip(logs, feet, strict=True)]
+    points = [points_on_surface(blade, shape, log) for log in logs]
+    poses = [_posture(cell, log, point) for log, point in zip(logs, points, strict=True)]
     touching = np.concatenate([log.contact for log in logs])
     turned, lateral, tilt = (np.concatenate([pose[k] for pose in poses])[touching] for k in range(3))
     cover = wheel_cover(cell)
-    p, n, t, curvature = (np.concatenate([getattr(foot, k) for foot in feet])[touching] for k in ("p", "n", "t", "curvature"))
+    p, n, t, curvature = (np.concatenate([getattr(point, k) for point in points])[touching] for k in ("p", "n", "t", "curvature"))
     patch = _rounded(typical_patch(cell, cover, curvature))
     law, stations = _side_by_side(cell, blade, (p, n, t, patch), lambda: _law(cell, cover, logs, turned, lateral, tilt))
     model = ForceModel(cell, law)
-    give = np.zeros((len(touching), 3))
-    give[touching] = stations.at(p, n, t)
+    compliance = np.zeros((len(touching), 3))
+    compliance[touching] = stations.at(p, n, t)
     whole = ForceRows.joined(
-        [_rows(cell, log, foot, c) for log, foot, c in zip(logs, feet, np.split(give, _cuts(logs)), strict=True)]
+        [_rows(cell, log, point, c) for log, point, c in zip(logs, points, np.split(compliance, _cuts(logs)), strict=True)]
     )
     whole = with_indentation_correction(model, cover, cloud, whole, _about(cell, logs, law))
     edges = [0, *_cuts(logs).tolist(), len(whole)]
     rows = tuple(whole.take(slice(i, j)) for i, j in pairwise(edges))
-    notices = (*blade.notices, *shape.notices, *(text for foot in feet for text in foot.notices))
+    notices = (*blade.notices, *shape.notices, *(text for point in points for text in point.notices))
     return ForceSetup(model, rows, cover, notices)
 
 
@@ -127,23 +127,23 @@ def _about(cell: Cell, logs: Sequence[ForceLog], law: WheelLaw) -> Array:
     return np.asarray(np.clip(2.0 * np.round(np.where(np.isfinite(measured), measured, usual) / 2.0), low, high))
 
 
-def _rows(cell: Cell, log: ForceLog, foot: SurfacePoints, give: Array) -> ForceRows:
+def _rows(cell: Cell, log: ForceLog, point: SurfacePoints, compliance: Array) -> ForceRows:
     own = cell.flange.setpoint if cell.flange is not None else 0.0
     n = len(log)
     setpoint = np.full(n, own) if log.setpoint is None else log.setpoint
     belt = np.sign(np.full(n, cell.wheel.belt_speed) if log.belt is None else log.belt)
-    waypoint = np.hstack([foot.p, foot.n, foot.t, foot.curvature, give, np.zeros((n, 1)), effect_conditions(cell, log)])
+    waypoint = np.hstack([point.p, point.n, point.t, point.curvature, compliance, np.zeros((n, 1)), effect_conditions(cell, log)])
     return ForceRows(log.q, waypoint, setpoint, belt, log.contact)
 
 
-def _posture(cell: Cell, log: ForceLog, foot: SurfacePoints) -> tuple[Array, Array, Array]:
+def _posture(cell: Cell, log: ForceLog, point: SurfacePoints) -> tuple[Array, Array, Array]:
     """Blade curvature (n, 3) in the wheel's axes, lateral (n,) m and tilts (n, 2) of the nominal, unbent arm.
 
     Good to some millimetres and milliradians: enough to say what the law must cover and whether log and cell agree.
     """
     T = forward(cell.robot, log.q) @ cell.workpiece.T_flange_blade
-    n, t = (np.einsum("kij,kj->ki", T[:, :3, :3], v) for v in (foot.n, foot.t))
-    v = np.einsum("kij,kj->ki", T[:, :3, :3], foot.p) + T[:, :3, 3] - cell.wheel.centre
+    n, t = (np.einsum("kij,kj->ki", T[:, :3, :3], v) for v in (point.n, point.t))
+    v = np.einsum("kij,kj->ki", T[:, :3, :3], point.p) + T[:, :3, 3] - cell.wheel.centre
     axis = cell.wheel.axis
     lateral = v @ axis
     radial = v - lateral[:, None] * axis
@@ -153,7 +153,7 @@ def _posture(cell: Cell, log: ForceLog, foot: SurfacePoints) -> tuple[Array, Arr
     belt = np.cross(axis, e)
     b = np.cross(n, t)
     A = np.stack([np.stack([np.sum(t * belt, 1), np.sum(b * belt, 1)], 1), np.stack([t @ axis, b @ axis], 1)], 1)
-    k = foot.curvature
+    k = point.curvature
     K = A @ np.stack([k[:, [0, 2]], k[:, [2, 1]]], 1) @ A.transpose(0, 2, 1)
     tilt = -np.stack([np.sum(n * belt, 1), n @ axis], 1) / np.sum(n * e, axis=1)[:, None]
     return np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 1]], 1), lateral, tilt

@@ -43,7 +43,7 @@ NEEDED = {"approach": "q1_deg to q6_deg with time_s", "speed": "q1_deg to q6_deg
 @dataclass(frozen=True)
 class ForceChannel:
     """A force log with the fit of the believed contact and of the active effects. `store` keeps columns that hardly change,
-    `knocks` what was found of a splice at first, `latest` those columns that were asked for last."""
+    `found` the trains of a belt's splice that were found at first, `latest` those columns that were asked for last."""
 
     problem: ForceProblem
     fit: EffectFit
@@ -52,7 +52,7 @@ class ForceChannel:
     before: "ForceChannel | None" = field(default=None, repr=False)
     judged: dict[str, Any] = field(default_factory=dict, repr=False)
     latest: dict[str, Any] = field(default_factory=dict, repr=False)
-    knocks: dict[str, SpliceTrains] = field(default_factory=dict, repr=False)
+    found: dict[str, SpliceTrains] = field(default_factory=dict, repr=False)
     tracker: TrackerChannel | None = field(default=None, repr=False)
     name: str = "force"
     unit: str = "N"
@@ -75,14 +75,14 @@ class ForceChannel:
     @cached_property
     def surroundings(self) -> Surroundings:
         """For the scans."""
-        return replace(surroundings(self.problem), knocks=self.fast.found, among={SPLICE.name: self.fast.among})
+        return replace(surroundings(self.problem), splice_trains=self.trains.found, among={SPLICE.name: self.trains.among})
 
     @property
-    def fast(self) -> SpliceTrains:
+    def trains(self) -> SpliceTrains:
         """Trains of a belt's splice that the readings speak for."""
-        if "first" not in self.knocks:  # what else is fitted later hardly moves them
-            self.knocks["first"] = likely_trains(self.problem, self.fit)
-        return self.knocks["first"]
+        if "first" not in self.found:  # what else is fitted later hardly moves them
+            self.found["first"] = likely_trains(self.problem, self.fit)
+        return self.found["first"]
 
     @cached_property
     def conditions(self) -> Conditions:
@@ -95,26 +95,26 @@ class ForceChannel:
         return telling_waves(self.problem, self.fit)
 
     @cached_property
-    def kept(self) -> LogAverages:
+    def averages(self) -> LogAverages:
         """Which rows the system has."""
         return log_averages(self.problem, self.fit, self.effects, self.surroundings, self.store, self.waves)
 
     @cached_property
     def system(self) -> System:
         """Whitened about the current fit; directions of the nuisance turned so that they are independent."""
-        kept, (r, o), n = self.kept, self.problem.sizes, len(self.log)
-        white = np.column_stack([self.fit.residual, self.fit.sensitivity[:, : r + o]]).reshape(len(kept.whiteners), n, -1)
-        rows = _of_whitened(kept, white)
+        averages, (r, o), n = self.averages, self.problem.sizes, len(self.log)
+        white = np.column_stack([self.fit.residual, self.fit.sensitivity[:, : r + o]]).reshape(len(averages.whiteners), n, -1)
+        rows = _of_whitened(averages, white)
         U, s, Vt = np.linalg.svd(rows[:, 1:], full_matrices=False)
         keep = s > LEAST_DIRECTION
-        parts = kept.parts
-        place = [w.place for w in kept.whiteners]
+        parts = averages.parts
+        place = [w.place for w in averages.whiteners]
         far = np.full(sum(parts[len(place) :]), place[0][-1])
         return System(
             residual=rows[:, 0], nuisance=U[:, keep] * s[keep], names=tuple(f"contact {k + 1}" for k in range(int(keep.sum()))),
             prior_sd=np.ones(int(keep.sum())), offset=(Vt @ self.fit.z[: r + o])[keep],
             reading=np.concatenate([*place, far]), component=np.repeat(np.arange(len(parts)), parts),
-            picked=picked_squares(self.waves) + self.fast.picked,
+            picked=picked_squares(self.waves) + self.trains.picked,
         )  # fmt: skip
 
     @property
@@ -155,7 +155,7 @@ class ForceChannel:
             made = effect_derivatives(self.problem.scene, self.fit.at, self.fit.slopes, effect, joint, some)
             if made is None:
                 return []
-            rows = self.kept.variants(effect, some, made[: len(self.kept.whiteners)])
+            rows = self.averages.variants(effect, some, made[: len(self.averages.whiteners)])
             found += [Variant(effect.name, joint, s, rows[:, v], prior) for v, s in enumerate(some)]
         return found
 
@@ -198,9 +198,9 @@ class ForceChannel:
 
     def whiten(self, changes: Array) -> Array:
         """Whitened rows (N, m) of changes (n, k, m) N of the readings, fn first, then ft where there is one."""
-        count = len(self.kept.whiteners)
+        count = len(self.averages.whiteners)
         parts = [changes[:, i] if i < changes.shape[1] else np.zeros_like(changes[:, 0]) for i in range(count)]
-        return self.kept.rows(parts)
+        return self.averages.rows(parts)
 
     def folds(self) -> list[Fold]:
         """Blocked and extrapolation folds."""
@@ -260,9 +260,9 @@ def problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | 
     """The problem of a log that is the first of a setup."""
     given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
     believed = contact_prior(cell, arm)
-    told, theta = log_conditions(cell, log), believed.mean[:M]
-    law, own = setup.model.law, logged_arm(cell, theta, log.q, told)
-    scene = LogScene(cell, ForceModel(cell, law), setup.rows[0], told, own, theta, given, pressed_rows(setup.model, log))
+    known, theta = log_conditions(cell, log), believed.mean[:M]
+    law, own = setup.model.law, logged_arm(cell, theta, log.q, known)
+    scene = LogScene(cell, ForceModel(cell, law), setup.rows[0], known, own, theta, given, pressed_rows(setup.model, log))
     return ForceProblem.of(log, scene, believed, setup.notices)
 
 
@@ -272,16 +272,16 @@ def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path 
     setup = prepare_force(replace(cell, effects=()), [log, sealed])
     problem = problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
     fit, scene = fit_effects(problem), problem.scene
-    told = log_conditions(cell, sealed)
-    there = replace(scene, rows=setup.rows[1], conditions=told, arm=logged_arm(cell, scene.theta, sealed.q, told), pressed=None)
+    known = log_conditions(cell, sealed)
+    there = replace(scene, rows=setup.rows[1], conditions=known, arm=logged_arm(cell, scene.theta, sealed.q, known), pressed=None)
     return predict_forces(there, fit.at.x, (), predict_forces(there, fit.at.x)).fn
 
 
-def _of_whitened(kept: LogAverages, white: Array) -> Array:
+def _of_whitened(averages: LogAverages, white: Array) -> Array:
     """Rows of the system from columns (S, n, m) that are whitened row by row."""
-    short = [np.concatenate([s.blocks @ c[s.rows] for s in w.stretches]) for w, c in zip(kept.whiteners, white, strict=True)]
-    fast = np.einsum("snk,snm->km", kept.patterns, white)
-    return np.concatenate([*short, fast, np.zeros((kept.spare, white.shape[2]))])
+    short = [np.concatenate([s.blocks @ c[s.rows] for s in w.stretches]) for w, c in zip(averages.whiteners, white, strict=True)]
+    fast = np.einsum("snk,snm->km", averages.patterns, white)
+    return np.concatenate([*short, fast, np.zeros((averages.spare, white.shape[2]))])
 
 
 def _signature(active: Sequence[Active]) -> tuple[object, ...]:

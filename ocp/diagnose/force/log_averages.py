@@ -33,14 +33,14 @@ Store = dict[str, tuple[tuple[Scanned, ...], Array]]  # fast columns (n, V m) of
 class Spare:
     """A large fast family: which variants are kept whole, and the root (m, m) of the length that averages lose of each other."""
 
-    kept: frozenset[Key]
+    whole: frozenset[Key]
     keys: tuple[Key, ...]
     roots: Array
     nearest: Array
 
     def root(self, key: Key) -> Array | None:
         """What stands in the spare rows of a variant (m, m); None where it is kept whole."""
-        if key in self.kept:
+        if key in self.whole:
             return None
         at = self.keys.index(key) if key in self.keys else 0
         return np.asarray(self.roots[self.nearest[at]])
@@ -84,7 +84,12 @@ class LogAverages:
 
 
 def log_averages(
-    problem: ForceProblem, fit: EffectFit, effects: Iterable[Effect], seen: Surroundings, store: Store, waves: Sequence[Wave] = ()
+    problem: ForceProblem,
+    fit: EffectFit,
+    effects: Iterable[Effect],
+    around: Surroundings,
+    store: Store,
+    waves: Sequence[Wave] = (),
 ) -> LogAverages:
     """The rows for this fit: fast patterns of `effects`, of all that is active and of waves that were picked."""
     n, count = len(problem.log), len(fit.whiteners)
@@ -96,9 +101,9 @@ def log_averages(
     for wave in waves:
         chosen.append(_lost(fit, [wave.columns, np.zeros_like(wave.columns)][:count]))
     for effect in effects:
-        if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, seen):
+        if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, around):
             continue
-        scans = tuple(effect.scan(0, seen))
+        scans = tuple(effect.scan(0, around))
         made = _whole(problem, fit, effect, scans, store)
         if len(scans) * effect.size <= FEW:
             chosen += [_lost(fit, [c[v] for c in made]) for v in range(len(scans))]
@@ -115,10 +120,10 @@ def _lost(fit: EffectFit, columns: Sequence[Array]) -> Array:
     return np.stack([w.lost(w.whole(c)) for w, c in zip(fit.whiteners, columns, strict=False)])
 
 
-def _is_fast(problem: ForceProblem, fit: EffectFit, effect: Effect, seen: Surroundings) -> bool:
+def _is_fast(problem: ForceProblem, fit: EffectFit, effect: Effect, around: Surroundings) -> bool:
     if not any((effect.overlap, effect.push, effect.sensor, effect.shear)):
         return False
-    scans = effect.scan(0, seen)
+    scans = effect.scan(0, around)
     if not len(scans):
         return False
     made = effect_derivatives(problem.scene, fit.at, fit.slopes, effect, 0, [scans[len(scans) // 2]])

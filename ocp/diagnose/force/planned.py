@@ -99,8 +99,8 @@ class Shared:
         return [replace(v, columns=self._own.apply(v.columns)) for v in made]
 
     def _rows(self, normal: Array, shear: Array) -> Array:
-        kept = self.channel.kept
-        return kept.rows((normal, shear)[: len(kept.whiteners)])
+        averages = self.channel.averages
+        return averages.rows((normal, shear)[: len(averages.whiteners)])
 
 
 def _unmeasured(

@@ -151,8 +151,8 @@ def interference(cell: Cell, effect: Effect, joint: int, scans: Sequence[Scanned
         out += hook_columns(cell, effect, "overlap", joint, scans, samples)
     if effect.push is not None:
         slopes = samples.at("slopes")
-        give = slopes[:, 0] if cell.flange is not None else slopes.sum(axis=1)
-        out += hook_columns(cell, effect, "push", joint, scans, samples) * give[:, None]
+        deflection = slopes[:, 0] if cell.flange is not None else slopes.sum(axis=1)
+        out += hook_columns(cell, effect, "push", joint, scans, samples) * deflection[:, None]
     return out
 
 

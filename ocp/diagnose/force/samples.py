@@ -70,9 +70,9 @@ def samples_of(
     own = _blade_turn(theta[:, _AT["blade_rotation"]]) @ cell.workpiece.T_flange_blade[:3, :3]
     flange = R @ own.transpose(0, 2, 1)
     n_base = np.einsum("kij,kj->ki", R, w[:, 3:6])
-    seen = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_deflection")
-    told = ("s", "setpoint", "feed", "belt", "time", "clock", "ground_before", "warm", "wheel_warm", "travel")
-    blocks = {name: state[:, STATE[name]] for name in seen} | {name: getattr(c, name) for name in told} | {
+    of_state = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_deflection")
+    of_log = ("s", "setpoint", "feed", "belt", "time", "clock", "ground_before", "warm", "wheel_warm", "travel")
+    blocks = {name: state[:, STATE[name]] for name in of_state} | {name: getattr(c, name) for name in of_log} | {
         "F": F, "p": w[:, :3], "n": w[:, 3:6], "t": w[:, 6:9], "e": e, "belt_direction": np.cross(axis, e), "n_base": n_base,
         "axis": axis, "R_flange": flange.reshape(-1, 9), "R_blade": R.reshape(-1, 9), "stroke_sign": 0.0,
         "normal_stiffness": stiffness, "push_axis": _push_axis(cell, flange, n_base), "line": c.line,

@@ -31,13 +31,13 @@ def predict_sealed_force(
     setup = prepare_force(scene.cell, [problem.log, sealed])
     model = ForceModel(scene.cell, setup.model.law)
     used = float(scene.conditions.clock.max())
-    told = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
-    arm = logged_arm(scene.cell, scene.theta, sealed.q, told)
-    there = LogScene(scene.cell, model, setup.rows[1], told, arm, scene.theta, scene.given)
+    known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
+    arm = logged_arm(scene.cell, scene.theta, sealed.q, known)
+    there = LogScene(scene.cell, model, setup.rows[1], known, arm, scene.theta, scene.given)
     found: list[tuple[EffectFit, Predicted]] = []
 
     def has(effect: Effect) -> bool:
-        return set(effect.needs) <= told.given
+        return set(effect.needs) <= known.given
 
     for own, fit in (before, after):
         if found and fit is before[1]:  # no effect
@@ -45,9 +45,9 @@ def predict_sealed_force(
             continue
         measured = replace(own, scene=replace(own.scene, model=model, rows=setup.rows[0]))
         again = fit_effects(measured, fit.active, fit)
-        known = foreseen(again.active, has).known
-        at = predict_forces(there, again.at.x, known)
-        found.append((again, predict_forces(there, again.at.x, known, at)))
+        effects = foreseen(again.active, has).known
+        at = predict_forces(there, again.at.x, effects)
+        found.append((again, predict_forces(there, again.at.x, effects, at)))
     (_, baseline), (fit, corrected) = found
     parted = foreseen(fit.active, has)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
@@ -67,12 +67,12 @@ def _usual(scene: LogScene, fit: EffectFit, parted: Foreseen) -> float:
     return float(np.mean((ends[1] - ends[0])[scene.rows.contact] ** 2))
 
 
-def _sigma(problem: ForceProblem, there: LogScene, fit: EffectFit, at: Predicted, kept: Index, more: float) -> Array:
-    """One sigma (n,) N: unknowns of the fit, of its effects' coefficients those `kept`, what runs differ by, and `more` N^2 of
+def _sigma(problem: ForceProblem, there: LogScene, fit: EffectFit, at: Predicted, shown: Index, more: float) -> Array:
+    """One sigma (n,) N: unknowns of the fit, of its effects' coefficients those `shown`, what runs differ by, and `more` N^2 of
     what else is not known."""
     r, o = problem.sizes
     J = linear_normal(problem, there, at)
-    keep = np.r_[np.arange(r), r + o + kept]
+    keep = np.r_[np.arange(r), r + o + shown]
     covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
     variance = np.einsum("ni,ij,nj->n", J, covariance, J) + (RUN_SD**2 + more) * there.rows.contact
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

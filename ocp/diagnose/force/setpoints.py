@@ -34,7 +34,7 @@ def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] |
     setpoint, sd = np.full(len(log), own), np.zeros(len(log))
     for r, value in changed.items():
         setpoint[log.run == r], sd[log.run == r] = max(value, 0.0), SETPOINT_SD * own
-    return replace(log, setpoint=setpoint, setpoint_sd=sd), _told(log, changed, own)
+    return replace(log, setpoint=setpoint, setpoint_sd=sd), _sentence(log, changed, own)
 
 
 def _usual(forces: list[float], likely: float) -> float:
@@ -42,7 +42,7 @@ def _usual(forces: list[float], likely: float) -> float:
     return max(forces, key=lambda u: (sum(abs(f - u) <= SETPOINT_ALIKE * u for f in forces), -abs(u - likely)))
 
 
-def _told(log: ForceLog, changed: dict[int, float], own: float) -> str:
+def _sentence(log: ForceLog, changed: dict[int, float], own: float) -> str:
     runs = ", ".join(f"{log.runs[r]} ({value:.0f} N)" for r, value in changed.items())
     return (
         f"{log.path.name}: no column setpoint_N, and other forces than over the same points at the cell's {own:g} N: run {runs}; "

@@ -34,14 +34,14 @@ ROWS = 600  # of the log, evenly taken
 class LaterGrinding:
     """n rows in contact under c conditions: moved (c, a, n) N, what each of a alternatives adds to the baseline's normal reading;
     errors (c, n, p) N per unit of the accepted fit's unknowns, their covariance (p, p); probability (a,) of the alternatives, the
-    accepted one first; told (a,): their weight in the correction; share (c,): probability of the conditions; run (n,): which
+    accepted one first; weight (a,): of each in the correction; share (c,): probability of the conditions; run (n,): which
     recording (0, 1, ..) a row is of."""
 
     moved: Array
     errors: Array
     covariance: Array
     probability: Array
-    told: Array
+    weight: Array
     share: Array
     run: Index
 
@@ -52,46 +52,48 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
     followed = [(m, o.probability) for o in others if (m := _with(before, after, o.active)) is not None] or [(after, 1.0)]
     models, p = [m for m, _ in followed], np.array([one for _, one in followed])
     rows = np.unique(np.linspace(0, len(after.log) - 1, min(len(after.log), ROWS)).astype(np.int64))
-    told = after.problem.scene.conditions
-    touching = np.flatnonzero(told.contact[rows])
+    known = after.problem.scene.conditions
+    touching = np.flatnonzero(known.contact[rows])
     moved, errors = [], []
     active = [a for m in models for a in m.fit.active]
     warmths = (False, True) if any("temperature" in column for a in active for column in a.effect.needs) else (False,)
-    later = [after_log(told, share, changing) for share in LATER_FORCE for changing in warmths]
-    for conditions in (told, *later):
+    later = [after_log(known, share, changing) for share in LATER_FORCE for changing in warmths]
+    for conditions in (known, *later):
         there = _scene(after, conditions, rows)
         old = _at(before, there).fn
         found = [_at(m, there) for m in models]
         moved.append(np.stack([(made.fn - old)[touching] for made in found]))
         errors.append(linear_normal(models[0].problem, there, found[0])[touching])
-    kept = np.where((p >= FOLLOWED_FORCE) | (np.arange(len(p)) == 0), p, 0.0)
+    weight = np.where((p >= FOLLOWED_FORCE) | (np.arange(len(p)) == 0), p, 0.0)
     share = np.array([BETWEEN_RUNS, *((1.0 - BETWEEN_RUNS) / len(later) for _ in later)])
-    run = np.unique(told.run[rows][touching], return_inverse=True)[1].astype(np.int64)
-    return LaterGrinding(np.stack(moved), np.stack(errors), _covariance(models[0]), p / p.sum(), kept / kept.sum(), share, run)
+    run = np.unique(known.run[rows][touching], return_inverse=True)[1].astype(np.int64)
+    return LaterGrinding(
+        np.stack(moved), np.stack(errors), _covariance(models[0]), p / p.sum(), weight / weight.sum(), share, run
+    )
 
 
-def after_log(told: LogConditions, share: float, changing: bool = False) -> LogConditions:
+def after_log(known: LogConditions, share: float, changing: bool = False) -> LogConditions:
     """The same recordings `share` of the log's span after its end; the lines were ground on as often as before, in proportion. As
     warm as at its end; changing: the hall went on warming at the log's mean rate, and the wheel cooled to where it began."""
-    first, last = int(np.argmin(told.clock)), int(np.argmax(told.clock))
-    clock = told.clock + share * float(np.ptp(told.clock)) + float(told.clock.max()) - _start(told)
-    ground = told.ground_before.copy()
-    for line in np.unique(told.line):
-        at = told.line == line
-        times = len(np.unique(told.run[at & told.contact]))
+    first, last = int(np.argmin(known.clock)), int(np.argmax(known.clock))
+    clock = known.clock + share * float(np.ptp(known.clock)) + float(known.clock.max()) - _start(known)
+    ground = known.ground_before.copy()
+    for line in np.unique(known.line):
+        at = known.line == line
+        times = len(np.unique(known.run[at & known.contact]))
         if times and not np.isnan(ground[at]).all():
-            ground[at] = np.nanmax(ground[at & told.contact]) + 1.0 + np.round(share * times)
-    hall = told.warm[last] + changing * share * (told.warm[last] - told.warm[first])
-    wheel = told.wheel_warm[first if changing else last]
+            ground[at] = np.nanmax(ground[at & known.contact]) + 1.0 + np.round(share * times)
+    hall = known.warm[last] + changing * share * (known.warm[last] - known.warm[first])
+    wheel = known.wheel_warm[first if changing else last]
     n = len(clock)
-    return replace(told, clock=clock, ground_before=ground, warm=np.full(n, hall), wheel_warm=np.full(n, wheel))
+    return replace(known, clock=clock, ground_before=ground, warm=np.full(n, hall), wheel_warm=np.full(n, wheel))
 
 
-def _start(told: LogConditions) -> Array:
+def _start(known: LogConditions) -> Array:
     """Clock s at the start of every row's recording (n,)."""
-    run = np.unique(told.run, return_inverse=True)[1]
+    run = np.unique(known.run, return_inverse=True)[1]
     first = np.full(int(run.max()) + 1, np.inf)
-    np.minimum.at(first, run, told.clock)
+    np.minimum.at(first, run, known.clock)
     return first[run]
 
 
@@ -108,10 +110,10 @@ def _with(before: ForceChannel, after: ForceChannel, active: tuple[Active, ...])
 
 def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> LogScene:
     """Some of the log's rows under other conditions. Effects that remember see time in coarser steps."""
-    scene, told = channel.problem.scene, conditions.take(rows)
-    arm = logged_arm(scene.cell, scene.theta, channel.log.q[rows], told)
+    scene, known = channel.problem.scene, conditions.take(rows)
+    arm = logged_arm(scene.cell, scene.theta, channel.log.q[rows], known)
     pressed = None if scene.pressed is None else scene.pressed[rows]
-    return replace(scene, rows=scene.rows.take(rows), conditions=told, arm=arm, pressed=pressed)
+    return replace(scene, rows=scene.rows.take(rows), conditions=known, arm=arm, pressed=pressed)
 
 
 def _at(channel: ForceChannel, scene: LogScene) -> Predicted:
@@ -147,7 +149,7 @@ def from_grinding(new: LaterGrinding, noise: float, seed: int = 0) -> Shrinkage 
     for k, moved in enumerate(new.moved):
         at = when == k
         off, planted = errors[at] @ new.errors[k].T + own[at], moved[true[at]]
-        after[at] = np.sum(rows[at] * (new.told @ moved - planted + off) ** 2, axis=1)
+        after[at] = np.sum(rows[at] * (new.weight @ moved - planted + off) ** 2, axis=1)
         before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
     if np.median(before) <= NO_GAP**2 * noise:
         return None

@@ -51,7 +51,7 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
         return SpliceTrains((), USUAL_TRAINS)
     if not len(steps) or np.median(steps) <= 0:
         return SpliceTrains((), 1)
-    y = _told(problem, fit)
+    y = _scores(problem, fit)
     size = _sizes(problem, fit)
     found, among = list[tuple[float, Scanned]](), 0
     clocks = [(0.0, c.time)] + ([(1.0, c.clock)] if "clock_s" in c.given and len(np.unique(c.run)) > 1 else [])
@@ -61,11 +61,11 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
         for hz, turn, length in _first_look(rates, S, size):
             found.append(_exact(problem, fit, y, {"hz": hz, "turn": turn, "length": length, "clocked": clocked}))
     found.sort(key=lambda one: -one[0])
-    kept = [scanned for _, scanned in found[:TRAINS_OFFERED]]
-    return SpliceTrains((*kept, *_around(kept[0])), max(among, len(kept)))
+    offered = [scanned for _, scanned in found[:TRAINS_OFFERED]]
+    return SpliceTrains((*offered, *_around(offered[0])), max(among, len(offered)))
 
 
-def _told(problem: ForceProblem, fit: EffectFit) -> Array:
+def _scores(problem: ForceProblem, fit: EffectFit) -> Array:
     """What a train in the normal reading, with its friction in the tangential one, is multiplied with (n,)."""
     n, mask = len(problem.log), problem.log.contact * (problem.scene.conditions.belt != 0)
     y = fit.whiteners[0].back(fit.residual[:n, None])[:, 0]

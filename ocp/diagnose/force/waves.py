@@ -5,7 +5,7 @@ Of the whitened residual e = W y about a fit, with y = W^T e and unit waves c, s
     gain = ((c^T y)^2 + (s^T y)^2) / (1/2 (|W c|^2 + |W s|^2)),
 
 the squares that the wave takes from the residual; lengths are taken at a few numbers and interpolated. What averages over
-blocks lose of the picked ones is kept as rows of their own (`kept.py`).
+blocks lose of the picked ones is kept as rows of their own (`log_averages.py`).
 """
 
 from collections.abc import Iterable, Iterator
