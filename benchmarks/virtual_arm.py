@@ -14,9 +14,9 @@ import numpy as np
 from ocp.calibrate.tracker import as_in
 from ocp.model.cell import Cell, read_cell
 from ocp.model.measuring_setup import read_tracker_setup
-from ocp.simulate.twin.arm.arm import make_arm, moments
+from ocp.simulate.twin.arm.arm import arm_moments, make_arm
+from ocp.simulate.twin.tracker_log import random_world
 from ocp.simulate.twin.truth.truth import draw_truth
-from ocp.simulate.twin.worlds import random_world
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.layout import Choice
 from robots.calibration.reading_model import RowInputs, predict_points
@@ -34,19 +34,19 @@ def statics(cell: Cell) -> None:
     name = max(cell.tables.payloads, key=lambda k: cell.tables.payloads[k].mass_kg)
     for label, path in (("random", q), ("along a path", np.linspace(q[0], q[1], n))):
         start = time.perf_counter()
-        settled = arm.settled(moments(path, name, cell.tables.reference_temperature_C))
+        settled = arm.settled(arm_moments(path, name, cell.tables.reference_temperature_C))
         seconds = time.perf_counter() - start
         print(f"{n} postures, {label}: {seconds:.2f} s, {settled.steps / n:.2f} steps each")
     mass, com = truth.payloads[name]
     believed = np.concatenate([truth.mdh.ravel(), np.divide(truth.bends, truth.stiffness)])
     rows = RowInputs(q, np.tile([mass, *com], (n, 1)), np.zeros((n, 6)), np.zeros((n, 3)), np.zeros((n, 3)))
-    off = arm.links(moments(q, name, 20.0))[:, 6, :3, 3] - predict_points(cell.robot, believed, rows)[0]
+    off = arm.links(arm_moments(q, name, 20.0))[:, 6, :3, 3] - predict_points(cell.robot, believed, rows)[0]
     print(f"{mass:g} kg, no errors, against the planner's model: at most {1e9 * np.abs(off).max():.0f} nm")
 
 
 def machines(cell: Cell) -> None:
     q = np.random.default_rng(0).uniform(LOW, HIGH, (60, 6))
-    m, tool = moments(q, next(iter(cell.tables.payloads)), cell.tables.reference_temperature_C), np.array([0, 0, 0.2, 1.0])
+    m, tool = arm_moments(q, next(iter(cell.tables.payloads)), cell.tables.reference_temperature_C), np.array([0, 0, 0.2, 1.0])
     right = make_arm(cell, draw_truth(cell, 0, mode="believed")).flange(m) @ tool
     error = [
         1e3 * np.linalg.norm(make_arm(cell, draw_truth(cell, s)).flange(m) @ tool - right, axis=1).mean() for s in range(MACHINES)

@@ -15,18 +15,15 @@ from ocp.contact.wheel.gap import LocalShape, solve_force
 from ocp.data import CELL
 from ocp.model.cell import Cell, read_cell
 from ocp.model.prepare import wheel_cover
-from ocp.simulate.twin.arm.arm import make_arm
-from ocp.simulate.twin.arm.arm import moments as arm_moments
+from ocp.simulate.twin.arm.arm import arm_moments, make_arm
 from ocp.simulate.twin.contact import ContactMoments, Tables, make_grinder
-from ocp.simulate.twin.contact.posture import postures, wheel_on_blade
 from ocp.simulate.twin.contact.rubber import make_rubber
 from ocp.simulate.twin.contact.stations import depth_curves, place_stations
-from ocp.simulate.twin.contact.surface import gap, near
+from ocp.simulate.twin.contact.surface import gap, near, postures, wheel_on_blade
 from ocp.simulate.twin.contact.table import LEVELS, make_tables
 from ocp.simulate.twin.contact.unilateral import press
 from ocp.simulate.twin.contact.workpiece import blade_poses, wheel_frames
-from ocp.simulate.twin.truth.machine import Truth
-from ocp.simulate.twin.truth.truth import draw_truth
+from ocp.simulate.twin.truth.truth import Truth, draw_truth
 from robots.csv_table import read_csv_table
 from robots.pose import Array
 from trajectories.blade import Blade, read_blade

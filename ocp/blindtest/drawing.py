@@ -9,7 +9,8 @@ from ocp.blindtest.oracle.detectability import ExactView, detectabilities
 from ocp.blindtest.worlds.machines import effects_stream
 from ocp.blindtest.worlds.pools import pool_of, scaled, within_range
 from ocp.blindtest.worlds.recipes import BINS, Recipe
-from ocp.simulate.twin.truth.planting import Kind, Planted, draw_effect
+from ocp.simulate.twin.truth.kinds import EffectKind
+from ocp.simulate.twin.truth.planting import Planted, draw_effect
 from robots.errors import Infeasible
 from robots.pose import Array
 
@@ -46,7 +47,9 @@ def draw_effects(seed: int, recipe: Recipe, view: ExactView, signals: str) -> Dr
     raise Infeasible(f"world {recipe.index}: no effect reaches a detectability of {recipe.target[0]:g} within its usual range")
 
 
-def _kinds(seed: int, recipe: Recipe, rng: np.random.Generator, attempt: int, pool: Sequence[Kind], signals: str) -> list[Kind]:
+def _kinds(
+    seed: int, recipe: Recipe, rng: np.random.Generator, attempt: int, pool: Sequence[EffectKind], signals: str
+) -> list[EffectKind]:
     """Kinds to try. Of single effects all kinds take turns from world to world, of force worlds in every bin of its own; one that
     cannot be brought to its detectability leaves its place."""
     single, tracker = recipe.kind == "single", signals == "tracker"
@@ -63,7 +66,7 @@ def _kinds(seed: int, recipe: Recipe, rng: np.random.Generator, attempt: int, po
     return [pool[order[(place + skipped) % len(pool)]]]
 
 
-def _one(rng: np.random.Generator, kind: Kind, view: ExactView) -> Planted:
+def _one(rng: np.random.Generator, kind: EffectKind, view: ExactView) -> Planted:
     planted = draw_effect(rng, kind, targets=view.targets)
     at = view.instant(planted, rng) if "at_s" in planted.values else None
     return planted if at is None else replace(planted, values={**planted.values, "at_s": at})

@@ -26,9 +26,9 @@ def experiments(
 ) -> None:
     """Calibrate virtual robots, compensate, grind: positions by four methods and force after each step, with a report."""
     from ocp.experiments.course import MOUNTS
-    from ocp.experiments.many import run_trials, trials_json
     from ocp.experiments.report import write_experiments
     from ocp.experiments.summary import last_line
+    from ocp.experiments.trial import run_trials, trials_json
     from ocp.model.cell import read_cell  # heavy imports only once the arguments stand
     from ocp.shell.output import check_output, whole_folder
     from ocp.shell.progress import Phases

@@ -35,7 +35,7 @@ MOUNTS = ("flange", "rigid")
 class Course:
     """A cell with one mount and its passes: those of the ladder first (`ladder` of them), then those of the test.
 
-    seeds and give (n, 3) m/N of every pass; law and cover of the wheel as believed.
+    seeds and compliance (n, 3) m/N of every pass; law and cover of the wheel as believed.
     """
 
     cell: Cell
@@ -45,7 +45,7 @@ class Course:
     cover: Cover
     paths: list[BladePath]
     seeds: list[list[Seed]]
-    give: list[Array]
+    compliance: list[Array]
     ladder: int
 
     @property
@@ -72,8 +72,8 @@ def lay_course(cell: Cell, mount: str, phases: Phases) -> Course:
     paths = [laid.paths[k] for k in chosen]
     with phases.phase(f"postures, {mount}"):
         seeds = find_seeds(cell, CollisionScene(cell, laid.blade.vertices), contact.law, paths)
-    give = [np.asarray(contact.compliance.per_pass[k]) for k in chosen]
-    return Course(cell, laid.blade, laid.cloud, contact.law, contact.cover, paths, seeds, give, len(chosen) // 2)
+    compliance = [np.asarray(contact.compliance.per_pass[k]) for k in chosen]
+    return Course(cell, laid.blade, laid.cloud, contact.law, contact.cover, paths, seeds, compliance, len(chosen) // 2)
 
 
 def _spread(paths: list[BladePath]) -> list[int]:
@@ -99,7 +99,7 @@ def compensated(course: Course, calibration: Calibration | None, which: list[int
     law = replace(course.law, geometry=replace(course.law.geometry, modulus=cell.wheel.cover_modulus))
     stiffer = cell.workpiece.youngs_modulus / course.cell.workpiece.youngs_modulus
     worker = PassWorker(Ground(cell, theta, ObjectiveWeights(), law, softer, course.blade.vertices, course.cloud))
-    return [worker.solve(course.paths[k], course.seeds[k], course.give[k] / stiffer) for k in which]
+    return [worker.solve(course.paths[k], course.seeds[k], course.compliance[k] / stiffer) for k in which]
 
 
 def working_points(solved: list[SolvedPass]) -> list[Array]:

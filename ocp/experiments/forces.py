@@ -14,7 +14,7 @@ from ocp.calibrate.force.registration import fit_force
 from ocp.calibrate.force.rows import ForceSetup
 from ocp.experiments.course import Course, compensated, working_points
 from ocp.plan.passes.optimise import SolvedPass
-from ocp.simulate.twin.arm.arm import Arm, moments
+from ocp.simulate.twin.arm.arm import VirtualArm, arm_moments
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Grinder, read_sensor
 from ocp.simulate.twin.truth.truth import Truth
 from robots.calibration.store import Calibration
@@ -27,28 +27,36 @@ LEAD = 1.5e-4  # m, the longest of them
 
 
 @dataclass(frozen=True)
-class Machine:
+class VirtualRobot:
     """A virtual robot at work: what it is, its arm, its grinding contact."""
 
     truth: Truth
-    arm: Arm
+    arm: VirtualArm
     grinder: Grinder
 
 
-def working_forces(course: Course, machine: Machine, solved: list[SolvedPass], rng: np.random.Generator) -> tuple[Array, Array]:
+def working_forces(
+    course: Course, machine: VirtualRobot, solved: list[SolvedPass], rng: np.random.Generator
+) -> tuple[Array, Array]:
     """True and read force N at the working points of the tested passes, one after the other."""
     true, read = [], []
     for one, points in zip(solved, working_points(solved), strict=True):
-        moments = contact_moments(course, machine, one, course.cell.process.force)
-        result = machine.grinder.force(moments)
-        reading, _ = read_sensor(machine.truth, result, moments, rng)
+        asked = contact_moments(course, machine, one, course.cell.process.force)
+        result = machine.grinder.force(asked)
+        reading, _ = read_sensor(machine.truth, result, asked, rng)
         true.append(result.force[points])
         read.append(reading[points])
     return np.concatenate(true), np.concatenate(read)
 
 
 def contact_moments(
-    course: Course, machine: Machine, solved: SolvedPass, setpoint: float, contact: bool = True, run: int = 0, scale: float = 1.0
+    course: Course,
+    machine: VirtualRobot,
+    solved: SolvedPass,
+    setpoint: float,
+    contact: bool = True,
+    run: int = 0,
+    scale: float = 1.0,
 ) -> ContactMoments:
     """The waypoints of a pass as instants of the virtual machine; `setpoint` N of the flange, belt as the cell's times scale."""
     path, q = solved.problem.path, solved.solution.q
@@ -57,17 +65,32 @@ def contact_moments(
     payload = course.cell.tables.workpiece.payload if course.cell.tables.workpiece else None
     approach = np.sign(np.gradient(q, axis=0))
     cold = np.full(n, course.cell.tables.reference_temperature_C)
-    still = moments(q, payload or next(iter(course.cell.tables.payloads), ""), cold, approach, time, visit=np.zeros(n, np.int64))
+    still = arm_moments(
+        q, payload or next(iter(course.cell.tables.payloads), ""), cold, approach, time, visit=np.zeros(n, np.int64)
+    )
     return ContactMoments(
-        T_base_flange=machine.arm.flange(still), arm_compliance=machine.arm.compliance(still), p=path.p, n=path.n, t=path.t,
-        s=path.s, line=np.full(n, path.line), setpoint=np.full(n, setpoint), feed=path.feed,
-        belt=np.full(n, scale * course.cell.wheel.belt_speed), contact=np.full(n, contact), clock_s=time, time_s=time,
-        run=np.full(n, run), ground_before=np.zeros(n), wheel_temperature_C=cold, temperature_C=cold,
-    )  # fmt: skip
+        T_base_flange=machine.arm.flange(still),
+        arm_compliance=machine.arm.compliance(still),
+        p=path.p,
+        n=path.n,
+        t=path.t,
+        s=path.s,
+        line=np.full(n, path.line),
+        setpoint=np.full(n, setpoint),
+        feed=path.feed,
+        belt=np.full(n, scale * course.cell.wheel.belt_speed),
+        contact=np.full(n, contact),
+        clock_s=time,
+        time_s=time,
+        run=np.full(n, run),
+        ground_before=np.zeros(n),
+        wheel_temperature_C=cold,
+        temperature_C=cold,
+    )
 
 
 def registered_by_ladder(
-    course: Course, machine: Machine, arm: Calibration, mount: str, rng: np.random.Generator, noise: bool = True
+    course: Course, machine: VirtualRobot, arm: Calibration, mount: str, rng: np.random.Generator, noise: bool = True
 ) -> Calibration:
     """The calibration `arm` joined with what a force ladder on the ladder's passes says of wheel, blade and mount.
 
@@ -90,7 +113,7 @@ class _Rung:
     belt: float = 1.0
 
 
-def _ladder(course: Course, machine: Machine, calibration: Calibration, mount: str) -> list[_Rung]:
+def _ladder(course: Course, machine: VirtualRobot, calibration: Calibration, mount: str) -> list[_Rung]:
     """Recordings: each pass at each force, one of them in the air, one with the belt running back."""
     force = course.cell.process.force
     level = compensated(course, calibration, list(range(course.ladder)))
@@ -102,7 +125,7 @@ def _ladder(course: Course, machine: Machine, calibration: Calibration, mount: s
     return [*rungs, replace(again[0], contact=False), replace(again[-1], belt=-1.0)]
 
 
-def _led(course: Course, machine: Machine, solved: SolvedPass, wanted: float) -> SolvedPass:
+def _led(course: Course, machine: VirtualRobot, solved: SolvedPass, wanted: float) -> SolvedPass:
     """The pass with its joints led along the contact normal until every waypoint shows `wanted` N, in nominal coordinates."""
     model = solved.evaluation
     n = np.einsum("kij,kj->ki", model.T_base_blade[:, :3, :3], solved.problem.path.n)
@@ -118,17 +141,17 @@ def _led(course: Course, machine: Machine, solved: SolvedPass, wanted: float) ->
 
 
 def _log(
-    course: Course, machine: Machine, rungs: list[_Rung], rng: np.random.Generator, noise: bool
+    course: Course, machine: VirtualRobot, rungs: list[_Rung], rng: np.random.Generator, noise: bool
 ) -> tuple[ForceLog, ForceRows]:
     """What a logger records of the rungs, and the model's rows for it."""
     fn, ft, parts = [], [], []
     for k, rung in enumerate(rungs):
-        moments = contact_moments(course, machine, rung.solved, rung.setpoint, rung.contact, k, rung.belt)
-        result = machine.grinder.force(moments)
-        readings = _recorded(machine.truth, result, moments, rng, noise)
+        asked = contact_moments(course, machine, rung.solved, rung.setpoint, rung.contact, k, rung.belt)
+        result = machine.grinder.force(asked)
+        readings = _recorded(machine.truth, result, asked, rng, noise)
         fn.append(readings[0])
         ft.append(readings[1])
-        parts.append(moments)
+        parts.append(asked)
 
     def joined(name: str) -> Array:
         return np.concatenate([getattr(part, name) for part in parts])
@@ -137,20 +160,40 @@ def _log(
     n = len(q)
     run, contact = joined("run").astype(np.int64), joined("contact").astype(bool)
     log = ForceLog(
-        path=Path("force ladder"), run=run, runs=tuple(str(k) for k in range(len(rungs))), time=joined("time_s"), q=q,
-        p=joined("p"), n=joined("n"), t=joined("t"), fn=np.concatenate(fn), contact=contact,
-        session=np.zeros(n, np.int64), sessions=("",), s=joined("s"), ft=np.concatenate(ft), sigma_fn=None, sigma_ft=None,
-        setpoint=joined("setpoint"), feed=joined("feed"), belt=joined("belt"), line=joined("line").astype(np.int64),
-        ground_before=np.zeros(n, np.int64), temperature=None, wheel_temperature=None, clock=None, row=np.arange(2, n + 2),
-    )  # fmt: skip
+        path=Path("force ladder"),
+        run=run,
+        runs=tuple(str(k) for k in range(len(rungs))),
+        time=joined("time_s"),
+        q=q,
+        p=joined("p"),
+        n=joined("n"),
+        t=joined("t"),
+        fn=np.concatenate(fn),
+        contact=contact,
+        session=np.zeros(n, np.int64),
+        sessions=("",),
+        s=joined("s"),
+        ft=np.concatenate(ft),
+        sigma_fn=None,
+        sigma_ft=None,
+        setpoint=joined("setpoint"),
+        feed=joined("feed"),
+        belt=joined("belt"),
+        line=joined("line").astype(np.int64),
+        ground_before=np.zeros(n, np.int64),
+        temperature=None,
+        wheel_temperature=None,
+        clock=None,
+        row=np.arange(2, n + 2),
+    )
     waypoint = np.vstack([rung.solved.problem.waypoints for rung in rungs])
     return log, ForceRows(q, waypoint, joined("setpoint"), np.sign(joined("belt")), contact)
 
 
 def _recorded(
-    truth: Truth, result: ContactResult, moments: ContactMoments, rng: np.random.Generator, noise: bool
+    truth: Truth, result: ContactResult, asked: ContactMoments, rng: np.random.Generator, noise: bool
 ) -> tuple[Array, Array]:
     """Readings (n,) N of normal and tangential force; without noise a hundred recordings' mean would be read."""
     if noise:
-        return read_sensor(truth, result, moments, rng)
-    return read_sensor(replace(truth, sensor_sigma=0.1 * truth.sensor_sigma), result, moments, rng)
+        return read_sensor(truth, result, asked, rng)
+    return read_sensor(replace(truth, sensor_sigma=0.1 * truth.sensor_sigma), result, asked, rng)

@@ -50,12 +50,8 @@ def position_rows(trials: Sequence[Trial]) -> list[PositionRow]:
         errors = [trial.positions[method] for trial in trials if method in trial.positions]
         if errors:
             means = np.array([e.mean() for e in errors])
-            rows.append(
-                PositionRow(
-                    method, float(means.mean()), float(np.median(means)), float(np.quantile(means, 0.9)), float(means.max()),
-                    float(max(e.max() for e in errors)),
-                )
-            )  # fmt: skip
+            figures = means.mean(), np.median(means), np.quantile(means, 0.9), means.max(), max(e.max() for e in errors)
+            rows.append(PositionRow(method, *map(float, figures)))
     return rows
 
 
@@ -68,13 +64,16 @@ def force_rows(trials: Sequence[Trial], wanted: float) -> list[ForceRow]:
             if not forces:
                 continue
             means, sds = np.array([f.mean() for f in forces]), np.array([f.std() for f in forces])
-            rows.append(
-                ForceRow(
-                    mount, step, float(min(f.min() for f in forces)), float(max(f.max() for f in forces)), float(means.mean()),
-                    float(np.mean(np.abs(means - wanted) <= 0.4)), float(np.median(sds)), float(np.quantile(sds, 0.9)),
-                    sum(bool((f <= 0).any()) for f in forces), len(forces),
-                )
-            )  # fmt: skip
+            least, most, close = (
+                min(f.min() for f in forces),
+                max(f.max() for f in forces),
+                np.mean(np.abs(means - wanted) <= 0.4),
+            )
+            low, high, mean, near, sd, sd90 = map(
+                float, (least, most, means.mean(), close, np.median(sds), np.quantile(sds, 0.9))
+            )
+            lost = sum(bool((f <= 0).any()) for f in forces)
+            rows.append(ForceRow(mount, step, low, high, mean, near, sd, sd90, lost, len(forces)))
     return rows
 
 

@@ -1,20 +1,95 @@
-"""One virtual robot through the experiments: positions by each method, force at the working points after each step."""
+"""Virtual robots through the experiments, side by side in worker processes: positions by each method, force after each step.
 
+Each robot that is done is kept, so that a broken run goes on where it stopped.
+"""
+
+import json
 import tempfile
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from ocp.experiments.course import Course, compensated
-from ocp.experiments.forces import Machine, registered_by_ladder, working_forces
-from ocp.experiments.positions import measured_positions
-from ocp.plan.passes.optimise import SolvedPass
-from ocp.simulate.twin.arm.arm import make_arm
+from ocp.calibrate.files import tracker_calibration
+from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
+from ocp.experiments.course import Course, compensated, lay_course
+from ocp.experiments.forces import VirtualRobot, registered_by_ladder, working_forces
+from ocp.model.cell import Cell
+from ocp.plan.passes.optimise import FILES, SolvedPass, code_hash
+from ocp.shell.cache import content_key, flattened, keep, recall
+from ocp.shell.progress import Phases
+from ocp.shell.workers import interrupts_held_back, workers
+from ocp.simulate.twin.arm.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact import make_grinder
-from ocp.simulate.twin.truth.truth import draw_truth
+from ocp.simulate.twin.designs import TrackerCampaign, random_design
+from ocp.simulate.twin.tracker import true_points
+from ocp.simulate.twin.tracker_log import tracker_world
+from ocp.simulate.twin.truth.truth import Truth, draw_truth
+from robots.calibration.fit import Fit, fit_campaign, predict_readings
+from robots.calibration.layout import Choice
+from robots.calibration.methods import METHODS, calibrate_by
+from robots.calibration.residuals import residuals
+from robots.calibration.store import Calibration
 from robots.errors import Infeasible
 from robots.pose import Array
+from robots.tracker_readings import read_readings
+
+FRESH = 20  # poses, as in the paper's Table 2
+ORACLE = 400  # readings
+_DESIGN = 7  # stream of the random postures beside the truth's
+
+
+@dataclass(frozen=True)
+class Positions:
+    """Errors (20,) mm of fresh poses by method; "before": the believed arm in its own base, "placed": with the tracker's frame
+    and nests fitted, which hides a part; "oracle". The calibration of method full and the oracle's."""
+
+    errors: dict[str, Array]
+    calibration: Calibration
+    oracle: Calibration
+
+
+def measured_positions(cell: Cell, truth: Truth, arm: VirtualArm, poses: int, folder: Path) -> Positions:
+    """Measure `poses` random postures of the virtual robot, calibrate by each method, judge on fresh postures.
+
+    Data pass through files in `folder`, as a user's do. Raises BadInput, Infeasible of the calibration.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(truth.seed, spawn_key=(_DESIGN,)))
+    fresh = random_design(cell, rng, FRESH, repeats=0, warm_up=0.0)
+    points = true_points(truth, cell, arm, fresh.moments, fresh.targets)
+    campaign = random_design(cell, rng, poses, repeats=0, warm_up=0.0)
+    tracker_world(cell.path, folder, truth, campaign, sealed=fresh, label=False)
+    made = calibrate_tracker(folder / "tracker.csv", folder / "cell.toml", "full", Phases())
+    best = _oracle(cell, truth, random_design(cell, rng, ORACLE, repeats=0, warm_up=0.0), made, folder / "oracle")
+    assert made.sealed is not None
+    measured, setup = replace(made.sealed, point=points), made.setup
+    errors = {}
+    places = np.array([truth.nests[name] for name in measured.targets])
+    known = replace(made.believed, stations=truth.T_tracker_base[None], nests=places)
+    for name, state in (("before", known), ("placed", made.believed)):
+        off = residuals(setup.robot, measured, setup.instrument, state)
+        errors[name] = 1e3 * np.linalg.norm(off[:, :3], axis=1)
+    for method in METHODS:
+        fit = made.fit if method == "full" else calibrate_by(method, made.fit.campaign, made.fit.choice, made.fit.priors)
+        errors[method] = _error(fit, made, points)
+    errors["oracle"] = _error(best.fit, best, points)
+    return Positions(errors, tracker_calibration(made, []), tracker_calibration(best, []))
+
+
+def _oracle(cell: Cell, truth: Truth, campaign: TrackerCampaign, made: TrackerCalibration, folder: Path) -> TrackerCalibration:
+    """`made` with a fit to `ORACLE` readings without outliers, all six springs in it."""
+    tracker_world(cell.path, folder, replace(truth, outliers=0.0), campaign, label=False)
+    readings = read_readings(folder / "tracker.csv", made.setup.payloads, made.setup.instrument)
+    fit = fit_campaign(replace(made.fit.campaign, readings=readings), Choice(joints=(1, 2, 3, 4, 5, 6)), made.fit.priors)
+    return replace(made, fit=fit)
+
+
+def _error(fit: Fit, made: TrackerCalibration, points: Array) -> Array:
+    assert made.sealed is not None
+    predicted = predict_readings(fit, made.sealed)[0]
+    return np.asarray(1e3 * np.linalg.norm(predicted - points, axis=1))
+
 
 STEPS = ("nothing calibrated", "robot only", "everything", "oracle")
 
@@ -44,7 +119,7 @@ def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], 
     read: dict[str, Array] = {}
     failed: dict[str, str] = {}
     for mount, on in courses.items():
-        machine = Machine(truth, arm, make_grinder(on.cell, truth, on.blade))
+        machine = VirtualRobot(truth, arm, make_grinder(on.cell, truth, on.blade))
         force[f"{mount}/{STEPS[0]}"], read[f"{mount}/{STEPS[0]}"] = working_forces(on, machine, nominal[mount], rng)
         for step in STEPS[1:]:
             calibration = found.oracle if step == "oracle" else found.calibration
@@ -57,3 +132,78 @@ def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], 
                 continue
             force[f"{mount}/{step}"], read[f"{mount}/{step}"] = working_forces(on, machine, solved, rng)
     return Trial(seed, found.errors, force, read, failed)
+
+
+Nominal = dict[str, list[SolvedPass]]
+
+
+def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: int, jobs: int, phases: Phases) -> list[Trial]:
+    """The trials of `seeds`, in their order; those kept from before are not run again.
+
+    Raises BadInput and Infeasible where the cell cannot be ground at all.
+    """
+    courses = {mount: lay_course(cell, mount, phases) for mount in mounts}
+    nominal = {mount: compensated(course, None, course.tested) for mount, course in courses.items()}
+    content = {name: a for name, a in sorted(flattened(list(courses.values())).items()) if not name.endswith(FILES)}
+    ground = content_key(code_hash(), poses, *(part for name, array in content.items() for part in (name, array)))
+    keys = {seed: content_key(ground, seed) for seed in seeds}
+    done = {seed: trial for seed, key in keys.items() if (trial := _recalled(key)) is not None}
+    missing = [seed for seed in seeds if seed not in done]
+    with phases.phase("robots", len(seeds)) as advance:
+        for _ in done:
+            advance()
+
+        def finish(trial: Trial) -> None:
+            done[trial.seed] = trial
+            keep("experiment", keys[trial.seed], {"trial": np.array(_as_json(trial))})
+            advance()
+
+        _run(courses, nominal, missing, poses, jobs, finish)
+    return [done[seed] for seed in seeds]
+
+
+_state: tuple[dict[str, Course], Nominal, int] | None = None
+
+
+def _start_worker(courses: dict[str, Course], nominal: Nominal, poses: int) -> None:
+    global _state
+    _state = courses, nominal, poses
+
+
+def _trial_in_worker(seed: int) -> Trial:
+    assert _state is not None
+    courses, nominal, poses = _state
+    return run_trial(courses, nominal, seed, poses)
+
+
+def _run(
+    courses: dict[str, Course], nominal: Nominal, seeds: Sequence[int], poses: int, jobs: int, finish: Callable[[Trial], None]
+) -> None:
+    if jobs <= 1 or len(seeds) <= 1:
+        for seed in seeds:
+            finish(run_trial(courses, nominal, seed, poses))
+        return
+    with workers(min(jobs, len(seeds)), _start_worker, courses, nominal, poses) as pool:
+        with interrupts_held_back():
+            futures = [pool.submit(_trial_in_worker, seed) for seed in seeds]
+        for future in futures:
+            finish(future.result())
+
+
+def _as_json(trial: Trial) -> str:
+    return json.dumps(asdict(trial), default=lambda value: np.asarray(value).tolist())
+
+
+def _recalled(key: str) -> Trial | None:
+    entry = recall("experiment", key)
+    if entry is None:
+        return None
+    data = json.loads(str(entry["trial"]))
+    for part in ("positions", "force", "read"):
+        data[part] = {name: np.array(values) for name, values in data[part].items()}
+    return Trial(**data)
+
+
+def trials_json(trials: Sequence[Trial], options: dict[str, object]) -> str:
+    """All numbers, for other programs."""
+    return json.dumps({"options": options, "robots": [json.loads(_as_json(t)) for t in trials]}, indent=1) + "\n"

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.belonging import cell_of_plan, recorded, sha256
 from ocp.simulate.twin.campaign import CampaignPlan, check_plan, default_ladder
-from ocp.simulate.twin.truth.planting import Kind, Planted, draw_effect, kinds, parse_effect
+from ocp.simulate.twin.plan_knowledge import cell_of_plan, file_hash, recorded_input
+from ocp.simulate.twin.truth.kinds import EFFECT_KINDS, EffectKind
+from ocp.simulate.twin.truth.planting import Planted, draw_effect, parse_effect
 from robots.errors import BadInput
 
 MOST_EFFECTS = 6
@@ -46,10 +47,8 @@ def check_numbers(wanted: Wanted) -> None:
     """Raises BadInput: what needs no file to be seen wrong."""
     if wanted.machine not in MODES:
         raise BadInput(f"--machine '{wanted.machine}' is not one of {', '.join(MODES)}")
-    for name, value, low, high in (
-        ("--seed", wanted.seed, 0, 2**32), ("--size", wanted.size, 0.0, 5.0), ("--hz", wanted.hz, 20.0, 2000.0),
-        ("--clock", wanted.clock, 0.0, 1e7),
-    ):  # fmt: skip
+    limits = [("--seed", wanted.seed, 0, 2**32), ("--size", wanted.size, 0.0, 5.0), ("--hz", wanted.hz, 20.0, 2000.0)]
+    for name, value, low, high in (*limits, ("--clock", wanted.clock, 0.0, 1e7)):
         if not low <= value <= high:
             raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:g}")
     if wanted.joints and wanted.plan is None:
@@ -70,15 +69,15 @@ def cell_file(wanted: Wanted, summary: dict[str, Any], bundled: Path) -> Path:
 
 def blade_file(wanted: Wanted, summary: dict[str, Any], own: Path | None) -> Path | None:
     """A blade that replaces the cell's own: the one given, or, for a cell that was found, one near the plan by its hash."""
-    known = recorded(summary, "blade")
+    known = recorded_input(summary, "blade")
     if wanted.blade is not None or wanted.cell is not None or known is None or wanted.plan is None:
         return wanted.blade
-    if own is not None and own.is_file() and sha256(own) == known[1]:
+    if own is not None and own.is_file() and file_hash(own) == known[1]:
         return None
     folder = wanted.plan if wanted.plan.is_dir() else wanted.plan.parent
     for place in (folder, folder.resolve().parent, Path.cwd()):
         candidate = place / known[0]
-        if candidate.is_file() and sha256(candidate) == known[1]:
+        if candidate.is_file() and file_hash(candidate) == known[1]:
             return candidate
     return None
 
@@ -100,7 +99,7 @@ def planted_effects(wanted: Wanted, cell: Cell) -> tuple[Planted, ...]:
     for one in found:
         if one.effect.startswith("flange_") and cell.flange is None:
             raise BadInput(f"effect '{one.effect}': the cell has no [force_flange]; choose another effect")
-        if wanted.plan is None and kinds()[one.effect].part not in _ARM_ONLY:
+        if wanted.plan is None and EFFECT_KINDS[one.effect].part not in _ARM_ONLY:
             raise BadInput(
                 f"effect '{one.effect}' shows only while grinding; name a plan's folder, or choose an effect of the arm"
             )
@@ -110,13 +109,13 @@ def planted_effects(wanted: Wanted, cell: Cell) -> tuple[Planted, ...]:
 def _drawn(wanted: Wanted, cell: Cell, count: int) -> list[Planted]:
     """Different effects at random, among those that this run can show."""
     rng = np.random.default_rng([wanted.seed, 0xEF])
-    usable = [kind for _, kind in sorted(kinds().items()) if _shows(kind, wanted, cell)]
+    usable = [kind for _, kind in sorted(EFFECT_KINDS.items()) if _shows(kind, wanted, cell)]
     chosen = rng.choice(len(usable), size=min(count, len(usable)), replace=False)
     targets = list(cell.tables.tracker.targets) if cell.tables.tracker is not None else ["T1"]
     return [draw_effect(rng, usable[int(k)], targets=targets) for k in chosen]
 
 
-def _shows(kind: Kind, wanted: Wanted, cell: Cell) -> bool:
+def _shows(kind: EffectKind, wanted: Wanted, cell: Cell) -> bool:
     if kind.part in _ARM_ONLY:
         return kind.part == "arm" or cell.tables.tracker is not None
     return wanted.plan is not None and (cell.flange is not None or not kind.name.startswith("flange_"))

@@ -23,18 +23,16 @@ from ocp.simulate.input import (
 )
 from ocp.simulate.report import rehearsal_headline, write_rehearsal_page
 from ocp.simulate.twin.arm.arm import make_arm
-from ocp.simulate.twin.belonging import refuse_stranger
-from ocp.simulate.twin.campaign import Campaign, run_campaign
+from ocp.simulate.twin.campaign import GrindingCampaign, run_campaign
 from ocp.simulate.twin.controller.controller import Track, drive
-from ocp.simulate.twin.controller.krl_program import KrlProgram
-from ocp.simulate.twin.controller.krl_text import read_program
-from ocp.simulate.twin.dataset import copy_cell, write_force, write_labels
-from ocp.simulate.twin.joint_log import joint_log, write_joint_log
-from ocp.simulate.twin.plan_knowledge import Matched, match, read_plan_table, read_summary
+from ocp.simulate.twin.controller.krl_text import KrlProgram, read_program
+from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_joint_log, write_labels
+from ocp.simulate.twin.plan_knowledge import Matched, match, read_plan_table, read_summary, refuse_stranger
 from ocp.simulate.twin.rehearsal import Rehearsal, rehearse
-from ocp.simulate.twin.run import Machine, conditions_of, make_machine, refuse_crash
+from ocp.simulate.twin.run import VirtualMachine, arm_conditions, make_machine, refuse_crash
 from ocp.simulate.twin.tracker_log import TrackerLog, tracker_log, write_tracker
-from ocp.simulate.twin.truth.planting import Planted, kinds
+from ocp.simulate.twin.truth.kinds import EFFECT_KINDS
+from ocp.simulate.twin.truth.planting import Planted
 from ocp.simulate.twin.truth.truth import Truth, draw_truth
 from robots.errors import BadInput
 from trajectories.blade import read_blade
@@ -52,8 +50,8 @@ class _Ground:
 
     program: KrlProgram
     track: Track
-    machine: Machine
-    campaign: Campaign
+    machine: VirtualMachine
+    campaign: GrindingCampaign
     rehearsal: Rehearsal
     matched: Matched
 
@@ -61,7 +59,7 @@ class _Ground:
 def plantable_effects() -> str:
     """What can be planted: name, joints, keys with their typical range and unit."""
     lines = [f"{'effect':<22}{'joints':<9}keys: typical range, unit (a bare size goes to the first; +- either sign)"]
-    for name, kind in sorted(kinds().items()):
+    for name, kind in sorted(EFFECT_KINDS.items()):
         joints = "".join(str(j) for j in kind.joints) or "-"
         keys = "; ".join(
             f"{key.name} of a nest"
@@ -156,9 +154,16 @@ def _track(wanted: Wanted, cell: Cell, ground: _Ground | None) -> TrackerLog | N
 
 
 def _write(
-    wanted: Wanted, cell: Cell, truth: Truth, effects: tuple[Planted, ...], ground: _Ground | None, log: TrackerLog | None,
-    folder: Path | None, out: Path, notices: list[str],
-) -> int:  # fmt: skip
+    wanted: Wanted,
+    cell: Cell,
+    truth: Truth,
+    effects: tuple[Planted, ...],
+    ground: _Ground | None,
+    log: TrackerLog | None,
+    folder: Path | None,
+    out: Path,
+    notices: list[str],
+) -> int:
     """All files; the number of rows in force.csv."""
     copy_cell(cell, out)
     write_labels(out, truth, wanted.machine)
@@ -183,7 +188,7 @@ def _write_joints(path: Path, wanted: Wanted, ground: _Ground) -> None:
     """Encoders along the whole program, at the log's rate."""
     track, machine = ground.track, ground.machine
     index = np.arange(0, len(track.time), max(1, round(wanted.hz / wanted.log_hz)), dtype=np.int64)
-    m = conditions_of(machine, track, index, 0.0)
+    m = arm_conditions(machine, track, index, 0.0)
     rng = np.random.default_rng([wanted.seed, 0x30])
     write_joint_log(path, joint_log(machine.arm, machine.truth, m, np.zeros(len(index)), track.time[index], rng))
 
@@ -195,8 +200,8 @@ def _json(wanted: Wanted, effects: tuple[Planted, ...], ground: _Ground) -> dict
     for k in dict.fromkeys(r.run.tolist()):
         mine = r.run == k
         force = r.force[mine]
-        lines.append({"line": int(r.line[mine][0]), "mean_N": float(force.mean()), "sd_N": float(force.std()),
-                      "min_N": float(force.min()), "max_N": float(force.max())})  # fmt: skip
+        figures = {"mean_N": force.mean(), "sd_N": force.std(), "min_N": force.min(), "max_N": force.max()}
+        lines.append({"line": int(r.line[mine][0]), **{name: float(value) for name, value in figures.items()}})
     return {
         "schema": 1,
         "program": ground.program.main.name,

@@ -21,9 +21,8 @@ from ocp.blindtest.worlds.recipes import Recipe
 from ocp.blindtest.worlds.sealing import Check
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
-from ocp.simulate.twin.truth.machine import SENSOR_SIGMA
 from ocp.simulate.twin.truth.planting import draw_effect, parse_effect
-from ocp.simulate.twin.truth.truth import PLACEMENT
+from ocp.simulate.twin.truth.truth import PLACEMENT, SENSOR_SIGMA
 
 ROOT = Path(__file__).resolve().parents[2]
 SINGLE = Recipe(1, "single", 2, (50.0, 100.0))
@@ -39,7 +38,7 @@ def machine(tmp_path_factory) -> GrindingMachine:
     from ocp.simulate.twin.contact.table import Tables
 
     patch = pytest.MonkeyPatch()
-    patch.setattr(Tables, "give", lambda self, p, n, t, solve: np.tile(SOLID, (len(p), 1)))
+    patch.setattr(Tables, "compliance", lambda self, p, n, t, solve: np.tile(SOLID, (len(p), 1)))
     patch.setattr("ocp.blindtest.worlds.machines.drawn_runs", few_runs)
     drawn = draw_grinding_machine(folder / "cell.toml", 4, replace(SINGLE, turn=6), 60, 40, False)
     assert drawn.background and (folder / STORE).is_file()

@@ -12,12 +12,12 @@ from ocp.blindtest.oracle.detectability import detectabilities
 from ocp.blindtest.oracle.tracker import scene_of, tracker_view
 from ocp.blindtest.worlds import outside_first, recipes
 from ocp.blindtest.worlds.files import write_cell
-from ocp.blindtest.worlds.machines import arm_of, draw_tracker_machine
+from ocp.blindtest.worlds.machines import arm_with_outside, draw_tracker_machine
 from ocp.blindtest.worlds.outside import moved_by
 from ocp.blindtest.worlds.outside_late import LATE
 from ocp.blindtest.worlds.pools import OUTSIDE, pool_of, scaled, within_range
 from ocp.blindtest.worlds.recipes import Recipe
-from ocp.simulate.twin.truth.kinds_arm import KINDS as CATALOGUE
+from ocp.simulate.twin.truth.kinds import ARM_KINDS as CATALOGUE
 from ocp.simulate.twin.truth.planting import Planted, draw_effect
 from robots.errors import BadInput
 
@@ -127,7 +127,7 @@ def test_memory_is_of_the_postures_before_and_how_far_they_lay_apart(machine, sc
     q = whole[:, 1]
     # Closed form of a stop operator for a motion without return: the travel since the start, no more than the half width.
     order = np.argsort(q)
-    arm = arm_of(machine.cell, machine.with_effects([effect]), machine.campaign.targets)
+    arm = arm_with_outside(machine.cell, machine.with_effects([effect]), machine.campaign.targets)
     every = arm._instants(scene.campaign.moments)
     instants = replace(every, q=every.q[order])
     ((_, up),) = moved_by(LATE, [effect], "angle", instants)

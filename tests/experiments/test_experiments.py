@@ -7,10 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from ocp.experiments.__main__ import app
-from ocp.experiments.many import trials_json
 from ocp.experiments.report import write_experiments
 from ocp.experiments.summary import force_rows, last_line, position_rows
-from ocp.experiments.trial import STEPS, Trial
+from ocp.experiments.trial import STEPS, Trial, trials_json
 
 
 def trial(seed: int, force: dict[str, list[float]]) -> Trial:
@@ -94,7 +93,7 @@ def test_one_robot_from_beginning_to_end(tmp_path, monkeypatch):
     def forbidden(*_: object) -> None:
         raise AssertionError("the robot was simulated again")
 
-    monkeypatch.setattr("ocp.experiments.many.run_trial", forbidden)
+    monkeypatch.setattr("ocp.experiments.trial.run_trial", forbidden)
     again = CliRunner().invoke(app, [*arguments, "--overwrite"])
     assert again.exit_code == 0, again.stderr
 

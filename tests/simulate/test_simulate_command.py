@@ -18,8 +18,20 @@ from ocp.data import CELL
 from ocp.simulate.__main__ import app
 from tests.support.small_plan import STEP, Told, environment, planned, small_cell, tree
 
-COLUMNS = {"s_mm", "setpoint_N", "feed_mm_s", "belt_m_s", "line", "ground_before", "contact", "ft_N", "clock_s", "session",
-           "temperature_C", "wheel_temperature_C"}  # fmt: skip
+COLUMNS = {
+    "s_mm",
+    "setpoint_N",
+    "feed_mm_s",
+    "belt_m_s",
+    "line",
+    "ground_before",
+    "contact",
+    "ft_N",
+    "clock_s",
+    "session",
+    "temperature_C",
+    "wheel_temperature_C",
+}
 
 
 def simulated(*arguments: str) -> Told:
@@ -65,9 +77,16 @@ def test_a_run_writes_a_data_set_that_the_product_reads(run):
     out, told = run
     assert told.out.count("\n") == 1 and "nothing planted" in told.out and "rehearsal.html" in told.out
     assert {p.name for p in out.iterdir()} == {
-        "cell.toml", "blade.stl", "tracker.csv", "force.csv", "joints.csv", "plan.csv", "rehearsal.html",
-        "rehearsal.json", "labels",
-    }  # fmt: skip
+        "cell.toml",
+        "blade.stl",
+        "tracker.csv",
+        "force.csv",
+        "joints.csv",
+        "plan.csv",
+        "rehearsal.html",
+        "rehearsal.json",
+        "labels",
+    }
     log = read_force_log(out / "force.csv")
     assert not log.notices
     assert set(rows(out / "force.csv")[0]) >= COLUMNS
@@ -275,9 +294,13 @@ def test_the_command_itself_starts_and_ends_in_time(tmp_path):
 
     start = time.perf_counter()
     process = subprocess.run(
-        [sys.executable, "-m", "ocp.simulate", "--out", "run"], cwd=tmp_path, env=environment(), capture_output=True, text=True,
+        [sys.executable, "-m", "ocp.simulate", "--out", "run"],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
         timeout=120,
-    )  # fmt: skip
+    )
     assert process.returncode == 0, process.stderr
     assert time.perf_counter() - start < 30
     assert "120 readings in tracker.csv" in process.stdout

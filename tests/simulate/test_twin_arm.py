@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ocp.model.cell import read_cell
-from ocp.simulate.twin.arm.arm import make_arm, moments
-from ocp.simulate.twin.arm.joint_errors import gear_ratios
-from ocp.simulate.twin.joint_log import delayed, joint_log
-from ocp.simulate.twin.truth.kinds_arm import KINDS
+from ocp.simulate.twin.arm.arm import arm_moments, make_arm
+from ocp.simulate.twin.arm.errors import gear_ratios
+from ocp.simulate.twin.dataset import delayed, joint_log
+from ocp.simulate.twin.truth.kinds import ARM_KINDS
 from ocp.simulate.twin.truth.planting import parse_effect
 from ocp.simulate.twin.truth.truth import draw_truth
 from robots.calibration.reading_model import RowInputs, predict_points
@@ -47,7 +47,7 @@ def test_one_joint_under_a_hanging_weight_bends_as_the_closed_form_says():
         stiffness=np.array([0, 1 / c, 0, 0, 0, 0]), mass_scale=np.zeros(7), payloads={"w": (mass, com)}, bends=np.ones(6)
     )
     q = np.zeros((1, 6))
-    settled = make_arm(CELL, truth).settled(moments(q, "w", T0))
+    settled = make_arm(CELL, truth).settled(arm_moments(q, "w", T0))
     T = elementary_frames(ROBOT, q)[0]
     lever = T[6, :3, :3] @ com + T[6, :3, 3] - T[1, :3, 3]
     length, angle = np.hypot(lever[0], lever[2]), np.arctan2(lever[2], lever[0])
@@ -73,7 +73,7 @@ def test_without_errors_it_is_the_believed_arm_within_a_micrometre(mass, load_li
     nest = np.tile([0.15, -0.05, 0.25], (n, 1))
     rows = RowInputs(q, np.tile([mass, *com], (n, 1)), load, place, nest, load_link=load_link)
     points, R = predict_points(ROBOT, arm, rows)
-    T = make_arm(CELL, truth).flange(moments(q, "w", T0, load=load, load_link=load_link, load_place=place))
+    T = make_arm(CELL, truth).flange(arm_moments(q, "w", T0, load=load, load_link=load_link, load_place=place))
     assert np.abs(T[:, :3, :3] @ nest[0] + T[:, :3, 3] - points).max() < 1e-6  # mostly the two steps of the planner's model
     assert np.abs(T[:, :3, :3] - R).max() < 1e-6
 
@@ -82,7 +82,7 @@ def test_the_engine_itself_finds_the_arm_at_rest():
     """Forward dynamics of a settled, drawn machine with a tendon and bending links: no spring accelerates."""
     effects = [parse_effect(e) for e in ("gravity_compensator=5e4", "link_bending:2", "link_bending:3")]
     arm = make_arm(CELL, draw_truth(CELL, 3, effects))
-    settled = arm.settled(moments(postures(1), "weight", T0))
+    settled = arm.settled(arm_moments(postures(1), "weight", T0))
     machine = arm.machines["weight"]
     mujoco.mj_forward(machine.model, machine.data)
     springs, force = machine.springs, machine.data.qfrc_passive - machine.data.qfrc_bias
@@ -94,15 +94,15 @@ def test_order_payloads_and_warm_starts_do_not_matter():
     arm = make_arm(CELL, draw_truth(CELL, 5))
     q = postures(12)
     names = tuple(["weight", "bare", "grinder"][i % 3] for i in range(12))
-    together = arm.links(moments(q, names, T0))
-    alone = [arm.links(moments(q[i], names[i], T0))[0] for i in (11, 4, 0)]
+    together = arm.links(arm_moments(q, names, T0))
+    alone = [arm.links(arm_moments(q[i], names[i], T0))[0] for i in (11, 4, 0)]
     assert together[[11, 4, 0]] == pytest.approx(np.array(alone), abs=1e-11)
 
 
 def test_the_give_is_that_of_small_forces_on_the_true_arm():
     arm = make_arm(CELL, draw_truth(CELL, 6, [parse_effect("joint_stiffening:3"), parse_effect("link_bending:2=2e-7")]))
     q = postures(8)
-    rest = moments(q, "weight", T0)
+    rest = arm_moments(q, "weight", T0)
     C = arm.compliance(rest)
     for k in range(6):
         wrench = np.zeros(6)
@@ -123,8 +123,10 @@ def test_under_contact_all_listed_springs_give_where_weight_bends_but_two():
     arm = make_arm(CELL, believed(payloads={"w": (0.0, np.zeros(3))}, mass_scale=np.zeros(7)))
     T = elementary_forward(ROBOT, q)
     wanted = point_compliance(ROBOT, q, T[:, :3, 3])
-    assert arm.compliance(moments(q, "w", T0))[:, :3, :3] == pytest.approx(wanted, rel=1e-9, abs=1e-15)
-    assert arm.settled(moments(q, "w", T0, load=[0, 0, -300, 0, 0, 0])).bent[:, [0, 3, 4, 5]] == pytest.approx(np.zeros((10, 4)))
+    assert arm.compliance(arm_moments(q, "w", T0))[:, :3, :3] == pytest.approx(wanted, rel=1e-9, abs=1e-15)
+    assert arm.settled(arm_moments(q, "w", T0, load=[0, 0, -300, 0, 0, 0])).bent[:, [0, 3, 4, 5]] == pytest.approx(
+        np.zeros((10, 4))
+    )
 
 
 def test_motors_hold_and_move_what_a_rigid_body_library_says():
@@ -132,7 +134,7 @@ def test_motors_hold_and_move_what_a_rigid_body_library_says():
     mass, com = CELL.tables.payloads["grinder"].mass_kg, np.array(CELL.tables.payloads["grinder"].com_mm) * 1e-3
     q, qd, qdd = postures(10), rng.normal(size=(10, 6)), rng.normal(size=(10, 6)) * 2
     arm = make_arm(CELL, believed(stiffness=np.zeros(6)))
-    m = moments(q, "grinder", T0)
+    m = arm_moments(q, "grinder", T0)
     assert arm.torques(m) == pytest.approx(-elementary_weight_torques(ROBOT, q, GRAVITY, mass, com), abs=1e-4)
     assert arm.torques(m, qd, qdd) == pytest.approx(inverse_dynamics(ROBOT, mass, com, q, qd, qdd), abs=1e-4)
     assert arm.torques(m) == pytest.approx(-elementary_weight_torques(ROBOT, q, GRAVITY, mass, com), abs=1e-4)
@@ -141,7 +143,7 @@ def test_motors_hold_and_move_what_a_rigid_body_library_says():
 def test_an_arm_too_soft_to_stand_is_refused():
     arm = make_arm(CELL, believed(stiffness=np.full(6, 500.0)))
     with pytest.raises(Infeasible, match="posture 1"):
-        arm.flange(moments(np.zeros((1, 6)), "weight", T0))
+        arm.flange(arm_moments(np.zeros((1, 6)), "weight", T0))
 
 
 # -- effects, by their formulas to first order -----------------------------------------------------------------------
@@ -197,7 +199,7 @@ JOINT_EFFECTS = {
 
 def flange_shift(*effects, **changes):
     """Change (40, 3) m of a flange point under `effects`, on a believed machine with `changes`."""
-    m = moments(Q, "weight", T0 + WARM, SIGN, 5000.0)
+    m = arm_moments(Q, "weight", T0 + WARM, SIGN, 5000.0)
     nest = np.array([0.15, -0.05, 0.25])
     with_it, without = (make_arm(CELL, believed(*e, **changes)).flange(m) for e in (effects, ()))
     return (with_it[:, :3, :3] - without[:, :3, :3]) @ nest + with_it[:, :3, 3] - without[:, :3, 3]
@@ -241,7 +243,7 @@ def test_a_bending_link_is_a_beam(joint):
 
 def test_a_robot_without_payload_is_not_wrong_about_it():
     truth = believed("payload_mass=5", "payload_com=0.1/0/0")
-    bare, right = (make_arm(CELL, t).flange(moments(Q, "bare", T0)) for t in (truth, believed()))
+    bare, right = (make_arm(CELL, t).flange(arm_moments(Q, "bare", T0)) for t in (truth, believed()))
     assert bare == pytest.approx(right, abs=1e-12)
 
 
@@ -261,7 +263,7 @@ def test_warm_links_are_longer_and_a_tilted_base_turns_everything():
 
 def test_every_effect_of_the_arm_is_tested_here():
     tested = {name.split(":")[0].split("=")[0] for name in JOINT_EFFECTS} | {"link_bending", "link_thermal", "base_tilt"}
-    assert tested == {kind.name for kind in KINDS if kind.part == "arm"}
+    assert tested == {kind.name for kind in ARM_KINDS if kind.part == "arm"}
 
 
 def test_gear_ratios_of_the_extra_are_its_sisters():
@@ -275,7 +277,7 @@ def test_gear_ratios_of_the_extra_are_its_sisters():
 
 def test_an_unknown_payload_is_named():
     with pytest.raises(BadInput, match=r"payload 'anvil' .* \(grinder, bare, weight\)"):
-        make_arm(CELL, believed()).flange(moments(np.zeros((1, 6)), "anvil", T0))
+        make_arm(CELL, believed()).flange(arm_moments(np.zeros((1, 6)), "anvil", T0))
 
 
 # -- joints.csv ------------------------------------------------------------------------------------------------------
@@ -284,7 +286,7 @@ def test_an_unknown_payload_is_named():
 def test_link_side_encoders_see_what_the_motor_does_not():
     time = np.arange(400) * 0.004
     q = postures(1) + np.sin(3 * time)[:, None] * 0.2
-    m = moments(q, "grinder", T0, approach=np.sign(np.cos(3 * time))[:, None])
+    m = arm_moments(q, "grinder", T0, approach=np.sign(np.cos(3 * time))[:, None])
     run = np.zeros(400)
     logs = []
     for effects in ((), ("channel_delay:3=0.02",), ("joint_compliance:2=5e-7",)):

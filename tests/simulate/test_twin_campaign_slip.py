@@ -5,9 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from ocp.simulate.twin.campaign_slip import already_slipped, ground_sides
+from ocp.simulate.twin.campaign import already_slipped, ground_sides
 from ocp.simulate.twin.contact import ContactMoments
-from ocp.simulate.twin.run import Machine
+from ocp.simulate.twin.run import VirtualMachine
 from tests.support.twin_grinding import HERTZ_RATE, Bench, believed, moving
 
 Array = np.ndarray
@@ -41,7 +41,7 @@ def joined(parts: list[ContactMoments]) -> ContactMoments:
     return ContactMoments(*(np.concatenate([getattr(c, f.name) for c in parts]) for f in fields(ContactMoments)))
 
 
-def one_by_one(bench: Bench, parts: list[ContactMoments], machine: Machine) -> Array:
+def one_by_one(bench: Bench, parts: list[ContactMoments], machine: VirtualMachine) -> Array:
     known: dict[int, Array] = {}
     force = []
     for c in parts:
@@ -55,7 +55,7 @@ def one_by_one(bench: Bench, parts: list[ContactMoments], machine: Machine) -> A
 def test_recordings_one_by_one_slip_as_all_together(bench, at_s, first):
     truth = believed(bench.cell, f"clamp_slip=1e-4,at_s={at_s}", "clamp_slip=3e-5,at_s=120", "wheel_wear=1e-8")
     grinder = bench.grinder(truth)
-    machine = Machine(bench.cell, truth, bench.blade, None, grinder, np.random.default_rng(0))  # type: ignore[arg-type]
+    machine = VirtualMachine(bench.cell, truth, bench.blade, None, grinder, np.random.default_rng(0))  # type: ignore[arg-type]
     parts = recordings(bench, first)
     together = grinder.force(joined(parts)).force
     np.testing.assert_allclose(one_by_one(bench, parts, machine), together, atol=1e-6)
@@ -63,7 +63,7 @@ def test_recordings_one_by_one_slip_as_all_together(bench, at_s, first):
 
 def test_the_side_ground_later_does_not_turn_the_slip_round(bench):
     truth = believed(bench.cell, "clamp_slip=1e-4,at_s=100.5")
-    machine = Machine(bench.cell, truth, bench.blade, None, bench.grinder(truth), np.random.default_rng(0))  # type: ignore[arg-type]
+    machine = VirtualMachine(bench.cell, truth, bench.blade, None, bench.grinder(truth), np.random.default_rng(0))  # type: ignore[arg-type]
     parts = recordings(bench)
     found = np.split(one_by_one(bench, parts, machine), 3)
     plain = np.split(bench.force(joined(parts)).force, 3)

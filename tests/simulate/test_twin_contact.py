@@ -12,14 +12,12 @@ from ocp.contact.blade.elasticity import Material
 from ocp.contact.wheel.gap import LocalShape, solve_force
 from ocp.model.cell import read_cell
 from ocp.model.prepare import wheel_cover
-from ocp.simulate.twin.contact.give import solid_give
-from ocp.simulate.twin.contact.posture import postures, wheel_on_blade
-from ocp.simulate.twin.contact.rubber import make_rubber
-from ocp.simulate.twin.contact.section import ring_section
-from ocp.simulate.twin.contact.stations import Stations, depth_curves, place_stations
-from ocp.simulate.twin.contact.surface import gap, near
+from ocp.simulate.twin.contact.rubber import cover_section, make_rubber
+from ocp.simulate.twin.contact.stations import SolvedStations, depth_curves, place_stations
+from ocp.simulate.twin.contact.surface import gap, near, postures, wheel_on_blade
 from ocp.simulate.twin.contact.table import LATTICE, LEVELS
 from ocp.simulate.twin.contact.unilateral import press
+from ocp.simulate.twin.contact.workpiece import solid_compliance
 from tests.support.small_plan import small_cell
 from tests.support.twin_grinding import BAR, FEED, HERTZ_RATE, Bench, moments
 from trajectories.blade import Blade
@@ -36,7 +34,7 @@ def bench() -> Bench:
 @pytest.mark.parametrize("kh", [0.5, 1.0, 3.0, 8.0])
 def test_a_wide_flat_cover_is_the_bonded_layer_in_closed_form(poisson, kh):
     h, radius = 0.012, 100.0
-    response = ring_section(radius, 0.24, h, poisson, 80).response(kh / h * radius).sum(axis=1)[40]
+    response = cover_section(radius, 0.24, h, poisson, 80).response(kh / h * radius).sum(axis=1)[40]
     mu, kappa = 0.5 / (1 + poisson), 3 - 4 * poisson
     layer = (1 - poisson) * h / (mu * kh) * (kappa * np.sinh(2 * kh) - 2 * kh)
     layer /= kappa * np.cosh(2 * kh) + 2 * kh**2 + 0.5 * (kappa**2 + 1)
@@ -219,8 +217,8 @@ def test_the_solid_gives_as_a_cantilever(tmp_path):
     p = np.column_stack([np.zeros(3), np.full(3, 0.005), z])
     n, t = np.tile([0.0, 1, 0], (3, 1)), np.tile([0.0, 0, 1], (3, 1))
     none = np.zeros(3, int)
-    stations = Stations(p, n, t, z, np.ones(3, int), none, none, np.zeros(3))
-    got = solid_give(piece, Blade("box", "box", box.vertices, box.faces), stations, (0.003, 0.003))
+    stations = SolvedStations(p, n, t, z, np.ones(3, int), none, none, np.zeros(3))
+    got = solid_compliance(piece, Blade("box", "box", box.vertices, box.faces), stations, (0.003, 0.003))
     lever, inertia = z - 0.01, 0.01**4 / 12
     beam = lever**3 / (3 * material.youngs_modulus * inertia)
     beam += lever * 2 * (1 + material.poisson_ratio) * 1.2 / (material.youngs_modulus * 1e-4)

@@ -8,10 +8,9 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from ocp.simulate.twin.contact import ContactMoments
-from ocp.simulate.twin.contact.chain import Chain, CoverForce, solve
-from ocp.simulate.twin.contact.flange import Mount
+from ocp.simulate.twin.contact.chain import Chain, CoverForce, Mount, solve_chain
+from ocp.simulate.twin.contact.sensor import memory
 from ocp.simulate.twin.contact.table import LEVELS
-from ocp.simulate.twin.contact.timing import memory
 from ocp.simulate.twin.contact.workpiece import profile
 from tests.support.twin_grinding import HERTZ_RATE, Bench, moments, moving
 
@@ -53,7 +52,7 @@ def test_a_flange_alone_in_closed_form():
     depth = np.array([-1e-3, 0.0, 1e-3, 5e-3, -5e-3])
     along, k, give, preload = 0.9, 5600.0, 2e-5, 20.0
     mount = Mount(np.full(5, along), np.full(5, preload), k, 4e-3, np.zeros(5))
-    found = solve(mixed_chain(mount, depth, give, solid_wheel=True))
+    found = solve_chain(mixed_chain(mount, depth, give, solid_wheel=True))
     free = (depth + preload * along / k) / (along**2 / k + give)
     stopped = (5e-3 - 4e-3 * along) / give
     assert found.force == pytest.approx([*free[:3], stopped, 0.0], rel=1e-9)

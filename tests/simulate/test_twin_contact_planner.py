@@ -55,9 +55,24 @@ def dense(w: force_world.World, line: int, q: Array) -> ContactMoments:
         C += w.arm.compliance[j] * J[:, :, None] * J[:, None, :]
     count, nan = len(s), np.full(len(s), np.nan)
     return ContactMoments(
-        T, C, p, n, t, s, np.full(count, line), nan, np.full(count, FEED), np.full(count, 20.0), np.ones(count, bool), nan,
-        s / FEED, np.zeros(count, int), np.zeros(count), nan, nan,
-    )  # fmt: skip
+        T,
+        C,
+        p,
+        n,
+        t,
+        s,
+        np.full(count, line),
+        nan,
+        np.full(count, FEED),
+        np.full(count, 20.0),
+        np.ones(count, bool),
+        nan,
+        s / FEED,
+        np.zeros(count, int),
+        np.zeros(count),
+        nan,
+        nan,
+    )
 
 
 @pytest.mark.parametrize(("flange", "limit", "spread"), [(True, 0.08, 0.02), (False, 0.6, 0.1)])
@@ -68,10 +83,14 @@ def test_the_planners_second_route_is_met_with_registration_errors(taught, flang
     planner = force_world.true_force(w, line, q, 20.0, 20.0)
     truth = believed(
         w.cell,
-        wheel_shift=np.array([2e-4, -3e-4, 4e-4]), blade_shift=np.array([-3e-4, 2e-4, 1e-4]), cover_scale=1.08,
+        wheel_shift=np.array([2e-4, -3e-4, 4e-4]),
+        blade_shift=np.array([-3e-4, 2e-4, 1e-4]),
+        cover_scale=1.08,
         wheel_axis_turn=8e-4 * np.array([1.0, 0, 0]) + -1e-3 * np.cross(w.cell.wheel.axis, [1.0, 0, 0]),
-        blade_turn=np.array([5e-4, -7e-4, 1e-3]), flange_scale=5900 / 5600, flange_offset=0.15,
-    )  # fmt: skip
+        blade_turn=np.array([5e-4, -7e-4, 1e-3]),
+        flange_scale=5900 / 5600,
+        flange_offset=0.15,
+    )
     blade = read_blade(w.cell.workpiece.stl, "mm")
     own = replace(make_tables(w.cell, blade))  # a store of its own: what is put into it stays here
     grinder = make_grinder(w.cell, truth, blade, own)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, read_sensor
-from ocp.simulate.twin.contact.timing import memory
-from ocp.simulate.twin.truth.kinds_contact import KINDS
+from ocp.simulate.twin.contact.sensor import memory
+from ocp.simulate.twin.truth.kinds import CONTACT_KINDS
 from tests.support.twin_grinding import HERTZ_RATE, Bench, believed, moments, moving
 
 Array = np.ndarray
@@ -88,7 +88,7 @@ def test_every_kind_of_the_table_does_something(soft):
     c = moments(soft.cell, np.arange(0, 0.04, 1.6e-4), 6e-4 + 2e-4 * np.sin(np.arange(250) / 10), wheel_temperature_C=40.0)
     c = replace(c, ground_before=np.ones(250), clock_s=c.time_s + 500, run=np.arange(250) // 125)
     plain = reading(soft, c, soft.force(c))
-    for kind in KINDS:
+    for kind in CONTACT_KINDS:
         if kind.name == "flange_gravity":  # the normal is level here; it has a test of its own
             continue
         at = ",at_s=500.3" if any(key.name == "at_s" for key in kind.keys) else ""

@@ -8,11 +8,10 @@ import pytest
 
 from ocp.data import CELL
 from ocp.model.cell import read_cell
-from ocp.simulate.twin.arm.collide import Wheel, refuse_hits
+from ocp.simulate.twin.arm.collide import WheelBody, refuse_hits
 from ocp.simulate.twin.controller.controller import drive
-from ocp.simulate.twin.controller.krl_program import Pause
-from ocp.simulate.twin.controller.krl_text import read_program
-from ocp.simulate.twin.controller.nominal import flange, frames, inverse_by_status, jacobian, solve, status_turn
+from ocp.simulate.twin.controller.krl_text import ProgramPause, read_program
+from ocp.simulate.twin.controller.nominal import flange, frames, inverse_by_status, nominal_jacobian, solve_posture, status_turn
 from ocp.simulate.twin.controller.path_motion import flange_poses
 from robots.errors import BadInput, Infeasible
 from robots.pose import invert
@@ -132,7 +131,7 @@ def test_the_nominal_arm_is_the_arm_of_elementary_motions():
     rng = np.random.default_rng(1)
     q = rng.uniform(ROBOT.q_min, ROBOT.q_max, (50, 6))
     assert np.allclose(flange(ROBOT, q), elementary_forward(q), atol=1e-12)
-    J, step = jacobian(ROBOT, frames(ROBOT, q)), 1e-6
+    J, step = nominal_jacobian(ROBOT, frames(ROBOT, q)), 1e-6
     for j in range(6):
         d = step * np.eye(6)[j]
         slope = (elementary_forward(q + d)[:, :3, 3] - elementary_forward(q - d)[:, :3, 3]) / (2 * step)
@@ -143,7 +142,7 @@ def test_the_inverse_comes_back_to_the_joints_and_finds_the_branch():
     rng = np.random.default_rng(2)
     q = rng.uniform(np.radians([-80, -110, 40, -90, 20, -90]), np.radians([80, -60, 130, 90, 80, 90]), (20, 6))
     goal = elementary_forward(q)
-    found, left = solve(ROBOT, goal, q + rng.uniform(-0.1, 0.1, q.shape))
+    found, left = solve_posture(ROBOT, goal, q + rng.uniform(-0.1, 0.1, q.shape))
     assert left.max() < 1e-9 and np.allclose(found, q, atol=1e-8)
     arm = ArmLengths.of(ROBOT.mdh)
     for k in range(5):
@@ -179,7 +178,7 @@ def test_pauses_and_approach_signs(tmp_path):
     program = krl.Program("STOPS", base.setup, (krl.SubProgram("STOPS_01", tuple(blocks), "stops"),), ())
     write(program, tmp_path)
     steps = read_program(tmp_path).steps
-    assert [s.seconds for s in steps if isinstance(s, Pause)] == [0.5, None]
+    assert [s.seconds for s in steps if isinstance(s, ProgramPause)] == [0.5, None]
     track = drive(read_program(tmp_path), ROBOT)
     assert track.pauses[0, 1] == 0.5 and np.isnan(track.pauses[1, 1])
     still = (track.time > track.pauses[0, 0] + 0.01) & (track.time < track.pauses[0, 0] + 0.49)
@@ -245,19 +244,25 @@ def test_an_axis_beyond_its_limit_is_infeasible(first, tmp_path):
         drive(read_program(folder), ROBOT)
 
 
-def obstacle(at: np.ndarray, radius: float = 0.05) -> Wheel:
-    return Wheel(at, np.array([0.0, 1.0, 0.0]), radius, 0.04)
+def obstacle(at: np.ndarray, radius: float = 0.05) -> WheelBody:
+    return WheelBody(at, np.array([0.0, 1.0, 0.0]), radius, 0.04)
 
 
-def hit(q: np.ndarray, wheel: Wheel) -> None:
+def hit(q: np.ndarray, wheel: WheelBody) -> None:
     """Drive joints q (n, 6) past a wheel with the bundled blade."""
     cell = read_cell(CELL)
     blade = read_blade(cell.workpiece.stl)
     n = len(q)
     refuse_hits(
-        cell, blade, wheel, cell.workpiece.T_flange_blade, frames(ROBOT, q), np.zeros(n, np.int64), np.full(n, np.nan),
+        cell,
+        blade,
+        wheel,
+        cell.workpiece.T_flange_blade,
+        frames(ROBOT, q),
+        np.zeros(n, np.int64),
+        np.full(n, np.nan),
         [f"sample {k}" for k in range(n)],
-    )  # fmt: skip
+    )
 
 
 def test_a_wheel_in_the_way_of_the_forearm_or_the_blade_is_named_with_the_first_sample():

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocp.model.cell import read_cell
-from ocp.simulate.twin.arm.arm import make_arm, moments
-from ocp.simulate.twin.truth.planting import Planted, draw_effect, kinds, labels, parse_effect
+from ocp.simulate.twin.arm.arm import arm_moments, make_arm
+from ocp.simulate.twin.truth.kinds import EFFECT_KINDS
+from ocp.simulate.twin.truth.planting import Planted, draw_effect, labels, parse_effect
 from ocp.simulate.twin.truth.truth import draw_truth
 from robots.errors import BadInput
 
@@ -28,7 +29,7 @@ def postures(n, seed=0):
 
 
 def test_an_uncalibrated_machine_is_off_by_about_a_millimetre():
-    m = moments(postures(40), "grinder", T0)
+    m = arm_moments(postures(40), "grinder", T0)
     right = make_arm(CELL, draw_truth(CELL, 1, mode="believed")).flange(m)[:, :3, 3]
     mean = [np.linalg.norm(make_arm(CELL, draw_truth(CELL, s)).flange(m)[:, :3, 3] - right, axis=1).mean() for s in range(25)]
     assert 0.9e-3 < np.mean(mean) < 1.5e-3 and max(mean) < 3e-3
@@ -49,7 +50,7 @@ def test_the_same_seed_is_the_same_machine_whatever_is_planted():
 
 def test_a_machine_of_size_zero_is_the_believed_one_but_for_its_springs():
     zero, exact = draw_truth(CELL, 3, size=0.0, weight_bends="believed"), draw_truth(CELL, 3, mode="believed")
-    m = moments(postures(5), "grinder", T0)
+    m = arm_moments(postures(5), "grinder", T0)
     assert make_arm(CELL, zero).flange(m) == pytest.approx(make_arm(CELL, exact).flange(m), abs=1e-14)
     assert zero.cover_scale == 1.0 and zero.wheel_shift == pytest.approx(np.zeros(3))
 
@@ -80,7 +81,7 @@ def test_believed_means_as_calibrated_and_sampled_scatters_about_it():
 
 def test_repeatability_is_drawn_once_a_visit():
     arm, q = make_arm(CELL, draw_truth(CELL, 1)), np.tile(postures(1), (300, 1))
-    loose = moments(q, "grinder", T0)
+    loose = arm_moments(q, "grinder", T0)
     once = replace(loose, visit=np.zeros(300, np.int64))
     rng = np.random.default_rng(0)
     assert np.ptp(arm.flange(once, rng)[:, :3, 3], axis=0).max() < 1e-12
@@ -129,9 +130,9 @@ def test_effects_are_read_and_labelled_as_the_catalogue_has_them():
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.sampled_from(sorted(kinds())), st.integers(0, 10_000))
+@given(st.sampled_from(sorted(EFFECT_KINDS)), st.integers(0, 10_000))
 def test_drawn_effects_lie_in_their_typical_range(name, seed):
-    kind = kinds()[name]
+    kind = EFFECT_KINDS[name]
     planted = draw_effect(np.random.default_rng(seed), kind)
     assert isinstance(planted, Planted) and list(planted.values) == [key.name for key in kind.keys]
     assert planted.joint in kind.joints if planted.joint is not None else not kind.joints or kind.common

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from ocp.calibrate.tracker import as_in
 from ocp.model.cell import read_cell
 from ocp.model.measuring_setup import read_tracker_setup
-from ocp.simulate.twin.arm.arm import make_arm, moments
-from ocp.simulate.twin.designs import Campaign, design_from_poses, random_design, sealed_design
+from ocp.simulate.twin.arm.arm import arm_moments, make_arm
+from ocp.simulate.twin.designs import TrackerCampaign, design_from_poses, random_design, sealed_design
 from ocp.simulate.twin.tracker import instrument, measure, nest_links, true_points
+from ocp.simulate.twin.tracker_log import random_world, tracker_world
 from ocp.simulate.twin.truth.planting import parse_effect
 from ocp.simulate.twin.truth.truth import draw_truth
-from ocp.simulate.twin.worlds import random_world, tracker_world
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.layout import Choice
 from robots.calibration.solver import Campaign as Readings
@@ -155,7 +155,7 @@ def test_a_world_is_read_as_any_campaign_and_its_labels_tell_what_was_planted(ce
     with (tmp_path / "labels" / "sealed_tracker_truth.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     cell = read_cell(tmp_path / "cell.toml")
-    m = moments(sealed.q, tuple(r["payload"] for r in rows), sealed.temperature, sealed.approach, sealed.time)
+    m = arm_moments(sealed.q, tuple(r["payload"] for r in rows), sealed.temperature, sealed.approach, sealed.time)
     exact = true_points(truth, cell, make_arm(cell, truth), m, [r["target"] for r in rows])
     assert 1e-3 * np.array([[float(r[f"{c}_mm"]) for c in "xyz"] for r in rows]) == pytest.approx(exact, abs=2e-7)
     again = tmp_path / "again"
@@ -180,10 +180,10 @@ def test_loads_links_and_six_dimensional_targets_are_written_as_the_format_has_t
     truth = replace(draw_truth(cell, 3), outliers=0.0)
     load = np.tile([0.0, 0, -500, 0, 0, 20], (10, 1))
     q = campaign(cell, 10).moments.q
-    m = moments(q, "grinder", 22.0, load=load, load_link=3, load_place=[0.1, 0.0, 0.2])
+    m = arm_moments(q, "grinder", 22.0, load=load, load_link=3, load_place=[0.1, 0.0, 0.2])
     names = ("T4", "T5") * 5
     assert nest_links(cell, names).tolist() == [3, 6] * 5
-    tracker_world(path, tmp_path / "world", truth, Campaign(m, names))
+    tracker_world(path, tmp_path / "world", truth, TrackerCampaign(m, names))
     setup = read_tracker_setup(tmp_path / "world" / "cell.toml")
     readings = read_readings(tmp_path / "world" / "tracker.csv", setup.payloads, setup.instrument)
     assert readings.load == pytest.approx(load) and (readings.load_link == 3).all()

@@ -17,7 +17,7 @@ from scipy.linalg import solve_triangular
 from ocp.blindtest.oracle import tracker
 from ocp.blindtest.oracle.detectability import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
 from ocp.blindtest.worlds.files import log_noise
-from ocp.blindtest.worlds.lines import LogRows
+from ocp.blindtest.worlds.lines import RunRows
 from ocp.blindtest.worlds.machines import (
     DRIFT,
     PLAY,
@@ -32,9 +32,8 @@ from ocp.blindtest.worlds.machines import (
 from ocp.blindtest.worlds.pools import PLANTABLE
 from ocp.simulate.twin.arm.arm import make_arm
 from ocp.simulate.twin.contact.sensor import SLOW_SHARE, SLOW_TIME
-from ocp.simulate.twin.truth.machine import SENSOR_SIGMA
 from ocp.simulate.twin.truth.planting import Planted
-from ocp.simulate.twin.truth.truth import MASS_SD, PLACEMENT, STIFFNESS
+from ocp.simulate.twin.truth.truth import MASS_SD, PLACEMENT, SENSOR_SIGMA, STIFFNESS
 from robots.pose import Array
 
 NUDGE, TURN = 2e-5, 4e-5  # m, rad: steps of the differences; the contact is solved to far less
@@ -250,7 +249,7 @@ def force_view(machine: GrindingMachine) -> ForceView:
     return ForceView(machine, slopes, exact_whitener(raw, columns), scene)
 
 
-def white_log(roots: Sequence[Array], rows: LogRows, W: Array | None, force: Array, points: Array | None = None) -> Array:
+def white_log(roots: Sequence[Array], rows: RunRows, W: Array | None, force: Array, points: Array | None = None) -> Array:
     """White noise rows (N, ...) of changes (2, n, ...) N and (m, 3, ...) m, the tracker's before the log's."""
     parts = []
     if W is not None:
@@ -264,7 +263,7 @@ def white_log(roots: Sequence[Array], rows: LogRows, W: Array | None, force: Arr
     return np.asarray(found.reshape(len(found), *force.shape[2:]))
 
 
-def noise_roots(rows: LogRows) -> tuple[Array, ...]:
+def noise_roots(rows: RunRows) -> tuple[Array, ...]:
     """Inverse roots (k, k) of the covariance of each run's noise."""
     made: dict[int, Array] = {}
     found = []

@@ -15,12 +15,11 @@ import numpy as np
 from ocp.blindtest.oracle.detectability import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
 from ocp.blindtest.worlds.machines import TrackerMachine
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Arm, make_arm
-from ocp.simulate.twin.designs import Campaign
+from ocp.simulate.twin.arm.arm import VirtualArm, make_arm
+from ocp.simulate.twin.designs import TrackerCampaign
 from ocp.simulate.twin.tracker import nest_links
-from ocp.simulate.twin.truth.machine import Truth
 from ocp.simulate.twin.truth.planting import Planted
-from ocp.simulate.twin.truth.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, RIPPLE, STIFFNESS
+from ocp.simulate.twin.truth.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, RIPPLE, STIFFNESS, Truth
 from robots.pose import Array, apply
 
 FREE = 1.0  # m, rad: the tracker's place is not known at all
@@ -39,8 +38,8 @@ class TrackerScene:
 
     cell: Cell
     truth: Truth
-    campaign: Campaign
-    arm: Arm
+    campaign: TrackerCampaign
+    arm: VirtualArm
     links: Array
     point: Array
     inner: Array
@@ -162,11 +161,11 @@ def point_covariance(scene: TrackerScene) -> Array:
     beam = scene.point / distance[:, None]
     across = (along + per_metre * distance) ** 2
     own = across[:, None, None] * np.eye(3) + (along**2 - across)[:, None, None] * beam[:, :, None] * beam[:, None, :]
-    joints = REPEATABILITY**2 + (RIPPLE**2 / 6 if restless(scene) else 0.0)
+    joints = REPEATABILITY**2 + (RIPPLE**2 / 6 if has_unrest(scene) else 0.0)
     return np.asarray(own + joints * scene.D @ np.swapaxes(scene.D, 1, 2))
 
 
-def restless(scene: TrackerScene) -> bool:
+def has_unrest(scene: TrackerScene) -> bool:
     """Whether the machine has ripple and play that nobody planted."""
     return bool(scene.truth.ripple[:, 0].any() or scene.truth.play.any())
 
@@ -196,7 +195,7 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
     sds += [STIFFNESS / np.sqrt(3.0)] * 6
     blocks.append(_masses(scene, compliance))
     sds += [MASS_SD] * 7
-    if restless(scene):
+    if has_unrest(scene):
         blocks.append(scene.D * scene.campaign.moments.approach[:, None, :])
         sds += [PLAY / np.sqrt(3.0)] * 6
     return np.concatenate(blocks, axis=2), np.array(sds)

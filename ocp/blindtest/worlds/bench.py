@@ -6,21 +6,21 @@ Contact, arm and sensor are the virtual cell's (`ocp.simulate.twin`); solutions 
 import os
 import pickle
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from ocp.blindtest.worlds.lines import GroundLine, LogRows
+from ocp.blindtest.worlds.lines import GroundLine, RunRows
 from ocp.blindtest.worlds.outside import GrindingInstants, moved_by
 from ocp.blindtest.worlds.pools import OUTSIDE, of_arm
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Moments, make_arm, moments
+from ocp.simulate.twin.arm.arm import Moments, arm_moments, make_arm
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Tables, make_grinder, read_sensor
 from ocp.simulate.twin.contact.wheel import belt_travel
-from ocp.simulate.twin.truth.machine import Truth
+from ocp.simulate.twin.truth.truth import Truth
 from robots.pose import Array
 from trajectories.blade import Blade
 
@@ -33,21 +33,18 @@ _Settled = tuple[Array, Array, Array]
 class Log:
     """What happened at n instants: moments of the contact, the contact, readings fn, ft (n,) N without noise; q (n, 6) rad."""
 
-    rows: LogRows
+    rows: RunRows
     q: Array
     moments: ContactMoments
     result: ContactResult
     fn: Array
     ft: Array
 
-    def last(self, rows: LogRows) -> "Log":
+    def last(self, rows: RunRows) -> "Log":
         """The last of the instants, those of `rows`."""
-        n = len(rows.s)
-        names = [f.name for f in fields(self.moments)]
-        moments = replace(self.moments, **{name: getattr(self.moments, name)[-n:] for name in names})
-        moments = replace(moments, run=rows.run)
-        result = ContactResult(**{f.name: getattr(self.result, f.name)[-n:] for f in fields(self.result)})
-        return Log(rows, self.q[-n:], moments, result, self.fn[-n:], self.ft[-n:])
+        last = slice(-len(rows.s), None)
+        moments = replace(self.moments.take(last), run=rows.run)
+        return Log(rows, self.q[last], moments, self.result.take(last), self.fn[last], self.ft[last])
 
     @property
     def both(self) -> Array:
@@ -69,7 +66,7 @@ class Bench:
     def log(
         self,
         truth: Truth,
-        rows: LogRows,
+        rows: RunRows,
         hall: Array,
         rng: np.random.Generator | None = None,
         moved: Array | None = None,
@@ -99,7 +96,7 @@ class Bench:
             fn = fn + outside("reading", replace(at, force=result.force))
         return Log(rows, q, shown, result, fn, ft * (1 + gains[0]) + gains[1])
 
-    def _settled(self, truth: Truth, rows: LogRows, hall: Array, rng: np.random.Generator | None) -> _Settled:
+    def _settled(self, truth: Truth, rows: RunRows, hall: Array, rng: np.random.Generator | None) -> _Settled:
         """Joints (n, 6), the flange's poses (n, 4, 4) and compliances (n, 6, 6); kept for each set of effects of the arm."""
         key = (id(rows), id(truth.placement), truth.mass_scale.tobytes(), repr(of_arm(truth.effects)))
         if rng is None and key in self.settled:
@@ -107,12 +104,12 @@ class Bench:
         still = self.still(rows, hall)
         arm = make_arm(self.cell, truth)
         at = arm.settled(still, rng)
-        found = still.q, at.links[:, 6], arm.give(at)
+        found = still.q, at.links[:, 6], arm.compliance_at(at)
         if rng is None:
             self.settled[key] = found
         return found
 
-    def still(self, rows: LogRows, hall: Array) -> Moments:
+    def still(self, rows: RunRows, hall: Array) -> Moments:
         """The arm's moments on the path."""
         line, travel, feed = rows.each("line"), rows.each("travel"), rows.each("feed")
         q, rate = np.empty((len(rows.s), 6)), np.empty((len(rows.s), 6))
@@ -122,9 +119,9 @@ class Bench:
         approach = np.sign(rate * (travel * feed)[:, None])
         piece = self.cell.workpiece.payload
         name = "" if piece is None else piece.name
-        return moments(q, name, hall, approach, rows.clock, visit=rows.run)
+        return arm_moments(q, name, hall, approach, rows.clock, visit=rows.run)
 
-    def _asked(self, rows: LogRows, T: Array, compliance: Array, hall: Array) -> ContactMoments:
+    def _asked(self, rows: RunRows, T: Array, compliance: Array, hall: Array) -> ContactMoments:
         n = len(rows.s)
         p, normal, t = (np.empty((n, 3)) for _ in range(3))
         line = rows.each("line").astype(np.int64)
@@ -151,7 +148,7 @@ class Bench:
             temperature_C=hall,
         )
 
-    def _instants(self, rows: LogRows, q: Array, asked: ContactMoments) -> GrindingInstants:
+    def _instants(self, rows: RunRows, q: Array, asked: ContactMoments) -> GrindingInstants:
         return GrindingInstants(
             s=rows.s,
             travel=rows.each("travel"),

@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 
 from ocp.blindtest.worlds.bench import Log
-from ocp.blindtest.worlds.machines import BlindMachine, GrindingMachine, TrackerMachine, arm_of
+from ocp.blindtest.worlds.machines import BlindMachine, GrindingMachine, TrackerMachine, arm_with_outside
 from ocp.blindtest.worlds.pools import of_arm
 from ocp.model.cell import read_cell
 from ocp.simulate.twin.contact.sensor import noise
-from ocp.simulate.twin.dataset import FORCE_COLUMNS, READ, copy_cell, force_rows, write_csv
-from ocp.simulate.twin.run import Conditions, Grinding
-from ocp.simulate.twin.truth.machine import SENSOR_SIGMA
+from ocp.simulate.twin.dataset import FORCE_COLUMNS, READ, copy_cell, log_rows, write_csv
+from ocp.simulate.twin.run import GroundPasses, RunConditions
+from ocp.simulate.twin.tracker_log import noise_stream, tracker_world, write_readings
 from ocp.simulate.twin.truth.planting import Planted
-from ocp.simulate.twin.worlds import noise_stream, tracker_world, write_readings
+from ocp.simulate.twin.truth.truth import SENSOR_SIGMA
 from robots.errors import BadInput
 from robots.pose import Array
 
@@ -48,7 +48,7 @@ def _write_tracker(folder: Path, machine: TrackerMachine, effects: tuple[Planted
     """tracker.csv and sealed_tracker.csv."""
     truth = machine.with_effects(effects)
     tracker_world(machine.cell.path, folder, truth, machine.campaign, machine.sealed, label=False)
-    arm = arm_of(machine.cell, truth, machine.campaign.targets)
+    arm = arm_with_outside(machine.cell, truth, machine.campaign.targets)
     write_readings(folder / "tracker.csv", machine.cell, truth, arm, machine.campaign, noise_stream(truth.seed))
 
 
@@ -59,9 +59,9 @@ def _write_force(folder: Path, machine: GrindingMachine, effects: tuple[Planted,
     folder.mkdir(parents=True, exist_ok=True)
     copy_cell(machine.bench.cell, folder)
     log = machine.log((*effects, *machine.small), unrest=True)
-    rows, following = force_rows([_grinding(log, log.both + log_noise(machine, log))])
+    rows, following = log_rows([_grinding(log, log.both + log_noise(machine, log))])
     write_csv(folder / "force.csv", FORCE_COLUMNS, rows)
-    hidden, _ = force_rows([_grinding(machine.log((), sealed=True), None)], following, truth=True)
+    hidden, _ = log_rows([_grinding(machine.log((), sealed=True), None)], following, truth=True)
     keep = [k for k, c in enumerate(FORCE_COLUMNS) if c not in READ]
     write_csv(folder / "sealed_force.csv", [FORCE_COLUMNS[k] for k in keep], [[row[k] for k in keep] for row in hidden])
 
@@ -76,8 +76,8 @@ def log_noise(machine: GrindingMachine, log: Log) -> Array:
     return found
 
 
-def _grinding(log: Log, read: Array | None) -> Grinding:
+def _grinding(log: Log, read: Array | None) -> GroundPasses:
     """A log in the virtual cell's own form."""
     fn, ft = (log.result.force, log.result.tangential) if read is None else read
     index = np.arange(len(log.fn))
-    return Grinding(Conditions(0.0, 0.0), index, log.q, log.moments, log.result, fn, ft)
+    return GroundPasses(RunConditions(0.0, 0.0), index, log.q, log.moments, log.result, fn, ft)

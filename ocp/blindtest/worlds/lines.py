@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell, read_cell
-from ocp.simulate.twin.arm.arm import Arm, Moments, moments
-from ocp.simulate.twin.controller.nominal import follow, frames, jacobian, pose_error
-from ocp.simulate.twin.truth.machine import Truth
+from ocp.simulate.twin.arm.arm import Moments, VirtualArm, arm_moments
+from ocp.simulate.twin.controller.nominal import follow, frames, nominal_error, nominal_jacobian
+from ocp.simulate.twin.truth.truth import Truth
 from robots.errors import Infeasible
 from robots.pose import Array, invert, make_transform
 from robots.tracker_readings import Index
@@ -86,7 +86,9 @@ def _line(number: int, path: BladePath, length: float) -> GroundLine:
     return GroundLine(number, length, CubicSpline(path.s, path.p), CubicSpline(path.s, path.n), CubicSpline(path.s, path.t))
 
 
-def taught(lines: Sequence[GroundLine], cell: Cell, truth: Truth, arm: Arm, rng: np.random.Generator) -> tuple[CubicSpline, ...]:
+def taught(
+    lines: Sequence[GroundLine], cell: Cell, truth: Truth, arm: VirtualArm, rng: np.random.Generator
+) -> tuple[CubicSpline, ...]:
     """Joints (6,) over s of every line. Raises Infeasible: out of reach."""
     found = []
     for line in lines:
@@ -94,8 +96,8 @@ def taught(lines: Sequence[GroundLine], cell: Cell, truth: Truth, arm: Arm, rng:
         goal = _goal(cell, truth, line, s, TAUGHT * rng.normal())
         q = _reached(cell, goal, line)
         for _ in range(4):
-            error = pose_error(goal, arm.flange(_still(cell, q)))
-            q = q + np.linalg.solve(jacobian(cell.robot, frames(cell.robot, q)), error[..., None])[..., 0]
+            error = nominal_error(goal, arm.flange(_still(cell, q)))
+            q = q + np.linalg.solve(nominal_jacobian(cell.robot, frames(cell.robot, q)), error[..., None])[..., 0]
         if np.abs(error).max() > 1e2 * LEFT:
             raise Infeasible(f"line {line.number} of the blade is out of reach of the robot")
         found.append(CubicSpline(s, q))
@@ -104,7 +106,7 @@ def taught(lines: Sequence[GroundLine], cell: Cell, truth: Truth, arm: Arm, rng:
 
 def _still(cell: Cell, q: Array) -> Moments:
     piece = cell.workpiece.payload
-    return moments(q, "" if piece is None else piece.name, cell.tables.reference_temperature_C)
+    return arm_moments(q, "" if piece is None else piece.name, cell.tables.reference_temperature_C)
 
 
 def _reached(cell: Cell, goal: Array, line: GroundLine) -> Array:
@@ -154,7 +156,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class LogRows:
+class RunRows:
     """Instants of recordings (n,): run, s m, time since the run's start s, and the runs themselves."""
 
     runs: tuple[Run, ...]
@@ -162,10 +164,10 @@ class LogRows:
     s: Array
     time: Array
 
-    def then(self, later: "LogRows") -> "LogRows":
+    def then(self, later: "RunRows") -> "RunRows":
         """These rows and later ones, one after the other."""
         run = np.concatenate([self.run, later.run + len(self.runs)])
-        return LogRows((*self.runs, *later.runs), run, np.append(self.s, later.s), np.append(self.time, later.time))
+        return RunRows((*self.runs, *later.runs), run, np.append(self.s, later.s), np.append(self.time, later.time))
 
     def each(self, name: str) -> Array:
         """A field of the runs at every instant (n,)."""
@@ -223,7 +225,7 @@ def _timed(
     return found, clock, ground
 
 
-def rows_of_runs(lines: Sequence[GroundLine], runs: tuple[Run, ...]) -> LogRows:
+def rows_of_runs(lines: Sequence[GroundLine], runs: tuple[Run, ...]) -> RunRows:
     """Instants of runs at HZ, from one end of the line to the other."""
     index, s, time = [], [], []
     for k, run in enumerate(runs):
@@ -234,4 +236,4 @@ def rows_of_runs(lines: Sequence[GroundLine], runs: tuple[Run, ...]) -> LogRows:
         s.append(way if run.travel > 0 else line.length - way)
         time.append(t)
         index.append(np.full(count, k, np.int64))
-    return LogRows(runs, np.concatenate(index), np.concatenate(s), np.concatenate(time))
+    return RunRows(runs, np.concatenate(index), np.concatenate(s), np.concatenate(time))

@@ -13,18 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from ocp.blindtest.worlds.bench import Bench, Log, save_store, store_of
-from ocp.blindtest.worlds.lines import LogRows, blade_lines, drawn_runs, rows_of_runs, taught
+from ocp.blindtest.worlds.lines import RunRows, blade_lines, drawn_runs, rows_of_runs, taught
 from ocp.blindtest.worlds.outside import OutsideArm
 from ocp.blindtest.worlds.pools import OUTSIDE, of_arm
 from ocp.blindtest.worlds.recipes import Recipe
 from ocp.model.cell import Cell, read_cell
-from ocp.simulate.twin.arm.arm import Arm, make_arm
+from ocp.simulate.twin.arm.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact.table import make_tables
-from ocp.simulate.twin.designs import Campaign, random_design, sealed_design
+from ocp.simulate.twin.designs import TrackerCampaign, random_design, sealed_design
 from ocp.simulate.twin.tracker import true_points
-from ocp.simulate.twin.truth.machine import Truth
 from ocp.simulate.twin.truth.planting import Planted
-from ocp.simulate.twin.truth.truth import REPEATABILITY, draw_truth
+from ocp.simulate.twin.truth.truth import REPEATABILITY, Truth, draw_truth
 from robots.pose import Array
 
 STORE = "contact.pkl"
@@ -49,8 +48,8 @@ class TrackerMachine:
 
     cell: Cell
     truth: Truth
-    campaign: Campaign
-    sealed: Campaign
+    campaign: TrackerCampaign
+    sealed: TrackerCampaign
 
     def with_effects(self, effects: Sequence[Planted]) -> Truth:
         """The same machine with these effects."""
@@ -59,7 +58,7 @@ class TrackerMachine:
     def points(self, effects: Sequence[Planted], sealed: bool = False) -> Array:
         """Points (n, 3) m that a tracker without noise would read."""
         campaign, truth = self.sealed if sealed else self.campaign, self.with_effects(effects)
-        arm = arm_of(self.cell, truth, campaign.targets)
+        arm = arm_with_outside(self.cell, truth, campaign.targets)
         return true_points(truth, self.cell, arm, campaign.moments, campaign.targets)
 
 
@@ -70,8 +69,8 @@ class GrindingMachine:
 
     bench: Bench
     truth: Truth
-    rows: LogRows
-    sealed: LogRows
+    rows: RunRows
+    sealed: RunRows
     background: bool
     gains: tuple[float, float]
     warming: float
@@ -97,11 +96,11 @@ class GrindingMachine:
         return log.last(self.sealed) if sealed else log
 
     @cached_property
-    def whole(self) -> LogRows:
+    def whole(self) -> RunRows:
         """The rows to learn from and then the sealed ones."""
         return self.rows.then(self.sealed)
 
-    def hall(self, rows: LogRows) -> Array:
+    def hall(self, rows: RunRows) -> Array:
         """Temperature of the hall (n,) deg C."""
         clock = rows.clock
         return np.asarray(self.bench.cell.tables.reference_temperature_C + self.warming * clock / 3600.0)
@@ -130,7 +129,7 @@ BlindMachine = TrackerMachine | GrindingMachine
 """A machine of any signals."""
 
 
-def arm_of(cell: Cell, truth: Truth, targets: Sequence[str]) -> Arm:
+def arm_with_outside(cell: Cell, truth: Truth, targets: Sequence[str]) -> VirtualArm:
     """The arm of a cell, able to carry effects outside the catalogue where the truth holds any; targets: nest of each instant
     that it will be asked for."""
     arm = make_arm(cell, truth)

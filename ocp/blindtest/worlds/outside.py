@@ -22,11 +22,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Arm, Moments
+from ocp.simulate.twin.arm.arm import Moments, VirtualArm
+from ocp.simulate.twin.arm.errors import hung
 from ocp.simulate.twin.arm.machine import GRAVITY
-from ocp.simulate.twin.arm.planted import hung
 from ocp.simulate.twin.tracker import nest_links
-from ocp.simulate.twin.truth.planting import Key, Kind, Planted
+from ocp.simulate.twin.truth.kinds import EffectKind, Key
+from ocp.simulate.twin.truth.planting import Planted
 from robots.pose import Array, apply, invert
 from robots.robot import Robot
 
@@ -84,14 +85,14 @@ class GrindingInstants:
 class Outside:
     """An effect of a list: its kind (`draw_effect` draws from it as from the catalogue's), what it moves, the form."""
 
-    kind: Kind
+    kind: EffectKind
     moves: str
     form: Form
 
 
 def outside(name: str, moves: str, form: Form, joints: tuple[int, ...], *keys: Key) -> Outside:
     """A line of a list; the first key is the size."""
-    return Outside(Kind(name, joints, keys, "outside"), moves, form)
+    return Outside(EffectKind(name, joints, keys, "outside"), moves, form)
 
 
 def size(name: str, unit: str, low: float, high: float, signed: bool = True) -> Key:
@@ -119,7 +120,7 @@ def moved_by(
             yield p, np.asarray(p.number(one.kind.keys[0].name) * one.form(p, at))
 
 
-class OutsideArm(Arm):
+class OutsideArm(VirtualArm):
     """A virtual arm with effects outside the catalogue on top of those inside it, for the nests of a campaign.
 
     It stands where the virtual cell asks an arm for its links, so that noise, nests and files are the virtual cell's own. Turns

@@ -7,8 +7,9 @@ form may remember all readings before. `ocp.blindtest.worlds.outside` says what 
 import numpy as np
 
 from ocp.blindtest.worlds.outside import PHASE, ArmInstants, Outside, by_name, joint_index, outside, size
-from ocp.simulate.twin.arm.joint_errors import gear_ratios
-from ocp.simulate.twin.truth.planting import Key, Planted
+from ocp.simulate.twin.arm.errors import gear_ratios
+from ocp.simulate.twin.truth.kinds import Key
+from ocp.simulate.twin.truth.planting import Planted
 from robots.pose import Array
 
 OIL = 1500.0  # s: time constant of a gear's oil that comes to temperature; a third of the structure's

@@ -9,34 +9,33 @@ from ocp.blindtest.worlds import outside_first
 from ocp.blindtest.worlds.outside import Outside
 from ocp.blindtest.worlds.outside_late import LATE
 from ocp.blindtest.worlds.recipes import Recipe
-from ocp.simulate.twin.truth.kinds_arm import KINDS as ARM
-from ocp.simulate.twin.truth.kinds_contact import KINDS as CONTACT
-from ocp.simulate.twin.truth.planting import Key, Kind, Planted, Value, kinds
+from ocp.simulate.twin.truth.kinds import ARM_KINDS, CONTACT_KINDS, EFFECT_KINDS, EffectKind, Key
+from ocp.simulate.twin.truth.planting import Planted, Value
 
 SIGNALS = ("tracker", "force", "both")
 # Keys that say where, when or how fast an effect acts; all others are sizes, and readings are linear in them to first order.
 SHAPES = ("phase_rad", "order", "source_joint", "target", "at_s", "lever_link1_m", "lever_arm_m", "hz", "tau", "leak")
-PLANTABLE = tuple(kind for kind in ARM if kind.name != "channel_delay")  # a tracker's reading at rest has no delay
+PLANTABLE = tuple(kind for kind in ARM_KINDS if kind.name != "channel_delay")  # a tracker's reading at rest has no delay
 # Of the arm's effects those that move a force log which was taught on the machine, and are no matter of registration.
 IN_LOG = ("backlash", "friction_windup", "joint_thermal", "link_thermal", "base_tilt", "wrist_coupling", "joint_compliance")
 OUTSIDE: dict[str, Outside] = {**outside_first.ON_ARM, **outside_first.ON_GRINDING, **LATE}
 """Every effect outside the catalogue, of both lists."""
-_OF_ARM = frozenset(kind.name for kind in ARM)
+_OF_ARM = frozenset(kind.name for kind in ARM_KINDS)
 
 
-def pool_of(recipe: Recipe, signals: str) -> tuple[Kind, ...]:
+def pool_of(recipe: Recipe, signals: str) -> tuple[EffectKind, ...]:
     """Kinds that may be planted in a world of `recipe`."""
     if recipe.kind in ("outside", "outside_late"):
         first = outside_first.ON_ARM if signals == "tracker" else outside_first.ON_GRINDING
         return tuple(one.kind for one in (LATE if recipe.kind == "outside_late" else first).values())
     if signals == "tracker":
         return PLANTABLE
-    return (*CONTACT, *(k for k in PLANTABLE if signals == "both" or k.name in IN_LOG))
+    return (*CONTACT_KINDS, *(k for k in PLANTABLE if signals == "both" or k.name in IN_LOG))
 
 
-def kind_of(effect: str) -> Kind:
+def kind_of(effect: str) -> EffectKind:
     """The kind of an effect inside or outside the catalogue."""
-    return OUTSIDE[effect].kind if effect in OUTSIDE else kinds()[effect]
+    return OUTSIDE[effect].kind if effect in OUTSIDE else EFFECT_KINDS[effect]
 
 
 def of_arm(effects: Sequence[Planted]) -> tuple[Planted, ...]:
@@ -60,7 +59,7 @@ def is_wave(effect: str) -> bool:
     return any(key.name == "phase_rad" for key in kind_of(effect).keys)
 
 
-def coefficients(effect: str) -> int:
+def coefficient_count(effect: str) -> int:
     """How many coefficients an effect's size has: two of a wave, three of a vector."""
     return 2 if is_wave(effect) else kind_of(effect).keys[0].length
 

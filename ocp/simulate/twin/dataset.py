@@ -1,4 +1,8 @@
-"""A data set folder in the form of FORMATS.md: cell.toml with what it names, logs, and what was planted."""
+"""The files of a data set in the form of FORMATS.md: cell.toml with what it names, force.csv, joints.csv, and what was planted.
+
+In joints.csv the gap between motor and link side is what gears, heat and springs do; a link-side encoder sees it without any
+tracker, and without the geometry. Its own errors here are noise alone: scale and mounting of a good encoder are below that.
+"""
 
 import csv
 import json
@@ -11,20 +15,29 @@ from typing import Any
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.run import Grinding
+from ocp.simulate.twin.arm.arm import Moments, VirtualArm
+from ocp.simulate.twin.arm.errors import AxisState, motor_side
+from ocp.simulate.twin.contact.sensor import delayed
+from ocp.simulate.twin.run import GroundPasses
 from ocp.simulate.twin.truth.planting import labels
 from ocp.simulate.twin.truth.truth import Truth
 from robots.errors import BadInput
+from robots.pose import Array
 
-FORCE_COLUMNS = (
-    "run", "time_s", "clock_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty",
-    "tz", "s_mm", "setpoint_N", "feed_mm_s", "belt_m_s", "line", "ground_before", "contact", "session", "temperature_C",
-    "wheel_temperature_C", "fn_N", "ft_N",
-)  # fmt: skip
+FORCE_COLUMNS = tuple(
+    "run time_s clock_s q1_deg q2_deg q3_deg q4_deg q5_deg q6_deg px_mm py_mm pz_mm nx ny nz tx ty tz s_mm setpoint_N feed_mm_s "
+    "belt_m_s line ground_before contact session temperature_C wheel_temperature_C fn_N ft_N".split()
+)
 READ = ("fn_N", "ft_N")
-_FORMATS = {"run": "d", "line": "d", "ground_before": "d", "contact": "d", "fn_N": ".4f", "ft_N": ".4f", "temperature_C": ".2f",
-            "wheel_temperature_C": ".2f", "time_s": ".4f", "clock_s": ".3f", "px_mm": ".5f", "py_mm": ".5f", "pz_mm": ".5f",
-            "s_mm": ".4f", "setpoint_N": "g", "belt_m_s": "g", "feed_mm_s": ".3f"}  # fmt: skip
+_BY_FORMAT = {
+    "d": "run line ground_before contact",
+    "g": "setpoint_N belt_m_s",
+    ".2f": "temperature_C wheel_temperature_C",
+    ".3f": "clock_s feed_mm_s",
+    ".4f": "time_s s_mm fn_N ft_N",
+    ".5f": "px_mm py_mm pz_mm",
+}
+_FORMATS = {name: form for form, names in _BY_FORMAT.items() for name in names.split()}
 
 
 def copy_cell(cell: Cell, folder: Path) -> None:
@@ -56,7 +69,7 @@ def _beside(text: str, key: str, file: Path, folder: Path) -> str:
     return re.sub(rf"^(\s*{key}\s*=\s*)(\"[^\"\n]*\"|'[^'\n]*')", lambda found: found.group(1) + name, text, count=1, flags=re.M)
 
 
-def force_rows(recordings: Sequence[Grinding], first_run: int = 0, truth: bool = False) -> tuple[list[list[str]], int]:
+def log_rows(recordings: Sequence[GroundPasses], first_run: int = 0, truth: bool = False) -> tuple[list[list[str]], int]:
     """Rows of a force log, one recording a pass, and the number of the next recording; `truth`: noise-free forces."""
     rows: list[list[str]] = []
     number = first_run
@@ -70,7 +83,7 @@ def force_rows(recordings: Sequence[Grinding], first_run: int = 0, truth: bool =
     return rows, number
 
 
-def _columns(g: Grinding, truth: bool) -> dict[str, Any]:
+def _columns(g: GroundPasses, truth: bool) -> dict[str, Any]:
     m = g.moments
     n = len(g.index)
     columns: dict[str, Any] = {"time_s": m.time_s, "clock_s": m.clock_s}
@@ -78,11 +91,19 @@ def _columns(g: Grinding, truth: bool) -> dict[str, Any]:
     columns |= {f"p{a}_mm": 1e3 * m.p[:, i] for i, a in enumerate("xyz")}
     columns |= {f"{stem}{a}": v[:, i] for stem, v in (("n", m.n), ("t", m.t)) for i, a in enumerate("xyz")}
     columns |= {
-        "s_mm": 1e3 * m.s, "setpoint_N": m.setpoint, "feed_mm_s": 1e3 * m.feed, "belt_m_s": m.belt, "line": m.line,
-        "ground_before": m.ground_before, "contact": m.contact.astype(int), "session": np.full(n, g.conditions.session),
-        "temperature_C": m.temperature_C, "wheel_temperature_C": m.wheel_temperature_C,
-        "fn_N": g.result.force if truth else g.fn, "ft_N": g.result.tangential if truth else g.ft,
-    }  # fmt: skip
+        "s_mm": 1e3 * m.s,
+        "setpoint_N": m.setpoint,
+        "feed_mm_s": 1e3 * m.feed,
+        "belt_m_s": m.belt,
+        "line": m.line,
+        "ground_before": m.ground_before,
+        "contact": m.contact.astype(int),
+        "session": np.full(n, g.conditions.session),
+        "temperature_C": m.temperature_C,
+        "wheel_temperature_C": m.wheel_temperature_C,
+        "fn_N": g.result.force if truth else g.fn,
+        "ft_N": g.result.tangential if truth else g.ft,
+    }
     return columns
 
 
@@ -94,12 +115,12 @@ def _text(name: str, value: Any) -> str:
     return text.lstrip("-") if float(text) == 0 else text
 
 
-def write_force(folder: Path, recordings: Sequence[Grinding], sealed: Sequence[Grinding]) -> int:
+def write_force(folder: Path, recordings: Sequence[GroundPasses], sealed: Sequence[GroundPasses]) -> int:
     """force.csv, and sealed_force.csv with its truth in labels/ where there is a sealed part; the number of rows logged."""
-    rows, following = force_rows(recordings)
+    rows, following = log_rows(recordings)
     write_csv(folder / "force.csv", FORCE_COLUMNS, rows)
     if sealed:
-        hidden, _ = force_rows(sealed, following, truth=True)
+        hidden, _ = log_rows(sealed, following, truth=True)
         open_columns = [c for c in FORCE_COLUMNS if c not in READ]
         keep = [FORCE_COLUMNS.index(c) for c in open_columns]
         write_csv(folder / "sealed_force.csv", open_columns, [[row[i] for i in keep] for row in hidden])
@@ -119,3 +140,40 @@ def write_labels(folder: Path, truth: Truth, machine: str) -> None:
     (folder / "labels").mkdir(exist_ok=True)
     content = {"seed": truth.seed, "machine": machine, "labels": labels(truth.effects)}
     (folder / "labels" / "labels.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+# One sigma: a good link-side encoder (1 arcsec), a motor current as torque.
+LINK_SIGMA, TORQUE_SIGMA = 4.8e-6, 4.0  # rad, N m
+
+
+def joint_log(arm: VirtualArm, truth: Truth, m: Moments, run: Array, time_s: Array, rng: np.random.Generator) -> dict[str, Array]:
+    """Columns of joints.csv (FORMATS) for instants in time order inside each run: run (n,), time_s (n,) s since its start.
+
+    q: motor side through the ratio, as commanded; link: what the axis does, with gear errors, heat, play and the spring's
+    give; tau: motor torque on the link side. A planted channel_delay records the link side later: of its joint, or of all.
+    """
+    settled = arm.settled(m)
+    warmth = m.temperature_C - arm.reference_C
+    link = motor_side(truth, AxisState(m.q, m.approach, warmth, arm.robot)) + settled.bent[:, :6]
+    tau = settled.motor_torque
+    for planted in truth.planted("channel_delay"):
+        late = range(6) if planted.joint is None else [planted.joint - 1]
+        for j in late:
+            link[:, j] = delayed(link[:, j], run, time_s, planted.number("s"))
+    link = link + rng.normal(size=link.shape) * LINK_SIGMA
+    tau = tau + rng.normal(size=tau.shape) * TORQUE_SIGMA
+    columns = {"run": np.asarray(run, float), "time_s": np.asarray(time_s, float)}
+    for name, values, factor in (("q{}_deg", m.q, 180 / np.pi), ("link{}_deg", link, 180 / np.pi), ("tau{}_Nm", tau, 1.0)):
+        columns |= {name.format(j + 1): factor * values[:, j] for j in range(6)}
+    return columns
+
+
+def write_joint_log(path: Path, columns: dict[str, Array]) -> None:
+    """Write columns (n,) as joints.csv: angles to 1e-7 deg, torques to 0.01 N m, times to 0.1 ms."""
+    digits = {"run": 0, "time_s": 4}
+    forms = [digits.get(name, 2 if name.startswith("tau") else 7) for name in columns]
+    with path.open("w", newline="", encoding="ascii") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([f"{value:.{form}f}" for value, form in zip(row, forms, strict=True)])

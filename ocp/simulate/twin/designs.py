@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Moments, make_arm, moments
+from ocp.simulate.twin.arm.arm import Moments, arm_moments, make_arm
 from ocp.simulate.twin.truth.truth import draw_truth
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput
@@ -26,7 +26,7 @@ CAMPAIGN, SEALED_AFTER, SEALED_SPAN, SEALED_WARMTH = 10800.0, 500.0, 3700.0, 4.0
 
 
 @dataclass(frozen=True)
-class Campaign:
+class TrackerCampaign:
     """Readings to take: their conditions, and the nest of each."""
 
     moments: Moments
@@ -45,7 +45,7 @@ def random_design(
     targets: Sequence[str] | None = None,
     warm_up: float = WARM_UP,
     duration: float = CAMPAIGN,
-) -> Campaign:
+) -> TrackerCampaign:
     """n readings as campaigns have them: the payloads one after another (three of the cell's, without "heavy"), nests and
     approaches at random, `repeats` of them a second time, while the structure warms up by `warm_up` K.
 
@@ -65,8 +65,8 @@ def random_design(
             q[k], approach[k], nest[k] = q[first], approach[first], nest[first]
     time = np.sort(rng.uniform(0, duration, n)).round(1)
     temperature = cell.tables.reference_temperature_C + warm_up * (1 - np.exp(-time / WARM_TIME))
-    m = moments(q, tuple(hung[i] for i in label), temperature.round(2), approach, time)
-    return Campaign(m, tuple(names[i] for i in nest))
+    m = arm_moments(q, tuple(hung[i] for i in label), temperature.round(2), approach, time)
+    return TrackerCampaign(m, tuple(names[i] for i in nest))
 
 
 def sealed_design(
@@ -75,7 +75,7 @@ def sealed_design(
     n: int = 120,
     payloads: Sequence[str] | None = None,
     targets: Sequence[str] | None = None,
-) -> Campaign:
+) -> TrackerCampaign:
     """n conditions to predict blind, after the campaign: half with the workpiece's payload, half with one that was not measured
     ("heavy", else the heaviest), at another temperature."""
     known = list(cell.tables.payloads)
@@ -90,11 +90,11 @@ def sealed_design(
     start = CAMPAIGN + SEALED_AFTER
     time = np.sort(rng.uniform(start, start + SEALED_SPAN, n)).round(1)
     temperature = cell.tables.reference_temperature_C + SEALED_WARMTH
-    m = moments(q, tuple(hung[i] for i in label), round(temperature, 2), rng.choice([-1.0, 1.0], (n, 6)), time)
-    return Campaign(m, tuple(names[i] for i in rng.integers(len(names), size=n)))
+    m = arm_moments(q, tuple(hung[i] for i in label), round(temperature, 2), rng.choice([-1.0, 1.0], (n, 6)), time)
+    return TrackerCampaign(m, tuple(names[i] for i in rng.integers(len(names), size=n)))
 
 
-def design_from_poses(cell: Cell, path: str | Path, seconds: float = 40.0, warm_up: float = 0.0) -> Campaign:
+def design_from_poses(cell: Cell, path: str | Path, seconds: float = 40.0, warm_up: float = 0.0) -> TrackerCampaign:
     """The readings of a poses.csv (columns q1_deg..q6_deg; target, payload, approach1..6 where known), `seconds` apart.
 
     Raises BadInput: as `read_csv_table`, a value that the cell does not know.
@@ -110,8 +110,8 @@ def design_from_poses(cell: Cell, path: str | Path, seconds: float = 40.0, warm_
     time = seconds * np.arange(1, n + 1)
     temperature = cell.tables.reference_temperature_C + warm_up * (1 - np.exp(-time / WARM_TIME))
     hung = tuple(table.words.get("payload", [payloads[0] if payloads else ""] * n))
-    m = moments(np.radians(table.stack(AXES)), hung, temperature.round(2), approach, time)
-    return Campaign(m, tuple(table.words.get("target", [targets[0]] * n)))
+    m = arm_moments(np.radians(table.stack(AXES)), hung, temperature.round(2), approach, time)
+    return TrackerCampaign(m, tuple(table.words.get("target", [targets[0]] * n)))
 
 
 def _payloads(cell: Cell, asked: Sequence[str] | None) -> list[str]:
@@ -140,7 +140,7 @@ def _postures(cell: Cell, rng: np.random.Generator, n: int) -> Array:
     found, count = [np.empty((0, 6))], 0
     while count < n:
         q = rng.uniform(low, high, (n + 50, 6))
-        links = arm.links(moments(q, "", cell.tables.reference_temperature_C))[:, 4:, :3, 3]
+        links = arm.links(arm_moments(q, "", cell.tables.reference_temperature_C))[:, 4:, :3, 3]
         free = (np.hypot(links[..., 0], links[..., 1]) > _COLUMN * reach) & (links[..., 2] > _FLOOR * reach)
         kept = q[free.all(axis=1)]
         count += len(kept)

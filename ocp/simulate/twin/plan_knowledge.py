@@ -1,10 +1,13 @@
-"""What a logger in the cell knows of the plan: which contact belongs to a posture, from plan.csv and plan.json.
+"""What is known of a plan beside its program: which cell it belongs to, and which contact belongs to a posture.
 
-Joints never come from here. A sample of the driven program is matched to the plan by where its joints are (and, where the
-program passes the same posture twice, by when); the contact point, its normal and the feed direction are then the plan's there.
+A logger in the cell knows the contacts from plan.csv and plan.json. Joints never come from there: a sample of the driven program
+is matched to the plan by where its joints are (and, where the program passes the same posture twice, by when); the contact
+point, its normal and the feed direction are then the plan's there. Frames and hashes tell whether a program belongs to a cell.
 """
 
+import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +15,14 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
+from ocp.model.cell import Cell
 from ocp.simulate.twin.controller.controller import Index, Track
+from ocp.simulate.twin.controller.krl_text import DrivenMotion, KrlProgram
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput
-from robots.pose import Array
+from robots.pose import Array, abc_from_rotation, invert
 
 AXES = tuple(f"q{i}_deg" for i in range(1, 7))
 CONTACT = ("px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz", "s_mm", "feed_mm_s", "fn_N", "interference_mm")
@@ -108,8 +114,8 @@ def match(track: Track, plan: PlanTable) -> Matched:
         if rows.any():
             values[rows] = _at(plan, segment, _refined(fine, segment, index[rows], track.q[rows]))
             run[rows] = k
-    return Matched(phase, np.where(phase == AWAY, 0, fine.line[index]), run, values[:, :3], values[:, 3:6], values[:, 6:9],
-                   values[:, 9], values[:, 10], values[:, 11], values[:, 12], off)  # fmt: skip
+    p, n, t, (s, feed, force, interference) = values[:, :3], values[:, 3:6], values[:, 6:9], values[:, 9:].T
+    return Matched(phase, np.where(phase == AWAY, 0, fine.line[index]), run, p, n, t, s, feed, force, interference, off)
 
 
 def _dense(plan: PlanTable) -> PlanTable:
@@ -157,3 +163,88 @@ def _at(plan: PlanTable, segment: int, time: Array) -> Array:
     for k in (3, 6):
         values[:, k : k + 3] /= np.linalg.norm(values[:, k : k + 3], axis=1, keepdims=True)
     return np.asarray(values)
+
+
+PRINTED = (2e-5, np.radians(2e-3))  # m, rad: what printing a frame may round
+REGISTERED = (5e-4, np.radians(0.2))  # m, rad, on top of 5 sd: what a calibration may have moved a frame by
+SDS = 5.0
+
+
+def file_hash(path: Path) -> str:
+    """Hash of a file's bytes."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def recorded_input(summary: dict[str, Any], role: str) -> tuple[str, str] | None:
+    """Name and hash of an input of the plan, None where plan.json does not tell it."""
+    for item in summary.get("inputs", []):
+        if isinstance(item, dict) and item.get("role") == role:
+            return str(item.get("name")), str(item.get("sha256"))
+    return None
+
+
+def cell_of_plan(summary: dict[str, Any], folder: Path, places: Iterable[Path], bundled: Path) -> Path:
+    """The cell file that a plan was made with, by its hash: in `places`, the bundled one, or one folder below `places`.
+
+    Raises BadInput: plan.json names a cell that is nowhere; another one is never taken in its place.
+    """
+    known = recorded_input(summary, "cell")
+    if known is None:
+        raise BadInput(f"{folder}: plan.json does not tell which cell the plan was made with; give it with --cell")
+    name, digest = known
+    near = list(places)
+    looked = [*(place / name for place in near), bundled, *(file for place in near for file in sorted(place.glob(f"*/{name}")))]
+    for candidate in looked:
+        if candidate.is_file() and file_hash(candidate) == digest:
+            return candidate
+    raise BadInput(f"{folder}: was made with a cell '{name}' that is not found near it; give that file with --cell")
+
+
+def refuse_stranger(program: KrlProgram, cell: Cell, summary: dict[str, Any], folder: Path) -> tuple[str, ...]:
+    """Notices about a program that belongs to the cell.
+
+    Raises BadInput: tool or base frame differ from the cell's by more than printing, or where a calibration moved them by more
+    than that can; another blade.
+    """
+    blade, stl = recorded_input(summary, "blade"), cell.workpiece.stl
+    if stl is not None and not stl.is_file():
+        raise BadInput(f"{cell.path}: its blade {stl} cannot be read; put the file there or give another with --blade")
+    if blade is not None and stl is not None and file_hash(stl) != blade[1]:
+        raise BadInput(f"{folder}: was planned for another blade '{blade[0]}' than {stl}; give that with --blade, or plan anew")
+    moved = cell.calibration is not None or recorded_input(summary, "calibration") is not None
+    piece, wheel = cell.workpiece, cell.wheel
+    for motion in program.motions:
+        if motion.kind == "PTP" and not motion.frames.held:
+            continue
+        _compare(motion, "$TOOL", motion.frames.tool, piece.T_flange_blade, (piece.xyz_sd, piece.abc_sd) if moved else None, cell)
+        _compare(
+            motion, "$BASE", motion.frames.base, wheel_place(cell), (wheel.centre_sd, wheel.axis_sd) if moved else None, cell
+        )
+        if not motion.frames.held:
+            raise BadInput(f"{motion.file}, line {motion.line}: $IPO_MODE is #BASE, but in {cell.path} the robot holds the blade")
+    known = recorded_input(summary, "cell")
+    if known is not None and file_hash(cell.path) != known[1]:
+        return (f"the plan was made with another version of {known[0]} than {cell.path}; tool, wheel and blade agree",)
+    return ()
+
+
+def wheel_place(cell: Cell) -> Array:
+    """T_base_wheel (4, 4): where the wheel touches at arc zero, x along the belt, y along the axis (docs/krl.md)."""
+    w = cell.wheel
+    T = np.eye(4)
+    T[:3, :3] = np.stack([np.cross(w.axis, w.contact_direction), w.axis, w.contact_direction], axis=1)
+    T[:3, 3] = w.centre + w.radius * w.contact_direction
+    return T
+
+
+def _compare(motion: DrivenMotion, name: str, found: Array, expected: Array, sd: tuple[float, float] | None, cell: Cell) -> None:
+    off = invert(expected) @ found
+    way, turn = float(np.linalg.norm(off[:3, 3])), float(np.linalg.norm(Rotation.from_matrix(off[:3, :3]).as_rotvec()))
+    most = PRINTED if sd is None else (REGISTERED[0] + SDS * sd[0] * 3**0.5, REGISTERED[1] + SDS * sd[1] * 3**0.5)
+    if way > most[0] or turn > most[1]:
+        x, y, z = 1e3 * expected[:3, 3]
+        a, b, c = np.degrees(abc_from_rotation(expected[:3, :3]))
+        raise BadInput(
+            f"{motion.file}, line {motion.line}: {name} lies {1e3 * way:.3f} mm and {np.degrees(turn):.4f} deg from that of "
+            f"{cell.path} (X {x:.2f}, Y {y:.2f}, Z {z:.2f}, A {a:.3f}, B {b:.3f}, C {c:.3f}); the program belongs to another cell"
+        )

@@ -1,15 +1,14 @@
 """What force a program would be seen to make: figures, the worst places, and which part of the cell brings them there."""
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.simulate.twin.arm.collide import Wheel, true_wheel
+from ocp.simulate.twin.arm.collide import WheelBody, true_wheel
 from ocp.simulate.twin.contact import ContactMoments
 from ocp.simulate.twin.controller.controller import Index
 from ocp.simulate.twin.plan_knowledge import Matched
-from ocp.simulate.twin.run import Grinding, Machine, moved, true_blade
+from ocp.simulate.twin.run import GroundPasses, VirtualMachine, pushed_by, true_blade
 from robots.pose import Array, apply
 
 WITHIN = 1.0  # N
@@ -57,14 +56,14 @@ class Rehearsal:
         """mean, sd, min, max N, shares within 1 N and without contact, rms of the error and of each part of it, N."""
         error = self.force - self.goal
         within, lost = np.mean(np.abs(error) <= WITHIN), np.mean(self.force <= 0)
-        found = {"mean_N": self.force.mean(), "sd_N": self.force.std(), "min_N": self.force.min(), "max_N": self.force.max(),
-                 "within_1_N": within, "lost": lost, "goal_N": self.goal.mean(),
-                 "rms_error_N": np.sqrt(np.mean(error**2))}  # fmt: skip
+        f = self.force
+        found = {"mean_N": f.mean(), "sd_N": f.std(), "min_N": f.min(), "max_N": f.max(), "within_1_N": within, "lost": lost}
+        found |= {"goal_N": self.goal.mean(), "rms_error_N": np.sqrt(np.mean(error**2))}
         found |= {f"rms_{name}_N": np.sqrt(np.mean(self.parts[:, k] ** 2)) for k, name in enumerate(PARTS)}
         return {name: float(value) for name, value in found.items()}
 
 
-def rehearse(machine: Machine, plan: Matched, grinding: Grinding, tool: Array, base: Array) -> Rehearsal:
+def rehearse(machine: VirtualMachine, plan: Matched, grinding: GroundPasses, tool: Array, base: Array) -> Rehearsal:
     """Judge the run of a program. tool (4, 4) T_flange_blade and base (4, 4) T_base_wheel: the frames in the program, which
     the plan believed in.
 
@@ -74,7 +73,7 @@ def rehearse(machine: Machine, plan: Matched, grinding: Grinding, tool: Array, b
     """
     m, force = grinding.moments, grinding.result.force
     cell, truth, i = machine.cell, machine.truth, grinding.index
-    believed = Wheel(base[:3, 3] - cell.wheel.radius * base[:3, 2], base[:3, 1], cell.wheel.radius, cell.wheel.width)
+    believed = WheelBody(base[:3, 3] - cell.wheel.radius * base[:3, 2], base[:3, 1], cell.wheel.radius, cell.wheel.width)
     really = true_wheel(cell, truth.wheel_shift, truth.wheel_axis_turn)
     steps = [
         plan.interference[i],
@@ -90,27 +89,21 @@ def rehearse(machine: Machine, plan: Matched, grinding: Grinding, tool: Array, b
     return Rehearsal(m.run, m.line, m.s, m.p, m.n, m.t, force, goal, parts, worst)
 
 
-def overlap(wheel: Wheel, T_base_blade: Array, p: Array) -> Array:
+def overlap(wheel: WheelBody, T_base_blade: Array, p: Array) -> Array:
     """Interference (n,) m of the undeformed contact points p (n, 3) of a blade at T_base_blade (n, 4, 4)."""
     v = apply(T_base_blade, p) - wheel.centre
     radial = v - (v @ wheel.axis)[:, None] * wheel.axis
     return np.asarray(wheel.radius - np.linalg.norm(radial, axis=1))
 
 
-def chain_stiffness(machine: Machine, grinding: Grinding, wheel: Wheel) -> Array:
+def chain_stiffness(machine: VirtualMachine, grinding: GroundPasses, wheel: WheelBody) -> Array:
     """Newtons per metre (n,) of the chain of arm, flange, blade and wheel, by moving the flange a little toward the wheel."""
     m = grinding.moments
     v = apply(m.T_base_flange @ true_blade(machine.cell, machine.truth), m.p) - wheel.centre
     radial = v - (v @ wheel.axis)[:, None] * wheel.axis
     inward = -radial / np.linalg.norm(radial, axis=1, keepdims=True)
-    pushed = machine.grinder.force(moved(grinding, NUDGE * inward)).force
+    pushed = machine.grinder.force(pushed_by(grinding, NUDGE * inward)).force
     return np.asarray(np.maximum((pushed - grinding.result.force) / NUDGE, SOFTEST))
-
-
-def taken(m: ContactMoments, rows: Index) -> ContactMoments:
-    """Some of the instants."""
-    values: dict[str, Any] = {f.name: getattr(m, f.name) for f in fields(m)}
-    return replace(m, **{name: value[rows] for name, value in values.items() if isinstance(value, np.ndarray)})
 
 
 def _worst(m: ContactMoments, force: Array, goal: Array, parts: Array) -> tuple[Place, ...]:

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Arm, Moments, make_arm, moments
-from ocp.simulate.twin.arm.collide import HZ, SLOW_HZ, Wheel, refuse_hits, true_wheel
+from ocp.simulate.twin.arm.arm import Moments, VirtualArm, arm_moments, make_arm
+from ocp.simulate.twin.arm.collide import HZ, SLOW_HZ, WheelBody, refuse_hits, true_wheel
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Grinder, make_grinder, read_sensor
 from ocp.simulate.twin.controller.controller import Index, Track
 from ocp.simulate.twin.plan_knowledge import AWAY, GRINDING, Matched
@@ -22,13 +22,13 @@ SLICE = 4000  # instants worked on at once
 
 
 @dataclass(frozen=True)
-class Machine:
+class VirtualMachine:
     """The virtual machine: believed cell, truth, arm and grinder as they are, the blade, random numbers."""
 
     cell: Cell
     truth: Truth
     blade: Blade
-    arm: Arm
+    arm: VirtualArm
     grinder: Grinder
     rng: np.random.Generator
 
@@ -39,7 +39,7 @@ class Machine:
 
 
 @dataclass(frozen=True)
-class Conditions:
+class RunConditions:
     """How a program is run: setpoint N, belt m/s with sign, in contact or with the flange drawn back, seconds since the
     campaign began, how often each line was ground before, label of the session."""
 
@@ -52,11 +52,11 @@ class Conditions:
 
 
 @dataclass(frozen=True)
-class Grinding:
+class GroundPasses:
     """n samples of the passes of a run, in time order: `index` into the track, q (n, 6) rad commanded, time s since the pass
     began, clock s, moments of the contact, the true force N, tangential N, overlap m, and the readings fn, ft N."""
 
-    conditions: Conditions
+    conditions: RunConditions
     index: Index
     q: Array
     moments: ContactMoments
@@ -65,14 +65,14 @@ class Grinding:
     ft: Array
 
 
-def make_machine(cell: Cell, truth: Truth, blade: Blade, seed: int) -> Machine:
+def make_machine(cell: Cell, truth: Truth, blade: Blade, seed: int) -> VirtualMachine:
     """Build arm and grinder; `seed` draws noise of joints and sensor, from a stream that is not the machine's."""
-    return Machine(
+    return VirtualMachine(
         cell, truth, blade, make_arm(cell, truth), make_grinder(cell, truth, blade), np.random.default_rng([seed, 0xF0])
     )
 
 
-def refuse_crash(machine: Machine, track: Track, plan: Matched) -> None:
+def refuse_crash(machine: VirtualMachine, track: Track, plan: Matched) -> None:
     """Raises Infeasible where the arm, the blade or its holder hits the wheel or the arm on the way."""
     rate = 1.0 / max(float(np.median(np.diff(track.time))), 1e-9)
     n = np.arange(len(track.time))
@@ -84,21 +84,23 @@ def refuse_crash(machine: Machine, track: Track, plan: Matched) -> None:
     refuse_hits(machine.cell, machine.blade, wheel_of(machine), T, links, plan.phase[index], plan.interference[index], where)
 
 
-def _links(machine: Machine, track: Track, index: Index) -> Array:
+def _links(machine: VirtualMachine, track: Track, index: Index) -> Array:
     parts = [
-        machine.arm.links(conditions_of(machine, track, part, 0.0)) for part in np.array_split(index, len(index) // SLICE + 1)
+        machine.arm.links(arm_conditions(machine, track, part, 0.0)) for part in np.array_split(index, len(index) // SLICE + 1)
     ]
     return np.concatenate(parts)
 
 
-def conditions_of(machine: Machine, track: Track, index: Index, clock: float, visit: Index | None = None) -> Moments:
+def arm_conditions(machine: VirtualMachine, track: Track, index: Index, clock: float, visit: Index | None = None) -> Moments:
     """Conditions of samples of the track."""
     piece = machine.cell.tables.workpiece
     payload = piece.payload if piece is not None and piece.payload is not None else next(iter(machine.truth.payloads), "")
-    return moments(track.q[index], payload, machine.temperature, track.approach[index], clock + track.time[index], visit=visit)
+    return arm_moments(
+        track.q[index], payload, machine.temperature, track.approach[index], clock + track.time[index], visit=visit
+    )
 
 
-def wheel_of(machine: Machine) -> Wheel:
+def wheel_of(machine: VirtualMachine) -> WheelBody:
     """The wheel as it stands."""
     return true_wheel(machine.cell, machine.truth.wheel_shift, machine.truth.wheel_axis_turn)
 
@@ -110,24 +112,26 @@ def true_blade(cell: Cell, truth: Truth) -> Array:
     return make_transform(turn @ T[:3, :3], T[:3, 3] + truth.blade_shift)
 
 
-def grind(machine: Machine, track: Track, plan: Matched, conditions: Conditions, runs: list[int] | None = None) -> Grinding:
+def grind(
+    machine: VirtualMachine, track: Track, plan: Matched, conditions: RunConditions, runs: list[int] | None = None
+) -> GroundPasses:
     """Run the passes (all, or `runs`) under conditions. Raises Infeasible: a force beyond what is safe."""
     rows = plan.phase == GRINDING
     if runs is not None:
         rows &= np.isin(plan.run, runs)
     index = np.concatenate([np.flatnonzero(rows & (plan.run == k)) for k in np.unique(plan.run[rows])])
-    m = conditions_of(machine, track, index, conditions.clock, plan.run[index])
+    m = arm_conditions(machine, track, index, conditions.clock, plan.run[index])
     flange, compliance = machine.arm.flange(m, machine.rng), machine.arm.compliance(m)
     asked = _contact(machine, track, plan, conditions, index, flange, compliance)
     result = machine.grinder.force(asked)
     if conditions.contact:
         _refuse_force(machine, track, plan, index, result)
     fn, ft = read_sensor(machine.truth, result, asked, machine.rng)
-    return Grinding(conditions, index, m.q, asked, result, fn, ft)
+    return GroundPasses(conditions, index, m.q, asked, result, fn, ft)
 
 
 def _contact(
-    machine: Machine, track: Track, plan: Matched, c: Conditions, index: Index, flange: Array, compliance: Array
+    machine: VirtualMachine, track: Track, plan: Matched, c: RunConditions, index: Index, flange: Array, compliance: Array
 ) -> ContactMoments:
     """The contact's conditions at samples of the track."""
     n, run, line = len(index), plan.run[index], plan.line[index]
@@ -155,7 +159,7 @@ def _contact(
     )
 
 
-def _refuse_force(machine: Machine, track: Track, plan: Matched, index: Index, result: ContactResult) -> None:
+def _refuse_force(machine: VirtualMachine, track: Track, plan: Matched, index: Index, result: ContactResult) -> None:
     k = int(np.argmax(result.force))
     most = UNSAFE * machine.cell.process.force
     if result.force[k] > most or not np.isfinite(result.force).all():
@@ -168,7 +172,7 @@ def _refuse_force(machine: Machine, track: Track, plan: Matched, index: Index, r
         )
 
 
-def moved(grinding: Grinding, shift: Array) -> ContactMoments:
+def pushed_by(grinding: GroundPasses, shift: Array) -> ContactMoments:
     """The same instants with the flange moved by `shift` (n, 3) m, base axes."""
     T = grinding.moments.T_base_flange.copy()
     T[:, :3, 3] += shift

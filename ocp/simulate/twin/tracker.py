@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Arm, Moments
-from ocp.simulate.twin.truth.machine import Truth
+from ocp.simulate.twin.arm.arm import Moments, VirtualArm
+from ocp.simulate.twin.truth.truth import Truth
 from robots.errors import BadInput
 from robots.pose import Array, apply
 
@@ -31,7 +31,7 @@ def nest_links(cell: Cell, names: Sequence[str]) -> Array:
 
 
 def true_points(
-    truth: Truth, cell: Cell, arm: Arm, m: Moments, names: Sequence[str], rng: np.random.Generator | None = None
+    truth: Truth, cell: Cell, arm: VirtualArm, m: Moments, names: Sequence[str], rng: np.random.Generator | None = None
 ) -> Array:
     """Reflectors (n, 3) m in the tracker's frame, planted effects included and noise not; names: the nest of each instant.
 
@@ -55,7 +55,7 @@ def true_points(
     return np.asarray(points)
 
 
-def measure(truth: Truth, cell: Cell, arm: Arm, m: Moments, names: Sequence[str], rng: np.random.Generator) -> Array:
+def measure(truth: Truth, cell: Cell, arm: VirtualArm, m: Moments, names: Sequence[str], rng: np.random.Generator) -> Array:
     """Readings (n, 3) m in the tracker's frame: joints repeat, range and two angles scatter, a share is grossly wrong."""
     return instrument(cell, truth.outliers, true_points(truth, cell, arm, m, names, rng), rng)
 
@@ -86,7 +86,7 @@ def instrument(cell: Cell, outliers: float, points: Array, rng: np.random.Genera
 
 
 def measure_turns(
-    truth: Truth, cell: Cell, arm: Arm, m: Moments, names: Sequence[str], rng: np.random.Generator | None
+    truth: Truth, cell: Cell, arm: VirtualArm, m: Moments, names: Sequence[str], rng: np.random.Generator | None
 ) -> tuple[Array, Array]:
     """Orientations (n, 3, 3) of 6D targets in the tracker's frame and which rows (n,) have one; without rng free of noise."""
     links = arm.links(m)

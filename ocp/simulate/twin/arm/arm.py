@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.joint_errors import AxisState, motor_side
-from ocp.simulate.twin.arm.machine import Index, Machine, build_machine
-from ocp.simulate.twin.arm.planted import Hardware, base_tilt, growth, hardware, hung
-from ocp.simulate.twin.arm.statics import Settled, Situations, settle
-from ocp.simulate.twin.truth.machine import Truth
+from ocp.simulate.twin.arm.errors import AxisState, Hardware, base_tilt, growth, hardware, hung, motor_side
+from ocp.simulate.twin.arm.machine import ArmModel, Index, build_machine
+from ocp.simulate.twin.arm.statics import Settled, Situations, equilibria
+from ocp.simulate.twin.truth.truth import Truth
 from robots.errors import BadInput
 from robots.pose import Array
 from robots.robot import Robot
@@ -46,7 +45,7 @@ class Moments:
         return replace(self, payload=payload, visit=None if self.visit is None else self.visit[rows], **arrays)
 
 
-def moments(
+def arm_moments(
     q: ArrayLike,
     payload: str | tuple[str, ...],
     temperature_C: ArrayLike,
@@ -79,14 +78,14 @@ def moments(
 
 
 @dataclass
-class Arm:
+class VirtualArm:
     """A built arm. Its machines, one for a payload, are compiled when they are first needed."""
 
     robot: Robot
     truth: Truth
     hardware: Hardware
     reference_C: float
-    machines: dict[str, Machine] = field(default_factory=dict)
+    machines: dict[str, ArmModel] = field(default_factory=dict)
     _last: tuple[Moments, Settled] | None = None
 
     def settled(
@@ -105,12 +104,10 @@ class Arm:
         if rng is not None:
             visit = np.arange(len(m)) if m.visit is None else np.unique(m.visit, return_inverse=True)[1]
             motor = motor + (rng.normal(size=(int(visit.max(initial=-1)) + 1, 6)) * self.truth.repeatability)[visit]
-        at = Situations(
-            motor, m.approach, growth(self.truth, warmth), base_tilt(self.truth, m.time_s),
-            m.load if m.load.any() else None, m.load_link, m.load_place, qd, qdd,
-        )  # fmt: skip
+        grown, tilt, load = growth(self.truth, warmth), base_tilt(self.truth, m.time_s), m.load if m.load.any() else None
+        at = Situations(motor, m.approach, grown, tilt, load, m.load_link, m.load_place, qd, qdd)
         if isinstance(m.payload, str):
-            result = settle(self._machine(m.payload), self.hardware.laws, at)
+            result = equilibria(self._machine(m.payload), self.hardware.laws, at)
         else:
             result = self._by_payload(m.payload, at)
         if plain:
@@ -128,9 +125,9 @@ class Arm:
     def compliance(self, m: Moments) -> Array:
         """Twist of the flange for a small wrench at its origin, (n, 6, 6): translation m and rotation rad, by force N and moment
         N m, base axes. J C J^T with all true springs at the loads they carry."""
-        return self.give(self.settled(m))
+        return self.compliance_at(self.settled(m))
 
-    def give(self, s: Settled) -> Array:
+    def compliance_at(self, s: Settled) -> Array:
         """`compliance` of equilibria that are at hand, those with repeatability too."""
         c = self.hardware.contact_compliance - 3 * self.hardware.laws.cubic * s.load_torque**2
         return np.asarray((s.jacobian * c[:, None, :]) @ np.swapaxes(s.jacobian, 1, 2))
@@ -140,7 +137,7 @@ class Arm:
         the motion too; friction is not in them."""
         return self.settled(m, None, qd, qdd).motor_torque
 
-    def _machine(self, payload: str) -> Machine:
+    def _machine(self, payload: str) -> ArmModel:
         if payload not in self.machines:
             if payload and payload not in self.truth.payloads:
                 known = ", ".join(self.truth.payloads) or "none"
@@ -155,7 +152,7 @@ class Arm:
         for name in dict.fromkeys(names):
             rows = np.flatnonzero(label == name)
             arrays = {key: value[rows] for key, value in vars(at).items() if value is not None}
-            parts.append(settle(self._machine(name), self.hardware.laws, Situations(**arrays)))
+            parts.append(equilibria(self._machine(name), self.hardware.laws, Situations(**arrays)))
             order.append(rows)
         back = np.argsort(np.concatenate(order), kind="stable")
         names_of = ("links", "bent", "load_torque", "motor_torque", "jacobian")
@@ -163,6 +160,6 @@ class Arm:
         return Settled(**joined, steps=sum(part.steps for part in parts))
 
 
-def make_arm(cell: Cell, truth: Truth) -> Arm:
+def make_arm(cell: Cell, truth: Truth) -> VirtualArm:
     """The arm of a cell as `truth` says it is."""
-    return Arm(cell.robot, truth, hardware(cell.robot, truth), cell.tables.reference_temperature_C)
+    return VirtualArm(cell.robot, truth, hardware(cell.robot, truth), cell.tables.reference_temperature_C)

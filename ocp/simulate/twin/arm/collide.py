@@ -31,7 +31,7 @@ REACH = 1.4  # m that a shape of a link reaches from its frame at most
 
 
 @dataclass(frozen=True)
-class Wheel:
+class WheelBody:
     """The wheel as it really stands: centre m, unit axis, base frame; radius, width m."""
 
     centre: Array
@@ -40,14 +40,14 @@ class Wheel:
     width: float
 
 
-def true_wheel(cell: Cell, shift: Array, turn: Array) -> Wheel:
+def true_wheel(cell: Cell, shift: Array, turn: Array) -> WheelBody:
     """The cell's wheel moved by `shift` m, its axis turned by the rotation vector `turn`."""
     axis = Rotation.from_rotvec(turn).apply(cell.wheel.axis)
-    return Wheel(cell.wheel.centre + shift, np.asarray(axis), cell.wheel.radius, cell.wheel.width)
+    return WheelBody(cell.wheel.centre + shift, np.asarray(axis), cell.wheel.radius, cell.wheel.width)
 
 
 def refuse_hits(
-    cell: Cell, blade: Blade, wheel: Wheel, T_flange_blade: Array, links: Array, phase: Index, depth: Array, where: list[str]
+    cell: Cell, blade: Blade, wheel: WheelBody, T_flange_blade: Array, links: Array, phase: Index, depth: Array, where: list[str]
 ) -> None:
     """Raises Infeasible, naming what hits what, where in the program and by how much.
 
@@ -66,7 +66,7 @@ def refuse_hits(
             raise Infeasible(f"{where[k]}: {a} and {b} overlap by {1e3 * by:.1f} mm on the virtual cell; plan another way")
 
 
-def _refuse_blade(blade: Blade, wheel: Wheel, T: Array, phase: Index, depth: Array, where: list[str]) -> None:
+def _refuse_blade(blade: Blade, wheel: WheelBody, T: Array, phase: Index, depth: Array, where: list[str]) -> None:
     """The blade inside the wheel: not at all off contact, not much deeper than planned in contact."""
     points = surface_points(blade)
     middle = points.mean(axis=0)
@@ -101,7 +101,7 @@ def surface_points(blade: Blade) -> Array:
 class _Scene:
     """Shapes on frames that are put where the arm is; distances of the pairs that may meet."""
 
-    def __init__(self, cell: Cell, blade: Blade, wheel: Wheel, T_flange_blade: Array) -> None:
+    def __init__(self, cell: Cell, blade: Blade, wheel: WheelBody, T_flange_blade: Array) -> None:
         spec = mujoco.MjSpec()
         self._geoms: list[tuple[str, str, int]] = []
         bodies = [spec.worldbody.add_body(name=f"link{i}", mocap=True) for i in range(7)]

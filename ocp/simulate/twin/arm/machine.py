@@ -50,7 +50,7 @@ class Balancer:
 
 
 @dataclass(frozen=True)
-class Design:
+class ArmDesign:
     """What an arm is built of: robot (signs, masses, centres), mdh (6, 5), placement (6, 6) m and rad, mass_scale (7,),
     compliance (6,) rad/(N m) of the joints' springs (0 rigid), bending links, balancer; growth of the lengths d and a; whether
     they will grow while the machine is used."""
@@ -67,7 +67,7 @@ class Design:
 
 
 @dataclass(frozen=True)
-class Machine:
+class ArmModel:
     """A compiled arm with its working data, and where its parts are.
 
     drives (6,), springs (6, then two for each bending link) are indices of coordinates; compliance of each spring rad/(N m);
@@ -86,7 +86,7 @@ class Machine:
     site_growth: Array
 
 
-def build_machine(design: Design, payload: tuple[float, Array]) -> Machine:
+def build_machine(design: ArmDesign, payload: tuple[float, Array]) -> ArmModel:
     """Compile the arm with a payload: mass kg and centre (3,) m in the flange frame."""
     model = _model(design, payload)
     grown = _model(replace(design, growth=design.growth + _GROWN), payload) if design.grows else model
@@ -94,7 +94,7 @@ def build_machine(design: Design, payload: tuple[float, Array]) -> Machine:
     tips = {b.joint: f"part{b.joint}_1" for b in design.bendings}
     bodies = ["base"] + [tips.get(i, f"link{i}") for i in range(1, 7)]
     kind = mujoco.mjtObj
-    return Machine(
+    return ArmModel(
         model=model,
         data=mujoco.MjData(model),
         drives=_ids(model, kind.mjOBJ_JOINT, [f"drive{i}" for i in range(1, 7)]),
@@ -111,7 +111,7 @@ def _ids(model: mujoco.MjModel, kind: mujoco.mjtObj, names: Sequence[str]) -> In
     return np.array([mujoco.mj_name2id(model, kind, name) for name in names], np.int64)
 
 
-def _model(design: Design, payload: tuple[float, Array]) -> mujoco.MjModel:
+def _model(design: ArmDesign, payload: tuple[float, Array]) -> mujoco.MjModel:
     """All joints are hinges: coordinate, velocity and joint share one index."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -126,7 +126,7 @@ def _model(design: Design, payload: tuple[float, Array]) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _link(parent: mujoco.MjsBody, before: Array, design: Design, i: int) -> tuple[mujoco.MjsBody, Array]:
+def _link(parent: mujoco.MjsBody, before: Array, design: ArmDesign, i: int) -> tuple[mujoco.MjsBody, Array]:
     """Link i + 1 after the link frame `before` of `parent`: the body that carries its frame, and the frame in it."""
     robot, (offset, d, a, alpha, beta) = design.robot, design.mdh[i]
     body = _body(parent, f"link{i + 1}", before @ make_transform(rot_z(offset), np.zeros(3)))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from ocp.simulate.twin.arm.machine import Index, Machine
+from ocp.simulate.twin.arm.machine import ArmModel, Index
 from robots.errors import Infeasible
 from robots.pose import Array
 
@@ -63,7 +63,7 @@ class Settled:
     steps: int
 
 
-def settle(machine: Machine, laws: Laws, at: Situations) -> Settled:
+def equilibria(machine: ArmModel, laws: Laws, at: Situations) -> Settled:
     """Equilibria of all situations in their order; each starts from the one before.
 
     Raises Infeasible: the springs are too soft for what hangs on the arm.
@@ -105,7 +105,7 @@ def settle(machine: Machine, laws: Laws, at: Situations) -> Settled:
     return Settled(links, bent, torque, motor, jacobian, steps)
 
 
-def _equilibrium(machine: Machine, laws: Laws, at: Situations, k: int, x: Array) -> tuple[Array, Array, Array, int]:
+def _equilibrium(machine: ArmModel, laws: Laws, at: Situations, k: int, x: Array) -> tuple[Array, Array, Array, int]:
     """Spring angles from x on, their load torques, the drives' holding torques, and the steps taken."""
     model, data, springs, c = machine.model, machine.data, machine.springs, machine.compliance
     stiffness, bias, before = model.jnt_stiffness[springs], np.empty(model.nv), 0.0
@@ -138,7 +138,7 @@ def _equilibrium(machine: Machine, laws: Laws, at: Situations, k: int, x: Array)
     )
 
 
-def _applied(machine: Machine, at: Situations, k: int) -> Array | None:
+def _applied(machine: ArmModel, at: Situations, k: int) -> Array | None:
     """Generalised force (nv,) of the load, None without."""
     if at.load is None or at.load_link is None or at.load_place is None or not at.load[k].any():
         return None
@@ -152,7 +152,7 @@ def _applied(machine: Machine, at: Situations, k: int) -> Array | None:
     return force
 
 
-def _in_motion(machine: Machine, qd: Array, qdd: Array) -> Array:
+def _in_motion(machine: ArmModel, qd: Array, qdd: Array) -> Array:
     """Torques (6,) N m that the drives need beyond holding, without friction and rotors."""
     model, data = machine.model, machine.data
     result = np.empty((2, model.nv))

@@ -1,18 +1,73 @@
 """The force at which wheel, blade, arm and mount together give way by the overlap: one monotone equation at every instant.
 
-    depth = stroke(F) (n.a) + indentation(F) + F give                                              (4)
+    depth = stroke(F) (n.a) + indentation(F) + F compliance                                        (4)
 
 The unknown is v = (load / process load)^(2/3), in which the cover's curve is nearly straight; halving the interval finds it
-for all instants at once and cannot fail.
+for all instants at once and cannot fail. The mount between arm and blade is a rigid one, or the force-setting flange with what
+happens to it.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.simulate.twin.contact.flange import Mount
+from ocp.model.cell import Cell
+from ocp.simulate.twin.contact.moments import ContactMoments, Index
 from ocp.simulate.twin.contact.table import LEVELS
+from ocp.simulate.twin.truth.truth import Truth
 from robots.pose import Array
+
+GRAVITY = 9.80665  # m/s^2, standard gravity
+
+
+@dataclass(frozen=True)
+class Mount:
+    """What carries the blade. along (n,): n.a; preload (n,) N at stroke 0; stiffness N/m; half m: stroke to each side; friction
+    (n,) N against the stroke's motion; held (n,) m or None: the stroke where it sticks. stiffness 0: no flange."""
+
+    along: Array
+    preload: Array
+    stiffness: float
+    half: float
+    friction: Array
+    held: Array | None = None
+
+    def stroke(self, force: Array) -> Array:
+        """Stroke (n,) m under contact forces (n,) N; positive gives way to the wheel."""
+        if self.held is not None:
+            return self.held
+        if self.stiffness == 0.0:
+            return np.zeros_like(force)
+        free = (force * self.along - self.preload - self.friction) / self.stiffness
+        return np.asarray(np.clip(free, -self.half, self.half))
+
+
+def make_mount(truth: Truth, cell: Cell, c: ContactMoments, rows: Index, normal: Array) -> Mount:
+    """The mount at the instants `rows`; `normal` (rows, 3): outward normals of the blade there, base axes."""
+    flange = cell.flange
+    zero = np.zeros(len(rows))
+    if flange is None:
+        return Mount(zero, zero, 0.0, 0.0, zero)
+    if flange.axis is None:
+        direction = normal
+    else:
+        direction = c.T_base_flange[rows, :3, :3] @ flange.axis
+        direction = direction * np.where(np.sum(direction * normal, axis=1) < 0, -1.0, 1.0)[:, None]
+    mass = 0.0 if flange.gravity_compensated else flange.carried_mass
+    mass += sum(effect.number("kg") for effect in truth.planted("flange_gravity"))
+    setpoint = np.where(np.isfinite(c.setpoint[rows]), c.setpoint[rows], flange.setpoint) + truth.flange_offset
+    stiffness = flange.stiffness * truth.flange_scale
+    for effect in truth.planted("flange_stiffness"):
+        stiffness *= 1 + effect.number("scale")
+    stick = sum(effect.number("N") for effect in truth.planted("flange_friction"))
+    return Mount(
+        along=np.sum(direction * normal, axis=1),
+        preload=setpoint - mass * GRAVITY * direction[:, 2],
+        stiffness=float(stiffness),
+        half=0.5 * flange.stroke,
+        friction=np.full(len(rows), float(stick)),
+    )
+
 
 V = LEVELS ** (2 / 3)
 HIGHEST = 14.0  # v of the highest force looked for, 52 process forces; the curve goes on straight beyond the last level
@@ -41,11 +96,11 @@ class CoverForce:
 
 @dataclass(frozen=True)
 class Chain:
-    """Everything at n instants: depth m of the undeformed bodies, indentation (n, levels) m, give (n,) m/N, cover, mount."""
+    """At n instants: depth m of the undeformed bodies, indentation (n, levels) m, compliance (n,) m/N; cover, mount."""
 
     depth: Array
     indentation: Array
-    give: Array
+    compliance: Array
     cover: CoverForce
     mount: Mount
 
@@ -60,12 +115,12 @@ class Equilibrium:
     indentation: Array
 
 
-def solve(chain: Chain) -> Equilibrium:
+def solve_chain(chain: Chain) -> Equilibrium:
     """Force at every instant; 0 where the bodies do not meet."""
     slopes = _slopes(chain.indentation)
 
     def excess(v: Array, force: Array) -> Array:
-        closed = chain.mount.stroke(force) * chain.mount.along + _curve(chain.indentation, slopes, v) + force * chain.give
+        closed = chain.mount.stroke(force) * chain.mount.along + _curve(chain.indentation, slopes, v) + force * chain.compliance
         return np.asarray(chain.depth - closed)
 
     zero = np.zeros_like(chain.depth)
@@ -99,16 +154,16 @@ def solve_sticking(chain: Chain, restart: Array) -> Equilibrium:
     """
     mount = chain.mount
     if mount.stiffness == 0.0 or not np.any(mount.friction):
-        return solve(chain)
-    least = solve(chain).stroke
-    most = solve(replace(chain, mount=replace(mount, friction=-mount.friction))).stroke
+        return solve_chain(chain)
+    least = solve_chain(chain).stroke
+    most = solve_chain(replace(chain, mount=replace(mount, friction=-mount.friction))).stroke
     least, most = np.minimum(least, most), np.maximum(least, most)
     held = np.empty_like(least)
     last = 0.0
     for k in range(len(held)):
         last = least[k] if restart[k] else min(max(last, least[k]), most[k])
         held[k] = last
-    return solve(replace(chain, mount=replace(mount, held=held)))
+    return solve_chain(replace(chain, mount=replace(mount, held=held)))
 
 
 def _slopes(depth: Array) -> Array:

@@ -5,17 +5,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.contact.chain import Chain, CoverForce
-from ocp.simulate.twin.contact.flange import make_mount
-from ocp.simulate.twin.contact.give import arm_give, blade_give, solid_give
+from ocp.simulate.twin.contact.chain import Chain, CoverForce, make_mount
 from ocp.simulate.twin.contact.moments import ContactMoments, ContactResult, Index
-from ocp.simulate.twin.contact.posture import Postures, postures
-from ocp.simulate.twin.contact.stations import Stations, depth_curves, place_stations
+from ocp.simulate.twin.contact.sensor import lagging
+from ocp.simulate.twin.contact.stations import SolvedStations, depth_curves, place_stations
+from ocp.simulate.twin.contact.surface import Postures, postures
 from ocp.simulate.twin.contact.table import Tables, make_tables
-from ocp.simulate.twin.contact.timing import lagging
 from ocp.simulate.twin.contact.wheel import LAW_CENTRE, friction, law_power, modulus_factor, push, radius_change, solve_relaxing
-from ocp.simulate.twin.contact.workpiece import blade_poses, blade_stiffness, clamp_give, surface_change, wheel_frames
-from ocp.simulate.twin.truth.machine import Truth
+from ocp.simulate.twin.contact.workpiece import (
+    arm_compliance_along,
+    blade_compliance_along,
+    blade_poses,
+    blade_stiffness,
+    clamp_compliance,
+    solid_compliance,
+    surface_change,
+    wheel_frames,
+)
+from ocp.simulate.twin.truth.truth import Truth
 from robots.pose import Array
 from trajectories.blade import Blade
 
@@ -47,7 +54,7 @@ class Grinder:
             overlap[rows] = at.overlap
         return ContactResult(force, mu * force, overlap, stroke, indentation)
 
-    def _chain(self, c: ContactMoments, rows: Index, stations: Stations, mu: Array) -> tuple[Chain, Postures]:
+    def _chain(self, c: ContactMoments, rows: Index, stations: SolvedStations, mu: Array) -> tuple[Chain, Postures]:
         """The equation of every instant in contact, and the postures."""
         truth, cell = self.truth, self.cell
         T = blade_poses(truth, cell, c)[rows]
@@ -56,8 +63,8 @@ class Grinder:
         p, n, t = c.p[rows], c.n[rows], c.t[rows]
         at = postures(T, p, n, t, centre[rows], axis[rows], radius)
         indentation, crowding = depth_curves(self.tables, stations, at.shape)
-        give = blade_give(self._solid(stations), stations, T[:, :3, :3], n, t, at, mu) / blade_stiffness(truth)
-        give += clamp_give(truth, cell, p) + arm_give(c, rows, T, at, mu)
+        compliance = blade_compliance_along(self._solid(stations), stations, T[:, :3, :3], n, t, at, mu) / blade_stiffness(truth)
+        compliance += clamp_compliance(truth, cell, p) + arm_compliance_along(c, rows, T, at, mu)
         everywhere = np.zeros(len(c.s))
         everywhere[rows] = crowding
         cover = CoverForce(
@@ -69,12 +76,14 @@ class Grinder:
         )
         normal = np.einsum("kij,kj->ki", T[:, :3, :3], n)
         mount = make_mount(truth, cell, c, rows, normal)
-        return Chain(at.depth + surface_change(truth, c)[rows], indentation, give, cover, mount), at
+        return Chain(at.depth + surface_change(truth, c)[rows], indentation, compliance, cover, mount), at
 
-    def _solid(self, stations: Stations) -> Array:
+    def _solid(self, stations: SolvedStations) -> Array:
         """Compliance of the blade's solid at the stations (k, 3), kept with the tables."""
         piece, patch = self.cell.workpiece, self.tables.patch
-        return self.tables.give(stations.p, stations.n, stations.t, lambda: solid_give(piece, self.blade, stations, patch))
+        return self.tables.compliance(
+            stations.p, stations.n, stations.t, lambda: solid_compliance(piece, self.blade, stations, patch)
+        )
 
 
 def make_grinder(cell: Cell, truth: Truth, blade: Blade, tables: Tables | None = None) -> Grinder:

@@ -1,6 +1,6 @@
 """What the contact is asked at n instants, and what it answers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -43,6 +43,10 @@ class ContactMoments:
     wheel_temperature_C: Array
     temperature_C: Array
 
+    def take(self, rows: "Index | slice") -> "ContactMoments":
+        """Some of the instants."""
+        return ContactMoments(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
     def runs(self) -> list[slice]:
         """Stretches of one recording each."""
         cuts = np.flatnonzero(np.diff(self.run)) + 1
@@ -68,3 +72,7 @@ class ContactResult:
     overlap: Array
     stroke: Array
     indentation: Array
+
+    def take(self, rows: "Index | slice") -> "ContactResult":
+        """Some of the instants."""
+        return ContactResult(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})

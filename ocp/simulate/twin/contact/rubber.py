@@ -1,21 +1,166 @@
-"""The cover as a compliance between pressure cells on its surface: a convolution along the belt, full across the width.
+"""The cover as a compliance between pressure cells on its surface: waves around the wheel, spectral elements across it.
 
-The waves of `section.py` are added around the whole wheel, so there are no periodic images but the wheel's own; the
-convolution is done by padded Fourier transforms for many loads at once (docs/virtual_grinding.md, eq. 3). Modulus 1: lengths
-are right when cell forces are given as force over modulus, m^2.
+It is a convolution along the belt, full across the width. The waves are added around the whole wheel, so there are no periodic
+images but the wheel's own; the convolution is done by padded Fourier transforms for many loads at once
+(docs/virtual_grinding.md, eq. 3). Modulus 1: lengths are right when cell forces are given as force over modulus, m^2.
+
+The cover is a ring: bonded to the core at its inner radius, loaded at the outer one, both side faces free. Displacements
+u_r = U(r, y) cos n theta, u_theta = V sin n theta, u_y = W cos n theta; the energy is a quadratic form in (U, V, W) and its
+matrix a sum of Kronecker products of one-dimensional matrices in r and y (docs/virtual_grinding.md, eq. 2). Lagrange
+polynomials of degree 4 across the width and 5 through the thickness, integrated in full: no locking at such degrees.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.legendre import Legendre, leggauss
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
+from scipy.linalg import solveh_banded
+from scipy.sparse import coo_matrix, csr_matrix, kron
 
-from ocp.simulate.twin.contact.section import ring_section
 from robots.pose import Array
+
+DEGREE_Y, DEGREE_R = 4, 5
+CELLS_PER_ELEMENT = 2
+FINEST_LAYER, GROWTH = 1.6, 2.6  # thickness of the outermost element in cells, and how much each below is thicker
+
+
+@dataclass(frozen=True)
+class LineElements:
+    """One-dimensional elements: `value` and `slope` (points, nodes) of the nodal polynomials at the integration points, whose
+    places and weights are (points,)."""
+
+    place: Array
+    weight: Array
+    value: Array
+    slope: Array
+
+    def matrix(self, left: Array, right: Array, factor: Array | float = 1.0) -> csr_matrix:
+        """Integral of left_i right_j times a factor at the integration points."""
+        return csr_matrix(left.T @ ((self.weight * factor)[:, None] * right))
+
+
+def elements(breaks: Array, degree: int) -> LineElements:
+    """Continuous Lagrange polynomials on Gauss-Lobatto nodes between `breaks` (k+1,), degree + 2 Gauss points an element."""
+    nodes = np.concatenate([[-1.0], np.sort(Legendre.basis(degree).deriv().roots().real), [1.0]])
+    points, weights = leggauss(degree + 2)
+    to_nodes = np.linalg.inv(np.vander(nodes, degree + 1))
+    powers = np.arange(degree, -1, -1)
+    value = np.vander(points, degree + 1) @ to_nodes
+    lowered = np.where(powers > 0, powers * points[:, None] ** np.maximum(powers - 1, 0), 0.0)
+    slope = lowered @ to_nodes
+    count = len(breaks) - 1
+    shape = (count * len(points), count * degree + 1)
+    all_values, all_slopes = np.zeros(shape), np.zeros(shape)
+    places, all_weights = [], []
+    for k, (a, b) in enumerate(pairwise(breaks)):
+        rows, columns = slice(k * len(points), (k + 1) * len(points)), slice(k * degree, k * degree + degree + 1)
+        all_values[rows, columns], all_slopes[rows, columns] = value, slope * 2.0 / (b - a)
+        places.append(0.5 * (a + b) + 0.5 * (b - a) * points)
+        all_weights.append(0.5 * (b - a) * weights)
+    return LineElements(np.concatenate(places), np.concatenate(all_weights), all_values, all_slopes)
+
+
+@dataclass(frozen=True)
+class CoverSection:
+    """Stiffness K0 + n K1 + n^2 K2 of the section per unit modulus, as lower bands (bandwidth + 1, unknowns), and the loads of
+    the pressure cells (unknowns, cells): integral of the radial polynomials over each cell at the outer radius, m."""
+
+    bands: tuple[Array, Array, Array]
+    cells: Array
+    radius: float
+    cell: float
+
+    def response(self, n: float) -> Array:
+        """Mean radial displacement of cell i under a unit pressure wave on cell j, (cells, cells) m/Pa times the modulus."""
+        bands = self.bands[0] + n * self.bands[1] + n * n * self.bands[2]
+        moved = solveh_banded(bands, self.cells, lower=True, check_finite=False)
+        answer = self.radius / self.cell * (self.cells.T @ moved)
+        return np.asarray(0.5 * (answer + answer.T))
+
+
+def cover_section(radius: float, width: float, thickness: float, poisson: float, cells: int) -> CoverSection:
+    """Section of a cover of the given outer radius, width and thickness in m, with an even number of cells across the width."""
+    cell = width / cells
+    depth = [0.0]
+    layer = FINEST_LAYER * cell
+    while depth[-1] + 1.5 * layer < thickness:
+        depth.append(depth[-1] + layer)
+        layer *= GROWTH
+    depth.append(thickness)
+    r = elements(radius - np.array(depth[::-1]), DEGREE_R)
+    y = elements(np.linspace(-width / 2, width / 2, cells // CELLS_PER_ELEMENT + 1), DEGREE_Y)
+    r = LineElements(r.place, r.weight, r.value[:, 1:], r.slope[:, 1:])  # bonded: the innermost node does not move
+    parts = _stiffness(r, y, poisson)
+    loads = np.zeros((y.value.shape[1], r.value.shape[1], 3, cells))
+    loads[:, -1, 0, :] = _cell_loads(y, width, cells)
+    return CoverSection((parts[0], parts[1], parts[2]), loads.reshape(-1, cells), radius, cell)
+
+
+def _cell_loads(y: LineElements, width: float, cells: int) -> Array:
+    """Integral over each cell of the polynomials across the width (nodes, cells), exactly: Gauss points inside each cell."""
+    points, weights = leggauss(DEGREE_Y)
+    edges = np.linspace(-width / 2, width / 2, cells + 1)
+    breaks = edges[::CELLS_PER_ELEMENT]
+    nodes = np.concatenate([[-1.0], np.sort(Legendre.basis(DEGREE_Y).deriv().roots().real), [1.0]])
+    to_nodes = np.linalg.inv(np.vander(nodes, DEGREE_Y + 1))
+    loads = np.zeros((y.value.shape[1], cells))
+    for j in range(cells):
+        k = j // CELLS_PER_ELEMENT
+        place = 0.5 * (edges[j] + edges[j + 1]) + 0.5 * (edges[j + 1] - edges[j]) * points
+        local = 2.0 * (place - breaks[k]) / (breaks[k + 1] - breaks[k]) - 1.0
+        values = np.vander(local, DEGREE_Y + 1) @ to_nodes
+        loads[k * DEGREE_Y : k * DEGREE_Y + DEGREE_Y + 1, j] += 0.5 * (edges[j + 1] - edges[j]) * weights @ values
+    return loads
+
+
+def _stiffness(r: LineElements, y: LineElements, poisson: float) -> list[Array]:
+    """Lower bands of K0, K1, K2 for modulus 1; unknowns in the order y, r, component."""
+    lam = poisson / ((1 + poisson) * (1 - 2 * poisson))
+    mu = 0.5 / (1 + poisson)
+    a = lam + 2 * mu
+    R = r.place
+    M, A, G = y.matrix(y.value, y.value), y.matrix(y.slope, y.slope), y.matrix(y.value, y.slope)
+    vv = {k: r.matrix(r.value, r.value, R**k) for k in (-1, 0, 1)}
+    dd, dv = r.matrix(r.slope, r.slope, R), r.matrix(r.slope, r.value)
+    rdv = r.matrix(r.slope, r.value, R)
+    both = dv + dv.T
+    zero = csr_matrix(kron(M, vv[0]).shape)
+
+    def grid(across: csr_matrix, through: csr_matrix) -> csr_matrix:
+        return csr_matrix(kron(across, through, format="csr"))
+
+    # Blocks U, V, W of twice the energy per unit angle: a tr(e)^2-like terms, docs/virtual_grinding.md eq. 2.
+    UU = [grid(M, a * (dd + vv[-1]) + lam * both) + grid(A, mu * vv[1]), zero, grid(M, mu * vv[-1])]
+    VV = [grid(M, mu * (dd - both + vv[-1])) + grid(A, mu * vv[1]), zero, grid(M, a * vv[-1])]
+    WW = [grid(A, a * vv[1]) + grid(M, mu * dd), zero, grid(M, mu * vv[-1])]
+    UV = [zero, grid(M, lam * dv + a * vv[-1] - mu * (dv.T - vv[-1])), zero]
+    UW = [grid(G, lam * (rdv + vv[0])) + grid(G.T, mu * rdv.T), zero, zero]
+    VW = [zero, grid(G, lam * vv[0]) - grid(G.T, mu * vv[0]), zero]
+    width = 3 * (DEGREE_Y * r.value.shape[1] + DEGREE_R) + 3
+    return [_bands([[UU[k], UV[k], UW[k]], [UV[k].T, VV[k], VW[k]], [UW[k].T, VW[k].T, WW[k]]], width) for k in range(3)]
+
+
+def _bands(blocks: list[list[csr_matrix]], width: int) -> Array:
+    """Lower bands of the symmetric matrix of 3 x 3 blocks, the three components of a node side by side."""
+    rows, columns, values = [], [], []
+    for i in range(3):
+        for j in range(3):
+            block = coo_matrix(blocks[i][j])
+            lower = 3 * block.row + i >= 3 * block.col + j
+            rows.append((3 * block.row + i)[lower])
+            columns.append((3 * block.col + j)[lower])
+            values.append(block.data[lower])
+    row, column, value = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+    bands = np.zeros((width, 3 * blocks[0][0].shape[0]))
+    np.add.at(bands, (row - column, column), value)
+    return bands
+
 
 WAVES = 26  # sections solved
 BEYOND = 4.0  # waves are added up to this multiple of the shortest the cells tell apart; the rest is 0.1 % of a cell's own give
@@ -76,7 +221,7 @@ def make_rubber(radius: float, width: float, thickness: float, poisson: float, c
     dy = width / across
     along = 2 * int(np.ceil(reach / cell))
     dx = cell
-    section = ring_section(radius, width, thickness, poisson, across)
+    section = cover_section(radius, width, thickness, poisson, across)
     last = 2 * np.pi * radius / dx
     n = np.concatenate([[0.0], np.geomspace(0.35, last, WAVES - 1)])
     answers = np.array([section.response(k) for k in n])

@@ -16,7 +16,7 @@ DIFFERENT = 5e-5  # m: points this far apart are not
 
 
 @dataclass(frozen=True)
-class Stations:
+class SolvedStations:
     """Places p, n, t (k, 3) where contacts are solved, with their s (k,) m and line (k,); for each of n instants the stations on
     both sides with the share of the second."""
 
@@ -30,7 +30,7 @@ class Stations:
     share: Array
 
 
-def place_stations(planned: ContactMoments, rows: Index, now: Array) -> Stations:
+def place_stations(planned: ContactMoments, rows: Index, now: Array) -> SolvedStations:
     """Stations on the lines of the planned instants `rows`, seen from arc lengths `now` (rows,) m.
 
     Where rows are dense the places do not depend on how they are spaced. Raises ValueError: a line has two places at one s.
@@ -56,7 +56,7 @@ def place_stations(planned: ContactMoments, rows: Index, now: Array) -> Stations
     n = frames[:, 3:6] / np.linalg.norm(frames[:, 3:6], axis=1, keepdims=True)
     t = frames[:, 6:] - n * np.sum(frames[:, 6:] * n, axis=1, keepdims=True)
     t /= np.linalg.norm(t, axis=1, keepdims=True)
-    return Stations(frames[:, :3], n, t, np.concatenate([s for s, _ in parts]), np.concatenate(line), left, right, share)
+    return SolvedStations(frames[:, :3], n, t, np.concatenate([s for s, _ in parts]), np.concatenate(line), left, right, share)
 
 
 def _line(s: Array, frames: Array) -> tuple[Array, Array]:
@@ -85,7 +85,7 @@ def _line(s: Array, frames: Array) -> tuple[Array, Array]:
     return wanted, path(wanted)
 
 
-def depth_curves(tables: Tables, stations: Stations, shape: Array) -> tuple[Array, Array]:
+def depth_curves(tables: Tables, stations: SolvedStations, shape: Array) -> tuple[Array, Array]:
     """Depth (n, levels) m at the tables' loads and crowding (n,) for postures `shape` (n, 4) at the instants of `stations`."""
     lattice = np.rint(shape / LATTICE).astype(np.int64)
     off = shape - lattice * LATTICE

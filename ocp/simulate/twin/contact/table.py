@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.contact.posture import wheel_on_blade
 from ocp.simulate.twin.contact.rubber import CELLS_PER_PATCH, Rubber, cell_size, make_rubber
-from ocp.simulate.twin.contact.surface import Facets, facets, gap, near
+from ocp.simulate.twin.contact.surface import Facets, facets, gap, near, wheel_on_blade
 from ocp.simulate.twin.contact.unilateral import press
 from robots.pose import Array
 from trajectories.blade import Blade
@@ -71,7 +70,7 @@ class Tables:
     nodes: dict[bytes, Node] = field(default_factory=dict)
     solid: dict[bytes, Array] = field(default_factory=dict)
 
-    def give(self, p: Array, n: Array, t: Array, solve: Callable[[], Array]) -> Array:
+    def compliance(self, p: Array, n: Array, t: Array, solve: Callable[[], Array]) -> Array:
         """Compliance of the blade's solid at contacts (k, 3) m/N, (k, 3); `solve` is asked for all where one is not known."""
         keys = [row.tobytes() for row in _exact(p, n, t)]
         if not all(key in self.solid for key in keys):
@@ -150,7 +149,7 @@ class Tables:
 
     def _node(
         self, here: Array, shape: Array, base: Array, forces: Array, beside: Array, pressing: Array, crowding: float
-    ) -> Node:  # fmt: skip
+    ) -> Node:
         """One node from its gap with a row more on both sides, the depths at the levels with their cell forces, and the depths
         and cell forces beside in the order of `_solve`."""
         value = np.concatenate([[_first(self.rubber, here[:, 1:-1])], base])
@@ -196,12 +195,9 @@ def make_tables(cell: Cell, blade: Blade) -> Tables:
     size = cell_size(wheel.radius, wheel.width, wheel.cover_modulus, wheel.cover_poisson, force)
     patch = CELLS_PER_PATCH * size
     reach = min(REACH * patch * LEVELS[-1] ** (1 / 3), 0.8 * wheel.radius)
-    key = (
-        blade.sha256, float(np.ptp(blade.vertices)),
-        *map(float, (wheel.radius, wheel.width, wheel.cover_thickness, wheel.cover_poisson)),
-        wheel.cover_modulus, force,
-        *map(float, piece.clamp_normal), piece.clamp_offset, piece.youngs_modulus, piece.poisson,
-    )  # fmt: skip
+    of_wheel = (wheel.radius, wheel.width, wheel.cover_thickness, wheel.cover_poisson, wheel.cover_modulus, force)
+    of_piece = (*piece.clamp_normal, piece.clamp_offset, piece.youngs_modulus, piece.poisson)
+    key = (blade.sha256, *map(float, (np.ptp(blade.vertices), *of_wheel, *of_piece)))
     if key not in _KEPT:
         while len(_KEPT) >= KEPT:
             _KEPT.pop(next(iter(_KEPT)))

@@ -7,8 +7,8 @@ import numpy as np
 from ocp.model.cell import Cell
 from ocp.simulate.twin.contact.chain import Chain, Equilibrium, solve_sticking
 from ocp.simulate.twin.contact.moments import ContactMoments
-from ocp.simulate.twin.contact.timing import memory
-from ocp.simulate.twin.truth.machine import Truth
+from ocp.simulate.twin.contact.sensor import memory
+from ocp.simulate.twin.truth.truth import Truth
 from robots.pose import Array
 
 LAW_CENTRE = 20.0  # N, the catalogue's wheel_law turns the curve about this force

@@ -1,12 +1,24 @@
-"""What happens to the blade: its surface, its stiffness, its clamp and where it sits (docs/virtual_grinding.md, Effects)."""
+"""What happens to the blade: its surface, its clamp, where it sits, and how far it and the arm give way under the contact.
+
+Effects as in docs/virtual_grinding.md, "Effects"; compliances per newton, along the wheel's direction into the blade.
+"""
+
+from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ocp.model.cell import Cell
-from ocp.simulate.twin.contact.moments import ContactMoments
-from ocp.simulate.twin.truth.machine import Truth
+from ocp.contact.blade.compliance import blade_compliance, default_element_size
+from ocp.contact.blade.elasticity import Material
+from ocp.contact.blade.volume_mesh import surface_area
+from ocp.model.cell import Cell, Workpiece
+from ocp.simulate.twin.contact.moments import ContactMoments, Index
+from ocp.simulate.twin.contact.stations import SolvedStations
+from ocp.simulate.twin.contact.surface import Postures
+from ocp.simulate.twin.truth.truth import Truth
 from robots.pose import Array, make_transform
+from trajectories.blade import Blade
 
 REMOVAL_FEED = 0.04  # m/s, the catalogue's material_removal holds at this feed
 SLOWEST = 0.01  # m/s: a slower feed, as where a pass begins, removes no more
@@ -43,14 +55,14 @@ def blade_stiffness(truth: Truth) -> float:
     return float(truth.blade_scale * np.prod([1 + effect.number("scale") for effect in truth.planted("blade_stiffness")]))
 
 
-def clamp_give(truth: Truth, cell: Cell, p: Array) -> Array:
-    """Give of the clamp (n,) m/N at contacts p (n, 3): the fixture's spring, and the planted lever with the distance squared."""
+def clamp_compliance(truth: Truth, cell: Cell, p: Array) -> Array:
+    """Of the clamp (n,) m/N at contacts p (n, 3): the fixture's spring, and the planted lever with the distance squared."""
     piece = cell.workpiece
     height = np.maximum(p @ piece.clamp_normal - piece.clamp_offset, 0.0)
-    give = np.full(len(p), 1.0 / piece.clamp_stiffness)
+    compliance = np.full(len(p), 1.0 / piece.clamp_stiffness)
     for effect in truth.planted("clamp_compliance"):
-        give += effect.number("m_per_N") * (height / LEVER) ** 2
-    return give
+        compliance += effect.number("m_per_N") * (height / LEVER) ** 2
+    return compliance
 
 
 def blade_poses(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
@@ -59,7 +71,7 @@ def blade_poses(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
     R = Rotation.from_rotvec(truth.blade_turn).as_matrix() @ nominal[:3, :3]
     shift = np.tile(nominal[:3, 3] + truth.blade_shift, (len(c.s), 1))
     for effect in truth.planted("tool_frame_shift"):
-        shift[after(c, effect.number("at_s"))] += effect.vector("m")
+        shift[begun_after(c, effect.number("at_s"))] += effect.vector("m")
     for effect in truth.planted("clamp_slip"):
         direction = _pushed(c, effect.number("at_s"))
         shift[c.campaign_time() >= effect.number("at_s")] += effect.number("m") * (R @ direction)
@@ -70,12 +82,12 @@ def wheel_frames(truth: Truth, cell: Cell, c: ContactMoments) -> tuple[Array, Ar
     """Centre (n, 3) m and unit axis (n, 3) of the wheel as it is, in the base frame."""
     centre = np.tile(cell.wheel.centre + truth.wheel_shift, (len(c.s), 1))
     for effect in truth.planted("wheel_frame_shift"):
-        centre[after(c, effect.number("at_s"))] += effect.vector("m")
+        centre[begun_after(c, effect.number("at_s"))] += effect.vector("m")
     axis = Rotation.from_rotvec(truth.wheel_axis_turn).apply(cell.wheel.axis)
     return centre, np.tile(axis, (len(c.s), 1))
 
 
-def after(c: ContactMoments, at_s: float) -> Array:
+def begun_after(c: ContactMoments, at_s: float) -> Array:
     """Rows (n,) of runs that begin at or after a time of the campaign: frames change between runs, not inside one."""
     late = np.zeros(len(c.s), bool)
     clock = c.campaign_time()
@@ -92,3 +104,65 @@ def _pushed(c: ContactMoments, at_s: float) -> Array:
         return np.zeros(3)
     earlier = touching[c.campaign_time()[touching] <= at_s]
     return np.asarray(-c.n[earlier[-1] if len(earlier) else touching[0]])
+
+
+# Elements larger than the planner's: 0.1 um under 20 N on the bundled blade, and three times faster (docs/virtual_grinding.md).
+ELEMENT_FACTOR = 1.6
+DIGITS_PLACE, DIGITS_DIRECTION = 7, 6  # of what the blade's finite elements are asked: the same line finds its answer on disk
+
+
+@dataclass(frozen=True)
+class SolidLine:
+    """Places of one line at which the blade's finite elements are asked: p, n, t (k, 3), s (k,) m."""
+
+    p: Array
+    n: Array
+    t: Array
+    s: Array
+
+
+def solid_compliance(piece: Workpiece, blade: Blade, stations: SolvedStations, patch: tuple[float, float]) -> Array:
+    """c_nn, c_nt, c_nb (stations, 3) m/N of the clamped solid under a patch of semi-axes (along the feed, across) m, as in
+    `ocp.contact.blade.compliance`. Raises BadInput as that does."""
+    lines = [np.flatnonzero(stations.line == k) for k in np.unique(stations.line)]
+    asked = []
+    for k in lines:
+        p = np.round(stations.p[k], DIGITS_PLACE)
+        n, t = np.round(stations.n[k], DIGITS_DIRECTION), np.round(stations.t[k], DIGITS_DIRECTION)
+        asked.append(SolidLine(p, n, t, np.round(stations.s[k], DIGITS_PLACE)))
+    material = Material(piece.youngs_modulus, piece.poisson, piece.density)
+    size = ELEMENT_FACTOR * default_element_size(surface_area(blade.vertices, blade.faces), patch)
+    answer = blade_compliance(
+        blade.vertices, blade.faces, piece.clamp_normal, piece.clamp_offset, material, cast(Any, asked), patch, size
+    )
+    out = np.zeros((len(stations.s), 3))
+    for k, values in zip(lines, answer.per_pass, strict=True):
+        out[k] = values
+    return out
+
+
+def blade_compliance_along(
+    solid: Array, stations: SolvedStations, R: Array, n: Array, t: Array, at: Postures, friction: Array
+) -> Array:
+    """Displacement (n,) of the contact along -n per newton under the force e + friction x, of the solid's c (stations, 3).
+
+    R (n, 3, 3) turns the blade into the base; by reciprocity a unit force along t moves the contact along -n by c_nt.
+    """
+    c = (1 - stations.share)[:, None] * solid[stations.left] + stations.share[:, None] * solid[stations.right]
+    force = at.e + friction[:, None] * at.x
+    normal, feed = np.einsum("kij,kj->ki", R, n), np.einsum("kij,kj->ki", R, t)
+    across = np.cross(normal, feed)
+    return np.asarray(
+        -c[:, 0] * np.sum(force * normal, axis=1)
+        + c[:, 1] * np.sum(force * feed, axis=1)
+        + c[:, 2] * np.sum(force * across, axis=1)
+    )
+
+
+def arm_compliance_along(c: ContactMoments, rows: Index, T_base_blade: Array, at: Postures, friction: Array) -> Array:
+    """Displacement (n,) of the contact along e per newton, from the flange's compliance and the lever to the contact."""
+    lever = np.einsum("kij,kj->ki", T_base_blade[:, :3, :3], c.p[rows]) + T_base_blade[:, :3, 3] - c.T_base_flange[rows, :3, 3]
+    force = at.e + friction[:, None] * at.x
+    twist = np.einsum("kij,kj->ki", c.arm_compliance[rows], np.concatenate([force, np.cross(lever, force)], axis=1))
+    moved = twist[:, :3] + np.cross(twist[:, 3:], lever)
+    return np.asarray(np.sum(moved * at.e, axis=1))

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from ocp.simulate.twin.controller.krl_program import KrlProgram, Motion, Pause
-from ocp.simulate.twin.controller.nominal import inverse_by_status, solve
+from ocp.simulate.twin.controller.krl_text import DrivenMotion, KrlProgram, ProgramPause
+from ocp.simulate.twin.controller.nominal import inverse_by_status, solve_posture
 from ocp.simulate.twin.controller.path_motion import PathSegment, drive_path, flange_poses
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
@@ -76,7 +76,7 @@ def drive(program: KrlProgram, robot: Robot, hz: float = HZ) -> Track:
     k = 0
     while k < len(steps):
         step = steps[k]
-        if isinstance(step, Pause):
+        if isinstance(step, ProgramPause):
             pauses.append((clock, np.nan if step.seconds is None else step.seconds))
             clock += step.seconds or 0.0
             k += 1
@@ -92,18 +92,18 @@ def drive(program: KrlProgram, robot: Robot, hz: float = HZ) -> Track:
     return _sampled(robot, pieces, clock, pauses, hz)
 
 
-def _chain(steps: list[Motion | Pause], k: int) -> list[Motion]:
+def _chain(steps: list[DrivenMotion | ProgramPause], k: int) -> list[DrivenMotion]:
     """The motion at k, with the LIN motions after it where they blend into one another."""
-    chain = [steps[k]]
-    while (
-        chain[-1].kind == "LIN" and chain[-1].targets[0].blend and k + len(chain) < len(steps)  # type: ignore[union-attr]
-        and isinstance(steps[k + len(chain)], Motion) and steps[k + len(chain)].kind == "LIN"  # type: ignore[union-attr]
-    ):  # fmt: skip
-        chain.append(steps[k + len(chain)])
-    return chain  # type: ignore[return-value]
+    chain: list[DrivenMotion] = []
+    for step in steps[k:]:
+        blended = not chain or (chain[-1].kind == "LIN" and chain[-1].targets[0].blend)
+        if not isinstance(step, DrivenMotion) or not blended or (chain and step.kind != "LIN"):
+            break
+        chain.append(step)
+    return chain
 
 
-def _end(robot: Robot, chain: list[Motion], where: Array | None) -> Array:
+def _end(robot: Robot, chain: list[DrivenMotion], where: Array | None) -> Array:
     """Where the first motion of a program puts the robot."""
     first = chain[0]
     target = first.targets[-1]
@@ -122,7 +122,7 @@ def _end(robot: Robot, chain: list[Motion], where: Array | None) -> Array:
     return q
 
 
-def _pieces(robot: Robot, chain: list[Motion], where: Array | None, clock: float) -> list[_Piece]:
+def _pieces(robot: Robot, chain: list[DrivenMotion], where: Array | None, clock: float) -> list[_Piece]:
     first = chain[0]
     if first.kind in ("LIN", "SPLINE"):
         if where is None:
@@ -150,20 +150,20 @@ def _pieces(robot: Robot, chain: list[Motion], where: Array | None, clock: float
     ]
 
 
-def _posed(robot: Robot, motion: Motion, where: Array | None) -> Array:
+def _posed(robot: Robot, motion: DrivenMotion, where: Array | None) -> Array:
     """The posture of a PTP to a pose: by its status, else the one nearest to where the robot stands."""
     target = motion.targets[0]
     assert target.pose is not None
     if target.status is not None or where is None:
         return _end(robot, [motion], where)
     goal = flange_poses(motion.frames, target.pose[None])
-    q, left = solve(robot, goal, where[None])
+    q, left = solve_posture(robot, goal, where[None])
     if left[0] > 1e-7:
         raise Infeasible(f"{motion.file}, line {motion.line}: the arm cannot reach this pose from where it stands")
     return np.asarray(q[0])
 
 
-def _point_to_point(robot: Robot, motion: Motion, start: Array, goal: Array, clock: float) -> _Piece | None:
+def _point_to_point(robot: Robot, motion: DrivenMotion, start: Array, goal: Array, clock: float) -> _Piece | None:
     """Fifth order from rest to rest: peak speed 15/8 d/T, peak acceleration 10/sqrt(3) d/T^2 (zero jerk is not asked for)."""
     _within(robot, goal[None], [(motion.file, motion.line)])
     way = np.abs(goal - start)

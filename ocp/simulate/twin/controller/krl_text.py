@@ -1,5 +1,7 @@
 """What a KRL program tells a controller to do, read from the .src and .dat files alone.
 
+Motions and pauses in order, each with its frames, speeds and place in the text.
+
 The virtual controller's own reader: line by line, following calls, keeping frames, speeds and interpolation mode as they are
 assigned. It knows what ocp.plan and ocp.poses write and what stands in such programs without moving anything; whatever else
 could move the robot, or change how it moves, is refused with file and line, because a guess would be a motion nobody checked.
@@ -11,10 +13,111 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.simulate.twin.controller.krl_program import Frames, KrlProgram, Motion, Pause, Target
-from ocp.simulate.twin.controller.krl_values import AXIS_LETTERS, POSE_LETTERS, aggregate, frame_of, number
 from robots.errors import BadInput
-from robots.pose import Array
+from robots.pose import Array, transform_from_xyzabc
+
+
+@dataclass(frozen=True)
+class ProgramFrames:
+    """What stands in $TOOL (T_flange_tool), $BASE (T_world_base) and $IPO_MODE (`held`: #TCP, the robot holds the part)."""
+
+    tool: Array
+    base: Array
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a motion goes: axes `q` (6,) rad, or pose (4, 4) with status and turn where they are given; file and line."""
+
+    q: Array | None
+    pose: Array | None
+    status: int | None
+    turn: int | None
+    blend: bool
+    line: int
+
+
+@dataclass(frozen=True)
+class DrivenMotion:
+    """One motion: PTP, LIN, a SPLINE of poses or a TIMED spline of axes through `targets`.
+
+    times (m,) s of the targets of a timed block; speed m/s, acceleration m/s^2 of path motions; axis_speed, axis_acceleration
+    (6,) shares of the axes' own; `file`, `line` where it begins.
+    """
+
+    kind: str
+    targets: tuple[Target, ...]
+    frames: ProgramFrames
+    speed: float
+    acceleration: float
+    axis_speed: Array
+    axis_acceleration: Array
+    file: str
+    line: int
+    times: Array | None = None
+
+
+@dataclass(frozen=True)
+class ProgramPause:
+    """The robot stands: `seconds` where they are told (WAIT SEC), None for HALT and WAIT FOR."""
+
+    seconds: float | None
+    file: str
+    line: int
+
+
+@dataclass(frozen=True)
+class KrlProgram:
+    """Motions and pauses in the order in which the controller meets them; `files` that were read."""
+
+    main: Path
+    steps: tuple[DrivenMotion | ProgramPause, ...]
+    files: tuple[str, ...]
+
+    @property
+    def motions(self) -> list[DrivenMotion]:
+        """The motions alone."""
+        return [step for step in self.steps if isinstance(step, DrivenMotion)]
+
+
+AXIS_LETTERS = ("A1", "A2", "A3", "A4", "A5", "A6")
+POSE_LETTERS = ("X", "Y", "Z", "A", "B", "C")
+_ALLOWED = {*AXIS_LETTERS, *POSE_LETTERS, "S", "T", *(f"E{i}" for i in range(1, 7))}
+_NUMBER = re.compile(r"^[-+]?(\d+(\.\d*)?|\.\d+)(E[-+]?\d+)?$")
+
+
+def krl_number(where: str, text: str) -> float:
+    """A number as KRL knows it; `where` names file and line. Raises BadInput."""
+    if not _NUMBER.match(text.strip()):
+        raise BadInput(f"{where}: '{text.strip()[:40]}' is no number; the virtual controller works nothing out")
+    return float(text)
+
+
+def aggregate(where: str, text: str) -> dict[str, float]:
+    """`{X 1.0,Y 2.0,..}` as numbers by component. Raises BadInput: malformed, a component twice or unknown."""
+    inner = re.match(r"^\{\s*(?:[A-Z0-9_]+\s*:)?(.*)\}$", text.strip())
+    if not inner or "{" in inner.group(1):
+        raise BadInput(f"{where}: '{text[:60]}' is no aggregate like {{X 1.0,Y 2.0}}")
+    values: dict[str, float] = {}
+    for part in inner.group(1).split(","):
+        words = part.split()
+        if len(words) != 2 or words[0] not in _ALLOWED or words[0] in values:
+            raise BadInput(
+                f"{where}: '{part.strip()[:40]}' in a position is not understood; each component stands once with a number"
+            )
+        values[words[0]] = krl_number(where, words[1])
+    return values
+
+
+def frame_of(where: str, text: str) -> Array:
+    """T (4, 4) of an aggregate with X, Y, Z in mm and A, B, C in degrees, `R = Rz(A) Ry(B) Rx(C)`. Raises BadInput."""
+    values = aggregate(where, text)
+    if not set(POSE_LETTERS) <= set(values):
+        raise BadInput(f"{where}: the frame is incomplete, X, Y, Z, A, B, C are expected; write all of them")
+    xyz, abc = np.array([values[k] for k in "XYZ"]) * 1e-3, np.radians([values[k] for k in "ABC"])
+    return transform_from_xyzabc(xyz, abc)
+
 
 DEEPEST = 10  # calls inside calls; deeper ones are taken for a program that calls itself
 _NAME = r"[A-Z_$][A-Z0-9_$]*"
@@ -34,7 +137,7 @@ _IDLE = re.compile(
 class _Controller:
     """Registers of the controller while it goes through the program."""
 
-    frames: Frames = field(default_factory=lambda: Frames(np.eye(4), np.eye(4)))
+    frames: ProgramFrames = field(default_factory=lambda: ProgramFrames(np.eye(4), np.eye(4)))
     tools: dict[int, Array] = field(default_factory=dict)
     bases: dict[int, Array] = field(default_factory=dict)
     named: dict[str, str] = field(default_factory=dict)
@@ -42,7 +145,7 @@ class _Controller:
     acceleration: float = 2.0
     axis_speed: Array = field(default_factory=lambda: np.ones(6))
     axis_acceleration: Array = field(default_factory=lambda: np.ones(6))
-    steps: list[Motion | Pause] = field(default_factory=list)
+    steps: list[DrivenMotion | ProgramPause] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
 
 
@@ -159,9 +262,9 @@ def _statement(c: _Controller, source: Path, line: int, text: str) -> None:
     elif found := _DECLARED.match(text):
         c.named[found.group(2)] = found.group(3)
     elif text == "HALT" or re.match(r"^WAIT\s+FOR\s+.+$", text):
-        c.steps.append(Pause(None, source.name, line))
+        c.steps.append(ProgramPause(None, source.name, line))
     elif found := re.match(r"^WAIT\s+SEC\s+(\S+)$", text):
-        c.steps.append(Pause(number(where, found.group(1)), source.name, line))
+        c.steps.append(ProgramPause(krl_number(where, found.group(1)), source.name, line))
     elif not _IDLE.match(text):
         found = _ASSIGNMENT.match(text)
         if not found or not _assign(c, where, *found.groups()):
@@ -198,7 +301,7 @@ def _assign(c: _Controller, where: str, name: str, index: str | None, value: str
 
 
 def _positive(where: str, name: str, value: str) -> float:
-    size = number(where, value)
+    size = krl_number(where, value)
     if size <= 0:
         raise BadInput(f"{where}: {name} = {size:g} must be above 0, or nothing moves")
     return size
@@ -220,11 +323,13 @@ def _target(c: _Controller, where: str, line: int, text: str, blend: bool) -> Ta
 
 def _motion(
     c: _Controller, kind: str, targets: tuple[Target, ...], source: Path, line: int, times: Array | None = None
-) -> Motion:
-    return Motion(kind, targets, c.frames, c.speed, c.acceleration, c.axis_speed, c.axis_acceleration, source.name, line, times)
+) -> DrivenMotion:
+    return DrivenMotion(
+        kind, targets, c.frames, c.speed, c.acceleration, c.axis_speed, c.axis_acceleration, source.name, line, times
+    )
 
 
-def _spline(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]) -> Motion:
+def _spline(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]) -> DrivenMotion:
     """SPLINE .. ENDSPLINE of poses."""
     targets = []
     for at, text in block:
@@ -240,7 +345,7 @@ def _spline(c: _Controller, source: Path, line: int, block: list[tuple[int, str]
     return _motion(c, "SPLINE", tuple(targets), source, line)
 
 
-def _timed(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]) -> Motion:
+def _timed(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]) -> DrivenMotion:
     """PTP_SPLINE .. ENDSPLINE of axes inside one time block; PARTs are proportions of END."""
     targets: list[Target] = []
     parts: list[float] = []

@@ -35,7 +35,7 @@ def flange(robot: Robot, q: Array) -> Array:
     return np.asarray(frames(robot, q)[:, 6])
 
 
-def jacobian(robot: Robot, T: Array) -> Array:
+def nominal_jacobian(robot: Robot, T: Array) -> Array:
     """Twist of the flange per joint speed (n, 6, 6): rows translation of the flange origin, rotation; base axes.
 
     T (n, 7, 4, 4) as `frames` gives it. Joint i turns about the z axis of frame i-1, in the sense of `sign`.
@@ -45,23 +45,23 @@ def jacobian(robot: Robot, T: Array) -> Array:
     return np.concatenate([np.cross(axis, arm), axis], axis=2).transpose(0, 2, 1)
 
 
-def pose_error(goal: Array, actual: Array) -> Array:
+def nominal_error(goal: Array, actual: Array) -> Array:
     """Translation and rotation vector (n, 6), base axes, that carry `actual` onto `goal`."""
     turn = Rotation.from_matrix(goal[:, :3, :3] @ actual[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
     return np.concatenate([goal[:, :3, 3] - actual[:, :3, 3], turn], axis=1)
 
 
-def solve(robot: Robot, goal: Array, guess: Array) -> tuple[Array, Array]:
+def solve_posture(robot: Robot, goal: Array, guess: Array) -> tuple[Array, Array]:
     """Joints (n, 6) that bring the nominal flange to `goal` (n, 4, 4), from `guess` (n, 6), and what is left (n,) m, rad."""
     q = np.array(np.broadcast_to(guess, (len(goal), 6)))
     left = np.full(len(goal), np.inf)
     for _ in range(STEPS):
         T = frames(robot, q)
-        error = pose_error(goal, T[:, 6])
+        error = nominal_error(goal, T[:, 6])
         left = np.abs(error).max(axis=1)
         if left.max() < CLOSE:
             break
-        J = jacobian(robot, T)
+        J = nominal_jacobian(robot, T)
         # A little damping carries over wrist singularities; near the goal it is far below what is asked for.
         damping = np.minimum(1e-4, left**2)[:, None, None] * np.eye(6)
         step = np.linalg.solve(J.transpose(0, 2, 1) @ J + damping, J.transpose(0, 2, 1) @ error[..., None])[..., 0]
@@ -76,11 +76,11 @@ def follow(robot: Robot, goal: Array, start: Array, coarse: int = 24) -> tuple[A
     found = np.empty((len(knots), 6))
     q = start
     for k, index in enumerate(knots):
-        q = solve(robot, goal[index : index + 1], q[None])[0][0]
+        q = solve_posture(robot, goal[index : index + 1], q[None])[0][0]
         found[k] = q
     at = np.arange(len(goal))
     guess = np.stack([np.interp(at, knots, found[:, j]) for j in range(6)], axis=1)
-    return solve(robot, goal, guess)
+    return solve_posture(robot, goal, guess)
 
 
 def status_turn(robot: Robot, q: Array) -> tuple[int, int]:
@@ -95,14 +95,9 @@ def status_turn(robot: Robot, q: Array) -> tuple[int, int]:
 
 def inverse_by_status(robot: Robot, goal: Array, status: int, turn: int | None) -> Array | None:
     """The joints (6,) within the limits that reach `goal` (4, 4) with the given status and turn; None where there are none."""
-    seeds = [
-        np.array(s)
-        for s in product(
-            np.radians([-150, -90, -30, 30, 90, 150]), np.radians([-110, -60]), np.radians([-60, 30, 100]),
-            np.radians([-120, 0, 120]), np.radians([-80, 80]), np.radians([-90, 90]),
-        )
-    ]  # fmt: skip
-    found, left = solve(robot, np.broadcast_to(goal, (len(seeds), 4, 4)), np.array(seeds))
+    axes = ([-150, -90, -30, 30, 90, 150], [-110, -60], [-60, 30, 100], [-120, 0, 120], [-80, 80], [-90, 90])
+    seeds = [np.array(s) for s in product(*(np.radians(a) for a in axes))]
+    found, left = solve_posture(robot, np.broadcast_to(goal, (len(seeds), 4, 4)), np.array(seeds))
     whole = 2 * np.pi
     for q in found[left < 1e-7]:
         q = (q + np.pi) % whole - np.pi

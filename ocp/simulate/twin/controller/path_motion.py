@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from ocp.simulate.twin.controller.krl_program import Frames, Motion
+from ocp.simulate.twin.controller.krl_text import DrivenMotion, ProgramFrames
 from ocp.simulate.twin.controller.nominal import flange, follow
 from robots.errors import Infeasible
 from robots.pose import Array, invert, make_transform
@@ -34,18 +34,18 @@ class PathSegment:
     rows: NDArray[np.int64]
 
 
-def flange_poses(frames: Frames, P: Array) -> Array:
+def flange_poses(frames: ProgramFrames, P: Array) -> Array:
     """T_base_flange (n, 4, 4) of programmed poses P (n, 4, 4)."""
     return np.asarray(frames.base @ (invert(P) if frames.held else P) @ invert(frames.tool))
 
 
-def programmed(frames: Frames, T: Array) -> Array:
+def programmed(frames: ProgramFrames, T: Array) -> Array:
     """The programmed poses of flange poses T (n, 4, 4)."""
     tool = invert(frames.base) @ T @ frames.tool
     return invert(tool) if frames.held else tool
 
 
-def drive_path(robot: Robot, chain: list[Motion], start: Array) -> PathSegment | None:
+def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> PathSegment | None:
     """A SPLINE, or LINs that blend into one another, from the joints `start` (6,); None where it goes nowhere.
 
     Raises Infeasible: a pose out of reach.
@@ -85,7 +85,7 @@ def drive_path(robot: Robot, chain: list[Motion], start: Array) -> PathSegment |
     return PathSegment(float(law.time[-1]), evaluate, np.interp(u, grid, law.time), lines)
 
 
-def _pose(robot: Robot, motion: Motion, target: object) -> Array:
+def _pose(robot: Robot, motion: DrivenMotion, target: object) -> Array:
     pose, q = target.pose, target.q  # type: ignore[attr-defined]
     return np.asarray(programmed(motion.frames, flange(robot, q))[0] if pose is None else pose)
 
@@ -126,7 +126,7 @@ class _Law:
         return self.station[k] + since * (self.speed[k] + 0.5 * a * since), self.speed[k] + a * since, a
 
 
-def _timing(robot: Robot, u: Array, q: Array, motion: Motion) -> _Law:
+def _timing(robot: Robot, u: Array, q: Array, motion: DrivenMotion) -> _Law:
     """As fast as $VEL.CP and $ACC.CP say and the axes allow, from rest to rest over the stations u (n,) m.
 
     With q' and q'' along the path an axis has the speed q' v and the acceleration q'' v^2 + q' a; each term gets half the limit.

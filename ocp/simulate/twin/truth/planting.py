@@ -1,58 +1,21 @@
-"""Effects that can be planted in the virtual cell: their kinds, one with its values, reading and drawing them.
+"""Effects planted in the virtual cell: one with its values, reading and drawing them.
 
 Names and keys are the catalogue's and part of the data contract: labels of data sets and diagnoses use the same.
 """
 
-import importlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cache
 from typing import Any
 
 import numpy as np
 
+from ocp.simulate.twin.truth.kinds import EFFECT_KINDS, EffectKind, Key
 from robots.errors import BadInput
 
 Value = float | tuple[float, ...] | str
 LISTED = "docs/virtual_arm.md and docs/virtual_grinding.md list all"
-_TABLES = ("ocp.simulate.twin.truth.kinds_arm", "ocp.simulate.twin.truth.kinds_contact")
-
-
-@dataclass(frozen=True)
-class Key:
-    """A parameter of an effect: unit, what a real cell typically shows (low, high), whether its sign is free, the value where
-    none is given (None: the middle of the range).
-
-    length 3 is a vector in space; uniform: drawn evenly, else log-uniformly; integer: a whole number;
-    scale: the range's factor for joints 1..6. Keys of unit "name" hold a word.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    signed: bool
-    default: float | None
-    length: int = 1
-    uniform: bool = False
-    integer: bool = False
-    scale: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
-class Kind:
-    """An effect: the joints (1..6) that may carry it (empty: none), its keys, size first, and the part of the cell.
-
-    part is "arm", "tracker", "contact", "sensor" or "timing"; common: the joint may be left out.
-    """
-
-    name: str
-    joints: tuple[int, ...]
-    keys: tuple[Key, ...]
-    part: str
-    common: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,19 +42,6 @@ class Planted:
         return str(self.values[key])
 
 
-@cache
-def kinds() -> dict[str, Kind]:
-    """Every effect by name, the arm's and the contact's."""
-    found: list[Kind] = []
-    for table in _TABLES:
-        try:
-            found.extend(importlib.import_module(table).KINDS)
-        except ModuleNotFoundError as error:
-            if error.name != table:
-                raise
-    return {kind.name: kind for kind in found}
-
-
 def parse_effect(text: str) -> Planted:
     """An effect as a user writes it: `backlash:5=2e-4`, `gear_harmonic:4=8e-5,order=19`, `payload_com=0.01/0/0.02`.
 
@@ -112,8 +62,8 @@ def parse_effect(text: str) -> Planted:
     return planted
 
 
-def _kind(text: str, name: str) -> Kind:
-    known = kinds()
+def _kind(text: str, name: str) -> EffectKind:
+    known = EFFECT_KINDS
     if name not in known:
         near = get_close_matches(name, known, 1, 0.4)
         hint = f"the nearest is '{near[0]}'; " if near else ""
@@ -121,7 +71,7 @@ def _kind(text: str, name: str) -> Kind:
     return known[name]
 
 
-def _joint(text: str, kind: Kind, number: str | None) -> int | None:
+def _joint(text: str, kind: EffectKind, number: str | None) -> int | None:
     if not kind.joints:
         if number is not None:
             raise BadInput(f"effect '{text}': {kind.name} belongs to no joint; write {kind.name}=SIZE")
@@ -138,7 +88,7 @@ def _joint(text: str, kind: Kind, number: str | None) -> int | None:
     return int(number)
 
 
-def _given(text: str, kind: Kind, tail: str) -> dict[str, str]:
+def _given(text: str, kind: EffectKind, tail: str) -> dict[str, str]:
     """Texts of the keys that are given."""
     found: dict[str, str] = {}
     for i, part in enumerate(p.strip() for p in tail.split(",")) if tail.strip() else ():
@@ -197,7 +147,9 @@ def _scale(key: Key, joint: int | None) -> float:
     return key.scale[joint - 1] if key.scale and joint is not None else 1.0
 
 
-def draw_effect(rng: np.random.Generator, kind: Kind, joint: int | None = None, targets: Sequence[str] = ("T1",)) -> Planted:
+def draw_effect(
+    rng: np.random.Generator, kind: EffectKind, joint: int | None = None, targets: Sequence[str] = ("T1",)
+) -> Planted:
     """An effect of a kind at random: joint, sizes inside their typical range, signs and directions; `targets` are the nests."""
     if joint is None and kind.joints and not kind.common:
         joint = int(rng.choice(kind.joints))
@@ -238,7 +190,7 @@ def _levers(rng: np.random.Generator, stiffness: float) -> tuple[float, float]:
 
 def labels(planted: Sequence[Planted]) -> list[dict[str, Any]]:
     """What was planted, in the form of a data set's labels.json: effect, joint (None: of no joint), then every key."""
-    known = kinds()
+    known = EFFECT_KINDS
     found = []
     for one in planted:
         label: dict[str, Any] = {"effect": one.effect, "joint": one.joint}
