@@ -26,7 +26,7 @@ from ocp.diagnose.engine.selection import SelectedEffects, select_on_held_out
 from ocp.diagnose.engine.system import HeldOut
 from ocp.diagnose.published import kr300
 from ocp.diagnose.published.ur import ACHIEVED, TARGET, PublishedCampaign, held_rows, read_campaign, write_data_set
-from ocp.diagnose.report.words import headline
+from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import SCALE
@@ -95,7 +95,7 @@ def answer_part(folder: Path) -> None:
     d, gap = answer.diagnosis, answer.gaps[0]
     s = gap.shrinkage
     where = d.location
-    print(f"* {headline(answer).verdict} {headline(answer).sentence}")
+    print(f"* {diagnosis_headline(answer).verdict} {diagnosis_headline(answer).sentence}")
     print(f"* p_none {d.p_none:.2g}, none of these {d.p_unknown:.3g}; {time.process_time() - began:.0f} s of processor time")
     if where is not None:
         print(f"* where: {where.subsystem}, joint {where.joint}, goes with {', '.join(where.depends_on)}")

@@ -16,7 +16,7 @@ from ocp.diagnose.engine.system import Channel, Sealed
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.predictions import averaged, write_force_predictions, write_tracker_predictions
-from ocp.diagnose.report.words import headline
+from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.reporting import drawn_beside
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.diagnose.verdict.answer import Answer
@@ -138,7 +138,7 @@ def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) ->
 
 def last_line(answer: Answer, out: Path) -> str:
     """What was found, and where it stands."""
-    head = headline(answer)
+    head = diagnosis_headline(answer)
     safe = {
         "explained": f"{out / 'corrected_cell.toml'} plans with it",
         "ambiguous": f"{out / 'corrected_cell.toml'} holds the likeliest; measure what the report asks for before relying on it",

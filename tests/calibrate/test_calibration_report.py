@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.calibrate.report.advice import advice, extrapolates_badly, tellable_parameters
+from ocp.calibrate.report.advice import advice, extrapolates_badly
+from ocp.calibrate.report.headline import calibration_headline
+from ocp.calibrate.report.identifiability import tellable_parameters
 from ocp.calibrate.report.noise import drift_is_real
 from ocp.calibrate.report.pages import write_calibration_report
+from ocp.calibrate.report.parameters import term_verdict
 from ocp.calibrate.report.view import held_out_in_base, look_at
-from ocp.calibrate.report.words import headline, term_verdict
 from ocp.calibrate.tracker import MethodTable, TrackerCalibration
 from ocp.report.parts import Plot, Points, table
 from ocp.report.plotting import Canvas
@@ -216,13 +218,13 @@ def test_what_is_absent_is_told_in_words(made, tmp_path):
 
 def test_a_bad_calibration_is_not_praised(made):
     view = look_at(made)
-    assert headline(made, view).good and headline(made, view).verdict == "Calibrated."
+    assert calibration_headline(made, view).good and calibration_headline(made, view).verdict == "Calibrated."
     m = made.methods
     worse = replace(m, error=m.error | {"full": 1.1 * m.before})
-    assert headline(replace(made, methods=worse), view).verdict == "No better than before."
+    assert calibration_headline(replace(made, methods=worse), view).verdict == "No better than before."
     wild = replace(m, error=m.error | {"full": np.where(np.arange(len(m.rows)) == 0, 2 * m.before.max(), m.error["full"])})
-    assert "further off than before" in headline(replace(made, methods=wild), view).sentence
-    assert "Method 'full' does better" in headline(replace(made, method="geometry"), view).sentence
+    assert "further off than before" in calibration_headline(replace(made, methods=wild), view).sentence
+    assert "Method 'full' does better" in calibration_headline(replace(made, method="geometry"), view).sentence
 
 
 def test_residuals_turn_into_the_base_without_changing_their_length(made):

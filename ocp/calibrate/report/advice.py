@@ -1,17 +1,17 @@
-"""What to measure next: plain rules over what the readings lack, the most useful first. docs/calibration_report.md lists them."""
+"""The section "What to measure next": plain rules over what the readings lack, the most useful first.
 
-from dataclasses import replace
+docs/calibration_report.md lists them.
+"""
 
 import numpy as np
 
+from ocp.calibrate.report.held_out import beyond_chance, fold_name
 from ocp.calibrate.report.noise import drift_is_real
-from ocp.calibrate.report.view import ReadingsView, present
-from ocp.calibrate.report.words import beyond_chance, count_of, fold_name, listed, mm
+from ocp.calibrate.report.view import ReadingsView, count_of, listed, mm, present
 from ocp.calibrate.tracker import TrackerCalibration
-from robots.calibration.identifiability import UNSEEN
-from robots.calibration.noise import reading_covariance, whitener
+from ocp.report.parts import Points
+from ocp.report.section import Section
 from robots.calibration.parameters import SYMBOLS
-from robots.calibration.residuals import linearise
 from robots.calibration.validation import HeldOut
 from robots.pose import Array
 
@@ -20,33 +20,19 @@ NESTS, REPEATED, LOADED = 3, 5, 5
 ONE_SIDED = 0.2  # least share of approaches from either side
 COVERED = 0.4  # of an axis' range that readings should span
 WORSE = 1.5  # error over prediction of a fold that extrapolates badly
-POSES = 400  # made-up postures over the whole range of the axes
+
+
+def advice_section(c: TrackerCalibration, view: ReadingsView, tellable: dict[str, bool]) -> Section:
+    """A numbered list."""
+    todo = advice(c, view, tellable)
+    part = Points(tuple(todo), numbered=True) if todo else "Nothing is lacking that these rules know of."
+    return Section("What to measure next", (part,))
 
 
 def advice(c: TrackerCalibration, view: ReadingsView, tellable: dict[str, bool]) -> list[str]:
     """Sentences, the most useful first; empty where nothing is lacking."""
     found = [*_enough(c, view), *_folds(c), *_payloads(c), *_poses(c, tellable), *_nests(c), *_repeats(c, view), *_columns(c)]
     return list(dict.fromkeys(found))
-
-
-def tellable_parameters(c: TrackerCalibration) -> dict[str, bool]:
-    """For each hidden parameter, whether POSES postures all over the axes' range, with the same nests, payloads and stations,
-    would tell it. What they do not tell either no poses do: it hides in the place of base or nests, or beside a twin."""
-    fit, campaign = c.fit, c.fit.campaign
-    robot, n = campaign.robot, len(campaign.readings)
-    rows = np.arange(POSES) % n
-    q = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (POSES, 6))
-    made_up = replace(campaign.readings.take(rows), q=q, turn=None, sigma=None, load=np.zeros((POSES, 6)))
-    linear = linearise(robot, made_up, campaign.instrument, fit.layout, fit.state)
-    seen = replace(made_up, point=linear.point)
-    W = whitener(reading_covariance(seen, campaign.instrument, fit.noise, linear.d_joints))
-    scale, prior = fit.layout.scale, fit.layout.prior_sd
-    J = (W @ linear.J[:, :3] * scale / fit.spread).reshape(-1, fit.layout.size)
-    information = J.T @ J + np.diag(np.where(np.isfinite(prior), (scale / prior) ** 2, 1e-6))
-    sd = scale * np.sqrt(np.diag(np.linalg.inv(information)))
-    return {
-        h.name: bool(sd[fit.layout.index(h.name)] < UNSEEN * prior[fit.layout.index(h.name)]) for h in c.identifiability.hidden
-    }
 
 
 def _enough(c: TrackerCalibration, view: ReadingsView) -> list[str]:
@@ -99,14 +85,13 @@ def _payloads(c: TrackerCalibration) -> list[str]:
     if len(read) == 1 and len(payloads) < 2 and not np.abs(r.load).any():
         found.append(
             "Measure with a second, heavier payload: with one alone the springs show only in how the arm's weight shifts, and "
-            "a wrong "
-            "mass cannot be told from a soft joint."
+            "a wrong mass cannot be told from a soft joint."
         )
     elif len(read) == 1 and not np.abs(r.load).any():
         others = listed([f"'{name}'" for name in payloads if name not in read])
         found.append(
             f"Measure with another payload too ({others}): all readings have one and the same, so a wrong mass looks "
-            f"like a spring."
+            "like a spring."
         )
     missing = [p for p in payloads if p not in read and (work is None or p != work.payload)]
     if missing and len(read) > 1:
@@ -133,8 +118,7 @@ def _poses(c: TrackerCalibration, tellable: dict[str, bool]) -> list[str]:
         low, high = np.degrees([r.q[:, j].min(), r.q[:, j].max()])
         found.append(
             f"Move A{j + 1} further: it was read from {low:.0f} to {high:.0f} deg, {100 * share[j]:.0f} % of its range; "
-            f"beyond is "
-            "extrapolation."
+            "beyond is extrapolation."
         )
     if c.sealed is not None:
         found += _asked_outside(c.sealed.q, r.q)
@@ -163,16 +147,14 @@ def _nests(c: TrackerCalibration) -> list[str]:
         how = "one reflector nest" if count == 1 else f"{count} reflector nests"
         found.append(
             f"Read {NESTS} nests that are not on a line: with {how} the flange's turn about {'them' if count > 1 else 'it'} "
-            f"is not seen, "
-            "and the blade is bolted to the flange."
+            "is not seen, and the blade is bolted to the flange."
         )
     inside = [h.name for h in c.identifiability.hidden if any(n.startswith("nest") for n in h.company)]
     if inside:
         found.append(
             f"Measure the places of the nests on the flange and give them in the cell ([tracker.targets], target_sd_mm): "
-            f"{listed(inside)} "
-            f"{'hide' if len(inside) > 1 else 'hides'} in them. For these nests that spoils nothing, for what is bolted to "
-            f"the flange it is an offset."
+            f"{listed(inside)} {'hide' if len(inside) > 1 else 'hides'} in them. For these nests that spoils nothing, for what "
+            "is bolted to the flange it is an offset."
         )
     return found
 

@@ -1,14 +1,22 @@
-"""What scatters and by how much: tracker, joints, repeats, drift, outliers."""
+"""The section "Noise, repeats and load tests": what scatters and by how much, and the springs that load tests tell."""
 
 import numpy as np
 
-from ocp.calibrate.report.view import ReadingsView
-from ocp.calibrate.report.words import count_of, listed, mm
+from ocp.calibrate.report.view import ReadingsView, count_of, listed, mm
 from ocp.calibrate.tracker import TrackerCalibration
 from ocp.report.parts import Table, table
+from ocp.report.section import Part, Section
 
 LINES = 12  # outliers whose lines are listed
 BY_CHANCE = 16.3  # chi-square of 3 degrees of freedom, exceeded 1 time in 1000
+FEW_PAIRS = 4  # load tests from which their own sigma is believed
+
+
+def noise_section(c: TrackerCalibration, view: ReadingsView) -> Section:
+    """Sources of scatter, load tests, springs."""
+    parts: tuple[Part | str, ...] = (noise_table(c, view), load_test_words(c))
+    springs = load_test_springs_table(c)
+    return Section("Noise, repeats and load tests", (*parts, springs) if springs.rows else parts)
 
 
 def noise_table(c: TrackerCalibration, view: ReadingsView) -> Table:
@@ -65,8 +73,7 @@ def _repeat_rows(c: TrackerCalibration) -> list[tuple[str, str, str]]:
         verdict = "beyond chance" if drift_is_real(c) else "no more than chance"
         words = (
             f"x {speed[0]:+.3f}, y {speed[1]:+.3f}, z {speed[2]:+.3f} mm/h in the tracker's frame, each ± {sd:.3f}: "
-            f"{verdict}; taken "
-            "out of the scatter above"
+            f"{verdict}; taken out of the scatter above"
         )
         rows.append(("drift of the repeats", f"{np.linalg.norm(speed):.3f} mm/h", words))
     return rows
@@ -99,6 +106,45 @@ def load_test_words(c: TrackerCalibration) -> str:
     size = "one pair of readings shares a posture" if test.pairs == 1 else f"{test.pairs} pairs of readings share their postures"
     return (
         f"Load tests: {size} under different loads. There the reflector moved by {mm(test.before)} mm (median); with the "
-        f"springs of {joints} "
-        f"from these pairs alone {mm(test.after)} mm are left. Fit and load test should agree within 3 sigmas."
+        f"springs of {joints} from these pairs alone {mm(test.after)} mm are left. Fit and load test should agree within 3 "
+        "sigmas."
     )
+
+
+def load_test_springs_table(c: TrackerCalibration) -> Table:
+    """Springs of the fit beside those of load tests alone, in compliance and as stiffness."""
+    fit, test = c.fit, c.load_test
+    fitted = {j: (fit.state.arm[29 + j], fit.sd[fit.layout.arm[29 + j]]) for j in range(1, 7) if fit.layout.arm[29 + j] >= 0}
+    held = {} if test is None else dict(zip(test.joints, zip(test.compliance, test.sd, strict=True), strict=True))
+    rows: list[tuple[str, ...]] = []
+    for j in sorted({*fitted, *held}):
+        value, sd = fitted.get(j, (np.nan, np.nan))
+        other, other_sd = held.get(j, (np.nan, np.nan))
+        row: tuple[str, ...] = (f"A{j}", _spring(c.believed.arm[29 + j]), _spring(value, sd), _stiffness(value))
+        if test is not None:
+            apart = _apart(other - value, float(np.hypot(sd, other_sd)), test.pairs)
+            row = (*row, _spring(other, other_sd), _stiffness(other), apart)
+        rows.append(row)
+    columns: tuple[str, ...] = ("joint", "believed", "fitted", "as stiffness")
+    if test is not None:
+        columns = (*columns, "load test alone", "as stiffness", "apart, sigmas")
+    return table(columns, rows, title="Springs: compliance in µrad/(N m), stiffness in 10^6 N m/rad")
+
+
+def _apart(difference: float, sd: float, pairs: int) -> str:
+    """Difference in sigmas; the scatter of very few pairs says nothing of their own sigma."""
+    if not np.isfinite(difference):
+        return ""
+    return f"{difference / sd:+.1f}" if pairs >= FEW_PAIRS else "too few pairs"
+
+
+def _spring(value: float, sd: float | None = None) -> str:
+    if not np.isfinite(value):
+        return ""
+    if sd is None:
+        return f"{1e6 * value:.4f}" if value > 0 else "rigid"
+    return f"{1e6 * value:.4f} ± {1e6 * sd:.4f}"
+
+
+def _stiffness(value: float) -> str:
+    return f"{1e-6 / value:.3f}" if np.isfinite(value) and value > 0 else ""

@@ -1,16 +1,28 @@
-"""The parameters of a calibration in the order of the MD-H table: believed, estimate, change and one sigma."""
+"""The sections "Parameters" and "Terms tried": believed, estimate, change and one sigma; which terms the model has and why."""
 
 import numpy as np
 
 from ocp.calibrate.report.view import named, present
 from ocp.calibrate.tracker import TrackerCalibration
 from ocp.report.parts import Table, table
+from ocp.report.section import Section
+from robots.calibration.evidence import LEAST_GAIN, LEAST_SIGMA, Term
 from robots.calibration.layout import believed_compliance
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.pose import abc_from_rotation
 
 SYMBOL = {"th": "θ", "d": "d", "a": "a", "al": "α", "be": "β"}
 COLUMNS = ("believed", "estimate", "change", "one sigma")
+
+
+def parameters_section(c: TrackerCalibration) -> Section:
+    """Arm, springs and payloads, nests, stations."""
+    words = (
+        "Absolute values; the change is against the believed robot. Grey: the readings tell it only in company, or it was held. "
+        "One sigma is of the estimate alone; in company many are worth far less than their differences."
+    )
+    tables = (geometry_table(c), springs_and_payloads_table(c), nests_table(c), stations_table(c))
+    return Section("Parameters", (words, *tables))
 
 
 def geometry_table(c: TrackerCalibration) -> Table:
@@ -24,11 +36,8 @@ def geometry_table(c: TrackerCalibration) -> Table:
         fitted = name in fit.layout.names
         sd = f"{1e3 * fit.sd[fit.layout.index(name)]:.4f}" if fitted else "held"
         told = "held" if not fitted else "in company" if name in hidden else "yes"
-        numbers = (
-            f"{plain(1e3 * believed[k])}",
-            f"{plain(1e3 * fit.state.arm[k])}",
-            signed(1e3 * (fit.state.arm[k] - believed[k])),
-        )
+        before, value = 1e3 * believed[k], 1e3 * fit.state.arm[k]
+        numbers = (unsigned_zero(before), unsigned_zero(value), signed(1e3 * (fit.state.arm[k] - believed[k])))
         rows.append((f"{SYMBOL[stem]}{joint}", name, unit, *numbers, sd, told))
         if told != "yes":
             quiet.append(k)
@@ -75,12 +84,8 @@ def nests_table(c: TrackerCalibration) -> Table:
             before, value = 1e3 * fit.start.nests[k, i], 1e3 * fit.state.nests[k, i]
             sd = 1e3 * fit.sd[fit.layout.nest[k, i]]
             link = f"link {nest.link}" if nest is not None and nest.link != 6 else "flange"
-            rows.append(
-                (
-                    f"{named(name, 'nest')}, {axis}", link, f"{before:.3f}" if placed else "not given", f"{value:.3f}",
-                    signed(value - before, 3) if placed else "", f"{sd:.3f}",
-                )
-            )  # fmt: skip
+            believed = (f"{before:.3f}", signed(value - before, 3)) if placed else ("not given", "")
+            rows.append((f"{named(name, 'nest')}, {axis}", link, believed[0], f"{value:.3f}", believed[1], f"{sd:.3f}"))
     return table(("nest", "on", *COLUMNS), rows, text=(0, 1), title="Reflector nests, mm")
 
 
@@ -100,7 +105,47 @@ def stations_table(c: TrackerCalibration) -> Table:
     return table(columns, rows, title="The robot's base in the tracker's frame")
 
 
-def plain(value: float) -> str:
+def terms_section(c: TrackerCalibration) -> Section:
+    """What the model has, and what more was tried."""
+    given = [f"A{j}" for j in c.fit.choice.joints]
+    model = f"The model has the geometry{' and the springs of ' + ', '.join(given) if given else ' without springs'}"
+    payloads = [f"'{p}'" for p in c.fit.choice.payloads]
+    model += f", and mass and centre of {', '.join(payloads)}." if payloads else "."
+    if not c.terms:
+        return Section("Terms tried", (f"{model} Method '{c.method}' tries no further terms.",))
+    return Section("Terms tried", (f"{model} {terms_note()}", terms_table(c)))
+
+
+def terms_table(c: TrackerCalibration) -> Table:
+    """Candidates with their gain."""
+    rows = [(t.name, signed(t.gain, 1), f"{t.sigma:.1f}" if t.sigma else "not tried", term_verdict(t)) for t in c.terms]
+    strong = [k for k, t in enumerate(c.terms) if t.accepted]
+    return table(("term", "gain", "over its error", "verdict"), rows, text=(0, 3), strong=strong)
+
+
+def terms_note() -> str:
+    """How the evidence is weighed."""
+    return (
+        f"A term enters when the log density of readings left out grows by more than {LEAST_GAIN:g} and by more "
+        f"than {LEAST_SIGMA:g} times the standard error of that growth. A gain of 4 means that the "
+        "readings are 55 times as likely with the term."
+    )
+
+
+def term_verdict(term: Term) -> str:
+    """Why a term entered the model or not."""
+    if term.accepted:
+        return "in the model: readings left out are predicted better with it"
+    if term.gain > LEAST_GAIN:
+        return "not in the model: better on the whole, but not on enough blocks of readings to be more than chance"
+    if term.gain > 0:
+        return "not in the model: helps too little to be told from chance"
+    if term.sigma == 0.0:
+        return "not in the model: hardly helps even the readings it was fitted to"
+    return "not in the model: readings left out are predicted worse with it"
+
+
+def unsigned_zero(value: float) -> str:
     """Four decimals; what rounds to nothing is 0 without a sign."""
     return f"{round(value, 4) + 0.0:.4f}"
 

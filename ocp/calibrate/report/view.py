@@ -94,3 +94,18 @@ def present(index: NDArray[np.integer[Any]]) -> list[int]:
 def named(name: str, kind: str) -> str:
     """A payload, nest, station or session in words; files without the column have one without a name."""
     return name if name else f"the {kind} without a name"
+
+
+def mm(value: float) -> str:
+    """A length m in mm, to 1 um."""
+    return f"{1e3 * float(value):.3f}"
+
+
+def count_of(count: int, what: str) -> str:
+    """'1 outlier', '2 outliers'."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def listed(words: list[str]) -> str:
+    """'a', 'a and b', 'a, b and c'."""
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

@@ -1,33 +1,29 @@
-"""A diagnosis in words: the one sentence at the top, the facts below it, names of effects as a person says them."""
+"""Effects, conditions and figures of a diagnosis as a person says them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ocp.calibrate.report.words import listed
-from ocp.diagnose.engine.findings import Name, Ranked
-from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
-from ocp.diagnose.verdict.shrinkage import NONE
+from ocp.calibrate.report.view import listed
+from ocp.diagnose.engine.findings import Name
 from ocp.effects.catalogue import library
-from ocp.report.section import Headline
 
-SIGNALS = {"tracker": "the laser tracker's readings", "force": "the force readings", "joint": "the link-side encoders"}
 SHORT = {"tracker": "tracker", "force": "force", "joint": "link encoders"}
-LEAST_WAVES = 2.5  # a turn: slower ones are no ripple
-CERTAIN = 0.95  # marginal probability from which an effect is called certain where the whole is not settled
-VERDICTS = {
-    "explained": "Explained.", "ambiguous": "Narrowed down, not settled.", "unexplained": "A gap that no known effect explains.",
-    "no_gap": "No gap.",
-}  # fmt: skip
 DEPENDS = {
-    "approach": "the direction of approach of joint", "q": "the angle of joint", "motor": "the motor angle of joint",
-    "tau": "the load of joint", "step": "how far it came from the last reading, of joint",
+    "approach": "the direction of approach of joint",
+    "q": "the angle of joint",
+    "motor": "the motor angle of joint",
+    "tau": "the load of joint",
+    "step": "how far it came from the last reading, of joint",
     "moment": "the weight's moment across the axis of joint",
-}  # fmt: skip
+}
 PLAIN = {
-    "wait": "the time since the last reading", "range": "the distance from the tracker", "target": "the reflector nest",
-    "sight": "the side from which a reflector is seen", "azimuth": "the tracker's azimuth",
+    "wait": "the time since the last reading",
+    "range": "the distance from the tracker",
+    "target": "the reflector nest",
+    "sight": "the side from which a reflector is seen",
+    "azimuth": "the tracker's azimuth",
     "elevation": "the tracker's elevation",
-}  # fmt: skip
+}
 
 
 def effect_words(name: Name) -> str:
@@ -53,130 +49,10 @@ def percent(share: float) -> str:
     return "over 99.9 %" if share > 0.999 else "below 0.1 %" if share < 0.001 else f"{100 * share:.{1 if share > 0.99 else 0}f} %"
 
 
-def headline(answer: Answer) -> Headline:
-    """Verdict, sentence and facts."""
-    d = answer.diagnosis
-    verdict = d.verdict
-    facts = [("Where", _where(answer)), ("What", _what(answer)), ("How sure", _how_sure(answer))]
-    facts.append(("How much better", _better(answer)))
-    if answer.next:
-        first = answer.next[0]
-        facts.append(("What next", f"{_capital(first.do)} ({first.minutes:.0f} min). It tells {_apart(first.tells_apart)}."))
-    if answer.blind:
-        facts.append(("Not seen", "; ".join(answer.blind[:3]) + ("; …" if len(answer.blind) > 3 else "")))
-    return Headline(verdict in ("explained", "no_gap"), VERDICTS[verdict], _sentence(answer), tuple(facts))
-
-
-def _sentence(answer: Answer) -> str:
-    d = answer.diagnosis
-    if d.verdict == "no_gap":
-        return f"{_levels(answer)}: what is left is what instruments and repeatability make. Sure to {percent(d.p_none)}."
-    if d.verdict == "unexplained":
-        fits = f"Beside {effects_words([r.name for r in named])} no" if (named := _sure(answer)) else "No"
-        chance = f"the chance that it is one outside is {percent(d.p_unknown)}"
-        return f"It lies in {_place(answer)}{_with(answer)}{_ripple(answer)}. {fits} effect of the catalogue fits; {chance}."
-    best = d.explanations[0]
-    what = _capital(effects_words(best.names))
-    if d.verdict == "explained":
-        plural = "explain" if len(best.names) > 1 else "explains"
-        return f"{what} {plural} the gap (sure to {percent(best.probability)}). {_levels(answer)}{_promise(answer)}."
-    certain = [r.name for r in d.ranking if r.probability >= CERTAIN and r.name in best.names]
-    if certain:
-        verb = "is" if len(certain) == 1 else "are"
-        first = f"{_capital(effects_words(certain))} {verb} there for certain; what comes with it is not settled"
-    else:
-        first = f"{what} is the likeliest cause, with {percent(best.probability)}, but not settled"
-    return f"{first}{_alternatives(answer, certain)}. {_levels(answer)}{_promise(answer)}."
-
-
-def _sure(answer: Answer) -> list[Ranked]:
-    """Names that stand for certain beside what is unknown, the largest first, three at most."""
-    active = {a.key for a in answer.diagnosis.active}
-    return [r for r in answer.diagnosis.ranking if r.probability >= CERTAIN and (r.name.effect, r.name.joint) in active][:3]
-
-
-def _ripple(answer: Answer) -> str:
-    """' (a ripple near 13.5 waves a turn)', where the spectrum of the joint that the gap lies in has a peak."""
-    d = answer.diagnosis
-    joint = d.location.joint if d.location else 0
-    peak = next((p for p in d.spectrum if p.joint == joint and p.p_value < 0.01), None)
-    goes = d.location is not None and d.location.depends_on == (f"q{joint}",)
-    return f" (a ripple near {peak.order:g} waves a turn)" if goes and peak is not None and peak.order >= LEAST_WAVES else ""
-
-
-def _alternatives(answer: Answer, certain: Sequence[Name]) -> str:
-    """': A (33 %), B (16 %) or nothing more (12 %)', the explanations less what is certain."""
-    told = []
-    for e in answer.diagnosis.explanations[:4]:
-        if e.probability > 0.05:
-            rest = [name for name in e.names if name not in certain]
-            told.append(f"{effects_words(rest) if rest else 'nothing more'} ({percent(e.probability)})")
-    if not told:
-        return ""
-    return f": {', '.join(told[:-1])} or {told[-1]}" if len(told) > 1 else f": {told[0]}"
-
-
-def _levels(answer: Answer) -> str:
-    """'Tracker: 0.19 mm before, 0.03 mm with it, noise 0.02 mm'."""
-    parts = []
-    for gap in answer.gaps:
-        before, after = figures(gap.before)["rms"], figures(gap.after)["rms"]
-        words = f"{SHORT[gap.name]} {figure(before)}"
-        if answer.diagnosis.active:
-            words += f" → {figure(after)}"
-        parts.append(f"{words} {gap.unit} (noise {figure(gap.noise_floor)})")
-    return _capital(", ".join(parts))
-
-
-def _promise(answer: Answer) -> str:
-    told = [
-        f"{_percent_range(gap)} of the {SHORT[gap.name]} gap should be gone on new data"
-        for gap in answer.gaps if gap.shrinkage not in (None, NONE)
-    ]  # fmt: skip
-    return f"; {listed(told)}" if told else ""
-
-
-def _percent_range(gap: SignalGap) -> str:
-    assert gap.shrinkage is not None
-    s = gap.shrinkage
-    return f"{100 * s.predicted:.0f} % ({100 * s.low:.0f} to {100 * s.high:.0f} %)"
-
-
-def _where(answer: Answer) -> str:
-    d = answer.diagnosis
-    if d.verdict == "no_gap" or d.location is None:
-        return "nowhere beyond noise"
-    return f"in {_place(answer)}{_with(answer)}, seen by {SIGNALS.get(d.location.signal, d.location.signal)}"
-
-
-def _place(answer: Answer) -> str:
-    at = answer.diagnosis.location
-    if at is None:
-        return "no part that can be told"
-    if at.joint:
-        return f"joint {at.joint}"
-    words = {"timing": "the timing of the recordings", "target": "a reflector nest", "link": "the links"}
-    return words.get(at.subsystem, f"the {at.subsystem}")
-
-
-def _with(answer: Answer) -> str:
-    at = answer.diagnosis.location
-    if at is None or not at.depends_on:
-        return ""
-    return f", and goes with {listed([condition_words(c) for c in at.depends_on])}"
-
-
 def condition_words(name: str) -> str:
     """A condition in words: 'approach5' is the direction of approach of joint 5."""
     stem, digits = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
     return f"{DEPENDS[stem]} {digits}" if digits and stem in DEPENDS else PLAIN.get(name, name.replace("_", " "))
-
-
-def _what(answer: Answer) -> str:
-    d = answer.diagnosis
-    if not d.active:
-        return "no effect is named"
-    return "; ".join(f"{effect_words(Name(*a.key))}: {values_words(a.parameters, a.deviations)}" for a in d.active)
 
 
 def values_words(values: Mapping[str, Any], deviations: Mapping[str, Any]) -> str:
@@ -197,34 +73,3 @@ def _number_words(value: Any) -> str:
     if isinstance(value, str):
         return value
     return ", ".join(f"{v:.3g}" for v in value) if isinstance(value, list | tuple) else f"{value:.4g}"
-
-
-def _how_sure(answer: Answer) -> str:
-    d = answer.diagnosis
-    parts = [f"{percent(e.probability)} {effects_words(e.names)}" for e in d.explanations[:3] if e.probability > 0.005]
-    parts += [f"{percent(d.p_none)} nothing at all", f"{percent(d.p_unknown)} something outside the catalogue"]
-    accepted = {Name(*a.key) for a in d.active}
-    together = [" = ".join(effect_words(n) for n in group) for group in d.classes if accepted & set(group)]
-    return "; ".join(parts) + (f". These data cannot tell apart: {'; '.join(together)}" if together else "")
-
-
-def _better(answer: Answer) -> str:
-    parts = []
-    for gap in answer.gaps:
-        before, after = figures(gap.before), figures(gap.after)
-        words = f"{SHORT[gap.name]}: {figure(before['rms'])} → {figure(after['rms'])} {gap.unit} rms"
-        words += f", noise {figure(gap.noise_floor)}"
-        if gap.shrinkage is None:
-            words += "; the gap is too small beside the noise to speak of shrinking"
-        elif gap.shrinkage != NONE:
-            words += f"; on new data {_percent_range(gap)} of the gap beyond noise should be gone"
-        parts.append(words)
-    return "; ".join(parts)
-
-
-def _apart(names: Sequence[str]) -> str:
-    return f"{names[0]} from {listed(list(names[1:]))}" if len(names) > 1 else names[0]
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]

@@ -38,14 +38,14 @@ def scene_section(report: PlanReport) -> Section:
     painted = paint_blade(report.vertices, report.faces, report.passes, report.pass_spacing)
     return Section(
         "Blade and cell",
-        (Scene(report, painted),),
+        (SceneView(report, painted),),
         style=(_VIEWER / "viewer.css").read_text(encoding="utf-8"),
         script=f'(function () {{\n"use strict";\n{script}}})();\n',
     )
 
 
 @dataclass(frozen=True)
-class Scene(Part):
+class SceneView(Part):
     """The plan to be looked at from all sides; `painted`: its blade, ready for drawing."""
 
     report: PlanReport

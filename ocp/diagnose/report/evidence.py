@@ -1,27 +1,52 @@
-"""Tables of a diagnosis: the evidence behind the one sentence."""
+"""The section "Evidence": the tables behind the one sentence."""
 
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.joints.channel import JointChannel
 from ocp.diagnose.joints.problem import nuisance_names
 from ocp.diagnose.report.words import SHORT, condition_words, effect_words, effects_words, figure, values_words
-from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
+from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.effects.catalogue import library
 from ocp.report.parts import Table, table
+from ocp.report.section import Part, Section
 
 MOST = 20
+
+
+def evidence_section(answer: Answer) -> Section:
+    """Effects, explanations, tests without the catalogue, folds, springs, screened effects, noise."""
+    d = answer.diagnosis
+    parts: list[Part | str] = [
+        "Detectability is the energy of an effect's signature over the noise once everything else was refitted; above about 30 a "
+        "name can be trusted. Log evidence is natural, over the data without the effect.",
+        ranking_table(answer),
+        explanations_table(answer),
+    ]
+    if d.kernels:
+        parts.append(kernels_table(answer, left_over=False))
+    if d.left_over:
+        parts.append(kernels_table(answer, left_over=True))
+    parts += [folds_table(answer, gap) for gap in answer.gaps if d.held_out.get(gap.name)]
+    parts += [found for found in map(refitted_springs_table, answer.gaps) if found is not None]
+    if d.screened:
+        parts.append(screened_table(answer))
+    parts.append(f"Noise: {_noise(answer)}.")
+    return Section("Evidence", tuple(parts))
+
+
+def _noise(answer: Answer) -> str:
+    words = [f"{SHORT[gap.name]} {gap.noise_floor:.3g} {gap.unit} rms of a reading" for gap in answer.gaps]
+    return "; ".join(words)
 
 
 def ranking_table(answer: Answer) -> Table:
     """Effects by probability with values and detectability."""
     d = answer.diagnosis
     accepted = {Name(*a.key) for a in d.active}
-    rows = [
-        (
-            effect_words(r.name), f"{r.probability:.3f}", f"{r.log_evidence:+.1f}", f"{r.detectability:.0f}",
-            values_words(r.active.parameters, r.active.deviations), _plausible(r.active.parameters, r.name),
-        )
-        for r in d.ranking[:MOST]
-    ]  # fmt: skip
+    rows = []
+    for r in d.ranking[:MOST]:
+        numbers = (f"{r.probability:.3f}", f"{r.log_evidence:+.1f}", f"{r.detectability:.0f}")
+        values = values_words(r.active.parameters, r.active.deviations)
+        rows.append((effect_words(r.name), *numbers, values, _plausible(r.active.parameters, r.name)))
     strong = [k for k, r in enumerate(d.ranking[:MOST]) if r.name in accepted]
     columns = ("effect", "probability", "log evidence", "detectability", "value ± one sigma", "against the usual range")
     return table(columns, rows, text=(0, 4, 5), strong=strong, title="Effects, bold where named")
@@ -55,30 +80,6 @@ def explanations_table(answer: Answer) -> Table:
     return table(("explanation", "probability", "log evidence over none"), rows, title="Explanations as a whole")
 
 
-def gaps_table(answer: Answer) -> Table:
-    """Gap of every signal before and after."""
-    rows = []
-    for gap in answer.gaps:
-        before, after = figures(gap.before), figures(gap.after)
-        s = gap.shrinkage
-        told = "too small beside noise" if s is None else f"{100 * s.predicted:.0f} % ({100 * s.low:.0f} to {100 * s.high:.0f})"
-        cells = (SHORT[gap.name], gap.unit, figure(gap.noise_floor))
-        rows.append((*cells, *(figure(v[k]) for k in ("rms", "mean", "max") for v in (before, after)), told))
-    columns = (
-        "signal",
-        "unit",
-        "noise",
-        "rms before",
-        "after",
-        "mean before",
-        "after",
-        "max before",
-        "after",
-        "shrinkage expected",
-    )
-    return table(columns, rows, text=(0, 1, 9))
-
-
 def kernels_table(answer: Answer, left_over: bool) -> Table:
     """Library-free tests, of the baseline's gap or of what the named effects leave."""
     tests = answer.diagnosis.left_over if left_over else answer.diagnosis.kernels
@@ -97,15 +98,8 @@ def screened_table(answer: Answer) -> Table:
     for s in sorted(answer.diagnosis.screened, key=lambda s: s.p_value)[:MOST]:
         figures_of = (f"{s.gained:.1f}", f"{s.freedom}", f"{s.variants}", f"{s.p_value:.2g}")
         rows.append((str(s.name), *figures_of, _size(s.smallest), f"{100 * s.left:.0f} %"))
-    columns = (
-        "effect",
-        "lambda gained",
-        "freedom",
-        "tried",
-        "p-value",
-        "smallest seen, of the usual upper end",
-        "of it left by the refit",
-    )
+    tested = ("effect", "lambda gained", "freedom", "tried", "p-value")
+    columns = (*tested, "smallest seen, of the usual upper end", "of it left by the refit")
     return table(columns, rows, title="Every effect alone, before any was accepted (those that fit best)")
 
 
@@ -125,7 +119,7 @@ def folds_table(answer: Answer, gap: SignalGap) -> Table:
     return table(columns, rows, text=(0, 1, 6), title=f"Left out: {SHORT[gap.name]}")
 
 
-def springs_table(gap: SignalGap) -> Table | None:
+def refitted_springs_table(gap: SignalGap) -> Table | None:
     """Springs that were refitted as part of the believed cell, before and with the effects; None where there are none."""
     before, after = gap.baseline, gap.corrected
     if not (isinstance(before, JointChannel) and isinstance(after, JointChannel)) or not after.problem.springs:
@@ -137,9 +131,3 @@ def springs_table(gap: SignalGap) -> Table | None:
         rows.append((f"joint {j}", *(f"{v:.3g}" for v in values)))
     columns = ("rad/(N m)", "believed", "one sigma of that", "refitted alone", "refitted with the effects")
     return table(columns, rows, title="Springs of the believed cell")
-
-
-def next_table(answer: Answer) -> Table:
-    """Experiments with minutes and what they tell."""
-    rows = [(e.do, f"{e.minutes:.0f}", " | ".join(e.tells_apart), f"{e.expected:.2f}") for e in answer.next]
-    return table(("experiment", "minutes", "tells apart", "probability expected"), rows, text=(0, 2))

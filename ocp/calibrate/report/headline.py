@@ -1,44 +1,35 @@
-"""A calibration in words: the verdict, the headline's facts, why terms entered or not, what a fold says."""
+"""The verdict of a calibration: its headline's sentence, what speaks against it, and the facts below."""
 
 import numpy as np
 
-from ocp.calibrate.report.view import ReadingsView, named, present
+from ocp.calibrate.report.held_out import KINDS
+from ocp.calibrate.report.view import ReadingsView, count_of, mm, named, present
 from ocp.calibrate.tracker import TrackerCalibration
 from ocp.report.section import Headline
-from robots.calibration.evidence import LEAST_GAIN, LEAST_SIGMA, Term
-from robots.calibration.validation import HeldOut, by_kind
+from robots.calibration.validation import by_kind
 
 CLEARLY = 0.8  # of the mean error: a method below it does clearly better
-SURPRISING = 3.0  # sigmas by which errors are above what was stated, beyond chance
 SURE = 1.5  # error over prediction of a kind of fold above which the stated uncertainties are doubted
-KINDS = {
-    "random": "readings drawn blindly",
-    "region": "a region of the workspace (axes 1 to 3)",
-    "campaign": "a session",
-    "payload": "a payload",
-    "joint range": "the upper half of an axis' range",
-}
 
 
-def headline(c: TrackerCalibration, view: ReadingsView) -> Headline:
+def calibration_headline(c: TrackerCalibration, view: ReadingsView) -> Headline:
     """Verdict and figures. Without readings left out nothing is proven, and it says so."""
-    table = c.methods
-    after = table.error[c.method]
+    methods = c.methods
+    after = methods.error[c.method]
     doubts = _doubts(c)
     if not len(after):
         inside = view.error[~view.outlier]
         sentence = (
-            f"No reading could be left out, so how good it is where it was not fitted is not known; the {len(inside)} "
-            f"readings it was "
-            f"fitted to are met to {mm(inside.mean())} mm on average and {mm(inside.max())} mm at most, which flatters it."
+            f"No reading could be left out, so how good it is where it was not fitted is not known; the {len(inside)} readings "
+            f"it was fitted to are met to {mm(inside.mean())} mm on average and {mm(inside.max())} mm at most, which flatters it."
         )
         return Headline(False, "Not proven.", sentence, _facts(c, view))
     sentence = (
         f"Readings that the fit had not seen are predicted to {mm(after.mean())} mm on average and {mm(after.max())} mm at most; "
-        f"before calibration it was {mm(table.before.mean())} mm and {mm(table.before.max())} mm."
+        f"before calibration it was {mm(methods.before.mean())} mm and {mm(methods.before.max())} mm."
     )
     verdict = "Calibrated." if not doubts else "Calibrated, with doubts."
-    better = bool(after.mean() < table.before.mean())
+    better = bool(after.mean() < methods.before.mean())
     words = " ".join((sentence, *doubts))
     return Headline(better and not doubts, verdict if better else "No better than before.", words, _facts(c, view))
 
@@ -101,57 +92,3 @@ def _not_seen(c: TrackerCalibration) -> str:
     if unread:
         parts.append(f"payload{'s' if len(unread) > 1 else ''} {', '.join(named(name, 'payload') for name in unread)}")
     return "; ".join(parts) if parts else "nothing of what the model has"
-
-
-def beyond_chance(h: HeldOut) -> bool:
-    """Whether the errors of a fold are above what the model states by more than SURPRISING sigmas of chance."""
-    # The mean of m squared errors of 3 components over their variance has a standard error of sqrt(2 / (3 m)).
-    chance = SURPRISING * float(np.sqrt(2.0 / (3.0 * len(h.rows))))
-    return h.figures()["over_predicted"] ** 2 > 1.0 + chance
-
-
-def fold_name(c: TrackerCalibration, h: HeldOut) -> str:
-    """A fold in words; a region by the middle of its first three axes, which is where the arm is."""
-    if h.fold.kind == "joint range":
-        return h.fold.name
-    if h.fold.kind == "region":
-        q = np.degrees(np.median(c.fit.campaign.readings.q[h.rows, :3], axis=0))
-        return "around A1 {:.0f}, A2 {:.0f}, A3 {:.0f} deg".format(*q)
-    return f"{h.fold.kind} {h.fold.name}"
-
-
-def term_verdict(term: Term) -> str:
-    """Why a term entered the model or not."""
-    if term.accepted:
-        return "in the model: readings left out are predicted better with it"
-    if term.gain > LEAST_GAIN:
-        return "not in the model: better on the whole, but not on enough blocks of readings to be more than chance"
-    if term.gain > 0:
-        return "not in the model: helps too little to be told from chance"
-    if term.sigma == 0.0:
-        return "not in the model: hardly helps even the readings it was fitted to"
-    return "not in the model: readings left out are predicted worse with it"
-
-
-def terms_note() -> str:
-    """How the evidence is weighed."""
-    return (
-        f"A term enters when the log density of readings left out grows by more than {LEAST_GAIN:g} and by more than "
-        f"{LEAST_SIGMA:g} times "
-        "the standard error of that growth. A gain of 4 means that the readings are 55 times as likely with the term."
-    )
-
-
-def mm(value: float) -> str:
-    """A length m in mm, to 1 um."""
-    return f"{1e3 * float(value):.3f}"
-
-
-def count_of(count: int, what: str) -> str:
-    """'1 outlier', '2 outliers'."""
-    return f"{count} {what}{'' if count == 1 else 's'}"
-
-
-def listed(words: list[str]) -> str:
-    """'a', 'a and b', 'a, b and c'."""
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
