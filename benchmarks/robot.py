@@ -9,7 +9,7 @@ import numpy as np
 from robots.compliance import deflect
 from robots.elementary import elementary_forward
 from robots.gravity import weight_torques
-from robots.inverse import inverse_all, inverse_branches
+from robots.inverse import inverse_branches
 from robots.kinematics import forward, jacobian, link_frames
 from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
@@ -44,7 +44,6 @@ def main() -> None:
         ("elementary_forward", lambda: elementary_forward(robot, q), len(q)),
         ("inverse_branches", lambda: inverse_branches(robot, T), len(q)),
         ("inverse_branches, own", lambda: inverse_branches(own, T_own), len(few)),
-        ("inverse_all, singly", lambda: [inverse_all(robot, pose) for pose in T[:200]], 200),
         ("inverse_dynamics", lambda: inverse_dynamics(robot, 90.0, com, few, few, few), len(few)),
         ("forward, singly", lambda: [forward(robot, row) for row in q[:1000]], 1000),
     ]

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robots.gravity import weight_torques
-from robots.kinematics import jacobian, link_frames
 from robots.pose import Array
 from robots.robot import Robot
 
@@ -72,13 +71,3 @@ def deflect(
     for _ in range(steps):
         real = q + c * weight_torques(robot, real, payload_mass, payload_com)
     return real
-
-
-def point_compliance(robot: Robot, q: ArrayLike, points: ArrayLike) -> Array:
-    """Compliance (n, 3, 3) m/N in base axes of flange-fixed points (n, 3) m, base frame, at joints q (n, 6) rad."""
-    q = np.asarray(q, float).reshape(-1, 6)
-    J = jacobian(robot, q)
-    lever = np.asarray(points, float) - link_frames(robot, q)[:, 6, :3, 3]
-    # v_point = v_flange + omega x lever, column by column
-    linear = J[:, :3] + np.cross(J[:, 3:], lever[:, :, None], axis=1)
-    return np.asarray(cartesian_compliance(linear, robot.stiffness))

@@ -48,25 +48,3 @@ def inverse_dynamics(
     data = model.createData()
     rows = [np.asarray(x, float).reshape(-1, 6) for x in (q, qd, qdd)]
     return np.array([pin.rnea(model, data, *row) for row in zip(*rows, strict=True)]).reshape(-1, 6)
-
-
-def generalised_gravity(robot: Robot, q: ArrayLike, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
-    """Torques (n, 6) N m that hold the arm at rest at q (n, 6) rad; minus `robots.gravity.weight_torques`."""
-    model = rigid_body_model(robot, payload_mass, payload_com)
-    data = model.createData()
-    rows = np.asarray(q, float).reshape(-1, 6)
-    return np.array([pin.computeGeneralizedGravity(model, data, row).copy() for row in rows]).reshape(-1, 6)
-
-
-def body_frames(robot: Robot, q: ArrayLike) -> Array:
-    """Link frames 1..6 by Pinocchio, (n, 6, 4, 4), of postures q (n, 6) rad."""
-    model = rigid_body_model(robot)
-    data = model.createData()
-    ids = [model.getFrameId(f"link{i}") for i in range(1, 7)]
-    rows = np.asarray(q, float).reshape(-1, 6)
-    frames = np.empty((len(rows), 6, 4, 4))
-    for k, row in enumerate(rows):
-        pin.framesForwardKinematics(model, data, row)
-        for i, frame in enumerate(ids):
-            frames[k, i] = data.oMf[frame].homogeneous
-    return frames

@@ -27,8 +27,17 @@ class TomlTable(BaseModel):
 def read_toml(path: Path, schema: type[Schema], what: str = "cell") -> Schema:
     """Read `path` and validate it as `schema`; what: the kind of file that a path should have led to.
 
-    Raises BadInput: file missing or unreadable, TOML syntax, unknown or missing key, wrong type, value out of bounds.
+    Raises BadInput: as `parse_toml`, unknown or missing key, wrong type, value out of bounds.
     """
+    text, data = parse_toml(path, what)
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        raise BadInput(_sentence(path, text, error, schema)) from None
+
+
+def parse_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
+    """Text and content of a file. Raises BadInput: missing or unreadable, TOML syntax."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -36,13 +45,9 @@ def read_toml(path: Path, schema: type[Schema], what: str = "cell") -> Schema:
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
     try:
-        data = tomllib.loads(text)
+        return text, tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{path}: not valid TOML: {error}; correct that line") from None
-    try:
-        return schema.model_validate(data)
-    except ValidationError as error:
-        raise BadInput(_sentence(path, text, error, schema)) from None
 
 
 def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseModel]) -> str:

@@ -105,6 +105,11 @@ class Readings:
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)
 
+    def thinned(self, most: int) -> "Readings":
+        """At most so many readings, evenly taken."""
+        n = len(self)
+        return self if n <= most else self.take(np.unique(np.linspace(0, n - 1, most).astype(np.int64)))
+
     def repeats(self) -> Index:
         """Group (n,) of each reading: the same axes, target, payload, load, approach, station and session."""
         keys = [np.round(self.q / REPEAT_TOLERANCE), *(getattr(self, w)[:, None] for w in WORDS), self.load]

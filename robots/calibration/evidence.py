@@ -34,10 +34,9 @@ class Term:
 
 def choose_terms(fit: Fit) -> tuple[Choice, list[Term]]:
     """Add to the model of `fit` the joints and payloads that predict held-out blocks better; all candidates are told."""
-    n = len(fit.campaign.readings)
     campaign = fit.campaign
-    if n > READINGS:
-        campaign = replace(campaign, readings=campaign.readings.take(np.unique(np.linspace(0, n - 1, READINGS).astype(int))))
+    if len(campaign.readings) > READINGS:
+        campaign = replace(campaign, readings=campaign.readings.thinned(READINGS))
         fit = fit_campaign(campaign, fit.choice, fit.priors, fit.noise, begin=fit.state)
     blocks = [f for f in folds(campaign) if f.kind == "region"] + [f for f in folds(campaign, 1) if f.kind == "random"]
     far = [f for f in folds(campaign) if f.kind in ("payload", "joint range", "campaign")]

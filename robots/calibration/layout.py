@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
+from robots.compliance import compliance_from_stiffness
 from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Hanging, Instrument, Readings
@@ -79,7 +80,7 @@ class Layout:
 
 def believed_compliance(robot: Robot) -> Array:
     """Joint compliances (6,) rad/(N m) of the catalogue or cell; 0 = rigid."""
-    return np.divide(1.0, robot.stiffness, out=np.zeros(6), where=robot.stiffness > 0)
+    return np.asarray(compliance_from_stiffness(robot.stiffness))
 
 
 def build_layout(robot: Robot, readings: Readings, instrument: Instrument, choice: Choice, priors: Priors) -> Layout:

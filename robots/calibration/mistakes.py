@@ -83,9 +83,7 @@ def _rigid(campaign: Campaign) -> tuple[Array, Array]:
 
 
 def _thinned(campaign: Campaign) -> Campaign:
-    n = len(campaign.readings)
-    rows = np.unique(np.linspace(0, n - 1, min(n, ROWS)).astype(int))
-    return replace(campaign, readings=replace(campaign.readings.take(rows), turn=None))
+    return replace(campaign, readings=replace(campaign.readings.thinned(ROWS), turn=None))
 
 
 def _refuse_units(campaign: Campaign, where: str) -> None:

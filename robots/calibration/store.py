@@ -3,18 +3,16 @@
 import hashlib
 import io
 import math
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES, SYMBOLS
+from robots.calibration.parameters import SYMBOLS
 from robots.errors import BadInput
 from robots.pose import Array
-from robots.robot import Robot
-from robots.toml_files import toml_text
+from robots.toml_files import parse_toml, toml_text
 
 SCHEMA = 1
 _TABLES = ("parameters", "not_identified", "provenance")
@@ -51,26 +49,6 @@ class Calibration:
     def standard_deviation(self) -> Array:
         """One sigma of each value (m,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-
-
-def calibrated_mdh(robot: Robot, calibration: Calibration) -> Array:
-    """MD-H table (6, 5) of the robot with the calibration's values in the places it names."""
-    return _replaced(robot.mdh.ravel(), MDH_NAMES, calibration).reshape(6, 5)
-
-
-def calibrated_compliance(robot: Robot, calibration: Calibration) -> Array:
-    """Joint compliances (6,) rad/(N m): the calibration's where it names them, else 1 / robot.stiffness."""
-    k = robot.stiffness
-    nominal = np.divide(1.0, k, out=np.zeros(6), where=k > 0)
-    return _replaced(nominal, COMPLIANCE_NAMES, calibration)
-
-
-def _replaced(nominal: Array, names: tuple[str, ...], calibration: Calibration) -> Array:
-    values = nominal.copy()
-    known = dict(zip(calibration.names, calibration.values, strict=True))
-    for i, name in enumerate(names):
-        values[i] = known.get(name, values[i])
-    return values
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
@@ -130,14 +108,7 @@ def read_calibration(path: str | Path) -> Calibration:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give an existing file") from None
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{path}: not valid TOML: {error}; correct that line") from None
+    _, data = parse_toml(path, "calibration")
     if data.get("schema", SCHEMA) != SCHEMA:
         raise BadInput(f"{path}: schema = {data['schema']!r}, this version reads {SCHEMA}; calibrate again")
     if not isinstance(data.get("robot"), str):

@@ -14,9 +14,9 @@ from ocp.diagnose.tracker.background import background
 from ocp.diagnose.verdict.diagnosis import screened
 from ocp.diagnose.verdict.shrinkage import Anticipated, NewReadings, from_model
 from ocp.effects.effect import Active
-from robots.elementary import elementary_weight_torques
 from robots.gravity import GRAVITY
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, column, diagnosed, world
+from tests.support.reference_arm import elementary_weight_torques
 from tests.support.simulated_campaign import EXTRA, PAYLOADS, campaign_readings, random_truth
 
 

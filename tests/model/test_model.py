@@ -227,3 +227,13 @@ def test_a_calibration_brings_its_joint_noise():
     assert believed_theta(replace(cell, calibration=told)).joint_noise == 7e-6
     silent = replace(told, provenance={})
     assert believed_theta(replace(cell, calibration=silent)).joint_noise == UNMODELLED_JOINTS
+
+
+def test_a_calibration_replaces_what_it_names_and_nothing_else():
+    cell = bundled_cell()
+    names, values = ("a1", "th2", "c2"), np.array([0.3512, 0.001, 4e-7])
+    nominal = believed_theta(replace(cell, calibration=None)).values
+    theta = believed_theta(replace(cell, calibration=Calibration(cell.robot.name, names, values, np.eye(3)))).values
+    at = [NAMES.index(name) for name in names]
+    assert np.array_equal(theta[at], values)
+    assert np.array_equal(np.delete(theta, at), np.delete(nominal, at))

@@ -8,8 +8,6 @@ from hypothesis import strategies as st
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES, SYMBOLS
 from robots.calibration.store import (
     Calibration,
-    calibrated_compliance,
-    calibrated_mdh,
     read_calibration,
     write_calibration,
 )
@@ -88,17 +86,6 @@ def test_without_the_archive_the_covariance_is_diagonal_and_said_so(tmp_path):
     after = read_calibration(tmp_path / "calibration.toml")
     assert np.allclose(after.covariance, np.diag(np.diag(before.covariance)), rtol=1e-12, atol=0)
     assert len(after.notices) == 1 and "calibration.npz is missing" in after.notices[0]
-
-
-def test_calibrated_tables_take_what_is_named_and_keep_the_rest():
-    calibration = example(names=("a1", "th2", "c2"), values=np.array([0.3512, 0.001, 4e-7]), covariance=np.eye(3))
-    mdh = calibrated_mdh(EXTRA, calibration)
-    expected = EXTRA.mdh.copy()
-    expected[0, 2], expected[1, 0] = 0.3512, 0.001
-    assert np.array_equal(mdh, expected)
-    c = calibrated_compliance(EXTRA, calibration)
-    assert c[1] == 4e-7
-    assert np.array_equal(c[[0, 2, 3, 4, 5]], 1 / EXTRA.stiffness[[0, 2, 3, 4, 5]])
 
 
 def test_the_name_list_is_complete_and_in_the_order_of_the_table():

@@ -8,18 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robots.compliance import (
-    cartesian_compliance,
-    compliance_from_stiffness,
-    deflect,
-    deflected_joints,
-    point_compliance,
-)
-from robots.elementary import elementary_weight_torques
+from robots.compliance import cartesian_compliance, compliance_from_stiffness, deflect, deflected_joints
 from robots.gravity import GRAVITY, gravity_torques, weight_torques
 from robots.kinematics import forward, jacobian
-from robots.rigid_body import generalised_gravity, inverse_dynamics
+from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
+from tests.support.reference_arm import elementary_weight_torques, generalised_gravity, point_compliance
 
 EXTRA = load_robot("kr210_r2700_extra")
 COM = np.array([0.01, -0.02, 0.22])

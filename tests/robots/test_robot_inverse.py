@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 
 from robots.errors import BadInput
 from robots.inverse import (
-    Status,
     arm_family,
-    inverse_all,
     inverse_branches,
     inverse_refined,
     pose_error,
@@ -23,6 +21,7 @@ from robots.inverse import (
 )
 from robots.kinematics import forward
 from robots.robot import catalogue, load_robot
+from tests.support.all_postures import Status, inverse_all
 
 # The arms with a closed inverse; the UR ones have no spherical wrist.
 ROBOTS = {name: load_robot(name) for name in catalogue() if name.startswith("kr")}

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from robots.elementary import elementary_frames
 from robots.kinematics import chain, forward, geometric_jacobian, jacobian, link_frames
 from robots.pose import invert, make_transform, rot_x, rot_y, rot_z
-from robots.rigid_body import body_frames
 from robots.robot import catalogue, load_robot
+from tests.support.reference_arm import body_frames
 
 ROBOTS = {name: load_robot(name) for name in catalogue()}
 EXTRA = ROBOTS["kr210_r2700_extra"]

@@ -16,12 +16,12 @@ from ocp.simulate.twin.truth.kinds import ARM_KINDS
 from ocp.simulate.twin.truth.planting import parse_effect
 from ocp.simulate.twin.truth.truth import draw_truth
 from robots.calibration.reading_model import RowInputs, predict_points
-from robots.compliance import point_compliance
-from robots.elementary import elementary_forward, elementary_frames, elementary_weight_torques
+from robots.elementary import elementary_forward, elementary_frames
 from robots.errors import BadInput, Infeasible
 from robots.gravity import GRAVITY
 from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
+from tests.support.reference_arm import elementary_weight_torques, point_compliance
 
 CELL = read_cell(Path(__file__).parents[2] / "ocp" / "data" / "cell.toml")
 ROBOT = CELL.robot

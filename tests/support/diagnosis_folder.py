@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from robots.elementary import elementary_weight_torques
 from robots.gravity import GRAVITY
+from tests.support.reference_arm import elementary_weight_torques
 from tests.support.simulated_campaign import EXTRA, PAYLOADS, Truth, campaign_readings, measured, random_truth
 
 CELL = """name = "elementary"

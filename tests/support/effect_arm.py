@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robots.elementary import elementary_frames, elementary_weight_torques
+from robots.elementary import elementary_frames
 from robots.gravity import GRAVITY
+from tests.support.reference_arm import elementary_weight_torques
 from tests.support.simulated_campaign import EXTRA, NESTS, PAYLOADS
 
 COMPLIANCE = np.array([3e-7, 3e-7, 4e-7, 1e-6, 1e-6, 1e-6])

@@ -23,8 +23,8 @@ from ocp.plan.verify.second_route import BelievedRobot, believed_robot, bent, ve
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.calibration.store import Calibration
 from robots.elementary import elementary_forward
-from robots.inverse import inverse_all
 from robots.pose import make_transform
+from tests.support.all_postures import inverse_all
 from tests.support.small_plan import small_cell
 from trajectories.passes import BladePath
 

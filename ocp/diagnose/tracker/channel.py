@@ -187,12 +187,9 @@ class TrackerChannel:
 
     def thinned(self, most: int) -> "TrackerChannel":
         """Fitted to at most so many readings, evenly taken."""
-        n = len(self.readings)
-        if n <= most:
+        if len(self.readings) <= most:
             return self
-        rows = np.unique(np.linspace(0, n - 1, most).astype(np.int64))
-        campaign = replace(self.task.campaign, readings=self.readings.take(rows))
-        task = replace(self.task, campaign=campaign)
+        task = replace(self.task, campaign=replace(self.task.campaign, readings=self.readings.thinned(most)))
         return replace(self, task=task, fit=refit(task, self.fit.state, self.fit.offset, (), self.fit.noise), store={})
 
     def opened(self) -> "TrackerChannel":
