@@ -4,19 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from robots.errors import BadInput
-from trajectories.blade.clearance import free_stretch, obstacles
+from robots.pose import Array
 from trajectories.blade.fit import SideSurface
 from trajectories.blade.mesh import Blade
 from trajectories.blade.shape import AerofoilShape
 from trajectories.blade.spline import curvature_in_frame
 from trajectories.blade.surroundings import extents, thickness
-from trajectories.blade.window import Margins, Window, ground_window
-
-Array = NDArray[np.float64]
+from trajectories.blade.window import Margins, Window, free_stretch, ground_window, obstacles
 
 MIN_WAYPOINTS = 20
 
@@ -43,6 +40,23 @@ class BladePath:
     thickness: Array
     feed: Array
     force: Array
+
+
+@dataclass(frozen=True)
+class ContactFrames:
+    """What is given of one pass before the blade around it is looked at; fields as in `BladePath`."""
+
+    line: int
+    p: Array
+    n: Array
+    t: Array
+    s: Array
+    feed: Array
+    force: Array
+
+    def path(self, side: str, curvature: Array, extent: Array, thickness: Array) -> BladePath:
+        """The pass with what was found of the blade at its points."""
+        return BladePath(side=side, curvature=curvature, extent=extent, thickness=thickness, **vars(self))
 
 
 @dataclass(frozen=True)
@@ -81,8 +95,10 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
     names = ["convex", "concave"] if options.side == "both" else [options.side]
     lay = {"spanwise": _spanwise, "chordwise": _chordwise}.get(options.direction)
     if lay is None or names[0] not in shape.sides:
-        raise BadInput(f"passes = {options.direction!r}, side = {options.side!r}: use 'spanwise' or 'chordwise' and "
-                       f"'convex', 'concave' or 'both'.")  # fmt: skip
+        raise BadInput(
+            f"passes = {options.direction!r}, side = {options.side!r}: use 'spanwise' or 'chordwise' and "
+            f"'convex', 'concave' or 'both'."
+        )
     if not options.spacing > 0.0 or not options.step > 0.0:
         raise BadInput(f"pass_spacing_mm = {1e3 * options.spacing:g} and step {1e3 * options.step:g} mm must be above 0.")
     paths: list[BladePath] = []
@@ -93,18 +109,24 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
         window = ground_window(blade.name, shape, side, margins)
         for edge, cut in zip(("leading", "trailing"), window.cut, strict=True):
             if cut:
-                notices.append(f"The {name} side is ground up to where it turns into the {edge} edge, which is more "
-                               f"than edge_margin_mm = {1e3 * options.edge_margin:g} away from it.")  # fmt: skip
+                notices.append(
+                    f"The {name} side is ground up to where it turns into the {edge} edge, which is more "
+                    f"than edge_margin_mm = {1e3 * options.edge_margin:g} away from it."
+                )
         for u, v in _with_room(side, lay(side, window, options), around, options, notices):
             paths.append(_waypoints(shape, side, u, v, len(paths) + 1, options))
     if not paths:
-        raise BadInput(f"{blade.name}: a wheel of {1e3 * options.wheel_radius:g} mm radius touches block or platform on "
-                       f"every line; take a smaller wheel or another direction of the passes.")  # fmt: skip
+        raise BadInput(
+            f"{blade.name}: a wheel of {1e3 * options.wheel_radius:g} mm radius touches block or platform on "
+            f"every line; take a smaller wheel or another direction of the passes."
+        )
     near = sum(int((path.extent.min(axis=1) < options.pad_radius).sum()) for path in paths)
     if near:
         total = sum(len(path.p) for path in paths)
-        notices.append(f"{near} of {total} waypoints lie closer than {1e3 * options.pad_radius:.1f} mm to an edge or end "
-                       f"of the surface, so part of the contact hangs over.")  # fmt: skip
+        notices.append(
+            f"{near} of {total} waypoints lie closer than {1e3 * options.pad_radius:.1f} mm to an edge or end "
+            f"of the surface, so part of the contact hangs over."
+        )
     return paths, notices
 
 
@@ -134,20 +156,18 @@ def _with_room(
 
 def reversed_path(path: BladePath) -> BladePath:
     """The same pass ground from its end to its start: t and b turn round, k_tb keeps its sign."""
-    order = slice(None, None, -1)
-    return replace(
-        path, p=path.p[order], n=path.n[order], t=-path.t[order], s=path.s[-1] - path.s[order],
-        curvature=path.curvature[order], extent=path.extent[order][:, [1, 0, 3, 2]],
-        thickness=path.thickness[order], feed=path.feed[order], force=path.force[order],
-    )  # fmt: skip
+    back = {name: getattr(path, name)[::-1] for name in ("p", "n", "curvature", "thickness", "feed", "force")}
+    return replace(path, t=-path.t[::-1], s=path.s[-1] - path.s[::-1], extent=path.extent[::-1, [1, 0, 3, 2]], **back)
 
 
 def _margins(blade: Blade, options: PassOptions) -> Margins:
     normal = np.asarray(options.clamp_normal, float)
     size = float(np.linalg.norm(normal))
     if not np.isfinite(size) or size < 1e-9 or options.clamp_side not in ("below", "above"):
-        raise BadInput(f"clamp_normal = {list(options.clamp_normal)}, clamp_side = {options.clamp_side!r}: give a vector "
-                       f"that is not zero and 'below' or 'above'.")  # fmt: skip
+        raise BadInput(
+            f"clamp_normal = {list(options.clamp_normal)}, clamp_side = {options.clamp_side!r}: give a vector "
+            f"that is not zero and 'below' or 'above'."
+        )
     sign = 1.0 if options.clamp_side == "below" else -1.0
     normal, offset = sign * normal / size, sign * options.clamp_offset / size
     height = blade.vertices @ normal - offset
@@ -217,8 +237,8 @@ def _waypoints(shape: AerofoilShape, side: SideSurface, u: Array, v: Array, line
     s = np.linspace(0.0, s_fine[-1], count)
     u, v = np.interp(s, s_fine, u), np.interp(s, s_fine, v)
     p, n = side.surface(u, v), side.normal(u, v)
-    t = feed_directions(p, n, s)
-    return describe(shape, side, u, v, p, n, t, s, line, np.full(count, options.feed), np.full(count, options.force))
+    feed, force = np.full(count, options.feed), np.full(count, options.force)
+    return describe(shape, side, u, v, ContactFrames(line, p, n, feed_directions(p, n, s), s, feed, force))
 
 
 def feed_directions(p: Array, n: Array, s: Array) -> Array:
@@ -228,14 +248,11 @@ def feed_directions(p: Array, n: Array, s: Array) -> Array:
     return np.asarray(t / np.linalg.norm(t, axis=1, keepdims=True))
 
 
-def describe(
-    shape: AerofoilShape, side: SideSurface, u: Array, v: Array, p: Array, n: Array, t: Array, s: Array,
-    line: int, feed: Array, force: Array,
-) -> BladePath:  # fmt: skip
-    """A BladePath from frames at surface parameters (u, v): adds curvature, extent and thickness."""
-    curvature = curvature_in_frame(side.surface, u, v, n, t)
-    extent = extents(shape, side, u, v, p, n, t)
-    return BladePath(line, side.name, p, n, t, s, curvature, extent, thickness(shape, side, u, v, p, n), feed, force)
+def describe(shape: AerofoilShape, side: SideSurface, u: Array, v: Array, at: ContactFrames) -> BladePath:
+    """A pass from frames at surface parameters (u, v): adds curvature, extent and thickness."""
+    curvature = curvature_in_frame(side.surface, u, v, at.n, at.t)
+    extent = extents(shape, side, u, v, at.p, at.n, at.t)
+    return at.path(side.name, curvature, extent, thickness(shape, side, u, v, at.p, at.n))
 
 
 def total_length(paths: Sequence[BladePath]) -> float:

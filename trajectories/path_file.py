@@ -7,12 +7,11 @@ from numpy.typing import NDArray
 
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput
+from robots.pose import Array
 from trajectories.blade.mesh import Blade
 from trajectories.blade.shape import AerofoilShape
 from trajectories.passes import BladePath
 from trajectories.path_points import paths_from_points
-
-Array = NDArray[np.float64]
 
 NEEDED = ("line", "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz")
 OPTIONAL = ("feed_mm_s", "force_N")
@@ -56,7 +55,9 @@ def _line_numbers(path: Path, values: Array, numbers: list[int]) -> NDArray[np.i
     seen: set[int] = set()
     for i in starts.tolist():
         if int(line[i]) in seen:
-            raise BadInput(f"{path}, line {numbers[i]}, column line: line {line[i]} was left and comes again; give every "
-                           f"pass a number of its own.")  # fmt: skip
+            raise BadInput(
+                f"{path}, line {numbers[i]}, column line: line {line[i]} was left and comes again; give every "
+                f"pass a number of its own."
+            )
         seen.add(int(line[i]))
     return line

@@ -6,24 +6,34 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from robots.errors import BadInput
+from robots.pose import Array
 from trajectories.blade.fit import SideSurface
 from trajectories.blade.mesh import Blade, place_mm, vertex_normals
 from trajectories.blade.shape import AerofoilShape
-from trajectories.blade.spline import project
-from trajectories.off_flank import describe_off_flank
-from trajectories.passes import BladePath, describe
-
-Array = NDArray[np.float64]
+from trajectories.blade.spline import nearest_parameters
+from trajectories.blade.surroundings import MAX_TURN
+from trajectories.passes import BladePath, ContactFrames, describe
 
 OFF_SURFACE = 0.2e-3  # m: points farther off than this are refused
 NORMAL_LIMIT = np.deg2rad(15.0)  # a normal that differs more from the surface's is refused
 FEED_LIMIT = np.deg2rad(60.0)  # a feed direction that differs more from the way to the next point is refused
+_NEIGHBOURS = 40  # mesh vertices of a local quadric
+_BEAM = 1e-3  # m: half width of the column in which the depth below a point is looked for
+_LARGEST_EXTENT = 0.05  # m: extents are not followed farther than this
 
 
 def paths_from_points(
-    blade: Blade, shape: AerofoilShape, line: NDArray[np.int64], p: Array, n: Array, t: Array, feed: Array, force: Array,
-    source: str, places: list[str],
-) -> tuple[list[BladePath], list[str]]:  # fmt: skip
+    blade: Blade,
+    shape: AerofoilShape,
+    line: NDArray[np.int64],
+    p: Array,
+    n: Array,
+    t: Array,
+    feed: Array,
+    force: Array,
+    source: str,
+    places: list[str],
+) -> tuple[list[BladePath], list[str]]:
     """Passes through given contact frames, and notices.
 
     line (m,): number of the pass of each point, equal numbers in one stretch; p (m, 3) m; n, t (m, 3) unit to 1 %;
@@ -47,33 +57,37 @@ def paths_from_points(
     if (angle > NORMAL_LIMIT).any():
         k = int(np.argmax(angle > NORMAL_LIMIT))
         how = "points into the blade" if angle[k] > np.pi / 2 else f"is {np.rad2deg(angle[k]):.1f} deg off the surface's"
-        raise BadInput(f"{source}, {places[k]}: the normal ({n[k, 0]:.4f}, {n[k, 1]:.4f}, {n[k, 2]:.4f}) {how}, the limit is "
-                       f"{np.rad2deg(NORMAL_LIMIT):g} deg; give outward unit normals.")  # fmt: skip
+        raise BadInput(
+            f"{source}, {places[k]}: the normal ({n[k, 0]:.4f}, {n[k, 1]:.4f}, {n[k, 2]:.4f}) {how}, the limit is "
+            f"{np.rad2deg(NORMAL_LIMIT):g} deg; give outward unit normals."
+        )
     paths = []
     starts = np.flatnonzero(np.concatenate([[True], line[1:] != line[:-1]]))
     for i, j in zip(starts, [*starts[1:], len(line)], strict=True):
         rows = np.arange(i, j)
         s, feed_direction = _along(source, places, rows, foot[rows], normal[rows], t[rows], int(line[i]))
+        at = ContactFrames(int(line[i]), foot[rows], normal[rows], feed_direction, s, feed[rows], force[rows])
         sides = set(name[rows])
         if sides <= set(shape.sides) and len(sides) == 1:
-            side = shape.sides[sides.pop()]
-            paths.append(describe(shape, side, u[rows], v[rows], foot[rows], normal[rows], feed_direction, s,
-                                  int(line[i]), feed[rows], force[rows]))  # fmt: skip
+            paths.append(describe(shape, shape.sides[sides.pop()], u[rows], v[rows], at))
         else:
-            paths.append(describe_off_flank(blade, shape, foot[rows], normal[rows], feed_direction, s, int(line[i]),
-                                            feed[rows], force[rows]))  # fmt: skip
+            paths.append(describe_off_flank(blade, shape, at))
     return paths, _notices(source, gap, angle, name)
 
 
 def _notices(source: str, gap: Array, angle: Array, name: NDArray[np.str_]) -> list[str]:
     notices = []
     if gap.max() > 1e-6 or angle.max() > np.deg2rad(0.05):
-        notices.append(f"{source}: points were moved onto the surface by up to {1e3 * gap.max():.3f} mm and normals turned "
-                       f"by up to {np.rad2deg(angle.max()):.2f} deg.")  # fmt: skip
+        notices.append(
+            f"{source}: points were moved onto the surface by up to {1e3 * gap.max():.3f} mm and normals turned "
+            f"by up to {np.rad2deg(angle.max()):.2f} deg."
+        )
     edge = int((name == "edge").sum())
     if edge:
-        notices.append(f"{source}: {edge} points lie on an edge, a fillet or the block; passes with such points take their "
-                       f"curvature from the facets nearby, which is rough.")  # fmt: skip
+        notices.append(
+            f"{source}: {edge} points lie on an edge, a fillet or the block; passes with such points take their "
+            f"curvature from the facets nearby, which is rough."
+        )
     return notices
 
 
@@ -83,8 +97,10 @@ def _refuse_lengths(source: str, places: list[str], n: Array, t: Array) -> None:
         bad = np.abs(length - 1.0) > 0.01
         if bad.any():
             k = int(np.argmax(bad))
-            raise BadInput(f"{source}, {places[k]}: the vector ({what}x, {what}y, {what}z) has length {length[k]:.4g}, "
-                           f"a unit vector is expected.")  # fmt: skip
+            raise BadInput(
+                f"{source}, {places[k]}: the vector ({what}x, {what}y, {what}z) has length {length[k]:.4g}, "
+                f"a unit vector is expected."
+            )
 
 
 def locate(shape: AerofoilShape, p: Array) -> tuple[NDArray[np.str_], Array, Array, Array, Array]:
@@ -108,7 +124,7 @@ def foot_parameters(side: SideSurface, shape: AerofoilShape, p: Array) -> tuple[
     grid = np.meshgrid(np.linspace(0.0, 1.0, 60), np.linspace(shape.v[0], shape.v[1], 60), indexing="ij")
     gu, gv = grid[0].ravel(), grid[1].ravel()
     _, index = cKDTree(side.surface(gu, gv)).query(p)
-    return project(side.surface, p, gu[index], gv[index])
+    return nearest_parameters(side.surface, p, gu[index], gv[index])
 
 
 def place_on_mesh(blade: Blade, name: NDArray[np.str_], foot: Array, normal: Array, p: Array) -> None:
@@ -136,8 +152,10 @@ def _along(
     t = t - np.einsum("ni,ni->n", t, n)[:, None] * n
     length = np.linalg.norm(t, axis=1, keepdims=True)
     if length.min() < 0.5:
-        raise BadInput(f"{source}, {places[rows[int(np.argmin(length))]]}: the feed direction t stands on the surface; "
-                       f"give the direction of travel along the blade.")  # fmt: skip
+        raise BadInput(
+            f"{source}, {places[rows[int(np.argmin(length))]]}: the feed direction t stands on the surface; "
+            f"give the direction of travel along the blade."
+        )
     t = t / length
     s = np.concatenate([[0.0], np.cumsum(steps)])
     motion = np.gradient(p, s, axis=0)
@@ -145,6 +163,63 @@ def _along(
     if cosine.min() < np.cos(FEED_LIMIT):
         k = int(np.argmin(cosine))
         angle = np.rad2deg(np.arccos(np.clip(cosine[k], -1.0, 1.0)))
-        raise BadInput(f"{source}, {places[rows[k]]}: t is {angle:.0f} deg off the way from point to point of line {line} "
-                       f"(limit {np.rad2deg(FEED_LIMIT):g} deg); t is the direction of travel.")  # fmt: skip
+        raise BadInput(
+            f"{source}, {places[rows[k]]}: t is {angle:.0f} deg off the way from point to point of line {line} "
+            f"(limit {np.rad2deg(FEED_LIMIT):g} deg); t is the direction of travel."
+        )
     return s, t
+
+
+def describe_off_flank(blade: Blade, shape: AerofoilShape, at: ContactFrames) -> BladePath:
+    """A pass that leaves the smooth flanks (round an edge, over a fillet), side "edge", from frames on the mesh.
+
+    Curvature, extent and thickness are what the facets nearby tell, roughly.
+    """
+    b = np.cross(at.n, at.t)
+    curvature = facet_curvature(blade, at.p, at.n, at.t, b)
+    thick = np.array([_depth(blade, p, n) for p, n in zip(at.p, at.n, strict=True)])
+    return at.path("edge", curvature, _extent(blade, shape, at.p, at.t, b, curvature), thick)
+
+
+def facet_curvature(blade: Blade, p: Array, n: Array, t: Array, b: Array) -> Array:
+    """k_tt, k_bb, k_tb (m, 3) 1/m of quadrics fitted to the slopes of the vertex normals round each point.
+
+    Slopes dz/dx = -n_x / n_z carry the second derivatives more evenly than heights, which a coarse mesh cuts short.
+    """
+    tree, normals = cKDTree(blade.vertices), vertex_normals(blade)
+    out = np.empty((len(p), 3))
+    for k in range(len(p)):
+        _, near = tree.query(p[k], min(_NEIGHBOURS, len(blade.vertices)))
+        near = near[normals[near] @ n[k] > 0.3]
+        if len(near) < 5:
+            out[k] = 0.0
+            continue
+        r, m = blade.vertices[near] - p[k], normals[near]
+        x, y, up = r @ t[k], r @ b[k], m @ n[k]
+        zero, one = np.zeros_like(x), np.ones_like(x)
+        rows = np.concatenate([np.stack([x, zero, y, one, zero], 1), np.stack([zero, y, x, zero, one], 1)])
+        fit = np.linalg.lstsq(rows, np.concatenate([-(m @ t[k]) / up, -(m @ b[k]) / up]), rcond=None)[0]
+        out[k] = -fit[0], -fit[1], -fit[2]
+    return out
+
+
+def _depth(blade: Blade, p: Array, n: Array) -> float:
+    """Depth of the blade below p along -n, m: the deepest vertex in a narrow column, widened until it holds one."""
+    r = blade.vertices - p
+    depth = -(r @ n)
+    aside = np.linalg.norm(r + depth[:, None] * n, axis=1)
+    reach = _BEAM
+    while not (found := (aside < reach) & (depth > 1e-5)).any() and reach < 0.1:
+        reach *= 1.5
+    return float(depth[found].max(initial=1e-4))
+
+
+def _extent(blade: Blade, shape: AerofoilShape, p: Array, t: Array, b: Array, curvature: Array) -> Array:
+    """Distances (m, 4): a turn of 60 deg at the local curvature, or the end of the blade along the span."""
+    axis = shape.frame.axis
+    height = blade.vertices @ axis
+    here = (p @ axis)[:, None]
+    rise = np.stack([t @ axis, -(t @ axis), b @ axis, -(b @ axis)], axis=1)
+    to_end = np.where(rise > 0.0, height.max() - here, here - height.min()) / np.maximum(np.abs(rise), 1e-3)
+    turn = MAX_TURN / np.maximum(curvature[:, [0, 0, 1, 1]], MAX_TURN / _LARGEST_EXTENT)
+    return np.asarray(np.minimum(turn, np.maximum(to_end, 0.0)))

@@ -43,7 +43,7 @@ def measuring_program(
     cell: Cell, campaign: Campaign, angle: float, pausing: Pausing, name: str, speed: int, taken: set[str]
 ) -> written.Program:
     """The program of a campaign; `speed` percent of the axis speeds, `taken` names already used in the folder."""
-    stop = written.Stop(pausing.seconds, pausing.input)
+    stop = written.Wait(pausing.seconds, pausing.input)
     blocks: list[written.Block] = [written.PointMotion(campaign.tour.home, speed)]
     groups: list[list[written.Block]] = []
     for k, (pose, target, way) in enumerate(zip(campaign.stops, campaign.targets, campaign.tour.ways, strict=False)):

@@ -173,7 +173,7 @@ def test_a_first_motion_to_a_pose_takes_the_posture_of_its_status(tmp_path):
 
 def test_pauses_and_approach_signs(tmp_path):
     q = np.radians([[0.0, -80, 90, 0, 10, 0], [5.0, -80, 90, 0, 10, 0], [2.0, -80, 90, 0, 10, 0]])
-    blocks = [krl.PointMotion(q[0]), krl.PointMotion(q[1]), krl.Stop(0.5, None), krl.PointMotion(q[2]), krl.Stop(None, None)]
+    blocks = [krl.PointMotion(q[0]), krl.PointMotion(q[1]), krl.Wait(0.5, None), krl.PointMotion(q[2]), krl.Wait(None, None)]
     base = example()
     program = krl.Program("STOPS", base.setup, (krl.SubProgram("STOPS_01", tuple(blocks), "stops"),), ())
     write(program, tmp_path)

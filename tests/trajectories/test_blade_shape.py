@@ -10,8 +10,8 @@ from robots.errors import BadInput
 from robots.pose import rotation_from_abc
 from tests.support import blade_samples
 from trajectories.blade import Blade, find_shape, read_blade
-from trajectories.blade.slicing import level_loops, slicer
-from trajectories.blade.spline import clamped_knots, curvature_in_frame, fit_surface, project
+from trajectories.blade.sections import level_loops, slicer
+from trajectories.blade.spline import clamped_knots, curvature_in_frame, fit_surface, nearest_parameters
 
 ROOT = Path(__file__).parents[2]
 BLADES = ROOT.parent / "shared" / "data" / "blades"
@@ -86,7 +86,7 @@ def test_the_fit_converges_with_fourth_order():
     errors = []
     for pieces in (4, 8, 16):
         fitted, u, v = fit_analytic(wave, pieces, 120)
-        pu, pv = project(fitted, wave(u, v), u, v)
+        pu, pv = nearest_parameters(fitted, wave(u, v), u, v)
         errors.append(np.linalg.norm(fitted(pu, pv) - wave(u, v), axis=1).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (orders > 3.5).all(), (errors, orders)

@@ -16,7 +16,7 @@ from trajectories.krl.dialect import KRL
 from trajectories.program.build import build_program
 from trajectories.program.interpolation import reinterpolate
 from trajectories.program.old_program import contact_frames_from_program
-from trajectories.program.program import PointMotion, Program, Stop, SubProgram
+from trajectories.program.program import PointMotion, Program, SubProgram, Wait
 
 ROOT = Path(__file__).resolve().parents[2]
 BOTH = pytest.mark.parametrize("dialect", [KRL, TOY], ids=lambda d: d.name)
@@ -52,7 +52,7 @@ def test_it_can_be_the_old_program_of_a_new_plan(dialect, tmp_path):
 def test_it_stands_still_only_where_it_may(dialect, tmp_path):
     q = np.radians([[0.0, -80, 90, 0, 10, 0], [5.0, -80, 90, 0, 10, 0]])
     main, names = dialect.program_names("stops", 1)
-    blocks = (PointMotion(q[0]), PointMotion(q[1]), Stop(0.5), PointMotion(q[0]), Stop())
+    blocks = (PointMotion(q[0]), PointMotion(q[1]), Wait(0.5), PointMotion(q[0]), Wait())
     files = dialect.write(Program(main, setup(), (SubProgram(names[0][0], blocks),)), tmp_path)
     assert dialect.check(files[0], ROBOT, pauses=True).stops == (1, 2)
     with pytest.raises(BadInput, match="may not"):

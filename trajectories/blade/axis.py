@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.errors import BadInput
+from robots.pose import Array
 from trajectories.blade.mesh import Blade, facet_normals
-from trajectories.blade.slicing import Loop, Slicer, level_loops, slicer
-
-Array = NDArray[np.float64]
+from trajectories.blade.sections import Loop, Slicer, level_loops, slicer
 
 FLARE_LIMIT = 0.10  # mean slope of the wall against the span, off its middle value, that marks a fillet or a cap
 THICKNESS_LIMIT = 0.5  # thickness / chord above which a section is no aerofoil
@@ -98,10 +97,12 @@ def aerofoil_range(
     good = (single > 0) & (thickness < THICKNESS_LIMIT)
     if not good.any():
         ratio = float(np.min(np.where(single > 0, thickness, np.inf)))
-        return (f"its sections are nowhere slender (thickness/chord at least {ratio:.2f}, "
-                f"an aerofoil has less than {THICKNESS_LIMIT})")  # fmt: skip
+        return (
+            f"its sections are nowhere slender (thickness/chord at least {ratio:.2f}, "
+            f"an aerofoil has less than {THICKNESS_LIMIT})"
+        )
     middle = float(np.median(slope[good]))
-    first, last = _longest_run(good & (np.abs(slope - middle) < FLARE_LIMIT))
+    first, last = longest_run(good & (np.abs(slope - middle) < FLARE_LIMIT))
     if (last - first) < max(MIN_SHARE * n_slices, 4):
         return f"aerofoil sections reach over {1e3 * (last - first) * step:.1f} mm of its {1e3 * (top - bottom):.1f} mm"
     return levels[first:last], [sections[k][0] for k in range(first, last)]
@@ -122,7 +123,7 @@ def _measure(loops: list[Loop], normals: Array, axis: Array) -> tuple[float, flo
     return float(slope @ lengths / total), float(extents[1] / extents[2]), single
 
 
-def _longest_run(good: NDArray[np.bool_]) -> tuple[int, int]:
+def longest_run(good: NDArray[np.bool_]) -> tuple[int, int]:
     """First and one past the last index of the longest stretch of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]])))
     if not len(edges):

@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from robots.pose import Array
 from trajectories.blade.mesh import Blade, vertex_normals
-from trajectories.blade.sections import Section
-from trajectories.blade.spline import SplineSurface, clamped_knots, fit_surface, project
-
-Array = NDArray[np.float64]
+from trajectories.blade.sections import BladeSection
+from trajectories.blade.spline import SplineSurface, clamped_knots, fit_surface, nearest_parameters
 
 _SMOOTHING = 0.15  # smoothing length per length of a spline piece, see fit_surface
 _FINEST, _GRADING, _COARSEST = 0.15e-3, 0.3, 2e-3  # m, 1, m: length of the pieces along the chord at and off an edge
@@ -50,7 +48,7 @@ class SideSurface:
 
 
 def fit_side(
-    blade: Blade, name: str, levels: Array, sections: list[Section], noses: Array, flanks: Array, edge: int, lead: int
+    blade: Blade, name: str, levels: Array, sections: list[BladeSection], noses: Array, flanks: Array, edge: int, lead: int
 ) -> SideSurface:
     """Smooth surface of the wall that runs counter-clockwise from `edge` to the other edge.
 
@@ -82,7 +80,7 @@ def fit_side(
         u, v, p = np.concatenate([u, vu]), np.concatenate([v, vv]), np.concatenate([p, vp])
         weights = np.concatenate([_SECTION_WEIGHT * weights, np.ones(len(vu))])
         surface = fit_surface(u, v, p, weights, knots, lengths, _SMOOTHING)
-        vu, vv = project(surface, vp, vu, vv, 3)
+        vu, vv = nearest_parameters(surface, vp, vu, vv, 3)
         gaps = np.linalg.norm(surface(vu, vv) - vp, axis=1)
     else:
         gaps = np.linalg.norm(surface(u, v) - p, axis=1)
@@ -115,7 +113,7 @@ def _own_vertices(blade: Blade, surface: SplineSurface, sign: float, u: Array, v
     distance, index = cKDTree(p).query(blade.vertices, distance_upper_bound=near)
     candidates = np.flatnonzero(np.isfinite(distance))
     points = blade.vertices[candidates]
-    pu, pv = project(surface, points, u[index[candidates]], v[index[candidates]])
+    pu, pv = nearest_parameters(surface, points, u[index[candidates]], v[index[candidates]])
     gap = np.linalg.norm(surface(pu, pv) - points, axis=1)
     inside = (pu > 1e-6) & (pu < 1.0 - 1e-6) & (pv > v.min() + 1e-7) & (pv < v.max() - 1e-7)
     # The other wall of a thin edge may be as near, but it looks the other way.

@@ -18,6 +18,8 @@ from trajectories.blade.mesh import (
 
 _STRAY_SHARE = 0.05  # area of a body against the largest one, below which it is a stray part
 _SLIVER = 1e-5  # height of a facet against its longest edge, below which rounding alone gives it its direction
+_LARGEST_HOLE = 0.05  # size of a hole against the blade's size up to which it is closed
+_MOST_HOLE_EDGES = 60
 
 
 def merge_corners(corners: Array) -> tuple[Array, IntArray]:
@@ -167,8 +169,9 @@ def keep_main_body(name: str, vertices: Array, faces: IntArray, notices: list[st
             f"{name}: holds {len(order)} separate bodies; the second, round {place_mm(place)}, has "
             f"{100 * area[order[1]] / area[main]:.0f} % of the first one's area: export one solid blade alone."
         )
-    notices.append(f"{len(order) - 1} stray parts ({100 * area[order[1:]].sum() / area[main]:.2g} % of the blade's area) "
-                   f"were dropped.")  # fmt: skip
+    notices.append(
+        f"{len(order) - 1} stray parts ({100 * area[order[1:]].sum() / area[main]:.2g} % of the blade's area) were dropped."
+    )
     return faces[body == main]
 
 
@@ -178,3 +181,85 @@ def face_outward(vertices: Array, faces: IntArray, notices: list[str]) -> IntArr
         return faces
     notices.append("The surface was inside-out; all facets were turned.")
     return faces[:, ::-1].copy()
+
+
+def close_holes(name: str, vertices: Array, faces: IntArray, notices: list[str]) -> IntArray:
+    """Faces with small holes closed by the triangulation of least area; (nf + new, 3).
+
+    Raises: BadInput naming place and size of a hole too large to guess what was there.
+    """
+    edges = directed_edges(faces)
+    forward = set(map(tuple, edges.tolist()))
+    border = [(j, i) for i, j in forward if (j, i) not in forward]
+    if not border:
+        return faces
+    size = float(np.linalg.norm(np.ptp(vertices[np.unique(faces)], axis=0)))
+    added: list[tuple[int, int, int]] = []
+    described = []
+    for loop in _loops(name, vertices, border):
+        points = vertices[loop]
+        across = float(np.linalg.norm(np.ptp(points, axis=0)))
+        middle = place_mm(points.mean(axis=0))
+        if across > _LARGEST_HOLE * size or len(loop) > _MOST_HOLE_EDGES:
+            raise BadInput(
+                f"{name}: the surface is open: a hole {1e3 * across:.1f} mm across with {len(loop)} edges round {middle} "
+                f"(holes up to {1e3 * _LARGEST_HOLE * size:.1f} mm are closed); export a closed solid."
+            )
+        added += _least_area(points, loop)
+        described.append(f"{1e3 * across:.2f} mm at {middle}")
+    shown = ", ".join(described[:3]) + (", .." if len(described) > 3 else "")
+    notices.append(f"{len(described)} holes were closed with {len(added)} facets: {shown}.")
+    return np.concatenate([faces, np.array(added, np.int64)])
+
+
+def _loops(name: str, vertices: Array, border: list[tuple[int, int]]) -> list[list[int]]:
+    """Closed vertex loops along the border, in the direction that new facets need."""
+    following: dict[int, list[int]] = {}
+    for i, j in border:
+        following.setdefault(i, []).append(j)
+    loops = []
+    while following:
+        start = next(iter(following))
+        loop = [start]
+        while True:
+            options = following.get(loop[-1])
+            if not options:
+                raise BadInput(f"{name}: the border of a hole at {place_mm(vertices[loop[-1]])} does not close; export it again.")
+            step = options.pop()
+            if not options:
+                del following[loop[-1]]
+            if step == start:
+                break
+            if step in loop:  # two holes touch in a vertex: cut the smaller loop off
+                k = loop.index(step)
+                loops.append(loop[k:])
+                loop = loop[: k + 1]
+            else:
+                loop.append(step)
+        loops.append(loop)
+    return [loop for loop in loops if len(loop) > 2]
+
+
+def _least_area(points: Array, loop: list[int]) -> list[tuple[int, int, int]]:
+    """Triangulation of a closed polygon in space with least total area (Barequet and Sharir 1995, section 3)."""
+    n = len(loop)
+    cost = np.zeros((n, n))
+    split = np.zeros((n, n), int)
+    for gap in range(2, n):
+        for i in range(n - gap):
+            k = i + gap
+            m = np.arange(i + 1, k)
+            area = 0.5 * np.linalg.norm(np.cross(points[m] - points[i], points[k] - points[i]), axis=1)
+            total = cost[i, m] + cost[m, k] + area
+            best = int(np.argmin(total))
+            cost[i, k], split[i, k] = total[best], m[best]
+    triangles = []
+    stack = [(0, n - 1)]
+    while stack:
+        i, k = stack.pop()
+        if k - i < 2:
+            continue
+        middle = int(split[i, k])
+        triangles.append((loop[i], loop[middle], loop[k]))
+        stack += [(i, middle), (middle, k)]
+    return triangles

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from robots.errors import BadInput
-from trajectories.blade.holes import close_holes
 from trajectories.blade.intersections import self_intersections
 from trajectories.blade.mending import (
+    close_holes,
     drop_useless,
     face_outward,
     keep_main_body,
@@ -16,7 +16,7 @@ from trajectories.blade.mending import (
     merge_corners,
     unify_winding,
 )
-from trajectories.blade.mesh import Array, Blade, IntArray, place_mm
+from trajectories.blade.mesh import Array, Blade, IntArray, directed_edges, place_mm
 from trajectories.blade.stl import read_facets
 
 UNITS = {"mm": 1e-3, "m": 1.0, "in": 25.4e-3}  # metres per unit
@@ -101,13 +101,15 @@ def _without_crossings(name: str, vertices: Array, faces: IntArray, notices: lis
             )
             return moved
         bad = np.union1d(bad, np.unique(faces[pairs]))
-    raise BadInput(f"{complaint}, and moving vertices by up to {1e3 * limit:.1f} mm does not open it; repair it in the "
-                   f"CAD program and export it again.")  # fmt: skip
+    raise BadInput(
+        f"{complaint}, and moving vertices by up to {1e3 * limit:.1f} mm does not open it; repair it in the "
+        f"CAD program and export it again."
+    )
 
 
 def _relax(vertices: Array, faces: IntArray, which: IntArray, times: int) -> Array:
     """Vertices with those numbered `which` moved to the mean of their neighbours, `times` times."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = directed_edges(faces)
     edges = edges[np.isin(edges[:, 0], which)]
     index = np.searchsorted(which, edges[:, 0])
     count = np.bincount(index, minlength=len(which))[:, None]

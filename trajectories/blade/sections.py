@@ -1,13 +1,11 @@
-"""Leading edge, trailing edge and the two sides of plane sections of an aerofoil."""
+"""Plane sections of a blade: level sets on its mesh, and where a section has its edges and its two sides."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trajectories.blade.slicing import Loop
-
-Array = NDArray[np.float64]
+from robots.pose import Array
+from trajectories.blade.mesh import IntArray, directed_edges, edge_keys
 
 # Half windows, shares of the chord, over which the turn round an edge is balanced: the first holds both corners of a
 # square-cut edge, the last keeps the camber of the walls out.
@@ -17,7 +15,82 @@ FLANK_TURN = np.deg2rad(60.0)  # turn from the nose of an edge at which the flan
 
 
 @dataclass(frozen=True)
-class Section:
+class Loop:
+    """One closed polygon of a level set, the body on its left seen against the gradient of the field.
+
+    points (n, 3) m; point i + 1 follows point i across facet `facets[i]`; the last joins the first.
+    """
+
+    points: Array
+    facets: IntArray
+
+    @property
+    def lengths(self) -> Array:
+        """Length of the segment that starts at each point, (n,) m."""
+        return np.asarray(np.linalg.norm(np.roll(self.points, -1, axis=0) - self.points, axis=1))
+
+
+@dataclass(frozen=True)
+class Slicer:
+    """A mesh prepared for many slices: the three edges of each facet as keys."""
+
+    vertices: Array
+    faces: IntArray
+    edge_key: IntArray  # (nf, 3)
+
+
+def slicer(vertices: Array, faces: IntArray) -> Slicer:
+    """Prepare a closed mesh for `level_loops`."""
+    keys = edge_keys(directed_edges(faces), len(vertices)).reshape(3, -1).T
+    return Slicer(vertices, faces, keys)
+
+
+def level_loops(mesh: Slicer, field: Array, level: float) -> list[Loop]:
+    """Closed polygons where `field` (nv,), linear on every facet, equals `level`; the longest first.
+
+    A vertex exactly on the level counts as above it, so that every crossed facet has one edge in and one edge out
+    and the facets of a loop form a cycle (the usual perturbation argument).
+    """
+    above = field[mesh.faces] >= level
+    crossed = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1))
+    if not len(crossed):
+        return []
+    above = above[crossed]
+    nxt = np.roll(above, -1, axis=1)
+    up = np.argmax(~above & nxt, axis=1)  # edge that goes from below to above
+    down = np.argmax(above & ~nxt, axis=1)
+    rows = np.arange(len(crossed))
+    keys = mesh.edge_key[crossed]
+    up_key, down_key = keys[rows, up], keys[rows, down]
+    # The neighbour across my up edge walks the same edge downwards: going from down edge to up edge keeps the
+    # body on the left.
+    order = np.argsort(down_key)
+    following = order[np.minimum(np.searchsorted(down_key[order], up_key), len(order) - 1)]
+    i = mesh.faces[crossed, down]
+    j = mesh.faces[crossed, (down + 1) % 3]
+    weight = ((field[i] - level) / (field[i] - field[j]))[:, None]
+    points = (1.0 - weight) * mesh.vertices[i] + weight * mesh.vertices[j]
+    loops = [Loop(points[cycle], crossed[cycle]) for cycle in _cycles(following.tolist())]
+    return sorted(loops, key=lambda loop: -float(loop.lengths.sum()))
+
+
+def _cycles(following: list[int]) -> list[IntArray]:
+    seen = [False] * len(following)
+    cycles = []
+    for start in range(len(following)):
+        cycle = []
+        k = start
+        while not seen[k]:
+            seen[k] = True
+            cycle.append(k)
+            k = following[k]
+        if len(cycle) > 2:
+            cycles.append(np.array(cycle))
+    return cycles
+
+
+@dataclass(frozen=True)
+class BladeSection:
     """One closed section, counter-clockwise about `normal`, cut at its two edges.
 
     points (n + 1, 3) m with the first point repeated; s (n + 1,) m arc length along them; normal (3,), unit, root to
@@ -42,7 +115,7 @@ class Section:
         return np.stack([np.interp(wrapped, self.s, self.points[:, i]) for i in range(3)], axis=-1)
 
 
-def make_section(loop: Loop, normal: Array, guess: Array | None = None) -> Section:
+def make_section(loop: Loop, normal: Array, guess: Array | None = None) -> BladeSection:
     """Cut a loop at its edges: the two places where the wall turns round the ends of the camber line.
 
     guess (2, 3) m: where the edges of the neighbouring section lie, to keep their order.
@@ -63,7 +136,7 @@ def make_section(loop: Loop, normal: Array, guess: Array | None = None) -> Secti
         i, j = (i, j) if to_first[0] < to_first[1] else (j, i)
     chord = float(np.linalg.norm(x[i] - x[j]))
     nose, flank = zip(*(_balance_turn(turn, float(s[k]), chord) for k in (i, j)), strict=True)
-    return Section(points, s, normal, np.array(nose), np.array(flank))
+    return BladeSection(points, s, normal, np.array(nose), np.array(flank))
 
 
 def _in_plane(points: Array, normal: Array) -> Array:

@@ -3,19 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_lsq_spline
 
 from robots.errors import BadInput
+from robots.pose import Array
 from trajectories.blade.axis import aerofoil_range, find_span
 from trajectories.blade.fit import SideSurface, fit_side
 from trajectories.blade.frame import SpanFrame, find_frame
 from trajectories.blade.mesh import Blade, facet_normals
-from trajectories.blade.sections import Section, make_section
-from trajectories.blade.slicing import slicer
+from trajectories.blade.sections import BladeSection, make_section, slicer
 from trajectories.blade.spline import clamped_knots
-
-Array = NDArray[np.float64]
 
 N_SECTIONS = 96
 ROUGH = 20e-6  # m: a larger worst distance between smooth surface and mesh is told to the user
@@ -57,7 +54,7 @@ def find_shape(blade: Blade) -> AerofoilShape:
     if isinstance(found, str):
         raise BadInput(f"{blade.name}: this is no blade: {found}; hand in one aerofoil with or without root block.")
     levels, loops = found
-    sections: list[Section] = []
+    sections: list[BladeSection] = []
     guess: Array | None = None
     for level, loop in zip(levels, loops, strict=True):
         section = make_section(loop, frame.normal(np.array(level)), guess)
@@ -71,8 +68,10 @@ def find_shape(blade: Blade) -> AerofoilShape:
     sides = _sides(blade, levels, sections, noses, lead, notices)
     for side in sides.values():
         if side.deviation[1] > ROUGH:
-            notices.append(f"The smooth {side.name} surface passes mesh vertices at up to {1e6 * side.deviation[1]:.0f} um "
-                           f"({1e6 * side.deviation[0]:.1f} um typically): the mesh is rough or has steps there.")  # fmt: skip
+            notices.append(
+                f"The smooth {side.name} surface passes mesh vertices at up to {1e6 * side.deviation[1]:.0f} um "
+                f"({1e6 * side.deviation[0]:.1f} um typically): the mesh is rough or has steps there."
+            )
     edges = np.array([section.at(nose) for section, nose in zip(sections, noses, strict=True)])
     return AerofoilShape(frame, levels[[0, -1]], sides, levels, edges[:, order[0]], edges[:, order[1]], tuple(notices))
 
@@ -84,7 +83,7 @@ def smooth_along(levels: Array, values: Array, pieces: int = 5) -> Array:
     return np.asarray(make_lsq_spline(levels, values, knots)(levels))
 
 
-def _smooth_noses(levels: Array, sections: list[Section]) -> Array:
+def _smooth_noses(levels: Array, sections: list[BladeSection]) -> Array:
     """Arc lengths (m, 2) of both edges in every section, freed of the mesh's jitter by smoothing along the span."""
     points = np.array([section.at(section.nose) for section in sections])
     smooth = smooth_along(levels, points.reshape(len(levels), -1)).reshape(points.shape)
@@ -97,28 +96,29 @@ def _smooth_noses(levels: Array, sections: list[Section]) -> Array:
     return noses
 
 
-def _thickness_near(section: Section, nose: Array, edge: int, share: float) -> float:
+def _thickness_near(section: BladeSection, nose: Array, edge: int, share: float) -> float:
     """Distance of the two walls at `share` of the half perimeter behind an edge, m."""
     reach = share * 0.5 * section.perimeter
     return float(np.linalg.norm(section.at(nose[edge] + reach) - section.at(nose[edge] - reach)))
 
 
-def _refuse_plate(blade: Blade, sections: list[Section], noses: Array) -> None:
+def _refuse_plate(blade: Blade, sections: list[BladeSection], noses: Array) -> None:
     """Refuse a bar of rectangular section, which slices cannot tell from an aerofoil."""
     k = len(sections) // 2
     middle = _thickness_near(sections[k], noses[k], 0, 0.5)
     ends = [_thickness_near(sections[k], noses[k], edge, 0.08) for edge in (0, 1)]
     if min(ends) > _PLATE * middle:
-        raise BadInput(f"{blade.name}: this is no blade: its sections are as thick near both edges ({1e3 * min(ends):.2f} mm) "
-                       f"as in the middle ({1e3 * middle:.2f} mm), a flat plate; hand in an aerofoil.")  # fmt: skip
+        raise BadInput(
+            f"{blade.name}: this is no blade: its sections are as thick near both edges ({1e3 * min(ends):.2f} mm) "
+            f"as in the middle ({1e3 * middle:.2f} mm), a flat plate; hand in an aerofoil."
+        )
 
 
-def _leading_edge(sections: list[Section], noses: Array, notices: list[str]) -> int:
+def _leading_edge(sections: list[BladeSection], noses: Array, notices: list[str]) -> int:
     """Which of the two edges is the thicker one."""
-    thickness = np.array([
-        [np.mean([_thickness_near(section, nose, edge, share) for share in (0.03, 0.06, 0.1)]) for edge in (0, 1)]
-        for section, nose in zip(sections[::4], noses[::4], strict=True)
-    ]).mean(axis=0)  # fmt: skip
+    shares, pairs = (0.03, 0.06, 0.1), list(zip(sections[::4], noses[::4], strict=True))
+    near = [[np.mean([_thickness_near(*pair, edge, share) for share in shares]) for edge in (0, 1)] for pair in pairs]
+    thickness = np.array(near).mean(axis=0)
     if abs(thickness[0] - thickness[1]) < 0.05 * thickness.max():
         notices.append(
             "The two edges are equally thick, so which one leads was not found out; chordwise passes may run from "
@@ -128,12 +128,11 @@ def _leading_edge(sections: list[Section], noses: Array, notices: list[str]) -> 
 
 
 def _sides(
-    blade: Blade, levels: Array, sections: list[Section], noses: Array, lead: int, notices: list[str]
+    blade: Blade, levels: Array, sections: list[BladeSection], noses: Array, lead: int, notices: list[str]
 ) -> dict[str, SideSurface]:
     """The surfaces between the edges, named by the way the section's middle bulges off its chord."""
-    areas = np.array([
-        [_bulge(section, nose, edge) for edge in (0, 1)] for section, nose in zip(sections, noses, strict=True)
-    ]).mean(axis=0)  # fmt: skip
+    pairs = zip(sections, noses, strict=True)
+    areas = np.array([[_bulge(section, nose, edge) for edge in (0, 1)] for section, nose in pairs]).mean(axis=0)
     names = {0: "convex", 1: "concave"} if areas[0] > areas[1] else {0: "concave", 1: "convex"}
     if abs(areas[0] - areas[1]) < 0.05 * np.abs(areas).max():
         notices.append("The sections are symmetric, so which side is called convex and which concave is arbitrary.")
@@ -142,7 +141,7 @@ def _sides(
     return {names[edge]: fit_side(blade, names[edge], levels, sections, noses, flanks, edge, lead) for edge in (0, 1)}
 
 
-def _bulge(section: Section, nose: Array, edge: int) -> float:
+def _bulge(section: BladeSection, nose: Array, edge: int) -> float:
     """Area between the chord and the wall that runs counter-clockwise from `edge` to the other edge, m^2."""
     start, stop = nose[edge], nose[1 - edge]
     s = np.linspace(start, stop + (section.perimeter if stop < start else 0.0), 201)

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.interpolate import BSpline, NdBSpline
 from scipy.sparse.linalg import splu
 
-Array = NDArray[np.float64]
+from robots.pose import Array
 
 _DEGREE = 3
 
@@ -34,9 +34,14 @@ def clamped_knots(breaks: Array) -> Array:
 
 
 def fit_surface(
-    u: Array, v: Array, points: Array, weights: Array, knots: tuple[Array, Array], lengths: tuple[float, float],
+    u: Array,
+    v: Array,
+    points: Array,
+    weights: Array,
+    knots: tuple[Array, Array],
+    lengths: tuple[float, float],
     smoothing: float,
-) -> SplineSurface:  # fmt: skip
+) -> SplineSurface:
     """Least squares with a bending penalty: minimise mean w |x - p|^2 + mean l^4 |second derivatives|^2.
 
     u, v (n,) parameters of points (n, 3) m; weights (n,); lengths: metres per unit of u and of v. l = smoothing times
@@ -82,10 +87,8 @@ def _bending(knots: tuple[Array, Array], lengths: tuple[float, float], smoothing
         x = (0.5 * size * (nodes + 1.0) + breaks[:-1, None]).ravel()
         weight = (0.5 * size * w).ravel() / (breaks[-1] - breaks[0])
         local = np.repeat(smoothing * size[:, 0] * length, 4)
-        gram.append([
-            (m := _design(t, x, order)).T @ sparse.diags(weight * (local / length) ** (2 * order)) @ m
-            for order in range(3)
-        ])  # fmt: skip
+        bases = [_design(t, x, order) for order in range(3)]
+        gram.append([m.T @ sparse.diags(weight * (local / length) ** (2 * k)) @ m for k, m in enumerate(bases)])
     (u0, u1, u2), (v0, v1, v2) = gram
     return sparse.csr_array(sparse.kron(u2, v0) + 2.0 * sparse.kron(u1, v1) + sparse.kron(u0, v2))
 
@@ -107,7 +110,7 @@ def curvature_in_frame(surface: SplineSurface, u: Array, v: Array, n: Array, t: 
     return np.stack([k[:, 0, 0], k[:, 1, 1], k[:, 0, 1]], axis=1)
 
 
-def project(surface: SplineSurface, points: Array, u: Array, v: Array, iterations: int = 8) -> tuple[Array, Array]:
+def nearest_parameters(surface: SplineSurface, points: Array, u: Array, v: Array, iterations: int = 8) -> tuple[Array, Array]:
     """Parameters (n,), (n,) of the foot points nearest to points (n, 3), by Gauss-Newton from the guess u, v."""
     u, v = u.copy(), v.copy()
     span_u = surface.knots_u[-1] - surface.knots_u[0]

@@ -4,11 +4,9 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.errors import BadInput
-
-Array = NDArray[np.float64]
+from robots.pose import Array
 
 MAX_FACETS = 1_000_000  # beyond this a blade is a raw scan, and every later step would take minutes
 _HEADER, _FACET = 84, 50  # bytes of a binary STL: header with count, one facet
@@ -21,8 +19,9 @@ _FOREIGN = {
     b"\x89PNG": "a picture",
     b"glTF": "a glTF file",
 }
-_KEYWORDS = {0: "facet", 1: "normal", 5: "outer", 6: "loop", 7: "vertex", 11: "vertex", 15: "vertex",
-             19: "endloop", 20: "endfacet"}  # fmt: skip
+_KEYWORDS = dict(
+    zip((0, 1, 5, 6, 7, 11, 15, 19, 20), "facet normal outer loop vertex vertex vertex endloop endfacet".split(), strict=True)
+)
 _VERTEX_TOKENS = [8, 9, 10, 12, 13, 14, 16, 17, 18]
 
 
@@ -86,8 +85,10 @@ def _read_damaged(path: Path, data: bytes, notices: list[str]) -> Array:
     present = (len(data) - _HEADER) // _FACET
     if count > present:
         if count > 200 * MAX_FACETS or count > 1000 * (present + 1):
-            raise BadInput(f"{path}: is no STL file: bytes 80 to 83 would announce {count} facets in {len(data)} bytes; "
-                           f"export the blade as STL.")  # fmt: skip
+            raise BadInput(
+                f"{path}: is no STL file: bytes 80 to 83 would announce {count} facets in {len(data)} bytes; "
+                f"export the blade as STL."
+            )
         raise BadInput(
             f"{path}: is cut short at byte {len(data)}, in facet {present + 1} of the {count} that its header "
             f"announces ({_HEADER + _FACET * count} bytes); copy or export it again."
@@ -134,8 +135,10 @@ def _raise_at_bad_line(path: Path, text: str) -> None:
         wanted = 3 if expected[0] in ("facet", "vertex") else 0
         numbers = words[len(expected) :]
         if len(numbers) != wanted:
-            raise BadInput(f"{path}, line {number}: {len(numbers)} numbers after '{_GRAMMAR[state]}', "
-                           f"{wanted} are expected; export it again.")  # fmt: skip
+            raise BadInput(
+                f"{path}, line {number}: {len(numbers)} numbers after '{_GRAMMAR[state]}', "
+                f"{wanted} are expected; export it again."
+            )
         for word in numbers if expected[0] == "vertex" else []:
             try:
                 float(word)

@@ -1,12 +1,10 @@
 """What a contact patch finds around a waypoint: where the surface ends, and how thick the blade is."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robots.pose import Array
 from trajectories.blade.fit import SideSurface
 from trajectories.blade.shape import AerofoilShape
-
-Array = NDArray[np.float64]
 
 MAX_TURN = np.deg2rad(60.0)  # the surface counts as ended where it has turned this far from the waypoint's normal
 _RAIL_POINTS = 160

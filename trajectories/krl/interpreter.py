@@ -9,7 +9,7 @@ from robots.errors import BadInput
 from robots.pose import Array, transform_from_xyzabc
 from trajectories.krl import syntax
 from trajectories.krl.reader import read_module
-from trajectories.program.execution import Execution, Frames, MotionKind, Segment
+from trajectories.program.execution import Execution, Frames, MotionKind, ProgramSegment
 
 AXES = tuple(f"A{i}" for i in range(1, 7))
 POSE = ("X", "Y", "Z", "A", "B", "C")
@@ -23,7 +23,7 @@ KINDS: dict[str, MotionKind] = {
 
 
 @dataclass(frozen=True)
-class KrlSegment(Segment):
+class KrlSegment(ProgramSegment):
     """A segment with status S and turn T (n,) of its points, -1 where the text gives none."""
 
     status: Array

@@ -15,9 +15,9 @@ from trajectories.program.program import (
     PoseSpline,
     Program,
     Setup,
-    Stop,
     SubProgram,
     TimedSpline,
+    Wait,
     refuse_double_compensation,
 )
 
@@ -118,7 +118,7 @@ def _sub(sub: SubProgram, setup: Setup) -> list[str]:
         speeds = wanted or speeds
         if isinstance(block, Comment):
             lines.append(f"; {comment_text(block.text)}")
-        elif isinstance(block, Stop):
+        elif isinstance(block, Wait):
             lines.append(_stop(block))
         elif isinstance(block, PointMotion):
             lines.append(f"PTP {axes_text(block.q)}")
@@ -129,7 +129,7 @@ def _sub(sub: SubProgram, setup: Setup) -> list[str]:
     return lines
 
 
-def _stop(block: Stop) -> str:
+def _stop(block: Wait) -> str:
     if block.seconds is not None:
         return f"WAIT SEC {fixed(block.seconds, 2)}"
     return "HALT" if block.input is None else f"WAIT FOR $IN[{block.input}]"

@@ -24,7 +24,7 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class Segment:
+class ProgramSegment:
     """One motion, or one spline block with all its points; SI units.
 
     `kind`: point (to a posture, untimed), axis spline, pose spline, or line (a straight path to a pose); `word` is what
@@ -56,6 +56,6 @@ class Execution:
     """
 
     source: Path
-    segments: tuple[Segment, ...]
+    segments: tuple[ProgramSegment, ...]
     stops: tuple[int, ...] = ()
     notices: tuple[str, ...] = ()

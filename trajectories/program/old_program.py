@@ -7,7 +7,7 @@ import numpy as np
 
 from robots.errors import BadInput
 from robots.pose import Array, invert
-from trajectories.program.execution import Execution, Segment
+from trajectories.program.execution import Execution, ProgramSegment
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def contact_frames_from_program(
     """
     notices = list(execution.notices)
     passes: list[OldPass] = []
-    group: list[Segment] = []
+    group: list[ProgramSegment] = []
 
     def close() -> None:
         if sum(len(s.lines) for s in group) > 1:
@@ -60,7 +60,9 @@ def contact_frames_from_program(
     return tuple(passes), tuple(dict.fromkeys(notices))
 
 
-def _pass(group: list[Segment], forward: Callable[[Array], Array], tool: Array, base: Array, notices: list[str]) -> OldPass:
+def _pass(
+    group: list[ProgramSegment], forward: Callable[[Array], Array], tool: Array, base: Array, notices: list[str]
+) -> OldPass:
     flange = np.concatenate([_flange(s, forward, tool, base, notices) for s in group])
     q = np.concatenate([s.q for s in group if s.q is not None]) if all(s.q is not None for s in group) else None
     frames = invert(flange @ tool) @ base
@@ -68,7 +70,7 @@ def _pass(group: list[Segment], forward: Callable[[Array], Array], tool: Array, 
     return OldPass(frames, flange, q, group[0].speed, group[0].file, lines)
 
 
-def _flange(segment: Segment, forward: Callable[[Array], Array], tool: Array, base: Array, notices: list[str]) -> Array:
+def _flange(segment: ProgramSegment, forward: Callable[[Array], Array], tool: Array, base: Array, notices: list[str]) -> Array:
     if segment.q is not None:
         return forward(segment.q)
     assert segment.poses is not None

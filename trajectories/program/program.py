@@ -74,7 +74,7 @@ class PoseLines:
 
 
 @dataclass(frozen=True)
-class Stop:
+class Wait:
     """The robot stands still: for `seconds`, until an `input` of the controller is on, or with neither until a person starts it
     again."""
 
@@ -82,7 +82,7 @@ class Stop:
     input: int | None = None
 
 
-Block = Comment | Stop | PointMotion | TimedSpline | PoseSpline | PoseLines
+Block = Comment | Wait | PointMotion | TimedSpline | PoseSpline | PoseLines
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Program:
 
 def points_of(block: Block) -> int:
     """Number of positions a block writes."""
-    if isinstance(block, Comment | Stop):
+    if isinstance(block, Comment | Wait):
         return 0
     return 1 if isinstance(block, PointMotion) else len(block.q)
 
@@ -155,7 +155,7 @@ def split_blocks(blocks: Sequence[Block], most: int) -> list[list[Block]]:
                 "time step), or time the pass in two"
             )
         if count + n > most:
-            last = next(b for b in reversed(groups[-1]) if not isinstance(b, Comment | Stop))
+            last = next(b for b in reversed(groups[-1]) if not isinstance(b, Comment | Wait))
             q = last.q if isinstance(last, PointMotion) else last.q[-1]
             groups.append([PointMotion(q)])
             count = 1

@@ -10,8 +10,7 @@ from robots.errors import BadInput
 from robots.pose import Array
 from trajectories.blade import AerofoilShape, Blade
 from trajectories.blade.spline import curvature_in_frame
-from trajectories.off_flank import facet_curvature
-from trajectories.path_points import NORMAL_LIMIT, OFF_SURFACE, locate, place_on_mesh
+from trajectories.path_points import NORMAL_LIMIT, OFF_SURFACE, facet_curvature, locate, place_on_mesh
 
 # A log's own points and normals are kept where they are as true as a surface fitted to facets is.
 TRUSTED_GAP = 20e-6  # m
