@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from robots.errors import BadInput
 from robots.pose import Array
 from trajectories.blade.fit import SideSurface
-from trajectories.blade.mesh import Blade, place_mm, vertex_normals
+from trajectories.blade.mesh import Blade, area_weighted_normals, place_mm
 from trajectories.blade.shape import AerofoilShape
 from trajectories.blade.spline import nearest_parameters
 from trajectories.blade.surroundings import MAX_TURN
@@ -135,7 +135,7 @@ def place_on_mesh(blade: Blade, name: NDArray[np.str_], foot: Array, normal: Arr
     mesh = trimesh.Trimesh(blade.vertices, blade.faces, process=False)
     closest, _, facet = trimesh.proximity.closest_point(mesh, p[rest])
     weights = trimesh.triangles.points_to_barycentric(mesh.triangles[facet], closest)
-    n = np.einsum("nk,nki->ni", weights, vertex_normals(blade)[blade.faces[facet]])
+    n = np.einsum("nk,nki->ni", weights, area_weighted_normals(blade)[blade.faces[facet]])
     foot[rest], normal[rest] = closest, n / np.linalg.norm(n, axis=1, keepdims=True)
 
 
@@ -186,7 +186,7 @@ def facet_curvature(blade: Blade, p: Array, n: Array, t: Array, b: Array) -> Arr
 
     Slopes dz/dx = -n_x / n_z carry the second derivatives more evenly than heights, which a coarse mesh cuts short.
     """
-    tree, normals = cKDTree(blade.vertices), vertex_normals(blade)
+    tree, normals = cKDTree(blade.vertices), area_weighted_normals(blade)
     out = np.empty((len(p), 3))
     for k in range(len(p)):
         _, near = tree.query(p[k], min(_NEIGHBOURS, len(blade.vertices)))

@@ -8,11 +8,12 @@ import numpy as np
 from ocp.data import CELL
 from ocp.poses.files import PosesResult, write_poses
 from ocp.poses.planning import PoseOptions, make_poses
-from ocp.poses.program import Pausing, base_name
+from ocp.poses.program import base_name
 from ocp.shell.progress import Phases, Progress
 from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
 from robots.errors import BadInput
+from trajectories.program.program import Wait
 
 CRITERIA = ("zone", "O1", "O2", "O3", "O4", "O5")
 
@@ -71,7 +72,7 @@ def choose_poses(
         seed=seed,
         name=base_name(name),
         approach=float(approach),
-        pausing=Pausing(wait, wait_input),
+        pausing=Wait(wait, wait_input),
         speed=speed,
         acceptance=acceptance,
         priors=Priors(length=length_sd, angle=angle_sd),

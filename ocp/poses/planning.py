@@ -12,7 +12,7 @@ from ocp.poses.candidates import CandidatePoses, Mask, MeasuringScene, choose_st
 from ocp.poses.design import Curve, Design, build_design, error_curve, refuse_too_few
 from ocp.poses.line_of_sight import Sight, blade_rod
 from ocp.poses.order import MeasuringPose, find_tour
-from ocp.poses.program import Campaign, Pausing
+from ocp.poses.program import MeasurementCampaign
 from ocp.poses.zone import Zone, find_zone, ground_blade
 from ocp.shell.progress import Phases
 from robots.calibration.layout import Priors
@@ -21,6 +21,7 @@ from robots.calibration.pose_choice import choose
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array, invert, transform_from_xyzabc
 from robots.tracker_readings import Index, Nest
+from trajectories.program.program import Wait
 
 MOST_POSES = 400
 FEWEST_SEEN = 3  # times the poses asked for: as many postures must be seen for a choice to be one
@@ -40,7 +41,7 @@ class PoseOptions:
     seed: int = 0
     name: str = "POSES"
     approach: float = np.radians(2.0)
-    pausing: Pausing = field(default_factory=Pausing)
+    pausing: Wait = field(default_factory=Wait)
     speed: int = 20
     reach: tuple[float, float] = (1.0, 20.0)
     acceptance: float | None = None
@@ -62,7 +63,7 @@ class PosePlan:
     design: Design
     zone: Zone
     chosen: Index
-    campaigns: tuple[Campaign, ...]
+    campaigns: tuple[MeasurementCampaign, ...]
     curve: Curve
     notices: tuple[str, ...]
 
@@ -114,7 +115,7 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
 def _campaign(
     cell: Cell, scene: CollisionScene, setup: TrackerSetup, candidates: CandidatePoses, design: Design, mine: Index, payload: str,
     options: PoseOptions,
-) -> Campaign:  # fmt: skip
+) -> MeasurementCampaign:  # fmt: skip
     """The poses of one payload in the order of a short tour."""
     rows = design.posture[mine]
     # What is driven is what is printed: five decimals of a degree.
@@ -122,7 +123,8 @@ def _campaign(
     stops = [MeasuringPose(*pose) for pose in zip(q, candidates.sign[rows], strict=True)]
     tour = find_tour(cell.robot, scene, stops, options.approach, options.seed)
     targets = [design.readings.targets[i] for i in design.target[mine]]
-    return Campaign(payload, setup.payloads[payload], [stops[i] for i in tour.order], [targets[i] for i in tour.order], tour)
+    order = tour.order
+    return MeasurementCampaign(payload, setup.payloads[payload], [stops[i] for i in order], [targets[i] for i in order], tour)
 
 
 def _refuse_blind(cell: Cell, options: PoseOptions, tracker: Array, source: str, seen: Mask) -> None:

@@ -21,15 +21,7 @@ PRINTED = np.radians(1e-5)  # rad, what printing may round
 
 
 @dataclass(frozen=True)
-class Pausing:
-    """How the robot waits for a reading: `seconds`, an `input` of the controller, or with neither a HALT."""
-
-    seconds: float | None = None
-    input: int | None = None
-
-
-@dataclass(frozen=True)
-class Campaign:
+class MeasurementCampaign:
     """What is measured with one payload: its name and mass, stops in the order of the tour, their nests, the tour."""
 
     payload: str
@@ -40,10 +32,10 @@ class Campaign:
 
 
 def measuring_program(
-    cell: Cell, campaign: Campaign, angle: float, pausing: Pausing, name: str, speed: int, taken: set[str]
+    cell: Cell, campaign: MeasurementCampaign, angle: float, wait: written.Wait, name: str, speed: int, taken: set[str]
 ) -> written.Program:
-    """The program of a campaign; `speed` percent of the axis speeds, `taken` names already used in the folder."""
-    stop = written.Wait(pausing.seconds, pausing.input)
+    """The program of a campaign, which waits at every reading; `speed` percent of the axis speeds, `taken` names already used
+    in the folder."""
     blocks: list[written.Block] = [written.PointMotion(campaign.tour.home, speed)]
     groups: list[list[written.Block]] = []
     for k, (pose, target, way) in enumerate(zip(campaign.stops, campaign.targets, campaign.tour.ways, strict=False)):
@@ -52,7 +44,7 @@ def measuring_program(
             if reading == 2:
                 blocks.append(written.PointMotion(start, speed))
             text = f"pose {k + 1} of {len(campaign.stops)}, reading {reading}, target {target}"
-            blocks += [written.Comment(text), written.PointMotion(pose.q, speed), stop]
+            blocks += [written.Comment(text), written.PointMotion(pose.q, speed), wait]
         if (k + 1) % MOST == 0:
             groups.append(blocks)
             blocks = [written.PointMotion(pose.q, speed)]
@@ -72,7 +64,7 @@ def measuring_program(
 
 
 def write_and_check(
-    cell: Cell, scene: CollisionScene, program: written.Program, campaign: Campaign, angle: float, folder: Path
+    cell: Cell, scene: CollisionScene, program: written.Program, campaign: MeasurementCampaign, angle: float, folder: Path
 ) -> list[str]:
     """Write a program into `folder`, read it back and compare. Names of its files.
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from robots.pose import Array
-from trajectories.blade.mesh import Blade, vertex_normals
+from trajectories.blade.mesh import Blade, area_weighted_normals
 from trajectories.blade.sections import BladeSection
 from trajectories.blade.spline import SplineSurface, clamped_knots, fit_surface, nearest_parameters
 
@@ -118,6 +118,6 @@ def _own_vertices(blade: Blade, surface: SplineSurface, sign: float, u: Array, v
     inside = (pu > 1e-6) & (pu < 1.0 - 1e-6) & (pv > v.min() + 1e-7) & (pv < v.max() - 1e-7)
     # The other wall of a thin edge may be as near, but it looks the other way.
     n = sign * np.cross(surface(pu, pv, 1, 0), surface(pu, pv, 0, 1))
-    agree = np.einsum("ni,ni->n", n, vertex_normals(blade)[candidates]) > 0.5 * np.linalg.norm(n, axis=1)
+    agree = np.einsum("ni,ni->n", n, area_weighted_normals(blade)[candidates]) > 0.5 * np.linalg.norm(n, axis=1)
     own = inside & agree & (gap < _FARTHEST)
     return pu[own], pv[own], points[own]

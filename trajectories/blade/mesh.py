@@ -37,7 +37,7 @@ def facet_normals(vertices: Array, faces: IntArray) -> tuple[Array, Array]:
     return vectors / np.where(areas > 0, areas, 1.0)[:, None], areas
 
 
-def vertex_normals(blade: Blade) -> Array:
+def area_weighted_normals(blade: Blade) -> Array:
     """Normals (nv, 3) at the vertices, the facets' weighted by their areas."""
     normals, areas = facet_normals(blade.vertices, blade.faces)
     total = np.zeros_like(blade.vertices)

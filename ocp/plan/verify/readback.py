@@ -56,16 +56,17 @@ def read_back(
         (one.problem.path, one.problem.compliance, *rows, one.problem.named_conditions(cell))
         for one, rows in zip(motion.passes, driven, strict=True)
     ]
-    for one, seen in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks, jobs), strict=True):
-        path, s = one.problem.path, seen.s
-        off = np.abs(seen.force - np.interp(s, path.s, path.force))
+    for one, checked in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks, jobs), strict=True):
+        path, s = one.problem.path, checked.s
+        off = np.abs(checked.force - np.interp(s, path.s, path.force))
         k = int(np.argmax(off))
         if off[k] > tolerance:
             raise Infeasible(
                 f"line {path.line} ({path.side}), {s[k] * 1e3:.1f} mm along it: the force read back from the program is "
-                f"{seen.force[k]:.2f} N by the independent route, {off[k]:.2f} N off (at most {tolerance:g}); nothing is written"
+                f"{checked.force[k]:.2f} N by the independent route, {off[k]:.2f} N off (at most "
+                f"{tolerance:g}); nothing is written"
             )
-        passes.append(seen)
+        passes.append(checked)
         worst = max(worst, float(off[k]))
     return Readback(passes, worst, axis_error, time_error, ratio)
 
