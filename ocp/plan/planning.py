@@ -21,6 +21,7 @@ from ocp.shell.workers import cores
 from robots.errors import BadInput
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
+from trajectories.program.program import KINDS
 
 LEAST_STEP, MOST_STEP = 5e-5, 5e-3  # m between waypoints
 FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is
@@ -71,7 +72,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     stl = cell.workpiece.stl
     if stl is None:
         raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")
-    if options.kind not in ("axis", "cartesian", "lin"):
+    if options.kind not in KINDS:
         raise BadInput(f"--kind '{options.kind}' is not axis, cartesian or lin")
     if cell.controller.absolute_accuracy and options.kind != "axis":
         raise BadInput(

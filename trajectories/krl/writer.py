@@ -8,6 +8,7 @@ from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
 from trajectories.krl.time_block import timed_spline
 from trajectories.krl.values import FILE_LIMITS, axes_text, comment_text, fixed, frame_text
 from trajectories.program.program import (
+    KINDS,
     Block,
     Comment,
     PointMotion,
@@ -21,7 +22,6 @@ from trajectories.program.program import (
     refuse_double_compensation,
 )
 
-KINDS = ("axis", "cartesian", "lin")
 HEADER = ("&ACCESS RVP", "&REL 1")
 INI = (
     ";FOLD INI",

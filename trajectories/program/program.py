@@ -9,6 +9,8 @@ from robots.errors import BadInput
 from robots.pose import Array
 from robots.robot import Robot
 
+KINDS = ("axis", "cartesian", "lin")  # timed axis splines, splines of poses, straight motions between poses
+
 
 @dataclass(frozen=True)
 class FileLimits:
@@ -104,9 +106,9 @@ class Setup:
     """What the controller must know: frames, robot, load, numbers of tool and base, kind of output.
 
     `T_flange_blade` is the tool frame, `T_base_wheel` the base frame (4, 4); `robot` the nominal arm, whose branch pose
-    programs name; `kind` axis (timed splines), cartesian (pose splines) or lin (straight motions); load: mass kg, centre of
-    mass (3,) m in the flange frame, inertia (3,) kg m^2 about it. `base_on_controller`: programs of poses take the base frame
-    that the controller keeps under `base_no`, which may be taught again when the wheel wears, instead of one in the text.
+    programs name; `kind` one of KINDS; load: mass kg, centre of mass (3,) m in the flange frame, inertia (3,) kg m^2 about it.
+    `base_on_controller`: programs of poses take the base frame that the controller keeps under `base_no`, which may be taught
+    again when the wheel wears, instead of one in the text.
     """
 
     T_flange_blade: Array
