@@ -188,7 +188,7 @@ def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, mo
     wave, stiff = (frozenset([problem.index[Name(n, 0)]]) for n in ("wheel_runout", "flange_stiffness"))
     search.run([wave, stiff])
     assert search.sets[stiff].log > 0.5 * search.sets[wave].log  # it does
-    monkeypatch.setattr("ocp.diagnose.engine.search.REWEIGHTED_WITHIN", np.inf)  # not as near here as in a log with less in it
+    monkeypatch.setattr("ocp.diagnose.rules.REWEIGHTED_WITHIN", np.inf)  # not as near here as in a log with less in it
     reweighted(first, problem, search, after.active)
     assert search.sets[stiff].log < 0.4 * search.sets[wave].log
 

@@ -61,8 +61,10 @@ def modules() -> list[Path]:
 
 @cache
 def words(path: Path) -> frozenset[str]:
-    """Names that a module uses (those that it imports by name and then reads)."""
-    return frozenset(n.id for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Name))
+    """Names that a module reads, as they are or as `rules.NAME`."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    plain = {n.id for n in nodes if isinstance(n, ast.Name)}
+    return frozenset(plain | {n.attr for n in nodes if isinstance(n, ast.Attribute) and ast.unparse(n.value) == "rules"})
 
 
 def is_broken(value: ast.expr) -> bool:

@@ -5,17 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.pool import CandidatePool, Given, Member, Scan, given, scan, scan_one
-from ocp.diagnose.rules import (
-    BACKGROUND_GAIN,
-    EXACT_PAIRS,
-    EXACT_SINGLES,
-    GROWN,
-    GROWN_NAMES,
-    GROWN_WITHIN,
-    MOST_BACKGROUND,
-    PAIR_FIRSTS,
-)
 from robots.pose import Array
 
 Key = frozenset[int]
@@ -78,7 +69,7 @@ class Search:
         first = self.scan(NOTHING)
         gain = self._value(first)
         order = np.argsort(-gain)
-        for f in order[:EXACT_SINGLES]:
+        for f in order[: rules.EXACT_SINGLES]:
             if not np.isfinite(gain[f]):
                 break
             self.add(frozenset([int(f)]))
@@ -98,12 +89,12 @@ class Search:
     def best(self) -> list[Key]:
         """The beam: best sets by weight."""
         order = sorted(self.sets, key=lambda k: -self.sets[k].log)[: self.beam]
-        return [k for k in order if self.sets[k].log > self.sets[order[0]].log - GROWN_WITHIN]
+        return [k for k in order if self.sets[k].log > self.sets[order[0]].log - rules.GROWN_WITHIN]
 
     def _named(self) -> list[Key]:
         """The best sets of names alone."""
         known = [k for k in self.sets if not self.kernel[list(k)].any()]
-        return sorted(known, key=lambda k: -self.sets[k].log)[:GROWN_NAMES]
+        return sorted(known, key=lambda k: -self.sets[k].log)[: rules.GROWN_NAMES]
 
     def scan(self, there: Weighed) -> Scan:
         """Every family over a set."""
@@ -116,13 +107,13 @@ class Search:
         """Weigh a set unless it was, or has two kernels, or too many members."""
         families = sorted(key)
         lines = int(self.background[families].sum())
-        if key in self.sets or len(key) - lines > self.most or lines > MOST_BACKGROUND or self.kernel[families].sum() > 1:
+        if key in self.sets or len(key) - lines > self.most or lines > rules.MOST_BACKGROUND or self.kernel[families].sum() > 1:
             return
         self.sets[key] = weigh(self.pool, families, near)
 
     def _pairs(self, first: Scan, gain: Array) -> None:
         """All pairs whose first member is among the most telling: weighed roughly, then the best exactly."""
-        order = [f for f in np.argsort(-gain)[:PAIR_FIRSTS] if np.isfinite(gain[f])]
+        order = [f for f in np.argsort(-gain)[: rules.PAIR_FIRSTS] if np.isfinite(gain[f])]
         found: dict[Key, float] = {}
         firsts = [Member(int(f), int(first.variant[f]), float(first.size[f])) for f in order]
         self.pool.look_ahead(firsts)
@@ -134,7 +125,7 @@ class Search:
             for g in np.argsort(-value)[:8]:
                 key = frozenset([f, int(g)])
                 found[key] = max(found.get(key, -np.inf), float(value[g]))
-        for key in sorted(found, key=lambda k: -found[k])[:EXACT_PAIRS]:
+        for key in sorted(found, key=lambda k: -found[k])[: rules.EXACT_PAIRS]:
             self.add(key)
 
     def _around(self, key: Key) -> None:
@@ -154,10 +145,10 @@ class Search:
         value = self._value(self.scan(there), key)
         if self.kernel[list(key)].any():
             value[self.kernel] = -np.inf  # one unknown effect is enough
-        return [int(f) for f in np.argsort(-value)[:GROWN] if np.isfinite(value[f])]
+        return [int(f) for f in np.argsort(-value)[: rules.GROWN] if np.isfinite(value[f])]
 
     def _value(self, found: Scan, key: Key = frozenset()) -> Array:
         """Log weight that each family would add, background lines only where they are telling."""
         value = found.log + self.odds
         value[list(key)] = -np.inf
-        return np.where(self.background & (value < BACKGROUND_GAIN), -np.inf, value)
+        return np.where(self.background & (value < rules.BACKGROUND_GAIN), -np.inf, value)

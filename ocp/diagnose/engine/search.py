@@ -15,18 +15,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Key, Search, Weighed, weigh
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.outliers import outliers_rechecked
 from ocp.diagnose.engine.problem import Linearisation, linearised
 from ocp.diagnose.engine.refine import refined
 from ocp.diagnose.engine.system import Channel, kinds
-from ocp.diagnose.rules import (
-    FAILED_FITS,
-    KERNEL_BENEFIT,
-    REWEIGHTED_ROOM,
-    REWEIGHTED_WITHIN,
-)
 from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible
 
@@ -54,7 +49,7 @@ class Diverged:
 
     def names(self) -> list[Name]:
         """Names that are given up."""
-        return sorted(n for n, k in self.count.items() if k >= FAILED_FITS and n not in self.fitted)
+        return sorted(n for n, k in self.count.items() if k >= rules.FAILED_FITS and n not in self.fitted)
 
     def strike(self, search: Search, problem: Linearisation) -> None:
         """Take the sets out of a search whose fit diverged, or that hold a name that is given up."""
@@ -117,7 +112,7 @@ def next_set(search: Search, limit: int) -> Weighed:
     if not names[best]:
         best = _best(search, known)
     overall = _best(search, [k for k in search.sets if names[k] <= limit])
-    nearly = search.sets[_best(search, known)].log > search.sets[overall].log - KERNEL_BENEFIT
+    nearly = search.sets[_best(search, known)].log > search.sets[overall].log - rules.KERNEL_BENEFIT
     return search.sets[best if nearly else overall]
 
 
@@ -144,9 +139,9 @@ def reweighted(first: Linearisation, problem: Linearisation, search: Search, hel
     there = _at(first, problem, best)
     top = max(w.log for w in search.sets.values())
     for key, weighed in list(search.sets.items()):
-        if active <= key or not key or weighed.log < top - REWEIGHTED_WITHIN:
+        if active <= key or not key or weighed.log < top - rules.REWEIGHTED_WITHIN:
             continue
-        most = search.sets[best].log + _at(first, problem, key) - there + REWEIGHTED_ROOM
+        most = search.sets[best].log + _at(first, problem, key) - there + rules.REWEIGHTED_ROOM
         if most < weighed.log:
             search.sets[key] = replace(weighed, log=most)
 

@@ -21,21 +21,12 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.families import Candidate, candidates, positive_of, put_back
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.problem import Linearisation, linearised
 from ocp.diagnose.engine.system import Channel, Fold, System
-from ocp.diagnose.rules import (
-    HELD_OUT_GAIN,
-    HELD_OUT_WORSE,
-    IMPLAUSIBLE,
-    KERNELS_BESIDE,
-    SELECTED_FIRST,
-    SHORTLIST,
-    WIDE_PRIOR,
-    WRONG_SIGN_GAIN,
-)
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
 
@@ -110,13 +101,13 @@ def select_on_held_out(system: System, candidates: Sequence[Candidate], folds: S
         ratios = [_ratios(system, apart, [*chosen, *choice], believed) for choice in choices]
         errors = [float(np.mean(np.log(r))) for r in ratios]
         bar = scores[-1] if scores else 0.0
-        price = [WRONG_SIGN_GAIN * sum(e.turned for e in choice) for choice in choices]
-        wanted = [bar - HELD_OUT_GAIN * len(choice) - p for choice, p in zip(choices, price, strict=True)]
-        fine = [k for k, r in enumerate(ratios) if r.max() < HELD_OUT_WORSE and errors[k] < wanted[k]]
+        price = [rules.WRONG_SIGN_GAIN * sum(e.turned for e in choice) for choice in choices]
+        wanted = [bar - rules.HELD_OUT_GAIN * len(choice) - p for choice, p in zip(choices, price, strict=True)]
+        fine = [k for k, r in enumerate(ratios) if r.max() < rules.HELD_OUT_WORSE and errors[k] < wanted[k]]
         best = min(fine, key=lambda k: errors[k] + price[k], default=-1)
         gain = max(e.gain for e in choices[best]) if fine else 0.0
         for entry, r in zip(short, ratios, strict=False):  # singles come first among the choices
-            if entry.gain > gain and r.max() >= HELD_OUT_WORSE:
+            if entry.gain > gain and r.max() >= rules.HELD_OUT_WORSE:
                 refused[entry.name] = Refused(entry.name, entry.gain, apart[int(np.argmax(r))].name, float(r.max()), len(chosen))
         if not fine:
             break
@@ -185,7 +176,9 @@ def _ratios(system: System, folds: Sequence[Fold], entries: Sequence[Entry], bel
 def _solved(C: Array, y: Array) -> Array:
     """Coefficients (m,) of columns (N, m) over their wide priors."""
     m = C.shape[1]
-    return np.asarray(np.linalg.lstsq(np.vstack([C, np.eye(m) / WIDE_PRIOR]), np.concatenate([y, np.zeros(m)]), rcond=None)[0])
+    return np.asarray(
+        np.linalg.lstsq(np.vstack([C, np.eye(m) / rules.WIDE_PRIOR]), np.concatenate([y, np.zeros(m)]), rcond=None)[0]
+    )
 
 
 def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candidate], chosen: Sequence[Entry]) -> list[Entry]:
@@ -201,14 +194,14 @@ def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candi
             continue
         n, V, m = X.shape
         beside = (X.reshape(n, -1) - Q @ (Q.T @ X.reshape(n, -1))).reshape(n, V, m)
-        G, b = np.einsum("nvi,nvj->vij", beside, beside) + np.eye(m) / WIDE_PRIOR**2, np.einsum("nvi,n->vi", beside, left)
+        G, b = np.einsum("nvi,nvj->vij", beside, beside) + np.eye(m) / rules.WIDE_PRIOR**2, np.einsum("nvi,n->vi", beside, left)
         a = np.linalg.solve(G, b[..., None])[..., 0]
-        gain = np.where((np.abs(a) > IMPLAUSIBLE).any(axis=1), 0.0, np.einsum("vi,vi->v", a, b))
+        gain = np.where((np.abs(a) > rules.IMPLAUSIBLE).any(axis=1), 0.0, np.einsum("vi,vi->v", a, b))
         v = int(np.argmax(gain))
         turned = bool((a[v] < 0)[positive_of(c.effect)].any())
         if gain[v] > 0:
             found.append(Entry(name, c.scans[v], c.columns[:, v] * _scale(c), _scale(c), float(gain[v]), turned))
-    return sorted(found, key=lambda e: -e.gain)[:SHORTLIST]
+    return sorted(found, key=lambda e: -e.gain)[: rules.SHORTLIST]
 
 
 def _fitted(system: System, entries: Sequence[Entry]) -> Array:
@@ -264,7 +257,9 @@ def select_effects(channel: Channel, library: Mapping[str, Effect], options: Opt
 
     Twice: what is found first (springs, mostly) leaves the geometry, whose prior is as wide as what it had to follow, narrower.
     """
-    first = select_on_held_out(channel.system, candidates([channel], library, options), channel.folds(), most=SELECTED_FIRST)
+    first = select_on_held_out(
+        channel.system, candidates([channel], library, options), channel.folds(), most=rules.SELECTED_FIRST
+    )
     about = channel.with_active(_active(first, library))
     system = replace(about.system, residual=about.system.residual + put_back([about], about.active))
     found = select_on_held_out(system, candidates([about], library, options), channel.folds())
@@ -279,7 +274,7 @@ def select_effects(channel: Channel, library: Mapping[str, Effect], options: Opt
         search.add(names - {family})
     there = search.sets.get(names, NOTHING)
     gain = np.where(search.kernel, search.scan(there).log + search.odds, -np.inf)
-    for k in np.argsort(-gain)[:KERNELS_BESIDE]:
+    for k in np.argsort(-gain)[: rules.KERNELS_BESIDE]:
         if np.isfinite(gain[k]):
             search.add(names | {int(k)}, there.members)
             for family in names:

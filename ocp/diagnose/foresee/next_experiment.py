@@ -13,21 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import expit
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.findings import Diagnosis, Experiment, Name
 from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.foresee.planned_tracker import PlannedReadings, before_and_after, channel_about, planned_measurements
 from ocp.diagnose.foresee.separation import NOTHING, ReadingRows, RivalPair, pair_signature, signature_or_none, unlike
-from ocp.diagnose.rules import (
-    EXPERIMENT_GAIN,
-    EXPERIMENT_REPEATED,
-    LEADS,
-    MOST_EXPERIMENTS,
-    MOST_RIVALS,
-    ON_TOP,
-    RIVAL,
-    SETTLES,
-    UNKNOWN_LOOKED_AT,
-)
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Effect
 
@@ -97,11 +87,11 @@ def next_experiments(d: Diagnosis, library: dict[str, Effect]) -> tuple[Experime
     pairs = rival_pairs(d, library)
     best = _simulated(d, pairs) if pairs else _for_unknown(d)
     force = _force_channel(d.channels)
-    if best or force is None or d.p_unknown > LEADS:
+    if best or force is None or d.p_unknown > rules.LEADS:
         return best
     from ocp.diagnose.foresee.planned_grinding import unseen
 
-    return tuple(e for e in _simulated(d, unseen(d, force, library)) if e.expected > LEADS)
+    return tuple(e for e in _simulated(d, unseen(d, force, library)) if e.expected > rules.LEADS)
 
 
 def _simulated(d: Diagnosis, pairs: Sequence[RivalPair]) -> tuple[Experiment, ...]:
@@ -140,22 +130,22 @@ def rival_pairs(d: Diagnosis, library: dict[str, Effect]) -> list[RivalPair]:
     if d.explanations:
         best = d.explanations[0]
         for other in d.explanations[1:]:
-            if other.probability < RIVAL:
+            if other.probability < rules.RIVAL:
                 continue
             now = best.probability / (best.probability + other.probability)
             mine, theirs = (sorted(set(a.names) - set(b.names)) for a, b in ((best, other), (other, best)))
             for own in mine:
                 add(own, theirs[0] if theirs else None, now)
-            if not mine and theirs and 1.0 - now > ON_TOP:
+            if not mine and theirs and 1.0 - now > rules.ON_TOP:
                 add(theirs[0], None, 1.0 - now)
-        if RIVAL < d.p_none < 1 - RIVAL and best.names:
+        if rules.RIVAL < d.p_none < 1 - rules.RIVAL and best.names:
             add(best.names[0], None, best.probability / (best.probability + d.p_none))
     accepted = {Name(*a.key) for a in d.active}
     for group in d.classes:
         for name in accepted & set(group):
             for rival in sorted(set(group) - {name}):
                 add(name, rival, 0.5)
-    return list(found.values())[:MOST_RIVALS]
+    return list(found.values())[: rules.MOST_RIVALS]
 
 
 def _by_tracker(channel: TrackerChannel, pairs: Sequence[RivalPair], others: Sequence[ReadingRows]) -> list[Experiment]:
@@ -224,7 +214,7 @@ def _by_levers(channel: Channel, pairs: Sequence[RivalPair]) -> list[Experiment]
         for p in pairs:
             moved = [name.split(":")[0] in lever.moves for name in p.names]
             if (moved[0] != moved[1] or (p.rival is None and moved[0])) and pair_signature(channel, p) is not None:
-                gained = EXPERIMENT_REPEATED * p.first.detectability
+                gained = rules.EXPERIMENT_REPEATED * p.first.detectability
                 found.append(_expected(lever, p, gained))
     return found
 
@@ -238,17 +228,17 @@ def _best(found: Sequence[Experiment], now: dict[tuple[str, ...], float]) -> tup
 
     def worth(do: str, known: dict[tuple[str, ...], float]) -> float:
         gains = [e.expected - known[e.tells_apart] for e in each[do]]
-        return sum(g for g in gains if g > EXPERIMENT_GAIN) / each[do][0].minutes
+        return sum(g for g in gains if g > rules.EXPERIMENT_GAIN) / each[do][0].minutes
 
     chosen, known = list[str](), dict(now)
-    while len(chosen) < MOST_EXPERIMENTS:
+    while len(chosen) < rules.MOST_EXPERIMENTS:
         best = max((do for do in each if do not in chosen), key=lambda do: worth(do, known), default=None)
         if best is None or worth(best, known) == 0:
             break
         chosen.append(best)
         known.update({e.tells_apart: max(e.expected, known[e.tells_apart]) for e in each[best]})
     others = sorted((do for do in each if do not in chosen and worth(do, now) > 0), key=lambda do: -worth(do, now))
-    kept = sorted([*chosen, *others[: MOST_EXPERIMENTS - len(chosen)]], key=lambda do: -worth(do, now))
+    kept = sorted([*chosen, *others[: rules.MOST_EXPERIMENTS - len(chosen)]], key=lambda do: -worth(do, now))
     return tuple(_together(each[do], now) for do in kept)
 
 
@@ -256,7 +246,7 @@ def _together(same: Sequence[Experiment], now: dict[tuple[str, ...], float]) -> 
     """One experiment for the pair to which it brings most, with all other rivals of that name that it settles."""
     best = max(same, key=lambda e: e.expected - now[e.tells_apart])
     first = best.tells_apart[0]
-    more = [e for e in same if e is not best and e.tells_apart[0] == first and e.expected >= min(SETTLES, best.expected)]
+    more = [e for e in same if e is not best and e.tells_apart[0] == first and e.expected >= min(rules.SETTLES, best.expected)]
     names = (*best.tells_apart, *(name for e in more for name in e.tells_apart[1:]))
     return replace(best, tells_apart=names, expected=min(e.expected for e in (best, *more)))
 
@@ -264,7 +254,7 @@ def _together(same: Sequence[Experiment], now: dict[tuple[str, ...], float]) -> 
 def _for_unknown(d: Diagnosis) -> tuple[Experiment, ...]:
     """Where the gap is there and no name fits: look closer where it lies."""
     at = d.location
-    if d.p_unknown < UNKNOWN_LOOKED_AT or at is None or at.signal != "tracker" or not at.joint:
+    if d.p_unknown < rules.UNKNOWN_LOOKED_AT or at is None or at.signal != "tracker" or not at.joint:
         return ()
     channel = next(c for c in d.channels if isinstance(c, TrackerChannel))
     sweep = planned_measurements(channel, (at.joint,))[-1]

@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from scipy.special import fdtrc
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Search, Weighed, weigh
 from ocp.diagnose.engine.families import names_of, rival_of, stacked_columns
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
@@ -20,17 +21,6 @@ from ocp.diagnose.engine.search import Diverged, settle
 from ocp.diagnose.engine.selection import restless, select_effects
 from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.engine.visible import visible_lambda
-from ocp.diagnose.rules import (
-    IMPOSTOR_ROUNDS,
-    LEADS,
-    MOST_SEARCHED,
-    NEARLY_ALIKE,
-    RANKED,
-    SELECTED_ON,
-    SURE_BESIDE_UNKNOWN,
-    SUSPECT,
-    WITHOUT_IMPOSTOR,
-)
 from ocp.diagnose.verdict.alternatives import ExplanationWeights, alternatives
 from ocp.diagnose.verdict.classes import merged, mistaken, threshold, twins
 from ocp.diagnose.verdict.doubts import judged, refitted
@@ -52,17 +42,19 @@ class Thinnable(Protocol):
 def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options = USUAL) -> Diagnosis:
     """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
     baseline = tuple(c.with_active(()) if c.active else c for c in channels)
-    few = tuple(c.thinned(MOST_SEARCHED) if isinstance(c, Thinnable) else c for c in baseline)
+    few = tuple(c.thinned(rules.MOST_SEARCHED) if isinstance(c, Thinnable) else c for c in baseline)
     impostors: list[tuple[Name, str]] = []
     reasons: list[str] = []
     levels: list[float] = []
     diverged = Diverged()
-    for _ in range(IMPOSTOR_ROUNDS):
+    for _ in range(rules.IMPOSTOR_ROUNDS):
         first = linearised(few, library, options)
         problem, search = settle(first, library, options, diverged)
-        if posterior(problem, search).p_unknown > LEADS and restless(problem, search):
+        if posterior(problem, search).p_unknown > rules.LEADS and restless(problem, search):
             whole = baseline[0]
-            selected = select_effects(whole.thinned(SELECTED_ON) if isinstance(whole, Thinnable) else whole, library, options)
+            selected = select_effects(
+                whole.thinned(rules.SELECTED_ON) if isinstance(whole, Thinnable) else whole, library, options
+            )
             return findings(baseline, first, selected.problem, selected.search, library, options, selected.refused)
         found = findings(baseline, first, problem, search, library, options)
         levels.append(max(w.log for w in search.sets.values()))
@@ -73,14 +65,14 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
         options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
     whys = tuple(f"{n}: no fit with it comes to rest" for n in diverged.names())
     found = replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys))))
-    return _unmasked(found, impostors, reasons, levels[-1] > max(levels) - WITHOUT_IMPOSTOR) if impostors else found
+    return _unmasked(found, impostors, reasons, levels[-1] > max(levels) - rules.WITHOUT_IMPOSTOR) if impostors else found
 
 
 def _unmasked(found: Diagnosis, earlier: Sequence[tuple[Name, str]], reasons: Sequence[str], enough: bool) -> Diagnosis:
     """Findings without the impostors that earlier rounds showed: what they fitted so well is there all the same, and most of the
     probability goes to 'none of these' unless what is left is `enough`, as good without them."""
     impostors = tuple(dict(earlier).items())
-    share = 0.0 if found.impostors or enough else SUSPECT  # the last round has moved its own
+    share = 0.0 if found.impostors or enough else rules.SUSPECT  # the last round has moved its own
     moved = share * (1.0 - found.p_none - found.p_unknown)
     explanations = tuple(replace(e, probability=(1.0 - share) * e.probability) for e in found.explanations)
     whys = tuple(dict.fromkeys((*reasons, *found.unknown_reasons)))
@@ -112,7 +104,7 @@ def findings(
     doubts, hurting = [*failed, *judgement.doubts], [(n, f"hurts where {f} is left out") for n, f in judgement.impostors]
     probability, p_unknown = doubted(found, best, bool(doubts or judgement.hurt), judgement.relieved)
     if judgement.relieved:
-        ranked = tuple(replace(r, probability=(1.0 - SUSPECT) * r.probability) for r in ranked)
+        ranked = tuple(replace(r, probability=(1.0 - rules.SUSPECT) * r.probability) for r in ranked)
     nothing, all_of_it = given(problem.pool, ()), problem.taken(search.sets[search.best()[0]])
     tests = kernel_tests(problem, nothing) if options.where else []
     after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
@@ -145,11 +137,11 @@ def leader(search: Search, found: Posterior) -> tuple[Weighed, Names]:
     """The set whose effects are accepted and its explanation: the best of those that lead (none, none of these with whatever is
     named beside the unknown, or the most probable explanation)."""
     names = max(found.probability, key=lambda n: found.probability[n], default=())
-    if found.p_unknown > LEADS:
+    if found.p_unknown > rules.LEADS:
         keys = [k for k in search.sets if search.kernel[list(k)].any()]
         best = search.sets[max(keys, key=lambda k: search.sets[k].log)]
         families = search.pool.families
-        sure = tuple(m for m in best.members if found.gain.get(families[m.family].name, np.inf) > SURE_BESIDE_UNKNOWN)
+        sure = tuple(m for m in best.members if found.gain.get(families[m.family].name, np.inf) > rules.SURE_BESIDE_UNKNOWN)
         return replace(best, members=sure), ()
     if not names or found.p_none >= found.probability[names]:
         return Weighed(0.0, ()), ()
@@ -196,7 +188,7 @@ def alike_at(first: Linearisation, problem: Linearisation, weighed: Weighed) -> 
             continue
         member = next(m for m in there.members if m.family == first.index[name])
         d = signature(first, there, values[name])
-        found.append((name, {*twins(first, there, member, d, NEARLY_ALIKE), *names}))
+        found.append((name, {*twins(first, there, member, d, rules.NEARLY_ALIKE), *names}))
     return found
 
 
@@ -216,7 +208,7 @@ def doubted(found: Posterior, best: Names, suspect: bool, every: bool = False) -
     """Probabilities of explanations and p_unknown, with what speaks against the best one (or against `every` one) moved over."""
     if not suspect or not best:
         return dict(found.probability), found.p_unknown
-    moved = {n: SUSPECT * p if every or n == best else 0.0 for n, p in found.probability.items()}
+    moved = {n: rules.SUSPECT * p if every or n == best else 0.0 for n, p in found.probability.items()}
     return {n: p - moved[n] for n, p in found.probability.items()}, found.p_unknown + sum(moved.values())
 
 
@@ -236,13 +228,15 @@ def ranked_names(problem: Linearisation, search: Search, found: Posterior) -> tu
     """Names by probability to a hundredth, then, where they are probable, by how much of the gap is theirs, else by the evidence
     for them against their absence (not against their being in the background); values are those of the best set that has them."""
     ranked = []
-    for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < LEADS, -found.gain[n]))[:RANKED]:
+    for name in sorted(found.marginal, key=lambda n: (found.marginal[n] < rules.LEADS, -found.gain[n]))[: rules.RANKED]:
         f = problem.index[name]
         key = max((k for k in search.sets if f in k), key=lambda k: search.sets[k].log)
         one = next(a for a in problem.values(search.sets[key]) if a.key == (name.effect, name.joint))
         d = signature(problem, search.sets[key], one)
         ranked.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
-    return tuple(sorted(ranked, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > LEADS else 0.0)))
+    return tuple(
+        sorted(ranked, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > rules.LEADS else 0.0))
+    )
 
 
 def place(
@@ -250,7 +244,7 @@ def place(
     tests: list[KernelTest],
 ) -> Location | None:  # fmt: skip
     """Of the largest named effect, else of the kernel that best stands for an unknown one, else of the tests."""
-    if active and p_unknown < LEADS:
+    if active and p_unknown < rules.LEADS:
         k = int(np.argmax([d @ d for d in signatures]))
         return of_effect(problem, active[k].effect, active[k].joint, signatures[k])
     if found.where and found.p_unknown > found.p_none:

@@ -11,22 +11,11 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.problem import Linearisation
 from ocp.diagnose.engine.system import Channel, HeldOut, kinds
-from ocp.diagnose.rules import (
-    CANCELS,
-    DRIFTS_SD,
-    HURTS,
-    HURTS_SD,
-    IMPLAUSIBLE,
-    IMPLAUSIBLE_SD,
-    NO_GAP,
-    RELIEF,
-    RELIEF_LEAST,
-    WRONG_SIGN_SD,
-)
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -38,10 +27,10 @@ def implausible(active: Sequence[Active]) -> list[tuple[Name, str]]:
     for one in active:
         upper = np.asarray(one.effect.prior_sd, float)
         sd = np.sqrt(np.maximum(np.diag(one.covariance), 0.0))
-        if (np.abs(one.a) - IMPLAUSIBLE_SD * sd > IMPLAUSIBLE * upper).any():
+        if (np.abs(one.a) - rules.IMPLAUSIBLE_SD * sd > rules.IMPLAUSIBLE * upper).any():
             found.append((Name(*one.key), "its value is over three times what real cells show"))
         for a, s, positive, key in zip(one.a, sd, positive_of(one.effect), one.effect.coefficients, strict=True):
-            if positive and a < -WRONG_SIGN_SD * s:
+            if positive and a < -rules.WRONG_SIGN_SD * s:
                 name = one.effect.parameters[0].key if key == "share" else key
                 found.append((Name(*one.key), f"{name} comes out with the wrong sign"))
         why = one.effect.doubt(one.a, sd, one.scanned) if one.effect.doubt else ""
@@ -56,7 +45,7 @@ def cancelling(names: Sequence[Name], signatures: Sequence[Array]) -> list[tuple
     for i in range(len(names)):
         for k in range(i):
             a, b = signatures[i], signatures[k]
-            if np.linalg.norm(a + b) < CANCELS * min(np.linalg.norm(a), np.linalg.norm(b)):
+            if np.linalg.norm(a + b) < rules.CANCELS * min(np.linalg.norm(a), np.linalg.norm(b)):
                 found.append((names[i], f"it all but cancels {names[k]}"))
     return found
 
@@ -81,7 +70,11 @@ def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[t
         if not visible or elsewhere or any(a.effect.on_arm for a in visible) or not isinstance(channel, Registered):
             continue
         readings, registration = channel.gained()
-        if registration > 0 and readings + registration > RELIEF_LEAST and readings < RELIEF * (readings + registration):
+        if (
+            registration > 0
+            and readings + registration > rules.RELIEF_LEAST
+            and readings < rules.RELIEF * (readings + registration)
+        ):
             why = "readings are met hardly better with it, the registration is only nearer to what was believed"
             found += [(Name(*a.key), why) for a in visible]
     return found
@@ -104,7 +97,7 @@ def impostors(
                 except Infeasible:  # nothing fits without it: no impostor
                     break
                 without = h.before_rows if other is None else other.after_rows
-                drifts = not h.drift or h.drift[one.key] > DRIFTS_SD
+                drifts = not h.drift or h.drift[one.key] > rules.DRIFTS_SD
                 if drifts and hurts(h.after_rows, without, h.noise, h.estimation):
                     found.append((Name(*one.key), h.fold.name))
                     break
@@ -116,11 +109,11 @@ def hurts(with_rows: Array, without_rows: Array, noise: float, estimation: float
     than what its value's uncertainty on the rest (estimation) excuses."""
     change = with_rows - without_rows
     error = float(change.std(ddof=1) / np.sqrt(len(change))) if len(change) > 1 else np.inf
-    gap = max(float(without_rows.mean()) - noise, NO_GAP**2 * noise)
+    gap = max(float(without_rows.mean()) - noise, rules.NO_GAP**2 * noise)
     return bool(
-        change.mean() > HURTS * gap
-        and change.mean() > HURTS_SD * (error + estimation)
-        and with_rows.mean() > noise * (1 + NO_GAP**2)
+        change.mean() > rules.HURTS * gap
+        and change.mean() > rules.HURTS_SD * (error + estimation)
+        and with_rows.mean() > noise * (1 + rules.NO_GAP**2)
     )
 
 

@@ -14,17 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit, log_ndtr, ndtr, ndtri
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.system import Channel, HeldOut
-from ocp.diagnose.rules import (
-    HARMFUL,
-    INTERVAL,
-    MEASURED_PAYLOAD,
-    NEW_CONDITIONS,
-    NO_GAP,
-    NOTHING_UNEXPLAINED,
-    UNEXPLAINED_SIZE,
-    UNMEASURED_PAYLOAD,
-)
 from robots.pose import Array
 
 DRAWS = 1000
@@ -73,7 +64,7 @@ class Anticipated:
 def realised(before: float, after: float, noise: float) -> float | None:
     """Shrinkage from mean squares; None where the gap before is below a fifth of the noise."""
     gap = before - noise
-    if gap <= NO_GAP**2 * noise or gap <= 0:
+    if gap <= rules.NO_GAP**2 * noise or gap <= 0:
         return None
     return float(1.0 - np.sqrt(max(after - noise, 0.0) / gap))
 
@@ -96,7 +87,7 @@ def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: in
         after += np.sum(rows * (np.sum((expected - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
         before += np.sum(rows * (np.sum((off - g.moved[true]) ** 2, axis=2) + joints), axis=1)
     rest = _unexplained(held, _estimation(new), rng)
-    if np.median(before + rest) <= NO_GAP**2 * noise:
+    if np.median(before + rest) <= rules.NO_GAP**2 * noise:
         return None
     return interval(1.0 - np.sqrt((after + rest) / (before + rest)))
 
@@ -117,7 +108,7 @@ def drawn_errors(covariance: Array, rng: np.random.Generator) -> Array:
 def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:
     """Draws (k, g) of the share of every group: payloads mixed, one temperature at a time."""
     names = list(dict.fromkeys(g.payload for g in new.groups))
-    mixture = rng.dirichlet([MEASURED_PAYLOAD if n in new.measured else UNMEASURED_PAYLOAD for n in names], DRAWS)
+    mixture = rng.dirichlet([rules.MEASURED_PAYLOAD if n in new.measured else rules.UNMEASURED_PAYLOAD for n in names], DRAWS)
     of = np.array([names.index(g.payload) for g in new.groups])
     rank = np.array([np.sum(of[:i] == p) for i, p in enumerate(of)])  # of the temperature
     chosen = rng.integers(rank.max() + 1, size=DRAWS)
@@ -140,7 +131,7 @@ def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shr
     found = [_drawn(rng, inside, estimation, DRAWS)]
     judged = [h for h in outside if realised(h.before, h.after, h.noise) is not None]
     if judged:
-        count = int(len(found[0]) * NEW_CONDITIONS / (1.0 - NEW_CONDITIONS))
+        count = int(len(found[0]) * rules.NEW_CONDITIONS / (1.0 - rules.NEW_CONDITIONS))
         pick = np.bincount(rng.integers(len(judged), size=count), minlength=len(judged))
         found += [_drawn(rng, [h], estimation, int(k)) for h, k in zip(judged, pick, strict=True) if k]
     every = np.concatenate(found)
@@ -149,8 +140,8 @@ def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shr
 
 def interval(draws: Array) -> Shrinkage:
     """Median and interval of draws (k,) of the shrinkage."""
-    draws = np.maximum(draws, HARMFUL)
-    low, middle, high = np.quantile(draws, [0.5 - INTERVAL / 2, 0.5, 0.5 + INTERVAL / 2])
+    draws = np.maximum(draws, rules.HARMFUL)
+    low, middle, high = np.quantile(draws, [0.5 - rules.INTERVAL / 2, 0.5, 0.5 + rules.INTERVAL / 2])
     return Shrinkage(float(middle), float(low), float(high))
 
 
@@ -162,11 +153,11 @@ def _unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Gene
         return np.zeros(DRAWS)
     excess, noise = (np.concatenate(part) for part in zip(*rows, strict=True))
     worse = float(excess.mean()) - 1.25 * estimation  # fitted to four fifths of the readings
-    error, scale = max(float(excess.std()) / len(excess) ** 0.5, 1e-300), UNEXPLAINED_SIZE * float(noise.mean())
+    error, scale = max(float(excess.std()) / len(excess) ** 0.5, 1e-300), rules.UNEXPLAINED_SIZE * float(noise.mean())
     # A normal likelihood times an exponential prior is a normal about `centre`, cut at zero.
     centre = worse - error**2 / scale
     log = 0.5 * (centre / error) ** 2 + float(log_ndtr(centre / error)) + np.log(error / scale) + 0.5 * np.log(2 * np.pi)
-    there = expit(log + np.log((1 - NOTHING_UNEXPLAINED) / NOTHING_UNEXPLAINED))
+    there = expit(log + np.log((1 - rules.NOTHING_UNEXPLAINED) / rules.NOTHING_UNEXPLAINED))
     uniform = rng.uniform(size=DRAWS)
     size = centre - error * ndtri(ndtr(centre / error) * (1.0 - uniform))
     return np.where(rng.uniform(size=DRAWS) < there, np.maximum(size, 0.0), 0.0)
@@ -189,7 +180,7 @@ def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float,
     before, after, noise = (sums / count[:, None]).T
     after = after - excused / count  # what the fold's own want of readings did; that of all readings is `estimation`
     gap = before - noise
-    there = (gap > NO_GAP**2 * noise) & (gap > 0.0)
+    there = (gap > rules.NO_GAP**2 * noise) & (gap > 0.0)
     # What is left is known to chance only; the parameters' errors are there in any case.
     left = np.maximum(after - noise, np.minimum(estimation, gap))[there]
     return np.asarray(1.0 - np.sqrt(left / gap[there]))
