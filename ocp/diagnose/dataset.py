@@ -75,16 +75,20 @@ def read_data_set(folder: str | Path) -> DataSet:
     sealed = {signal: folder / name for signal, name in SEALED.items() if (folder / name).is_file()}
     told = [n for part in (readings, log, joints) if part is not None for n in part.notices]
     blind = tuple(n for n in told if blinds(n))
-    orphans = [
-        f"{path.name} is not predicted: there is no {path.name.removeprefix('sealed_')} to learn from"
-        for signal, path in sealed.items() if path.name.removeprefix("sealed_") not in found
-    ]  # fmt: skip
+    learnt = {path: path.name.removeprefix("sealed_") for path in sealed.values()}
+    orphans = [f"{p.name} is not predicted: there is no {name} to learn from" for p, name in learnt.items() if name not in found]
     return DataSet(
-        folder=folder, setup=setup, cell=cell, readings=readings, log=log, joints=joints,
+        folder=folder,
+        setup=setup,
+        cell=cell,
+        readings=readings,
+        log=log,
+        joints=joints,
         inputs=(*files_of(folder / CELL), *(folder / name for name in found)),
-        sealed={s: p for s, p in sealed.items() if p.name.removeprefix("sealed_") in found},
-        notices=tuple([n for n in told if n not in blind] + orphans), blind=(*blind, *_not_measured(found)),
-    )  # fmt: skip
+        sealed={s: p for s, p in sealed.items() if learnt[p] in found},
+        notices=tuple([n for n in told if n not in blind] + orphans),
+        blind=(*blind, *_not_measured(found)),
+    )
 
 
 def read_sealed_tracker(data: DataSet) -> Readings:

@@ -1,12 +1,13 @@
 """diagnosis.json: its schema, to the letter of FORMATS.md, and how an answer is put into it."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ocp.diagnose.engine.findings import Diagnosis, Name, Ranked
+from ocp.diagnose.engine.findings import Diagnosis, Experiment, Name, Ranked
 from ocp.diagnose.rules import LEAST_BUDGET, LISTED, MOST_BUDGET, MOST_LISTED
 from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 
@@ -15,7 +16,7 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 Verdict = Literal["explained", "ambiguous", "unexplained", "no_gap"]
 Subsystem = Literal[
     "joint", "link", "base", "payload", "tool", "tracker", "target", "wheel", "blade", "flange", "sensor", "timing"
-]  # fmt: skip
+]
 SUM_TOLERANCE = 1e-6
 
 
@@ -159,22 +160,17 @@ def rounded(value: Any, digits: int = 6) -> Any:
 def document_of(answer: Answer) -> Document:
     """The document; probabilities sum to one to the last digit that is written."""
     d = answer.diagnosis
-    return Document(
-        dataset=answer.data.folder.resolve().name,
-        verdict=d.verdict,  # type: ignore[arg-type]
-        **_probabilities(d),
-        ranking=[_rank(r) for k, r in enumerate(d.ranking[:MOST_LISTED]) if k == 0 or r.probability >= LISTED],
-        indistinguishable=[[str(name) for name in group] for group in d.classes],
-        location=_location(d),
-        gap={gap.name: _gap(gap) for gap in answer.gaps},  # type: ignore[misc]
-        blind_spots=list(answer.blind),
-        next_experiment=[
-            ExperimentJson(
-                do=e.do, minutes=rounded(e.minutes, 3), tells_apart=list(e.tells_apart), expected_probability=_share(e.expected)
-            )
-            for e in answer.next
-        ],
-    )  # fmt: skip
+    content = {
+        "dataset": answer.data.folder.resolve().name,
+        "verdict": d.verdict,
+        "ranking": [_rank(r) for k, r in enumerate(d.ranking[:MOST_LISTED]) if k == 0 or r.probability >= LISTED],
+        "indistinguishable": [[str(name) for name in group] for group in d.classes],
+        "location": _location(d),
+        "gap": {gap.name: _gap(gap) for gap in answer.gaps},
+        "blind_spots": answer.blind,
+        "next_experiment": [_experiment(e) for e in answer.next],
+    }
+    return Document.model_validate(content | _probabilities(d))
 
 
 def _probabilities(d: Diagnosis) -> dict[str, Any]:
@@ -183,32 +179,26 @@ def _probabilities(d: Diagnosis) -> dict[str, Any]:
     shares = np.array([d.p_none, d.p_unknown, *(e.probability for e in kept)], float)
     whole = np.round(np.maximum(shares, 0.0) / max(shares.sum(), 1e-300), 6)
     whole[int(np.argmax(whole))] += 1.0 - whole.sum()
-    whole = np.round(whole, 6)
-    explained = [
-        ExplanationJson(effects=[_named(n) for n in e.names], probability=_share(p)) for e, p in zip(kept, whole[2:], strict=True)
-    ]
-    return {"p_none": _share(whole[0]), "p_unknown": _share(whole[1]), "explanations": explained}
+    none, unknown, *each = (_share(p) for p in np.round(whole, 6))
+    explained = [{"effects": [_named(n) for n in e.names], "probability": p} for e, p in zip(kept, each, strict=True)]
+    return {"p_none": none, "p_unknown": unknown, "explanations": explained}
 
 
-def _named(name: Name) -> NamedJson:
-    return NamedJson(effect=name.effect, joint=name.joint or None)
+def _named(name: Name) -> dict[str, Any]:
+    return {"effect": name.effect, "joint": name.joint or None}
 
 
 def _share(value: float) -> float:
     return float(round(min(max(float(value), 0.0), 1.0), 6))
 
 
-def _rank(r: Ranked) -> RankJson:
-    known = {p.key: p for p in r.active.effect.parameters}
-    deviations = r.active.deviations
-    parameters = {
-        key: ParameterJson(value=_plain(value), sd=_plain(deviations.get(key)), unit=known[key].unit if key in known else "")
-        for key, value in r.active.parameters.items()
-    }
-    return RankJson(
-        effect=r.name.effect, joint=r.name.joint or None, probability=_share(r.probability),
-        log_evidence=rounded(float(r.log_evidence)), parameters=parameters, detectability=rounded(float(r.detectability)),
-    )  # fmt: skip
+def _rank(r: Ranked) -> dict[str, Any]:
+    known = {p.key: p.unit for p in r.active.effect.parameters}
+    sd = r.active.deviations
+    values = r.active.parameters.items()
+    parameters = {key: {"value": _plain(v), "sd": _plain(sd.get(key)), "unit": known.get(key, "")} for key, v in values}
+    evidence = {"log_evidence": _plain(r.log_evidence), "detectability": _plain(r.detectability)}
+    return _named(r.name) | {"probability": _share(r.probability), "parameters": parameters} | evidence
 
 
 def _plain(value: Any) -> Any:
@@ -220,24 +210,21 @@ def _plain(value: Any) -> Any:
     return rounded(float(value))
 
 
-def _location(d: Diagnosis) -> LocationJson:
-    at = d.location
-    told = [b for k, b in enumerate(d.budget) if k < LEAST_BUDGET or b.share > 0][:MOST_BUDGET]
-    budget = [BudgetJson(where=b.where, share=_share(b.share), p_value=_share(b.p_value)) for b in told]
-    if at is None:
-        return LocationJson(signal=None, subsystem=None, joint=None, depends_on=[], segments=[], budget=budget)
-    return LocationJson(
-        signal=at.signal, subsystem=at.subsystem, joint=at.joint or None,  # type: ignore[arg-type]
-        depends_on=list(at.depends_on), segments=list(at.segments), budget=budget,
-    )  # fmt: skip
+def _location(d: Diagnosis) -> dict[str, Any]:
+    empty = {"signal": None, "subsystem": None, "joint": None, "depends_on": (), "segments": ()}
+    at = empty if d.location is None else asdict(d.location)
+    listed = [b for k, b in enumerate(d.budget) if k < LEAST_BUDGET or b.share > 0][:MOST_BUDGET]
+    budget = [{"where": b.where, "share": _share(b.share), "p_value": _share(b.p_value)} for b in listed]
+    return at | {"joint": at["joint"] or None, "budget": budget}
 
 
-def _gap(gap: SignalGap) -> GapJson:
-    before, after = (FiguresJson(**{k: rounded(v) for k, v in figures(sizes).items()}) for sizes in (gap.before, gap.after))
-    s = gap.shrinkage
-    return GapJson(
-        unit=gap.unit,  # type: ignore[arg-type]
-        noise_floor=rounded(gap.noise_floor), before=before, after=after,
-        shrinkage=None if s is None else ShrinkageJson(predicted=rounded(s.predicted), low=rounded(s.low), high=rounded(s.high)),
-        extrapolation=[ExtrapolationJson(withheld=n, shrinkage=None if v is None else rounded(v)) for n, v in gap.extrapolation],
-    )  # fmt: skip
+def _gap(gap: SignalGap) -> dict[str, Any]:
+    before, after = ({k: rounded(v) for k, v in figures(sizes).items()} for sizes in (gap.before, gap.after))
+    shrinkage = None if gap.shrinkage is None else {k: rounded(v) for k, v in asdict(gap.shrinkage).items()}
+    told = {"unit": gap.unit, "noise_floor": rounded(gap.noise_floor), "before": before, "after": after, "shrinkage": shrinkage}
+    return told | {"extrapolation": [{"withheld": name, "shrinkage": rounded(value)} for name, value in gap.extrapolation]}
+
+
+def _experiment(e: Experiment) -> dict[str, Any]:
+    asked = {"do": e.do, "minutes": rounded(e.minutes, 3), "tells_apart": e.tells_apart}
+    return asked | {"expected_probability": _share(e.expected)}

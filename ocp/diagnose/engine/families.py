@@ -107,10 +107,8 @@ def log_odds(effect: Effect, kinds: int, options: Options) -> float:
 def family_of(effect: Effect, joint: int, scans: Sequence[Scanned], projected: Array, odds: float) -> Family:
     """A family from projected columns (N, V, m) per unit coefficient."""
     scale = np.asarray(effect.prior_sd, float)
-    return Family(
-        Name(effect.name, joint), effect, tuple(scans), projected * scale, scale,
-        size_grid(ratio_of(effect, scans)), positive_of(effect), odds,
-    )  # fmt: skip
+    name, sizes = Name(effect.name, joint), size_grid(ratio_of(effect, scans))
+    return Family(name, effect, tuple(scans), projected * scale, scale, sizes, positive_of(effect), odds)
 
 
 def ratio_of(effect: Effect, scans: Sequence[Scanned]) -> float:

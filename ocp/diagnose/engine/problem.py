@@ -86,12 +86,8 @@ def kernel_families(channels: Sequence[Channel], stacked: Stack, options: Option
         share *= columns.shape[1] / max(kernel.among, columns.shape[1])
         m, sizes = columns.shape[2], size_grid(kernel.low / kernel.high)
         scans = tuple({"kernel": v} for v in range(columns.shape[1]))
-        found.append(
-            Family(
-                Name(f"?{name}", kernel.joint), None, scans, columns * kernel.high, np.full(m, kernel.high), sizes,
-                np.zeros(m, bool), float(np.log(share)), kernel.where,
-            )
-        )  # fmt: skip
+        full, scale, odds = Name(f"?{name}", kernel.joint), np.full(m, kernel.high), float(np.log(share))
+        found.append(Family(full, None, scans, columns * kernel.high, scale, sizes, np.zeros(m, bool), odds, kernel.where))
     return found
 
 

@@ -74,8 +74,11 @@ FIXED = 3  # reflectors on the floor
 BAR_SD = 2.5e-6  # of the scale: 5 um over a bar of two metres
 FLOOR = Experiment(
     f"fixed reflectors: set {FIXED} reflectors on the floor around the robot and read them at the start, in the middle and at "
-    "the end of the next campaign", 10.0, (), 0.0,
-)  # fmt: skip
+    "the end of the next campaign",
+    10.0,
+    (),
+    0.0,
+)
 BAR = Experiment("scale bar: read both ends of a calibrated bar of two metres in four places around the tracker", 15.0, (), 0.0)
 
 

@@ -69,25 +69,26 @@ def grindings(channel: ForceChannel) -> list[PlannedGrinding]:
     lines, belt, feed = " and ".join(told), sides[0].belt, sides[0].feed
     ladder = _ladder(channel, sides[0].setpoint)
     levels = ", ".join(f"{x:.3g}" for x in ladder)
+    pause = [replace(r, idle=IDLE if k == 0 else 0.0) for k, r in enumerate(sides)]
     # What to do, its recordings, minutes of preparing.
+    air = f"air run: retract the flange and run {lines} in the air (contact = 0), then grind {told[0]} once"
+    idle = f"pause: let the wheel run idle for {IDLE:.0f} minutes, then grind {lines} again (clock_s, wheel_temperature_C)"
+    hold = f"hold: press the middle of {told[0]} for a minute against the wheel at rest, lift, press again (belt_m_s = 0)"
+    feeds = f"feed ladder: {lines} at {500 * feed:.0f} and {2000 * feed:.0f} mm/s (feed_mm_s)"
+    forces = f"force ladder: {lines} at {levels} N (setpoint_N)"
+    longer = f"longer log: {len(all_of_them)} lines of the blade once more as before"
     wanted: list[tuple[str, list[Recording], float]] = [
-        (f"air run: retract the flange and run {lines} in the air (contact = 0), then grind {told[0]} once",
-         [*(replace(r, contact=False) for r in sides), sides[0]], 0.0),
+        (air, [*(replace(r, contact=False) for r in sides), sides[0]], 0.0),
         (f"repeat: grind {lines} twice more as before", [r for r in sides for _ in range(2)], 0.0),
-        (f"pause: let the wheel run idle for {IDLE:.0f} minutes, then grind {lines} again (clock_s, wheel_temperature_C)",
-         [replace(r, idle=IDLE if k == 0 else 0.0) for k, r in enumerate(sides)], 0.0),
-        (f"feed ladder: {lines} at {500 * feed:.0f} and {2000 * feed:.0f} mm/s (feed_mm_s)",
-         [_fed(r, factor) for factor in (0.5, 2.0) for r in sides], 2 * SET),
+        (idle, pause, 0.0),
+        (feeds, [_fed(r, factor) for factor in (0.5, 2.0) for r in sides], 2 * SET),
         (f"other direction: {lines} from end to start", [replace(r, rows=r.rows[::-1]) for r in sides], 0.0),
-        (f"hold: press the middle of {told[0]} for a minute against the wheel at rest, lift, press again (belt_m_s = 0)",
-         [_held(sides[0])] * 2, SET),
+        (hold, [_held(sides[0])] * 2, SET),
         (f"belt reversed: {lines} with belt_m_s = {-belt:g}", [replace(r, belt=-belt) for r in sides if belt], SET),
         (f"wheel speed: {lines} with belt_m_s = {0.5 * belt:g}", [replace(r, belt=0.5 * belt) for r in sides if belt], SET),
-        (f"force ladder: {lines} at {levels} N (setpoint_N)",
-         [replace(r, setpoint=x) for x in ladder for r in sides], SET * len(ladder)),
-        (f"longer log: {len(all_of_them)} lines of the blade once more as before",
-         all_of_them if len(own) > len(sides) else [], 0.0),
-    ]  # fmt: skip
+        (forces, [replace(r, setpoint=x) for x in ladder for r in sides], SET * len(ladder)),
+        (longer, all_of_them if len(own) > len(sides) else [], 0.0),
+    ]
     return [_behind(channel, do, recordings, more) for do, recordings, more in wanted if recordings]
 
 
@@ -113,13 +114,11 @@ def usual_recordings(channel: ForceChannel) -> list[Recording]:
     for _, rows in sorted(firsts, key=lambda one: one[0]):
         sides[int(log.n[rows[0]] @ front <= 0)].setdefault(int(c.line[rows[0]]), rows)
     order = [rows for both in zip_longest(*(side.values() for side in sides)) for rows in both if rows is not None]
-    return [
-        Recording(
-            rows, log.time[rows] - log.time[rows[0]], float(np.median(c.setpoint[rows])), float(np.median(c.belt[rows])),
-            max(float(np.median(c.feed[rows])), 1e-3),
-        )
-        for rows in order
-    ]  # fmt: skip
+    found = []
+    for rows in order:
+        setpoint, belt, feed = (float(np.median(values[rows])) for values in (c.setpoint, c.belt, c.feed))
+        found.append(Recording(rows, log.time[rows] - log.time[rows[0]], setpoint, belt, max(feed, 1e-3)))
+    return found
 
 
 def _mode(values: Array) -> float:
@@ -136,10 +135,8 @@ def _fed(one: Recording, factor: float) -> Recording:
     """The same path at another feed, logged as often in time."""
     span, n = float(one.time[-1]), len(one.rows)
     count = max(round((n - 1) / factor) + 1, 2)
-    return replace(
-        one, rows=one.rows[np.linspace(0, n - 1, count).round().astype(int)], time=np.linspace(0.0, span / factor, count),
-        feed=one.feed * factor,
-    )  # fmt: skip
+    rows = one.rows[np.linspace(0, n - 1, count).round().astype(int)]
+    return replace(one, rows=rows, time=np.linspace(0.0, span / factor, count), feed=one.feed * factor)
 
 
 def _held(one: Recording) -> Recording:
@@ -165,14 +162,22 @@ def _behind(channel: ForceChannel, do: str, wanted: list[Recording], more: float
     contact, cooled = told([float(r.contact) for r in wanted]) > 0, told(list(np.cumsum([r.idle for r in wanted]))) > 0
     setpoint, belt = told([r.setpoint for r in wanted]), told([r.belt for r in wanted])
     new = replace(
-        log.take(rows), run=np.repeat(np.arange(len(wanted)), sizes), runs=tuple(f"{k + 1}" for k in range(len(wanted))),
-        time=time, fn=np.full(len(rows), np.nan), contact=contact, s=c.s[rows],
-        setpoint=setpoint, setpoint_sd=None, feed=told([r.feed for r in wanted]), belt=belt,
+        log.take(rows),
+        run=np.repeat(np.arange(len(wanted)), sizes),
+        runs=tuple(f"{k + 1}" for k in range(len(wanted))),
+        time=time,
+        fn=np.full(len(rows), np.nan),
+        contact=contact,
+        s=c.s[rows],
+        setpoint=setpoint,
+        setpoint_sd=None,
+        feed=told([r.feed for r in wanted]),
+        belt=belt,
         clock=None if log.clock is None else float(log.clock.max()) + told(starts) + time,
         ground_before=_ground(log, rows, sizes, contact),
         temperature=_after(log, log.temperature, np.zeros(len(rows), bool)),
         wheel_temperature=_after(log, log.wheel_temperature, cooled),
-    )  # fmt: skip
+    )
     made = channel.problem.scene.rows.take(rows)
     return PlannedGrinding(do, minutes, new, replace(made, setpoint=setpoint, belt=np.sign(belt), contact=contact))
 

@@ -72,14 +72,32 @@ def _of_plan(path: Path) -> ForceLog:
     label, none = np.unique(run, return_inverse=True), np.zeros(len(rows), np.int64)
     s, feed = (table.numbers.get(c) for c in ALONG)
     return ForceLog(
-        path=path, run=label[1].astype(np.int64), runs=tuple(f"{k + 1}" for k in range(len(label[0]))),
-        time=clock - _first(label[1], clock), q=np.radians(table.stack(AXES))[rows], p=1e-3 * table.stack(POINT)[rows],
-        n=n / np.linalg.norm(n, axis=1, keepdims=True), t=t / np.linalg.norm(t, axis=1, keepdims=True),
-        fn=np.full(len(rows), np.nan), contact=np.ones(len(rows), bool), session=none, sessions=("",),
-        s=_known(s, rows), ft=None, sigma_fn=None, sigma_ft=None, setpoint=None, feed=_known(feed, rows), belt=None,
-        line=line[rows].astype(np.int64), ground_before=_ground(label[1], line[rows]), temperature=None, wheel_temperature=None,
-        clock=clock, row=np.array(table.line)[rows],
-    )  # fmt: skip
+        path=path,
+        run=label[1].astype(np.int64),
+        runs=tuple(f"{k + 1}" for k in range(len(label[0]))),
+        time=clock - _first(label[1], clock),
+        q=np.radians(table.stack(AXES))[rows],
+        p=1e-3 * table.stack(POINT)[rows],
+        n=n / np.linalg.norm(n, axis=1, keepdims=True),
+        t=t / np.linalg.norm(t, axis=1, keepdims=True),
+        fn=np.full(len(rows), np.nan),
+        contact=np.ones(len(rows), bool),
+        session=none,
+        sessions=("",),
+        s=_known(s, rows),
+        ft=None,
+        sigma_fn=None,
+        sigma_ft=None,
+        setpoint=None,
+        feed=_known(feed, rows),
+        belt=None,
+        line=line[rows].astype(np.int64),
+        ground_before=_ground(label[1], line[rows]),
+        temperature=None,
+        wheel_temperature=None,
+        clock=clock,
+        row=np.array(table.line)[rows],
+    )
 
 
 def _known(values: Array | None, rows: Index) -> Array | None:

@@ -69,8 +69,10 @@ def _spread(r: Readings) -> Readings:
         approach=np.where(np.arange(6) % 2 == 0, 1.0, -1.0) * np.ones((n, 1)) if like.approach is None else like.approach,
         time=np.asarray(last + 600.0 + 60.0 * PER_READING * np.arange(n)),
         temperature=np.full(n, 20.0 if like.temperature is None else float(np.median(like.temperature))),
-        turn=None, sigma_turn=None, load=np.zeros((n, 6)),
-    )  # fmt: skip
+        turn=None,
+        sigma_turn=None,
+        load=np.zeros((n, 6)),
+    )
 
 
 def before_and_after(readings: Readings) -> Readings:
@@ -196,16 +198,28 @@ def default_poses(setup: TrackerSetup, count: int, full: bool, seed: int = 0) ->
     each = np.arange(n)
     time = np.linspace(0.0, DURATION, n)
     return Readings(
-        path=Path("planned"), q=q, point=np.full((n, 3), np.nan),
-        target=(each % len(targets) if full else 0 * each).astype(np.int64), targets=targets,
-        payload=(each * len(payloads) // n if full else 0 * each).astype(np.int64), payloads=payloads,
-        station=np.zeros(n, np.int64), stations=("",), session=np.zeros(n, np.int64), sessions=("",),
-        load=np.zeros((n, 6)), load_link=np.full(n, 6, np.int64), load_place=np.zeros((n, 3)),
+        path=Path("planned"),
+        q=q,
+        point=np.full((n, 3), np.nan),
+        target=(each % len(targets) if full else 0 * each).astype(np.int64),
+        targets=targets,
+        payload=(each * len(payloads) // n if full else 0 * each).astype(np.int64),
+        payloads=payloads,
+        station=np.zeros(n, np.int64),
+        stations=("",),
+        session=np.zeros(n, np.int64),
+        sessions=("",),
+        load=np.zeros((n, 6)),
+        load_link=np.full(n, 6, np.int64),
+        load_place=np.zeros((n, 3)),
         approach=rng.choice([-1.0, 1.0], (n, 6)) if full else np.ones((n, 6)),
         time=time if full else None,
         temperature=20.0 + WARMED * (1 - np.exp(-3 * time / DURATION)) if full else None,
-        sigma=None, turn=None, sigma_turn=None, line=each.astype(np.int64) + 2,
-    )  # fmt: skip
+        sigma=None,
+        turn=None,
+        sigma_turn=None,
+        line=each.astype(np.int64) + 2,
+    )
 
 
 def _postures(robot: Robot, count: int, seed: int) -> Array:

@@ -51,10 +51,8 @@ def unlike(shared: Sequence[ReadingRows], pair: RivalPair, beside: Sequence[Read
     """lambda(A | B): what of the first's signature the rival and the nuisance cannot imitate. Rows `shared` have the same
     nuisance; those `beside` one of their own each."""
     every = [*shared, *beside]
-    projections = [
-        project(np.concatenate([c.system.nuisance for c in group]), group[0].system.prior_sd)
-        for group in (list(shared), *([c] for c in beside)) if group
-    ]  # fmt: skip
+    groups = [group for group in (shared, *([c] for c in beside)) if group]
+    projections = [project(np.concatenate([c.system.nuisance for c in g]), g[0].system.prior_sd) for g in groups]
     sizes = [len(c.system.residual) for c in every]
     first = sum(sizes[: len(shared)])
     cuts = np.cumsum([first, *sizes[len(shared) :]])[:-1] if shared else np.cumsum(sizes)[:-1]

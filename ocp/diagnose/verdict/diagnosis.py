@@ -240,9 +240,13 @@ def ranked_names(problem: Linearisation, search: Search, found: Posterior) -> tu
 
 
 def place(
-    problem: Linearisation, found: Posterior, active: Sequence[Active], signatures: Sequence[Array], p_unknown: float,
+    problem: Linearisation,
+    found: Posterior,
+    active: Sequence[Active],
+    signatures: Sequence[Array],
+    p_unknown: float,
     tests: list[KernelTest],
-) -> Location | None:  # fmt: skip
+) -> Location | None:
     """Of the largest named effect, else of the kernel that best stands for an unknown one, else of the tests."""
     if active and p_unknown < rules.LEADS:
         k = int(np.argmax([d @ d for d in signatures]))

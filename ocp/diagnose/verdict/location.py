@@ -24,12 +24,14 @@ from ocp.effects.effect import Effect
 from robots.pose import Array
 
 SUBSYSTEM = {"target x time": "target", "payload": "payload", "session": "tracker", "time": "tracker", "temperature": "tracker"}
-READING = {
-    "s": "blade", "line": "blade", "wheel_temperature": "wheel", "belt": "wheel", "run": "tool", "session": "tool",
-    "setpoint": "flange", "travel": "timing", "feed": "timing", "turn": "wheel", "clock wave": "wheel", "time wave": "wheel",
-    "s wave": "blade", "s wave x travel": "flange", "clock x s": "blade", "belt x time": "wheel", "setpoint x clock": "wheel",
-    "setpoint x s": "blade", "travel x feed": "timing", "setpoint x belt": "wheel", "travel x s": "flange",
-}  # fmt: skip
+_READS = {
+    "blade": "s, line, s wave, clock x s, setpoint x s",
+    "wheel": "wheel_temperature, belt, turn, clock wave, time wave, belt x time, setpoint x clock, setpoint x belt",
+    "tool": "run, session",
+    "flange": "setpoint, s wave x travel, travel x s",
+    "timing": "travel, feed, travel x feed",
+}
+READING = {where: subsystem for subsystem, every in _READS.items() for where in every.split(", ")}
 
 
 def of_effect(problem: Linearisation, effect: Effect, joint: int, signature: Array) -> Location:
