@@ -33,17 +33,7 @@ SOFT = 4.0  # wave number at which their prior has fallen to half
 MOST_GROUPS = 12
 CLOCK_WAVES = 12  # of the campaign's clock at most, half waves
 _SCALAR = ("s", "feed", "setpoint", "travel", "belt", "clock", "time", "temperature", "wheel_temperature", "run", "line")
-_TWO = (
-    "travel s",
-    "travel feed",
-    "setpoint s",
-    "setpoint clock",
-    "setpoint belt",
-    "setpoint feed",
-    "clock s",
-    "belt time",
-    "feed s",
-)
+_TWO = "travel s, travel feed, setpoint s, setpoint clock, setpoint belt, setpoint feed, clock s, belt time, feed s"
 
 
 @dataclass(frozen=True)
@@ -284,7 +274,7 @@ def reading_kernels(c: Conditions) -> Iterator[ReadingKernel]:
         one = _of_one(c, where)
         if one is not None:
             yield ReadingKernel(where, one[:, None])
-    for first, second in map(str.split, _TWO):
+    for first, second in map(str.split, _TWO.split(", ")):
         a, b = _of_one(c, first, 2), _of_one(c, second, 3)
         if a is not None and b is not None:
             yield ReadingKernel(f"{first} x {second}", products(a, b)[:, None])
