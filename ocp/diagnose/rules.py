@@ -79,9 +79,6 @@ OUTLIER_WEIGHT = 0.1
 gap, no fold and no effect. Guards: gaps and held-out errors against gross readings. Reason: the mixture (2 % outliers 30 times
 as wide) leaves hardly a reading between 0.1 and 0.9."""
 
-DOUBTED_WEIGHT = 0.5
-"""[-] The same where readings that were set aside are looked at once more. Reason: rather an outlier than good."""
-
 OUTLIERS_OF_ONE_CAUSE = 3
 """[readings] That must be set aside before all are counted once more, and that an effect must take back. Guards: a nest that
 moves before the last few readings, else 'no gap'. Reason: one or two readings are no pattern

@@ -10,12 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ocp.diagnose.engine.beam import Search, Weighed, weigh
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.problem import Linearisation, linearised
 from ocp.diagnose.engine.system import Channel
-from ocp.diagnose.rules import DOUBTED_WEIGHT, OUTLIERS_OF_ONE_CAUSE, RECHECKED
+from ocp.diagnose.rules import OUTLIER_WEIGHT, OUTLIERS_OF_ONE_CAUSE, RECHECKED
 from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible
 
@@ -32,7 +33,7 @@ def outliers_rechecked(
     problem: Linearisation, held: tuple[Active, ...], library: Mapping[str, Effect], options: Options
 ) -> list[Channel] | None:
     """The channels fitted with one effect more than is held, where that takes gross readings back; else None."""
-    if _gross(problem.channels) < OUTLIERS_OF_ONE_CAUSE:
+    if _count(problem.channels) < OUTLIERS_OF_ONE_CAUSE:
         return None
     whole = linearised([c.opened() if isinstance(c, Openable) else c for c in problem.channels], library, options)
     search = Search(whole.pool, options.most, options.beam)
@@ -48,12 +49,17 @@ def outliers_rechecked(
             found = [c.with_active(whole.values(weigh(whole.pool, [*key, int(f)]))) for c in problem.channels]
         except Infeasible:
             continue
-        if _gross(problem.channels) - _gross(found) >= OUTLIERS_OF_ONE_CAUSE:
+        if _count(problem.channels) - _count(found) >= OUTLIERS_OF_ONE_CAUSE:
             return found
     return None
 
 
-def _gross(channels: Sequence[Channel]) -> int:
-    """How many readings count for less than half."""
-    weights = [getattr(getattr(c, "fit", None), "weight", None) for c in channels]
-    return sum(int(np.count_nonzero(np.asarray(w) < DOUBTED_WEIGHT)) for w in weights if w is not None)
+def outliers(channel: Channel) -> NDArray[np.bool_]:
+    """Readings (n,) of a channel that are set aside as gross; none where its fit weighs no single readings."""
+    n = len(channel.gap())
+    weight = getattr(getattr(channel, "fit", None), "weight", None)
+    return np.zeros(n, bool) if weight is None or np.shape(weight) != (n,) else np.asarray(weight <= OUTLIER_WEIGHT)
+
+
+def _count(channels: Sequence[Channel]) -> int:
+    return sum(int(np.count_nonzero(outliers(c))) for c in channels)

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
+from ocp.diagnose.engine.outliers import outliers
 from ocp.diagnose.engine.system import Channel, HeldOut, scan_key
 from ocp.diagnose.foresee.planned_tracker import channel_about
-from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH, OUTLIER_WEIGHT
+from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import points_with
 from ocp.diagnose.verdict.answer import SCALE, SignalGap
@@ -67,9 +68,7 @@ def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequ
 
 def counted(channel: Channel) -> NDArray[np.bool_]:
     """Readings (n,) that are neither outliers, which are no gap of the model, nor air runs, in which nothing was ground."""
-    weight = getattr(getattr(channel, "fit", None), "weight", None)
-    n = len(channel.gap())
-    good = np.ones(n, bool) if weight is None or np.shape(weight) != (n,) else np.asarray(weight > OUTLIER_WEIGHT)
+    good = ~outliers(channel)
     contact = channel.conditions.contact
     return good if contact is None or not np.any(contact) else good & np.asarray(contact, bool)
 
