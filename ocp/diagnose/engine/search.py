@@ -21,7 +21,7 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.outliers import outliers_rechecked
 from ocp.diagnose.engine.problem import Linearisation, linearised
 from ocp.diagnose.engine.refine import refined
-from ocp.diagnose.engine.system import Channel, kinds
+from ocp.diagnose.engine.system import Channel, effects_key
 from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible
 
@@ -83,14 +83,14 @@ def settle(
         while channels is None:
             best = next_set(search, len(held) + 1)
             chosen = refined(problem, best, problem.values(best))
-            if kinds(chosen) in tried | {kinds(held)}:
+            if effects_key(chosen, 2) in tried | {effects_key(held, 2)}:
                 channels = outliers_rechecked(problem, held, library, options) if freeing else None
                 if channels is None:
                     return problem, search
-                freeing = kinds(_all_active(channels)) not in tried  # a set that was tried is not tried for ever
-                tried.add(kinds(_all_active(channels)))
+                freeing = effects_key(_all_active(channels), 2) not in tried  # a set that was tried is not tried for ever
+                tried.add(effects_key(_all_active(channels), 2))
                 break
-            tried.add(kinds(chosen))
+            tried.add(effects_key(chosen, 2))
             try:
                 channels = [c.with_active(chosen) for c in problem.channels]
             except Infeasible:

@@ -115,24 +115,21 @@ class Variant:
         return (self.effect, self.joint, *scan_key(self.scanned))
 
 
-def scan_key(scanned: Scanned) -> tuple[Any, ...]:
-    """Hashable form of scanned values (floats to nine digits, arrays as tuples)."""
+def scan_key(scanned: Scanned, digits: int = 9) -> tuple[Any, ...]:
+    """Hashable form of scanned values (floats to so many digits, arrays as tuples)."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, np.ndarray | list | tuple):
             return tuple(plain(v) for v in value)
-        return float(f"{value:.9g}") if isinstance(value, float | np.floating) else value
+        return float(f"{value:.{digits}g}") if isinstance(value, float | np.floating) else value
 
     return tuple((k, plain(scanned[k])) for k in sorted(scanned))
 
 
-def kinds(active: Sequence[Active]) -> tuple[Any, ...]:
-    """Effects, joints and scanned values, numbers to two digits (finer ones are no other effect), whatever their order."""
-
-    def rounded(scanned: Scanned) -> Scanned:
-        return {k: float(f"{v:.2g}") if isinstance(v, float) else v for k, v in scanned.items()}
-
-    return tuple(sorted((a.effect.name, a.joint, repr(scan_key(rounded(a.scanned)))) for a in active))
+def effects_key(active: Sequence[Active], digits: int = 9) -> tuple[Any, ...]:
+    """Effects, joints and scanned values, what a refit does not change, whatever their order; digits: of scanned numbers, two
+    where finer ones are no other effect."""
+    return tuple(sorted((*a.key, repr(scan_key(a.scanned, digits))) for a in active))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.engine.outliers import outliers
-from ocp.diagnose.engine.system import Channel, HeldOut, scan_key
+from ocp.diagnose.engine.system import Channel, HeldOut, effects_key
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -100,10 +100,9 @@ def anticipated(before: TrackerChannel, after: TrackerChannel, others: Sequence[
 
 def _with(before: TrackerChannel, after: TrackerChannel, active: tuple[Active, ...]) -> TrackerChannel:
     """The channel with these effects; one of those given where it is that already."""
-    kinds = [[(a.effect.name, a.joint, scan_key(a.scanned)) for a in one] for one in (active, after.active)]
     if not active:
         return before
-    return after if kinds[0] == kinds[1] else after.with_active(active)
+    return after if effects_key(active) == effects_key(after.active) else after.with_active(active)
 
 
 def _group(before: TrackerChannel, models: Sequence[TrackerChannel], new: Readings) -> NewReadings:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, foreseen, scan_key
+from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, effects_key, foreseen, scan_key
 from ocp.diagnose.rules import LEAST_CHANGES, LINK_MASS_SD
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.baseline import relearned
@@ -178,7 +178,7 @@ class TrackerChannel:
     def with_active(self, active: tuple[Active, ...]) -> "TrackerChannel":
         """Refitted with these effects, the geometry's learned prior with them."""
         visible = tuple(a for a in active if not self.blind(a.effect))
-        key = tuple((*kind, a.a.tobytes()) for kind, a in zip(_kinds(visible), visible, strict=True))
+        key = tuple((effects_key([a]), a.a.tobytes()) for a in visible)
         if key not in self.refits:
             fit = refit(self.task, self.fit.state, self.fit.offset, visible, self.fit.noise)
             task = relearned(self.task, fit)
@@ -216,7 +216,7 @@ class TrackerChannel:
 
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
-        before, after = (self if _kinds(a) == _kinds(self.active) else self.with_active(a) for a in ((), active))
+        before, after = (self if effects_key(a) == effects_key(self.active) else self.with_active(a) for a in ((), active))
         parted = foreseen(after.active, lambda effect: _has_columns(effect, sealed))
         return predict_sealed_readings(before.task, before.fit, after.task, after.fit, after.background.mean, sealed, parted)
 
@@ -224,11 +224,6 @@ class TrackerChannel:
 def _has_columns(effect: Effect, readings: Readings) -> bool:
     """Whether conditions have the columns that an effect needs."""
     return all(getattr(readings, COLUMNS[c], None) is not None for c in effect.needs if c in COLUMNS)
-
-
-def _kinds(active: tuple[Active, ...]) -> list[tuple[object, ...]]:
-    """Effects, joints and scanned values: what a refit does not change."""
-    return [(a.effect.name, a.joint, scan_key(a.scanned)) for a in active]
 
 
 def _same(one: Sequence[Scanned], other: Sequence[Scanned]) -> bool:

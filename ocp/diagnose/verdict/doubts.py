@@ -15,7 +15,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.problem import Linearisation
-from ocp.diagnose.engine.system import Channel, HeldOut, kinds
+from ocp.diagnose.engine.system import Channel, HeldOut, effects_key
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -166,7 +166,7 @@ def refitted(baseline: Sequence[Channel], problem: Linearisation, active: tuple[
     found = []
     for whole, searched in zip(baseline, problem.channels, strict=True):
         visible = tuple(a for a in active if not whole.blind(a.effect))
-        same = kinds(searched.active) == kinds(visible) and len(searched.gap()) == len(whole.gap())
+        same = effects_key(searched.active, 2) == effects_key(visible, 2) and len(searched.gap()) == len(whole.gap())
         try:
             found.append(searched if same else whole.with_active(active))
         except Infeasible:
