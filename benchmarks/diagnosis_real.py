@@ -279,7 +279,7 @@ def main() -> None:
         for robot in options.robots:
             if robot == "kr300":
                 (Path(made) / robot).mkdir()
-                kr300.write_data_set([options.data / "kr300_secondary_encoder" / "FF_A.mat"], Path(made) / robot)
+                kr300.write_recordings([options.data / "kr300_secondary_encoder" / "FF_A.mat"], Path(made) / robot)
                 print("\nKR300, answer\n", flush=True)
                 answer_part(Path(made) / robot)
             else:

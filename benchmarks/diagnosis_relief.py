@@ -15,7 +15,7 @@ from ocp.diagnose.channels import channels_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.problem import linearised
-from ocp.diagnose.engine.search import settle
+from ocp.diagnose.engine.search import search_and_refit
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.effects.catalogue import library
 from ocp.shell.progress import Phases
@@ -29,7 +29,7 @@ def main(check: Path, worlds: list[str]) -> None:
         known = {n: e for n, e in library().items() if n not in label["withheld"]}
         options = Options(folds=False, where=False)
         channels = channels_of(read_data_set(check / WORLDS / f"{int(world):05d}"), Phases())
-        problem, _ = settle(linearised(channels, known, options), known, options)
+        problem, _ = search_and_refit(linearised(channels, known, options), known, options)
         (force,) = (c for c in problem.channels if isinstance(c, ForceChannel))
         readings, registration = force.gained()
         planted, said = ", ".join(e["effect"] for e in label["labels"]), ", ".join(a.effect.name for a in force.active)

@@ -8,7 +8,7 @@ import pytest
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.problem import linearised
-from ocp.diagnose.engine.search import Diverged, reweighted, settle
+from ocp.diagnose.engine.search import Diverged, reweighted, search_and_refit
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.fit import fit_effects, linear
 from ocp.diagnose.force.prediction import predict_forces
@@ -96,7 +96,7 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
         return original(self, active)
 
     monkeypatch.setattr(type(channel), "with_active", restless)
-    problem, search = settle(linearised([channel], known, Options()), known, Options())
+    problem, search = search_and_refit(linearised([channel], known, Options()), known, Options())
     chosen = {problem.pool.families[f].name.effect for key in search.sets for f in key}
     assert search.sets[frozenset()] is NOTHING and not any(a.effect.name == "sensor_bias" for a in problem.channels[0].active)
     assert chosen  # others are still weighed
@@ -131,7 +131,7 @@ def test_a_name_that_no_fit_of_all_readings_takes_is_doubted(made: Made, tmp_pat
     log, _ = _log(made.base, (Planted(reading=lambda c, F: 0.8 + 0.0 * F),), tmp_path)
     channel = _again(made, log)
     known = {n: EFFECTS[n] for n in ("sensor_bias", "sensor_drift", "wheel_wear")}
-    problem, search = settle(linearised([channel], known, Options()), known, Options())
+    problem, search = search_and_refit(linearised([channel], known, Options()), known, Options())
     monkeypatch.setattr(diagnosis, "refitted", lambda *_: None)
     found = findings((channel,), problem, problem, search, known, Options())
     assert found.active == () and found.channels == (channel,) and found.p_unknown > 0.5

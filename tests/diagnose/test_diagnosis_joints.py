@@ -9,7 +9,7 @@ from ocp.diagnose.engine.system import Fold, HeldOut
 from ocp.diagnose.joints.channel import ARCSEC, joint_channel
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.diagnose.joints.noise import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
-from ocp.diagnose.published.kr300 import write_data_set
+from ocp.diagnose.published.kr300 import write_recordings
 from ocp.diagnose.verdict.shrinkage import from_folds, realised
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
@@ -89,7 +89,7 @@ def test_a_log_that_is_a_mistake_is_refused(tmp_path, spoil, words):
 
 
 def test_the_real_kuka_has_a_lag_behind_its_springs(tmp_path, shared_data):
-    write_data_set([shared_data / "real" / "kr300_secondary_encoder" / "FF_A.mat"], tmp_path)
+    write_recordings([shared_data / "real" / "kr300_secondary_encoder" / "FF_A.mat"], tmp_path)
     log = read_joint_log(tmp_path / "joints.csv")
     assert log.joints == (1, 2, 3) and len(log) == 2501
     channel = joint_channel(log, load_robot("kr210_r2700_extra"), PAYLOADS["bare"])

@@ -62,7 +62,7 @@ class Diverged:
                 del search.sets[key]
 
 
-def settle(
+def search_and_refit(
     first: Linearisation, library: Mapping[str, Effect], options: Options, diverged: Diverged | None = None
 ) -> tuple[Linearisation, Search]:
     """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active; diverged: fits

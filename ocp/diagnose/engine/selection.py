@@ -242,7 +242,7 @@ class SelectedLinearisation:
     refused: tuple[tuple[Name, str], ...]
 
 
-def restless(problem: Linearisation, search: Search) -> bool:
+def misses_far_more_than_noise(problem: Linearisation, search: Search) -> bool:
     """Whether names must be selected on held-out error: the only channel says that noise is far above the usual, even with all
     that the best set of names and kernels explains."""
     channels = problem.channels

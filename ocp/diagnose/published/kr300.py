@@ -46,13 +46,13 @@ def read_recording(path: Path) -> dict[str, Array]:
     return columns
 
 
-def cell_tables() -> dict[str, Any]:
+def recording_cell() -> dict[str, Any]:
     """A cell for the recording: no catalogue robot is a KR 300 R2500; the nearest relative serves, its weight is not used
     because all torques were recorded."""
     return {"name": "KR 300 R2500 with link-side encoders", "robot": {"model": "kr210_r2700_extra"}}
 
 
-def write_data_set(recordings: list[Path], folder: Path) -> int:
+def write_recordings(recordings: list[Path], folder: Path) -> int:
     """Write cell.toml and joints.csv, one run a recording; the number of rows."""
     rows = 0
     with (folder / "joints.csv").open("w", newline="", encoding="utf-8") as file:
@@ -65,12 +65,12 @@ def write_data_set(recordings: list[Path], folder: Path) -> int:
             for values in zip(*columns.values(), strict=True):
                 writer.writerow([path.stem, *(f"{v:.{d}f}" for v, d in zip(values, digits, strict=True))])
                 rows += 1
-    (folder / "cell.toml").write_text(toml_text(cell_tables()), encoding="utf-8")
+    (folder / "cell.toml").write_text(toml_text(recording_cell()), encoding="utf-8")
     return rows
 
 
 @app.command()
-def load(
+def load_recordings(
     recordings: Annotated[list[Path], typer.Argument(help="recordings of the campaign, .mat, one run each")],
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("run"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
@@ -80,7 +80,7 @@ def load(
     def job() -> str:
         check_output(out, overwrite, recordings)
         with whole_folder(out, overwrite) as folder:
-            rows = write_data_set(recordings, folder)
+            rows = write_recordings(recordings, folder)
         return f"{out}: {rows} rows of joints.csv with cell.toml; `python -m ocp.diagnose {out}` looks at them."
 
     sys.exit(run(job, "not loaded"))

@@ -149,7 +149,7 @@ def _write_rows(path: Path, columns: dict[str, Array], rows: NDArray[np.bool_]) 
 
 
 @app.command()
-def load(
+def load_campaign(
     recording: Annotated[Path, typer.Argument(help="the campaign's .csv as published, of the UR5 or the UR10")],
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("run"),
     sealed: Annotated[float, typer.Option(min=0.0, max=0.9, help="share of the readings to hold out, at random")] = 0.0,

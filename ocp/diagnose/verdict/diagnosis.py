@@ -17,12 +17,12 @@ from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Loc
 from ocp.diagnose.engine.pool import Family, Given, given
 from ocp.diagnose.engine.probabilities import Names, Posterior, posterior
 from ocp.diagnose.engine.problem import Linearisation, linearised
-from ocp.diagnose.engine.search import Diverged, settle
-from ocp.diagnose.engine.selection import restless, select_effects
+from ocp.diagnose.engine.search import Diverged, search_and_refit
+from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
 from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.engine.visible import visible_lambda
 from ocp.diagnose.verdict.alternatives import ExplanationWeights, alternatives
-from ocp.diagnose.verdict.classes import merged, mistaken, threshold, twins
+from ocp.diagnose.verdict.classes import least_lambda, merged, mistaken, twins
 from ocp.diagnose.verdict.doubts import judged, refitted
 from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_kernel, of_tests, spectra
 from ocp.effects.effect import Active, Effect
@@ -49,8 +49,8 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
     diverged = Diverged()
     for _ in range(rules.IMPOSTOR_ROUNDS):
         first = linearised(few, library, options)
-        problem, search = settle(first, library, options, diverged)
-        if posterior(problem, search).p_unknown > rules.LEADS and restless(problem, search):
+        problem, search = search_and_refit(first, library, options, diverged)
+        if posterior(problem, search).p_unknown > rules.LEADS and misses_far_more_than_noise(problem, search):
             whole = baseline[0]
             selected = select_effects(
                 whole.thinned(rules.SELECTED_ON) if isinstance(whole, Thinnable) else whole, library, options
@@ -98,7 +98,7 @@ def findings(
     if channels is None:
         weighed, active, channels = Weighed(0.0, ()), (), tuple(baseline)
     signatures = [signature(problem, weighed, a) for a in active]
-    ranked = ranked_names(problem, search, found)
+    ranked = ranking(problem, search, found)
     classes = classes_of(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
     judgement = judged(baseline, problem, channels, active, signatures, options.folds, refused)
     doubts, hurting = [*failed, *judgement.doubts], [(n, f"hurts where {f} is left out") for n, f in judgement.impostors]
@@ -195,7 +195,7 @@ def alike_at(first: Linearisation, problem: Linearisation, weighed: Weighed) -> 
 def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:
     """Class of the first name of the ranking, where nothing is accepted: too weak to be sure of, it may still be measured again,
     and that under any name of its class."""
-    if not ranked or ranked[0].detectability < threshold(ranked[0].active.effect.size):
+    if not ranked or ranked[0].detectability < least_lambda(ranked[0].active.effect.size):
         return ()
     name = ranked[0].name
     f = problem.index[name]
@@ -224,7 +224,7 @@ def explanations(
     return tuple(sorted(merged_sets, key=lambda e: -e.probability))
 
 
-def ranked_names(problem: Linearisation, search: Search, found: Posterior) -> tuple[Ranked, ...]:
+def ranking(problem: Linearisation, search: Search, found: Posterior) -> tuple[Ranked, ...]:
     """Names by probability to a hundredth, then, where they are probable, by how much of the gap is theirs, else by the evidence
     for them against their absence (not against their being in the background); values are those of the best set that has them."""
     ranked = []
