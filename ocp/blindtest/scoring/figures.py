@@ -12,14 +12,12 @@ from scipy.special import expit
 
 from ocp.blindtest.scoring.intervals import NOTHING, Estimate, bootstrap, f1, median, share_in_groups, share_of_hits
 from ocp.blindtest.scoring.judging import SURE, first_right
-from ocp.blindtest.scoring.rivals import METHODS
 from ocp.blindtest.worlds.pools import share_of_range
 from ocp.blindtest.worlds.recipes import BEYOND, BINS, bin_of, bin_words
 from ocp.simulate.twin.truth.planting import Planted
 from robots.pose import Array
 
 Row = dict[str, Any]
-OTHERS = ("oracle", *METHODS)
 STRANGE = 25.0  # lambda that the best two effects of the library leave of one it cannot imitate
 CONFIDENT, HARM, EXPLAINABLE = 0.8, -0.02, 0.1
 FALSE_POSITIVES = 0.05

@@ -1,1 +1,4 @@
-"""A virtual cell that shares no code with the planner's model: arm, tracker, contact and controller (docs/virtual_arm.md)."""
+"""A virtual cell that shares no code with the planner's model (docs/virtual_arm.md).
+
+Here: arm, tracker, controller, contact, and what of them is hidden. Not here: what the product believes of a cell.
+"""

@@ -60,54 +60,18 @@ def _harmonic(planted: Planted, order: Array | float, q: Array) -> Array:
     return np.asarray(planted.number("amplitude_rad") * wave)
 
 
-def _gear_1x(p: Planted, j: int, s: AxisState) -> Array:
-    return _harmonic(p, 1.0, s.q[:, j])
-
-
-def _gear_2x(p: Planted, j: int, s: AxisState) -> Array:
-    return _harmonic(p, 2.0, s.q[:, j])
-
-
-def _gear_harmonic(p: Planted, j: int, s: AxisState) -> Array:
-    return _harmonic(p, p.number("order"), s.q[:, j])
-
-
-def _motor_harmonic(p: Planted, j: int, s: AxisState) -> Array:
-    return _harmonic(p, p.number("order") * gear_ratios(s.robot)[j], s.q[:, j])
-
-
-def _backlash(p: Planted, j: int, s: AxisState) -> Array:
-    """The catalogue's sign: the axis rests on the side it came from, b ahead of the middle of its slack."""
-    return p.number("half_width_rad") * s.sign[:, j]
-
-
-def _friction_windup(p: Planted, j: int, s: AxisState) -> Array:
-    """The part without load; the part with it is a spring's law."""
-    return p.number("base_rad") * s.sign[:, j]
-
-
-def _encoder_scale(p: Planted, j: int, s: AxisState) -> Array:
-    return p.number("scale") * s.q[:, j]
-
-
-def _wrist_coupling(p: Planted, j: int, s: AxisState) -> Array:
-    return p.number("ratio") * s.q[:, int(p.number("source_joint")) - 1]
-
-
-def _joint_thermal(p: Planted, j: int, s: AxisState) -> Array:
-    return p.number("rad_per_K") * s.warmth
-
-
 _LAWS: dict[str, Callable[[Planted, int, AxisState], Array]] = {
-    "gear_1x": _gear_1x,
-    "gear_2x": _gear_2x,
-    "gear_harmonic": _gear_harmonic,
-    "motor_harmonic": _motor_harmonic,
-    "backlash": _backlash,
-    "friction_windup": _friction_windup,
-    "encoder_scale": _encoder_scale,
-    "wrist_coupling": _wrist_coupling,
-    "joint_thermal": _joint_thermal,
+    "gear_1x": lambda p, j, s: _harmonic(p, 1.0, s.q[:, j]),
+    "gear_2x": lambda p, j, s: _harmonic(p, 2.0, s.q[:, j]),
+    "gear_harmonic": lambda p, j, s: _harmonic(p, p.number("order"), s.q[:, j]),
+    "motor_harmonic": lambda p, j, s: _harmonic(p, p.number("order") * gear_ratios(s.robot)[j], s.q[:, j]),
+    # The catalogue's sign: the axis rests on the side it came from, b ahead of the middle of its slack.
+    "backlash": lambda p, j, s: p.number("half_width_rad") * s.sign[:, j],
+    # The part without load; the part with it is a spring's law.
+    "friction_windup": lambda p, j, s: p.number("base_rad") * s.sign[:, j],
+    "encoder_scale": lambda p, j, s: p.number("scale") * s.q[:, j],
+    "wrist_coupling": lambda p, j, s: p.number("ratio") * s.q[:, int(p.number("source_joint")) - 1],
+    "joint_thermal": lambda p, j, s: p.number("rad_per_K") * s.warmth,
 }
 
 

@@ -1,4 +1,7 @@
-"""Wheel, blade, mount and force sensor of the virtual cell (docs/virtual_grinding.md)."""
+"""Wheel, blade, mount and force sensor of the virtual cell (docs/virtual_grinding.md).
+
+Here: how hard blade and wheel press, and what the sensor shows. Not here: where the arm is without contact (twin/arm).
+"""
 
 from ocp.simulate.twin.contact.grinder import Grinder, make_grinder
 from ocp.simulate.twin.contact.moments import ContactMoments, ContactResult

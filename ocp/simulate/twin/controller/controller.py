@@ -24,7 +24,7 @@ Index = NDArray[np.int64]
 HZ = 250.0  # samples of the axes a second: the cycle of such controllers is 4 ms (M)
 STOOD = np.radians(1e-3)  # rad; nearer than this the robot already stands where it is sent
 LIMIT = np.radians(1e-3)  # rad, rounding of a printed axis at its limit
-TOLD = 1.02  # share of an axis' speed or acceleration above which the notice comes
+NOTICED = 1.02  # share of an axis' speed or acceleration above which the notice comes
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ def _notices(
     for what, values, most in (("speed", qd, robot.qd_max), ("acceleration", qdd, robot.qdd_max)):
         share = np.abs(values) / most
         k, j = np.unravel_index(int(np.argmax(share)), share.shape)
-        if share[k, j] > TOLD:
+        if share[k, j] > NOTICED:
             found.append(
                 f"{places[which[k]][0]}, line {int(row[k])}: A{j + 1} needs {100 * share[k, j]:.0f} % of its {what}; a "
                 "controller would stretch the time there, here it is kept"

@@ -7,7 +7,7 @@ cell shares nothing with the model.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -213,20 +213,15 @@ def draw_truth(
     ripple = rng["ripple"].uniform(0, 1, (6, 3)) * [RIPPLE * size, 1.0, 2 * np.pi]
     ripple[:, 1] = rng["ripple"].integers(*RIPPLE_ORDERS, 6)
     turn = unit[3:] * wheel.axis_sd
-    return Truth(
-        seed=seed,
-        mdh=cell.robot.mdh.copy(),
+    return replace(
+        believed_truth(replace(cell, calibration=None), seed, tuple(effects), None, *tracker),
         placement=_normal(rng["placement"], (6, 6)) * np.repeat(PLACEMENT, 3) * size,
         stiffness=cell.robot.stiffness * (1 + size * rng["stiffness"].uniform(-STIFFNESS, STIFFNESS, 6)),
         bends=np.array([float(weight_bends == "all" or j in cell.compliant_joints) for j in range(1, 7)]),
         mass_scale=1 + size * _normal(rng["mass"], 7) * MASS_SD,
-        payloads=believed_payloads(cell),
         ripple=ripple,
         play=rng["play"].uniform(0, PLAY, 6) * size,
         repeatability=REPEATABILITY,
-        T_tracker_base=tracker[0],
-        nests=tracker[1],
-        nest_turns=tracker[2],
         wheel_shift=unit[:3] * wheel.centre_sd,
         wheel_axis_turn=turn - axis * (axis @ turn),
         blade_shift=held[:3] * piece.xyz_sd,
@@ -236,9 +231,7 @@ def draw_truth(
         flange_scale=float(factor[2]),
         flange_offset=float(size * _normal(rng["factors"], 1)[0] * FLANGE_OFFSET_SD),
         sensor_bias=float(size * _normal(rng["sensor"], 1)[0] * SENSOR_BIAS_SD),
-        sensor_sigma=SENSOR_SIGMA,
         outliers=OUTLIERS,
-        effects=tuple(effects),
     )
 
 
