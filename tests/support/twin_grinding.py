@@ -69,7 +69,7 @@ def moments(
 
 
 class Bench:
-    """Grinders of one cell on one store of contact solutions; the solid's give is given, not computed."""
+    """Grinders of one cell on one store of contact solutions; the compliance of the solid is given, not computed."""
 
     def __init__(self, flange: bool = True, solid: Array = SOLID):
         self.cell, self.blade = bundled(flange), bar()
@@ -80,7 +80,7 @@ class Bench:
         truth = truth if truth is not None else believed(self.cell)
         made = make_grinder(self.cell, truth, self.blade, self.tables)
         self.tables = made.tables
-        made.tables.give = lambda p, n, t, solve: np.tile(self.solid, (len(p), 1))  # type: ignore[method-assign]
+        made.tables.compliance = lambda p, n, t, solve: np.tile(self.solid, (len(p), 1))  # type: ignore[method-assign]
         return made
 
     def force(self, c: ContactMoments, *effects: str, **changes: float | Array) -> ContactResult:
