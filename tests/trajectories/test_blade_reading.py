@@ -100,9 +100,13 @@ def test_empty_cut_short_and_foreign_files(tmp_path, sample):
 
 @pytest.mark.parametrize(
     ("at", "new", "said"),
-    [(703, "vertex 1 2 zwei", "'zwei' is not a number"), (703, "vertex 1 2", "2 numbers after 'vertex'"),
-     (705, "endloop", "'vertex' is expected"), (701, "facet normal 0 0", "2 numbers after 'facet normal'")],
-)  # fmt: skip
+    [
+        (703, "vertex 1 2 zwei", "'zwei' is not a number"),
+        (703, "vertex 1 2", "2 numbers after 'vertex'"),
+        (705, "endloop", "'vertex' is expected"),
+        (701, "facet normal 0 0", "2 numbers after 'facet normal'"),
+    ],
+)
 def test_ascii_errors_name_the_line(tmp_path, sample, at, new, said):
     lines = as_ascii(*sample).split("\n")  # line 1 is the title, then 7 lines a facet
     lines[at] = new

@@ -163,8 +163,10 @@ def test_block_and_shroud_are_left_out():
     import make_bundled_blade as made
 
     vertices, faces = made.mesh()
-    for mesh, block, top in (((1e-3 * vertices, faces), (True, False), 120.0),
-                             (blade_samples.bundled_with_shroud(), (True, True), 120.0)):  # fmt: skip
+    for mesh, block, top in (
+        ((1e-3 * vertices, faces), (True, False), 120.0),
+        (blade_samples.bundled_with_shroud(), (True, True), 120.0),
+    ):
         shape = find_shape(blade_of(*mesh))
         assert shape.frame.block == block
         side = shape.sides["convex"]
@@ -191,9 +193,13 @@ def test_the_bundled_blade_is_what_its_script_makes_and_needs_no_mending():
 
 @pytest.mark.parametrize(
     ("solid", "reason"),
-    [(trimesh.creation.box((0.1, 0.1, 0.1)), "nowhere slender"), (trimesh.creation.icosphere(3, 0.05), "nowhere slender"),
-     (trimesh.creation.box((0.1, 0.05, 0.004)), "flat plate"), (trimesh.creation.torus(0.05, 0.01), "aerofoil sections reach")],
-)  # fmt: skip
+    [
+        (trimesh.creation.box((0.1, 0.1, 0.1)), "nowhere slender"),
+        (trimesh.creation.icosphere(3, 0.05), "nowhere slender"),
+        (trimesh.creation.box((0.1, 0.05, 0.004)), "flat plate"),
+        (trimesh.creation.torus(0.05, 0.01), "aerofoil sections reach"),
+    ],
+)
 def test_what_is_no_blade_is_refused_with_the_reason(solid, reason):
     with pytest.raises(BadInput, match=reason):
         find_shape(blade_of(solid.vertices, solid.faces, "thing"))

@@ -145,12 +145,19 @@ def test_a_blade_held_at_its_tip_is_ground_the_other_way(sample):
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [({"clamp_offset": -0.001}, "holds nothing"), ({"clamp_offset": 0.2}, "holds everything"),
-     ({"clamp_offset": 0.2, "clamp_side": "above"}, "holds nothing"), ({"root_margin": 0.09}, "leave nothing"),
-     ({"tip_margin": 0.2}, "leave nothing"), ({"edge_margin": 0.026}, "edge_margin_mm = 26"), ({"side": "left"}, "'convex'"),
-     ({"direction": "diagonal"}, "'spanwise' or 'chordwise'"), ({"spacing": 0.0}, "pass_spacing_mm = 0"),
-     ({"clamp_normal": (0.0, 0.0, 0.0)}, "clamp_normal")],
-)  # fmt: skip
+    [
+        ({"clamp_offset": -0.001}, "holds nothing"),
+        ({"clamp_offset": 0.2}, "holds everything"),
+        ({"clamp_offset": 0.2, "clamp_side": "above"}, "holds nothing"),
+        ({"root_margin": 0.09}, "leave nothing"),
+        ({"tip_margin": 0.2}, "leave nothing"),
+        ({"edge_margin": 0.026}, "edge_margin_mm = 26"),
+        ({"side": "left"}, "'convex'"),
+        ({"direction": "diagonal"}, "'spanwise' or 'chordwise'"),
+        ({"spacing": 0.0}, "pass_spacing_mm = 0"),
+        ({"clamp_normal": (0.0, 0.0, 0.0)}, "clamp_normal"),
+    ],
+)
 def test_impossible_wishes_are_refused(sample, change, said):
     with pytest.raises(BadInput, match=said):
         passes(*sample, replace(PassOptions(), **change))
@@ -170,9 +177,7 @@ def test_the_wheel_keeps_off_the_block(bundled, direction):
     paths, notices = passes(blade, shape, options)
     assert len(notices) == 2 and "because the wheel would touch" in notices[0]
     x, y = (np.array(side) for side in ((-0.0275, 0.0275), (-0.0065, 0.008)))
-    rim = np.concatenate([
-        np.stack([np.linspace(*x, 200), np.full(200, edge), np.full(200, 0.02)], axis=1) for edge in y
-    ])  # fmt: skip
+    rim = np.concatenate([np.stack([np.linspace(*x, 200), np.full(200, edge), np.full(200, 0.02)], axis=1) for edge in y])
     for path in paths:
         for p, n, t in zip(path.p, path.n, path.t, strict=True):
             b = np.cross(n, t)

@@ -95,20 +95,22 @@ def off(rows):
 
 @pytest.mark.parametrize(
     ("spoil", "said"),
-    [(change(3, "py_mm", "abc"), r"line 5, column py_mm: 'abc' is not a number"),
-     (change(3, "nz", "nan"), r"line 5, column nz: 'nan' is not a finite"),
-     (change(0, "line", 0), r"line 2, column line: 0 is not a whole"),
-     (change(4, "line", 2.5), r"line 6, column line: 2.5 is not a whole"),
-     (change(4, "nx", 5.0), r"line 6: the vector \(nx, ny, nz\) has length"),
-     (off, r"line 8: the point .* is 0.300 mm off the surface of sample, the limit is 0.2 mm"),
-     (flip(["nx", "ny", "nz"]), r"line 7: the normal .* points into the blade"),
-     (flip(["tx", "ty", "tz"]), r"line \d+: t is 1[78]\d deg off the way"),
-     (lambda rows: [*rows[:2]], r"line 2: line 1 has 2 points, at least 3"),
-     (lambda rows: [*rows[:4], rows[3], *rows[4:]], r"line 6: this point of line 1 repeats"),
-     (lambda rows: [row[:-1] if k == 2 else row for k, row in enumerate(rows)], r"line 4: 9 values where .* 10 columns"),
-     (lambda rows: [*rows[:5], [7, *rows[5][1:]], *rows[6:]], r"line 8, column line: line 1 was left and comes again"),
-     (lambda rows: [], r"holds no row")],
-)  # fmt: skip
+    [
+        (change(3, "py_mm", "abc"), r"line 5, column py_mm: 'abc' is not a number"),
+        (change(3, "nz", "nan"), r"line 5, column nz: 'nan' is not a finite"),
+        (change(0, "line", 0), r"line 2, column line: 0 is not a whole"),
+        (change(4, "line", 2.5), r"line 6, column line: 2.5 is not a whole"),
+        (change(4, "nx", 5.0), r"line 6: the vector \(nx, ny, nz\) has length"),
+        (off, r"line 8: the point .* is 0.300 mm off the surface of sample, the limit is 0.2 mm"),
+        (flip(["nx", "ny", "nz"]), r"line 7: the normal .* points into the blade"),
+        (flip(["tx", "ty", "tz"]), r"line \d+: t is 1[78]\d deg off the way"),
+        (lambda rows: [*rows[:2]], r"line 2: line 1 has 2 points, at least 3"),
+        (lambda rows: [*rows[:4], rows[3], *rows[4:]], r"line 6: this point of line 1 repeats"),
+        (lambda rows: [row[:-1] if k == 2 else row for k, row in enumerate(rows)], r"line 4: 9 values where .* 10 columns"),
+        (lambda rows: [*rows[:5], [7, *rows[5][1:]], *rows[6:]], r"line 8, column line: line 1 was left and comes again"),
+        (lambda rows: [], r"holds no row"),
+    ],
+)
 def test_malformed_rows_are_named(tmp_path, sample, spoil, said):
     path = write(tmp_path, spoil(rows_of(sample[2][:1])))
     with pytest.raises(BadInput, match=said) as error:
