@@ -69,11 +69,8 @@ def _key(cell: Cell, blade: Blade, p: Array, n: Array, t: Array, semi_axes: tupl
     """Name in the cache, and element size m."""
     clamp, material = _clamp_and_material(cell)
     size = default_element_size(surface_area(blade.vertices, blade.faces), semi_axes)
-    key = content_key(
-        VERSION, MESH_VERSION, blade.vertices, blade.faces, *clamp, material.youngs_modulus, material.poisson_ratio,
-        *semi_axes, size, p, n, t,
-    )  # fmt: skip
-    return key, size
+    made_of = (blade.vertices, blade.faces, *clamp, material.youngs_modulus, material.poisson_ratio)
+    return content_key(VERSION, MESH_VERSION, *made_of, *semi_axes, size, p, n, t), size
 
 
 def spread_stations(p: Array, n: Array, spacing: float = SPACING) -> NDArray[np.int64]:

@@ -14,6 +14,11 @@ from ocp.model.cell import Cell
 from robots.pose import Array
 
 STILL = 1e-4  # rad/s; an axis slower than this stands
+# What a log may lack, as `ForceLog` names it.
+OPTIONAL = {
+    **{"s_mm": "s", "ft_N": "ft", "feed_mm_s": "feed", "belt_m_s": "belt", "line": "line", "ground_before": "ground_before"},
+    **{"temperature_C": "temperature", "wheel_temperature_C": "wheel_temperature", "clock_s": "clock"},
+}
 LEAST_FEED = 1e-3  # m/s; effects divide by the feed
 
 
@@ -54,16 +59,19 @@ def log_conditions(cell: Cell, log: ForceLog, used: float = 0.0) -> LogCondition
     unknown = np.full(n, np.nan)
     own = cell.flange.setpoint if cell.flange is not None else cell.process.force
     setpoint = log.setpoint if log.setpoint_sd is None else None
-    optional = {"s_mm": log.s, "ft_N": log.ft, "setpoint_N": setpoint, "feed_mm_s": log.feed, "belt_m_s": log.belt,
-                "line": log.line, "ground_before": log.ground_before, "temperature_C": log.temperature,
-                "wheel_temperature_C": log.wheel_temperature, "clock_s": log.clock}  # fmt: skip
+    optional = {column: getattr(log, name) for column, name in OPTIONAL.items()} | {"setpoint_N": setpoint}
     given = frozenset({"time_s", "approach", "speed", *(name for name, column in optional.items() if column is not None)})
     if len(log.sessions) > 1:
         given |= {"session"}
     reference = cell.tables.reference_temperature_C
     return LogConditions(
-        run=log.run, line=np.zeros(n, np.int64) if log.line is None else log.line, time=log.time, s=s,
-        travel=np.where(rate_s < 0, -1.0, 1.0), approach=np.where(np.abs(rate_q) > STILL, np.sign(rate_q), 0.0), speed=rate_q,
+        run=log.run,
+        line=np.zeros(n, np.int64) if log.line is None else log.line,
+        time=log.time,
+        s=s,
+        travel=np.where(rate_s < 0, -1.0, 1.0),
+        approach=np.where(np.abs(rate_q) > STILL, np.sign(rate_q), 0.0),
+        speed=rate_q,
         feed=np.abs(rate_s) if log.feed is None else log.feed,
         belt=np.full(n, cell.wheel.belt_speed) if log.belt is None else log.belt,
         setpoint=np.full(n, own) if log.setpoint is None else log.setpoint,
@@ -71,8 +79,9 @@ def log_conditions(cell: Cell, log: ForceLog, used: float = 0.0) -> LogCondition
         ground_before=unknown if log.ground_before is None else log.ground_before.astype(float),
         warm=unknown if log.temperature is None else log.temperature - reference,
         wheel_warm=unknown if log.wheel_temperature is None else log.wheel_temperature - reference,
-        contact=log.contact, given=given,
-    )  # fmt: skip
+        contact=log.contact,
+        given=given,
+    )
 
 
 def _along(log: ForceLog) -> Array:

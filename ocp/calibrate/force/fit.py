@@ -124,9 +124,20 @@ def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Pr
     information = np.eye(len(at.z)) + at.channel.information(at.whitened.sensitivity)
     covariance = prior.root @ np.linalg.inv(information)[:r, :r] @ prior.root.T
     return ForceSolution(
-        prior, at.x, 0.5 * (covariance + covariance.T), at.z, size, at.extra, at.reading, before, at.jacobian, at.channel,
-        at.whitened, information, steps,
-    )  # fmt: skip
+        prior=prior,
+        x=at.x,
+        covariance=0.5 * (covariance + covariance.T),
+        z=at.z,
+        offset=size,
+        extra=at.extra,
+        reading=at.reading,
+        before=before,
+        jacobian=at.jacobian,
+        channel=at.channel,
+        whitened=at.whitened,
+        information=information,
+        steps=steps,
+    )
 
 
 @dataclass(frozen=True)

@@ -64,13 +64,10 @@ def pooled_blocks(folds: list[HeldOutForce]) -> HeldOutForce:
     """All folds of one way to cut the log as one figure; the mean is that of the folds' sizes |mean|."""
     n = np.array([fold.rows for fold in folds], float)
 
-    def together(values: list[float]) -> float:
-        return float(np.sqrt(np.sum(n * np.array(values) ** 2) / n.sum()))
+    def together(name: str) -> float:
+        return float(np.sqrt(np.sum(n * np.array([getattr(fold, name) for fold in folds]) ** 2) / n.sum()))
 
-    return HeldOutForce(
-        "each in turn", int(n.sum()), together([f.rms for f in folds]), together([f.mean for f in folds]),
-        together([f.gap for f in folds]), together([f.mean_sd for f in folds]),
-    )  # fmt: skip
+    return HeldOutForce("each in turn", int(n.sum()), *(together(name) for name in ("rms", "mean", "gap", "mean_sd")))
 
 
 def without_rows(information: Array, sensitivity: Array, residual: Array) -> tuple[Array, Array]:

@@ -41,15 +41,14 @@ def with_indentation_correction(model: ForceModel, cover: Cover, cloud: SurfaceC
     p, n = part.waypoint[:, :3], part.waypoint[:, 3:6]
     place = np.hstack([p, NORMAL_LENGTH * n, FORCE_LENGTH * force[touching, None], lateral])
     at = spread_stations(p, place[:, 3:] / NORMAL_LENGTH, SPACING)
-    key = content_key(
-        VERSION, repr(asdict(cover.geometry)), cover.dx, cloud.points, part.q[at], part.waypoint[at, :12], force[touching][at],
-        model.cell.wheel.centre, model.cell.wheel.axis, model.cell.workpiece.T_flange_blade,
-    )  # fmt: skip
+    rows_key = (part.q[at], part.waypoint[at, :12], force[touching][at])
+    cell_key = (model.cell.wheel.centre, model.cell.wheel.axis, model.cell.workpiece.T_flange_blade)
+    key = content_key(VERSION, repr(asdict(cover.geometry)), cover.dx, cloud.points, *rows_key, *cell_key)
 
     def compute() -> Entry:
-        chosen = part.take(at)
-        return {"correction": np.array([_departure(model, cover, cloud, chosen, state[at], float(force[touching[i]]), k)
-                                    for k, i in enumerate(at)])}  # fmt: skip
+        chosen, newton = part.take(at), force[touching][at]
+        solved = [_departure(model, cover, cloud, chosen, state[at], float(F), k) for k, F in enumerate(newton)]
+        return {"correction": np.array(solved)}
 
     known = np.asarray(remember("force-correction", key, compute)["correction"], float)
     sound = np.isfinite(known)

@@ -30,6 +30,11 @@ BLIND = {
     "feed_mm_s": "the feed of the log is taken from its points, effects of speed are seen less sharply",
     "wheel_temperature_C": "heat in the wheel cannot be tested",
 }
+# Columns in SI that are taken as they are, by their names here.
+PLAIN = {
+    **{"ft": "ft_N", "belt": "belt_m_s", "clock": "clock_s"},
+    **{"temperature": "temperature_C", "wheel_temperature": "wheel_temperature_C"},
+}
 UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
@@ -98,23 +103,36 @@ def read_force_log(path: str | Path, sealed: bool = False) -> ForceLog:
     session, sessions = _words(table, "session")
     _check_times(table, run, runs)
     fn = np.full(len(table), np.nan) if sealed else table.numbers["fn_N"]
-    blind = [f"{table.path.name}: no column {c}: {text}" for c, text in BLIND.items()
-             if c not in table.numbers and c not in table.words and not (sealed and c in ("contact", "ft_N"))]  # fmt: skip
+    known = {*table.numbers, *table.words, *(("contact", "ft_N") if sealed else ())}
+    blind = [f"{table.path.name}: no column {c}: {text}" for c, text in BLIND.items() if c not in known]
     ignored = [f"{table.path.name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
     contact = _contact(table, fn, run)
     if not sealed:
         _check_force(table, fn, contact)
     return ForceLog(
-        path=table.path, run=run, runs=runs, time=table.numbers["time_s"], q=np.radians(table.stack(AXES)),
-        p=1e-3 * table.stack(POINT), n=n / np.linalg.norm(n, axis=1, keepdims=True),
-        t=t / np.linalg.norm(t, axis=1, keepdims=True), fn=fn, contact=contact, session=session, sessions=sessions,
-        s=_scaled(table, "s_mm", 1e-3), ft=table.numbers.get("ft_N"), sigma_fn=_positive(table, "sigma_fn_N"),
-        sigma_ft=_positive(table, "sigma_ft_N"), setpoint=_not_negative(table, "setpoint_N", 1.0),
-        feed=_not_negative(table, "feed_mm_s", 1e-3), belt=table.numbers.get("belt_m_s"),
-        line=_counts(table, "line"), ground_before=_counts(table, "ground_before"),
-        temperature=table.numbers.get("temperature_C"), wheel_temperature=table.numbers.get("wheel_temperature_C"),
-        clock=table.numbers.get("clock_s"), row=np.array(table.line), notices=(*ignored, *blind),
-    )  # fmt: skip
+        path=table.path,
+        run=run,
+        runs=runs,
+        time=table.numbers["time_s"],
+        q=np.radians(table.stack(AXES)),
+        p=1e-3 * table.stack(POINT),
+        n=n / np.linalg.norm(n, axis=1, keepdims=True),
+        t=t / np.linalg.norm(t, axis=1, keepdims=True),
+        fn=fn,
+        contact=contact,
+        session=session,
+        sessions=sessions,
+        s=_scaled(table, "s_mm", 1e-3),
+        sigma_fn=_positive(table, "sigma_fn_N"),
+        sigma_ft=_positive(table, "sigma_ft_N"),
+        setpoint=_not_negative(table, "setpoint_N", 1.0),
+        feed=_not_negative(table, "feed_mm_s", 1e-3),
+        line=_counts(table, "line"),
+        ground_before=_counts(table, "ground_before"),
+        row=np.array(table.line),
+        notices=(*ignored, *blind),
+        **{name: table.numbers.get(column) for name, column in PLAIN.items()},
+    )
 
 
 def _words(table: CsvTable, column: str) -> tuple[Index, tuple[str, ...]]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ocp.calibrate.force.log import Flags, Index
 from ocp.contact.wheel.law import WheelLaw
-from ocp.effects.engine.compiled import run_rows
+from ocp.effects.engine.compiled import RowLayout, run_rows
 from ocp.model.cell import Cell
 from ocp.model.force_balance import build_model
 from ocp.model.theta import NAMES, Theta
@@ -29,11 +29,10 @@ FORCE_TOLERANCE = 1e-5  # N; a Newton step of this size leaves some 1e-10 N
 LEAST_FORCE = 0.5
 PROBE = 0.05  # N; over which the change of the extra interference with the force is first taken
 # Columns of what `ForceModel.evaluate` gives as "state".
-STATE = {
-    "residual": slice(0, 1), "slope": slice(1, 2), "overlap": slice(2, 3), "parts": slice(3, 7), "slopes": slice(7, 11),
-    "arc": slice(11, 12), "lateral": slice(12, 13), "turn": slice(13, 14), "tilt": slice(14, 16), "curvature": slice(16, 19),
-    "T": slice(19, 35), "friction_deflection": slice(35, 36),
-}  # fmt: skip
+STATE = RowLayout.of(
+    "residual 1, slope 1, overlap 1, parts 4, slopes 4, arc 1, lateral 1, turn 1, tilt 2, curvature 3, T 16, "
+    "friction_deflection 1"
+).places
 
 # Extra interference (k,) m of some rows (their indices), at their forces (k,) N and the state's columns there.
 Extra = Callable[[Index, Array, Array], Array]
@@ -106,8 +105,8 @@ class ForceModel:
         wheel = replace(self.cell.wheel, belt_speed=float(belt), friction=friction)
         model = build_model(replace(self.cell, wheel=wheel), self.law)
         slope, slopes = ca.jacobian(model.residual, model.F), ca.jacobian(model.parts, model.F)
-        state = [model.residual, slope, model.delta, model.parts, slopes, model.arc, model.lateral, model.turn, model.tilt,
-                 model.curvature, ca.vec(model.T_base_blade.T), ca.jacobian(ca.sum1(model.parts), friction)]  # fmt: skip
+        place = [model.arc, model.lateral, model.turn, model.tilt, model.curvature, ca.vec(model.T_base_blade.T)]
+        state = [model.residual, slope, model.delta, model.parts, slopes, *place, ca.jacobian(ca.sum1(model.parts), friction)]
         by = ca.horzcat(slope, ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
         outputs = {"state": ca.vertcat(*state), "derivative": by.T}
         arguments = [model.q, model.F, model.w, model.theta]

@@ -142,10 +142,20 @@ def _figures(solution: ForceSolution, log: ForceLog) -> ForceFigures:
 
     nominal = np.abs(solution.whitened.residual) / np.sqrt(solution.channel.weight)
     return ForceFigures(
-        rms(before), float(before.mean()), rms(after), float(after.mean()), float(np.abs(after).max()), float(np.sqrt(noise)),
-        gap(before), gap(after), solution.offset, int(at.sum()), solution.channel.independent(), int((~at).sum()),
+        rms(before),
+        float(before.mean()),
+        rms(after),
+        float(after.mean()),
+        float(np.abs(after).max()),
+        float(np.sqrt(noise)),
+        gap(before),
+        gap(after),
+        solution.offset,
+        int(at.sum()),
+        solution.channel.independent(),
+        int((~at).sum()),
         int((nominal > SIGMAS).sum()),
-    )  # fmt: skip
+    )
 
 
 def _notices(

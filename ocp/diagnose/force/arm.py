@@ -75,10 +75,8 @@ def logged_arm(cell: Cell, theta: Array, q: Array, conditions: LogConditions) ->
     own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
     hung = np.full(n, names.index(own) if own in names else 0)
     c = conditions
-    rows = arm_rows(
-        cell.robot, parameters, inputs, names, hung, c.approach, c.warm,
-        c.clock if "clock_s" in c.given else None, c.speed,
-    )  # fmt: skip
+    clock = c.clock if "clock_s" in c.given else None
+    rows = arm_rows(cell.robot, parameters, inputs, names, hung, c.approach, c.warm, clock, c.speed)
     flange = rows.block("frames").reshape(-1, 7, 3, 4)[:, 6]
     place = cell.workpiece.T_flange_blade[:3, 3] + theta[list(BLADE[:3])]
     origin = flange[:, :, 3] + flange[:, :, :3] @ place

@@ -16,7 +16,7 @@ from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
-from ocp.diagnose.force.folds import fold_errors, force_folds
+from ocp.diagnose.force.folds import force_fold_errors, force_folds
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
 from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_forces
 from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior
@@ -38,6 +38,9 @@ from robots.pose import Array
 TOGETHER = 48  # variants evaluated at once
 # What columns a need of an effect stands for, where they are not called alike.
 NEEDED = {"approach": "q1_deg to q6_deg with time_s", "speed": "q1_deg to q6_deg with time_s"}
+# Columns that the library-free tests see as the log has them, and as its conditions have them.
+OF_LOG = ("q", "temperature", "wheel_temperature", "run", "line", "feed", "setpoint", "belt")
+OF_CONDITIONS = ("approach", "time", "s", "travel")
 
 
 @dataclass(frozen=True)
@@ -111,11 +114,15 @@ class ForceChannel:
         place = [w.place for w in averages.whiteners]
         far = np.full(sum(parts[len(place) :]), place[0][-1])
         return System(
-            residual=rows[:, 0], nuisance=U[:, keep] * s[keep], names=tuple(f"contact {k + 1}" for k in range(int(keep.sum()))),
-            prior_sd=np.ones(int(keep.sum())), offset=(Vt @ self.fit.z[: r + o])[keep],
-            reading=np.concatenate([*place, far]), component=np.repeat(np.arange(len(parts)), parts),
+            residual=rows[:, 0],
+            nuisance=U[:, keep] * s[keep],
+            names=tuple(f"contact {k + 1}" for k in range(int(keep.sum()))),
+            prior_sd=np.ones(int(keep.sum())),
+            offset=(Vt @ self.fit.z[: r + o])[keep],
+            reading=np.concatenate([*place, far]),
+            component=np.repeat(np.arange(len(parts)), parts),
             picked=picked_squares(self.waves) + self.trains.picked,
-        )  # fmt: skip
+        )
 
     @property
     def noise_floor(self) -> float:
@@ -212,7 +219,7 @@ class ForceChannel:
         good = self.fit.whiteners[0].noise.weight > OUTLIER_WEIGHT
         if self.log.setpoint_sd is not None:  # a setpoint that the readings gave is not known without them
             good &= self.log.setpoint_sd == 0
-        return fold_errors((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)
+        return force_fold_errors((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)
 
     def _judged(self, active: tuple[Active, ...]) -> "ForceChannel":
         """The channel fitted with these effects, whatever values they come with; the last one is kept."""
@@ -300,13 +307,21 @@ def surroundings(problem: ForceProblem) -> Surroundings:
     names = tuple(cell.tables.payloads)
     own = cell.tables.workpiece.payload if cell.tables.workpiece is not None else None
     return Surroundings(
-        gear_ratio=cell.robot.gear_ratio, q_range=np.stack([log.q.min(axis=0), log.q.max(axis=0)], axis=1),
-        time=np.sort(c.clock) if clocked else np.empty(0), step=float(np.median(steps)) if len(steps) else 0.0,
-        payloads=(own,) if own in names else (), breaks=np.sort(breaks), run_length=float(max(spans)),
-        length=float(max(lengths, default=0.0)), robot=cell.robot.name, torque_max=cell.robot.torque_max,
-        stiffness=cell.robot.stiffness, lines=tuple(float(k) for k in np.unique(c.line[log.contact])),
-        sides=_sides(log.n[log.contact]), friction=cell.wheel.friction,
-    )  # fmt: skip
+        gear_ratio=cell.robot.gear_ratio,
+        q_range=np.stack([log.q.min(axis=0), log.q.max(axis=0)], axis=1),
+        time=np.sort(c.clock) if clocked else np.empty(0),
+        step=float(np.median(steps)) if len(steps) else 0.0,
+        payloads=(own,) if own in names else (),
+        breaks=np.sort(breaks),
+        run_length=float(max(spans)),
+        length=float(max(lengths, default=0.0)),
+        robot=cell.robot.name,
+        torque_max=cell.robot.torque_max,
+        stiffness=cell.robot.stiffness,
+        lines=tuple(float(k) for k in np.unique(c.line[log.contact])),
+        sides=_sides(log.n[log.contact]),
+        friction=cell.wheel.friction,
+    )
 
 
 def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, ...] = ()) -> Conditions:
@@ -316,15 +331,18 @@ def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, .
     joints = [fit.at.fn_slope[:, None] * fit.slopes[1]]
     if log.ft is not None:
         joints.append(fit.at.ft_slope[:, None] * fit.slopes[1])
-    known = c.given
+    columns: dict[str, Any] = {name: getattr(log, name) for name in OF_LOG} | {name: getattr(c, name) for name in OF_CONDITIONS}
     return Conditions(
-        signal="force", q=log.q, approach=c.approach, time=c.time, clock=c.clock if "clock_s" in known else None,
-        temperature=log.temperature, wheel_temperature=log.wheel_temperature, run=log.run,
-        line=log.line, session=log.session if len(log.sessions) > 1 else None, s=c.s,
-        feed=log.feed, setpoint=log.setpoint, belt=log.belt, contact=log.contact.astype(float), travel=c.travel,
-        tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com), d_joints=np.stack(joints, axis=1),
-        gear_ratio=ratios_of(surroundings(problem)), waves=waves,
-    )  # fmt: skip
+        signal="force",
+        clock=c.clock if "clock_s" in c.given else None,
+        session=log.session if len(log.sessions) > 1 else None,
+        contact=log.contact.astype(float),
+        tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com),
+        d_joints=np.stack(joints, axis=1),
+        gear_ratio=ratios_of(surroundings(problem)),
+        waves=waves,
+        **columns,
+    )
 
 
 def _sides(n: Array) -> tuple[tuple[float, float, float], ...]:

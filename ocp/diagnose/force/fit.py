@@ -30,10 +30,8 @@ from robots.pose import Array
 # slow (the squares' own curvature is left out): they end where three steps together gain a hundredth of what one number more may
 # explain. A search that ends otherwise is a fit where less than one of the squares is to be gained, which changes no answer. One
 # that comes to rest takes less than half of the predictions.
-RULE = Rule(
-    steps=25, rest=1e-3, reweighted=6, halvings=10, rise=1e-3, broyden=True,
-    valley=Valley(over=3, still=0.01, close=1.0, tries=45, lost=2),
-)  # fmt: skip
+VALLEY = Valley(over=3, still=0.01, close=1.0, tries=45, lost=2)
+RULE = Rule(steps=25, rest=1e-3, reweighted=6, halvings=10, rise=1e-3, broyden=True, valley=VALLEY)
 
 
 @dataclass(frozen=True)
@@ -72,19 +70,25 @@ class ForceProblem:
 
 
 @dataclass(frozen=True)
-class EffectFit:
-    """A fit: z standard normal unknowns (nuisance, runs, coefficients in units of prior_sd), the prediction there, one whitener a
-    signal, whitened residual (N,) and sensitivities (N, k) to z (row by row), normal (n, k) N: sensitivities of fn itself,
-    information (k, k) with the prior's in, slopes of the force in theta and the joints, steps taken."""
+class Linear:
+    """About a prediction: whitened residual (N,) and sensitivities (N, k) to z row by row, both signals one below the other; the
+    sensitivities (n, k) N of fn itself; the force's slopes in theta and the joints."""
+
+    residual: Array = field(repr=False)
+    sensitivity: Array = field(repr=False)
+    normal: Array = field(repr=False)
+    slopes: tuple[Array, Array] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class EffectFit(Linear):
+    """A fit: z standard normal unknowns (nuisance, runs, coefficients in units of prior_sd), the prediction there with what is
+    linear about it, one whitener a signal, information (k, k) with the prior's in, steps taken."""
 
     z: Array
     at: Predicted
     whiteners: tuple[Whitener, ...]
-    residual: Array = field(repr=False)
-    sensitivity: Array = field(repr=False)
-    normal: Array = field(repr=False)
     information: Array = field(repr=False)
-    slopes: tuple[Array, Array] = field(repr=False)
     steps: int
 
     @property
@@ -102,17 +106,6 @@ def with_values(active: tuple[Active, ...], a: Array) -> tuple[Active, ...]:
     """The effects with coefficients a, one after the other."""
     edges = np.cumsum([a_.effect.size for a_ in active])[:-1]
     return tuple(replace(one, a=part) for one, part in zip(active, np.split(a, edges) if active else [], strict=True))
-
-
-@dataclass(frozen=True)
-class Linear:
-    """About a prediction: whitened residual (N,) and sensitivities (N, k) to z row by row, both signals one below the other; the
-    sensitivities (n, k) N of fn itself; the force's slopes in theta and the joints."""
-
-    residual: Array
-    sensitivity: Array
-    normal: Array
-    slopes: tuple[Array, Array]
 
 
 def linear(problem: ForceProblem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]) -> Linear:
@@ -179,9 +172,8 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
     fitted = tuple(
         replace(one, covariance=covariance[i:j, i:j]) for one, i, j in zip(at.active, edges[:-1], edges[1:], strict=True)
     )
-    return EffectFit(
-        z, replace(at, active=fitted), whiteners, line.residual, line.sensitivity, line.normal, information, line.slopes, steps,
-    )  # fmt: skip
+    at = replace(at, active=fitted)
+    return EffectFit(**vars(line), z=z, at=at, whiteners=whiteners, information=information, steps=steps)
 
 
 def signals(log: ForceLog) -> tuple[ForceLog, ...]:

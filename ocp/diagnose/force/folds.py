@@ -34,9 +34,7 @@ def force_folds(log: ForceLog, scene: LogScene) -> list[Fold]:
     edges = np.quantile(c.s[log.contact], np.linspace(0, 1, FOLD_PARTS + 1))
     stretch = np.searchsorted(edges[1:-1], c.s)
     found += [Fold(f"stretch={k + 1}", "block", (stretch == k) & log.contact) for k in range(FOLD_PARTS)]
-    ways: dict[str, Any] = {
-        "run": log.run, "line": log.line, "feed": log.feed, "belt": log.belt, "travel": c.travel,
-    }  # fmt: skip
+    ways: dict[str, Any] = {name: getattr(log, name) for name in ("run", "line", "feed", "belt")} | {"travel": c.travel}
     if log.setpoint_sd is None:
         ways["setpoint"] = log.setpoint
     if len(log.sessions) > 1:
@@ -64,7 +62,7 @@ def _left_out(kind: str, values: Array, log: ForceLog) -> list[Fold]:
     return [Fold(f"{kind}={names[v]}", kind, rows) for v, rows in held] if len(levels) > 1 else []
 
 
-def fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut | None:
+def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut | None:
     """Squared errors N^2 of the fold's normal readings in contact, everything refitted on the rest, without and with effects;
     good (n,): readings that are held against a model, the same ones whatever the effects, so that errors can be compared.
 

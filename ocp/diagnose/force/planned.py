@@ -117,9 +117,7 @@ def _unmeasured(
     whole = np.concatenate([z, np.zeros(problem.sizes[1]), values])
     made = linear(problem, whole, at, whiteners)
     information = np.eye(len(whole)) + reading_information(whiteners, made.sensitivity)
-    return problem, EffectFit(
-        whole, at, whiteners, made.residual, made.sensitivity, made.normal, information, made.slopes, 0
-    )  # fmt: skip
+    return problem, EffectFit(**vars(made), z=whole, at=at, whiteners=whiteners, information=information, steps=0)
 
 
 def noise_of_means(noise: CorrelatedNoise, count: int) -> CorrelatedNoise:

@@ -7,6 +7,7 @@ that remember the log, enter the reading. docs/diagnosis_force.md, eq. 1 to 5.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -187,11 +188,19 @@ def _memory(
     c, s = scene.conditions, made.samples
     slopes = s.at("slopes")
     share = np.divide(slopes[:, 1], slopes.sum(axis=1), out=np.zeros(len(slopes)), where=slopes.sum(axis=1) > 0)
-    contact, clock = c.contact.astype(float), c.clock if "clock_s" in c.given else None
+    same: dict[str, Any] = {name: getattr(c, name) for name in ("time", "s", "travel", "feed")}
     log = LogRows(
-        run=c.run.astype(float), time=c.time, s=c.s, F=forces[0], d_wheel=s.at("parts")[:, 1], stiffness=made.stiffness,
-        wheel_share=share, fn=forces[1], ft=forces[2], contact=contact, travel=c.travel, feed=c.feed, clock=clock,
-    )  # fmt: skip
+        run=c.run.astype(float),
+        F=forces[0],
+        d_wheel=s.at("parts")[:, 1],
+        stiffness=made.stiffness,
+        wheel_share=share,
+        fn=forces[1],
+        ft=forces[2],
+        contact=c.contact.astype(float),
+        clock=c.clock if "clock_s" in c.given else None,
+        **same,
+    )
     normal = none if effect.along is None else np.asarray(effect.along(log, joint, scanned), float)
     if effect.along_shear is not None:
         return normal, np.asarray(effect.along_shear(log, joint, scanned), float)

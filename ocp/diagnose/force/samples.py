@@ -9,16 +9,15 @@ import numpy as np
 from ocp.calibrate.force.conditions import LogConditions
 from ocp.calibrate.force.model import STATE, PlacedRows
 from ocp.effects.effect import Effect, Scanned
+from ocp.effects.engine.compiled import RowLayout
 from ocp.effects.engine.rows import CONTACT_LAYOUT, ContactPlace, contact_columns
 from ocp.model.cell import Cell
 from ocp.model.force_balance import axis_directions
 from ocp.model.theta import BLOCKS
 from robots.pose import Array
 
-_EDGES = np.cumsum([0, *(size for _, size in CONTACT_LAYOUT.sizes)]).tolist()
-PLACE = {name: slice(i, j) for (name, _), i, j in zip(CONTACT_LAYOUT.sizes, _EDGES[:-1], _EDGES[1:], strict=True)}
-_STARTS = dict(zip(BLOCKS, np.cumsum([0, *(len(names) for names in BLOCKS.values())]).tolist(), strict=False))
-_AT = {name: slice(_STARTS[name], _STARTS[name] + len(names)) for name, names in BLOCKS.items()}  # of theta
+PLACE = CONTACT_LAYOUT.places
+_AT = RowLayout(tuple((name, len(names)) for name, names in BLOCKS.items())).places  # of theta
 MOVING = 5e-6  # m/s of stroke below which the flange stands: what rounding of a log's columns alone makes
 
 
@@ -72,13 +71,12 @@ def samples_of(
     n_base = np.einsum("kij,kj->ki", R, w[:, 3:6])
     of_state = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_deflection")
     of_log = ("s", "setpoint", "feed", "belt", "time", "clock", "ground_before", "warm", "wheel_warm", "travel")
-    blocks = {name: state[:, STATE[name]] for name in of_state} | {name: getattr(c, name) for name in of_log} | {
-        "F": F, "p": w[:, :3], "n": w[:, 3:6], "t": w[:, 6:9], "e": e, "belt_direction": np.cross(axis, e), "n_base": n_base,
-        "axis": axis, "R_flange": flange.reshape(-1, 9), "R_blade": R.reshape(-1, 9), "stroke_sign": 0.0,
-        "normal_stiffness": stiffness, "push_axis": _push_axis(cell, flange, n_base), "line": c.line,
-        "lever": np.abs(w[:, :3] @ cell.workpiece.clamp_normal - cell.workpiece.clamp_offset),
-        "clamp_deflection": F / cell.workpiece.clamp_stiffness,
-    }  # fmt: skip
+    blocks: dict[str, Any] = {name: state[:, STATE[name]] for name in of_state} | {name: getattr(c, name) for name in of_log}
+    blocks |= {"F": F, "p": w[:, :3], "n": w[:, 3:6], "t": w[:, 6:9], "e": e, "n_base": n_base, "axis": axis, "line": c.line}
+    blocks |= {"R_flange": flange.reshape(-1, 9), "R_blade": R.reshape(-1, 9), "belt_direction": np.cross(axis, e)}
+    blocks |= {"normal_stiffness": stiffness, "push_axis": _push_axis(cell, flange, n_base), "stroke_sign": 0.0}
+    blocks["lever"] = np.abs(w[:, :3] @ cell.workpiece.clamp_normal - cell.workpiece.clamp_offset)
+    blocks["clamp_deflection"] = F / cell.workpiece.clamp_stiffness
     return ContactSamples(CONTACT_LAYOUT.stack(len(F), blocks))
 
 

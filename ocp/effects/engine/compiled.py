@@ -6,7 +6,7 @@ takes only those that the hook uses, so that 300 orders times 150 readings cost 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -36,6 +36,12 @@ class RowLayout:
         """Numbers of a row."""
         return sum(size for _, size in self.sizes)
 
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """The columns of each block."""
+        edges = np.cumsum([0, *(size for _, size in self.sizes)]).tolist()
+        return {name: slice(i, j) for (name, _), i, j in zip(self.sizes, edges[:-1], edges[1:], strict=True)}
+
     def split(self, whole: ca.SX) -> dict[str, ca.SX]:
         """The blocks of a symbolic row by name."""
         edges = np.cumsum([0, *(size for _, size in self.sizes)]).tolist()
@@ -52,12 +58,7 @@ class RowLayout:
 
     def block(self, rows: Array, name: str) -> Array:
         """The columns (n, size_i) of a block."""
-        start = 0
-        for key, size in self.sizes:
-            if key == name:
-                return rows[:, start : start + size]
-            start += size
-        raise KeyError(name)
+        return rows[:, self.places[name]]
 
 
 @dataclass(frozen=True)
