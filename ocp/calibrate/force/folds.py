@@ -16,14 +16,13 @@ from robots.pose import Array
 @dataclass(frozen=True)
 class HeldOutForce:
     """Rows in contact that were predicted without them: what was left out, how many, rms and mean of measured minus
-    predicted N, gap N (rms without the noise), expected standard deviation N of the mean, from parameters, noise and offsets."""
+    predicted N, gap N (rms without the noise)."""
 
     left_out: str
     rows: int
     rms: float
     mean: float
     gap: float
-    mean_sd: float
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def pooled_blocks(folds: list[HeldOutForce]) -> HeldOutForce:
     def together(name: str) -> float:
         return float(np.sqrt(np.sum(n * np.array([getattr(fold, name) for fold in folds]) ** 2) / n.sum()))
 
-    return HeldOutForce("each in turn", int(n.sum()), *(together(name) for name in ("rms", "mean", "gap", "mean_sd")))
+    return HeldOutForce("each in turn", int(n.sum()), *(together(name) for name in ("rms", "mean", "gap")))
 
 
 def without_rows(information: Array, sensitivity: Array, residual: Array) -> tuple[Array, Array]:
@@ -86,20 +85,10 @@ def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> He
     for kind in channel.kinds.values():
         at = kind.rows[left[kind.rows]]
         taken += kind.noise.information() * white.sensitivity[at].T @ white.sensitivity[at]
-    change, covariance = without_rows(solution.information - taken, A, white.residual[left])
-    r = solution.prior.root.shape[1]
+    change, _ = without_rows(solution.information - taken, A, white.residual[left])
     at = np.flatnonzero(left & log.contact)
     root = solution.jacobian[at] @ solution.prior.root
-    error = log.fn[at] - solution.reading[at] - root @ change[:r]
-    mean = root.mean(axis=0)
-    spread = mean @ covariance[:r, :r] @ mean
-    kind = channel.kinds[True]
-    sigma = channel.sigma()[at]
-    steps = kind.runs.step[np.isfinite(kind.runs.step) & (kind.runs.step > 0)]
-    each = kind.noise.samples_each(float(np.median(steps))) if len(steps) else 1.0
-    runs = np.unique(log.run[at], return_counts=True)[1]
-    offsets = solution.offset**2 * np.sum((runs / len(at)) ** 2)
-    noise = float(np.mean(sigma**2))
+    error = log.fn[at] - solution.reading[at] - root @ change[: root.shape[1]]
     rms = float(np.sqrt(np.mean(error**2)))
-    gap = float(np.sqrt(max(rms**2 - noise, 0.0)))
-    return HeldOutForce(label, len(at), rms, float(error.mean()), gap, float(np.sqrt(spread + noise * each / len(at) + offsets)))
+    noise = float(np.mean(channel.sigma()[at] ** 2))
+    return HeldOutForce(label, len(at), rms, float(error.mean()), float(np.sqrt(max(rms**2 - noise, 0.0))))
