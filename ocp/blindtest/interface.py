@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ocp.blindtest.report import last_line, write_blindtest_report
+from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
 from ocp.blindtest.scoring.figures import Figure, all_figures
 from ocp.blindtest.worlds.files import write_cell
@@ -77,4 +77,4 @@ def blindtest(
     rows = score_all(check, planned, count, phases)
     with phases.phase("report"):
         write_blindtest_report(check, rows)
-    return BlindtestResult(folder, tuple(rows), tuple(all_figures(rows)), last_line(check, rows))
+    return BlindtestResult(folder, tuple(rows), tuple(all_figures(rows)), blindtest_last_line(check, rows))

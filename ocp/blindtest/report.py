@@ -54,13 +54,15 @@ def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
     figures = all_figures(rows)
     sections = _sections(check, rows, figures)
     Report(KIND, TITLE, _headline(rows, figures), (), sections).write_page(check.folder / "report.html")
-    lines = [{"figure": f.what, "sense": f.sense, "target": f.target, "met": f.met, **_plain(f.estimate),
-              "oracle": _plain(f.oracle)} for f in figures]  # fmt: skip
+    lines = [
+        {"figure": f.what, "sense": f.sense, "target": f.target, "met": f.met} | _plain(f.estimate) | {"oracle": _plain(f.oracle)}
+        for f in figures
+    ]
     (check.folder / "table.json").write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
     (check.folder / "table.md").write_text(_markdown(check, sections), encoding="utf-8")
 
 
-def last_line(check: Check, rows: Sequence[Row]) -> str:
+def blindtest_last_line(check: Check, rows: Sequence[Row]) -> str:
     """The command's answer."""
     figures = all_figures(rows)
     judged = [f for f in figures if f.met is not None]
@@ -86,22 +88,21 @@ def _headline(rows: Sequence[Row], figures: Sequence[Figure]) -> Headline:
 
 
 def _sections(check: Check, rows: Sequence[Row], figures: Sequence[Figure]) -> list[Section]:
+    rests = (
+        "Every figure with its 95 % confidence interval and the number of worlds it rests on. A name counts as right within its "
+        "declared class, with the joint."
+    )
+    wrong = "Planted effects with their detectability, what was said with its probability, and what is wrong with it."
     return [
-        Section("Figures", (
-            "Every figure with its 95 % confidence interval and the number of worlds it rests on. A name counts as right within "
-            "its declared class, with the joint.", figures_table(figures),
-        )),
+        Section("Figures", (rests, figures_table(figures))),
         Section("How often the name is right", (_curve_plot(rows), method_table(rows, "top1"), method_table(rows, "top3"))),
         Section("What the probabilities are worth", (_reliability_plot(rows),)),
-        Section("The worst answers", (
-            "Planted effects with their detectability, what was said with its probability, and what is wrong with it.",
-            worst_table(rows),
-        )),
+        Section("The worst answers", (wrong, worst_table(rows))),
         Section("How it was made", tuple(_made(check))),
-    ]  # fmt: skip
+    ]
 
 
-def told(e: Estimate, percent: bool) -> str:
+def interval_words(e: Estimate, percent: bool) -> str:
     """Value, interval and count."""
     if not e.count or not np.isfinite(e.value):
         return "none"
@@ -122,11 +123,10 @@ def _target(f: Figure) -> str:
 def figures_table(figures: Sequence[Figure]) -> Table:
     """The table of DIAGNOSIS.md."""
     mark = {True: "yes", False: "no", None: ""}
-    rows = [
-        (f.what, _target(f), told(f.estimate, f.percent), str(f.estimate.count), mark[f.met],
-         told(f.oracle, f.percent) if f.oracle.count else "")
-        for f in figures
-    ]  # fmt: skip
+    rows = []
+    for f in figures:
+        oracle = interval_words(f.oracle, f.percent) if f.oracle.count else ""
+        rows.append((f.what, _target(f), interval_words(f.estimate, f.percent), str(f.estimate.count), mark[f.met], oracle))
     missed = [k for k, f in enumerate(figures) if f.met is False]
     return table(("figure", "target", "value (95 %)", "n", "reached", "oracle"), rows, text=(0, 4), strong=missed)
 
@@ -137,9 +137,9 @@ def method_table(rows: Sequence[Row], key: str) -> Table:
     lines = []
     for method in ("diagnosis", "strict", "oracle", *METHODS):
         found = by_bin(rows, key, method)
-        lines.append((METHOD_WORDS[method], *(told(e, True) for e in found)))
+        lines.append((METHOD_WORDS[method], *(interval_words(e, True) for e in found)))
     dealt = chance(rows, key)
-    lines.append(("chance: labels dealt anew", told(dealt, True), "", "", ""))
+    lines.append(("chance: labels dealt anew", interval_words(dealt, True), "", "", ""))
     return table(heads, lines, title="First name right" if key == "top1" else "Among the first three")
 
 

@@ -36,18 +36,13 @@ def write_experiments(trials: Sequence[Trial], wanted: float, notices: Sequence[
 
 def experiment_sections(trials: Sequence[Trial], wanted: float) -> list[Section]:
     """Positions, then forces by mount, then what the robots are."""
-    found = [
-        Section(
-            "Position (the paper's Table 2)",
-            (
-                "Absolute error of fresh poses, mm: where the reflector is against where the model says, readings of other poses "
-                f"fitted. The paper: {PAPER_POSITIONS['before']} before, {PAPER_POSITIONS['after']} after.",
-                position_table(trials),
-                Plot("positions", "Mean error of each robot's fresh poses, log scale; in order of their error before.", 2.8,
-                     lambda canvas: _draw_positions(canvas, trials)),
-            ),
-        )
-    ]  # fmt: skip
+    words = (
+        "Absolute error of fresh poses, mm: where the reflector is against where the model says, readings of other poses fitted. "
+        f"The paper: {PAPER_POSITIONS['before']} before, {PAPER_POSITIONS['after']} after."
+    )
+    caption = "Mean error of each robot's fresh poses, log scale; in order of their error before."
+    plot = Plot("positions", caption, 2.8, lambda canvas: _draw_positions(canvas, trials))
+    found = [Section("Position (the paper's Table 2)", (words, position_table(trials), plot))]
     mounts = list(dict.fromkeys(row.mount for row in force_rows(trials, wanted)))
     for mount in mounts:
         words = "Force-setting flange" if mount == "flange" else "Rigid mount"
@@ -86,14 +81,14 @@ def position_table(trials: Sequence[Trial]) -> Table:
 
 def force_table(trials: Sequence[Trial], wanted: float, mount: str) -> Table:
     """Forces of one mount beside the paper's."""
-    rows = [
-        (r.step, f"{r.low:.1f} .. {r.high:.1f}", f"{r.mean:.2f}", f"{100 * r.near:.0f} %", f"{r.sd:.2f}", f"{r.sd90:.2f}",
-         str(r.off), PAPER_FORCES.get(r.step, "") if mount == "flange" else "")
-        for r in force_rows(trials, wanted) if r.mount == mount
-    ]  # fmt: skip
-    head = ("calibrated", "least .. largest N", "mean N", "robots within 0.4 N", "sd in a robot N", "90 % of robots",
-            "robots that lost contact", "the paper N")  # fmt: skip
-    return table(head, rows, text=(0, 7))
+    rows = []
+    for r in force_rows(trials, wanted):
+        if r.mount == mount:
+            figures = (f"{r.mean:.2f}", f"{100 * r.near:.0f} %", f"{r.sd:.2f}", f"{r.sd90:.2f}", str(r.off))
+            paper = PAPER_FORCES.get(r.step, "") if mount == "flange" else ""
+            rows.append((r.step, f"{r.low:.1f} .. {r.high:.1f}", *figures, paper))
+    figures_head = ("mean N", "robots within 0.4 N", "sd in a robot N", "90 % of robots", "robots that lost contact")
+    return table(("calibrated", "least .. largest N", *figures_head, "the paper N"), rows, text=(0, 7))
 
 
 def _headline(trials: Sequence[Trial], wanted: float) -> Headline:
@@ -113,10 +108,8 @@ def _headline(trials: Sequence[Trial], wanted: float) -> Headline:
 def _draw_positions(canvas: Canvas, trials: Sequence[Trial]) -> None:
     ax = panels(canvas, 1, 1)[0][0]
     order = np.argsort([t.positions["before"].mean() for t in trials])
-    colours = {
-        "before": BEFORE, "placed": "#c3c9d0", "geometry": "#b07a1e", "relative": "#7b5ea7", "relative-literal": "#2a8a7a",
-        "oracle": INK, "full": AFTER,
-    }  # fmt: skip
+    colours = {"before": BEFORE, "placed": "#c3c9d0", "geometry": "#b07a1e", "relative": "#7b5ea7"}
+    colours |= {"relative-literal": "#2a8a7a", "oracle": INK, "full": AFTER}
     for method, colour in colours.items():
         dots(ax, np.arange(1, len(order) + 1), [trials[k].positions[method].mean() for k in order], colour, 3.2)
     log_scale(ax)

@@ -37,15 +37,18 @@ def write_poses_sheet(plan: "PosePlan", path: Path) -> None:
 def _words(sheet: Sheet, plan: "PosePlan") -> None:
     curve = plan.curve
     total, own, scatter = (f"{1e3 * v:.3f}" for v in (curve.chosen_total, curve.chosen, plan.design.repeatability))
+    if curve.enough is not None:
+        enough = f"Beyond {curve.enough} poses ten more improve it by less than 5 %."
+    else:
+        enough = f"Up to {int(curve.count[-1])} poses, ten more still improve it by more than 5 %."
     lines = [
         f"After calibration the blade's place in the grinding zone is expected within {total} mm (one sigma, 3D):",
         f"{own} mm from the calibration, {scatter} mm that the robot scatters by itself.",
-        f"Beyond {curve.enough} poses ten more improve it by less than 5 %." if curve.enough is not None
-        else f"Up to {int(curve.count[-1])} poses, ten more still improve it by more than 5 %.",
+        enough,
         "Mount in this order: " + ", then ".join(f"{c.payload} ({len(c.stops)} poses)" for c in plan.campaigns) + ".",
         f"Tracker: {plan.tracker_from}. Criterion: {plan.options.criterion}.",
         *plan.notices,
-    ]  # fmt: skip
+    ]
     for k, line in enumerate(lines[:8]):
         sheet.text(0.7, 1.35 + 0.2 * k, line[:125], fontsize=8.5, color=INK)
 

@@ -30,21 +30,27 @@ class Canvas:
     bottom: float = 0.0
 
     def subplots(
-        self, rows: int = 1, columns: int = 1, left: float = 0.5, right: float = 0.05, top: float = 0.22, bottom: float = 0.4,
-        across: float = 0.45, down: float = 0.5, widths: Sequence[float] | None = None, **options: Any,
-    ) -> Any:  # fmt: skip
+        self,
+        rows: int = 1,
+        columns: int = 1,
+        left: float = 0.5,
+        right: float = 0.05,
+        top: float = 0.22,
+        bottom: float = 0.4,
+        across: float = 0.45,
+        down: float = 0.5,
+        widths: Sequence[float] | None = None,
+        **options: Any,
+    ) -> Any:
         """Axes that fill the canvas, as `Figure.subplots` gives them; margins and gaps in inch, `widths` of the columns relative
         to each other."""
         width, height = self.figure.get_size_inches()
         panel_width = (WIDTH - left - right - across * (columns - 1)) / columns
         panel_height = (self.height - top - bottom - down * (rows - 1)) / rows
-        grid = self.figure.add_gridspec(
-            rows, columns, width_ratios=widths,
-            left=(self.left + left) / width, right=(self.left + WIDTH - right) / width,
-            bottom=(self.bottom + bottom) / height, top=(self.bottom + self.height - top) / height,
-            wspace=across / panel_width, hspace=down / panel_height,
-        )  # fmt: skip
-        return grid.subplots(**options)
+        edges = {"left": (self.left + left) / width, "right": (self.left + WIDTH - right) / width}
+        edges |= {"bottom": (self.bottom + bottom) / height, "top": (self.bottom + self.height - top) / height}
+        gaps = {"wspace": across / panel_width, "hspace": down / panel_height}
+        return self.figure.add_gridspec(rows, columns, width_ratios=widths, **edges, **gaps).subplots(**options)
 
 
 Draw = Callable[[Canvas], None]
@@ -79,10 +85,8 @@ def dots(ax: Axes, x: Any, y: Any, colour: str, size: float = 2.2, **options: An
 def keys(ax: Axes, entries: list[tuple[str, str]], top: float = 1.0, **options: Any) -> None:
     """A legend in one line above the right end of the axes: (label, colour)."""
     handles = [ax.plot([], [], color=colour, markersize=3.5, **DOTS)[0] for _, colour in entries]
-    settings: dict[str, Any] = {
-        "loc": "lower right", "bbox_to_anchor": (1.0, top), "ncols": len(entries), "frameon": False, "fontsize": 6.5,
-        "handletextpad": 0.1, "columnspacing": 1.2, "borderaxespad": 0.1, "labelcolor": SOFT,
-    }  # fmt: skip
+    settings: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, top), "ncols": len(entries), "frameon": False}
+    settings |= {"fontsize": 6.5, "handletextpad": 0.1, "columnspacing": 1.2, "borderaxespad": 0.1, "labelcolor": SOFT}
     ax.legend(handles, [printable(label) for label, _ in entries], **(settings | options))
 
 

@@ -79,11 +79,10 @@ def _parts_table(rehearsal: Rehearsal) -> Table:
 
 
 def _worst_table(rehearsal: Rehearsal) -> Table:
-    rows = [
-        (str(p.line), f"{1e3 * p.s:.1f}", "{:.1f}, {:.1f}, {:.1f}".format(*(1e3 * p.p)), f"{p.force:.1f}",
-         *(f"{p.parts[name]:+.1f}" for name in PARTS), p.cause)
-        for p in rehearsal.worst
-    ]  # fmt: skip
+    rows = []
+    for p in rehearsal.worst:
+        place = (str(p.line), f"{1e3 * p.s:.1f}", "{:.1f}, {:.1f}, {:.1f}".format(*(1e3 * p.p)))
+        rows.append((*place, f"{p.force:.1f}", *(f"{p.parts[name]:+.1f}" for name in PARTS), p.cause))
     columns = ("line", "s, mm", "x, y, z of the blade, mm", "force, N", *(f"{name}, N" for name in PARTS), "mostly")
     return table(columns, rows, text=(2, 4 + len(PARTS)))
 

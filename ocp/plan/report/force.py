@@ -23,8 +23,8 @@ from robots.pose import Array
 
 MAX_POINTS = 400
 """Points drawn of one pass on the page; a panel is about 400 pixels wide."""
-PASSES_PER_SHEET = 16
-"""Eight rows of two: about 20 mm high each, enough to read a tenth of the axis."""
+PASSES_PER_SHEET = 18
+"""Nine rows of two: about 16 mm high each, enough to read a tenth of the axis."""
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,13 @@ class ForcePanels(Part):
         for first in range(0, count, PASSES_PER_SHEET):
             last = min(first + PASSES_PER_SHEET, count)
             caption = f"In the order of the program: passes {first + 1} to {last} of {count}."
-            height = 0.52 + 1.05 * ((last - first + 1) // 2)
+            height = 0.5 + 0.94 * ((last - first + 1) // 2)
             yield Plot(f"force-{first}", caption, height, partial(_draw_forces, self.report, self.report.passes[first:last]))
 
 
 def _draw_forces(report: PlanReport, group: Sequence[PassReport], canvas: Canvas) -> None:
     rows = (len(group) + 1) // 2
-    axes = [ax for row in panels(canvas, rows, 2, down=0.36, across=0.3, bottom=0.3, sharex=True, sharey=True) for ax in row]
+    axes = [ax for row in panels(canvas, rows, 2, down=0.3, across=0.3, bottom=0.3, sharex=True, sharey=True) for ax in row]
     for ax, item in zip(axes, group, strict=False):
         _draw_force(ax, item, report.target_force)
     axes[0].set_xlim(0, _longest(report))
