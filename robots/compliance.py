@@ -1,4 +1,4 @@
-"""Springs in the joints: the posture that gravity leaves, and the give of the arm at a point (PHYSICS 2.5, 3.1)."""
+"""Springs in the joints: the posture that gravity leaves, and the compliance of the arm at a point (PHYSICS 2.5, 3.1)."""
 
 from collections.abc import Callable
 from typing import Any

@@ -257,7 +257,7 @@ def inverse_refined(robot: Robot, T: ArrayLike, q_seed: ArrayLike, tolerance: fl
     """Joints that bring the flange to poses T (n, 4, 4), from seeds (n, 6) rad, by damped Newton steps.
 
     The damping falls with the error, so that convergence stays quadratic away from singularities. Limits are
-    not looked at. Rows that do not arrive are told by `converged`, never by an exception.
+    not looked at. Rows that do not arrive are marked in `converged`, never by an exception.
     """
     T = np.asarray(T, float).reshape(-1, 4, 4)
     q = np.array(np.broadcast_to(np.asarray(q_seed, float), (len(T), 6)))

@@ -20,12 +20,13 @@ _CHUNK = 2048
 def mdh_transform(theta: Any, d: Any, a: Any, alpha: Any, beta: Any) -> Any:
     """A = Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta) as a 4 x 4 CasADi expression (PHYSICS 2.2); rad, m."""
     ct, st, calpha, salpha, cb, sb = (f(x) for x in (theta, alpha, beta) for f in (ca.cos, ca.sin))
-    return ca.blockcat([
+    rows = [
         [ct * cb - st * salpha * sb, -st * calpha, ct * sb + st * salpha * cb, a * ct],
         [st * cb + ct * salpha * sb, ct * calpha, st * sb - ct * salpha * cb, a * st],
         [-calpha * sb, salpha, calpha * cb, d],
         [0, 0, 0, 1],
-    ])  # fmt: skip
+    ]
+    return ca.blockcat(rows)
 
 
 def chain(q: Any, mdh: Any, sign: Any) -> list[Any]:

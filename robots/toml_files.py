@@ -1,4 +1,4 @@
-"""TOML files: reading one against a schema, every fault told in one sentence with its line; and writing one."""
+"""TOML files: reading one against a schema, every fault reported in one sentence with its line; and writing one."""
 
 import json
 import math

@@ -147,8 +147,14 @@ def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: In
         path=table.path,
         q=np.radians(table.stack(AXES)),
         point=1e-3 * table.stack(POINT) if measured else np.full((n, 3), np.nan),
-        target=target, targets=targets, payload=payload, payloads=names, station=station, stations=stations,
-        session=session, sessions=sessions,
+        target=target,
+        targets=targets,
+        payload=payload,
+        payloads=names,
+        station=station,
+        stations=stations,
+        session=session,
+        sessions=sessions,
         load=table.stack(LOAD) if _all(table, LOAD) else _partial(table, LOAD),
         load_link=_links(table),
         load_place=1e-3 * _partial(table, PLACE),
@@ -160,7 +166,7 @@ def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: In
         sigma_turn=turn_sd,
         line=np.array(table.line),
         notices=tuple(notices),
-    )  # fmt: skip
+    )
 
 
 def _notices(table: CsvTable, payloads: dict[str, Hanging]) -> list[str]:

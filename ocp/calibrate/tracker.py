@@ -17,7 +17,7 @@ from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.noise import Repeats, repeat_scatter
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
-from robots.calibration.validation import FOLDS, GROSS, Fold, HeldOut, folds, hold_out, validate
+from robots.calibration.validation import FOLDS, GROSS, FoldErrors, ReadingFold, folds, hold_out, validate
 from robots.errors import BadInput
 from robots.pose import Array
 from robots.tracker_readings import Readings, read_readings
@@ -54,7 +54,7 @@ class TrackerCalibration:
     fit: Fit
     believed: State
     identifiability: Identifiability
-    held_out: list[HeldOut]
+    held_out: list[FoldErrors]
     terms: list[Term]
     repeats: Repeats | None
     load_test: LoadTest | None
@@ -160,13 +160,13 @@ def compare_methods(fit: Fit, advance: object = None) -> MethodTable:
     return MethodTable(rows[order], np.linalg.norm(believed, axis=1), size, believed, off)
 
 
-def _by_method(fit: Fit, fold: Fold, method: str) -> HeldOut | None:
+def _by_method(fit: Fit, fold: ReadingFold, method: str) -> FoldErrors | None:
     if method == "full":
         return hold_out(fit, fold)
     return hold_out(fit, fold, lambda left, near: calibrate_by(method, left, near.choice, near.priors))
 
 
-def _held_by_method(fit: Fit, method: str) -> list[HeldOut]:
+def _held_by_method(fit: Fit, method: str) -> list[FoldErrors]:
     return validate(fit, lambda left, near: calibrate_by(method, left, near.choice, near.priors))
 
 

@@ -1,4 +1,4 @@
-"""Which terms a model earns: a joint that bends, a payload that differs, each judged on readings it was not fitted to.
+"""Terms selected on held-out error: a joint that bends, a payload that differs, each judged on readings it was not fitted to.
 
 Not only near those it was fitted to: a payload, a campaign, half of a joint's range left out must not suffer.
 """
@@ -12,7 +12,7 @@ from robots.calibration.fit import Fit, fit_campaign
 from robots.calibration.layout import Choice
 from robots.calibration.solver import Campaign
 from robots.calibration.student import NU, consistency
-from robots.calibration.validation import Fold, HeldOut, folds, hold_out
+from robots.calibration.validation import FoldErrors, ReadingFold, folds, hold_out
 from robots.robot import Robot
 
 LEAST_GAIN = 4.0  # of log density over all held-out readings; below it a term is not worth its name
@@ -33,7 +33,7 @@ class Term:
 
 
 def choose_terms(fit: Fit) -> tuple[Choice, list[Term]]:
-    """Add to the model of `fit` the joints and payloads that predict held-out blocks better; all candidates are told."""
+    """Add to the model of `fit` the joints and payloads that predict held-out blocks better; all candidates are reported."""
     campaign = fit.campaign
     if len(campaign.readings) > READINGS:
         campaign = replace(campaign, readings=campaign.readings.thinned(READINGS))
@@ -83,7 +83,7 @@ def _wanted(choice: Choice, more: Choice) -> float:
     return LEAST_GAIN + MORE * (parameters - 1)
 
 
-def _carries(fit: Fit, far: list[Fold], choice: Choice) -> bool:
+def _carries(fit: Fit, far: list[ReadingFold], choice: Choice) -> bool:
     """Whether a term helps beyond where it was fitted too: a stand-in for something else does not (DIAGNOSIS, impostors)."""
     pairs = zip(_scores(fit, far, fit.choice), _scores(fit, far, choice), strict=True)
     gains = [after.score.sum() - before.score.sum() for before, after in pairs if after is not None and before is not None]
@@ -100,14 +100,14 @@ def _bends(robot: Robot, j: int) -> bool:
     return bool(robot.stiffness[j - 1] > 0 or not (robot.stiffness > 0).any())
 
 
-def _scores(fit: Fit, blocks: list[Fold], choice: Choice) -> list[HeldOut | None]:
+def _scores(fit: Fit, blocks: list[ReadingFold], choice: Choice) -> list[FoldErrors | None]:
     def refit(left: Campaign, near: Fit) -> Fit:
         return fit_campaign(left, choice, near.priors, near.noise, begin=near.state)
 
     return [hold_out(fit, block, refit) for block in blocks]
 
 
-def _gain(before: list[HeldOut | None], after: list[HeldOut | None]) -> tuple[float, float]:
+def _gain(before: list[FoldErrors | None], after: list[FoldErrors | None]) -> tuple[float, float]:
     """Mean gain over the two ways of blocking, and over its standard error between blocks."""
     gains = np.array(
         [a.score.sum() - b.score.sum() for b, a in zip(before, after, strict=True) if a is not None and b is not None]

@@ -215,9 +215,23 @@ def _finished(
     information = scaled.T @ scaled * slope**2 / power + np.diag(precision)
     covariance = scaled_inverse(information, layout)
     return Fit(
-        campaign, choice, priors, layout, start, solution.state, solution.offset, covariance, solution.linear.residual,
-        weight / weights(np.zeros(1), k), solution.squared, solution.linear.J, solution.W, noise, spread, solution.steps,
-    )  # fmt: skip
+        campaign,
+        choice,
+        priors,
+        layout,
+        start,
+        solution.state,
+        solution.offset,
+        covariance,
+        solution.linear.residual,
+        weight / weights(np.zeros(1), k),
+        solution.squared,
+        solution.linear.J,
+        solution.W,
+        noise,
+        spread,
+        solution.steps,
+    )
 
 
 def scaled_inverse(information: Array, layout: Layout) -> Array:

@@ -123,7 +123,7 @@ def build_layout(robot: Robot, readings: Readings, instrument: Instrument, choic
 
 
 def typical_compliance(robot: Robot) -> Array:
-    """Scale (6,) of what a joint may give, rad/(N m): believed, else that of the stiffest listed joint, else 1e-6."""
+    """Scale (6,) of the joints' compliances, rad/(N m): believed, else that of the stiffest listed joint, else 1e-6."""
     c = believed_compliance(robot)
     known = c[c > 0]
     return np.where(c > 0, c, known.min() if len(known) else 1e-6)

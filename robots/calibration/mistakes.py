@@ -1,4 +1,4 @@
-"""Mistakes people make with readings, told instead of fitted: units, axes, signs, columns, rows, robot variant.
+"""Mistakes people make with readings, reported instead of fitted: units, axes, signs, columns, rows, robot variant.
 
 Each guess changes the readings as its mistake would and asks how well a rigid arm then fits (median distance). Where what
 was handed in does not fit and a guess does, the sentence names it.

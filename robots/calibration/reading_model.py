@@ -77,9 +77,8 @@ def predict(robot: Robot, arm: Array, rows: RowInputs) -> Prediction:
     X = np.swapaxes(np.linalg.solve(np.swapaxes(bent, 1, 2), np.swapaxes(J[..., :6], 1, 2)), 1, 2)
     forced = (X * c) @ T[..., 6:]  # mdh, payload
     d_arm = np.concatenate([J[..., 6:] + forced[..., :30], X * tau[:, None, :]], axis=2)
-    return Prediction(
-        point, R, d_arm[:, :3], R, forced[:, :3, 30:], X[:, :3], d_arm[:, 3:], forced[:, 3:, 30:], X[:, 3:]
-    )  # fmt: skip
+    d_payload = forced[:, :, 30:]
+    return Prediction(point, R, d_arm[:, :3], R, d_payload[:, :3], X[:, :3], d_arm[:, 3:], d_payload[:, 3:], X[:, 3:])
 
 
 def predict_points(robot: Robot, arm: Array, rows: RowInputs) -> tuple[Array, Array]:

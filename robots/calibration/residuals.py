@@ -28,7 +28,7 @@ def residuals(robot: Robot, readings: Readings, instrument: Instrument, state: S
     n = len(readings)
     k = 3 if readings.turn is None else 6
     out = np.empty((n, k))
-    for rows, inputs in _groups(readings, instrument, state):
+    for rows, inputs in row_groups(readings, instrument, state):
         point, R = predict_points(robot, state.arm, inputs)
         out[rows] = _difference(readings, state, rows, point, R)
     return out
@@ -37,7 +37,7 @@ def residuals(robot: Robot, readings: Readings, instrument: Instrument, state: S
 def points(robot: Robot, readings: Readings, instrument: Instrument, state: State) -> Array:
     """Predicted places (n, 3) m of the reflectors in their trackers' frames alone."""
     out = np.empty((len(readings), 3))
-    for rows, inputs in _groups(readings, instrument, state):
+    for rows, inputs in row_groups(readings, instrument, state):
         point, _ = predict_points(robot, state.arm, inputs)
         S = state.stations[readings.station[rows]]
         out[rows] = (S[:, :3, :3] @ point[..., None])[..., 0] + S[:, :3, 3]
@@ -50,7 +50,7 @@ def linearise(robot: Robot, readings: Readings, instrument: Instrument, layout: 
     k = 3 if readings.turn is None else 6
     residual, point = np.empty((n, k)), np.empty((n, 3))
     J, d_joints = np.zeros((n, k, layout.size)), np.empty((n, 3, 6))
-    for rows, inputs in _groups(readings, instrument, state):
+    for rows, inputs in row_groups(readings, instrument, state):
         p = predict(robot, state.arm, inputs)
         residual[rows] = _difference(readings, state, rows, p.point, p.R)
         S = state.stations[readings.station[rows]]
@@ -99,7 +99,7 @@ def _scatter(J: Array, blocks: list[tuple[Array, Array]], part: slice) -> None:
             J[here[:, None], np.arange(part.start, part.stop)[None, :], columns[here, m][:, None]] = block[here, :, m]
 
 
-def _groups(readings: Readings, instrument: Instrument, state: State) -> list[tuple[Index, RowInputs]]:
+def row_groups(readings: Readings, instrument: Instrument, state: State) -> list[tuple[Index, RowInputs]]:
     """Readings that share the link of their nest and of their load: rows and the inputs of their predictions."""
     nests = instrument.nests or {}
     link = np.array([nests[name].link if name in nests else 6 for name in readings.targets])[readings.target]

@@ -94,10 +94,9 @@ class Solution:
         c, step = self.campaign, self.layout.scale * change
         state = moved(self.layout, self.state, step)
         residual = _paired(c, residuals(c.robot, c.readings, c.instrument, state))
-        return replace(
-            self, state=state, offset=self.offset + step, linear=replace(self.linear, residual=residual),
-            squared=_squared(self.W, residual), steps=self.steps + 1, stale=bool(np.abs(step).max() > RELINEARISE),
-        )  # fmt: skip
+        linear, squared = replace(self.linear, residual=residual), _squared(self.W, residual)
+        there = replace(self, state=state, offset=self.offset + step, linear=linear, squared=squared)
+        return replace(there, steps=self.steps + 1, stale=bool(np.abs(step).max() > RELINEARISE))
 
     def joint_noise(self) -> Noise:
         """The joint noise that explains the residuals best."""

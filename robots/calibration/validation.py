@@ -20,7 +20,7 @@ GROSS = 0.05  # weight in the full fit below which a reading is an outlier and i
 
 
 @dataclass(frozen=True)
-class Fold:
+class ReadingFold:
     """Readings of one kind left out: kind ("random", "region", "campaign", "payload", "joint range"), name, held rows."""
 
     kind: str
@@ -29,12 +29,12 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class FoldErrors:
     """Errors (m,) m of the readings `rows` (m,) that the model of a fold had not seen; score (m,): log density of each;
     squared (m,): squared error over its predicted covariance, 3 on average where that is honest; off (m, 3) m: measured less
     predicted in the tracker's frame."""
 
-    fold: Fold
+    fold: ReadingFold
     rows: Index
     error: Array
     score: Array
@@ -44,41 +44,40 @@ class HeldOut:
     def figures(self) -> dict[str, float]:
         """rms, mean, standard deviation and maximum of the error in m, and error over prediction."""
         e = self.error
-        return {
-            "rms": float(np.sqrt(np.mean(e**2))), "mean": float(e.mean()), "sd": float(e.std()), "max": float(e.max()),
-            "over_predicted": float(np.sqrt(np.mean(self.squared) / 3)),
-        }  # fmt: skip
+        over = float(np.sqrt(np.mean(self.squared) / 3))
+        rms = float(np.sqrt(np.mean(e**2)))
+        return {"rms": rms, "mean": float(e.mean()), "sd": float(e.std()), "max": float(e.max()), "over_predicted": over}
 
 
-def folds(campaign: Campaign, seed: int = 0) -> Iterator[Fold]:
+def folds(campaign: Campaign, seed: int = 0) -> Iterator[ReadingFold]:
     """All folds that the readings allow, repeats always on one side."""
     readings = campaign.readings
     group = readings.repeats()
     rng = np.random.default_rng(seed)
     part = rng.permutation(group.max() + 1) % FOLDS
     for k in range(FOLDS):
-        yield Fold("random", f"{k + 1} of {FOLDS}", np.flatnonzero(part[group] == k))
+        yield ReadingFold("random", f"{k + 1} of {FOLDS}", np.flatnonzero(part[group] == k))
     # Regions in the space of the first three axes, where the arm is.
     q = readings.q[:, :3]
     _, label = kmeans2(q, FOLDS, seed=seed, minit="++")
     for k in np.unique(label):
-        yield Fold("region", f"{k + 1} of {FOLDS}", np.flatnonzero(label == k))
+        yield ReadingFold("region", f"{k + 1} of {FOLDS}", np.flatnonzero(label == k))
     for kind, index, names in (
         ("campaign", readings.session, readings.sessions),
         ("payload", readings.payload, readings.payloads),
     ):
         if len(np.unique(index)) > 1:
             for k in np.unique(index):
-                yield Fold(kind, names[k], np.flatnonzero(index == k))
+                yield ReadingFold(kind, names[k], np.flatnonzero(index == k))
     for j in range(6):
         middle = np.median(readings.q[:, j])
         if np.ptp(readings.q[:, j]) > np.radians(20):
-            yield Fold(
+            yield ReadingFold(
                 "joint range", f"axis {j + 1} above {np.degrees(middle):.0f} deg", np.flatnonzero(readings.q[:, j] > middle)
             )
 
 
-def hold_out(fit: Fit, fold: Fold, refit: Callable[[Campaign, Fit], Fit] | None = None) -> HeldOut | None:
+def hold_out(fit: Fit, fold: ReadingFold, refit: Callable[[Campaign, Fit], Fit] | None = None) -> FoldErrors | None:
     """Fit without the fold's readings and predict them; None where too few are left on a side.
 
     Readings with a nest or station that only the fold has cannot be predicted and are passed over, as are outliers.
@@ -102,7 +101,7 @@ def hold_out(fit: Fit, fold: Fold, refit: Callable[[Campaign, Fit], Fit] | None 
     squared = np.einsum("ni,ni->n", off, np.linalg.solve(whole, off[..., None])[..., 0])
     _, logdet = np.linalg.slogdet(whole * consistency(3))
     score = -0.5 * ((NU + 3) * np.log1p(squared / (NU * consistency(3))) + logdet)
-    return HeldOut(fold, rows, np.linalg.norm(off, axis=1), score, squared, off)
+    return FoldErrors(fold, rows, np.linalg.norm(off, axis=1), score, squared, off)
 
 
 def again(left: Campaign, fit: Fit) -> Fit:
@@ -110,17 +109,17 @@ def again(left: Campaign, fit: Fit) -> Fit:
     return fit_campaign(left, fit.choice, fit.priors, fit.noise, begin=fit.state)
 
 
-def validate(fit: Fit, refit: Callable[[Campaign, Fit], Fit] | None = None) -> list[HeldOut]:
+def validate(fit: Fit, refit: Callable[[Campaign, Fit], Fit] | None = None) -> list[FoldErrors]:
     """Every fold that can be judged."""
     return [h for h in (hold_out(fit, fold, refit) for fold in folds(fit.campaign)) if h is not None]
 
 
-def by_kind(found: list[HeldOut]) -> dict[str, dict[str, float]]:
+def by_kind(found: list[FoldErrors]) -> dict[str, dict[str, float]]:
     """Figures of each kind of fold, its readings together."""
     table = {}
     for kind in dict.fromkeys(h.fold.kind for h in found):
         parts = [h for h in found if h.fold.kind == kind]
-        together = HeldOut(
+        together = FoldErrors(
             parts[0].fold, *(np.concatenate([getattr(h, a) for h in parts]) for a in ("rows", "error", "score", "squared", "off"))
         )
         table[kind] = together.figures() | {"readings": float(len(together.rows)), "folds": float(len(parts))}

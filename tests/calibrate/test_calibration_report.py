@@ -29,7 +29,7 @@ from robots.calibration.identifiability import Hidden
 from robots.calibration.load_tests import LoadTest
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.residuals import residuals
-from robots.calibration.validation import Fold, HeldOut
+from robots.calibration.validation import FoldErrors, ReadingFold
 from tests.support.calibration_example import SIGMA, example_calibration, with_names
 
 HOSTILE = '</td><script>alert("x")</script><img src=x onerror=alert(1)>&amp;\'$\\frac{$ 叶片 \x00'
@@ -309,10 +309,10 @@ def test_advice_follows_from_what_is_lacking(made):
 
 
 def test_folds_that_extrapolate_badly_are_told_but_chance_is_not(made):
-    def fold(ratio: float, m: int) -> HeldOut:
+    def fold(ratio: float, m: int) -> FoldErrors:
         rows = np.arange(m)
-        return HeldOut(
-            Fold("payload", "plate", rows), rows, np.full(m, 1e-4), np.zeros(m), np.full(m, 3 * ratio**2), np.zeros((m, 3))
+        return FoldErrors(
+            ReadingFold("payload", "plate", rows), rows, np.full(m, 1e-4), np.zeros(m), np.full(m, 3 * ratio**2), np.zeros((m, 3))
         )
 
     assert extrapolates_badly(fold(1.7, 30)) and not extrapolates_badly(fold(1.3, 300)) and not extrapolates_badly(fold(1.55, 2))

@@ -12,7 +12,7 @@ from ocp.calibrate.tracker import TrackerCalibration
 from ocp.report.parts import Points
 from ocp.report.section import Section
 from robots.calibration.parameters import SYMBOLS
-from robots.calibration.validation import HeldOut
+from robots.calibration.validation import FoldErrors
 from robots.pose import Array
 
 ENOUGH = 40  # readings, three nests, five repeated postures, five load tests: what a good afternoon gives
@@ -66,11 +66,11 @@ def _folds(c: TrackerCalibration) -> list[str]:
     return found
 
 
-def _over(h: HeldOut) -> float:
+def _over(h: FoldErrors) -> float:
     return h.figures()["over_predicted"]
 
 
-def extrapolates_badly(h: HeldOut) -> bool:
+def extrapolates_badly(h: FoldErrors) -> bool:
     """Whether a fold's errors are above WORSE times the prediction and beyond chance."""
     return _over(h) > WORSE and beyond_chance(h)
 

@@ -8,7 +8,7 @@ from ocp.report.parts import Plot, Table, table
 from ocp.report.plotting import Canvas, dots, dressed, keys, log_scale, panels
 from ocp.report.section import Section
 from ocp.report.style import AFTER, BAD, BEFORE, INK, RULE, SIDE_COLOURS, printable, shorten
-from robots.calibration.validation import HeldOut, by_kind
+from robots.calibration.validation import FoldErrors, by_kind
 from robots.pose import Array
 
 KINDS = {
@@ -164,14 +164,14 @@ def _draw_folds(canvas: Canvas, c: TrackerCalibration) -> None:
     dressed(ratio, "error over prediction", grid="x")
 
 
-def beyond_chance(h: HeldOut) -> bool:
+def beyond_chance(h: FoldErrors) -> bool:
     """Whether the errors of a fold are above what the model states by more than SURPRISING sigmas of chance."""
     # The mean of m squared errors of 3 components over their variance has a standard error of sqrt(2 / (3 m)).
     chance = SURPRISING * float(np.sqrt(2.0 / (3.0 * len(h.rows))))
     return h.figures()["over_predicted"] ** 2 > 1.0 + chance
 
 
-def fold_name(c: TrackerCalibration, h: HeldOut) -> str:
+def fold_name(c: TrackerCalibration, h: FoldErrors) -> str:
     """A fold in words; a region by the middle of its first three axes, which is where the arm is."""
     if h.fold.kind == "joint range":
         return h.fold.name

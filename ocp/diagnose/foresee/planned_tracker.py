@@ -7,7 +7,7 @@ import numpy as np
 
 from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.refit import Held, Task, linearise_with
+from ocp.diagnose.tracker.refit import Task, TrackerFit, linearise_with
 from ocp.model.measuring_setup import TrackerSetup
 from robots.calibration.layout import Choice, Priors, build_layout, nominal_state
 from robots.calibration.noise import Noise, reading_covariance, whitener
@@ -184,7 +184,7 @@ def planned_channel(setup: TrackerSetup, readings: Readings) -> TrackerChannel:
     n = len(readings)
     W = np.broadcast_to(np.eye(3), (n, 3, 3))
     none = np.zeros((layout.size, layout.size))
-    fit = Held(start, np.zeros(layout.size), (), linear, extra, W, np.ones(n), Noise(), none)
+    fit = TrackerFit(start, np.zeros(layout.size), (), linear, extra, W, np.ones(n), Noise(), none)
     return channel_about(TrackerChannel(task, fit), campaign.readings)
 
 

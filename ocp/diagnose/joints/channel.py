@@ -88,9 +88,15 @@ class JointChannel:
         q, approach, tau = (own * a[p.row] for a in (p.signals.log.q, p.signals.direction, p.signals.tau))
         log = p.signals.log
         return Conditions(
-            signal="joint", q=q, approach=approach, time=log.time[p.row], run=log.run[p.row], tau=tau, d_joints=own[:, None],
+            signal="joint",
+            q=q,
+            approach=approach,
+            time=log.time[p.row],
+            run=log.run[p.row],
+            tau=tau,
+            d_joints=own[:, None],
             gear_ratio=ratios_of(self.surroundings),
-        )  # fmt: skip
+        )
 
     @property
     def noise_floor(self) -> float:
@@ -114,9 +120,14 @@ class JointChannel:
             white = self.problem.whitened(np.column_stack([self.gap()[:, 0], nuisance_sensitivities(self.problem)]))
             n = len(white)
             self._kept["system"] = System(
-                white[:, 0], white[:, 1:], nuisance_names(self.problem), sd, self.theta - mean, np.arange(n, dtype=np.int64),
+                white[:, 0],
+                white[:, 1:],
+                nuisance_names(self.problem),
+                sd,
+                self.theta - mean,
+                np.arange(n, dtype=np.int64),
                 np.zeros(n, np.int64),
-            )  # fmt: skip
+            )
         system: System = self._kept["system"]
         return system
 

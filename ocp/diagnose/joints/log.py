@@ -71,9 +71,16 @@ def read_joint_log(path: str | Path) -> JointLog:
     q, link = np.radians(table.stack(AXES)), np.radians(_columns(table, LINK))
     _check_link(table, q, link)
     log = JointLog(
-        path=table.path, run=run, runs=runs, time=table.numbers["time_s"], q=q, link=link, tau=_columns(table, TORQUE),
-        qd=np.radians(_columns(table, SPEED)) if any(c in table.numbers for c in SPEED) else None, row=np.array(table.line),
-    )  # fmt: skip
+        path=table.path,
+        run=run,
+        runs=runs,
+        time=table.numbers["time_s"],
+        q=q,
+        link=link,
+        tau=_columns(table, TORQUE),
+        qd=np.radians(_columns(table, SPEED)) if any(c in table.numbers for c in SPEED) else None,
+        row=np.array(table.line),
+    )
     if not log.joints:
         raise BadInput(
             f"{table.path}: no joint has {FEW} rows with a link side and moved by more than {np.degrees(MOVED):g} deg; "
@@ -112,9 +119,11 @@ def _check_link(table: CsvTable, q: Array, link: Array) -> None:
             slope = np.polyfit(q[known, j], link[known, j], 1)[0]
             how = "counts the other way" if slope < 0 else f"moves {slope:.3g} deg a degree of the motor side"
             raise table.refuse(
-                int(known[worst]), column, f"is {np.degrees(off[worst]):.1f} deg off {AXES[j]} beyond a constant and {how}; give "
-                "both in degrees at the link, with the axis' sign"
-            )  # fmt: skip
+                int(known[worst]),
+                column,
+                f"is {np.degrees(off[worst]):.1f} deg off {AXES[j]} beyond a constant and {how}; give "
+                "both in degrees at the link, with the axis' sign",
+            )
 
 
 def _notices(table: CsvTable, log: JointLog) -> list[str]:

@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from ocp.diagnose.engine.projection import Projection, project
 from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND, OTHER_LASTS
-from ocp.diagnose.tracker.refit import Held, Task
+from ocp.diagnose.tracker.refit import Task, TrackerFit
 from robots.pose import Array
 from robots.tracker_readings import Index
 
@@ -41,7 +41,7 @@ class Background:
         return np.asarray(self.draws.mean(axis=0))
 
 
-def background(task: Task, fit: Held, seed: int = 0) -> Background:
+def background(task: Task, fit: TrackerFit, seed: int = 0) -> Background:
     """The background that a fit's residual shows, its named effects taken out."""
     rng = np.random.default_rng(seed)
     n = len(task.campaign.readings)
@@ -59,7 +59,7 @@ def background(task: Task, fit: Held, seed: int = 0) -> Background:
     return Background(found + _other(task, fit, found, np.sum(D**2, axis=(0, 1)), rng)[:, None])
 
 
-def _projected(task: Task, fit: Held, rows: Index) -> tuple[Array, Array, Projection]:
+def _projected(task: Task, fit: TrackerFit, rows: Index) -> tuple[Array, Array, Projection]:
     """Residual (3 r,) white about zero effects and the prior's nuisance, joints' columns (3 r, 6) not yet projected."""
     layout = task.layout
     J = np.concatenate([fit.linear.J, fit.extra], axis=2)
@@ -172,7 +172,7 @@ def _amplitudes(weight: Array, mean: Array, V: Array, rng: np.random.Generator) 
     return np.asarray(c**2 + s**2)
 
 
-def _other(task: Task, fit: Held, found: Array, levers: Array, rng: np.random.Generator) -> Array:
+def _other(task: Task, fit: TrackerFit, found: Array, levers: Array, rng: np.random.Generator) -> Array:
     """Draws (k,) rad^2 of what else lasts: a share of the joint noise beyond `found` (k, 6), joints weighed by their levers (6,)
     m^2; the fewer the repeats, the more the prior says."""
     rest = np.maximum(fit.noise.joints**2 - found @ levers / levers.sum(), 0.0)

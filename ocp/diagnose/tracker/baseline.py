@@ -1,4 +1,4 @@
-"""The believed cell refitted: what a good calibration gives, and the start of every diagnosis of tracker readings.
+"""The believed cell refitted: what a good calibration yields, and the start of every diagnosis of tracker readings.
 
 It holds the geometry, the frames, the nests and the springs of the believed joints (within 35 % of what is believed: a spring
 that is far off is an effect, joint_compliance). Springs that the cell lists for other joints are for contact forces; whether they
@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ocp.diagnose.rules import BELIEVED_SPRING_SD, RELEARNED_WIDTH, STRAY_COMPLIANCE, STRAY_SPRINGS
-from ocp.diagnose.tracker.refit import Held, Task, refit
+from ocp.diagnose.tracker.refit import Task, TrackerFit, refit
 from robots.calibration.fit import Fit, fit_campaign, learned_priors, learned_width
 from robots.calibration.layout import Choice, Priors, believed_compliance, build_layout, nominal_state, offset_between
 from robots.calibration.noise import Noise, repeat_scatter
@@ -20,7 +20,9 @@ from robots.calibration.solver import Campaign
 from robots.calibration.validation import GROSS
 
 
-def believed_baseline(campaign: Campaign, compliant: tuple[int, ...], reference: float, stated: bool = True) -> tuple[Task, Held]:
+def believed_baseline(
+    campaign: Campaign, compliant: tuple[int, ...], reference: float, stated: bool = True
+) -> tuple[Task, TrackerFit]:
     """Task and fit of the believed cell; `compliant` joints of the cell, reference temperature deg C; stated: whether the cell
     lists the springs itself. Springs that only the robot's catalogue knows belong to `compliant` joints alone."""
     points = replace(campaign, readings=replace(campaign.readings, turn=None, sigma_turn=None))
@@ -69,7 +71,7 @@ def _rigid(fit: Fit, others: tuple[int, ...]) -> Fit:
     return replace(fit, state=replace(fit.state, arm=arm))
 
 
-def relearned(task: Task, fit: Held) -> Task:
+def relearned(task: Task, fit: TrackerFit) -> Task:
     """The task with the geometry's prior as wide as the deviations now found (MacKay 1992, eq. 2.20): an effect that is named
     has left the geometry. The same task where the widths hardly change."""
     layout = task.layout

@@ -12,7 +12,7 @@ from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.baseline import relearned
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
 from ocp.diagnose.tracker.motion import MASS_NAMES, PlacedReadings, displaced, mass_columns, motion
-from ocp.diagnose.tracker.refit import Held, Task, gap_noise, is_restless, refit, settled
+from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, placed_readings, refit, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener
@@ -20,10 +20,8 @@ from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.tracker_readings import Readings
 
-COLUMNS = {
-    "approach": "approach", "temperature_C": "temperature", "time_s": "time", "clock_s": "time", "target": "target",
-    "payload": "payload",
-}  # fmt: skip
+COLUMNS = {"temperature_C": "temperature", "time_s": "time", "clock_s": "time"}  # of the file, as `Readings` calls them
+COLUMNS |= {name: name for name in ("approach", "target", "payload")}
 ANY = {"target", "payload"}  # one of them is as good as many
 
 
@@ -36,7 +34,7 @@ class TrackerChannel:
     """
 
     task: Task
-    fit: Held
+    fit: TrackerFit
     store: dict[tuple[str, int], tuple[tuple[Scanned, ...], Array]] = field(default_factory=dict, repr=False)
     name: str = "tracker"
     unit: str = "mm"
@@ -50,16 +48,7 @@ class TrackerChannel:
     @cached_property
     def seen(self) -> PlacedReadings:
         """Readings as effects see them."""
-        c = self.task.campaign
-        return PlacedReadings(
-            c.robot,
-            c.readings,
-            c.instrument,
-            self.fit.state,
-            self.fit.linear.point,
-            self.task.reference,
-            self.task.start.arm[30:],
-        )
+        return placed_readings(self.task, self.fit.state, self.fit.linear.point)
 
     @property
     def active(self) -> tuple[Active, ...]:
@@ -130,13 +119,26 @@ class TrackerChannel:
             tau[rows] = weight_torques(c.robot, r.q[rows], mass, np.array(com))
         several = {"session": r.sessions, "station": r.stations}
         return Conditions(
-            signal=self.name, q=r.q, approach=r.approach, payload=r.payload, payloads=r.payloads, target=r.target,
-            targets=r.targets, time=r.time, clock=r.time, temperature=r.temperature,
+            signal=self.name,
+            q=r.q,
+            approach=r.approach,
+            payload=r.payload,
+            payloads=r.payloads,
+            target=r.target,
+            targets=r.targets,
+            time=r.time,
+            clock=r.time,
+            temperature=r.temperature,
             session=r.session if len(several["session"]) > 1 else None,
             station=r.station if len(several["station"]) > 1 else None,
-            tau=tau, d_joints=self.fit.linear.d_joints, d_tilts=self.seen.tilts, moments=self.seen.moments,
-            gear_ratio=ratios_of(self.surroundings), point=self.fit.linear.point, sight=self.seen.sight,
-        )  # fmt: skip
+            tau=tau,
+            d_joints=self.fit.linear.d_joints,
+            d_tilts=self.seen.tilts,
+            moments=self.seen.moments,
+            gear_ratio=ratios_of(self.surroundings),
+            point=self.fit.linear.point,
+            sight=self.seen.sight,
+        )
 
     def blind(self, effect: Effect) -> str:
         """Why it cannot be seen."""

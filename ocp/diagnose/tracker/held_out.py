@@ -13,7 +13,7 @@ from scipy.cluster.vq import kmeans2
 from ocp.diagnose.engine.system import Fold, Foreseen, HeldOut, Sealed, drifts
 from ocp.diagnose.rules import FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.motion import PlacedReadings, together
-from ocp.diagnose.tracker.refit import RANK, Held, Task, gap_noise, linearise_with, seen_of
+from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings
 from ocp.effects.effect import Active, prior_sds
 from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import points
@@ -59,7 +59,7 @@ def _thirds(kind: str, values: Array) -> list[Fold]:
 LEAST_TRAIN, LEAST_TEST = 15, 3
 
 
-def held_out_readings(task: Task, fit: Held, fold: Fold, active: Sequence[Active]) -> HeldOut | None:
+def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active]) -> HeldOut | None:
     """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects and with `active`."""
     r = task.campaign.readings
     held = np.asarray(fold.held, bool)
@@ -68,25 +68,23 @@ def held_out_readings(task: Task, fit: Held, fold: Fold, active: Sequence[Active
     rows = np.flatnonzero(held & known)
     if train.sum() < LEAST_TRAIN or len(rows) < LEAST_TEST:
         return None
-    seen = PlacedReadings(
-        task.campaign.robot, r, task.campaign.instrument, fit.state, fit.linear.point, task.reference, task.start.arm[30:]
-    )
+    seen = placed_readings(task, fit.state, fit.linear.point)
     whole = fit.linear.residual + added(fit.active, seen, fit)[1]
     extra, _ = added(active, seen, fit)
     before = _solved(task, fit, whole, np.zeros((len(r), 3, 0)), np.zeros(0), train)[0][rows]
     prior = prior_sds(active)
     errors, a, covariance = _solved(task, fit, whole, extra, prior, train)
     after = errors[rows]
-    told = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
+    estimated = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
     moved = a - _solved(task, fit, whole, extra, prior, np.ones(len(r), bool))[1]
     drift = drifts(active, moved, covariance)
     S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
     e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)
-    return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(told.mean()), drift)
+    return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(estimated.mean()), drift)
 
 
-def added(active: Sequence[Active], seen: PlacedReadings, fit: Held) -> tuple[Array, Array]:
+def added(active: Sequence[Active], seen: PlacedReadings, fit: TrackerFit) -> tuple[Array, Array]:
     """Columns (n, 3, m) m of effects about the fit, and what they add (n, 3) m at their values."""
     n = len(seen.readings)
     if not active:
@@ -96,7 +94,7 @@ def added(active: Sequence[Active], seen: PlacedReadings, fit: Held) -> tuple[Ar
     return np.concatenate(columns, axis=2), sum(c @ a.a for c, a in zip(columns, active, strict=True))  # type: ignore[return-value]
 
 
-def _solved(task: Task, fit: Held, residual: Array, extra: Array, prior: Array, train: Array) -> tuple[Array, Array, Array]:
+def _solved(task: Task, fit: TrackerFit, residual: Array, extra: Array, prior: Array, train: Array) -> tuple[Array, Array, Array]:
     """Errors (n, 3) m of all readings after the linear fit to `train`, coefficients (m,) and their covariance."""
     layout = task.layout
     sd = np.concatenate([layout.prior_sd, prior])
@@ -111,21 +109,27 @@ def _solved(task: Task, fit: Held, residual: Array, extra: Array, prior: Array, 
     return np.asarray(residual - J @ step), step[last], covariance
 
 
-def predict_sealed_readings(before_task: Task, before: Held, after_task: Task, after: Held, lasting: Array, sealed: Readings,
+def predict_sealed_readings(
+    before_task: Task,
+    before: TrackerFit,
+    after_task: Task,
+    after: TrackerFit,
+    lasting: Array,
+    sealed: Readings,
     parted: Foreseen,
-) -> Sealed:  # fmt: skip
+) -> Sealed:
     """`sealed` use the same names (targets, payloads, stations) as the readings that were fitted; `before` has no effects.
     lasting (6,): mean square rad^2 of each joint's errors that last (`background`); parted: which of `after`'s effects the
     conditions say enough of."""
     seen = replace(sealed, turn=None, sigma_turn=None, point=np.nan_to_num(sealed.point))
     baseline = points(before_task.campaign.robot, seen, before_task.campaign.instrument, before.state)
     corrected, covariance = _points(after_task, after, seen, lasting, parted)
-    usual = np.mean(added(parted.unknown, seen_of(after_task, after.state), after)[1] ** 2, axis=0)
+    usual = np.mean(added(parted.unknown, placed_readings(after_task, after.state), after)[1] ** 2, axis=0)
     sigma = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0) + usual)
     return Sealed(baseline, corrected, sigma, parted.lacking)
 
 
-def _points(task: Task, fit: Held, sealed: Readings, lasting: Array, parted: Foreseen) -> tuple[Array, Array]:
+def _points(task: Task, fit: TrackerFit, sealed: Readings, lasting: Array, parted: Foreseen) -> tuple[Array, Array]:
     """Points (n, 3) m in the tracker's frame, with the effects that are known there, and covariance (n, 3, 3) m^2 of where
     noise-free reflectors will be; lasting (6,): mean square rad^2 of each joint's errors that are the same whenever its axis
     comes back, and so are in noise-free readings."""

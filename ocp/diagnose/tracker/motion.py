@@ -11,7 +11,7 @@ from ocp.effects.effect import Active, Effect, Scanned
 from ocp.effects.engine.evaluate import TrackerRows, arm_columns, tracker_columns
 from ocp.effects.engine.rows import ArmRows, arm_rows
 from robots.calibration.layout import State
-from robots.calibration.reading_model import RowInputs
+from robots.calibration.residuals import row_groups
 from robots.gravity import GRAVITY, weight_torques
 from robots.pose import Array
 from robots.robot import Robot
@@ -60,21 +60,13 @@ class PlacedReadings:
     @cached_property
     def groups(self) -> list[tuple[Index, int, ArmRows]]:
         """Readings whose nest sits on the same link and whose load pulls at the same link: rows, link of the nest, the arm."""
-        r, nests = self.readings, self.instrument.nests or {}
-        link = np.array([nests[name].link if name in nests else 6 for name in r.targets])[r.target]
-        pulled = np.where(np.abs(r.load).max(axis=1) > 0, r.load_link, 6)
-        found = []
+        r, found = self.readings, []
         springs = np.clip(self.state.arm[30:], SPRINGS_WITHIN[0] * self.believed, SPRINGS_WITHIN[1] * self.believed)
         whole = np.concatenate([self.state.arm[:30], np.where(self.believed > 0, springs, self.state.arm[30:])])
-        for on, load_link in sorted({*zip(link.tolist(), pulled.tolist(), strict=True)}):
-            rows = np.flatnonzero((link == on) & (pulled == load_link))
-            inputs = RowInputs(
-                r.q[rows], self.state.payloads[r.payload[rows]], r.load[rows], r.load_place[rows],
-                self.state.nests[r.target[rows]], on, load_link,
-            )  # fmt: skip
+        for rows, inputs in row_groups(r, self.instrument, self.state):
             parts = [None if a is None else a[rows] for a in (r.approach, self.warm, r.time)]
             arm = arm_rows(self.robot, whole, inputs, r.payloads, r.payload[rows].astype(float), *parts)
-            found.append((rows, on, arm))
+            found.append((rows, inputs.nest_link, arm))
         return found
 
     @cached_property

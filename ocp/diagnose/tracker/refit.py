@@ -31,8 +31,8 @@ from robots.pose import Array
 
 
 def gap_noise(noise: Noise) -> Noise:
-    """The joint noise that a gap is told against: what the residual asks for unless that is far above the usual (`is_restless`),
-    for then it is the gap itself."""
+    """The joint noise that a gap is judged against: what the residual asks for unless that is far above the usual
+    (`is_restless`), for then it is the gap itself."""
     return Noise(USUAL_JOINT_NOISE) if is_restless(noise.joints) else noise
 
 
@@ -62,7 +62,7 @@ RANK = 1e-9  # of the largest singular value; what the readings say less of stay
 
 
 @dataclass(frozen=True)
-class Held:
+class TrackerFit:
     """A fit with active effects: state and its offset (p,) from the prior's mean, active effects with values and covariance,
     linear (residual about everything, derivatives in the layout's unknowns), extra (n, 3, m) m per unit coefficient of all
     active effects side by side, W (n, 3, 3) whitener with the readings' reliability in it, weight (n,), noise, covariance of
@@ -91,7 +91,7 @@ class Task:
     repeats: Repeats | None = None
 
 
-def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noise: Noise) -> Held:
+def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noise: Noise) -> TrackerFit:
     """Fit from `state` and the active effects' values, the joint noise with it."""
     found = _settled(task, state, offset, tuple(active), noise)
     for _ in range(3):
@@ -107,12 +107,12 @@ def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noi
     return found
 
 
-def settled(task: Task, fit: Held) -> Held:
+def settled(task: Task, fit: TrackerFit) -> TrackerFit:
     """`fit` brought to rest with the priors and readings of `task`; its joint noise stays."""
     return _settled(task, fit.state, fit.offset, fit.active, fit.noise)
 
 
-def freedom_used(layout: Layout, fit: Held) -> float:
+def freedom_used(layout: Layout, fit: TrackerFit) -> float:
     """Degrees of freedom that the readings, not the priors, take up."""
     prior = np.concatenate([layout.prior_sd, prior_sds(fit.active)])
     return float(np.sum(1.0 - np.diag(fit.covariance) / prior**2))
@@ -124,7 +124,7 @@ def linearise_with(task: Task, state: State, active: tuple[Active, ...]) -> tupl
     n = len(c.readings)
     if not active:
         return linearise(c.robot, c.readings, c.instrument, task.layout, state), np.zeros((n, 3, 0))
-    parts, shift, displacement = together(active, seen_of(task, state))
+    parts, shift, displacement = together(active, placed_readings(task, state))
     turned = replace(c.readings, q=c.readings.q + shift)
     linear = linearise(c.robot, turned, c.instrument, task.layout, state)
     linear = replace(linear, residual=linear.residual - displacement, point=linear.point + displacement)
@@ -137,19 +137,20 @@ def points_with(task: Task, state: State, active: tuple[Active, ...]) -> Array:
     c = task.campaign
     if not active:
         return points(c.robot, c.readings, c.instrument, state)
-    _, shift, displacement = together(active, seen_of(task, state))
+    _, shift, displacement = together(active, placed_readings(task, state))
     return points(c.robot, replace(c.readings, q=c.readings.q + shift), c.instrument, state) + displacement
 
 
-def seen_of(task: Task, state: State) -> PlacedReadings:
-    """The readings about a state, for effects."""
+def placed_readings(task: Task, state: State, point: Array | None = None) -> PlacedReadings:
+    """The readings about a state, for effects; point (n, 3) m: their reflectors, as measured by default."""
     c = task.campaign
-    return PlacedReadings(c.robot, c.readings, c.instrument, state, c.readings.point, task.reference, task.start.arm[30:])
+    point = c.readings.point if point is None else point
+    return PlacedReadings(c.robot, c.readings, c.instrument, state, point, task.reference, task.start.arm[30:])
 
 
 @dataclass(frozen=True)
 class _Point:
-    """A point of the search (`robots.gauss_newton`): as `Held`, before its covariance is known."""
+    """A point of the search (`robots.gauss_newton`): as `TrackerFit`, before its covariance is known."""
 
     task: Task
     state: State
@@ -205,7 +206,7 @@ def _settled(
     active: tuple[Active, ...],
     noise: Noise,
     here: tuple[Linearised, Array] | None = None,
-) -> Held:
+) -> TrackerFit:
     """Gauss-Newton until a step is small against the posterior; here: `linearise_with` at the beginning where it is known."""
     linear, extra = linearise_with(task, state, active) if here is None else here
     none = np.zeros(0)
@@ -215,4 +216,4 @@ def _settled(
     at, scale, size = found.at, start.scale, task.layout.size
     covariance = scale[:, None] * found.last.covariance * scale[None, :]
     named = with_coefficients(at.active, coefficients(at.active), covariance[size:, size:])
-    return Held(at.state, at.offset, named, at.linear, at.extra, at.W, at.weight, noise, covariance)
+    return TrackerFit(at.state, at.offset, named, at.linear, at.extra, at.W, at.weight, noise, covariance)
