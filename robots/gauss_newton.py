@@ -60,6 +60,9 @@ class Valley:
     lost: int
 
 
+NO_VALLEY = Valley(1, -np.inf, -np.inf, 10**9, 10**9)  # such a search ends by its steps alone
+
+
 @dataclass(frozen=True)
 class Rule:
     """How a search steps and when it ends.
@@ -79,7 +82,7 @@ class Rule:
     rank: float | None = None
     relaxed: bool = False
     broyden: bool = False
-    valley: Valley | None = None
+    valley: Valley = NO_VALLEY
 
 
 @dataclass(frozen=True)
@@ -132,8 +135,7 @@ def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
     valley = rule.valley
 
     def gained_less(least: float) -> bool:
-        enough = valley is not None and len(costs) > reweighted + valley.over
-        return enough and valley is not None and costs[-1 - valley.over] - costs[-1] < least
+        return len(costs) > reweighted + valley.over and costs[-1 - valley.over] - costs[-1] < least
 
     for _ in range(rule.steps):
         if len(costs) < reweighted:
@@ -152,15 +154,14 @@ def minimise(start: P, precision: Array, rule: Rule) -> Minimum[P]:
             update = np.outer(residual - left - sensitivity @ took, took / (took @ took))
             missed = update if missed is None else missed + update
         at = there
-        if step.change @ step.normal @ step.change < rule.rest or (valley and gained_less(valley.still)):
+        if step.change @ step.normal @ step.change < rule.rest or gained_less(valley.still):
             return Minimum(at, step, len(costs), True)
-        if valley:
-            tries += 1 + halvings
-            astray = halvings == rule.halvings and _cost(left, at.z, precision) > costs[-1] + valley.close
-            lost = lost + 1 if astray else 0
-            if tries > valley.tries or lost == valley.lost:
-                break
-    return Minimum(at, step, len(costs), valley is not None and gained_less(valley.close))
+        tries += 1 + halvings
+        astray = halvings == rule.halvings and _cost(left, at.z, precision) > costs[-1] + valley.close
+        lost = lost + 1 if astray else 0
+        if tries > valley.tries or lost == valley.lost:
+            break
+    return Minimum(at, step, len(costs), gained_less(valley.close))
 
 
 def _cost(residual: Array, z: Array, precision: Array) -> float:

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from ocp.calibrate.report.pages import write_calibration_report
-from ocp.calibrate.tracker import TrackerCalibration
+from ocp.calibrate.tracker import TrackerCalibration, as_calibration
 from ocp.model.cell import cell_tables_for
 from ocp.report.section import Section
 from ocp.shell.cache import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
-from robots.calibration.fit import as_calibration
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.store import Calibration, write_calibration
 from robots.calibration.validation import GROSS, by_kind

@@ -1,7 +1,9 @@
 """The calibration as a function: readings in, a fitted and judged arm out. Writing it is `ocp.calibrate.files`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,16 +12,19 @@ from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
 from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings, predictive_covariance
 from robots.calibration.identifiability import Identifiability, identify
-from robots.calibration.layout import Choice, State
+from robots.calibration.layout import Choice, Layout, State
 from robots.calibration.load_tests import LoadTest, load_test
 from robots.calibration.methods import METHODS, before, calibrate_by
 from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.noise import Repeats, repeat_scatter
+from robots.calibration.parameters import BASE_NAMES
+from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
+from robots.calibration.store import Calibration
 from robots.calibration.validation import FOLDS, GROSS, FoldErrors, ReadingFold, folds, hold_out, validate
 from robots.errors import BadInput
-from robots.pose import Array
+from robots.pose import Array, abc_by_spin, abc_from_rotation
 from robots.tracker_readings import Readings, read_readings
 
 LEAST_READINGS = 20
@@ -137,6 +142,44 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases) -> Tracke
         sealed_points=points,
         sealed_covariance=covariance,
         notices=(*readings.notices, *_notices(full)),
+    )
+
+
+def as_calibration(
+    robot: str,
+    layout: Layout,
+    state: State,
+    covariance: Array,
+    station: int,
+    rigid: Sequence[int] = (),
+    payload: int | None = None,
+    provenance: dict[str, Any] | None = None,
+    not_identified: dict[str, str] | None = None,
+) -> Calibration:
+    """A fit's state as named parameters: the arm's unknowns, joints `rigid` (1..6) without their springs, the payload of an
+    index, the base in a station's frame. covariance (p, p) begins with the layout's unknowns."""
+    fitted = np.flatnonzero(layout.arm >= 0)
+    names = [*(ARM_NAMES[i] for i in fitted), *(f"c{j}" for j in rigid)]
+    values = [*state.arm[fitted], *np.zeros(len(rigid))]
+    columns = [*layout.arm[fitted], *np.full(len(rigid), -1)]
+    if payload is not None:
+        names += PAYLOAD_NAMES
+        values += [*state.payloads[payload]]
+        columns += [*layout.payload[payload]]
+    T = state.stations[station]
+    known = np.array(columns) >= 0
+    to_named = np.zeros((len(names) + 6, len(covariance)))
+    to_named[np.flatnonzero(known), np.array(columns)[known]] = 1.0
+    to_named[len(names) : len(names) + 3, layout.station[station, :3]] = np.eye(3)
+    to_named[len(names) + 3 :, layout.station[station, 3:]] = abc_by_spin(T)
+    named = to_named @ covariance @ to_named.T
+    return Calibration(
+        robot=robot,
+        names=(*names, *BASE_NAMES),
+        values=np.array([*values, *T[:3, 3], *abc_from_rotation(T[:3, :3])]),
+        covariance=0.5 * (named + named.T),
+        provenance=provenance or {},
+        not_identified=not_identified or {},
     )
 
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from ocp.calibrate.tracker import as_calibration
 from ocp.diagnose.dataset import CELL, DataSet
 from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active
 from ocp.model.cell import cell_tables_for
-from robots.calibration.fit import as_calibration
 from robots.calibration.store import Calibration, write_calibration
 from robots.pose import Array
 from robots.toml_files import toml_text

@@ -3,9 +3,7 @@
 Maximum a posteriori with Student-t errors, from a start found in the data alone. docs/calibration.md has the equations.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.random import default_rng
@@ -13,13 +11,10 @@ from scipy.linalg import cho_factor, cho_solve
 
 from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state, offset_between
 from robots.calibration.noise import Noise
-from robots.calibration.parameters import BASE_NAMES
-from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, Solution, solve
-from robots.calibration.store import Calibration
 from robots.calibration.student import gaussian_moments, moments, spread_of, weights
-from robots.pose import Array, abc_by_spin, abc_from_rotation, make_transform
+from robots.pose import Array, make_transform
 from robots.tracker_readings import Index, Readings
 
 TRIALS, SUBSET = 200, 4  # small sets of readings that are tried to place the tracker, and their size
@@ -30,11 +25,10 @@ LEARNED = (5e-5, 1e-2)  # m or rad, bounds of the learned priors
 PLAIN, WEAK = Choice(), Priors()
 
 
-def rigid_motion(source: Array, target: Array, weight: Array | None = None) -> Array:
-    """T (4, 4) that moves source (n, 3) onto target (n, 3) in weighted least squares (Kabsch 1976), always right-handed."""
-    w = np.ones(len(source)) if weight is None else weight
-    a, b = (np.average(x, axis=0, weights=w) for x in (source, target))
-    U, _, Vt = np.linalg.svd((source - a).T @ (w[:, None] * (target - b)))
+def rigid_motion(source: Array, target: Array) -> Array:
+    """T (4, 4) that moves source (n, 3) onto target (n, 3) in least squares (Kabsch 1976), always right-handed."""
+    a, b = source.mean(axis=0), target.mean(axis=0)
+    U, _, Vt = np.linalg.svd((source - a).T @ (target - b))
     R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
     return make_transform(R, b - R @ a)
 
@@ -191,7 +185,7 @@ def _finished(
     """Covariance of the M-estimator (Huber 1981, section 7.6) about the solution."""
     k = solution.linear.residual.shape[1]
     n, p = len(solution.linear.residual), layout.size
-    precision = np.where(np.isfinite(layout.prior_sd), (layout.scale / layout.prior_sd) ** 2, 0.0)
+    precision = layout.precision
     # Degrees of freedom that the readings, not the priors, take up.
     whitened = ((solution.W @ solution.linear.J) * layout.scale / solution.spread).reshape(-1, p)
     gained = whitened.T @ whitened
@@ -253,8 +247,7 @@ def predict_readings(fit: Fit, readings: Readings) -> tuple[Array, Array]:
     """
     c = fit.campaign
     seen = replace(readings, turn=None)
-    layout = replace(fit.layout)
-    linear = linearise(c.robot, replace(seen, point=np.nan_to_num(seen.point)), c.instrument, layout, fit.state)
+    linear = linearise(c.robot, replace(seen, point=np.nan_to_num(seen.point)), c.instrument, fit.layout, fit.state)
     J = linear.J[:, :3]
     return linear.point, np.asarray(J @ fit.covariance @ np.swapaxes(J, 1, 2))
 
@@ -270,41 +263,3 @@ def predictive_covariance(fit: Fit, readings: Readings, repeatability: float = 0
     d_joints = linearise(c.robot, seen, c.instrument, fit.layout, fit.state).d_joints
     unmodelled = fit.spread**2 * max(fit.noise.joints**2 - repeatability**2, 0.0)
     return np.asarray(predict_readings(fit, readings)[1] + unmodelled * d_joints @ np.swapaxes(d_joints, 1, 2))
-
-
-def as_calibration(
-    robot: str,
-    layout: Layout,
-    state: State,
-    covariance: Array,
-    station: int,
-    rigid: Sequence[int] = (),
-    payload: int | None = None,
-    provenance: dict[str, Any] | None = None,
-    not_identified: dict[str, str] | None = None,
-) -> Calibration:
-    """A fit's state as named parameters: the arm's unknowns, joints `rigid` (1..6) without their springs, the payload of an
-    index, the base in a station's frame. covariance (p, p) begins with the layout's unknowns."""
-    fitted = np.flatnonzero(layout.arm >= 0)
-    names = [*(ARM_NAMES[i] for i in fitted), *(f"c{j}" for j in rigid)]
-    values = [*state.arm[fitted], *np.zeros(len(rigid))]
-    columns = [*layout.arm[fitted], *np.full(len(rigid), -1)]
-    if payload is not None:
-        names += PAYLOAD_NAMES
-        values += [*state.payloads[payload]]
-        columns += [*layout.payload[payload]]
-    T = state.stations[station]
-    known = np.array(columns) >= 0
-    to_named = np.zeros((len(names) + 6, len(covariance)))
-    to_named[np.flatnonzero(known), np.array(columns)[known]] = 1.0
-    to_named[len(names) : len(names) + 3, layout.station[station, :3]] = np.eye(3)
-    to_named[len(names) + 3 :, layout.station[station, 3:]] = abc_by_spin(T)
-    named = to_named @ covariance @ to_named.T
-    return Calibration(
-        robot=robot,
-        names=(*names, *BASE_NAMES),
-        values=np.array([*values, *T[:3, 3], *abc_from_rotation(T[:3, :3])]),
-        covariance=0.5 * (named + named.T),
-        provenance=provenance or {},
-        not_identified=not_identified or {},
-    )

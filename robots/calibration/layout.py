@@ -73,6 +73,11 @@ class Layout:
         columns = self.arm[:30]
         return columns[IS_LENGTH & (columns >= 0)], columns[~IS_LENGTH & (columns >= 0)]
 
+    @property
+    def precision(self) -> Array:
+        """Of the priors (p,) in units of the scale: 0 where there is none."""
+        return np.where(np.isfinite(self.prior_sd), (self.scale / self.prior_sd) ** 2, 0.0)
+
     def index(self, name: str) -> int:
         """Column of a name."""
         return self.names.index(name)

@@ -61,9 +61,8 @@ def _as_readings(fit: Fit, campaign: Campaign, state: State) -> Fit:
     spread = spread_of(squared, 3)
     weight = weights(squared / spread**2, 3) / weights(np.zeros(1), 3)
     whitened = ((W @ linear.J) * fit.layout.scale / spread).reshape(-1, fit.layout.size)
-    precision = np.where(np.isfinite(fit.layout.prior_sd), (fit.layout.scale / fit.layout.prior_sd) ** 2, 0.0)
     power, slope, _ = gaussian_moments(3)
-    covariance = scaled_inverse(whitened.T @ whitened * slope**2 / power + np.diag(precision), fit.layout)
+    covariance = scaled_inverse(whitened.T @ whitened * slope**2 / power + np.diag(fit.layout.precision), fit.layout)
     seen = replace(fit, residual=linear.residual, weight=weight, squared=squared, J=linear.J, W=W, spread=spread)
     return replace(seen, campaign=campaign, state=state, covariance=covariance)
 

@@ -111,9 +111,7 @@ class Solution:
 
 def solve(campaign: Campaign, layout: Layout, begin: State, offset: Array, noise: Noise) -> Solution:
     """The most probable state near `begin`, which is `offset` (p,) from the prior's mean."""
-    known = np.isfinite(layout.prior_sd)
-    precision = np.where(known, (layout.scale / layout.prior_sd) ** 2, 0.0) + JITTER
-    return minimise(Solution.at(campaign, layout, begin, offset, noise), precision, RULE).at.reweighted()
+    return minimise(Solution.at(campaign, layout, begin, offset, noise), layout.precision + JITTER, RULE).at.reweighted()
 
 
 def _linearised(campaign: Campaign, layout: Layout, state: State, noise: Noise) -> tuple[Linearised, Array]:
