@@ -14,7 +14,7 @@ ALL = "single,none,none_background,pair,triple,outside,left_out"
 
 
 @app.command()
-def blindtest(
+def _blindtest(
     worlds: Annotated[int, typer.Option(help="how many worlds; more than before goes on where the last run ended")] = 95,
     kinds: Annotated[str, typer.Option(help="kinds of worlds, with commas; all by default")] = ALL,
     signals: Annotated[str, typer.Option(help="what is measured: tracker, force or both")] = "tracker",

@@ -12,7 +12,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
-def calibrate(
+def _calibrate(
     tracker: Annotated[Path, typer.Argument(help="laser-tracker readings, tracker.csv")],
     cell: Annotated[Path, typer.Option(help="the cell file")],
     force: Annotated[Path | None, typer.Option(help="grinding-force log of a force ladder, force.csv")] = None,

@@ -21,7 +21,7 @@ def _catalogue() -> str | None:
 
 
 @app.command(epilog=_catalogue())
-def diagnose(
+def _diagnose(
     folder: Annotated[Path | None, typer.Argument(help="data set: cell.toml with tracker.csv, force.csv, joints.csv")] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("diagnosis"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,

@@ -14,7 +14,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
-def experiments(
+def _experiments(
     cell: Annotated[Path, typer.Option(help="the cell file")] = CELL,
     robots: Annotated[int, typer.Option(help="how many virtual robots")] = 30,
     seed: Annotated[int, typer.Option(help="number of the first robot")] = 0,

@@ -109,7 +109,7 @@ class Controller:
 
 
 @dataclass(frozen=True)
-class Conditions:
+class RunConditions:
     """What effects depend on while a plan runs: warm and wheel_warm K above the cell's reference, time s of the robot's
     campaign, clock s that the wheel has run, how often every line was ground before."""
 
@@ -136,7 +136,7 @@ class Cell:
     controller: Controller
     tables: CellTables
     effects: tuple[CellEffect, ...] = ()
-    conditions: Conditions = Conditions()
+    conditions: RunConditions = RunConditions()
 
 
 def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
@@ -189,9 +189,9 @@ def robot_of(path: Path, tables: CellTables) -> Robot:
         raise BadInput(f"{path}, robot.model: {error}") from None
 
 
-def _conditions(table: ConditionsTable, reference: float) -> Conditions:
+def _conditions(table: ConditionsTable, reference: float) -> RunConditions:
     warm, wheel = (0.0 if t is None else t - reference for t in (table.temperature_C, table.wheel_temperature_C))
-    return Conditions(warm, wheel, table.time_s, table.clock_s, table.ground_before)
+    return RunConditions(warm, wheel, table.time_s, table.clock_s, table.ground_before)
 
 
 def wheel_frame(cell: Cell) -> Array:

@@ -13,7 +13,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
-def plan(
+def _plan(
     blade: Annotated[Path | None, typer.Argument(help="the blade's STL; without it the cell's own")] = None,
     cell: Annotated[Path, typer.Option(help="the cell file")] = CELL,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("plan"),

@@ -15,7 +15,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
-def poses(
+def _poses(
     cell: Annotated[Path, typer.Option(help="the cell file")] = CELL,
     count: Annotated[int, typer.Option("-n", help="how many poses; each is read twice, approached from either side")] = 40,
     criterion: Annotated[str, typer.Option(help="zone (accuracy at the wheel), or O1 to O5 of the literature")] = "zone",

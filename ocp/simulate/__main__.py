@@ -12,7 +12,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
-def simulate(
+def _simulate(
     plan: Annotated[Path | None, typer.Argument(help="folder that ocp.plan wrote; without it only the tracker campaign")] = None,
     cell: Annotated[Path | None, typer.Option(help="the cell file; without it the one the plan was made with")] = None,
     blade: Annotated[Path | None, typer.Option(help="the blade's STL, where it is not the cell's own")] = None,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.engine.symbolic import CONDITIONS
-from ocp.model.cell import Cell, Conditions, read_cell
+from ocp.model.cell import Cell, RunConditions, read_cell
 from ocp.model.theta import believed_theta, with_effects
 from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.passes.posture import find_seeds
@@ -42,7 +42,7 @@ WEAR = {"effect": "wheel_wear", "m_per_s": 1e-7, "sd": {"m_per_s": 1e-8}}
 
 
 def cell_with(*tables: dict, **conditions: float) -> Cell:
-    return replace(bundled_cell(), effects=tuple(effect_of(t) for t in tables), conditions=Conditions(**conditions))
+    return replace(bundled_cell(), effects=tuple(effect_of(t) for t in tables), conditions=RunConditions(**conditions))
 
 
 def solver_of(cell: Cell) -> PassSolver:
@@ -146,7 +146,7 @@ def test_a_force_log_of_a_cell_with_effects_sees_them():
 
 
 def replace_clock(at: PassProblem, cell: Cell, clock: float) -> np.ndarray:
-    conditions = at.conditions(replace(cell, conditions=Conditions(clock=clock)))
+    conditions = at.conditions(replace(cell, conditions=RunConditions(clock=clock)))
     assert CONDITIONS.block(conditions, "clock") == pytest.approx(np.full((len(conditions), 1), clock))
     return conditions
 
