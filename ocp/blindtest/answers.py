@@ -5,7 +5,6 @@ to be left out of the library, its name.
 """
 
 import json
-import os
 import time
 import traceback
 from dataclasses import asdict
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ocp.blindtest.scoring.rivals import rival_answers
-from ocp.blindtest.worlds.sealing import WITHHELD, Check
+from ocp.blindtest.worlds.sealing import WITHHELD, Check, write_whole
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
 from ocp.diagnose.engine.system import Sealed
@@ -31,10 +30,7 @@ def make_answer(check: Check, name: str) -> str:
     """Answer a world that has none yet; returns its verdict, or what went wrong."""
     path = check.answer(name)
     if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}.part")
-        part.write_text(json.dumps(answer_world(check.world(name))) + "\n", encoding="utf-8")
-        part.replace(path)
+        write_whole(path, json.dumps(answer_world(check.world(name))) + "\n")
     return str(json.loads(path.read_text(encoding="utf-8")).get("error") or "answered")
 
 

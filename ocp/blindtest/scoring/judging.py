@@ -18,7 +18,7 @@ def read_name(text: str) -> Name:
     return effect, int(joint or 0)
 
 
-def ranked_names(document: dict[str, Any]) -> list[tuple[Name, float]]:
+def names_by_probability(document: dict[str, Any]) -> list[tuple[Name, float]]:
     """Names with their marginal probabilities, most probable first."""
     return [((r["effect"], r["joint"] or 0), float(r["probability"])) for r in document["ranking"]]
 

@@ -18,14 +18,14 @@ from ocp.blindtest.scoring.judging import (
     declared_classes,
     first_right,
     matched,
-    ranked_names,
+    names_by_probability,
     value_errors,
 )
 from ocp.blindtest.scoring.realised import counted_signal, realised_shrinkage
 from ocp.blindtest.worlds.machines import has_background
 from ocp.blindtest.worlds.pools import OUTSIDE
 from ocp.blindtest.worlds.recipes import Recipe
-from ocp.blindtest.worlds.sealing import Check, Label, machine_of, read_label
+from ocp.blindtest.worlds.sealing import Check, Label, machine_of, read_label, write_whole
 
 SCORES = "scores"
 UNSURE = 2.0  # factor about the threshold within which two effects are neither surely told apart nor surely not
@@ -43,10 +43,7 @@ def make_score(check: Check, recipe: Recipe, seal: dict[str, str]) -> dict[str, 
     if not path.is_file() or path.stat().st_mtime < answer.stat().st_mtime:
         label = read_label(check, recipe, seal)
         row = scored(check, label, json.loads(answer.read_text(encoding="utf-8")))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part")
-        part.write_text(json.dumps(row) + "\n", encoding="utf-8")
-        part.replace(path)
+        write_whole(path, json.dumps(row) + "\n")
     return dict(json.loads(path.read_text(encoding="utf-8")))
 
 
@@ -76,7 +73,7 @@ def _of_answer(label: Label, answer: dict[str, Any], signal: str) -> dict[str, A
     """What the diagnosis said, and how right that is."""
     document = answer["document"]
     groups, planted = declared_classes(document), [name_of(p) for p in label.effects]
-    said, named, gap = ranked_names(document), decided_names(document), document["gap"][signal]
+    said, named, gap = names_by_probability(document), decided_names(document), document["gap"][signal]
     names = [name for name, _ in said]
     parameters = {(r["effect"], r["joint"] or 0): r["parameters"] for r in document["ranking"]}
     smallest = {(e, j): size for e, j, size, _ in answer["screened"]}

@@ -1,6 +1,7 @@
 """A blind check: where its files lie, and its labels, sealed with their hashes before any answer is made."""
 
 import json
+import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -66,9 +67,16 @@ def label_path(check: Check, recipe: Recipe) -> Path:
     return check.folder / SEALED / f"{recipe.name}.json"
 
 
-def write_label(path: Path, label: Label) -> None:
-    """Whole or not at all."""
+def write_whole(path: Path, text: str) -> None:
+    """A file that is there whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+
+
+def write_label(path: Path, label: Label) -> None:
+    """What was planted, as `read_label` opens it."""
     content = {
         "recipe": asdict(label.recipe),
         "labels": labels(label.effects),
@@ -76,10 +84,7 @@ def write_label(path: Path, label: Label) -> None:
         "detectability": list(label.lam),
         "withheld": list(label.withheld),
     }
-    text = json.dumps(content, indent=1) + "\n"
-    part = path.with_suffix(".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    write_whole(path, json.dumps(content, indent=1) + "\n")
 
 
 def read_label(check: Check, recipe: Recipe, seal: dict[str, str]) -> Label:
