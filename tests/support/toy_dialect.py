@@ -11,7 +11,7 @@ import numpy as np
 
 from robots.errors import BadInput
 from robots.robot import Robot
-from trajectories.program.execution import Execution, ProgramFrames, ProgramSegment
+from trajectories.program.execution import Execution, Frames, ProgramSegment
 from trajectories.program.program import Block, Comment, FileLimits, PointMotion, Program, TimedSpline, Wait
 
 FILE_LIMITS = FileLimits(file_points=100_000, block_points=5000, cycle=0.004, time_unit=1e-6, angle_decimals=7)
@@ -94,9 +94,7 @@ def _run(source: Path) -> Execution:
             timed = word == "END"
             q, t = np.radians(table[:, -6:]), table[:, 0] if timed else None
             kind, name = ("axis spline", "CURVE") if timed else ("point", "GOTO")
-            segments.append(
-                ProgramSegment(kind, name, source.name, lines, q, None, t, ProgramFrames(**frames, external_tcp=True), None)
-            )
+            segments.append(ProgramSegment(kind, name, source.name, lines, q, None, t, Frames(**frames, external_tcp=True), None))
         elif word != "DONE":
             raise BadInput(f"{source.name}, line {number}: '{word}' is no word of TOY")
     return Execution(source, tuple(segments), tuple(stops))

@@ -9,7 +9,7 @@ from robots.errors import BadInput
 from robots.pose import Array, transform_from_xyzabc
 from trajectories.krl import syntax
 from trajectories.krl.reader import read_module
-from trajectories.program.execution import Execution, MotionKind, ProgramFrames, ProgramSegment
+from trajectories.program.execution import Execution, Frames, MotionKind, ProgramSegment
 
 AXES = tuple(f"A{i}" for i in range(1, 7))
 POSE = ("X", "Y", "Z", "A", "B", "C")
@@ -66,7 +66,7 @@ class _Runner:
         self.stops: list[int] = []
         self.notices: list[str] = []
         self.modules: dict[Path, syntax.Module] = {}
-        self.frames = ProgramFrames()
+        self.frames = Frames()
         self.speed: float | None = None
         self.stored: dict[str, syntax.Value] = {}
 
@@ -134,7 +134,7 @@ class _Runner:
     def _bas(self, arguments: tuple[str, ...]) -> None:
         what, number = arguments[0].replace(" ", "").upper(), arguments[-1]
         if what == "#INITMOV":
-            self.frames = ProgramFrames(tool_no=1, base_no=0)
+            self.frames = Frames(tool_no=1, base_no=0)
         elif what == "#TOOL" and number.isdigit():
             self.frames = replace(self.frames, tool=self._data("TOOL_DATA", int(number)), tool_no=int(number))
         elif what == "#BASE" and number.isdigit():
@@ -170,7 +170,7 @@ class _Runner:
         tool, base, mode = (value.get(n) for n in ("TOOL_NO", "BASE_NO", "IPO_FRAME"))
         if isinstance(tool, syntax.Number) and isinstance(base, syntax.Number):
             t, b = int(tool.value), int(base.value)
-            self.frames = ProgramFrames(self._data("TOOL_DATA", t), self._data("BASE_DATA", b), t, b, self.frames.external_tcp)
+            self.frames = Frames(self._data("TOOL_DATA", t), self._data("BASE_DATA", b), t, b, self.frames.external_tcp)
         if isinstance(mode, syntax.Word):
             self.frames = replace(self.frames, external_tcp=mode.text.upper() == "#TCP")
 

@@ -10,7 +10,7 @@ MotionKind = Literal["point", "axis spline", "pose spline", "line"]
 
 
 @dataclass(frozen=True)
-class ProgramFrames:
+class Frames:
     """Tool and base in force: transforms (4, 4) where the text gives them, else None, with their numbers or None.
 
     `external_tcp`: the robot holds the workpiece, so that poses are those of the base frame seen from the tool frame.
@@ -40,7 +40,7 @@ class ProgramSegment:
     q: Array | None
     poses: Array | None
     times: Array | None
-    frames: ProgramFrames
+    frames: Frames
     speed: float | None
 
     def place(self, point: int = 0) -> str:
