@@ -25,8 +25,14 @@ from robots.errors import BadInput
 from tests.support.force_world import HEADER, Run, World, arm_posterior, campaign, correlated, make_world, write_log
 from trajectories.blade import find_shape, read_blade
 
-LADDER = [Run(0), Run(1), Run(0, 12.0, turn=0.2, arc=0.1), Run(1, 32.0, turn=-0.2, arc=-0.1), Run(0, 20.0, -20.0, arc=0.2),
-          Run(0, contact=False)]  # fmt: skip
+LADDER = [
+    Run(0),
+    Run(1),
+    Run(0, 12.0, turn=0.2, arc=0.1),
+    Run(1, 32.0, turn=-0.2, arc=-0.1),
+    Run(0, 20.0, -20.0, arc=0.2),
+    Run(0, contact=False),
+]
 FRESH = Run(1, 26.0, 20.0, 0.1, 0.15)
 
 

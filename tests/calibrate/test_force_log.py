@@ -9,11 +9,37 @@ from ocp.calibrate.force.log import BLIND, read_force_log
 from robots.errors import BadInput
 
 NEEDED = ["run", "time_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
-ROW = {"run": "a", "time_s": 0.0, **{f"q{i}_deg": 10.0 * i for i in range(1, 7)}, "px_mm": 1.0, "py_mm": 2.0, "pz_mm": 3.0,
-       "nx": 0.0, "ny": 1.0, "nz": 0.0, "tx": 0.0, "ty": 0.0, "tz": 1.0, "fn_N": 20.0}  # fmt: skip
-EVERY = {"s_mm": 1.0, "ft_N": 7.0, "sigma_fn_N": 0.2, "sigma_ft_N": 0.3, "setpoint_N": 20.0, "feed_mm_s": 40.0, "belt_m_s": -20.0,
-         "line": 2, "ground_before": 1, "contact": 1, "session": "monday", "temperature_C": 22.0, "wheel_temperature_C": 25.0,
-         "clock_s": 5.0}  # fmt: skip
+ROW = {
+    "run": "a",
+    "time_s": 0.0,
+    **{f"q{i}_deg": 10.0 * i for i in range(1, 7)},
+    "px_mm": 1.0,
+    "py_mm": 2.0,
+    "pz_mm": 3.0,
+    "nx": 0.0,
+    "ny": 1.0,
+    "nz": 0.0,
+    "tx": 0.0,
+    "ty": 0.0,
+    "tz": 1.0,
+    "fn_N": 20.0,
+}
+EVERY = {
+    "s_mm": 1.0,
+    "ft_N": 7.0,
+    "sigma_fn_N": 0.2,
+    "sigma_ft_N": 0.3,
+    "setpoint_N": 20.0,
+    "feed_mm_s": 40.0,
+    "belt_m_s": -20.0,
+    "line": 2,
+    "ground_before": 1,
+    "contact": 1,
+    "session": "monday",
+    "temperature_C": 22.0,
+    "wheel_temperature_C": 25.0,
+    "clock_s": 5.0,
+}
 
 
 def rows(count=6, **more):

@@ -200,11 +200,13 @@ PLANTED = {
     "wheel_wear": (Planted(overlap=lambda b: -1.5e-7 * b.columns["clock"]), {}, {"m_per_s": 1.5e-7}, 0.2),
     "wheel_runout": (
         Planted(overlap=lambda b: 3e-5 * np.cos(b.columns["belt"] / b.world.truth.wheel.radius * b.columns["clock"] + 0.7)),
-        {"clocked": 1.0}, {"m": 3e-5, "phase_rad": 0.7}, 0.05,
+        {"clocked": 1.0},
+        {"m": 3e-5, "phase_rad": 0.7},
+        0.05,
     ),
     "sensor_bias": (Planted(reading=lambda c, F: 0.4 + 0.0 * F), {}, {"N": 0.4}, 0.0),
     "sensor_crosstalk": (Planted(reading=lambda c, F: 0.05 * 0.35 * F * np.sign(c["belt"])), {}, {"share": 0.05}, 0.1),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", sorted(PLANTED))

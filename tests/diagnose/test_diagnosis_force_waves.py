@@ -63,9 +63,13 @@ def test_a_single_tone_is_no_knock_and_nothing_of_the_catalogue(made: Made, tmp_
 def test_columns_beside_a_delay_are_what_the_prediction_does(made: Made):  # noqa: F811
     active = tuple(
         replace(_active(name, scanned=scanned), a=np.array(a))
-        for name, scanned, a in (("time_delay", {"about": 0.01}, [0.04]), ("wheel_relaxation", {"tau": 0.5}, [0.2]),
-                                 ("sensor_gain", {}, [0.03]), ("wheel_wear", {}, [2e-7]))
-    )  # fmt: skip
+        for name, scanned, a in (
+            ("time_delay", {"about": 0.01}, [0.04]),
+            ("wheel_relaxation", {"tau": 0.5}, [0.2]),
+            ("sensor_gain", {}, [0.03]),
+            ("wheel_wear", {}, [2e-7]),
+        )
+    )
     problem = made.channel.problem
     fit = fit_effects(problem, active, made.channel.fit)
     z = fit.z + 0.3
@@ -106,14 +110,14 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
     assert diverged.names() == [Name("sensor_bias", 0)]
     # What a fit holds may fail for others' sake; and without effects nothing failed.
     held = Diverged()
-    held.rests([Name("wheel_wear", 0)])
+    held.converged([Name("wheel_wear", 0)])
     for other in ("sensor_bias", "sensor_drift"):
         held.add([Name("wheel_wear", 0), Name(other, 0)])
     held.add([])
     assert not held.names() and len(held.sets) == 2
     held.add([Name("sensor_bias", 0)])
     assert held.names() == [Name("sensor_bias", 0)]
-    held.rests([Name("wheel_wear", 0), Name("sensor_bias", 0)])
+    held.converged([Name("wheel_wear", 0), Name("sensor_bias", 0)])
     assert not held.names() and len(held.sets) == 2
     search = Search(problem.pool, 3, 4)
     search.run()

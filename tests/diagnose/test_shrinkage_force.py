@@ -23,9 +23,14 @@ from tests.support.force_world import arm_posterior, write_log
 
 # A log of eleven minutes, and grinding that comes four minutes after it.
 PLAN = (
-    Pass(0), Pass(1), Pass(0, travel=-1), Pass(1, setpoint=30.0), Pass(0, contact=False), Pass(0, setpoint=12.0),
+    Pass(0),
+    Pass(1),
+    Pass(0, travel=-1),
+    Pass(1, setpoint=30.0),
+    Pass(0, contact=False),
+    Pass(0, setpoint=12.0),
     Pass(1, pause=450.0),
-)  # fmt: skip
+)
 LATE = (Pass(1, feed=0.06, setpoint=25.0, pause=240.0), Pass(0, feed=0.03))
 WEAR = 3e-7  # m/s
 NOISE = 0.04  # N^2
@@ -38,9 +43,14 @@ def new(*moved: float, error: float = 0.1, doubt: float = 0.0, runs: int = 40) -
     errors = error * rng.normal(size=(n, p)) / np.sqrt(p)
     told = np.array([1.0, 0.0])
     return LaterGrinding(
-        np.stack([np.stack([np.full(n, m), np.zeros(n)]) for m in moved]), np.stack([errors for _ in moved]), np.eye(p),
-        np.array([1 - doubt, doubt]), told, np.full(len(moved), 1 / len(moved)), np.repeat(np.arange(runs), 10),
-    )  # fmt: skip
+        np.stack([np.stack([np.full(n, m), np.zeros(n)]) for m in moved]),
+        np.stack([errors for _ in moved]),
+        np.eye(p),
+        np.array([1 - doubt, doubt]),
+        told,
+        np.full(len(moved), 1 / len(moved)),
+        np.repeat(np.arange(runs), 10),
+    )
 
 
 def promise(made: LaterGrinding) -> Shrinkage:

@@ -37,9 +37,17 @@ class Pass:
 
 
 PLAN = (
-    Pass(0), Pass(0, travel=-1), Pass(1), Pass(0, contact=False), Pass(1, feed=0.02), Pass(0, setpoint=12.0),
-    Pass(1, setpoint=30.0), Pass(1, belt=-20.0), Pass(0, pause=1200.0), Pass(1, contact=False),
-)  # fmt: skip
+    Pass(0),
+    Pass(0, travel=-1),
+    Pass(1),
+    Pass(0, contact=False),
+    Pass(1, feed=0.02),
+    Pass(0, setpoint=12.0),
+    Pass(1, setpoint=30.0),
+    Pass(1, belt=-20.0),
+    Pass(0, pause=1200.0),
+    Pass(1, contact=False),
+)
 
 
 @dataclass(frozen=True)
@@ -102,10 +110,15 @@ def record(world: World, plan: tuple[Pass, ...], rng: np.random.Generator, step:
         columns, table = _recorded(world, run, rng, step)
         n = len(table)
         columns |= {
-            "run": np.full(n, number), "clock": clock + columns["time"], "ground_before": np.full(n, ground.get(run.line, 0)),
-            "setpoint": np.full(n, run.setpoint), "feed": np.full(n, run.feed), "belt": np.full(n, run.belt),
-            "line": np.full(n, world.paths[run.line].line), "contact": np.full(n, int(run.contact)),
-        }  # fmt: skip
+            "run": np.full(n, number),
+            "clock": clock + columns["time"],
+            "ground_before": np.full(n, ground.get(run.line, 0)),
+            "setpoint": np.full(n, run.setpoint),
+            "feed": np.full(n, run.feed),
+            "belt": np.full(n, run.belt),
+            "line": np.full(n, world.paths[run.line].line),
+            "contact": np.full(n, int(run.contact)),
+        }
         columns["wheel_temperature"] = 35.0 - 12.0 * np.exp(-columns["clock"] / 500.0)
         clock = float(columns["clock"][-1])
         if run.contact:
@@ -160,21 +173,34 @@ def log_of(base: Base, planted: tuple[Planted, ...] = (), outliers: float = 0.0)
     noise = noise + wild * rng.normal(size=len(base)) * 3.0
     shear = ft + SHEAR_NOISE * rng.normal(size=len(base))
     rows = [
-        [int(c["run"][k]), f"{c['time'][k]:.3f}", f"{c['clock'][k]:.3f}", *(f"{a:.6f}" for a in np.degrees(c["q"][k])),
-         *(f"{1e3 * a:.4f}" for a in c["p"][k]), *(f"{a:.6f}" for a in c["n"][k]), *(f"{a:.6f}" for a in c["t"][k]),
-         f"{1e3 * c['s'][k]:.3f}", c["setpoint"][k], 1e3 * c["feed"][k], c["belt"][k], int(c["line"][k]),
-         int(c["ground_before"][k]), int(c["contact"][k]), f"{c['wheel_temperature'][k]:.2f}", f"{fn[k] + noise[k]:.4f}",
-         f"{shear[k]:.4f}"]
+        [
+            int(c["run"][k]),
+            f"{c['time'][k]:.3f}",
+            f"{c['clock'][k]:.3f}",
+            *(f"{a:.6f}" for a in np.degrees(c["q"][k])),
+            *(f"{1e3 * a:.4f}" for a in c["p"][k]),
+            *(f"{a:.6f}" for a in c["n"][k]),
+            *(f"{a:.6f}" for a in c["t"][k]),
+            f"{1e3 * c['s'][k]:.3f}",
+            c["setpoint"][k],
+            1e3 * c["feed"][k],
+            c["belt"][k],
+            int(c["line"][k]),
+            int(c["ground_before"][k]),
+            int(c["contact"][k]),
+            f"{c['wheel_temperature'][k]:.2f}",
+            f"{fn[k] + noise[k]:.4f}",
+            f"{shear[k]:.4f}",
+        ]
         for k in range(len(base))
-    ]  # fmt: skip
+    ]
     return rows, fn
 
 
-HEADER = [
-    "run", "time_s", "clock_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty",
-    "tz", "s_mm", "setpoint_N", "feed_mm_s", "belt_m_s", "line", "ground_before", "contact", "wheel_temperature_C", "fn_N",
-    "ft_N",
-]  # fmt: skip
+JOINTS = [f"q{i}_deg" for i in range(1, 7)]
+POINT = ["px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz", "s_mm"]
+GIVEN = ["setpoint_N", "feed_mm_s", "belt_m_s", "line", "ground_before", "contact", "wheel_temperature_C"]
+HEADER = ["run", "time_s", "clock_s", *JOINTS, *POINT, *GIVEN, "fn_N", "ft_N"]
 
 
 def moved_joints(base: Base, change: Array) -> Array:

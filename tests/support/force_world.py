@@ -95,9 +95,11 @@ def true_cell(cell: Cell, injected: dict[str, float]) -> Cell:
     u, v = axis_directions(wheel.axis)
     turn = Rotation.from_rotvec(injected["wheel_axis_u"] * u + injected["wheel_axis_v"] * v)
     wheel = replace(
-        wheel, centre=wheel.centre + [injected[f"wheel_{a}"] for a in "xyz"], axis=turn.apply(wheel.axis),
+        wheel,
+        centre=wheel.centre + [injected[f"wheel_{a}"] for a in "xyz"],
+        axis=turn.apply(wheel.axis),
         cover_modulus=wheel.cover_modulus * (1 + injected["cover_stiffness_scale"]),
-    )  # fmt: skip
+    )
     R = Rotation.from_rotvec([injected[f"blade_{a}"] for a in "cba"]).as_matrix() @ piece.T_flange_blade[:3, :3]
     p = piece.T_flange_blade[:3, 3] + [injected[f"blade_{a}"] for a in "xyz"]
     modulus = piece.youngs_modulus * (1 + injected["blade_stiffness_scale"])
@@ -155,8 +157,9 @@ def correlated(rng: np.random.Generator, n: int, sigma: float = 0.2, share: floa
     return sigma * (np.sqrt(share) * slow + np.sqrt(1 - share) * rng.normal(size=n))
 
 
-HEADER = ["run", "time_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz",
-          "setpoint_N", "feed_mm_s", "belt_m_s", "line", "contact", "fn_N"]  # fmt: skip
+POINT = ["px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
+GIVEN = ["setpoint_N", "feed_mm_s", "belt_m_s", "line", "contact"]
+HEADER = ["run", "time_s", *(f"q{i}_deg" for i in range(1, 7)), *POINT, *GIVEN, "fn_N"]
 
 
 @dataclass(frozen=True)
@@ -181,10 +184,20 @@ def recorded(world: World, run: Run, off: float = 0.0, dense: int = 4) -> tuple[
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     t /= np.linalg.norm(t, axis=1, keepdims=True)
     rows = [
-        [f"{0.01 * k:.3f}", *(f"{a:.6f}" for a in np.degrees(q[k])), *(f"{1e3 * a:.4f}" for a in p[k]),
-         *(f"{a:.6f}" for a in n[k]), *(f"{a:.6f}" for a in t[k]), run.setpoint, 40.0, run.belt, path.line, int(run.contact)]
+        [
+            f"{0.01 * k:.3f}",
+            *(f"{a:.6f}" for a in np.degrees(q[k])),
+            *(f"{1e3 * a:.4f}" for a in p[k]),
+            *(f"{a:.6f}" for a in n[k]),
+            *(f"{a:.6f}" for a in t[k]),
+            run.setpoint,
+            40.0,
+            run.belt,
+            path.line,
+            int(run.contact),
+        ]
         for k in range(len(s))
-    ]  # fmt: skip
+    ]
     return rows, force
 
 
