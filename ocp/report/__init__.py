@@ -1,4 +1,5 @@
 """The kit that reports are made of: sections, tables, plots, the page, the print.
 
-Here: nothing that knows a command. Not here: any report (the room `report` of each command).
+Here: the report as a whole, its usual parts, page, sheets, plots; nothing that knows a command.
+Not here: any report (the room `report` of each command).
 """

@@ -13,6 +13,7 @@ from ocp.blindtest.oracle import oracle
 from ocp.blindtest.oracle.detectability import detectabilities
 from ocp.blindtest.oracle.signatures import tracker_families
 from ocp.blindtest.oracle.tracker import TrackerView, point_covariance, scene_of, tracker_nuisance, tracker_view, tracker_whitener
+from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, make_all, resume, score_all
 from ocp.blindtest.scoring import figures, intervals, judging, rivals
 from ocp.blindtest.scoring.scoring import score_path
@@ -371,6 +372,17 @@ def test_the_table_of_hand_made_answers():
     bad = figures.worst(rows)
     assert bad[0]["kind"] == "none" and len(bad) == 4
     assert "false alarm" in figures.why_words(bad[0]) and "backlash:1 (150)" in [figures.planted_words(r) for r in bad]
+
+
+def test_the_report_shows_figures_and_the_worst_answers(tmp_path):
+    rows = [row("single", (120.0,)), row("single", (35.0,), False), row("none", verdict="no_gap", reliability=[], said=[])]
+    check = Check(tmp_path, 3, len(rows), ("single", "none"), 60)
+    write_blindtest_report(check, rows)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for words in ("How often the name is right", "The worst answers", "best single free parameter", f"{len(rows)} worlds"):
+        assert words in page
+    assert page.count("<svg") == 2 and "## Figures" in (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert "of" in blindtest_last_line(check, rows)
 
 
 def test_intervals():

@@ -1,4 +1,5 @@
 """The report of a diagnosis.
 
-Here: its sections and its words. Not here: what all reports share (ocp.report).
+Here: its sections, one a file; `page` has their order, `verdict_sentence` the sentence of the verdict.
+Not here: what all reports share (ocp.report).
 """

@@ -1,4 +1,5 @@
 """The report of a plan: what it shows, its page and its print.
 
-Here: a plan's own charts and tables. Not here: what all reports share (ocp.report).
+Here: its sections, one a file, and what they show (plan_report). `pages` has their order; `viewer` is the scene's script.
+Not here: what all reports share (ocp.report).
 """
