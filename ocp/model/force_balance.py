@@ -19,8 +19,8 @@ from robots.gravity import GRAVITY, gravity_torques
 from robots.kinematics import chain
 
 # Columns of the waypoint data w handed to every function of the model.
-WAYPOINT = ("p", "n", "t", "curvature", "blade_compliance", "defect")
-WAYPOINT_SIZE = {"p": 3, "n": 3, "t": 3, "curvature": 3, "blade_compliance": 3, "defect": 1}
+WAYPOINT = ("p", "n", "t", "curvature", "blade_compliance", "indentation_correction")
+WAYPOINT_SIZE = {"p": 3, "n": 3, "t": 3, "curvature": 3, "blade_compliance": 3, "indentation_correction": 1}
 N_WAYPOINT = sum(WAYPOINT_SIZE.values())
 
 
@@ -89,7 +89,7 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
     friction = ca.SX.sym("friction") if effects.on_contact else ca.SX(cell.wheel.friction)
     force_direction = e + friction * (travel if cell.wheel.belt_speed else 0.0) * belt
     x_flange = _flange_stroke(cell, F, n, T_base_flange, par)
-    d_wheel = waypoint["defect"] + law.indentation(
+    d_wheel = waypoint["indentation_correction"] + law.indentation(
         F / (1 + par["cover_stiffness_scale"]), curvature[0], curvature[1], curvature[2], lateral, tilt[0], tilt[1]
     )
     d_blade = F * _blade_give(cell, waypoint["blade_compliance"], n, t, force_direction, par)

@@ -14,6 +14,7 @@ from ocp.plan.planning import Plan
 from ocp.plan.programming import emitted_times, grinding_program, write_program
 from ocp.plan.report.pages import write_plan_report
 from ocp.plan.report.plan_report import InputFile, SummaryRow, build_report
+from ocp.plan.rules import UNCERTAIN_FORCE
 from ocp.plan.verify.readback import Readback, read_back
 from ocp.plan.verify.second_route import believed_robot
 from ocp.shell.cache import sha256
@@ -101,7 +102,7 @@ def _verdict(plan: Plan, written: _Written) -> str:
     )
     if plan.cell.calibration is None:
         found += " because the cell has no calibration"
-    if 2 * sd > goal:
+    if UNCERTAIN_FORCE * sd > goal:
         return f"{found}: motion and limits are checked, but calibrate the cell before the blade touches the wheel."
     return f"{found}."
 

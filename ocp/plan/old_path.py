@@ -19,7 +19,7 @@ from trajectories.program.old_program import contact_frames_from_program
 
 APART = 3e-3  # m between nominal blade and wheel: poses farther off are approach, not contact
 STRIP = 2.5e-3  # m about the wheel's middle plane and the deepest point that the local fit uses
-LEAST_STEP = 9e-4  # m between contact points that are kept: programs crowd points where they start and stop
+LEAST_SPACING = 9e-4  # m between contact points that are kept: programs crowd points where they start and stop
 
 
 def paths_from_program(
@@ -40,7 +40,7 @@ def paths_from_program(
         touched = [_contact(cell, cloud, T) for T in one.flange @ cell.workpiece.T_flange_blade]
         last: Array | None = None
         for found, place in zip(touched, one.lines, strict=True):
-            if found is None or (last is not None and np.linalg.norm(found[0] - last) < LEAST_STEP):
+            if found is None or (last is not None and np.linalg.norm(found[0] - last) < LEAST_SPACING):
                 continue
             last = found[0]
             p.append(found[0])

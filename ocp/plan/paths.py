@@ -11,12 +11,12 @@ from scipy.spatial import cKDTree
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.plan.old_path import paths_from_program
+from ocp.plan.rules import WHEEL_ROOM
 from robots.pose import Array
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
 from trajectories.passes import BladePath, PassOptions, passes
 from trajectories.path_file import read_path_file
 
-WHEEL_ROOM = 2e-3  # m added to the wheel where passes end beside block and platform: it turns, tilts and sinks in
 CLOUD_SPACING = 8e-4  # m between points of the surface cloud
 
 

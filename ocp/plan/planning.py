@@ -16,6 +16,7 @@ from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes, solv
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import lay_paths
+from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
 from ocp.shell.workers import cores
 from robots.errors import BadInput
@@ -23,7 +24,6 @@ from trajectories.blade import Blade
 from trajectories.passes import BladePath
 from trajectories.program.program import KINDS
 
-LEAST_STEP, MOST_STEP = 5e-5, 5e-3  # m between waypoints
 FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from ocp.model.cell import Cell, wheel_frame
 from ocp.plan.motion.motion import PlannedMotion
+from ocp.plan.rules import EMITTED_AIR_TOLERANCE, EMITTED_FORCE_ERROR, EMITTED_TOLERANCE
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from trajectories.dialects import dialect_named
@@ -14,9 +15,6 @@ from trajectories.joint_trajectory import sample_times
 from trajectories.program.build import Leg, build_program
 from trajectories.program.program import Program, Setup, TimedSpline
 
-FORCE_SHARE = 0.05  # N: what the emitted points may cost on the way between them
-FINEST, COARSEST = 1e-6, 2e-5  # m, bounds of the tolerance that follows from it
-AIR_TOLERANCE = 2e-4  # m, off contact
 TABLE_STEP = 0.025  # s between rows of plan.csv where the program itself is not timed
 
 
@@ -34,10 +32,10 @@ def grinding_program(cell: Cell, motion: PlannedMotion, kind: str, name: str) ->
         return np.asarray(np.linalg.norm(difference, axis=1))
 
     stiffness = max(float(p.evaluation.stiffness.max()) for p in motion.passes)
-    fine = float(np.clip(FORCE_SHARE / stiffness, FINEST, COARSEST))
+    fine = float(np.clip(EMITTED_FORCE_ERROR / stiffness, *EMITTED_TOLERANCE))
 
     def tolerance(leg: Leg) -> float:
-        return fine if leg.kind == "contact" else AIR_TOLERANCE
+        return fine if leg.kind == "contact" else EMITTED_AIR_TOLERANCE
 
     dialect, payload = dialect_named(cell.controller.dialect), cell.workpiece.payload
     setup = program_setup(cell, payload.mass, payload.com, kind)

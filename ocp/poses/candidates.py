@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.model.cell import Cell
-from ocp.plan.clearance.collision import ARM_MARGIN, Body, BodyPair, CollisionScene, _between
+from ocp.plan.clearance.collision import Body, BodyPair, CollisionScene, _between
+from ocp.plan.rules import ARM_MARGIN
 from ocp.poses.line_of_sight import Sight, visible
 from ocp.poses.zone import GroundBlade, near_zone
 from robots.errors import Infeasible

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.plan.clearance.collision import CollisionScene
-from ocp.plan.motion.air import SAMPLE, connect, is_free
+from ocp.plan.motion.air import connect, is_free
+from ocp.plan.rules import COLLISION_STEP
 from robots.errors import Infeasible
 from robots.pose import Array
 from robots.robot import Robot
@@ -106,7 +107,7 @@ def _way(robot: Robot, scene: CollisionScene, start: Array, goal: Array, home: A
     for way in (np.array([start, goal]), np.array([start, home, goal])):
         if is_free(scene, way):
             return way
-    found = connect(scene, robot.q_min, robot.q_max, start, goal, SAMPLE, seed)
+    found = connect(scene, robot.q_min, robot.q_max, start, goal, COLLISION_STEP, seed)
     if found is None:
         raise Infeasible(f"no free way leads from {_text(start)} to {_text(goal)} deg; take another --seed, or clear the cell")
     return found

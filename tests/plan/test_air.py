@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from ocp.plan.clearance.collision import Clearance, CollisionScene
 from ocp.plan.motion import motion
-from ocp.plan.motion.air import FAR, SAMPLE, connect, dense, is_free, lifted, travel
+from ocp.plan.motion.air import FAR, connect, dense, is_free, lifted, travel
+from ocp.plan.rules import COLLISION_STEP
 from robots.errors import Infeasible
 from robots.kinematics import forward
 from tests.support.example_pass import bundled_cell
@@ -94,7 +95,7 @@ def test_a_lift_beyond_an_axis_limit_names_the_axis(cell):
 def test_a_dense_polyline_keeps_its_corners_and_its_step():
     points = np.radians([[0, 0, 0, 0, 0, 0], [10, -3, 0, 0, 0, 0.5], [10, -3, 0, 0, 0, 0.5], [10, 20, 0, 0, 0, 0.0]])
     fine = dense(points)
-    assert np.abs(np.diff(fine, axis=0)).max() <= SAMPLE * (1 + 1e-9)
+    assert np.abs(np.diff(fine, axis=0)).max() <= COLLISION_STEP * (1 + 1e-9)
     assert all(np.abs(fine - p).max(axis=1).min() < 1e-12 for p in points)
     np.testing.assert_array_equal(fine[[0, -1]], points[[0, -1]])
 
@@ -145,18 +146,18 @@ def test_real_shapes_are_kept_clear_too(cell):
     if not (is_free(scene, q[:1]) and is_free(scene, q[1:])):
         pytest.fail("the ends are not free; choose others")
     way = travel(cell, scene, (q[0], normal), (q[1], normal))
-    assert scene.clearance(dense(way, 0.3 * SAMPLE), in_contact=False).value > -1e-3
+    assert scene.clearance(dense(way, 0.3 * COLLISION_STEP), in_contact=False).value > -1e-3
 
 
 def test_the_search_is_free_short_and_always_the_same():
     low, high = np.radians(np.full(6, -180.0)), np.radians(np.full(6, 180.0))
     start, goal = np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0])
     scene = wall([25, -170], [35, 20])
-    one, two = (connect(scene, low, high, start, goal, SAMPLE) for _ in range(2))
+    one, two = (connect(scene, low, high, start, goal, COLLISION_STEP) for _ in range(2))
     np.testing.assert_array_equal(one, two)
     np.testing.assert_array_equal(one[[0, -1]], [start, goal])
     assert is_free(scene, one) and len(one) < 15
-    other = connect(scene, low, high, start, goal, SAMPLE, seed=1)
+    other = connect(scene, low, high, start, goal, COLLISION_STEP, seed=1)
     assert other is not None and (other.shape != one.shape or np.abs(other - one).max() > 1e-6)
 
 
@@ -164,7 +165,7 @@ def test_the_search_gives_up_where_the_wall_has_no_gap(monkeypatch):
     monkeypatch.setattr("ocp.plan.motion.air.ATTEMPTS", 300)
     low, high = np.radians(np.full(6, -180.0)), np.radians(np.full(6, 180.0))
     scene = wall([25, -400], [35, 400])
-    assert connect(scene, low, high, np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0]), SAMPLE) is None
+    assert connect(scene, low, high, np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0]), COLLISION_STEP) is None
 
 
 # -- order of the passes -------------------------------------------------------------------------------------------

@@ -11,9 +11,10 @@ from ocp.model.theta import Theta, believed_theta
 from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
-from ocp.plan.passes.solve import SPEED_SHARE, PassSolver
+from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, ObjectiveWeights
 from ocp.plan.passes.transcription import transcribe
+from ocp.plan.rules import SPEED_SHARE
 from robots.errors import Infeasible
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
 from trajectories.passes import reversed_path

@@ -10,16 +10,9 @@ import coal
 import numpy as np
 
 from ocp.model.cell import Cell
+from ocp.plan.rules import ARM_MARGIN, BLADE_MARGIN, FLOOR_BELOW_WHEEL, HOLDER_RADIUS, HOLDER_SHARE
 from robots.kinematics import link_frames
 from robots.pose import Array, invert
-
-# What must stay free (m). Shapes are simple and the arm bends by about a millimetre, so margins are generous.
-ARM_MARGIN = 0.020
-BLADE_MARGIN = 0.003  # blade to wheel off contact
-# The cell file does not describe the holder: a slender rod from the flange half-way to the clamp plane stands for it,
-# because the wheel needs the other half to pass beside the clamp.
-HOLDER_RADIUS = 0.025
-HOLDER_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -131,7 +124,7 @@ def _bodies(cell: Cell, vertices: Array) -> list[Body]:
 
 def _floor(cell: Cell) -> float:
     """Height of the floor: the robot's base plane, or just below the wheel where that hangs lower (a pedestal)."""
-    return min(0.0, float(cell.wheel.centre[2]) - cell.wheel.radius - 0.05)
+    return min(0.0, float(cell.wheel.centre[2]) - cell.wheel.radius - FLOOR_BELOW_WHEEL)
 
 
 def _pairs(cell: Cell, bodies: list[Body]) -> list[BodyPair]:

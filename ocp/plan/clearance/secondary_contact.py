@@ -6,11 +6,8 @@ import numpy as np
 
 from ocp.model.blade_gap import REACH
 from ocp.model.cell import Cell
+from ocp.plan.rules import SECONDARY_CONTACT_TOLERANCE
 from robots.pose import Array, apply
-
-# How much deeper than the model's local quadratic a point may lie in the wheel's cover before the contact is no longer
-# the planned one. A cover of 15 mm and 12 MPa gives 0.3 mm under 20 N; a third of that spread elsewhere is not noise.
-SECONDARY_CONTACT_TOLERANCE = 1e-4  # m
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,12 @@ import numpy as np
 
 from ocp.model.cell import Cell
 from ocp.plan.clearance.collision import CollisionScene
+from ocp.plan.rules import COLLISION_STEP
 from robots.errors import Infeasible
 from robots.kinematics import forward, jacobian
 from robots.pose import Array
 
-CLEAR = 0.020  # m off contact, where the linear engage begins and ends
 FAR = (0.10, 0.20, 0.35)  # m off contact, tried in turn as via points between passes
-SAMPLE = np.radians(1.0)  # largest axis step between two poses that are checked for collision
 GROW = np.radians(10.0)  # longest edge of a tree
 ATTEMPTS = 3000
 SHORTCUTS = 60
@@ -60,7 +59,7 @@ def _track(cell: Cell, q: Array, T0: Array, shift: Array) -> Array:
     return q
 
 
-def dense(points: Array, step: float = SAMPLE) -> Array:
+def dense(points: Array, step: float = COLLISION_STEP) -> Array:
     """A joint polyline (k, 6) sampled so that no axis moves more than `step` rad between neighbours."""
     pieces = [points[:1]]
     for a, b in itertools.pairwise(points):
@@ -69,7 +68,7 @@ def dense(points: Array, step: float = SAMPLE) -> Array:
     return np.vstack(pieces)
 
 
-def is_free(scene: CollisionScene, points: Array, step: float = SAMPLE) -> bool:
+def is_free(scene: CollisionScene, points: Array, step: float = COLLISION_STEP) -> bool:
     """True if the straight joint moves along `points` (k, 6), looked at every `step` rad, keep all margins off contact."""
     return scene.clearance(dense(points, step), in_contact=False).value >= 0
 
@@ -77,7 +76,7 @@ def is_free(scene: CollisionScene, points: Array, step: float = SAMPLE) -> bool:
 def travel(cell: Cell, scene: CollisionScene, start: tuple[Array, Array], goal: tuple[Array, Array]) -> Array:
     """Via points (k, 6), ends included, of a free way between two clear poses.
 
-    `start` and `goal` are (contact joints lifted by CLEAR, outward wheel radial (3,)) of the passes. Straight first,
+    `start` and `goal` are (contact joints lifted by LIFT_OFF, outward wheel radial (3,)) of the passes. Straight first,
     then by retreat points farther out, then by a search. Raises Infeasible where nothing is found.
     """
     (qa, na), (qb, nb) = start, goal
@@ -91,7 +90,7 @@ def travel(cell: Cell, scene: CollisionScene, start: tuple[Array, Array], goal: 
             continue
         if is_free(scene, via):
             return via
-    found = connect(scene, cell.robot.q_min, cell.robot.q_max, qa, qb, SAMPLE)
+    found = connect(scene, cell.robot.q_min, cell.robot.q_max, qa, qb, COLLISION_STEP)
     if found is None:
         clearance = scene.clearance(dense(direct), in_contact=False)
         raise Infeasible(f"no free way between two passes: on the straight move {clearance.sentence()}; move the wheel")

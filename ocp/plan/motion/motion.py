@@ -9,17 +9,16 @@ import numpy as np
 
 from ocp.model.cell import Cell
 from ocp.plan.clearance.collision import CollisionScene
-from ocp.plan.motion.air import CLEAR, lifted, travel
+from ocp.plan.motion.air import lifted, travel
 from ocp.plan.passes.optimise import SolvedPass
+from ocp.plan.rules import ENGAGE_SPEED, HOME_LIFT, LIFT_OFF, LIMIT_SHARE
 from robots.errors import Infeasible
 from robots.pose import Array
 from robots.rigid_body import inverse_dynamics
 from trajectories.joint_trajectory import JointTrajectory, Limits
 from trajectories.timing import time_contact_path, time_joint_move
 
-ENGAGE_SPEED = 0.02  # m/s along the contact normal (KRL.md: low speed)
 ENGAGE_POINTS = 11
-HOME_LIFT = 0.15  # m off the first contact: where the program begins and ends
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def build_motion(
     Raises Infeasible: no free way between two passes, or a limit that cannot be held.
     """
     payload = cell.workpiece.payload
-    limits = Limits.of(cell.robot, partial(inverse_dynamics, cell.robot, payload.mass, payload.com))
+    limits = Limits.of(cell.robot, partial(inverse_dynamics, cell.robot, payload.mass, payload.com), LIMIT_SHARE)
     ends = [(_clear(cell, p, 0), _clear(cell, p, -1)) for p in solved]
     order = _order(cell, [(a[-1], b[-1]) for a, b in ends])
     passes, ends = [solved[i] for i in order], [ends[i] for i in order]
@@ -83,7 +82,7 @@ def build_motion(
         for a, b in itertools.pairwise(way):
             if np.abs(b - a).max() > 1e-9:
                 add("travel", place, time_joint_move(a, b, limits, label=f"{name}, approach"))
-        distance = np.linspace(0.0, CLEAR, ENGAGE_POINTS)
+        distance = np.linspace(0.0, LIFT_OFF, ENGAGE_POINTS)
         add("engage", place, time_contact_path(inward[::-1], distance, ENGAGE_SPEED, limits, label=f"{name}, engage"))
         path = one.problem.path
         add("contact", place, time_contact_path(one.solution.q, path.s, path.feed, limits, label=name))
@@ -105,11 +104,11 @@ def _normal(cell: Cell, solved: SolvedPass, k: int) -> Array:
 
 
 def _clear(cell: Cell, solved: SolvedPass, k: int) -> Array:
-    """Joints (ENGAGE_POINTS, 6) from contact waypoint k straight off the wheel by CLEAR."""
+    """Joints (ENGAGE_POINTS, 6) from contact waypoint k straight off the wheel by LIFT_OFF."""
     q = solved.solution.q[k]
     path = solved.problem.path
     try:
-        off = lifted(cell, q, _normal(cell, solved, k), np.linspace(0.0, CLEAR, ENGAGE_POINTS)[1:])
+        off = lifted(cell, q, _normal(cell, solved, k), np.linspace(0.0, LIFT_OFF, ENGAGE_POINTS)[1:])
     except Infeasible as error:
         raise Infeasible(f"line {path.line} ({path.side}): {error}") from None
     return np.vstack([q, off])

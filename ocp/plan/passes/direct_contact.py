@@ -1,4 +1,4 @@
-"""The wheel contact solved directly at solved waypoints: what the table missed goes back into the program as a defect."""
+"""The wheel contact solved directly at solved waypoints: what the table missed goes back into the program as a correction."""
 
 from dataclasses import dataclass
 
@@ -56,8 +56,8 @@ def solve_directly(
     return DirectContact(index, np.array(indentation), np.array(axes))
 
 
-def corrected_defect(problem: PassProblem, solved: Evaluation, direct: DirectContact) -> Array:
-    """Defect (n,) m that makes the model's wheel indentation the direct one at the postures of `solved`."""
+def corrected_indentation(problem: PassProblem, solved: Evaluation, direct: DirectContact) -> Array:
+    """The indentation correction (n,) m that makes the model's wheel indentation the direct one at the postures of `solved`."""
     s = problem.path.s
     wanted = PchipInterpolator(s[direct.index], direct.indentation)(s)
-    return np.asarray(problem.defect + wanted - solved.parts[:, 1])
+    return np.asarray(problem.indentation_correction + wanted - solved.parts[:, 1])

@@ -1,4 +1,4 @@
-"""All passes of a blade through the optimiser, side by side in worker processes.
+"""All passes of a blade through the optimiser, side by side in worker processes, and kept on disk.
 
 A pass is solved, its wheel contact solved directly at the solution, the difference fed back, and solved again; then
 collisions and contact elsewhere on the blade are checked at every waypoint. A seed that fails gives way to the next.
@@ -21,26 +21,24 @@ from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
 from ocp.plan.clearance.collision import CollisionScene
-from ocp.plan.clearance.secondary_contact import SECONDARY_CONTACT_TOLERANCE, find_secondary_contact
-from ocp.plan.passes.direct_contact import DirectContact, corrected_defect, solve_directly
+from ocp.plan.clearance.secondary_contact import find_secondary_contact
+from ocp.plan.passes.direct_contact import DirectContact, corrected_indentation, solve_directly
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
+from ocp.plan.rules import DIRECT_TOLERANCE, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE
 from ocp.shell.cache import content_key, flattened, rebuilt, remember
 from ocp.shell.workers import interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath, reversed_path
 
-DIRECT_TOLERANCE = 0.03  # N between the program's and the direct solution of the wheel's contact
 CORRECTIONS = 4
 SIGN_TOLERANCE = 0.1  # of an axis' sign of motion between the program and its solution
 CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
-GOUGE_THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over that, below the tolerance
+THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over that, below the tolerance
 FALLBACKS = 4  # seeds tried before a pass is refused
-
-
 TURN_LIMITS = (1.0, 0.2, 0.02)  # of the turn tolerance, tried in turn while a turned wheel touches the blade elsewhere
 FILES = (".path", ".stl")  # where a file lies does not matter, what it says is in the key by value
 
@@ -110,15 +108,15 @@ class PassWorker:
             direct = solve_directly(
                 self.ground.cell.wheel, self.ground.cover, self.ground.cloud, problem, solved, self.sigma_travel
             )
-            better = corrected_defect(problem, solved, direct)
-            off = np.abs((better - problem.defect) * solved.stiffness).max()
+            better = corrected_indentation(problem, solved, direct)
+            off = np.abs((better - problem.indentation_correction) * solved.stiffness).max()
             blocked = self._with_clearances(problem, solution.q)
             turned = self.solver.with_approach(problem, solution.q)
             if off < DIRECT_TOLERANCE and blocked is None and not _turns_differ(problem, turned):
                 break
-            problem = replace(blocked or problem, defect=better, approach=turned.approach)
+            problem = replace(blocked or problem, indentation_correction=better, approach=turned.approach)
             start = solution
-        self._refuse_unsound(problem, solution, solved)
+        refuse_unsound(self.ground.cell, self.scene, self.ground.cloud, problem.path, solution, solved)
         return SolvedPass(problem, replace(solution, multipliers=None), solved, direct)
 
     def _with_clearances(self, problem: PassProblem, q: Array) -> PassProblem | None:
@@ -133,33 +131,33 @@ class PassWorker:
             clearances[k, 0] = [*slope, slope @ q[k] - values[k] + 1e-3]
         return replace(problem, clearances=clearances)
 
-    def _refuse_unsound(self, problem: PassProblem, solution: PassSolution, solved: Evaluation) -> None:
-        """Raises Infeasible: something collides, the blade touches elsewhere, the flange is at the end of its stroke."""
-        path, cell = problem.path, self.ground.cell
-        name = f"line {path.line} ({path.side})"
-        clearance = self.scene.clearance(solution.q, in_contact=True)
-        if clearance.value < 0:
-            raise Infeasible(
-                f"{name}, waypoint {clearance.index + 1}: {clearance.sentence()}; move the wheel or the blade in its holder"
-            )
-        poses = solved.T_base_blade
-        gouge = find_secondary_contact(
-            cell, self.ground.cloud.points[::GOUGE_THINNING], poses, path.p, solved.curvature, solved.tilt, solved.delta
+
+def refuse_unsound(
+    cell: Cell, scene: CollisionScene, cloud: SurfaceCloud, path: BladePath, solution: PassSolution, solved: Evaluation
+) -> None:
+    """Raises Infeasible: something collides, the blade touches elsewhere, the flange is at the end of its stroke."""
+    name = f"line {path.line} ({path.side})"
+    clearance = scene.clearance(solution.q, in_contact=True)
+    if clearance.value < 0:
+        raise Infeasible(
+            f"{name}, waypoint {clearance.index + 1}: {clearance.sentence()}; move the wheel or the blade in its holder"
         )
-        if gouge.depth > SECONDARY_CONTACT_TOLERANCE:
-            raise TouchesElsewhere(
-                f"{name}, waypoint {gouge.index + 1}: the blade would touch the wheel {gouge.distance * 1e3:.1f} mm beside "
-                f"the contact, {gouge.depth * 1e3:.2f} mm deeper than planned (at most {SECONDARY_CONTACT_TOLERANCE * 1e3:.2f}); "
-                f"use a smaller or narrower wheel, or larger margins"
+    points, poses = cloud.points[::THINNING], solved.T_base_blade
+    beside = find_secondary_contact(cell, points, poses, path.p, solved.curvature, solved.tilt, solved.delta)
+    if beside.depth > SECONDARY_CONTACT_TOLERANCE:
+        raise TouchesElsewhere(
+            f"{name}, waypoint {beside.index + 1}: the blade would touch the wheel {beside.distance * 1e3:.1f} mm beside "
+            f"the contact, {beside.depth * 1e3:.2f} mm deeper than planned (at most {SECONDARY_CONTACT_TOLERANCE * 1e3:.2f}); "
+            f"use a smaller or narrower wheel, or larger margins"
+        )
+    if cell.flange is not None:
+        stroke, limit = solved.parts[:, 0], 0.5 * cell.flange.stroke - STROKE_RESERVE
+        k = int(np.argmax(np.abs(stroke)))
+        if abs(stroke[k]) > limit:
+            raise Infeasible(
+                f"{name}, waypoint {k + 1}: the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, "
+                f"{limit * 1e3:.2f} mm are usable; set force_N nearer to the flange's setpoint"
             )
-        if cell.flange is not None:
-            stroke, limit = solved.parts[:, 0], 0.5 * cell.flange.stroke - 1e-3
-            k = int(np.argmax(np.abs(stroke)))
-            if abs(stroke[k]) > limit:
-                raise Infeasible(
-                    f"{name}, waypoint {k + 1}: the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, "
-                    f"{limit * 1e3:.2f} mm are usable; set force_N nearer to the flange's setpoint"
-                )
 
 
 def _turns_differ(one: PassProblem, other: PassProblem) -> bool:

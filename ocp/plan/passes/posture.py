@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from ocp.contact.wheel.law import WheelLaw
 from ocp.model.cell import Cell
 from ocp.plan.clearance.collision import CollisionScene, flange_pose
+from ocp.plan.rules import AXIS_MARGIN, ELBOW_MARGIN, SEED_INDENTATION, SEED_SPEED_SHARE, SHOULDER_MARGIN, WRIST_MARGIN
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches, reach_excess
 from robots.pose import Array, make_transform
@@ -23,11 +24,6 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 STATIONS = 7  # along a pass; between them a pass turns little
-LIMIT_MARGIN = np.radians(2.0)
-WRIST_MARGIN = np.radians(8.0)  # distance of axis 5 from the wrist singularity
-SHOULDER_MARGIN = 0.15  # m, wrist centre from axis 1
-ELBOW_MARGIN = np.radians(5.0)
-LEAST_INDENTATION = 5e-5  # m; above the optimiser's own bound, so that it starts inside
 TRAVEL_WEIGHT = 0.5  # cost of a second of travel between passes
 
 
@@ -182,7 +178,7 @@ def _bears(cell: Cell, law: WheelLaw, path: BladePath, index: Index, turns: Arra
     force = np.broadcast_to(path.force[index], kxx.shape).ravel()
     zero = np.zeros(kxx.size)
     d = law.evaluate(force, kxx.ravel(), kyy.ravel(), kxy.ravel(), zero, zero, zero).reshape(kxx.shape)
-    good = ~hollow & (d > LEAST_INDENTATION)
+    good = ~hollow & (d > SEED_INDENTATION)
     if not good.all(axis=1).any():
         worst = int(np.argmax((~good).sum(axis=0)))
         reasons.append(
@@ -211,13 +207,15 @@ def _families(
     seeds = []
     for shift in _shifts():
         moved = q + 2 * np.pi * shift
-        over = np.maximum(robot.q_min + LIMIT_MARGIN - moved, moved - robot.q_max + LIMIT_MARGIN).max(axis=2)
+        over = np.maximum(robot.q_min + AXIS_MARGIN - moved, moved - robot.q_max + AXIS_MARGIN).max(axis=2)
         wrist = np.abs(np.sin(q[..., 4])).min(axis=2)
         speed = (np.abs(np.diff(q, axis=2)) / seconds[:, None] / robot.qd_max).max(axis=(2, 3))
         shoulder = np.abs(_wrist_radius(cell, q)).min(axis=2)
         elbow = np.abs(q[..., 2] - np.arctan2(robot.mdh[2, 2], robot.mdh[3, 1])).min(axis=2)
         inside = ok & (over <= 0).all(axis=-1)
-        sound = (wrist > np.sin(WRIST_MARGIN)) & (speed < 0.9) & (shoulder > SHOULDER_MARGIN) & (elbow > ELBOW_MARGIN)
+        sound = (
+            (wrist > np.sin(WRIST_MARGIN)) & (speed < SEED_SPEED_SHARE) & (shoulder > SHOULDER_MARGIN) & (elbow > ELBOW_MARGIN)
+        )
         _note(reasons, ok, over, inside, wrist, speed, shoulder)
         cost = (
             (turn / max(cell.process.turn_tolerance, 1e-3))[:, None] ** 2
@@ -260,7 +258,7 @@ def _note(
     best = np.where(inside, wrist, 0.0).max()
     if best <= np.sin(WRIST_MARGIN):
         reasons.append((2.0, f"axis 5 comes within {np.degrees(np.arcsin(best)):.1f} deg of the wrist singularity"))
-    elif np.where(inside, speed, np.inf).min() >= 0.9:
+    elif np.where(inside, speed, np.inf).min() >= SEED_SPEED_SHARE:
         share = np.where(inside, speed, np.inf).min()
         reasons.append((3.0, f"an axis would need {100 * share:.0f} % of its speed limit at the programmed feed"))
     elif np.where(inside, shoulder, 0.0).max() <= SHOULDER_MARGIN:

@@ -18,14 +18,14 @@ STILL = 1e-3  # rad/m; an axis that turns less per metre of the pass keeps the s
 @dataclass(frozen=True)
 class PassProblem:
     """A pass in its direction of travel with all that its waypoints know: blade compliance (n, 3) m/N in (n, t, b),
-    wheel defect (n,) m, clearances (n, N_CLEARANCE, 7): rows a.q >= b; turn_limit
+    indentation_correction (n,) m of the wheel's table, clearances (n, N_CLEARANCE, 7): rows a.q >= b; turn_limit
     rad narrows the cell's turn tolerance where a turned wheel would touch the blade elsewhere; approach (n, 6): signs of the
     axes' motion for effects that depend on them."""
 
     path: BladePath
     seed: Seed
     compliance: Array
-    defect: Array
+    indentation_correction: Array
     clearances: Array
     turn_limit: float = np.inf
     approach: Array | None = None
@@ -42,7 +42,7 @@ class PassProblem:
     def waypoints(self) -> Array:
         """Columns `ocp.model.force_balance.WAYPOINT`, (n, 16)."""
         p = self.path
-        return np.column_stack([p.p, p.n, p.t, p.curvature, self.compliance, self.defect])
+        return np.column_stack([p.p, p.n, p.t, p.curvature, self.compliance, self.indentation_correction])
 
     def conditions(self, cell: Cell) -> Array:
         """Columns `ocp.effects.engine.symbolic.CONDITIONS` of a cell with effects, (n, 24); (n, 0) without.

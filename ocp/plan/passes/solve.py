@@ -10,10 +10,6 @@ from ocp.model.cell import Cell
 from ocp.model.force_balance import Model, build_model
 from ocp.model.theta import Theta
 from ocp.plan.passes.posture import (
-    ELBOW_MARGIN,
-    LIMIT_MARGIN,
-    SHOULDER_MARGIN,
-    WRIST_MARGIN,
     joints_near,
     poses_along,
     turned_curvature,
@@ -30,14 +26,21 @@ from ocp.plan.passes.stage import (
     force_variance,
 )
 from ocp.plan.passes.transcription import Transcription, transcribe
+from ocp.plan.rules import (
+    AXIS_MARGIN,
+    ELBOW_MARGIN,
+    LEAST_INDENTATION,
+    SHOULDER_MARGIN,
+    SINGULARITY_SHARE,
+    SPEED_SHARE,
+    WRIST_MARGIN,
+)
 from robots.errors import Infeasible
 from robots.pose import Array, invert
 from trajectories.passes import BladePath
 
 PAD = 32  # programs are built for multiples of this many waypoints and shared by passes of similar length
-SPEED_SHARE = 0.8  # of the axes' speed limits that a pass may use at its programmed feed
 AIM_STEPS = 2  # each leaves a thousandth of the miss
-LEAST_INDENTATION = 3e-5  # m of overlap at the planned point: with less the wheel bears beside it
 FEASIBLE = 1e-5  # largest scaled violation of a row that counts as solved (0.01 um, 1e-5 rad)
 
 
@@ -151,7 +154,7 @@ class PassSolver:
         kxx, kyy, kxy = turned_curvature(path.curvature, np.array(problem.seed.turn), self.cell.wheel.radius)
         zero = np.zeros(len(path.s))
         overlap = self.law.evaluate(path.force, np.maximum(kxx, self.limits["kxx"][0]), kyy, kxy, zero, zero, zero)
-        goal = poses_along(self.cell, path, problem.seed, overlap + problem.defect, self.sigma)
+        goal = poses_along(self.cell, path, problem.seed, overlap + problem.indentation_correction, self.sigma)
         commanded = goal
         # The real arm sags by millimetres, a twentieth of a small wheel's arc: aim off by what it misses.
         for _ in range(AIM_STEPS):
@@ -185,10 +188,9 @@ class PassSolver:
         stats = solver.stats()
         x = np.asarray(result["x"]).reshape(program.n, N_Z)[:n]
         g = np.asarray(result["g"]).ravel()
-        violation = np.maximum(lbg - g, g - ubg)
-        if violation.max() > FEASIBLE or not np.isfinite(x).all():
-            raise Infeasible(self._reason(path, violation, program.n, full, stats["return_status"]))
-        if not stats["success"] and stats["return_status"] != "Maximum_Iterations_Exceeded":
+        refuse_violated(path, np.maximum(lbg - g, g - ubg), full, stats["return_status"])
+        solved = stats["success"] or stats["return_status"] == "Maximum_Iterations_Exceeded"
+        if not (solved and np.isfinite(x).all()):
             raise Infeasible(f"line {path.line} ({path.side}): the optimiser stopped with {stats['return_status']}")
         multipliers = np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_g"]).ravel()
         return PassSolution(x[:, :6], x[:, 6], int(stats["iter_count"]), float(result["f"]), multipliers)
@@ -196,16 +198,16 @@ class PassSolver:
     def _bounds(self, problem: PassProblem, n: int) -> tuple[Array, Array]:
         """Bounds of the variables: axis limits with margin, the seed's side of wrist and elbow, the force."""
         robot, seed = self.cell.robot, problem.seed
-        low, high = robot.q_min + LIMIT_MARGIN, robot.q_max - LIMIT_MARGIN
+        low, high = robot.q_min + AXIS_MARGIN, robot.q_max - AXIS_MARGIN
         if seed.q[0, 4] > 0:
-            low[4] = max(low[4], 0.7 * WRIST_MARGIN)
+            low[4] = max(low[4], SINGULARITY_SHARE * WRIST_MARGIN)
         else:
-            high[4] = min(high[4], -0.7 * WRIST_MARGIN)
+            high[4] = min(high[4], -SINGULARITY_SHARE * WRIST_MARGIN)
         elbow = float(np.arctan2(robot.mdh[2, 2], robot.mdh[3, 1]))
         if seed.q[0, 2] > elbow:
-            low[2] = max(low[2], elbow + 0.7 * ELBOW_MARGIN)
+            low[2] = max(low[2], elbow + SINGULARITY_SHARE * ELBOW_MARGIN)
         else:
-            high[2] = min(high[2], elbow - 0.7 * ELBOW_MARGIN)
+            high[2] = min(high[2], elbow - SINGULARITY_SHARE * ELBOW_MARGIN)
         force = _padded(problem.path.force, n)[:, None]
         return (
             np.hstack([np.tile(low, (n, 1)), force]).ravel(),
@@ -225,7 +227,7 @@ class PassSolver:
             low[row], high[row] = max(-half, limit[0]), min(half, limit[1])
         turn = min(process.turn_tolerance, problem.turn_limit)
         low[3], high[3] = -turn, turn
-        low[6] = 0.7 * SHOULDER_MARGIN
+        low[6] = SINGULARITY_SHARE * SHOULDER_MARGIN
         low[7], high[7] = self.limits.get("kxx", (0.0, np.inf))
         low[8] = 1e3 * LEAST_INDENTATION
         low[9:] = 0.0
@@ -255,24 +257,32 @@ class PassSolver:
         second[: count - 2] = self.weights.acceleration / count / (seconds[1:, None] ** 2 * robot.qdd_max) ** 2
         return _padded(par, n), self.theta.values, first, second
 
-    def _reason(self, path: BladePath, violation: Array, n: int, full: bool, status: str) -> str:
-        """The worst violated row as a sentence."""
-        rows = N_ROWS if full else N_PLAIN_ROWS
-        stage = violation[: rows * n].reshape(n, rows)[: len(path.s)]
-        steps = violation[rows * n :].reshape(-1, 6)
-        k, row = np.unravel_index(int(np.argmax(stage)), stage.shape)
-        if full and steps.max() > stage.max():
-            k, axis = np.unravel_index(int(np.argmax(steps)), steps.shape)
-            return (
-                f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: axis {axis + 1} would have to move "
-                f"{np.degrees(steps[k, axis]):.3f} deg more per step than its speed allows at the programmed feed; lower the feed"
-            )
-        name, unit, factor = ROWS[row]
-        return (
-            f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: {name} cannot be met, "
-            f"{stage[k, row] * factor:.3g} {unit} are missing "
-            f"(optimiser: {status}); widen that tolerance or move the wheel"
+
+def refuse_violated(path: BladePath, violation: Array, full: bool, status: str) -> None:
+    """Raises Infeasible with the worst row of a pass as a sentence, if `violation` of any is more than FEASIBLE.
+
+    violation: of the rows of `ocp.plan.passes.stage.ROWS` at all waypoints, padded ones included, then (`full`) of the joint
+    steps between them; `status` of the optimiser.
+    """
+    rows = N_ROWS if full else N_PLAIN_ROWS
+    if violation.max() <= FEASIBLE:
+        return
+    n = (len(violation) + 6 * full) // (rows + 6 * full)
+    stage = violation[: rows * n].reshape(n, rows)[: len(path.s)]
+    steps = violation[rows * n :].reshape(-1, 6)
+    k, row = np.unravel_index(int(np.argmax(stage)), stage.shape)
+    if full and steps.max() > stage.max():
+        k, axis = np.unravel_index(int(np.argmax(steps)), steps.shape)
+        raise Infeasible(
+            f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: axis {axis + 1} would have to move "
+            f"{np.degrees(steps[k, axis]):.3f} deg more per step than its speed allows at the programmed feed; lower the feed"
         )
+    name, unit, factor = ROWS[row]
+    raise Infeasible(
+        f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: {name} cannot be met, "
+        f"{stage[k, row] * factor:.3g} {unit} are missing "
+        f"(optimiser: {status}); widen that tolerance or move the wheel"
+    )
 
 
 def _padded(values: Array, n: int) -> Array:

@@ -10,6 +10,7 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.plan.motion.motion import PlannedMotion
+from ocp.plan.rules import BLOCK_TIME_TOLERANCE, FLANGE_FORCE_TOLERANCE, READ_BACK_LIMIT, RIGID_FORCE_TOLERANCE
 from ocp.plan.verify.second_route import BelievedRobot, VerifiedPass, verify_pass
 from ocp.shell.workers import interrupts_held_back, workers
 from robots.errors import Infeasible
@@ -17,10 +18,10 @@ from robots.inverse import inverse_branches
 from robots.pose import Array, invert
 from trajectories.dialects import dialect_named
 from trajectories.joint_trajectory import SAMPLE
+from trajectories.passes import BladePath
 from trajectories.program.execution import Execution
 from trajectories.program.interpolation import pose_spline, reinterpolate
 
-FLANGE_TOLERANCE, RIGID_TOLERANCE = 0.2, 2.0  # N, what a program may be off by (the mission)
 POSE_STEP = 2e-3  # m between poses of a Cartesian program at which its axes are found
 
 
@@ -51,24 +52,30 @@ def read_back(
     timed = all(s.times is not None or s.kind == "point" for s in execution.segments)
     driven, axis_error, time_error, ratio = (_timed if timed else _posed)(cell, motion, execution)
     passes, worst = [], 0.0
-    tolerance = RIGID_TOLERANCE if cell.flange is None else FLANGE_TOLERANCE
     tasks = [
         (one.problem.path, one.problem.compliance, *rows, one.problem.named_conditions(cell))
         for one, rows in zip(motion.passes, driven, strict=True)
     ]
     for one, checked in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks, jobs), strict=True):
-        path, s = one.problem.path, checked.s
-        off = np.abs(checked.force - np.interp(s, path.s, path.force))
-        k = int(np.argmax(off))
-        if off[k] > tolerance:
-            raise Infeasible(
-                f"line {path.line} ({path.side}), {s[k] * 1e3:.1f} mm along it: the force read back from the program is "
-                f"{checked.force[k]:.2f} N by the independent route, {off[k]:.2f} N off (at most "
-                f"{tolerance:g}); nothing is written"
-            )
+        worst = max(worst, force_error(cell, one.problem.path, checked))
         passes.append(checked)
-        worst = max(worst, float(off[k]))
     return Readback(passes, worst, axis_error, time_error, ratio)
+
+
+def force_error(cell: Cell, path: BladePath, seen: VerifiedPass) -> float:
+    """Largest difference N along a pass between the force read back and the one asked for.
+
+    Raises Infeasible where it is more than a program may be off by.
+    """
+    tolerance = RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
+    off = np.abs(seen.force - np.interp(seen.s, path.s, path.force))
+    k = int(np.argmax(off))
+    if off[k] > tolerance:
+        raise Infeasible(
+            f"line {path.line} ({path.side}), {seen.s[k] * 1e3:.1f} mm along it: the force read back from the program is "
+            f"{seen.force[k]:.2f} N by the independent route, {off[k]:.2f} N off (at most {tolerance:g}); nothing is written"
+        )
+    return float(off[k])
 
 
 _shared: tuple[Cell, BelievedRobot, Cover, SurfaceCloud] | None = None
@@ -116,9 +123,9 @@ def _timed(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Dri
         ratio = max(ratio, float(use[0].max()), float(use[1].max()))
         if segment.kind == "contact":
             driven.append((t, q, segment.trajectory.s(t)))
-    if time_error > 1e-3:
+    if time_error > BLOCK_TIME_TOLERANCE:
         raise Infeasible(f"a block of the program lasts {time_error * 1e3:.2f} ms longer or shorter than planned (at most 1)")
-    if ratio > 1.0:
+    if ratio > READ_BACK_LIMIT:
         raise Infeasible(f"the program read back would use {ratio:.3f} of an axis limit between its points; nothing is written")
     return driven, axis_error, time_error, ratio
 

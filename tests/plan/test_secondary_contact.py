@@ -5,38 +5,15 @@ import pytest
 
 from ocp.contact.wheel.gap import LocalShape
 from ocp.model.blade_gap import FACING, REACH, SurfaceCloud, surface_shape
-from ocp.plan.clearance.secondary_contact import SECONDARY_CONTACT_TOLERANCE, find_secondary_contact
+from ocp.plan.clearance.secondary_contact import find_secondary_contact
+from ocp.plan.rules import SECONDARY_CONTACT_TOLERANCE
 from tests.support.example_pass import bundled_cell
-
-RADIUS = 0.08  # m of the round bar that plays the blade
-CONTACT = np.array([0.0, RADIUS, 0.0])
+from tests.support.round_bar import CONTACT, RADIUS, bar, buried, on_wheel
 
 
 @pytest.fixture(scope="module")
 def cell():
     return bundled_cell()
-
-
-def bar(length: float = 0.03, step: float = 4e-4, radius: float = RADIUS, upto: float = np.inf) -> SurfaceCloud:
-    """A round bar about the blade's x axis seen from +y; its points end at x = upto."""
-    x = np.arange(-length, min(length, upto) + 1e-9, step)
-    angle = np.arange(-length, length + 1e-9, step) / radius
-    X, A = (g.ravel() for g in np.meshgrid(x, angle))
-    normal = np.column_stack([0 * X, np.cos(A), np.sin(A)])
-    return SurfaceCloud(np.column_stack([X, radius * normal[:, 1], radius * normal[:, 2]]), normal)
-
-
-def on_wheel(cell, turn: float = 0.0, delta: float = 0.0) -> np.ndarray:
-    """T_base_blade with CONTACT at the wheel's contact direction, the bar parallel to the wheel's axis, turned about it."""
-    wheel = cell.wheel
-    e, a = wheel.contact_direction, wheel.axis
-    belt = np.cross(a, e)
-    y = -e
-    x = np.cos(turn) * a + np.sin(turn) * belt
-    T = np.eye(4)
-    T[:3, :3] = np.stack([x, y, np.cross(x, y)], axis=1)
-    T[:3, 3] = wheel.centre + (wheel.radius - delta) * e - T[:3, :3] @ CONTACT
-    return T
 
 
 def exact_gap(x, wheel_radius, delta, radius=RADIUS):
@@ -120,7 +97,7 @@ def test_without_a_cloud_the_shape_is_its_quadratic():
 # -- contact elsewhere ---------------------------------------------------------------------------------------------
 
 
-def gouge(cell, points, delta=2e-4, poses=None):
+def deepest(cell, points, delta=2e-4, poses=None):
     T = np.stack([on_wheel(cell, delta=delta)] * 2) if poses is None else poses
     n = len(T)
     curvature = np.tile([1 / RADIUS + 1 / cell.wheel.radius, 0.0, 0.0], (n, 1))
@@ -128,16 +105,7 @@ def gouge(cell, points, delta=2e-4, poses=None):
 
 
 def test_a_round_bar_touches_nowhere_else(cell):
-    assert gouge(cell, bar(0.06).points).depth == 0.0
-
-
-def buried(cell, T, depth, angle, lateral=0.0):
-    """The point in the blade frame that lies `depth` m inside the wheel at an angle from the contact direction."""
-    wheel = cell.wheel
-    belt = np.cross(wheel.axis, wheel.contact_direction)
-    e = np.cos(angle) * wheel.contact_direction + np.sin(angle) * belt
-    p = wheel.centre + (wheel.radius - depth) * e + lateral * wheel.axis
-    return (p - T[:3, 3]) @ T[:3, :3]
+    assert deepest(cell, bar(0.06).points).depth == 0.0
 
 
 @pytest.mark.parametrize("angle", [-1.2, 1.0, 2.5])
@@ -145,24 +113,24 @@ def test_a_platform_in_the_wheel_is_found_with_depth_place_and_waypoint(cell, an
     free, deep = on_wheel(cell, delta=-0.5), on_wheel(cell, delta=2e-4)
     p = buried(cell, deep, 7e-4, angle)
     assert np.linalg.norm(p - CONTACT) > REACH
-    found = gouge(cell, np.vstack([bar().points, p]), poses=np.stack([free, deep, free]))
+    found = deepest(cell, np.vstack([bar().points, p]), poses=np.stack([free, deep, free]))
     assert found.index == 1 and found.depth == pytest.approx(7e-4, abs=1e-9)
     assert found.distance == pytest.approx(cell.wheel.radius * abs(np.sin(angle)), rel=0.02)
 
 
-def test_beside_the_wheel_is_not_in_it_and_a_scratch_is_no_gouge(cell):
+def test_beside_the_wheel_is_not_in_it_and_a_scratch_is_no_deepest(cell):
     T = on_wheel(cell, delta=2e-4)
     half = 0.5 * cell.wheel.width
-    assert gouge(cell, buried(cell, T, 2e-3, 1.0, lateral=1.01 * half)[None]).depth == 0.0
-    assert gouge(cell, buried(cell, T, 2e-3, 1.0, lateral=0.99 * half)[None]).depth == pytest.approx(2e-3, abs=1e-9)
-    assert gouge(cell, buried(cell, T, 0.9 * SECONDARY_CONTACT_TOLERANCE, 1.0)[None]).depth == 0.0
+    assert deepest(cell, buried(cell, T, 2e-3, 1.0, lateral=1.01 * half)[None]).depth == 0.0
+    assert deepest(cell, buried(cell, T, 2e-3, 1.0, lateral=0.99 * half)[None]).depth == pytest.approx(2e-3, abs=1e-9)
+    assert deepest(cell, buried(cell, T, 0.9 * SECONDARY_CONTACT_TOLERANCE, 1.0)[None]).depth == 0.0
 
 
 def test_what_the_direct_contact_sees_is_left_to_it(cell):
     T = on_wheel(cell, delta=2e-4)
     p = buried(cell, T, 5e-4, 0.3)
     assert np.linalg.norm(p - CONTACT) < 0.9 * REACH
-    assert gouge(cell, p[None]).depth == 0.0
+    assert deepest(cell, p[None]).depth == 0.0
 
 
 def test_the_planned_overlap_is_taken_off_along_the_width_too(cell):

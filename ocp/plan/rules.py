@@ -1,0 +1,139 @@
+"""Every number that a plan's safety depends on: value, unit, what it guards, and its reason.
+
+A rule's docstring begins with its unit in brackets ([-]: a pure number) and names what it `Guards:` and its `Reason:`, a formula,
+a source, a test, or that it is a judgement. Numerical tolerances, sampling and the weights of the objective stand where they are
+used. tests/plan/test_plan_limits.py has for every rule that refuses one case just inside and one just outside.
+"""
+
+import numpy as np
+
+# ---------- axes: ranges, singularities, speed
+AXIS_MARGIN = np.radians(2.0)
+"""[rad] Between an axis in contact and the end of its range. Guards: software limits are not met where the calibrated arm
+stands beside the nominal one. Reason: judgement; calibrations move axes by far less."""
+
+WRIST_MARGIN = np.radians(8.0)
+"""[rad] Of axis 5 from zero, where axes 4 and 6 fall together. Guards: axes 4 and 6 would have to turn at once to follow the
+path. Reason: their speed goes as 1/sin of axis 5, seven times that of a right-angled wrist here."""
+
+SHOULDER_MARGIN = 0.15
+"""[m] Of the wrist's centre from axis 1 (overhead singularity). Guards: axis 1 would have to turn at once. Reason: 40 mm/s of
+feed need 0.27 rad/s of axis 1 there, an eighth of what a KR 210 has."""
+
+ELBOW_MARGIN = np.radians(5.0)
+"""[rad] Of axis 3 from the stretched arm. Guards: the arm cannot reach on, and axes 2 and 3 would change branch. Reason:
+judgement."""
+
+SINGULARITY_SHARE = 0.7
+"""[-] Of the three margins above, what the optimiser has to keep where the seed had to keep all. Guards: as they do. Reason:
+judgement; a start on its bound leaves an interior-point method nowhere to go."""
+
+SEED_SPEED_SHARE = 0.9
+"""[-] Of an axis' speed limit that a seed may ask for between its stations. Guards: passes whose feed the arm cannot follow are
+refused before they are optimised. Reason: judgement; the optimiser can still gain what SPEED_SHARE asks for beyond."""
+
+SPEED_SHARE = 0.8
+"""[-] Of an axis' speed limit that a pass may use at its programmed feed. Guards: the feed is held. Reason: timing may use
+LIMIT_SHARE, and a spline through the waypoints is faster between them."""
+
+LIMIT_SHARE = 0.9
+"""[-] Of an axis' limits of speed, acceleration and torque that the timed motion may use. Guards: the controller does not slow
+down or stop. Reason: judgement; rigid-body torques leave friction out."""
+
+READ_BACK_LIMIT = 1.0
+"""[-] Of an axis' limits of speed and acceleration that the program's text, interpolated anew, may use. Guards: points that
+were rounded or thinned out do not ask for more than the arm has. Reason: the limit itself."""
+
+# ---------- contact: force, indentation, contact elsewhere, stroke
+LEAST_INDENTATION = 3e-5
+"""[m] Overlap of the wheel at the planned point. Guards: with less the wheel bears beside it, on the flanks of a hollow blade.
+Reason: a tenth of the indentation of a usual cover under 20 N."""
+
+SEED_INDENTATION = 5e-5
+"""[m] The same for a seed. Guards: as LEAST_INDENTATION. Reason: more than that, so that the optimiser starts inside."""
+
+DIRECT_TOLERANCE = 0.03
+"""[N] Between the force by the wheel's table and by the contact solved directly, at which corrections end. Guards: the table's
+error does not reach the program. Reason: a seventh of FLANGE_FORCE_TOLERANCE. It refuses nothing: the verification does."""
+
+SECONDARY_CONTACT_TOLERANCE = 1e-4
+"""[m] By how much more than planned a point of the blade may lie in the wheel's cover elsewhere. Guards: contact beside the
+planned one. Reason: a cover of 15 mm and 12 MPa gives 0.3 mm under 20 N; a third of that elsewhere is not noise."""
+
+STROKE_RESERVE = 1e-3
+"""[m] Of the force flange's stroke that is left at both ends. Guards: at its stop the flange sets no force. Reason: three times
+what registration errors of blade and wheel (0.3 mm each, one sigma) may take."""
+
+FLANGE_FORCE_TOLERANCE = 0.2
+"""[N] Between the force asked for and that of the program read back by the independent route, with a force flange. Guards: the
+force on the blade. Reason: the mission's requirement."""
+
+RIGID_FORCE_TOLERANCE = 2.0
+"""[N] The same without a force flange. Guards: the force on the blade. Reason: the mission's requirement."""
+
+UNCERTAIN_FORCE = 2.0
+"""[sd] So many standard deviations of the force on the real cell below the force asked for: else the verdict is that the cell
+has to be calibrated first. Guards: a force that may be double or none. Reason: 95 % of what the covariance allows."""
+
+# ---------- what must stay free
+ARM_MARGIN = 0.020
+"""[m] Between bodies of the arm, wheel, floor and what the arm carries. Guards: collisions. Reason: shapes are simple, and the
+arm bends by about a millimetre."""
+
+BLADE_MARGIN = 0.003
+"""[m] Between blade or holder and the wheel off contact. Guards: collisions on the way to and from a pass. Reason: the arm
+bends by about a millimetre."""
+
+HOLDER_RADIUS = 0.025
+"""[m] Of the rod that stands for the holder. Guards: the holder, which the cell file does not describe, does not meet the
+wheel. Reason: judgement."""
+
+HOLDER_SHARE = 0.5
+"""[-] Of the way from the flange to the clamp that this rod reaches. Guards: as HOLDER_RADIUS. Reason: the wheel needs the
+other half to pass beside the clamp."""
+
+FLOOR_BELOW_WHEEL = 0.05
+"""[m] Of the floor below a wheel that hangs lower than the robot's base. Guards: the floor, which the cell file does not
+describe. Reason: judgement; the robot then stands on a pedestal."""
+
+COLLISION_STEP = np.radians(1.0)
+"""[rad] Largest move of an axis between two postures that are looked at off contact. Guards: nothing thin is passed through.
+Reason: a point 2 m from that axis is never more than 17 mm from where it was looked at, less than ARM_MARGIN."""
+
+LIFT_OFF = 0.020
+"""[m] Off the wheel where a pass begins to be engaged and ends to be left, straight along the normal. Guards: moves between
+passes stay clear of the wheel. Reason: six times BLADE_MARGIN."""
+
+ENGAGE_SPEED = 0.02
+"""[m/s] Of engaging and retreating. Guards: the blade meets the wheel gently. Reason: KRL.md, low speed."""
+
+HOME_LIFT = 0.15
+"""[m] Off the first contact where a program begins and ends. Guards: whoever stands there; the first move can be watched.
+Reason: judgement."""
+
+WHEEL_ROOM = 2e-3
+"""[m] Added to the wheel's radius and to either side where passes end beside block and platform. Guards: the wheel does not
+touch them. Reason: it turns, tilts and sinks in."""
+
+# ---------- the program
+BLOCK_TIME_TOLERANCE = 1e-3
+"""[s] By which a block of the program read back may last longer or shorter than planned. Guards: the feed, and with it what is
+taken off. Reason: judgement; a controller's cycle is 4 ms or longer."""
+
+EMITTED_FORCE_ERROR = 0.05
+"""[N] What the thinned-out points of a pass may cost between them; over the stiffness of the contact a tolerance in m. Guards:
+the force on the blade. Reason: a quarter of FLANGE_FORCE_TOLERANCE."""
+
+EMITTED_TOLERANCE = (1e-6, 2e-5)
+"""[m] Bounds of that tolerance. Guards: as EMITTED_FORCE_ERROR. Reason: judgement; below a micrometre lies what printing
+rounds."""
+
+EMITTED_AIR_TOLERANCE = 2e-4
+"""[m] The tolerance off contact. Guards: collisions between emitted points. Reason: a fifteenth of BLADE_MARGIN."""
+
+LEAST_STEP = 5e-5
+"""[m] Between waypoints, at least. Guards: time and memory. Reason: judgement; a tenth of what is usual."""
+
+MOST_STEP = 5e-3
+"""[m] Between waypoints, at most. Guards: force and collisions are judged at waypoints. Reason: judgement; ten times what is
+usual."""

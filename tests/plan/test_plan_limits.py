@@ -1,0 +1,379 @@
+"""The limits of a plan: for every rule of ocp/plan/rules.py that refuses, one case just inside and one just outside.
+
+Each is put to the function that decides. Rules that refuse nothing themselves have no such pair: they shape what is planned, and
+others judge the result.
+- DIRECT_TOLERANCE ends the corrections; FLANGE_FORCE_TOLERANCE judges what is left.
+- SINGULARITY_SHARE on wrist and elbow, as AXIS_MARGIN, are bounds that the optimiser cannot leave.
+- HOLDER_RADIUS, HOLDER_SHARE, FLOOR_BELOW_WHEEL, WHEEL_ROOM are shapes; the margins judge them.
+- COLLISION_STEP says how densely moves are looked at; LIFT_OFF, HOME_LIFT and ENGAGE_SPEED say how moves are laid.
+- EMITTED_FORCE_ERROR, EMITTED_TOLERANCE and EMITTED_AIR_TOLERANCE say how points are thinned out; the text is read back.
+"""
+
+import ast
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from ocp.data import CELL
+from ocp.model.blade_gap import SurfaceCloud
+from ocp.plan import rules
+from ocp.plan.clearance.collision import Clearance, CollisionScene
+from ocp.plan.files import _verdict
+from ocp.plan.motion.air import is_free
+from ocp.plan.passes import posture
+from ocp.plan.passes.optimise import TouchesElsewhere, refuse_unsound
+from ocp.plan.passes.posture import Seed
+from ocp.plan.passes.problem import PassProblem
+from ocp.plan.passes.solve import PassSolver, refuse_violated
+from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, ROWS
+from ocp.plan.planning import PlanOptions, make_plan
+from ocp.plan.verify.readback import _timed, force_error
+from ocp.plan.verify.second_route import VerifiedPass
+from ocp.shell.progress import Phases
+from robots.errors import BadInput, Infeasible
+from robots.kinematics import link_frames
+from tests.support import invented_motion
+from tests.support.block_blade import BLOCK, blade_before_wheel, joints_of
+from tests.support.example_pass import bar_pass, bundled_cell
+from tests.support.house import ROOT
+from tests.support.round_bar import CONTACT, RADIUS, buried, on_wheel
+from trajectories.joint_trajectory import Limits
+from trajectories.program.interpolation import reinterpolate
+from trajectories.timing import RESERVE, time_joint_move
+
+NAMES = [name for name in vars(rules) if name.isupper()]
+READY = np.radians([3.0, -80.0, 95.0, 10.0, 50.0, 20.0])
+HOME = np.radians([0.0, -90.0, 90.0, 0.0, 45.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return bundled_cell()
+
+
+# -- the file itself -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_rule_says_its_unit_what_it_guards_and_why_and_is_used(name):
+    body = ast.parse(Path(str(rules.__file__)).read_text()).body
+    at = next(i for i, node in enumerate(body) if isinstance(node, ast.Assign) and node.targets[0].id == name)
+    text = body[at + 1].value.value
+    assert text.startswith("[") and "Guards:" in text and "Reason:" in text
+    users = [p for p in (ROOT / "ocp").rglob("*.py") if p.name != "rules.py" and name in p.read_text()]
+    assert users, f"nobody uses {name}"
+    assert name in Path(__file__).read_text(), f"{name}: no case just inside and outside, and no word why"
+
+
+def test_margins_are_written_nowhere_else():
+    for path in (ROOT / "ocp" / "plan").rglob("*.py"):
+        if path.name != "rules.py":
+            for node in ast.parse(path.read_text()).body:
+                targets = node.targets if isinstance(node, ast.Assign) else []
+                names = {t.id for t in targets if isinstance(t, ast.Name)}
+                assert not names & set(NAMES) and not any("MARGIN" in name for name in names), path
+
+
+# -- postures ------------------------------------------------------------------------------------------------------
+
+
+def seeds(cell, q, feed_share=0.0):
+    """Seeds that stand at q (6,) at all stations, axis 1 turning at a share of its limit; and why there are none."""
+    path = bar_pass()
+    index = np.unique(np.linspace(0, len(path.s) - 1, posture.STATIONS).round().astype(int))
+    seconds = (path.s[index] - path.s[0]) / path.feed.mean()
+    along = np.tile(q, (1, 8, len(index), 1))
+    along[..., 0] += feed_share * cell.robot.qd_max[0] * seconds
+    reasons: list[tuple[float, str]] = []
+    only = np.arange(8)[None] == 0
+    found = posture._families(cell, path, index, 1, np.zeros(1), np.zeros(1), along, only, reasons)
+    return found, " ".join(text for _, text in reasons)
+
+
+def with_axis(j, value):
+    q = READY.copy()
+    q[j] = value
+    return q
+
+
+def with_shoulder(cell, radius):
+    """A posture, leaning back, with the wrist's centre `radius` m from axis 1."""
+    leaning = lambda a3: np.array([READY[0], np.radians(-120.0), a3, *READY[3:]])  # noqa: E731
+    off = lambda a3: float(posture._wrist_radius(cell, leaning(a3))) - radius  # noqa: E731
+    return leaning(brentq(off, np.radians(30.0), np.radians(70.0)))
+
+
+def stretched(cell, more):
+    return with_axis(2, float(np.arctan2(cell.robot.mdh[2, 2], cell.robot.mdh[3, 1])) + more)
+
+
+POSTURES = {
+    "AXIS_MARGIN": (lambda c, e: with_axis(4, c.robot.q_max[4] - rules.AXIS_MARGIN - e), "beyond its limit"),
+    "WRIST_MARGIN": (lambda c, e: with_axis(4, rules.WRIST_MARGIN + e), "wrist singularity"),
+    "SHOULDER_MARGIN": (lambda c, e: with_shoulder(c, rules.SHOULDER_MARGIN + e), "overhead singularity"),
+    "ELBOW_MARGIN": (lambda c, e: stretched(c, rules.ELBOW_MARGIN + e), "near a singularity"),
+}
+
+
+@pytest.mark.parametrize("name", POSTURES)
+def test_a_posture_just_inside_is_a_seed_just_outside_none(cell, name):
+    make, sentence = POSTURES[name]
+    assert seeds(cell, make(cell, 1e-6))[0]
+    found, reason = seeds(cell, make(cell, -1e-6))
+    assert not found and sentence in reason
+
+
+def test_a_feed_that_needs_nearly_an_axis_limit_is_no_seed(cell):
+    assert seeds(cell, READY, rules.SEED_SPEED_SHARE - 1e-6)[0]
+    found, reason = seeds(cell, READY, rules.SEED_SPEED_SHARE + 1e-6)
+    assert not found and "speed limit at the programmed feed" in reason
+
+
+def test_a_wheel_that_hardly_bears_is_refused(cell):
+    def bears(indentation):
+        law = SimpleNamespace(limits={"kxx": (1.0, 1e4)}, evaluate=lambda force, *shape: np.full(len(force), indentation))
+        reasons: list[tuple[float, str]] = []
+        good = posture._bears(cell, law, bar_pass(), np.array([0, 20, 39]), np.zeros(1), reasons)  # type: ignore[arg-type]
+        return bool(good.all()), reasons
+
+    assert bears(rules.SEED_INDENTATION + 1e-9) == (True, [])
+    good, reasons = bears(rules.SEED_INDENTATION - 1e-9)
+    assert not good and "too hollow" in reasons[0][1]
+
+
+# -- the optimiser's rows ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def solver(cell):
+    """What of a solver knows the bounds; no model is compiled."""
+    one = object.__new__(PassSolver)
+    one.cell, one.limits = cell, {}
+    return one
+
+
+def problem():
+    seed = Seed(1, 0, 0.0, 0.0, np.tile(READY, (7, 1)), np.linspace(0, 1, 7), 0.0)
+    return PassProblem.start(bar_pass(), seed, np.zeros((40, 3)))
+
+
+def judge(solver, value, row=None, axis=None):
+    """Put a pass to the test whose rows are all met but for `row` (or the step of `axis`) of waypoint 18, which is `value`."""
+    one, full = problem(), axis is not None
+    low, high = solver._row_bounds(one, 40, full)
+    g = np.clip(0.0, low, high)
+    rows = N_ROWS if full else N_PLAIN_ROWS
+    g[17 * rows + row if axis is None else rows * 40 + 6 * 17 + axis] = value
+    refuse_violated(one.path, np.maximum(low - g, g - high), full, "Solve_Succeeded")
+
+
+ROW = {name.split(" (")[0]: i for i, (name, _, _) in enumerate(ROWS)}
+
+
+def test_the_wrist_is_kept_off_axis_1(solver):
+    least, row = rules.SINGULARITY_SHARE * rules.SHOULDER_MARGIN, ROW["distance of the wrist from axis 1"]
+    judge(solver, least + 1e-4, row)
+    with pytest.raises(Infeasible, match=r"waypoint 18 of 40: distance of the wrist from axis 1 .* 0\.1 mm are missing"):
+        judge(solver, least - 1e-4, row)
+
+
+def test_the_wheel_has_to_bear_at_the_planned_point(solver):
+    row = ROW["overlap of the wheel at the planned point"]
+    judge(solver, 1e3 * (rules.LEAST_INDENTATION + 1e-6), row)
+    with pytest.raises(Infeasible, match="overlap of the wheel at the planned point .* cannot be met"):
+        judge(solver, 1e3 * (rules.LEAST_INDENTATION - 1e-6), row)
+
+
+def test_an_axis_may_not_use_all_of_its_speed(cell, solver):
+    step = rules.SPEED_SHARE * problem().seconds[17] * cell.robot.qd_max[3]
+    judge(solver, step - 1e-4, axis=3)
+    with pytest.raises(Infeasible, match=r"axis 4 would have to move 0\.006 deg more per step"):
+        judge(solver, step + 1e-4, axis=3)
+    turning = np.tile(READY, (40, 1))
+    turning[18:, 3] += step
+    for more, broken in ((-1e-6, False), (1e-6, True)):
+        moved = turning.copy()
+        moved[18:, 3] += more
+        assert solver._breaks_lazy_rows(problem(), moved) is broken
+
+
+def test_the_optimiser_stays_off_the_ends_of_axes_and_singularities(cell, solver):
+    low, high = (bound.reshape(40, 7)[:, :6] for bound in solver._bounds(problem(), 40))
+    assert (low >= cell.robot.q_min + rules.AXIS_MARGIN).all() and (high <= cell.robot.q_max - rules.AXIS_MARGIN).all()
+    assert low[0, 4] == rules.SINGULARITY_SHARE * rules.WRIST_MARGIN
+    assert low[0, 2] == pytest.approx(stretched(cell, rules.SINGULARITY_SHARE * rules.ELBOW_MARGIN)[2])
+
+
+# -- solved passes -------------------------------------------------------------------------------------------------
+
+
+def solved(T=None, stroke=0.0, curvature=(0.0, 0.0, 0.0)):
+    T = np.eye(4) if T is None else T
+    numbers = {"curvature": np.array([curvature]), "tilt": np.zeros((1, 2)), "delta": np.full(1, 2e-4)}
+    return SimpleNamespace(T_base_blade=T[None], parts=np.array([[stroke, 0.0, 0.0, 0.0]]), **numbers)
+
+
+def put_to_test(cell, scene=None, points=None, q=HOME, **evaluation):
+    free = SimpleNamespace(clearance=lambda q, in_contact: Clearance(0.0, 0, ("hand", "wheel")))
+    path = SimpleNamespace(line=3, side="convex", p=CONTACT[None])
+    far = np.full((1, 3), 50.0) if points is None else points
+    whole: Any = SimpleNamespace(q=q[None]), solved(**evaluation)
+    refuse_unsound(cell, scene or free, SurfaceCloud(far, far), path, *whole)  # type: ignore[arg-type]
+
+
+def test_an_arm_too_near_the_wheel_is_refused(cell):
+    """The wheel is moved toward the forearm until ARM_MARGIN is left."""
+    frames = link_frames(cell.robot, HOME[None])[0]
+    goal = frames[3][:3, 3]
+
+    def moved(t):
+        away = (goal - cell.wheel.centre) / np.linalg.norm(goal - cell.wheel.centre)
+        there = replace(cell, wheel=replace(cell.wheel, centre=cell.wheel.centre + t * away))
+        return there, CollisionScene(there, BLOCK)
+
+    value = lambda t: moved(t)[1].clearance(HOME[None], in_contact=True).value  # noqa: E731
+    at = brentq(value, 0.0, 0.9 * np.linalg.norm(goal - cell.wheel.centre), xtol=1e-7)
+    pair = moved(at)[1].clearance(HOME[None], in_contact=True).names
+    assert "wheel" in pair and "holder" not in pair, "the margin that is met is not ARM_MARGIN"
+    put_to_test(*moved(at - 1e-5))
+    with pytest.raises(Infeasible, match=r"line 3 \(convex\), waypoint 1: .*wheel overlap by .* against the margin"):
+        put_to_test(*moved(at + 1e-3))
+
+
+def test_a_blade_too_near_the_wheel_off_contact_is_not_free(cell):
+    scene = CollisionScene(cell, BLOCK)
+    judged = 0
+    inside, outside = (joints_of(cell, blade_before_wheel(cell, rules.BLADE_MARGIN + e)) for e in (1e-5, -1e-5))
+    for q_in, q_out in zip(inside, outside, strict=True):
+        if scene.clearance(q_in[None], in_contact=False).names == ("blade", "wheel"):
+            assert is_free(scene, q_in[None]) and not is_free(scene, q_out[None])
+            assert scene.clearance(q_out[None], in_contact=False).sentence().startswith("blade and wheel overlap")
+            judged += 1
+    assert judged
+
+
+def test_contact_beside_the_planned_one_is_refused(cell):
+    T, curvature = on_wheel(cell, delta=2e-4), (1 / RADIUS + 1 / cell.wheel.radius, 0.0, 0.0)
+    for more in (-1e-6, 1e-6):
+        point = buried(cell, T, rules.SECONDARY_CONTACT_TOLERANCE + more, 1.0)[None]
+        if more < 0:
+            put_to_test(cell, points=point, T=T, curvature=curvature)
+        else:
+            with pytest.raises(TouchesElsewhere, match=r"beside the contact, 0\.10 mm deeper than planned \(at most 0\.10\)"):
+                put_to_test(cell, points=point, T=T, curvature=curvature)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_flange_near_the_end_of_its_stroke_is_refused(cell, side):
+    end = 0.5 * cell.flange.stroke - rules.STROKE_RESERVE
+    put_to_test(cell, stroke=side * (end - 1e-9))
+    with pytest.raises(Infeasible, match="the force flange would stand .* mm are usable"):
+        put_to_test(cell, stroke=side * (end + 1e-9))
+
+
+# -- timing and the program read back ------------------------------------------------------------------------------
+
+
+def test_a_posture_that_weight_alone_nearly_stalls_is_refused(cell):
+    robot = cell.robot
+
+    def move(share):
+        limits = Limits.of(robot, lambda q, qd, qdd: share * robot.torque_max + 0.0 * q, rules.LIMIT_SHARE)
+        return time_joint_move(READY, READY + 0.1, limits)
+
+    usable = (RESERVE - 1e-3) * rules.LIMIT_SHARE
+    assert move(usable - 1e-6).worst.torque <= rules.LIMIT_SHARE
+    with pytest.raises(Infeasible, match="of its torque limit to hold the posture"):
+        move(usable + 1e-6)
+
+
+@pytest.mark.parametrize("flange", [True, False])
+def test_a_force_that_is_off_is_refused(cell, flange):
+    one = cell if flange else replace(cell, flange=None)
+    tolerance = rules.FLANGE_FORCE_TOLERANCE if flange else rules.RIGID_FORCE_TOLERANCE
+    path = bar_pass()
+
+    def read(off):
+        force = path.force + np.where(np.arange(40) == 11, off, 0.0)
+        return force_error(one, path, VerifiedPass(path.s / path.feed, path.s, force, 0.0 * path.s))
+
+    for sign in (-1.0, 1.0):
+        assert read(sign * (tolerance - 1e-9)) == pytest.approx(tolerance)
+        with pytest.raises(Infeasible, match=rf"the force read back .* \(at most {tolerance:g}\); nothing is written"):
+            read(sign * (tolerance + 1e-9))
+
+
+@pytest.fixture(scope="module")
+def execution(tmp_path_factory):
+    return invented_motion.checked(invented_motion.written(tmp_path_factory.mktemp("program"))[1])
+
+
+def test_a_text_that_uses_more_than_an_axis_has_is_refused(cell, execution):
+    motion, robot = invented_motion.motion(), cell.robot
+    ratio = _timed(cell, motion, execution)[3]
+
+    def weaker(part):
+        weak = replace(robot, qd_max=ratio * part * robot.qd_max, qdd_max=ratio * part * robot.qdd_max)
+        return _timed(replace(cell, robot=weak), motion, execution)[3]
+
+    assert weaker(1 + 1e-6) == pytest.approx(rules.READ_BACK_LIMIT)
+    with pytest.raises(Infeasible, match="of an axis limit between its points; nothing is written"):
+        weaker(1 - 1e-6)
+
+
+@dataclass
+class Longer:
+    """A trajectory that says it lasts `duration`."""
+
+    trajectory: Any
+    duration: float
+
+    def __getattr__(self, name):
+        return getattr(self.trajectory, name)
+
+
+def test_a_block_that_lasts_longer_than_planned_is_refused(cell, execution):
+    motion = invented_motion.motion()
+    written = reinterpolate(execution, cell.robot.qd_max, cell.robot.qdd_max).starts[1]
+
+    def planned(off):
+        first = replace(motion.segments[0], trajectory=Longer(motion.segments[0].trajectory, written + off))
+        return _timed(cell, replace(motion, segments=[first, *motion.segments[1:]]), execution)
+
+    for sign in (-1.0, 1.0):
+        planned(sign * (rules.BLOCK_TIME_TOLERANCE - 1e-7))
+        with pytest.raises(Infeasible, match="ms longer or shorter than planned"):
+            planned(sign * (rules.BLOCK_TIME_TOLERANCE + 1e-7))
+
+
+# -- what is asked for, and what is said ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("inside, outside", [(rules.LEAST_STEP, 1 - 1e-9), (rules.MOST_STEP, 1 + 1e-9)])
+def test_waypoints_neither_too_dense_nor_too_far_apart(monkeypatch, inside, outside):
+    def reached(*_):
+        raise NotImplementedError("the blade is read")
+
+    monkeypatch.setattr("ocp.plan.planning.lay_paths", reached)
+    with pytest.raises(NotImplementedError):
+        make_plan(CELL, None, PlanOptions(step=inside), Phases())
+    with pytest.raises(BadInput, match="is not between 0.05 and 5 mm"):
+        make_plan(CELL, None, PlanOptions(step=inside * outside), Phases())
+
+
+def test_a_force_that_may_be_double_or_none_is_not_called_ready(cell):
+    def verdict(sd):
+        one = SimpleNamespace(
+            evaluation=SimpleNamespace(force_sd=np.array([sd])),
+            problem=SimpleNamespace(path=SimpleNamespace(force=np.full(3, 20.0))),
+        )
+        plan = SimpleNamespace(motion=SimpleNamespace(passes=[one]), cell=cell)
+        return _verdict(plan, SimpleNamespace(readback=SimpleNamespace(force_error=0.02)))  # type: ignore[arg-type]
+
+    assert "calibrate the cell before the blade touches the wheel" not in verdict(20.0 / rules.UNCERTAIN_FORCE - 1e-6)
+    assert "calibrate the cell before the blade touches the wheel" in verdict(20.0 / rules.UNCERTAIN_FORCE + 1e-6)
