@@ -32,6 +32,9 @@ from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Hanging
 
+ARCSEC = float(np.degrees(1.0) * 3600.0)
+LEAST_TRAIN, LEAST_TEST = 60, 20  # readings on each side of a fold
+_HAVE = frozenset({"approach", "time_s", "tau", "speed"})  # what a motion log brings by itself
 BLOCKS = 5
 
 
@@ -60,11 +63,6 @@ def _of_joint(problem: EncoderProblem, j: int, q: Array, qd: Array, direction: A
         found.append(Fold(f"direction{j}=-", "approach", mine & (direction < 0)[row]))
     found.append(Fold(f"speed{j}>{np.degrees(fast):.0f}deg/s", "speed", mine & (np.abs(qd) > fast)[row]))
     return found
-
-
-ARCSEC = float(np.degrees(1.0) * 3600.0)
-LEAST_TRAIN, LEAST_TEST = 60, 20  # readings on each side of a fold
-_HAVE = frozenset({"approach", "time_s", "tau", "speed"})  # what a motion log brings by itself
 
 
 @dataclass(frozen=True)

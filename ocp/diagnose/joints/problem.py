@@ -8,6 +8,10 @@ cell states them, hardly known where they come from a catalogue; joints without 
 motor torque holds of the drive's own viscous and dry friction, which loads no spring (c times that friction): the evidence allows
 for them, the fit leaves them at zero, so that they cannot pass a delay off as friction. Only the delay s is not linear;
 Gauss-Newton steps about it.
+
+A link-side encoder sees what lies between motor and link: effects' hooks `joint`, and `torque` through the joint's spring where
+the load was not recorded (a recorded load holds every weight already). The delay is the encoder's own: the motor's angle of a
+moment ago is what the link shows now, column -speed.
 """
 
 from collections.abc import Sequence
@@ -30,6 +34,8 @@ from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Hanging, Index
 
+STEPS = 4
+RANK = 1e-12  # of the largest singular value; what the readings say less of stays where it is
 DELAY = "channel_delay"
 
 
@@ -74,10 +80,6 @@ def encoder_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: 
         share = rows.block("c") * np.where(recorded, 0.0, 1.0)
         total += share[None, :, :, None] * evaluated(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
     return total
-
-
-STEPS = 4
-RANK = 1e-12  # of the largest singular value; what the readings say less of stays where it is
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""How much a set of effects helps on readings that were left out, by linear refits about the fit of all readings.
+"""How much a set of effects helps on readings that were left out, by linear refits about the fit of all readings; and predictions
+of readings nobody has seen, by the believed cell refitted and with the named effects.
 
 The fit without a fold differs from the whole fit by well below a millimetre; about the latter its second order is below a
 micrometre, so one weighted least-squares solution with the priors stands for a nonlinear refit, a thousand times cheaper.
@@ -21,8 +22,9 @@ from robots.gauss_newton import linear_step
 from robots.pose import Array
 from robots.tracker_readings import Readings
 
+LEAST_TRAIN, LEAST_TEST = 15, 3  # readings on each side of a fold that is judged
 PARTS = 5
-LEAST = 8  # readings on each side
+LEAST = 8  # readings on each side of a fold that is made
 
 
 def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
@@ -54,9 +56,6 @@ def _thirds(kind: str, values: Array) -> list[Fold]:
     cut = float(np.quantile(values, 2 / 3))
     unit = {"temperature": "C", "time": "s"}[kind]
     return [Fold(f"{kind} above {cut:.4g} {unit}", kind, values > cut)]
-
-
-LEAST_TRAIN, LEAST_TEST = 15, 3
 
 
 def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active]) -> HeldOut | None:

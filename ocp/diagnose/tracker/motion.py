@@ -17,6 +17,8 @@ from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Index, Instrument, Readings
 
+LINKS = (2, 3, 4, 5, 6)  # the base and link 1 turn about the vertical only
+MASS_NAMES = tuple(f"mass_link{i}" for i in LINKS)
 Motion = tuple[Array | None, Array | None]
 
 
@@ -174,12 +176,14 @@ def together(active: Sequence[Active], seen: PlacedReadings) -> tuple[list[Array
     return parts, whole[:, :6], whole[:, 6:]
 
 
-LINKS = (2, 3, 4, 5, 6)  # the base and link 1 turn about the vertical only
-MASS_NAMES = tuple(f"mass_link{i}" for i in LINKS)
-
-
 def mass_columns(seen: PlacedReadings, d_joints: Array) -> Array:
-    """Displacement (n, 3, 5) m per unit of relative mass of links 2 to 6; d_joints (n, 3, 6) m/rad."""
+    """Displacement (n, 3, 5) m per unit of relative mass of links 2 to 6; d_joints (n, 3, 6) m/rad.
+
+    Nobody knows a robot's links to better than a percent, and springs are fitted to the sag under all weight together. Where the
+    links are heavier than believed, a payload that is known well bends the arm less than these springs say: it looks lighter, or
+    a link looks as if it bent. A link of mass (1 + m) times the believed one moves joint j by m c_j tau_j, tau_j its own share of
+    the load torque (PHYSICS 2.5).
+    """
     springs = np.clip(seen.state.arm[30:], 0.0, None)
     found = []
     for link in LINKS:

@@ -2,6 +2,10 @@
 
 Joint shifts are added to the commanded joints before the arm is bent and placed; twists and displacements of readings, below a
 millimetre, are added to first order (their second order is below a micrometre). Gauss-Newton from a fit nearby.
+
+The joint noise comes from the residual itself (Student-t likelihood), from repeats where there are any, and from what is usual.
+An effect that is not yet named hides in the residual, so the noise is estimated anew after every acceptance, and the evidence
+integrates over its scale (docs/diagnosis.md, 'Noise').
 """
 
 from collections.abc import Sequence
@@ -29,6 +33,10 @@ from robots.calibration.solver import Campaign
 from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
 
+STEPS = 8
+SETTLED = 0.01  # of one posterior sd, of each unknown
+RANK = 1e-9  # of the largest singular value; what the readings say less of stays where it is
+
 
 def gap_noise(noise: Noise) -> Noise:
     """The joint noise that a gap is judged against: what the residual asks for unless that is far above the usual
@@ -54,11 +62,6 @@ def usual_noise(repeats: Repeats | None) -> tuple[float, float]:
     if repeats is None or repeats.freedom < LEAST_REPEATED or repeats.joints <= 0:
         return USUAL_JOINT_NOISE, USUAL_JOINT_NOISE_SD
     return max(repeats.joints, JOINT_NOISE[0]), REPEATED_NOISE_SD + 2.0 / np.sqrt(repeats.freedom)
-
-
-STEPS = 8
-SETTLED = 0.01  # of one posterior sd, of each unknown
-RANK = 1e-9  # of the largest singular value; what the readings say less of stays where it is
 
 
 @dataclass(frozen=True)
