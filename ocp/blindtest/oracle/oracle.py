@@ -177,7 +177,7 @@ def left_by(library: White, signature: Array) -> Array:
     return np.array(found)
 
 
-def least_lambda(parameters: int) -> float:
+def exact_threshold(parameters: int) -> float:
     """Lambda below which a signature is not told from zero."""
     return THRESHOLD[min(parameters, 3) - 1] + MORE * max(parameters - 3, 0)
 
@@ -186,7 +186,7 @@ def not_told_apart(library: White, signature: Array, own: Name, factor: float = 
     """Names that imitate a white signature so well that these data cannot tell them from it; `factor` on the threshold."""
     left = left_by(library, signature)
     sizes = [C.shape[2] for C in library.columns]
-    return {n for n, l, m in zip(library.names, left, sizes, strict=True) if n != own and l < factor * least_lambda(m)}
+    return {n for n, l, m in zip(library.names, left, sizes, strict=True) if n != own and l < factor * exact_threshold(m)}
 
 
 def cannot_be_imitated(library: White, signature: Array) -> float:
@@ -208,7 +208,7 @@ def smallest_size(view: ExactView, planted: Planted, white: Array) -> float | No
     if planted.effect in OUTSIDE or planted.effect in MANY_SIZED:
         return None
     lam = float(white @ white)
-    least = least_lambda(coefficient_count(planted.effect)) + view.price(planted.effect, planted.joint)
+    least = exact_threshold(coefficient_count(planted.effect)) + view.price(planted.effect, planted.joint)
     return share_of_range(planted) * float(np.sqrt(least / lam)) if lam > 0 else None
 
 

@@ -10,7 +10,7 @@ from ocp.blindtest.worlds.pools import of_arm
 from ocp.model.cell import read_cell
 from ocp.simulate.twin.contact.sensor import noise
 from ocp.simulate.twin.dataset import FORCE_COLUMNS, READ, copy_cell, log_rows, write_csv
-from ocp.simulate.twin.run import GroundPasses, RunConditions
+from ocp.simulate.twin.run import GrindingConditions, GroundPasses
 from ocp.simulate.twin.tracker_log import noise_stream, tracker_world, write_readings
 from ocp.simulate.twin.truth.planting import Planted
 from ocp.simulate.twin.truth.truth import SENSOR_SIGMA
@@ -80,4 +80,4 @@ def _grinding(log: Log, read: Array | None) -> GroundPasses:
     """A log in the virtual cell's own form."""
     fn, ft = (log.result.force, log.result.tangential) if read is None else read
     index = np.arange(len(log.fn))
-    return GroundPasses(RunConditions(0.0, 0.0), index, log.q, log.moments, log.result, fn, ft)
+    return GroundPasses(GrindingConditions(0.0, 0.0), index, log.q, log.moments, log.result, fn, ft)

@@ -15,7 +15,7 @@ from ocp.simulate.twin.contact import ContactMoments
 from ocp.simulate.twin.controller.controller import Track
 from ocp.simulate.twin.controller.nominal import flange, solve_posture
 from ocp.simulate.twin.plan_knowledge import Matched
-from ocp.simulate.twin.run import GroundPasses, RunConditions, VirtualMachine, grind
+from ocp.simulate.twin.run import GrindingConditions, GroundPasses, VirtualMachine, grind
 from robots.errors import BadInput
 from robots.pose import Array
 
@@ -104,7 +104,7 @@ def run_campaign(machine: VirtualMachine, track: Track, plan: Matched, wanted: C
     cell, every = machine.cell, max(1, round(hz / wanted.log_hz))
     own, belt = _own_force(machine), cell.wheel.belt_speed
     passes = [int(k) for k in np.unique(plan.run[plan.run >= 0])]
-    first = grind(machine, track, plan, RunConditions(own, belt, clock=wanted.clock))
+    first = grind(machine, track, plan, GrindingConditions(own, belt, clock=wanted.clock))
     recorded, clock, ground = [decimated(first, every)], wanted.clock, _ground(plan, passes, {})
     sides = ground_sides(machine, {}, first.moments)
 
@@ -113,7 +113,7 @@ def run_campaign(machine: VirtualMachine, track: Track, plan: Matched, wanted: C
         clock += track.duration + BETWEEN
         moved_track = track if cell.flange is not None or not contact else nearer(machine, track, plan, setpoint / own)
         there = already_slipped(machine, sides, clock + float(track.time[np.isin(plan.run, some)][0]))
-        done = grind(there, moved_track, plan, RunConditions(setpoint, speed, contact, clock, dict(ground)), some)
+        done = grind(there, moved_track, plan, GrindingConditions(setpoint, speed, contact, clock, dict(ground)), some)
         sides = ground_sides(machine, sides, done.moments)
         if contact:
             ground = _ground(plan, some, ground)

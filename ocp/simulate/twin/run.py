@@ -39,7 +39,7 @@ class VirtualMachine:
 
 
 @dataclass(frozen=True)
-class RunConditions:
+class GrindingConditions:
     """How a program is run: setpoint N, belt m/s with sign, in contact or with the flange drawn back, seconds since the
     campaign began, how often each line was ground before, label of the session."""
 
@@ -56,7 +56,7 @@ class GroundPasses:
     """n samples of the passes of a run, in time order: `index` into the track, q (n, 6) rad commanded, time s since the pass
     began, clock s, moments of the contact, the true force N, tangential N, overlap m, and the readings fn, ft N."""
 
-    conditions: RunConditions
+    conditions: GrindingConditions
     index: Index
     q: Array
     moments: ContactMoments
@@ -113,7 +113,7 @@ def true_blade(cell: Cell, truth: Truth) -> Array:
 
 
 def grind(
-    machine: VirtualMachine, track: Track, plan: Matched, conditions: RunConditions, runs: list[int] | None = None
+    machine: VirtualMachine, track: Track, plan: Matched, conditions: GrindingConditions, runs: list[int] | None = None
 ) -> GroundPasses:
     """Run the passes (all, or `runs`) under conditions. Raises Infeasible: a force beyond what is safe."""
     rows = plan.phase == GRINDING
@@ -131,7 +131,7 @@ def grind(
 
 
 def _contact(
-    machine: VirtualMachine, track: Track, plan: Matched, c: RunConditions, index: Index, flange: Array, compliance: Array
+    machine: VirtualMachine, track: Track, plan: Matched, c: GrindingConditions, index: Index, flange: Array, compliance: Array
 ) -> ContactMoments:
     """The contact's conditions at samples of the track."""
     n, run, line = len(index), plan.run[index], plan.line[index]
