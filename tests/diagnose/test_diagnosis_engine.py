@@ -12,7 +12,7 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.pool import Member, given, scan, scan_one
 from ocp.diagnose.engine.problem import linearised
 from ocp.diagnose.engine.projection import project
-from ocp.diagnose.engine.system import Conditions
+from ocp.diagnose.engine.system import ReadingConditions
 from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.location import kernel_tests
@@ -212,7 +212,7 @@ def wave_channel(seed, amplitude=0.0):
     y = rng.normal(size=720)
     y.reshape(120, 6)[:, 2] += amplitude * np.cos(2 * q[:, 2]) * np.sin(2 * q[:, 0])
     d = np.tile(np.eye(6)[None] * 1e5, (120, 1, 1))  # 1e-5 rad of noise
-    c = Conditions("tracker", q=q, d_joints=d)
+    c = ReadingConditions("tracker", q=q, d_joints=d)
     columns = {("e0", 0): rng.normal(size=(1, 720, 1))}
     return SixRows(y, np.ones((720, 1)), np.full(1, np.inf), columns, conditions_given=c, name="tracker"), rows
 

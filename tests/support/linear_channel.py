@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant
+from ocp.diagnose.engine.system import FoldErrors, ReadingConditions, ReadingFold, Sealed, System, Variant
 from ocp.effects.effect import Active, Effect, Parameter, Surroundings
 
 
@@ -39,12 +39,12 @@ class LinearChannel:
     name: str = "joint"
     unit: str = "arcsec"
     noise_floor: float = 1.0
-    conditions_given: Conditions | None = None
+    conditions_given: ReadingConditions | None = None
 
     @property
     def conditions(self):
         """As given, else a plain log."""
-        return self.conditions_given or Conditions(self.name, q=np.zeros((len(self.y), 6)))
+        return self.conditions_given or ReadingConditions(self.name, q=np.zeros((len(self.y), 6)))
 
     @property
     def system(self):
@@ -92,9 +92,9 @@ class LinearChannel:
     def folds(self):
         """Two halves."""
         n = len(self.y)
-        return [Fold("first", "block", np.arange(n) < n // 2)]
+        return [ReadingFold("first", "block", np.arange(n) < n // 2)]
 
-    def held_out(self, fold: Fold, active) -> HeldOut | None:
+    def held_out(self, fold: ReadingFold, active) -> FoldErrors | None:
         """Not judged."""
         return None
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.diagnose.engine.system import Conditions
+from ocp.diagnose.engine.system import ReadingConditions
 from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, TILT_KERNEL
 from robots.pose import Array
 from robots.tracker_readings import Index
@@ -51,7 +51,7 @@ class Kernel:
     among: int = 0
 
 
-def kernels(c: Conditions) -> Iterator[Kernel]:
+def kernels(c: ReadingConditions) -> Iterator[Kernel]:
     """All kernels that the conditions allow."""
     if c.d_joints is not None:
         for j in range(6):
@@ -77,7 +77,7 @@ def kernels(c: Conditions) -> Iterator[Kernel]:
             yield Kernel(one.where, "reading", 0, changes, *FORCE_KERNEL, one.among)
 
 
-def _of_joint(c: Conditions, j: int) -> Iterator[tuple[str, Array]]:
+def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Array]]:
     """Features (n, V, m) of joint j (0..5), by what they vary with."""
     name, q = j + 1, c.q[:, j]
     tau = c.tau[:, j] if c.tau is not None and np.ptp(c.tau[:, j]) > LEAST_TORQUE else None
@@ -120,7 +120,7 @@ def _of_joint(c: Conditions, j: int) -> Iterator[tuple[str, Array]]:
             yield f"payload x q{name}", products(indicator, waves(q))[:, None]
 
 
-def _of_axis(c: Conditions, d_tilt: Array, j: int) -> Iterator[Kernel]:
+def _of_axis(c: ReadingConditions, d_tilt: Array, j: int) -> Iterator[Kernel]:
     """Tilts of the axis of joint j about the two directions across it, d_tilt (n, k, 4): as it turns (bearings, a base plate that
     is not flat; directions that stand still in the link before), with the weight's moment across it, with warmth, time and
     payload (directions that stand still, or turn with the joint)."""
@@ -164,7 +164,7 @@ def _of_sight(point: Array, sight: Array) -> Kernel:
     return Kernel("sight", "beam", 0, _each(along[:, :, None], features)[:, :, None], *FRAME_KERNEL)
 
 
-def _of_frame(c: Conditions) -> Iterator[tuple[str, Array]]:
+def _of_frame(c: ReadingConditions) -> Iterator[tuple[str, Array]]:
     """Features (n, m) of a displacement common to all directions of the frame."""
     for where, values in (("time", _time(c)), ("temperature", c.temperature)):
         if values is not None and np.ptp(values) > 0:
@@ -175,7 +175,7 @@ def _of_frame(c: Conditions) -> Iterator[tuple[str, Array]]:
             yield where, indicator
 
 
-def _of_nests(c: Conditions) -> Iterator[Kernel]:
+def _of_nests(c: ReadingConditions) -> Iterator[Kernel]:
     """One nest moves, sooner or later: each nest and instant a variant."""
     time, nests = _time(c), groups(c.target, centred=False)
     if time is not None and nests is not None and np.ptp(time) > 0:
@@ -186,7 +186,7 @@ def _of_nests(c: Conditions) -> Iterator[Kernel]:
         yield Kernel("target x time", "frame", 0, changes, *FRAME_KERNEL)
 
 
-def _time(c: Conditions) -> Array | None:
+def _time(c: ReadingConditions) -> Array | None:
     return c.clock if c.clock is not None else c.time
 
 
@@ -268,7 +268,7 @@ class ReadingKernel:
     among: int = 0
 
 
-def reading_kernels(c: Conditions) -> Iterator[ReadingKernel]:
+def reading_kernels(c: ReadingConditions) -> Iterator[ReadingKernel]:
     """All that the conditions of a force log allow."""
     for where in _SCALAR:
         one = _of_one(c, where)
@@ -290,7 +290,7 @@ def reading_kernels(c: Conditions) -> Iterator[ReadingKernel]:
         yield ReadingKernel(where, np.stack([w.columns for w in waves], axis=1), waves[0].among)
 
 
-def _of_one(c: Conditions, where: str, count: int = 3) -> Array | None:
+def _of_one(c: ReadingConditions, where: str, count: int = 3) -> Array | None:
     """Features (n, m) of one condition, None where it is not known or does not vary."""
     values = getattr(c, where)
     if values is None or np.ptp(values) == 0:

@@ -35,7 +35,7 @@ class Wave:
 
 
 @dataclass(frozen=True)
-class Conditions:
+class ReadingConditions:
     """What is known of n readings of one signal; None where the data set does not say.
 
     q (n, 6) rad commanded; approach (n, 6) signs of the last motions; payload (n,) index into `payloads`; target (n,) index
@@ -133,7 +133,7 @@ def effects_key(active: Sequence[Active], digits: int = 9) -> tuple[Any, ...]:
 
 
 @dataclass(frozen=True)
-class Fold:
+class ReadingFold:
     """Readings to leave out: held (n,) bool. kind: "random" and "block" are interpolation, every other kind (payload,
     temperature, joint range, approach, feed, setpoint, line, run, session) extrapolates. name: e.g. "payload=heavy"."""
 
@@ -148,13 +148,13 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class FoldErrors:
     """Mean square of the gap of the held readings (SI^2: m^2 for 3D errors, N^2, rad^2) before and after the effects, everything
     refitted on the rest, and what noise alone gives; before_rows, after_rows, noise_rows (r,): the same of every reading;
     estimation: mean square that the effects' own errors of estimation add to `after`; drift: by how many standard errors each
     effect's value without the fold differs from that of all readings, empty where nobody looked."""
 
-    fold: Fold
+    fold: ReadingFold
     before: float
     after: float
     noise: float
@@ -201,7 +201,7 @@ class Channel(Protocol):
         """Unit in which its gap is told: mm, N, arcsec."""
 
     @property
-    def conditions(self) -> Conditions:
+    def conditions(self) -> ReadingConditions:
         """Of its readings."""
 
     @property
@@ -237,10 +237,10 @@ class Channel(Protocol):
         """Whitened rows (N, m) of changes (n, k, m) SI of the predictions, as `system` has them: tests without a library
         make their own columns."""
 
-    def folds(self) -> list[Fold]:
+    def folds(self) -> list[ReadingFold]:
         """Blocked and extrapolation folds of its readings."""
 
-    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
+    def held_out(self, fold: ReadingFold, active: tuple[Active, ...]) -> FoldErrors | None:
         """Judge `active` on a fold; None where too little is left."""
 
     def predict(self, sealed: Any, active: tuple[Active, ...]) -> Sealed:
@@ -248,7 +248,7 @@ class Channel(Protocol):
 
 
 @dataclass(frozen=True)
-class Foreseen:
+class Predictable:
     """Effects that can be predicted, and those for which a column is missing; kept (k,): places of the known ones' coefficients
     among those of all."""
 
@@ -262,9 +262,9 @@ class Foreseen:
         return tuple(a.effect.name for a in self.unknown)
 
 
-def foreseen(active: Sequence[Active], says: Callable[[Effect], bool]) -> Foreseen:
+def predictable(active: Sequence[Active], says: Callable[[Effect], bool]) -> Predictable:
     """Effects parted by whether the conditions have what each needs (`told`)."""
     inside = [says(a.effect) for a in active]
     known, unknown = (tuple(a for a, k in zip(active, inside, strict=True) if k is wanted) for wanted in (True, False))
     kept = np.flatnonzero(np.repeat(inside, [a.effect.size for a in active])) if active else np.zeros(0, np.int64)
-    return Foreseen(known, unknown, kept)
+    return Predictable(known, unknown, kept)

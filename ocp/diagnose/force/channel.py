@@ -13,7 +13,17 @@ from ocp.calibrate.force.fit import pressed_rows
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
-from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, Wave, scan_key
+from ocp.diagnose.engine.system import (
+    FoldErrors,
+    ReadingConditions,
+    ReadingFold,
+    Sealed,
+    System,
+    Variant,
+    Wave,
+    effects_key,
+    scan_key,
+)
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.folds import force_fold_errors, force_folds
@@ -88,7 +98,7 @@ class ForceChannel:
         return self.found["first"]
 
     @cached_property
-    def conditions(self) -> Conditions:
+    def conditions(self) -> ReadingConditions:
         """What is known of the rows."""
         return known_conditions(self.problem, self.fit, self.waves)
 
@@ -209,11 +219,11 @@ class ForceChannel:
         parts = [changes[:, i] if i < changes.shape[1] else np.zeros_like(changes[:, 0]) for i in range(count)]
         return self.averages.rows(parts)
 
-    def folds(self) -> list[Fold]:
+    def folds(self) -> list[ReadingFold]:
         """Blocked and extrapolation folds."""
         return force_folds(self.log, self.problem.scene)
 
-    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
+    def held_out(self, fold: ReadingFold, active: tuple[Active, ...]) -> FoldErrors | None:
         """Judge `active` on a fold."""
         after = self._judged(active)
         good = self.fit.whiteners[0].noise.weight > OUTLIER_WEIGHT
@@ -223,8 +233,8 @@ class ForceChannel:
 
     def _judged(self, active: tuple[Active, ...]) -> "ForceChannel":
         """The channel fitted with these effects, whatever values they come with; the last one is kept."""
-        wanted = _signature(tuple(a for a in active if not self.blind(a.effect)))
-        if wanted == _signature(self.active):
+        wanted = effects_key([a for a in active if not self.blind(a.effect)])
+        if wanted == effects_key(self.active):
             return self
         if self.judged.get("signature") != wanted:
             self.judged.update(signature=wanted, channel=self.with_active(active))
@@ -291,10 +301,6 @@ def _of_whitened(averages: LogAverages, white: Array) -> Array:
     return np.concatenate([*short, fast, np.zeros((averages.spare, white.shape[2]))])
 
 
-def _signature(active: Sequence[Active]) -> tuple[object, ...]:
-    return tuple(sorted((a.effect.name, a.joint, repr(scan_key(a.scanned))) for a in active))
-
-
 def surroundings(problem: ForceProblem) -> Surroundings:
     """For the scans of effects."""
     log, c, cell = problem.log, problem.scene.conditions, problem.scene.cell
@@ -324,7 +330,7 @@ def surroundings(problem: ForceProblem) -> Surroundings:
     )
 
 
-def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, ...] = ()) -> Conditions:
+def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, ...] = ()) -> ReadingConditions:
     """Of the log's rows, for what is tested without the library."""
     log, c, scene = problem.log, problem.scene.conditions, problem.scene
     payload = scene.cell.workpiece.payload
@@ -332,7 +338,7 @@ def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, .
     if log.ft is not None:
         joints.append(fit.at.ft_slope[:, None] * fit.slopes[1])
     columns: dict[str, Any] = {name: getattr(log, name) for name in OF_LOG} | {name: getattr(c, name) for name in OF_CONDITIONS}
-    return Conditions(
+    return ReadingConditions(
         signal="force",
         clock=c.clock if "clock_s" in c.given else None,
         session=log.session if len(log.sessions) > 1 else None,

@@ -8,7 +8,7 @@ from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import prepare_force
-from ocp.diagnose.engine.system import Foreseen, Sealed, foreseen
+from ocp.diagnose.engine.system import Predictable, Sealed, predictable
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
 from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
@@ -45,18 +45,18 @@ def predict_sealed_force(
             continue
         measured = replace(own, scene=replace(own.scene, model=model, rows=setup.rows[0]))
         again = fit_effects(measured, fit.active, fit)
-        effects = foreseen(again.active, has).known
+        effects = predictable(again.active, has).known
         at = predict_forces(there, again.at.x, effects)
         found.append((again, predict_forces(there, again.at.x, effects, at)))
     (_, baseline), (fit, corrected) = found
-    parted = foreseen(fit.active, has)
+    parted = predictable(fit.active, has)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
     more = _changed(problem.log, sealed, setpoint) + _usual(scene, fit, parted)
     sigma = _sigma(problem, there, fit, corrected, parted.kept, more)
     return Sealed(baseline.fn[:, None], corrected.fn[:, None], sigma[:, None], parted.lacking)
 
 
-def _usual(scene: LogScene, fit: EffectFit, parted: Foreseen) -> float:
+def _usual(scene: LogScene, fit: EffectFit, parted: Predictable) -> float:
     """Mean square N^2 of what the unknown ones of the active effects do to the normal reading in the log."""
     if not parted.unknown:
         return 0.0

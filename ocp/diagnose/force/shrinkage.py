@@ -15,7 +15,7 @@ import numpy as np
 
 from ocp.calibrate.force.conditions import LogConditions
 from ocp.diagnose.engine.findings import Alternative
-from ocp.diagnose.engine.system import Channel, scan_key
+from ocp.diagnose.engine.system import Channel, effects_key
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
@@ -99,11 +99,10 @@ def _start(known: LogConditions) -> Array:
 
 def _with(before: ForceChannel, after: ForceChannel, active: tuple[Active, ...]) -> ForceChannel | None:
     """The channel with these effects; one of those given where it is that already, None where no fit with them comes to rest."""
-    kinds = [{(a.effect.name, a.joint, scan_key(a.scanned)) for a in one} for one in (active, after.active)]
     if not active:
         return before
     try:
-        return after if kinds[0] == kinds[1] else after.with_active(active)
+        return after if effects_key(active) == effects_key(after.active) else after.with_active(active)
     except Infeasible:
         return None
 

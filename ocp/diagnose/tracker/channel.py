@@ -6,7 +6,17 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp.diagnose.engine.system import Conditions, Fold, HeldOut, Sealed, System, Variant, effects_key, foreseen, scan_key
+from ocp.diagnose.engine.system import (
+    FoldErrors,
+    ReadingConditions,
+    ReadingFold,
+    Sealed,
+    System,
+    Variant,
+    effects_key,
+    predictable,
+    scan_key,
+)
 from ocp.diagnose.rules import LEAST_CHANGES, LINK_MASS_SD
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.baseline import relearned
@@ -109,7 +119,7 @@ class TrackerChannel:
         )
 
     @property
-    def conditions(self) -> Conditions:
+    def conditions(self) -> ReadingConditions:
         """What is known of the readings."""
         r, c = self.readings, self.task.campaign
         tau = np.zeros_like(r.q)
@@ -118,7 +128,7 @@ class TrackerChannel:
             mass, *com = self.fit.state.payloads[k]
             tau[rows] = weight_torques(c.robot, r.q[rows], mass, np.array(com))
         several = {"session": r.sessions, "station": r.stations}
-        return Conditions(
+        return ReadingConditions(
             signal=self.name,
             q=r.q,
             approach=r.approach,
@@ -208,18 +218,18 @@ class TrackerChannel:
         """Whitened rows of changes (n, 3, m) m."""
         return np.asarray((self.fit.W @ changes).reshape(3 * len(changes), -1))
 
-    def folds(self) -> list[Fold]:
+    def folds(self) -> list[ReadingFold]:
         """Blocked and extrapolation folds."""
         return tracker_folds(self.readings)
 
-    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
+    def held_out(self, fold: ReadingFold, active: tuple[Active, ...]) -> FoldErrors | None:
         """Judge `active` on a fold."""
         return held_out_readings(self.task, self.fit, fold, [a for a in active if not self.blind(a.effect)])
 
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = (self if effects_key(a) == effects_key(self.active) else self.with_active(a) for a in ((), active))
-        parted = foreseen(after.active, lambda effect: _has_columns(effect, sealed))
+        parted = predictable(after.active, lambda effect: _has_columns(effect, sealed))
         return predict_sealed_readings(before.task, before.fit, after.task, after.fit, after.background.mean, sealed, parted)
 
 

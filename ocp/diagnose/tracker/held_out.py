@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from ocp.diagnose.engine.system import Fold, Foreseen, HeldOut, Sealed, drifts
+from ocp.diagnose.engine.system import FoldErrors, Predictable, ReadingFold, Sealed, drifts
 from ocp.diagnose.rules import FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.motion import PlacedReadings, together
 from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings
@@ -27,18 +27,18 @@ PARTS = 5
 LEAST = 8  # readings on each side of a fold that is made
 
 
-def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
+def tracker_folds(readings: Readings, seed: int = 0) -> list[ReadingFold]:
     """Random and regional parts (repeats stay together), then payloads, sessions, warm and late readings, halves of joints'
     ranges, approach from one side."""
     r = readings
     group = r.repeats()
     part = np.random.default_rng(seed).permutation(np.arange(group.max() + 1) % PARTS)[group]
-    found = [Fold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
+    found = [ReadingFold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
     _, label = kmeans2(r.q[:, :3], PARTS, seed=seed, minit="++")
-    found += [Fold(f"block={k + 1}", "block", label == k) for k in np.unique(label)]
+    found += [ReadingFold(f"block={k + 1}", "block", label == k) for k in np.unique(label)]
     for kind, index, names in (("payload", r.payload, r.payloads), ("session", r.session, r.sessions)):
         if len(np.unique(index)) > 1:
-            found += [Fold(f"{kind}={names[k]}", kind, index == k) for k in np.unique(index)]
+            found += [ReadingFold(f"{kind}={names[k]}", kind, index == k) for k in np.unique(index)]
     for kind, values, least in (("temperature", r.temperature, FOLD_WARMTH), ("time", r.time, FOLD_TIME)):
         if values is not None and np.ptp(values) > least:
             found += _thirds(kind, values)
@@ -46,19 +46,19 @@ def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
         if np.ptp(r.q[:, j]) > LEAST_TURN:
             middle = float(np.median(r.q[:, j]))
             degrees = f"{np.degrees(middle):.0f}"
-            found.append(Fold(f"joint {j + 1} above {degrees} deg", "joint range", r.q[:, j] > middle))
-            found.append(Fold(f"joint {j + 1} below {degrees} deg", "joint range", r.q[:, j] <= middle))
+            found.append(ReadingFold(f"joint {j + 1} above {degrees} deg", "joint range", r.q[:, j] > middle))
+            found.append(ReadingFold(f"joint {j + 1} below {degrees} deg", "joint range", r.q[:, j] <= middle))
     return [f for f in found if f.held.sum() >= LEAST and (~f.held).sum() >= LEAST]
 
 
-def _thirds(kind: str, values: Array) -> list[Fold]:
+def _thirds(kind: str, values: Array) -> list[ReadingFold]:
     """The highest third."""
     cut = float(np.quantile(values, 2 / 3))
     unit = {"temperature": "C", "time": "s"}[kind]
-    return [Fold(f"{kind} above {cut:.4g} {unit}", kind, values > cut)]
+    return [ReadingFold(f"{kind} above {cut:.4g} {unit}", kind, values > cut)]
 
 
-def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active]) -> HeldOut | None:
+def held_out_readings(task: Task, fit: TrackerFit, fold: ReadingFold, active: Sequence[Active]) -> FoldErrors | None:
     """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects and with `active`."""
     r = task.campaign.readings
     held = np.asarray(fold.held, bool)
@@ -80,7 +80,7 @@ def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[
     S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
     e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)
-    return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(estimated.mean()), drift)
+    return FoldErrors(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(estimated.mean()), drift)
 
 
 def added(active: Sequence[Active], seen: PlacedReadings, fit: TrackerFit) -> tuple[Array, Array]:
@@ -115,7 +115,7 @@ def predict_sealed_readings(
     after: TrackerFit,
     lasting: Array,
     sealed: Readings,
-    parted: Foreseen,
+    parted: Predictable,
 ) -> Sealed:
     """`sealed` use the same names (targets, payloads, stations) as the readings that were fitted; `before` has no effects.
     lasting (6,): mean square rad^2 of each joint's errors that last (`background`); parted: which of `after`'s effects the
@@ -128,7 +128,7 @@ def predict_sealed_readings(
     return Sealed(baseline, corrected, sigma, parted.lacking)
 
 
-def _points(task: Task, fit: TrackerFit, sealed: Readings, lasting: Array, parted: Foreseen) -> tuple[Array, Array]:
+def _points(task: Task, fit: TrackerFit, sealed: Readings, lasting: Array, parted: Predictable) -> tuple[Array, Array]:
     """Points (n, 3) m in the tracker's frame, with the effects that are known there, and covariance (n, 3, 3) m^2 of where
     noise-free reflectors will be; lasting (6,): mean square rad^2 of each joint's errors that are the same whenever its axis
     comes back, and so are in noise-free readings."""

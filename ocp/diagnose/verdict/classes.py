@@ -18,7 +18,7 @@ from ocp.diagnose.rules import IMITATED, MISTAKEN_WITHIN, TOLD_APART, TOLD_APART
 from robots.pose import Array
 
 
-def least_lambda(parameters: int) -> float:
+def told_apart(parameters: int) -> float:
     """Lambda below which a signature is not told from zero."""
     return TOLD_APART[min(parameters, 3) - 1] + TOLD_APART_MORE * max(parameters - 3, 0)
 
@@ -75,7 +75,7 @@ def _beside(problem: Linearisation, weighed: Weighed, member: Member, signature:
 def _imitates(pool: CandidatePool, d: Array, family: int, factor: float = 1.0) -> bool:
     """Whether a family takes so much of a signature (N,) that what it leaves is not told from zero."""
     size, (taken, _) = float(d @ d), imitated(pool, d, family)
-    return taken > IMITATED * size and size - taken < factor * least_lambda(len(pool.families[family].scale))
+    return taken > IMITATED * size and size - taken < factor * told_apart(len(pool.families[family].scale))
 
 
 def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:

@@ -22,7 +22,7 @@ from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_eff
 from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.engine.visible import visible_lambda
 from ocp.diagnose.verdict.alternatives import ExplanationWeights, alternatives
-from ocp.diagnose.verdict.classes import least_lambda, merged, mistaken, twins
+from ocp.diagnose.verdict.classes import merged, mistaken, told_apart, twins
 from ocp.diagnose.verdict.doubts import judged, refitted
 from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_kernel, of_tests, spectra
 from ocp.effects.effect import Active, Effect
@@ -195,7 +195,7 @@ def alike_at(first: Linearisation, problem: Linearisation, weighed: Weighed) -> 
 def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:
     """Class of the first name of the ranking, where nothing is accepted: too weak to be sure of, it may still be measured again,
     and that under any name of its class."""
-    if not ranked or ranked[0].detectability < least_lambda(ranked[0].active.effect.size):
+    if not ranked or ranked[0].detectability < told_apart(ranked[0].active.effect.size):
         return ()
     name = ranked[0].name
     f = problem.index[name]

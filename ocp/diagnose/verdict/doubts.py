@@ -15,7 +15,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.problem import Linearisation
-from ocp.diagnose.engine.system import Channel, HeldOut, effects_key
+from ocp.diagnose.engine.system import Channel, FoldErrors, effects_key
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -81,7 +81,7 @@ def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[t
 
 
 def impostors(
-    channels: Sequence[Channel], active: tuple[Active, ...], held: Mapping[str, Sequence[HeldOut]]
+    channels: Sequence[Channel], active: tuple[Active, ...], held: Mapping[str, Sequence[FoldErrors]]
 ) -> list[tuple[Name, str]]:
     """Effects without which the readings of a left-out condition are met better, with the fold that says so."""
     found = []
@@ -127,7 +127,7 @@ class Judgement:
 
     remaining: tuple[Active, ...]
     channels: tuple[Channel, ...]
-    held_out: dict[str, tuple[HeldOut, ...]]
+    held_out: dict[str, tuple[FoldErrors, ...]]
     doubts: Spoken
     impostors: Spoken
     hurt: bool
@@ -145,7 +145,7 @@ def judged(
 ) -> Judgement:
     """Judge the effects active in `channels`, whose signatures are (N,) each; refused: impostors where names were chosen by
     held-out errors already, so that none are sought."""
-    held = fold_errors(channels, active) if folds and active else {}
+    held = errors_of_folds(channels, active) if folds and active else {}
     false = impostors(channels, active, held) if refused is None else []
     relief = relieving(channels, active)
     doubts = (*relief, *implausible(active), *cancelling([Name(*a.key) for a in active], signatures))
@@ -156,7 +156,7 @@ def judged(
         remaining = tuple(a for a in active if Name(*a.key) not in {n for n, _ in false})
         without = refitted(baseline, problem, remaining)
         remaining, channels = ((), baseline) if without is None else (remaining, without)
-        held = fold_errors(channels, remaining) if remaining else {}
+        held = errors_of_folds(channels, remaining) if remaining else {}
     return Judgement(remaining, channels, held, doubts, tuple(false if refused is None else refused), bool(false), bool(relief))
 
 
@@ -174,7 +174,7 @@ def refitted(baseline: Sequence[Channel], problem: Linearisation, active: tuple[
     return tuple(found)
 
 
-def fold_errors(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:
+def errors_of_folds(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[FoldErrors, ...]]:
     """Every fold of every channel that can be judged."""
     judged = {c.name: [c.held_out(fold, active) for fold in c.folds()] for c in channels}
     return {name: tuple(h for h in found if h is not None) for name, found in judged.items()}
