@@ -23,7 +23,7 @@ from ocp.diagnose.engine.families import candidates
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.projection import stack
 from ocp.diagnose.engine.selection import SelectedEffects, select_on_held_out
-from ocp.diagnose.engine.system import FoldErrors
+from ocp.diagnose.engine.system import HeldOut
 from ocp.diagnose.published import kr300
 from ocp.diagnose.published.ur import ACHIEVED, TARGET, PublishedCampaign, held_rows, read_campaign, write_data_set
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline
@@ -115,7 +115,7 @@ def answer_part(folder: Path) -> None:
         print("* blocks left out: shrinkage {:.2f} ({:.2f} to {:.2f})".format(*blocked(blocks, gap.baseline)))
 
 
-def blocked(blocks: Sequence[FoldErrors], channel: TrackerChannel) -> tuple[float, float, float]:
+def blocked(blocks: Sequence[HeldOut], channel: TrackerChannel) -> tuple[float, float, float]:
     """Shrinkage of the gap beyond the instrument's noise on blocks that were left out, and its 90 % interval: blocks drawn with
     replacement, and their readings. Errors of the joints count as gap here, as the residual is all that tells them."""
     c = channel

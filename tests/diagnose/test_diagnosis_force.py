@@ -11,7 +11,7 @@ import pytest
 from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
-from ocp.diagnose.engine.system import ReadingFold
+from ocp.diagnose.engine.system import Fold
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.prediction import effect_derivatives, force_derivatives, predict_forces
@@ -271,7 +271,7 @@ def test_held_out_errors_are_those_of_a_refit(made, tmp_path):
     log, _ = _log(made.base, (PLANTED["wheel_wear"][0],), tmp_path)
     channel = _again(made, log).with_active((_active("wheel_wear"),))
     late = channel.log.run >= 6
-    judged = channel.held_out(ReadingFold("late", "time", late), channel.active)
+    judged = channel.held_out(Fold("late", "time", late), channel.active)
     problem, rest = channel.problem, _part(channel.problem, ~late)
     rows = late & log.contact
     for active, mean_square in (((), judged.before), ((_active("wheel_wear"),), judged.after)):
@@ -353,7 +353,7 @@ def test_setpoints_that_nobody_wrote_down_are_read_off_and_open_in_the_fit(made,
     assert [n for n in channel.problem.notices if "no column setpoint_N" in n and "5 (1" in n and "6 (3" in n]
     assert "setpoint_N" not in channel.problem.scene.conditions.given
     assert not {f.kind for f in channel.folds()} & {"setpoint"}
-    assert channel.held_out(ReadingFold("run=6", "run", log.run == 6), ()) is None  # nothing is known of it without its readings
+    assert channel.held_out(Fold("run=6", "run", log.run == 6), ()) is None  # nothing is known of it without its readings
     after = channel.with_active((_active("wheel_wear"),))
     one = after.active[0]
     assert one.a[0] == pytest.approx(1.5e-7, abs=4 * np.sqrt(one.covariance[0, 0]) + 0.05e-7) and one.a[0] > 5e-8

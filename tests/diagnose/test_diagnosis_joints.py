@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.diagnose.engine.system import FoldErrors, ReadingFold
+from ocp.diagnose.engine.system import Fold, HeldOut
 from ocp.diagnose.joints.channel import ARCSEC, joint_channel
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.diagnose.joints.noise import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
@@ -102,10 +102,10 @@ def test_the_real_kuka_has_a_lag_behind_its_springs(tmp_path, shared_data):
     assert realised(before, after, noise) > 0.7
 
 
-def held(before: float, after: float, kind: str = "random", n: int = 400, seed: int = 0) -> FoldErrors:
+def held(before: float, after: float, kind: str = "random", n: int = 400, seed: int = 0) -> HeldOut:
     rng = np.random.default_rng(seed)
     rows = [m * rng.chisquare(3, n) / 3 for m in (before + 1.0, after + 1.0)]
-    return FoldErrors(ReadingFold("x", kind, np.ones(n, bool)), rows[0].mean(), rows[1].mean(), 1.0, *rows, np.ones(n))
+    return HeldOut(Fold("x", kind, np.ones(n, bool)), rows[0].mean(), rows[1].mean(), 1.0, *rows, np.ones(n))
 
 
 def test_shrinkage_is_predicted_with_its_chance():

@@ -11,7 +11,7 @@ from ocp.diagnose.__main__ import _catalogue
 from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import groups, products, smooth
-from ocp.diagnose.engine.system import FoldErrors, ReadingFold
+from ocp.diagnose.engine.system import Fold, HeldOut
 from ocp.diagnose.engine.visible import Rival, visible_lambda
 from ocp.diagnose.rules import SUSPECT
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
@@ -152,7 +152,7 @@ class Halves(LinearChannel):
 
     def folds(self):
         """The second half left out."""
-        return [ReadingFold("late", "time", np.arange(len(self.y)) >= len(self.y) // 2)]
+        return [Fold("late", "time", np.arange(len(self.y)) >= len(self.y) // 2)]
 
     def held_out(self, fold, active):
         """Squares of one where nothing false is active, of nine where it is."""
@@ -161,7 +161,7 @@ class Halves(LinearChannel):
         wrong = any("false" in a.effect.name for a in seen)
         before, after = np.full(n, 2.0), np.full(n, 9.0 if wrong else 1.0)
         drift = {(a.effect.name, a.joint): 9.0 if "false" in a.effect.name else 0.1 for a in seen}
-        return FoldErrors(fold, 2.0, float(after.mean()), 1.0, before, after + 1e-3 * np.arange(n), np.ones(n), 0.0, drift)
+        return HeldOut(fold, 2.0, float(after.mean()), 1.0, before, after + 1e-3 * np.arange(n), np.ones(n), 0.0, drift)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.families import Candidate, candidates
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.selection import select_on_held_out
-from ocp.diagnose.engine.system import ReadingFold, System
+from ocp.diagnose.engine.system import Fold, System
 from ocp.diagnose.published.ur import TARGET, held_rows, read_campaign, write_data_set
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
@@ -89,7 +89,7 @@ def line_of(n=300, seed=1):
     curve, wave = np.exp(2 * x), np.sin(9 * x)
     y = 4 * curve + 3 * wave + rng.normal(size=n)
     system = System(y, np.ones((n, 1)), ("c",), np.array([np.inf]), np.zeros(1), np.arange(n), np.zeros(n, int))
-    halves = [ReadingFold(f"x {side}", "joint range", m) for side, m in (("above", x > 0.5), ("below", x <= 0.5))]
+    halves = [Fold(f"x {side}", "joint range", m) for side, m in (("above", x > 0.5), ("below", x <= 0.5))]
     steep = 1e5 * np.column_stack([x, x**4])[:, None]  # per unit of the coefficients, so that values are usual ones
     springs, gear = LIBRARY["joint_compliance"], LIBRARY["gear_1x"]
     return system, [Candidate(springs, 2, ({},), 10 * curve[:, None, None]), Candidate(gear, 2, ({},), steep)], halves

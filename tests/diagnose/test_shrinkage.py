@@ -7,7 +7,7 @@ import pytest
 
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.problem import linearised
-from ocp.diagnose.engine.system import FoldErrors, ReadingFold, Sealed
+from ocp.diagnose.engine.system import Fold, HeldOut, Sealed
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.predictions import averaged
 from ocp.diagnose.tracker.background import background
@@ -20,11 +20,11 @@ from tests.support.reference_arm import elementary_weight_torques
 from tests.support.simulated_campaign import EXTRA, PAYLOADS, campaign_readings, random_truth
 
 
-def held(before: float, after: float, n: int = 400, seed: int = 0) -> FoldErrors:
+def held(before: float, after: float, n: int = 400, seed: int = 0) -> HeldOut:
     """A fold of n readings with these mean squares beyond a noise of 1."""
     rng = np.random.default_rng(seed)
     rows = [m * rng.chisquare(3, n) / 3 for m in (before + 1.0, after + 1.0)]
-    return FoldErrors(ReadingFold("x", "random", np.ones(n, bool)), rows[0].mean(), rows[1].mean(), 1.0, *rows, np.ones(n))
+    return HeldOut(Fold("x", "random", np.ones(n, bool)), rows[0].mean(), rows[1].mean(), 1.0, *rows, np.ones(n))
 
 
 def new(*moved: float, errors: float = 1.0, lasting: float = 0.0, p: int = 60, doubt: float = 0.0) -> Anticipated:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.diagnose.engine.system import FoldErrors, ReadingConditions, ReadingFold, Sealed, System, Variant
+from ocp.diagnose.engine.system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
 from ocp.effects.effect import Active, Effect, Parameter, Surroundings
 
 
@@ -92,9 +92,9 @@ class LinearChannel:
     def folds(self):
         """Two halves."""
         n = len(self.y)
-        return [ReadingFold("first", "block", np.arange(n) < n // 2)]
+        return [Fold("first", "block", np.arange(n) < n // 2)]
 
-    def held_out(self, fold: ReadingFold, active) -> FoldErrors | None:
+    def held_out(self, fold: Fold, active) -> HeldOut | None:
         """Not judged."""
         return None
 

@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass, field
 
-from ocp.diagnose.engine.system import Channel, FoldErrors
+from ocp.diagnose.engine.system import Channel, HeldOut
 from ocp.diagnose.rules import EXPLAINED, LEADS, PRIOR_EFFECTS, PRIOR_UNKNOWN
 from ocp.effects.effect import Active
 from robots.pose import Array
@@ -175,7 +175,7 @@ class Diagnosis:
     blind: tuple[str, ...]
     baseline: tuple[Channel, ...]
     channels: tuple[Channel, ...]
-    held_out: dict[str, tuple[FoldErrors, ...]] = field(default_factory=dict)
+    held_out: dict[str, tuple[HeldOut, ...]] = field(default_factory=dict)
     alternatives: tuple[Alternative, ...] = ()
 
     @property

@@ -26,7 +26,7 @@ from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.families import Candidate, candidates, positive_of, put_back
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.problem import Linearisation, linearised
-from ocp.diagnose.engine.system import Channel, ReadingFold, System
+from ocp.diagnose.engine.system import Channel, Fold, System
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
 
@@ -86,9 +86,7 @@ class _Part:
     held: Array
 
 
-def select_on_held_out(
-    system: System, candidates: Sequence[Candidate], folds: Sequence[ReadingFold], most: int = 8
-) -> SelectedEffects:
+def select_on_held_out(system: System, candidates: Sequence[Candidate], folds: Sequence[Fold], most: int = 8) -> SelectedEffects:
     """Effects that hold in left-out conditions, at most `most`. system: about the believed cell's fit without effects;
     candidates: their whitened columns about the same fit; folds of kind "random" do not count."""
     apart = [f for f in folds if f.kind != "random"]
@@ -146,7 +144,7 @@ def _without_nuisance(A: Array, centre: Array, known: Mask, B: Array, rows: Mask
     return fitted - Q @ turned, B[~rows] - A[~rows] @ np.linalg.lstsq(R, turned, rcond=1e-10)[0]
 
 
-def _parts(system: System, folds: Sequence[ReadingFold], B: Array) -> list[_Part]:
+def _parts(system: System, folds: Sequence[Fold], B: Array) -> list[_Part]:
     A, centre = _scaled(system)
     known = np.isfinite(system.prior_sd)
     found = []
@@ -165,7 +163,7 @@ def _projected(system: System, c: Candidate) -> Array:
     return fitted.reshape(-1, V, m)
 
 
-def _ratios(system: System, folds: Sequence[ReadingFold], entries: Sequence[Entry], believed: Array) -> Array:
+def _ratios(system: System, folds: Sequence[Fold], entries: Sequence[Entry], believed: Array) -> Array:
     """Mean squares (f,) of the folds with entries fitted, over those of the believed cell."""
     columns = np.hstack([e.columns for e in entries])
     after = []

@@ -133,7 +133,7 @@ def effects_key(active: Sequence[Active], digits: int = 9) -> tuple[Any, ...]:
 
 
 @dataclass(frozen=True)
-class ReadingFold:
+class Fold:
     """Readings to leave out: held (n,) bool. kind: "random" and "block" are interpolation, every other kind (payload,
     temperature, joint range, approach, feed, setpoint, line, run, session) extrapolates. name: e.g. "payload=heavy"."""
 
@@ -148,13 +148,13 @@ class ReadingFold:
 
 
 @dataclass(frozen=True)
-class FoldErrors:
+class HeldOut:
     """Mean square of the gap of the held readings (SI^2: m^2 for 3D errors, N^2, rad^2) before and after the effects, everything
     refitted on the rest, and what noise alone gives; before_rows, after_rows, noise_rows (r,): the same of every reading;
     estimation: mean square that the effects' own errors of estimation add to `after`; drift: by how many standard errors each
     effect's value without the fold differs from that of all readings, empty where nobody looked."""
 
-    fold: ReadingFold
+    fold: Fold
     before: float
     after: float
     noise: float
@@ -237,10 +237,10 @@ class Channel(Protocol):
         """Whitened rows (N, m) of changes (n, k, m) SI of the predictions, as `system` has them: tests without a library
         make their own columns."""
 
-    def folds(self) -> list[ReadingFold]:
+    def folds(self) -> list[Fold]:
         """Blocked and extrapolation folds of its readings."""
 
-    def held_out(self, fold: ReadingFold, active: tuple[Active, ...]) -> FoldErrors | None:
+    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold; None where too little is left."""
 
     def predict(self, sealed: Any, active: tuple[Active, ...]) -> Sealed:

@@ -14,9 +14,9 @@ from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.diagnose.engine.system import (
-    FoldErrors,
+    Fold,
+    HeldOut,
     ReadingConditions,
-    ReadingFold,
     Sealed,
     System,
     Variant,
@@ -219,11 +219,11 @@ class ForceChannel:
         parts = [changes[:, i] if i < changes.shape[1] else np.zeros_like(changes[:, 0]) for i in range(count)]
         return self.averages.rows(parts)
 
-    def folds(self) -> list[ReadingFold]:
+    def folds(self) -> list[Fold]:
         """Blocked and extrapolation folds."""
         return force_folds(self.log, self.problem.scene)
 
-    def held_out(self, fold: ReadingFold, active: tuple[Active, ...]) -> FoldErrors | None:
+    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
         after = self._judged(active)
         good = self.fit.whiteners[0].noise.weight > OUTLIER_WEIGHT

@@ -10,7 +10,7 @@ import numpy as np
 
 from ocp.calibrate.force.folds import without_rows
 from ocp.calibrate.force.log import Flags, ForceLog
-from ocp.diagnose.engine.system import FoldErrors, ReadingFold, drifts
+from ocp.diagnose.engine.system import Fold, HeldOut, drifts
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import LogScene
 from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS
@@ -19,7 +19,7 @@ from robots.pose import Array
 Fitted = tuple[ForceProblem, EffectFit]
 
 
-def force_folds(log: ForceLog, scene: LogScene) -> list[ReadingFold]:
+def force_folds(log: ForceLog, scene: LogScene) -> list[Fold]:
     """Pieces of runs (random) and stretches of the passes (block); then runs, lines, setpoints, feeds, belts, directions of
     travel, sessions, times, each left out as a whole."""
     c = scene.conditions
@@ -30,10 +30,10 @@ def force_folds(log: ForceLog, scene: LogScene) -> list[ReadingFold]:
         piece[at] = 1000 * int(r) + np.arange(len(at)) // FOLD_PIECE
     kinds, index = np.unique(piece, return_inverse=True)
     part = rng.permutation(np.arange(len(kinds)) % FOLD_PARTS)[index]
-    found = [ReadingFold(f"random={k + 1}", "random", part == k) for k in range(FOLD_PARTS)]
+    found = [Fold(f"random={k + 1}", "random", part == k) for k in range(FOLD_PARTS)]
     edges = np.quantile(c.s[log.contact], np.linspace(0, 1, FOLD_PARTS + 1))
     stretch = np.searchsorted(edges[1:-1], c.s)
-    found += [ReadingFold(f"stretch={k + 1}", "block", (stretch == k) & log.contact) for k in range(FOLD_PARTS)]
+    found += [Fold(f"stretch={k + 1}", "block", (stretch == k) & log.contact) for k in range(FOLD_PARTS)]
     ways: dict[str, Any] = {name: getattr(log, name) for name in ("run", "line", "feed", "belt")} | {"travel": c.travel}
     if log.setpoint_sd is None:
         ways["setpoint"] = log.setpoint
@@ -45,24 +45,24 @@ def force_folds(log: ForceLog, scene: LogScene) -> list[ReadingFold]:
     clock = c.clock if "clock_s" in c.given else None
     if clock is not None and np.ptp(clock) > 0:
         cut = float(np.quantile(clock[log.contact], 2 / 3))
-        found.append(ReadingFold(f"time after {cut:.0f} s", "time", clock > cut))
+        found.append(Fold(f"time after {cut:.0f} s", "time", clock > cut))
     if log.wheel_temperature is not None and np.ptp(log.wheel_temperature) > 1.0:
         cut = float(np.quantile(log.wheel_temperature, 2 / 3))
-        found.append(ReadingFold(f"wheel above {cut:.1f} C", "temperature", log.wheel_temperature > cut))
+        found.append(Fold(f"wheel above {cut:.1f} C", "temperature", log.wheel_temperature > cut))
     rest = max(FOLD_ROWS, FOLD_REST * log.contact.sum())
     return [f for f in found if (f.held & log.contact).sum() >= FOLD_ROWS and (~f.held & log.contact).sum() >= rest]
 
 
-def _left_out(kind: str, values: Array, log: ForceLog) -> list[ReadingFold]:
+def _left_out(kind: str, values: Array, log: ForceLog) -> list[Fold]:
     """One fold for each value."""
     levels = np.unique(values[log.contact])
     scale = {"feed": 1e3}.get(kind, 1.0)
     names = {v: log.runs[int(v)] if kind == "run" else f"{scale * v:g}" for v in levels}
     held = [(v, (values == v) & (log.contact | (kind == "run"))) for v in levels]
-    return [ReadingFold(f"{kind}={names[v]}", kind, rows) for v, rows in held] if len(levels) > 1 else []
+    return [Fold(f"{kind}={names[v]}", kind, rows) for v, rows in held] if len(levels) > 1 else []
 
 
-def force_fold_errors(before: Fitted, after: Fitted, fold: ReadingFold, good: Flags) -> FoldErrors | None:
+def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) -> HeldOut | None:
     """Squared errors N^2 of the fold's normal readings in contact, everything refitted on the rest, without and with effects;
     good (n,): readings that are held against a model, the same ones whatever the effects, so that errors can be compared.
 
@@ -87,7 +87,7 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: ReadingFold, good: Fl
     columns[:, r : r + o] = 0.0
     estimation = np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns) - unknown, 0.0)
     drift = drifts(after[1].active, changes[1][r + o :], covariance[r + o :, r + o :])
-    return FoldErrors(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(estimation.mean()), drift)
+    return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(estimation.mean()), drift)
 
 
 def _without(fit: EffectFit, held: Flags) -> tuple[Array, Array]:

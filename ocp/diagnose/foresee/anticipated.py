@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
 from ocp.diagnose.engine.outliers import outliers
-from ocp.diagnose.engine.system import Channel, FoldErrors, effects_key
+from ocp.diagnose.engine.system import Channel, HeldOut, effects_key
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -51,9 +51,7 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel) -> SignalG
     return SignalGap(before.name, before.unit, after.noise_floor, sizes[0], sizes[1], shrinkage, told, before, after)
 
 
-def _shrinkage(
-    diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[FoldErrors], square: float
-) -> Shrinkage | None:
+def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float) -> Shrinkage | None:
     """What to expect on new data; square: mean square of the gap before in the channel's unit."""
     if not any(after.variants(a.effect, a.joint, [a.scanned]) for a in diagnosis.active):
         # Nothing is named that this signal shows, so nothing changes.

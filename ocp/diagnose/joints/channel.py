@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.system import FoldErrors, ReadingConditions, ReadingFold, Sealed, System, Variant
+from ocp.diagnose.engine.system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
 from ocp.diagnose.joints.log import JointLog
 from ocp.diagnose.joints.noise import noise_of
 from ocp.diagnose.joints.problem import (
@@ -38,7 +38,7 @@ _HAVE = frozenset({"approach", "time_s", "tau", "speed"})  # what a motion log b
 BLOCKS = 5
 
 
-def joint_folds(problem: EncoderProblem) -> list[ReadingFold]:
+def joint_folds(problem: EncoderProblem) -> list[Fold]:
     """Blocks of time in each run (kind "block"); runs; half of a joint's range, one direction, the fast half of a joint."""
     signals, log = problem.signals, problem.signals.log
     block = np.empty(len(log), int)
@@ -46,22 +46,22 @@ def joint_folds(problem: EncoderProblem) -> list[ReadingFold]:
         rows = np.flatnonzero(log.run == k)
         time = log.time[rows] - log.time[rows[0]]
         block[rows] = np.minimum((BLOCKS * time / max(time[-1], 1e-9)).astype(int), BLOCKS - 1)
-    found = [ReadingFold(f"time block {k + 1} of {BLOCKS}", "block", block[problem.row] == k) for k in range(BLOCKS)]
+    found = [Fold(f"time block {k + 1} of {BLOCKS}", "block", block[problem.row] == k) for k in range(BLOCKS)]
     if len(log.runs) > 1:
-        found += [ReadingFold(f"run={name}", "run", log.run[problem.row] == k) for k, name in enumerate(log.runs)]
+        found += [Fold(f"run={name}", "run", log.run[problem.row] == k) for k, name in enumerate(log.runs)]
     for j in problem.noise:
         found += _of_joint(problem, j, log.q[:, j - 1], signals.qd[:, j - 1], signals.direction[:, j - 1])
     return found
 
 
-def _of_joint(problem: EncoderProblem, j: int, q: Array, qd: Array, direction: Array) -> list[ReadingFold]:
+def _of_joint(problem: EncoderProblem, j: int, q: Array, qd: Array, direction: Array) -> list[Fold]:
     mine = problem.joint == j
     row = problem.row
     middle, fast = float(np.median(q[row[mine]])), float(np.median(np.abs(qd[row[mine]])))
-    found = [ReadingFold(f"q{j}>{np.degrees(middle):.0f}deg", "joint range", mine & (q > middle)[row])]
+    found = [Fold(f"q{j}>{np.degrees(middle):.0f}deg", "joint range", mine & (q > middle)[row])]
     if (direction < 0).any() and (direction > 0).any():
-        found.append(ReadingFold(f"direction{j}=-", "approach", mine & (direction < 0)[row]))
-    found.append(ReadingFold(f"speed{j}>{np.degrees(fast):.0f}deg/s", "speed", mine & (np.abs(qd) > fast)[row]))
+        found.append(Fold(f"direction{j}=-", "approach", mine & (direction < 0)[row]))
+    found.append(Fold(f"speed{j}>{np.degrees(fast):.0f}deg/s", "speed", mine & (np.abs(qd) > fast)[row]))
     return found
 
 
@@ -168,11 +168,11 @@ class JointChannel:
         """Whitened rows of changes (n, 1, m) rad."""
         return self.problem.whitened(np.asarray(changes)[:, 0])
 
-    def folds(self) -> list[ReadingFold]:
+    def folds(self) -> list[Fold]:
         """Time blocks, runs, halves of a joint's range, directions, speeds."""
         return joint_folds(self.problem)
 
-    def held_out(self, fold: ReadingFold, active: tuple[Active, ...]) -> FoldErrors | None:
+    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold; None where too little is left."""
         held: NDArray[np.bool_] = np.asarray(fold.held, bool)
         p = self.problem
@@ -186,7 +186,7 @@ class JointChannel:
         for one in whole.active:
             columns = column_of(there, one, delays)
             excused += float(np.mean(np.einsum("ni,ij,nj->n", columns, one.covariance, columns)))
-        return FoldErrors(fold, float(before.mean()), float(after.mean()), float(noise.mean()), before, after, noise, excused)
+        return HeldOut(fold, float(before.mean()), float(after.mean()), float(noise.mean()), before, after, noise, excused)
 
     def predict(self, sealed: JointLog, active: tuple[Active, ...]) -> Sealed:
         """Link angles (r, m) rad of the m joints of this channel at the instants of a log without link side, thinned as all

@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 
 from ocp.diagnose.engine.system import (
-    FoldErrors,
+    Fold,
+    HeldOut,
     ReadingConditions,
-    ReadingFold,
     Sealed,
     System,
     Variant,
@@ -218,11 +218,11 @@ class TrackerChannel:
         """Whitened rows of changes (n, 3, m) m."""
         return np.asarray((self.fit.W @ changes).reshape(3 * len(changes), -1))
 
-    def folds(self) -> list[ReadingFold]:
+    def folds(self) -> list[Fold]:
         """Blocked and extrapolation folds."""
         return tracker_folds(self.readings)
 
-    def held_out(self, fold: ReadingFold, active: tuple[Active, ...]) -> FoldErrors | None:
+    def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
         return held_out_readings(self.task, self.fit, fold, [a for a in active if not self.blind(a.effect)])
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from ocp.diagnose.engine.system import FoldErrors, Predictable, ReadingFold, Sealed, drifts
+from ocp.diagnose.engine.system import Fold, HeldOut, Predictable, Sealed, drifts
 from ocp.diagnose.rules import FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.motion import PlacedReadings, together
 from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings
@@ -27,18 +27,18 @@ PARTS = 5
 LEAST = 8  # readings on each side of a fold that is made
 
 
-def tracker_folds(readings: Readings, seed: int = 0) -> list[ReadingFold]:
+def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
     """Random and regional parts (repeats stay together), then payloads, sessions, warm and late readings, halves of joints'
     ranges, approach from one side."""
     r = readings
     group = r.repeats()
     part = np.random.default_rng(seed).permutation(np.arange(group.max() + 1) % PARTS)[group]
-    found = [ReadingFold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
+    found = [Fold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
     _, label = kmeans2(r.q[:, :3], PARTS, seed=seed, minit="++")
-    found += [ReadingFold(f"block={k + 1}", "block", label == k) for k in np.unique(label)]
+    found += [Fold(f"block={k + 1}", "block", label == k) for k in np.unique(label)]
     for kind, index, names in (("payload", r.payload, r.payloads), ("session", r.session, r.sessions)):
         if len(np.unique(index)) > 1:
-            found += [ReadingFold(f"{kind}={names[k]}", kind, index == k) for k in np.unique(index)]
+            found += [Fold(f"{kind}={names[k]}", kind, index == k) for k in np.unique(index)]
     for kind, values, least in (("temperature", r.temperature, FOLD_WARMTH), ("time", r.time, FOLD_TIME)):
         if values is not None and np.ptp(values) > least:
             found += _thirds(kind, values)
@@ -46,19 +46,19 @@ def tracker_folds(readings: Readings, seed: int = 0) -> list[ReadingFold]:
         if np.ptp(r.q[:, j]) > LEAST_TURN:
             middle = float(np.median(r.q[:, j]))
             degrees = f"{np.degrees(middle):.0f}"
-            found.append(ReadingFold(f"joint {j + 1} above {degrees} deg", "joint range", r.q[:, j] > middle))
-            found.append(ReadingFold(f"joint {j + 1} below {degrees} deg", "joint range", r.q[:, j] <= middle))
+            found.append(Fold(f"joint {j + 1} above {degrees} deg", "joint range", r.q[:, j] > middle))
+            found.append(Fold(f"joint {j + 1} below {degrees} deg", "joint range", r.q[:, j] <= middle))
     return [f for f in found if f.held.sum() >= LEAST and (~f.held).sum() >= LEAST]
 
 
-def _thirds(kind: str, values: Array) -> list[ReadingFold]:
+def _thirds(kind: str, values: Array) -> list[Fold]:
     """The highest third."""
     cut = float(np.quantile(values, 2 / 3))
     unit = {"temperature": "C", "time": "s"}[kind]
-    return [ReadingFold(f"{kind} above {cut:.4g} {unit}", kind, values > cut)]
+    return [Fold(f"{kind} above {cut:.4g} {unit}", kind, values > cut)]
 
 
-def held_out_readings(task: Task, fit: TrackerFit, fold: ReadingFold, active: Sequence[Active]) -> FoldErrors | None:
+def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active]) -> HeldOut | None:
     """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects and with `active`."""
     r = task.campaign.readings
     held = np.asarray(fold.held, bool)
@@ -80,7 +80,7 @@ def held_out_readings(task: Task, fit: TrackerFit, fold: ReadingFold, active: Se
     S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
     e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)
-    return FoldErrors(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(estimated.mean()), drift)
+    return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(estimated.mean()), drift)
 
 
 def added(active: Sequence[Active], seen: PlacedReadings, fit: TrackerFit) -> tuple[Array, Array]:

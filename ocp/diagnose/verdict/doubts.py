@@ -15,7 +15,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.engine.problem import Linearisation
-from ocp.diagnose.engine.system import Channel, FoldErrors, effects_key
+from ocp.diagnose.engine.system import Channel, HeldOut, effects_key
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -81,7 +81,7 @@ def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[t
 
 
 def impostors(
-    channels: Sequence[Channel], active: tuple[Active, ...], held: Mapping[str, Sequence[FoldErrors]]
+    channels: Sequence[Channel], active: tuple[Active, ...], held: Mapping[str, Sequence[HeldOut]]
 ) -> list[tuple[Name, str]]:
     """Effects without which the readings of a left-out condition are met better, with the fold that says so."""
     found = []
@@ -127,7 +127,7 @@ class Judgement:
 
     remaining: tuple[Active, ...]
     channels: tuple[Channel, ...]
-    held_out: dict[str, tuple[FoldErrors, ...]]
+    held_out: dict[str, tuple[HeldOut, ...]]
     doubts: Spoken
     impostors: Spoken
     hurt: bool
@@ -174,7 +174,7 @@ def refitted(baseline: Sequence[Channel], problem: Linearisation, active: tuple[
     return tuple(found)
 
 
-def errors_of_folds(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[FoldErrors, ...]]:
+def errors_of_folds(channels: Sequence[Channel], active: tuple[Active, ...]) -> dict[str, tuple[HeldOut, ...]]:
     """Every fold of every channel that can be judged."""
     judged = {c.name: [c.held_out(fold, active) for fold in c.folds()] for c in channels}
     return {name: tuple(h for h in found if h is not None) for name, found in judged.items()}

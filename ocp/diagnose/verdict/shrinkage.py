@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import expit, log_ndtr, ndtr, ndtri
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.system import Channel, FoldErrors
+from ocp.diagnose.engine.system import Channel, HeldOut
 from robots.pose import Array
 
 DRAWS = 1000
@@ -69,7 +69,7 @@ def realised(before: float, after: float, noise: float) -> float | None:
     return float(1.0 - np.sqrt(max(after - noise, 0.0) / gap))
 
 
-def from_model(new: Anticipated, held: Sequence[FoldErrors], noise: float, seed: int = 0) -> Shrinkage | None:
+def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: int = 0) -> Shrinkage | None:
     """Of tracker readings: what is anticipated, folds for what the effects leave unexplained, noise: mean square m^2. Drawn are
     which alternative is true, payloads and temperature, postures, parameters' errors and the joints' lasting errors. None: no
     gap to speak of."""
@@ -115,7 +115,7 @@ def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:
     return np.asarray(mixture[:, of] * (rank == chosen[:, None]))
 
 
-def from_folds(held: Sequence[FoldErrors], estimation: float, seed: int = 0) -> Shrinkage | None:
+def from_folds(held: Sequence[HeldOut], estimation: float, seed: int = 0) -> Shrinkage | None:
     """Of one signal from its folds; estimation: mean square SI^2 that the parameters' errors leave in any case. None where the
     gap is below a fifth of the noise or nothing could be left out."""
     inside = [h for h in held if not h.fold.extrapolates]
@@ -145,7 +145,7 @@ def interval(draws: Array) -> Shrinkage:
     return Shrinkage(float(middle), float(low), float(high))
 
 
-def _unexplained(held: Sequence[FoldErrors], estimation: float, rng: np.random.Generator) -> Array:
+def _unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Generator) -> Array:
     """Draws (k,) of the mean square m^2 by which something is unexplained, given how much worse than noise and estimation make
     them random folds are: nothing with prior probability `NOTHING_UNEXPLAINED`, else exponential about `UNEXPLAINED_SIZE`."""
     rows = [(h.after_rows - h.noise_rows, h.noise_rows) for h in held if h.fold.kind == "random"]
@@ -163,7 +163,7 @@ def _unexplained(held: Sequence[FoldErrors], estimation: float, rng: np.random.G
     return np.where(rng.uniform(size=DRAWS) < there, np.maximum(size, 0.0), 0.0)
 
 
-def _drawn(rng: np.random.Generator, held: Sequence[FoldErrors], estimation: float, draws: int) -> Array:
+def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float, draws: int) -> Array:
     """Bootstrap draws (up to `draws`,) of the shrinkage over stretches of the folds' readings; none where a draw has no gap."""
     sums, count, excused = np.zeros((draws, 3)), np.zeros(draws), np.zeros(draws)
     for h in held:
