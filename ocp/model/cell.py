@@ -66,6 +66,11 @@ class Wheel:
     centre_sd: float
     axis_sd: float
 
+    @property
+    def travel(self) -> float:
+        """Sign of the belt's speed, +1 where it stands."""
+        return float(np.sign(self.belt_speed)) or 1.0
+
 
 @dataclass(frozen=True)
 class ForceFlange:
@@ -95,6 +100,11 @@ class Process:
     root_margin: float
     tip_margin: float
     edge_margin: float
+
+    @property
+    def sigma(self) -> int:
+        """+1 where the blade moves with the belt ("down"), -1 against it ("up"); docs/architecture.md."""
+        return 1 if self.grinding == "down" else -1
 
 
 @dataclass(frozen=True)

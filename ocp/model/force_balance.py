@@ -77,23 +77,22 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
     e = radial / rho
     belt = ca.cross(axis, e)
     delta = cell.wheel.radius - rho
-    travel = np.sign(cell.wheel.belt_speed) if cell.wheel.belt_speed else 1.0
 
     start = cell.wheel.contact_direction
     arc = ca.atan2(ca.dot(ca.cross(ca.SX(start), e), axis), ca.dot(ca.SX(start), e))
-    heading = -sigma * travel * t
+    heading = -sigma * cell.wheel.travel * t
     turn = ca.atan2(ca.dot(heading, axis), ca.dot(heading, belt))
     tilt = -ca.vertcat(ca.dot(n, belt), ca.dot(n, axis)) / ca.dot(n, e)
     curvature = _relative_curvature(cell, waypoint["curvature"], n, t, belt, axis)
 
     friction = ca.SX.sym("friction") if effects.on_contact else ca.SX(cell.wheel.friction)
-    force_direction = e + friction * (travel if cell.wheel.belt_speed else 0.0) * belt
+    force_direction = e + friction * float(np.sign(cell.wheel.belt_speed)) * belt
     x_flange = _flange_stroke(cell, F, n, T_base_flange, par)
     d_wheel = waypoint["indentation_correction"] + law.indentation(
         F / (1 + par["cover_stiffness_scale"]), curvature[0], curvature[1], curvature[2], lateral, tilt[0], tilt[1]
     )
-    d_blade = F * _blade_give(cell, waypoint["blade_compliance"], n, t, force_direction, par)
-    d_robot = F * _robot_give(frames, p, e, force_direction, par["c"])
+    d_blade = F * _blade_compliance(cell, waypoint["blade_compliance"], n, t, force_direction, par)
+    d_robot = F * _robot_compliance(frames, p, e, force_direction, par["c"])
     parts = ca.vertcat(x_flange, d_wheel, d_blade, d_robot)
     extra = ca.SX(0)
     if effects.on_contact:
@@ -102,11 +101,23 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
         extra = _extra(cell, effects, friction, F, parts, T_base_flange[:3, :3], seen)
         parts, extra = ca.substitute([parts, extra], [friction], [ca.SX(cell.wheel.friction)])
     return Model(
-        q=q, F=F, w=ca.vertcat(w, effects.conditions), theta=ca.vertcat(theta, effects.a) if uncertain else theta, delta=delta,
-        residual=delta + extra - ca.sum1(parts), parts=parts, arc=arc, lateral=lateral, turn=turn, tilt=tilt,
-        curvature=curvature, shoulder=_shoulder(cell, q),
-        T_base_blade=ca.vertcat(ca.horzcat(R_real, p_real), ca.DM([[0, 0, 0, 1]])), q_real=q_real, extra=extra,
-    )  # fmt: skip
+        q=q,
+        F=F,
+        w=ca.vertcat(w, effects.conditions),
+        theta=ca.vertcat(theta, effects.a) if uncertain else theta,
+        delta=delta,
+        residual=delta + extra - ca.sum1(parts),
+        parts=parts,
+        arc=arc,
+        lateral=lateral,
+        turn=turn,
+        tilt=tilt,
+        curvature=curvature,
+        shoulder=_shoulder(cell, q),
+        T_base_blade=ca.vertcat(ca.horzcat(R_real, p_real), ca.DM([[0, 0, 0, 1]])),
+        q_real=q_real,
+        extra=extra,
+    )
 
 
 def _extra(
@@ -115,13 +126,21 @@ def _extra(
     """Overlap m that the cell's effects add at the contact."""
     conditions = CONDITIONS.split(effects.conditions)
     clamp, slopes = cell.workpiece, ca.jacobian(parts, F)
+    seen |= {name: value for name, value in conditions.items() if name not in ("approach", "speed")}
     context = ContactContext(
-        F=F, parts=parts, slopes=slopes, R_flange=R_flange, radius=cell.wheel.radius, friction=cell.wheel.friction,
-        normal_stiffness=1 / ca.sum1(slopes), friction_deflection=ca.jacobian(ca.sum1(parts), friction),
+        F=F,
+        parts=parts,
+        slopes=slopes,
+        R_flange=R_flange,
+        radius=cell.wheel.radius,
+        friction=cell.wheel.friction,
+        normal_stiffness=1 / ca.sum1(slopes),
+        friction_deflection=ca.jacobian(ca.sum1(parts), friction),
         push_axis=_push_axis(cell, seen["n_base"], R_flange),
-        lever=ca.fabs(ca.dot(clamp.clamp_normal, seen["p"]) - clamp.clamp_offset), clamp_deflection=F / clamp.clamp_stiffness,
-        **seen, **{name: value for name, value in conditions.items() if name not in ("approach", "speed")},
-    )  # fmt: skip
+        lever=ca.fabs(ca.dot(clamp.clamp_normal, seen["p"]) - clamp.clamp_offset),
+        clamp_deflection=F / clamp.clamp_stiffness,
+        **seen,
+    )
     return effects.overlap(context, rigid=cell.flange is None)
 
 
@@ -141,9 +160,16 @@ def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], effects: ModelEffects) -> 
     if not cell.effects:
         return frames, q_real, frames[-1]
     context = planned_arm_context(
-        cell.robot, cell.workpiece.payload.name, frames, CONDITIONS.split(effects.conditions), q=q, q_real=q_real,
-        tau=torque(q_real), c=c, payload=ca.vertcat(par["payload_mass"], par["payload_com"]),
-    )  # fmt: skip
+        cell.robot,
+        cell.workpiece.payload.name,
+        frames,
+        CONDITIONS.split(effects.conditions),
+        q=q,
+        q_real=q_real,
+        tau=torque(q_real),
+        c=c,
+        payload=ca.vertcat(par["payload_mass"], par["payload_com"]),
+    )
     change = effects.arm(context)
     q_real = deflected_joints(q + change.dq, lambda joints: torque(joints) + change.dtau, c)
     frames = change.moved(chain(q_real, mdh, sign))
@@ -199,25 +225,25 @@ def _push_axis(cell: Cell, n: ca.SX, R_flange: ca.SX) -> ca.SX:
     return ca.if_else(ca.dot(direction, n) < 0, -direction, direction)
 
 
-def _blade_give(cell: Cell, c: ca.SX, n: ca.SX, t: ca.SX, f: ca.SX, par: dict[str, ca.SX]) -> ca.SX:
+def _blade_compliance(cell: Cell, c: ca.SX, n: ca.SX, t: ca.SX, f: ca.SX, par: dict[str, ca.SX]) -> ca.SX:
     """Displacement of the blade along -n per newton of normal force, friction and fixture included.
 
     c = c_nn, c_nt, c_nb of the finite elements: displacement along -n, t, b under a unit force along -n. By reciprocity
     a unit force along t moves the contact along -n by c_nt.
     """
     b = ca.cross(n, t)
-    give = c[0] * -ca.dot(f, n) + c[1] * ca.dot(f, t) + c[2] * ca.dot(f, b)
-    return give / (1 + par["blade_stiffness_scale"]) + 1 / cell.workpiece.clamp_stiffness
+    total = c[0] * -ca.dot(f, n) + c[1] * ca.dot(f, t) + c[2] * ca.dot(f, b)
+    return total / (1 + par["blade_stiffness_scale"]) + 1 / cell.workpiece.clamp_stiffness
 
 
-def _robot_give(frames: list[ca.SX], p: ca.SX, e: ca.SX, f: ca.SX, compliance: ca.SX) -> ca.SX:
+def _robot_compliance(frames: list[ca.SX], p: ca.SX, e: ca.SX, f: ca.SX, compliance: ca.SX) -> ca.SX:
     """Displacement of the contact along e per newton: e^T J K^-1 J^T f (PHYSICS 3.1). The joints' signs cancel."""
-    give = ca.SX(0)
+    total = ca.SX(0)
     for j in range(6):
         z, o = frames[j][:3, 2], frames[j][:3, 3]
         lever = ca.cross(z, p - o)
-        give += compliance[j] * ca.dot(lever, e) * ca.dot(lever, f)
-    return give
+        total += compliance[j] * ca.dot(lever, e) * ca.dot(lever, f)
+    return total
 
 
 def _shoulder(cell: Cell, q: ca.SX) -> ca.SX:

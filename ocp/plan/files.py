@@ -120,7 +120,8 @@ def _summary(plan: Plan, written: _Written) -> tuple[SummaryRow, ...]:
     force = np.concatenate([p.force for p in back.passes])
     sd = np.concatenate([p.evaluation.force_sd for p in motion.passes])
     stiffness = np.concatenate([p.evaluation.stiffness for p in motion.passes])
-    give = np.concatenate([p.problem.compliance[:, 0] for p in motion.passes])
+    compliance = np.concatenate([p.problem.compliance[:, 0] for p in motion.passes])
+    deflection = " to ".join(f"{c * goal * 1e3:.4f}" for c in (compliance.min(), compliance.max()))
     worst = [max(getattr(s.trajectory.worst, name) for s in motion.segments) for name in ("velocity", "acceleration", "torque")]
     feed = max(s.trajectory.worst.feed for s in contact)
     rows = [
@@ -130,15 +131,14 @@ def _summary(plan: Plan, written: _Written) -> tuple[SummaryRow, ...]:
         ("Largest difference to the force asked for", f"{back.force_error:.4f}", "N"),
         ("Standard deviation of the force", f"{sd.min():.2f} to {sd.max():.2f}", "N"),
         ("Stiffness of the contact chain", f"{stiffness.min() / 1e3:.2f} to {stiffness.max() / 1e3:.2f}", "N/mm"),
-        ("Blade deflection under the force", f"{give.min() * goal * 1e3:.4f} to "
-         f"{give.max() * goal * 1e3:.4f}", "mm"),
+        ("Blade deflection under the force", deflection, "mm"),
         ("Axes read back against the plan", f"{np.degrees(back.axis_error):.6f}", "deg"),
         ("Duration, of it in contact", f"{motion.duration:.1f}, {sum(s.trajectory.duration for s in contact):.1f}", "s"),
         ("Largest use of speed, acceleration, torque limits", ", ".join(f"{w:.3f}" for w in worst), ""),
         ("Largest feed over the one asked for", f"{feed:.3f}", ""),
         ("Table of the wheel, largest held-out error", f"{plan.wheel_error * 1e6:.1f}", "um"),
         ("Blade compliance, estimated error", f"{100 * plan.compliance_error:.2f}", "%"),
-    ]  # fmt: skip
+    ]
     return tuple(SummaryRow(*row) for row in rows)
 
 
@@ -157,12 +157,13 @@ def _write_json(plan: Plan, written: _Written, summary: tuple[SummaryRow, ...], 
         "force_sd_max_N": max(float(p.evaluation.force_sd.max()) for p in plan.motion.passes),
         "duration_s": plan.motion.duration,
         "passes": [
-            {"line": p.problem.path.line, "side": p.problem.path.side, "waypoints": len(p.problem.path.s),
-             "iterations": p.solution.iterations} for p in plan.motion.passes
+            {"line": path.line, "side": path.side, "waypoints": len(path.s), "iterations": p.solution.iterations}
+            for p in plan.motion.passes
+            for path in [p.problem.path]
         ],
         "files": written.files,
         "inputs": [{"role": role, "name": p.name, "sha256": sha256(p)} for role, p in plan.inputs],
         "notices": list(plan.notices),
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
-    }  # fmt: skip
+    }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -93,15 +93,15 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     weights = ObjectiveWeights(force_sd=FORCE_SD_WEIGHT if cell.calibration is not None else 0.0)
     scene = CollisionScene(cell, laid.blade.vertices)
     ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
-    give = [np.asarray(c) for c in contact.compliance.per_pass]
+    compliance = [np.asarray(c) for c in contact.compliance.per_pass]
 
     def solve() -> list[SolvedPass]:
         with phases.phase("postures"):
             seeds = find_seeds(cell, scene, contact.law, laid.paths)
         with phases.phase("optimal control", len(laid.paths)) as advance:
-            return solve_passes(ground, laid.paths, seeds, give, jobs, advance)
+            return solve_passes(ground, laid.paths, seeds, compliance, jobs, advance)
 
-    solved = remembered_passes(ground, laid.paths, give, solve)
+    solved = remembered_passes(ground, laid.paths, compliance, solve)
     with phases.phase("timing", len(solved)) as advance:
         motion = build_motion(cell, scene, solved, advance)
     inputs = [("cell", cell_file), ("blade", stl)]

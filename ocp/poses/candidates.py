@@ -10,6 +10,7 @@ from ocp.model.cell import Cell
 from ocp.plan.clearance.collision import Body, BodyPair, CollisionScene, _between
 from ocp.plan.rules import ARM_MARGIN
 from ocp.poses.line_of_sight import Sight, visible
+from ocp.poses.rules import AXIS_MARGIN, BRACKET_RADIUS, HOLDING_SHARE, WRIST_RANGE
 from ocp.poses.zone import GroundBlade, near_zone
 from robots.errors import Infeasible
 from robots.gravity import weight_torques
@@ -19,13 +20,9 @@ from robots.tracker_readings import Hanging, Nest
 Mask = NDArray[np.bool_]
 
 RANDOM, NEAR = 2000, 1000  # postures tried: anywhere, and with the blade near the wheel
-LIMIT_MARGIN = np.radians(3.0)  # more than the approach, so that this stays inside the limits too
-WRIST_RANGE = np.radians(180.0)  # of axes 4 and 6: a full turn shows all that two show, and spares the cables
-HOLDING = 0.9  # part of an axis torque that the weight may take while the robot stands
 STAND = (3.5, 1.5)  # m from axis 1 and above the floor of the base: where the tracker is taken to stand
 AZIMUTHS = 24
 SAMPLE = 600  # postures on which stands are compared
-ROD = 0.025  # m, radius of the straight rod that stands for a reflector's bracket; a 1.5 inch ball has 19 mm
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ def free_postures(
     backlash does in one axis is not mistaken for another's. Raises Infeasible: hardly any posture is free.
     """
     robot = cell.robot
-    margin = LIMIT_MARGIN + approach
+    margin = AXIS_MARGIN + approach
     low, high = robot.q_min + margin, robot.q_max - margin
     wrist = np.array([np.inf, np.inf, np.inf, WRIST_RANGE, np.inf, WRIST_RANGE])
     anywhere = rng.uniform(np.maximum(low, -wrist), np.minimum(high, wrist), (RANDOM, 6))
@@ -57,7 +54,7 @@ def free_postures(
     ok = ((q >= low) & (q <= high)).all(axis=1)
     for load in payloads:
         torque = weight_torques(robot, q, load.mass, load.com)
-        ok &= (np.abs(torque) <= HOLDING * robot.torque_max).all(axis=1)
+        ok &= (np.abs(torque) <= HOLDING_SHARE * robot.torque_max).all(axis=1)
     q, near = q[ok], near[ok]
     sign = rng.choice([-1.0, 1.0], q.shape)
     free = np.ones(len(q), bool)
@@ -100,7 +97,7 @@ class MeasuringScene(CollisionScene):
             if nest.link != 6 or nest.place is None:
                 continue
             placement, length = _between(np.zeros(3), nest.place)
-            self._bodies.append(Body(f"reflector {name}", 6, coal.Capsule(ROD, max(length, 1e-3)), placement))
+            self._bodies.append(Body(f"reflector {name}", 6, coal.Capsule(BRACKET_RADIUS, max(length, 1e-3)), placement))
             mine = len(self._bodies) - 1
             for i in fixed:
                 if self._bodies[i].frame <= 3 or self._bodies[i].frame == 7:

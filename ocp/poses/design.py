@@ -63,9 +63,18 @@ class Design:
 
 
 def build_design(
-    setup: TrackerSetup, candidates: CandidatePoses, zone: Zone, targets: list[str], payloads: list[str], grinding: str | None,
-    tracker: Array, priors: Priors, noise: Noise, count: int, rng: np.random.Generator,
-) -> Design:  # fmt: skip
+    setup: TrackerSetup,
+    candidates: CandidatePoses,
+    zone: Zone,
+    targets: list[str],
+    payloads: list[str],
+    grinding: str | None,
+    tracker: Array,
+    priors: Priors,
+    noise: Noise,
+    count: int,
+    rng: np.random.Generator,
+) -> Design:
     """Every seen (posture, nest) with every payload. `grinding`: the payload while grinding; tracker (3,) m in the base;
     `count` poses will be chosen."""
     posture, nest = np.nonzero(candidates.seen)
@@ -94,11 +103,28 @@ def planned_readings(q: Array, target: Index, targets: tuple[str, ...], payload:
     n = len(q)
     zero = np.zeros(n, np.int64)
     return Readings(
-        path=Path("poses.csv"), q=q, point=np.full((n, 3), np.nan), target=target, targets=targets, payload=payload,
-        payloads=payloads, station=zero, stations=("",), session=zero, sessions=("",), load=np.zeros((n, 6)),
-        load_link=np.full(n, 6), load_place=np.zeros((n, 3)), approach=None, time=None, temperature=None, sigma=None,
-        turn=None, sigma_turn=None, line=np.arange(n) + 2,
-    )  # fmt: skip
+        path=Path("poses.csv"),
+        q=q,
+        point=np.full((n, 3), np.nan),
+        target=target,
+        targets=targets,
+        payload=payload,
+        payloads=payloads,
+        station=zero,
+        stations=("",),
+        session=zero,
+        sessions=("",),
+        load=np.zeros((n, 6)),
+        load_link=np.full(n, 6),
+        load_place=np.zeros((n, 3)),
+        approach=None,
+        time=None,
+        temperature=None,
+        sigma=None,
+        turn=None,
+        sigma_turn=None,
+        line=np.arange(n) + 2,
+    )
 
 
 def _zone(

@@ -98,10 +98,9 @@ def _write_programs(plan: PosePlan, folder: Path) -> list[dict[str, Any]]:
         program = measuring_program(plan.cell, campaign, options.approach, options.pausing, options.name, options.speed, taken)
         files = write_and_check(plan.cell, plan.scene, program, campaign, options.approach, folder)
         taken |= set(files)
-        told.append({
-            "program": files[0], "files": files, "payload": campaign.payload, "poses": len(campaign.stops),
-            "travel_s": round(campaign.tour.seconds / (0.01 * options.speed), 1),
-        })  # fmt: skip
+        travel = round(campaign.tour.seconds / (0.01 * options.speed), 1)
+        written = {"program": files[0], "files": files, "payload": campaign.payload, "poses": len(campaign.stops)}
+        told.append(written | {"travel_s": travel})
     return told
 
 
@@ -136,14 +135,17 @@ def _write_json(plan: PosePlan, programs: list[dict[str, Any]], inputs: Sequence
         "tracker": plan.tracker_from,
         "targets": sorted({t for c in plan.campaigns for t in c.targets}),
         "programs": programs,
-        "candidates": {"free": len(plan.candidates.q), "seen": int(plan.candidates.seen.any(axis=1).sum()),
-                       "near_the_wheel": int(plan.candidates.near.sum())},
+        "candidates": {
+            "free": len(plan.candidates.q),
+            "seen": int(plan.candidates.seen.any(axis=1).sum()),
+            "near_the_wheel": int(plan.candidates.near.sum()),
+        },
         "assumptions": _assumptions(plan),
         "notices": list(plan.notices),
         "seed": plan.options.seed,
         "inputs": [{"name": p.name, "sha256": sha256(p)} for p in inputs],
         "versions": {"python": platform.python_version()} | {n: version(n) for n in ("numpy", "scipy", "casadi")},
-    }  # fmt: skip
+    }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

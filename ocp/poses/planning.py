@@ -107,15 +107,32 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
                 campaigns.append(_campaign(cell, scene, setup, candidates, design, mine, name, options))
             advance()
     return PosePlan(
-        cell, setup, scene, options, tracker, tracker_from, candidates, design, zone, chosen, tuple(campaigns), curve,
+        cell,
+        setup,
+        scene,
+        options,
+        tracker,
+        tracker_from,
+        candidates,
+        design,
+        zone,
+        chosen,
+        tuple(campaigns),
+        curve,
         (*blade.notices, *notices),
-    )  # fmt: skip
+    )
 
 
 def _campaign(
-    cell: Cell, scene: CollisionScene, setup: TrackerSetup, candidates: CandidatePoses, design: Design, mine: Index, payload: str,
+    cell: Cell,
+    scene: CollisionScene,
+    setup: TrackerSetup,
+    candidates: CandidatePoses,
+    design: Design,
+    mine: Index,
+    payload: str,
     options: PoseOptions,
-) -> MeasurementCampaign:  # fmt: skip
+) -> MeasurementCampaign:
     """The poses of one payload in the order of a short tour."""
     rows = design.posture[mine]
     # What is driven is what is printed: five decimals of a degree.

@@ -11,13 +11,13 @@ from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.motion.air import is_free
 from ocp.plan.programming import program_setup, write_program
 from ocp.poses.order import MeasuringPose, Tour, approaches
+from ocp.poses.rules import APPROACH_SHARE, READ_BACK_TOLERANCE
 from robots.errors import Infeasible
 from robots.tracker_readings import Hanging
 from trajectories.dialects import dialect_named
 from trajectories.program import program as written
 
 MOST = 300  # poses of one sub-program; six points each at most without detours
-PRINTED = np.radians(1e-5)  # rad, what printing may round
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ def write_and_check(
         raise Infeasible(f"{main.name} read back stops {len(stopped)} times, {len(wanted)} readings were planned")
     for k, (at, (q, sign)) in enumerate(zip(stopped, wanted, strict=True)):
         last = points[at] - points[at - 1]
-        if np.abs(points[at] - q).max() > PRINTED or (np.sign(last) != sign).any() or np.abs(last).min() < 0.9 * angle:
+        wrong_side = (np.sign(last) != sign).any() or np.abs(last).min() < APPROACH_SHARE * angle
+        if np.abs(points[at] - q).max() > READ_BACK_TOLERANCE or wrong_side:
             raise Infeasible(f"{main.name} read back is not where reading {k + 1} was planned, or comes from another side")
     if not is_free(scene, np.array(points)):
         raise Infeasible(f"{main.name} read back touches something between its points")

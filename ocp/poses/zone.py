@@ -56,7 +56,7 @@ def find_zone(cell: Cell, scene: CollisionScene, blade: GroundBlade) -> Zone:
 
     Raises Infeasible: no posture within the axis limits reaches the wheel.
     """
-    robot, sigma = cell.robot, 1 if cell.process.grinding == "down" else -1
+    robot, sigma = cell.robot, cell.process.sigma
     turns = cell.process.turn_tolerance * np.array([0.0, -0.5, 0.5])
     chosen = blade.paths[:: max(1, -(-len(blade.paths) * STATIONS // MOST))]
     q, points = [], []
@@ -85,8 +85,12 @@ def near_zone(cell: Cell, blade: GroundBlade, count: int, rng: np.random.Generat
         share = -(-count // len(blade.paths))
         station = rng.integers(0, len(path.s), share)
         arc, turn = rng.uniform(*wheel.arc, share), rng.uniform(-np.pi, np.pi, share)
-        T = np.stack([contact_poses(cell, path, np.array([k]), np.array(a), np.array(t), 1, 1)[0]
-                      for k, a, t in zip(station, arc, turn, strict=True)])  # fmt: skip
+        T = np.stack(
+            [
+                contact_poses(cell, path, np.array([k]), np.array(a), np.array(t), 1, 1)[0]
+                for k, a, t in zip(station, arc, turn, strict=True)
+            ]
+        )
         pivot = apply(T, path.p[station])
         shift = rng.uniform(*AWAY, share)[:, None] * wheel.contact_direction + rng.uniform(-ASIDE, ASIDE, (share, 3))
         R = rotation_from_abc(rng.uniform(-TWIST, TWIST, (share, 3)))

@@ -152,9 +152,13 @@ def test_nnls_finds_the_same_pressures(small):
 
 @settings(max_examples=60, deadline=None)
 @given(
-    seed=st.integers(0, 10_000), kx=st.floats(0.5, 40), ky=st.floats(-20, 40), roughness=st.floats(1e-7, 1e-3),
-    force=st.floats(0.1, 100), edge=st.floats(-0.02, 0.02),
-)  # fmt: skip
+    seed=st.integers(0, 10_000),
+    kx=st.floats(0.5, 40),
+    ky=st.floats(-20, 40),
+    roughness=st.floats(1e-7, 1e-3),
+    force=st.floats(0.1, 100),
+    edge=st.floats(-0.02, 0.02),
+)
 def test_contact_conditions_hold_for_any_gap(small, seed, kx, ky, roughness, force, edge):
     x, y = small.x[None], small.y[:, None]
     gap = 0.5 * (kx * x**2 + ky * y**2) + roughness * np.random.default_rng(seed).standard_normal((len(small.y), len(small.x)))

@@ -112,9 +112,13 @@ def test_indentation_rises_with_force_everywhere(law):
     c, s = np.cos(turn), np.sin(turn)
     kxx = c * c * k_tt + s * s * k_bb - 2 * s * c * k_tb + 1 / WHEEL.radius
     shape = [
-        kxx, s * s * k_tt + c * c * k_bb + 2 * s * c * k_tb, s * c * (k_tt - k_bb) + (c * c - s * s) * k_tb,
-        rng.uniform(-1, 1, n) * DOMAIN.lateral, rng.uniform(-TILT, TILT, n), rng.uniform(-TILT, TILT, n),
-    ]  # fmt: skip
+        kxx,
+        s * s * k_tt + c * c * k_bb + 2 * s * c * k_tb,
+        s * c * (k_tt - k_bb) + (c * c - s * s) * k_tb,
+        rng.uniform(-1, 1, n) * DOMAIN.lateral,
+        rng.uniform(-TILT, TILT, n),
+        rng.uniform(-TILT, TILT, n),
+    ]
     d = np.array([law.evaluate(np.full(n, F), *shape) for F in forces])
     assert (np.diff(d[:, kxx > law.limits["kxx"][0]], axis=0) > 0).all()
 

@@ -28,13 +28,27 @@ def samples(seed=0):
     slopes = np.abs(rng.normal(size=(N, 4))) * np.array([1.8e-4, 1.2e-5, 4e-6, 1.5e-6])
     turns = np.stack([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(N)])
     return {
-        "F": rng.uniform(8, 40, N), "parts": rng.uniform(1e-5, 3e-4, (N, 4)), "slopes": slopes, "e": unit(N), "n_base": unit(N),
-        "curvature": rng.uniform(-20, 400, (N, 3)), "R_flange": turns, "friction_deflection": rng.normal(size=N) * 1e-5,
-        "s": rng.uniform(0, 0.1, N), "feed": rng.choice([0.02, 0.04, 0.08], N), "belt": rng.choice([-20.0, 0.0, 20.0], N),
-        "time": rng.uniform(0, 5, N), "clock": np.sort(rng.uniform(0, 3600, N)), "ground_before": rng.integers(0, 8, N) * 1.0,
-        "wheel_warm": rng.uniform(0, 20, N), "stroke_sign": rng.choice([-1.0, 1.0], N), "line": rng.integers(1, 4, N) * 1.0,
-        "lever": rng.uniform(0.01, 0.08, N), "push_axis": unit(N), "clamp_deflection": np.full(N, 2e-6),
-    }  # fmt: skip
+        "F": rng.uniform(8, 40, N),
+        "parts": rng.uniform(1e-5, 3e-4, (N, 4)),
+        "slopes": slopes,
+        "e": unit(N),
+        "n_base": unit(N),
+        "curvature": rng.uniform(-20, 400, (N, 3)),
+        "R_flange": turns,
+        "friction_deflection": rng.normal(size=N) * 1e-5,
+        "s": rng.uniform(0, 0.1, N),
+        "feed": rng.choice([0.02, 0.04, 0.08], N),
+        "belt": rng.choice([-20.0, 0.0, 20.0], N),
+        "time": rng.uniform(0, 5, N),
+        "clock": np.sort(rng.uniform(0, 3600, N)),
+        "ground_before": rng.integers(0, 8, N) * 1.0,
+        "wheel_warm": rng.uniform(0, 20, N),
+        "stroke_sign": rng.choice([-1.0, 1.0], N),
+        "line": rng.integers(1, 4, N) * 1.0,
+        "lever": rng.uniform(0.01, 0.08, N),
+        "push_axis": unit(N),
+        "clamp_deflection": np.full(N, 2e-6),
+    }
 
 
 def expected(name, v, x):

@@ -15,9 +15,18 @@ from tests.support.small_plan import STEP, planned, small_cell
 
 # About the size that a KR 210 and a hand-measured cell are off by (PHYSICS 2.6, FORMATS [wheel], [workpiece]).
 OFF = {
-    "th2": 5e-4, "th3": -6e-4, "a2": 4e-4, "al3": 5e-4, "d4": 3e-4, "wheel_x": 3e-4, "wheel_z": -3e-4,
-    "wheel_axis_v": 8e-4, "blade_z": 3e-4, "blade_b": 8e-4, "cover_stiffness_scale": 0.1,
-}  # fmt: skip
+    "th2": 5e-4,
+    "th3": -6e-4,
+    "a2": 4e-4,
+    "al3": 5e-4,
+    "d4": 3e-4,
+    "wheel_x": 3e-4,
+    "wheel_z": -3e-4,
+    "wheel_axis_v": 8e-4,
+    "blade_z": 3e-4,
+    "blade_b": 8e-4,
+    "cover_stiffness_scale": 0.1,
+}
 
 
 def calibration() -> Calibration:

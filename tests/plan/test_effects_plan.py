@@ -30,14 +30,20 @@ from trajectories.passes import reversed_path
 ARM = (
     {"effect": "backlash", "joint": 5, "half_width_rad": 2e-4},
     {"effect": "joint_compliance", "joint": 5, "rad_per_Nm": 3e-6},
-    {"effect": "gravity_compensator", "stiffness_N_m": 5e4, "lever_link1_m": 0.2, "lever_arm_m": 0.4, "free_length": 1.0,
-     "rest_rad": 0.1},
+    {
+        "effect": "gravity_compensator",
+        "stiffness_N_m": 5e4,
+        "lever_link1_m": 0.2,
+        "lever_arm_m": 0.4,
+        "free_length": 1.0,
+        "rest_rad": 0.1,
+    },
     {"effect": "payload_mass", "kg": 8.0, "payload": "grinder"},
     {"effect": "link_bending", "joint": 2, "rad_per_Nm": 5e-8},
     {"effect": "link_thermal", "per_K": 1e-5},
     {"effect": "base_tilt", "rad": [1e-4, -5e-5, 8e-5], "at_s": 100.0},
     {"effect": "gear_harmonic", "joint": 2, "order": 40, "amplitude_rad": 1e-4, "phase_rad": 0.4},
-)  # fmt: skip
+)
 WEAR = {"effect": "wheel_wear", "m_per_s": 1e-7, "sd": {"m_per_s": 1e-8}}
 
 

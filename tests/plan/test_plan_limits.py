@@ -104,7 +104,7 @@ def with_axis(j, value):
 def with_shoulder(cell, radius):
     """A posture, leaning back, with the wrist's centre `radius` m from axis 1."""
     leaning = lambda a3: np.array([READY[0], np.radians(-120.0), a3, *READY[3:]])  # noqa: E731
-    off = lambda a3: float(posture._wrist_radius(cell, leaning(a3))) - radius  # noqa: E731
+    off = lambda a3: float(posture.wrist_radius(cell, leaning(a3))) - radius  # noqa: E731
     return leaning(brentq(off, np.radians(30.0), np.radians(70.0)))
 
 

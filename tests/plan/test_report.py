@@ -71,9 +71,14 @@ def report() -> PlanReport:
 def hostile(report: PlanReport) -> PlanReport:
     passes = tuple(replace(item, side=HOSTILE) for item in report.passes)
     return replace(
-        report, title=HOSTILE, verdict=HOSTILE, notices=(HOSTILE,), passes=passes,
-        summary=(SummaryRow(HOSTILE, HOSTILE, HOSTILE),), inputs=(InputFile(HOSTILE, HOSTILE, HOSTILE),),
-    )  # fmt: skip
+        report,
+        title=HOSTILE,
+        verdict=HOSTILE,
+        notices=(HOSTILE,),
+        passes=passes,
+        summary=(SummaryRow(HOSTILE, HOSTILE, HOSTILE),),
+        inputs=(InputFile(HOSTILE, HOSTILE, HOSTILE),),
+    )
 
 
 def numbers(packed: dict[str, object]) -> np.ndarray:
@@ -218,10 +223,10 @@ def test_page_comes_alive_in_a_browser(tmp_path, report):
     flags += " --disable-background-networking --disable-component-update --disable-sync"
     address = f"file://{tmp_path}/report.html#view=cell&time=2.0&quantity=force_sd&waypoint=45"
     shown = subprocess.run(
-        [browser, *flags.split(), f"--user-data-dir={tmp_path}/profile", "--virtual-time-budget=3000",
-         "--dump-dom", address],
-        capture_output=True, timeout=120,
-    )  # fmt: skip
+        [browser, *flags.split(), f"--user-data-dir={tmp_path}/profile", "--virtual-time-budget=3000", "--dump-dom", address],
+        capture_output=True,
+        timeout=120,
+    )
     told = " ".join(Page(shown.stdout.decode()).words)
     at = int(np.argmin(np.abs(report.motion.time - 2.0)))
     assert "2.00 s" in told, shown.stderr.decode()[-2000:]

@@ -147,11 +147,21 @@ def test_a_measuring_program_is_no_grinding_program(made):
         check_program(mains(poses)[0])
 
 
-@pytest.mark.parametrize("line, message", [
-    ("HALT 5", "too much"), ("WAIT", "expected 'FOR'"), ("WAIT SEC", "expected a number"), ("WAIT SEC -1.0", "above 0"),
-    ("WAIT SEC 9999", "at most"), ("WAIT FOR $IN[0]", "does not exist"), ("WAIT FOR $IN[1.5]", "does not exist"),
-    ("WAIT FOR $IN[3] AND $IN[4]", "too much"), ("WAIT FOR $OUT[3]", "expected '$IN'"), ("WAIT FOR TRUE", "expected '$IN'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "line, message",
+    [
+        ("HALT 5", "too much"),
+        ("WAIT", "expected 'FOR'"),
+        ("WAIT SEC", "expected a number"),
+        ("WAIT SEC -1.0", "above 0"),
+        ("WAIT SEC 9999", "at most"),
+        ("WAIT FOR $IN[0]", "does not exist"),
+        ("WAIT FOR $IN[1.5]", "does not exist"),
+        ("WAIT FOR $IN[3] AND $IN[4]", "too much"),
+        ("WAIT FOR $OUT[3]", "expected '$IN'"),
+        ("WAIT FOR TRUE", "expected '$IN'"),
+    ],
+)
 def test_the_checks_name_the_line_of_a_pause_they_do_not_know(made, tmp_path, line, message):
     for file in made[0].glob("POSES_GRINDER*"):
         text = file.read_bytes().decode()
@@ -226,11 +236,14 @@ def test_refusals_are_one_sentence_and_nothing_is_written(made, tmp_path, name):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("changes, code, part", [
-    ({"tracker": ""}, 2, "[tracker.targets] is missing"),
-    ({"tracker": "[tracker]\nrange_noise_um = 5.0\n"}, 2, "[tracker.targets] is missing"),
-    ({"centre_mm = [1700, 0, 900]": "centre_mm = [9000, 0, 900]"}, 1, "no grinding zone"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes, code, part",
+    [
+        ({"tracker": ""}, 2, "[tracker.targets] is missing"),
+        ({"tracker": "[tracker]\nrange_noise_um = 5.0\n"}, 2, "[tracker.targets] is missing"),
+        ({"centre_mm = [1700, 0, 900]": "centre_mm = [9000, 0, 900]"}, 1, "no grinding zone"),
+    ],
+)
 def test_cells_in_which_nothing_can_be_measured_are_refused(tmp_path, changes, code, part):
     cell = written_cell(tmp_path / "cell", **changes)
     found, out, err = told("--cell", str(cell), "--out", str(tmp_path / "p"))

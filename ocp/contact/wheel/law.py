@@ -87,10 +87,8 @@ class WheelLaw:
         mean = sum(s * y for s, y in zip(share, places, strict=True)) / total
         square = sum(s * y**2 for s, y in zip(share, places, strict=True)) / total
         energy = a * mean + b * square
-        features = [
-            ca.log(F / (g.modulus * across * g.width**3)), level + energy, mean**2, square - mean**2,
-            shear**2 / (1 + shear**2),
-        ]  # fmt: skip
+        stiff = ca.log(F / (g.modulus * across * g.width**3))
+        features = [stiff, level + energy, mean**2, square - mean**2, shear**2 / (1 + shear**2)]
         return offset + p * (self._correction(features) - level)
 
     def _correction(self, features: list[ca.SX]) -> ca.SX:
@@ -115,9 +113,15 @@ class WheelLaw:
         return reduced.offset + base + p * correction
 
     def patch_semi_axes(
-        self, kxx: Array, kyy: Array, kxy: Array, lateral: Array | float = 0.0, tilt_x: Array | float = 0.0,
-        tilt_y: Array | float = 0.0, F: Array | float | None = None,
-    ) -> Array:  # fmt: skip
+        self,
+        kxx: Array,
+        kyy: Array,
+        kxy: Array,
+        lateral: Array | float = 0.0,
+        tilt_x: Array | float = 0.0,
+        tilt_y: Array | float = 0.0,
+        F: Array | float | None = None,
+    ) -> Array:
         """Semi-axes (n, 2) m along x and y of the ellipse with the patch's second moments; F defaults to the process force."""
         F = self.process_force if F is None else F
         F, *shape = (np.atleast_1d(a).astype(float) for a in np.broadcast_arrays(F, kxx, kyy, kxy, lateral, tilt_x, tilt_y))

@@ -203,11 +203,9 @@ def _judged(law: WheelLaw, test: LawSamples, wide: LawSamples) -> WheelLaw:
     flange, rigid = error / (1 / FLANGE_STIFFNESS + 1 / stiffness), error * stiffness
     wide_flange = wide_error / (1 / FLANGE_STIFFNESS + 1 / wide_stiffness)
     least = _least_stiffness(law, np.vstack([test.inputs, wide.inputs])[:, 1:])
-    summary = LawError(
-        *_rms_max(error), *_rms_max(flange), *_rms_max(rigid), *_rms_max(wide_error),
-        float(np.abs(wide_flange).max()), float(np.abs(wide_error * wide_stiffness).max()), least,
-        len(error) + len(wide_error), test.dropped + wide.dropped,
-    )  # fmt: skip
+    errors = *_rms_max(error), *_rms_max(flange), *_rms_max(rigid), *_rms_max(wide_error)
+    widest = float(np.abs(wide_flange).max()), float(np.abs(wide_error * wide_stiffness).max())
+    summary = LawError(*errors, *widest, least, len(error) + len(wide_error), test.dropped + wide.dropped)
     return replace(law, error=summary)
 
 
@@ -233,10 +231,8 @@ def _rms_max(values: Array) -> tuple[float, float]:
 
 def remembered_law(cover: Cover, domain: Domain, fit: Callable[[], WheelLaw]) -> WheelLaw:
     """The law for `cover` over `domain`: kept under everything it depends on, else fitted."""
-    key = content_key(
-        VERSION, json.dumps(asdict(cover.geometry)), cover.spectrum, domain.curvature, domain.turn, domain.lateral,
-        domain.tilt, domain.force,
-    )  # fmt: skip
+    asked = domain.curvature, domain.turn, domain.lateral, domain.tilt, domain.force
+    key = content_key(VERSION, json.dumps(asdict(cover.geometry)), cover.spectrum, *asked)
     return _unpacked(remember("law", key, lambda: _packed(fit())))
 
 

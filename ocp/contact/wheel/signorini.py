@@ -112,8 +112,8 @@ def _equilibrium(
     """Forces on the active cells that close the gap there, their rise per metre of indentation, and the indentation."""
     i, m = np.nonzero(active)
     C = cover.kernel[i[:, None], i[None, :], np.abs(m[:, None] - m[None, :])]
-    solution = cho_solve(cho_factor(C, lower=True, overwrite_a=True, check_finite=False),
-                         np.column_stack([gap[active], np.ones(len(i))]), check_finite=False)  # fmt: skip
+    factor = cho_factor(C, lower=True, overwrite_a=True, check_finite=False)
+    solution = cho_solve(factor, np.column_stack([gap[active], np.ones(len(i))]), check_finite=False)
     resting, rise = solution.T
     d = indentation if indentation is not None else (force + resting.sum()) / rise.sum()
     return d * rise - resting, rise, float(d)
@@ -138,10 +138,10 @@ def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Arr
         float(-field.min() / field[active].mean()),
         0.0,
     )
-    return Contact(
-        d, force, float(rise.sum()), centroid, axes, float(pressure.max()), pressure,
-        response, cover.x, cover.y, residual, bool(columns[0] == 0 or columns[-1] == len(cover.x) - 1), resolved, pivots,
-    )  # fmt: skip
+    at_border = bool(columns[0] == 0 or columns[-1] == len(cover.x) - 1)
+    stiffness, peak = float(rise.sum()), float(pressure.max())
+    fields = pressure, response, cover.x, cover.y
+    return Contact(d, force, stiffness, centroid, axes, peak, *fields, residual, at_border, resolved, pivots)
 
 
 def _no_contact(cover: Cover, d: float) -> Contact:

@@ -20,9 +20,14 @@ class SecondaryContact:
 
 
 def find_secondary_contact(
-    cell: Cell, points: Array, T_base_blade: Array, contact: Array, curvature: Array, tilt: Array,
+    cell: Cell,
+    points: Array,
+    T_base_blade: Array,
+    contact: Array,
+    curvature: Array,
+    tilt: Array,
     delta: Array,
-) -> SecondaryContact:  # fmt: skip
+) -> SecondaryContact:
     """Deepest overlap beyond the local quadratic of each contact.
 
     points (m, 3) of the blade's surface, blade frame: what lies within the reach of the direct contact is left to it;

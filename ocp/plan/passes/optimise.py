@@ -78,8 +78,7 @@ class PassWorker:
         self.ground = ground
         self.solver = PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
         self.scene = CollisionScene(ground.cell, ground.vertices)
-        travel = np.sign(ground.cell.wheel.belt_speed) or 1.0
-        self.sigma_travel = float(travel * (1 if ground.cell.process.grinding == "down" else -1))
+        self.sigma_travel = ground.cell.wheel.travel * ground.cell.process.sigma
 
     def solve(self, path: BladePath, seeds: list[Seed], compliance: Array) -> SolvedPass:
         """The first seed that gives a sound pass. Raises Infeasible with the first seed's reason where none does."""

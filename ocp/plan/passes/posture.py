@@ -50,7 +50,7 @@ def contact_poses(cell: Cell, path: BladePath, index: Index, arc: Array, turn: A
     e = np.cos(arc)[..., None] * wheel.contact_direction + np.sin(arc)[..., None] * side
     belt = np.cross(np.broadcast_to(wheel.axis, e.shape), e)
     heading = np.cos(turn)[..., None] * belt + np.sin(turn)[..., None] * wheel.axis
-    t = -sigma * (np.sign(wheel.belt_speed) or 1.0) * heading
+    t = -sigma * wheel.travel * heading
     base = np.stack([t, np.cross(-e, t), -e], axis=-1)[..., None, :, :]
     n, feed = path.n[index], direction * path.t[index]
     local = np.stack([feed, np.cross(n, feed), n], axis=-1)
@@ -116,7 +116,7 @@ def _travel(cell: Cell, before: list[Seed], after: list[Seed]) -> Array:
 
 def _options(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) -> list[Seed]:
     """The best collision-free seed of every family of a pass."""
-    sigma = 1 if cell.process.grinding == "down" else -1
+    sigma = cell.process.sigma
     index = np.unique(np.linspace(0, len(path.s) - 1, STATIONS).round().astype(int))
     low, high = cell.wheel.arc
     arcs = np.linspace(low, high, 7)[1:-1]
@@ -196,9 +196,16 @@ def _family(seed: Seed) -> tuple[int, ...]:
 
 
 def _families(
-    cell: Cell, path: BladePath, order: Array, direction: int, arc: Array, turn: Array, q: Array, ok: Mask,
+    cell: Cell,
+    path: BladePath,
+    order: Array,
+    direction: int,
+    arc: Array,
+    turn: Array,
+    q: Array,
+    ok: Mask,
     reasons: list[tuple[float, str]],
-) -> list[Seed]:  # fmt: skip
+) -> list[Seed]:
     """Seeds within limits from unwrapped branch paths q (grid, 8, stations, 6); notes why others fall."""
     robot = cell.robot
     at = path.s[order] / path.s[-1]
@@ -210,7 +217,7 @@ def _families(
         over = np.maximum(robot.q_min + AXIS_MARGIN - moved, moved - robot.q_max + AXIS_MARGIN).max(axis=2)
         wrist = np.abs(np.sin(q[..., 4])).min(axis=2)
         speed = (np.abs(np.diff(q, axis=2)) / seconds[:, None] / robot.qd_max).max(axis=(2, 3))
-        shoulder = np.abs(_wrist_radius(cell, q)).min(axis=2)
+        shoulder = np.abs(wrist_radius(cell, q)).min(axis=2)
         elbow = np.abs(q[..., 2] - np.arctan2(robot.mdh[2, 2], robot.mdh[3, 1])).min(axis=2)
         inside = ok & (over <= 0).all(axis=-1)
         sound = (
@@ -224,7 +231,7 @@ def _families(
             + 3.0 * speed**2
             + 0.02 * ((moved[..., [3, 5]] / np.pi) ** 2).max(axis=(2, 3))
             + 0.5 * (np.abs(2 * moved - robot.q_min - robot.q_max) / (robot.q_max - robot.q_min)).max(axis=(2, 3)) ** 4
-            + 0.5 * (_wrist_radius(cell, q) < 0).any(axis=2)  # reaching over its own axis 1, as no one would teach it
+            + 0.5 * (wrist_radius(cell, q) < 0).any(axis=2)  # reaching over its own axis 1, as no one would teach it
         )
         for g, b in np.argwhere(inside & sound):
             seeds.append(Seed(direction, int(b), float(arc[g]), float(turn[g]), moved[g, b], at, float(cost[g, b])))
@@ -236,7 +243,7 @@ def _shifts() -> list[Array]:
     return [np.array([a, 0, 0, b, 0, c]) for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)]
 
 
-def _wrist_radius(cell: Cell, q: Array) -> Array:
+def wrist_radius(cell: Cell, q: Array) -> Array:
     """Signed distance of the wrist centre from axis 1 (KRL.md, status bit 0)."""
     mdh = cell.robot.mdh
     q23 = q[..., 1] + q[..., 2]

@@ -1,6 +1,7 @@
 """A pass as the optimiser takes it: waypoints with all they know, in the direction of travel."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -52,13 +53,11 @@ class PassProblem:
         p, n, c = self.path, len(self.path.s), cell.conditions
         if not cell.effects:
             return np.zeros((n, 0))
-        blocks = {
-            "approach": np.zeros((n, 6)) if self.approach is None else self.approach, "s": p.s, "feed": p.feed,
-            "line": float(p.line), "ground_before": float(c.ground_before), "time": c.time, "clock": c.clock, "warm": c.warm,
-            "wheel_warm": c.wheel_warm, "travel": float(self.seed.direction), "stroke_sign": 0.0,
-            "setpoint": cell.process.force if cell.flange is None else cell.flange.setpoint,
-            "belt": cell.wheel.belt_speed, "speed": np.zeros((n, 6)),
-        }  # fmt: skip
+        blocks: dict[str, Any] = {"s": p.s, "feed": p.feed, "line": float(p.line), "travel": float(self.seed.direction)}
+        blocks |= {"approach": np.zeros((n, 6)) if self.approach is None else self.approach, "speed": np.zeros((n, 6))}
+        blocks |= {name: float(getattr(c, name)) for name in ("ground_before", "time", "clock", "warm", "wheel_warm")}
+        blocks |= {"stroke_sign": 0.0, "belt": cell.wheel.belt_speed}
+        blocks |= {"setpoint": cell.process.force if cell.flange is None else cell.flange.setpoint}
         return CONDITIONS.stack(n, blocks)
 
     def named_conditions(self, cell: Cell) -> dict[str, Array]:

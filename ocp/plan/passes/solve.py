@@ -13,6 +13,7 @@ from ocp.plan.passes.posture import (
     joints_near,
     poses_along,
     turned_curvature,
+    wrist_radius,
 )
 from ocp.plan.passes.problem import PassProblem, approach_signs
 from ocp.plan.passes.stage import (
@@ -83,16 +84,14 @@ class PassSolver:
     def __init__(self, cell: Cell, law: WheelLaw, theta: Theta, weights: ObjectiveWeights) -> None:
         self.cell, self.theta, self.weights = cell, theta, weights
         self.law, self.limits = law, law.limits
-        self.sigma = 1 if cell.process.grinding == "down" else -1
+        self.sigma = cell.process.sigma
         self.model: Model = build_model(cell, law, self.sigma, uncertain=len(theta.values) > Theta.size)
         self.stage: Stage = build_stage(cell, self.model, weights, theta)
         self._programs: dict[tuple[int, bool], Transcription] = {}
         m = self.model
         slope = ca.jacobian(m.residual, m.F)
-        outputs = [
-            m.delta, m.residual, m.parts, m.arc, m.lateral, m.turn, m.tilt, m.curvature,
-            ca.sqrt(force_variance(m, theta)), -1 / slope, ca.vec(m.T_base_blade.T),
-        ]  # fmt: skip
+        known = [m.delta, m.residual, m.parts, m.arc, m.lateral, m.turn, m.tilt, m.curvature]
+        outputs = [*known, ca.sqrt(force_variance(m, theta)), -1 / slope, ca.vec(m.T_base_blade.T)]
         self._evaluate = ca.Function("evaluate", [m.q, m.F, m.w, m.theta], outputs, {"cse": True})
         self._link_motion = ca.Function("link_motion", [m.q, m.w, m.theta], [m.q_real], {"cse": True})
         self._by_approach = any("approach" in e.active.effect.needs for e in cell.effects)
@@ -101,21 +100,10 @@ class PassSolver:
         """The model at joints q (n, 6) and forces (n,)."""
         theta = np.tile(self.theta.values[:, None], len(q))
         out = self._evaluate.map(len(q))(q.T, force[None], self._waypoints(problem).T, theta)
-        delta, residual, parts, arc, lateral, turn, tilt, curvature, sd, stiffness, pose = (np.asarray(o).T for o in out)
-        flat = [v[:, 0] for v in (delta, residual, arc, lateral, turn, sd, stiffness)]
-        return Evaluation(
-            flat[0],
-            flat[1],
-            parts,
-            flat[2],
-            flat[3],
-            flat[4],
-            tilt,
-            curvature,
-            flat[5],
-            flat[6],
-            pose.reshape(-1, 4, 4),
-        )
+        *numbers, pose = (np.asarray(o).T for o in out)
+        values = [v[:, 0] if v.shape[1] == 1 else v for v in numbers]
+        values.append(pose.reshape(-1, 4, 4))
+        return Evaluation(*values)
 
     def _waypoints(self, problem: PassProblem) -> Array:
         """The problem's waypoints, with the conditions of the cell's effects."""
@@ -241,7 +229,7 @@ class PassSolver:
         """Stage parameters, theta and the weights of first and second differences."""
         path, robot = problem.path, self.cell.robot
         count = len(path.s)
-        sign = 1.0 if _shoulder_of(self.cell, problem.seed.q[0]) > 0 else -1.0
+        sign = 1.0 if wrist_radius(self.cell, problem.seed.q[0]) > 0 else -1.0
         par = np.column_stack(
             [
                 self._waypoints(problem),
@@ -290,8 +278,3 @@ def _padded(values: Array, n: int) -> Array:
     values = np.asarray(values, float)
     tail = np.repeat(values[-1:], n - len(values), axis=0)
     return np.concatenate([values, tail])
-
-
-def _shoulder_of(cell: Cell, q: Array) -> float:
-    mdh, q23 = cell.robot.mdh, q[1] + q[2]
-    return float(mdh[0, 2] + mdh[1, 2] * np.cos(q[1]) + mdh[3, 1] * np.cos(q23) + mdh[2, 2] * np.sin(q23))

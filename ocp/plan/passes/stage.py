@@ -126,10 +126,8 @@ def build_stage(cell: Cell, model: Model, weights: ObjectiveWeights, theta: Thet
     parameters = ca.vertcat(model.w, clearance, shoulder_sign, stage_weight)
     process, wheel = cell.process, cell.wheel
     slots = [ca.dot(clearance[7 * i : 7 * i + 6], model.q) - clearance[7 * i + 6] for i in range(N_CLEARANCE)]
-    rows = ca.vertcat(
-        1e3 * model.residual, model.arc, model.lateral, model.turn, model.tilt, shoulder_sign * model.shoulder,
-        model.curvature[0], 1e3 * model.parts[1], *slots,
-    )  # fmt: skip
+    posture = [model.arc, model.lateral, model.turn, model.tilt, shoulder_sign * model.shoulder, model.curvature[0]]
+    rows = ca.vertcat(1e3 * model.residual, *posture, 1e3 * model.parts[1], *slots)
     arc_mid, arc_half = 0.5 * (wheel.arc[0] + wheel.arc[1]), 0.5 * (wheel.arc[1] - wheel.arc[0])
     objective = (
         weights.turn * (model.turn / max(process.turn_tolerance, 1e-3)) ** 2

@@ -198,7 +198,7 @@ class ContactSample:
             push = R_flange @ cell.flange.axis
             push = push * np.sign(push @ normal)
         belt = np.cross(wheel.axis, self.e)
-        heading = -(R @ self.t) * (1 if cell.process.grinding == "down" else -1) * (np.sign(wheel.belt_speed) or 1.0)
+        heading = -(R @ self.t) * cell.process.sigma * wheel.travel
         blocks: dict[str, Any] = {name: value for name, value in self.seen.items() if name not in ("approach", "speed")}
         blocks |= {"F": F, "parts": np.array(parts), "slopes": np.array(slopes), "normal_stiffness": 1.0 / sum(slopes)}
         blocks |= {"friction_deflection": friction_deflection, "clamp_deflection": F / clamp.clamp_stiffness}
@@ -240,10 +240,14 @@ def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Arr
     k_tt, k_bb, k_tb = path.curvature[k]
     K = A @ np.array([[k_tt, k_tb], [k_tb, k_bb]]) @ A.T
     return LocalShape(
-        kxx=K[0, 0] + 1 / wheel.radius, kyy=K[1, 1], kxy=K[0, 1], lateral=float(lateral),
-        tilt_x=-float(n @ belt) / float(n @ e), tilt_y=-float(n @ axis) / float(n @ e),
+        kxx=K[0, 0] + 1 / wheel.radius,
+        kyy=K[1, 1],
+        kxy=K[0, 1],
+        lateral=float(lateral),
+        tilt_x=-float(n @ belt) / float(n @ e),
+        tilt_y=-float(n @ axis) / float(n @ e),
         heading=(float(t @ belt), float(t @ axis)),
-    )  # fmt: skip
+    )
 
 
 def _linear_compliance(cell: Cell, believed: BelievedRobot, q: Array, at: ContactSample, blade: Array, friction: float) -> Array:
