@@ -52,7 +52,7 @@ def ftetwild(vertices: Array, faces: Index, size: float, tolerance: float) -> tu
 METHODS = {"netgen": netgen, "fTetWild": ftetwild}
 
 
-def main(method: str, source: str, target: str) -> None:
+def mesh_file(method: str, source: str, target: str) -> None:
     """Read the surface, fill it, write the tetrahedra."""
     with np.load(source, allow_pickle=False) as data:
         points, tetrahedra = METHODS[method](data["vertices"], data["faces"], float(data["size"]), float(data["tolerance"]))
@@ -60,4 +60,4 @@ def main(method: str, source: str, target: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:4])
+    mesh_file(*sys.argv[1:4])
