@@ -174,7 +174,7 @@ def force_gap_plot(gap: SignalGap) -> Plot:
         "The force gap on the blade: every run along its line, coloured by measured less predicted force. A pattern that repeats "
         "from run to run belongs to the blade or the path, one that drifts from run to run to wheel or sensor."
     )
-    return Plot("blade", caption, _ROW, lambda canvas: _draw_blade(canvas, gap))
+    return Plot("blade", caption, 2.35, lambda canvas: _draw_blade(canvas, gap))
 
 
 def _draw_blade(canvas: Canvas, gap: SignalGap) -> None:
