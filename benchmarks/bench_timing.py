@@ -53,8 +53,10 @@ def main() -> None:
         smooth = time_contact_path(q, s, None, limits)
         excess.append((unchecked.max() / 0.9, checked.max() / 0.9, good.duration / raw.x[-1], smooth.duration / raw.x[-1]))
     worst, median = np.max(excess, axis=0), np.median(excess, axis=0)
-    print(f"20 random paths, ratio to the allowed limit at 0.25 ms: toppra on 501 points {worst[0]:.3f}, checked {worst[1]:.4f}; "
-          f"time over toppra's, median: {median[2]:.3f} without, {median[3]:.3f} with the running mean")  # fmt: skip
+    print(
+        f"20 random paths, ratio to the allowed limit at 0.25 ms: toppra on 501 points {worst[0]:.3f}, checked {worst[1]:.4f}; "
+        f"time over toppra's, median: {median[2]:.3f} without, {median[3]:.3f} with the running mean"
+    )
     q, s = path(200, 0.1, 1)
     for window in (0.0, 0.05, 0.1):
         one = time_contact_path(q, s, 0.04, limits, window=window)
@@ -63,8 +65,10 @@ def main() -> None:
             t = sample_times(one)
             qdd = rest_to_rest_spline(e.q, e.times)(t, nu=2)
             ratio = np.abs(qdd / limits.qdd).max()
-            print(f"window {window} s, step {step} s: {len(e.times)} points, deviation {e.deviation:.2e} rad, "
-                  f"acceleration of the driven curve {ratio:.3f} of the limit")  # fmt: skip
+            print(
+                f"window {window} s, step {step} s: {len(e.times)} points, deviation {e.deviation:.2e} rad, "
+                f"acceleration of the driven curve {ratio:.3f} of the limit"
+            )
 
 
 def replace_law(trajectory, law):  # type: ignore[no-untyped-def]

@@ -36,8 +36,10 @@ def against_formula(n_phi: int, n_z: int) -> str:
     error = np.abs(k - np.stack([exact[:, 0, 0], exact[:, 1, 1], exact[:, 0, 1]], axis=1)).max(axis=1)
     share = 100 * error / np.maximum(np.linalg.norm(exact, axis=(1, 2)), 3.0)
     off = 1e6 * np.abs(step[:, 2])
-    return (f"| {n_phi} x {n_z} | {np.median(off):.2f} / {off.max():.2f} | {np.median(angle):.4f} / {angle.max():.3f} | "
-            f"{np.median(share):.2f} / {np.quantile(share, 0.95):.1f} / {share.max():.1f} |")  # fmt: skip
+    return (
+        f"| {n_phi} x {n_z} | {np.median(off):.2f} / {off.max():.2f} | {np.median(angle):.4f} / {angle.max():.3f} | "
+        f"{np.median(share):.2f} / {np.quantile(share, 0.95):.1f} / {share.max():.1f} |"
+    )
 
 
 def main(files: list[Path]) -> None:
@@ -56,8 +58,10 @@ def main(files: list[Path]) -> None:
         clock.append(time.process_time())
         reading, analysis, laying = np.diff(clock)
         worst = 1e6 * np.max([side.deviation for side in shape.sides.values()], axis=0)
-        print(f"| {file.stem} | {len(blade.faces)} | {reading:.2f} | {analysis:.2f} | {laying:.2f} | {len(paths)}, "
-              f"{sum(len(path.p) for path in paths)} | {worst[0]:.2f} / {worst[1]:.2f} |")  # fmt: skip
+        print(
+            f"| {file.stem} | {len(blade.faces)} | {reading:.2f} | {analysis:.2f} | {laying:.2f} | {len(paths)}, "
+            f"{sum(len(path.p) for path in paths)} | {worst[0]:.2f} / {worst[1]:.2f} |"
+        )
 
 
 if __name__ == "__main__":

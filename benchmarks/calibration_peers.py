@@ -113,9 +113,13 @@ def peer(case: Case, way: str, folder: Path) -> Row | str:
         source, target = Path(place) / "data.npz", Path(place) / "answer.npz"
         T, readings, robot = case.near_base, case.campaign.readings, case.robot
         np.savez(
-            source, mdh=robot.mdh, joints=robot.sign * readings.q, point=readings.point @ T[:3, :3].T + T[:3, 3],
-            nest=NEST, fresh=robot.sign * case.fresh.q,
-        )  # fmt: skip
+            source,
+            mdh=robot.mdh,
+            joints=robot.sign * readings.q,
+            point=readings.point @ T[:3, :3].T + T[:3, 3],
+            nest=NEST,
+            fresh=robot.sign * case.fresh.q,
+        )
         script = Path(__file__).with_name("calibration_peer_runs.py")
         done = subprocess.run([python, script, way, source, target], capture_output=True, text=True)
         if done.returncode:

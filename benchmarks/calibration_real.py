@@ -43,11 +43,28 @@ def readings_of(path: Path, q: Array, point: Array, sigma: Array | None = None, 
     n = len(q)
     same = np.zeros(n, np.int64)
     return Readings(
-        path=path, q=q, point=point, target=same, targets=("reflector",), payload=same, payloads=("bare",), station=same,
-        stations=("tracker",), session=same, sessions=("all",), load=np.zeros((n, 6)), load_link=same + 6,
-        load_place=np.zeros((n, 3)), approach=None, time=None, temperature=None, sigma=sigma, turn=turn,
-        sigma_turn=None if turn is None else np.full(n, TURN_SIGMA), line=np.arange(n) + 2,
-    )  # fmt: skip
+        path=path,
+        q=q,
+        point=point,
+        target=same,
+        targets=("reflector",),
+        payload=same,
+        payloads=("bare",),
+        station=same,
+        stations=("tracker",),
+        session=same,
+        sessions=("all",),
+        load=np.zeros((n, 6)),
+        load_link=same + 6,
+        load_place=np.zeros((n, 3)),
+        approach=None,
+        time=None,
+        temperature=None,
+        sigma=sigma,
+        turn=turn,
+        sigma_turn=None if turn is None else np.full(n, TURN_SIGMA),
+        line=np.arange(n) + 2,
+    )
 
 
 def ur5(data: Path) -> Campaign:

@@ -23,9 +23,19 @@ from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 
 PLAN = (
-    Pass(0), Pass(0, travel=-1), Pass(1), Pass(1, travel=-1), Pass(0, contact=False), Pass(1, feed=0.02), Pass(0, feed=0.08),
-    Pass(0, setpoint=12.0), Pass(1, setpoint=30.0), Pass(1, belt=-20.0), Pass(0, pause=1200.0), Pass(1, contact=False),
-)  # fmt: skip
+    Pass(0),
+    Pass(0, travel=-1),
+    Pass(1),
+    Pass(1, travel=-1),
+    Pass(0, contact=False),
+    Pass(1, feed=0.02),
+    Pass(0, feed=0.08),
+    Pass(0, setpoint=12.0),
+    Pass(1, setpoint=30.0),
+    Pass(1, belt=-20.0),
+    Pass(0, pause=1200.0),
+    Pass(1, contact=False),
+)
 Maker = Callable[[np.random.Generator], tuple[Planted, float]]  # the effect and its size
 
 
@@ -104,10 +114,18 @@ def _backlash(joint: int) -> Maker:
 
 
 MAKERS: dict[str, Maker] = {
-    "wheel_wear": _wear, "material_removal": _removal, "clamp_slip": _slip, "wheel_runout": _runout, "stock_profile": _stock,
-    "sensor_bias": _bias, "sensor_drift": _drift, "sensor_gain": _gain, "sensor_crosstalk": _crosstalk, "belt_splice": _splice,
+    "wheel_wear": _wear,
+    "material_removal": _removal,
+    "clamp_slip": _slip,
+    "wheel_runout": _runout,
+    "stock_profile": _stock,
+    "sensor_bias": _bias,
+    "sensor_drift": _drift,
+    "sensor_gain": _gain,
+    "sensor_crosstalk": _crosstalk,
+    "belt_splice": _splice,
     "backlash:3": _backlash(3),
-}  # fmt: skip
+}
 
 
 def world(folder: Path) -> tuple[Base, ForceChannel]:

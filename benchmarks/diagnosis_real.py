@@ -43,16 +43,27 @@ DATA = Path(__file__).parents[1].parent / "shared" / "data" / "real"
 FILES = {"ur5": "ur5_tracker/3D_UR5_uncalibrated_grid_cleaned.csv", "ur10": "ur10_tracker/measurements_grid.csv"}
 TERMS = {
     "ur5": (
-        "", "gear_1x:2", "gear_2x:2", "encoder_scale:2", "joint_compliance:2", "joint_compliance:2 joint_compliance:3",
-        "joint_compliance:2 gear_1x:2", "joint_compliance:2 gear_harmonic:1:13", "joint_compliance:2 gear_harmonic:1:14",
+        "",
+        "gear_1x:2",
+        "gear_2x:2",
+        "encoder_scale:2",
+        "joint_compliance:2",
+        "joint_compliance:2 joint_compliance:3",
+        "joint_compliance:2 gear_1x:2",
+        "joint_compliance:2 gear_harmonic:1:13",
+        "joint_compliance:2 gear_harmonic:1:14",
     ),
     "ur10": (
-        "", "gear_1x:2 gear_1x:3", "gear_2x:2", "joint_compliance:2", "joint_compliance:3",
+        "",
+        "gear_1x:2 gear_1x:3",
+        "gear_2x:2",
+        "joint_compliance:2",
+        "joint_compliance:3",
         "joint_compliance:2 joint_compliance:3",
         "joint_compliance:2 joint_compliance:3 gear_harmonic:1:17 gear_harmonic:2:17 gear_harmonic:3:17",
         "gear_2x:2 gear_harmonic:1:17 gear_harmonic:2:17 gear_harmonic:3:17",
     ),
-}  # fmt: skip
+}
 READ = 3000  # readings of a campaign at most for the table of terms
 STEP, SIZE = np.radians(3.0), 5e-4  # rad: width and one sigma of the curves' points
 

@@ -229,8 +229,10 @@ def scaling(cell_file: Path, stl: Path, quick: bool) -> None:
     job = prepared(cell_file, stl)
     count = len(job.paths)
     chosen = sorted({0, count // 2 - 1, count // 2, count - 1})
-    print(f"{'step mm':>8}{'waypoints':>10}{'solved':>8}{'build s':>9}{'solve s':>9}{'iterations':>20}"
-          f"{'ms/waypoint':>13}{'ms/(waypoint iteration)':>25}")  # fmt: skip
+    print(
+        f"{'step mm':>8}{'waypoints':>10}{'solved':>8}{'build s':>9}{'solve s':>9}{'iterations':>20}"
+        f"{'ms/waypoint':>13}{'ms/(waypoint iteration)':>25}"
+    )
     for step in STEPS[:2] if quick else STEPS:
         problems = resampled(job, cell_file, stl, step)
         total, solved = (sum(len(problems[i].path.s) for i in which) for which in (range(count), chosen))
@@ -242,8 +244,10 @@ def scaling(cell_file: Path, stl: Path, quick: bool) -> None:
         iterations = [solver.solve(problems[i]).iterations for i in chosen]
         solve = time.perf_counter() - start - build
         work = sum(k * len(problems[i].path.s) for k, i in zip(iterations, chosen, strict=True))
-        print(f"{1e3 * step:8.2f}{total:10d}{solved:8d}{build:9.2f}{solve:9.2f}{iterations!s:>20}"
-              f"{1e3 * (build + solve) / solved:13.2f}{1e3 * solve / work:25.3f}")  # fmt: skip
+        print(
+            f"{1e3 * step:8.2f}{total:10d}{solved:8d}{build:9.2f}{solve:9.2f}{iterations!s:>20}"
+            f"{1e3 * (build + solve) / solved:13.2f}{1e3 * solve / work:25.3f}"
+        )
 
 
 # -- peers ----------------------------------------------------------------------------------------------------------

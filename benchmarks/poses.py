@@ -100,8 +100,13 @@ def blade_error(plan: PosePlan, truth: State, found: State) -> float:
 
 def uncalibrated(plan: PosePlan, truth: State) -> float:
     """Mean error (m) of the nominal arm in the zone, with nests and tracker known: what calibration starts from."""
-    nominal = nominal_state(plan.setup.robot, plan.design.readings, plan.setup.payloads, plan.setup.instrument,
-                            Choice(joints=plan.setup.compliant_joints))  # fmt: skip
+    nominal = nominal_state(
+        plan.setup.robot,
+        plan.design.readings,
+        plan.setup.payloads,
+        plan.setup.instrument,
+        Choice(joints=plan.setup.compliant_joints),
+    )
     nominal = replace(nominal, nests=truth.nests, stations=truth.stations)
     return blade_error(plan, truth, nominal)
 

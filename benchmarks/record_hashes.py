@@ -17,9 +17,15 @@ from pathlib import Path
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 WORLDS = (
-    "force_no_effect", "force_two_effects", "force_wheel_wear", "tracker_backlash", "tracker_gravity_compensator",
-    "tracker_no_effect", "tracker_outside_catalogue", "tracker_two_effects",
-)  # fmt: skip
+    "force_no_effect",
+    "force_two_effects",
+    "force_wheel_wear",
+    "tracker_backlash",
+    "tracker_gravity_compensator",
+    "tracker_no_effect",
+    "tracker_outside_catalogue",
+    "tracker_two_effects",
+)
 
 
 def main() -> None:
@@ -72,8 +78,17 @@ def make_inputs(runner: Runner, inputs: Path) -> None:
     runner.run("inputs/plan", "ocp.plan", "--out", inputs / "plan")
     runner.run("inputs/lin", "ocp.plan", "--kind", "lin", "--out", inputs / "lin")
     runner.run("inputs/run", "ocp.simulate", inputs / "plan", "--seed", "1", "--out", inputs / "run")
-    runner.run("inputs/calibration", "ocp.calibrate", inputs / "run" / "tracker.csv", "--force", inputs / "run" / "force.csv",
-               "--cell", inputs / "run" / "cell.toml", "--out", inputs / "calibration")  # fmt: skip
+    runner.run(
+        "inputs/calibration",
+        "ocp.calibrate",
+        inputs / "run" / "tracker.csv",
+        "--force",
+        inputs / "run" / "force.csv",
+        "--cell",
+        inputs / "run" / "cell.toml",
+        "--out",
+        inputs / "calibration",
+    )
     columns = ["line", "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
     with (inputs / "plan" / "plan.csv").open() as source, (inputs / "path.csv").open("w", newline="") as target:
         rows = [row for row in csv.DictReader(source) if row["contact"] == "1" and int(row["line"]) > 8]
@@ -103,7 +118,7 @@ def commands(inputs: Path) -> list[tuple[str, tuple[str | Path, ...]]]:
         ("calibrate_force", ("ocp.calibrate", *readings, "--cell", force / "cell.toml")),
         ("diagnose_kr300", ("ocp.diagnose", inputs / "kr300")),
         *[(f"diagnose_{w}", ("ocp.diagnose", worlds / w)) for w in WORLDS if w != "force_two_effects"],
-    ]  # fmt: skip
+    ]
 
 
 def tell_differences(before: dict[str, dict[str, str]], after: dict[str, dict[str, str]]) -> None:

@@ -87,10 +87,24 @@ def planned(cell: Cell, truth: Truth, folder: Path) -> tuple[ContactMoments, flo
 
     nan = np.full(n, np.nan)
     made = ContactMoments(
-        arm.flange(at), arm.compliance(at), 1e-3 * v[:, 6:9], unit(v[:, 9:12]), unit(v[:, 12:15]), 1e-3 * v[:, 15],
-        np.concatenate(lines), nan, 1e-3 * v[:, 16], np.full(n, cell.wheel.belt_speed), np.ones(n, bool), nan,
-        np.concatenate(times), np.concatenate(run), np.zeros(n), nan, nan,
-    )  # fmt: skip
+        arm.flange(at),
+        arm.compliance(at),
+        1e-3 * v[:, 6:9],
+        unit(v[:, 9:12]),
+        unit(v[:, 12:15]),
+        1e-3 * v[:, 15],
+        np.concatenate(lines),
+        nan,
+        1e-3 * v[:, 16],
+        np.full(n, cell.wheel.belt_speed),
+        np.ones(n, bool),
+        nan,
+        np.concatenate(times),
+        np.concatenate(run),
+        np.zeros(n),
+        nan,
+        nan,
+    )
     return made, float(of["time_s"][-1])
 
 
@@ -127,16 +141,20 @@ def plan(cell: Cell, blade: Blade, folder: Path) -> None:
             before, start = len(grinder.tables.nodes), time.process_time()
             force = grinder.force(c).force
             spent, nodes = time.process_time() - start, len(grinder.tables.nodes) - before
-            print(f"{name}, {again}: {spent:.2f} s ({duration / spent:.0f} x), {nodes} nodes, "
-                  f"F {force.min():.3f} .. {force.max():.3f}, mean {force.mean():.3f} N")  # fmt: skip
+            print(
+                f"{name}, {again}: {spent:.2f} s ({duration / spent:.0f} x), {nodes} nodes, "
+                f"F {force.min():.3f} .. {force.max():.3f}, mean {force.mean():.3f} N"
+            )
     for seed in range(11, 16):
         drawn = draw_truth(cell, seed)
         own, _ = planned(cell, drawn, folder)
         grinder = make_grinder(cell, drawn, blade)
         before, start = len(grinder.tables.nodes), time.process_time()
         force = grinder.force(own).force
-        print(f"drawn {seed}: {time.process_time() - start:.2f} s, {len(grinder.tables.nodes) - before} new nodes, "
-              f"F {force.min():.2f} .. {force.max():.2f} N")  # fmt: skip
+        print(
+            f"drawn {seed}: {time.process_time() - start:.2f} s, {len(grinder.tables.nodes) - before} new nodes, "
+            f"F {force.min():.2f} .. {force.max():.2f} N"
+        )
 
 
 def main(folder: Path, wanted: list[str]) -> None:

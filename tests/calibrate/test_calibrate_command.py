@@ -61,9 +61,14 @@ def test_the_last_line_says_what_came_out(done):
     assert all(line.startswith("note: ") for line in told.stderr.splitlines())
     names = {p.name for p in (folder / "calibration").iterdir()}
     assert names == {
-        "calibration.toml", "calibration.npz", "cell.toml", "residuals.csv", "predictions_tracker.csv", "report.html",
+        "calibration.toml",
+        "calibration.npz",
+        "cell.toml",
+        "residuals.csv",
+        "predictions_tracker.csv",
+        "report.html",
         "report.pdf",
-    }  # fmt: skip
+    }
 
 
 def test_the_planner_takes_the_calibration_with_all_of_its_covariance(done):

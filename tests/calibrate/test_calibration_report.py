@@ -184,8 +184,18 @@ def test_pdf_has_all_sheets_and_their_words(made, written):
         ["pdftotext", "-layout", written / "report.pdf", "-"], capture_output=True, text=True, check=True
     ).stdout
     assert f"page {pages} of {pages}" in told
-    for title in ("Before and after", "Where it was not fitted", "What is left over", "Parameters", "What cannot be told apart",
-                  "Terms tried", "Noise, repeats", "Contact", "What to measure next", "Made from"):  # fmt: skip
+    for title in (
+        "Before and after",
+        "Where it was not fitted",
+        "What is left over",
+        "Parameters",
+        "What cannot be told apart",
+        "Terms tried",
+        "Noise, repeats",
+        "Contact",
+        "What to measure next",
+        "Made from",
+    ):
         assert title in told
     assert f"{1e3 * made.methods.error['full'].max():.3f}" in told and HASHES["tracker.csv"] in told
 

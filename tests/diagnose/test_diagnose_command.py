@@ -163,7 +163,7 @@ def test_a_late_channel_and_a_spring_are_told_apart(tmp_path):
         (lambda f: shorten(f / "tracker.csv", 15), "14 readings are too few"),
         (lambda f: swap(f / "sealed_tracker.csv", 0, "q3_deg", "q9_deg"), "q3_deg missing"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_said_in_one_sentence_and_nothing_is_written(tmp_path, capsys, spoil, words):
     folder = tmp_path / "set"
     write_tracker_folder(folder, 3, 0.0, n=24, sealed=3)
@@ -211,8 +211,11 @@ def test_the_design_table_says_what_a_plan_cannot_see(tmp_path):
     assert any("50 unidirectional poses" in line and "backlash" in line for line in found.stdout.splitlines()[-12:])
     planned = campaign_readings(np.random.default_rng(1), 60)
     write_csv(tmp_path / "poses.csv", columns_of(planned))
-    line = next(x for x in command("--design", tmp_path / "cell.toml", "--poses", tmp_path / "poses.csv").stdout.splitlines()
-                if x.startswith("backlash"))  # fmt: skip
+    line = next(
+        x
+        for x in command("--design", tmp_path / "cell.toml", "--poses", tmp_path / "poses.csv").stdout.splitlines()
+        if x.startswith("backlash")
+    )
     assert "cannot be seen" not in line
 
 

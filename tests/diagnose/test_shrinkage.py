@@ -121,9 +121,9 @@ def test_promises_are_kept():
 
 
 def test_alternatives_are_averaged_with_what_they_differ_by():
-    told = averaged([
-        (p, Sealed(np.zeros((2, 3)), np.full((2, 3), x), np.full((2, 3), s))) for p, x, s in ((0.6, 1.0, 0.1), (0.2, 0.0, 0.3))
-    ])  # fmt: skip
+    told = averaged(
+        [(p, Sealed(np.zeros((2, 3)), np.full((2, 3), x), np.full((2, 3), s))) for p, x, s in ((0.6, 1.0, 0.1), (0.2, 0.0, 0.3))]
+    )
     assert np.allclose(told.corrected, 0.75)
     assert np.allclose(told.sigma**2, 0.75 * (0.01 + 0.0625) + 0.25 * (0.09 + 0.5625))
 

@@ -232,8 +232,10 @@ def test_load_tests_give_the_springs_on_their_own():
     tests = replace(tests, approach=None)
     tests = measured(truth, tests, rng)
     both = replace(c.readings, approach=None)
-    arrays = {name: np.concatenate([getattr(both, name), getattr(tests, name)]) for name in ("q", "point", "target", "payload",
-              "station", "session", "load", "load_link", "load_place", "line")}  # fmt: skip
+    arrays = {
+        name: np.concatenate([getattr(both, name), getattr(tests, name)])
+        for name in ("q", "point", "target", "payload", "station", "session", "load", "load_link", "load_place", "line")
+    }
     readings = replace(both, **arrays)
     fit = fit_campaign(replace(c, readings=readings), priors=PRIORS)
     assert len(load_pairs(readings)[0]) == 16

@@ -22,8 +22,11 @@ from robots.pose import apply, rotation_from_abc
 from robots.robot import load_robot
 from robots.tracker_readings import Hanging, Instrument, Nest
 
-NESTS = {"T1": Nest(6, np.array([0.15, -0.05, 0.25])), "T2": Nest(6, np.array([-0.16, 0.04, 0.21])),
-         "T3": Nest(6, np.array([0.02, 0.17, 0.33]))}  # fmt: skip
+NESTS = {
+    "T1": Nest(6, np.array([0.15, -0.05, 0.25])),
+    "T2": Nest(6, np.array([-0.16, 0.04, 0.21])),
+    "T3": Nest(6, np.array([0.02, 0.17, 0.33])),
+}
 HUNG = {"bare": Hanging(), "grinder": Hanging(25.0, np.array([0.01, 0.0, 0.16]))}
 
 

@@ -41,14 +41,16 @@ def calibrated(seed, size=1e-3):
 
 def other_arm():
     """Another member of the family: opposite twists and signs, a lateral offset, an odd flange."""
-    mdh = np.array([
-        [0.3, 0.5, 0.1, np.pi / 2, 0.0],
-        [1.2, 0.05, 0.7, 0.0, 0.0],
-        [-0.4, 0.03, 0.06, np.pi / 2, 0.0],
-        [0.2, 0.65, 0.0, -np.pi / 2, 0.0],
-        [0.1, 0.0, 0.0, np.pi / 2, 0.0],
-        [0.7, 0.11, 0.02, 0.4, -0.3],
-    ])  # fmt: skip
+    mdh = np.array(
+        [
+            [0.3, 0.5, 0.1, np.pi / 2, 0.0],
+            [1.2, 0.05, 0.7, 0.0, 0.0],
+            [-0.4, 0.03, 0.06, np.pi / 2, 0.0],
+            [0.2, 0.65, 0.0, -np.pi / 2, 0.0],
+            [0.1, 0.0, 0.0, np.pi / 2, 0.0],
+            [0.7, 0.11, 0.02, 0.4, -0.3],
+        ]
+    )
     limit = np.full(6, np.pi)
     return dataclasses.replace(EXTRA, mdh=mdh, sign=np.array([1.0, -1, -1, 1, -1, 1]), q_min=-limit, q_max=limit, name="other")
 

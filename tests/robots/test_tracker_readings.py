@@ -69,7 +69,7 @@ def test_repeats_are_the_same_posture_nest_payload_load_and_approach(tmp_path):
         (HEADER + ",x_mm", ROW + ",1", "x_mm stands there twice"),
         (HEADER, ROW.replace("1500,-20,900", "0,0,0"), "line 2: the reading is 0, 0, 0"),
     ],
-)  # fmt: skip
+)
 def test_malformed_files_are_refused_with_the_place(tmp_path, header, row, said):
     with pytest.raises(BadInput, match="tracker.csv") as error:
         read(tmp_path, header, row)

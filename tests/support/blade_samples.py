@@ -11,8 +11,16 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 Array = NDArray[np.float64]
 
 
-def blade_point(phi: Array, z: Array, chord: float = 0.05, span: float = 0.1, thick: float = 0.12, camber: float = 0.06,
-                taper: float = 0.25, twist: float = 0.4) -> Array:  # fmt: skip
+def blade_point(
+    phi: Array,
+    z: Array,
+    chord: float = 0.05,
+    span: float = 0.1,
+    thick: float = 0.12,
+    camber: float = 0.06,
+    taper: float = 0.25,
+    twist: float = 0.4,
+) -> Array:
     """Points (..., 3) m of a cambered, tapered, twisted aerofoil; phi = pi is the round leading edge, 0 the trailing.
 
     0 < phi < pi is the convex side. Every formula is entire, so derivatives come from complex steps or differences.
@@ -90,7 +98,10 @@ def bundled_with_shroud() -> tuple[Array, NDArray[np.int64]]:
     i, k = np.meshgrid(np.arange(around), np.arange(len(stack) - 1))
     a, b = (k * around + i).ravel(), (k * around + (i + 1) % around).ravel()
     ring = np.arange(around)
-    faces = [np.stack([a, b, b + around], 1), np.stack([a, b + around, a + around], 1),
-             _strip(around) + (len(stack) - 1) * around,
-             np.stack([np.roll(ring, -1), ring, np.full(around, len(vertices))], 1)]  # fmt: skip
+    faces = [
+        np.stack([a, b, b + around], 1),
+        np.stack([a, b + around, a + around], 1),
+        _strip(around) + (len(stack) - 1) * around,
+        np.stack([np.roll(ring, -1), ring, np.full(around, len(vertices))], 1),
+    ]
     return 1e-3 * np.vstack([vertices, [[0.0, 0.5, 0.0]]]), np.concatenate(faces)

@@ -32,9 +32,14 @@ class Poses:
         rng = np.random.default_rng(seed)
         low, high = np.radians([-90, -120, -20, -170, -115, -170]), np.radians([90, -20, 140, 170, 115, 170])
         return Poses(
-            rng.uniform(low, high, (n, 6)), rng.choice([-1.0, 1.0], (n, 6)), np.arange(n) % 3, rng.integers(3, size=n),
-            rng.uniform(-2, 8, n), np.sort(rng.uniform(0, 3600, n)), 0.02 * rng.normal(size=(n, 6)),
-        )  # fmt: skip
+            rng.uniform(low, high, (n, 6)),
+            rng.choice([-1.0, 1.0], (n, 6)),
+            np.arange(n) % 3,
+            rng.integers(3, size=n),
+            rng.uniform(-2, 8, n),
+            np.sort(rng.uniform(0, 3600, n)),
+            0.02 * rng.normal(size=(n, 6)),
+        )
 
 
 def reflectors(poses: Poses, effect: str = "", joint: int = 0, v: dict | None = None) -> np.ndarray:
@@ -142,8 +147,11 @@ def _bent_link(q, tau, frames, p, j, v, hung, pieces=2000):
 
 def _moment_beyond_wrist(frames, axis, hung):
     total = 0.0
-    for link, mass, com in [(5, EXTRA.link_mass[5], EXTRA.link_com[5]), (6, EXTRA.link_mass[6], EXTRA.link_com[6]),
-                            (6, hung.mass, hung.com)]:  # fmt: skip
+    for link, mass, com in [
+        (5, EXTRA.link_mass[5], EXTRA.link_com[5]),
+        (6, EXTRA.link_mass[6], EXTRA.link_com[6]),
+        (6, hung.mass, hung.com),
+    ]:
         lever = frames[link, :3, :3] @ np.asarray(com) + frames[link, :3, 3] - frames[4, :3, 3]
         total += axis @ np.cross(lever, [0, 0, -mass * GRAVITY])
     return total

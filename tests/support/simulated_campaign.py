@@ -80,14 +80,28 @@ def campaign_readings(rng: np.random.Generator, n: int, file: Path = Path("track
     low = np.radians([-90, -120, -20, -170, -115, -170])
     high = np.radians([90, -20, 140, 170, 115, 170])
     return Readings(
-        path=file, q=rng.uniform(low, high, (n, 6)), point=np.full((n, 3), np.nan),
-        target=np.asarray(rng.integers(3, size=n)), targets=tuple(NESTS),
-        payload=np.asarray(np.arange(n) % 3), payloads=tuple(PAYLOADS),
-        station=np.zeros(n, np.int64), stations=("",), session=np.zeros(n, np.int64), sessions=("",),
-        load=np.zeros((n, 6)), load_link=np.full(n, 6), load_place=np.zeros((n, 3)),
-        approach=np.asarray(rng.choice([-1.0, 1.0], (n, 6))), time=None, temperature=None, sigma=None, turn=None,
-        sigma_turn=None, line=np.arange(2, n + 2),
-    )  # fmt: skip
+        path=file,
+        q=rng.uniform(low, high, (n, 6)),
+        point=np.full((n, 3), np.nan),
+        target=np.asarray(rng.integers(3, size=n)),
+        targets=tuple(NESTS),
+        payload=np.asarray(np.arange(n) % 3),
+        payloads=tuple(PAYLOADS),
+        station=np.zeros(n, np.int64),
+        stations=("",),
+        session=np.zeros(n, np.int64),
+        sessions=("",),
+        load=np.zeros((n, 6)),
+        load_link=np.full(n, 6),
+        load_place=np.zeros((n, 3)),
+        approach=np.asarray(rng.choice([-1.0, 1.0], (n, 6))),
+        time=None,
+        temperature=None,
+        sigma=None,
+        turn=None,
+        sigma_turn=None,
+        line=np.arange(2, n + 2),
+    )
 
 
 def measured(truth: Truth, readings: Readings, rng: np.random.Generator, outliers: float = 0.0) -> Readings:

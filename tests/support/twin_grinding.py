@@ -62,9 +62,24 @@ def moments(
     nan = np.full(n, np.nan)
     fixed = {"n": [0.0, 1.0, 0.0], "t": [0.0, 0.0, 1.0]}
     made = ContactMoments(
-        T, np.zeros((n, 6, 6)), p, np.tile(fixed["n"], (n, 1)), np.tile(fixed["t"], (n, 1)), s, np.ones(n, int), nan,
-        np.full(n, FEED), np.full(n, belt), np.ones(n, bool), nan, time, run, np.zeros(n), nan, nan,
-    )  # fmt: skip
+        T,
+        np.zeros((n, 6, 6)),
+        p,
+        np.tile(fixed["n"], (n, 1)),
+        np.tile(fixed["t"], (n, 1)),
+        s,
+        np.ones(n, int),
+        nan,
+        np.full(n, FEED),
+        np.full(n, belt),
+        np.ones(n, bool),
+        nan,
+        time,
+        run,
+        np.zeros(n),
+        nan,
+        nan,
+    )
     return replace(made, **{k: np.broadcast_to(v, (n, *np.shape(getattr(made, k))[1:])) for k, v in changes.items()})
 
 
