@@ -13,9 +13,9 @@ from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
 from trajectories.joint_trajectory import Limits, ramps, sample_times
 from trajectories.krl.values import FILE_LIMITS
-from trajectories.path_law import squared_speeds, time_law
 from trajectories.program.interpolation import emit, largest_axis_difference, rest_to_rest_spline
 from trajectories.timing import _cleaned, _rows, _Tightening, time_contact_path
+from trajectories.toppra_law import squared_speeds, time_law
 
 
 def main() -> None:

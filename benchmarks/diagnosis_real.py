@@ -19,11 +19,11 @@ from threadpoolctl import threadpool_limits
 from ocp.diagnose.answering import answer_of
 from ocp.diagnose.channels import tracker_channel
 from ocp.diagnose.dataset import DataSet, read_data_set, read_sealed_tracker
+from ocp.diagnose.engine.channel_system import HeldOut
 from ocp.diagnose.engine.families import candidates
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.projection import stack
 from ocp.diagnose.engine.selection import SelectedEffects, select_on_held_out
-from ocp.diagnose.engine.system import HeldOut
 from ocp.diagnose.published import kr300
 from ocp.diagnose.published.ur import ACHIEVED, TARGET, PublishedCampaign, held_rows, read_campaign, write_data_set
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from robots.compliance import deflect
-from robots.elementary import elementary_forward
 from robots.gravity import weight_torques
 from robots.inverse import inverse_branches
 from robots.kinematics import forward, jacobian, link_frames
+from robots.reference_kinematics import elementary_forward
 from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
 

@@ -1,4 +1,5 @@
-"""The languages that programs can be written in. A new one is a folder like `krl/` and an entry here (docs/krl.md)."""
+"""The languages that programs can be written in. A new one is a folder like `krl/`, an entry here, and its name among the
+choices of `dialect` in ocp/model/cell_schema.py (docs/krl.md)."""
 
 from robots.errors import BadInput
 from trajectories.krl.dialect import KRL

@@ -9,7 +9,7 @@ import numpy as np
 
 from robots.pose import Array
 from trajectories.joint_trajectory import JointTrajectory
-from trajectories.path_law import times_at
+from trajectories.toppra_law import times_at
 
 
 def _cell_edges(trajectory: JointTrajectory) -> Array:

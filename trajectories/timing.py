@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline, PPoly
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
 from trajectories.joint_trajectory import JointTrajectory, Limits, TimingStatus, Worst, sample_times
-from trajectories.path_law import PathRows, graded_grid, squared_speeds, stretched, time_law, times_at
+from trajectories.toppra_law import PathRows, graded_grid, squared_speeds, stretched, time_law, times_at
 
 WINDOW = 0.05  # s, running mean of the time law: no jumps of acceleration
 RESERVE = 0.998  # rows ask for this part of a limit, so that what lies between grid points stays inside it

@@ -17,7 +17,7 @@ from ocp.blindtest.scoring.rivals import rival_answers
 from ocp.blindtest.worlds.sealing import WITHHELD, Check, write_whole
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
-from ocp.diagnose.engine.system import Sealed
+from ocp.diagnose.engine.channel_system import Sealed
 from ocp.effects.catalogue import library
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible

@@ -11,8 +11,8 @@ from ocp.diagnose.channels import channels_of
 from ocp.diagnose.corrected import write_corrected_cell
 from ocp.diagnose.dataset import blinds, read_data_set, read_sealed_force, read_sealed_tracker
 from ocp.diagnose.document import document_of, json_text
+from ocp.diagnose.engine.channel_system import Channel, Sealed
 from ocp.diagnose.engine.findings import Alternative
-from ocp.diagnose.engine.system import Channel, Sealed
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
 from ocp.diagnose.predictions import averaged, write_force_predictions, write_tracker_predictions

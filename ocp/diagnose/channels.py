@@ -3,7 +3,7 @@
 import numpy as np
 
 from ocp.diagnose.dataset import TRACKER, DataSet
-from ocp.diagnose.engine.system import Channel
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.tracker.baseline import believed_baseline
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.shell.progress import Phases

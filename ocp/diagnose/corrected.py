@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp.calibrate.tracker import as_calibration
 from ocp.diagnose.dataset import CELL, DataSet
-from ocp.diagnose.engine.system import Channel
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.diagnose.engine.system import Sealed
+from ocp.diagnose.engine.channel_system import Sealed
 from robots.pose import Array
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import cast
 
-from ocp.diagnose.engine.system import Channel, ReadingConditions
+from ocp.diagnose.engine.channel_system import Channel, ReadingConditions
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.shell.workers import cores, interrupts_held_back, nothing, workers

@@ -12,7 +12,7 @@ from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.calibrate.force.registration import fit_force
 from ocp.calibrate.force.rows import ForceSetup
-from ocp.experiments.course import Course, compensated, working_points
+from ocp.experiments.shared_setup import Course, compensated, working_points
 from ocp.plan.passes.optimise import SolvedPass
 from ocp.simulate.twin.arm.arm import VirtualArm, arm_moments
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Grinder, read_sensor

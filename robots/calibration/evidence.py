@@ -11,7 +11,7 @@ import numpy as np
 from robots.calibration.fit import Fit, fit_campaign
 from robots.calibration.layout import Choice
 from robots.calibration.solver import Campaign
-from robots.calibration.student import NU, consistency
+from robots.calibration.student_t import NU, consistency
 from robots.calibration.validation import FoldErrors, ReadingFold, folds, hold_out
 from robots.robot import Robot
 

@@ -13,7 +13,7 @@ from robots.calibration.layout import Choice, Layout, Priors, State, build_layou
 from robots.calibration.noise import Noise
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, Solution, solve
-from robots.calibration.student import gaussian_moments, moments, spread_of, weights
+from robots.calibration.student_t import gaussian_moments, moments, spread_of, weights
 from robots.pose import Array, make_transform
 from robots.tracker_readings import Index, Readings
 

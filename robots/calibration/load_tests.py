@@ -13,7 +13,7 @@ from robots.calibration.fit import Fit
 from robots.calibration.layout import State, build_layout
 from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.residuals import linearise
-from robots.calibration.student import NU
+from robots.calibration.student_t import NU
 from robots.pose import Array
 from robots.tracker_readings import REPEAT_TOLERANCE, Readings
 

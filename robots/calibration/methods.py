@@ -17,7 +17,7 @@ from robots.calibration.layout import Choice, Priors, State, believed_compliance
 from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
-from robots.calibration.student import NU, gaussian_moments, spread_of, weights
+from robots.calibration.student_t import NU, gaussian_moments, spread_of, weights
 from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.robot import Robot

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from robots.calibration.student import NU, consistency
+from robots.calibration.student_t import NU, consistency
 from robots.pose import Array
 from robots.tracker_readings import Index, Instrument, Readings
 

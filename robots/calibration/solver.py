@@ -11,7 +11,7 @@ import numpy as np
 from robots.calibration.layout import Layout, State, moved
 from robots.calibration.noise import TURN_SD, Noise, joint_noise, reading_covariance, whitener
 from robots.calibration.residuals import Linearised, linearise, residuals
-from robots.calibration.student import spread_of, weights
+from robots.calibration.student_t import spread_of, weights
 from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
 from robots.robot import Robot

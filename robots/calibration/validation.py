@@ -10,7 +10,7 @@ from robots.calibration.fit import Fit, fit_campaign, predict_readings
 from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import linearise
 from robots.calibration.solver import Campaign
-from robots.calibration.student import NU, consistency
+from robots.calibration.student_t import NU, consistency
 from robots.pose import Array
 from robots.tracker_readings import Index
 

@@ -11,7 +11,7 @@ import pytest
 from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
-from ocp.diagnose.engine.system import Fold
+from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.prediction import effect_derivatives, force_derivatives, predict_forces

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.diagnose.engine.system import Fold, HeldOut
+from ocp.diagnose.engine.channel_system import Fold, HeldOut
 from ocp.diagnose.joints.channel import ARCSEC, joint_channel
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.diagnose.joints.noise import BLOCK, EncoderNoise, covariance, factors, whiten_blocks

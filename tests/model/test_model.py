@@ -16,8 +16,8 @@ from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import N_ROWS, ObjectiveWeights, build_stage
 from ocp.plan.verify.second_route import believed_robot, bent
 from robots.calibration.store import Calibration
-from robots.elementary import elementary_forward
 from robots.pose import apply
+from robots.reference_kinematics import elementary_forward
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
 
 GIVE = np.array([2e-6, 3e-7, -4e-7])

@@ -21,7 +21,7 @@ from ocp.plan.passes.problem import WINDOW, PassProblem, approach_signs, with_di
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.verify.second_route import BelievedRobot, moved_arm
-from robots.elementary import elementary_forward
+from robots.reference_kinematics import elementary_forward
 from tests.plan.test_optimal_control import BAR
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
 from tests.support.small_plan import STEP, planned, refused, small_cell

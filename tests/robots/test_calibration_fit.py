@@ -16,8 +16,8 @@ from robots.calibration.reading_model import RowInputs, predict, predict_points
 from robots.calibration.residuals import linearise
 from robots.calibration.solver import Campaign
 from robots.calibration.validation import by_kind, validate
-from robots.elementary import elementary_frames
 from robots.gravity import GRAVITY
+from robots.reference_kinematics import elementary_frames
 from robots.tracker_readings import Hanging, Nest
 from tests.support.reference_arm import elementary_weight_torques
 from tests.support.simulated_campaign import EXTRA, INSTRUMENT, NESTS, PAYLOADS, campaign_readings, measured, random_truth

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from robots.calibration.mistakes import misfit, refuse_mistakes
 from robots.calibration.solver import Campaign
-from robots.elementary import elementary_forward
 from robots.errors import BadInput
+from robots.reference_kinematics import elementary_forward
 from robots.robot import load_robot
 from tests.support.simulated_campaign import EXTRA, INSTRUMENT, PAYLOADS, campaign_readings, measured, random_truth
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robots.elementary import elementary_frames
 from robots.kinematics import chain, forward, geometric_jacobian, jacobian, link_frames
 from robots.pose import invert, make_transform, rot_x, rot_y, rot_z
+from robots.reference_kinematics import elementary_frames
 from robots.robot import catalogue, load_robot
 from tests.support.reference_arm import body_frames
 

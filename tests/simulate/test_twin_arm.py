@@ -16,9 +16,9 @@ from ocp.simulate.twin.truth.kinds import ARM_KINDS
 from ocp.simulate.twin.truth.planting import parse_effect
 from ocp.simulate.twin.truth.truth import draw_truth
 from robots.calibration.reading_model import RowInputs, predict_points
-from robots.elementary import elementary_forward, elementary_frames
 from robots.errors import BadInput, Infeasible
 from robots.gravity import GRAVITY
+from robots.reference_kinematics import elementary_forward, elementary_frames
 from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
 from tests.support.reference_arm import elementary_weight_torques, point_compliance

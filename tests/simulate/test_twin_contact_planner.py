@@ -12,7 +12,7 @@ from ocp.plan.paths import lay_paths
 from ocp.plan.verify.second_route import believed_robot, bent
 from ocp.simulate.twin.contact import ContactMoments, make_grinder
 from ocp.simulate.twin.contact.table import make_tables
-from robots.elementary import elementary_forward
+from robots.reference_kinematics import elementary_forward
 from tests.support import force_world
 from tests.support.small_plan import small_cell
 from tests.support.twin_grinding import FEED, believed

@@ -35,7 +35,7 @@ FORBIDDEN = (
     "robots.compliance",
     "robots.gravity",
     "robots.kinematics",
-    "robots.elementary",
+    "robots.reference_kinematics",
     "robots.inverse",
     "trajectories.krl",
     "trajectories.program",

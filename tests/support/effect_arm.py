@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robots.elementary import elementary_frames
 from robots.gravity import GRAVITY
+from robots.reference_kinematics import elementary_frames
 from tests.support.reference_arm import elementary_weight_torques
 from tests.support.simulated_campaign import EXTRA, NESTS, PAYLOADS
 

@@ -22,8 +22,8 @@ from ocp.plan.paths import lay_paths
 from ocp.plan.verify.second_route import BelievedRobot, believed_robot, bent, verify_pass
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.calibration.store import Calibration
-from robots.elementary import elementary_forward
 from robots.pose import make_transform
+from robots.reference_kinematics import elementary_forward
 from tests.support.all_postures import inverse_all
 from tests.support.small_plan import small_cell
 from trajectories.passes import BladePath

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.diagnose.engine.system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
 from ocp.effects.effect import Active, Effect, Parameter, Surroundings
 
 

@@ -5,9 +5,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from robots.compliance import cartesian_compliance
-from robots.elementary import elementary_frames
 from robots.kinematics import jacobian, link_frames
 from robots.pose import Array
+from robots.reference_kinematics import elementary_frames
 from robots.rigid_body import rigid_body_model
 from robots.robot import Robot
 

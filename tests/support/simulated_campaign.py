@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robots.elementary import elementary_forward
 from robots.gravity import GRAVITY
 from robots.pose import make_transform
+from robots.reference_kinematics import elementary_forward
 from robots.robot import Robot, load_robot
 from robots.tracker_readings import Hanging, Instrument, Nest, Readings
 from tests.support.reference_arm import elementary_weight_torques

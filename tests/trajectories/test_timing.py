@@ -11,9 +11,9 @@ from scipy.interpolate import CubicSpline
 
 from robots.errors import BadInput, Infeasible
 from trajectories.joint_trajectory import Limits, TimingStatus, ramps, sample_times
-from trajectories.path_law import squared_speeds, stretched, time_law, times_at
 from trajectories.removal import dwell_times, relative_removal, removal_of
 from trajectories.timing import time_contact_path, time_joint_move
+from trajectories.toppra_law import squared_speeds, stretched, time_law, times_at
 
 INERTIA = np.array([800.0, 900, 400, 30, 20, 5])
 WEIGHT = np.array([0.0, 3700, 990, 50, 40, 2])

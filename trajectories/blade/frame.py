@@ -16,7 +16,7 @@ _MAX_TILT = np.deg2rad(35.0)  # an end plane tilted more against the span is not
 
 @dataclass(frozen=True)
 class SpanFrame:
-    """BladeSection planes (1 - w) n0 . (x - c0) + w n1 . (x - c1) = 0, w from 0 at the root end to 1 at the tip.
+    """Section planes (1 - w) n0 . (x - c0) + w n1 . (x - c1) = 0, w from 0 at the root end to 1 at the tip.
 
     Hub and casing of a turbomachine are cones, so the two ends of a real blade are not parallel; planes that turn
     from one end to the other give whole sections up to both. c0, c1 (3,) m; n0, n1 (3,) unit; v = w |c1 - c0|.

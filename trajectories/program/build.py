@@ -8,7 +8,6 @@ import numpy as np
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array, invert
 from trajectories.joint_trajectory import JointTrajectory
-from trajectories.path_law import times_at
 from trajectories.program.dialect import Dialect
 from trajectories.program.interpolation import Deviation, emit, largest_axis_difference
 from trajectories.program.program import (
@@ -25,6 +24,7 @@ from trajectories.program.program import (
     refuse_double_compensation,
     split_blocks,
 )
+from trajectories.toppra_law import times_at
 
 SPACING = 1e-3  # m between the poses of a Cartesian program
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.families import stacked_columns
 from ocp.diagnose.engine.projection import stack
-from ocp.diagnose.engine.system import Channel
 from ocp.effects.effect import Effect
 from robots.pose import Array
 from robots.tracker_readings import Index

@@ -106,7 +106,7 @@ def _gains(step: Array, index: Index, noise: CorrelatedNoise, weight: Array) -> 
 
 
 def estimate_noise(run: Index, time: Array, residual: Array, before: CorrelatedNoise | None = None) -> CorrelatedNoise:
-    """CorrelatedNoise of residuals (n,) whose slow course in each run is not noise: restricted maximum likelihood (eq. 5).
+    """Noise of residuals (n,) whose slow course in each run is not noise: restricted maximum likelihood (eq. 5).
 
     Slow means a cubic in time; what is slower than that is for the fit to explain. `before`: an estimate to start from.
     """

@@ -1,4 +1,4 @@
-"""From the wheel's seven inputs to four numbers and a strip_baseline: translation, scaling and symmetry used exactly.
+"""From the wheel's seven inputs to four numbers and a baseline: translation, scaling and symmetry used exactly.
 
 The quadratic gap is moved to the middle of the wheel and to its ridge along x (exact: the cover is the same everywhere
 along x); what is left is (curvature across the ridge, along it, shear, slope). Forces and shapes scale together (exact:

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ocp.diagnose.engine.channel_system import Channel, scan_key
 from ocp.diagnose.engine.evidence import SIZES, size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.pool import Family
 from ocp.diagnose.engine.projection import Stack
-from ocp.diagnose.engine.system import Channel, scan_key
 from ocp.diagnose.engine.visible import Rival
 from ocp.diagnose.rules import BACKGROUND_PLAY, BACKGROUND_RIPPLE, PLAY_ODDS, RIPPLE_ODDS, SEEN_LAMBDA
 from ocp.effects.effect import Active, Effect, Scanned

@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass, field
 
-from ocp.diagnose.engine.system import Channel, HeldOut
+from ocp.diagnose.engine.channel_system import Channel, HeldOut
 from ocp.diagnose.rules import EXPLAINED, LEADS, PRIOR_EFFECTS, PRIOR_UNKNOWN
 from ocp.effects.effect import Active
 from robots.pose import Array

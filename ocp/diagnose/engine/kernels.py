@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.diagnose.engine.system import ReadingConditions
+from ocp.diagnose.engine.channel_system import ReadingConditions
 from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, TILT_KERNEL
 from robots.pose import Array
 from robots.tracker_readings import Index

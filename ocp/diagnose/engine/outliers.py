@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.diagnose.engine.beam import Search, Weighed, weigh
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.problem import Linearisation, linearised
-from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.rules import OUTLIER_WEIGHT, OUTLIERS_OF_ONE_CAUSE, RECHECKED
 from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp.diagnose.engine.beam import Key, Weighed
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.evidence import coefficients_given, size_grid
 from ocp.diagnose.engine.families import candidates, library_families, put_back
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
 from ocp.diagnose.engine.pool import CandidatePool, Family, Given, Member, given, make_pool
 from ocp.diagnose.engine.projection import Stack, stack
-from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.rules import BROKEN_ORDER_ODDS
 from ocp.effects.effect import Active, Effect
 from robots.pose import Array

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.diagnose.engine.system import Channel, System
+from ocp.diagnose.engine.channel_system import Channel, System
 from robots.pose import Array
 
 RANK = 1e-10  # singular values below this share of the largest are no direction of their own

@@ -17,11 +17,11 @@ import numpy as np
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Key, Search, Weighed, weigh
+from ocp.diagnose.engine.channel_system import Channel, effects_key
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.outliers import outliers_rechecked
 from ocp.diagnose.engine.problem import Linearisation, linearised
 from ocp.diagnose.engine.refine import refined
-from ocp.diagnose.engine.system import Channel, effects_key
 from ocp.effects.effect import Active, Effect
 from robots.errors import Infeasible
 

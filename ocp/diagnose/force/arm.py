@@ -12,7 +12,7 @@ import numpy as np
 
 from ocp.calibrate.force.conditions import LogConditions
 from ocp.calibrate.force.log import Index
-from ocp.diagnose.engine.system import scan_key
+from ocp.diagnose.engine.channel_system import scan_key
 from ocp.effects.effect import Effect, Scanned
 from ocp.effects.engine.evaluate import arm_columns
 from ocp.effects.engine.rows import ArmRows, arm_rows

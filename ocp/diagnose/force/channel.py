@@ -13,7 +13,7 @@ from ocp.calibrate.force.fit import pressed_rows
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
-from ocp.diagnose.engine.system import (
+from ocp.diagnose.engine.channel_system import (
     Fold,
     HeldOut,
     ReadingConditions,

@@ -10,7 +10,7 @@ import numpy as np
 
 from ocp.calibrate.force.folds import without_rows
 from ocp.calibrate.force.log import Flags, ForceLog
-from ocp.diagnose.engine.system import Fold, HeldOut, drifts
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, drifts
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import LogScene
 from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS

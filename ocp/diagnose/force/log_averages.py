@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ocp.diagnose.engine.system import Wave, scan_key
+from ocp.diagnose.engine.channel_system import Wave, scan_key
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import effect_derivatives
 from ocp.diagnose.force.whitening import Whitener

@@ -14,8 +14,8 @@ from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise, Runs
 from ocp.calibrate.force.rows import prepare_force
+from ocp.diagnose.engine.channel_system import System, Variant
 from ocp.diagnose.engine.projection import Projection, project
-from ocp.diagnose.engine.system import System, Variant
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, linear, reading_information, scale_of, signals

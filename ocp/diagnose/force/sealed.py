@@ -8,7 +8,7 @@ from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import prepare_force
-from ocp.diagnose.engine.system import Predictable, Sealed, predictable
+from ocp.diagnose.engine.channel_system import Predictable, Sealed, predictable
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
 from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ocp.calibrate.force.conditions import LogConditions
+from ocp.diagnose.engine.channel_system import Channel, effects_key
 from ocp.diagnose.engine.findings import Alternative
-from ocp.diagnose.engine.system import Channel, effects_key
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal

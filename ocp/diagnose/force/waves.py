@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from ocp.diagnose.engine.system import Wave
+from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.rules import LEAST_WAVES, WAVES_PICKED
 from robots.pose import Array

@@ -13,11 +13,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ocp.calibrate.force.log import ForceLog
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.evidence import size_grid
 from ocp.diagnose.engine.families import log_odds, positive_of, ratio_of, rival_of
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.projection import project
-from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.engine.visible import visible_lambda
 from ocp.diagnose.foresee.planned_log import read_planned_log
 from ocp.diagnose.foresee.planned_tracker import arm_expected, default_poses, planned_channel

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import expit
 
 from ocp.diagnose import rules
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Diagnosis, Experiment, Name
-from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.foresee.planned_tracker import PlannedReadings, before_and_after, channel_about, planned_measurements
 from ocp.diagnose.foresee.separation import NOTHING, ReadingRows, RivalPair, pair_signature, signature_or_none, unlike
 from ocp.diagnose.tracker.channel import TrackerChannel

@@ -1,4 +1,4 @@
-"""PlannedGrinding that nobody has logged yet: recordings of a log once more under other conditions, as rows of the same model.
+"""Grinding that nobody has logged yet: recordings of a log once more under other conditions, as rows of the same model.
 
 With it tracker readings beside a log, and the effects that a log leaves unseen.
 """

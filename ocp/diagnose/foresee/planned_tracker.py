@@ -1,4 +1,4 @@
-"""Tracker readings that nobody has taken yet: planned_measurements, default postures, the channel and the arm they make."""
+"""Tracker readings that nobody has taken yet: planned measurements, default postures, the channel and the arm they make."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
 from ocp.diagnose.joints.log import JointLog
 from ocp.diagnose.joints.noise import noise_of
 from ocp.diagnose.joints.problem import (

@@ -1,4 +1,4 @@
-"""EncoderNoise of link-side encoders: white from instant to instant, and a wander that no function of the state explains.
+"""Noise of link-side encoders: white from instant to instant, and a wander that no function of the state explains.
 
 Residuals of a log at 250 Hz are far from independent: taken as white they would make every ripple certain. The wander is an
 Ornstein-Uhlenbeck process, covariance s^2 exp(-|dt| / T) (Rasmussen and Williams 2006, eq. B.27), white noise is added. Both are
@@ -53,7 +53,7 @@ def state_columns(signals: Signals, joint: int, broad: bool) -> Array:
 
 
 def noise_of(signals: Signals, joint: int) -> EncoderNoise:
-    """EncoderNoise of the link side of a joint."""
+    """Noise of the link side of a joint."""
     gap = signals.log.link[:, joint - 1] - signals.log.q[:, joint - 1]
     good = np.isfinite(gap) & signals.moving(joint) & signals.inside()
     columns = state_columns(signals, joint, broad=True)

@@ -105,7 +105,7 @@ class EncoderProblem:
 
     @property
     def scatter(self) -> Array:
-        """EncoderNoise (n,) rad from instant to instant."""
+        """Noise (n,) rad from instant to instant."""
         return np.array([self.noise[j].floor for j in self.joint])
 
     def of_readings(self, links: Array) -> Array:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp.diagnose.engine.system import (
+from ocp.diagnose.engine.channel_system import (
     Fold,
     HeldOut,
     ReadingConditions,

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from ocp.diagnose.engine.system import Fold, HeldOut, Predictable, Sealed, drifts
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, drifts
 from ocp.diagnose.rules import FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.motion import PlacedReadings, together
 from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp.diagnose.dataset import DataSet
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Diagnosis, Experiment
-from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from robots.pose import Array
 

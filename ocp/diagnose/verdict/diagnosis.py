@@ -12,6 +12,7 @@ from scipy.special import fdtrc
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Search, Weighed, weigh
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.families import names_of, rival_of, stacked_columns
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.pool import Family, Given, given
@@ -19,7 +20,6 @@ from ocp.diagnose.engine.probabilities import Names, Posterior, posterior
 from ocp.diagnose.engine.problem import Linearisation, linearised
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
-from ocp.diagnose.engine.system import Channel
 from ocp.diagnose.engine.visible import visible_lambda
 from ocp.diagnose.verdict.alternatives import ExplanationWeights, alternatives
 from ocp.diagnose.verdict.classes import merged, mistaken, told_apart, twins

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import expit, log_ndtr, ndtr, ndtri
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.system import Channel, HeldOut
+from ocp.diagnose.engine.channel_system import Channel, HeldOut
 from robots.pose import Array
 
 DRAWS = 1000

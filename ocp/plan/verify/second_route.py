@@ -19,9 +19,9 @@ from ocp.effects.engine.evaluate import arm_shift
 from ocp.effects.engine.rows import ARM_LAYOUT, ArmPlace, ArmRows, ContactPlace, added_overlap
 from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, contact_stations, surface_shape
 from ocp.model.cell import Cell
-from robots.elementary import elementary_forward, elementary_frames
 from robots.gravity import GRAVITY
 from robots.pose import Array, apply
+from robots.reference_kinematics import elementary_forward, elementary_frames
 from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
 from trajectories.passes import BladePath

@@ -3,8 +3,8 @@
 Here: how hard blade and wheel press, and what the sensor shows. Not here: where the arm is without contact (twin/arm).
 """
 
+from ocp.simulate.twin.contact.contact_instants import ContactMoments, ContactResult
 from ocp.simulate.twin.contact.grinder import Grinder, make_grinder
-from ocp.simulate.twin.contact.moments import ContactMoments, ContactResult
 from ocp.simulate.twin.contact.sensor import read_sensor
 from ocp.simulate.twin.contact.table import Tables
 

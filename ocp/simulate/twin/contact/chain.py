@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.contact.moments import ContactMoments, Index
+from ocp.simulate.twin.contact.contact_instants import ContactMoments, Index
 from ocp.simulate.twin.contact.table import LEVELS
 from ocp.simulate.twin.truth.truth import Truth
 from robots.pose import Array

@@ -6,7 +6,7 @@ import numpy as np
 
 from ocp.model.cell import Cell
 from ocp.simulate.twin.contact.chain import Chain, CoverForce, make_mount
-from ocp.simulate.twin.contact.moments import ContactMoments, ContactResult, Index
+from ocp.simulate.twin.contact.contact_instants import ContactMoments, ContactResult, Index
 from ocp.simulate.twin.contact.sensor import lagging
 from ocp.simulate.twin.contact.stations import SolvedStations, depth_curves, place_stations
 from ocp.simulate.twin.contact.surface import Postures, postures

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.simulate.twin.contact.moments import ContactMoments, ContactResult, Index
+from ocp.simulate.twin.contact.contact_instants import ContactMoments, ContactResult, Index
 from ocp.simulate.twin.truth.truth import Truth
 from robots.pose import Array
 

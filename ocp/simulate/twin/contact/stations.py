@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ocp.simulate.twin.contact.moments import ContactMoments, Index
+from ocp.simulate.twin.contact.contact_instants import ContactMoments, Index
 from ocp.simulate.twin.contact.table import LATTICE, Tables
 from robots.pose import Array
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ocp.model.cell import Cell
 from ocp.simulate.twin.contact.chain import Chain, Equilibrium, solve_sticking
-from ocp.simulate.twin.contact.moments import ContactMoments
+from ocp.simulate.twin.contact.contact_instants import ContactMoments
 from ocp.simulate.twin.contact.sensor import memory
 from ocp.simulate.twin.truth.truth import Truth
 from robots.pose import Array

@@ -13,7 +13,7 @@ from ocp.contact.blade.compliance import blade_compliance, default_element_size
 from ocp.contact.blade.elasticity import Material
 from ocp.contact.blade.volume_mesh import surface_area
 from ocp.model.cell import Cell, Workpiece
-from ocp.simulate.twin.contact.moments import ContactMoments, Index
+from ocp.simulate.twin.contact.contact_instants import ContactMoments, Index
 from ocp.simulate.twin.contact.stations import SolvedStations
 from ocp.simulate.twin.contact.surface import Postures
 from ocp.simulate.twin.truth.truth import Truth
