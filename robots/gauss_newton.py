@@ -117,7 +117,8 @@ def linear_step(residual: Array, sensitivity: Array, z: Array, precision: Array,
     """
     if rank is None:
         normal = sensitivity.T @ sensitivity + np.diag(precision)
-        np.linalg.cholesky(normal)  # refuses what is open in some direction, which `solve` need not notice
+        if not (precision > 0).all():
+            np.linalg.cholesky(normal)  # refuses what is open in some direction, which `solve` need not notice
         return LinearStep(np.asarray(np.linalg.solve(normal, sensitivity.T @ residual - precision * z)), normal)
     root, known = np.sqrt(precision), precision > 0
     A = np.vstack([sensitivity, np.diag(root)[known]])

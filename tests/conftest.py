@@ -1,4 +1,5 @@
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,3 +21,23 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     in: the same blades and wheels are solved once."""
     base = tmp_path_factory.getbasetemp()
     os.environ["GRINDPLAN_CACHE"] = str((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "own-cache")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_core_each(own_cache: None) -> Iterator[None]:
+    """Each process of a parallel run keeps to one core, and so do the commands it starts: passes, contacts and pages are worked
+    on in the process itself instead of in helpers that import everything once more and fight for the other's core."""
+    worker, free = os.environ.get("PYTEST_XDIST_WORKER", ""), sorted(os.sched_getaffinity(0))
+    if worker and len(free) > 1:
+        os.sched_setaffinity(0, {free[int(worker.removeprefix("gw")) % len(free)]})
+    yield
+    os.sched_setaffinity(0, free)
+
+
+@pytest.fixture(scope="module")
+def every_core() -> Iterator[None]:
+    """Two cores at least for what a module starts: work is handed to helpers, as on a user's machine."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    yield
+    os.sched_setaffinity(0, before)

@@ -201,7 +201,7 @@ def test_left_out_readings_are_the_same_ones_with_and_without_a_name(made, tmp_p
     """Without the splice its knocks are gross readings: errors of the two could not be compared row by row."""
     log, _ = _log(made.base, (Planted(reading=lambda c, F: 9.0 * (F > 0) * bell(8.37 * c["time"], 0.02)),), tmp_path)
     channel = _again(made, log)
-    after = channel.with_active((_active("belt_splice", scanned=channel.surroundings.knocks[0]),))
+    after = channel.with_active((_active("belt_splice", scanned=channel.surroundings.splice_trains[0]),))
     weights = [c.fit.whiteners[0].noise.weight > 0.1 for c in (channel, after)]
     assert weights[0].sum() < weights[1].sum()
     for fold in after.folds():

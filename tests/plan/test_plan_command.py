@@ -27,8 +27,8 @@ COLUMNS = (
 INJECTED = "x(); $OV_PRO=100 ;.stl"
 
 
-@pytest.fixture(scope="session")
-def small(tmp_path_factory):
+@pytest.fixture(scope="module")
+def small(tmp_path_factory, every_core):
     """Folder in which the small plan was made, and what the command said."""
     folder = tmp_path_factory.mktemp("small")
     small_cell(folder)
