@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+import ocp  # noqa: F401  one BLAS thread, before NumPy is first imported: two would fight on the core of each process
+
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 

@@ -8,7 +8,6 @@ from tests.support.house import ROOT, sources
 
 VERBS = {
     "last_line": "a command: the one line that says what was written and whether it is safe to use",
-    "main": "a program that is run by itself",
 }
 MARK = "# fmt" + ": "  # not itself one of them
 
