@@ -6,9 +6,7 @@ from pathlib import Path
 
 from tests.support.house import ROOT, sources
 
-VERBS = {
-    "last_line": "a command: the one line that says what was written and whether it is safe to use",
-}
+VERBS = {"last_line": "a command: the one line that says what was written and whether it is safe to use"}
 MARK = "# fmt" + ": "  # not itself one of them
 
 

@@ -23,12 +23,7 @@ def dwell_times(trajectory: JointTrajectory) -> Array:
 
 
 def relative_removal(
-    force: Array,
-    dwell: Array,
-    spacing: Array,
-    nominal_force: float,
-    nominal_feed: float,
-    belt_ratio: Array | float = 1.0,
+    force: Array, dwell: Array, spacing: Array, nominal_force: float, nominal_feed: float, belt_ratio: Array | float = 1.0
 ) -> Array:
     """Depth taken off at each waypoint over the nominal depth, (n,): (F/F0) (dwell feed0 / spacing)
     (v_belt/v_belt0).

@@ -44,12 +44,7 @@ class _Tightening:
 
 
 def time_contact_path(
-    q: Array,
-    s: Array,
-    feed: Array | float | None,
-    limits: Limits,
-    window: float = WINDOW,
-    label: str = "pass",
+    q: Array, s: Array, feed: Array | float | None, limits: Limits, window: float = WINDOW, label: str = "pass"
 ) -> JointTrajectory:
     """Time the joints q (n, 6) rad at stations s (n,) m with feed at most `feed` m/s, from rest to rest.
 
@@ -111,14 +106,7 @@ def _cleaned(q: Array, s: Array, feed: Array | float | None, limits: Limits, lab
     kept[-1] = len(s) - 1  # of near-duplicates at the end the goal itself is kept
     index = np.array(kept)
     stations = s[index] - s[index[0]]
-    return _Path(
-        CubicSpline(stations, q[index]),
-        stations,
-        None if bound is None else bound[index],
-        index,
-        limits,
-        label,
-    )
+    return _Path(CubicSpline(stations, q[index]), stations, None if bound is None else bound[index], index, limits, label)
 
 
 def _check_range_and_rest(path: _Path) -> None:
@@ -214,12 +202,7 @@ def _slowed(path: _Path, trajectory: JointTrajectory) -> JointTrajectory:
         excess = _excess(ratios, path.limits)
         if excess.max() <= 1.0:
             return _checked(trajectory, ratios, TimingStatus.SLOWED)
-        factor = max(
-            excess[:, 0].max(),
-            excess[:, 3].max(),
-            np.sqrt(max(1.0, excess[:, 1].max())),
-            _torque_factor(trajectory, t),
-        )
+        factor = max(excess[:, 0].max(), excess[:, 3].max(), np.sqrt(max(1.0, excess[:, 1].max())), _torque_factor(trajectory, t))
         trajectory = _trajectory(path, stretched(trajectory.law, 1.0001 * factor))
     worst = int(np.argmax(excess.max(axis=1)))
     raise Infeasible(

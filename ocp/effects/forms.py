@@ -51,10 +51,7 @@ def scanned_with(keys: tuple[str, ...], *scanned_keys: str) -> dict[str, Any]:
     """As `several`, with scanned values that are parameters too."""
     return {
         "values": lambda a, scanned: {key: float(a[i]) for i, key in enumerate(keys)} | {k: scanned[k] for k in scanned_keys},
-        "coefficients_of": lambda values: (
-            np.array([float(values[key]) for key in keys]),
-            {k: values[k] for k in scanned_keys},
-        ),
+        "coefficients_of": lambda values: (np.array([float(values[key]) for key in keys]), {k: values[k] for k in scanned_keys}),
     }
 
 

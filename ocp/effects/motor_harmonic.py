@@ -13,10 +13,7 @@ from robots.pose import Array
 
 ORDERS = (1, 2)
 # Motor turns per turn of the axis of the machines that share the extra's name (PHYSICS 2.1): prime, -2.
-SISTERS = (
-    (256.857, 252.909, 236.368, 198.9, 209.667, 131.151),
-    (256.857, 269.176, 251.333, 188.855, 190.133, 131.277),
-)
+SISTERS = ((256.857, 252.909, 236.368, 198.9, 209.667, 131.151), (256.857, 269.176, 251.333, 188.855, 190.133, 131.277))
 
 
 def ratios(joint: int, seen: Surroundings) -> list[float]:

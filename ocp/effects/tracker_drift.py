@@ -18,10 +18,7 @@ EFFECT = Effect(
     physics="The stand warms or settles: what the tracker reads moves by m_per_h (3) and turns by rad_per_h (3) about its head "
     "per hour since the start, in the axes of the tracker's frame (DIAGNOSIS, catalogue). Fixed reflectors read again and again "
     "would show it apart from the robot.",
-    parameters=(
-        Parameter("m_per_h", "m/h", 5e-6, 8e-5, length=3),
-        Parameter("rad_per_h", "rad/h", 1e-6, 2e-5, length=3),
-    ),
+    parameters=(Parameter("m_per_h", "m/h", 5e-6, 8e-5, length=3), Parameter("rad_per_h", "rad/h", 1e-6, 2e-5, length=3)),
     coefficients=("x", "y", "z", "about_x", "about_y", "about_z"),
     prior_sd=(8e-5, 8e-5, 8e-5, 2e-5, 2e-5, 2e-5),
     needs=("time_s",),

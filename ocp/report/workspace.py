@@ -31,13 +31,7 @@ def round_number(value: float) -> float:
 
 
 def draw_vectors(
-    axes: Sequence[Axes],
-    title: str,
-    points: Array,
-    vectors: Array,
-    factor: float,
-    colour: str,
-    outlier: NDArray[np.bool_],
+    axes: Sequence[Axes], title: str, points: Array, vectors: Array, factor: float, colour: str, outlier: NDArray[np.bool_]
 ) -> None:
     """Vectors (n, 3) m at points (n, 3) m of the base frame, from above and from the side, `factor` times as long, with an arrow
     of known length in the corner; an outlier is a cross without an arrow."""

@@ -12,15 +12,7 @@ from ocp.effects.catalogue import key_range
 from ocp.model.cell import Cell, read_cell
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
-from ocp.simulate.input import (
-    Wanted,
-    blade_file,
-    campaign_plan,
-    cell_file,
-    check_numbers,
-    in_words,
-    planted_effects,
-)
+from ocp.simulate.input import Wanted, blade_file, campaign_plan, cell_file, check_numbers, in_words, planted_effects
 from ocp.simulate.report import rehearsal_headline, write_rehearsal_page
 from ocp.simulate.twin.arm.arm import make_arm
 from ocp.simulate.twin.campaign import GrindingCampaign, run_campaign

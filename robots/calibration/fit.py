@@ -102,11 +102,7 @@ class Fit:
 
 
 def fit_campaign(
-    campaign: Campaign,
-    choice: Choice = PLAIN,
-    priors: Priors = WEAK,
-    noise: Noise | None = None,
-    begin: State | None = None,
+    campaign: Campaign, choice: Choice = PLAIN, priors: Priors = WEAK, noise: Noise | None = None, begin: State | None = None
 ) -> Fit:
     """Fit the model `choice`. Without `noise` the joint noise is estimated with it; `begin` is a state nearby.
 

@@ -93,12 +93,7 @@ def _by_hand(name, joint, scene, phase=0.7):
 
 @pytest.mark.parametrize(
     "name, joint, size",
-    [
-        ("mesh_error_under_load", 3, 2e-4),
-        ("zero_jump", 2, 1e-4),
-        ("oil_warm_up", 1, 1e-4),
-        ("cable_twist", 6, 1e-4),
-    ],
+    [("mesh_error_under_load", 3, 2e-4), ("zero_jump", 2, 1e-4), ("oil_warm_up", 1, 1e-4), ("cable_twist", 6, 1e-4)],
 )
 def test_shifts_of_an_axis_are_what_is_written_of_them(machine, scene, bare, name, joint, size):
     shapes = {"order": 30.0, "phase_rad": 0.7, "at_s": 5000.0}

@@ -140,10 +140,7 @@ def test_calculix_agrees_on_a_meshed_vane(tmp_path, monkeypatch):
     )
     c = blade.compliance(p, n, t, (3e-3, 6e-3))[0]
     np.testing.assert_allclose(
-        [-theirs[0] @ n[0], theirs[0] @ t[0], theirs[0] @ np.cross(n[0], t[0])],
-        c,
-        rtol=1e-3,
-        atol=1e-3 * c[0],
+        [-theirs[0] @ n[0], theirs[0] @ t[0], theirs[0] @ np.cross(n[0], t[0])], c, rtol=1e-3, atol=1e-3 * c[0]
     )
 
 

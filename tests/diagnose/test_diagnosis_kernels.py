@@ -45,11 +45,7 @@ JOINTS = {
     "load hysteresis": (lambda r: column(5, 6e-7 * torque(r, 5) * r.approach[:, 4]), 5, {"approach5", "tau5"}),
     "coupled": (lambda r: column(3, 1.5e-4 * np.sin(1.5 * r.q[:, 1])), 3, {"q2"}),
     "resolver": (lambda r: column(3, 6e-5 * np.cos(5 * ROBOT.gear_ratio[2] * r.q[:, 2])), 3, {"motor3"}),
-    "loaded mesh": (
-        lambda r: column(2, 1.5e-4 * torque(r, 2) / 4000.0 * np.cos(23 * r.q[:, 1])),
-        2,
-        {"tau2", "q2"},
-    ),
+    "loaded mesh": (lambda r: column(2, 1.5e-4 * torque(r, 2) / 4000.0 * np.cos(23 * r.q[:, 1])), 2, {"tau2", "q2"}),
     "memory": (lambda r: column(4, 2e-4 * np.tanh(np.diff(r.q[:, 3], prepend=r.q[0, 3]))), 4, {"step4"}),
     "warm gear": (lambda r: column(4, 4e-5 * (r.temperature - 22.0) * np.cos(r.q[:, 3])), 4, {"temperature", "q4"}),
 }

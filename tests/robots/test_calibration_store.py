@@ -6,11 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES, SYMBOLS
-from robots.calibration.store import (
-    Calibration,
-    read_calibration,
-    write_calibration,
-)
+from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput
 from robots.robot import load_robot
 

@@ -77,11 +77,7 @@ def test_missing_file_is_told():
         ("[limits]", "[limit]", r"limits"),
         ("[limits]", "[limits", r"not valid TOML.*line"),
         ("speed_deg_s = [123.0", "speed_deg_s = [0.0", r"speed_deg_s\[0\] = 0\.0"),
-        (
-            "inertia_kg_m2 = [5.59, 55.66, 55.23, 0.0",
-            "inertia_kg_m2 = [5.59, 55.66, 55.23, 20.0",
-            r"link2.*semidefinite",
-        ),
+        ("inertia_kg_m2 = [5.59, 55.66, 55.23, 0.0", "inertia_kg_m2 = [5.59, 55.66, 55.23, 20.0", r"link2.*semidefinite"),
     ],
 )
 def test_a_wrong_file_is_refused_with_key_and_value(tmp_path, old, new, told):

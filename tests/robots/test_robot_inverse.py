@@ -8,17 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robots.errors import BadInput
-from robots.inverse import (
-    arm_family,
-    inverse_branches,
-    inverse_refined,
-    pose_error,
-    reach_excess,
-    status,
-    turn,
-    turns,
-    wrap,
-)
+from robots.inverse import arm_family, inverse_branches, inverse_refined, pose_error, reach_excess, status, turn, turns, wrap
 from robots.kinematics import forward
 from robots.robot import catalogue, load_robot
 from tests.support.all_postures import Status, inverse_all

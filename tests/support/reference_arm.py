@@ -13,11 +13,7 @@ from robots.robot import Robot
 
 
 def elementary_weight_torques(
-    robot: Robot,
-    q: ArrayLike,
-    gravity: float,
-    payload_mass: float = 0.0,
-    payload_com: ArrayLike = (0.0, 0.0, 0.0),
+    robot: Robot, q: ArrayLike, gravity: float, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)
 ) -> Array:
     """Torques of weight about the axes (n, 6) N m, positive along +q, at postures q (n, 6) rad.
 

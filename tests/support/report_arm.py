@@ -99,10 +99,7 @@ def timed_motion(passes: list[PassReport], rate: float) -> MotionReport:
     seed = np.radians([0.0, -75, 110, 0, 55, 0])
     for before, item in zip([passes[0], *passes], passes, strict=False):
         if item.side != before.side:
-            start, seed = (
-                start + 2.0,
-                seed + np.pi * np.eye(6)[5],
-            )  # the other side faces the wheel after half a turn
+            start, seed = (start + 2.0, seed + np.pi * np.eye(6)[5])  # the other side faces the wheel after half a turn
         knots = np.linspace(0, len(item.s) - 1, 14).astype(int)
         clock = np.concatenate([[0], np.cumsum(np.diff(item.s) / (0.5 * (item.feed[1:] + item.feed[:-1])))])
         q = _joints(_flange_poses(item, knots), seed)

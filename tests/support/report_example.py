@@ -12,13 +12,7 @@ import numpy as np
 import trimesh
 from scipy.interpolate import CubicSpline
 
-from ocp.plan.report.plan_report import (
-    CellAnimation,
-    InputFile,
-    PassReport,
-    PlanReport,
-    SummaryRow,
-)
+from ocp.plan.report.plan_report import CellAnimation, InputFile, PassReport, PlanReport, SummaryRow
 from robots.pose import Array
 from tests.support.report_arm import LIMITS, T_FLANGE_BLADE, WHEEL, capsules, elementary_arm, timed_motion
 
@@ -142,10 +136,7 @@ def example_report(blade: Path | None = None, lines: int = 8, count: int = 188, 
             InputFile("cell", "cell.toml", "91fe" * 16),
             InputFile("calibration", "calibration.toml", "07aa" * 16),
         ),
-        notices=(
-            "12 duplicate vertices of twisted.stl were merged.",
-            "No temperature is set: the cell's 22 C is taken.",
-        ),
+        notices=("12 duplicate vertices of twisted.stl were merged.", "No temperature is set: the cell's 22 C is taken."),
         target_force=20.0,
         vertices=vertices,
         faces=faces,

@@ -17,10 +17,7 @@ from ocp.plan.__main__ import app
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (CELL).read_text()
-SMALL = {
-    'side = "both"': 'side = "convex"',
-    "pass_spacing_mm = 6.0": "pass_spacing_mm = 25.0",
-}
+SMALL = {'side = "both"': 'side = "convex"', "pass_spacing_mm = 6.0": "pass_spacing_mm = 25.0"}
 STEP = ("--step", "2")
 
 

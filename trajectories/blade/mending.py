@@ -5,16 +5,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from robots.errors import BadInput
-from trajectories.blade.mesh import (
-    Array,
-    IntArray,
-    area_vectors,
-    directed_edges,
-    edge_keys,
-    facet_normals,
-    place_mm,
-    volume,
-)
+from trajectories.blade.mesh import Array, IntArray, area_vectors, directed_edges, edge_keys, facet_normals, place_mm, volume
 
 _STRAY_SHARE = 0.05  # area of a body against the largest one, below which it is a stray part
 _SLIVER = 1e-5  # height of a facet against its longest edge, below which rounding alone gives it its direction

@@ -154,10 +154,7 @@ def _turning(d: Array, s: Array) -> tuple[Array, Array]:
     spread = np.minimum(0.5 * np.minimum(length, np.roll(length, 1)), 2.5e-3 * s[-1])
     knots = np.stack([s[:-1] + spread, s[1:] - np.roll(spread, -1)], axis=1).ravel()
     rounds = 2.0 * np.pi
-    return (
-        np.concatenate([knots - s[-1], knots, knots + s[-1]]),
-        np.concatenate([angle - rounds, angle, angle + rounds]),
-    )
+    return (np.concatenate([knots - s[-1], knots, knots + s[-1]]), np.concatenate([angle - rounds, angle, angle + rounds]))
 
 
 def _farthest_pair(x: Array) -> tuple[int, int]:
@@ -196,7 +193,4 @@ def _balance_turn(turn: tuple[Array, Array], start: float, chord: float) -> tupl
     at_nose = float(np.interp(nose, knots, angle))
     before = grid[(grid < nose) & (theta < at_nose - FLANK_TURN)]
     behind = grid[(grid > nose) & (theta > at_nose + FLANK_TURN)]
-    return nose, (
-        float(before[-1]) if len(before) else nose - window,
-        float(behind[0]) if len(behind) else nose + window,
-    )
+    return nose, (float(before[-1]) if len(before) else nose - window, float(behind[0]) if len(behind) else nose + window)

@@ -34,13 +34,7 @@ def clamped_knots(breaks: Array) -> Array:
 
 
 def fit_surface(
-    u: Array,
-    v: Array,
-    points: Array,
-    weights: Array,
-    knots: tuple[Array, Array],
-    lengths: tuple[float, float],
-    smoothing: float,
+    u: Array, v: Array, points: Array, weights: Array, knots: tuple[Array, Array], lengths: tuple[float, float], smoothing: float
 ) -> SplineSurface:
     """Least squares with a bending penalty: minimise mean w |x - p|^2 + mean l^4 |second derivatives|^2.
 

@@ -88,10 +88,7 @@ def _check_range(segment: KrlSegment, low: Array, high: Array) -> None:
 
 def check_status_turn(segment: KrlSegment, q: Array, arm: ArmLengths) -> None:
     """Refuse S or T of the first points of a segment that do not belong to the axes q (m, 6) rad, m <= n."""
-    for name, given, right in (
-        ("S", segment.status, status_of(q, arm)),
-        ("T", segment.turn, turn_of(q)),
-    ):
+    for name, given, right in (("S", segment.status, status_of(q, arm)), ("T", segment.turn, turn_of(q))):
         wrong = np.flatnonzero(given[: len(q)] != right)
         if len(wrong):
             i = int(wrong[0])

@@ -31,10 +31,7 @@ def contact_sections(fit: ForceFit) -> list[Section]:
     parts: tuple[Part | str, ...] = (words, _parameters(fit), _held_out(fit), Plot("contact-force", caption, 2.6, _draw(fit)))
     hidden = tuple(f"{key.replace(' ', ', ')}: {reason}" for key, reason in fit.not_identified.items())
     unseen: tuple[Part | str, ...] = (Points(hidden),) if hidden else ("Everything that the cell leaves open was seen.",)
-    return [
-        Section("Blade, wheel and flange, from the force log", parts),
-        Section("What the force log cannot separate", unseen),
-    ]
+    return [Section("Blade, wheel and flange, from the force log", parts), Section("What the force log cannot separate", unseen)]
 
 
 def _parameters(fit: ForceFit) -> Table:

@@ -95,12 +95,7 @@ def default_element_size(area: float, semi_axes: tuple[float, float]) -> float:
 
 
 def clamped_blade(
-    vertices: Array,
-    faces: Index,
-    clamp_normal: Array,
-    clamp_offset: float,
-    material: Material,
-    element_size: float,
+    vertices: Array, faces: Index, clamp_normal: Array, clamp_offset: float, material: Material, element_size: float
 ) -> ClampedBlade:
     """Mesh the blade (vertices m, faces outward), hold `clamp_normal . x < clamp_offset`, factorise.
 

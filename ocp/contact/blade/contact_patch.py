@@ -59,10 +59,7 @@ def patch_weights(mesh: QuadraticMesh, p: Array, n: Array, t: Array, semi_axes: 
         rows.append(np.full(weights.size, k))
         columns.append(mesh.surface[face].ravel())
         values.append(weights.ravel() / total)
-    return csr_matrix(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
-        shape=(len(p), len(mesh.nodes)),
-    )
+    return csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(len(p), len(mesh.nodes)))
 
 
 def patch_loads(weights: csr_matrix) -> csr_matrix:

@@ -168,12 +168,7 @@ def _unknowns(nodes: Index) -> Index:
 
 
 def _leaf_stiffness(
-    mesh: QuadraticMesh,
-    elements: Index,
-    free: NDArray[np.bool_],
-    position: Index,
-    size: int,
-    material: Material,
+    mesh: QuadraticMesh, elements: Index, free: NDArray[np.bool_], position: Index, size: int, material: Material
 ) -> Array:
     """Return the dense stiffness (size, size) of a few elements, the rows of held nodes left out."""
     nodes = mesh.elements[elements]

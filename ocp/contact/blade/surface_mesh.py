@@ -45,9 +45,7 @@ def edges_of(faces: Index) -> Edges:
     if len(order) % 2 or np.any(tail[first] != head[second]) or np.any(head[first] != tail[second]):
         raise ValueError("the surface is not closed and manifold")
     return Edges(
-        np.stack([tail[first], head[first]], 1),
-        np.stack([first // 3, second // 3], 1),
-        np.stack([tip[first], tip[second]], 1),
+        np.stack([tail[first], head[first]], 1), np.stack([first // 3, second // 3], 1), np.stack([tip[first], tip[second]], 1)
     )
 
 

@@ -145,13 +145,7 @@ def _run(mesher: str, vertices: Array, faces: Index, size: float) -> tuple[Array
     """
     with tempfile.TemporaryDirectory(prefix="grindplan-mesh-") as folder:
         source, target = Path(folder) / "surface.npz", Path(folder) / "solid.npz"
-        np.savez(
-            source,
-            vertices=vertices / _UNIT,
-            faces=faces,
-            size=size / _UNIT,
-            tolerance=LOOSE_TOLERANCE / _UNIT,
-        )
+        np.savez(source, vertices=vertices / _UNIT, faces=faces, size=size / _UNIT, tolerance=LOOSE_TOLERANCE / _UNIT)
         script = Path(__file__).with_name("mesher.py")
         try:
             done = subprocess.run(

@@ -127,10 +127,7 @@ def hysteresis_plot(gap: SignalGap, joint: int) -> Plot:
     )
     along, q, approach = along_joints(gap)
     return Plot(
-        f"hysteresis-{gap.name}",
-        caption,
-        3.6,
-        lambda canvas: draw_by_joint(canvas, q, along, approach, gap.unit, framed=joint),
+        f"hysteresis-{gap.name}", caption, 3.6, lambda canvas: draw_by_joint(canvas, q, along, approach, gap.unit, framed=joint)
     )
 
 

@@ -20,13 +20,7 @@ class SecondaryContact:
 
 
 def find_secondary_contact(
-    cell: Cell,
-    points: Array,
-    T_base_blade: Array,
-    contact: Array,
-    curvature: Array,
-    tilt: Array,
-    delta: Array,
+    cell: Cell, points: Array, T_base_blade: Array, contact: Array, curvature: Array, tilt: Array, delta: Array
 ) -> SecondaryContact:
     """Deepest overlap beyond the local quadratic of each contact.
 

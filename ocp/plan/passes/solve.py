@@ -9,23 +9,9 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.model.cell import Cell
 from ocp.model.force_balance import Model, build_model
 from ocp.model.theta import Theta
-from ocp.plan.passes.posture import (
-    joints_near,
-    poses_along,
-    turned_curvature,
-    wrist_radius,
-)
+from ocp.plan.passes.posture import joints_near, poses_along, turned_curvature, wrist_radius
 from ocp.plan.passes.problem import PassProblem, approach_signs
-from ocp.plan.passes.stage import (
-    N_PLAIN_ROWS,
-    N_ROWS,
-    N_Z,
-    ROWS,
-    ObjectiveWeights,
-    Stage,
-    build_stage,
-    force_variance,
-)
+from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, N_Z, ROWS, ObjectiveWeights, Stage, build_stage, force_variance
 from ocp.plan.passes.transcription import Transcription, transcribe
 from ocp.plan.rules import (
     AXIS_MARGIN,
@@ -197,10 +183,7 @@ class PassSolver:
         else:
             high[2] = min(high[2], elbow - SINGULARITY_SHARE * ELBOW_MARGIN)
         force = _padded(problem.path.force, n)[:, None]
-        return (
-            np.hstack([np.tile(low, (n, 1)), force]).ravel(),
-            np.hstack([np.tile(high, (n, 1)), force]).ravel(),
-        )
+        return (np.hstack([np.tile(low, (n, 1)), force]).ravel(), np.hstack([np.tile(high, (n, 1)), force]).ravel())
 
     def _row_bounds(self, problem: PassProblem, n: int, full: bool) -> tuple[Array, Array]:
         """Bounds of the rows in the order of `ocp.plan.passes.stage.ROWS`, then of the joint steps."""
@@ -231,12 +214,7 @@ class PassSolver:
         count = len(path.s)
         sign = 1.0 if wrist_radius(self.cell, problem.seed.q[0]) > 0 else -1.0
         par = np.column_stack(
-            [
-                self._waypoints(problem),
-                problem.clearances.reshape(count, -1),
-                np.full(count, sign),
-                np.full(count, 1.0 / count),
-            ]
+            [self._waypoints(problem), problem.clearances.reshape(count, -1), np.full(count, sign), np.full(count, 1.0 / count)]
         )
         assert par.shape[1] == self.stage.n_parameters
         seconds = problem.seconds

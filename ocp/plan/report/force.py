@@ -183,9 +183,7 @@ def _longest(report: PlanReport) -> float:
 def _figure(panel: ForcePanel) -> Markup:
     """A panel as HTML. Only numbers are put into paths; words are escaped."""
     right = PANEL.width - PANEL.right
-    grid = Markup(
-        '<line class="grid" x1="{}" x2="{}" y1="{}" y2="{}"/><text class="y" x="{}" y="{}">{}</text>',
-    )
+    grid = Markup('<line class="grid" x1="{}" x2="{}" y1="{}" y2="{}"/><text class="y" x="{}" y="{}">{}</text>')
     y_ticks = (grid.format(PANEL.left, right, t.at, t.at, PANEL.left - 5, t.at + 3.5, t.label) for t in panel.y_ticks)
     x_ticks = (Markup('<text class="x" x="{}" y="{}">{}</text>').format(t.at, PANEL.height - 6, t.label) for t in panel.x_ticks)
     return Markup(

@@ -88,11 +88,7 @@ class SceneView(Part):
 def encode(array: ArrayLike, dtype: str = "<f4") -> dict[str, Any]:
     """Array as {"dtype", "shape", "data"}: numbers little-endian in row order, base64."""
     packed = np.ascontiguousarray(array, dtype=dtype)
-    return {
-        "dtype": dtype,
-        "shape": list(packed.shape),
-        "data": base64.b64encode(packed.tobytes()).decode("ascii"),
-    }
+    return {"dtype": dtype, "shape": list(packed.shape), "data": base64.b64encode(packed.tobytes()).decode("ascii")}
 
 
 def script_json(payload: Any) -> str:
@@ -184,12 +180,7 @@ def _cell(animation: CellAnimation) -> dict[str, Any]:
         "blade": encode(animation.T_base_blade[pick][:, :3, :]),
         "bladeInFlange": encode(animation.T_flange_blade[:3]),
         "capsules": [
-            {
-                "link": int(link),
-                "p0": [float(x) for x in p0],
-                "p1": [float(x) for x in p1],
-                "radius": float(radius),
-            }
+            {"link": int(link), "p0": [float(x) for x in p0], "p1": [float(x) for x in p1], "radius": float(radius)}
             for link, p0, p1, radius in animation.capsules
         ],
         "wheel": {
