@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.data import CELL
 from ocp.model.cell import Cell, read_cell
 from ocp.model.prepare import wheel_cover

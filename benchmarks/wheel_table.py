@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 
 from ocp.contact.wheel.cover import Cover, WheelGeometry, build_cover, default_cell
-from ocp.contact.wheel.gap import LocalShape, solve_force
 from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import FLANGE_STIFFNESS, FORCE_RANGE, Domain, draw, fit_wheel_law
+from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import read_cell
 from ocp.plan.paths import lay_paths
 

@@ -25,9 +25,8 @@ def _experiments(
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
     """Calibrate virtual robots, compensate, grind: positions by four methods and force after each step, with a report."""
-    from ocp.experiments.report import write_experiments
-    from ocp.experiments.shared_setup import MOUNTS
-    from ocp.experiments.summary import last_line
+    from ocp.experiments.grinding import MOUNTS
+    from ocp.experiments.report import last_line, write_experiments
     from ocp.experiments.trial import run_trials, trials_json
     from ocp.model.cell import read_cell  # heavy imports only once the arguments stand
     from ocp.shell.output import check_output, whole_folder

@@ -13,8 +13,7 @@ import numpy as np
 
 from ocp.calibrate.files import tracker_calibration
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
-from ocp.experiments.forces import VirtualRobot, registered_by_ladder, working_forces
-from ocp.experiments.shared_setup import Course, compensated, lay_course
+from ocp.experiments.grinding import Course, VirtualRobot, compensated, lay_course, registered_by_ladder, working_forces
 from ocp.model.cell import Cell
 from ocp.plan.passes.optimise import FILES, SolvedPass, code_hash
 from ocp.shell.cache import content_key, flattened, keep, recall

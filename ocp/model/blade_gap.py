@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from ocp.contact.wheel.gap import LocalShape
+from ocp.contact.wheel.signorini import LocalShape
 from ocp.model.cell import Wheel
 from robots.pose import Array, apply
 

@@ -9,9 +9,9 @@ import numpy as np
 from ocp.contact.blade.compliance import Compliance, blade_compliance, compliance_kept
 from ocp.contact.blade.elasticity import Material
 from ocp.contact.wheel.cover import Cover, WheelGeometry, build_cover, default_cell
-from ocp.contact.wheel.gap import LocalShape, solve_force
 from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import Domain, fit_wheel_law, remembered_law
+from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import Cell
 from ocp.shell.cache import DiskStore
 from ocp.shell.progress import Phases

@@ -8,12 +8,21 @@ import numpy as np
 from ocp.model.cell import Cell, read_cell
 from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
 from ocp.plan.clearance.collision import CollisionScene
-from ocp.poses.candidates import CandidatePoses, Mask, MeasuringScene, choose_stand, free_postures, visible_nests
+from ocp.poses.candidates import (
+    CandidatePoses,
+    Mask,
+    MeasuringScene,
+    Sight,
+    Zone,
+    blade_rod,
+    choose_stand,
+    find_zone,
+    free_postures,
+    ground_blade,
+    visible_nests,
+)
 from ocp.poses.design import Curve, Design, build_design, error_curve, refuse_too_few
-from ocp.poses.line_of_sight import Sight, blade_rod
-from ocp.poses.order import MeasuringPose, find_tour
-from ocp.poses.program import MeasurementCampaign
-from ocp.poses.zone import Zone, find_zone, ground_blade
+from ocp.poses.program import MeasurementCampaign, MeasuringPose, find_tour
 from ocp.shell.progress import Phases
 from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise

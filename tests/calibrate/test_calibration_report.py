@@ -14,11 +14,9 @@ import numpy as np
 import pytest
 
 from ocp.calibrate.report.advice import advice, extrapolates_badly
-from ocp.calibrate.report.headline import calibration_headline
-from ocp.calibrate.report.identifiability import tellable_parameters
-from ocp.calibrate.report.noise import drift_is_real
-from ocp.calibrate.report.pages import write_calibration_report
-from ocp.calibrate.report.parameters import term_verdict
+from ocp.calibrate.report.pages import calibration_headline, write_calibration_report
+from ocp.calibrate.report.parameters import tellable_parameters, term_verdict
+from ocp.calibrate.report.residuals import drift_is_real
 from ocp.calibrate.report.view import held_out_in_base, look_at
 from ocp.calibrate.tracker import MethodTable, TrackerCalibration
 from ocp.report.parts import Plot, Points, table

@@ -8,14 +8,14 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
+from ocp.calibrate.force.assessment import blocks_of, held_out_blocks
+from ocp.calibrate.force.blade import points_on_surface
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior, reading_jacobian, reading_of, solve_force_log
-from ocp.calibrate.force.folds import blocks_of, held_out_blocks
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.registration import ForceFit, fit_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
-from ocp.calibrate.force.surface_points import points_on_surface
-from ocp.calibrate.report.contact import contact_sections
+from ocp.calibrate.report.pages import contact_sections
 from ocp.model.cell import read_cell
 from ocp.model.theta import registered
 from ocp.report.parts import Plot, Table

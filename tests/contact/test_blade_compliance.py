@@ -16,8 +16,7 @@ from ocp.contact.blade.compliance import (
     contact_components,
     interpolate_passes,
 )
-from ocp.contact.blade.contact_patch import patch_loads, patch_weights
-from ocp.contact.blade.elasticity import Material
+from ocp.contact.blade.elasticity import Material, patch_loads, patch_weights
 from ocp.contact.blade.nested_dissection import factorise
 from ocp.shell import cache
 from robots.errors import BadInput

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.contact.wheel.annulus import ring_element_stiffness, ring_section
-from ocp.contact.wheel.cover import WheelGeometry, build_cover, default_cell, width_cells
+from ocp.contact.wheel.cover import WheelGeometry, build_cover, default_cell, ring_element_stiffness, ring_section, width_cells
 from robots.errors import BadInput
 
 WHEEL = WheelGeometry(radius=0.150, width=0.040, cover_thickness=0.015, modulus=12e6, poisson=0.47)

@@ -10,8 +10,7 @@ from scipy.optimize import brentq, nnls
 from scipy.special import ellipe, ellipk, iv
 
 from ocp.contact.wheel.cover import WheelGeometry, build_cover, default_cell
-from ocp.contact.wheel.gap import LocalShape, solve_force, solve_indentation
-from ocp.contact.wheel.signorini import solve_contact
+from ocp.contact.wheel.signorini import LocalShape, solve_contact, solve_force, solve_indentation
 from robots.errors import Infeasible
 
 WHEEL = WheelGeometry(radius=0.150, width=0.040, cover_thickness=0.015, modulus=12e6, poisson=0.47)

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocp.contact.wheel.cover import WheelGeometry, build_cover, default_cell
-from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.contact.wheel.law import chebyshev_products, exponents, reduce_shape
 from ocp.contact.wheel.law_fit import FLANGE_STIFFNESS, Domain, draw, fit_wheel_law
-from ocp.contact.wheel.strip import chebyshev_products, exponents, reduce_shape
+from ocp.contact.wheel.signorini import LocalShape, solve_force
 from robots.errors import Infeasible
 
 WHEEL = WheelGeometry(radius=0.075, width=0.025, cover_thickness=0.015, modulus=3.43e6, poisson=0.47)

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
+from ocp.calibrate.force.rows import log_conditions
 from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects

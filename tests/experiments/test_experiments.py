@@ -7,8 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ocp.experiments.__main__ import app
-from ocp.experiments.report import write_experiments
-from ocp.experiments.summary import force_rows, last_line, position_rows
+from ocp.experiments.report import force_rows, last_line, position_rows, write_experiments
 from ocp.experiments.trial import STEPS, Trial, trials_json
 
 

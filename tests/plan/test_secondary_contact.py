@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ocp.contact.wheel.gap import LocalShape
+from ocp.contact.wheel.signorini import LocalShape
 from ocp.model.blade_gap import FACING, REACH, SurfaceCloud, surface_shape
 from ocp.plan.clearance.secondary_contact import find_secondary_contact
 from ocp.plan.rules import SECONDARY_CONTACT_TOLERANCE

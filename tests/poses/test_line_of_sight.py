@@ -8,7 +8,7 @@ import pytest
 
 from ocp.data import CELL
 from ocp.model.cell import read_cell
-from ocp.poses.line_of_sight import BALL, BEAM, Rod, Sight, meets_wheel, nest_direction, segment_distance, visible
+from ocp.poses.candidates import BALL, BEAM, Rod, Sight, meets_wheel, nest_direction, segment_distance, visible
 from robots.kinematics import link_frames
 from robots.pose import apply
 from robots.tracker_readings import Nest

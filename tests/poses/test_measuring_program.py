@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ocp.poses.program as measuring
-from ocp.poses.order import MeasuringPose, Tour, approaches
+from ocp.poses.program import MeasuringPose, Tour, approaches
 from robots.errors import Infeasible
 from robots.tracker_readings import Hanging
 from tests.support.example_pass import bundled_cell

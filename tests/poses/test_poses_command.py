@@ -18,8 +18,7 @@ from ocp.model.measuring_setup import read_tracker_setup
 from ocp.plan.clearance.collision import CollisionScene
 from ocp.plan.motion.air import dense
 from ocp.poses.__main__ import app
-from ocp.poses.line_of_sight import Sight, visible
-from ocp.poses.zone import ground_blade
+from ocp.poses.candidates import Sight, ground_blade, visible
 from robots.errors import BadInput
 from robots.tracker_readings import read_readings
 from trajectories.krl.checks import check_program

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ellipe, ellipk
 
 from ocp.contact.blade.elasticity import Material
-from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import read_cell
 from ocp.model.prepare import wheel_cover
 from ocp.simulate.twin.contact.rubber import cover_section, make_rubber

@@ -23,7 +23,6 @@ OWN = {
     "ocp.contact.blade.surface_mesh",
     "ocp.contact.blade.volume_mesh",
     "ocp.contact.blade.mesher",
-    "ocp.contact.blade.contact_patch",
     "ocp.contact.blade.nested_dissection",
 }
 FORBIDDEN = (
@@ -43,11 +42,8 @@ FORBIDDEN = (
     "robots.calibration",
     "ocp.contact.wheel.law",
     "ocp.contact.wheel.law_fit",
-    "ocp.contact.wheel.annulus",
     "ocp.contact.wheel.cover",
     "ocp.contact.wheel.signorini",
-    "ocp.contact.wheel.strip",
-    "ocp.contact.wheel.gap",
     "casadi",
     "pinocchio",
 )

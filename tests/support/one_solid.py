@@ -20,7 +20,7 @@ def one_solid() -> Iterator[None]:
         return SOLIDS[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("ocp.contact.blade.compliance", "ocp.calibrate.force.compliance"):
+        for module in ("ocp.contact.blade.compliance", "ocp.calibrate.force.blade"):
             patch.setattr(f"{module}.clamped_blade", known)
         patch.setattr("ocp.calibrate.force.rows.stations_known", lambda *asked: True)
         yield

@@ -6,11 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
+from ocp.calibrate.force.assessment import HeldOutForce, directions_seen, held_out_blocks, not_identified
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, reading_jacobian, reading_of, solve_force_log
-from ocp.calibrate.force.folds import HeldOutForce, held_out_blocks
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceRows
-from ocp.calibrate.force.not_identified import directions_seen, not_identified
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
 from robots.calibration.parameters import MDH_NAMES

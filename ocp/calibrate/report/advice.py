@@ -6,7 +6,7 @@ docs/calibration_report.md lists them.
 import numpy as np
 
 from ocp.calibrate.report.held_out import beyond_chance, fold_name
-from ocp.calibrate.report.noise import drift_is_real
+from ocp.calibrate.report.residuals import drift_is_real
 from ocp.calibrate.report.view import ReadingsView, count_of, listed, mm, present
 from ocp.calibrate.tracker import TrackerCalibration
 from ocp.report.parts import Points

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import Akima1DInterpolator
 
-from ocp.contact.blade.contact_patch import patch_loads, patch_weights
-from ocp.contact.blade.elasticity import Material, QuadraticMesh, quadratic_mesh
+from ocp.contact.blade.elasticity import Material, QuadraticMesh, patch_loads, patch_weights, quadratic_mesh
 from ocp.contact.blade.nested_dissection import Factorisation, factorise
 from ocp.contact.blade.volume_mesh import VERSION as MESH_VERSION
 from ocp.contact.blade.volume_mesh import clamp_cut, surface_area, volume_mesh

@@ -9,9 +9,17 @@ from typing import Any
 import numpy as np
 
 from ocp.contact.wheel.cover import Cover, Store, WheelGeometry
-from ocp.contact.wheel.gap import LocalShape, solve_force
-from ocp.contact.wheel.law import LawError, WheelLaw
-from ocp.contact.wheel.strip import all_features, chebyshev_products, exponents, force_scale, reduce_shape, strip_count
+from ocp.contact.wheel.law import (
+    LawError,
+    WheelLaw,
+    all_features,
+    chebyshev_products,
+    exponents,
+    force_scale,
+    reduce_shape,
+    strip_count,
+)
+from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.shell.cache import content_key, remember
 from robots.errors import Infeasible
 from robots.pose import Array

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.conditions import LogConditions
 from ocp.calibrate.force.log import Index
+from ocp.calibrate.force.rows import LogConditions
 from ocp.diagnose.engine.channel_system import scan_key
 from ocp.effects.effect import Effect, Scanned
 from ocp.effects.engine.evaluate import arm_columns

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.fit import pressed_rows
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
-from ocp.calibrate.force.rows import ForceSetup, prepare_force
+from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import (
     Fold,
     HeldOut,

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ocp.calibrate.force.fit import RunOffsets
 from ocp.calibrate.force.log import ForceLog
-from ocp.calibrate.force.offsets import RunOffsets
 from ocp.diagnose.force.prediction import (
     LogScene,
     Predicted,

@@ -1,14 +1,14 @@
 """Folds of a force log, and what effects bring on rows that were left out: linear refits about the fits of all rows.
 
 With the left-out rows' part of the normal equations taken off, the unknowns move by what a refit without them gives to first
-order (`ocp.calibrate.force.folds.without_rows`); a fit with effects and one without have unknowns of their own.
+order (`ocp.calibrate.force.assessment.without_rows`); a fit with effects and one without have unknowns of their own.
 """
 
 from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.folds import without_rows
+from ocp.calibrate.force.assessment import without_rows
 from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, drifts
 from ocp.diagnose.force.fit import EffectFit, ForceProblem

@@ -9,11 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise, Runs
-from ocp.calibrate.force.rows import prepare_force
+from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import System, Variant
 from ocp.diagnose.engine.projection import Projection, project
 from ocp.diagnose.force.arm import logged_arm

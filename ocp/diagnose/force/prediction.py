@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.conditions import LogConditions
 from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.model import PROBE, STATE, ForceModel, ForceRows, PlacedRows
+from ocp.calibrate.force.rows import LogConditions
 from ocp.diagnose.force.arm import BLADE, LoggedArm
 from ocp.diagnose.force.prior import NUISANCE, SHEAR_BIAS, SHEAR_GAIN
 from ocp.diagnose.force.samples import PLACE, ContactSamples, hook_columns, samples_of, with_stroke_sign

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ocp.calibrate.force.conditions import LogConditions
 from ocp.calibrate.force.model import STATE, PlacedRows
+from ocp.calibrate.force.rows import LogConditions
 from ocp.effects.effect import Effect, Scanned
 from ocp.effects.engine.compiled import RowLayout
 from ocp.effects.engine.rows import CONTACT_LAYOUT, ContactPlace, contact_columns

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ocp.calibrate.force.conditions import log_conditions
 from ocp.calibrate.force.log import ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
-from ocp.calibrate.force.rows import prepare_force
+from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import Predictable, Sealed, predictable
 from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal

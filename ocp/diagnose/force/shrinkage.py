@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.calibrate.force.conditions import LogConditions
+from ocp.calibrate.force.rows import LogConditions
 from ocp.diagnose.engine.channel_system import Channel, effects_key
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.arm import logged_arm

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from ocp.contact.wheel.cover import Cover
-from ocp.contact.wheel.gap import LocalShape, solve_force
+from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
 from ocp.model.cell import Wheel
 from ocp.plan.passes.problem import PassProblem

@@ -1,0 +1,257 @@
+"""The blade under logged contact points: their place and curvature on its surface, its give there, and its real surface.
+
+Place, frame and local curvature of every row come from the fitted surface. The compliance is solved by finite elements at a few
+stations and interpolated between them, and so is the correction by which the blade's real surface differs from the quadratic of
+the wheel law (direct contact solutions).
+"""
+
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import cKDTree
+
+from ocp.calibrate.force.log import Flags, ForceLog
+from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
+from ocp.contact.blade.compliance import clamped_blade, contact_components, default_element_size
+from ocp.contact.blade.elasticity import Material
+from ocp.contact.blade.volume_mesh import VERSION as MESH_VERSION
+from ocp.contact.blade.volume_mesh import surface_area
+from ocp.contact.wheel.cover import Cover
+from ocp.contact.wheel.signorini import LocalShape, solve_force
+from ocp.model.blade_gap import SurfaceCloud, surface_shape
+from ocp.model.cell import Cell
+from ocp.model.force_balance import N_WAYPOINT
+from ocp.model.theta import believed_theta
+from ocp.shell.cache import Entry, content_key, recall, remember
+from robots.errors import BadInput, Infeasible
+from robots.pose import Array
+from trajectories.blade import AerofoilShape, Blade
+from trajectories.blade.spline import curvature_in_frame
+from trajectories.path_points import NORMAL_LIMIT, OFF_SURFACE, facet_curvature, locate, place_on_mesh
+
+# A log's own points and normals are kept where they are as true as a surface fitted to facets is.
+TRUSTED_GAP = 20e-6  # m
+TRUSTED_ANGLE = np.radians(1.0)
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Contact points p (n, 3) m with n, t (n, 3) unit and square, curvature (n, 3) k_tt, k_bb, k_tb 1/m; blade frame."""
+
+    p: Array
+    n: Array
+    t: Array
+    curvature: Array
+    notices: tuple[str, ...]
+
+
+def points_on_surface(blade: Blade, shape: AerofoilShape, log: ForceLog) -> SurfacePoints:
+    """Feet of the rows in contact; rows in the air keep their own frames and have no curvature.
+
+    Raises BadInput for points farther than OFF_SURFACE from the blade and for normals that are not its outward ones.
+    """
+    touching = np.flatnonzero(log.contact).astype(np.int64)
+    name, u, v, foot, normal = locate(shape, log.p[touching])
+    place_on_mesh(blade, name, foot, normal, log.p[touching])
+    gap = np.linalg.norm(foot - log.p[touching], axis=1)
+    angle = np.arccos(np.clip(np.sum(normal * log.n[touching], axis=1), -1.0, 1.0))
+    _refuse(log, blade, touching, gap, angle)
+    p, n, t = log.p.copy(), log.n.copy(), log.t.copy()
+    moved, turned = gap > TRUSTED_GAP, angle > TRUSTED_ANGLE
+    p[touching[moved]], n[touching[turned]] = foot[moved], normal[turned]
+    t = t - np.sum(t * n, axis=1, keepdims=True) * n
+    t /= np.linalg.norm(t, axis=1, keepdims=True)
+    curvature = np.zeros_like(p)
+    for side in shape.sides.values():
+        on = name == side.name
+        rows = touching[on]
+        across = t[rows] - np.sum(t[rows] * normal[on], axis=1, keepdims=True) * normal[on]
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        curvature[rows] = curvature_in_frame(side.surface, u[on], v[on], normal[on], across)
+    rest = touching[name == "edge"]
+    if len(rest):
+        curvature[rest] = facet_curvature(blade, p[rest], n[rest], t[rest], np.cross(n[rest], t[rest]))
+    return SurfacePoints(p, n, t, curvature, _notices(log, gap, moved, angle, turned, len(rest)))
+
+
+def _refuse(log: ForceLog, blade: Blade, touching: NDArray[np.int64], gap: Array, angle: Array) -> None:
+    if (gap > OFF_SURFACE).any():
+        k = int(np.argmax(gap > OFF_SURFACE))
+        raise BadInput(
+            f"{log.path}, line {log.row[touching[k]]}, columns px_mm, py_mm, pz_mm: the point is {1e3 * gap[k]:.3f} mm off the "
+            f"surface of {blade.name}, the limit is {1e3 * OFF_SURFACE:g} mm ({int((gap > OFF_SURFACE).sum())} such rows); "
+            "give points of this blade in its own frame"
+        )
+    if (angle > NORMAL_LIMIT).any():
+        k = int(np.argmax(angle > NORMAL_LIMIT))
+        how = "into the blade" if angle[k] > np.pi / 2 else f"{np.degrees(angle[k]):.1f} deg off the surface's normal"
+        raise BadInput(
+            f"{log.path}, line {log.row[touching[k]]}, columns nx, ny, nz: the normal points {how}, the limit is "
+            f"{np.degrees(NORMAL_LIMIT):g} deg; give outward unit normals of this blade"
+        )
+
+
+def _notices(log: ForceLog, gap: Array, moved: Flags, angle: Array, turned: Flags, edge: int) -> tuple[str, ...]:
+    notices = []
+    if moved.any() or turned.any():
+        notices.append(
+            f"{log.path.name}: {int((moved | turned).sum())} points were put onto the blade's surface, moved by up to "
+            f"{1e3 * gap.max():.3f} mm and turned by up to {np.degrees(angle.max()):.2f} deg"
+        )
+    if edge:
+        notices.append(
+            f"{log.path.name}: {edge} rows lie on an edge, a fillet or the block; their curvature comes from the facets nearby "
+            "and is rough"
+        )
+    return tuple(notices)
+
+
+STATIONS_VERSION = "force stations 1"  # part of the cache key: raise it when results change
+SPACING = 4e-3  # m between stations; what interpolation between them misses: docs/force_registration.md
+NORMAL_LENGTH = 10e-3  # m a unit vector counts for in distances: keeps the two sides of a thin blade apart
+NEIGHBOURS = 16
+SAME = 0.5e-3  # m; points this close are one when stations are chosen
+
+
+@dataclass(frozen=True)
+class Stations:
+    """Contacts (k, 3) at which finite elements are solved: p m, n, t unit, blade frame; compliance tensors (k, 3, 3) m/N."""
+
+    p: Array
+    n: Array
+    t: Array
+    tensor: Array
+
+    def at(self, p: Array, n: Array, t: Array) -> Array:
+        """c_nn, c_nt, c_nb (m, 3) m/N, as `ocp.contact.blade.compliance.Compliance`, at contacts (m, 3) between them."""
+        return contact_components(between_stations(self.p, self.n, self.tensor, p, n), n, t)
+
+
+def solve_stations(cell: Cell, blade: Blade, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]) -> Stations:
+    """The blade's compliance at stations spread over contacts (m, 3); kept on disk.
+
+    Raises BadInput: no mesh, a clamp that holds nothing or everything.
+    """
+    at = spread_stations(p, n)
+    key, size = _key(cell, blade, p[at], n[at], t[at], semi_axes)
+
+    def compute() -> Entry:
+        clamp, material = _clamp_and_material(cell)
+        solid = clamped_blade(blade.vertices, blade.faces, *clamp, material, size)
+        return {"tensor": solid.tensor(p[at], n[at], t[at], semi_axes)}
+
+    tensor = np.asarray(remember("force-blade", key, compute)["tensor"], float)
+    return Stations(p[at], n[at], t[at], tensor)
+
+
+def stations_known(cell: Cell, blade: Blade, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]) -> bool:
+    """Whether `solve_stations` finds its answer on disk."""
+    at = spread_stations(p, n)
+    return recall("force-blade", _key(cell, blade, p[at], n[at], t[at], semi_axes)[0]) is not None
+
+
+def _clamp_and_material(cell: Cell) -> tuple[tuple[Array, float], Material]:
+    piece = cell.workpiece
+    return (piece.clamp_normal, float(piece.clamp_offset)), Material(piece.youngs_modulus, piece.poisson, piece.density)
+
+
+def _key(cell: Cell, blade: Blade, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]) -> tuple[str, float]:
+    """Name in the cache, and element size m."""
+    clamp, material = _clamp_and_material(cell)
+    size = default_element_size(surface_area(blade.vertices, blade.faces), semi_axes)
+    made_of = (blade.vertices, blade.faces, *clamp, material.youngs_modulus, material.poisson_ratio)
+    return content_key(STATIONS_VERSION, MESH_VERSION, *made_of, *semi_axes, size, p, n, t), size
+
+
+def spread_stations(p: Array, n: Array, spacing: float = SPACING) -> NDArray[np.int64]:
+    """Indices of points at most `spacing` from every other, chosen farthest first."""
+    place = np.hstack([p, NORMAL_LENGTH * n])
+    _, first = np.unique(np.round(place / SAME), axis=0, return_index=True)
+    first = np.sort(first)
+    place = place[first]
+    chosen = [0]
+    distance = np.linalg.norm(place - place[0], axis=1)
+    while distance.max() > 0.5 * spacing:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(place - place[chosen[-1]], axis=1))
+    return np.asarray(np.sort(first[chosen]), np.int64)
+
+
+def between_stations(p: Array, n: Array, tensor: Array, p_wanted: Array, n_wanted: Array) -> Array:
+    """Compliance tensors (m, 3, 3) at wanted contacts from those (k, 3, 3) at stations."""
+    stations, wanted = np.hstack([p, NORMAL_LENGTH * n]), np.hstack([p_wanted, NORMAL_LENGTH * n_wanted])
+    if len(p) < 3:
+        return np.asarray(tensor[cKDTree(stations).query(wanted)[1]])
+    near = min(NEIGHBOURS, len(p))
+    # Stations along a few lines do not span space: a kernel that needs no polynomial beside it.
+    smooth = RBFInterpolator(1e3 * stations, tensor.reshape(-1, 9), near, kernel="linear", degree=0)
+    return np.asarray(smooth(1e3 * wanted).reshape(-1, 3, 3))
+
+
+CORRECTION_VERSION = "indentation correction 1"  # part of the cache key: raise it when results change
+CORRECTION_SPACING = 16e-3  # m between stations; the departure from the quadratic varies slowly along a pass
+FORCE_LENGTH = 1e-3  # m that one newton counts for in distances between stations
+LATERAL_WEIGHT = 2.0  # a shift across the wheel counts this much more than one along the blade: its edges matter
+CORRECTION_NEIGHBOURS = 12
+CORRECTION = N_WAYPOINT - 1  # its column of a waypoint
+
+
+def with_indentation_correction(model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, force: Array) -> ForceRows:
+    """`rows` with the correction (m) of each in its waypoint: indentation under `force` (n,) N on the real surface less that on
+    the local quadratic, both solved on `cover`, at the cell's nominal postures. Its cells are to be fine: where the blade
+    ends under the wheel, coarse ones put the edge in the wrong place (docs/force_registration.md).
+
+    Where the real surface cannot be solved (the wheel bears far from the point) the quadratic is left alone.
+    """
+    touching = np.flatnonzero(rows.contact)
+    if not len(touching):
+        return rows
+    part = rows.take(touching)
+    theta = believed_theta(replace(model.cell, calibration=None)).values
+    state = model.evaluate("state", PlacedRows.of(model.cell, part, theta), force[touching])
+    lateral = LATERAL_WEIGHT * state[:, STATE["lateral"]]
+    p, n = part.waypoint[:, :3], part.waypoint[:, 3:6]
+    place = np.hstack([p, NORMAL_LENGTH * n, FORCE_LENGTH * force[touching, None], lateral])
+    at = spread_stations(p, place[:, 3:] / NORMAL_LENGTH, CORRECTION_SPACING)
+    rows_key = (part.q[at], part.waypoint[at, :12], force[touching][at])
+    cell_key = (model.cell.wheel.centre, model.cell.wheel.axis, model.cell.workpiece.T_flange_blade)
+    key = content_key(CORRECTION_VERSION, repr(asdict(cover.geometry)), cover.dx, cloud.points, *rows_key, *cell_key)
+
+    def compute() -> Entry:
+        chosen, newton = part.take(at), force[touching][at]
+        solved = [_departure(model, cover, cloud, chosen, state[at], float(F), k) for k, F in enumerate(newton)]
+        return {"correction": np.array(solved)}
+
+    known = np.asarray(remember("force-correction", key, compute)["correction"], float)
+    sound = np.isfinite(known)
+    waypoint = rows.waypoint.copy()
+    if sound.sum() >= 3:
+        smooth = RBFInterpolator(
+            1e3 * place[at][sound], known[sound], min(CORRECTION_NEIGHBOURS, int(sound.sum())), kernel="linear", degree=0
+        )
+        waypoint[touching, CORRECTION] = smooth(1e3 * place)
+    elif sound.any():
+        waypoint[touching, CORRECTION] = known[sound].mean()
+    return replace(rows, waypoint=waypoint)
+
+
+def _departure(
+    model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, state: Array, force: float, k: int
+) -> float:
+    """Correction m of row k; nan where there is no solution."""
+    lateral, tilt_x, tilt_y, kxx, kyy, kxy = (
+        float(v) for name in ("lateral", "tilt", "curvature") for v in state[k, STATE[name]]
+    )
+    T = state[k, STATE["T"]].reshape(4, 4)
+    wheel = model.cell.wheel
+    t, v = T[:3, :3] @ rows.waypoint[k, 6:9], T[:3, :3] @ rows.waypoint[k, :3] + T[:3, 3] - wheel.centre
+    e = v - wheel.axis * (v @ wheel.axis)
+    belt = np.cross(wheel.axis, e / np.linalg.norm(e))
+    flat = LocalShape(kxx, kyy, kxy, lateral, tilt_x, tilt_y, heading=(float(t @ belt), float(t @ wheel.axis)))
+    real = surface_shape(wheel, cloud, flat, T, rows.waypoint[k, :3])
+    try:
+        return solve_force(cover, force, real).indentation - solve_force(cover, force, flat).indentation
+    except Infeasible:
+        return float("nan")
