@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.calibrate.tracker import as_in
-from ocp.model.measuring_setup import read_tracker_setup
+from ocp.model.cell import read_tracker_setup
 from robots.calibration.evidence import choose_terms
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings, predictive_covariance
 from robots.calibration.layout import Choice

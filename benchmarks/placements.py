@@ -15,8 +15,8 @@ from ocp.data import CELL
 from ocp.model.cell import Cell, read_cell
 from ocp.model.prepare import ContactModel, prepare_contact
 from ocp.model.theta import believed_theta
-from ocp.plan.clearance.collision import CollisionScene
-from ocp.plan.motion.motion import build_motion
+from ocp.plan.clearance import CollisionScene
+from ocp.plan.motion import build_motion
 from ocp.plan.passes.optimise import Ground, solve_passes
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.stage import ObjectiveWeights

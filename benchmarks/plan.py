@@ -29,7 +29,7 @@ from ocp.contact.blade.elasticity import Material
 from ocp.model.cell import read_cell
 from ocp.model.prepare import prepare_contact, typical_patch, wheel_cover
 from ocp.model.theta import believed_theta
-from ocp.plan.clearance.collision import CollisionScene
+from ocp.plan.clearance import CollisionScene
 from ocp.plan.files import write_plan
 from ocp.plan.passes import optimise
 from ocp.plan.passes.optimise import Ground, PassWorker

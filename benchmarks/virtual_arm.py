@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.calibrate.tracker import as_in
-from ocp.model.cell import Cell, read_cell
-from ocp.model.measuring_setup import read_tracker_setup
+from ocp.model.cell import Cell, read_cell, read_tracker_setup
 from ocp.simulate.twin.arm.arm import arm_moments, make_arm
 from ocp.simulate.twin.tracker_log import random_world
 from ocp.simulate.twin.truth.truth import draw_truth

@@ -68,7 +68,7 @@ def test_the_krl_reader_shares_nothing_with_the_writer(file):
 
 
 def test_the_verification_uses_neither_the_model_nor_casadi():
-    names = {name for _, name in imported(ROOT / "ocp" / "plan" / "verify" / "second_route.py")}
+    names = {name for _, name in imported(ROOT / "ocp" / "plan" / "second_route.py")}
     forbidden = {
         "casadi",
         "ocp.model.force_balance",

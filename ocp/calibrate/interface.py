@@ -11,8 +11,7 @@ from ocp.calibrate.force.log import read_force_log
 from ocp.calibrate.force.registration import fit_force
 from ocp.calibrate.report.pages import contact_sections
 from ocp.calibrate.tracker import calibrate_tracker
-from ocp.model.cell import read_cell
-from ocp.model.measuring_setup import files_of
+from ocp.model.cell import files_of, read_cell
 from ocp.report.section import Section
 from ocp.shell.progress import Phases, Progress
 from robots.calibration.store import Calibration

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
+from ocp.model.cell import TrackerSetup, read_tracker_setup
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
 from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings, predictive_covariance

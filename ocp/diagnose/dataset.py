@@ -9,9 +9,8 @@ from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.joints.log import JointLog, read_joint_log
 from ocp.diagnose.rules import FORCE_UNIT_FACTOR, LEAST_READINGS
-from ocp.model.cell import Cell, read_cell
+from ocp.model.cell import Cell, TrackerSetup, files_of, read_cell, read_tracker_setup
 from ocp.model.cell_schema import CellTables
-from ocp.model.measuring_setup import TrackerSetup, files_of, read_tracker_setup
 from robots.errors import BadInput
 from robots.tracker_readings import BLIND, Hanging, Readings, read_readings
 

@@ -20,7 +20,7 @@ from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.model.prepare import prepare_contact
 from ocp.model.theta import registered
-from ocp.plan.clearance.collision import CollisionScene
+from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.optimise import Ground, PassWorker, SolvedPass
 from ocp.plan.passes.posture import Seed, find_seeds
 from ocp.plan.passes.stage import ObjectiveWeights

@@ -16,7 +16,7 @@ from ocp.contact.wheel.signorini import LocalShape
 from ocp.model.cell import Wheel
 from robots.pose import Array, apply
 
-REACH = 0.026  # m about the planned point; beyond, the wheel has left the blade or `ocp.plan.clearance.secondary_contact` speaks
+REACH = 0.026  # m about the planned point; beyond, the wheel has left the blade or `ocp.plan.clearance` speaks
 NEAR, THINNED = 0.011, 4  # m; farther out one point in four is enough, the gap there matters only if it closes
 FACING = 0.2  # smallest cosine between a point's normal and the wheel for it to be touched from this side
 # Longest side of a triangle between neighbours, near the contact and farther out. Longer ones close the outline of the cloud

@@ -1,4 +1,4 @@
-"""The cell in SI units: robot, blade in its holder, wheel, force flange, process."""
+"""The cell in SI units: robot, blade in its holder, wheel, force flange, process; and what a cell file says of a measurement."""
 
 import os
 import tomllib
@@ -9,12 +9,22 @@ from typing import Any
 import numpy as np
 
 from ocp.effects.cell_effects import CellEffect, effect_of
-from ocp.model.cell_schema import CellTables, ConditionsTable, FlangeTable, PayloadTable, WheelTable, WorkpieceTable
+from ocp.model.cell_schema import (
+    CellTables,
+    ConditionsTable,
+    FlangeTable,
+    LinkTarget,
+    PayloadTable,
+    TrackerTable,
+    WheelTable,
+    WorkpieceTable,
+)
 from robots.calibration.store import Calibration, read_calibration
 from robots.errors import BadInput
-from robots.pose import Array, transform_from_xyzabc
+from robots.pose import Array, rotation_from_abc, transform_from_xyzabc
 from robots.robot import Robot, load_robot
 from robots.toml_files import read_toml
+from robots.tracker_readings import Hanging, Instrument, Nest
 
 
 @dataclass(frozen=True)
@@ -323,3 +333,47 @@ def found_from(out: Path, file: Path) -> str:
         return Path(os.path.relpath(file.resolve(), out.resolve())).as_posix()
     except ValueError:  # on another drive
         return file.resolve().as_posix()
+
+
+@dataclass(frozen=True)
+class TrackerSetup:
+    """Robot as believed, payloads by name, instrument, joints believed to bend, and the file's own tables."""
+
+    path: Path
+    robot: Robot
+    payloads: dict[str, Hanging]
+    instrument: Instrument
+    compliant_joints: tuple[int, ...]
+    tables: CellTables
+
+
+def read_tracker_setup(path: str | Path) -> TrackerSetup:
+    """Read cell.toml for a measurement; wheel and workpiece may be absent. Raises BadInput as `read_toml`, `load_robot`."""
+    path = Path(path)
+    tables = read_toml(path, CellTables)
+    robot = robot_of(path, tables)
+    if tables.robot.stiffness_Nm_per_rad is not None:
+        robot = replace(robot, stiffness=np.array(tables.robot.stiffness_Nm_per_rad))
+    payloads = {name: Hanging(p.mass_kg, 1e-3 * np.array(p.com_mm)) for name, p in tables.payloads.items()}
+    return TrackerSetup(path, robot, payloads, _instrument(tables.tracker), tables.robot.compliant_joints, tables)
+
+
+def files_of(path: str | Path) -> list[Path]:
+    """The cell file and the files it names that are there: blade, robot, calibration."""
+    path = Path(path)
+    tables = read_toml(path, CellTables)
+    named = [tables.robot.model, tables.robot.calibration, tables.workpiece.stl if tables.workpiece else None]
+    return [path, *(path.parent / name for name in named if name is not None and (path.parent / name).is_file())]
+
+
+def _instrument(table: TrackerTable | None) -> Instrument:
+    if table is None:
+        return Instrument()
+    nests = {}
+    for name, target in table.targets.items():
+        entry = target if isinstance(target, LinkTarget) else LinkTarget(xyz_mm=target)
+        turn = None if entry.abc_deg is None else rotation_from_abc(np.radians(entry.abc_deg))
+        nests[name] = Nest(entry.link, 1e-3 * np.array(entry.xyz_mm), turn)
+    return Instrument(
+        1e-6 * table.range_noise_um, 1e-6 * table.transverse_noise_um_per_m, 1e-3 * table.target_sd_mm, nests or None
+    )

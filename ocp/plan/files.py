@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.plan.motion.timeline import Timeline, build_timeline, write_plan_csv
 from ocp.plan.planning import Plan
-from ocp.plan.programming import emitted_times, grinding_program, write_program
+from ocp.plan.programming import Timeline, build_timeline, emitted_times, grinding_program, write_plan_csv, write_program
+from ocp.plan.readback import Readback, read_back
 from ocp.plan.report.pages import write_plan_report
 from ocp.plan.report.plan_report import InputFile, SummaryRow, build_report
 from ocp.plan.rules import UNCERTAIN_FORCE
-from ocp.plan.verify.readback import Readback, read_back
-from ocp.plan.verify.second_route import believed_robot
+from ocp.plan.second_route import believed_robot
 from ocp.shell.cache import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases

@@ -10,8 +10,8 @@ from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, read_cell
 from ocp.model.prepare import prepare_contact
 from ocp.model.theta import Theta, registered
-from ocp.plan.clearance.collision import CollisionScene
-from ocp.plan.motion.motion import PlannedMotion, build_motion
+from ocp.plan.clearance import CollisionScene
+from ocp.plan.motion import PlannedMotion, build_motion
 from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes, solve_passes
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.stage import ObjectiveWeights

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.model.cell import Cell, Wheel
-from ocp.plan.clearance.collision import Body, BodyPair, CollisionScene, _between, flange_pose
+from ocp.plan.clearance import Body, BodyPair, CollisionScene, _between, flange_pose
 from ocp.plan.passes.posture import contact_poses
 from ocp.plan.paths import lay_paths
 from ocp.plan.planning import PlanOptions

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.model.measuring_setup import TrackerSetup
+from ocp.model.cell import TrackerSetup
 from ocp.poses.candidates import CandidatePoses, Zone
 from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state
 from robots.calibration.noise import Noise

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.model.cell import Cell, read_cell
-from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
-from ocp.plan.clearance.collision import CollisionScene
+from ocp.model.cell import Cell, TrackerSetup, read_cell, read_tracker_setup
+from ocp.plan.clearance import CollisionScene
 from ocp.poses.candidates import (
     CandidatePoses,
     Mask,

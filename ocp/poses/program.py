@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.model.cell import Cell
-from ocp.plan.clearance.collision import CollisionScene
-from ocp.plan.motion.air import connect, is_free
+from ocp.plan.clearance import CollisionScene
+from ocp.plan.motion import connect, is_free
 from ocp.plan.programming import program_setup, write_program
 from ocp.plan.rules import COLLISION_STEP
 from ocp.poses.rules import APPROACH_SHARE, READ_BACK_TOLERANCE

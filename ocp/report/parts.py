@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ocp.report.plotting import WIDTH, Canvas, Draw
+from ocp.report.plotting import WIDTH, Canvas, Draw, inline_svg
 from ocp.report.section import Part, Section
 from ocp.report.sheets import A4_HEIGHT, FOOT, LEFT, LINE, TEXT, Sheets, width_of, wrapped
 from ocp.report.style import BAD, INK, SHADE, SIDE_COLOURS, SOFT
-from ocp.report.svg import inline_svg
 
 SMALL = 7.0  # points, of tables and captions
 GAP = 0.13  # inch between the columns of a table

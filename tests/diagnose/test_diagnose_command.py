@@ -21,7 +21,7 @@ from ocp.diagnose.foresee.planned_tracker import channel_about, planned_measurem
 from ocp.diagnose.foresee.separation import RivalPair, unlike
 from ocp.effects.catalogue import effect_list, library
 from ocp.effects.effect import Active
-from ocp.model.measuring_setup import read_tracker_setup
+from ocp.model.cell import read_tracker_setup
 from ocp.shell.command import run
 from ocp.shell.progress import Phases
 from tests.support.diagnosis_folder import CELL, SPRINGS, columns_of, write_csv, write_joint_folder, write_tracker_folder

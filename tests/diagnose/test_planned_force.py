@@ -24,7 +24,7 @@ from ocp.diagnose.foresee.separation import RivalPair, unlike
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
-from ocp.model.measuring_setup import read_tracker_setup
+from ocp.model.cell import read_tracker_setup
 from tests.support.diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, record
 from tests.support.force_world import arm_posterior, write_log
 from tests.support.one_solid import one_solid

@@ -13,8 +13,15 @@ from hypothesis import strategies as st
 from ocp.effects.catalogue import effects_table, library, with_table
 from ocp.effects.cell_effects import effect_of, table_of
 from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine
-from ocp.effects.engine.evaluate import TrackerRows, arm_columns, arm_shift, shifted_joints, tracker_columns, tracker_shift
-from ocp.effects.engine.rows import arm_rows
+from ocp.effects.engine.evaluate import (
+    TrackerRows,
+    arm_columns,
+    arm_rows,
+    arm_shift,
+    shifted_joints,
+    tracker_columns,
+    tracker_shift,
+)
 from robots.calibration.reading_model import RowInputs, predict
 from tests.support.dropped_effect import dropped_effect
 from tests.support.effect_arm import AT, COMPLIANCE, T_TRACKER, Poses, reflectors

@@ -7,7 +7,7 @@ import pytest
 
 from ocp.effects.catalogue import library
 from ocp.effects.context import LogRows
-from ocp.effects.engine.rows import CONTACT_LAYOUT, ContactPlace, added_overlap, contact_columns
+from ocp.effects.engine.evaluate import CONTACT_LAYOUT, ContactPlace, added_overlap, contact_columns
 from tests.effects.test_effects import PLACES, SEEN, some
 
 PLACE = ContactPlace(0.15, 0.35)

@@ -14,7 +14,7 @@ from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import N_ROWS, ObjectiveWeights, build_stage
-from ocp.plan.verify.second_route import believed_robot, bent
+from ocp.plan.second_route import believed_robot, bent
 from robots.calibration.store import Calibration
 from robots.pose import apply
 from robots.reference_kinematics import elementary_forward
@@ -96,7 +96,7 @@ def test_robot_compliance_under_contact_equals_finite_differences():
 
 
 def test_turn_and_tilt_read_what_the_pose_was_given():
-    from ocp.plan.clearance.collision import flange_pose
+    from ocp.plan.clearance import flange_pose
     from ocp.plan.passes.posture import contact_poses, turned_curvature
     from robots.inverse import inverse_branches
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ocp.plan.clearance.collision import Clearance, CollisionScene
-from ocp.plan.motion import motion
-from ocp.plan.motion.air import FAR, connect, dense, is_free, lifted, travel
+from ocp.plan import motion
+from ocp.plan.clearance import Clearance, CollisionScene
+from ocp.plan.motion import FAR, connect, dense, is_free, lifted, travel
 from ocp.plan.rules import COLLISION_STEP
 from robots.errors import Infeasible
 from robots.kinematics import forward
@@ -162,7 +162,7 @@ def test_the_search_is_free_short_and_always_the_same():
 
 
 def test_the_search_gives_up_where_the_wall_has_no_gap(monkeypatch):
-    monkeypatch.setattr("ocp.plan.motion.air.ATTEMPTS", 300)
+    monkeypatch.setattr("ocp.plan.motion.ATTEMPTS", 300)
     low, high = np.radians(np.full(6, -180.0)), np.radians(np.full(6, 180.0))
     scene = wall([25, -400], [35, 400])
     assert connect(scene, low, high, np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0]), COLLISION_STEP) is None

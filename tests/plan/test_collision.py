@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ocp.plan.clearance.collision import Clearance, CollisionScene
+from ocp.plan.clearance import Clearance, CollisionScene
 from ocp.plan.rules import ARM_MARGIN, BLADE_MARGIN
 from robots.inverse import inverse_branches
 from robots.kinematics import forward

@@ -15,12 +15,12 @@ from ocp.effects.cell_effects import effect_of
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.cell import Cell, RunConditions, read_cell
 from ocp.model.theta import believed_theta, with_effects
-from ocp.plan.clearance.collision import CollisionScene
+from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import WINDOW, PassProblem, approach_signs, with_direction
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
-from ocp.plan.verify.second_route import BelievedRobot, moved_arm
+from ocp.plan.second_route import BelievedRobot, moved_arm
 from robots.reference_kinematics import elementary_forward
 from tests.plan.test_optimal_control import BAR
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell

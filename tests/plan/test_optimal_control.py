@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ocp.model.theta import Theta, believed_theta
-from ocp.plan.clearance.collision import CollisionScene
+from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import PassSolver

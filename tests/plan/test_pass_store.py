@@ -8,8 +8,7 @@ import pytest
 from ocp.contact.wheel.cover import Cover, WheelGeometry
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.theta import believed_theta
-from ocp.plan.passes.direct_contact import DirectContact
-from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes
+from ocp.plan.passes.optimise import DirectContact, Ground, SolvedPass, remembered_passes
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import Evaluation, PassSolution

@@ -22,9 +22,9 @@ from scipy.optimize import brentq
 from ocp.data import CELL
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.plan import rules
-from ocp.plan.clearance.collision import Clearance, CollisionScene
+from ocp.plan.clearance import Clearance, CollisionScene
 from ocp.plan.files import _verdict
-from ocp.plan.motion.air import is_free
+from ocp.plan.motion import is_free
 from ocp.plan.passes import posture
 from ocp.plan.passes.optimise import TouchesElsewhere, refuse_unsound
 from ocp.plan.passes.posture import Seed
@@ -32,8 +32,8 @@ from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import PassSolver, refuse_violated
 from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, ROWS
 from ocp.plan.planning import PlanOptions, make_plan
-from ocp.plan.verify.readback import _timed, force_error
-from ocp.plan.verify.second_route import VerifiedPass
+from ocp.plan.readback import _timed, force_error
+from ocp.plan.second_route import VerifiedPass
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 from robots.kinematics import link_frames

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.plan.motion.motion import PlannedMotion
-from ocp.plan.motion.timeline import build_timeline, write_plan_csv
-from ocp.plan.programming import emitted_times, grinding_program, wheel_frame, write_program
-from ocp.plan.verify.readback import _timed
+from ocp.plan.motion import PlannedMotion
+from ocp.plan.programming import build_timeline, emitted_times, grinding_program, wheel_frame, write_plan_csv, write_program
+from ocp.plan.readback import _timed
 from robots.errors import BadInput, Infeasible
 from tests.support.example_pass import bar_pass
 from tests.support.invented_motion import cell, checked, motion, written

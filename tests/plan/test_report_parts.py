@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from ocp.plan.report.axes import limit_rows, limit_table
 from ocp.plan.report.force import decimals_of, force_panels, pass_table
-from ocp.plan.report.maps import common_distance
 from ocp.plan.report.plan_report import PassReport, PlanReport
-from ocp.plan.report.quantities import QUANTITIES, colour_range, nice_ticks, quantity
+from ocp.plan.report.quantities import QUANTITIES, colour_range, common_distance, nice_ticks, quantity
 from ocp.plan.report.surface import cluster_vertices, paint_blade, pass_spacing, refine_near
 from robots.pose import Array, apply, invert, make_transform, rotation_from_abc
 from tests.support.report_example import example_report, synthetic_blade

@@ -5,7 +5,7 @@ import pytest
 
 from ocp.contact.wheel.signorini import LocalShape
 from ocp.model.blade_gap import FACING, REACH, SurfaceCloud, surface_shape
-from ocp.plan.clearance.secondary_contact import find_secondary_contact
+from ocp.plan.clearance import find_secondary_contact
 from ocp.plan.rules import SECONDARY_CONTACT_TOLERANCE
 from tests.support.example_pass import bundled_cell
 from tests.support.round_bar import CONTACT, RADIUS, bar, buried, on_wheel

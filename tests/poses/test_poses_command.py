@@ -13,10 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 from ocp.data import CELL
-from ocp.model.cell import read_cell
-from ocp.model.measuring_setup import read_tracker_setup
-from ocp.plan.clearance.collision import CollisionScene
-from ocp.plan.motion.air import dense
+from ocp.model.cell import read_cell, read_tracker_setup
+from ocp.plan.clearance import CollisionScene
+from ocp.plan.motion import dense
 from ocp.poses.__main__ import app
 from ocp.poses.candidates import Sight, ground_blade, visible
 from robots.errors import BadInput

@@ -8,12 +8,11 @@ import pytest
 from markupsafe import Markup
 
 from ocp.report.parts import Facts, Plot, Points, column_widths, made_from, table
-from ocp.report.plotting import WIDTH, Canvas, envelope
+from ocp.report.plotting import WIDTH, Canvas, envelope, inline_svg
 from ocp.report.report import Report
 from ocp.report.section import Headline, Part, Section
 from ocp.report.sheets import Sheets, new_sheet, width_of, wrapped
 from ocp.report.style import printable, shorten
-from ocp.report.svg import inline_svg
 
 HOSTILE = '</td><script>alert("x")</script>&amp;'
 

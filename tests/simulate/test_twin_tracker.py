@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ocp.calibrate.tracker import as_in
-from ocp.model.cell import read_cell
-from ocp.model.measuring_setup import read_tracker_setup
+from ocp.model.cell import read_cell, read_tracker_setup
 from ocp.simulate.twin.arm.arm import arm_moments, make_arm
 from ocp.simulate.twin.designs import TrackerCampaign, design_from_poses, random_design, sealed_design
 from ocp.simulate.twin.tracker import instrument, measure, nest_links, true_points

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from ocp.plan.clearance.collision import flange_pose
+from ocp.plan.clearance import flange_pose
 from robots.inverse import inverse_branches
 
 BLOCK = np.array(list(itertools.product((-0.02, 0.02), (-0.003, 0.003), (0.0, 0.1))))  # blade frame, m

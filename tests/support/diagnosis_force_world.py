@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from ocp.model.prepare import wheel_cover
-from ocp.plan.verify.second_route import verify_pass
+from ocp.plan.second_route import verify_pass
 from robots.reference_kinematics import elementary_forward
 from tests.support.force_world import FINE, OVERLAP, World, correlated, make_world, taught_joints, true_cell
 

@@ -19,7 +19,7 @@ from ocp.model.cell import Cell, read_cell
 from ocp.model.force_balance import axis_directions
 from ocp.model.prepare import typical_patch, wheel_cover
 from ocp.plan.paths import lay_paths
-from ocp.plan.verify.second_route import BelievedRobot, believed_robot, bent, verify_pass
+from ocp.plan.second_route import BelievedRobot, believed_robot, bent, verify_pass
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.calibration.store import Calibration
 from robots.pose import make_transform

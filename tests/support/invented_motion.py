@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ocp.plan.motion.motion import MotionSegment, PlannedMotion
+from ocp.plan.motion import MotionSegment, PlannedMotion
 from ocp.plan.programming import grinding_program, write_program
 from robots.rigid_body import inverse_dynamics
 from tests.support.example_pass import bar_pass, bundled_cell

@@ -14,8 +14,7 @@ from ocp.calibrate.force.log import Index
 from ocp.calibrate.force.rows import LogConditions
 from ocp.diagnose.engine.channel_system import scan_key
 from ocp.effects.effect import Effect, Scanned
-from ocp.effects.engine.evaluate import arm_columns
-from ocp.effects.engine.rows import ArmRows, arm_rows
+from ocp.effects.engine.evaluate import ArmRows, arm_columns, arm_rows
 from ocp.model.cell import Cell
 from ocp.model.theta import NAMES
 from robots.calibration.reading_model import RowInputs

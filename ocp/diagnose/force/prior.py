@@ -16,8 +16,7 @@ from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.diagnose.rules import SENSOR_BIAS_SD, SHEAR_BIAS_SD, SHEAR_GAIN_SD, STIFFNESS_SD
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active
-from ocp.model.cell import Cell
-from ocp.model.measuring_setup import read_tracker_setup
+from ocp.model.cell import Cell, read_tracker_setup
 from ocp.model.theta import NAMES, covariance_root
 from robots.calibration.fit import fit_campaign, learned_priors
 from robots.calibration.layout import Choice, Layout, State

@@ -10,7 +10,7 @@ from ocp.calibrate.force.model import STATE, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
 from ocp.effects.effect import Effect, Scanned
 from ocp.effects.engine.compiled import RowLayout
-from ocp.effects.engine.rows import CONTACT_LAYOUT, ContactPlace, contact_columns
+from ocp.effects.engine.evaluate import CONTACT_LAYOUT, ContactPlace, contact_columns
 from ocp.model.cell import Cell
 from ocp.model.force_balance import axis_directions
 from ocp.model.theta import BLOCKS

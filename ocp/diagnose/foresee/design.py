@@ -25,7 +25,7 @@ from ocp.diagnose.rules import LEAST_READINGS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.model.measuring_setup import TrackerSetup, read_tracker_setup
+from ocp.model.cell import TrackerSetup, read_tracker_setup
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
 from robots.pose import Array

@@ -22,7 +22,7 @@ from ocp.diagnose.foresee.separation import RivalPair, scans_of
 from ocp.diagnose.rules import HIDDEN, NAMED_PRICE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
-from ocp.model.measuring_setup import read_tracker_setup
+from ocp.model.cell import read_tracker_setup
 from robots.pose import Array
 
 EACH, BEGIN = 0.5, 2.0  # minutes: to begin the next recording; to begin at all

@@ -8,7 +8,7 @@ import numpy as np
 from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import Task, TrackerFit, linearise_with
-from ocp.model.measuring_setup import TrackerSetup
+from ocp.model.cell import TrackerSetup
 from robots.calibration.layout import Choice, Priors, build_layout, nominal_state
 from robots.calibration.noise import Noise, reading_covariance, whitener
 from robots.calibration.solver import Campaign

@@ -26,7 +26,7 @@ from ocp.diagnose.joints.signals import Signals
 from ocp.diagnose.rules import FRICTION_SD, RUN_OFFSET_SD
 from ocp.effects.effect import Active, Effect, Scanned, coefficients, prior_sds, with_coefficients
 from ocp.effects.engine.compiled import Hook, evaluated
-from ocp.effects.engine.rows import ARM_LAYOUT, ArmRows, arm_rows
+from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmRows, arm_rows
 from robots.calibration.reading_model import RowInputs
 from robots.compliance import compliance_from_stiffness
 from robots.gauss_newton import Rule, minimise

@@ -7,9 +7,9 @@ from ocp.diagnose.report.where import where_section
 from ocp.diagnose.report.which_effect import which_effect_section
 from ocp.diagnose.verdict.answer import Answer
 from ocp.report.parts import Points, Table, made_from, table
+from ocp.report.plotting import inline_svg
 from ocp.report.report import Report
 from ocp.report.section import Part, Section
-from ocp.report.svg import inline_svg
 
 KIND = "Diagnosis of the gap between model and cell"
 

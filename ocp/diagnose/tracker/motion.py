@@ -8,8 +8,7 @@ import numpy as np
 
 from ocp.diagnose.rules import SPRINGS_WITHIN
 from ocp.effects.effect import Active, Effect, Scanned
-from ocp.effects.engine.evaluate import TrackerRows, arm_columns, tracker_columns
-from ocp.effects.engine.rows import ArmRows, arm_rows
+from ocp.effects.engine.evaluate import ArmRows, TrackerRows, arm_columns, arm_rows, tracker_columns
 from robots.calibration.layout import State
 from robots.calibration.residuals import row_groups
 from robots.gravity import GRAVITY, weight_torques

@@ -1,4 +1,4 @@
-"""Arm and tracker effects in numbers: what every variant does to the joints, the links and the readings.
+"""Effects in numbers: rows of arm, readings and contact samples, what hooks see of a row, and what every variant does there.
 
     displaced nest = d_joints (joint + c torque) + sum of twists at the links up to the nest's,                     (1)
 
@@ -6,17 +6,194 @@ d_joints the derivative of the nest in the commanded joints, which already bends
 (`robots.calibration.reading_model`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ocp.effects.context import TrackerContext
+from ocp.effects.context import ArmContext, ContactContext, TrackerContext
 from ocp.effects.effect import Active, Effect, Scanned
-from ocp.effects.engine.compiled import Hook, RowLayout, evaluated
-from ocp.effects.engine.rows import ARM_LAYOUT, ArmRows
+from ocp.effects.engine.compiled import Hook, RowLayout, evaluated, run_rows
+from robots.calibration.reading_model import RowInputs
+from robots.compliance import deflected_joints
+from robots.gravity import GRAVITY, gravity_torques
+from robots.kinematics import chain
 from robots.pose import Array
+from robots.robot import Robot
+
+# Blocks of a row, matrices row by row; see ArmContext.
+ARM_LAYOUT = RowLayout.of("q 6, q_real 6, tau 6, c 6, approach 6, speed 6, warm 1, time 1, payload 4, hung 1, frames 84")
+# Blocks of a row, matrices row by row; see ContactContext.
+CONTACT_LAYOUT = RowLayout.of(
+    "F 1, parts 4, slopes 4, curvature 3, lateral 1, tilt 2, arc 1, turn 1, p 3, n 3, t 3, e 3, belt_direction 3, n_base 3, "
+    "axis 3, R_flange 9, R_blade 9, s 1, setpoint 1, feed 1, belt 1, time 1, clock 1, ground_before 1, warm 1, wheel_warm 1, "
+    "travel 1, stroke_sign 1, normal_stiffness 1, friction_deflection 1, lever 1, push_axis 3, clamp_deflection 1, line 1"
+)
+
+
+@dataclass(frozen=True)
+class ArmPlace:
+    """What is the same in all rows: a robot's constants as bytes, and the names of payloads."""
+
+    sign: bytes
+    gear_ratio: bytes
+    link_mass: bytes
+    link_com: bytes
+    payloads: tuple[str, ...]
+
+    @staticmethod
+    def of(robot: Robot, payloads: tuple[str, ...]) -> "ArmPlace":
+        """Of a robot."""
+        sign, ratio, mass, com = (
+            np.asarray(a, float).tobytes() for a in (robot.sign, robot.gear_ratio, robot.link_mass, robot.link_com)
+        )
+        return ArmPlace(sign, ratio, mass, com, payloads)
+
+    def context(self, row: ca.SX) -> ArmContext:
+        """What hooks see of a symbolic row."""
+        x = ARM_LAYOUT.split(row)
+        numbers = x.pop("frames")
+        frames = [_frame(numbers[12 * i : 12 * i + 12]) for i in range(7)]
+        sign, mass, com, ratio = (np.frombuffer(b) for b in (self.sign, self.link_mass, self.link_com, self.gear_ratio))
+        return arm_context(frames, sign, mass, com.reshape(7, 3), ratio, self.payloads, **x)
+
+
+def arm_context(
+    frames: list[ca.SX], sign: Array, link_mass: Array, link_com: Array, gear_ratio: Array, payloads: tuple[str, ...], **x: Any
+) -> ArmContext:
+    """The context of an instant with link frames (4, 4) and the symbols of `ARM_LAYOUT` by name."""
+
+    def weight_torque(mass: Any, com: Any) -> ca.SX:
+        p = frames[6][:3, 3] + frames[6][:3, :3] @ com
+        torques = []
+        for j in range(6):
+            z, lever = frames[j][:3, 2], p - frames[j][:3, 3]
+            torques.append(sign[j] * mass * GRAVITY * (z[1] * lever[0] - z[0] * lever[1]))
+        return ca.vertcat(*torques)
+
+    x |= {"frames": frames, "sign": sign, "link_mass": link_mass, "link_com": link_com, "gear_ratio": gear_ratio}
+    return ArmContext(payloads=payloads, weight_torque=weight_torque, **x)
+
+
+def _frame(numbers: ca.SX) -> ca.SX:
+    """(4, 4) of twelve numbers, rows of [R p]."""
+    return ca.vertcat(ca.reshape(numbers, 4, 3).T, ca.DM([[0, 0, 0, 1]]))
+
+
+@dataclass(frozen=True)
+class ArmRows:
+    """n instants: place, and state (n, k) in the order of `ARM_LAYOUT`; columns that are unknown are nan."""
+
+    place: ArmPlace
+    state: Array
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    def block(self, name: str) -> Array:
+        """Columns of `ARM_LAYOUT` by name."""
+        return ARM_LAYOUT.block(self.state, name)
+
+    @property
+    def origins(self) -> Array:
+        """Origins (n, 7, 3) m of the link frames in the base frame."""
+        return self.block("frames").reshape(-1, 7, 3, 4)[..., 3]
+
+
+def arm_rows(
+    robot: Robot,
+    arm: Array,
+    inputs: RowInputs,
+    payloads: tuple[str, ...] = (),
+    hung: Array | None = None,
+    approach: Array | None = None,
+    warm: Array | None = None,
+    time: Array | None = None,
+    speed: Array | None = None,
+) -> ArmRows:
+    """Rows of readings `inputs` of `robot` with parameters arm (36,) (`reading_model.ARM_NAMES`).
+
+    hung (n,): index of each row's payload in `payloads`; approach (n, 6); warm (n,) K above the cell's reference; time (n,) s
+    on the campaign's clock; speed (n, 6) rad/s. What is None is unknown: effects that need it come out as nan (as zero where
+    only an instant is asked of it).
+    """
+    n = len(inputs.q)
+    masses = tuple(np.asarray(a, float).tobytes() for a in (robot.sign, robot.link_mass, robot.link_com))
+    whole = np.broadcast_to(arm, (n, 36))
+    state = run_rows(_state(inputs.load_link, *masses), inputs.q, whole, inputs.payload, inputs.load, inputs.load_place)
+    blocks: dict[str, Any] = {
+        "q": inputs.q,
+        "q_real": state[:, :6],
+        "tau": state[:, 6:12],
+        "frames": state[:, 12:],
+        "c": arm[30:],
+    }
+    blocks |= {"approach": approach, "speed": speed, "warm": warm, "time": time, "payload": inputs.payload}
+    blocks |= {"hung": 0.0 if hung is None else hung}
+    return ArmRows(ArmPlace.of(robot, payloads), ARM_LAYOUT.stack(n, blocks))
+
+
+@lru_cache(maxsize=32)
+def _state(load_link: int, sign_: bytes, mass_: bytes, com_: bytes) -> ca.Function:
+    """(q, arm, payload, load, place) -> q_real (6), tau (6), frames (7 x 12)."""
+    q, arm, payload = ca.SX.sym("q", 6), ca.SX.sym("arm", 36), ca.SX.sym("payload", 4)
+    load, place = ca.SX.sym("load", 6), ca.SX.sym("place", 3)
+    sign, mass, com = np.frombuffer(sign_), np.frombuffer(mass_), np.frombuffer(com_).reshape(7, 3)
+    mdh = ca.reshape(arm[:30], 5, 6).T
+
+    def torque(joints: ca.SX) -> ca.SX:
+        weight = gravity_torques(joints, mdh, sign, mass, com, payload[0], payload[1:])
+        frames = chain(joints, mdh, sign)
+        at = frames[load_link][:3, 3] + frames[load_link][:3, :3] @ place
+        pull = [
+            sign[j] * ca.dot(frames[j][:3, 2], ca.cross(at - frames[j][:3, 3], load[:3]) + load[3:]) if j < load_link else 0
+            for j in range(6)
+        ]
+        return weight + ca.vertcat(*pull)
+
+    real = deflected_joints(q, torque, arm[30:])
+    frames = ca.vertcat(*(ca.vec(frame[:3, :].T) for frame in chain(real, mdh, sign)))
+    out = ca.vertcat(real, torque(real), frames)
+    return ca.Function("arm_state", [q, arm, payload, load, place], [ca.cse(ca.densify(out))])
+
+
+@dataclass(frozen=True)
+class ContactPlace:
+    """What is the same in all rows: the wheel's radius m and the cell's friction."""
+
+    radius: float
+    friction: float
+
+    def context(self, row: ca.SX) -> ContactContext:
+        """What hooks see of a symbolic row."""
+        x = CONTACT_LAYOUT.split(row)
+        for name in ("R_flange", "R_blade"):
+            x[name] = ca.reshape(x[name], 3, 3).T
+        return ContactContext(radius=self.radius, friction=self.friction, **x)
+
+
+def contact_columns(effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], place: ContactPlace, rows: Array) -> Array:
+    """The hook `kind` (overlap, push, sensor, shear) at rows (n, k) of CONTACT_LAYOUT per unit coefficient: (v, n, m)."""
+    if getattr(effect, kind) is None or not scans:
+        return np.zeros((len(scans), len(rows), effect.size))
+    return evaluated(Hook(effect, kind, joint, CONTACT_LAYOUT, place), rows, scans)[-1][:, :, 0]
+
+
+def added_overlap(active: Sequence[Active], place: ContactPlace, blocks: Mapping[str, Any], rigid: bool) -> float:
+    """Overlap m that active effects add to one sample: a push counts as the stroke of the flange that it takes, in a rigid cell
+    as the overlap that brings as much force."""
+    row = CONTACT_LAYOUT.stack(1, blocks)
+    slopes = CONTACT_LAYOUT.block(row, "slopes")[0]
+    total = 0.0
+    for one in active:
+        for kind, give in (("overlap", 1.0), ("push", slopes.sum() if rigid else slopes[0])):
+            if getattr(one.effect, kind) is not None:
+                total += give * float(contact_columns(one.effect, kind, one.joint, (one.scanned,), place, row)[0, 0] @ one.a)
+    return total
+
 
 TRACKER_LAYOUT = RowLayout.of("point 3, R 9, time 1, warm 1, target 1")
 

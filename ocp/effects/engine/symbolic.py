@@ -15,7 +15,7 @@ import numpy as np
 from ocp.effects.cell_effects import CellEffect
 from ocp.effects.context import ArmContext, ContactContext
 from ocp.effects.engine.compiled import RowLayout
-from ocp.effects.engine.rows import arm_context
+from ocp.effects.engine.evaluate import arm_context
 from robots.robot import Robot
 
 # What effects see of an instant beside the model's own symbols.

@@ -1,7 +1,8 @@
 """All passes of a blade through the optimiser, side by side in worker processes, and kept on disk.
 
-A pass is solved, its wheel contact solved directly at the solution, the difference fed back, and solved again; then
-collisions and contact elsewhere on the blade are checked at every waypoint. A seed that fails gives way to the next.
+A pass is solved, its wheel contact solved directly at the solution, the difference (what the wheel's table missed) fed back as a
+correction, and solved again; then collisions and contact elsewhere on the blade are checked at every waypoint. A seed that fails
+gives way to the next.
 """
 
 import hashlib
@@ -11,18 +12,18 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 import ocp
 import robots
 import trajectories
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
-from ocp.model.blade_gap import SurfaceCloud
-from ocp.model.cell import Cell
+from ocp.contact.wheel.signorini import LocalShape, solve_force
+from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
+from ocp.model.cell import Cell, Wheel
 from ocp.model.theta import Theta
-from ocp.plan.clearance.collision import CollisionScene
-from ocp.plan.clearance.secondary_contact import find_secondary_contact
-from ocp.plan.passes.direct_contact import DirectContact, corrected_indentation, solve_directly
+from ocp.plan.clearance import CollisionScene, find_secondary_contact
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
@@ -38,6 +39,7 @@ CORRECTIONS = 4
 SIGN_TOLERANCE = 0.1  # of an axis' sign of motion between the program and its solution
 CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
 THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over that, below the tolerance
+STATION_SPACING = 3e-3  # m between waypoints solved directly
 FALLBACKS = 4  # seeds tried before a pass is refused
 TURN_LIMITS = (1.0, 0.2, 0.02)  # of the turn tolerance, tried in turn while a turned wheel touches the blade elsewhere
 FILES = (".path", ".stl")  # where a file lies does not matter, what it says is in the key by value
@@ -59,6 +61,52 @@ class Ground:
     cover: Cover
     vertices: Array
     cloud: SurfaceCloud
+
+
+@dataclass(frozen=True)
+class DirectContact:
+    """Directly solved contact at some waypoints of a pass: index (k,), patch semi-axes (k, 2) m.
+
+    indentation (k,) m under the programmed force on the real surface; it varies smoothly along a pass, other than the
+    local curvature that the table goes by.
+    """
+
+    index: Array
+    indentation: Array
+    semi_axes: Array
+
+
+def solve_directly(
+    wheel: Wheel, cover: Cover, cloud: SurfaceCloud, problem: PassProblem, solved: Evaluation, sigma_travel: float
+) -> DirectContact:
+    """Indentation under the programmed force on the blade's real surface, at the postures of `solved`.
+
+    `sigma_travel` is +1 where the blade moves with the belt at zero turn, else -1 (docs/architecture.md). Raises
+    Infeasible of the contact solver, with the waypoint.
+    """
+    index = contact_stations(problem.path.s, STATION_SPACING)
+    indentation, axes = [], []
+    for k in index:
+        kxx, kyy, kxy = (float(c) for c in solved.curvature[k])
+        tilt_x, tilt_y = (float(c) for c in solved.tilt[k])
+        heading = (-sigma_travel * float(np.cos(solved.turn[k])), -sigma_travel * float(np.sin(solved.turn[k])))
+        base = LocalShape(kxx, kyy, kxy, float(solved.lateral[k]), tilt_x, tilt_y, heading=heading)
+        shape = surface_shape(wheel, cloud, base, solved.T_base_blade[k], problem.path.p[k])
+        try:
+            contact = solve_force(cover, float(problem.path.force[k]), shape)
+        except Infeasible as error:
+            path = problem.path
+            raise Infeasible(f"line {path.line} ({path.side}), waypoint {k + 1}: {error}") from None
+        indentation.append(contact.indentation)
+        axes.append(contact.semi_axes)
+    return DirectContact(index, np.array(indentation), np.array(axes))
+
+
+def corrected_indentation(problem: PassProblem, solved: Evaluation, direct: DirectContact) -> Array:
+    """The indentation correction (n,) m that makes the model's wheel indentation the direct one at the postures of `solved`."""
+    s = problem.path.s
+    wanted = PchipInterpolator(s[direct.index], direct.indentation)(s)
+    return np.asarray(problem.indentation_correction + wanted - solved.parts[:, 1])
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from ocp.contact.wheel.law import WheelLaw
 from ocp.model.cell import Cell
-from ocp.plan.clearance.collision import CollisionScene, flange_pose
+from ocp.plan.clearance import CollisionScene, flange_pose
 from ocp.plan.rules import AXIS_MARGIN, ELBOW_MARGIN, SEED_INDENTATION, SEED_SPEED_SHARE, SHOULDER_MARGIN, WRIST_MARGIN
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches, reach_excess

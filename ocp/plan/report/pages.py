@@ -3,10 +3,9 @@
 from pathlib import Path
 
 from ocp.plan.report.axes import axes_section
-from ocp.plan.report.contact import contact_section
 from ocp.plan.report.force import force_section
-from ocp.plan.report.maps import maps_section
 from ocp.plan.report.plan_report import PlanReport
+from ocp.plan.report.quantities import contact_section, maps_section
 from ocp.plan.report.scene import scene_section
 from ocp.report.parts import Facts, made_from
 from ocp.report.report import Report

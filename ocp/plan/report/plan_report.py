@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.model.cell import Cell
-from ocp.plan.motion.motion import PlannedMotion
-from ocp.plan.motion.timeline import Timeline
+from ocp.plan.motion import PlannedMotion
+from ocp.plan.programming import Timeline
 from ocp.plan.report.surface import GroundPass
 from robots.kinematics import link_frames
 from robots.pose import Array

@@ -1,15 +1,26 @@
-"""What can be shown along the passes: label, unit, factor from SI and the range its colours span.
+"""What can be shown along the passes: label, unit, factor from SI and the range its colours span; and the sections that show it.
 
-Page and print take names, units and ranges from here, so the same colour means the same value in both.
+Page and print take names, units and ranges from here, so the same colour means the same value in both. Sections: "On the unrolled
+blade" (quantities as colours, a bar a pass, distance along it to the right) and "Contact on the wheel" (where and how the blade
+touches it: place, turn about the normal, tilts; zero turn means that blade and belt move along one line).
 """
 
 from dataclasses import dataclass
+from itertools import cycle
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
-from ocp.plan.report.plan_report import PlanReport
-from ocp.report.style import SIDE_COLOURS
+from ocp.plan.report.plan_report import PassReport, PlanReport
+from ocp.report.parts import Plot
+from ocp.report.plotting import Canvas, dressed, keys, panels
+from ocp.report.section import Section
+from ocp.report.style import COLOUR_MAP, LIMIT, RULE, SIDE_COLOURS
 from robots.pose import Array
 
 
@@ -85,3 +96,135 @@ def sides_of(report: PlanReport) -> dict[str, str]:
     """Sides in order of appearance with their colours."""
     names = list(dict.fromkeys(item.side for item in report.passes))
     return {name: SIDE_COLOURS[i % len(SIDE_COLOURS)] for i, name in enumerate(names)}
+
+
+def maps_section(report: PlanReport) -> Section:
+    """Compliance and force; removal, feed and limits."""
+    words = "A row a line of the blade; across: mm from the end where the side's first pass starts; arrow: feed."
+    return Section(
+        "On the unrolled blade",
+        (
+            words,
+            _map_plot(report, "Compliance and force", ("compliance_nn", "force_sd", "force")),
+            _map_plot(report, "Removal, feed and limits", ("removal", "feed", "limit_ratio")),
+        ),
+    )
+
+
+def _map_plot(report: PlanReport, caption: str, keys: tuple[str, ...]) -> Plot:
+    """A row a quantity (of `QUANTITIES`) and a column a side of the blade."""
+    most = max(sum(one.side == side for one in report.passes) for side in sides_of(report))
+    height = 0.3 + len(keys) * (0.45 + min(max(0.9, 0.22 * most), 2.2))
+    return Plot(f"map-{keys[0].replace('_', '-')}", caption, height, lambda canvas: _draw_maps(canvas, report, keys))
+
+
+def _draw_maps(canvas: Canvas, report: PlanReport, keys: tuple[str, ...]) -> None:
+    sides = list(sides_of(report))
+    axes = panels(canvas, len(keys), len(sides), left=0.3, right=0.7, across=0.35, down=0.45, bottom=0.3)
+    for row, key in zip(axes, keys, strict=True):
+        item = quantity(key)
+        norm = Normalize(*colour_range(report, item))
+        for ax, side in zip(row, sides, strict=True):
+            group = [one for one in report.passes if one.side == side]
+            _draw_bars(ax, group, item, norm)
+            ax.set_facecolor("#f2f4f6")
+            step = max(1, len(group) // 16)
+            ax.set_yticks(range(0, len(group), step), [str(one.line) for one in group[::step]])
+            dressed(ax, f"{item.label}{f', {item.unit}' if item.unit else ''}: {side}", grid="")
+            ax.tick_params(color=RULE)
+        bar = row[-1].inset_axes((1.05, 0.0, 0.045, 1.0))
+        canvas.figure.colorbar(ScalarMappable(norm, COLOUR_MAP), cax=bar)
+        bar.tick_params(length=2, labelsize=6.5)
+
+
+def common_distance(group: list[PassReport]) -> list[Array]:
+    """Distance m along each pass from the same end of the blade, whichever way the pass is fed.
+
+    The direction is the first pass's; passes fed against it are counted backwards. Starts are set apart by
+    where they lie along that direction.
+    """
+    direction = group[0].p[-1] - group[0].p[0]
+    direction = direction / max(float(np.linalg.norm(direction)), 1e-12)
+    origin = min(float((item.p @ direction).min()) for item in group)
+    result = []
+    for item in group:
+        forward = (item.p[-1] - item.p[0]) @ direction >= 0
+        along = item.s if forward else item.s[-1] - item.s
+        result.append(np.asarray(along + float((item.p @ direction).min()) - origin))
+    return result
+
+
+def _draw_bars(ax: Axes, group: list[PassReport], item: Quantity, norm: Normalize) -> None:
+    """A strip of cells a pass with the waypoints in their middles, and an arrow along it."""
+    cells, values, ends = [], [], []
+    for place, (one, along) in enumerate(zip(group, common_distance(group), strict=True)):
+        x = 1e3 * along
+        edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]) if len(x) > 1 else x[0] + np.array([-0.5, 0.5])
+        left, right, foot, head = edges[:-1], edges[1:], np.full(len(x), place - 0.42), np.full(len(x), place + 0.42)
+        cells.append(np.stack([np.c_[left, foot], np.c_[right, foot], np.c_[right, head], np.c_[left, head]], axis=1))
+        values.append(item.factor * np.asarray(getattr(one, item.key), float))
+        ends.append((edges[0], edges[-1]))
+    # Rasterised: thousands of cells as vectors make a slow, heavy file with hairlines between the cells.
+    bars = PolyCollection(
+        list(np.concatenate(cells)), cmap=COLOUR_MAP, norm=norm, rasterized=True, edgecolors="face", linewidths=0.1
+    )
+    bars.set_array(np.ma.masked_invalid(np.concatenate(values)))
+    ax.add_collection(bars)
+    start, end = np.array(ends).T
+    ax.set_xlim(min(start.min(), end.min()), max(start.max(), end.max()))
+    ax.set_ylim(-0.6, len(group) - 0.4)
+    way = 0.94 * (end - start)
+    ax.quiver(
+        start + 0.03 * (end - start),
+        np.arange(len(group)),
+        way,
+        0 * way,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        color="white",
+        width=0.003,
+        headwidth=5,
+        headlength=6,
+        headaxislength=5,
+    )
+
+
+def contact_section(report: PlanReport) -> Section:
+    """Arc over lateral position on the wheel, then turn and both tilts along the passes."""
+    caption = "A curve a pass, a dot at its start. Tilt 1 is the slope along the belt, tilt 2 the slope across it."
+    return Section("Contact on the wheel", (Plot("contact", caption, 5.6, lambda canvas: _draw(canvas, report)),))
+
+
+def _draw(canvas: Canvas, report: PlanReport) -> None:
+    sides, deg = sides_of(report), 180 / np.pi
+    (place, turn), (tilt_along, tilt_across) = panels(canvas, 2, 2, top=0.4, bottom=0.25)
+    half = 500 * report.animation.wheel.width
+    dashes = dict(zip(sides, cycle(((), (4, 1.5), (1, 1))), strict=False))
+    for item in report.passes:
+        s, style = 1e3 * np.asarray(item.s), {"color": sides[item.side], "dashes": dashes[item.side]}
+        _curve(place, 1e3 * np.asarray(item.lateral), deg * np.asarray(item.arc), style)
+        _curve(turn, s, deg * np.asarray(item.turn), style)
+        _curve(tilt_along, s, deg * np.asarray(item.tilt)[:, 0], style)
+        _curve(tilt_across, s, deg * np.asarray(item.tilt)[:, 1], style)
+    for edge in (-half, half):
+        place.axvline(edge, color=LIMIT, lw=1.0)
+    place.set_xlim(-1.1 * half, 1.1 * half)
+    _dress(place, "Arc in deg over lateral place in mm, red: wheel edges")
+    _dress(turn, "Turn about the normal in deg over mm along the pass")
+    _dress(tilt_along, "Tilt 1 in deg over mm along the pass")
+    _dress(tilt_across, "Tilt 2 in deg over mm along the pass")
+    keys(turn, list(sides.items()), top=1.06)
+
+
+def _curve(ax: Axes, x: Array, y: Array, style: dict[str, Any]) -> None:
+    ax.plot(x, y, lw=0.8, alpha=0.85, **style)
+    ax.plot(x[:1], y[:1], ".", color=style["color"], ms=4)
+
+
+def _dress(ax: Axes, title: str) -> None:
+    """A scale that does not blow up differences below a tenth of a degree."""
+    low, high = ax.get_ylim()
+    if high - low < 0.2:
+        ax.set_ylim((low + high) / 2 - 0.1, (low + high) / 2 + 0.1)
+    dressed(ax, title, grid="both")

@@ -1,6 +1,7 @@
-"""Distances between arm, holder, blade, wheel and floor, by coal on simple convex shapes.
+"""What must stay free: arm, holder, blade, wheel and floor apart, and the blade off the wheel but for the planned contact.
 
-The contact itself (blade against wheel) is judged in `secondary_contact.py`; here the pair is looked at only off contact.
+Distances are coal's on simple convex shapes. In contact the pair of blade and wheel is judged by the surface itself
+(`find_secondary_contact`): does the blade touch the wheel anywhere else than the contact model thinks?
 """
 
 from dataclasses import dataclass
@@ -9,10 +10,11 @@ from functools import cached_property
 import coal
 import numpy as np
 
+from ocp.model.blade_gap import REACH
 from ocp.model.cell import Cell
-from ocp.plan.rules import ARM_MARGIN, BLADE_MARGIN, FLOOR_BELOW_WHEEL, HOLDER_RADIUS, HOLDER_SHARE
+from ocp.plan.rules import ARM_MARGIN, BLADE_MARGIN, FLOOR_BELOW_WHEEL, HOLDER_RADIUS, HOLDER_SHARE, SECONDARY_CONTACT_TOLERANCE
 from robots.kinematics import link_frames
-from robots.pose import Array, invert
+from robots.pose import Array, apply, invert
 
 
 @dataclass(frozen=True)
@@ -179,3 +181,44 @@ def _frame_with_z(z: Array) -> Array:
 def flange_pose(cell: Cell, T_base_blade: Array) -> Array:
     """T_base_flange (..., 4, 4) that puts the blade at T_base_blade."""
     return np.asarray(T_base_blade @ invert(cell.workpiece.T_flange_blade))
+
+
+@dataclass(frozen=True)
+class SecondaryContact:
+    """Deepest unplanned overlap on a path: depth (m), waypoint index, distance (m) of that point from the contact."""
+
+    depth: float
+    index: int
+    distance: float
+
+
+def find_secondary_contact(
+    cell: Cell, points: Array, T_base_blade: Array, contact: Array, curvature: Array, tilt: Array, delta: Array
+) -> SecondaryContact:
+    """Deepest overlap beyond the local quadratic of each contact.
+
+    points (m, 3) of the blade's surface, blade frame: what lies within the reach of the direct contact is left to it;
+    T_base_blade (n, 4, 4); contact (n, 3) planned points in the blade frame; curvature (n, 3) kxx, kyy, kxy relative;
+    tilt (n, 2); delta (n,) m. Frames: docs/architecture.md.
+    """
+    wheel = cell.wheel
+    worst = SecondaryContact(0.0, 0, 0.0)
+    for k, T in enumerate(T_base_blade):
+        v = apply(T, np.vstack([points, contact[k]])) - wheel.centre
+        lateral = v @ wheel.axis
+        radial = v - lateral[:, None] * wheel.axis
+        depth = wheel.radius - np.linalg.norm(radial, axis=1)
+        seen = np.linalg.norm(points - contact[k], axis=1) < 0.9 * REACH
+        near = (np.abs(lateral[:-1]) <= 0.5 * wheel.width) & (depth[:-1] > SECONDARY_CONTACT_TOLERANCE) & ~seen
+        if not near.any():
+            continue
+        e = radial[-1] / np.linalg.norm(radial[-1])
+        x = (radial[:-1][near]) @ np.cross(wheel.axis, e)
+        y = lateral[:-1][near] - lateral[-1]
+        gap = tilt[k, 0] * x + tilt[k, 1] * y
+        gap += 0.5 * (curvature[k, 0] * x**2 + 2 * curvature[k, 2] * x * y + curvature[k, 1] * y**2)
+        beyond = depth[:-1][near] - np.maximum(delta[k] - gap, 0.0)
+        i = int(np.argmax(beyond))
+        if beyond[i] > worst.depth:
+            worst = SecondaryContact(float(beyond[i]), k, float(np.hypot(x[i], y[i])))
+    return worst

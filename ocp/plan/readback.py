@@ -9,9 +9,9 @@ import numpy as np
 from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
-from ocp.plan.motion.motion import PlannedMotion
+from ocp.plan.motion import PlannedMotion
 from ocp.plan.rules import BLOCK_TIME_TOLERANCE, FLANGE_FORCE_TOLERANCE, READ_BACK_LIMIT, RIGID_FORCE_TOLERANCE
-from ocp.plan.verify.second_route import BelievedRobot, VerifiedPass, verify_pass
+from ocp.plan.second_route import BelievedRobot, VerifiedPass, verify_pass
 from ocp.shell.workers import interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches

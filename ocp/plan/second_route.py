@@ -15,8 +15,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, interp1d
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.signorini import LocalShape, solve_force
-from ocp.effects.engine.evaluate import arm_shift
-from ocp.effects.engine.rows import ARM_LAYOUT, ArmPlace, ArmRows, ContactPlace, added_overlap
+from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmPlace, ArmRows, ContactPlace, added_overlap, arm_shift
 from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, contact_stations, surface_shape
 from ocp.model.cell import Cell
 from robots.gravity import GRAVITY
