@@ -13,9 +13,9 @@ import numpy as np
 
 from ocp.calibrate.tracker import as_in
 from ocp.model.cell import Cell, read_cell, read_tracker_setup
-from ocp.simulate.twin.arm.arm import arm_moments, make_arm
+from ocp.simulate.twin.arm import arm_moments, make_arm
 from ocp.simulate.twin.tracker_log import random_world
-from ocp.simulate.twin.truth.truth import draw_truth
+from ocp.simulate.twin.truth import draw_truth
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.layout import Choice
 from robots.calibration.reading_model import RowInputs, predict_points

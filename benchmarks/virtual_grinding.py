@@ -15,15 +15,14 @@ from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.data import CELL
 from ocp.model.cell import Cell, read_cell
 from ocp.model.prepare import wheel_cover
-from ocp.simulate.twin.arm.arm import arm_moments, make_arm
-from ocp.simulate.twin.contact import ContactMoments, Tables, make_grinder
-from ocp.simulate.twin.contact.rubber import make_rubber
-from ocp.simulate.twin.contact.stations import depth_curves, place_stations
+from ocp.simulate.twin.arm import arm_moments, make_arm
+from ocp.simulate.twin.contact import ContactMoments
+from ocp.simulate.twin.contact.grinder import make_grinder
+from ocp.simulate.twin.contact.rubber import make_rubber, press
 from ocp.simulate.twin.contact.surface import gap, near, postures, wheel_on_blade
-from ocp.simulate.twin.contact.table import LEVELS, make_tables
-from ocp.simulate.twin.contact.unilateral import press
-from ocp.simulate.twin.contact.workpiece import blade_poses, wheel_frames
-from ocp.simulate.twin.truth.truth import Truth, draw_truth
+from ocp.simulate.twin.contact.table import LEVELS, Tables, depth_curves, make_tables, place_stations
+from ocp.simulate.twin.contact.wheel_and_blade import blade_poses, wheel_frames
+from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.csv_table import read_csv_table
 from robots.pose import Array
 from trajectories.blade import Blade, read_blade

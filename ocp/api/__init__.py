@@ -15,8 +15,7 @@ from ocp.plan.interface import plan
 from ocp.poses.files import PosesResult
 from ocp.poses.interface import choose_poses
 from ocp.shell.progress import Progress
-from ocp.simulate.interface import simulate
-from ocp.simulate.simulation import SimulationResult
+from ocp.simulate.interface import SimulationResult, simulate
 from robots.errors import BadInput, Infeasible
 
 __all__ = [

@@ -2,25 +2,201 @@
 
 Nothing here reads a label: a world's folder holds measurements and the conditions to predict, and, where an effect's family is
 to be left out of the library, its name.
+
+The rivals are what the diagnosis has to beat, on the same data and the same library: four usual ways to name an effect. All work
+on the linear system of the believed cell refitted: white residual y (N,) and columns of every effect. Projected means after the
+refitted parameters were taken out of both, y = M r and C = M c (docs/diagnosis.md, eq. 2).
+
+* single: the one number that, freed, takes away most of y^T y.
+* stepwise: forward choice of effects while N ln(|y - C a|^2 / N) + m ln N falls (Schwarz 1978).
+* sparse: least squares with a penalty on the sum of |a| (Tibshirani 1996), its weight by the same criterion.
+* unprojected: score test of each effect on the residual as it stands, columns not projected.
 """
 
 import json
 import time
 import traceback
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
-from ocp.blindtest.scoring.rivals import rival_answers
 from ocp.blindtest.worlds.sealing import WITHHELD, Check, write_whole
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
-from ocp.diagnose.engine.channel_system import Sealed
+from ocp.diagnose.engine.channel_system import Channel, Sealed
+from ocp.diagnose.engine.families import stacked_columns
+from ocp.diagnose.engine.projection import stack
 from ocp.effects.catalogue import library
+from ocp.effects.effect import Effect
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
+from robots.pose import Array
+from robots.tracker_readings import Index
+
+METHODS = ("single", "stepwise", "sparse", "unprojected")
+LEVEL = 0.01  # false alarms that a score test allows itself over all it tries
+MOST_STEPS, MOST_NONZERO, SCREENED, PATH, SWEEPS = 6, 12, 600, 24, 120
+RANKED = 10  # names that are reported
+Name = tuple[str, int]
+
+
+@dataclass(frozen=True)
+class RivalAnswer:
+    """An answer: names in order of belief, and those it decides for (none: no effect)."""
+
+    ranking: tuple[Name, ...]
+    named: tuple[Name, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RivalColumns:
+    """Names of all families, their white columns (N, V, m) and white residual (N,), raw and with the nuisance projected out;
+    freedom of the rows."""
+
+    names: tuple[Name, ...]
+    raw: tuple[Array, ...]
+    residual: Array
+    columns: tuple[Array, ...]
+    y: Array
+    freedom: int
+
+
+def rival_columns(channels: Sequence[Channel], library: Mapping[str, Effect]) -> RivalColumns:
+    """Everything of the library that any of the channels sees."""
+    stacked = stack(tuple(channels), np.zeros(sum(len(c.system.residual) for c in channels)))
+    names, raw, columns = [], [], []
+    for effect in library.values():
+        for joint in effect.places:
+            C, scans = stacked_columns(channels, effect, joint, None)
+            if not scans:
+                continue
+            C = C * np.asarray(effect.prior_sd, float)
+            names.append((effect.name, joint))
+            raw.append(C)
+            columns.append(stacked.apply(C.reshape(len(C), -1)).reshape(C.shape))
+    residual = np.concatenate([c.system.residual for c in channels])
+    return RivalColumns(tuple(names), tuple(raw), residual, tuple(columns), stacked.y, stacked.freedom)
+
+
+def rival_answers(channels: Sequence[Channel], library: Mapping[str, Effect]) -> dict[str, RivalAnswer]:
+    """Answers of all methods, from channels without effects."""
+    c = rival_columns(channels, library)
+    return {"single": single(c), "stepwise": stepwise(c), "sparse": sparse(c), "unprojected": unprojected(c)}
+
+
+def single(c: RivalColumns) -> RivalAnswer:
+    """The one coefficient that takes away most."""
+    gained = np.array([_each(C, c.y).max() for C in c.columns])
+    tried = sum(C.shape[1] * C.shape[2] for C in c.columns)
+    order = np.argsort(-gained)
+    sure = chi2.sf(gained[order[0]], 1) * tried < LEVEL
+    return _named(c, order, order[:1] if sure else ())
+
+
+def unprojected(c: RivalColumns) -> RivalAnswer:
+    """Smallest p-value of all variants, the price of trying them paid."""
+    logs = []
+    for C in c.raw:
+        gained, _ = gains(C, c.residual)
+        logs.append(float(chi2.logsf(gained.max(), C.shape[2]) + np.log(C.shape[1])))
+    order = np.argsort(logs)
+    sure = logs[order[0]] + np.log(len(c.names)) < np.log(LEVEL)
+    return _named(c, order, order[:1] if sure else ())
+
+
+def stepwise(c: RivalColumns) -> RivalAnswer:
+    """Forward choice by the Bayesian information criterion."""
+    y, columns = c.y, list(c.columns)
+    chosen: list[int] = []
+    order: list[int] = []
+    for _ in range(MOST_STEPS):
+        left = float(y @ y)
+        fall = np.full(len(columns), -np.inf)
+        best = np.zeros(len(columns), int)
+        for k, C in enumerate(columns):
+            gained, _ = gains(C, y)
+            best[k] = int(np.argmax(gained))
+            rest = max(left - float(gained.max()), 1e-9)
+            fall[k] = c.freedom * np.log(left / rest) - C.shape[2] * np.log(c.freedom)
+        fall[chosen] = -np.inf
+        order = [int(k) for k in np.argsort(-fall)]
+        pick = order[0]
+        if fall[pick] <= 0:
+            break
+        chosen.append(pick)
+        Q, _ = np.linalg.qr(columns[pick][:, best[pick]])
+        y = y - Q @ (Q.T @ y)
+        columns = [C - np.tensordot(Q, np.tensordot(Q.T, C, 1), 1) for C in columns]
+    ranked = chosen + [k for k in order if k not in chosen]
+    return _named(c, ranked, chosen)
+
+
+def sparse(c: RivalColumns) -> RivalAnswer:
+    """Penalised least squares on all columns at once, down a path of weights; the weight with the least criterion decides."""
+    family = np.concatenate([np.full(C.shape[1] * C.shape[2], k) for k, C in enumerate(c.columns)])
+    X = np.concatenate([C.reshape(len(c.y), -1) for C in c.columns], axis=1)
+    size = np.linalg.norm(X, axis=0)
+    X = X / np.where(size > 1e-9, size, np.inf)
+    first = np.abs(X.T @ c.y)
+    keep = np.argsort(-first)[:SCREENED]
+    X, family = X[:, keep], family[keep]
+    a, best = np.zeros(X.shape[1]), (c.freedom * np.log(c.y @ c.y), np.zeros(X.shape[1]))
+    entered: dict[int, int] = {}
+    rate = float(1.0 / np.linalg.norm(X, 2) ** 2)
+    for weight in first.max() * np.geomspace(0.95, 0.08, PATH):
+        a = _penalised(X, c.y, weight, a, rate)
+        there = np.flatnonzero(a)
+        for k in family[there[np.argsort(-np.abs(a[there]))]]:
+            entered.setdefault(int(k), len(entered))
+        if len(there) > MOST_NONZERO:
+            break
+        # The criterion of the least-squares fit on what entered: the penalty shrinks values, which is no matter here.
+        rest = c.y - X[:, there] @ np.linalg.lstsq(X[:, there], c.y, rcond=None)[0] if len(there) else c.y
+        criterion = c.freedom * np.log(rest @ rest) + len(there) * np.log(c.freedom)
+        if criterion < best[0]:
+            best = (criterion, a.copy())
+    strength = {int(k): float(np.abs(best[1][family == k]).max()) for k in np.unique(family)}
+    named = sorted((k for k, s in strength.items() if s > 0), key=lambda k: -strength[k])
+    others = [k for k in sorted(entered, key=lambda k: entered[k]) if k not in named]
+    rest_of = [k for k in dict.fromkeys(int(f) for f in family) if k not in named and k not in others]
+    return _named(c, [*named, *others, *rest_of], named)
+
+
+def _penalised(X: Array, y: Array, weight: float, a: Array, rate: float) -> Array:
+    """Minimum of |y - X a|^2 / 2 + weight |a|_1 from `a` on (Beck and Teboulle 2009, eqs. 4.1 to 4.3)."""
+    z, t = a, 1.0
+    for _ in range(SWEEPS):
+        step = z + rate * (X.T @ (y - X @ z))
+        new = np.sign(step) * np.maximum(np.abs(step) - rate * weight, 0.0)
+        after = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * t * t))
+        z, moved = new + (t - 1.0) / after * (new - a), float(np.abs(new - a).max())
+        a, t = new, after
+        if moved < 1e-4:
+            break
+    return a
+
+
+def gains(C: Array, y: Array) -> tuple[Array, Array]:
+    """What each variant's columns (N, V, m) take from y^T y (V,), and their coefficients (V, m)."""
+    G = np.einsum("nvi,nvj->vij", C, C)
+    b = np.einsum("nvi,n->vi", C, y)
+    trace = np.trace(G, axis1=1, axis2=2)[:, None, None]
+    a = np.linalg.solve(G + (1e-10 * trace + 1e-12) * np.eye(C.shape[2]), b[..., None])[..., 0]
+    return np.einsum("vi,vi->v", a, b), a
+
+
+def _each(C: Array, y: Array) -> Array:
+    """The same for every column alone (V, m)."""
+    return np.asarray(np.einsum("nvi,n->vi", C, y) ** 2 / np.maximum(np.einsum("nvi,nvi->vi", C, C), 1e-12))
+
+
+def _named(c: RivalColumns, order: Sequence[int] | Index, chosen: Sequence[int] | Index) -> RivalAnswer:
+    return RivalAnswer(tuple(c.names[k] for k in order[:RANKED]), tuple(c.names[k] for k in chosen))
+
 
 FAULTS = (BadInput, Infeasible, ArithmeticError, ValueError, TypeError, LookupError, AssertionError, np.linalg.LinAlgError)
 """What makes a world an error of the answer, counted as wrong, instead of ending the check."""

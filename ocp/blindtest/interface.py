@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ocp.blindtest.figures import Figure, all_figures
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
-from ocp.blindtest.scoring.figures import Figure, all_figures
-from ocp.blindtest.worlds.files import write_cell
-from ocp.blindtest.worlds.pools import SIGNALS
-from ocp.blindtest.worlds.recipes import check_kinds, recipes
-from ocp.blindtest.worlds.sealing import Check
+from ocp.blindtest.worlds.recipes import SIGNALS, check_kinds, recipes
+from ocp.blindtest.worlds.sealing import Check, write_cell
 from ocp.data import CELL
 from ocp.shell.progress import Phases, Progress
 from ocp.shell.workers import cores

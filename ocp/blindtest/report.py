@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ocp.blindtest.scoring.figures import (
+from ocp.blindtest.answers import METHODS
+from ocp.blindtest.figures import (
+    Estimate,
     Figure,
     all_figures,
     by_bin,
@@ -17,11 +19,10 @@ from ocp.blindtest.scoring.figures import (
     of_kinds,
     planted_words,
     said_words,
+    share_of_hits,
     why_words,
     worst,
 )
-from ocp.blindtest.scoring.intervals import Estimate, share_of_hits
-from ocp.blindtest.scoring.rivals import METHODS
 from ocp.blindtest.worlds.recipes import BINS, WORDS, bin_words
 from ocp.blindtest.worlds.sealing import Check
 from ocp.report.parts import Plot, Table, table

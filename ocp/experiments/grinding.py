@@ -27,9 +27,11 @@ from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import lay_paths
 from ocp.plan.planning import PlanOptions
 from ocp.shell.progress import Phases
-from ocp.simulate.twin.arm.arm import VirtualArm, arm_moments
-from ocp.simulate.twin.contact import ContactMoments, ContactResult, Grinder, read_sensor
-from ocp.simulate.twin.truth.truth import Truth
+from ocp.simulate.twin.arm import VirtualArm, arm_moments
+from ocp.simulate.twin.contact import ContactMoments, ContactResult
+from ocp.simulate.twin.contact.grinder import Grinder
+from ocp.simulate.twin.contact.sensor import read_sensor
+from ocp.simulate.twin.truth import Truth
 from robots.calibration.store import Calibration
 from robots.errors import BadInput
 from robots.kinematics import jacobian

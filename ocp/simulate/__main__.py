@@ -41,7 +41,7 @@ def _simulate(
     """Rehearse a plan on a virtual cell that shares no code with the planner, and write the data a real cell would give."""
     from ocp.simulate import interface  # heavy imports only once the arguments stand
     from ocp.simulate.input import numbers
-    from ocp.simulate.simulation import plantable_effects
+    from ocp.simulate.interface import plantable_effects
 
     def job() -> str:
         if list_effects:

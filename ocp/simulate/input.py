@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.campaign import CampaignPlan, check_plan, default_ladder
+from ocp.simulate.twin.kinds import EFFECT_KINDS, EffectKind
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, file_hash, recorded_input
-from ocp.simulate.twin.truth.kinds import EFFECT_KINDS, EffectKind
-from ocp.simulate.twin.truth.planting import Planted, draw_effect, parse_effect
+from ocp.simulate.twin.planting import Planted, draw_effect, parse_effect
+from ocp.simulate.twin.run import CampaignPlan, check_plan, default_ladder
 from robots.errors import BadInput
 
 MOST_EFFECTS = 6

@@ -1,12 +1,257 @@
-"""`ocp.api.simulate`: a plan in; the force that a virtual cell would show, and the logs that a day on it would give, out."""
+"""`ocp.api.simulate`: a plan in; the force that a virtual cell would show, and the logs that a day on it would give, out.
 
+From files to a folder: read, check, drive, grind, measure, write; whole or not at all.
+"""
+
+import json
+import shutil
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ocp.data import CELL
+from ocp.effects.catalogue import key_range
+from ocp.model.cell import Cell, read_cell
+from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases, Progress
-from ocp.simulate.input import Wanted
-from ocp.simulate.simulation import SimulationResult, simulate_cell
+from ocp.simulate.input import Wanted, blade_file, campaign_plan, cell_file, check_numbers, in_words, planted_effects
+from ocp.simulate.report import rehearsal_headline, write_rehearsal_page
+from ocp.simulate.twin.arm import make_arm
+from ocp.simulate.twin.controller import Track, drive
+from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_joint_log, write_labels
+from ocp.simulate.twin.kinds import EFFECT_KINDS
+from ocp.simulate.twin.krl_text import KrlProgram, read_program
+from ocp.simulate.twin.plan_knowledge import Matched, match, read_plan_table, read_summary, refuse_stranger
+from ocp.simulate.twin.planting import Planted
+from ocp.simulate.twin.rehearsal import Rehearsal, rehearse
+from ocp.simulate.twin.run import GrindingCampaign, VirtualMachine, arm_conditions, make_machine, refuse_crash, run_campaign
+from ocp.simulate.twin.tracker_log import TrackerLog, tracker_log, write_tracker
+from ocp.simulate.twin.truth import Truth, draw_truth
+from robots.errors import BadInput
+from trajectories.blade import read_blade
+
+MACHINES = {
+    "drawn": "virtual cell {seed}, drawn with the errors of a real one",
+    "believed": "a virtual cell that is just as believed",
+    "sampled": "virtual cell {seed}, drawn from what the calibration leaves open",
+}
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """What became of the plan."""
+
+    program: KrlProgram
+    track: Track
+    machine: VirtualMachine
+    campaign: GrindingCampaign
+    rehearsal: Rehearsal
+    matched: Matched
+
+
+def plantable_effects() -> str:
+    """What can be planted: name, joints, keys with their typical range and unit."""
+    lines = [f"{'effect':<22}{'joints':<9}keys: typical range, unit (a bare size goes to the first; +- either sign)"]
+    for name, kind in sorted(EFFECT_KINDS.items()):
+        joints = "".join(str(j) for j in kind.joints) or "-"
+        keys = "; ".join(
+            f"{key.name} of a nest"
+            if key.unit == "name"
+            else key_range(key.name, key.low, key.high, key.signed, key.length, key.unit)
+            for key in kind.keys
+        )
+        lines.append(f"{name:<22}{joints:<9}{keys}")
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class SimulationResult:
+    """A run of the virtual cell that was written: its folder; the rehearsal of the program (None without a plan); what was
+    planted; rows of force.csv, readings of tracker.csv; and the one line that says what force was seen."""
+
+    folder: Path
+    rehearsal: Rehearsal | None
+    planted: tuple[Planted, ...]
+    rows: int
+    readings: int
+    notices: tuple[str, ...]
+    line: str
+
+
+def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, phases: Phases) -> SimulationResult:
+    """Do all of it and write the folder. Raises BadInput and Infeasible; then `out` is as it was."""
+    check_numbers(wanted)
+    folder = None if wanted.plan is None else wanted.plan if wanted.plan.is_dir() else wanted.plan.parent
+    program = None if wanted.plan is None else read_program(wanted.plan)
+    summary = {} if folder is None else read_summary(folder)
+    file = cell_file(wanted, summary, bundled)
+    check_output(out, overwrite, [p for p in (file, wanted.plan, wanted.blade) if p is not None])
+    cell = read_cell(file, wanted.blade)
+    if other := blade_file(wanted, summary, cell.workpiece.stl):
+        cell = read_cell(file, other)
+    effects = planted_effects(wanted, cell)
+    truth = draw_truth(cell, wanted.seed, effects, wanted.machine, wanted.size)  # type: ignore[arg-type]
+    notices: list[str] = []
+    ground = None
+    if program is not None and folder is not None:
+        notices += refuse_stranger(program, cell, summary, folder)
+        ground = _grind(wanted, cell, truth, program, folder, phases)
+        notices += ground.track.notices
+    with phases.phase("tracker"):
+        log = _track(wanted, cell, ground)
+    with whole_folder(out, overwrite) as partial, phases.phase("writing"):
+        rows = _write(wanted, cell, truth, effects, ground, log, folder, partial, notices)
+    return SimulationResult(
+        folder=out,
+        rehearsal=None if ground is None else ground.rehearsal,
+        planted=effects,
+        rows=rows,
+        readings=0 if log is None else log.count,
+        notices=tuple(notices),
+        line=_last_line(wanted, out, effects, ground, log, rows),
+    )
+
+
+def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder: Path, phases: Phases) -> _Ground:
+    """Drive the program, refuse what would crash, run the campaign, judge its first run."""
+    plan = campaign_plan(wanted, cell)
+    if cell.workpiece.stl is None:
+        raise BadInput(f"{cell.path}: names no blade; give it with --blade")
+    with phases.phase("controller"):
+        track = drive(program, cell.robot, wanted.hz)
+        matched = match(track, read_plan_table(folder))
+    with phases.phase("machine"):
+        blade = read_blade(cell.workpiece.stl, cell.workpiece.stl_unit)
+        machine = make_machine(cell, truth, blade, wanted.seed)
+    with phases.phase("collisions"):
+        refuse_crash(machine, track, matched)
+    with phases.phase("grinding"):
+        campaign = run_campaign(machine, track, matched, plan, wanted.hz)
+    with phases.phase("judging"):
+        frames = program.motions[-1].frames
+        rehearsal = rehearse(machine, matched, campaign.first, frames.tool, frames.base)
+    return _Ground(program, track, machine, campaign, rehearsal, matched)
+
+
+def _track(wanted: Wanted, cell: Cell, ground: _Ground | None) -> TrackerLog | None:
+    """The tracker campaign; None where there is nothing to measure with or nothing is asked."""
+    if wanted.poses == "0":
+        if ground is None:
+            raise BadInput("--poses 0 without a plan leaves nothing to do; name a plan's folder or ask for postures")
+        return None
+    if cell.tables.tracker is None or not cell.tables.tracker.targets:
+        if ground is None:
+            raise BadInput(f"{cell.path}: no nests in [tracker.targets], and no plan to grind; add one of them")
+        return None
+    return tracker_log(wanted.poses, cell, wanted.seed, wanted.sealed)
+
+
+def _write(
+    wanted: Wanted,
+    cell: Cell,
+    truth: Truth,
+    effects: tuple[Planted, ...],
+    ground: _Ground | None,
+    log: TrackerLog | None,
+    folder: Path | None,
+    out: Path,
+    notices: list[str],
+) -> int:
+    """All files; the number of rows in force.csv."""
+    copy_cell(cell, out)
+    write_labels(out, truth, wanted.machine)
+    if log is not None:
+        arm = make_arm(cell, truth) if ground is None else ground.machine.arm
+        write_tracker(out, cell, truth, arm, log)
+    if ground is None or folder is None:
+        return 0
+    shutil.copyfile(folder / "plan.csv", out / "plan.csv")
+    rows = write_force(out, ground.campaign.recorded, ground.campaign.sealed)
+    if wanted.joints:
+        _write_joints(out / "joints.csv", wanted, ground)
+    words = _machine_in_words(wanted, effects)
+    title = f"{ground.program.main.stem} on {cell.name}"
+    write_rehearsal_page(ground.rehearsal, ground.machine.blade, title, words, notices, out / "rehearsal.html")
+    content = _json(wanted, effects, ground)
+    (out / "rehearsal.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return rows
+
+
+def _write_joints(path: Path, wanted: Wanted, ground: _Ground) -> None:
+    """Encoders along the whole program, at the log's rate."""
+    track, machine = ground.track, ground.machine
+    index = np.arange(0, len(track.time), max(1, round(wanted.hz / wanted.log_hz)), dtype=np.int64)
+    m = arm_conditions(machine, track, index, 0.0)
+    rng = np.random.default_rng([wanted.seed, 0x30])
+    write_joint_log(path, joint_log(machine.arm, machine.truth, m, np.zeros(len(index)), track.time[index], rng))
+
+
+def _json(wanted: Wanted, effects: tuple[Planted, ...], ground: _Ground) -> dict[str, Any]:
+    """rehearsal.json: the figures, also line by line, and the worst places."""
+    r = ground.rehearsal
+    lines = []
+    for k in dict.fromkeys(r.run.tolist()):
+        mine = r.run == k
+        force = r.force[mine]
+        figures = {"mean_N": force.mean(), "sd_N": force.std(), "min_N": force.min(), "max_N": force.max()}
+        lines.append({"line": int(r.line[mine][0]), **{name: float(value) for name, value in figures.items()}})
+    return {
+        "schema": 1,
+        "program": ground.program.main.name,
+        "machine": wanted.machine,
+        "seed": wanted.seed,
+        "planted": None if wanted.sealed else in_words(effects),
+        "duration_s": ground.track.duration,
+        "force": r.figures,
+        "lines": lines,
+        "worst": [
+            {
+                "line": p.line,
+                "s_mm": 1e3 * p.s,
+                "p_mm": (1e3 * p.p).tolist(),
+                "force_N": p.force,
+                "parts_N": p.parts,
+                "mostly": p.cause,
+            }
+            for p in r.worst
+        ],
+    }
+
+
+def _machine_in_words(wanted: Wanted, effects: tuple[Planted, ...]) -> str:
+    words = MACHINES[wanted.machine].format(seed=wanted.seed)
+    return words if wanted.sealed or not effects else f"{words}, {in_words(effects)}"
+
+
+def _last_line(
+    wanted: Wanted, out: Path, effects: tuple[Planted, ...], ground: _Ground | None, log: TrackerLog | None, rows: int
+) -> str:
+    """What was seen, where it is written, what to do with it."""
+    parts = []
+    if ground is not None:
+        parts.append(rehearsal_headline(ground.rehearsal, MACHINES[wanted.machine].format(seed=wanted.seed)).sentence)
+        worst = ground.rehearsal.worst[0]
+        x, y, z = 1e3 * worst.p
+        parts.append(
+            f"Worst: {worst.force:.1f} N on line {worst.line} at s = {1e3 * worst.s:.0f} mm ({x:.0f}, {y:.0f}, {z:.0f}), mostly "
+            f"{worst.cause}."
+        )
+    written = ([f"{log.count} readings in tracker.csv"] if log is not None else []) + (
+        [f"{rows} rows in force.csv"] if rows else []
+    )
+    parts.append(
+        f"{' and '.join(written) or 'nothing logged'}".capitalize()
+        + f"; {'what was planted is sealed' if wanted.sealed else in_words(effects)}."
+    )
+    if ground is not None:
+        parts.append(f"Look at {out / 'rehearsal.html'}.")
+    if log is not None:
+        force = f" --force {out / 'force.csv'}" if rows else ""
+        parts.append(f"Next: python -m ocp.calibrate {out / 'tracker.csv'}{force} --cell {out / 'cell.toml'}")
+    return f"{out}: " + " ".join(parts)
 
 
 def simulate(

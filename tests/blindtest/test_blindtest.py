@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp.blindtest import answers, figures, scoring
 from ocp.blindtest.answers import make_answer
 from ocp.blindtest.oracle import oracle
 from ocp.blindtest.oracle.detectability import detectabilities
@@ -15,17 +16,14 @@ from ocp.blindtest.oracle.signatures import tracker_families
 from ocp.blindtest.oracle.tracker import TrackerView, point_covariance, scene_of, tracker_nuisance, tracker_view, tracker_whitener
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, make_all, resume, score_all
-from ocp.blindtest.scoring import figures, intervals, judging, rivals
-from ocp.blindtest.scoring.scoring import score_path
+from ocp.blindtest.scoring import score_path
 from ocp.blindtest.worlds import recipes
-from ocp.blindtest.worlds.files import write_cell
 from ocp.blindtest.worlds.machines import draw_tracker_machine
-from ocp.blindtest.worlds.outside_first import ON_ARM
-from ocp.blindtest.worlds.pools import scaled, within_range
-from ocp.blindtest.worlds.recipes import KINDS, Recipe
-from ocp.blindtest.worlds.sealing import SEALED, Check, label_path, read_label, read_seal
+from ocp.blindtest.worlds.outside_lists import ON_ARM
+from ocp.blindtest.worlds.recipes import KINDS, Recipe, scaled, within_range
+from ocp.blindtest.worlds.sealing import SEALED, Check, label_path, read_label, read_seal, write_cell
 from ocp.shell.progress import Phases
-from ocp.simulate.twin.truth.planting import Planted, draw_effect, parse_effect
+from ocp.simulate.twin.planting import Planted, draw_effect, parse_effect
 from robots.errors import BadInput
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -270,13 +268,13 @@ def test_an_answer_that_fails_is_kept_as_wrong(tmp_path):
 
 def test_a_name_is_right_within_its_class_with_the_joint():
     groups = [{("gear_1x", 3), ("encoder_scale", 3)}]
-    assert judging.first_right([("encoder_scale", 3)], [("gear_1x", 3)], groups, 1)
-    assert not judging.first_right([("encoder_scale", 3)], [("gear_1x", 2)], groups, 1)
-    assert not judging.first_right([("encoder_scale", 3)], [("backlash", 3), ("encoder_scale", 3)], [], 1)
-    assert judging.first_right([("encoder_scale", 3)], [("backlash", 3), ("encoder_scale", 3)], [], 3)
+    assert scoring.first_right([("encoder_scale", 3)], [("gear_1x", 3)], groups, 1)
+    assert not scoring.first_right([("encoder_scale", 3)], [("gear_1x", 2)], groups, 1)
+    assert not scoring.first_right([("encoder_scale", 3)], [("backlash", 3), ("encoder_scale", 3)], [], 1)
+    assert scoring.first_right([("encoder_scale", 3)], [("backlash", 3), ("encoder_scale", 3)], [], 3)
     # One name is never taken for two effects.
-    assert judging.matched([("encoder_scale", 3), ("gear_1x", 3)], [("gear_1x", 3)], groups) == 1
-    assert judging.matched([("encoder_scale", 3), ("gear_1x", 3)], [("gear_1x", 3), ("encoder_scale", 3)], groups) == 2
+    assert scoring.matched([("encoder_scale", 3), ("gear_1x", 3)], [("gear_1x", 3)], groups) == 1
+    assert scoring.matched([("encoder_scale", 3), ("gear_1x", 3)], [("gear_1x", 3), ("encoder_scale", 3)], groups) == 2
 
 
 def test_values_are_compared_as_they_are_meant():
@@ -285,16 +283,16 @@ def test_values_are_compared_as_they_are_meant():
         "amplitude_rad": {"value": 1.1e-4, "sd": 5e-6, "unit": "rad"},
         "phase_rad": {"value": 0.0168, "sd": 0.1, "unit": "rad"},
     }
-    error, z = judging.value_errors(wave, told)
+    error, z = scoring.value_errors(wave, told)
     assert error == pytest.approx(0.1) and z == pytest.approx([2.0, 1.0], abs=0.01)
     spring = Planted("gravity_compensator", 2, {"stiffness_N_m": 2e4, "lever_link1_m": 0.2, "lever_arm_m": 0.3})
     other = {
         k: {"value": v, "sd": s, "unit": ""}
         for k, v, s in (("stiffness_N_m", 1e4, 500.0), ("lever_link1_m", 0.4, None), ("lever_arm_m", 0.3, None))
     }
-    assert judging.value_errors(spring, other)[0] == pytest.approx(0.0)
+    assert scoring.value_errors(spring, other)[0] == pytest.approx(0.0)
     shift = Planted("payload_com", None, {"shift_m": (0.03, 0.0, 0.04)})
-    assert judging.value_errors(shift, {"shift_m": {"value": [0.03, 0.005, 0.04], "sd": [0.01] * 3, "unit": "m"}})[
+    assert scoring.value_errors(shift, {"shift_m": {"value": [0.03, 0.005, 0.04], "sd": [0.01] * 3, "unit": "m"}})[
         0
     ] == pytest.approx(0.1)
 
@@ -313,7 +311,7 @@ def row(kind: str, lam=(), first=True, **more):
         "diagnosis": part,
         "strict": part,
         "oracle": part,
-        "rivals": {m: part for m in rivals.METHODS},
+        "rivals": {m: part for m in answers.METHODS},
         "verdict": "explained",
         "p_none": 0.0,
         "p_unknown": 0.0,
@@ -386,11 +384,11 @@ def test_the_report_shows_figures_and_the_worst_answers(tmp_path):
 
 
 def test_intervals():
-    assert intervals.share_of_hits([True] * 9 + [False]).low == pytest.approx(0.5958, abs=1e-3)  # Wilson, 9 of 10
-    assert intervals.share_of_hits([True] * 9 + [False]).high == pytest.approx(0.9821, abs=1e-3)
-    assert intervals.share_of_hits([]).count == 0
-    assert intervals.f1([(2, 2, 2), (0, 1, 2)]).value == pytest.approx(2 * 2 / 7)
-    drawn = intervals.median(np.random.default_rng(0).normal(size=200))
+    assert figures.share_of_hits([True] * 9 + [False]).low == pytest.approx(0.5958, abs=1e-3)  # Wilson, 9 of 10
+    assert figures.share_of_hits([True] * 9 + [False]).high == pytest.approx(0.9821, abs=1e-3)
+    assert figures.share_of_hits([]).count == 0
+    assert figures.f1([(2, 2, 2), (0, 1, 2)]).value == pytest.approx(2 * 2 / 7)
+    drawn = figures.median(np.random.default_rng(0).normal(size=200))
     assert drawn.low < 0.0 < drawn.high and drawn.high - drawn.low < 0.6
 
 
@@ -405,12 +403,12 @@ def test_rivals_find_a_strong_effect():
     columns = [rng.normal(size=(90, V, m)) for V, m in ((1, 1), (20, 2), (1, 3), (1, 1))]
     y = 2.5 * columns[1][:, 7, 0] + rng.normal(size=90)
     names = (("a", 1), ("b", 2), ("c", 0), ("d", 3))
-    made = rivals.RivalColumns(names, tuple(columns), y, tuple(columns), y, 90)
-    for method in (rivals.single, rivals.stepwise, rivals.sparse, rivals.unprojected):
+    made = answers.RivalColumns(names, tuple(columns), y, tuple(columns), y, 90)
+    for method in (answers.single, answers.stepwise, answers.sparse, answers.unprojected):
         answer = method(made)
         assert answer.ranking[0] == ("b", 2) and answer.named[0] == ("b", 2), method
     quiet = replace(made, y=rng.normal(size=90), residual=rng.normal(size=90))
-    assert rivals.single(quiet).named == () and rivals.unprojected(quiet).named == ()
+    assert answers.single(quiet).named == () and answers.unprojected(quiet).named == ()
 
 
 FORBIDDEN = (

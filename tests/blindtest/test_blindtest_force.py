@@ -6,23 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.blindtest.drawing import draw_effects
 from ocp.blindtest.oracle.detectability import detectabilities
 from ocp.blindtest.oracle.force import ForceView, force_nuisance, force_view, noise_roots
 from ocp.blindtest.oracle.oracle import name_of
 from ocp.blindtest.oracle.signatures import force_families
+from ocp.blindtest.running import draw_effects
 from ocp.blindtest.worlds.bench import Bench
-from ocp.blindtest.worlds.files import log_noise, write_cell, write_world
 from ocp.blindtest.worlds.lines import drawn_runs, rows_of_runs
 from ocp.blindtest.worlds.machines import STORE, GrindingMachine, draw_grinding_machine
-from ocp.blindtest.worlds.outside_first import ON_GRINDING
-from ocp.blindtest.worlds.pools import kind_of, pool_of, scaled, within_range
-from ocp.blindtest.worlds.recipes import Recipe
-from ocp.blindtest.worlds.sealing import Check
+from ocp.blindtest.worlds.outside_lists import ON_GRINDING
+from ocp.blindtest.worlds.recipes import Recipe, kind_of, pool_of, scaled, within_range
+from ocp.blindtest.worlds.sealing import Check, log_noise, write_cell, write_world
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
-from ocp.simulate.twin.truth.planting import draw_effect, parse_effect
-from ocp.simulate.twin.truth.truth import PLACEMENT, SENSOR_SIGMA
+from ocp.simulate.twin.planting import draw_effect, parse_effect
+from ocp.simulate.twin.truth import PLACEMENT, SENSOR_SIGMA
 
 ROOT = Path(__file__).resolve().parents[2]
 SINGLE = Recipe(1, "single", 2, (50.0, 100.0))

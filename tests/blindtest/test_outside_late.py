@@ -7,18 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.blindtest.drawing import draw_effects
 from ocp.blindtest.oracle.detectability import detectabilities
 from ocp.blindtest.oracle.tracker import scene_of, tracker_view
-from ocp.blindtest.worlds import outside_first, recipes
-from ocp.blindtest.worlds.files import write_cell
+from ocp.blindtest.running import draw_effects
+from ocp.blindtest.worlds import outside_lists, recipes
 from ocp.blindtest.worlds.machines import arm_with_outside, draw_tracker_machine
 from ocp.blindtest.worlds.outside import moved_by
-from ocp.blindtest.worlds.outside_late import LATE
-from ocp.blindtest.worlds.pools import OUTSIDE, pool_of, scaled, within_range
-from ocp.blindtest.worlds.recipes import Recipe
-from ocp.simulate.twin.truth.kinds import ARM_KINDS as CATALOGUE
-from ocp.simulate.twin.truth.planting import Planted, draw_effect
+from ocp.blindtest.worlds.outside_lists import LATE
+from ocp.blindtest.worlds.recipes import OUTSIDE, Recipe, pool_of, scaled, within_range
+from ocp.blindtest.worlds.sealing import write_cell
+from ocp.simulate.twin.kinds import ARM_KINDS as CATALOGUE
+from ocp.simulate.twin.planting import Planted, draw_effect
 from robots.errors import BadInput
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,8 +48,8 @@ def bare(machine):
 
 
 def test_ten_that_are_in_no_other_list():
-    assert len(KINDS) == 10 and len(outside_first.ON_ARM) == 10
-    assert len(OUTSIDE) == len(LATE) + len(outside_first.ON_ARM) + len(outside_first.ON_GRINDING)
+    assert len(KINDS) == 10 and len(outside_lists.ON_ARM) == 10
+    assert len(OUTSIDE) == len(LATE) + len(outside_lists.ON_ARM) + len(outside_lists.ON_GRINDING)
     assert not set(OUTSIDE) & {kind.name for kind in CATALOGUE}
     assert len({one.form for one in LATE.values()}) == 10  # each has a form of its own
     assert {one.moves for one in LATE.values()} == {"angle", "link", "frame", "nest"}
@@ -227,12 +226,12 @@ def test_the_second_list_comes_only_where_it_is_asked_for():
     assert "outside_late" not in recipes.KINDS and {r.kind for r in recipes.recipes(190)} == set(recipes.KINDS)
     mixed = recipes.recipes(60, recipes.check_kinds("outside_late,none"))
     assert sum(r.kind == "outside_late" for r in mixed) == 40 and mixed[0].target in (None, recipes.STRANGE)
-    assert {k.name for k in pool_of(Recipe(1, "outside", 0, None), "tracker")} == set(outside_first.ON_ARM)
+    assert {k.name for k in pool_of(Recipe(1, "outside", 0, None), "tracker")} == set(outside_lists.ON_ARM)
     with pytest.raises(BadInput, match="has no effects of the force log"):
         recipes.check_kinds("outside_late", "force")
 
 
 def test_it_uses_nothing_of_the_diagnosis():
-    tree = ast.parse((ROOT / "ocp" / "blindtest" / "worlds" / "outside_late.py").read_text())
+    tree = ast.parse((ROOT / "ocp" / "blindtest" / "worlds" / "outside_lists.py").read_text())
     imported = {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
     assert not {i for i in imported if i.startswith(("ocp.diagnose", "ocp.effects", "ocp.model", "robots.calibration"))}

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from ocp.model.cell import read_cell
-from ocp.simulate.twin.arm.arm import arm_moments, make_arm
-from ocp.simulate.twin.arm.errors import gear_ratios
+from ocp.simulate.twin.arm import arm_moments, gear_ratios, make_arm
 from ocp.simulate.twin.dataset import delayed, joint_log
-from ocp.simulate.twin.truth.kinds import ARM_KINDS
-from ocp.simulate.twin.truth.planting import parse_effect
-from ocp.simulate.twin.truth.truth import draw_truth
+from ocp.simulate.twin.kinds import ARM_KINDS
+from ocp.simulate.twin.planting import parse_effect
+from ocp.simulate.twin.truth import draw_truth
 from robots.calibration.reading_model import RowInputs, predict_points
 from robots.errors import BadInput, Infeasible
 from robots.gravity import GRAVITY

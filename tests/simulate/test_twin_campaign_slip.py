@@ -5,9 +5,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from ocp.simulate.twin.campaign import already_slipped, ground_sides
 from ocp.simulate.twin.contact import ContactMoments
-from ocp.simulate.twin.run import VirtualMachine
+from ocp.simulate.twin.run import VirtualMachine, already_slipped, ground_sides
 from tests.support.twin_grinding import HERTZ_RATE, Bench, believed, moving
 
 Array = np.ndarray

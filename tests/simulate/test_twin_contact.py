@@ -12,12 +12,10 @@ from ocp.contact.blade.elasticity import Material
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import read_cell
 from ocp.model.prepare import wheel_cover
-from ocp.simulate.twin.contact.rubber import cover_section, make_rubber
-from ocp.simulate.twin.contact.stations import SolvedStations, depth_curves, place_stations
+from ocp.simulate.twin.contact.rubber import cover_section, make_rubber, press
 from ocp.simulate.twin.contact.surface import gap, near, postures, wheel_on_blade
-from ocp.simulate.twin.contact.table import LATTICE, LEVELS
-from ocp.simulate.twin.contact.unilateral import press
-from ocp.simulate.twin.contact.workpiece import solid_compliance
+from ocp.simulate.twin.contact.table import LATTICE, LEVELS, SolvedStations, depth_curves, place_stations
+from ocp.simulate.twin.contact.wheel_and_blade import solid_compliance
 from tests.support.small_plan import small_cell
 from tests.support.twin_grinding import BAR, FEED, HERTZ_RATE, Bench, moments
 from trajectories.blade import Blade

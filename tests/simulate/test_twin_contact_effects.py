@@ -8,10 +8,10 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from ocp.simulate.twin.contact import ContactMoments
-from ocp.simulate.twin.contact.chain import Chain, CoverForce, Mount, solve_chain
+from ocp.simulate.twin.contact.grinder import Chain, CoverForce, Mount, solve_chain
 from ocp.simulate.twin.contact.sensor import memory
 from ocp.simulate.twin.contact.table import LEVELS
-from ocp.simulate.twin.contact.workpiece import profile
+from ocp.simulate.twin.contact.wheel_and_blade import profile
 from tests.support.twin_grinding import HERTZ_RATE, Bench, moments, moving
 
 Array = np.ndarray

@@ -10,7 +10,8 @@ from ocp.model.cell import read_cell
 from ocp.model.prepare import wheel_cover
 from ocp.plan.paths import lay_paths
 from ocp.plan.second_route import believed_robot, bent
-from ocp.simulate.twin.contact import ContactMoments, make_grinder
+from ocp.simulate.twin.contact import ContactMoments
+from ocp.simulate.twin.contact.grinder import make_grinder
 from ocp.simulate.twin.contact.table import make_tables
 from robots.reference_kinematics import elementary_forward
 from tests.support import force_world

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.simulate.twin.contact import ContactMoments, ContactResult, read_sensor
-from ocp.simulate.twin.contact.sensor import memory
-from ocp.simulate.twin.truth.kinds import CONTACT_KINDS
+from ocp.simulate.twin.contact import ContactMoments, ContactResult
+from ocp.simulate.twin.contact.sensor import memory, read_sensor
+from ocp.simulate.twin.kinds import CONTACT_KINDS
 from tests.support.twin_grinding import HERTZ_RATE, Bench, believed, moments, moving
 
 Array = np.ndarray

@@ -8,11 +8,18 @@ import pytest
 
 from ocp.data import CELL
 from ocp.model.cell import read_cell
-from ocp.simulate.twin.arm.collide import WheelBody, refuse_hits
-from ocp.simulate.twin.controller.controller import drive
-from ocp.simulate.twin.controller.krl_text import ProgramPause, read_program
-from ocp.simulate.twin.controller.nominal import flange, frames, inverse_by_status, nominal_jacobian, solve_posture, status_turn
-from ocp.simulate.twin.controller.path_motion import flange_poses
+from ocp.simulate.twin.collide import WheelBody, refuse_hits
+from ocp.simulate.twin.controller import drive
+from ocp.simulate.twin.krl_text import ProgramPause, read_program
+from ocp.simulate.twin.path_motion import (
+    flange,
+    flange_poses,
+    frames,
+    inverse_by_status,
+    nominal_jacobian,
+    solve_posture,
+    status_turn,
+)
 from robots.errors import BadInput, Infeasible
 from robots.pose import invert
 from tests.support.krl_example import (

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocp.model.cell import read_cell
-from ocp.simulate.twin.arm.arm import arm_moments, make_arm
-from ocp.simulate.twin.truth.kinds import EFFECT_KINDS
-from ocp.simulate.twin.truth.planting import Planted, draw_effect, labels, parse_effect
-from ocp.simulate.twin.truth.truth import draw_truth
+from ocp.simulate.twin.arm import arm_moments, make_arm
+from ocp.simulate.twin.kinds import EFFECT_KINDS
+from ocp.simulate.twin.planting import Planted, draw_effect, labels, parse_effect
+from ocp.simulate.twin.truth import draw_truth
 from robots.errors import BadInput
 
 CELL = read_cell(Path(__file__).parents[2] / "ocp" / "data" / "cell.toml")

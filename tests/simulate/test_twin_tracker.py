@@ -12,12 +12,18 @@ from scipy.spatial.transform import Rotation
 
 from ocp.calibrate.tracker import as_in
 from ocp.model.cell import read_cell, read_tracker_setup
-from ocp.simulate.twin.arm.arm import arm_moments, make_arm
-from ocp.simulate.twin.designs import TrackerCampaign, design_from_poses, random_design, sealed_design
+from ocp.simulate.twin.arm import arm_moments, make_arm
+from ocp.simulate.twin.planting import parse_effect
 from ocp.simulate.twin.tracker import instrument, measure, nest_links, true_points
-from ocp.simulate.twin.tracker_log import random_world, tracker_world
-from ocp.simulate.twin.truth.planting import parse_effect
-from ocp.simulate.twin.truth.truth import draw_truth
+from ocp.simulate.twin.tracker_log import (
+    TrackerCampaign,
+    design_from_poses,
+    random_design,
+    random_world,
+    sealed_design,
+    tracker_world,
+)
+from ocp.simulate.twin.truth import draw_truth
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.layout import Choice
 from robots.calibration.solver import Campaign as Readings

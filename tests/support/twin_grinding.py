@@ -6,9 +6,11 @@ import numpy as np
 
 from ocp.data import CELL
 from ocp.model.cell import Cell, read_cell
-from ocp.simulate.twin.contact import ContactMoments, ContactResult, Grinder, Tables, make_grinder
-from ocp.simulate.twin.truth.planting import parse_effect
-from ocp.simulate.twin.truth.truth import Truth, draw_truth
+from ocp.simulate.twin.contact import ContactMoments, ContactResult
+from ocp.simulate.twin.contact.grinder import Grinder, make_grinder
+from ocp.simulate.twin.contact.table import Tables
+from ocp.simulate.twin.planting import parse_effect
+from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.pose import make_transform
 from trajectories.blade import Blade
 

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ocp.simulate.twin.truth.planting import Planted
+from ocp.simulate.twin.planting import Planted
 from robots.pose import Array
 
 # Instants that can be told apart, orders, nests: how many members of a scanned family are looked at.

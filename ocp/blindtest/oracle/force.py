@@ -16,7 +16,6 @@ from scipy.linalg import solve_triangular
 
 from ocp.blindtest.oracle import tracker
 from ocp.blindtest.oracle.detectability import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
-from ocp.blindtest.worlds.files import log_noise
 from ocp.blindtest.worlds.lines import RunRows
 from ocp.blindtest.worlds.machines import (
     DRIFT,
@@ -29,11 +28,12 @@ from ocp.blindtest.worlds.machines import (
     ZERO_SD,
     GrindingMachine,
 )
-from ocp.blindtest.worlds.pools import PLANTABLE
-from ocp.simulate.twin.arm.arm import make_arm
+from ocp.blindtest.worlds.recipes import PLANTABLE
+from ocp.blindtest.worlds.sealing import log_noise
+from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.contact.sensor import SLOW_SHARE, SLOW_TIME
-from ocp.simulate.twin.truth.planting import Planted
-from ocp.simulate.twin.truth.truth import MASS_SD, PLACEMENT, SENSOR_SIGMA, STIFFNESS
+from ocp.simulate.twin.planting import Planted
+from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, SENSOR_SIGMA, STIFFNESS
 from robots.pose import Array
 
 NUDGE, TURN = 2e-5, 4e-5  # m, rad: steps of the differences; the contact is solved to far less

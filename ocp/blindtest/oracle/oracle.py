@@ -21,8 +21,8 @@ from ocp.blindtest.oracle.force import ForceView, force_view
 from ocp.blindtest.oracle.signatures import ExactFamily, force_families, tracker_families
 from ocp.blindtest.oracle.tracker import TrackerView, tracker_view
 from ocp.blindtest.worlds.machines import BlindMachine, TrackerMachine
-from ocp.blindtest.worlds.pools import OUTSIDE, coefficient_count, is_wave, kind_of, share_of_range, upper_end
-from ocp.simulate.twin.truth.planting import Planted
+from ocp.blindtest.worlds.recipes import OUTSIDE, coefficient_count, is_wave, kind_of, share_of_range, upper_end
+from ocp.simulate.twin.planting import Planted
 from robots.pose import Array
 
 SIZES = np.geomspace(0.01, 1.0, 6)  # of the usual upper end

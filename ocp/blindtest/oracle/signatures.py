@@ -14,11 +14,11 @@ import numpy as np
 from ocp.blindtest.oracle.force import WAVES, ForceSlopes
 from ocp.blindtest.oracle.tracker import TrackerScene, cross_matrices
 from ocp.blindtest.worlds.machines import GrindingMachine, TrackerMachine
-from ocp.blindtest.worlds.pools import is_wave, kind_of, upper_end
-from ocp.simulate.twin.arm.errors import gear_ratios
-from ocp.simulate.twin.contact.wheel import SPLICE_SHARE, belt_travel
-from ocp.simulate.twin.truth.kinds import BENDING
-from ocp.simulate.twin.truth.planting import Planted, Value
+from ocp.blindtest.worlds.recipes import is_wave, kind_of, upper_end
+from ocp.simulate.twin.arm import gear_ratios
+from ocp.simulate.twin.contact.wheel_and_blade import SPLICE_SHARE, belt_travel
+from ocp.simulate.twin.kinds import BENDING
+from ocp.simulate.twin.planting import Planted, Value
 from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Index

@@ -15,11 +15,11 @@ import numpy as np
 from ocp.blindtest.oracle.detectability import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
 from ocp.blindtest.worlds.machines import TrackerMachine
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import VirtualArm, make_arm
-from ocp.simulate.twin.designs import TrackerCampaign
+from ocp.simulate.twin.arm import VirtualArm, make_arm
+from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.tracker import nest_links
-from ocp.simulate.twin.truth.planting import Planted
-from ocp.simulate.twin.truth.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, RIPPLE, STIFFNESS, Truth
+from ocp.simulate.twin.tracker_log import TrackerCampaign
+from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, RIPPLE, STIFFNESS, Truth
 from robots.pose import Array, apply
 
 FREE = 1.0  # m, rad: the tracker's place is not known at all

@@ -15,12 +15,15 @@ from scipy.spatial.transform import Rotation
 
 from ocp.blindtest.worlds.lines import GroundLine, RunRows
 from ocp.blindtest.worlds.outside import GrindingInstants, moved_by
-from ocp.blindtest.worlds.pools import OUTSIDE, of_arm
+from ocp.blindtest.worlds.recipes import OUTSIDE, of_arm
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Moments, arm_moments, make_arm
-from ocp.simulate.twin.contact import ContactMoments, ContactResult, Tables, make_grinder, read_sensor
-from ocp.simulate.twin.contact.wheel import belt_travel
-from ocp.simulate.twin.truth.truth import Truth
+from ocp.simulate.twin.arm import Moments, arm_moments, make_arm
+from ocp.simulate.twin.contact import ContactMoments, ContactResult
+from ocp.simulate.twin.contact.grinder import make_grinder
+from ocp.simulate.twin.contact.sensor import read_sensor
+from ocp.simulate.twin.contact.table import Tables
+from ocp.simulate.twin.contact.wheel_and_blade import belt_travel
+from ocp.simulate.twin.truth import Truth
 from robots.pose import Array
 from trajectories.blade import Blade
 

@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell, read_cell
-from ocp.simulate.twin.arm.arm import Moments, VirtualArm, arm_moments
-from ocp.simulate.twin.controller.nominal import follow, frames, nominal_error, nominal_jacobian
-from ocp.simulate.twin.truth.truth import Truth
+from ocp.simulate.twin.arm import Moments, VirtualArm, arm_moments
+from ocp.simulate.twin.path_motion import follow, frames, nominal_error, nominal_jacobian
+from ocp.simulate.twin.truth import Truth
 from robots.errors import Infeasible
 from robots.pose import Array, invert, make_transform
 from robots.tracker_readings import Index

@@ -15,15 +15,14 @@ import numpy as np
 from ocp.blindtest.worlds.bench import Bench, Log, save_store, store_of
 from ocp.blindtest.worlds.lines import RunRows, blade_lines, drawn_runs, rows_of_runs, taught
 from ocp.blindtest.worlds.outside import OutsideArm
-from ocp.blindtest.worlds.pools import OUTSIDE, of_arm
-from ocp.blindtest.worlds.recipes import Recipe
+from ocp.blindtest.worlds.recipes import OUTSIDE, Recipe, of_arm
 from ocp.model.cell import Cell, read_cell
-from ocp.simulate.twin.arm.arm import VirtualArm, make_arm
+from ocp.simulate.twin.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact.table import make_tables
-from ocp.simulate.twin.designs import TrackerCampaign, random_design, sealed_design
+from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.tracker import true_points
-from ocp.simulate.twin.truth.planting import Planted
-from ocp.simulate.twin.truth.truth import REPEATABILITY, Truth, draw_truth
+from ocp.simulate.twin.tracker_log import TrackerCampaign, random_design, sealed_design
+from ocp.simulate.twin.truth import REPEATABILITY, Truth, draw_truth
 from robots.pose import Array
 
 STORE = "contact.pkl"

@@ -1,7 +1,7 @@
 """Effects that the catalogue does not hold: how a list of them is written down, and a virtual arm that carries them.
 
 In a world with such an effect "none of these" is the right answer. There are two lists, kept apart on purpose: the first
-(`outside_first`) was known to the author of the diagnosis, the second (`outside_late`) was invented unseen. An effect has one
+was known to the author of the diagnosis, the second was invented unseen. An effect has one
 size; its form says, per unit size, how much it moves of one of these:
 
     angle     dq (n,) rad of its joint
@@ -22,12 +22,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Moments, VirtualArm
-from ocp.simulate.twin.arm.errors import hung
-from ocp.simulate.twin.arm.machine import GRAVITY
+from ocp.simulate.twin.arm import Moments, VirtualArm, hung
+from ocp.simulate.twin.kinds import EffectKind, Key
+from ocp.simulate.twin.machine import GRAVITY
+from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.tracker import nest_links
-from ocp.simulate.twin.truth.kinds import EffectKind, Key
-from ocp.simulate.twin.truth.planting import Planted
 from robots.pose import Array, apply, invert
 from robots.robot import Robot
 

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Moments, VirtualArm
-from ocp.simulate.twin.arm.errors import AxisState, motor_side
+from ocp.simulate.twin.arm import AxisState, Moments, VirtualArm, motor_side
 from ocp.simulate.twin.contact.sensor import delayed
+from ocp.simulate.twin.planting import labels
 from ocp.simulate.twin.run import GroundPasses
-from ocp.simulate.twin.truth.planting import labels
-from ocp.simulate.twin.truth.truth import Truth
+from ocp.simulate.twin.truth import Truth
 from robots.errors import BadInput
 from robots.pose import Array
 

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.controller.controller import Index, Track
-from ocp.simulate.twin.controller.krl_text import DrivenMotion, KrlProgram
+from ocp.simulate.twin.controller import Index, Track
+from ocp.simulate.twin.krl_text import DrivenMotion, KrlProgram
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array, abc_from_rotation, invert

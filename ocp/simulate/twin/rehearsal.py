@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.simulate.twin.arm.collide import WheelBody, true_wheel
+from ocp.simulate.twin.collide import WheelBody, true_wheel
 from ocp.simulate.twin.contact import ContactMoments
-from ocp.simulate.twin.controller.controller import Index
+from ocp.simulate.twin.controller import Index
 from ocp.simulate.twin.plan_knowledge import Matched
 from ocp.simulate.twin.run import GroundPasses, VirtualMachine, pushed_by, true_blade
 from robots.pose import Array, apply

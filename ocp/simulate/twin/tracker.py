@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm.arm import Moments, VirtualArm
-from ocp.simulate.twin.truth.truth import Truth
+from ocp.simulate.twin.arm import Moments, VirtualArm
+from ocp.simulate.twin.truth import Truth
 from robots.errors import BadInput
 from robots.pose import Array, apply
 

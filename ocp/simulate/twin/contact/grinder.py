@@ -1,30 +1,239 @@
-"""The grinding of a virtual cell: from the arm's pose, free of contact, to the force between blade and wheel."""
+"""The grinding of a virtual cell: from the arm's pose, free of contact, to the force between blade and wheel.
 
-from dataclasses import dataclass
+Wheel, blade, arm and mount together give way by the overlap: one monotone equation at every instant.
+
+    depth = stroke(F) (n.a) + indentation(F) + F compliance                                        (4)
+
+The unknown is v = (load / process load)^(2/3), in which the cover's curve is nearly straight; halving the interval finds it
+for all instants at once and cannot fail. The mount between arm and blade is a rigid one, or the force-setting flange with what
+happens to it.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.contact.chain import Chain, CoverForce, make_mount
-from ocp.simulate.twin.contact.contact_instants import ContactMoments, ContactResult, Index
-from ocp.simulate.twin.contact.sensor import lagging
-from ocp.simulate.twin.contact.stations import SolvedStations, depth_curves, place_stations
+from ocp.simulate.twin.contact import ContactMoments, ContactResult, Index
+from ocp.simulate.twin.contact.sensor import lagging, memory
 from ocp.simulate.twin.contact.surface import Postures, postures
-from ocp.simulate.twin.contact.table import Tables, make_tables
-from ocp.simulate.twin.contact.wheel import LAW_CENTRE, friction, law_power, modulus_factor, push, radius_change, solve_relaxing
-from ocp.simulate.twin.contact.workpiece import (
+from ocp.simulate.twin.contact.table import LEVELS, SolvedStations, Tables, depth_curves, make_tables, place_stations
+from ocp.simulate.twin.contact.wheel_and_blade import (
+    LAW_CENTRE,
     arm_compliance_along,
     blade_compliance_along,
     blade_poses,
     blade_stiffness,
     clamp_compliance,
+    friction,
+    law_power,
+    modulus_factor,
+    push,
+    radius_change,
     solid_compliance,
     surface_change,
     wheel_frames,
 )
-from ocp.simulate.twin.truth.truth import Truth
+from ocp.simulate.twin.truth import Truth
 from robots.pose import Array
 from trajectories.blade import Blade
+
+GRAVITY = 9.80665  # m/s^2, standard gravity
+
+
+@dataclass(frozen=True)
+class Mount:
+    """What carries the blade. along (n,): n.a; preload (n,) N at stroke 0; stiffness N/m; half m: stroke to each side; friction
+    (n,) N against the stroke's motion; held (n,) m or None: the stroke where it sticks. stiffness 0: no flange."""
+
+    along: Array
+    preload: Array
+    stiffness: float
+    half: float
+    friction: Array
+    held: Array | None = None
+
+    def stroke(self, force: Array) -> Array:
+        """Stroke (n,) m under contact forces (n,) N; positive gives way to the wheel."""
+        if self.held is not None:
+            return self.held
+        if self.stiffness == 0.0:
+            return np.zeros_like(force)
+        free = (force * self.along - self.preload - self.friction) / self.stiffness
+        return np.asarray(np.clip(free, -self.half, self.half))
+
+
+def make_mount(truth: Truth, cell: Cell, c: ContactMoments, rows: Index, normal: Array) -> Mount:
+    """The mount at the instants `rows`; `normal` (rows, 3): outward normals of the blade there, base axes."""
+    flange = cell.flange
+    zero = np.zeros(len(rows))
+    if flange is None:
+        return Mount(zero, zero, 0.0, 0.0, zero)
+    if flange.axis is None:
+        direction = normal
+    else:
+        direction = c.T_base_flange[rows, :3, :3] @ flange.axis
+        direction = direction * np.where(np.sum(direction * normal, axis=1) < 0, -1.0, 1.0)[:, None]
+    mass = 0.0 if flange.gravity_compensated else flange.carried_mass
+    mass += sum(effect.number("kg") for effect in truth.planted("flange_gravity"))
+    setpoint = np.where(np.isfinite(c.setpoint[rows]), c.setpoint[rows], flange.setpoint) + truth.flange_offset
+    stiffness = flange.stiffness * truth.flange_scale
+    for effect in truth.planted("flange_stiffness"):
+        stiffness *= 1 + effect.number("scale")
+    stick = sum(effect.number("N") for effect in truth.planted("flange_friction"))
+    return Mount(
+        along=np.sum(direction * normal, axis=1),
+        preload=setpoint - mass * GRAVITY * direction[:, 2],
+        stiffness=float(stiffness),
+        half=0.5 * flange.stroke,
+        friction=np.full(len(rows), float(stick)),
+    )
+
+
+V = LEVELS ** (2 / 3)
+HIGHEST = 14.0  # v of the highest force looked for, 52 process forces; the curve goes on straight beyond the last level
+HALVINGS = 46  # the interval is then rounding
+
+
+@dataclass(frozen=True)
+class CoverForce:
+    """Force of the cover at a load: unit (n,) N at the process load; F = centre (unit v^1.5 / centre)^power, centre in N;
+    `push` (n,) N acts beside it wherever there is contact; `slack` (n,) N has relaxed."""
+
+    unit: Array
+    centre: float
+    power: float
+    push: Array
+    slack: Array
+
+    def elastic(self, v: Array) -> Array:
+        """Force (n,) N without push and relaxation."""
+        return np.asarray(self.centre * (self.unit * v**1.5 / self.centre) ** self.power)
+
+    def __call__(self, v: Array) -> Array:
+        """Force (n,) N."""
+        return np.asarray(np.maximum(self.elastic(v) - self.slack, 0.0) + self.push)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """At n instants: depth m of the undeformed bodies, indentation (n, levels) m, compliance (n,) m/N; cover, mount."""
+
+    depth: Array
+    indentation: Array
+    compliance: Array
+    cover: CoverForce
+    mount: Mount
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """Force N, elastic force of the cover N, stroke m, indentation m at n instants."""
+
+    force: Array
+    elastic: Array
+    stroke: Array
+    indentation: Array
+
+
+def solve_chain(chain: Chain) -> Equilibrium:
+    """Force at every instant; 0 where the bodies do not meet."""
+    slopes = _slopes(chain.indentation)
+
+    def excess(v: Array, force: Array) -> Array:
+        closed = chain.mount.stroke(force) * chain.mount.along + _curve(chain.indentation, slopes, v) + force * chain.compliance
+        return np.asarray(chain.depth - closed)
+
+    zero = np.zeros_like(chain.depth)
+    at_touch = chain.cover(zero)
+    meets = excess(zero, zero) > 0
+    loaded = excess(zero, at_touch) > 0
+    low, high = zero.copy(), np.full_like(zero, HIGHEST)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        more = excess(middle, chain.cover(middle)) > 0
+        low, high = np.where(more, middle, low), np.where(more, high, middle)
+    v = np.where(loaded, 0.5 * (low + high), 0.0)
+    force = chain.cover(v)
+    only_push = meets & ~loaded & (at_touch > 0)
+    if only_push.any():
+        low, high = zero.copy(), at_touch.copy()
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            more = excess(zero, middle) > 0
+            low, high = np.where(more, middle, low), np.where(more, high, middle)
+        force = np.where(only_push, 0.5 * (low + high), force)
+    force = np.where(meets, force, 0.0)
+    indentation = np.where(meets, _curve(chain.indentation, slopes, v), np.nan)
+    return Equilibrium(force, np.where(meets, chain.cover.elastic(v), 0.0), chain.mount.stroke(force), indentation)
+
+
+def solve_sticking(chain: Chain, restart: Array) -> Equilibrium:
+    """Force with Coulomb friction in the mount: the stroke stays where it is as long as friction can hold it there.
+
+    restart (n,): True where the memory begins, with the stroke having last given way to the wheel.
+    """
+    mount = chain.mount
+    if mount.stiffness == 0.0 or not np.any(mount.friction):
+        return solve_chain(chain)
+    least = solve_chain(chain).stroke
+    most = solve_chain(replace(chain, mount=replace(mount, friction=-mount.friction))).stroke
+    least, most = np.minimum(least, most), np.maximum(least, most)
+    held = np.empty_like(least)
+    last = 0.0
+    for k in range(len(held)):
+        last = least[k] if restart[k] else min(max(last, least[k]), most[k])
+        held[k] = last
+    return solve_chain(replace(chain, mount=replace(mount, held=held)))
+
+
+ITERATIONS, SETTLED = 40, 1e-6  # of the relaxation, N
+
+
+def solve_relaxing(truth: Truth, chain: Chain, time_s: Array, restart: Array) -> Equilibrium:
+    """Forces of a cover that relaxes as a standard linear solid on top of its elastic law, with memory along each run.
+
+    F = F_elastic - g q,  dq/dt = (F_elastic - q) / tau,  q = 0 where `restart` is True. The memory is causal and weak (g < 1), so
+    solving all instants for a given q and renewing q from the forces settles at once.
+    """
+    solids = [(effect.number("g"), effect.number("tau")) for effect in truth.planted("wheel_relaxation")]
+    result = solve_sticking(chain, restart)
+    if not solids:
+        return result
+    before = result.elastic
+    for _ in range(ITERATIONS):
+        slack = np.zeros_like(before)
+        for g, tau in solids:
+            slack += g * memory(before, time_s, restart, tau)
+        result = solve_sticking(replace(chain, cover=replace(chain.cover, slack=slack)), restart)
+        if np.abs(result.elastic - before).max(initial=0.0) < SETTLED:
+            break
+        before = result.elastic
+    return result
+
+
+def _slopes(depth: Array) -> Array:
+    """Slopes (n, levels) of monotone cubics through the levels (Fritsch and Butland 1984, as in PCHIP), one-sided at the ends."""
+    h = np.diff(V)
+    rise = np.diff(depth, axis=1) / h
+    left, right = rise[:, :-1], rise[:, 1:]
+    w1, w2 = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
+    same = left * right > 0
+    inner = np.where(same, (w1 + w2) / (w1 / np.where(same, left, 1.0) + w2 / np.where(same, right, 1.0)), 0.0)
+    return np.concatenate([rise[:, :1], inner, rise[:, -1:]], axis=1)
+
+
+def _curve(depth: Array, slopes: Array, v: Array) -> Array:
+    """Depth (n,) at v (n,): cubics between the levels, straight beyond the last."""
+    i = np.clip(np.searchsorted(V, v, side="right") - 1, 0, len(V) - 2)
+    row = np.arange(len(v))
+    h = V[i + 1] - V[i]
+    u = (np.minimum(v, V[-1]) - V[i]) / h
+    a, b = depth[row, i], depth[row, i + 1]
+    da, db = slopes[row, i] * h, slopes[row, i + 1] * h
+    value = a + u * (da + u * (3 * (b - a) - 2 * da - db + u * (2 * (a - b) + da + db)))
+    return np.asarray(value + np.maximum(v - V[-1], 0.0) * slopes[:, -1])
+
 
 PAUSE = 0.5  # s without a row in contact after which the cover and the flange have forgotten
 

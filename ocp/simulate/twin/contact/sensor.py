@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ocp.simulate.twin.contact.contact_instants import ContactMoments, ContactResult, Index
-from ocp.simulate.twin.truth.truth import Truth
+from ocp.simulate.twin.contact import ContactMoments, ContactResult, Index
+from ocp.simulate.twin.truth import Truth
 from robots.pose import Array
 
 STANDING = 1e-9  # m between rows: less is no motion

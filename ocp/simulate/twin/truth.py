@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.truth.planting import Planted
+from ocp.simulate.twin.planting import Planted
 from robots.errors import BadInput
 from robots.pose import Array, make_transform
 

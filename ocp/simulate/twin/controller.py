@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from ocp.simulate.twin.controller.krl_text import DrivenMotion, KrlProgram, ProgramPause
-from ocp.simulate.twin.controller.nominal import inverse_by_status, solve_posture
-from ocp.simulate.twin.controller.path_motion import PathSegment, drive_path, flange_poses
+from ocp.simulate.twin.krl_text import DrivenMotion, KrlProgram, ProgramPause
+from ocp.simulate.twin.path_motion import PathSegment, drive_path, flange_poses, inverse_by_status, solve_posture
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
 from robots.robot import Robot

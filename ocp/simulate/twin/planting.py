@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.simulate.twin.truth.kinds import EFFECT_KINDS, EffectKind, Key
+from ocp.simulate.twin.kinds import EFFECT_KINDS, EffectKind, Key
 from robots.errors import BadInput
 
 Value = float | tuple[float, ...] | str

@@ -13,7 +13,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.controller.controller import Index
+from ocp.simulate.twin.controller import Index
 from ocp.simulate.twin.plan_knowledge import AWAY
 from robots.errors import Infeasible
 from robots.pose import Array, invert
