@@ -17,7 +17,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ocp.diagnose.channels import channels_of
+from ocp.diagnose.answering import channels_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.verdict.diagnosis import diagnose_channels

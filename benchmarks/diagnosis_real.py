@@ -16,16 +16,14 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ocp.diagnose.answering import answer_of
-from ocp.diagnose.channels import tracker_channel
+from ocp.diagnose.answering import answer_of, tracker_channel
 from ocp.diagnose.dataset import DataSet, read_data_set, read_sealed_tracker
 from ocp.diagnose.engine.channel_system import HeldOut
-from ocp.diagnose.engine.families import candidates
+from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Options
-from ocp.diagnose.engine.projection import stack
+from ocp.diagnose.engine.linearisation import candidates
 from ocp.diagnose.engine.selection import SelectedEffects, select_on_held_out
-from ocp.diagnose.published import kr300
-from ocp.diagnose.published.ur import ACHIEVED, TARGET, PublishedCampaign, held_rows, read_campaign, write_data_set
+from ocp.diagnose.published import ACHIEVED, TARGET, PublishedCampaign, held_rows, read_campaign, write_data_set, write_recordings
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -290,7 +288,7 @@ def main() -> None:
         for robot in options.robots:
             if robot == "kr300":
                 (Path(made) / robot).mkdir()
-                kr300.write_recordings([options.data / "kr300_secondary_encoder" / "FF_A.mat"], Path(made) / robot)
+                write_recordings([options.data / "kr300_secondary_encoder" / "FF_A.mat"], Path(made) / robot)
                 print("\nKR300, answer\n", flush=True)
                 answer_part(Path(made) / robot)
             else:

@@ -11,10 +11,10 @@ import sys
 from pathlib import Path
 
 from ocp.blindtest.worlds.sealing import SEALED, WORLDS
-from ocp.diagnose.channels import channels_of
+from ocp.diagnose.answering import channels_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.findings import Options
-from ocp.diagnose.engine.problem import linearised
+from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.search import search_and_refit
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.effects.catalogue import library

@@ -28,8 +28,8 @@ from ocp.blindtest.worlds.sealing import WITHHELD, Check, write_whole
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
 from ocp.diagnose.engine.channel_system import Channel, Sealed
-from ocp.diagnose.engine.families import stacked_columns
-from ocp.diagnose.engine.projection import stack
+from ocp.diagnose.engine.evidence import stack
+from ocp.diagnose.engine.linearisation import stacked_columns
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect
 from ocp.shell.progress import Phases

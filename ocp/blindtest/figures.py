@@ -76,7 +76,7 @@ Row = dict[str, Any]
 STRANGE = 25.0  # lambda that the best two effects of the library leave of one it cannot imitate
 CONFIDENT, HARM, EXPLAINABLE = 0.8, -0.02, 0.1
 FALSE_POSITIVES = 0.05
-POWER = 0.9  # the size that is reported (`ocp.diagnose.engine.visible`) is named nine times of ten
+POWER = 0.9  # the size that is reported (`ocp.diagnose.engine.evidence`) is named nine times of ten
 LEAST = 30  # worlds without which a curve is not fitted
 SHOWN, DEALS = 20, 200  # worst answers; how often labels are dealt anew
 

@@ -22,7 +22,7 @@ from ocp.blindtest.worlds.machines import BlindMachine, GrindingMachine, Tracker
 from ocp.blindtest.worlds.recipes import OUTSIDE, Recipe, of_arm
 from ocp.blindtest.worlds.sealing import Check, Label, machine_of, read_label, write_whole, write_world
 from ocp.calibrate.force.log import read_force_log
-from ocp.diagnose.channels import channels_of
+from ocp.diagnose.answering import channels_of
 from ocp.diagnose.dataset import read_data_set, read_sealed_tracker
 from ocp.diagnose.force.channel import predict_believed
 from ocp.model.cell import read_cell

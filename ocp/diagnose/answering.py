@@ -1,32 +1,133 @@
-"""From a data set to its answer, and the answer to its folder."""
+"""From a data set to its answer, and the answer to its folder.
 
+One channel for every signal that was measured, the diagnosis, blind predictions of sealed conditions row by row in their
+order (FORMATS, "What the software writes"), the report. The latter is drawn by a second process that gets ready while this
+one diagnoses: matplotlib takes a second to import and a second to draw, on a second core neither is waited for. With one core
+the page is made here, after the rest.
+"""
+
+import csv
+import gc
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
+from typing import cast
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ocp.diagnose.channels import channels_of
 from ocp.diagnose.corrected import write_corrected_cell
-from ocp.diagnose.dataset import blinds, read_data_set, read_sealed_force, read_sealed_tracker
+from ocp.diagnose.dataset import TRACKER, DataSet, blinds, read_data_set, read_sealed_force, read_sealed_tracker
 from ocp.diagnose.document import document_of, json_text
-from ocp.diagnose.engine.channel_system import Channel, Sealed
+from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
-from ocp.diagnose.predictions import averaged, write_force_predictions, write_tracker_predictions
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline
-from ocp.diagnose.reporting import drawn_beside
 from ocp.diagnose.rules import FOLLOWED_FORCE
-from ocp.diagnose.verdict.answer import Answer
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.tracker.refit import believed_baseline
+from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect
 from ocp.shell.cache import sha256
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases
+from ocp.shell.workers import cores, interrupts_held_back, nothing, workers
+from robots.calibration.mistakes import refuse_mistakes
+from robots.calibration.solver import Campaign
 from robots.errors import BadInput, Infeasible
+from robots.pose import Array
+
+
+def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
+    """Channels in the order tracker, force, joint, the believed cell fitted to each. Raises BadInput of every part."""
+    found: list[Channel] = []
+    if data.readings is not None:
+        with phases.phase("tracker"):
+            found.append(tracker_channel(data))
+    if data.log is not None:
+        with phases.phase("force"):
+            found.append(_force_channel(data))
+    if data.joints is not None:
+        with phases.phase("joints"):
+            found.append(_joint_channel(data))
+    return found
+
+
+def tracker_channel(data: DataSet) -> TrackerChannel:
+    """The believed arm refitted to the readings. Raises BadInput: readings that are a mistake, or that place nothing."""
+    setup, readings = data.setup, data.readings
+    assert readings is not None
+    campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
+    try:
+        refuse_mistakes(campaign)
+        task, fit = believed_baseline(campaign, setup.compliant_joints, setup.tables.reference_temperature_C, _stated(data))
+    except np.linalg.LinAlgError:
+        raise BadInput(
+            f"{readings.path}: the readings leave something open that no prior holds, as the tracker's turn; measure more "
+            "postures, with all axes moved, and give the nests' places in [tracker.targets]"
+        ) from None
+    return TrackerChannel(task, fit)
+
+
+def _force_channel(data: DataSet) -> Channel:
+    """The believed contact refitted to the log, the arm as the tracker's readings place it."""
+    from ocp.diagnose.force.channel import force_channel  # blade and contact: only for those who measured force
+
+    assert data.cell is not None and data.log is not None
+    return force_channel(data.cell, data.log, None if data.readings is None else data.folder / TRACKER)
+
+
+def _joint_channel(data: DataSet) -> Channel:
+    """Link-side encoders."""
+    from ocp.diagnose.joints.channel import joint_channel
+
+    assert data.joints is not None
+    return joint_channel(data.joints, data.setup.robot, data.payload, _stated(data))
+
+
+def _stated(data: DataSet) -> bool:
+    """Whether the cell states its springs itself: those are believed more than a catalogue's."""
+    return data.setup.tables.robot.stiffness_Nm_per_rad is not None
+
+
+def averaged(parts: Sequence[tuple[float, Sealed]]) -> Sealed:
+    """Corrected predictions of several alternatives by their probabilities, sigma with what they differ by; the baseline is
+    that of the first."""
+    total = sum(p for p, _ in parts)
+    corrected = sum(p * s.corrected for p, s in parts) / total
+    variance = sum(p * (s.sigma**2 + (s.corrected - corrected) ** 2) for p, s in parts) / total
+    lacking = tuple(dict.fromkeys(name for _, s in parts for name in s.lacking))
+    return Sealed(parts[0][1].baseline, np.asarray(corrected), np.sqrt(variance), lacking)
+
+
+def write_tracker_predictions(path: Path, sealed: Sealed) -> None:
+    """x, y, z in mm of the baseline, of the corrected model and its one sigma; sealed holds m."""
+    axes = [f"{c}_mm" for c in "xyz"]
+    _write(path, axes, sealed, 1e3)
+
+
+def write_force_predictions(path: Path, sealed: Sealed) -> None:
+    """fn in N of the baseline, of the corrected model and its one sigma; a tangential column of the channel is left out."""
+    first = [np.asarray(a).reshape(len(a), -1)[:, :1] for a in (sealed.baseline, sealed.corrected, sealed.sigma)]
+    normal = Sealed(first[0], first[1], first[2])
+    _write(path, ["fn_N"], normal, 1.0)
+
+
+def _write(path: Path, columns: Sequence[str], sealed: Sealed, factor: float) -> None:
+    header = [f"{kind}_{c}" for kind in ("baseline", "corrected", "sigma") for c in columns]
+    rows: Array = factor * np.hstack([sealed.baseline, sealed.corrected, sealed.sigma])
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for row in rows:
+            writer.writerow([f"{v:.5f}" for v in row])
+
 
 _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
 NEVER = frozenset({"speed"})  # no column of readings at rest
@@ -150,3 +251,66 @@ def last_line(answer: Answer, out: Path) -> str:
 
 def _of(channels: Sequence[Channel], signal: str) -> Channel:
     return next(c for c in channels if c.name == signal)
+
+
+Page = Callable[[], bytes]
+"""Gives the page's bytes, and waits for them where it must."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a report shows of a force channel. The channel itself holds blade and contact of every row, 300 MB of a long log, and
+    would be handed over for seconds."""
+
+    name: str
+    unit: str
+    conditions: ReadingConditions
+    noise_floor: float
+    residual: Array
+
+    def gap(self) -> Array:
+        """Residuals (n, k) SI."""
+        return self.residual
+
+
+def lean(answer: Answer) -> Answer:
+    """An answer with no more of its channels than the report shows."""
+    gaps = tuple(_lean_gap(gap) for gap in answer.gaps)
+    before, after = tuple(g.baseline for g in gaps), tuple(g.corrected for g in gaps)
+    return replace(answer, gaps=gaps, diagnosis=replace(answer.diagnosis, baseline=before, channels=after))
+
+
+def _lean_gap(gap: SignalGap) -> SignalGap:
+    return replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected))
+
+
+def _shown(channel: Channel) -> Channel:
+    if isinstance(channel, TrackerChannel):
+        return replace(channel, store={})
+    if channel.name != "force":
+        return channel
+    return cast(Channel, Shown(channel.name, channel.unit, channel.conditions, channel.noise_floor, channel.gap()))
+
+
+@contextmanager
+def drawn_beside() -> Iterator[Callable[[Answer, dict[str, str]], Page]]:
+    """What begins to draw the page of an answer (hashes: SHA-256 by file name of what was read); where the block ends early the
+    second process is ended."""
+    if cores() < 2:
+        yield lambda answer, hashes: lambda: _page_of(answer, hashes)
+        return
+    with workers(1, _ready) as pool:
+        with interrupts_held_back():
+            pool.submit(nothing)  # a pool starts its process at the first task
+        yield lambda answer, hashes: pool.submit(_page_of, lean(answer), hashes).result
+
+
+def _ready() -> None:
+    import_module("ocp.diagnose.report.page").warm_up()
+    gc.freeze()  # what was imported stays: looking through it for garbage again and again takes a tenth of the drawing
+
+
+def _page_of(answer: Answer, hashes: dict[str, str]) -> bytes:
+    from ocp.diagnose.report.page import diagnosis_page
+
+    return diagnosis_page(answer, hashes)

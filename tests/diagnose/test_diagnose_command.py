@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.diagnose.answering import write_diagnosis
-from ocp.diagnose.channels import tracker_channel
+from ocp.diagnose.answering import tracker_channel, write_diagnosis
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.document import Document
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Ranked

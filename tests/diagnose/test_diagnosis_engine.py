@@ -5,14 +5,11 @@ import pytest
 from scipy.stats import f as f_law
 from scipy.stats import gamma, kstest, norm
 
-from ocp.diagnose.engine.beam import Search, weigh
+from ocp.diagnose.engine.beam import Member, Search, given, scan, scan_one, weigh
 from ocp.diagnose.engine.channel_system import ReadingConditions
-from ocp.diagnose.engine.evidence import coefficients_given, log_evidence, size_grid
-from ocp.diagnose.engine.families import positive_of
+from ocp.diagnose.engine.evidence import coefficients_given, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.pool import Member, given, scan, scan_one
-from ocp.diagnose.engine.problem import linearised
-from ocp.diagnose.engine.projection import project
+from ocp.diagnose.engine.linearisation import linearised, positive_of
 from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.location import kernel_tests

@@ -11,14 +11,12 @@ import pytest
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import log_conditions
+from ocp.diagnose.answering import _shown
 from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.force.channel import ForceChannel, force_channel
-from ocp.diagnose.force.fit import ForceProblem, fit_effects
+from ocp.diagnose.force.fit import ForceProblem, Whitener, fit_effects
 from ocp.diagnose.force.prediction import effect_derivatives, force_derivatives, predict_forces
-from ocp.diagnose.force.prior import contact_prior
-from ocp.diagnose.force.setpoints import with_setpoints_read_off
-from ocp.diagnose.force.whitening import Whitener
-from ocp.diagnose.reporting import _shown
+from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect

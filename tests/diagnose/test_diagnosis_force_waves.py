@@ -7,12 +7,12 @@ import pytest
 
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.problem import linearised
+from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.search import Diverged, reweighted, search_and_refit
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.fit import fit_effects, linear
 from ocp.diagnose.force.prediction import predict_forces
-from ocp.diagnose.force.splice_trains import likely_trains
+from ocp.diagnose.force.waves import likely_trains
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
 from robots.errors import Infeasible

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ocp.diagnose.channels import channels_of
+from ocp.diagnose.answering import channels_of
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library

@@ -8,8 +8,8 @@ import pytest
 from ocp.diagnose.engine.channel_system import Fold, HeldOut
 from ocp.diagnose.joints.channel import ARCSEC, joint_channel
 from ocp.diagnose.joints.log import read_joint_log
-from ocp.diagnose.joints.noise import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
-from ocp.diagnose.published.kr300 import write_recordings
+from ocp.diagnose.joints.signals import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
+from ocp.diagnose.published import write_recordings
 from ocp.diagnose.verdict.shrinkage import from_folds, realised
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active

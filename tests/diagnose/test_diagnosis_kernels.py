@@ -9,10 +9,9 @@ from scipy.stats import ncx2
 
 from ocp.diagnose.__main__ import _catalogue
 from ocp.diagnose.engine.channel_system import Fold, HeldOut
-from ocp.diagnose.engine.evidence import size_grid
+from ocp.diagnose.engine.evidence import Rival, size_grid, visible_lambda
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import groups, products, smooth
-from ocp.diagnose.engine.visible import Rival, visible_lambda
 from ocp.diagnose.rules import SUSPECT
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.doubts import impostors, relieving

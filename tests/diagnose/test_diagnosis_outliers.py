@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.outliers import outliers_rechecked
-from ocp.diagnose.engine.problem import linearised
+from ocp.diagnose.engine.linearisation import linearised
+from ocp.diagnose.engine.search import outliers_rechecked
 from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, world

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp.diagnose.channels import tracker_channel
+from ocp.diagnose.answering import tracker_channel
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.channel_system import Fold, System
-from ocp.diagnose.engine.families import Candidate, candidates
 from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.linearisation import Candidate, candidates
 from ocp.diagnose.engine.selection import select_on_held_out
-from ocp.diagnose.published.ur import TARGET, held_rows, read_campaign, write_data_set
+from ocp.diagnose.published import TARGET, held_rows, read_campaign, write_data_set
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from robots.errors import BadInput

@@ -1,7 +1,7 @@
 import subprocess
 import sys
 
-from ocp.diagnose import reporting
+from ocp.diagnose import answering
 from ocp.diagnose.answering import write_diagnosis
 from ocp.shell.progress import Phases
 from tests.support.diagnosis_folder import write_tracker_folder
@@ -13,7 +13,7 @@ def test_one_core_draws_the_same_page_as_two(tmp_path, monkeypatch):
     write_tracker_folder(tmp_path / "set", 3, 1e-4, n=40, sealed=3)
     pages = []
     for cores in (1, 2):
-        monkeypatch.setattr(reporting, "cores", lambda cores=cores: cores)
+        monkeypatch.setattr(answering, "cores", lambda cores=cores: cores)
         write_diagnosis(tmp_path / "set", tmp_path / f"out{cores}", False, Phases())
         pages.append((tmp_path / f"out{cores}" / "report.html").read_bytes())
     assert pages[0] == pages[1] and b"<svg" in pages[0]

@@ -7,10 +7,9 @@ import pytest
 
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.tracker.baseline import believed_baseline
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import tracker_folds
-from ocp.diagnose.tracker.refit import reliability, settled
+from ocp.diagnose.tracker.refit import believed_baseline, reliability, settled
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.doubts import cancelling, hurts, implausible
 from ocp.effects.catalogue import library

@@ -6,19 +6,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import ocp.diagnose.force.planned as planned_module
+import ocp.diagnose.foresee.planned_grinding as planned_module
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.noise import CorrelatedNoise
-from ocp.diagnose.engine.evidence import size_grid
+from ocp.diagnose.engine.evidence import Rival, project, size_grid, visible_lambda
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked, Screened
-from ocp.diagnose.engine.projection import project
-from ocp.diagnose.engine.visible import Rival, visible_lambda
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import fit_effects
-from ocp.diagnose.force.planned import Shared, foreseen_force, noise_of_means, planned_force_channel
 from ocp.diagnose.foresee.design import design_text, energy_of, smallest_visible, visible_in
 from ocp.diagnose.foresee.next_experiment import next_experiments
-from ocp.diagnose.foresee.planned_grinding import grindings, more_grinding, tracker_beside, unseen, usual_recordings
+from ocp.diagnose.foresee.planned_grinding import (
+    Shared,
+    foreseen_force,
+    grindings,
+    more_grinding,
+    noise_of_means,
+    planned_force_channel,
+    tracker_beside,
+    unseen,
+    usual_recordings,
+)
 from ocp.diagnose.foresee.planned_tracker import arm_expected, default_poses, planned_channel
 from ocp.diagnose.foresee.separation import RivalPair, unlike
 from ocp.diagnose.verdict.diagnosis import diagnose_channels

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.diagnose.foresee.planned_log import read_planned_log
+from ocp.diagnose.foresee.design import read_planned_log
 from robots.errors import BadInput
 from tests.support.diagnosis_folder import CELL, SPRINGS
 

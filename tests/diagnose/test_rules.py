@@ -14,29 +14,39 @@ ROOM = ROOT / "ocp" / "diagnose"
 FILE = ROOM / "rules.py"
 # Constants with broken numbers that decide nothing: tolerances of solvers, shapes of features, imagined measurements, formats.
 ELSEWHERE = {
+    "engine/evidence.py": {"RANK", "_LAMBDA"},
     "engine/kernels.py": {"SOFT", "SETTLING", "LOADED", "RIPPLES"},
-    "engine/projection.py": {"RANK"},
-    "force/planned.py": {"SIGMA", "SHARE", "LASTS"},
     "force/prediction.py": {"TOLERANCE"},
-    "force/samples.py": {"MOVING"},
+    "force/logged_contact.py": {"MOVING"},
     "force/waves.py": {"HIGHEST", "SHORTEST"},
-    "force/whitening.py": {"SETTLED", "CHANGED"},
+    "force/fit.py": {"SETTLED", "CHANGED"},
     "foresee/design.py": {"FREE_LIMIT"},
     "foresee/next_experiment.py": {"BAR_SD", "BY_SIGNAL"},
-    "foresee/planned_grinding.py": {"EACH", "BEGIN", "READINGS", "SWAP", "SET", "IDLE", "LADDER", "HELD", "STEP"},
+    "foresee/planned_grinding.py": {
+        "SIGMA",
+        "SHARE",
+        "LASTS",
+        "EACH",
+        "BEGIN",
+        "READINGS",
+        "SWAP",
+        "SET",
+        "IDLE",
+        "LADDER",
+        "HELD",
+        "STEP",
+    },
     "foresee/planned_tracker.py": {"PER_READING", "SETTLING", "PULL", "WARM", "WARMED", "DURATION", "TRACKER_AT", "LOW"},
     "verdict/answer.py": {"SCALE"},
     "document.py": {"SUM_TOLERANCE"},
     "verdict/shrinkage.py": {"SI"},
     "verdict/location.py": {"ORDERS"},
-    "engine/visible.py": {"_LAMBDA"},
-    "joints/channel.py": {"ARCSEC"},
+    "joints/channel.py": {"ARCSEC", "RANK"},
     "joints/log.py": {"MOVED", "APART"},
-    "joints/problem.py": {"RANK"},
     "tracker/background.py": {"_SHARES"},
     "tracker/refit.py": {"SETTLED", "RANK"},
 }
-FOLDERS_ELSEWHERE = ("published", "report")  # formats and drawing
+FOLDERS_ELSEWHERE = ("published.py", "report")  # formats and drawing
 
 
 def assigned(path: Path) -> list[tuple[str, ast.expr, str]]:

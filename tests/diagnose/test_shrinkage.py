@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ocp.diagnose.answering import averaged
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.problem import linearised
+from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.anticipated import anticipated
-from ocp.diagnose.predictions import averaged
 from ocp.diagnose.tracker.background import background
 from ocp.diagnose.verdict.diagnosis import screened
 from ocp.diagnose.verdict.shrinkage import Anticipated, NewReadings, from_model

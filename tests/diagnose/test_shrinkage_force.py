@@ -9,9 +9,9 @@ import pytest
 
 from ocp.calibrate.force.log import read_force_log
 from ocp.diagnose.engine.findings import Alternative
-from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
+from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, predict_forces
 from ocp.diagnose.force.shrinkage import LaterGrinding, after_log, anticipated_grinding, from_grinding
 from ocp.diagnose.rules import RUN_SD

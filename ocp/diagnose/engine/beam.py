@@ -1,13 +1,233 @@
-"""Sets of effects and their posterior weights: singles and pairs exactly, a beam beyond, with add, drop and swap."""
+"""Sets of effects and their posterior weights: singles and pairs exactly, a beam beyond, with add, drop and swap.
+
+All candidates at one linearisation are pooled by their number of coefficients, so that one call weighs them all. A family is an
+effect at a joint with all its variants; a library-free kernel; or a background line, a ripple of a joint below the range of what
+anybody should name (every real machine has some), which explains without being named.
+"""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.pool import CandidatePool, Given, Member, Scan, given, scan, scan_one
+from ocp.diagnose.engine.evidence import log_evidence
+from ocp.diagnose.engine.findings import Name
+from ocp.diagnose.rules import NOISE_TRUST
+from ocp.effects.effect import Effect, Scanned
 from robots.pose import Array
+from robots.tracker_readings import Index
+
+PAIRWISE = 3  # columns of a variant up to which its products are taken pair by pair
+
+
+@dataclass(frozen=True)
+class Family:
+    """Candidates of one name: variants' scanned values, whitened columns (N, V, m) in units of the priors' upper ends `scale`
+    (m,), positive (m,) coefficients that physics holds positive, log prior odds; sizes (T,) of the priors' widths; among: of how
+    many variants these are the most telling (0: all). effect None: a kernel of the library-free tests, or background."""
+
+    name: Name
+    effect: Effect | None
+    scans: tuple[Scanned, ...]
+    columns: Array = field(repr=False)
+    scale: Array
+    sizes: Array
+    positive: Array
+    log_odds: float
+    where: str = ""
+    background: bool = False
+    among: int = 0
+
+
+@dataclass(frozen=True)
+class Member:
+    """A family in an explanation: its index, variant and prior size (share of the upper end)."""
+
+    family: int
+    variant: int
+    size: float
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Families of m coefficients: X (N, V, m) projected, G and b, sizes (V, T); positive
+    (V, m); starts: where each family begins; families: their indices."""
+
+    m: int
+    X: Array
+    G: Array
+    b: Array
+    sizes: Array
+    positive: Array
+    starts: Index
+    families: Index
+
+
+@dataclass(frozen=True)
+class CandidatePool:
+    """y (N,) white under no effect, freedom of it, families and their groups. `crossed`: products of members' columns with all
+    others, kept because the same few members stand in most sets."""
+
+    y: Array
+    freedom: int
+    families: tuple[Family, ...]
+    groups: tuple[_Group, ...]
+    place: tuple[tuple[int, int], ...]  # of each family: group, first variant
+    crossed: dict[tuple[int, int], tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def columns(self, member: Member) -> Array:
+        """Projected columns (N, m) of a member in units of the priors' upper ends."""
+        group, start = self.place[member.family]
+        return self.groups[group].X[:, start + member.variant]
+
+    def look_ahead(self, members: Sequence[Member]) -> None:
+        """Take the products of all members that `scan` will ask for at once: the candidates are read from memory only once."""
+        new = list({(m.family, m.variant): m for m in members if (m.family, m.variant) not in self.crossed}.values())
+        if not new:
+            return
+        parts = [self.columns(m) for m in new]
+        C = np.ascontiguousarray(np.hstack(parts).T)
+        every = [C @ g.X.reshape(len(self.y), -1) for g in self.groups]
+        start = 0
+        for m, part in zip(new, parts, strict=True):
+            rows = slice(start, start + part.shape[1])
+            start = rows.stop
+            self.crossed[m.family, m.variant] = tuple(products[rows] for products in every)
+
+
+@dataclass(frozen=True)
+class Given:
+    """Members taken as there, with priors of fixed size. C (N, r): their columns times the sizes; turn (r, r): inverse of
+    the lower Cholesky factor of 1 + C^T C; inner (r,): turn C^T y; left: what remains of y^T y, log: their joint evidence over
+    the empty set."""
+
+    members: tuple[Member, ...]
+    C: Array
+    turn: Array
+    inner: Array
+    left: float
+    log: float
+
+    @cached_property
+    def _directions(self) -> tuple[Array, Array]:
+        U, s, _ = np.linalg.svd(self.C, full_matrices=False)
+        return U, s**2 / (1.0 + s**2)
+
+    @property
+    def U(self) -> Array:
+        """Left singular vectors (N, r) of the columns."""
+        return self._directions[0]
+
+    @property
+    def take(self) -> Array:
+        """What (r,) of the inverse covariance the columns take of each of these directions."""
+        return self._directions[1]
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Of every family: log evidence (f,) over what is given, all variants and sizes averaged; best variant (f,) and size (f,)."""
+
+    log: Array
+    variant: Index
+    size: Array
+
+
+def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> CandidatePool:
+    """Pool of families whose columns are projected already."""
+    groups: list[_Group] = []
+    place = [(-1, -1)] * len(families)
+    for m in sorted({f.columns.shape[2] for f in families}):
+        chosen = [i for i, f in enumerate(families) if f.columns.shape[2] == m]
+        X = np.concatenate([families[i].columns for i in chosen], axis=1)
+        counts = [families[i].columns.shape[1] for i in chosen]
+        starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
+        for i, start in zip(chosen, starts, strict=True):
+            place[i] = (len(groups), int(start))
+        sizes = np.repeat([families[i].sizes for i in chosen], counts, axis=0)
+        positive = np.repeat([families[i].positive for i in chosen], counts, axis=0)
+        inner = (y @ X.reshape(len(y), -1)).reshape(-1, m)
+        groups.append(_Group(m, X, _squares(X), inner, sizes, positive, starts, np.array(chosen)))
+    return CandidatePool(y, freedom, tuple(families), tuple(groups), tuple(place))
+
+
+def _squares(X: Array) -> Array:
+    """X^T X (V, m, m) of every variant of X (N, V, m). Few columns pair by pair, many by a product a variant: whichever is the
+    faster by far."""
+    V, m = X.shape[1:]
+    if m > PAIRWISE:
+        turned = np.ascontiguousarray(X.transpose(1, 2, 0))
+        return np.asarray(turned @ turned.transpose(0, 2, 1))
+    G = np.empty((V, m, m))
+    for a in range(m):
+        for b in range(a, m):
+            G[:, a, b] = G[:, b, a] = np.einsum("nv,nv->v", X[:, :, a], X[:, :, b])
+    return G
+
+
+def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
+    """Joint evidence of members at their sizes."""
+    left = float(pool.y @ pool.y)
+    if not members:
+        return Given((), np.zeros((len(pool.y), 0)), np.zeros((0, 0)), np.zeros(0), left, 0.0)
+    C = np.hstack([pool.columns(m) * m.size for m in members])
+    root = np.linalg.cholesky(np.eye(C.shape[1]) + C.T @ C)
+    turn = np.linalg.inv(root)
+    inner = turn @ (C.T @ pool.y)
+    after = max(left - float(inner @ inner), 1e-9)
+    log = -float(np.log(np.diag(root)).sum()) - 0.5 * (pool.freedom + NOISE_TRUST) * np.log(
+        (NOISE_TRUST + after) / (NOISE_TRUST + left)
+    )
+    return Given(tuple(members), C, turn, inner, after, float(log))
+
+
+def scan(pool: CandidatePool, there: Given) -> Scan:
+    """Evidence of every family over what is given."""
+    count = len(pool.families)
+    log = np.full(count, -np.inf)
+    variant, size = np.zeros(count, np.int64), np.ones(count)
+    pool.look_ahead(there.members)
+    crossed = [(pool.crossed[m.family, m.variant], m.size) for m in there.members]
+    for k, g in enumerate(pool.groups):
+        G, b = g.G, g.b
+        if crossed:
+            G, b = _beside(there, np.vstack([s * rows[k] for rows, s in crossed]), G, b)
+        every = log_evidence(G, b, g.sizes, g.positive, there.left, pool.freedom)
+        _summarise(g, every, (log, variant, size))
+    return Scan(log, variant, size)
+
+
+def scan_one(pool: CandidatePool, there: Given, family: int) -> tuple[Array, Array]:
+    """Log evidence (V, T) of one family's variants over what is given, and its sizes (T,)."""
+    k, start = pool.place[family]
+    g, count = pool.groups[k], pool.families[family].columns.shape[1]
+    rows = slice(start, start + count)
+    G, b = g.G[rows], g.b[rows]
+    if there.members:
+        flat = g.X.reshape(len(pool.y), -1)[:, start * g.m : (start + count) * g.m]
+        G, b = _beside(there, there.C.T @ flat, G, b)
+    return log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom), g.sizes[start]
+
+
+def _beside(there: Given, crossed: Array, G: Array, b: Array) -> tuple[Array, Array]:
+    """X^T X (V, m, m) and X^T y (V, m) once the columns that are given have taken their part; crossed (r, V m): C^T X."""
+    held = (there.turn @ crossed).reshape(len(crossed), *b.shape)
+    return G - _squares(held), b - np.einsum("rvi,r->vi", held, there.inner)
+
+
+def _summarise(g: _Group, every: Array, out: tuple[Array, Index, Array]) -> None:
+    """Per family: mean evidence over variants and sizes, best variant and size, written into `out`."""
+    log, variant, size = out
+    counts = np.diff(np.append(g.starts, len(every)))
+    per = np.logaddexp.reduce(every, axis=1)
+    log[g.families] = np.logaddexp.reduceat(per, g.starts) - np.log(counts * every.shape[1])
+    tops = np.flatnonzero(per == np.repeat(np.maximum.reduceat(per, g.starts), counts))
+    best = tops[np.searchsorted(tops, g.starts)]  # the first of each family that reaches its top
+    variant[g.families] = best - g.starts
+    size[g.families] = g.sizes[best, np.argmax(every[best], axis=1)]
+
 
 Key = frozenset[int]
 

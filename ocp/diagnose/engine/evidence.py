@@ -1,7 +1,16 @@
-"""Exact Gaussian evidence of effects: coefficients integrated over priors of several sizes, the noise's scale with them.
+"""What readings say of columns, exactly: the nuisance projected out, coefficients integrated, and what size is seen.
 
-For columns C of an effect (projected, unit noise), coefficients a ~ N(0, t^2) in units of the prior's upper end, and data y,
-with G = C^T C, b = C^T y:
+**Projected out**: geometry, frames and springs are free to follow. With unit noise, nuisance columns A of prior sd s_k and
+residual y about the prior's mean, y ~ N(A m, 1 + A S A^T): with the singular values sigma of A S^1/2 and its left vectors U
+the symmetric root of the inverse covariance is
+
+    M = 1 - U diag(1 - 1 / sqrt(1 + sigma^2)) U^T        (free unknowns: sigma infinite, taken out altogether)
+
+so that M y is white and |M C a|^2 is the detectability lambda of columns C with coefficients a (docs/diagnosis.md, eq. 2).
+Nothing is inverted: a covariance inverted without its singular values ruined the intervals of a prototype.
+
+**Integrated** over priors of several sizes, the noise's scale with them. For columns C of an effect (projected, unit noise),
+coefficients a ~ N(0, t^2) in units of the prior's upper end, and data y, with G = C^T C, b = C^T y:
 
     R(t) = y^T y - b^T (G + 1 / t^2)^-1 b                       what is left
     log Z(t) = -1/2 log det(1 + t^2 G) - (nu + nu0) / 2 log(nu0 + R)  + const          (docs/diagnosis.md, eqs. 4 and 5)
@@ -10,14 +19,107 @@ The noise model's scale is known only so well: its inverse variance has a gamma 
 form (a Student-t evidence). Sizes t stand on a logarithmic grid between the lower and the upper end of the typical range,
 which stands for log-uniform priors. Coefficients that physics holds positive have half-normal priors: a factor of twice
 their posterior probability of being positive each (and a chance `WRONG_SIGN` of a sign or a mounting that is not as believed).
+
+**Seen**: the size at which an effect's evidence beats 'no gap' in nine data sets of ten. At detectability lambda the
+quadratic form b^T G^-1 b that m coefficients gain is noncentral chi-square distributed; its tenth percentile x(lambda) puts
+the log evidence (eq. 4, noise scale known, g: mean square of a column) at
+
+    log Z = log mean_t [(1 + t^2 g)^(-m/2) exp(x t^2 g / (1 + t^2 g) / 2)] - log V                                        (8)
+
+and the effect is named where log Z and its prior odds outweigh none and what the background would make of the same gap.
 """
 
-import numpy as np
-from scipy.special import stdtr
+from dataclasses import dataclass
+from functools import lru_cache
 
-from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
+import numpy as np
+from scipy.special import chndtrix, stdtr
+
+from ocp.diagnose.engine.channel_system import Channel, System
+from ocp.diagnose.rules import MISSED, NOISE_TRUST, WRONG_SIGN
 from robots.pose import Array
 from robots.tracker_readings import Index
+
+RANK = 1e-10  # singular values below this share of the largest are no direction of their own
+
+
+@dataclass(frozen=True)
+class Projection:
+    """M as U (N, r) and what it takes of each direction (r,): 1 for free ones; free: how many are."""
+
+    U: Array
+    take: Array
+    free: int
+
+    def apply(self, rows: Array) -> Array:
+        """M rows, rows (N,) or (N, m)."""
+        inner = self.U.T @ rows
+        return rows - self.U @ (self.take * inner if rows.ndim == 1 else self.take[:, None] * inner)
+
+
+def project(columns: Array, prior_sd: Array) -> Projection:
+    """Projection of columns (N, p) with prior sd (p,), infinite where free."""
+    free = ~np.isfinite(prior_sd)
+    parts, takes, count = [], [], 0
+    rest = columns[:, ~free] * prior_sd[~free]
+    if free.any():
+        loose = columns[:, free]
+        size = np.linalg.norm(loose, axis=0)
+        U, s, _ = np.linalg.svd(loose / np.where(size > 0, size, 1.0), full_matrices=False)
+        U = U[:, s > RANK * max(s[0], 1e-300)] if len(s) else U
+        count = U.shape[1]
+        parts.append(U)
+        takes.append(np.ones(count))
+        rest = rest - U @ (U.T @ rest)
+    if rest.shape[1]:
+        U, s, _ = np.linalg.svd(rest, full_matrices=False)
+        keep = s > 1e-6
+        parts.append(U[:, keep])
+        takes.append(1.0 - 1.0 / np.sqrt(1.0 + s[keep] ** 2))
+    if not parts:
+        return Projection(np.zeros((len(columns), 0)), np.zeros(0), 0)
+    return Projection(np.hstack(parts), np.concatenate(takes), count)
+
+
+def about_prior(system: System) -> Array:
+    """Residual (N,) about the prior's mean of the nuisance instead of the estimate, to first order."""
+    known = np.isfinite(system.prior_sd)
+    return np.asarray(system.residual + system.nuisance[:, known] @ system.offset[known])
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Channels one below the other: projections and row blocks; y (N,): white under 'no effect'; freedom: squares that noise
+    alone leaves, rows less free nuisance and what picked rows have more; active effects' columns are put back into y (about
+    zero coefficients)."""
+
+    projections: tuple[Projection, ...]
+    blocks: tuple[slice, ...]
+    y: Array
+    freedom: int
+
+    def apply(self, columns: Array) -> Array:
+        """M columns, columns (N, m) of all channels."""
+        own = [p.apply(columns[b]) for p, b in zip(self.projections, self.blocks, strict=True)]
+        return own[0] if len(own) == 1 else np.concatenate(own)
+
+
+def stack(channels: tuple[Channel, ...], put_back: Array) -> Stack:
+    """Stack of the channels' systems; put_back (N,): what the active effects add to the predictions, to be explained
+    again."""
+    projections, blocks, parts, start, picked = [], [], [], 0, 0.0
+    for channel in channels:
+        system = channel.system
+        block = slice(start, start + len(system.residual))
+        start = block.stop
+        picked += system.picked
+        projection = project(system.nuisance, system.prior_sd)
+        projections.append(projection)
+        blocks.append(block)
+        parts.append(projection.apply(about_prior(system) + put_back[block]))
+    y = np.concatenate(parts)
+    return Stack(tuple(projections), tuple(blocks), y, len(y) - sum(p.free for p in projections) + round(picked))
+
 
 SIZES = 4  # of the grid of prior widths
 
@@ -85,3 +187,60 @@ def coefficients_given(C: Array, y: Array, prior_sd: Array) -> tuple[Array, Arra
     mean = V @ (s / (1.0 + s**2) * (U.T @ y))
     covariance = np.diag(prior_sd**2) - (V * (s**2 / (1.0 + s**2))) @ V.T
     return np.asarray(mean), np.asarray(covariance)
+
+
+_LAMBDA = np.geomspace(3.0, 400.0, 500)
+NONE: Array = np.zeros(0)
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A family of the background that can take an effect's gap: prior sizes (T,) as shares of the upper end, log prior odds,
+    coefficients that it pays for beside the effect's own, variants."""
+
+    sizes: Array
+    log_odds: float
+    beside: int
+    variants: int
+
+
+def visible_lambda(
+    energy: float,
+    coefficients: int,
+    sizes: Array,
+    log_odds: float,
+    variants: int,
+    positive: int = 0,
+    rival: Rival | None = None,
+    beside: Array | None = None,
+) -> float:
+    """Detectability lambda from which an effect is named nine times of ten; inf above 400.
+
+    energy: mean square g of its columns at the upper end; sizes (T,) and log_odds of its prior; variants that were scanned;
+    positive: coefficients that physics holds positive; beside (k,): mean squares of what else the rival has (default: as many
+    as its `beside` says, each like the effect's own). What these readings hardly show costs a rival nothing.
+    """
+    gain = _percentile(coefficients)
+    log = _mean_evidence(gain, energy, coefficients, sizes) - np.log(variants) + log_odds + positive * np.log(2.0)
+    against = np.zeros_like(gain)
+    if rival is not None:
+        others = np.full(rival.beside, energy) if beside is None else beside
+        taken = _mean_evidence(gain, energy, coefficients, rival.sizes, others) - np.log(rival.variants)
+        against = np.logaddexp(0.0, taken + rival.log_odds)
+    named = np.flatnonzero(log > against)
+    return float(_LAMBDA[named[0]]) if len(named) else np.inf
+
+
+@lru_cache
+def _percentile(coefficients: int) -> Array:
+    """Gain (k,) that an effect of each detectability reaches nine times of ten."""
+    return np.asarray(chndtrix(MISSED, coefficients, _LAMBDA))
+
+
+def _mean_evidence(gain: Array, energy: float, coefficients: int, sizes: Array, beside: Array = NONE) -> Array:
+    """Log evidence of gains (k,) averaged over prior sizes; beside: mean squares of coefficients whose spread is paid for too."""
+    square = np.asarray(sizes)[:, None] ** 2
+    spread = square * energy
+    each = -0.5 * coefficients * np.log1p(spread) + 0.5 * gain * spread / (1.0 + spread)
+    each = each - 0.5 * np.log1p(square * beside).sum(axis=1, keepdims=True)
+    return np.asarray(np.logaddexp.reduce(each, axis=0) - np.log(len(sizes)))

@@ -1,29 +1,42 @@
 """The search: accept, refit, linearise anew, until the best explanation stands.
 
-One-shot screening names spurious companions of strong effects (their second order, and a noise level that still holds them), so
-one effect at most is accepted between two refits, and what was accepted may be dropped or exchanged at every later one.
+One-shot screening names spurious companions of strong effects (their second order, and a noise level that still holds them),
+so one effect at most is accepted between two refits, and what was accepted may be dropped or exchanged at every later one.
 
 Two things keep it honest. Fits that diverge (`Diverged`): where something is missing that nobody names, columns of an effect
-that changes stiffness or contact reach for it, and the fit runs off to values at which wheel and blade hold no balance. And sets
-that leave an active effect out (`reweighted`): about the accepted fit the column of an effect that multiplies (a flange's
-stiffness, a gain) holds the accepted effect's own pattern times its size, and in large doses passes for that effect.
+that changes stiffness or contact reach for it, and the fit runs off to values at which wheel and blade hold no balance. And
+sets that leave an active effect out (`reweighted`): about the accepted fit the column of an effect that multiplies (a
+flange's stiffness, a gain) holds the accepted effect's own pattern times its size, and in large doses passes for that effect.
+
+Scanned values (levers, rests, instants) are made sharper between those that were scanned: a grid of 40 instants or a few
+levers leaves a residue of a strong effect that other names would explain. A pattern search (Hooke and Jeeves 1961) on the
+evidence of the set, halving its steps, one effect and key at a time (`refined`).
+
+What nobody counts needs no effect: a nest that moves before the last few readings is taken for so many gross readings; so is
+a small step once the noise has fallen with the names accepted before it. So where several readings are set aside, all are
+counted once more, what then explains them best is fitted beside what was accepted, and the fit decides
+(`outliers_rechecked`): readings with one cause in common are rather that than each of them one of the two in a hundred that
+are grossly wrong.
 """
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import Key, Search, Weighed, weigh
+from ocp.diagnose.engine.beam import Given, Key, Member, Search, Weighed, given, weigh
 from ocp.diagnose.engine.channel_system import Channel, effects_key
+from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.outliers import outliers_rechecked
-from ocp.diagnose.engine.problem import Linearisation, linearised
-from ocp.diagnose.engine.refine import refined
-from ocp.effects.effect import Active, Effect
+from ocp.diagnose.engine.linearisation import Linearisation, linearised, stacked_columns
+from ocp.diagnose.rules import OUTLIER_WEIGHT, OUTLIERS_OF_ONE_CAUSE, RECHECKED, SHARPER_GAIN
+from ocp.effects.effect import Active, Effect, Scanned
 from robots.errors import Infeasible
+from robots.pose import Array
 
 
 @dataclass
@@ -136,18 +149,120 @@ def reweighted(first: Linearisation, problem: Linearisation, search: Search, hel
     if not active or not whole:
         return
     best = max(whole, key=lambda k: search.sets[k].log)
-    there = _at(first, problem, best)
+    there = _first_weight(first, problem, best)
     top = max(w.log for w in search.sets.values())
     for key, weighed in list(search.sets.items()):
         if active <= key or not key or weighed.log < top - rules.REWEIGHTED_WITHIN:
             continue
-        most = search.sets[best].log + _at(first, problem, key) - there + rules.REWEIGHTED_ROOM
+        most = search.sets[best].log + _first_weight(first, problem, key) - there + rules.REWEIGHTED_ROOM
         if most < weighed.log:
             search.sets[key] = replace(weighed, log=most)
 
 
-def _at(first: Linearisation, problem: Linearisation, key: Key) -> float:
+def _first_weight(first: Linearisation, problem: Linearisation, key: Key) -> float:
     """Log weight of the same names at the first linearisation. What was no candidate there could not be seen: it adds nothing."""
     families, index = problem.pool.families, first.index
     known = [index[families[f].name] for f in sorted(key) if families[f].name in index]
     return weigh(first.pool, known).log
+
+
+HALVINGS = 4
+FIXED = ("order", "source_joint")  # whole numbers
+
+
+def refined(problem: Linearisation, weighed: Weighed, active: Sequence[Active]) -> tuple[Active, ...]:
+    """The active effects of a set with scanned numbers moved to where the evidence is highest."""
+    found = []
+    for one in active:
+        keys = [k for k in one.effect.symbolic if k not in FIXED and isinstance(one.scanned.get(k), float)]
+        found.append(_sharper(problem, weighed, one, keys) if keys else one)
+    return tuple(found)
+
+
+def _sharper(problem: Linearisation, weighed: Weighed, one: Active, keys: Sequence[str]) -> Active:
+    index = problem.index
+    family = next(f for n, f in index.items() if (n.effect, n.joint) == one.key)
+    others = given(problem.pool, [Member(m.family, m.variant, 1.0) for m in weighed.members if m.family != family])
+    scans = problem.pool.families[family].scans
+    steps = {k: _spacing([s[k] for s in scans if k in s]) for k in keys}
+    best, here = dict(one.scanned), one
+    level, _ = _evidence(problem, others, one.effect, one.joint, [best])
+    for _ in range(HALVINGS):
+        moves = [best | {k: best[k] + sign * steps[k]} for k in keys if steps[k] > 0 for sign in (-1.0, 1.0)]
+        if not moves:
+            break
+        values, means = _evidence(problem, others, one.effect, one.joint, moves)
+        k = int(np.argmax(values))
+        if values[k] > level[0] + SHARPER_GAIN:
+            best, level = moves[k], values[k : k + 1]
+            here = Active(one.effect, one.joint, means[k], best, one.covariance)
+        else:
+            steps = {key: 0.5 * step for key, step in steps.items()}
+    return here
+
+
+def _spacing(values: Sequence[float]) -> float:
+    """Half the median distance of the values scanned."""
+    distinct = np.unique(np.asarray(values, float))
+    return 0.5 * float(np.median(np.diff(distinct))) if len(distinct) > 1 else 0.0
+
+
+def _evidence(problem: Linearisation, others: Given, effect: Effect, joint: int, scans: Sequence[Scanned]) -> tuple[Array, Array]:
+    """Log evidence (V,) at the prior's upper end and coefficients (V, m) of variants over the rest of the set."""
+    columns, _ = stacked_columns(problem.channels, effect, joint, scans)
+    n, V, m = columns.shape
+    scale = np.asarray(effect.prior_sd, float)
+    X = problem.stack.apply((columns * scale).reshape(n, V * m)).reshape(n, V, m)
+    y = problem.pool.y
+    P = np.einsum("nr,nvi->rvi", others.U, X)
+    held = others.take[:, None, None] * P
+    G = np.einsum("nvi,nvj->vij", X, X) - np.einsum("rvi,rvj->vij", P, held)
+    b = np.einsum("nvi,n->vi", X, y) - np.einsum("rvi,r->vi", held, others.U.T @ y)
+    left = others.left
+    log = log_evidence(G, b, np.ones((V, 1)), np.zeros((V, m), bool), left, problem.pool.freedom)[:, 0]
+    means = np.linalg.solve(G + np.eye(m), b[..., None])[..., 0] * scale
+    return log, means
+
+
+@runtime_checkable
+class Openable(Protocol):
+    """A channel that can count every reading in full."""
+
+    def opened(self) -> Channel:
+        """The channel about the same fit with no reading set aside."""
+
+
+def outliers_rechecked(
+    problem: Linearisation, held: tuple[Active, ...], library: Mapping[str, Effect], options: Options
+) -> list[Channel] | None:
+    """The channels fitted with one effect more than is held, where that takes gross readings back; else None."""
+    if _count(problem.channels) < OUTLIERS_OF_ONE_CAUSE:
+        return None
+    whole = linearised([c.opened() if isinstance(c, Openable) else c for c in problem.channels], library, options)
+    search = Search(whole.pool, options.most, options.beam)
+    names = {a.key for a in held}
+    key = [i for n, i in whole.index.items() if (n.effect, n.joint) in names]
+    there = weigh(whole.pool, key) if key else Weighed(0.0, ())
+    value = search.scan(there).log + search.odds
+    value[[*key, *np.flatnonzero(search.kernel | search.background)]] = -np.inf
+    for f in np.argsort(-value)[:RECHECKED]:
+        if value[f] <= 0:
+            break
+        try:
+            found = [c.with_active(whole.values(weigh(whole.pool, [*key, int(f)]))) for c in problem.channels]
+        except Infeasible:
+            continue
+        if _count(problem.channels) - _count(found) >= OUTLIERS_OF_ONE_CAUSE:
+            return found
+    return None
+
+
+def outliers(channel: Channel) -> NDArray[np.bool_]:
+    """Readings (n,) of a channel that are set aside as gross; none where its fit weighs no single readings."""
+    n = len(channel.gap())
+    weight = getattr(getattr(channel, "fit", None), "weight", None)
+    return np.zeros(n, bool) if weight is None or np.shape(weight) != (n,) else np.asarray(weight <= OUTLIER_WEIGHT)
+
+
+def _count(channels: Sequence[Channel]) -> int:
+    return sum(int(np.count_nonzero(outliers(c))) for c in channels)

@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.channel_system import Channel, Fold, System
-from ocp.diagnose.engine.families import Candidate, candidates, positive_of, put_back
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.engine.problem import Linearisation, linearised
+from ocp.diagnose.engine.linearisation import Candidate, Linearisation, candidates, linearised, positive_of, put_back
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
 

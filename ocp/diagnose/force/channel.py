@@ -23,16 +23,13 @@ from ocp.diagnose.engine.channel_system import (
     effects_key,
     scan_key,
 )
-from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
-from ocp.diagnose.force.folds import force_fold_errors, force_folds
+from ocp.diagnose.force.held_out import force_fold_errors, force_folds, predict_sealed_force
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
+from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_forces
-from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior
-from ocp.diagnose.force.sealed import predict_sealed_force
-from ocp.diagnose.force.setpoints import with_setpoints_read_off
-from ocp.diagnose.force.splice_trains import SpliceTrains, likely_trains
-from ocp.diagnose.force.waves import picked_squares, telling_waves
+from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior, with_setpoints_read_off
+from ocp.diagnose.force.waves import SpliceTrains, likely_trains, picked_squares, telling_waves
 from ocp.diagnose.rules import LEAST_DIRECTION, ORDERS_APART, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE

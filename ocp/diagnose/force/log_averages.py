@@ -13,9 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import Wave, scan_key
-from ocp.diagnose.force.fit import EffectFit, ForceProblem
+from ocp.diagnose.force.fit import EffectFit, ForceProblem, Whitener
 from ocp.diagnose.force.prediction import effect_derivatives
-from ocp.diagnose.force.whitening import Whitener
 from ocp.diagnose.rules import FAST_LAMBDA, FAST_SHARE
 from ocp.effects.effect import Effect, Scanned, Surroundings
 from robots.pose import Array

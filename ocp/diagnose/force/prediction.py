@@ -15,9 +15,8 @@ from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.model import PROBE, STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
-from ocp.diagnose.force.arm import BLADE, LoggedArm
+from ocp.diagnose.force.logged_contact import BLADE, PLACE, ContactSamples, LoggedArm, hook_columns, samples_of, with_stroke_sign
 from ocp.diagnose.force.prior import NUISANCE, SHEAR_BIAS, SHEAR_GAIN
-from ocp.diagnose.force.samples import PLACE, ContactSamples, hook_columns, samples_of, with_stroke_sign
 from ocp.effects.context import LogRows
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.model.cell import Cell

@@ -1,9 +1,15 @@
-"""What the force channel refits without calling it an effect, and how well each is believed known.
+"""What is believed before a log is fitted: nuisance with its prior, the arm, and setpoints that were changed and not written
+down.
 
-Registration (wheel, blade) and the arm are open as the cell and the tracker say. Stiffnesses, sensor and friction are
-believed: what they are off by is an effect of the catalogue (wheel_stiffness, blade_stiffness, flange_stiffness, sensor_bias,
-tangential_force), and a nuisance with the freedom of a calibration would take it away unseen. They keep the small freedom
-that the believed values' own making leaves. docs/diagnosis_force.md, "Nuisance or effect".
+Registration (wheel, blade) and the arm are open as the cell and the tracker say: the force channel refits them without
+calling it an effect. Stiffnesses, sensor and friction are believed: what they are off by is an effect of the catalogue
+(wheel_stiffness, blade_stiffness, flange_stiffness, sensor_bias, tangential_force), and a nuisance with the freedom of a
+calibration would take it away unseen. They keep the small freedom that the believed values' own making leaves.
+docs/diagnosis_force.md, "Nuisance or effect".
+
+Without a column setpoint_N the cell's setpoint stands for every row. Where a run presses by a fifth more or less than another
+over the same points of the blade, that is rather an operator's force ladder than an error of the cell. Such a run's setpoint
+is read off its readings and open in the fit, so an error that is one force over the whole run is not seen there.
 """
 
 from collections.abc import Sequence
@@ -13,7 +19,18 @@ from pathlib import Path
 import numpy as np
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
-from ocp.diagnose.rules import SENSOR_BIAS_SD, SHEAR_BIAS_SD, SHEAR_GAIN_SD, STIFFNESS_SD
+from ocp.calibrate.force.log import AIR_SHARE, Flags, ForceLog
+from ocp.diagnose.rules import (
+    SAME_POINTS,
+    SENSOR_BIAS_SD,
+    SETPOINT_ALIKE,
+    SETPOINT_CHANGED,
+    SETPOINT_ROWS,
+    SETPOINT_SD,
+    SHEAR_BIAS_SD,
+    SHEAR_GAIN_SD,
+    STIFFNESS_SD,
+)
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active
 from ocp.model.cell import Cell, read_tracker_setup
@@ -98,3 +115,53 @@ def posterior_of(robot: str, layout: Layout, state: State, covariance: Array, jo
     block = covariance[np.ix_(columns, columns)]
     names = tuple(ARM_NAMES[i] for i in inside)
     return Calibration(robot, names, state.arm[inside], 0.5 * (block + block.T), {"noise": {"joints_rad": float(joints)}}, {})
+
+
+def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] | None:
+    """The log with its runs' setpoints where the readings say that some were changed, and a sentence about it; own N: the cell's
+    setpoint. None: the log tells them, or nothing speaks against one for all."""
+    if log.setpoint is not None or not own > 0:
+        return None
+    touching = {int(r): (log.run == r) & log.contact for r in np.unique(log.run)}
+    pressed = {r: rows for r, rows in touching.items() if np.count_nonzero(rows) >= SETPOINT_ROWS}
+    force = {r: float(np.median(log.fn[rows])) for r, rows in pressed.items()}
+    pressed = {r: rows for r, rows in pressed.items() if force[r] > AIR_SHARE * own}  # what hardly touches has no setpoint
+    force = {r: force[r] for r in pressed}
+    changed: dict[int, float] = {}
+    for group in _over_the_same_points(log, pressed):
+        # Most runs of a log are at the cell's setpoint, whatever the cell makes of it.
+        usual = _usual([force[r] for r in group], _usual(list(force.values()), own))
+        changed |= {r: own + force[r] - usual for r in group if abs(force[r] - usual) > SETPOINT_CHANGED * usual}
+    if not changed:
+        return None
+    setpoint, sd = np.full(len(log), own), np.zeros(len(log))
+    for r, value in changed.items():
+        setpoint[log.run == r], sd[log.run == r] = max(value, 0.0), SETPOINT_SD * own
+    return replace(log, setpoint=setpoint, setpoint_sd=sd), _sentence(log, changed, own)
+
+
+def _usual(forces: list[float], likely: float) -> float:
+    """The one of some forces N that most of them are like, of several such the one nearest to `likely`."""
+    return max(forces, key=lambda u: (sum(abs(f - u) <= SETPOINT_ALIKE * u for f in forces), -abs(u - likely)))
+
+
+def _sentence(log: ForceLog, changed: dict[int, float], own: float) -> str:
+    runs = ", ".join(f"{log.runs[r]} ({value:.0f} N)" for r, value in changed.items())
+    return (
+        f"{log.path.name}: no column setpoint_N, and other forces than over the same points at the cell's {own:g} N: run {runs}; "
+        "taken for setpoints that were changed, what is off by one force over such a run cannot be seen; add the column"
+    )
+
+
+def _over_the_same_points(log: ForceLog, pressed: dict[int, Flags]) -> list[list[int]]:
+    """Runs of one session whose contact points have the same middle, on the same side of the blade."""
+    groups: list[tuple[Array, Array, int, list[int]]] = []
+    for r, rows in pressed.items():
+        p, n, session = log.p[rows].mean(axis=0), log.n[rows].mean(axis=0), int(log.session[np.argmax(rows)])
+        for middle, normal, at, members in groups:
+            if at == session and np.linalg.norm(p - middle) < SAME_POINTS and n @ normal > 0:
+                members.append(r)
+                break
+        else:
+            groups.append((p, n, session, [r]))
+    return [members for *_, members in groups]

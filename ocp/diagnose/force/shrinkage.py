@@ -16,9 +16,9 @@ import numpy as np
 from ocp.calibrate.force.rows import LogConditions
 from ocp.diagnose.engine.channel_system import Channel, effects_key
 from ocp.diagnose.engine.findings import Alternative
-from ocp.diagnose.force.arm import logged_arm
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
+from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
 from ocp.diagnose.rules import BETWEEN_RUNS, FOLLOWED_FORCE, LATER_FORCE, NO_GAP, RECORDING_WEIGHT, RUN_SD
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval

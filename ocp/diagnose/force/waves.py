@@ -1,27 +1,40 @@
-"""The waves of time and path that a force log speaks for most: a chatter, a saw along a scarred guide, a wheel that is not round.
+"""The waves of time and path, and the trains of knocks of a belt's splice, that a force log speaks for most.
 
-Of the whitened residual e = W y about a fit, with y = W^T e and unit waves c, s of one number,
+**Waves**: a chatter, a saw along a scarred guide, a wheel that is not round. Of the whitened residual e = W y about a fit, with
+y = W^T e and unit waves c, s of one number,
 
     gain = ((c^T y)^2 + (s^T y)^2) / (1/2 (|W c|^2 + |W s|^2)),
 
 the squares that the wave takes from the residual; lengths are taken at a few numbers and interpolated. What averages over
 blocks lose of the picked ones is kept as rows of their own (`log_averages.py`).
+
+**Trains**: a knock a hundred times shorter than a run, among 10 rates a second and all places of a turn: far too many variants to
+linearise each. With y = W^T e as above, a train of bells h at rate f, place p and length w has
+
+    h . y = sum over m of c_m Re(exp(2 pi i m p) S(m f)),   c_m = (2 pi)^(1/2) w exp(-2 (pi m w)^2), twice that for m > 0
+
+with S(g) = sum of y exp(-2 pi i g t) (Poisson summation): from S all variants are scored, the best few again with their exact
+columns. The others count in the prior odds: `among` of them were looked at.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
-from ocp.diagnose.rules import LEAST_WAVES, WAVES_PICKED
+from ocp.diagnose.rules import LEAST_WAVES, TRAINS_OFFERED, USUAL_TRAINS, WAVES_PICKED
+from ocp.effects.belt_splice import LENGTHS, RATES
+from ocp.effects.effect import Scanned
 from robots.pose import Array
 
 TURNS = (1, 2, 3, 4)  # waves per revolution of the wheel
 HIGHEST = 0.8  # of half the logging rate
 SHORTEST = 3e-3  # m, of a wave along the path
 FINE = 4  # numbers tried in the width of a line
-PROBES = 12
+LENGTH_PROBES = 12
 
 
 def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
@@ -43,7 +56,7 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         masked = touching * weight
         waves = np.exp(2j * np.pi * np.outer(numbers, along))
         score = np.abs(waves @ (masked * y)) ** 2
-        probes = np.unique(np.linspace(0, len(numbers) - 1, PROBES).round().astype(int))
+        probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
         sizes = [float(np.sum(white.whole(masked[:, None] * _both(numbers[k] * along)) ** 2)) / 2 for k in probes]
         gain = score / np.interp(numbers, numbers[probes], sizes)
         among = max(int(len(numbers) / 2), WAVES_PICKED)
@@ -87,3 +100,163 @@ def _peaks(gain: Array) -> list[int]:
         found.append(k)
         left[max(0, k - FINE) : k + FINE + 1] = 0.0
     return found
+
+
+WAVES = 12  # harmonics of the first look
+PLACES = 32  # in a turn
+BELLS = np.geomspace(*LENGTHS, 6)
+KEPT = 6  # trains of each clock that are looked at exactly
+SHARP = 3  # halvings of the steps there
+PROBES = 12
+FAR = 2**22  # points at most of the transform over a campaign's clock
+
+
+@dataclass(frozen=True)
+class SpliceTrains:
+    """Scanned values of `belt_splice`, most telling first, and how many differ."""
+
+    found: tuple[Scanned, ...]
+    among: int
+
+    @property
+    def picked(self) -> float:
+        """Squares beyond their number that noise alone has in the rows of the picked trains: each the largest of so many."""
+        return TRAINS_OFFERED * (2.0 * float(np.log(self.among)) - 1.0) if self.found else 0.0
+
+
+def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
+    """The trains of knocks that the residual speaks for most; none where nothing was measured or time does not run."""
+    log, c = problem.log, problem.scene.conditions
+    steps = np.diff(log.time)[np.diff(log.run) == 0]
+    if not fit.residual.any():
+        return SpliceTrains((), USUAL_TRAINS)
+    if not len(steps) or np.median(steps) <= 0:
+        return SpliceTrains((), 1)
+    y = _scores(problem, fit)
+    size = _sizes(problem, fit)
+    found, among = list[tuple[float, Scanned]](), 0
+    clocks = [(0.0, c.time)] + ([(1.0, c.clock)] if "clock_s" in c.given and len(np.unique(c.run)) > 1 else [])
+    for clocked, time in clocks:
+        rates, S = _spectrum(time, y, float(np.median(steps)), float(np.ptp(time)))
+        among += len(rates) // 4 * PLACES
+        for hz, turn, length in _first_look(rates, S, size):
+            found.append(_exact(problem, fit, y, {"hz": hz, "turn": turn, "length": length, "clocked": clocked}))
+    found.sort(key=lambda one: -one[0])
+    offered = [scanned for _, scanned in found[:TRAINS_OFFERED]]
+    return SpliceTrains((*offered, *_around(offered[0])), max(among, len(offered)))
+
+
+def _scores(problem: ForceProblem, fit: EffectFit) -> Array:
+    """What a train in the normal reading, with its friction in the tangential one, is multiplied with (n,)."""
+    n, mask = len(problem.log), problem.log.contact * (problem.scene.conditions.belt != 0)
+    y = fit.whiteners[0].back(fit.residual[:n, None])[:, 0]
+    if len(fit.whiteners) > 1:
+        y = y + problem.scene.shear * fit.whiteners[1].back(fit.residual[n:, None])[:, 0]
+    return np.asarray(y * mask)
+
+
+def _sizes(problem: ForceProblem, fit: EffectFit) -> tuple[Array, Array]:
+    """Frequencies (k,) 1/s and mean squared whitened lengths (k,) of a unit wave in all of the log."""
+    log, c = problem.log, problem.scene.conditions
+    mask = (log.contact * (c.belt != 0)).astype(float)
+    step = float(np.median(np.diff(log.time)[np.diff(log.run) == 0]))
+    probes = np.linspace(0.0, 0.5 / step, PROBES)
+    lengths = []
+    for f in probes:
+        wave = mask[:, None] * np.column_stack([np.cos(2 * np.pi * f * c.time), np.sin(2 * np.pi * f * c.time)])
+        whole = np.sum(fit.whiteners[0].whole(wave) ** 2)
+        if len(fit.whiteners) > 1:
+            whole += np.sum(fit.whiteners[1].whole(problem.scene.shear[:, None] * wave) ** 2)
+        lengths.append(whole / 2)
+    return probes, np.array(lengths)
+
+
+def _spectrum(time: Array, y: Array, step: float, span: float) -> tuple[Array, Array]:
+    """Rates (k,) 1/s, a quarter of a line's width apart at the highest harmonic that counts, and S (k, WAVES + 1) there; instants
+    are taken to the nearest sampling step."""
+    place = np.round((time - time.min()) / step).astype(np.int64)
+    points = int(min(2 ** np.ceil(np.log2(8 * (span / step + 1))), FAR))
+    points = max(points, int(place.max()) + 1)
+    line = np.bincount(place, weights=y, minlength=points)[:points]
+    transform = np.fft.rfft(line)
+    first, last = (int(np.ceil(f * points * step)) for f in RATES)
+    k = np.arange(first, last + 1)
+    # Beyond half the sampling rate a harmonic is seen at its image.
+    folded = np.outer(k, np.arange(WAVES + 1)) % points
+    image = folded > points // 2
+    S = transform[np.where(image, points - folded, folded)]
+    S = np.where(image, np.conj(S), S)
+    shift = np.exp(-2j * np.pi * np.outer(k / (points * step), np.arange(WAVES + 1)) * time.min())
+    return k / (points * step), S * shift
+
+
+def _first_look(rates: Array, S: Array, size: tuple[Array, Array]) -> Iterator[tuple[float, float, float]]:
+    """Rate, place and length of the best trains, no two of one rate."""
+    m = np.arange(WAVES + 1)
+    places = np.arange(PLACES) / PLACES
+    turn = np.exp(2j * np.pi * np.outer(m, places))
+    best = np.full(len(rates), -np.inf)
+    where = np.zeros((len(rates), 2), np.int64)
+    highest = size[0][-1]
+    folded = np.abs(np.outer(rates, m) - 2 * highest * np.round(np.outer(rates, m) / (2 * highest)))
+    lengths = np.interp(folded, *size)
+    S, turn = S.astype(np.complex64), turn.astype(np.complex64)  # a first look: half the time, and `_exact` comes after it
+    for b, w in enumerate(BELLS):
+        c = np.sqrt(2 * np.pi) * w * np.exp(-2 * (np.pi * m * w) ** 2) * np.where(m > 0, 2.0, 1.0)
+        score = np.real((S * c.astype(np.float32)) @ turn)  # (k, PLACES)
+        norm = (lengths * (c**2 * np.where(m > 0, 1.0, 2.0))).sum(axis=1)
+        gain = np.maximum(score, 0.0) ** 2 / norm[:, None]
+        top = gain.argmax(axis=1)
+        value = gain[np.arange(len(rates)), top]
+        better = value > best
+        best[better], where[better] = value[better], np.column_stack([top, np.full(len(rates), b)])[better]
+    spacing = 8  # rates of one line
+    for _ in range(KEPT):
+        k = int(np.argmax(best))
+        yield float(rates[k]), float(places[where[k, 0]]), float(BELLS[where[k, 1]])
+        best[max(0, k - spacing) : k + spacing + 1] = -np.inf
+
+
+def _exact(problem: ForceProblem, fit: EffectFit, y: Array, scanned: Scanned) -> tuple[float, Scanned]:
+    """Gain of a train, its rate, place and length moved to where it is largest."""
+    c = problem.scene.conditions
+    time = c.clock if scanned["clocked"] else c.time
+    middle = float(time[problem.log.contact].mean())
+    span = max(float(np.ptp(time)), 1e-6)
+    steps = {"hz": 0.06 / span, "turn": 0.5 / PLACES, "length": 0.25}
+    best: dict[str, Any] = dict(scanned)
+    level = _gains(problem, fit, y, time, [scanned])[0]
+    for _ in range(4 * SHARP):
+        moves = []
+        for sign in (-1.0, 1.0):
+            hz = best["hz"] + sign * steps["hz"]
+            # About the middle of the log, so that a knock there stays where it is.
+            moves.append(best | {"hz": hz, "turn": (best["turn"] + sign * steps["hz"] * middle) % 1.0})
+            moves.append(best | {"turn": (best["turn"] + sign * steps["turn"]) % 1.0})
+            moves.append(best | {"length": float(np.clip(best["length"] * (1.0 + sign * steps["length"]), *LENGTHS))})
+        gains = _gains(problem, fit, y, time, moves)
+        k = int(np.argmax(gains))
+        if gains[k] > level * (1.0 + 1e-3):
+            best, level = moves[k], gains[k]
+        else:
+            steps = {key: 0.5 * step for key, step in steps.items()}
+    return float(level), best
+
+
+def _gains(problem: ForceProblem, fit: EffectFit, y: Array, time: Array, scans: Sequence[Scanned]) -> Array:
+    """Squares (v,) that trains take from the residual, by their own columns."""
+    mask = (problem.log.contact * (problem.scene.conditions.belt != 0)).astype(float)
+    turns = [time * s["hz"] - s["turn"] for s in scans]
+    away = np.column_stack([t - np.floor(t + 0.5) for t in turns]) / np.array([s["length"] for s in scans])
+    trains = mask[:, None] * np.exp(-0.5 * away**2)
+    size = np.sum(fit.whiteners[0].whole(trains) ** 2, axis=0)
+    if len(fit.whiteners) > 1:
+        size = size + np.sum(fit.whiteners[1].whole(problem.scene.shear[:, None] * trains) ** 2, axis=0)
+    return np.asarray(np.maximum(y @ trains, 0.0) ** 2 / np.maximum(size, 1e-12))
+
+
+def _around(best: Scanned) -> Iterator[Scanned]:
+    """Neighbours of a train: what a sharper place or length would look like is kept of the log too."""
+    for sign in (-1.0, 1.0):
+        yield {**best, "turn": (best["turn"] + sign * 0.3 * best["length"]) % 1.0}
+        yield {**best, "length": float(np.clip(best["length"] * (1.0 + 0.3 * sign), *LENGTHS))}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ocp.diagnose.engine.channel_system import Channel, HeldOut, effects_key
 from ocp.diagnose.engine.findings import Alternative, Diagnosis
-from ocp.diagnose.engine.outliers import outliers
+from ocp.diagnose.engine.search import outliers
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel

@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import System, Variant
+from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Name, Ranked
-from ocp.diagnose.engine.projection import project
 from ocp.effects.effect import Effect, Scanned
 from robots.pose import Array
 

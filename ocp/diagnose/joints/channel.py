@@ -1,7 +1,22 @@
-"""The channel of link-side encoders: link angle less motor angle, offsets refitted, noise that remembers."""
+"""The channel of link-side encoders: link angle less motor angle as a fit of offsets, believed springs, effects and delays.
+
+    link_j(t) = q_j(t - s_j) + offset_j + offset_(j, run) + c_j tau_j - v_j dq_j/dt - k_j sign(dq_j/dt)
+                + sum over effects of columns_j(t) a                                                                    (1)
+
+with q the motor side and tau the load. The believed springs c are nuisance, as everywhere: as good as `SPRING_SHARE` where the
+cell states them, hardly known where they come from a catalogue; joints without a spring are rigid. v and k are what a recorded
+motor torque holds of the drive's own viscous and dry friction, which loads no spring (c times that friction): the evidence allows
+for them, the fit leaves them at zero, so that they cannot pass a delay off as friction. Only the delay s is not linear;
+Gauss-Newton steps about it.
+
+A link-side encoder sees what lies between motor and link: effects' hooks `joint`, and `torque` through the joint's spring where
+the load was not recorded (a recorded load holds every weight already). The delay is the encoder's own: the motor's angle of a
+moment ago is what the link shows now, column -speed.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -9,28 +24,251 @@ from numpy.typing import NDArray
 
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
 from ocp.diagnose.joints.log import JointLog
-from ocp.diagnose.joints.noise import noise_of
-from ocp.diagnose.joints.problem import (
-    DELAY,
-    EncoderProblem,
-    column_of,
-    delay_columns,
-    delays_of,
-    encoder_rows,
-    fit_encoders,
-    nuisance_names,
-    nuisance_prior,
-    nuisance_sensitivities,
-    seen_by_encoder,
-    shift_of,
-)
-from ocp.diagnose.joints.signals import signals_of
-from ocp.diagnose.rules import CATALOGUE_SPRING_SD, SPRING_SHARE
-from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.diagnose.joints.signals import EncoderNoise, Signals, blocks, factors, noise_of, signals_of, whiten_blocks
+from ocp.diagnose.rules import CATALOGUE_SPRING_SD, FRICTION_SD, RUN_OFFSET_SD, SPRING_SHARE
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings, coefficients, prior_sds, with_coefficients
+from ocp.effects.engine.compiled import Hook, evaluated
+from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmRows, arm_rows
 from ocp.effects.motor_harmonic import ratios_of
+from robots.calibration.reading_model import RowInputs
+from robots.compliance import compliance_from_stiffness
+from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
 from robots.robot import Robot
-from robots.tracker_readings import Hanging
+from robots.tracker_readings import Hanging, Index
+
+STEPS = 4
+RANK = 1e-12  # of the largest singular value; what the readings say less of stays where it is
+DELAY = "channel_delay"
+
+
+def seen_by_encoder(effect: Effect) -> bool:
+    """Whether a link-side encoder can see the effect at all."""
+    return effect.joint is not None or effect.torque is not None
+
+
+def encoder_rows(signals: Signals, robot: Robot, payload: Hanging) -> ArmRows:
+    """The arm at the instants of a log: the believed arm with the recorded loads in place of its own."""
+    n = len(signals.log)
+    none = np.zeros((n, 3))
+    hung = np.broadcast_to([payload.mass, *payload.com], (n, 4))
+    arm = np.concatenate([robot.mdh.ravel(), compliance_from_stiffness(robot.stiffness)])
+    inputs = RowInputs(signals.log.q, hung, np.zeros((n, 6)), none, none)
+    rows = arm_rows(
+        robot, arm, inputs, ("",), approach=signals.direction, warm=np.zeros(n), time=signals.log.time, speed=signals.qd
+    )
+    start = 0
+    for name, size in ARM_LAYOUT.sizes:
+        if name == "tau":
+            rows.state[:, start : start + size] = signals.tau
+        start += size
+    return rows
+
+
+def delay_columns(signals: Signals, joint: int, delays: Array) -> Array:
+    """Angle (n, 6) rad of each link per s of delay of one joint's link side (0: of all), about the delays (6,) s."""
+    out = np.zeros_like(signals.log.q)
+    for j in signals.log.joints:
+        if joint in (0, j):
+            out[:, j - 1] = -signals.speed(j, float(delays[j - 1]))
+    return out
+
+
+def encoder_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: ArmRows, recorded: NDArray[np.bool_]) -> Array:
+    """Angles (variants, n, 6, m) rad of the links per unit coefficient; recorded (6,): whose load was recorded."""
+    total = np.zeros((len(scans), len(rows), 6, effect.size))
+    if effect.joint is not None:
+        total += evaluated(Hook(effect, "joint", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
+    if effect.torque is not None:
+        share = rows.block("c") * np.where(recorded, 0.0, 1.0)
+        total += share[None, :, :, None] * evaluated(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
+    return total
+
+
+@dataclass(frozen=True)
+class EncoderProblem:
+    """What the log is, apart from what is fitted: signals, arm at its instants, robot, payload, noise by joint, the readings as
+    pairs (row of the signals, joint 1..6), and springs by joint: compliance rad/(N m) and its one sigma."""
+
+    signals: Signals
+    arm: ArmRows
+    robot: Robot
+    payload: Hanging
+    noise: dict[int, EncoderNoise]
+    row: Index
+    joint: Index
+    springs: dict[int, tuple[float, float]]
+    notices: tuple[str, ...] = ()
+
+    @property
+    def measured(self) -> Array:
+        """Link less motor angle (n,) rad of the readings."""
+        log = self.signals.log
+        return np.asarray((log.link - log.q)[self.row, self.joint - 1])
+
+    @property
+    def scatter(self) -> Array:
+        """Noise (n,) rad from instant to instant."""
+        return np.array([self.noise[j].floor for j in self.joint])
+
+    def of_readings(self, links: Array) -> Array:
+        """Values (rows, 6, m) by row and joint as (readings, m)."""
+        return np.asarray(links[self.row, self.joint - 1])
+
+    def columns(self, effect: Effect, joint: int, scans: Sequence[Scanned]) -> Array:
+        """Sensitivities (variants, readings, m) rad of the gap in an effect's coefficients."""
+        return np.asarray(encoder_columns(effect, joint, scans, self.arm, self.signals.measured)[:, self.row, self.joint - 1])
+
+    @cached_property
+    def roots(self) -> dict[int, tuple[Index, list[tuple[Index, Array]]]]:
+        """Of each joint: its readings, and their blocks with the roots of their covariance."""
+        found = {}
+        for j, noise in self.noise.items():
+            at = np.flatnonzero(self.joint == j)
+            row = self.row[at]
+            found[j] = (at, factors(self.signals.log.time[row], blocks(self.signals, row), noise) if len(at) else [])
+        return found
+
+    def whitened(self, columns: Array) -> Array:
+        """Columns (readings, m) rad as rows of unit noise."""
+        out = np.empty_like(columns)
+        for at, roots in self.roots.values():
+            out[at] = whiten_blocks(roots, columns[at])
+        return out
+
+    def part(self, rows: NDArray[np.bool_]) -> "EncoderProblem":
+        """The readings of a mask."""
+        return replace(self, row=self.row[rows], joint=self.joint[rows])
+
+
+def nuisance_names(problem: EncoderProblem) -> tuple[str, ...]:
+    """One offset a joint, where there are several runs one a joint and run too, and the believed springs."""
+    runs = problem.signals.log.runs
+    names = [f"offset {j}" for j in problem.noise]
+    if len(runs) > 1:
+        names += [f"offset {j} run {name}" for j in problem.noise for name in runs]
+    return (
+        *names,
+        *(f"{kind} {j}" for kind in FRICTION_SD for j in torque_recorded(problem)),
+        *(f"spring {j}" for j in problem.springs),
+    )
+
+
+def torque_recorded(problem: EncoderProblem) -> list[int]:
+    """Joints whose motor torque was recorded."""
+    return [j for j in problem.noise if problem.signals.measured[j - 1]]
+
+
+def nuisance_prior(problem: EncoderProblem) -> tuple[Array, Array]:
+    """Prior mean and sd (p,) of the nuisance; sd infinite: free."""
+    mean, sd = [], []
+    for name in nuisance_names(problem):
+        kind, joint = name.split()[:2]
+        if kind == "spring":
+            mean.append(problem.springs[int(joint)][0])
+            sd.append(problem.springs[int(joint)][1])
+        else:
+            mean.append(0.0)
+            sd.append(FRICTION_SD.get(kind, RUN_OFFSET_SD if " run " in name else np.inf))
+    return np.array(mean), np.array(sd)
+
+
+def nuisance_sensitivities(problem: EncoderProblem) -> Array:
+    """Sensitivities (readings, p) of the gap in the nuisance."""
+    runs = problem.signals.log.runs
+    columns = [(problem.joint == j).astype(float) for j in problem.noise]
+    if len(runs) > 1:
+        run = problem.signals.log.run[problem.row]
+        columns += [((problem.joint == j) & (run == k)).astype(float) for j in problem.noise for k in range(len(runs))]
+    tau = problem.signals.tau
+    for friction in (problem.signals.qd, problem.signals.direction):
+        columns += [np.where(problem.joint == j, -friction[problem.row, j - 1], 0.0) for j in torque_recorded(problem)]
+    columns += [np.where(problem.joint == j, tau[problem.row, j - 1], 0.0) for j in problem.springs]
+    return np.stack(columns, axis=1)
+
+
+def delays_of(active: Sequence[Active]) -> Array:
+    """Delay (6,) s of each link side."""
+    out = np.zeros(6)
+    for one in active:
+        if one.effect.name == DELAY:
+            out[slice(None) if one.joint == 0 else one.joint - 1] += one.a[0]
+    return out
+
+
+def shift_of(problem: EncoderProblem, active: Sequence[Active]) -> Array:
+    """Link less motor angle (n,) rad that the effects explain."""
+    signals = problem.signals
+    total = np.zeros(len(problem.row))
+    delays = delays_of(active)
+    for j in np.flatnonzero(delays) + 1:
+        at = problem.joint == j
+        total[at] += (signals.motor(int(j), float(delays[j - 1])) - signals.log.q[:, j - 1])[problem.row[at]]
+    for one in active:
+        if one.effect.name != DELAY:
+            total += column_of(problem, one, delays) @ one.a
+    return total
+
+
+def column_of(problem: EncoderProblem, one: Active, delays: Array) -> Array:
+    """Columns (n, m) of an active effect about the present delays."""
+    if one.effect.name == DELAY:
+        return problem.of_readings(delay_columns(problem.signals, one.joint, delays)[:, :, None])
+    return problem.columns(one.effect, one.joint, [one.scanned])[0]
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A point of the search (`robots.gauss_newton`): nuisance theta (p,), effects, mean and scale of all unknowns, columns (n, p)
+    of the nuisance, and the same whitened."""
+
+    problem: EncoderProblem
+    theta: Array
+    active: tuple[Active, ...]
+    mean: Array
+    scale: Array
+    columns: Array
+    white: Array
+
+    @property
+    def z(self) -> Array:
+        return (np.concatenate([self.theta, coefficients(self.active)]) - self.mean) / self.scale
+
+    def reweighted(self) -> "_Point":
+        return self
+
+    def residual(self) -> Array:
+        left = self.problem.measured - self.columns @ self.theta - shift_of(self.problem, self.active)
+        return self.problem.whitened(left[:, None])[:, 0]
+
+    def linearised(self) -> tuple[Array, Array]:
+        delays = delays_of(self.active)
+        effects = [self.problem.whitened(column_of(self.problem, one, delays)) for one in self.active]
+        return self.residual(), np.column_stack([self.white, *effects]) * self.scale
+
+    def moved(self, change: Array) -> "_Point":
+        step, p = self.scale * change, len(self.theta)
+        return replace(
+            self, theta=self.theta + step[:p], active=with_coefficients(self.active, coefficients(self.active) + step[p:])
+        )
+
+
+def fit_encoders(problem: EncoderProblem, active: tuple[Active, ...]) -> tuple[Array, tuple[Active, ...]]:
+    """Nuisance (p,) and effects with values and covariance that fit the readings best."""
+    mean, sd = nuisance_prior(problem)
+    p = len(mean)
+    mean, sd = np.append(mean, np.zeros(len(coefficients(active)))), np.append(sd, prior_sds(active))
+    known = np.isfinite(sd)
+    scale = np.where(known, sd, RUN_OFFSET_SD)
+    allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance_names(problem)])
+    columns = np.where(allowed, 0.0, nuisance_sensitivities(problem))
+    moving = any(one.effect.name == DELAY for one in active)
+    start = _Point(problem, mean[:p], active, mean, scale, columns, problem.whitened(columns))
+    found = minimise(start, known.astype(float), Rule(STEPS if moving else 1, rank=RANK))
+    covariance = scale[:, None] * found.last.covariance * scale
+    at = found.at
+    return at.theta, with_coefficients(at.active, coefficients(at.active), covariance[p:, p:])
+
 
 ARCSEC = float(np.degrees(1.0) * 3600.0)
 LEAST_TRAIN, LEAST_TEST = 60, 20  # readings on each side of a fold

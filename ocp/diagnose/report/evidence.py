@@ -1,9 +1,8 @@
 """The section "Evidence": the tables behind the one sentence."""
 
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.joints.channel import JointChannel
-from ocp.diagnose.joints.problem import nuisance_names
-from ocp.diagnose.report.words import SHORT, condition_words, effect_words, effects_words, figure, values_words
+from ocp.diagnose.joints.channel import JointChannel, nuisance_names
+from ocp.diagnose.report.verdict_sentence import SHORT, condition_words, effect_words, effects_words, figure, values_words
 from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.effects.catalogue import library
 from ocp.report.parts import Table, table

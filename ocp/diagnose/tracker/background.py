@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from ocp.diagnose.engine.projection import Projection, project
+from ocp.diagnose.engine.evidence import Projection, project
 from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND, OTHER_LASTS
 from ocp.diagnose.tracker.refit import Task, TrackerFit
 from robots.pose import Array

@@ -19,10 +19,9 @@ from ocp.diagnose.engine.channel_system import (
 )
 from ocp.diagnose.rules import LEAST_CHANGES, LINK_MASS_SD
 from ocp.diagnose.tracker.background import Background, background
-from ocp.diagnose.tracker.baseline import relearned
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
 from ocp.diagnose.tracker.motion import MASS_NAMES, PlacedReadings, displaced, mass_columns, motion
-from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, placed_readings, refit, settled
+from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, placed_readings, refit, relearned, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener

@@ -3,9 +3,15 @@
 Joint shifts are added to the commanded joints before the arm is bent and placed; twists and displacements of readings, below a
 millimetre, are added to first order (their second order is below a micrometre). Gauss-Newton from a fit nearby.
 
-The joint noise comes from the residual itself (Student-t likelihood), from repeats where there are any, and from what is usual.
-An effect that is not yet named hides in the residual, so the noise is estimated anew after every acceptance, and the evidence
-integrates over its scale (docs/diagnosis.md, 'Noise').
+The joint noise comes from the residual itself (Student-t likelihood), from repeats where there are any, and from what is
+usual. An effect that is not yet named hides in the residual, so the noise is estimated anew after every acceptance, and the
+evidence integrates over its scale (docs/diagnosis.md, 'Noise').
+
+The believed cell refitted is what a good calibration yields, and the start of every diagnosis of tracker readings: it holds
+the geometry, the frames, the nests and the springs of the believed joints (within 35 % of what is believed: a spring that is
+far off is an effect, joint_compliance). Springs that the cell lists for other joints are for contact forces; whether they
+bend under weight as well the readings tell, for all such joints together: then they belong to the baseline at their listed
+values, else those joints are rigid. Payloads are as the cell says: a wrong one is an effect.
 """
 
 from collections.abc import Sequence
@@ -16,20 +22,36 @@ import numpy as np
 from scipy.special import expit
 
 from ocp.diagnose.rules import (
+    BELIEVED_SPRING_SD,
     LEAST_REPEATED,
     OUTLIER_SHARE,
     OUTLIER_SIZE,
+    RELEARNED_WIDTH,
     REPEATED_NOISE_SD,
     RESTLESS,
+    STRAY_COMPLIANCE,
+    STRAY_SPRINGS,
     USUAL_JOINT_NOISE,
     USUAL_JOINT_NOISE_SD,
 )
 from ocp.diagnose.tracker.motion import PlacedReadings, together
 from ocp.effects.effect import Active, coefficients, prior_sds, with_coefficients
-from robots.calibration.layout import Layout, State, moved
-from robots.calibration.noise import JOINT_NOISE, Noise, Repeats, joint_noise, reading_covariance, whitener
+from robots.calibration.fit import Fit, fit_campaign, learned_priors, learned_width
+from robots.calibration.layout import (
+    Choice,
+    Layout,
+    Priors,
+    State,
+    believed_compliance,
+    build_layout,
+    moved,
+    nominal_state,
+    offset_between,
+)
+from robots.calibration.noise import JOINT_NOISE, Noise, Repeats, joint_noise, reading_covariance, repeat_scatter, whitener
 from robots.calibration.residuals import Linearised, linearise, points
 from robots.calibration.solver import Campaign
+from robots.calibration.validation import GROSS
 from robots.gauss_newton import Rule, minimise
 from robots.pose import Array
 
@@ -220,3 +242,72 @@ def _settled(
     covariance = scale[:, None] * found.last.covariance * scale[None, :]
     named = with_coefficients(at.active, coefficients(at.active), covariance[size:, size:])
     return TrackerFit(at.state, at.offset, named, at.linear, at.extra, at.W, at.weight, noise, covariance)
+
+
+def believed_baseline(
+    campaign: Campaign, compliant: tuple[int, ...], reference: float, stated: bool = True
+) -> tuple[Task, TrackerFit]:
+    """Task and fit of the believed cell; `compliant` joints of the cell, reference temperature deg C; stated: whether the cell
+    lists the springs itself. Springs that only the robot's catalogue knows belong to `compliant` joints alone."""
+    points = replace(campaign, readings=replace(campaign.readings, turn=None, sigma_turn=None))
+    listed = believed_compliance(campaign.robot) > 0
+    believed = tuple(j for j in compliant if listed[j - 1])
+    others = tuple(j for j in range(2, 7) if stated and listed[j - 1] and j not in believed)
+    first = fit_campaign(points, Choice(joints=(*believed, *others)), Priors())
+    if others and not _bend(first, others):
+        first = fit_campaign(points, Choice(joints=believed), Priors(), begin=_rigid(first, others).state)
+        others = ()
+    priors = replace(learned_priors(first), compliance=BELIEVED_SPRING_SD)
+    choice = Choice(joints=(*believed, *others))
+    c = points
+    layout = build_layout(c.robot, c.readings, c.instrument, choice, priors)
+    nominal = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
+    d_joints = linearise(c.robot, c.readings, c.instrument, layout, first.state).d_joints
+    good = first.weight > GROSS  # an outlier among few repeats would pass for their drift
+    repeats = repeat_scatter(c.readings.take(good), c.instrument, d_joints[good])
+    start = replace(nominal, stations=first.state.stations)
+    task = Task(points, layout, start, reference, repeats)
+    return task, refit(task, first.state, offset_between(layout, start, first.state), (), Noise(first.noise.joints))
+
+
+def _bend(fit: Fit, others: tuple[int, ...]) -> bool:
+    """Whether the joints that the cell does not believe to bend do so as their listed springs say, all together."""
+    listed = believed_compliance(fit.campaign.robot)
+    odds = 0.0
+    for j in others:
+        c, sd = float(fit.state.arm[29 + j]), float(fit.sd[fit.layout.arm[29 + j]])
+        stray = STRAY_SPRINGS * _normal(c, float(np.hypot(STRAY_COMPLIANCE, sd)))
+        agree = _normal(c - listed[j - 1], float(np.hypot(BELIEVED_SPRING_SD * listed[j - 1], sd)))
+        rigid = _normal(c, float(np.hypot(0.05 * listed[j - 1], sd)))
+        odds += float(np.log((1 - STRAY_SPRINGS) * agree + stray) - np.log((1 - STRAY_SPRINGS) * rigid + stray))
+    return odds > 0.0
+
+
+def _normal(off: float, sd: float) -> float:
+    """Density of a normal law `off` its mean."""
+    return float(np.exp(-0.5 * (off / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd))
+
+
+def _rigid(fit: Fit, others: tuple[int, ...]) -> Fit:
+    """The fit's state with these joints rigid, to begin from."""
+    arm = fit.state.arm.copy()
+    arm[[29 + j for j in others]] = 0.0
+    return replace(fit, state=replace(fit.state, arm=arm))
+
+
+def relearned(task: Task, fit: TrackerFit) -> Task:
+    """The task with the geometry's prior as wide as the deviations now found (MacKay 1992, eq. 2.20): an effect that is named
+    has left the geometry. The same task where the widths hardly change."""
+    layout = task.layout
+    sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    prior, scale = layout.prior_sd.copy(), layout.scale.copy()
+    changed = False
+    for columns in layout.geometry:
+        if not len(columns):
+            continue
+        before = float(prior[columns[0]])
+        width = learned_width(fit.offset[columns], sd[columns], before)
+        if abs(np.log(width / before)) > RELEARNED_WIDTH:
+            prior[columns] = scale[columns] = width
+            changed = True
+    return replace(task, layout=replace(layout, prior_sd=prior, scale=scale)) if changed else task

@@ -11,20 +11,26 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import Search, Weighed, weigh
+from ocp.diagnose.engine.beam import Family, Given, Search, Weighed, given, weigh
 from ocp.diagnose.engine.channel_system import Channel
-from ocp.diagnose.engine.families import names_of, rival_of, stacked_columns
+from ocp.diagnose.engine.evidence import visible_lambda
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
-from ocp.diagnose.engine.pool import Family, Given, given
-from ocp.diagnose.engine.probabilities import Names, Posterior, posterior
-from ocp.diagnose.engine.problem import Linearisation, linearised
+from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, rival_of, stacked_columns
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
-from ocp.diagnose.engine.visible import visible_lambda
-from ocp.diagnose.verdict.alternatives import ExplanationWeights, alternatives
-from ocp.diagnose.verdict.classes import merged, mistaken, told_apart, twins
 from ocp.diagnose.verdict.doubts import judged, refitted
 from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_kernel, of_tests, spectra
+from ocp.diagnose.verdict.probabilities import (
+    ExplanationWeights,
+    Names,
+    Posterior,
+    alternatives,
+    merged,
+    mistaken,
+    posterior,
+    told_apart,
+    twins,
+)
 from ocp.effects.effect import Active, Effect
 from robots.pose import Array
 

@@ -13,9 +13,8 @@ import numpy as np
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.channel_system import Channel, HeldOut, effects_key
-from ocp.diagnose.engine.families import positive_of
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.engine.problem import Linearisation
+from ocp.diagnose.engine.linearisation import Linearisation, positive_of
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.pose import Array

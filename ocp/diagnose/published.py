@@ -1,4 +1,7 @@
-"""`python -m ocp.diagnose.published.ur FILE.csv --out DIR`: a published campaign of a UR5 or UR10 as a data set folder.
+"""`python -m ocp.diagnose.published`: a published campaign of a real robot as a data set folder.
+
+    python -m ocp.diagnose.published ur FILE.csv --out DIR          the UR5's or the UR10's
+    python -m ocp.diagnose.published kr300 FF_A.mat --out DIR       recordings of a KUKA KR 300 R2500
 
 * UR5: Jacobi (github.com/pauljac7700/serial_robots_datasets, MIT licence), 1000 postures, GTS3800 tracker, one reflector. Points
   are given in the robot's base frame, so where the tracker stood is unknown: `sigma_um` is the same in all directions. Its
@@ -6,21 +9,26 @@
   under its weight (docs/diagnosis_real.md), which is the default.
 * UR10: Landgraf (github.com/christianlandgraf/ipa-robot-accuracy, MIT licence), 11 911 postures, Leica tracker with a T-Mac,
   points in the tracker's frame, air temperature, times. The diagnosis has no use for the T-Mac's turns, they are left out.
+* KR 300: Weigand, Goetz, Ulmer and Ruskowski (github.com/JonasWeigand/Robot_Identification, MIT licence, MATLAB v5): secondary,
+  link-side encoders on axes 1 to 3, motor encoders through the gear, motor torques, 4 ms.
 
-Both say in which order the postures were driven to. The way there is not recorded: approach signs are those of a straight
-motion of each axis from the posture before, 0 where that is missing or an axis moved less than 0.01 deg.
+Both UR campaigns say in which order the postures were driven to. The way there is not recorded: approach signs are those of a
+straight motion of each axis from the posture before, 0 where that is missing or an axis moved less than 0.01 deg. What is found
+in all of them: docs/diagnosis_real.md.
 """
 
 import csv
 import sys
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import numpy as np
 import typer
 from numpy.typing import NDArray
+from scipy.io import loadmat
 
 from ocp.shell.command import main, run
 from ocp.shell.output import check_output, whole_folder
@@ -38,6 +46,7 @@ UR10_REFLECTOR = [0.0, 0.0, 109.0]  # mm, T-Mac on the flange (Trafo_TM_F_init.t
 ACHIEVED, TARGET = "achieved-target", "target-achieved"  # what x_dif of the UR5 may be
 MOVED = 0.01  # deg: less is no motion of an axis
 MEASURED = {*POINT, "sigma_um"}
+LINK_SIDE = 3  # axes 1..3 of the KR 300 have a secondary encoder
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
@@ -132,23 +141,72 @@ def write_data_set(campaign: PublishedCampaign, folder: Path, held: Index | None
     (folder / "cell.toml").write_text(toml_text(campaign.cell), encoding="utf-8")
     sealed = np.zeros(len(campaign), bool)
     sealed[held if held is not None else []] = True
-    _write_rows(folder / "tracker.csv", campaign.columns, ~sealed)
+    _write_readings(folder / "tracker.csv", campaign.columns, ~sealed)
     if sealed.any():
         hidden = {name: values for name, values in campaign.columns.items() if name not in MEASURED}
-        _write_rows(folder / "sealed_tracker.csv", hidden, sealed)
-        _write_rows(folder / "withheld_tracker.csv", campaign.columns, sealed)
+        _write_readings(folder / "sealed_tracker.csv", hidden, sealed)
+        _write_readings(folder / "withheld_tracker.csv", campaign.columns, sealed)
 
 
-def _write_rows(path: Path, columns: dict[str, Array], rows: NDArray[np.bool_]) -> None:
+def read_recording(path: Path) -> dict[str, Array]:
+    """Columns of a joints.csv by name from a recording: degrees, N m at the link side.
+
+    Raises BadInput: not such a file.
+    """
+    try:
+        content = loadmat(path, squeeze_me=True, struct_as_record=False)
+        rec, para = content["rec"], content["para"]
+        motor, link = np.atleast_2d(rec.act_pos_mot_deg), np.atleast_2d(rec.act_pos_se_deg)
+        torque = np.atleast_2d(rec.act_torque_abs_nm) * np.abs(np.asarray(para.u, float))[:, None]
+        speed, time = np.atleast_2d(rec.act_vel_mot_deg_per_s), np.asarray(rec.time_cont, float)
+    except FileNotFoundError:
+        raise BadInput(f"{path}: cannot be read (no such file); give the path of a .mat recording") from None
+    except Exception as error:  # scipy raises many kinds for a file that is not MATLAB's or lacks a variable
+        raise BadInput(f"{path}: is no recording of the KR 300 campaign ({error}); give one of its .mat files") from None
+    columns: dict[str, Array] = {"time_s": time}
+    columns |= {f"q{j + 1}_deg": motor[j] for j in range(6)}
+    columns |= {f"link{j + 1}_deg": link[j] for j in range(LINK_SIDE)}
+    columns |= {f"tau{j + 1}_Nm": torque[j] for j in range(6)}
+    columns |= {f"qd{j + 1}_deg_s": speed[j] for j in range(6)}
+    return columns
+
+
+def recording_cell() -> dict[str, Any]:
+    """A cell for the recording: no catalogue robot is a KR 300 R2500; the nearest relative serves, its weight is not used
+    because all torques were recorded."""
+    return {"name": "KR 300 R2500 with link-side encoders", "robot": {"model": "kr210_r2700_extra"}}
+
+
+def write_recordings(recordings: list[Path], folder: Path) -> int:
+    """Write cell.toml and joints.csv, one run a recording; the number of rows."""
+    rows = 0
+    with (folder / "joints.csv").open("w", newline="", encoding="utf-8") as file:
+        for path in recordings:
+            columns = read_recording(path)
+            digits = [3 if name == "time_s" else 6 for name in columns]
+            if rows == 0:
+                file.write(",".join(["run", *columns]) + "\n")
+            rows += _write_rows(file, columns.values(), digits, [path.stem])
+    (folder / "cell.toml").write_text(toml_text(recording_cell()), encoding="utf-8")
+    return rows
+
+
+def _write_readings(path: Path, columns: dict[str, Array], rows: NDArray[np.bool_]) -> None:
+    """Rows of a tracker.csv."""
     digits = [6 if n in AXES else 5 if n in POINT else 0 if n in APPROACH or n in ("time_s", "sigma_um") else 2 for n in columns]
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        for values in zip(*(v[rows] for v in columns.values()), strict=True):
-            writer.writerow([f"{v:.{d}f}" for v, d in zip(values, digits, strict=True)])
+        file.write(",".join(columns) + "\n")
+        _write_rows(file, [v[rows] for v in columns.values()], digits)
 
 
-@app.command()
+def _write_rows(file: TextIO, columns: Iterable[Array], digits: Sequence[int], first: Sequence[str] = ()) -> int:
+    """Columns row by row with so many digits each behind the cells `first`; the number of rows."""
+    rows = [[*first, *(f"{v:.{d}f}" for v, d in zip(row, digits, strict=True))] for row in zip(*columns, strict=True)]
+    csv.writer(file, lineterminator="\n").writerows(rows)
+    return len(rows)
+
+
+@app.command("ur")
 def load_campaign(
     recording: Annotated[Path, typer.Argument(help="the campaign's .csv as published, of the UR5 or the UR10")],
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("run"),
@@ -170,6 +228,23 @@ def load_campaign(
             write_data_set(campaign, folder, held)
         kept = "" if held is None else f", {len(held)} of them sealed"
         return f"{out}: {len(campaign)} readings{kept}, with cell.toml; `python -m ocp.diagnose {out}` looks at them."
+
+    sys.exit(run(job, "not loaded"))
+
+
+@app.command("kr300")
+def load_recordings(
+    recordings: Annotated[list[Path], typer.Argument(help="recordings of the campaign, .mat, one run each")],
+    out: Annotated[Path, typer.Option(help="folder to write")] = Path("run"),
+    overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
+) -> None:
+    """Write recordings of the KR 300 campaign as a data set that `python -m ocp.diagnose` reads."""
+
+    def job() -> str:
+        check_output(out, overwrite, recordings)
+        with whole_folder(out, overwrite) as folder:
+            rows = write_recordings(recordings, folder)
+        return f"{out}: {rows} rows of joints.csv with cell.toml; `python -m ocp.diagnose {out}` looks at them."
 
     sys.exit(run(job, "not loaded"))
 

@@ -1,0 +1,263 @@
+"""From weighed sets to probabilities of explanations, of 'none' and of 'none of these'; what data cannot tell apart;
+alternatives.
+
+**Classes** are effects that the data at hand cannot tell apart. Effect e with signature d (projected, at its value) and
+another effect f whose columns C imitate it: what f leaves of it is lambda (1 - R^2) = |d|^2 - d^T C (C^T C + 1 / prior^2)^-1
+C^T d. Below 10.5, 12.7, 14.2 for 1, 2, 3 parameters no test at this size tells them apart (power 0.9 at one in twenty), and
+both names stand for one class. The prior keeps an effect from imitating another with values it never takes.
+
+**Alternatives** are what else the data may mean, with its probability: for predictions that do not stake everything on the
+likeliest explanation. Explanations that fit the same readings may say different things of conditions nobody measured: a
+centre of mass that is wrong for one payload or for all of them, a ripple or an impostor of it. Averaged by their
+probabilities, no prediction has a smaller expected squared error (Hoeting et al. 1999, Bayesian model averaging). 'None' and
+'none of these' count as no effect beyond what is sure.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocp.diagnose.engine.beam import CandidatePool, Key, Member, Search, Weighed, given, scan_one
+from ocp.diagnose.engine.findings import Alternative, Name
+from ocp.diagnose.engine.linearisation import Linearisation
+from ocp.diagnose.rules import (
+    FOLLOWED,
+    IMITATED,
+    MISTAKEN_WITHIN,
+    MOST_FOLLOWED,
+    NAME_BESIDE_UNKNOWN,
+    RIGHT_BESIDE_UNKNOWN,
+    SURE_BESIDE_UNKNOWN,
+    TOLD_APART,
+    TOLD_APART_MORE,
+)
+from ocp.effects.effect import Active, Scanned
+from robots.pose import Array
+
+Names = tuple[Name, ...]
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Probability and log weight (best of its sets) by explanation (names from the library); p_none; p_unknown: sets that need a
+    kernel; where: kernels' shares of p_unknown by name; marginal by name (beside a kernel only half, unless sure); gain: best
+    log weight with a name less best without it and without what stands for it in the background; best: the key of the best set
+    of every explanation."""
+
+    probability: dict[Names, float]
+    log: dict[Names, float]
+    p_none: float
+    p_unknown: float
+    where: dict[Name, float]
+    marginal: dict[Name, float]
+    gain: dict[Name, float]
+    best: dict[Names, Key]
+
+
+def posterior(problem: Linearisation, search: Search) -> Posterior:
+    """Background lines are summed over: they explain without being named."""
+    keys = list(search.sets)
+    log = np.array([search.sets[k].log for k in keys])
+    share = np.exp(log - log.max())
+    share /= share.sum()
+    families = problem.pool.families
+    probability: dict[Names, float] = {}
+    best: dict[Names, Key] = {}
+    weight: dict[Names, float] = {}
+    where: dict[Name, float] = {}
+    marginal: dict[Name, float] = {}
+    p_none = p_unknown = 0.0
+    with_name: dict[Name, float] = {}
+    strange_share: dict[Name, float] = {}
+    for key, p, w in zip(keys, share, log, strict=True):
+        named = tuple(sorted(families[f].name for f in key if families[f].effect is not None))
+        strange = [families[f].name for f in key if families[f].effect is None and not families[f].background]
+        for name in named:
+            beside = strange_share if strange else marginal
+            beside[name] = beside.get(name, 0.0) + float(p)
+            with_name[name] = max(with_name.get(name, -np.inf), float(w))
+        if strange:
+            p_unknown += float(p)
+            where[strange[0]] = where.get(strange[0], 0.0) + float(p)
+        elif not named:
+            p_none += float(p)
+        else:
+            probability[named] = probability.get(named, 0.0) + float(p)
+            if named not in best or w > weight[named]:
+                best[named], weight[named] = key, float(w)
+    gain = {name: w - max(_without(name, problem, search), 0.0) for name, w in with_name.items()}
+    for name, p in strange_share.items():
+        marginal[name] = marginal.get(name, 0.0) + p * (1.0 if gain[name] > SURE_BESIDE_UNKNOWN else NAME_BESIDE_UNKNOWN)
+    return Posterior(probability, weight, p_none, p_unknown, where, marginal, gain, best)
+
+
+def _without(name: Name, problem: Linearisation, search: Search) -> float:
+    """Best log weight of the sets that lack a name, and what may stand for it in the background."""
+    families = problem.pool.families
+    rivals = {problem.index[name]}
+    rivals |= {i for i, f in enumerate(families) if f.background and f.name.joint in (0, name.joint)}
+    return max((s.log for key, s in search.sets.items() if not key & rivals), default=0.0)
+
+
+def told_apart(parameters: int) -> float:
+    """Lambda below which a signature is not told from zero."""
+    return TOLD_APART[min(parameters, 3) - 1] + TOLD_APART_MORE * max(parameters - 3, 0)
+
+
+def imitated(pool: CandidatePool, signature: Array, family: int) -> tuple[float, int]:
+    """The most of a signature's lambda (N,) that a family takes at its prior's upper end, and by which variant."""
+    group, start = pool.place[family]
+    g = pool.groups[group]
+    rows = slice(start, start + pool.families[family].columns.shape[1])
+    b = np.einsum("nvi,n->vi", g.X[:, rows], signature)
+    taken = np.einsum("vi,vi->v", b, np.linalg.solve(g.G[rows] + np.eye(g.m), b[..., None])[..., 0])
+    best = int(np.argmax(taken))
+    return float(taken[best]), best
+
+
+def twins(problem: Linearisation, weighed: Weighed, member: Member, signature: Array, factor: float = 1.0) -> list[Name]:
+    """Names that these data cannot tell from a member of a set with this signature (N,), the others of the set as they are;
+    factor on the threshold."""
+    inside = {m.family for m in weighed.members}
+    names = [i for i, f in enumerate(problem.pool.families) if f.effect is not None and i not in inside]
+    d = _beside(problem, weighed, member, signature)
+    return [problem.pool.families[i].name for i in names if _imitates(problem.pool, d, i, factor)]
+
+
+def mistaken(problem: Linearisation, seen: Mapping[Key, Weighed], weighed: Weighed, member: Member) -> list[Name]:
+    """Names that put in the member's place explain the data nearly as well, and whose signature, were they what is there, the
+    member's family would imitate: a ramp for a step, where a log has readings at its two ends."""
+    pool, key = problem.pool, frozenset(m.family for m in weighed.members)
+    found = []
+    for other, its in seen.items():
+        new = other - key
+        if key - other != {member.family} or len(new) != 1 or its.log < weighed.log - MISTAKEN_WITHIN:
+            continue
+        one = next(m for m in its.members if m.family in new)
+        family = pool.families[one.family]
+        if family.effect is None:
+            continue
+        active = next(a for a in problem.values(its) if a.effect is family.effect and a.joint == family.name.joint)
+        d = _beside(problem, its, one, pool.columns(one) @ (active.a / family.scale))
+        if _imitates(pool, d, member.family):
+            found.append(family.name)
+    return found
+
+
+def _beside(problem: Linearisation, weighed: Weighed, member: Member, signature: Array) -> Array:
+    """A member's signature (N,) less what the others of its set would take of it."""
+    families = problem.pool.families
+    # Background stays as small as it was found: at an effect's size it would take the effect's place.
+    sizes = {m.family: m.size if families[m.family].background else 1.0 for m in weighed.members}
+    there = given(problem.pool, [Member(m.family, m.variant, sizes[m.family]) for m in weighed.members if m != member])
+    return np.asarray(signature - there.U @ ((1.0 - np.sqrt(1.0 - there.take)) * (there.U.T @ signature)))
+
+
+def _imitates(pool: CandidatePool, d: Array, family: int, factor: float = 1.0) -> bool:
+    """Whether a family takes so much of a signature (N,) that what it leaves is not told from zero."""
+    size, (taken, _) = float(d @ d), imitated(pool, d, family)
+    return taken > IMITATED * size and size - taken < factor * told_apart(len(pool.families[family].scale))
+
+
+def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:
+    """Classes that share a name as one."""
+    found: list[set[Name]] = []
+    for names in classes:
+        new = set(names)
+        for other in [c for c in found if c & new]:
+            new |= other
+            found.remove(other)
+        if len(new) > 1:
+            found.append(new)
+    return tuple(tuple(sorted(c)) for c in found)
+
+
+@dataclass(frozen=True)
+class ExplanationWeights:
+    """Probabilities of explanations by their names, of none, and of none of these."""
+
+    explanations: Mapping[Names, float]
+    none: float
+    unknown: float
+
+
+def alternatives(
+    problem: Linearisation,
+    search: Search,
+    found: Posterior,
+    weights: ExplanationWeights,
+    chosen: tuple[Weighed, Names],
+    active: tuple[Active, ...],
+) -> tuple[Alternative, ...]:
+    """Sets of effects with probabilities that sum to one, the accepted one first; chosen: its set and names, active: what of it
+    stays in the corrected model."""
+    weighed, names = chosen
+    staying = {Name(*a.key) for a in active}
+    dropped = {problem.pool.families[m.family].name for m in problem.named(weighed)} - staying
+    listed: list[Alternative] = []
+    if not active:
+        return (Alternative(1.0, ()),)
+    if names:
+        whole = weights.explanations.get(names, 0.0)
+        listed += _variants(problem, weighed, active, whole)
+        listed.append(Alternative(weights.unknown, ()))
+    else:  # what is sure beside an effect outside the catalogue, which it may still imitate in part
+        listed += _variants(problem, weighed, active, RIGHT_BESIDE_UNKNOWN * weights.unknown)
+        listed.append(Alternative((1.0 - RIGHT_BESIDE_UNKNOWN) * weights.unknown, ()))
+    listed.append(Alternative(weights.none, ()))
+    for other, p in sorted(weights.explanations.items(), key=lambda item: -item[1])[: MOST_FOLLOWED + 1]:
+        if other != names and p >= FOLLOWED:
+            members = problem.values(search.sets[found.best[other]])
+            listed.append(Alternative(p, tuple(a for a in members if Name(*a.key) not in dropped)))
+    return _summed(listed)
+
+
+def _variants(problem: Linearisation, weighed: Weighed, active: tuple[Active, ...], whole: float) -> list[Alternative]:
+    """The accepted set, its probability shared among the words that its effects may act on: payloads, nests, other joints."""
+    shares: list[tuple[float, tuple[Active, ...]]] = [(1.0, active)]
+    for member in problem.named(weighed):
+        name = problem.pool.families[member.family].name
+        place = next((i for i, a in enumerate(active) if a.key == (name.effect, name.joint)), None)
+        if place is None or not _words(active[place].scanned):
+            continue
+        listed = _by_words(problem, weighed, member, active[place])
+        shares = [(s * p, (*a[:place], one, *a[place + 1 :])) for s, a in shares for p, one in listed]
+    return [Alternative(whole * s, a) for s, a in shares]
+
+
+def _by_words(problem: Linearisation, weighed: Weighed, member: Member, one: Active) -> list[tuple[float, Active]]:
+    """Probability of every choice of words of an effect, the rest of its set held, and the effect at its best with them."""
+    pool, family = problem.pool, problem.pool.families[member.family]
+    others = [m for m in weighed.members if m.family != member.family]
+    log, _ = scan_one(pool, given(pool, others), member.family)
+    per = np.logaddexp.reduce(log, axis=1)
+    groups: dict[tuple[tuple[str, str], ...], list[int]] = {}
+    for v, scanned in enumerate(family.scans):
+        groups.setdefault(_words(scanned), []).append(v)
+    own = _words(one.scanned)
+    weight = np.array([np.exp(np.logaddexp.reduce(per[rows]) - per.max()) for rows in groups.values()])
+    listed = []
+    for words, rows, p in zip(groups, groups.values(), weight / weight.sum(), strict=True):
+        if words == own:
+            listed.append((float(p), one))
+        elif p >= FOLLOWED:
+            best = Member(member.family, rows[int(np.argmax(per[rows]))], 1.0)
+            values = problem.values(Weighed(0.0, (*others, best)))
+            listed.append((float(p), next(a for a in values if a.effect is one.effect and a.joint == one.joint)))
+    return listed
+
+
+def _words(scanned: Scanned) -> tuple[tuple[str, str], ...]:
+    """What of scanned values is a name, not a number."""
+    return tuple(sorted((k, v) for k, v in scanned.items() if isinstance(v, str)))
+
+
+def _summed(listed: Sequence[Alternative]) -> tuple[Alternative, ...]:
+    """The first, then the most probable others, probabilities summing to one; no effect at all as one alternative."""
+    first, rest = listed[0], [a for a in listed[1:] if a.active]
+    rest = sorted(rest, key=lambda a: -a.probability)[:MOST_FOLLOWED]
+    nothing = Alternative(sum(a.probability for a in listed if not a.active), ())
+    staying = [a for a in (first, *rest, nothing) if a is first or a.probability >= FOLLOWED]
+    total = sum(a.probability for a in staying) or 1.0
+    return tuple(Alternative(a.probability / total, a.active) for a in staying)
