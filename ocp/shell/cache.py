@@ -1,15 +1,15 @@
 """Results kept on disk under the hash of everything they depend on, and dataclasses as arrays for it.
 
-An entry is one `.npz` file without pickles. It appears by a rename, so that processes working side by side see
-a whole entry or none; an entry that cannot be read is computed anew. Nothing in here ever makes a run fail:
-where the folder cannot be written the result is simply not kept.
+An entry is one `.npz` archive without pickles behind a checksum of its own (NumPy does not check the archive's). It appears by a
+rename, so that processes working side by side see a whole entry or none; an entry that is not as it was written is computed anew.
+Nothing in here ever makes a run fail: where the folder cannot be written the result is simply not kept.
 """
 
 import hashlib
+import io
 import os
 import sys
 import tempfile
-import zipfile
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
@@ -25,6 +25,8 @@ Part = NDArray[np.generic] | str | int | float | bool | None
 Entry = dict[str, NDArray[np.generic]]
 Kind = TypeVar("Kind")
 
+SUFFIX = ".kept"
+DIGEST = 32  # bytes of SHA-256 before the archive
 VARIABLE = "GRINDPLAN_CACHE"  # environment: another folder; empty = keep nothing
 
 
@@ -74,7 +76,7 @@ def remember(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
     folder = cache_folder()
     if folder is None:
         return compute()
-    path = folder / f"{kind}-{key}.npz"
+    path = folder / f"{kind}-{key}{SUFFIX}"
     entry = _read(path)
     if entry is None:
         entry = compute()
@@ -83,24 +85,34 @@ def remember(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
 
 
 def _read(path: Path) -> Entry | None:
-    """Return an entry, or None where there is none or it is damaged (the archive's checksums tell)."""
+    """Return an entry, or None where there is none or any byte of it is not as it was written."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        content = path.read_bytes()
+        if hashlib.sha256(content[DIGEST:]).digest() != content[:DIGEST]:
+            return None
+        with np.load(io.BytesIO(content[DIGEST:]), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except Exception:  # whatever a broken file does to the reader: it is computed anew
         return None
 
 
 def _write(path: Path, entry: Entry) -> None:
-    """Write an entry under a passing name beside its place, then rename it."""
+    """Write an entry and its checksum under a passing name beside its place, then rename it."""
     passing = None
+    archive = io.BytesIO()
+    np.savez(archive, allow_pickle=False, **entry)
+    content = archive.getbuffer()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
             passing = file.name
-            np.savez(file, allow_pickle=False, **entry)
+            file.write(hashlib.sha256(content).digest())
+            file.write(content)
         os.replace(passing, path)
+        passing = None
     except OSError:
+        pass
+    finally:
         if passing is not None:
             Path(passing).unlink(missing_ok=True)
 
@@ -108,14 +120,14 @@ def _write(path: Path, entry: Entry) -> None:
 def recall(kind: str, key: str) -> Entry | None:
     """Return the arrays kept under `kind` and `key`, or None."""
     folder = cache_folder()
-    return None if folder is None else _read(folder / f"{kind}-{key}.npz")
+    return None if folder is None else _read(folder / f"{kind}-{key}{SUFFIX}")
 
 
 def keep(kind: str, key: str, entry: Entry) -> None:
     """Keep arrays under `kind` and `key`; a folder that cannot be written is no error."""
     folder = cache_folder()
     if folder is not None:
-        _write(folder / f"{kind}-{key}.npz", entry)
+        _write(folder / f"{kind}-{key}{SUFFIX}", entry)
 
 
 def sha256(path: Path) -> str:

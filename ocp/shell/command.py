@@ -10,10 +10,11 @@ from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
+from ocp.shell.interrupts import INTERRUPTED, supervised, was_told
 from ocp.shell.progress import Progress
 from robots.errors import BadInput, Infeasible
 
-OK, NOT_SOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+OK, NOT_SOLVED, BAD_INPUT = 0, 1, 2
 
 
 @contextmanager
@@ -33,19 +34,24 @@ def shown_progress() -> Iterator[Progress]:
 
 
 def main(app: typer.Typer) -> None:
-    """Run a command line; what is wrong with the arguments is one sentence too."""
+    """Run a command line; what is wrong with the arguments is one sentence too, and an interrupt ends it at once."""
+    sys.exit(supervised(lambda: _called(app), lambda sentence: print(sentence, file=sys.stderr)))  # noqa: T201
+
+
+def _called(app: typer.Typer) -> int:
     try:
         # An interrupt during the imports comes back as a number, as an error or as itself, depending on the release.
         if app(standalone_mode=False) == INTERRUPTED:
-            sys.exit(_refuse("interrupted, nothing written", INTERRUPTED))
+            return _refuse("interrupted, nothing written", INTERRUPTED)
     except (typer.Abort, KeyboardInterrupt):
-        sys.exit(_refuse("interrupted, nothing written", INTERRUPTED))
+        return _refuse("interrupted, nothing written", INTERRUPTED)
     except Exception as error:
         # Usage errors have this method in every release of typer; where their class lives changes.
         message = getattr(error, "format_message", None)
         if message is None:
             raise
-        sys.exit(_refuse(f"refused: {message().rstrip('.')}; --help lists what there is", BAD_INPUT))
+        return _refuse(f"refused: {message().rstrip('.')}; --help lists what there is", BAD_INPUT)
+    return OK
 
 
 def run(job: Callable[[], str], not_solved: str = "no safe plan") -> int:
@@ -53,12 +59,21 @@ def run(job: Callable[[], str], not_solved: str = "no safe plan") -> int:
     try:
         print(job())  # noqa: T201  the plain last line is the command's answer
         return OK
-    except BadInput as error:
-        return _refuse(f"refused: {error}", BAD_INPUT)
-    except Infeasible as error:
-        return _refuse(f"{not_solved}, nothing written: {error}", NOT_SOLVED)
-    except KeyboardInterrupt:
-        return _refuse("interrupted, nothing written", INTERRUPTED)
+    except BrokenPipeError:  # nobody reads the last line; the work is done
+        return OK
+    except (Exception, KeyboardInterrupt) as error:
+        if was_told() or isinstance(error, KeyboardInterrupt):  # some library may have put its own error in the interrupt's place
+            return _refuse("interrupted, nothing written", INTERRUPTED)
+        if isinstance(error, BadInput):
+            return _refuse(f"refused: {error}", BAD_INPUT)
+        if isinstance(error, Infeasible):
+            return _refuse(f"{not_solved}, nothing written: {error}", NOT_SOLVED)
+        if isinstance(error, OSError):
+            where = f"{error.filename}: " if error.filename else ""
+            return _refuse(f"refused: {where}{error.strerror or error}; free space or permission is wanting there", BAD_INPUT)
+        if isinstance(error, MemoryError):
+            return _refuse(f"{not_solved}, nothing written: memory does not suffice; take a smaller input", NOT_SOLVED)
+        raise
 
 
 class Result(Protocol):

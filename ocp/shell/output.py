@@ -1,80 +1,275 @@
-"""Output folders that appear whole or not at all."""
+"""Output folders that appear whole or not at all, and never take anything of the user's with them.
 
+A folder is written beside its place and put there by one rename. A marker in it lists every file with its hash, so that a later
+`--overwrite` replaces only what this software wrote and nobody changed since. One run at a time holds a folder; what a killed run
+left beside it is put back or cleared away by the next one.
+"""
+
+import ctypes
+import errno
+import json
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
+from ocp.shell import interrupts
 from robots.errors import BadInput
 
 LONGEST_NAME = 200  # bytes; file systems take 255, the temporary neighbour needs some
+MARKER = ".written.json"
+"""Name of the list of files, with their SHA-256, that a written folder holds."""
+OLD, NEW = "replaced", "unfinished"  # what stands beside a folder while it is written
 
 
-def check_output(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Refuse early what `whole_folder` would refuse after the work is done.
+class Output:
+    """A folder that this run alone will write."""
 
-    Raises BadInput: the folder holds files and `overwrite` is false, holds one of `inputs` or the working folder, is a
-    file, has a name that is empty or too long, or cannot be written.
-    """
-    if str(folder) in ("", "."):
-        raise BadInput("--out is empty or the working folder itself; give the name of a folder to write")
-    try:
-        exists = folder.exists()
-    except OSError as error:
-        raise BadInput(f"--out {str(folder)[:40]}..: {error.strerror}; give a shorter name") from None
-    if len(folder.name.encode()) > LONGEST_NAME:
-        raise BadInput(f"--out {str(folder)[:40]}..: the name has {len(folder.name)} characters; give a shorter one")
-    if exists and not folder.is_dir():
-        raise BadInput(f"{folder}: is a file, not a folder; give another --out")
-    if exists and any(folder.iterdir()):
-        if not overwrite:
-            raise BadInput(f"{folder}: exists and is not empty; give another --out, or --overwrite to replace it")
-        _refuse_losses(folder, inputs)
-    parent = folder.resolve().parent
-    while not parent.exists():
-        parent = parent.parent
-    if not parent.is_dir():
-        raise BadInput(f"{folder}: cannot be made, {parent} is a file; give another --out")
-    if not os.access(parent, os.W_OK) or (exists and not os.access(folder, os.W_OK)):
-        raise BadInput(f"{folder}: cannot be written, no permission in {parent}; give another --out")
+    def __init__(self, named: Path, overwrite: bool) -> None:
+        self.named = named
+        self.overwrite = overwrite
+        self.folder = _resolved(named)
+        self._inputs: set[Path] = set()
+        self._seen: tuple[bool, bytes | None] = True, None
 
+    def reads(self, files: Iterable[Path]) -> None:
+        """Tell that the run reads these files or folders. Raises BadInput where one lies in the folder or is the folder."""
+        self._inputs |= {_resolved(file) for file in files}
+        for file in sorted(self._inputs):
+            if self.folder == file or self.folder in file.parents:
+                what = "is itself" if self.folder == file else f"holds {file.relative_to(self.folder)},"
+                raise BadInput(f"{self.named}: {what} an input of this run, which writing would delete; give another --out")
 
-def _refuse_losses(folder: Path, inputs: Iterable[Path]) -> None:
-    """Replacing a folder deletes what is in it: never an input of this very run, never where the user stands."""
-    whole = folder.resolve()
-    for file in inputs:
-        if whole in file.resolve().parents:
-            raise BadInput(f"{folder}: holds {file.name}, an input of this run; --overwrite would delete it, give another --out")
-    for place in (Path.cwd(), Path.home()):
-        if whole == place.resolve() or whole in place.resolve().parents:
-            raise BadInput(f"{folder}: holds the folder {place}, which --overwrite would delete; give another --out")
+    def check(self) -> None:
+        """Refuse what could not be written when the work is done. Raises BadInput with the reason."""
+        if len(self.folder.name.encode()) > LONGEST_NAME:
+            text = str(self.named)[:40]
+            raise BadInput(f"--out {text}..: the name has {len(self.folder.name)} characters; give a shorter one")
+        try:
+            if self.folder.exists() and not self.folder.is_dir():
+                raise BadInput(f"{self.named}: is a file, not a folder; give another --out")
+            parent = self.folder.parent
+            while not parent.exists():
+                parent = parent.parent
+        except OSError as error:
+            raise BadInput(f"--out {str(self.named)[:40]}..: {error.strerror}; give a shorter name") from None
+        if not parent.is_dir():
+            raise BadInput(f"{self.named}: cannot be made, {parent} is a file; give another --out")
+        for place in (parent, self.folder):
+            if place.exists() and not os.access(place, os.W_OK | os.X_OK):
+                raise BadInput(f"{self.named}: cannot be written, no permission in {place}; give another --out")
+        if not _empty(self.folder):
+            if not self.overwrite:
+                raise BadInput(f"{self.named}: exists and is not empty; give another --out, or --overwrite to replace it")
+            self._refuse_losses()
+        self._seen = _state(self.folder)
+
+    def _refuse_losses(self) -> None:
+        for place in (Path.cwd(), Path.home()):
+            if self.folder == place.resolve() or self.folder in place.resolve().parents:
+                raise BadInput(f"{self.named}: holds the folder {place}, which --overwrite would delete; give another --out")
+        self.reads(())
+        users = users_file(self.folder)
+        if users is not None:
+            raise BadInput(f"{self.named}: --overwrite would delete {users}; give another --out, or move what is yours")
+
+    @contextmanager
+    def whole(self) -> Iterator[Path]:
+        """A temporary folder beside the place that takes it when the block ends without an error.
+
+        Whatever ends the block otherwise, the place is as it was. Raises BadInput where nothing can be written, and where what
+        stands there has changed since the run began.
+        """
+        parent = self.folder.parent
+        missing = [p for p in (parent, *parent.parents) if not p.exists()]
+        try:
+            parent.mkdir(parents=True, exist_ok=True)
+            partial = Path(tempfile.mkdtemp(prefix=f"{_prefix(self.folder, NEW)}", dir=parent))
+        except OSError as error:
+            _remove_empty(missing)
+            raise BadInput(f"{self.named}: cannot be written ({error.strerror}); give another --out") from None
+        interrupts.clear_if_killed(partial)
+        try:
+            yield partial
+            write_marker(partial)
+            partial.chmod(0o755)
+            interrupts.raise_if_told()
+            self._put(partial)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EFBIG):
+                raise BadInput(f"{self.named}: cannot be written ({error.strerror}), nothing is; give another --out") from None
+            raise
+        finally:
+            if partial.exists() and (not (partial / MARKER).exists() or users_file(partial) is None):
+                shutil.rmtree(partial, ignore_errors=True)
+            _remove_empty(missing)
+
+    def _put(self, partial: Path) -> None:
+        meanwhile = f"{self.named}: somebody else wrote there while this run worked, and that stays; give another --out"
+        if _state(self.folder) != self._seen:
+            raise BadInput(meanwhile)
+        if _empty(self.folder):
+            try:
+                os.replace(partial, self.folder)  # takes the place of an empty folder, fails on one with files
+            except OSError as error:
+                raise BadInput(meanwhile) if error.errno in (errno.ENOTEMPTY, errno.EEXIST) else error from None
+            return
+        self.check()
+        if _exchanged(partial, self.folder):
+            users = users_file(partial)  # written to between the last look and the exchange
+            if users is not None:
+                _exchanged(partial, self.folder)
+                raise BadInput(f"{self.named}: --overwrite would delete {users}; give another --out, or move what is yours")
+            return
+        old = Path(tempfile.mkdtemp(prefix=_prefix(self.folder, OLD), dir=self.folder.parent))
+        try:
+            os.rename(self.folder, old / "folder")
+            os.rename(partial, self.folder)
+        finally:
+            _recover(self.folder)
 
 
 @contextmanager
-def whole_folder(folder: Path, overwrite: bool) -> Iterator[Path]:
-    """A temporary folder beside `folder` that takes its place when the block ends without an error.
+def reserved(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> Iterator[Output]:
+    """`folder` for this run alone: checked now, written later by `Output.whole`.
 
-    Whatever interrupts the block, `folder` is as it was before. A link is followed, the folder it points to is replaced.
+    Args:
+        folder: where to write; a link is followed.
+        overwrite: replace a folder that this software wrote and nobody changed since.
+        inputs: files and folders that the run reads; more may be told by `Output.reads` before anything is written.
+
+    Raises BadInput: another run writes there; the folder holds files and `overwrite` is false, or holds a file that is not this
+    software's, an input, or the working folder; it is a file, has a name that is empty or too long, or cannot be written.
     """
-    check_output(folder, overwrite)
-    folder = folder.resolve()
-    parent = folder.parent
+    if str(folder) in ("", "."):
+        raise BadInput("--out is empty or the working folder itself; give the name of a folder to write")
+    output = Output(folder, overwrite)
+    name = sha256(os.fsencode(output.folder)).hexdigest()[:24]
+    lock = FileLock(Path(interrupts.TEMPORARY) / f"grindplan-{name}.lock", timeout=0)
     try:
-        parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=parent))
+        lock.acquire()
+    except Timeout:
+        raise BadInput(f"{folder}: another run is writing there; wait for it, or give another --out") from None
     except OSError as error:
-        raise BadInput(f"{folder}: cannot be written ({error.strerror}); give another --out") from None
+        raise BadInput(f"{interrupts.TEMPORARY}: temporary files cannot be written ({error.strerror}); free some space") from None
     try:
-        yield partial
-        partial.chmod(0o755)
-        old = None
-        if folder.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=parent))
-            folder.rename(old / folder.name)
-        partial.rename(parent / folder.name)
-        if old is not None:
-            shutil.rmtree(old, ignore_errors=True)
+        _recover(output.folder)
+        output.reads(inputs)
+        output.check()
+        yield output
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        lock.release()
+
+
+def write_marker(folder: Path) -> None:
+    """List a folder's files with their hashes in its marker. Raises OSError where it cannot be written."""
+    files = {name: _hash(folder / name) for name in _names(folder)}
+    (folder / MARKER).write_text(json.dumps({"by": "grindplan", "sha256": files}, indent=1), encoding="utf-8")
+
+
+def users_file(folder: Path) -> str | None:
+    """A file in `folder` that is not as this software wrote it, with the reason; None where all are."""
+    try:
+        listed = dict(json.loads((folder / MARKER).read_text(encoding="utf-8"))["sha256"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        first = next(iter(_names(folder)), None)
+        return None if first is None else f"{first}, and {MARKER} does not tell that this software wrote it"
+    for name in _names(folder):
+        if name not in listed:
+            return f"{name}, which this software did not write"
+        if _hash(folder / name) != listed[name]:
+            return f"{name}, which was changed since it was written"
+    return None
+
+
+def _names(folder: Path) -> list[str]:
+    found = (Path(root) / name for root, _, names in os.walk(folder) for name in names)
+    links = (Path(root) / name for root, names, _ in os.walk(folder) for name in names if (Path(root) / name).is_symlink())
+    return sorted(p.relative_to(folder).as_posix() for p in (*found, *links) if p != folder / MARKER)
+
+
+def _hash(file: Path) -> str:
+    """SHA-256 of a regular file; of anything else its kind, which no list has."""
+    if file.is_symlink() or not file.is_file():
+        return "no regular file"
+    try:
+        return sha256(file.read_bytes()).hexdigest()
+    except OSError:
+        return "cannot be read"
+
+
+def _state(folder: Path) -> tuple[bool, bytes | None]:
+    """Whether a folder is empty, and its marker: another after every run that wrote there."""
+    try:
+        return _empty(folder), (folder / MARKER).read_bytes()
+    except OSError:
+        return _empty(folder), None
+
+
+def _empty(folder: Path) -> bool:
+    return not folder.exists() or not any(folder.iterdir())
+
+
+def _resolved(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):  # a link that leads to itself; which error depends on the release
+        raise BadInput(f"{str(path)[:80]}: is a link that leads nowhere or to itself; give another path") from None
+
+
+def _prefix(folder: Path, what: str) -> str:
+    return f".{folder.name}.{what}."
+
+
+def _recover(folder: Path) -> None:
+    """Put back what a killed run had moved aside, and clear away what it had not finished."""
+    if not folder.parent.is_dir():
+        return
+    for old in sorted(folder.parent.glob(f"{_glob(_prefix(folder, OLD))}*")):
+        if not folder.exists() and (old / "folder").exists():
+            os.rename(old / "folder", folder)
+        if not (old / "folder").exists() or users_file(old / "folder") is None:
+            shutil.rmtree(old, ignore_errors=True)
+    for new in folder.parent.glob(f"{_glob(_prefix(folder, NEW))}*"):
+        if not (new / MARKER).exists() or users_file(new) is None:
+            shutil.rmtree(new, ignore_errors=True)
+
+
+def _glob(text: str) -> str:
+    return "".join(f"[{c}]" if c in "*?[" else c for c in text)
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    """Remove folders made on the way, innermost first, that hold nothing."""
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step where the system can (Linux); else do nothing and return False."""
+    if not sys.platform.startswith("linux"):
+        return False
+    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    return rename is not None and rename(-100, os.fsencode(one), -100, os.fsencode(other), 2) == 0  # AT_FDCWD, RENAME_EXCHANGE
+
+
+@contextmanager
+def whole_folder(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> Iterator[Path]:
+    """`reserved` and `Output.whole` in one, for what is written at once."""
+    with reserved(folder, overwrite, inputs) as output, output.whole() as partial:
+        yield partial
+
+
+def check_output(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Refuse early what `whole_folder` would refuse after the work is done; raises as `reserved`."""
+    with reserved(folder, overwrite, inputs):
+        pass

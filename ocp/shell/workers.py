@@ -9,7 +9,8 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -37,10 +38,19 @@ def workers(jobs: int, start: Callable[..., None], *state: Any) -> Iterator[Exec
 
 
 def _start(file: str) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     start, state = pickle.loads(Path(file).read_bytes())
     start(*state)
     # Ended early, a worker still removes the temporary files of what it was doing.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent's end of their pipe closes, however that ended: work for nobody is no work."""
+    parent = parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(143)
 
 
 @contextmanager

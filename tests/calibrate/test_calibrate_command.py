@@ -61,6 +61,7 @@ def test_the_last_line_says_what_came_out(done):
     assert all(line.startswith("note: ") for line in told.stderr.splitlines())
     names = {p.name for p in (folder / "calibration").iterdir()}
     assert names == {
+        ".written.json",
         "calibration.toml",
         "calibration.npz",
         "cell.toml",

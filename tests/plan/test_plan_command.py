@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from ocp.data import BLADE
+from ocp.shell.output import MARKER, write_marker
 from robots.robot import load_robot
 from tests.support import small_plan
 from tests.support.small_plan import STEP, planned, refused, small_cell, tree
@@ -77,7 +78,7 @@ def test_the_folder_holds_programs_in_pairs_table_summary_and_reports(small):
     plan = small[0] / "plan"
     sources = sorted(p.stem for p in plan.glob("*.src"))
     assert sources == sorted(p.stem for p in plan.glob("*.dat")) and len(sources) >= 3
-    others = {p.name for p in plan.iterdir() if p.suffix not in (".src", ".dat")}
+    others = {p.name for p in plan.iterdir() if p.suffix not in (".src", ".dat") and p.name != MARKER}
     assert others == {"plan.csv", "plan.json", "report.html", "report.pdf"}
     assert (plan / "report.pdf").read_bytes().startswith(b"%PDF-")
     assert "</html>" in (plan / "report.html").read_text(encoding="utf-8")
@@ -155,15 +156,19 @@ def test_a_blade_named_like_a_statement_gives_a_harmless_cartesian_program(small
 def test_classic_lines_replace_an_old_folder_only_when_asked(small, tmp_path):
     cell = small_cell(tmp_path)
     (tmp_path / "plan").mkdir()
-    (tmp_path / "plan" / "notes.txt").write_text("mine")
+    (tmp_path / "plan" / "old.txt").write_text("of an earlier run")
+    write_marker(tmp_path / "plan")
     before = tree(tmp_path)
     text = one_sentence(refused("--cell", str(cell), "--out", str(tmp_path / "plan")), 2)
     assert "not empty" in text and "--overwrite" in text
     assert tree(tmp_path) == before
+    (tmp_path / "plan" / "notes.txt").write_text("mine")
+    assert "notes.txt" in one_sentence(refused("--cell", str(cell), "--out", str(tmp_path / "plan"), "--overwrite"), 2)
+    (tmp_path / "plan" / "notes.txt").unlink()
     told = planned(tmp_path, "--cell", cell.name, *STEP, "--kind", "lin", "--overwrite")
     assert told.code == 0, told.err
     checked(tmp_path / "plan")
-    assert not (tmp_path / "plan" / "notes.txt").exists()
+    assert not (tmp_path / "plan" / "old.txt").exists()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["blade.stl", "cell.toml", "plan"]
     text = "".join(p.read_text() for p in (tmp_path / "plan").glob("*_0*.src"))
     assert re.search(r"(?m)^ *LIN ", text) and "C_VEL" in text and "SPLINE" not in text
@@ -186,13 +191,13 @@ def test_a_wheel_out_of_reach_is_no_bad_input_but_no_plan_either(small, tmp_path
     assert sorted(p.name for p in tmp_path.iterdir()) == ["blade.stl", "cell.toml"]
 
 
-def workers(group: int) -> list[str]:
-    """Command lines of the living processes of a group (Linux)."""
+def workers(session: int) -> list[str]:
+    """Command lines of the living processes of a session (Linux)."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = stat.read_text().rsplit(")", 1)[1].split()
-            if int(fields[2]) == group and fields[0] != "Z":
+            if int(fields[3]) == session and fields[0] != "Z":
                 found.append((stat.parent / "cmdline").read_text().replace("\0", " "))
         except OSError:
             continue
@@ -212,7 +217,7 @@ def test_an_interrupt_leaves_nothing_behind(small, tmp_path, moment):
         time.sleep(0.02)
     assert process.poll() is None, "the command was over before it could be interrupted"
     time.sleep(0.3)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the whole group
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert out == "" and err.strip() == "interrupted, nothing written"

@@ -1,7 +1,9 @@
 """Kept results: keys tell contents apart, damaged entries are computed anew, processes do not disturb each other."""
 
+import io
 import subprocess
 import sys
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -63,13 +65,25 @@ def test_second_call_reads(folder):
     first, second = cache.remember("kind", "key", compute), cache.remember("kind", "key", compute)
     assert len(calls) == 1 and str(second["name"]) == "netgen"
     np.testing.assert_array_equal(first["a"], second["a"])
-    assert [f.name for f in folder.iterdir()] == ["kind-key.npz"]
+    assert [f.name for f in folder.iterdir()] == ["kind-key.kept"]
+
+
+def test_no_byte_of_an_entry_may_change(folder):
+    """Every byte of a small entry changed, one at a time: computed anew, never taken for good."""
+    cache.remember("kind", "key", lambda: {"a": np.arange(3.0)})
+    path = folder / "kind-key.kept"
+    content = path.read_bytes()
+    for i in range(len(content)):
+        path.write_bytes(content[:i] + bytes([content[i] ^ 0x20]) + content[i + 1 :])
+        assert cache.recall("kind", "key") is None, i
+    path.write_bytes(content + b"x")
+    assert cache.recall("kind", "key") is None
 
 
 @pytest.mark.parametrize("damage", ["cut", "bit", "empty", "text", "pickle"])
 def test_damaged_entry_is_computed_anew(folder, damage):
     cache.remember("kind", "key", lambda: {"a": np.arange(1000.0)})
-    path = folder / "kind-key.npz"
+    path = folder / "kind-key.kept"
     content = bytearray(path.read_bytes())
     if damage == "cut":
         path.write_bytes(content[: len(content) // 2])
@@ -81,7 +95,9 @@ def test_damaged_entry_is_computed_anew(folder, damage):
     elif damage == "text":
         path.write_text("not an archive")
     else:
-        np.savez(path, a=np.array([{"code": 1}], dtype=object))
+        archive = io.BytesIO()
+        np.savez(archive, a=np.array([{"code": 1}], dtype=object))
+        path.write_bytes(sha256(archive.getvalue()).digest() + archive.getvalue())
     np.testing.assert_array_equal(cache.remember("kind", "key", lambda: {"a": np.arange(3.0)})["a"], np.arange(3.0))
     np.testing.assert_array_equal(cache.remember("kind", "key", dict)["a"], np.arange(3.0))
 
@@ -109,4 +125,4 @@ def test_parallel_writers_leave_one_whole_entry(folder):
     root = Path(__file__).parents[2]
     running = [subprocess.Popen([sys.executable, "-c", code], cwd=root) for _ in range(3)]
     assert [process.wait(timeout=60) for process in running] == [0, 0, 0]
-    assert sorted(f.suffix for f in folder.iterdir()) == [".npz"] * 60
+    assert sorted(f.suffix for f in folder.iterdir()) == [".kept"] * 60

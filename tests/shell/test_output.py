@@ -1,10 +1,14 @@
 """Output folders appear whole or not at all, whatever happens in between."""
 
 import os
+import re
+import shutil
+import signal
 
 import pytest
 
-from ocp.shell.output import check_output, whole_folder
+from ocp.shell import output as shell_output
+from ocp.shell.output import MARKER, check_output, reserved, whole_folder, write_marker
 from robots.errors import BadInput, Infeasible
 
 
@@ -13,16 +17,18 @@ def names(folder):
 
 
 def old_folder(parent):
+    """A folder as an earlier run wrote it."""
     folder = parent / "plan"
     (folder / "deep").mkdir(parents=True)
     (folder / "a.txt").write_text("old")
     (folder / "deep" / "b.txt").write_text("old too")
+    write_marker(folder)
     return folder
 
 
 def is_untouched(folder):
     return (
-        names(folder) == ["a.txt", "deep"]
+        names(folder) == [MARKER, "a.txt", "deep"]
         and (folder / "a.txt").read_text() == "old"
         and (folder / "deep" / "b.txt").read_text() == "old too"
     )
@@ -33,7 +39,7 @@ def test_a_new_folder_appears_when_it_is_whole(tmp_path):
     with whole_folder(out, overwrite=False) as partial:
         (partial / "x.txt").write_text("new")
         assert not out.exists() and partial.parent == out.parent
-    assert names(out) == ["x.txt"] and names(out.parent) == ["plan"]
+    assert names(out) == [MARKER, "x.txt"] and names(out.parent) == ["plan"]
     assert out.stat().st_mode & 0o777 == 0o755
 
 
@@ -42,7 +48,7 @@ def test_an_empty_folder_is_as_good_as_none(tmp_path):
     out.mkdir()
     with whole_folder(out, overwrite=False) as partial:
         (partial / "x.txt").write_text("new")
-    assert names(out) == ["x.txt"] and names(tmp_path) == ["plan"]
+    assert names(out) == [MARKER, "x.txt"] and names(tmp_path) == ["plan"]
 
 
 def test_a_full_folder_is_refused_and_replaced_only_on_request(tmp_path):
@@ -54,7 +60,7 @@ def test_a_full_folder_is_refused_and_replaced_only_on_request(tmp_path):
     with whole_folder(out, overwrite=True) as partial:
         (partial / "x.txt").write_text("new")
         assert is_untouched(out)
-    assert names(out) == ["x.txt"] and names(tmp_path) == ["plan"]
+    assert names(out) == [MARKER, "x.txt"] and names(tmp_path) == ["plan"]
 
 
 @pytest.mark.parametrize("error", [Infeasible("no"), BadInput("no"), KeyboardInterrupt(), ValueError("a fault"), SystemExit(3)])
@@ -70,12 +76,155 @@ def test_whatever_ends_the_block_leaves_the_old_folder(tmp_path, error):
     assert names(tmp_path) == ["plan"]
 
 
-def test_a_rename_that_fails_brings_the_old_folder_back(tmp_path):
+@pytest.mark.parametrize("exchange", [True, False])
+def test_the_new_folder_taken_away_leaves_the_old_one(tmp_path, monkeypatch, exchange):
+    if not exchange:
+        monkeypatch.setattr(shell_output, "_exchanged", lambda one, other: False)
     out = old_folder(tmp_path)
     with pytest.raises(OSError), whole_folder(out, overwrite=True) as partial:
-        # Somebody takes the new folder away before it can be put in its place.
-        partial.rename(tmp_path / "elsewhere")
-    assert out.exists() and is_untouched(out)
+        shutil.rmtree(partial)
+    assert is_untouched(out) and names(tmp_path) == ["plan"]
+
+
+def test_without_an_exchange_the_old_folder_is_moved_aside_first(tmp_path, monkeypatch):
+    monkeypatch.setattr(shell_output, "_exchanged", lambda one, other: False)
+    out = old_folder(tmp_path)
+    with whole_folder(out, overwrite=True) as partial:
+        (partial / "x.txt").write_text("new")
+    assert names(out) == [MARKER, "x.txt"] and names(tmp_path) == ["plan"]
+
+
+@pytest.mark.parametrize("step", ["write_text", "replace", "rename1", "rename2", "exchange", "after exchange", "rmtree"])
+def test_a_run_killed_at_any_step_loses_nothing(tmp_path, monkeypatch, step):
+    """What stands is the old folder or the new one, now or after the next run has put it back; nothing is left beside it."""
+    out = old_folder(tmp_path) if step != "replace" else tmp_path / "plan"
+    child = os.fork()
+    if child == 0:
+        kill_at(step)
+        with whole_folder(out, overwrite=True) as partial:
+            (partial / "x.txt").write_text("new")
+            if step == "write_text":
+                os.kill(os.getpid(), signal.SIGKILL)
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    with pytest.raises(Infeasible), reserved(out, overwrite=True):
+        raise Infeasible("the next run finds no plan")
+    assert names(tmp_path) == (["plan"] if out.exists() else [])
+    if step in ("after exchange", "rmtree"):
+        assert names(out) == [MARKER, "x.txt"]
+    elif step != "replace":
+        assert is_untouched(out)
+
+
+def kill_at(step):
+    """This process is killed just before, or after, a step of the replacement."""
+    count = [0]
+
+    def killing(call, at=1, after=False):
+        def step_of(*arguments, **options):
+            count[0] += 1
+            if count[0] == at and not after:
+                os.kill(os.getpid(), signal.SIGKILL)
+            value = call(*arguments, **options)
+            if count[0] == at:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return value
+
+        return step_of
+
+    if step == "replace":
+        os.replace = killing(os.replace)
+    elif step.startswith("rename"):
+        shell_output._exchanged = lambda one, other: False
+        os.rename = killing(os.rename, int(step[-1]))
+    elif step == "rmtree":
+        shutil.rmtree = killing(shutil.rmtree)
+    elif "exchange" in step:
+        shell_output._exchanged = killing(shell_output._exchanged, after=step.startswith("after"))
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda out: (out / "deep" / "notes.txt").write_text("mine"), "deep/notes.txt, which this software did not write"),
+        (lambda out: (out / "deep" / "b.txt").write_text("an afternoon of readings"), "deep/b.txt, which was changed"),
+        (lambda out: (out / "deep" / "link").symlink_to(out), "deep/link, which this software did not write"),
+        (lambda out: (out / MARKER).unlink(), "a.txt, and .written.json does not tell"),
+        (lambda out: (out / MARKER).write_text('{"sha256": {"a.txt": 1}}'), "a.txt, which was changed"),
+        (lambda out: (out / MARKER).write_text('{"sha256": 3}'), "a.txt, and .written.json does not tell"),
+        (lambda out: (out / MARKER).write_text("\0"), "a.txt, and .written.json does not tell"),
+    ],
+)
+def test_what_is_the_users_is_never_replaced(tmp_path, change, named):
+    out = old_folder(tmp_path)
+    change(out)
+    before = {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
+    for attempt in (lambda: check_output(out, True), lambda: whole_folder(out, True).__enter__()):
+        with pytest.raises(BadInput, match=re.escape(named)):
+            attempt()
+    assert {p: p.read_bytes() for p in out.rglob("*") if p.is_file()} == before and names(tmp_path) == ["plan"]
+
+
+def test_what_the_user_changes_while_a_run_works_is_never_replaced(tmp_path):
+    out = old_folder(tmp_path)
+    with pytest.raises(BadInput, match=r"a\.txt, which was changed"), whole_folder(out, True) as partial:
+        (partial / "x.txt").write_text("new")
+        (out / "a.txt").write_text("mine")
+    assert (out / "a.txt").read_text() == "mine" and names(tmp_path) == ["plan"]
+
+
+def test_what_comes_meanwhile_is_never_replaced(tmp_path):
+    for overwrite in (False, True):
+        out = tmp_path / f"plan{overwrite}"
+        with pytest.raises(BadInput, match="somebody else wrote there"), whole_folder(out, overwrite) as partial:
+            (partial / "x.txt").write_text("new")
+            out.mkdir()
+            (out / "theirs.txt").write_text("theirs")
+            if overwrite:
+                write_marker(out)
+        assert (out / "theirs.txt").read_text() == "theirs"
+    assert names(tmp_path) == ["planFalse", "planTrue"]
+
+
+def test_a_second_run_into_the_same_folder_is_refused_and_the_lock_dies_with_its_process(tmp_path):
+    out = tmp_path / "plan"
+    link = tmp_path / "link"
+    link.symlink_to(out)
+    with reserved(out, False):
+        for name in (out, link, tmp_path / "x" / ".." / "plan"):
+            with pytest.raises(BadInput, match="another run is writing there"), reserved(name, True):
+                pass
+    ready, told = os.pipe()
+    child = os.fork()
+    if child == 0:
+        with reserved(out, False):
+            os.write(told, b"x")
+            signal.pause()
+    os.read(ready, 1)
+    with pytest.raises(BadInput, match="another run is writing there"), reserved(out, True):
+        pass
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    with reserved(out, True):
+        pass
+    os.close(ready)
+    os.close(told)
+
+
+def test_a_full_disk_is_one_sentence_and_leaves_nothing(tmp_path):
+    out = old_folder(tmp_path)
+    with pytest.raises(BadInput, match="No space left on device"), whole_folder(out, True) as partial:
+        (partial / "x.txt").write_text("new")
+        with open("/dev/full", "w") as full:
+            full.write("x" * 100000)
+    assert is_untouched(out) and names(tmp_path) == ["plan"]
+
+
+def test_a_link_to_itself_is_refused(tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for name in ("loop", "loop/plan"):
+        with pytest.raises(BadInput, match="leads nowhere or to itself"):
+            check_output(tmp_path / name, True)
 
 
 def test_a_folder_in_the_working_directory_by_its_bare_name(tmp_path, monkeypatch):
@@ -84,7 +233,7 @@ def test_a_folder_in_the_working_directory_by_its_bare_name(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     with whole_folder(Path("plan"), overwrite=False) as partial:
         (partial / "x.txt").write_text("new")
-    assert names(tmp_path / "plan") == ["x.txt"]
+    assert names(tmp_path / "plan") == [MARKER, "x.txt"]
 
 
 @pytest.mark.parametrize("name", ["file", "file/plan", "file/deep/plan"])
@@ -130,4 +279,4 @@ def test_a_link_stays_and_its_folder_is_replaced(tmp_path):
     link.symlink_to(out)
     with whole_folder(link, overwrite=True) as partial:
         (partial / "x.txt").write_text("new")
-    assert link.is_symlink() and names(out) == ["x.txt"]
+    assert link.is_symlink() and names(out) == [MARKER, "x.txt"]

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
+from ocp.shell.output import MARKER
 from ocp.simulate.__main__ import app
 from tests.support.small_plan import STEP, Told, environment, planned, small_cell, tree
 
@@ -77,6 +78,7 @@ def test_a_run_writes_a_data_set_that_the_product_reads(run):
     out, told = run
     assert told.out.count("\n") == 1 and "nothing planted" in told.out and "rehearsal.html" in told.out
     assert {p.name for p in out.iterdir()} == {
+        MARKER,
         "cell.toml",
         "blade.stl",
         "tracker.csv",

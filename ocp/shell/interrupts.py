@@ -1,0 +1,174 @@
+"""Ctrl-C that always ends a command, at once and without a trace.
+
+A command's work runs in a child process. Its parent does nothing but wait, so that an interrupt is never swallowed by a library
+that is busy or in a callback: the child is asked to end and given a moment for it, then it is ended, and what it left
+unfinished is removed. Where a process cannot be forked the work runs in place, with Python's own Ctrl-C.
+"""
+
+import os
+import select
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+INTERRUPTED = 130
+MOMENT = 1.2  # s, for a child that was asked to end
+TEMPORARY = tempfile.gettempdir()
+"""The system's folder of temporary files, also where a command's own lie in a folder that is removed with it."""
+_told = threading.Event()
+_to_parent: int | None = None
+
+
+def was_told() -> bool:
+    """Whether an interrupt has come, even if something in between has swallowed it."""
+    return _told.is_set()
+
+
+def raise_if_told() -> None:
+    """Raise KeyboardInterrupt where an interrupt has come."""
+    if was_told():
+        raise KeyboardInterrupt
+
+
+def clear_if_killed(folder: Path) -> None:
+    """Have `folder` removed if this command is killed before it ends."""
+    if _to_parent is not None:
+        os.write(_to_parent, os.fsencode(folder) + b"\0")
+
+
+def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
+    """Run `work` so that SIGINT and SIGTERM end it within two seconds, a second one at once.
+
+    Args:
+        work: returns the exit code; called in a child process where the system can fork.
+        told: is given the sentence for the user where the child could not say it itself.
+
+    Returns:
+        The exit code of `work`; 130 where it was interrupted; 1 where its process was ended by the system.
+    """
+    if not hasattr(os, "fork"):
+        return work()
+    from_child, to_parent = os.pipe()
+    alive, ours = os.pipe()  # its end tells the child that its parent is gone
+    scratch = tempfile.mkdtemp(prefix="grindplan-")
+    asked: list[float] = []
+    child = 0
+
+    def ask(_signal: int, _frame: FrameType | None) -> None:
+        asked.append(time.monotonic())
+        if child:
+            _send(child, signal.SIGTERM if len(asked) == 1 else signal.SIGKILL)
+
+    def pause(_signal: int, _frame: FrameType | None) -> None:
+        _send(child, signal.SIGSTOP)
+        os.kill(os.getpid(), signal.SIGSTOP)
+        _send(child, signal.SIGCONT)
+
+    handlers = {signal.SIGINT: ask, signal.SIGTERM: ask, signal.SIGTSTP: pause}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    sys.stdout.flush()
+    sys.stderr.flush()
+    child = os.fork()
+    if child == 0:
+        os.close(from_child)
+        os.close(ours)
+        _child(work, to_parent, alive, scratch, bool(asked))
+    os.close(to_parent)
+    os.close(alive)
+    try:
+        os.setpgid(child, child)  # as the child does itself, whoever comes first
+    except OSError:
+        pass
+    if asked:
+        _send(child, signal.SIGTERM)
+    try:
+        status, unfinished = _ended(child, from_child, asked)
+    finally:
+        _send(child, signal.SIGKILL)  # what the child may have left running
+        for number, old in before.items():
+            signal.signal(number, old)
+        os.close(from_child)
+        os.close(ours)
+        shutil.rmtree(scratch, ignore_errors=True)
+    code = os.waitstatus_to_exitcode(status)
+    if code >= 0:
+        return code
+    for folder in unfinished.split(b"\0"):
+        if folder:
+            shutil.rmtree(os.fsdecode(folder), ignore_errors=True)
+    if asked:
+        told("interrupted, nothing written")
+        return INTERRUPTED
+    told(f"ended by the system (signal {-code}, often want of memory), nothing written; try again, or with a smaller input")
+    return 1
+
+
+def _child(work: Callable[[], int], to_parent: int, alive: int, scratch: str, asked: bool) -> NoReturn:
+    global _to_parent
+    _to_parent = to_parent
+    tempfile.tempdir = scratch
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal tells all processes, the parent decides
+    signal.signal(signal.SIGTERM, _tell)
+    signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, args=(alive,), daemon=True).start()
+    code = 1
+    try:
+        if asked:
+            raise KeyboardInterrupt
+        code = work()
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else 1
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            try:
+                stream.flush()
+            except OSError:  # nobody reads any more
+                pass
+        os._exit(code)
+
+
+def _tell(_signal: int, _frame: FrameType | None) -> None:
+    _told.set()
+    raise KeyboardInterrupt
+
+
+def _end_with_parent(alive: int) -> None:
+    select.select([alive], [], [])
+    os.killpg(0, signal.SIGKILL)
+
+
+def _send(child: int, number: int) -> None:
+    """To a child that ends itself in order, or to it and all its processes; none where it is gone."""
+    try:
+        if number == signal.SIGTERM:
+            os.kill(child, number)
+        else:
+            os.killpg(child, number)
+    except (ProcessLookupError, PermissionError):
+        pass
+
+
+def _ended(child: int, from_child: int, asked: list[float]) -> tuple[int, bytes]:
+    """Wait for the child; once it was asked to end, no longer than a moment. Returns its status and what it has told."""
+    told, listening = b"", True
+    while True:
+        if listening and select.select([from_child], [], [], 0.1)[0]:
+            part = os.read(from_child, 65536)
+            told, listening = told + part, bool(part)
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return status, told
+        if asked and time.monotonic() - asked[0] > MOMENT:
+            _send(child, signal.SIGKILL)
+        if not listening:
+            time.sleep(0.005)

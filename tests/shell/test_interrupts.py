@@ -1,0 +1,177 @@
+"""A command ends within two seconds of Ctrl-C whatever it is doing, with nothing half there and no process left."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.support.house import ROOT
+
+COMMAND = """
+import sys, time
+from pathlib import Path
+import typer
+from ocp.shell.command import main, run
+from ocp.shell.output import reserved
+from ocp.shell.workers import workers, nothing
+app = typer.Typer()
+
+def swallow():
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        try:
+            print("busy", flush=True)
+            time.sleep(60)
+        except BaseException:  # as a library's callback does
+            pass
+
+def deaf():
+    import ctypes
+    print("busy", flush=True)
+    ctypes.PyDLL(None).sleep(60)  # a foreign call that keeps the interpreter to itself
+
+def spawned():
+    with workers(2, nothing) as pool:
+        waiting = [pool.submit(time.sleep, 60) for _ in range(2)]
+        time.sleep(1.5)
+        print("busy", flush=True)
+        [w.result() for w in waiting]
+
+def polite():
+    print("busy", flush=True)
+    time.sleep(60)
+
+def masked():
+    try:
+        polite()
+    except KeyboardInterrupt:
+        raise ValueError("a writer's own error in its place") from None
+
+def crash():
+    import ctypes
+    ctypes.string_at(0)
+
+def finish():
+    pass
+
+@app.command()
+def command(what: str, out: Path):
+    def job():
+        with reserved(out, True) as output, output.whole() as folder:
+            (folder / "a.txt").write_text("half")
+            globals()[what]()
+            (folder / "b.txt").write_text("whole")
+        return "done"
+    sys.exit(run(job))
+
+if __name__ == "__main__":
+    main(app)
+"""
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    file = tmp_path / "command.py"
+    file.write_text(COMMAND)
+    return file
+
+
+def started(script: Path, what: str, out: Path, **kind: object) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(script.parent / "tmp")}
+    (script.parent / "tmp").mkdir(exist_ok=True)
+    return subprocess.Popen(
+        [sys.executable, str(script), what, str(out)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        **kind,  # type: ignore[call-overload]
+    )
+
+
+def processes(session: int) -> list[int]:
+    """Processes of a session, read from /proc."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            if int(fields[3]) == session and fields[0] != "Z":
+                found.append(int(entry.name))
+    return found
+
+
+WAYS = [("polite", "parent"), ("swallow", "parent"), ("deaf", "group"), ("masked", "parent"), ("spawned", "group")]
+
+
+@pytest.mark.parametrize(("what", "told"), WAYS)
+def test_an_interrupt_ends_a_command_and_leaves_nothing(script, tmp_path, what, told):
+    out = tmp_path / "far" / "out"
+    process = started(script, what, out)
+    assert process.stdout.readline() == "busy\n"
+    begin = time.monotonic()
+    (os.kill if told == "parent" else os.killpg)(process.pid, signal.SIGINT)
+    text = process.communicate(timeout=20)[1]
+    assert process.returncode == 130 and time.monotonic() - begin < 2.0
+    assert text == "interrupted, nothing written\n"
+    assert processes(process.pid) == []
+    assert not out.exists() and list((tmp_path / "tmp").glob("*/*")) == [] and not list(out.parent.glob(".*"))
+
+
+def test_a_second_interrupt_ends_at_once(script, tmp_path):
+    process = started(script, "deaf", tmp_path / "out")
+    assert process.stdout.readline() == "busy\n"
+    begin = time.monotonic()
+    os.kill(process.pid, signal.SIGINT)
+    time.sleep(0.1)
+    os.kill(process.pid, signal.SIGINT)
+    process.communicate(timeout=20)
+    assert process.returncode == 130 and time.monotonic() - begin < 0.8
+    assert not (tmp_path / "out").exists() and not list(tmp_path.glob(".out*"))
+
+
+@pytest.mark.parametrize("what", ["polite", "spawned"])
+def test_no_process_outlives_a_killed_command_and_the_next_one_clears_away(script, tmp_path, what):
+    out = tmp_path / "out"
+    process = started(script, what, out)
+    assert process.stdout.readline() == "busy\n"
+    process.kill()
+    process.communicate(timeout=20)
+    until = time.monotonic() + 5.0
+    while processes(process.pid) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert processes(process.pid) == []
+    assert list(tmp_path.glob(".out*")) and not out.exists()
+    again = started(script, "finish", out)
+    assert again.communicate(timeout=20)[0] == "done\n" and again.returncode == 0
+    assert not list(tmp_path.glob(".out*")) and (out / "b.txt").exists()
+
+
+def test_a_crash_in_foreign_code_is_one_sentence(script, tmp_path):
+    process = started(script, "crash", tmp_path / "out")
+    text = process.communicate(timeout=20)[1]
+    assert process.returncode == 1 and "signal 11" in text and text.count("\n") == 1
+    assert not list(tmp_path.glob(".out*")) and not (tmp_path / "out").exists()
+
+
+def test_nobody_listening_is_no_fault(script, tmp_path):
+    process = started(script, "finish", tmp_path / "out")
+    process.stdout.close()
+    with process.stderr:
+        assert process.stderr.read() == ""
+    assert process.wait(timeout=20) == 0
+    assert (tmp_path / "out" / "b.txt").exists()
+
+
+def test_the_python_interface_installs_no_handlers():
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
+    import ocp.api  # noqa: F401
+
+    assert {s: signal.getsignal(s) for s in before} == before
