@@ -1,20 +1,20 @@
-"""Backlash of a gear: after a reversal the link stands at the other flank of the teeth."""
+"""Backlash of a gear: after a reversal the link stands at the other flank of the teeth.
+
+The link follows the motor with play: dq = b s, s the sign of the axis' last motion: after a motion in +q the link stands
+half_width_rad further along +q (DIAGNOSIS, catalogue). It depends on nothing else, which tells it from windup of friction,
+which grows with the load; on joint 1, which carries no load, the two are one.
+"""
 
 from ocp.effects.effect import Effect, Parameter
-from ocp.effects.forms import at_joint, one
+from ocp.effects.forms import at_joint, proportional
 
 EFFECT = Effect(
     name="backlash",
     title="backlash of joint {joint}",
     subsystem="joint",
-    physics="The link follows the motor with play: dq = b s, s the sign of the axis' last motion: after a motion in +q the link "
-    "stands half_width_rad further along +q (DIAGNOSIS, catalogue). It depends on nothing else, which tells it from windup of "
-    "friction, which grows with the load; on joint 1, which carries no load, the two are one.",
-    parameters=(Parameter("half_width_rad", "rad", 2e-5, 8e-4, signed=False),),
-    coefficients=("half_width_rad",),
-    prior_sd=(8e-4,),
+    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     needs=("approach",),
     joint=lambda x, j, scanned: at_joint(j, x.approach[j - 1]),
-    **one("half_width_rad"),
+    **proportional(Parameter("half_width_rad", "rad", 2e-5, 8e-4, signed=False)),
 )

@@ -1,4 +1,10 @@
-"""The robot's base tilts during a campaign, at once or slowly."""
+"""The robot's base tilts during a campaign, at once or slowly.
+
+The pedestal gives or its anchors slip: the robot turns by a small rotation vector rad (3) about the origin of its base frame,
+base axes, in a step at at_s or as a drift that grows evenly from at_s to until_s, where it is rad. Times on the campaign's
+clock. A tilt from the start belongs to the tracker's frame. That the weight's direction turns too is left out (below 1 um at
+the largest tilt). Without reflectors on the floor a tilt of the tracker looks the same.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,8 +14,15 @@ import numpy as np
 
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.effects.forms import after, instants
+from ocp.effects.forms import AT_S, after, instants, proportional
 from robots.pose import Array
+
+_FORM = proportional(
+    Parameter("rad", "rad", 5e-6, 2e-4, length=3),
+    AT_S,
+    Parameter("until_s", "s", 0.0, 1e5, signed=False),
+    scanned=("at_s", "until_s"),
+)
 
 
 def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
@@ -26,34 +39,19 @@ def _tilt(x: ArmContext, j: int, scanned: Scanned) -> dict[int, ca.SX]:
     return {0: ca.vertcat(ca.SX.zeros(3, 3), share * ca.SX.eye(3))}
 
 
-def _values(a: Array, scanned: Scanned) -> dict[str, Any]:
-    return {"rad": [float(v) for v in a], "at_s": scanned["at_s"], "until_s": scanned["until_s"]}
-
-
 def _coefficients(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
-    scanned = {"at_s": values["at_s"], "until_s": values.get("until_s", values["at_s"])}
-    return np.asarray(values["rad"], float).reshape(3), scanned
+    """Without until_s a step."""
+    return _FORM["coefficients_of"]({"until_s": values["at_s"], **values})
 
 
 EFFECT = Effect(
     name="base_tilt",
     title="tilt of the base",
     subsystem="base",
-    physics="The pedestal gives or its anchors slip: the robot turns by a small rotation vector rad (3) about the origin of its "
-    "base frame, base axes, in a step at at_s or as a drift that grows evenly from at_s to until_s, where it is rad. Times on "
-    "the campaign's clock. A tilt from the start belongs to the tracker's frame. That the weight's direction turns too is "
-    "left out (below 1 um at the largest tilt). Without reflectors on the floor a tilt of the tracker looks the same.",
-    parameters=(
-        Parameter("rad", "rad", 5e-6, 2e-4, length=3),
-        Parameter("at_s", "s", 0.0, 1e5, signed=False),
-        Parameter("until_s", "s", 0.0, 1e5, signed=False),
-    ),
-    coefficients=("x", "y", "z"),
-    prior_sd=(2e-4, 2e-4, 2e-4),
-    values=_values,
-    coefficients_of=_coefficients,
+    physics=__doc__,
     needs=("time_s",),
     scan=_scan,
     symbolic=("at_s", "until_s"),
     twist=_tilt,
+    **(_FORM | {"coefficients_of": _coefficients}),
 )

@@ -1,15 +1,20 @@
-"""The splice of the belt knocks once per turn of the belt."""
+"""The splice of the belt knocks once per turn of the belt.
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+The splice is thicker than the belt and adds an impulse once per belt revolution, hz times a second (DIAGNOSIS, catalogue): a
+bell of height N and standard deviation `length` (share of a turn) at turn, turn + 1, ... turns of the belt, in the normal
+reading, and times the friction in the tangential one. Turns count from the start of each run (clocked 0) or on the campaign's
+clock (1: the belt keeps turning between runs). A force log is searched for rate, place and length beforehand
+(docs/diagnosis_force.md).
+"""
+
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
 
 from ocp.effects.context import ContactContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.effects.forms import row
-from robots.pose import Array
+from ocp.effects.forms import proportional, row, tried
 
 RATES = (5.0, 15.0)  # 1/s, turns of the belt
 LENGTHS = (0.01, 0.12)  # of a turn: standard deviation of a knock's bell
@@ -21,7 +26,7 @@ SCANNED = ("hz", "turn", "length", "clocked")
 def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
     if seen.splice_trains:
         return seen.splice_trains
-    return [{"hz": float(hz), "turn": 0.0, "length": USUAL, "clocked": 0.0} for hz in np.linspace(*RATES, GRID)]
+    return tried(hz=np.linspace(*RATES, GRID).tolist(), turn=[0.0], length=[USUAL], clocked=[0.0])(joint, seen)
 
 
 def _knock(x: ContactContext, scanned: Scanned) -> ca.SX:
@@ -33,38 +38,23 @@ def _knock(x: ContactContext, scanned: Scanned) -> ca.SX:
     return touching * ca.exp(-0.5 * (away / scanned["length"]) ** 2)
 
 
-def _values(a: Array, scanned: Scanned) -> dict[str, Any]:
-    return {"N": float(a[0])} | {key: float(scanned[key]) for key in SCANNED}
-
-
-def _coefficients(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
-    usual = {"turn": 0.0, "length": USUAL, "clocked": 0.0}
-    return np.array([float(values["N"])]), {key: float(values.get(key, usual.get(key, 0.0))) for key in SCANNED}
-
-
 EFFECT = Effect(
     name="belt_splice",
     title="splice of the belt",
     subsystem="wheel",
-    physics="The splice is thicker than the belt and adds an impulse once per belt revolution, hz times a second (DIAGNOSIS, "
-    "catalogue): a bell of height N and standard deviation `length` (share of a turn) at turn, turn + 1, ... turns of the belt, "
-    "in the normal reading, and times the friction in the tangential one. Turns count from the start of each run (clocked 0) or "
-    "on the campaign's clock (1: the belt keeps turning between runs). A force log is searched for rate, place and length "
-    "beforehand (docs/diagnosis_force.md).",
-    parameters=(
-        Parameter("N", "N", 1.0, 10.0, signed=False),
-        Parameter("hz", "1/s", *RATES, signed=False),
-        Parameter("turn", "1", 0.0, 1.0, signed=False),
-        Parameter("length", "1", *LENGTHS, signed=False),
-        Parameter("clocked", "1", 0.0, 1.0, signed=False),
-    ),
-    coefficients=("N",),
-    prior_sd=(10.0,),
-    values=_values,
-    coefficients_of=_coefficients,
+    physics=__doc__,
     needs=("time_s",),
     scan=_scan,
     symbolic=SCANNED,
     sensor=lambda x, j, scanned: row(_knock(x, scanned)),
     shear=lambda x, j, scanned: row(x.friction * ca.sign(x.belt) * _knock(x, scanned)),
+    **proportional(
+        Parameter("N", "N", 1.0, 10.0, signed=False),
+        Parameter("hz", "1/s", *RATES, signed=False),
+        Parameter("turn", "1", 0.0, 1.0, signed=False),
+        Parameter("length", "1", *LENGTHS, signed=False),
+        Parameter("clocked", "1", 0.0, 1.0, signed=False),
+        scanned=SCANNED,
+        usual=dict.fromkeys(SCANNED, 0.0) | {"length": USUAL},
+    ),
 )

@@ -60,9 +60,10 @@ def effects_table() -> str:
         ranges = [key_range(p.key, p.low, p.high, p.signed and p.low >= 0, p.length, p.unit) for p in effect.parameters]
         hooks = ", ".join(h for h in HOOKS if getattr(effect, h) is not None)
         needs = f" (needs {', '.join(effect.needs)})" if effect.needs else ""
+        physics = effect.physics.partition("\n\n")[2] or effect.physics  # below a docstring's first line
         joints = joint_range(effect.joints, least_run=3, between=", ")
         joints = (f" {joints}" if joints else "") + (" or common" if 0 in effect.joints else "")
-        lines.append(f"| {effect.name}{joints} | {'; '.join(ranges)} | {hooks}{needs} | {effect.physics} |")
+        lines.append(f"| {effect.name}{joints} | {'; '.join(ranges)} | {hooks}{needs} | {' '.join(physics.split())} |")
     return "\n".join(line.replace("|tau|", "abs(tau)").replace("|b - a|", "abs(b - a)") for line in lines)
 
 

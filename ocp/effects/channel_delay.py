@@ -1,10 +1,15 @@
-"""One recorded channel of a log comes later than another."""
+"""One recorded channel of a log comes later than another.
+
+Two recorders, two clocks: what is measured at an instant (link-side encoder, force) belongs to commanded axes s seconds
+earlier: dq = -s dq/dt, of one joint or of all alike (joint 0). Positive: the measured channel is behind the recorded axes. At
+one speed it hides behind anything that goes with the sign of the speed.
+"""
 
 import casadi as ca
 
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned
-from ocp.effects.forms import at_joint, one
+from ocp.effects.forms import at_joint, proportional
 
 
 def _lag(x: ArmContext, j: int, scanned: Scanned) -> ca.SX:
@@ -15,14 +20,9 @@ EFFECT = Effect(
     name="channel_delay",
     title="recorded channel of joint {joint} behind the others",
     subsystem="timing",
-    physics="Two recorders, two clocks: what is measured at an instant (link-side encoder, force) belongs to commanded axes s "
-    "seconds earlier: dq = -s dq/dt, of one joint or of all alike (joint 0). Positive: the measured channel is behind the "
-    "recorded axes. At one speed it hides behind anything that goes with the sign of the speed.",
-    parameters=(Parameter("s", "s", 1e-3, 5e-2),),
-    coefficients=("s",),
-    prior_sd=(5e-2,),
+    physics=__doc__,
     joints=(0, 1, 2, 3, 4, 5, 6),
     needs=("speed",),
     joint=_lag,
-    **one("s"),
+    **proportional(Parameter("s", "s", 1e-3, 5e-2)),
 )

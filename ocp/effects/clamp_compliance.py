@@ -1,7 +1,11 @@
-"""The clamp gives: the blade tilts about its root."""
+"""The clamp gives: the blade tilts about its root.
+
+A clamp that tilts under a force at height h moves the contact by m_per_N F (h / 60 mm)^2, away from the wheel: the moment goes
+with h, so does the displacement (DIAGNOSIS, catalogue).
+"""
 
 from ocp.effects.effect import Effect, Parameter
-from ocp.effects.forms import one, row
+from ocp.effects.forms import proportional, row
 
 LEVER = 0.06  # m over the clamp where m_per_N holds
 
@@ -9,11 +13,7 @@ EFFECT = Effect(
     name="clamp_compliance",
     title="compliance of the clamp",
     subsystem="blade",
-    physics="A clamp that tilts under a force at height h moves the contact by m_per_N F (h / 60 mm)^2, away from the wheel: the "
-    "moment goes with h, so does the displacement (DIAGNOSIS, catalogue).",
-    parameters=(Parameter("m_per_N", "m/N", 1e-7, 2e-6, signed=False),),
-    coefficients=("m_per_N",),
-    prior_sd=(2e-6,),
+    physics=__doc__,
     overlap=lambda x, j, scanned: row(-x.F * (x.lever / LEVER) ** 2),
-    **one("m_per_N"),
+    **proportional(Parameter("m_per_N", "m/N", 1e-7, 2e-6, signed=False)),
 )

@@ -1,4 +1,10 @@
-"""The blade slips in its clamp."""
+"""The blade slips in its clamp.
+
+From at_s on (campaign's clock) the blade stands m further back along its normal at the contact, away from the wheel, where
+grinding pushes it; negative: into the wheel (DIAGNOSIS, catalogue). A blade that is ground on both sides comes nearer to the
+wheel with the other one: with `normal` (3), blade frame, the normal of the side that was ground then, the step is m times the
+contact's normal along it; 0, 0, 0: the same everywhere. Both are tried.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,7 +14,7 @@ import numpy as np
 
 from ocp.effects.context import ContactContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.effects.forms import after, row, steps, steps_between_runs
+from ocp.effects.forms import AT_S, after, row, steps, steps_between_runs
 from robots.pose import Array
 
 NOWHERE = (0.0, 0.0, 0.0)
@@ -43,15 +49,8 @@ EFFECT = Effect(
     name="clamp_slip",
     title="slip in the clamp",
     subsystem="blade",
-    physics="From at_s on (campaign's clock) the blade stands m further back along its normal at the contact, away from the "
-    "wheel, where grinding pushes it; negative: into the wheel (DIAGNOSIS, catalogue). A blade that is ground on both sides "
-    "comes nearer to the wheel with the other one: with `normal` (3), blade frame, the normal of the side that was ground then, "
-    "the step is m times the contact's normal along it; 0, 0, 0: the same everywhere. Both are tried.",
-    parameters=(
-        Parameter("m", "m", 2e-5, 3e-4),
-        Parameter("at_s", "s", 0.0, 1e5, signed=False),
-        Parameter("normal", "1", 0.0, 1.0, length=3),
-    ),
+    physics=__doc__,
+    parameters=(Parameter("m", "m", 2e-5, 3e-4), AT_S, Parameter("normal", "1", 0.0, 1.0, length=3)),
     coefficients=("m",),
     prior_sd=(3e-4,),
     values=_values,

@@ -1,17 +1,17 @@
-"""The flange sticks: its force depends on the direction of its stroke."""
+"""The flange sticks: its force depends on the direction of its stroke.
+
+Seals and guides resist: while the flange is pressed in the contact feels N newton more, while it extends N less (DIAGNOSIS,
+catalogue: sign of its stroke rate).
+"""
 
 from ocp.effects.effect import Effect, Parameter
-from ocp.effects.forms import one, row
+from ocp.effects.forms import proportional, row
 
 EFFECT = Effect(
     name="flange_friction",
     title="friction of the flange",
     subsystem="flange",
-    physics="Seals and guides resist: while the flange is pressed in the contact feels N newton more, while it extends N less "
-    "(DIAGNOSIS, catalogue: sign of its stroke rate).",
-    parameters=(Parameter("N", "N", 0.3, 1.5, signed=False),),
-    coefficients=("N",),
-    prior_sd=(1.5,),
+    physics=__doc__,
     push=lambda x, j, scanned: row(x.stroke_sign),
-    **one("N"),
+    **proportional(Parameter("N", "N", 0.3, 1.5, signed=False)),
 )

@@ -1,20 +1,20 @@
-"""The flange does not know all of the weight it carries."""
+"""The flange does not know all of the weight it carries.
+
+A mass of kg that the flange carries and does not compensate presses along the flange's axis with its tilt: the force grows by
+kg g times the downward share of the direction in which the flange pushes (DIAGNOSIS, catalogue).
+"""
 
 import casadi as ca
 
 from ocp.effects.effect import Effect, Parameter
-from ocp.effects.forms import one, row
+from ocp.effects.forms import proportional, row
 from robots.gravity import GRAVITY
 
 EFFECT = Effect(
     name="flange_gravity",
     title="weight carried by the flange",
     subsystem="flange",
-    physics="A mass of kg that the flange carries and does not compensate presses along the flange's axis with its tilt: the "
-    "force grows by kg g times the downward share of the direction in which the flange pushes (DIAGNOSIS, catalogue).",
-    parameters=(Parameter("kg", "kg", 0.05, 1.0),),
-    coefficients=("kg",),
-    prior_sd=(1.0,),
+    physics=__doc__,
     push=lambda x, j, scanned: row(-GRAVITY * x.push_axis[2] / ca.dot(x.push_axis, x.n_base)),
-    **one("kg"),
+    **proportional(Parameter("kg", "kg", 0.05, 1.0)),
 )

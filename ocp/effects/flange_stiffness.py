@@ -1,4 +1,8 @@
-"""The force-setting flange is stiffer or softer than the cell says."""
+"""The force-setting flange is stiffer or softer than the cell says.
+
+The force of the flange rises with its stroke by (1 + scale) times the cell's stiffness (DIAGNOSIS, catalogue): the stroke at a
+force is 1 / (1 + scale) of the model's; the coefficient scale / (1 + scale) enters linearly.
+"""
 
 from ocp.effects.effect import Effect, Parameter
 from ocp.effects.forms import row, share
@@ -7,11 +11,7 @@ EFFECT = Effect(
     name="flange_stiffness",
     title="stiffness of the flange",
     subsystem="flange",
-    physics="The force of the flange rises with its stroke by (1 + scale) times the cell's stiffness (DIAGNOSIS, catalogue): the "
-    "stroke at a force is 1 / (1 + scale) of the model's; the coefficient scale / (1 + scale) enters linearly.",
-    parameters=(Parameter("scale", "1", 0.0, 0.4),),
-    coefficients=("share",),
-    prior_sd=(0.4,),
+    physics=__doc__,
     overlap=lambda x, j, scanned: row(x.parts[0]),
-    **share("scale"),
+    **share(Parameter("scale", "1", 0.0, 0.4)),
 )

@@ -1,17 +1,23 @@
-"""Forms that effects share: places of coefficients, waves, steps in time, keys to coefficients and back."""
+"""Forms that effects share: places of coefficients, waves, steps in time, keys to coefficients and back.
 
-from collections.abc import Callable, Mapping, Sequence
+A form is some of the fields of an `Effect`, given as **form: at least its parameters, coefficients with their prior, and the two
+ways between them.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ocp.effects.context import LogRows
-from ocp.effects.effect import Scanned, Surroundings, amplitude_and_phase, cosine_and_sine
+from ocp.effects.context import ContactContext, LogRows
+from ocp.effects.effect import Parameter, Scanned, Surroundings, amplitude_and_phase, cosine_and_sine
 from robots.pose import Array
 
-Values = Callable[[Array, Scanned], dict[str, Any]]
-Coefficients = Callable[[Mapping[str, Any]], tuple[Array, dict[str, Any]]]
+Form = dict[str, Any]  # by name of the field
+AT_S = Parameter("at_s", "s", 0.0, 1e5, signed=False)
+RATED_TORQUE = np.array([7290.0, 8100.0, 5291.0, 2182.0, 1282.0, 825.0])  # N m at the link side, KR 210 (PHYSICS 2.1)
 INSTANTS = 40  # a step's instant is sought at so many places: it misses by at most one reading in eighty
 HOUR = 3600.0  # s
 
@@ -34,61 +40,113 @@ def after(time: ca.SX, instant: Any) -> ca.SX:
     return ca.if_else(time >= instant, 1.0, 0.0)
 
 
-def one(key: str) -> dict[str, Any]:
-    """values and coefficients_of where the only coefficient is the parameter itself."""
-    return several(key)
+def cosines(angle: Any) -> tuple[ca.SX, ca.SX]:
+    """What the coefficients of a `wave` are multiplied by."""
+    return ca.cos(angle), ca.sin(angle)
 
 
-def several(*keys: str) -> dict[str, Any]:
-    """values and coefficients_of where coefficients are the parameters in this order."""
-    return {
-        "values": lambda a, scanned: {key: float(a[i]) for i, key in enumerate(keys)},
-        "coefficients_of": lambda values: (np.array([float(values[key]) for key in keys]), {}),
-    }
+def tried(**values: Iterable[Any]) -> Callable[[int, Surroundings], Sequence[Scanned]]:
+    """A scan over all combinations of the values of its keys, the last key's the fastest."""
+    return lambda joint, seen: [dict(zip(values, one, strict=True)) for one in product(*values.values())]
 
 
-def scanned_with(keys: tuple[str, ...], *scanned_keys: str) -> dict[str, Any]:
-    """As `several`, with scanned values that are parameters too."""
-    return {
-        "values": lambda a, scanned: {key: float(a[i]) for i, key in enumerate(keys)} | {k: scanned[k] for k in scanned_keys},
-        "coefficients_of": lambda values: (np.array([float(values[key]) for key in keys]), {k: values[k] for k in scanned_keys}),
-    }
+def proportional(*parameters: Parameter, scanned: Sequence[str] = (), usual: Mapping[str, Any] | None = None) -> Form:
+    """Parameters that are coefficients themselves, numbers or vectors one after the other, and `scanned` ones beside them. The
+    prior is the far end of the usual range. `usual`: scanned values of a table that does not name them."""
+    own = [p for p in parameters if p.key not in scanned]
+    starts = np.cumsum([p.length for p in own])[:-1]
 
-
-def vectors(keys: tuple[str, ...], *scanned_keys: str) -> dict[str, Any]:
-    """values and coefficients_of of vectors (3) one after the other, with scanned values that are parameters too."""
-
-    def values(a: Array, scanned: Scanned) -> dict[str, Any]:
-        parts = {key: [float(v) for v in a[3 * i : 3 * i + 3]] for i, key in enumerate(keys)}
-        return parts | {k: scanned[k] for k in scanned_keys}
+    def values(a: Array, given: Scanned) -> dict[str, Any]:
+        parts = {p.key: part.tolist() for p, part in zip(own, np.split(np.asarray(a, float), starts), strict=True)}
+        found = {p.key: parts[p.key] if p.length > 1 else parts[p.key][0] for p in own}
+        return {p.key: found[p.key] if p.key in found else given[p.key] for p in parameters}
 
     def coefficients_of(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
-        a = np.concatenate([np.asarray(values[key], float).reshape(3) for key in keys])
-        return a, {k: values[k] for k in scanned_keys}
+        a = np.concatenate([np.asarray(values[p.key], float).reshape(p.length) for p in own])
+        return a, {key: {**(usual or {}), **values}[key] for key in scanned}
 
-    return {"values": values, "coefficients_of": coefficients_of}
+    names = [p.key if p.length == 1 else f"{p.key}_{k + 1}" for p in own for k in range(p.length)]
+    return _form(parameters, names, [max(abs(p.low), abs(p.high)) for p in own for _ in range(p.length)], values, coefficients_of)
 
 
-def wave(amplitude: str, *scanned_keys: str) -> dict[str, Any]:
-    """values and coefficients_of of A cos(x + phase) = a0 cos x + a1 sin x."""
+def wave(*parameters: Parameter, scanned: Sequence[str] = (), usual: Mapping[str, Any] | None = None) -> Form:
+    """A cos(x + phase) = a0 cos x + a1 sin x: of the parameters the only one that is not `scanned` is A, phase_rad follows it."""
+    beside = proportional(*parameters, scanned=scanned, usual=usual)
+    size = next(p for p in parameters if p.key not in scanned)
+    at = parameters.index(size) + 1
+    whole = (*parameters[:at], Parameter("phase_rad", "rad", 0.0, 3.15), *parameters[at:])
 
-    def values(a: Array, scanned: Scanned) -> dict[str, Any]:
-        size, phase = amplitude_and_phase(a)
-        return {k: scanned[k] for k in scanned_keys} | {amplitude: size, "phase_rad": phase}
+    def values(a: Array, given: Scanned) -> dict[str, Any]:
+        found = dict(given) | dict(zip((size.key, "phase_rad"), amplitude_and_phase(a), strict=True))
+        return {p.key: found[p.key] for p in whole}
 
     def coefficients_of(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
-        a = cosine_and_sine(float(values[amplitude]), float(values["phase_rad"]))
-        return a, {k: values[k] for k in scanned_keys}
+        return cosine_and_sine(float(values[size.key]), float(values["phase_rad"])), beside["coefficients_of"](values)[1]
 
-    return {"values": values, "coefficients_of": coefficients_of}
+    return _form(whole, ("cos", "sin"), (size.high, size.high), values, coefficients_of)
 
 
-def share(key: str) -> dict[str, Any]:
-    """values and coefficients_of of a factor 1 + x that divides: the coefficient a = x / (1 + x) enters linearly."""
-    return {
-        "values": lambda a, scanned: {key: float(a[0] / max(1.0 - a[0], 1e-3))},
-        "coefficients_of": lambda values: (np.array([values[key] / (1.0 + values[key])]), {}),
+def share(size: Parameter) -> Form:
+    """A factor 1 + x that divides: the coefficient a = x / (1 + x) enters linearly."""
+    return _form(
+        (size,),
+        ("share",),
+        (size.high,),
+        lambda a, scanned: {size.key: float(a[0] / max(1.0 - a[0], 1e-3))},
+        lambda values: (np.array([values[size.key] / (1.0 + values[size.key])]), {}),
+    )
+
+
+def in_units(size: Parameter, unit: float, of: Callable[[int, Surroundings], float]) -> Form:
+    """A parameter whose coefficient of one is `of(joint, surroundings)`, so that one prior serves all joints; `unit`: the size of
+    one in a table, whose joint says nothing."""
+
+    def scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+        return ({"unit": of(joint, seen)},)
+
+    form = _form(
+        (size,),
+        ("share",),
+        (1.0,),
+        lambda a, scanned: {size.key: float(a[0] * scanned["unit"])},
+        lambda values: (np.array([values[size.key] / unit]), {"unit": unit}),
+    )
+    return form | {"scan": scan, "symbolic": ("unit",)}
+
+
+def late(size: Parameter, about: Sequence[float], least: float, shifted: Callable[[LogRows, Array, float], Array]) -> Form:
+    """Forces that come late by `size`: their shift is exact at the scanned sizes `about` and to first order about them."""
+    form = proportional(size)
+    back = form["coefficients_of"]
+    return form | {
+        "coefficients_of": lambda values: (back(values)[0], {"about": max(abs(values[size.key]), least)}),
+        "scan": tried(about=about),
+        "along": lambda x, j, scanned: shifted(x, x.fn, scanned["about"]),
+        "along_shear": lambda x, j, scanned: shifted(x, x.ft, scanned["about"]),
     }
+
+
+def moved_at_once(overlap: Callable[[ContactContext], ca.SX]) -> Form:
+    """A frame that is shifted by m (3) from at_s on, between two runs where they are known; `overlap` (1, 3) per metre."""
+    form = proportional(Parameter("m", "m", 5e-5, 5e-4, length=3), AT_S, scanned=("at_s",))
+    form |= {"needs": ("clock_s",), "scan": steps_between_runs, "symbolic": ("at_s",)}
+    return form | {"overlap": lambda x, j, scanned: after(x.clock, scanned["at_s"]) * overlap(x)}
+
+
+def _form(
+    parameters: Sequence[Parameter],
+    coefficients: Sequence[str],
+    prior_sd: Sequence[float],
+    values: Callable[[Array, Scanned], dict[str, Any]],
+    coefficients_of: Callable[[Mapping[str, Any]], tuple[Array, dict[str, Any]]],
+) -> Form:
+    form: Form = {"parameters": tuple(parameters), "coefficients": tuple(coefficients), "prior_sd": tuple(prior_sd)}
+    return form | {"values": values, "coefficients_of": coefficients_of}
+
+
+def rated_torque(joint: int, seen: Surroundings) -> float:
+    """N m at the link side of joint 1..6, a KR 210's where the robot has none of its own."""
+    return float((RATED_TORQUE if seen.torque_max is None else seen.torque_max)[joint - 1])
 
 
 def instants(time: Array) -> Array:

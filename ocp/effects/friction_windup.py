@@ -1,25 +1,24 @@
-"""Friction winds up the gear and the link; after a reversal they stand wound the other way."""
+"""Friction winds up the gear and the link; after a reversal they stand wound the other way.
+
+An axis that stops is held back by friction, which grows with the load of the bearings and teeth, and keeps the gear wound: dq =
+(b0 + h |tau|) s, s the sign of the last motion, base_rad = b0, per_Nm = h in rad per N m (DIAGNOSIS, catalogue). Positive
+values leave the link further along the last motion, as backlash does.
+"""
 
 import casadi as ca
 
 from ocp.effects.effect import Effect, Parameter
-from ocp.effects.forms import at_joint, several
+from ocp.effects.forms import at_joint, proportional
 
 EFFECT = Effect(
     name="friction_windup",
     title="friction windup of joint {joint}",
     subsystem="joint",
-    physics="An axis that stops is held back by friction, which grows with the load of the bearings and teeth, and keeps the "
-    "gear wound: dq = (b0 + h |tau|) s, s the sign of the last motion, base_rad = b0, per_Nm = h in rad per N m "
-    "(DIAGNOSIS, catalogue). Positive values leave the link further along the last motion, as backlash does.",
-    parameters=(
-        Parameter("base_rad", "rad", 2e-5, 2e-4, signed=False),
-        Parameter("per_Nm", "rad/(N m)", 2e-8, 1e-7, signed=False),
-    ),
-    coefficients=("base_rad", "per_Nm"),
-    prior_sd=(2e-4, 1e-7),
+    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     needs=("approach",),
     joint=lambda x, j, scanned: at_joint(j, x.approach[j - 1], ca.fabs(x.tau[j - 1]) * x.approach[j - 1]),
-    **several("base_rad", "per_Nm"),
+    **proportional(
+        Parameter("base_rad", "rad", 2e-5, 2e-4, signed=False), Parameter("per_Nm", "rad/(N m)", 2e-8, 1e-7, signed=False)
+    ),
 )

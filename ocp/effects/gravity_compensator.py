@@ -1,13 +1,19 @@
-"""The spring that balances the upper arm, which the believed cell leaves out."""
+"""The spring that balances the upper arm, which the believed cell leaves out.
 
-from collections.abc import Sequence
+A KR 210 carries a hydropneumatic balancer on axis 2 that the paper and the believed cell ignore (PHYSICS 2.5). A spring of rate
+k between a point of link 1 and one of the upper arm, at lever_link1_m and lever_arm_m from axis 2, pulls toward the upright
+arm: torque = -k (1 - L0 / L) a b sin(phi), L its length at the angle phi from where it is shortest, L0 = free_length times the
+least length |b - a|: 1 just unloaded there, less preloaded. The torque acts through the joint's own compliance, so a robot
+without springs in joint 2 does not show it. Readings fix k a b and the shape; stiffness_N_m follows from the levers of the
+variant.
+"""
 
 import casadi as ca
 import numpy as np
 
 from ocp.effects.context import ArmContext
-from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.effects.forms import at_joint, scanned_with
+from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.forms import at_joint, proportional, tried
 
 _KEYS = ("lever_link1_m", "lever_arm_m", "free_length", "rest_rad")
 LEVER_ARM = 0.4  # m; only the product of the levers and their ratio show
@@ -24,33 +30,21 @@ def _torque(x: ArmContext, j: int, scanned: Scanned) -> ca.SX:
     return at_joint(2, -(1 - slack / length) * a * b * ca.sin(angle))
 
 
-def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
-    shapes = [(round(r * LEVER_ARM, 4), LEVER_ARM, free, rest) for r in RATIOS for free in FREE for rest in REST]
-    return [dict(zip(_KEYS, shape, strict=True)) for shape in shapes]
-
-
 EFFECT = Effect(
     name="gravity_compensator",
     title="gravity compensator of joint 2",
     subsystem="joint",
-    physics="A KR 210 carries a hydropneumatic balancer on axis 2 that the paper and the believed cell ignore (PHYSICS 2.5). A "
-    "spring of rate k between a point of link 1 and one of the upper arm, at lever_link1_m and lever_arm_m from axis 2, pulls "
-    "toward the upright arm: torque = -k (1 - L0 / L) a b sin(phi), L its length at the angle phi from where it is shortest, "
-    "L0 = free_length times the least length |b - a|: 1 just unloaded there, less preloaded. The torque acts through the joint's "
-    "own compliance, so a robot without springs in joint 2 does not show it. Readings fix k a b and the shape; stiffness_N_m "
-    "follows from the levers of the variant.",
-    parameters=(
+    physics=__doc__,
+    joints=(2,),
+    scan=tried(lever_link1_m=[round(r * LEVER_ARM, 4) for r in RATIOS], lever_arm_m=[LEVER_ARM], free_length=FREE, rest_rad=REST),
+    symbolic=_KEYS,
+    torque=_torque,
+    **proportional(
         Parameter("stiffness_N_m", "N/m", 2e4, 3e5, signed=False),
         Parameter("lever_link1_m", "m", 0.1, 0.6, signed=False),
         Parameter("lever_arm_m", "m", 0.1, 0.6, signed=False),
         Parameter("free_length", "1", 0.0, 1.0),
         Parameter("rest_rad", "rad", 0.0, 0.4),
+        scanned=_KEYS,
     ),
-    coefficients=("stiffness_N_m",),
-    prior_sd=(3e5,),
-    joints=(2,),
-    scan=_scan,
-    symbolic=_KEYS,
-    torque=_torque,
-    **scanned_with(("stiffness_N_m",), *_KEYS),
 )

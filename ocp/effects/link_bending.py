@@ -1,13 +1,18 @@
-"""Upper arm or forearm bends like a beam under what hangs on it."""
+"""Upper arm or forearm bends like a beam under what hangs on it.
 
-from collections.abc import Sequence
+A link is a beam: under the moment of what hangs on it its tip turns and sags (Euler-Bernoulli cantilever, any textbook on
+strength of materials). rad_per_Nm is the tip's turn per newton metre of moment; the sag follows from it. The moment that counts
+lies between that at the root and that at the tip: root_share 1/2 for an even beam, 1 for one that gives at its root, 0 at its
+tip. Link 2 is the upper arm up to axis 3, link 3 the forearm up to the wrist centre.
+"""
+
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from ocp.effects.context import ArmContext
-from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.forms import proportional, tried
 from robots.gravity import GRAVITY
 
 EVEN = 0.5
@@ -38,28 +43,19 @@ def _beam(x: ArmContext, j: int, scanned: Scanned) -> dict[int, ca.SX]:
     return {tip: ca.vertcat(sag * ca.cross(axis, end - start), turn * axis)}
 
 
-def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
-    return [{"root_share": share} for share in (EVEN, 1.0, 0.0)]
-
-
 EFFECT = Effect(
     name="link_bending",
     title="bending of link {joint}",
     subsystem="link",
-    physics="A link is a beam: under the moment of what hangs on it its tip turns and sags (Euler-Bernoulli cantilever, any "
-    "textbook on strength of materials). rad_per_Nm is the tip's turn per newton metre of moment; the sag follows from it. The "
-    "moment that counts lies between that at the root and that at the tip: root_share 1/2 for an even beam, 1 for one that "
-    "gives at its root, 0 at its tip. Link 2 is the upper arm up to axis 3, link 3 the forearm up to the wrist centre.",
-    parameters=(
-        Parameter("rad_per_Nm", "rad/(N m)", 1e-8, 2e-7, signed=False),
-        Parameter("root_share", "1", 0.0, 1.0, signed=False),
-    ),
-    coefficients=("rad_per_Nm",),
-    prior_sd=(2e-7,),
+    physics=__doc__,
     joints=(2, 3),
-    scan=_scan,
+    scan=tried(root_share=(EVEN, 1.0, 0.0)),
     symbolic=("root_share",),
     twist=_beam,
-    values=lambda a, scanned: {"rad_per_Nm": float(a[0]), "root_share": scanned["root_share"]},
-    coefficients_of=lambda values: (np.array([values["rad_per_Nm"]]), {"root_share": values.get("root_share", EVEN)}),
+    **proportional(
+        Parameter("rad_per_Nm", "rad/(N m)", 1e-8, 2e-7, signed=False),
+        Parameter("root_share", "1", 0.0, 1.0, signed=False),
+        scanned=("root_share",),
+        usual={"root_share": EVEN},
+    ),
 )

@@ -1,10 +1,15 @@
-"""A warm arm is longer."""
+"""A warm arm is longer.
+
+All lengths of the arm grow in proportion to the temperature above the cell's reference: L (1 + per_K (T - T0)); steel and cast
+iron 1.1e-5, aluminium 2.3e-5 per kelvin. What is clamped to the flange does not grow with it. At constant temperature it cannot
+be told from the tracker's scale or from longer links.
+"""
 
 import casadi as ca
 
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned
-from ocp.effects.forms import one
+from ocp.effects.forms import proportional
 
 
 def _growth(x: ArmContext, j: int, scanned: Scanned) -> dict[int, ca.SX]:
@@ -17,13 +22,8 @@ EFFECT = Effect(
     name="link_thermal",
     title="thermal growth of the arm",
     subsystem="link",
-    physics="All lengths of the arm grow in proportion to the temperature above the cell's reference: L (1 + per_K (T - T0)); "
-    "steel and cast iron 1.1e-5, aluminium 2.3e-5 per kelvin. What is clamped to the flange does not grow with it. At constant "
-    "temperature it cannot be told from the tracker's scale or from longer links.",
-    parameters=(Parameter("per_K", "1/K", 4e-6, 2.5e-5, signed=False),),
-    coefficients=("per_K",),
-    prior_sd=(2.5e-5,),
+    physics=__doc__,
     needs=("temperature_C",),
     twist=_growth,
-    **one("per_K"),
+    **proportional(Parameter("per_K", "1/K", 4e-6, 2.5e-5, signed=False)),
 )

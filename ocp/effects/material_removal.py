@@ -1,7 +1,11 @@
-"""Grinding takes material off: the same program meets less blade every time."""
+"""Grinding takes material off: the same program meets less blade every time.
+
+Every grinding before takes off a layer, thinner the faster the feed (Preston: removal goes with pressure, belt speed and dwell
+time): the interference falls by m_per_pass times ground_before times 40 mm/s over the feed (DIAGNOSIS, catalogue).
+"""
 
 from ocp.effects.effect import Effect, Parameter
-from ocp.effects.forms import one, row
+from ocp.effects.forms import proportional, row
 
 FEED = 0.04  # m/s at which m_per_pass holds
 
@@ -9,13 +13,8 @@ EFFECT = Effect(
     name="material_removal",
     title="removal of material",
     subsystem="blade",
-    physics="Every grinding before takes off a layer, thinner the faster the feed (Preston: removal goes with pressure, belt "
-    "speed and dwell time): the interference falls by m_per_pass times ground_before times 40 mm/s over the feed (DIAGNOSIS, "
-    "catalogue).",
-    parameters=(Parameter("m_per_pass", "m", 5e-6, 1e-4, signed=False),),
-    coefficients=("m_per_pass",),
-    prior_sd=(1e-4,),
+    physics=__doc__,
     needs=("ground_before",),
     overlap=lambda x, j, scanned: row(-x.ground_before * FEED / x.feed),
-    **one("m_per_pass"),
+    **proportional(Parameter("m_per_pass", "m", 5e-6, 1e-4, signed=False)),
 )

@@ -1,15 +1,16 @@
-"""A ripple of a joint once or twice per turn of its motor."""
+"""A ripple of a joint once or twice per turn of its motor.
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+An eccentric first gear stage, resolver or coupling repeats with the motor: dq = A cos(k R q + phase), R the gear ratio, order k
+= 1 or 2 (DIAGNOSIS, catalogue). The KR 210 extra's ratios are not published; those of its two sister machines are tried in
+their place (PHYSICS 2.1), other robots without ratios are not tested. phase_rad counts from the commanded axis at zero.
+"""
 
-import casadi as ca
+from collections.abc import Sequence
+
 import numpy as np
 
-from ocp.effects.context import ArmContext
-from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings, amplitude_and_phase, cosine_and_sine
-from ocp.effects.forms import at_joint
-from robots.pose import Array
+from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import at_joint, cosines, wave
 
 ORDERS = (1, 2)
 # Motor turns per turn of the axis of the machines that share the extra's name (PHYSICS 2.1): prime, -2.
@@ -33,41 +34,19 @@ def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
     return [{"order": k, "gear_ratio": ratio} for ratio in ratios(joint, seen) for k in ORDERS]
 
 
-def _ripple(x: ArmContext, j: int, scanned: Scanned) -> ca.SX:
-    angle = scanned["order"] * scanned["gear_ratio"] * x.q[j - 1]
-    return at_joint(j, ca.cos(angle), ca.sin(angle))
-
-
-def _values(a: Array, scanned: Scanned) -> dict[str, Any]:
-    size, phase = amplitude_and_phase(a)
-    return {"order": scanned["order"], "amplitude_rad": size, "phase_rad": phase, "gear_ratio": scanned["gear_ratio"]}
-
-
-def _coefficients(values: Mapping[str, Any]) -> tuple[Array, dict[str, Any]]:
-    a = cosine_and_sine(float(values["amplitude_rad"]), float(values["phase_rad"]))
-    return a, {"order": values["order"], "gear_ratio": values["gear_ratio"]}
-
-
 EFFECT = Effect(
     name="motor_harmonic",
     title="motor-side ripple of joint {joint}",
     subsystem="joint",
-    physics="An eccentric first gear stage, resolver or coupling repeats with the motor: dq = A cos(k R q + phase), R the "
-    "gear ratio, order k = 1 or 2 (DIAGNOSIS, catalogue). The KR 210 extra's ratios are not published; those of its "
-    "two sister machines are tried in their place (PHYSICS 2.1), other robots without ratios are not tested. phase_rad "
-    "counts from the commanded axis at zero.",
-    parameters=(
-        Parameter("order", "1", 1, 2, signed=False),
-        Parameter("amplitude_rad", "rad", 2e-5, 2e-4, signed=False),
-        Parameter("phase_rad", "rad", 0.0, 3.15),
-        Parameter("gear_ratio", "1", 50, 300, signed=False),
-    ),
-    coefficients=("cos", "sin"),
-    prior_sd=(2e-4, 2e-4),
-    values=_values,
-    coefficients_of=_coefficients,
+    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     scan=_scan,
     symbolic=("order", "gear_ratio"),
-    joint=_ripple,
+    joint=lambda x, j, scanned: at_joint(j, *cosines(scanned["order"] * scanned["gear_ratio"] * x.q[j - 1])),
+    **wave(
+        Parameter("order", "1", 1, 2, signed=False),
+        Parameter("amplitude_rad", "rad", 2e-5, 2e-4, signed=False),
+        Parameter("gear_ratio", "1", 50, 300, signed=False),
+        scanned=("order", "gear_ratio"),
+    ),
 )

@@ -1,10 +1,15 @@
-"""The centre of what hangs on the flange is elsewhere than the cell says."""
+"""The centre of what hangs on the flange is elsewhere than the cell says.
+
+The payload's weight acts at another point than the cell says: its moment changes by m g x dr, tau(dr) (DIAGNOSIS, catalogue).
+shift_m is the real centre less the cell's, in the flange frame. payload: the one it is true of, or 'loaded': every payload with
+a mass, each by the same shift.
+"""
 
 import casadi as ca
 
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned
-from ocp.effects.forms import vectors
+from ocp.effects.forms import proportional
 from ocp.effects.payload_mass import each_payload
 
 
@@ -18,13 +23,10 @@ EFFECT = Effect(
     name="payload_com",
     title="centre of mass of the payload",
     subsystem="payload",
-    physics="The payload's weight acts at another point than the cell says: its moment changes by m g x dr, tau(dr) (DIAGNOSIS, "
-    "catalogue). shift_m is the real centre less the cell's, in the flange frame. payload: the one it is true of, or 'loaded': "
-    "every payload with a mass, each by the same shift.",
-    parameters=(Parameter("shift_m", "m", 0.005, 0.12, length=3), Parameter("payload", "name", 0.0, 0.0)),
-    coefficients=("x", "y", "z"),
-    prior_sd=(0.12, 0.12, 0.12),
+    physics=__doc__,
     scan=each_payload,
     torque=_torque,
-    **vectors(("shift_m",), "payload"),
+    **proportional(
+        Parameter("shift_m", "m", 0.005, 0.12, length=3), Parameter("payload", "name", 0.0, 0.0), scanned=("payload",)
+    ),
 )

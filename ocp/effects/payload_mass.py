@@ -1,10 +1,15 @@
-"""What hangs on the flange is heavier than the cell says."""
+"""What hangs on the flange is heavier than the cell says.
+
+An added mass at the payload's centre of mass loads every joint, tau(dm) (DIAGNOSIS, catalogue); the joints bend by their
+compliance. kg is the real mass less the cell's. payload: the one it is true of, or 'loaded': every payload with a mass. With
+one payload it looks like compliance; payloads that are swapped tell them apart.
+"""
 
 from collections.abc import Sequence
 
 from ocp.effects.context import LOADED
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.effects.forms import scanned_with
+from ocp.effects.forms import proportional
 
 
 def each_payload(joint: int, seen: Surroundings) -> Sequence[Scanned]:
@@ -16,13 +21,8 @@ EFFECT = Effect(
     name="payload_mass",
     title="mass of the payload",
     subsystem="payload",
-    physics="An added mass at the payload's centre of mass loads every joint, tau(dm) (DIAGNOSIS, catalogue); the joints bend by "
-    "their compliance. kg is the real mass less the cell's. payload: the one it is true of, or 'loaded': every payload with a "
-    "mass. With one payload it looks like compliance; payloads that are swapped tell them apart.",
-    parameters=(Parameter("kg", "kg", 0.5, 25.0), Parameter("payload", "name", 0.0, 0.0)),
-    coefficients=("kg",),
-    prior_sd=(25.0,),
+    physics=__doc__,
     scan=each_payload,
     torque=lambda x, j, scanned: x.is_payload(scanned["payload"]) * x.weight_torque(1.0, x.payload[1:4]),
-    **scanned_with(("kg",), "payload"),
+    **proportional(Parameter("kg", "kg", 0.5, 25.0), Parameter("payload", "name", 0.0, 0.0), scanned=("payload",)),
 )

@@ -1,16 +1,16 @@
-"""The force sensor's zero is off."""
+"""The force sensor's zero is off.
+
+The reading is the force plus N newton, in the air as in contact (DIAGNOSIS, catalogue); air runs show it alone.
+"""
 
 from ocp.effects.effect import Effect, Parameter
-from ocp.effects.forms import one, row
+from ocp.effects.forms import proportional, row
 
 EFFECT = Effect(
     name="sensor_bias",
     title="bias of the force sensor",
     subsystem="sensor",
-    physics="The reading is the force plus N newton, in the air as in contact (DIAGNOSIS, catalogue); air runs show it alone.",
-    parameters=(Parameter("N", "N", 0.1, 2.0),),
-    coefficients=("N",),
-    prior_sd=(2.0,),
+    physics=__doc__,
     sensor=lambda x, j, scanned: row(1.0),
-    **one("N"),
+    **proportional(Parameter("N", "N", 0.1, 2.0)),
 )

@@ -1,4 +1,8 @@
-"""The normal reading shows a share of the tangential force."""
+"""The normal reading shows a share of the tangential force.
+
+The normal reading is the force plus share_sign times `share` of the tangential force as ft_N counts it, mu F with the sign of
+the belt's motion (DIAGNOSIS, catalogue). A stopped or reversed belt tells it from a gain.
+"""
 
 import casadi as ca
 import numpy as np
@@ -10,8 +14,7 @@ EFFECT = Effect(
     name="sensor_crosstalk",
     title="cross-talk of the force sensor",
     subsystem="sensor",
-    physics="The normal reading is the force plus share_sign times `share` of the tangential force as ft_N counts it, mu F with "
-    "the sign of the belt's motion (DIAGNOSIS, catalogue). A stopped or reversed belt tells it from a gain.",
+    physics=__doc__,
     parameters=(Parameter("share", "1", 0.01, 0.1, signed=False), Parameter("share_sign", "1", -1, 1)),
     coefficients=("share",),
     prior_sd=(0.1,),

@@ -1,4 +1,10 @@
-"""The blade's surface differs from its drawing, smoothly along the passes."""
+"""The blade's surface differs from its drawing, smoothly along the passes.
+
+Forged or cast stock stands over the drawing by a smooth function of s that repeats with the blade: a constant and the sum of
+profile_m[k] sqrt(2) cos(k pi s / length_m), k = 1 to 6, positive where there is more material; the same on all lines or another
+one on each of `lines` (neighbours share one where there are more than five), seven numbers each. m is its rms size without the
+constants (DIAGNOSIS, catalogue).
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -56,10 +62,7 @@ EFFECT = Effect(
     name="stock_profile",
     title="stock of the blade",
     subsystem="blade",
-    physics="Forged or cast stock stands over the drawing by a smooth function of s that repeats with the blade: a constant and "
-    "the sum of profile_m[k] sqrt(2) cos(k pi s / length_m), k = 1 to 6, positive where there is more material; the same on all "
-    "lines or another one on each of `lines` (neighbours share one where there are more than five), seven numbers each. m is its "
-    "rms size without the constants (DIAGNOSIS, catalogue).",
+    physics=__doc__,
     parameters=(
         Parameter("m", "m", 5e-5, LARGEST, signed=False),
         Parameter("profile_m", "m", 0.0, LARGEST, length=GROUPS * WAVES),

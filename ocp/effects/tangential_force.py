@@ -1,4 +1,10 @@
-"""Friction between belt and blade differs from the cell's."""
+"""Friction between belt and blade differs from the cell's.
+
+Grain, wear and lubrication change friction: the tangential force is (mu + dmu) F along the belt, which bends blade and arm
+across and so changes the overlap. Of the tangential force the share `leak` shows in the normal reading, for no sensor stands
+quite square (DIAGNOSIS, catalogue); leak_sign 1: the reading rises with ft_N, -1: it falls. ft readings show dmu directly, a
+reversed belt the leak.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -34,10 +40,7 @@ EFFECT = Effect(
     name="tangential_force",
     title="tangential force",
     subsystem="wheel",
-    physics="Grain, wear and lubrication change friction: the tangential force is (mu + dmu) F along the belt, which bends blade "
-    "and arm across and so changes the overlap. Of the tangential force the share `leak` shows in the normal reading, for no "
-    "sensor stands quite square (DIAGNOSIS, catalogue); leak_sign 1: the reading rises with ft_N, -1: it falls. ft readings show "
-    "dmu directly, a reversed belt the leak.",
+    physics=__doc__,
     parameters=(
         Parameter("dmu", "1", 0.05, 0.35),
         Parameter("leak", "1", 0.0, 0.1, signed=False),

@@ -1,9 +1,13 @@
-"""A reflector nest moves during a campaign."""
+"""A reflector nest moves during a campaign.
+
+A glued nest is knocked or creeps: from at_s on (campaign's clock) readings of `target` are shifted by shift_m (3) in the frame
+of the link that carries it (DIAGNOSIS, catalogue). A shift from the start is the nest's unknown position.
+"""
 
 from collections.abc import Sequence
 
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.effects.forms import after, instants, vectors
+from ocp.effects.forms import AT_S, after, instants, proportional
 
 
 def _scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
@@ -14,18 +18,12 @@ EFFECT = Effect(
     name="target_shift",
     title="a reflector nest moved",
     subsystem="target",
-    physics="A glued nest is knocked or creeps: from at_s on (campaign's clock) readings of `target` are shifted by shift_m (3) "
-    "in the frame of the link that carries it (DIAGNOSIS, catalogue). A shift from the start is the nest's unknown position.",
-    parameters=(
-        Parameter("target", "name", 0.0, 0.0),
-        Parameter("shift_m", "m", 5e-5, 4e-4, length=3),
-        Parameter("at_s", "s", 0.0, 1e5, signed=False),
-    ),
-    coefficients=("x", "y", "z"),
-    prior_sd=(4e-4, 4e-4, 4e-4),
+    physics=__doc__,
     needs=("target", "time_s"),
     scan=_scan,
     symbolic=("at_s",),
     reading=lambda x, j, scanned: x.is_target(scanned["target"]) * after(x.time, scanned["at_s"]) * x.R,
-    **vectors(("shift_m",), "target", "at_s"),
+    **proportional(
+        Parameter("shift_m", "m", 5e-5, 4e-4, length=3), Parameter("target", "name", 0.0, 0.0), AT_S, scanned=("target", "at_s")
+    ),
 )

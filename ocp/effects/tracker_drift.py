@@ -1,10 +1,15 @@
-"""The tracker's frame wanders during a campaign."""
+"""The tracker's frame wanders during a campaign.
+
+The stand warms or settles: what the tracker reads moves by m_per_h (3) and turns by rad_per_h (3) about its head per hour since
+the start, in the axes of the tracker's frame (DIAGNOSIS, catalogue). Fixed reflectors read again and again would show it apart
+from the robot.
+"""
 
 import casadi as ca
 
 from ocp.effects.context import TrackerContext
 from ocp.effects.effect import Effect, Parameter, Scanned
-from ocp.effects.forms import HOUR, vectors
+from ocp.effects.forms import HOUR, proportional
 
 
 def _drift(x: TrackerContext, j: int, scanned: Scanned) -> ca.SX:
@@ -15,13 +20,8 @@ EFFECT = Effect(
     name="tracker_drift",
     title="drift of the tracker",
     subsystem="tracker",
-    physics="The stand warms or settles: what the tracker reads moves by m_per_h (3) and turns by rad_per_h (3) about its head "
-    "per hour since the start, in the axes of the tracker's frame (DIAGNOSIS, catalogue). Fixed reflectors read again and again "
-    "would show it apart from the robot.",
-    parameters=(Parameter("m_per_h", "m/h", 5e-6, 8e-5, length=3), Parameter("rad_per_h", "rad/h", 1e-6, 2e-5, length=3)),
-    coefficients=("x", "y", "z", "about_x", "about_y", "about_z"),
-    prior_sd=(8e-5, 8e-5, 8e-5, 2e-5, 2e-5, 2e-5),
+    physics=__doc__,
     needs=("time_s",),
     reading=_drift,
-    **vectors(("m_per_h", "rad_per_h")),
+    **proportional(Parameter("m_per_h", "m/h", 5e-6, 8e-5, length=3), Parameter("rad_per_h", "rad/h", 1e-6, 2e-5, length=3)),
 )

@@ -1,18 +1,17 @@
-"""The tracker's ranges are a share too long."""
+"""The tracker's ranges are a share too long.
+
+A wrong refractive index (air temperature, pressure) scales every range: the tracker reads (1 + scale) times the distance from
+its head; about 1e-6 per kelvin of air. Free link lengths take all of it; only lengths that are known, a scale bar, show it.
+"""
 
 from ocp.effects.effect import Effect, Parameter
-from ocp.effects.forms import one
+from ocp.effects.forms import proportional
 
 EFFECT = Effect(
     name="tracker_scale",
     title="scale of the tracker",
     subsystem="tracker",
-    physics="A wrong refractive index (air temperature, pressure) scales every range: the tracker reads (1 + scale) times the "
-    "distance from its head; about 1e-6 per kelvin of air. Free link lengths take all of it; only lengths that are known, "
-    "a scale bar, show it.",
-    parameters=(Parameter("scale", "1", 1e-6, 1e-5),),
-    coefficients=("scale",),
-    prior_sd=(1e-5,),
+    physics=__doc__,
     reading=lambda x, j, scanned: x.point,
-    **one("scale"),
+    **proportional(Parameter("scale", "1", 1e-6, 1e-5)),
 )

@@ -1,4 +1,9 @@
-"""The wheel's force rises more steeply with its indentation than modelled."""
+"""The wheel's force rises more steeply with its indentation than modelled.
+
+Rubber that stiffens: the local exponent of F(delta) is (1 + exponent) times the model's, with the same indentation at 20 N
+(DIAGNOSIS, catalogue). To first order indentation falls by a (dd/dF) F ln(F / 20 N), a = exponent / (1 + exponent). Only
+several force levels tell it from a stiffer cover.
+"""
 
 import casadi as ca
 
@@ -11,12 +16,7 @@ EFFECT = Effect(
     name="wheel_law",
     title="force law of the wheel",
     subsystem="wheel",
-    physics="Rubber that stiffens: the local exponent of F(delta) is (1 + exponent) times the model's, with the same "
-    "indentation at 20 N (DIAGNOSIS, catalogue). To first order indentation falls by a (dd/dF) F ln(F / 20 N), a = exponent / "
-    "(1 + exponent). Only several force levels tell it from a stiffer cover.",
-    parameters=(Parameter("exponent", "1", 0.05, 0.6),),
-    coefficients=("share",),
-    prior_sd=(0.6,),
+    physics=__doc__,
     overlap=lambda x, j, scanned: row(x.F * x.slopes[1] * ca.log(ca.fmax(x.F, 0.1) / ABOUT)),
-    **share("exponent"),
+    **share(Parameter("exponent", "1", 0.05, 0.6)),
 )

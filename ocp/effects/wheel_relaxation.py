@@ -1,19 +1,18 @@
-"""The wheel's cover relaxes after it engages."""
+"""The wheel's cover relaxes after it engages.
 
-from collections.abc import Sequence
+Rubber as a standard linear solid: after engagement its stiffness falls by the share g with the time constant tau (DIAGNOSIS,
+catalogue). The force it lets go is -w g times the force through a first-order lag that starts at zero with every run, w the
+wheel's share of the give of the chain.
+"""
 
 import numpy as np
 
 from ocp.effects.context import LogRows
-from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.effects.forms import scanned_with
+from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.forms import proportional, tried
 from robots.pose import Array
 
 TIMES = (0.05, 0.15, 0.5, 1.5, 5.0, 15.0, 30.0)  # s
-
-
-def _times(joint: int, seen: Surroundings) -> Sequence[Scanned]:
-    return [{"tau": t} for t in TIMES]
 
 
 def _loss(x: LogRows, joint: int, scanned: Scanned) -> Array:
@@ -35,13 +34,10 @@ EFFECT = Effect(
     name="wheel_relaxation",
     title="relaxation of the wheel's cover",
     subsystem="wheel",
-    physics="Rubber as a standard linear solid: after engagement its stiffness falls by the share g with the time constant tau "
-    "(DIAGNOSIS, catalogue). The force it lets go is -w g times the force through a first-order lag that starts at zero with "
-    "every run, w the wheel's share of the give of the chain.",
-    parameters=(Parameter("g", "1", 0.05, 0.25, signed=False), Parameter("tau", "s", 0.05, 30.0, signed=False)),
-    coefficients=("g",),
-    prior_sd=(0.25,),
-    scan=_times,
+    physics=__doc__,
+    scan=tried(tau=TIMES),
     along=_loss,
-    **scanned_with(("g",), "tau"),
+    **proportional(
+        Parameter("g", "1", 0.05, 0.25, signed=False), Parameter("tau", "s", 0.05, 30.0, signed=False), scanned=("tau",)
+    ),
 )

@@ -1,4 +1,9 @@
-"""The wheel's cover is stiffer or softer than the cell says."""
+"""The wheel's cover is stiffer or softer than the cell says.
+
+Rubber of another batch or age: the same indentation takes (1 + scale) times the force (DIAGNOSIS, catalogue). Indentation
+follows a power of the force, d(F / (1 + s)) = d (1 + s)^-0.7, so the coefficient a = (1 - (1 + s)^-0.7) / 0.7 enters linearly.
+Cover thickness does the same.
+"""
 
 import numpy as np
 
@@ -11,9 +16,7 @@ EFFECT = Effect(
     name="wheel_stiffness",
     title="stiffness of the wheel's cover",
     subsystem="wheel",
-    physics="Rubber of another batch or age: the same indentation takes (1 + scale) times the force (DIAGNOSIS, catalogue). "
-    "Indentation follows a power of the force, d(F / (1 + s)) = d (1 + s)^-0.7, so the coefficient a = (1 - (1 + s)^-0.7) / 0.7 "
-    "enters linearly. Cover thickness does the same.",
+    physics=__doc__,
     parameters=(Parameter("scale", "1", 0.0, 0.3),),
     coefficients=("give",),
     prior_sd=(0.3,),

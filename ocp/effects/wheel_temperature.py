@@ -1,19 +1,19 @@
-"""A warm wheel is softer and larger."""
+"""A warm wheel is softer and larger.
+
+The cover's stiffness is (1 + per_K (T - T0)) times the cell's (per_K negative: warm rubber is softer), the radius grows by
+radius_per_K metres per kelvin, T the wheel's temperature, T0 the cell's reference; it recovers on pauses (DIAGNOSIS,
+catalogue).
+"""
 
 from ocp.effects.effect import Effect, Parameter
-from ocp.effects.forms import row, several
+from ocp.effects.forms import proportional, row
 
 EFFECT = Effect(
     name="wheel_temperature",
     title="temperature of the wheel",
     subsystem="wheel",
-    physics="The cover's stiffness is (1 + per_K (T - T0)) times the cell's (per_K negative: warm rubber is softer), the radius "
-    "grows by radius_per_K metres per kelvin, T the wheel's temperature, T0 the cell's reference; it recovers on pauses "
-    "(DIAGNOSIS, catalogue).",
-    parameters=(Parameter("per_K", "1/K", -0.01, -0.003), Parameter("radius_per_K", "m/K", 2e-6, 1e-5, signed=False)),
-    coefficients=("per_K", "radius_per_K"),
-    prior_sd=(0.01, 1e-5),
+    physics=__doc__,
     needs=("wheel_temperature_C",),
     overlap=lambda x, j, scanned: row(x.wheel_warm * x.F * x.slopes[1], x.wheel_warm),
-    **several("per_K", "radius_per_K"),
+    **proportional(Parameter("per_K", "1/K", -0.01, -0.003), Parameter("radius_per_K", "m/K", 2e-6, 1e-5, signed=False)),
 )

@@ -1,4 +1,8 @@
-"""A wrist axis turns with another one, as their shafts run through each other."""
+"""A wrist axis turns with another one, as their shafts run through each other.
+
+The drives of axes 5 and 6 run through the hollow axes before them, and the controller takes the coupling out by fixed ratios; a
+wrong ratio leaves dq_j = k q_i among joints 4 to 6 (DIAGNOSIS, catalogue). source_joint is i.
+"""
 
 from collections.abc import Sequence
 
@@ -6,7 +10,7 @@ import casadi as ca
 
 from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
-from ocp.effects.forms import at_joint, scanned_with
+from ocp.effects.forms import at_joint, proportional
 
 WRIST = (4, 5, 6)
 
@@ -23,13 +27,11 @@ EFFECT = Effect(
     name="wrist_coupling",
     title="joint {joint} turns with another wrist axis",
     subsystem="joint",
-    physics="The drives of axes 5 and 6 run through the hollow axes before them, and the controller takes the coupling out by "
-    "fixed ratios; a wrong ratio leaves dq_j = k q_i among joints 4 to 6 (DIAGNOSIS, catalogue). source_joint is i.",
-    parameters=(Parameter("ratio", "1", 1e-4, 3e-3), Parameter("source_joint", "1", 4, 6, signed=False)),
-    coefficients=("ratio",),
-    prior_sd=(3e-3,),
+    physics=__doc__,
     joints=WRIST,
     scan=_sources,
     joint=_coupled,
-    **scanned_with(("ratio",), "source_joint"),
+    **proportional(
+        Parameter("ratio", "1", 1e-4, 3e-3), Parameter("source_joint", "1", 4, 6, signed=False), scanned=("source_joint",)
+    ),
 )

@@ -15,10 +15,10 @@ def dropped_effect(folder: Path, patch: pytest.MonkeyPatch, joints: str, size: s
     """`brand_new`, a joint's error k times `form`, while the context lasts."""
     (folder / "brand_new.py").write_text(
         '"""A joint is off by something new."""\n'
-        "from ocp.effects.forms import at_joint, one\nfrom ocp.effects.effect import Effect, Parameter\n"
+        "from ocp.effects.forms import at_joint, proportional\nfrom ocp.effects.effect import Effect, Parameter\n"
         'EFFECT = Effect(name="brand_new", title="new at joint {joint}", subsystem="joint", physics="dq = k f.",\n'
-        f'    parameters=(Parameter("k", "1/rad", 1e-5, {size}),), coefficients=("k",), prior_sd=({size},), joints={joints},\n'
-        f'    joint=lambda x, j, scanned: at_joint(j, {form}), **one("k"))\n'
+        f"    joints={joints}, joint=lambda x, j, scanned: at_joint(j, {form}),\n"
+        f'    **proportional(Parameter("k", "1/rad", 1e-5, {size})))\n'
     )
     patch.setattr(ocp.effects, "__path__", [*ocp.effects.__path__, str(folder)])
     forget_library()
