@@ -13,7 +13,7 @@ from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline, build_timeline, emitted_times, grinding_program, write_plan_csv, write_program
 from ocp.plan.readback import Readback, read_back
 from ocp.plan.report.pages import write_plan_report
-from ocp.plan.report.plan_report import InputFile, SummaryRow, build_report
+from ocp.plan.report.plan_report import build_report
 from ocp.plan.rules import UNCERTAIN_FORCE
 from ocp.plan.second_route import believed_robot
 from ocp.shell.cache import sha256
@@ -63,9 +63,7 @@ def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Pha
         with phases.phase("report"):
             summary = _summary(plan, written)
             verdict = _verdict(plan, written)
-            report = build_report(
-                plan.cell, plan.blade, plan.motion, written.timeline, verdict, summary, _inputs(plan), plan.notices
-            )
+            report = build_report(plan, written.timeline, verdict, summary)
             write_plan_report(report, folder)
         with phases.phase("writing"):
             _write_json(plan, written, summary, verdict, folder / "plan.json")
@@ -113,7 +111,8 @@ def _asked(plan: Plan) -> tuple[float, str]:
     return high, f"{high:g} N" if high - low < 1e-9 else f"the {low:g} to {high:g} N asked for"
 
 
-def _summary(plan: Plan, written: _Written) -> tuple[SummaryRow, ...]:
+def _summary(plan: Plan, written: _Written) -> list[tuple[str, str]]:
+    """What it is, and its value with its unit."""
     motion, back, goal = plan.motion, written.readback, _asked(plan)[0]
     contact = [s for s in motion.segments if s.kind == "contact"]
     force = np.concatenate([p.force for p in back.passes])
@@ -138,20 +137,16 @@ def _summary(plan: Plan, written: _Written) -> tuple[SummaryRow, ...]:
         ("Table of the wheel, largest held-out error", f"{plan.wheel_error * 1e6:.1f}", "um"),
         ("Blade compliance, estimated error", f"{100 * plan.compliance_error:.2f}", "%"),
     ]
-    return tuple(SummaryRow(*row) for row in rows)
+    return [(label, f"{value} {unit}".strip()) for label, value, unit in rows]
 
 
-def _inputs(plan: Plan) -> tuple[InputFile, ...]:
-    return tuple(InputFile(role, path.name, sha256(path)) for role, path in plan.inputs)
-
-
-def _write_json(plan: Plan, written: _Written, summary: tuple[SummaryRow, ...], verdict: str, path: Path) -> None:
+def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], verdict: str, path: Path) -> None:
     """plan.json: status, summary, inputs and their hashes, versions; the only file that tells of this machine."""
     content = {
         "schema": 1,
         "status": "safe",
         "verdict": verdict,
-        "summary": {row.label: f"{row.value} {row.unit}".strip() for row in summary},
+        "summary": dict(summary),
         "force_error_N": written.readback.force_error,
         "force_sd_max_N": max(float(p.evaluation.force_sd.max()) for p in plan.motion.passes),
         "duration_s": plan.motion.duration,

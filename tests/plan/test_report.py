@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from ocp.plan.report.pages import plan_pages, write_plan_report
-from ocp.plan.report.plan_report import InputFile, PlanReport, SummaryRow
+from ocp.plan.report.plan_report import PlanReport
 from ocp.plan.report.quantities import QUANTITIES
 from tests.support.report_example import example_report
 
@@ -76,8 +76,8 @@ def hostile(report: PlanReport) -> PlanReport:
         verdict=HOSTILE,
         notices=(HOSTILE,),
         passes=passes,
-        summary=(SummaryRow(HOSTILE, HOSTILE, HOSTILE),),
-        inputs=(InputFile(HOSTILE, HOSTILE, HOSTILE),),
+        summary=((HOSTILE, f"{HOSTILE} {HOSTILE}"),),
+        inputs={f"{HOSTILE}: {HOSTILE}": HOSTILE},
     )
 
 
@@ -90,10 +90,10 @@ def numbers(packed: dict[str, object]) -> np.ndarray:
 def test_page_nests_and_tells_what_matters(report):
     page = Page(page_of(report))
     told = " ".join(" ".join(page.words).split())
-    for words in (report.verdict, "Safe to use.", *report.notices, *(row.value for row in report.summary)):
+    for words in (report.verdict, "Safe to use.", *report.notices, *(value for _, value in report.summary)):
         assert words in told
-    for item in report.inputs:
-        assert item.sha256 in told and item.name in told
+    for name, sha in report.inputs.items():
+        assert sha in told and name in told
     unsafe = " ".join(Page(page_of(replace(report, safe=False))).words)
     assert "Do not use." in unsafe and "Safe to use." not in unsafe
 
@@ -189,8 +189,8 @@ def test_pdf_has_its_sheets_and_words(tmp_path, report):
         *report.notices,
     ):
         assert words in joined
-    for item in report.inputs:
-        assert item.sha256 in joined
+    for sha in report.inputs.values():
+        assert sha in joined
     raw = (tmp_path / "report.pdf").read_bytes()
     assert b"/CreationDate" not in raw and b"/Type3" not in raw  # Type 3 fonts print badly and cannot be searched
 
@@ -200,8 +200,8 @@ def test_awkward_words_and_missing_values_are_printed(tmp_path, hostile):
     gaps = np.where(np.arange(len(first.s)) % 7 == 3, np.nan, first.force)
     unknown = np.full(len(first.s), np.nan)
     passes = (replace(first, force=gaps, removal=unknown, compliance_nn=unknown), *hostile.passes[1:])
-    limits = replace(hostile.limits, torque_max=np.full(6, np.inf))
-    awkward = replace(hostile, passes=passes, limits=limits, notices=("long " * 60,) * 80)
+    robot = replace(hostile.robot, torque_max=np.full(6, np.inf))
+    awkward = replace(hostile, passes=passes, robot=robot, notices=("long " * 60,) * 80)
     plan_pages(awkward).write_pdf(tmp_path / "a.pdf")
     plan_pages(awkward).write_page(tmp_path / "a.html")
     assert (tmp_path / "a.pdf").stat().st_size > 50_000

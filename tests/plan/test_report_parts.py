@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ocp.plan.report.axes import limit_rows, limit_table
-from ocp.plan.report.force import decimals_of, force_panels, pass_table
+from ocp.plan.report.force import decimals_of, force_panels, nice_ticks, pass_table
 from ocp.plan.report.plan_report import PassReport, PlanReport
-from ocp.plan.report.quantities import QUANTITIES, colour_range, common_distance, nice_ticks, quantity
+from ocp.plan.report.quantities import QUANTITIES, colour_range, common_distance, quantity
 from ocp.plan.report.surface import cluster_vertices, paint_blade, pass_spacing, refine_near
 from robots.pose import Array, apply, invert, make_transform, rotation_from_abc
 from tests.support.report_example import example_report, synthetic_blade
@@ -84,7 +84,7 @@ def test_refinement_and_clustering_keep_the_body(report):
 
 
 def test_limit_table_tells_the_worst_use(report):
-    motion, limits = report.motion, report.limits
+    motion, limits = report.motion, report.robot
     q, qd = motion.q.copy(), motion.qd.copy()
     q[100, 4], qd[200, 1] = limits.q_max[4], -1.25 * limits.qd_max[1]
     rows = {(row.axis, row.kind): row for row in limit_rows(replace(report, motion=replace(motion, q=q, qd=qd)))}
@@ -95,7 +95,7 @@ def test_limit_table_tells_the_worst_use(report):
     table = limit_table(tuple(rows.values()))
     assert 5 in table.strong and table.rows[5][4] == "125 % over the limit"
     assert table.bars[4][5] == pytest.approx(1.25)
-    free = replace(report, limits=replace(limits, torque_max=np.full(6, np.inf)))
+    free = replace(report, robot=replace(limits, torque_max=np.full(6, np.inf)))
     assert limit_table(limit_rows(free)).rows[3][3:5] == ("none", "not limited")
     assert [row.limit for row in limit_rows(free) if row.kind == "torque"] == ["none"] * 6
 

@@ -4,20 +4,33 @@ Joints come from a small Newton iteration with a difference Jacobian, air moves 
 to look right in a picture, no planner.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from ocp.plan.report.plan_report import AxisLimits, MotionReport, PassReport, WheelShape
+from ocp.data import CELL
+from ocp.model.cell import read_cell
+from ocp.plan.report.plan_report import MotionReport, PassReport
 from robots.pose import Array, apply, invert, make_transform, rot_x, rot_y, rot_z
+from robots.robot import load_robot
 
-LIMITS = AxisLimits(
+ROBOT = replace(
+    load_robot("kr210_r2700_extra"),
     q_min=np.radians([-185, -140, -120, -350, -125, -350]),
     q_max=np.radians([185, -5, 155, 350, 125, 350]),
     qd_max=np.radians([123, 115, 112, 179, 172, 219]),
     qdd_max=np.array([2.0, 2.0, 2.5, 4.0, 4.0, 5.0]),
     torque_max=np.array([7290.0, 8100, 5291, 2182, 1282, 825]),
 )
-WHEEL = WheelShape(np.array([1.7, 0, 1.0]), np.array([0.0, 1, 0]), 0.15, 0.04, np.array([-1.0, 0, 0]))
+WHEEL = replace(
+    read_cell(CELL).wheel,
+    centre=np.array([1.7, 0, 1.0]),
+    axis=np.array([0.0, 1, 0]),
+    radius=0.15,
+    width=0.04,
+    contact_direction=np.array([-1.0, 0, 0]),
+)
 T_FLANGE_BLADE = make_transform(np.eye(3), [0, 0, 0.2])
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import trimesh
 from scipy.interpolate import CubicSpline
 
-from ocp.plan.report.plan_report import CellAnimation, InputFile, PassReport, PlanReport, SummaryRow
+from ocp.plan.report.plan_report import CellAnimation, PassReport, PlanReport
 from robots.pose import Array
-from tests.support.report_arm import LIMITS, T_FLANGE_BLADE, WHEEL, capsules, elementary_arm, timed_motion
+from tests.support.report_arm import ROBOT, T_FLANGE_BLADE, WHEEL, capsules, elementary_arm, timed_motion
 
 FEED = 0.04  # m/s
 
@@ -115,7 +115,7 @@ def example_report(blade: Path | None = None, lines: int = 8, count: int = 188, 
     motion = timed_motion(passes, 80.0)
     pick = np.linspace(0, len(motion.time) - 1, frames).astype(int)
     links = elementary_arm(motion.q[pick])
-    animation = CellAnimation(motion.time[pick], links, links[:, 6] @ T_FLANGE_BLADE, T_FLANGE_BLADE, capsules(), WHEEL)
+    animation = CellAnimation(motion.time[pick], links, T_FLANGE_BLADE)
     force = np.concatenate([item.force for item in passes])
     report = PlanReport(
         title="twisted",
@@ -123,27 +123,24 @@ def example_report(blade: Path | None = None, lines: int = 8, count: int = 188, 
         f"{force.max():.2f} N on all {len(passes)} passes; the target is 20 N.",
         safe=True,
         summary=(
-            SummaryRow("Blade", "twisted.stl, 110.0 x 55.3 x 23.5", "mm"),
-            SummaryRow("Cell", "belt cell 1, kr210_r2700_extra with calibration"),
-            SummaryRow("Predicted force, mean", f"{force.mean():.2f}", "N"),
-            SummaryRow("Predicted force, smallest and largest", f"{force.min():.2f} .. {force.max():.2f}", "N"),
-            SummaryRow("Standard deviation of the force, largest", "1.07", "N"),
-            SummaryRow("Duration", f"{motion.time[-1]:.1f}", "s"),
-            SummaryRow("Read back from the program, largest force difference", "0.003", "N"),
+            ("Blade", "twisted.stl, 110.0 x 55.3 x 23.5 mm"),
+            ("Cell", "belt cell 1, kr210_r2700_extra with calibration"),
+            ("Predicted force, mean", f"{force.mean():.2f} N"),
+            ("Predicted force, smallest and largest", f"{force.min():.2f} .. {force.max():.2f} N"),
+            ("Standard deviation of the force, largest", "1.07 N"),
+            ("Duration", f"{motion.time[-1]:.1f} s"),
+            ("Read back from the program, largest force difference", "0.003 N"),
         ),
-        inputs=(
-            InputFile("blade", "twisted.stl", "3b0c" * 16),
-            InputFile("cell", "cell.toml", "91fe" * 16),
-            InputFile("calibration", "calibration.toml", "07aa" * 16),
-        ),
+        inputs={"blade: twisted.stl": "3b0c" * 16, "cell: cell.toml": "91fe" * 16, "calibration: calibration.toml": "07aa" * 16},
         notices=("12 duplicate vertices of twisted.stl were merged.", "No temperature is set: the cell's 22 C is taken."),
         target_force=20.0,
         vertices=vertices,
         faces=faces,
         passes=tuple(passes),
         motion=motion,
-        limits=LIMITS,
         animation=animation,
+        robot=replace(ROBOT, link_shapes=capsules()),
+        wheel=WHEEL,
     )
     return report
 

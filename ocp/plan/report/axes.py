@@ -19,6 +19,8 @@ from robots.pose import Array
 
 SHOW_LIMIT_FROM = 0.4
 """Use of a limit from which its line is drawn to scale."""
+DIGITS = {"position": 1, "speed": 2, "acceleration": 2, "torque": 0}
+"""Decimals of the table by what is limited."""
 
 
 def axes_section(report: PlanReport) -> Section:
@@ -39,6 +41,35 @@ def axes_section(report: PlanReport) -> Section:
 
 
 @dataclass(frozen=True)
+class AxisCurve:
+    """One panel: title, unit, time s, values, limits in that unit (not finite = none), decimals."""
+
+    title: str
+    unit: str
+    time: Array
+    sampled: Array
+    low: float
+    high: float
+    decimals: int = 0
+
+
+def axis_curves(report: PlanReport, kind: str) -> list[AxisCurve]:
+    """The six axes' curves of "position", "speed", "acceleration" or "torque"."""
+    motion, limits, deg = report.motion, report.robot, 180 / np.pi
+    unit, sampled, low, high, factor, decimals = {
+        "position": ("deg", motion.q, limits.q_min, limits.q_max, deg, 1),
+        "speed": ("deg/s", motion.qd, -limits.qd_max, limits.qd_max, deg, 1),
+        "acceleration": ("rad/s²", motion.qdd, -limits.qdd_max, limits.qdd_max, 1.0, 2),
+        "torque": ("N m", motion.torque, -limits.torque_max, limits.torque_max, 1.0, 0),
+    }[kind]
+    scaled = factor * np.asarray(sampled, float)
+    return [
+        AxisCurve(f"A{i + 1} {kind}", unit, motion.time, scaled[:, i], factor * float(low[i]), factor * float(high[i]), decimals)
+        for i in range(6)
+    ]
+
+
+@dataclass(frozen=True)
 class LimitRow:
     """Use of one kind of limit by one axis: "A1", kind, the extreme value, the limit, their ratio (1 = at
     the limit).
@@ -54,36 +85,25 @@ class LimitRow:
 
 def limit_rows(report: PlanReport) -> tuple[LimitRow, ...]:
     """Six axes times position, speed, acceleration and torque over the whole motion, air moves included."""
-    motion, limits = report.motion, report.limits
-    rows = []
-    for axis in range(6):
-        rows.append(_position_row(axis, motion.time, motion.q[:, axis], limits.q_min[axis], limits.q_max[axis]))
-        for kind, unit, factor, sampled, limit in (
-            ("speed", "deg/s", 180 / np.pi, motion.qd, limits.qd_max),
-            ("acceleration", "rad/s²", 1.0, motion.qdd, limits.qdd_max),
-            ("torque", "N m", 1.0, motion.torque, limits.torque_max),
-        ):
-            rows.append(_peak_row(f"A{axis + 1}", kind, unit, factor, motion.time, sampled[:, axis], limit[axis]))
-    return tuple(rows)
+    curves = {kind: axis_curves(report, kind) for kind in DIGITS}
+    return tuple(_limit_row(axis, kind, curves[kind][axis]) for axis in range(6) for kind in DIGITS)
 
 
-def _position_row(axis: int, time: Array, q: Array, low: float, high: float) -> LimitRow:
-    # Ratio 1 at either end and 0 in the middle of the range.
-    use = np.abs(2 * q - (low + high)) / (high - low)
-    worst = int(np.argmax(np.nan_to_num(use)))
-    value = f"{np.degrees(q.min()):.1f} .. {np.degrees(q.max()):.1f} deg"
-    limit = f"{np.degrees(low):.1f} .. {np.degrees(high):.1f} deg"
-    return LimitRow(f"A{axis + 1}", "position", value, limit, float(use[worst]), float(time[worst]))
-
-
-def _peak_row(axis: str, kind: str, unit: str, factor: float, time: Array, sampled: Array, limit: float) -> LimitRow:
-    size = np.abs(np.nan_to_num(sampled))
-    worst = int(np.argmax(size))
-    if not np.isfinite(limit) or limit <= 0:
-        return LimitRow(axis, kind, f"{size[worst] * factor:.3g} {unit}", "none", float("nan"), float(time[worst]))
-    text = f"{size[worst] * factor:.{0 if kind == 'torque' else 2}f} {unit}"
-    bound = f"{limit * factor:.{0 if kind == 'torque' else 2}f} {unit}"
-    return LimitRow(axis, kind, text, bound, float(size[worst] / limit), float(time[worst]))
+def _limit_row(axis: int, kind: str, curve: AxisCurve) -> LimitRow:
+    limited = np.isfinite(curve.low) and np.isfinite(curve.high) and curve.low < curve.high
+    middle = 0.5 * (curve.low + curve.high) if limited else 0.0
+    worst = int(np.argmax(np.abs(np.nan_to_num(curve.sampled - middle))))
+    digits, unit = DIGITS[kind], curve.unit
+    size = abs(float(np.nan_to_num(curve.sampled[worst])))
+    if not limited:
+        value, limit = f"{size:.3g} {unit}", "none"
+    elif kind == "position":
+        value = f"{curve.sampled.min():.{digits}f} .. {curve.sampled.max():.{digits}f} {unit}"
+        limit = f"{curve.low:.{digits}f} .. {curve.high:.{digits}f} {unit}"
+    else:
+        value, limit = f"{size:.{digits}f} {unit}", f"{curve.high:.{digits}f} {unit}"
+    ratio = use_of_limit(curve) if limited else float("nan")
+    return LimitRow(f"A{axis + 1}", kind, value, limit, ratio, float(curve.time[worst]))
 
 
 def limit_table(rows: tuple[LimitRow, ...]) -> Table:
@@ -101,35 +121,6 @@ def _use(row: LimitRow) -> str:
     if not np.isfinite(row.ratio):
         return "not limited"
     return f"{100 * row.ratio:.0f} %{' over the limit' if row.ratio > 1 else ''}"
-
-
-@dataclass(frozen=True)
-class AxisCurve:
-    """One panel: title, unit, time s, values, limits in that unit (not finite = none), decimals."""
-
-    title: str
-    unit: str
-    time: Array
-    sampled: Array
-    low: float
-    high: float
-    decimals: int = 0
-
-
-def axis_curves(report: PlanReport, kind: str) -> list[AxisCurve]:
-    """The six axes' curves of "position", "speed", "acceleration" or "torque"."""
-    motion, limits, deg = report.motion, report.limits, 180 / np.pi
-    unit, sampled, low, high, factor, decimals = {
-        "position": ("deg", motion.q, limits.q_min, limits.q_max, deg, 1),
-        "speed": ("deg/s", motion.qd, -limits.qd_max, limits.qd_max, deg, 1),
-        "acceleration": ("rad/s²", motion.qdd, -limits.qdd_max, limits.qdd_max, 1.0, 2),
-        "torque": ("N m", motion.torque, -limits.torque_max, limits.torque_max, 1.0, 0),
-    }[kind]
-    scaled = factor * np.asarray(sampled, float)
-    return [
-        AxisCurve(f"A{i + 1} {kind}", unit, motion.time, scaled[:, i], factor * float(low[i]), factor * float(high[i]), decimals)
-        for i in range(6)
-    ]
 
 
 def _curves_plot(report: PlanReport, what: str, kinds: tuple[str, str]) -> Plot:

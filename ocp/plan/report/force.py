@@ -13,7 +13,6 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 
 from ocp.plan.report.plan_report import PassReport, PlanReport
-from ocp.plan.report.quantities import nice_ticks
 from ocp.report.parts import Plot, Table, table
 from ocp.report.plotting import Canvas, dressed, envelope, panels
 from ocp.report.section import Part, Section
@@ -112,16 +111,8 @@ def _figures(item: PassReport) -> str:
 
 
 @dataclass(frozen=True)
-class Tick:
-    """A tick: place in the panel and its label."""
-
-    at: float
-    label: str
-
-
-@dataclass(frozen=True)
 class ForcePanel:
-    """One pass: paths of the band of two standard deviations and of the force, ticks, target height."""
+    """One pass: paths of the band of two standard deviations and of the force, ticks (place, label), target height."""
 
     index: int
     line: int
@@ -129,8 +120,8 @@ class ForcePanel:
     band: str
     curve: str
     target: float
-    x_ticks: tuple[Tick, ...]
-    y_ticks: tuple[Tick, ...]
+    x_ticks: tuple[tuple[float, str], ...]
+    y_ticks: tuple[tuple[float, str], ...]
 
 
 def force_panels(report: PlanReport) -> tuple[ForcePanel, ...]:
@@ -158,8 +149,8 @@ def force_panels(report: PlanReport) -> tuple[ForcePanel, ...]:
                 band=_band_path(x, up(force + 2 * sd), up(force - 2 * sd)),
                 curve=_path(x, up(force)),
                 target=round(float(up(np.array(report.target_force))), 1),
-                x_ticks=tuple(Tick(round(float(across(t)), 1), f"{t:g}") for t in nice_ticks(0, longest, 5)),
-                y_ticks=tuple(Tick(round(float(up(t)), 1), f"{t:.{decimals}f}") for t in y_ticks),
+                x_ticks=tuple((round(float(across(t)), 1), f"{t:g}") for t in nice_ticks(0, longest, 5)),
+                y_ticks=tuple((round(float(up(t)), 1), f"{t:.{decimals}f}") for t in y_ticks),
             )
         )
     return tuple(panels)
@@ -184,8 +175,8 @@ def _figure(panel: ForcePanel) -> Markup:
     """A panel as HTML. Only numbers are put into paths; words are escaped."""
     right = PANEL.width - PANEL.right
     grid = Markup('<line class="grid" x1="{}" x2="{}" y1="{}" y2="{}"/><text class="y" x="{}" y="{}">{}</text>')
-    y_ticks = (grid.format(PANEL.left, right, t.at, t.at, PANEL.left - 5, t.at + 3.5, t.label) for t in panel.y_ticks)
-    x_ticks = (Markup('<text class="x" x="{}" y="{}">{}</text>').format(t.at, PANEL.height - 6, t.label) for t in panel.x_ticks)
+    y_ticks = (grid.format(PANEL.left, right, y, y, PANEL.left - 5, y + 3.5, label) for y, label in panel.y_ticks)
+    x_ticks = (Markup('<text class="x" x="{}" y="{}">{}</text>').format(x, PANEL.height - 6, label) for x, label in panel.x_ticks)
     return Markup(
         '<figure>\n<figcaption><b>Line {line}</b> {side} <span class="pointed"></span></figcaption>\n'
         '<svg viewBox="0 0 {size.width} {size.height}" data-pass="{index}" role="img" aria-label="Force along line {line}">\n'
@@ -200,6 +191,16 @@ def _figure(panel: ForcePanel) -> Markup:
         y_ticks=Markup("\n").join(y_ticks),
         x_ticks=Markup("\n").join(x_ticks),
     )
+
+
+def nice_ticks(low: float, high: float, wanted: int = 4) -> Array:
+    """Round numbers inside [low, high], about `wanted` of them: steps of 1, 2 or 5 times a power of ten."""
+    raw = (high - low) / max(wanted, 1)
+    if not np.isfinite(raw) or raw <= 0:
+        return np.array([low])
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = power * min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(m * power - raw))
+    return np.round(step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1), 12) + 0.0
 
 
 def decimals_of(ticks: Array) -> int:

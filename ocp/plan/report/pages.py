@@ -16,13 +16,13 @@ def plan_pages(report: PlanReport) -> Report:
     """The report as headline and sections, in their order."""
     head = Headline(report.safe, "Safe to use." if report.safe else "Do not use.", report.verdict)
     sections = (
-        Section("Summary", (Facts(tuple((row.label, f"{row.value} {row.unit}".strip()) for row in report.summary)),)),
+        Section("Summary", (Facts(tuple(report.summary)),)),
         scene_section(report),
         force_section(report),
         axes_section(report),
         maps_section(report),
         contact_section(report),
-        made_from({f"{item.role}: {item.name}": item.sha256 for item in report.inputs}),
+        made_from(report.inputs),
     )
     return Report("Grinding plan", report.title, head, report.notices, sections)
 

@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
-from numpy.typing import NDArray
 
 from ocp.plan.report.plan_report import PassReport, PlanReport
 from ocp.report.parts import Plot
@@ -80,16 +79,6 @@ def colour_range(report: PlanReport, item: Quantity) -> tuple[float, float]:
     if high - low < item.span:
         return (low + high - item.span) / 2, (low + high + item.span) / 2
     return low, high
-
-
-def nice_ticks(low: float, high: float, wanted: int = 4) -> NDArray[np.float64]:
-    """Round numbers inside [low, high], about `wanted` of them: steps of 1, 2 or 5 times a power of ten."""
-    raw = (high - low) / max(wanted, 1)
-    if not np.isfinite(raw) or raw <= 0:
-        return np.array([low])
-    power = 10.0 ** np.floor(np.log10(raw))
-    step = power * min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(m * power - raw))
-    return np.round(step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1), 12) + 0.0
 
 
 def sides_of(report: PlanReport) -> dict[str, str]:
@@ -199,7 +188,7 @@ def contact_section(report: PlanReport) -> Section:
 def _draw(canvas: Canvas, report: PlanReport) -> None:
     sides, deg = sides_of(report), 180 / np.pi
     (place, turn), (tilt_along, tilt_across) = panels(canvas, 2, 2, top=0.4, bottom=0.25)
-    half = 500 * report.animation.wheel.width
+    half = 500 * report.wheel.width
     dashes = dict(zip(sides, cycle(((), (4, 1.5), (1, 1))), strict=False))
     for item in report.passes:
         s, style = 1e3 * np.asarray(item.s), {"color": sides[item.side], "dashes": dashes[item.side]}

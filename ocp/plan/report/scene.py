@@ -15,7 +15,7 @@ from markupsafe import Markup
 from numpy.typing import ArrayLike
 
 from ocp.plan.report.force import PANEL
-from ocp.plan.report.plan_report import CellAnimation, PlanReport
+from ocp.plan.report.plan_report import PlanReport
 from ocp.plan.report.quantities import QUANTITIES, colour_range, values_along
 from ocp.plan.report.surface import PaintedBlade, draw_blade, paint_blade, pass_spacing
 from ocp.report.parts import Plot
@@ -26,8 +26,6 @@ from ocp.report.style import COLOUR_MAP, NOT_GROUND, VIRIDIS
 
 _VIEWER = Path(__file__).parent / "viewer"
 _SCRIPTS = ("math.js", "mesh.js", "scene.js", "orbit.js", "viewer.js", "page.js")
-MAX_FRAMES = 600
-"""Frames of the animation that are shipped; between them the page interpolates."""
 MAX_SAMPLES = 2000
 """Motion samples shipped for the readout: one per pixel of a wide screen."""
 
@@ -120,7 +118,7 @@ def page_payload(report: PlanReport, painted: PaintedBlade) -> dict[str, Any]:
         "blade": _blade(painted),
         "passes": _passes(report),
         "motion": _motion(report),
-        "cell": _cell(report.animation),
+        "cell": _cell(report),
         "panel": {
             "width": PANEL.width,
             "left": PANEL.left,
@@ -141,25 +139,19 @@ def _blade(painted: PaintedBlade) -> dict[str, Any]:
 
 
 def _passes(report: PlanReport) -> dict[str, Any]:
-    def joined(name: str) -> dict[str, Any]:
-        return encode(np.concatenate([getattr(item, name) for item in report.passes]))
-
     counts = [len(item.s) for item in report.passes]
     return {
         "line": [int(item.line) for item in report.passes],
         "side": [item.side for item in report.passes],
         "first": [int(start) for start in np.concatenate([[0], np.cumsum(counts)])],
         "spacing": report.pass_spacing if report.pass_spacing > 0 else pass_spacing(report.passes),
-        "p": joined("p"),
-        "n": joined("n"),
-        "t": joined("t"),
-        "s": joined("s"),
-    }
+    } | {name: encode(np.concatenate([getattr(item, name) for item in report.passes])) for name in "pnts"}
 
 
 def _motion(report: PlanReport) -> dict[str, Any]:
     motion = report.motion
-    pick = _spread(len(motion.time), MAX_SAMPLES)
+    count = len(motion.time)
+    pick = np.linspace(0, count - 1, min(count, MAX_SAMPLES)).round().astype(int)
     return {
         "time": encode(motion.time[pick]),
         "q_deg": encode(np.degrees(motion.q[pick])),
@@ -171,28 +163,22 @@ def _motion(report: PlanReport) -> dict[str, Any]:
     }
 
 
-def _cell(animation: CellAnimation) -> dict[str, Any]:
-    pick = _spread(len(animation.time), MAX_FRAMES)
-    wheel = animation.wheel
+def _cell(report: PlanReport) -> dict[str, Any]:
+    animation, wheel = report.animation, report.wheel
     return {
-        "time": encode(animation.time[pick]),
-        "links": encode(animation.T_base_link[pick][:, :, :3, :]),
-        "blade": encode(animation.T_base_blade[pick][:, :3, :]),
+        "time": encode(animation.time),
+        "links": encode(animation.T_base_link[:, :, :3, :]),
+        "blade": encode((animation.T_base_link[:, -1] @ animation.T_flange_blade)[:, :3, :]),
         "bladeInFlange": encode(animation.T_flange_blade[:3]),
         "capsules": [
             {"link": int(link), "p0": [float(x) for x in p0], "p1": [float(x) for x in p1], "radius": float(radius)}
-            for link, p0, p1, radius in animation.capsules
+            for link, p0, p1, radius in report.robot.link_shapes
         ],
         "wheel": {
-            "centre": [float(x) for x in wheel.centre],
-            "axis": [float(x) for x in wheel.axis],
-            "direction": [float(x) for x in wheel.contact_direction],
-            "radius": float(wheel.radius),
-            "width": float(wheel.width),
+            "centre": wheel.centre.tolist(),
+            "axis": wheel.axis.tolist(),
+            "direction": wheel.contact_direction.tolist(),
+            "radius": wheel.radius,
+            "width": wheel.width,
         },
     }
-
-
-def _spread(count: int, most: int) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """At most `most` indices from first to last."""
-    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
