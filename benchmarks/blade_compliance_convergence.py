@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 
 from ocp.contact.blade import volume_mesh as meshing
-from ocp.contact.blade.compliance import clamped_blade
+from ocp.contact.blade.compliance import HeldBlade, clamped_blade
 from ocp.contact.blade.elasticity import Material
 
 NOTICEABLE = 5e-8  # m/N: 20 N move the blade by one micrometre
@@ -60,7 +60,7 @@ def main(path: str, sizes: list[float]) -> None:
         start = time.perf_counter()
         meshing.volume_mesh(vertices, faces, size * 1e-3, (np.array([0.0, 0.0, 1.0]), CLAMP))
         meshed = time.perf_counter()
-        solid = clamped_blade(vertices, faces, np.array([0.0, 0.0, 1.0]), CLAMP, Material(), size * 1e-3)
+        solid = clamped_blade(HeldBlade(vertices, faces, np.array([0.0, 0.0, 1.0]), CLAMP, Material()), size * 1e-3)
         c = solid.compliance(p, n, t, PATCH)[:, 0]
         row = (
             f"| {size} | {len(solid.mesh.elements)} | {solid.factorisation.unknowns} | {100 * solid.volume_error:.3f} "

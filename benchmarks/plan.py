@@ -159,9 +159,8 @@ def blade_parts(cell_file: Path, stl: Path) -> None:
     kept, os.environ["GRINDPLAN_CACHE"] = os.environ["GRINDPLAN_CACHE"], ""
     start = time.perf_counter()
     with timed(seconds, "mesh", blade, "volume_mesh"), timed(seconds, "factorisation", blade, "factorise"):
-        made = blade.blade_compliance(
-            laid.blade.vertices, laid.blade.faces, piece.clamp_normal, piece.clamp_offset, material, laid.paths, axes
-        )
+        held = blade.HeldBlade(laid.blade.vertices, laid.blade.faces, piece.clamp_normal, piece.clamp_offset, material)
+        made = blade.blade_compliance(held, laid.paths, axes)
     seconds["patches"] = time.perf_counter() - start - sum(seconds.values())
     os.environ["GRINDPLAN_CACHE"] = kept
     print(f"blade alone ({made.unknowns} unknowns): " + ", ".join(f"{name} {s:.2f} s" for name, s in seconds.items()))

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.contact.blade.compliance import Compliance, blade_compliance, compliance_kept
+from ocp.contact.blade.compliance import Compliance, HeldBlade, blade_compliance, compliance_kept
 from ocp.contact.blade.elasticity import Material
 from ocp.contact.wheel.cover import Cover, WheelGeometry, build_cover, default_cell
 from ocp.contact.wheel.law import WheelLaw
-from ocp.contact.wheel.law_fit import Domain, fit_wheel_law, remembered_law
+from ocp.contact.wheel.law_fit import Domain, remembered_law
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import Cell
-from ocp.shell.cache import DiskStore
 from ocp.shell.progress import Phases
 from ocp.shell.workers import interrupts_held_back, nothing, workers
 from robots.pose import Array
@@ -40,8 +39,8 @@ def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Ph
     curvature = np.vstack([path.curvature for path in paths])
     axes = typical_patch(cell, cover, curvature)
     material = Material(cell.workpiece.youngs_modulus, cell.workpiece.poisson, cell.workpiece.density)
-    clamp = cell.workpiece.clamp_normal, cell.workpiece.clamp_offset
-    task = (blade.vertices, blade.faces, *clamp, material, paths, axes)
+    held = HeldBlade(blade.vertices, blade.faces, cell.workpiece.clamp_normal, cell.workpiece.clamp_offset, material)
+    task = (held, paths, axes)
     with ExitStack() as stack:
         waiting: Future[Compliance] | None = None
         if not compliance_kept(*task):
@@ -59,7 +58,7 @@ def wheel_cover(cell: Cell, coarser: float = 1.0) -> Cover:
     """The cover's compliance on the grid that the process force asks for, or on one with `coarser` times larger cells."""
     wheel = cell.wheel
     geometry = WheelGeometry(wheel.radius, wheel.width, wheel.cover_thickness, wheel.cover_modulus, wheel.cover_poisson)
-    return build_cover(geometry, coarser * default_cell(geometry, cell.process.force), DiskStore("cover"))
+    return build_cover(geometry, coarser * default_cell(geometry, cell.process.force))
 
 
 def wheel_law(cell: Cell, cover: Cover, curvature: Array) -> WheelLaw:
@@ -67,7 +66,7 @@ def wheel_law(cell: Cell, cover: Cover, curvature: Array) -> WheelLaw:
     process = cell.process
     lateral = min(process.lateral_tolerance, 0.5 * cell.wheel.width)
     domain = Domain(curvature, process.turn_tolerance, lateral, float(np.tan(process.tilt_tolerance)), process.force)
-    return remembered_law(cover, domain, lambda: fit_wheel_law(cover, domain, store=DiskStore("wheel")))
+    return remembered_law(cover, domain)
 
 
 def typical_patch(cell: Cell, cover: Cover, curvature: Array) -> tuple[float, float]:

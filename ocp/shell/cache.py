@@ -11,15 +11,13 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
-
-from robots.pose import Array
 
 Part = NDArray[np.generic] | str | int | float | bool | None
 Entry = dict[str, NDArray[np.generic]]
@@ -133,22 +131,6 @@ def keep(kind: str, key: str, entry: Entry) -> None:
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, hexadecimal. Raises OSError where it cannot be read."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-@dataclass(frozen=True)
-class DiskStore:
-    """Arrays kept on disk under `kind` (part of the file name) and any text."""
-
-    kind: str
-
-    def load(self, key: str) -> dict[str, Array] | None:
-        """Arrays stored under `key`, or None."""
-        entry = recall(self.kind, content_key(key))
-        return None if entry is None else {name: np.asarray(value) for name, value in entry.items()}
-
-    def store(self, key: str, arrays: dict[str, Array]) -> None:
-        """Keep `arrays` under `key`."""
-        keep(self.kind, content_key(key), dict(arrays))
 
 
 def flattened(value: Any, prefix: str = "") -> Entry:

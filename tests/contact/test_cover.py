@@ -173,19 +173,11 @@ def test_compliance_goes_as_one_over_the_modulus(cover):
     assert cover.softer(6e6).geometry.modulus == 6e6
 
 
-def test_a_store_spares_the_finite_elements(cover, monkeypatch):
-    kept = {}
-
-    class Store:
-        def load(self, key):
-            return kept.get(key)
-
-        def store(self, key, arrays):
-            kept[key] = arrays
-
-    first = build_cover(WHEEL, 2e-3, Store())
+def test_what_is_kept_spares_the_finite_elements(cover, monkeypatch, tmp_path):
+    monkeypatch.setenv("GRINDPLAN_CACHE", str(tmp_path))
+    first = build_cover(WHEEL, 2e-3)
     monkeypatch.setattr("ocp.contact.wheel.cover.ring_section", None)
-    again = build_cover(replace(WHEEL, modulus=24e6), 2e-3, Store())
+    again = build_cover(replace(WHEEL, modulus=24e6), 2e-3)
     assert np.allclose(2 * again.spectrum, first.spectrum)
 
 

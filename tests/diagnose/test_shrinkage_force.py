@@ -110,10 +110,10 @@ def worn(tmp_path_factory) -> Made:
         give = Stiff()
         patch.setattr(
             "tests.support.force_world.blade_compliance",
-            lambda *asked: SimpleNamespace(per_pass=[give.at(x.p) for x in asked[5]]),
+            lambda *asked: SimpleNamespace(per_pass=[give.at(x.p) for x in asked[1]]),
         )
-        patch.setattr("ocp.calibrate.force.rows.solve_stations", lambda *asked: give)
-        patch.setattr("ocp.calibrate.force.rows.stations_known", lambda *asked: True)
+        patch.setattr("ocp.calibrate.force.blade.StationsTask.solve", lambda task: give)
+        patch.setattr("ocp.calibrate.force.blade.StationsTask.known", True)
         rng = np.random.default_rng(7)
         base = record(believed_world(folder, rng, every=6), (*PLAN, *LATE), rng)
         rows, truth = log_of(base, (Planted(overlap=lambda b: -WEAR * b.columns["clock"]),))

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from ocp.contact.blade.compliance import blade_compliance
+from ocp.contact.blade.compliance import HeldBlade, blade_compliance
 from ocp.contact.blade.elasticity import Material
 from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
@@ -83,9 +83,8 @@ def make_world(folder: Path, rng: np.random.Generator, changes: dict[str, str] |
     patch = (2.5e-4 * round(axes[0] / 2.5e-4), 2.5e-4 * round(axes[1] / 2.5e-4))
     piece = truth.workpiece
     material = Material(piece.youngs_modulus, piece.poisson, piece.density)
-    give = blade_compliance(
-        laid.blade.vertices, laid.blade.faces, piece.clamp_normal, piece.clamp_offset, material, laid.paths, patch
-    )
+    held = HeldBlade(laid.blade.vertices, laid.blade.faces, piece.clamp_normal, piece.clamp_offset, material)
+    give = blade_compliance(held, laid.paths, patch)
     return World(cell, truth, arm, laid.paths, laid.cloud, cover, [np.asarray(c) for c in give.per_pass], injected)
 
 

@@ -13,14 +13,14 @@ SOLIDS: dict[tuple[object, ...], ClampedBlade] = {}  # of this process, whatever
 
 @contextmanager
 def one_solid() -> Iterator[None]:
-    def known(vertices, faces, clamp_normal, clamp_offset, material, size):
-        key = (len(vertices), round(size, 9), material)
+    def known(held, size):
+        key = (len(held.vertices), round(size, 9), held.material)
         if key not in SOLIDS:
-            SOLIDS[key] = clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, COARSER * size)
+            SOLIDS[key] = clamped_blade(held, COARSER * size)
         return SOLIDS[key]
 
     with pytest.MonkeyPatch.context() as patch:
         for module in ("ocp.contact.blade.compliance", "ocp.calibrate.force.blade"):
             patch.setattr(f"{module}.clamped_blade", known)
-        patch.setattr("ocp.calibrate.force.rows.stations_known", lambda *asked: True)
+        patch.setattr("ocp.calibrate.force.blade.StationsTask.known", True)
         yield

@@ -14,10 +14,9 @@ from scipy.spatial import cKDTree
 
 from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
-from ocp.contact.blade.compliance import clamped_blade, contact_components, default_element_size
+from ocp.contact.blade.compliance import HeldBlade, clamped_blade, contact_components
 from ocp.contact.blade.elasticity import Material
 from ocp.contact.blade.volume_mesh import VERSION as MESH_VERSION
-from ocp.contact.blade.volume_mesh import surface_area
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.blade_gap import SurfaceCloud, surface_shape
@@ -126,43 +125,53 @@ class Stations:
 
     def at(self, p: Array, n: Array, t: Array) -> Array:
         """c_nn, c_nt, c_nb (m, 3) m/N, as `ocp.contact.blade.compliance.Compliance`, at contacts (m, 3) between them."""
-        return contact_components(between_stations(self.p, self.n, self.tensor, p, n), n, t)
+        stations, wanted = np.hstack([self.p, NORMAL_LENGTH * self.n]), np.hstack([p, NORMAL_LENGTH * n])
+        if len(stations) < 3:
+            return contact_components(self.tensor[cKDTree(stations).query(wanted)[1]], n, t)
+        tensor = _smooth(stations, self.tensor.reshape(-1, 9), NEIGHBOURS, wanted).reshape(-1, 3, 3)
+        return contact_components(tensor, n, t)
 
 
-def solve_stations(cell: Cell, blade: Blade, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]) -> Stations:
-    """The blade's compliance at stations spread over contacts (m, 3); kept on disk.
+@dataclass(frozen=True)
+class StationsTask:
+    """Stations that are asked for: spread over contacts p, n, t (m, 3), each under a patch of `semi_axes` m; element size m."""
 
-    Raises BadInput: no mesh, a clamp that holds nothing or everything.
-    """
-    at = spread_stations(p, n)
-    key, size = _key(cell, blade, p[at], n[at], t[at], semi_axes)
+    held: HeldBlade
+    p: Array
+    n: Array
+    t: Array
+    semi_axes: tuple[float, float]
+    size: float
 
-    def compute() -> Entry:
-        clamp, material = _clamp_and_material(cell)
-        solid = clamped_blade(blade.vertices, blade.faces, *clamp, material, size)
-        return {"tensor": solid.tensor(p[at], n[at], t[at], semi_axes)}
+    @staticmethod
+    def of(cell: Cell, blade: Blade, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]) -> "StationsTask":
+        """For contacts (m, 3) on the cell's blade."""
+        piece, at = cell.workpiece, spread_stations(p, n)
+        material = Material(piece.youngs_modulus, piece.poisson, piece.density)
+        held = HeldBlade(blade.vertices, blade.faces, piece.clamp_normal, piece.clamp_offset, material)
+        return StationsTask(held, p[at], n[at], t[at], semi_axes, held.element_size(semi_axes))
 
-    tensor = np.asarray(remember("force-blade", key, compute)["tensor"], float)
-    return Stations(p[at], n[at], t[at], tensor)
+    @property
+    def key(self) -> str:
+        """Name in the cache."""
+        asked = *self.semi_axes, self.size, self.p, self.n, self.t
+        return content_key(STATIONS_VERSION, MESH_VERSION, *self.held.content, *asked)
 
+    @property
+    def known(self) -> bool:
+        """Whether the answer is on disk."""
+        return recall("force-blade", self.key) is not None
 
-def stations_known(cell: Cell, blade: Blade, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]) -> bool:
-    """Whether `solve_stations` finds its answer on disk."""
-    at = spread_stations(p, n)
-    return recall("force-blade", _key(cell, blade, p[at], n[at], t[at], semi_axes)[0]) is not None
+    def solve(self) -> Stations:
+        """The blade's compliance at the stations; kept on disk.
 
+        Raises BadInput: no mesh, a clamp that holds nothing or everything.
+        """
 
-def _clamp_and_material(cell: Cell) -> tuple[tuple[Array, float], Material]:
-    piece = cell.workpiece
-    return (piece.clamp_normal, float(piece.clamp_offset)), Material(piece.youngs_modulus, piece.poisson, piece.density)
+        def compute() -> Entry:
+            return {"tensor": clamped_blade(self.held, self.size).tensor(self.p, self.n, self.t, self.semi_axes)}
 
-
-def _key(cell: Cell, blade: Blade, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]) -> tuple[str, float]:
-    """Name in the cache, and element size m."""
-    clamp, material = _clamp_and_material(cell)
-    size = default_element_size(surface_area(blade.vertices, blade.faces), semi_axes)
-    made_of = (blade.vertices, blade.faces, *clamp, material.youngs_modulus, material.poisson_ratio)
-    return content_key(STATIONS_VERSION, MESH_VERSION, *made_of, *semi_axes, size, p, n, t), size
+        return Stations(self.p, self.n, self.t, np.asarray(remember("force-blade", self.key, compute)["tensor"], float))
 
 
 def spread_stations(p: Array, n: Array, spacing: float = SPACING) -> NDArray[np.int64]:
@@ -179,15 +188,13 @@ def spread_stations(p: Array, n: Array, spacing: float = SPACING) -> NDArray[np.
     return np.asarray(np.sort(first[chosen]), np.int64)
 
 
-def between_stations(p: Array, n: Array, tensor: Array, p_wanted: Array, n_wanted: Array) -> Array:
-    """Compliance tensors (m, 3, 3) at wanted contacts from those (k, 3, 3) at stations."""
-    stations, wanted = np.hstack([p, NORMAL_LENGTH * n]), np.hstack([p_wanted, NORMAL_LENGTH * n_wanted])
-    if len(p) < 3:
-        return np.asarray(tensor[cKDTree(stations).query(wanted)[1]])
-    near = min(NEIGHBOURS, len(p))
-    # Stations along a few lines do not span space: a kernel that needs no polynomial beside it.
-    smooth = RBFInterpolator(1e3 * stations, tensor.reshape(-1, 9), near, kernel="linear", degree=0)
-    return np.asarray(smooth(1e3 * wanted).reshape(-1, 3, 3))
+def _smooth(places: Array, values: Array, neighbours: int, wanted: Array) -> Array:
+    """Values (k, ..) at places (k, d) m between them, at wanted places (m, d) m.
+
+    Stations along a few lines do not span space: a kernel that needs no polynomial beside it.
+    """
+    near = min(neighbours, len(places))
+    return np.asarray(RBFInterpolator(1e3 * places, values, near, kernel="linear", degree=0)(1e3 * wanted))
 
 
 CORRECTION_VERSION = "indentation correction 1"  # part of the cache key: raise it when results change
@@ -228,10 +235,7 @@ def with_indentation_correction(model: ForceModel, cover: Cover, cloud: SurfaceC
     sound = np.isfinite(known)
     waypoint = rows.waypoint.copy()
     if sound.sum() >= 3:
-        smooth = RBFInterpolator(
-            1e3 * place[at][sound], known[sound], min(CORRECTION_NEIGHBOURS, int(sound.sum())), kernel="linear", degree=0
-        )
-        waypoint[touching, CORRECTION] = smooth(1e3 * place)
+        waypoint[touching, CORRECTION] = _smooth(place[at][sound], known[sound], CORRECTION_NEIGHBOURS, place)
     elif sound.any():
         waypoint[touching, CORRECTION] = known[sound].mean()
     return replace(rows, waypoint=waypoint)

@@ -14,25 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.calibrate.force.blade import (
-    Stations,
-    SurfacePoints,
-    points_on_surface,
-    solve_stations,
-    stations_known,
-    with_indentation_correction,
-)
+from ocp.calibrate.force.blade import Stations, StationsTask, SurfacePoints, points_on_surface, with_indentation_correction
 from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
-from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, fit_wheel_law, remembered_law
+from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, remembered_law
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.model.prepare import typical_patch, wheel_cover
 from ocp.plan.paths import surface_cloud
-from ocp.shell.cache import DiskStore
 from ocp.shell.workers import interrupts_held_back, nothing, workers
 from robots.errors import BadInput
 from robots.kinematics import forward
@@ -174,7 +166,6 @@ class ForceSetup:
 
     model: ForceModel
     rows: tuple[ForceRows, ...]
-    cover: Cover
     notices: tuple[str, ...]
 
 
@@ -194,7 +185,8 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     cover = wheel_cover(cell)
     p, n, t, curvature = (np.concatenate([getattr(point, k) for point in points])[touching] for k in ("p", "n", "t", "curvature"))
     patch = _rounded(typical_patch(cell, cover, curvature))
-    law, stations = _side_by_side(cell, blade, (p, n, t, patch), lambda: _law(cell, cover, logs, turned, lateral, tilt))
+    task = StationsTask.of(cell, blade, p, n, t, patch)
+    law, stations = _side_by_side(task, lambda: _law(cell, cover, logs, turned, lateral, tilt))
     model = ForceModel(cell, law)
     compliance = np.zeros((len(touching), 3))
     compliance[touching] = stations.at(p, n, t)
@@ -205,7 +197,7 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     edges = [0, *_cuts(logs).tolist(), len(whole)]
     rows = tuple(whole.take(slice(i, j)) for i, j in pairwise(edges))
     notices = (*blade.notices, *shape.notices, *(text for point in points for text in point.notices))
-    return ForceSetup(model, rows, cover, notices)
+    return ForceSetup(model, rows, notices)
 
 
 _LAST: dict[tuple[str, str, str], tuple[Blade, AerofoilShape, SurfaceCloud]] = {}
@@ -229,15 +221,13 @@ def _cuts(logs: Sequence[ForceLog]) -> NDArray[np.int64]:
     return np.asarray(np.cumsum([len(log) for log in logs])[:-1], np.int64)
 
 
-def _side_by_side(
-    cell: Cell, blade: Blade, contacts: tuple[Array, Array, Array, tuple[float, float]], law: Callable[[], WheelLaw]
-) -> tuple[WheelLaw, Stations]:
+def _side_by_side(task: StationsTask, law: Callable[[], WheelLaw]) -> tuple[WheelLaw, Stations]:
     """The wheel's law and the blade's stations, in two processes unless the stations are on disk."""
-    if stations_known(cell, blade, *contacts):
-        return law(), solve_stations(cell, blade, *contacts)
+    if task.known:
+        return law(), task.solve()
     with workers(1, nothing) as pool:
         with interrupts_held_back():
-            waiting = pool.submit(solve_stations, cell, blade, *contacts)
+            waiting = pool.submit(task.solve)
         made = law()
         return made, waiting.result()
 
@@ -325,5 +315,4 @@ def _law(cell: Cell, cover: Cover, logs: Sequence[ForceLog], turned: Array, late
     side = float(np.ceil((np.abs(lateral).max() + ROOM[0]) / 1e-3) * 1e-3)
     slope = float(np.ceil((np.abs(tilt).max() + ROOM[1]) / 0.01) * 0.01)
     domain = Domain(kinds, ROOM[2], min(side, 0.75 * cell.wheel.width), slope, force)
-    store = DiskStore("wheel")
-    return remembered_law(cover, domain, lambda: fit_wheel_law(cover, domain, SAMPLES, HELD_OUT, store=store))
+    return remembered_law(cover, domain, SAMPLES, HELD_OUT)

@@ -25,13 +25,43 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-VERSION = "blade compliance 1"  # part of the cache key: raise it when results change
+VERSION = "blade compliance 2"  # part of the cache key: raise it when results change
 FACES_WANTED = 14_000  # surface triangles a mesh may have before the default element size grows
 SPACING = 8e-3  # m between the first control points of a pass; the first check halves it
 FINEST = 1e-3  # m: shorter intervals are not halved
 TOLERANCE = 5e-3  # relative to c_nn; an interval whose middle is off by more is halved again
 RIGID = 1e-11  # m/N: less than any patch of a metal blade gives; keeps the logarithm finite inside the clamp
 NEGLIGIBLE = 1e-7  # m/N: beside the 1e-5 of a rubber wheel; errors are relative to c_nn plus this
+
+
+@dataclass(frozen=True)
+class HeldBlade:
+    """A blade in its clamp: surface `vertices` (nv, 3) m and `faces` (nf, 3) outward, blade frame; material.
+
+    Everything with clamp_normal . x < clamp_offset (m) is held rigidly. A fixture's own spring is in series and is the caller's
+    to add.
+    """
+
+    vertices: Array
+    faces: Index
+    clamp_normal: Array
+    clamp_offset: float
+    material: Material
+
+    @property
+    def content(self) -> tuple[Array | Index | float, ...]:
+        """All that its stiffness depends on, for the name of what is kept."""
+        stiffness = self.material.youngs_modulus, self.material.poisson_ratio
+        return (self.vertices, self.faces, np.asarray(self.clamp_normal, float), float(self.clamp_offset), *stiffness)
+
+    def element_size(self, semi_axes: tuple[float, float]) -> float:
+        """Default element size in m for patches of `semi_axes` m.
+
+        Seven tenths of the shorter semi-axis keeps the mesh error under 2 % (docs/blade_compliance.md); on large blades
+        the number of elements sets the size.
+        """
+        area = surface_area(self.vertices, self.faces)
+        return max(0.7 * min(semi_axes), (3.5 * area / FACES_WANTED) ** 0.5)
 
 
 @dataclass(frozen=True)
@@ -43,20 +73,13 @@ class Compliance:
             spread over the patch, the patch moves on the mean by c_nn >= 0 along -n, c_nt along +t and c_nb along +b.
             By reciprocity a unit force along +t moves the patch by c_nt along -n.
         interpolation_error: per pass, relative to c_nn: the largest seen in the middle of the intervals that were kept.
-        control_points: patches solved for.
-        mesher, elements, unknowns, element_size (m), volume_error (relative): the mesh.
-        mesh_error: per pass (n,), relative change of c_nn from the mesh of double element size; None if not asked for.
+        control_points: patches solved for; unknowns: of the mesh.
     """
 
     per_pass: tuple[Array, ...]
     interpolation_error: Array
     control_points: int
-    mesher: str
-    elements: int
     unknowns: int
-    element_size: float
-    volume_error: float
-    mesh_error: tuple[Array, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -65,8 +88,6 @@ class ClampedBlade:
 
     mesh: QuadraticMesh
     factorisation: Factorisation
-    mesher: str
-    size: float
     volume_error: float
 
     def tensor(self, p: Array, n: Array, t: Array, semi_axes: tuple[float, float]) -> Array:
@@ -84,150 +105,64 @@ def contact_components(tensor: Array, n: Array, t: Array) -> Array:
     return np.stack([np.sum(moved * axis, axis=1) for axis in (-n, t, np.cross(n, t))], axis=1)
 
 
-def default_element_size(area: float, semi_axes: tuple[float, float]) -> float:
-    """Element size in m for patches of `semi_axes` m on a blade of surface `area` m^2.
-
-    Seven tenths of the shorter semi-axis keeps the mesh error under 2 % (docs/blade_compliance.md); on large blades
-    the number of elements sets the size.
-    """
-    return max(0.7 * min(semi_axes), (3.5 * area / FACES_WANTED) ** 0.5)
-
-
-def clamped_blade(
-    vertices: Array, faces: Index, clamp_normal: Array, clamp_offset: float, material: Material, element_size: float
-) -> ClampedBlade:
-    """Mesh the blade (vertices m, faces outward), hold `clamp_normal . x < clamp_offset`, factorise.
+def clamped_blade(held: HeldBlade, element_size: float) -> ClampedBlade:
+    """Mesh the blade, hold it, factorise.
 
     Raises:
         BadInput: no mesh, a clamp that holds nothing or everything, or a part of the blade that is not held.
     """
-    normal = np.asarray(clamp_normal, float) / np.linalg.norm(clamp_normal)
-    solid = volume_mesh(vertices, faces, element_size, (normal, float(clamp_offset)))
+    normal, offset = np.asarray(held.clamp_normal, float) / np.linalg.norm(held.clamp_normal), float(held.clamp_offset)
+    solid = volume_mesh(held.vertices, held.faces, element_size, (normal, offset))
     corners = solid.mesh.elements[:, :4]
     used = int(corners.max()) + 1
-    points, tetrahedra = clamp_cut(solid.mesh.nodes[:used], corners, normal, clamp_offset)
+    points, tetrahedra = clamp_cut(solid.mesh.nodes[:used], corners, normal, offset)
     mesh = quadratic_mesh(points, tetrahedra)
-    held = mesh.nodes @ normal - clamp_offset < 1e-9  # m: rounding
+    fixed = mesh.nodes @ normal - offset < 1e-9  # m: rounding
     try:
-        factorisation = factorise(mesh, material, held)
+        factorisation = factorise(mesh, held.material, fixed)
     except np.linalg.LinAlgError:
         raise BadInput(
             "the blade's stiffness is singular, so a part of it is not joined to what the clamp holds; "
             "remove loose parts from the STL or move the clamp plane"
         ) from None
-    return ClampedBlade(mesh, factorisation, solid.mesher, solid.size, solid.volume_error)
+    return ClampedBlade(mesh, factorisation, solid.volume_error)
 
 
 def blade_compliance(
-    vertices: Array,
-    faces: Index,
-    clamp_normal: Array,
-    clamp_offset: float,
-    material: Material,
-    passes: "Sequence[BladePath]",
-    patch_semi_axes: tuple[float, float],
-    element_size: float | None = None,
-    estimate_mesh_error: bool = False,
+    held: HeldBlade, passes: "Sequence[BladePath]", patch_semi_axes: tuple[float, float], element_size: float | None = None
 ) -> Compliance:
     """Return the blade's compliance at every waypoint of `passes`; results are kept on disk by content.
 
     Args:
-        vertices: (nv, 3) m, blade frame.
-        faces: (nf, 3), outward.
-        clamp_normal: (3,) direction; everything with clamp_normal . x < clamp_offset is held rigidly. A fixture's own
-            spring is in series and is the caller's to add.
-        clamp_offset: m.
-        material: isotropic.
+        held: the blade in its clamp.
         passes: waypoints p, n, t and arc length s are used.
         patch_semi_axes: (a, b) m of the contact ellipse along t and b.
-        element_size: m; None takes `default_element_size`.
-        estimate_mesh_error: also solve on elements of twice the size (adds about half the time).
+        element_size: m; None takes `HeldBlade.element_size`.
 
     Raises:
         BadInput: see `clamped_blade` and `patch_weights`.
     """
-    vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
-    size = element_size or default_element_size(surface_area(vertices, faces), patch_semi_axes)
-    clamp = (np.asarray(clamp_normal, float), float(clamp_offset))
-    key = _key(vertices, faces, clamp, material, passes, patch_semi_axes, size, estimate_mesh_error)
-
-    def solid(edge: float) -> ClampedBlade:
-        return clamped_blade(vertices, faces, clamp_normal, clamp_offset, material, edge)
+    size = element_size or held.element_size(patch_semi_axes)
 
     def compute() -> Entry:
-        return _computed(solid, size, passes, patch_semi_axes, estimate_mesh_error)
+        blade = clamped_blade(held, size)
+        values, error, count = _along_passes(blade, passes, patch_semi_axes)
+        numbers = {"count": np.array(count), "unknowns": np.array(blade.factorisation.unknowns)}
+        return {"values": np.concatenate(values), "error": error, **numbers}
 
-    entry: dict[str, Any] = {**remember("blade", key, compute)}
+    entry: dict[str, Any] = {**remember("blade", _key(held, passes, patch_semi_axes, size), compute)}
     cuts = np.cumsum([len(path.p) for path in passes])[:-1]
-    mesh_error = tuple(np.split(entry["mesh_error"], cuts)) if "mesh_error" in entry else None
-    return Compliance(
-        tuple(np.split(entry["values"], cuts)),
-        entry["error"],
-        int(entry["count"]),
-        str(entry["mesher"]),
-        int(entry["elements"]),
-        int(entry["unknowns"]),
-        size,
-        float(entry["volume_error"]),
-        mesh_error,
-    )
+    return Compliance(tuple(np.split(entry["values"], cuts)), entry["error"], int(entry["count"]), int(entry["unknowns"]))
 
 
-def compliance_kept(
-    vertices: Array,
-    faces: Index,
-    clamp_normal: Array,
-    clamp_offset: float,
-    material: Material,
-    passes: "Sequence[BladePath]",
-    patch_semi_axes: tuple[float, float],
-) -> bool:
+def compliance_kept(held: HeldBlade, passes: "Sequence[BladePath]", patch_semi_axes: tuple[float, float]) -> bool:
     """Whether `blade_compliance` of the same arguments finds its result on disk."""
-    vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int64)
-    size = default_element_size(surface_area(vertices, faces), patch_semi_axes)
-    clamp = (np.asarray(clamp_normal, float), float(clamp_offset))
-    return recall("blade", _key(vertices, faces, clamp, material, passes, patch_semi_axes, size, False)) is not None
+    return recall("blade", _key(held, passes, patch_semi_axes, held.element_size(patch_semi_axes))) is not None
 
 
-def _key(
-    vertices: Array,
-    faces: Index,
-    clamp: tuple[Array, float],
-    material: Material,
-    passes: "Sequence[BladePath]",
-    patch_semi_axes: tuple[float, float],
-    size: float,
-    estimate_mesh_error: bool,
-) -> str:
+def _key(held: HeldBlade, passes: "Sequence[BladePath]", patch_semi_axes: tuple[float, float], size: float) -> str:
     waypoints = [np.ascontiguousarray(x, float) for path in passes for x in (path.p, path.n, path.t, path.s)]
-    scalars = (material.youngs_modulus, material.poisson_ratio, *map(float, patch_semi_axes), size, estimate_mesh_error)
-    return content_key(VERSION, MESH_VERSION, vertices, faces, *clamp, *scalars, *waypoints)
-
-
-def _computed(
-    solid: Callable[[float], ClampedBlade],
-    size: float,
-    passes: "Sequence[BladePath]",
-    semi_axes: tuple[float, float],
-    estimate_mesh_error: bool,
-) -> Entry:
-    """Return all that is kept of a compliance, computed on elements of `size` m (and of twice that for the error)."""
-    blade = solid(size)
-    values, error, count = _along_passes(blade, passes, semi_axes)
-    together = np.concatenate(values)
-    entry: Entry = {
-        "values": together,
-        "error": error,
-        "count": np.array(count),
-        "mesher": np.array(blade.mesher),
-        "elements": np.array(len(blade.mesh.elements)),
-        "unknowns": np.array(blade.factorisation.unknowns),
-        "volume_error": np.array(blade.volume_error),
-    }
-    if estimate_mesh_error:
-        other = np.concatenate(_along_passes(solid(2.0 * size), passes, semi_axes)[0])
-        entry["mesh_error"] = np.abs(other[:, 0] - together[:, 0]) / np.maximum(together[:, 0], RIGID)
-    return entry
+    return content_key(VERSION, MESH_VERSION, *held.content, *map(float, patch_semi_axes), size, *waypoints)
 
 
 def _along_passes(

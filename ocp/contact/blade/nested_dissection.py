@@ -90,21 +90,6 @@ class Factorisation:
             result[which] += full @ full.transpose(0, 2, 1)
         return result
 
-    @_one_thread
-    def solve(self, loads: csr_matrix) -> Array:
-        """Return the displacements (3 nn, m) in m under nodal forces (3 nn, m) in N; held nodes stay at 0."""
-        loads = csr_matrix(loads)
-        result = np.zeros(loads.shape)
-        half = {number: (columns, y) for number, columns, y in self._forward(loads)}
-        for number in range(len(self.fronts) - 1, -1, -1):
-            front = self.fronts[number]
-            right = np.zeros((len(front.own), loads.shape[1]))
-            if number in half:
-                right[:, half[number][0]] = half[number][1]
-            right -= front.coupling.T @ result[front.border]
-            result[front.own] = solve_triangular(front.factor, right, lower=True, trans="T", check_finite=False)
-        return result
-
 
 @_one_thread
 def factorise(mesh: QuadraticMesh, material: Material, held: NDArray[np.bool_]) -> Factorisation:

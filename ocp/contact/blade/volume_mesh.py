@@ -37,12 +37,11 @@ ON_PLANE = 1e-3  # of the mean edge length: nearer vertices are moved onto the p
 class VolumeMesh:
     """A solid mesh and how it was made.
 
-    `volume_error` is relative to the volume inside the given surface; `size` in m.
+    `volume_error` is relative to the volume inside the given surface.
     """
 
     mesh: QuadraticMesh
     mesher: str
-    size: float
     volume_error: float
 
 
@@ -84,7 +83,7 @@ def volume_mesh(vertices: Array, faces: Index, size: float, fine_plane: tuple[Ar
 
     entry = remember("mesh", content_key(VERSION, vertices, faces, float(size), *(fine_plane or ())), compute)
     mesh = quadratic_mesh(entry["points"].astype(float), entry["tetrahedra"].astype(np.int64))
-    return VolumeMesh(mesh, str(entry["mesher"]), size, mesh.volume / inside - 1.0)
+    return VolumeMesh(mesh, str(entry["mesher"]), mesh.volume / inside - 1.0)
 
 
 def _size_law(size: float, fine_plane: tuple[Array, float] | None) -> SizeLaw:

@@ -9,7 +9,6 @@ eliminated: stable up to the incompressible limit (Boffi, Brezzi, Fortin 2013, c
 
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from ocp.shell.cache import content_key, remember
 from robots.errors import BadInput
 from robots.pose import Array
 
@@ -143,18 +143,9 @@ def _add(bands: Array, K: Array, index: Index) -> None:
 PERIOD = 6.0  # length of the periodic sector in cover thicknesses: images weigh less than 0.1 % (docs/wheel.md)
 N_WAVES = 28  # wave numbers at which finite elements are solved; between them a cubic spline
 ALIASES = 3  # waves shorter than a cell that are kept, in sampling wave numbers
+VERSION = "wheel cover 2"  # raise it when the finite elements change
 CELLS_A_RADIUS = 4.5
 MAX_CELLS = 64  # across the width; more would take minutes to build a law, hard wide wheels get somewhat coarse cells
-
-
-class Store(Protocol):
-    """A content-addressed cache of arrays; the planner hands in `ocp.shell.cache`."""
-
-    def load(self, key: str) -> dict[str, Array] | None:
-        """Arrays stored under `key`, or None."""
-
-    def store(self, key: str, arrays: dict[str, Array]) -> None:
-        """Keep `arrays` under `key`."""
 
 
 @dataclass(frozen=True)
@@ -226,25 +217,22 @@ def default_cell(geometry: WheelGeometry, force: float, curvature: float | None 
     return float(np.clip(radius / CELLS_A_RADIUS, geometry.width / MAX_CELLS, geometry.cover_thickness / 4))
 
 
-def build_cover(geometry: WheelGeometry, cell: float, store: Store | None = None, period: float = PERIOD) -> Cover:
-    """Compliance of the cover with cells of about `cell` m; `period` is the sector's length in cover thicknesses."""
+def build_cover(geometry: WheelGeometry, cell: float, period: float = PERIOD) -> Cover:
+    """Compliance of the cover with cells of about `cell` m; `period` is the sector's length in cover thicknesses.
+
+    Kept on disk for a unit modulus.
+    """
     edges = width_cells(geometry.width, cell)
     circumference = 2 * np.pi * geometry.radius
     sectors = max(1, int(circumference / max(period * geometry.cover_thickness, 2.0 * geometry.width)))
     length = circumference / sectors
     n_x = next_fast_len(int(np.ceil(length / cell)), real=True)
     dx = length / n_x
-    key = f"cover 2 {asdict(replace(geometry, modulus=1.0))} cell {cell!r} period {period!r}"
-    found = store.load(key) if store is not None else None
-    if found is not None:
-        spectrum = found["spectrum"]
-    else:
-        spectrum = _spectrum(geometry, edges, sectors, n_x, dx, cell)
-        if store is not None:
-            store.store(key, {"spectrum": spectrum})
+    key = content_key(VERSION, repr(asdict(replace(geometry, modulus=1.0))), cell, period)
+    spectrum = remember("cover", key, lambda: {"spectrum": _spectrum(geometry, edges, sectors, n_x, dx, cell)})["spectrum"]
     x = (np.arange(n_x) - n_x // 2) * dx
     y = 0.5 * (edges[1:] + edges[:-1])
-    return Cover(geometry, x, y, dx, np.diff(edges), spectrum / geometry.modulus)
+    return Cover(geometry, x, y, dx, np.diff(edges), np.asarray(spectrum, float) / geometry.modulus)
 
 
 def width_cells(width: float, cell: float) -> Array:

@@ -141,7 +141,7 @@ class WheelLaw:
 
     limits: ranges of force N, kxx 1/m, lateral m, tilt_x, tilt_y (slopes) in which `error` was measured.
     decay: p over the force scale; count: strips. low, high (5,): ranges of the features; terms (k, 5), coefficients (k,):
-    correction; axis_terms (m, 5), axis_coefficients (m, 2): logarithm of the patch's semi-axes over Hertz's length.
+    correction.
     """
 
     geometry: WheelGeometry
@@ -152,8 +152,6 @@ class WheelLaw:
     high: Array
     terms: Array
     coefficients: Array
-    axis_terms: Array
-    axis_coefficients: Array
     limits: dict[str, tuple[float, float]]
     error: LawError
 
@@ -208,28 +206,6 @@ class WheelLaw:
         base, features = all_features(F, reduced, p, g.modulus, g.width, self.count)
         correction = chebyshev_products(self._unit(features), self.terms) @ self.coefficients
         return reduced.offset + base + p * correction
-
-    def patch_semi_axes(
-        self,
-        kxx: Array,
-        kyy: Array,
-        kxy: Array,
-        lateral: Array | float = 0.0,
-        tilt_x: Array | float = 0.0,
-        tilt_y: Array | float = 0.0,
-        F: Array | float | None = None,
-    ) -> Array:
-        """Semi-axes (n, 2) m along x and y of the ellipse with the patch's second moments; F defaults to the process force."""
-        F = self.process_force if F is None else F
-        F, *shape = (np.atleast_1d(a).astype(float) for a in np.broadcast_arrays(F, kxx, kyy, kxy, lateral, tilt_x, tilt_y))
-        reduced = reduce_shape(*shape)
-        g = self.geometry
-        scale = force_scale(F, reduced.across, g.modulus)
-        _, features = all_features(F, reduced, self.decay * scale, g.modulus, g.width, self.count)
-        u = np.clip(self._unit(features), -1.0, 1.0)
-        logarithm = chebyshev_products(u, self.axis_terms) @ self.axis_coefficients
-        axes = np.sqrt(scale / reduced.across)[:, None] * np.exp(logarithm)
-        return np.minimum(axes, [np.inf, 0.5 * g.width])
 
     def _unit(self, features: Array) -> Array:
         """Features scaled to -1..1 over the sampled ranges."""

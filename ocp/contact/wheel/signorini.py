@@ -19,7 +19,6 @@ Mask = NDArray[np.bool_]
 MAX_PIVOTS = 300
 PATIENCE = 6  # block exchanges without progress before single exchanges take over (Judice and Pires 1994)
 FORCE_ROUNDING = 1e-12  # of the mean cell force; what counts as pull or overlap
-LEAST_CELLS = 3
 MOMENT_TO_AXIS = 5.0  # mean x^2 = a^2 / 5 under Hertz's ellipsoid of pressure (Johnson 1985, section 4.2)
 
 
@@ -32,8 +31,7 @@ class Contact:
     the same second moments, y at most half the width; pressure (n_y, n_x) on x (n_x,), y (n_y,); response (n_y, n_x):
     share of each cell in a small rise of the force, sum 1; residual: largest violation of the contact conditions,
     relative to the largest displacement and the mean force; touches_border: the patch reaches the end of the window
-    along x, so the answer is not trustworthy; resolved: at least LEAST_CELLS cells bear along x and along y, else a
-    finer cover is needed (sharp blade edges); pivots: linear systems solved.
+    along x, so the answer is not trustworthy.
     """
 
     indentation: float
@@ -41,34 +39,28 @@ class Contact:
     stiffness: float
     centroid: Array
     semi_axes: Array
-    max_pressure: float
     pressure: Array
     response: Array
     x: Array
     y: Array
     residual: float
     touches_border: bool
-    resolved: bool
-    pivots: int
 
 
-def solve_contact(cover: Cover, gap: Array, *, force: float | None = None, indentation: float | None = None) -> Contact:
-    """Contact for a gap (n_y, n_x) m given as cell means, inf where there is no blade; exactly one of force N, indentation m.
+def solve_contact(cover: Cover, gap: Array, force: float) -> Contact:
+    """Contact under `force` N for a gap (n_y, n_x) m given as cell means, inf where there is no blade.
 
-    Without overlap a given indentation answers with force 0. Raises Infeasible where no blade lies over the wheel.
+    Raises Infeasible where no blade lies over the wheel.
     """
-    if (force is None) == (indentation is None):
-        raise ValueError("give exactly one of force and indentation")
     if not np.isfinite(gap).any():
         raise Infeasible("no part of the blade lies over the wheel at this contact point; move the contact on the wheel")
-    if force is not None and force <= 0:
-        return _no_contact(cover, float(gap.min()))
-    if indentation is not None and indentation <= gap.min():
-        return _no_contact(cover, indentation)
-    active = _first_guess(cover, gap, force, indentation)
+    if force <= 0:
+        zero = np.zeros((len(cover.y), len(cover.x)))
+        return Contact(float(gap.min()), 0.0, 0.0, np.zeros(2), np.zeros(2), zero, zero, cover.x, cover.y, 0.0, False)
+    active = _first_guess(cover, gap, force)
     best, patience = gap.size + 1, PATIENCE
-    for pivots in range(1, MAX_PIVOTS + 1):
-        f, rise, d = _equilibrium(cover, gap, active, force, indentation)
+    for _ in range(MAX_PIVOTS):
+        f, rise, d = _equilibrium(cover, gap, active, force)
         field = np.zeros_like(gap)
         field[active] = f
         opening = cover.displace(field) + gap - d
@@ -79,7 +71,7 @@ def solve_contact(cover: Cover, gap: Array, *, force: float | None = None, inden
         wrong = pull | overlap
         count = int(np.count_nonzero(wrong))
         if count == 0:
-            return _summary(cover, field, rise, active, opening, d, pivots)
+            return _summary(cover, field, rise, active, opening, d)
         if count < best:
             best, patience = count, PATIENCE
         else:
@@ -94,11 +86,8 @@ def solve_contact(cover: Cover, gap: Array, *, force: float | None = None, inden
     raise Infeasible(f"the wheel contact did not settle in {MAX_PIVOTS} active sets; the blade's surface is too rough there")
 
 
-def _first_guess(cover: Cover, gap: Array, force: float | None, indentation: float | None) -> Mask:
+def _first_guess(cover: Cover, gap: Array, force: float) -> Mask:
     """Cells below the level at which a Winkler bed of the cover's stiffness carries the force."""
-    if indentation is not None:
-        return gap < gap.min() + 0.6 * (indentation - gap.min())
-    assert force is not None
     g = np.sort(gap[np.isfinite(gap)])
     geometry = cover.geometry
     bed = geometry.modulus / geometry.cover_thickness * cover.dx * cover.dy.mean()
@@ -107,20 +96,18 @@ def _first_guess(cover: Cover, gap: Array, force: float | None, indentation: flo
     return gap <= g[count - 1]
 
 
-def _equilibrium(
-    cover: Cover, gap: Array, active: Mask, force: float | None, indentation: float | None
-) -> tuple[Array, Array, float]:
+def _equilibrium(cover: Cover, gap: Array, active: Mask, force: float) -> tuple[Array, Array, float]:
     """Forces on the active cells that close the gap there, their rise per metre of indentation, and the indentation."""
     i, m = np.nonzero(active)
     C = cover.kernel[i[:, None], i[None, :], np.abs(m[:, None] - m[None, :])]
     factor = cho_factor(C, lower=True, overwrite_a=True, check_finite=False)
     solution = cho_solve(factor, np.column_stack([gap[active], np.ones(len(i))]), check_finite=False)
     resting, rise = solution.T
-    d = indentation if indentation is not None else (force + resting.sum()) / rise.sum()
+    d = (force + resting.sum()) / rise.sum()
     return d * rise - resting, rise, float(d)
 
 
-def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Array, d: float, pivots: int) -> Contact:
+def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Array, d: float) -> Contact:
     """The solution's figures."""
     force = float(field.sum())
     x, y = cover.x[None, :], cover.y[:, None]
@@ -131,24 +118,15 @@ def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Arr
     response[active] = rise / rise.sum()
     axes = np.sqrt(MOMENT_TO_AXIS * (moments + own))
     axes[1] = min(axes[1], 0.5 * cover.geometry.width)
-    columns, rows = np.flatnonzero(active.any(axis=0)), np.flatnonzero(active.any(axis=1))
-    resolved = min(len(columns), len(rows)) >= LEAST_CELLS
-    pressure = field / cover.area
+    columns = np.flatnonzero(active.any(axis=0))
     residual = max(
         float(np.abs(opening[active]).max()) / float(np.abs(cover.displace(field)).max()),
         float(-field.min() / field[active].mean()),
         0.0,
     )
     at_border = bool(columns[0] == 0 or columns[-1] == len(cover.x) - 1)
-    stiffness, peak = float(rise.sum()), float(pressure.max())
-    fields = pressure, response, cover.x, cover.y
-    return Contact(d, force, stiffness, centroid, axes, peak, *fields, residual, at_border, resolved, pivots)
-
-
-def _no_contact(cover: Cover, d: float) -> Contact:
-    """Blade and wheel apart or just touching."""
-    zero = np.zeros((len(cover.y), len(cover.x)))
-    return Contact(d, 0.0, 0.0, np.zeros(2), np.zeros(2), 0.0, zero, zero, cover.x, cover.y, 0.0, False, True, 0)
+    fields = field / cover.area, response, cover.x, cover.y
+    return Contact(d, force, float(rise.sum()), centroid, axes, *fields, residual, at_border)
 
 
 @dataclass(frozen=True)
@@ -185,15 +163,6 @@ def solve_force(cover: Cover, force: float, shape: LocalShape) -> Contact:
 
     Raises Infeasible where the blade is hollow along the belt (kxx <= 0): it then touches elsewhere.
     """
-    return _solve(cover, shape, force=force)
-
-
-def solve_indentation(cover: Cover, indentation: float, shape: LocalShape) -> Contact:
-    """Force under `indentation` m at the planned point of `shape`; as `solve_force`."""
-    return _solve(cover, shape, indentation=indentation)
-
-
-def _solve(cover: Cover, shape: LocalShape, **given: float) -> Contact:
     if shape.kxx <= 0:
         raise Infeasible(
             f"the blade is hollow along the belt (relative curvature {shape.kxx:.3g} 1/m, must be positive): the wheel "
@@ -204,7 +173,7 @@ def _solve(cover: Cover, shape: LocalShape, **given: float) -> Contact:
     x = cover.x + origin
     gap = shape.gap(x[None, :], y[:, None])
     gap = gap + (shape.kxx * cover.dx**2 + shape.kyy * cover.dy[:, None] ** 2) / 24  # cell mean of the quadratic part
-    contact = solve_contact(cover, gap, **given)
+    contact = solve_contact(cover, gap, force)
     centroid = contact.centroid + np.array([origin, -shape.lateral]) if contact.force > 0 else contact.centroid
     return replace(contact, centroid=centroid, x=x, y=y)
 

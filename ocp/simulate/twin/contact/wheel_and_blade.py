@@ -10,9 +10,8 @@ from typing import Any, cast
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ocp.contact.blade.compliance import blade_compliance, default_element_size
+from ocp.contact.blade.compliance import HeldBlade, blade_compliance
 from ocp.contact.blade.elasticity import Material
-from ocp.contact.blade.volume_mesh import surface_area
 from ocp.model.cell import Cell, Workpiece
 from ocp.simulate.twin.contact import ContactMoments, Index
 from ocp.simulate.twin.contact.surface import Postures
@@ -207,10 +206,8 @@ def solid_compliance(piece: Workpiece, blade: Blade, stations: SolvedStations, p
         n, t = np.round(stations.n[k], DIGITS_DIRECTION), np.round(stations.t[k], DIGITS_DIRECTION)
         asked.append(SolidLine(p, n, t, np.round(stations.s[k], DIGITS_PLACE)))
     material = Material(piece.youngs_modulus, piece.poisson, piece.density)
-    size = ELEMENT_FACTOR * default_element_size(surface_area(blade.vertices, blade.faces), patch)
-    answer = blade_compliance(
-        blade.vertices, blade.faces, piece.clamp_normal, piece.clamp_offset, material, cast(Any, asked), patch, size
-    )
+    held = HeldBlade(blade.vertices, blade.faces, piece.clamp_normal, piece.clamp_offset, material)
+    answer = blade_compliance(held, cast(Any, asked), patch, ELEMENT_FACTOR * held.element_size(patch))
     out = np.zeros((len(stations.s), 3))
     for k, values in zip(lines, answer.per_pass, strict=True):
         out[k] = values
