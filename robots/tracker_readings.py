@@ -81,13 +81,13 @@ class Readings:
     load: Array
     load_link: Index
     load_place: Array
-    approach: Array | None
-    time: Array | None
-    temperature: Array | None
-    sigma: Array | None
-    turn: Array | None
-    sigma_turn: Array | None
     line: Index
+    approach: Array | None = None
+    time: Array | None = None
+    temperature: Array | None = None
+    sigma: Array | None = None
+    turn: Array | None = None
+    sigma_turn: Array | None = None
     notices: tuple[str, ...] = ()
 
     def __len__(self) -> int:

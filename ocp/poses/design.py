@@ -9,7 +9,7 @@ from ocp.model.cell import TrackerSetup
 from ocp.poses.candidates import CandidatePoses, Zone
 from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state
 from robots.calibration.noise import Noise
-from robots.calibration.observability import Sensitivity, carried_point, expected_error, identifiable_basis, sensitivity
+from robots.calibration.observability import carried_point, expected_error, identifiable_basis, sensitivity
 from robots.calibration.pose_choice import Pool, choose
 from robots.errors import BadInput
 from robots.kinematics import link_frames
@@ -41,16 +41,6 @@ class Design:
     zone_J: Array
     zone_scatter: Array
 
-    @property
-    def target(self) -> Index:
-        """Which nest, as an index into `readings.targets`."""
-        return self.readings.target
-
-    @property
-    def payload(self) -> Index:
-        """Which payload, as an index into `readings.payloads`."""
-        return self.readings.payload
-
     def error(self, chosen: Index) -> float:
         """Rms over the zone of one sigma (m, 3D) of the blade's place after a fit to the chosen candidates."""
         return float(np.sqrt((expected_error(self.pool.rows[chosen], self.pool.prior, self.zone_J) ** 2).mean()))
@@ -67,15 +57,13 @@ def build_design(
     zone: Zone,
     targets: list[str],
     payloads: list[str],
-    grinding: str | None,
     tracker: Array,
     priors: Priors,
     noise: Noise,
     count: int,
     rng: np.random.Generator,
 ) -> Design:
-    """Every seen (posture, nest) with every payload. `grinding`: the payload while grinding; tracker (3,) m in the base;
-    `count` poses will be chosen."""
+    """Every seen (posture, nest) with every payload. tracker (3,) m in the base; `count` poses will be chosen."""
     posture, nest = np.nonzero(candidates.seen)
     hung = np.repeat(np.arange(len(payloads)), len(posture))
     posture, nest = np.tile(posture, len(payloads)), np.tile(nest, len(payloads))
@@ -88,7 +76,7 @@ def build_design(
     state = nominal_state(setup.robot, readings, setup.payloads, setup.instrument, choice)
     state.stations[:, :3, 3] = -tracker
     seen = sensitivity(setup.robot, readings, setup.instrument, layout, state, noise)
-    J, scatter = _zone(setup, zone, layout, state, readings, grinding, noise)
+    J, scatter = _zone(setup, zone, layout, state, readings, noise)
     elsewhere = seen.J[rng.choice(len(hung), WORKSPACE)]
     weight = WORKSPACE_WEIGHT * np.sqrt(len(J) / WORKSPACE)
     aim = np.concatenate([J, weight * elsewhere]) / np.sqrt((scatter**2).mean() / 3)
@@ -116,19 +104,11 @@ def planned_readings(q: Array, target: Index, targets: tuple[str, ...], payload:
         load=np.zeros((n, 6)),
         load_link=np.full(n, 6),
         load_place=np.zeros((n, 3)),
-        approach=None,
-        time=None,
-        temperature=None,
-        sigma=None,
-        turn=None,
-        sigma_turn=None,
         line=np.arange(n) + 2,
     )
 
 
-def _zone(
-    setup: TrackerSetup, zone: Zone, layout: Layout, state: State, like: Readings, grinding: str | None, noise: Noise
-) -> tuple[Array, Array]:
+def _zone(setup: TrackerSetup, zone: Zone, layout: Layout, state: State, like: Readings, noise: Noise) -> tuple[Array, Array]:
     """J (k, 3, p) of points in the zone and their scatter (k,) m from joint noise alone.
 
     With three nests or more on the flange, not in line, the point is the blade's contact, carried by them; with fewer, the
@@ -136,8 +116,12 @@ def _zone(
     """
     flange = [i for i, name in enumerate(like.targets) if setup.instrument.nests and setup.instrument.nests[name].link == 6]
     chosen = flange or list(range(len(like.targets)))
-    payload = like.payloads.index(grinding) if grinding in like.payloads else 0
-    seen = [_nest_in_zone(setup, zone, layout, state, like, i, payload, noise) for i in chosen]
+    grinding = setup.tables.workpiece.payload if setup.tables.workpiece else None
+    payload, n = like.payloads.index(grinding) if grinding in like.payloads else 0, len(zone.q)
+    seen = []
+    for nest in chosen:
+        rows = planned_readings(zone.q, np.full(n, nest), like.targets, np.full(n, payload), like.payloads)
+        seen.append(sensitivity(setup.robot, rows, setup.instrument, layout, state, noise))
     places = state.nests[chosen]
     flat = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     if len(flange) >= 3 and flat[1] > 0.01:
@@ -148,14 +132,6 @@ def _zone(
     else:
         J, joints = np.concatenate([s.J for s in seen]), np.concatenate([s.d_joints for s in seen])
     return J, noise.joints * np.linalg.norm(joints, axis=(1, 2))
-
-
-def _nest_in_zone(
-    setup: TrackerSetup, zone: Zone, layout: Layout, state: State, like: Readings, nest: int, payload: int, noise: Noise
-) -> Sensitivity:
-    n = len(zone.q)
-    rows = planned_readings(zone.q, np.full(n, nest), like.targets, np.full(n, payload), like.payloads)
-    return sensitivity(setup.robot, rows, setup.instrument, layout, state, noise)
 
 
 @dataclass(frozen=True)

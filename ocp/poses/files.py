@@ -3,7 +3,7 @@
 import csv
 import json
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from ocp.poses.candidates import Sight
 from ocp.poses.planning import PosePlan
 from ocp.poses.program import measuring_program, write_and_check
 from ocp.poses.report import write_poses_sheet
 from ocp.shell.cache import sha256
-from ocp.shell.output import check_output, whole_folder
+from ocp.shell.output import whole_folder
 from ocp.shell.progress import Phases
 from robots.calibration.observability import CRITERIA, identifiable_basis, observability, posterior_sd, singular_values
 from robots.calibration.parameters import SYMBOLS
@@ -39,12 +40,8 @@ class PosesResult:
         return self.plan.notices
 
 
-def write_poses(
-    make: Callable[[], PosePlan], out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path] = ()
-) -> PosesResult:
-    """Choose and write a folder. Raises BadInput and Infeasible; then `out` is as it was."""
-    check_output(out, overwrite, inputs)
-    plan = make()
+def write_poses(plan: PosePlan, out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path]) -> PosesResult:
+    """Write the folder of a choice. Raises BadInput and Infeasible; then `out` is as it was."""
     with whole_folder(out, overwrite) as folder:
         with phases.phase("writing"):
             programs = _write_programs(plan, folder)
@@ -156,7 +153,7 @@ def _assumptions(plan: PosePlan) -> list[str]:
         f"every axis comes back to the same place within {1e6 * options.noise.joints:g} urad (one sigma)",
         "the expected accuracy holds for a robot that the model describes: gears, backlash and heat come on top",
         "the payloads' own shapes are not in the cell: blade, holder and the reflectors' brackets stand for them",
-        f"reflectors {options.reach[0]:g} to {options.reach[1]:g} m away are seen if no link, blade or wheel is in between",
+        f"reflectors {Sight.reach[0]:g} to {Sight.reach[1]:g} m away are seen if no link, blade or wheel is in between",
     ]
     if options.acceptance is not None:
         angle = f"{np.degrees(options.acceptance):g} deg"

@@ -9,6 +9,7 @@ from ocp.data import CELL
 from ocp.poses.files import PosesResult, write_poses
 from ocp.poses.planning import PoseOptions, make_poses
 from ocp.poses.program import base_name
+from ocp.shell.output import check_output
 from ocp.shell.progress import Phases, Progress
 from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
@@ -52,15 +53,19 @@ def choose_poses(
     """
     if criterion not in CRITERIA:
         raise BadInput(f"--criterion '{criterion}' is not one of {', '.join(CRITERIA)}")
-    _within("--approach", float(np.degrees(approach)), 0.1, 20.0, "deg")
-    _within("--speed", speed, 1, 100, "percent")
-    _within("--wait", wait, 0.1, 3600.0, "s")
-    _within("--input", wait_input, 1, 8192, "")
-    _within("--acceptance", None if acceptance is None else float(np.degrees(acceptance)), 1.0, 180.0, "deg")
-    _within("--prior-mm", 1e3 * length_sd, 1e-3, 100.0, "mm")
-    _within("--prior-mrad", 1e3 * angle_sd, 1e-3, 100.0, "mrad")
-    _within("--joint-noise", 1e6 * joint_noise, 0.1, 1000.0, "urad")
-    _within("--seed", seed, 0, 2**32, "")
+    for option, value, low, high, unit in (
+        ("--approach", float(np.degrees(approach)), 0.1, 20.0, "deg"),
+        ("--speed", speed, 1, 100, "percent"),
+        ("--wait", wait, 0.1, 3600.0, "s"),
+        ("--input", wait_input, 1, 8192, ""),
+        ("--acceptance", None if acceptance is None else float(np.degrees(acceptance)), 1.0, 180.0, "deg"),
+        ("--prior-mm", 1e3 * length_sd, 1e-3, 100.0, "mm"),
+        ("--prior-mrad", 1e3 * angle_sd, 1e-3, 100.0, "mrad"),
+        ("--joint-noise", 1e6 * joint_noise, 0.1, 1000.0, "urad"),
+        ("--seed", seed, 0, 2**32, ""),
+    ):
+        if value is not None and not low * (1 - 1e-12) <= value <= high * (1 + 1e-12):
+            raise BadInput(f"{option} {value:g} must lie between {low:g} and {high:g} {unit}".rstrip())
     if wait is not None and wait_input is not None:
         raise BadInput("--wait and --input exclude each other; give one of them")
     options = PoseOptions(
@@ -78,10 +83,6 @@ def choose_poses(
         priors=Priors(length=length_sd, angle=angle_sd),
         noise=Noise(joint_noise),
     )
-    phases = Phases(progress)
-    return write_poses(lambda: make_poses(Path(cell), options, phases), Path(out), overwrite, phases, [Path(cell)])
-
-
-def _within(name: str, value: float | None, low: float, high: float, unit: str) -> None:
-    if value is not None and not low * (1 - 1e-12) <= value <= high * (1 + 1e-12):
-        raise BadInput(f"{name} {value:g} must lie between {low:g} and {high:g} {unit}".rstrip())
+    phases, inputs = Phases(progress), [Path(cell)]
+    check_output(Path(out), overwrite, inputs)
+    return write_poses(make_poses(Path(cell), options, phases), Path(out), overwrite, phases, inputs)

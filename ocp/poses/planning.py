@@ -51,7 +51,6 @@ class PoseOptions:
     approach: float = np.radians(2.0)
     pausing: Wait = field(default_factory=Wait)
     speed: int = 20
-    reach: tuple[float, float] = (1.0, 20.0)
     acceptance: float | None = None
     priors: Priors = field(default_factory=Priors)
     noise: Noise = field(default_factory=Noise)
@@ -91,16 +90,15 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
         zone = find_zone(cell, scene, blade)
         hanging = [setup.payloads[p] for p in payloads]
         q, sign, near = free_postures(cell, scene, blade, hanging, options.approach, rng)
-        sight = Sight(options.reach, options.acceptance, (blade_rod(cell.workpiece.T_flange_blade, blade.vertices),))
+        sight = Sight(acceptance=options.acceptance, rods=(blade_rod(cell.workpiece.T_flange_blade, blade.vertices),))
         if tracker is None:
             tracker = choose_stand(cell, sight, list(nests.values()), q, rng)
         seen = visible_nests(cell, sight, list(nests.values()), tracker, q)
         _refuse_blind(cell, options, tracker, tracker_from, np.asarray(seen.any(axis=1)))
         candidates = CandidatePoses(q, sign, near, seen)
     with phases.phase("design"):
-        grinding = cell.tables.workpiece.payload if cell.tables.workpiece else None
         design = build_design(
-            setup, candidates, zone, list(nests), payloads, grinding, tracker, options.priors, options.noise, options.count, rng
+            setup, candidates, zone, list(nests), payloads, tracker, options.priors, options.noise, options.count, rng
         )
         refuse_too_few(design, options.count)
     with phases.phase("choice"):
@@ -110,24 +108,13 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
     with phases.phase("order", len(payloads)) as advance:
         campaigns = []
         for k, name in enumerate(payloads):
-            mine = chosen[design.payload[chosen] == k]
+            mine = chosen[design.readings.payload[chosen] == k]
             if len(mine):
                 campaigns.append(_campaign(cell, scene, setup, candidates, design, mine, name, options))
             advance()
+    told = (*blade.notices, *notices)
     return PosePlan(
-        cell,
-        setup,
-        scene,
-        options,
-        tracker,
-        tracker_from,
-        candidates,
-        design,
-        zone,
-        chosen,
-        tuple(campaigns),
-        curve,
-        (*blade.notices, *notices),
+        cell, setup, scene, options, tracker, tracker_from, candidates, design, zone, chosen, tuple(campaigns), curve, told
     )
 
 
@@ -147,7 +134,7 @@ def _campaign(
     q = np.radians(np.round(np.degrees(candidates.q[rows]), 5))
     stops = [MeasuringPose(*pose) for pose in zip(q, candidates.sign[rows], strict=True)]
     tour = find_tour(cell.robot, scene, stops, options.approach, options.seed)
-    targets = [design.readings.targets[i] for i in design.target[mine]]
+    targets = [design.readings.targets[i] for i in design.readings.target[mine]]
     order = tour.order
     return MeasurementCampaign(payload, setup.payloads[payload], [stops[i] for i in order], [targets[i] for i in order], tour)
 
