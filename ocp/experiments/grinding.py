@@ -28,7 +28,7 @@ from ocp.plan.paths import lay_paths
 from ocp.plan.planning import PlanOptions
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import VirtualArm, arm_moments
-from ocp.simulate.twin.contact import ContactMoments, ContactResult
+from ocp.simulate.twin.contact import ContactMoments
 from ocp.simulate.twin.contact.grinder import Grinder
 from ocp.simulate.twin.contact.sensor import read_sensor
 from ocp.simulate.twin.truth import Truth
@@ -141,7 +141,7 @@ def working_forces(
     """True and read force N at the working points of the tested passes, one after the other."""
     true, read = [], []
     for one, points in zip(solved, working_points(solved), strict=True):
-        asked = contact_moments(course, machine, one, course.cell.process.force)
+        asked = contact_moments(course, machine, Rung(one, course.cell.process.force))
         result = machine.grinder.force(asked)
         reading, _ = read_sensor(machine.truth, result, asked, rng)
         true.append(result.force[points])
@@ -149,19 +149,21 @@ def working_forces(
     return np.concatenate(true), np.concatenate(read)
 
 
-def contact_moments(
-    course: Course,
-    machine: VirtualRobot,
-    solved: SolvedPass,
-    setpoint: float,
-    contact: bool = True,
-    run: int = 0,
-    scale: float = 1.0,
-) -> ContactMoments:
-    """The waypoints of a pass as instants of the virtual machine; `setpoint` N of the flange, belt as the cell's times scale."""
-    path, q = solved.problem.path, solved.solution.q
+@dataclass(frozen=True)
+class Rung:
+    """A pass that is driven: its joints and points, setpoint N of the flange, in contact or not, belt over the cell's."""
+
+    solved: SolvedPass
+    setpoint: float
+    contact: bool = True
+    belt: float = 1.0
+
+
+def contact_moments(course: Course, machine: VirtualRobot, rung: Rung, run: int = 0) -> ContactMoments:
+    """The waypoints of a pass as instants of the virtual machine."""
+    path, q = rung.solved.problem.path, rung.solved.solution.q
     n = len(q)
-    time = np.concatenate([[0.0], np.cumsum(solved.problem.seconds)])
+    time = np.concatenate([[0.0], np.cumsum(rung.solved.problem.seconds)])
     payload = course.cell.tables.workpiece.payload if course.cell.tables.workpiece else None
     approach = np.sign(np.gradient(q, axis=0))
     cold = np.full(n, course.cell.tables.reference_temperature_C)
@@ -176,10 +178,10 @@ def contact_moments(
         t=path.t,
         s=path.s,
         line=np.full(n, path.line),
-        setpoint=np.full(n, setpoint),
+        setpoint=np.full(n, rung.setpoint),
         feed=path.feed,
-        belt=np.full(n, scale * course.cell.wheel.belt_speed),
-        contact=np.full(n, contact),
+        belt=np.full(n, rung.belt * course.cell.wheel.belt_speed),
+        contact=np.full(n, rung.contact),
         clock_s=time,
         time_s=time,
         run=np.full(n, run),
@@ -200,27 +202,17 @@ def registered_by_ladder(
     rungs = _ladder(course, machine, arm, mount)
     log, rows = _log(course, machine, rungs, rng, noise)
     model = ForceModel(replace(course.cell, calibration=None), course.law)
-    return fit_force(model.cell, log, arm, ForceSetup(model, (rows,), course.cover, ())).calibration(arm)
+    return fit_force(model.cell, log, arm, ForceSetup(model, (rows,), ())).calibration(arm)
 
 
-@dataclass(frozen=True)
-class _Rung:
-    """A recorded pass: its joints and points, setpoint N, in contact or not, belt over the cell's."""
-
-    solved: SolvedPass
-    setpoint: float
-    contact: bool = True
-    belt: float = 1.0
-
-
-def _ladder(course: Course, machine: VirtualRobot, calibration: Calibration, mount: str) -> list[_Rung]:
+def _ladder(course: Course, machine: VirtualRobot, calibration: Calibration, mount: str) -> list[Rung]:
     """Recordings: each pass at each force, one of them in the air, one with the belt running back."""
     force = course.cell.process.force
     level = compensated(course, calibration, list(range(course.ladder)))
     if mount == "flange":
-        rungs = [_Rung(s, share * force) for share in LADDER for s in level]
+        rungs = [Rung(s, share * force) for share in LADDER for s in level]
     else:
-        rungs = [_Rung(_led(course, machine, s, share * force), force) for share in LADDER for s in level]
+        rungs = [Rung(_led(course, machine, s, share * force), force) for share in LADDER for s in level]
     again = rungs[len(level) : 2 * len(level)]
     return [*rungs, replace(again[0], contact=False), replace(again[-1], belt=-1.0)]
 
@@ -231,7 +223,7 @@ def _led(course: Course, machine: VirtualRobot, solved: SolvedPass, wanted: floa
     n = np.einsum("kij,kj->ki", model.T_base_blade[:, :3, :3], solved.problem.path.n)
     shown = solved
     for _ in range(LEADS):
-        force = machine.grinder.force(contact_moments(course, machine, shown, course.cell.process.force)).force
+        force = machine.grinder.force(contact_moments(course, machine, Rung(shown, course.cell.process.force))).force
         step = np.clip((wanted - force) / model.stiffness, -LEAD, LEAD)
         q = shown.solution.q
         twist = np.concatenate([step[:, None] * n, np.zeros((len(q), 3))], axis=1)
@@ -241,17 +233,14 @@ def _led(course: Course, machine: VirtualRobot, solved: SolvedPass, wanted: floa
 
 
 def _log(
-    course: Course, machine: VirtualRobot, rungs: list[_Rung], rng: np.random.Generator, noise: bool
+    course: Course, machine: VirtualRobot, rungs: list[Rung], rng: np.random.Generator, noise: bool
 ) -> tuple[ForceLog, ForceRows]:
     """What a logger records of the rungs, and the model's rows for it."""
-    fn, ft, parts = [], [], []
-    for k, rung in enumerate(rungs):
-        asked = contact_moments(course, machine, rung.solved, rung.setpoint, rung.contact, k, rung.belt)
-        result = machine.grinder.force(asked)
-        readings = _recorded(machine.truth, result, asked, rng, noise)
-        fn.append(readings[0])
-        ft.append(readings[1])
-        parts.append(asked)
+    # Without noise a hundred recordings' mean would be read.
+    sensor = machine.truth if noise else replace(machine.truth, sensor_sigma=0.1 * machine.truth.sensor_sigma)
+    parts = [contact_moments(course, machine, rung, k) for k, rung in enumerate(rungs)]
+    read = [read_sensor(sensor, machine.grinder.force(asked), asked, rng) for asked in parts]
+    fn, ft = (np.concatenate(values) for values in zip(*read, strict=True))
 
     def joined(name: str) -> Array:
         return np.concatenate([getattr(part, name) for part in parts])
@@ -268,32 +257,18 @@ def _log(
         p=joined("p"),
         n=joined("n"),
         t=joined("t"),
-        fn=np.concatenate(fn),
+        fn=fn,
         contact=contact,
         session=np.zeros(n, np.int64),
         sessions=("",),
         s=joined("s"),
-        ft=np.concatenate(ft),
-        sigma_fn=None,
-        sigma_ft=None,
+        ft=ft,
         setpoint=joined("setpoint"),
         feed=joined("feed"),
         belt=joined("belt"),
         line=joined("line").astype(np.int64),
         ground_before=np.zeros(n, np.int64),
-        temperature=None,
-        wheel_temperature=None,
-        clock=None,
         row=np.arange(2, n + 2),
     )
     waypoint = np.vstack([rung.solved.problem.waypoints for rung in rungs])
     return log, ForceRows(q, waypoint, joined("setpoint"), np.sign(joined("belt")), contact)
-
-
-def _recorded(
-    truth: Truth, result: ContactResult, asked: ContactMoments, rng: np.random.Generator, noise: bool
-) -> tuple[Array, Array]:
-    """Readings (n,) N of normal and tangential force; without noise a hundred recordings' mean would be read."""
-    if noise:
-        return read_sensor(truth, result, asked, rng)
-    return read_sensor(replace(truth, sensor_sigma=0.1 * truth.sensor_sigma), result, asked, rng)

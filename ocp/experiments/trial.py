@@ -5,9 +5,10 @@ Each robot that is done is kept, so that a broken run goes on where it stopped.
 
 import json
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -105,7 +106,7 @@ class Trial:
     failed: dict[str, str] = field(default_factory=dict)
 
 
-def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], seed: int, poses: int) -> Trial:
+def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], poses: int, seed: int) -> Trial:
     """Robot number `seed` on every course (by mount); `nominal`: joints of the tested passes without any calibration."""
     course = next(iter(courses.values()))
     rng = np.random.default_rng([seed, 2])
@@ -132,9 +133,6 @@ def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], 
     return Trial(seed, found.errors, force, read, failed)
 
 
-Nominal = dict[str, list[SolvedPass]]
-
-
 def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: int, jobs: int, phases: Phases) -> list[Trial]:
     """The trials of `seeds`, in their order; those kept from before are not run again.
 
@@ -156,36 +154,29 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
             keep("experiment", keys[trial.seed], {"trial": np.array(_as_json(trial))})
             advance()
 
-        _run(courses, nominal, missing, poses, jobs, finish)
+        if jobs <= 1 or len(missing) <= 1:
+            for seed in missing:
+                finish(run_trial(courses, nominal, poses, seed))
+        else:
+            with workers(min(jobs, len(missing)), _start_worker, courses, nominal, poses) as pool:
+                with interrupts_held_back():
+                    futures = [pool.submit(_trial_in_worker, seed) for seed in missing]
+                for future in futures:
+                    finish(future.result())
     return [done[seed] for seed in seeds]
 
 
-_state: tuple[dict[str, Course], Nominal, int] | None = None
+_state: tuple[dict[str, Course], dict[str, list[SolvedPass]], int] | None = None
 
 
-def _start_worker(courses: dict[str, Course], nominal: Nominal, poses: int) -> None:
+def _start_worker(*state: Any) -> None:
     global _state
-    _state = courses, nominal, poses
+    _state = state
 
 
 def _trial_in_worker(seed: int) -> Trial:
     assert _state is not None
-    courses, nominal, poses = _state
-    return run_trial(courses, nominal, seed, poses)
-
-
-def _run(
-    courses: dict[str, Course], nominal: Nominal, seeds: Sequence[int], poses: int, jobs: int, finish: Callable[[Trial], None]
-) -> None:
-    if jobs <= 1 or len(seeds) <= 1:
-        for seed in seeds:
-            finish(run_trial(courses, nominal, seed, poses))
-        return
-    with workers(min(jobs, len(seeds)), _start_worker, courses, nominal, poses) as pool:
-        with interrupts_held_back():
-            futures = [pool.submit(_trial_in_worker, seed) for seed in seeds]
-        for future in futures:
-            finish(future.result())
+    return run_trial(*_state, seed)
 
 
 def _as_json(trial: Trial) -> str:
