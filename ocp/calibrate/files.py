@@ -1,7 +1,6 @@
 """The calibration folder: calibration.toml with its covariance, residuals, blind predictions, report; whole or not at all."""
 
-import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,11 @@ from ocp.calibrate.tracker import TrackerCalibration, as_calibration
 from ocp.model.cell import cell_tables_for
 from ocp.report.section import Section
 from ocp.shell.cache import sha256
-from ocp.shell.output import check_output, whole_folder
+from ocp.shell.output import whole_folder
 from ocp.shell.progress import Phases
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.store import Calibration, write_calibration
 from robots.calibration.validation import GROSS, by_kind
-from robots.errors import BadInput, Infeasible
 from robots.pose import Array
 from robots.toml_files import toml_text
 
@@ -40,28 +38,15 @@ class CalibrationResult:
 
 
 def write_tracker_calibration(
-    make: Callable[[], TrackerCalibration],
+    made: TrackerCalibration,
+    calibration: Calibration,
+    extra: Sequence[Section],
     out: Path,
     overwrite: bool,
     phases: Phases,
     inputs: Sequence[Path],
-    contact: Callable[[Calibration], tuple[Calibration, Sequence[Section]]] | None = None,
 ) -> CalibrationResult:
-    """Make the calibration and write its folder.
-
-    `contact` joins what a force log says of wheel, blade and flange and adds to the report. Raises BadInput and Infeasible of
-    every part; then `out` is as it was.
-    """
-    check_output(out, overwrite, inputs)
-    for file in inputs:
-        if not file.is_file():
-            raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
-    made = make()
-    _refuse_unjudged(made)
-    calibration, extra = tracker_calibration(made, inputs), list[Section]()
-    if contact is not None:
-        calibration, sections = contact(calibration)
-        extra += sections
+    """Write the folder of a calibration; `extra` sections of the report are what a force log adds."""
     with whole_folder(out, overwrite) as folder:
         with phases.phase("writing"):
             write_calibration(folder / "calibration.toml", calibration)
@@ -102,13 +87,6 @@ def _use(made: TrackerCalibration, errors: Array, before: Array, out: Path) -> s
     if errors.mean() > 1.5 * full.mean():
         return f"Method full meets the same readings within {1e3 * full.mean():.3f} mm: use that one"
     return f"{out / 'cell.toml'} is the cell with it, for ocp.plan"
-
-
-def _refuse_unjudged(made: TrackerCalibration) -> None:
-    """Raises Infeasible: no reading could be left out."""
-    if not len(made.methods.before):
-        path = made.fit.campaign.readings.path
-        raise Infeasible(f"{path}: too few readings, outliers apart, to leave any out and judge the rest; measure more poses")
 
 
 def tracker_calibration(made: TrackerCalibration, inputs: Sequence[Path]) -> Calibration:
@@ -172,22 +150,20 @@ def _write_cell(made: TrackerCalibration, path: Path, out: Path) -> None:
 def _write_residuals(made: TrackerCalibration, path: Path) -> None:
     """One row a reading: its line, what is left of it before and after, its weight."""
     fit = made.fit
-    rows = np.column_stack([1e3 * fit.residual[:, :3], 1e3 * made.error_before, 1e3 * made.error_after, fit.weight])
-    header = ("line", "dx_mm", "dy_mm", "dz_mm", "before_mm", "after_mm", "weight")
-    _write_csv(path, header, [(int(line), *row) for line, row in zip(fit.campaign.readings.line, rows, strict=True)], 5)
+    errors = 1e3 * fit.residual[:, :3], 1e3 * made.error_before, 1e3 * made.error_after, fit.weight
+    _write_csv(
+        path, "line,dx_mm,dy_mm,dz_mm,before_mm,after_mm,weight", np.column_stack([fit.campaign.readings.line, *errors]), "%d"
+    )
 
 
 def _write_predictions(made: TrackerCalibration, path: Path) -> None:
     """Blind predictions of sealed_tracker.csv, its rows in order: the calibrated model and its one sigma."""
     assert made.sealed_points is not None and made.sealed_covariance is not None
     sd = np.sqrt(np.diagonal(made.sealed_covariance, axis1=1, axis2=2))
-    header = (*(f"baseline_{c}_mm" for c in "xyz"), *(f"baseline_sigma_{c}_mm" for c in "xyz"))
-    _write_csv(path, header, [tuple(r) for r in 1e3 * np.hstack([made.sealed_points, sd])], 5)
+    header = ",".join(f"baseline_{what}{c}_mm" for what in ("", "sigma_") for c in "xyz")
+    _write_csv(path, header, 1e3 * np.hstack([made.sealed_points, sd]))
 
 
-def _write_csv(path: Path, header: Sequence[str], rows: Sequence[tuple[float, ...]], digits: int) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for row in rows:
-            writer.writerow([str(v) if isinstance(v, int) else f"{v:.{digits}f}" for v in row])
+def _write_csv(path: Path, header: str, rows: Array, first: str = "%.5f") -> None:
+    """Five decimals in every column but the first, if that has a format of its own."""
+    np.savetxt(path, rows, [first, *["%.5f"] * (rows.shape[1] - 1)], ",", header=header, comments="", encoding="utf-8")

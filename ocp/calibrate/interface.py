@@ -1,21 +1,20 @@
 """`ocp.api.calibrate`: tracker readings, with a force log or without; a calibrated cell with its covariance out."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ocp.calibrate.files import CalibrationResult, write_tracker_calibration
-from ocp.calibrate.force.log import read_force_log
+from ocp.calibrate.files import CalibrationResult, tracker_calibration, write_tracker_calibration
+from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.registration import fit_force
 from ocp.calibrate.report.pages import contact_sections
 from ocp.calibrate.tracker import calibrate_tracker
-from ocp.model.cell import files_of, read_cell
+from ocp.model.cell import Cell, files_of, read_cell
 from ocp.report.section import Section
+from ocp.shell.output import check_output
 from ocp.shell.progress import Phases, Progress
-from robots.calibration.store import Calibration
-from robots.errors import BadInput
+from robots.errors import BadInput, Infeasible
 
 
 def calibrate(
@@ -34,24 +33,32 @@ def calibrate(
     method: full, geometry, relative or relative-literal. Raises BadInput: an argument or a file is not what it should be;
     Infeasible: the readings cannot be judged. Nothing is written then.
     """
-    readings, cell_file, log = Path(tracker), Path(cell), None if force is None else Path(force)
-    inputs = [readings, *([] if log is None else [log]), *files_of(cell_file)]
-    phases = Phases(progress)
-    contact = None if log is None else contact_from(cell_file, log, phases)
-    return write_tracker_calibration(
-        lambda: calibrate_tracker(readings, cell_file, method, phases), Path(out), overwrite, phases, inputs, contact
-    )
+    readings, cell_file, folder, phases = Path(tracker), Path(cell), Path(out), Phases(progress)
+    inputs = [readings, *([] if force is None else [Path(force)]), *files_of(cell_file)]
+    ground = None if force is None else _ground(cell_file, Path(force))
+    check_output(folder, overwrite, inputs)
+    for file in inputs:
+        if not file.is_file():
+            raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
+    made = calibrate_tracker(readings, cell_file, method, phases)
+    if not len(made.methods.before):
+        path = made.fit.campaign.readings.path
+        raise Infeasible(f"{path}: too few readings, outliers apart, to leave any out and judge the rest; measure more poses")
+    calibration, extra = tracker_calibration(made, inputs), list[Section]()
+    if ground is not None:
+        with phases.phase("contact"):
+            fit = fit_force(*ground, calibration)
+        calibration, extra = fit.calibration(calibration), contact_sections(fit)
+    return write_tracker_calibration(made, calibration, extra, folder, overwrite, phases, inputs)
 
 
 UNITS = 30.0  # kilonewtons and grams-force are farther off than any setpoint of a ladder
-Joined = tuple[Calibration, list[Section]]
 
 
-def contact_from(cell_file: Path, force: Path, phases: Phases) -> Callable[[Calibration], Joined]:
-    """A function that joins wheel, blade, flange and sensor of a force log to the arm's calibration, and says what of them
-    belongs in the report. Cell and log are read at once.
+def _ground(cell_file: Path, force: Path) -> tuple[Cell, ForceLog]:
+    """The cell, without what is known of it already, and the log of what was ground in it.
 
-    Raises BadInput, Infeasible: the cell has no blade or wheel, the log is malformed or is not of this cell.
+    Raises BadInput: the cell has no blade or wheel, the log is malformed or is not of this cell.
     """
     log = read_force_log(force)
     cell = read_cell(cell_file)
@@ -65,10 +72,4 @@ def contact_from(cell_file: Path, force: Path, phases: Phases) -> Callable[[Cali
             f"{force}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
             "correct the cell's setpoint_N"
         )
-
-    def join(arm: Calibration) -> Joined:
-        with phases.phase("contact"):
-            fit = fit_force(replace(cell, calibration=None), log, arm)
-        return fit.calibration(arm), contact_sections(fit)
-
-    return join
+    return replace(cell, calibration=None), log

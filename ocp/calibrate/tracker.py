@@ -1,6 +1,6 @@
 """The calibration as a function: readings in, a fitted and judged arm out. Writing it is `ocp.calibrate.files`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
 from robots.calibration.store import Calibration
-from robots.calibration.validation import FOLDS, GROSS, FoldErrors, ReadingFold, folds, hold_out, validate
+from robots.calibration.validation import FOLDS, GROSS, FoldErrors, folds, hold_out, validate
 from robots.errors import BadInput
 from robots.pose import Array, abc_by_spin, abc_from_rotation
 from robots.tracker_readings import Readings, read_readings
@@ -111,22 +111,14 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases) -> Tracke
         first = fit_campaign(campaign, choice, learned_priors(first), begin=first.state)
     with phases.phase("terms"):
         chosen, terms = choose_terms(first) if method == "full" else (choice, [])
-        if chosen == choice:
-            full = first
-        else:
-            full = fit_campaign(campaign, chosen, first.priors, begin=first.state)
+        full = first if chosen == choice else fit_campaign(campaign, chosen, first.priors, begin=first.state)
         fit = full if method == "full" else calibrate_by(method, campaign, chosen, first.priors)
     with phases.phase("held out"):
-        held = validate(full) if method == "full" else _held_by_method(full, method)
+        held = validate(full, _refit(method))
     with phases.phase("methods", len(METHODS)) as advance:
         table = compare_methods(full, advance)
-    points = covariance = None
-    if sealed is not None:
-        points = predict_readings(fit, sealed)[0]
     linear = linearise(campaign.robot, replace(readings, turn=None), campaign.instrument, full.layout, full.state)
     repeats = repeat_scatter(readings, campaign.instrument, linear.d_joints)
-    if sealed is not None:
-        covariance = predictive_covariance(fit, sealed, repeats.joints if repeats else 0.0)
     return TrackerCalibration(
         setup=setup,
         method=method,
@@ -139,8 +131,8 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases) -> Tracke
         load_test=load_test(full),
         methods=table,
         sealed=sealed,
-        sealed_points=points,
-        sealed_covariance=covariance,
+        sealed_points=None if sealed is None else predict_readings(fit, sealed)[0],
+        sealed_covariance=None if sealed is None else predictive_covariance(fit, sealed, repeats.joints if repeats else 0.0),
         notices=(*readings.notices, *_notices(full)),
     )
 
@@ -183,18 +175,17 @@ def as_calibration(
     )
 
 
-def compare_methods(fit: Fit, advance: object = None) -> MethodTable:
+def compare_methods(fit: Fit, advance: Callable[[], None]) -> MethodTable:
     """All methods on the same blocked folds as `fit`: errors of every reading when it was left out."""
     blocks = [f for f in folds(fit.campaign) if f.kind == "random"][:FOLDS]
     off: dict[str, Array] = {}
     rows = np.array([], int)
     for method in METHODS:
-        found = [_by_method(fit, fold, method) for fold in blocks]
+        found = [hold_out(fit, fold, _refit(method)) for fold in blocks]
         kept = [h for h in found if h is not None]
         rows = np.concatenate([h.rows for h in kept]) if kept else rows
         off[method] = np.concatenate([h.off for h in kept]) if kept else np.empty((0, 3))
-        if callable(advance):
-            advance()
+        advance()
     order = np.argsort(rows)
     c = fit.campaign
     off = {method: vectors[order] for method, vectors in off.items()}
@@ -203,14 +194,9 @@ def compare_methods(fit: Fit, advance: object = None) -> MethodTable:
     return MethodTable(rows[order], np.linalg.norm(believed, axis=1), size, believed, off)
 
 
-def _by_method(fit: Fit, fold: ReadingFold, method: str) -> FoldErrors | None:
-    if method == "full":
-        return hold_out(fit, fold)
-    return hold_out(fit, fold, lambda left, near: calibrate_by(method, left, near.choice, near.priors))
-
-
-def _held_by_method(fit: Fit, method: str) -> list[FoldErrors]:
-    return validate(fit, lambda left, near: calibrate_by(method, left, near.choice, near.priors))
+def _refit(method: str) -> Callable[[Campaign, Fit], Fit] | None:
+    """How a method fits what is left without a fold; None: as the fit that is judged."""
+    return None if method == "full" else lambda left, near: calibrate_by(method, left, near.choice, near.priors)
 
 
 def as_in(sealed: Readings, readings: Readings) -> Readings:

@@ -17,48 +17,29 @@ from robots.pose import Array
 
 @dataclass(frozen=True)
 class HeldOutForce:
-    """Rows in contact that were predicted without them: what was left out, how many, rms and mean of measured minus
-    predicted N, gap N (rms without the noise)."""
+    """Rows in contact that were predicted without them: how many, rms and mean of measured minus predicted N, gap N (rms
+    without the noise)."""
 
-    left_out: str
     rows: int
     rms: float
     mean: float
     gap: float
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """A way to cut the log into blocks: block (n,) of each row, -1 for none; labels."""
-
-    by: str
-    block: Index
-    labels: tuple[str, ...]
-
-
-def blocks_of(log: ForceLog, rows: ForceRows) -> list[Blocks]:
-    """Every way to cut the log that leaves at least two blocks in contact."""
-    ways = [Blocks("run", log.run, log.runs), Blocks("session", log.session, log.sessions)]
-    if log.line is not None:
-        ways.append(_by_value("line", log.line.astype(float), log.contact))
-    ways.append(_by_value("setpoint", np.round(rows.setpoint, 1), log.contact))
-    ways.append(_by_value("belt direction", rows.belt, log.contact))
-    return [way for way in ways if len(np.unique(way.block[log.contact])) > 1]
-
-
-def _by_value(by: str, values: Array, contact: Flags) -> Blocks:
-    levels = np.unique(values[contact])
-    block = np.where(contact, np.searchsorted(levels, values).clip(max=len(levels) - 1), -1)
-    return Blocks(by, block.astype(np.int64), tuple(f"{level:g}" for level in levels))
+def blocks_of(log: ForceLog, rows: ForceRows) -> dict[str, Index]:
+    """Every way to cut the log that leaves at least two blocks in contact: block (n,) of each row, -1 for none."""
+    values = {"line": log.line, "setpoint": np.round(rows.setpoint, 1), "belt direction": rows.belt}
+    ways = {"run": log.run, "session": log.session}
+    ways |= {by: np.where(log.contact, np.unique(v, return_inverse=True)[1], -1) for by, v in values.items() if v is not None}
+    return {by: block for by, block in ways.items() if len(np.unique(block[log.contact])) > 1}
 
 
 def held_out_blocks(solution: ForceSolution, log: ForceLog, rows: ForceRows) -> dict[str, list[HeldOutForce]]:
     """Errors of each block of each way to cut the log, predicted from the other blocks."""
-    out: dict[str, list[HeldOutForce]] = {}
-    for way in blocks_of(log, rows):
-        present = [b for b in range(len(way.labels)) if (log.contact & (way.block == b)).any()]
-        out[way.by] = [_fold(solution, log, way.labels[b], way.block == b) for b in present]
-    return out
+    return {
+        by: [_fold(solution, log, block == b) for b in np.unique(block[log.contact])]
+        for by, block in blocks_of(log, rows).items()
+    }
 
 
 def pooled_blocks(folds: list[HeldOutForce]) -> HeldOutForce:
@@ -68,7 +49,7 @@ def pooled_blocks(folds: list[HeldOutForce]) -> HeldOutForce:
     def together(name: str) -> float:
         return float(np.sqrt(np.sum(n * np.array([getattr(fold, name) for fold in folds]) ** 2) / n.sum()))
 
-    return HeldOutForce("each in turn", int(n.sum()), *(together(name) for name in ("rms", "mean", "gap")))
+    return HeldOutForce(int(n.sum()), *(together(name) for name in ("rms", "mean", "gap")))
 
 
 def without_rows(information: Array, sensitivity: Array, residual: Array) -> tuple[Array, Array]:
@@ -80,7 +61,7 @@ def without_rows(information: Array, sensitivity: Array, residual: Array) -> tup
     return np.asarray(-np.linalg.solve(information, sensitivity.T @ residual)), np.asarray(np.linalg.inv(information), float)
 
 
-def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> HeldOutForce:
+def _fold(solution: ForceSolution, log: ForceLog, left: Flags) -> HeldOutForce:
     """The block's readings from the other rows: a downdate of the information, a step of the unknowns."""
     white, channel = solution.whitened, solution.channel
     A, taken = white.sensitivity[left], np.zeros_like(solution.information)
@@ -93,7 +74,7 @@ def _fold(solution: ForceSolution, log: ForceLog, label: str, left: Flags) -> He
     error = log.fn[at] - solution.reading[at] - root @ change[: root.shape[1]]
     rms = float(np.sqrt(np.mean(error**2)))
     noise = float(np.mean(channel.sigma()[at] ** 2))
-    return HeldOutForce(label, len(at), rms, float(error.mean()), float(np.sqrt(max(rms**2 - noise, 0.0))))
+    return HeldOutForce(len(at), rms, float(error.mean()), float(np.sqrt(max(rms**2 - noise, 0.0))))
 
 
 UNSEEN = 0.9  # of the prior's standard deviation: a parameter left with more was not seen

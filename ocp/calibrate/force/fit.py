@@ -111,26 +111,22 @@ class Prior:
 class ForceSolution:
     """The MAP estimate of a log.
 
-    x (m,) and covariance (m, m) in the order of FIT_NAMES; z (r + o,) standard normal unknowns, those of x first, then one
-    for each run's offset (o is 0 without offsets); offset N: their standard deviation; extra (n, o) N: what they add.
+    x (m,) and covariance (m, m) in the order of FIT_NAMES; offset N: standard deviation of the runs' offsets (0 without any).
     reading (n,) N: predicted with the sensor's bias, without offsets; before (n,) N: the same at the prior's mean; jacobian
-    (n, m) of the reading. channel: noise and weights; whitened residuals and sensitivities to z; information (r + o,)^2 of z,
-    the prior's in; steps taken.
+    (n, m) of the reading. channel: noise and weights; whitened residuals and sensitivities to the standard normal unknowns z
+    (r + o,), those of x first, then one for each run's offset; information (r + o,)^2 of z, the prior's in.
     """
 
     prior: Prior
     x: Array
     covariance: Array
-    z: Array
     offset: float
-    extra: Array
     reading: Array
     before: Array
     jacobian: Array
     channel: ReadingNoise
     whitened: Whitened
     information: Array
-    steps: int
 
 
 def force_prior(cell: Cell, robot: Calibration | None = None) -> Prior:
@@ -170,8 +166,8 @@ def reading_jacobian(model: ForceModel, rows: ForceRows, x: Array, F: Array) -> 
     return np.hstack([model.sensitivity(rows, x[:BIAS], F), np.ones((len(rows), 1))])
 
 
-def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Prior, offsets: bool = True) -> ForceSolution:
-    """The most probable parameters given the log, and their covariance; `offsets` allows for runs that differ.
+def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Prior) -> ForceSolution:
+    """The most probable parameters given the log, and their covariance; runs that differ are allowed for.
 
     The noise comes from the scatter about the prior's prediction first, then about the fit's. Raises Infeasible where the
     iteration does not come to rest.
@@ -180,35 +176,18 @@ def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Pr
     F, before = reading_of(model, rows, prior.mean, None, known.pressed)
     r = prior.root.shape[1]
     none = np.zeros((len(log), 0))
-    at, steps = _settled(_Point(known, np.zeros(r), prior.mean, F, before, none, channel_of(log, log.fn - before)))
-    at, more = _settled(replace(at, channel=channel_of(log, log.fn - at.reading, at.channel)))
-    steps, size = steps + more, 0.0
-    if offsets:
-        indicator = offset_columns(log.run, log.contact)
-        white = at.whitened
-        shown = at.channel.whitened(np.zeros(len(log)), indicator).sensitivity
-        size = offset_size(white.sensitivity, shown, white.residual + white.sensitivity @ at.z)
-        if size > 0:
-            z = np.concatenate([at.z, np.zeros(indicator.shape[1])])
-            at, more = _settled(replace(at, z=z, extra=size * indicator))
-            steps += more
+    at = _settled(_Point(known, np.zeros(r), prior.mean, F, before, none, channel_of(log, log.fn - before)))
+    at = _settled(replace(at, channel=channel_of(log, log.fn - at.reading, at.channel)))
+    indicator = offset_columns(log.run, log.contact)
+    white = at.whitened
+    shown = at.channel.whitened(np.zeros(len(log)), indicator).sensitivity
+    size = offset_size(white.sensitivity, shown, white.residual + white.sensitivity @ at.z)
+    if size > 0:
+        at = _settled(replace(at, z=np.concatenate([at.z, np.zeros(indicator.shape[1])]), extra=size * indicator))
     information = np.eye(len(at.z)) + at.channel.information(at.whitened.sensitivity)
     covariance = prior.root @ np.linalg.inv(information)[:r, :r] @ prior.root.T
-    return ForceSolution(
-        prior=prior,
-        x=at.x,
-        covariance=0.5 * (covariance + covariance.T),
-        z=at.z,
-        offset=size,
-        extra=at.extra,
-        reading=at.reading,
-        before=before,
-        jacobian=at.jacobian,
-        channel=at.channel,
-        whitened=at.whitened,
-        information=information,
-        steps=steps,
-    )
+    covariance = 0.5 * (covariance + covariance.T)
+    return ForceSolution(prior, at.x, covariance, size, at.reading, before, at.jacobian, at.channel, at.whitened, information)
 
 
 @dataclass(frozen=True)
@@ -276,12 +255,12 @@ class _Point:
         return np.asarray(self.known.log.fn - self.reading - self.extra @ self.z[self.known.prior.root.shape[1] :])
 
 
-def _settled(start: _Point) -> tuple[_Point, int]:
-    """The most probable point with the channel's noise, and how many steps led there (eq. 8, 9)."""
+def _settled(start: _Point) -> _Point:
+    """The most probable point with the channel's noise (eq. 8, 9)."""
     found = minimise(start, np.ones(len(start.z)), RULE)
     if not found.rested:
         path = start.known.log.path
         raise Infeasible(
             f"{path}: the fit of the force log does not come to rest in {RULE.steps} steps; the cell is not the log's"
         )
-    return found.at, found.steps
+    return found.at

@@ -1,5 +1,6 @@
 """A grinding-force log as recorded: axes, planned contact points, forces and conditions (FORMATS, force.csv)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -64,19 +65,19 @@ class ForceLog:
     contact: Flags
     session: Index
     sessions: tuple[str, ...]
-    s: Array | None
-    ft: Array | None
-    sigma_fn: Array | None
-    sigma_ft: Array | None
-    setpoint: Array | None
-    feed: Array | None
-    belt: Array | None
-    line: Index | None
-    ground_before: Index | None
-    temperature: Array | None
-    wheel_temperature: Array | None
-    clock: Array | None
     row: Index
+    s: Array | None = None
+    ft: Array | None = None
+    sigma_fn: Array | None = None
+    sigma_ft: Array | None = None
+    setpoint: Array | None = None
+    feed: Array | None = None
+    belt: Array | None = None
+    line: Index | None = None
+    ground_before: Index | None = None
+    temperature: Array | None = None
+    wheel_temperature: Array | None = None
+    clock: Array | None = None
     notices: tuple[str, ...] = ()
     setpoint_sd: Array | None = None
 
@@ -122,11 +123,11 @@ def read_force_log(path: str | Path, sealed: bool = False) -> ForceLog:
         contact=contact,
         session=session,
         sessions=sessions,
-        s=_scaled(table, "s_mm", 1e-3),
-        sigma_fn=_positive(table, "sigma_fn_N"),
-        sigma_ft=_positive(table, "sigma_ft_N"),
-        setpoint=_not_negative(table, "setpoint_N", 1.0),
-        feed=_not_negative(table, "feed_mm_s", 1e-3),
+        s=_checked(table, "s_mm", 1e-3),
+        sigma_fn=_checked(table, "sigma_fn_N", 1.0, lambda v: v <= 0, "above 0"),
+        sigma_ft=_checked(table, "sigma_ft_N", 1.0, lambda v: v <= 0, "above 0"),
+        setpoint=_checked(table, "setpoint_N", 1.0, lambda v: v < 0, "zero or above"),
+        feed=_checked(table, "feed_mm_s", 1e-3, lambda v: v < 0, "zero or above"),
         line=_counts(table, "line"),
         ground_before=_counts(table, "ground_before"),
         row=np.array(table.line),
@@ -200,30 +201,16 @@ def _check_force(table: CsvTable, fn: Array, contact: Flags) -> None:
         raise table.refuse(k, "fn_N", "is negative as most of the log is; the force that presses wheel and blade is positive")
 
 
-def _scaled(table: CsvTable, column: str, factor: float) -> Array | None:
+def _checked(
+    table: CsvTable, column: str, factor: float = 1.0, bad: Callable[[Array], Flags] | None = None, must: str = ""
+) -> Array | None:
+    """A column times a factor, None where the file has none; refused at the first row that is `bad`."""
     values = table.numbers.get(column)
+    if values is not None and bad is not None and (wrong := bad(values)).any():
+        raise table.refuse(int(np.argmax(wrong)), column, f"must be {must}")
     return None if values is None else values * factor
 
 
-def _not_negative(table: CsvTable, column: str, factor: float) -> Array | None:
-    values = table.numbers.get(column)
-    if values is not None and (values < 0).any():
-        raise table.refuse(int(np.argmax(values < 0)), column, "must be zero or above")
-    return _scaled(table, column, factor)
-
-
-def _positive(table: CsvTable, column: str) -> Array | None:
-    values = table.numbers.get(column)
-    if values is not None and (values <= 0).any():
-        raise table.refuse(int(np.argmax(values <= 0)), column, "must be above 0")
-    return values
-
-
 def _counts(table: CsvTable, column: str) -> Index | None:
-    values = table.numbers.get(column)
-    if values is None:
-        return None
-    bad = (values < 0) | (values != np.round(values))
-    if bad.any():
-        raise table.refuse(int(np.argmax(bad)), column, "must be a whole number, zero or above")
-    return values.astype(np.int64)
+    values = _checked(table, column, 1.0, lambda v: (v < 0) | (v != np.round(v)), "a whole number, zero or above")
+    return None if values is None else values.astype(np.int64)

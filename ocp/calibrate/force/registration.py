@@ -7,9 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from ocp.calibrate.force.assessment import HeldOutForce, directions_seen, held_out_blocks, not_identified
-from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, reading_jacobian, reading_of, solve_force_log
-from ocp.calibrate.force.log import ForceLog
-from ocp.calibrate.force.model import ForceRows
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, solve_force_log
+from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
 from robots.calibration.parameters import MDH_NAMES
@@ -46,7 +45,6 @@ class ForceFit:
 
     log: ForceLog
     setup: ForceSetup
-    rows: ForceRows
     solution: ForceSolution
     figures: ForceFigures
     held_out: dict[str, list[HeldOutForce]]
@@ -74,23 +72,14 @@ class ForceFit:
     def _at(self) -> list[int]:
         return [FIT_NAMES.index(name) for name in self.names]
 
-    def predict(self, rows: ForceRows) -> tuple[Array, Array]:
-        """Reading (n,) N, sensor's bias in, and one sigma (n,) N of its noise-free value; offsets of runs count."""
-        F, reading = reading_of(self.setup.model, rows, self.solution.x)
-        J = reading_jacobian(self.setup.model, rows, self.solution.x, F)
-        return reading, self._sd(J, rows)
-
-    def baseline(self, rows: ForceRows) -> Array:
-        """Reading (n,) N before the fit: at the prior's mean."""
-        return reading_of(self.setup.model, rows, self.solution.prior.mean)[1]
-
     @cached_property
     def predicted(self) -> tuple[Array, Array]:
         """Reading (n,) N and one sigma (n,) N of its noise-free value for the log's own rows."""
-        return self.solution.reading, self._sd(self.solution.jacobian, self.rows)
+        return self.solution.reading, self.sd(self.solution.jacobian, self.log.contact)
 
-    def _sd(self, J: Array, rows: ForceRows) -> Array:
-        variance = np.einsum("ni,ij,nj->n", J, self.solution.covariance, J) + rows.contact * self.solution.offset**2
+    def sd(self, J: Array, contact: Flags) -> Array:
+        """One sigma (n,) N of noise-free readings whose derivatives are J (n, m); offsets of runs count where in contact."""
+        variance = np.einsum("ni,ij,nj->n", J, self.solution.covariance, J) + contact * self.solution.offset**2
         return np.sqrt(np.maximum(variance, 0.0))
 
     def calibration(self, robot: Calibration | None = None) -> Calibration:
@@ -106,9 +95,7 @@ class ForceFit:
         return Calibration(cell.robot.name, names, values, covariance, provenance, reasons, self.notices)
 
 
-def fit_force(
-    cell: Cell, log: ForceLog, robot: Calibration | None = None, setup: ForceSetup | None = None, offsets: bool = True
-) -> ForceFit:
+def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup: ForceSetup | None = None) -> ForceFit:
     """Fit a force log of `cell`, jointly with the posterior `robot` of its arm (default: the cell's own calibration).
 
     `setup` from `prepare_force(cell, [log, ...])` saves preparing again; the log must be its first. Raises BadInput and
@@ -119,13 +106,11 @@ def fit_force(
     rows = setup.rows[0]
     calibration = cell.calibration if robot is None else robot
     prior = force_prior(cell, robot)
-    solution = solve_force_log(setup.model, rows, log, prior, offsets)
+    solution = solve_force_log(setup.model, rows, log, prior)
     figures = _figures(solution, log)
     known = () if calibration is None else calibration.names
     notices = (*log.notices, *setup.notices, *_notices(cell, log, solution, figures, calibration))
-    return ForceFit(
-        log, setup, rows, solution, figures, held_out_blocks(solution, log, rows), not_identified(solution), notices, known
-    )
+    return ForceFit(log, setup, solution, figures, held_out_blocks(solution, log, rows), not_identified(solution), notices, known)
 
 
 def _figures(solution: ForceSolution, log: ForceLog) -> ForceFigures:
@@ -140,21 +125,10 @@ def _figures(solution: ForceSolution, log: ForceLog) -> ForceFigures:
         return float(np.sqrt(max(rms(x) ** 2 - noise, 0.0)))
 
     nominal = np.abs(solution.whitened.residual) / np.sqrt(solution.channel.weight)
-    return ForceFigures(
-        rms(before),
-        float(before.mean()),
-        rms(after),
-        float(after.mean()),
-        float(np.abs(after).max()),
-        float(np.sqrt(noise)),
-        gap(before),
-        gap(after),
-        solution.offset,
-        int(at.sum()),
-        solution.channel.independent(),
-        int((~at).sum()),
-        int((nominal > SIGMAS).sum()),
-    )
+    sizes = rms(before), float(before.mean()), rms(after), float(after.mean()), float(np.abs(after).max())
+    beyond = float(np.sqrt(noise)), gap(before), gap(after), solution.offset
+    counts = int(at.sum()), solution.channel.independent(), int((~at).sum()), int((nominal > SIGMAS).sum())
+    return ForceFigures(*sizes, *beyond, *counts)
 
 
 def _notices(

@@ -127,16 +127,12 @@ def _poses(c: TrackerCalibration, tellable: dict[str, bool]) -> list[str]:
 
 def _asked_outside(asked: Array, read: Array) -> list[str]:
     """Axes on which the conditions to predict lie outside of what was read."""
-    outside = [
-        f"A{j + 1} ({count_of(int(((asked[:, j] < read[:, j].min()) | (asked[:, j] > read[:, j].max())).sum()), 'pose')})"
-        for j in range(6)
-        if ((asked[:, j] < read[:, j].min() - np.radians(5)) | (asked[:, j] > read[:, j].max() + np.radians(5))).any()
-    ]
-    return (
-        [f"The poses to predict go beyond what was read by more than 5 deg on {listed(outside)}: read there too."]
-        if outside
-        else []
-    )
+    low, high = read.min(axis=0), read.max(axis=0)
+    count = ((asked < low) | (asked > high)).sum(axis=0)
+    far = ((asked < low - np.radians(5)) | (asked > high + np.radians(5))).any(axis=0)
+    outside = [f"A{j + 1} ({count_of(int(count[j]), 'pose')})" for j in np.flatnonzero(far)]
+    what = "The poses to predict go beyond what was read by more than 5 deg on"
+    return [f"{what} {listed(outside)}: read there too."] if outside else []
 
 
 def _nests(c: TrackerCalibration) -> list[str]:

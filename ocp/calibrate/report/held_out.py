@@ -9,7 +9,6 @@ from ocp.report.plotting import Canvas, dots, dressed, keys, log_scale, panels
 from ocp.report.section import Section
 from ocp.report.style import AFTER, BAD, BEFORE, INK, RULE, SIDE_COLOURS, printable, shorten
 from robots.calibration.validation import FoldErrors, by_kind
-from robots.pose import Array
 
 KINDS = {
     "random": "readings drawn blindly",
@@ -44,7 +43,14 @@ def before_and_after_section(c: TrackerCalibration) -> Section:
         "Every method was fitted five times to four fifths of the readings and had to predict the other fifth; repeats stay "
         f"on one side. 'Before' is the believed robot with {held}, and only tracker and nests placed by the same readings."
     )
-    return Section(title, (words, methods_table(c), methods_plot(c), components_plot(c)))
+    caption = "Distance between reading and prediction, log scale. Each dot is a reading that the model had not seen."
+    methods = Plot("methods", caption, 2.9, lambda canvas: _draw_methods(canvas, c))
+    caption = (
+        f"The same errors along the axes of the base, before calibration (grey) and after it ('{c.method}', blue). At the right: "
+        "mean absolute error."
+    )
+    components = Plot("components", caption, 3.3, lambda canvas: _draw_components(canvas, c))
+    return Section(title, (words, methods_table(c), methods, components))
 
 
 def left_out_section(c: TrackerCalibration) -> Section:
@@ -56,26 +62,27 @@ def left_out_section(c: TrackerCalibration) -> Section:
         "Errors where a whole part of the readings was left out. Blind draws show how good it is among the poses measured; "
         "regions, payloads and joint ranges show how far it carries beyond them."
     )
-    return Section(title, (words, kinds_table(c), folds_plot(c)))
+    caption = (
+        "Each row was left out, the model fitted to the rest, and the row predicted. Left: mean (dot) and largest error (end "
+        "of the line). Right: error over what the model itself predicts; 1 is honest, beyond the band the model is surer than it "
+        "may be (right) or more careful than it need be (left)."
+    )
+    height = 0.62 + 0.145 * len(c.held_out) + 0.08 * len({h.fold.kind for h in c.held_out})
+    folds = Plot("folds", caption, height, lambda canvas: _draw_folds(canvas, c))
+    return Section(title, (words, kinds_table(c), folds))
 
 
 def methods_table(c: TrackerCalibration) -> Table:
     """Maximum, mean and standard deviation of the absolute error and of x, y, z: the paper's Table 2."""
     m = c.methods
-    rows = [_method_row("before: as believed, tracker placed", m.before, held_out_in_base(c, m.off_before))]
-    rows += [_method_row(METHOD_WORDS.get(k, k), e, held_out_in_base(c, m.off[k])) for k, e in m.error.items()]
+    found = [("before: as believed, tracker placed", m.before, m.off_before)]
+    found += [(METHOD_WORDS.get(k, k), error, m.off[k]) for k, error in m.error.items()]
+    rows = []
+    for name, error, off in found:
+        sizes = (error.max(), error.mean(), error.std(), *np.abs(held_out_in_base(c, off)).mean(axis=0))
+        rows.append((name, *(mm(v) for v in sizes)))
     columns = ("mm", "maximum", "mean", "std. dev.", "mean |x|", "mean |y|", "mean |z|")
     return table(columns, rows, strong=[1 + list(m.error).index(c.method)])
-
-
-def _method_row(name: str, error: Array, off: Array) -> tuple[str, ...]:
-    return (name, *(mm(v) for v in (error.max(), error.mean(), error.std(), *np.abs(off).mean(axis=0))))
-
-
-def methods_plot(c: TrackerCalibration) -> Plot:
-    """Error per pose of all methods."""
-    caption = "Distance between reading and prediction, log scale. Each dot is a reading that the model had not seen."
-    return Plot("methods", caption, 2.9, lambda canvas: _draw_methods(canvas, c))
 
 
 def _draw_methods(canvas: Canvas, c: TrackerCalibration) -> None:
@@ -88,15 +95,6 @@ def _draw_methods(canvas: Canvas, c: TrackerCalibration) -> None:
     dressed(ax, "absolute error, mm", "reading that was left out, in the order of the file")
     keys(ax, [("before", BEFORE), *((m, COLOURS[m]) for m in methods.error)])
     ax.set_xlim(0, len(rows) + 1)
-
-
-def components_plot(c: TrackerCalibration) -> Plot:
-    """x, y, z of the error of the chosen method beside what was before."""
-    caption = (
-        f"The same errors along the axes of the base, before calibration (grey) and after it ('{c.method}', blue). At the right: "
-        "mean absolute error."
-    )
-    return Plot("components", caption, 3.3, lambda canvas: _draw_components(canvas, c))
 
 
 def _draw_components(canvas: Canvas, c: TrackerCalibration) -> None:
@@ -125,19 +123,6 @@ def kinds_table(c: TrackerCalibration) -> Table:
         rows.append((KINDS.get(kind, kind), f"{f['folds']:.0f}", f"{f['readings']:.0f}", *errors, f"{f['over_predicted']:.2f}"))
     columns = ("left out", "folds", "readings", "max, mm", "mean, mm", "std. dev., mm", "rms, mm", "error / prediction")
     return table(columns, rows)
-
-
-def folds_plot(c: TrackerCalibration) -> Plot:
-    """Every fold: mean and largest error, and error over prediction."""
-    caption = (
-        "Each row was left out, the model fitted to the rest, and the row predicted. Left: mean (dot) and largest error (end "
-        "of the line). Right: error over what the model itself predicts; 1 is honest, beyond the band the model is surer than it "
-        "may be (right) or more careful than it need be (left)."
-    )
-    held = c.held_out
-    kinds = len({h.fold.kind for h in held})
-    height = 0.62 + 0.145 * len(held) + 0.08 * kinds
-    return Plot("folds", caption, height, lambda canvas: _draw_folds(canvas, c))
 
 
 def _draw_folds(canvas: Canvas, c: TrackerCalibration) -> None:

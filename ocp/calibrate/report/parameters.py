@@ -126,23 +126,15 @@ def terms_section(c: TrackerCalibration) -> Section:
     model += f", and mass and centre of {', '.join(payloads)}." if payloads else "."
     if not c.terms:
         return Section("Terms tried", (f"{model} Method '{c.method}' tries no further terms.",))
-    return Section("Terms tried", (f"{model} {terms_note()}", terms_table(c)))
-
-
-def terms_table(c: TrackerCalibration) -> Table:
-    """Candidates with their gain."""
-    rows = [(t.name, signed(t.gain, 1), f"{t.sigma:.1f}" if t.sigma else "not tried", term_verdict(t)) for t in c.terms]
-    strong = [k for k, t in enumerate(c.terms) if t.accepted]
-    return table(("term", "gain", "over its error", "verdict"), rows, text=(0, 3), strong=strong)
-
-
-def terms_note() -> str:
-    """How the evidence is weighed."""
-    return (
+    note = (
         f"A term enters when the log density of readings left out grows by more than {LEAST_GAIN:g} and by more "
         f"than {LEAST_SIGMA:g} times the standard error of that growth. A gain of 4 means that the "
         "readings are 55 times as likely with the term."
     )
+    rows = [(t.name, signed(t.gain, 1), f"{t.sigma:.1f}" if t.sigma else "not tried", term_verdict(t)) for t in c.terms]
+    strong = [k for k, t in enumerate(c.terms) if t.accepted]
+    tried = table(("term", "gain", "over its error", "verdict"), rows, text=(0, 3), strong=strong)
+    return Section("Terms tried", (f"{model} {note}", tried))
 
 
 def term_verdict(term: Term) -> str:
@@ -180,18 +172,14 @@ def identifiability_section(c: TrackerCalibration, tellable: dict[str, bool]) ->
         f"The readings determine {found.rank} independent directions of the robot's {found.parameters} parameters. The other "
         "parameters are told only together: any split between them gives the same readings, and the believed values decide it."
     )
-    last = hidden_table(c, tellable) if found.hidden else "Every parameter is determined on its own."
-    return Section("What cannot be told apart", (words, seen_plot(c), last))
-
-
-def seen_plot(c: TrackerCalibration) -> Plot:
-    """Singular values with the rank, and correlations of the robot's parameters."""
     caption = (
         "Left: how strongly the readings see each independent direction of the robot's parameters, over noise and prior; "
         "below the line they see nothing. Right: correlations of the estimates; dark off the diagonal is a pair that goes "
         "together."
     )
-    return Plot("seen", caption, 3.9, lambda canvas: _draw_seen(canvas, c))
+    plot = Plot("seen", caption, 3.9, lambda canvas: _draw_seen(canvas, c))
+    last = hidden_table(c, tellable) if found.hidden else "Every parameter is determined on its own."
+    return Section("What cannot be told apart", (words, plot, last))
 
 
 def _draw_seen(canvas: Canvas, c: TrackerCalibration) -> None:

@@ -16,7 +16,7 @@ from ocp.calibrate.report.view import ReadingsView, count_of, listed, mm, named,
 from ocp.calibrate.tracker import TrackerCalibration
 from ocp.report.parts import Plot, Table, table
 from ocp.report.plotting import Canvas, dots, dressed, keys, panels, reach, running_median
-from ocp.report.section import Part, Section
+from ocp.report.section import Section
 from ocp.report.style import AFTER, BAD, BEFORE, INK, RULE, SHADE, SIDE_COLOURS, printable, shorten
 from ocp.report.workspace import draw_by_joint, draw_vectors, exaggeration
 from robots.pose import Array
@@ -34,18 +34,34 @@ def residuals_section(c: TrackerCalibration, view: ReadingsView) -> Section:
     words = (
         "What the fitted arm leaves of the readings it was fitted to. A model that has everything leaves noise without a pattern."
     )
-    plots = (map_plot(view), joints_plot(view), circumstances_plot(view), whitened_plot(view, freedom))
-    return Section("What is left over", (words, *plots, worst_readings_table(view)))
-
-
-def map_plot(view: ReadingsView) -> Plot:
-    """Residual vectors from above and from the side, believed arm and fitted arm."""
+    r = view.readings
     caption = (
         "Residual vectors (measured less predicted) at the reflector, base frame, drawn longer by the factor given. Neighbours "
         "that point the same way are a pattern that the model does not have; arrows without order are noise. Red crosses: "
         "outliers, without arrow."
     )
-    return Plot("map", caption, 4.9, lambda canvas: _draw_maps(canvas, view))
+    vectors = Plot("map", caption, 4.9, lambda canvas: _draw_maps(canvas, view))
+    caption = (
+        "Residual along the way on which the joint carries the reflector, against the joint's angle. Line: running median. A "
+        "wave is a gear or an encoder, a slope a spring or an offset. "
+        + ("No approach columns: backlash cannot be seen." if r.approach is None else "Two levels by colour are backlash.")
+    )
+    along = 1e3 * view.along
+    joints = Plot("joints", caption, 3.5, lambda canvas: draw_by_joint(canvas, r.q, along, r.approach, "mm", view.outlier))
+    caption = (
+        "Left over against what else was different. Where that is a number: x, y, z of the base with running medians. "
+        "Where it is a name: distances with their median (bar)."
+    )
+    drawn = circumstances(view)
+    height = 0.25 + 1.85 * ((len(drawn) + 1) // 2)
+    different = Plot("circumstances", caption, height, lambda canvas: _draw_circumstances(canvas, view, drawn))
+    caption = (
+        "Residuals in units of their predicted sigma. Left: x, y, z together beside the bell that the noise model predicts. "
+        "Right: distances in order against those expected; on the line the model is right, steeper at the end are outliers "
+        "(with their line in the file)."
+    )
+    whitened = Plot("whitened", caption, 2.5, lambda canvas: _draw_whitened(canvas, view, freedom))
+    return Section("What is left over", (words, vectors, joints, different, whitened, worst_readings_table(view)))
 
 
 def _draw_maps(canvas: Canvas, view: ReadingsView) -> None:
@@ -55,18 +71,6 @@ def _draw_maps(canvas: Canvas, view: ReadingsView) -> None:
         draw_vectors(axes, when, view.point, vectors, factor, colour, view.outlier)
 
 
-def joints_plot(view: ReadingsView) -> Plot:
-    """Residual along each joint's motion against the joint's angle."""
-    r = view.readings
-    caption = (
-        "Residual along the way on which the joint carries the reflector, against the joint's angle. Line: running median. A "
-        "wave is a gear or an encoder, a slope a spring or an offset. "
-        + ("No approach columns: backlash cannot be seen." if r.approach is None else "Two levels by colour are backlash.")
-    )
-    along = 1e3 * view.along
-    return Plot("joints", caption, 3.5, lambda canvas: draw_by_joint(canvas, r.q, along, r.approach, "mm", view.outlier))
-
-
 @dataclass(frozen=True)
 class Circumstance:
     """What may have changed between readings: label, and values (n,) or, where it has names, indices (n,) into them."""
@@ -74,17 +78,6 @@ class Circumstance:
     label: str
     values: NDArray[Any]
     names: tuple[str, ...] = ()
-
-
-def circumstances_plot(view: ReadingsView) -> Plot:
-    """Residuals against time and temperature, by payload, nest, session and station, as far as the file has them."""
-    drawn = circumstances(view)
-    height = 0.25 + 1.85 * ((len(drawn) + 1) // 2)
-    caption = (
-        "Left over against what else was different. Where that is a number: x, y, z of the base with running medians. "
-        "Where it is a name: distances with their median (bar)."
-    )
-    return Plot("circumstances", caption, height, lambda canvas: _draw_circumstances(canvas, view, drawn))
 
 
 def circumstances(view: ReadingsView) -> list[Circumstance]:
@@ -144,16 +137,6 @@ def _strips(ax: Axes, error: Array, index: Index, one: Circumstance) -> None:
     ax.set_xticks(range(len(used)), labels)
     ax.set_xlim(-0.6, len(used) - 0.4)
     ax.set_ylim(bottom=0)
-
-
-def whitened_plot(view: ReadingsView, freedom: float) -> Plot:
-    """Histogram of whitened residuals, and their distances against those expected."""
-    caption = (
-        "Residuals in units of their predicted sigma. Left: x, y, z together beside the bell that the noise model predicts. "
-        "Right: distances in order against those expected; on the line the model is right, steeper at the end are outliers "
-        "(with their line in the file)."
-    )
-    return Plot("whitened", caption, 2.5, lambda canvas: _draw_whitened(canvas, view, freedom))
 
 
 def _draw_whitened(canvas: Canvas, view: ReadingsView, freedom: float) -> None:
@@ -220,9 +203,9 @@ FEW_PAIRS = 4  # load tests from which their own sigma is believed
 
 def noise_section(c: TrackerCalibration, view: ReadingsView) -> Section:
     """Sources of scatter, load tests, springs."""
-    parts: tuple[Part | str, ...] = (noise_table(c, view), load_test_words(c))
     springs = load_test_springs_table(c)
-    return Section("Noise, repeats and load tests", (*parts, springs) if springs.rows else parts)
+    parts = (noise_table(c, view), load_test_words(c), *((springs,) if springs.rows else ()))
+    return Section("Noise, repeats and load tests", parts)
 
 
 def noise_table(c: TrackerCalibration, view: ReadingsView) -> Table:
