@@ -42,10 +42,12 @@ class Nest:
 
 @dataclass(frozen=True)
 class Hanging:
-    """A payload: mass kg, centre (3,) m in the flange frame."""
+    """A payload: mass kg, centre (3,) m in the flange frame, moments of inertia (3,) kg m^2 about it along the flange's axes
+    (zero: a point, as controllers take it where none are told)."""
 
     mass: float = 0.0
     com: Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)

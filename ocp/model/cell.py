@@ -28,15 +28,6 @@ from robots.tracker_readings import Hanging, Instrument, Nest
 
 
 @dataclass(frozen=True)
-class Payload:
-    """What hangs on the flange: mass [kg], centre of mass [m] in the flange frame, name in the cell file."""
-
-    mass: float
-    com: Array
-    name: str = ""
-
-
-@dataclass(frozen=True)
 class Workpiece:
     """The blade in its holder: `T_flange_blade`, material (Pa, kg/m^3), clamp plane `normal . x < offset` held."""
 
@@ -51,7 +42,8 @@ class Workpiece:
     clamp_normal: Array
     clamp_offset: float
     clamp_stiffness: float
-    payload: Payload
+    payload: Hanging
+    payload_name: str = ""
 
 
 @dataclass(frozen=True)
@@ -263,12 +255,13 @@ def _workpiece(tables: CellTables, table: WorkpieceTable, path: Path, blade: Pat
         clamp_normal=normal,
         clamp_offset=offset * 1e-3,
         clamp_stiffness=table.clamp_stiffness_N_per_mm * 1e3,
-        payload=_payload(payload, name or ""),
+        payload=_payload(payload),
+        payload_name=name or "",
     )
 
 
-def _payload(table: PayloadTable | None, name: str) -> Payload:
-    return Payload(0.0, np.zeros(3)) if table is None else Payload(table.mass_kg, np.array(table.com_mm) * 1e-3, name)
+def _payload(table: PayloadTable | None) -> Hanging:
+    return Hanging() if table is None else Hanging(table.mass_kg, np.array(table.com_mm) * 1e-3, np.array(table.inertia_kg_m2))
 
 
 def _wheel(table: WheelTable) -> Wheel:
@@ -354,7 +347,7 @@ def read_tracker_setup(path: str | Path) -> TrackerSetup:
     robot = robot_of(path, tables)
     if tables.robot.stiffness_Nm_per_rad is not None:
         robot = replace(robot, stiffness=np.array(tables.robot.stiffness_Nm_per_rad))
-    payloads = {name: Hanging(p.mass_kg, 1e-3 * np.array(p.com_mm)) for name, p in tables.payloads.items()}
+    payloads = {name: _payload(table) for name, table in tables.payloads.items()}
     return TrackerSetup(path, robot, payloads, _instrument(tables.tracker), tables.robot.compliant_joints, tables)
 
 

@@ -25,6 +25,7 @@ class PayloadTable(TomlTable):
 
     mass_kg: NotNegative
     com_mm: Vector = (0.0, 0.0, 0.0)
+    inertia_kg_m2: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
 
 
 class ControllerTable(TomlTable):

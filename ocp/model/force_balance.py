@@ -161,7 +161,7 @@ def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], effects: ModelEffects) -> 
         return frames, q_real, frames[-1]
     context = planned_arm_context(
         cell.robot,
-        cell.workpiece.payload.name,
+        cell.workpiece.payload_name,
         frames,
         CONDITIONS.split(effects.conditions),
         q=q,

@@ -14,6 +14,7 @@ from ocp.plan.motion import MotionSegment, PlannedMotion
 from ocp.plan.rules import EMITTED_AIR_TOLERANCE, EMITTED_FORCE_ERROR, EMITTED_TOLERANCE
 from robots.kinematics import forward
 from robots.pose import Array, apply
+from robots.tracker_readings import Hanging
 from trajectories.dialects import dialect_named
 from trajectories.joint_trajectory import sample_times
 from trajectories.program.build import Leg, build_program
@@ -41,13 +42,13 @@ def grinding_program(cell: Cell, motion: PlannedMotion, kind: str, name: str) ->
     def tolerance(leg: Leg) -> float:
         return fine if leg.kind == "contact" else EMITTED_AIR_TOLERANCE
 
-    dialect, payload = dialect_named(cell.controller.dialect), cell.workpiece.payload
-    setup = program_setup(cell, payload.mass, payload.com, kind)
+    dialect = dialect_named(cell.controller.dialect)
+    setup = program_setup(cell, cell.workpiece.payload, kind)
     return build_program(dialect, name, setup, groups, labels, lambda q: forward(cell.robot, q), tolerance, moved)
 
 
-def program_setup(cell: Cell, load_mass: float, load_com: Array, kind: str = "axis") -> Setup:
-    """Frames, robot and numbers that every program of a cell needs, with what hangs on the flange (kg, m)."""
+def program_setup(cell: Cell, load: Hanging, kind: str = "axis") -> Setup:
+    """Frames, robot and numbers that every program of a cell needs, with what hangs on the flange."""
     return Setup(
         T_flange_blade=cell.workpiece.T_flange_blade,
         T_base_wheel=wheel_frame(cell),
@@ -56,8 +57,9 @@ def program_setup(cell: Cell, load_mass: float, load_com: Array, kind: str = "ax
         base_no=cell.controller.base_no,
         kind=kind,
         absolute_accuracy=cell.controller.absolute_accuracy,
-        load_mass=load_mass,
-        load_com=load_com,
+        load_mass=load.mass,
+        load_com=load.com,
+        load_inertia=load.inertia,
     )
 
 

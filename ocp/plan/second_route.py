@@ -152,7 +152,7 @@ def moved_arm(cell: Cell, arm: BelievedRobot, q: Array, q_real: Array, seen: Map
     blocks = {"q": q, "q_real": q_real, "tau": arm.torque(q_real), "c": bends, "payload": payload, "hung": 0.0}
     blocks |= {"frames": frames[:, :, :3, :].reshape(m, 84)}
     blocks |= {name: seen[name] for name in ("approach", "speed", "warm", "time")}
-    rows = ArmRows(ArmPlace.of(arm.robot, (cell.workpiece.payload.name,)), ARM_LAYOUT.stack(m, blocks))
+    rows = ArmRows(ArmPlace.of(arm.robot, (cell.workpiece.payload_name,)), ARM_LAYOUT.stack(m, blocks))
     shift = arm_shift([e.active for e in cell.effects], rows)
     dq, real = shift.joints[0, :, :, 0], q_real
     for _ in range(FIXED_POINT_STEPS):

@@ -165,7 +165,7 @@ def measuring_program(
     main, names = dialect.program_names(f"{name}_{campaign.payload}", len(groups), taken=taken)
     label = f"readings with payload {campaign.payload}"
     subs = tuple(written.SubProgram(n[0], tuple(b), label) for n, b in zip(names, groups, strict=True))
-    setup = program_setup(cell, campaign.hanging.mass, campaign.hanging.com)
+    setup = program_setup(cell, campaign.hanging)
     comments = (
         f"mount payload {campaign.payload}, {campaign.hanging.mass:g} kg, before this program starts",
         f"{len(campaign.stops)} poses, each read twice: after its axes came from either side",

@@ -85,8 +85,8 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
     """Do all of it and write the folder. Raises BadInput and Infeasible; then `out` is as it was."""
     check_numbers(wanted)
     folder = None if wanted.plan is None else wanted.plan if wanted.plan.is_dir() else wanted.plan.parent
-    program = None if wanted.plan is None else read_program(wanted.plan)
     summary = {} if folder is None else read_summary(folder)
+    program = None if wanted.plan is None else read_program(wanted.plan, planned=bool(summary))
     file = cell_file(wanted, summary, bundled)
     check_output(out, overwrite, [p for p in (file, wanted.plan, wanted.blade) if p is not None])
     cell = read_cell(file, wanted.blade)

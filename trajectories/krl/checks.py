@@ -8,10 +8,12 @@ import re
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from robots.errors import BadInput
-from robots.pose import Array
+from robots.pose import Array, invert
 from robots.robot import Robot
+from trajectories.krl import syntax
 from trajectories.krl.checks_structure import check_module, check_pair
 from trajectories.krl.interpreter import KrlExecution, KrlSegment, execute
 from trajectories.krl.names import LONGEST, is_legal
@@ -20,6 +22,7 @@ from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
 
 EXPONENT = re.compile(r"(?<![\w.$])\d+\.?\d*[eE][+-]?\d+")
 NEGATIVE_ZERO = re.compile(r"-\s*0+(?:\.0*)?(?![\d.])")
+BEYOND = 1.02  # share of an axis' speed or acceleration: the curve between printed points is the controller's own
 LONG_LINE = 140  # characters, what the controller's editor takes (M)
 SAME = np.radians(1e-4)  # rad: two printed postures closer than this are one
 
@@ -41,9 +44,21 @@ def check_program(
     for (stem, suffix), module in stems.items():
         if suffix == ".src":
             check_pair(module, stems[stem, ".dat"])
+    _check_one_setup([m for m in modules.values() if m.path.suffix.lower() == ".src"])
     execution = execute(source)
     _check_segments(execution.segments, robot, absolute_accuracy)
     return execution
+
+
+def _check_one_setup(modules: list[syntax.Module]) -> None:
+    """Tool, base and load are the same in every file: each may be selected alone, and one blade is held."""
+    first: dict[str, tuple[str, syntax.Value]] = {}
+    for module in modules:
+        for s in module.statements:
+            if isinstance(s, syntax.Assignment) and s.target in ("$TOOL", "$BASE", "$LOAD"):
+                place, value = first.setdefault(s.target, (f"{module.path.name}, line {s.line}", s.value))
+                if s.value != value:
+                    raise BadInput(f"{module.path.name}, line {s.line}: {s.target} differs from that of {place}; one is wrong")
 
 
 def _check_segments(segments: tuple[KrlSegment, ...], robot: Robot | None, absolute_accuracy: bool) -> None:
@@ -59,6 +74,8 @@ def _check_segments(segments: tuple[KrlSegment, ...], robot: Robot | None, absol
                 raise BadInput(
                     f"{segment.place()}: the block begins {off:.4f} deg off where the robot stands; that way is not timed"
                 )
+            if robot is not None and segment.times is not None:
+                _check_times(segment, robot)
             where = segment.q[-1]
             continue
         if absolute_accuracy:
@@ -69,10 +86,43 @@ def _check_segments(segments: tuple[KrlSegment, ...], robot: Robot | None, absol
             raise BadInput(f"{segment.place()}: $VEL.CP is not set before the path motion")
         if robot is not None and where is not None and segment.word == "SPLINE":
             check_status_turn(segment, where[None], ArmLengths.of(robot.mdh))
+        if robot is not None:
+            _check_reach(segment, robot)
         changes = np.flatnonzero(np.diff(segment.status))
         if len(changes):
             raise BadInput(f"{segment.place(changes[0] + 1)}: S changes inside a block; the branch would jump")
         where = None
+
+
+def _check_times(segment: KrlSegment, robot: Robot) -> None:
+    """Refuse a timed block that asks for more than the axes do: the controller would take its own time there."""
+    assert segment.q is not None and segment.times is not None
+    rest = [(1, np.zeros(6)), (2, np.zeros(6))]
+    curve = make_interp_spline(segment.times, segment.q, k=5, bc_type=(rest, rest))
+    at = np.linspace(0.0, segment.times[-1], 8 * len(segment.times))
+    for order, what, most in ((1, "speed", robot.qd_max), (2, "acceleration", robot.qdd_max)):
+        share = np.abs(curve(at, nu=order)) / most
+        k, j = np.unravel_index(int(np.argmax(share)), share.shape)
+        if share[k, j] > BEYOND:
+            i = int(np.searchsorted(segment.times, at[k], side="right")) - 1
+            raise BadInput(
+                f"{segment.place(i)}: axis {j + 1} needs {100 * share[k, j]:.0f} % of its {what}; the controller would "
+                "stretch the time of the block"
+            )
+
+
+def _check_reach(segment: KrlSegment, robot: Robot) -> None:
+    """Refuse poses farther from the robot than its lengths together."""
+    assert segment.poses is not None
+    if segment.frames.tool is None or segment.frames.base is None:
+        return
+    flange = segment.frames.base @ invert(segment.poses) @ invert(segment.frames.tool)
+    far, reach = np.linalg.norm(flange[:, :3, 3], axis=1), float(np.abs(robot.mdh[:, 1:3]).sum())
+    if far.max() > reach:
+        i = int(np.argmax(far))
+        raise BadInput(
+            f"{segment.place(i)}: the flange would be {far[i]:.3f} m from the robot's base, which reaches {reach:.3f} m"
+        )
 
 
 def _check_range(segment: KrlSegment, low: Array, high: Array) -> None:

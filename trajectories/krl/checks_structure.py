@@ -1,5 +1,6 @@
 """Refusals about the order of statements: declarations, start-up, spline blocks and their time blocks."""
 
+import re
 from pathlib import Path
 
 from robots.errors import BadInput
@@ -14,6 +15,7 @@ POSE = frozenset("X Y Z A B C S T".split())
 LONGEST_WAIT = 3600.0  # s
 MOST_INPUTS = 8192  # of KSS 8
 ROUNDING = 1e-5  # s, what the printed parts of a block may miss its end by
+STOP_INTERRUPT = re.compile(r"(GLOBAL)?INTERRUPTDECL3WHEN\$STOPMESS==TRUEDOIR_STOPM\(\)|INTERRUPTON3")
 MOVING = (syntax.MotionStatement, syntax.BlockStart, syntax.Call)
 ACTING = (*MOVING, syntax.Assignment, syntax.Interrupt, syntax.PauseStatement)  # declarations come before these
 
@@ -99,6 +101,8 @@ def _check_order(module: syntax.Module) -> None:
                 raise _bad(module, s, f"{s.name} is declared after the first statement; declarations come first")
             continue
         started |= isinstance(s, ACTING)
+        if isinstance(s, syntax.Interrupt) and not STOP_INTERRUPT.fullmatch(s.text.upper().replace(" ", "")):
+            raise _bad(module, s, "only the INI fold's interrupt 3 with IR_STOPM may stand here; another may call anything")
         if isinstance(s, syntax.Other):
             raise _bad(module, s, f"{s.text[:30]} may not be used here")
         if isinstance(s, syntax.Call) and s.name.upper() == "BAS":
@@ -118,6 +122,10 @@ def _check_order(module: syntax.Module) -> None:
 
 
 def _check_assignment(module: syntax.Module, s: syntax.Assignment) -> None:
+    if s.target == "$LOAD":
+        _check_load(module, s)
+    if s.target == "$IPO_MODE" and getattr(s.value, "text", "").upper() not in ("#TCP", "#BASE"):
+        raise _bad(module, s, "$IPO_MODE is #TCP (the robot holds the part) or #BASE")
     if s.target in FRAMES:
         return
     if s.target not in SPEEDS:
@@ -126,6 +134,29 @@ def _check_assignment(module: syntax.Module, s: syntax.Assignment) -> None:
     top = 3.0 if s.target == "$VEL.CP" else 100.0
     if not 0 < value <= top:
         raise _bad(module, s, f"{s.target} must be a number above 0 and at most {top:g}")
+
+
+def _check_load(module: syntax.Module, s: syntax.Assignment) -> None:
+    try:
+        load = load_of(s.value)
+    except KeyError:
+        raise _bad(module, s, "$LOAD must be {M .., CM {X ..,Y ..,Z ..,A ..,B ..,C ..},J {X ..,Y ..,Z ..}} in numbers") from None
+    if load[0] < 0 or min(load[4:]) < 0:
+        raise _bad(module, s, "$LOAD has a negative mass or inertia")
+
+
+def load_of(value: syntax.Value) -> tuple[float, ...]:
+    """Mass kg, centre of mass mm (3), inertia kg m^2 (3) of $LOAD. Raises KeyError where one is missing or no number."""
+    whole = _components(value)
+    centre, inertia = _components(whole["CM"]), _components(whole["J"])
+    numbers = [whole["M"], *(centre[c] for c in "XYZ"), *(inertia[c] for c in "XYZ")]
+    if not all(isinstance(n, syntax.Number) for n in numbers):
+        raise KeyError("a component is no number")
+    return tuple(n.value for n in numbers if isinstance(n, syntax.Number))
+
+
+def _components(value: syntax.Value) -> dict[str, syntax.Value]:
+    return dict(value.items) if isinstance(value, syntax.Aggregate) else {}
 
 
 def _check_blocks(module: syntax.Module) -> None:

@@ -22,6 +22,9 @@ KINDS: dict[str, MotionKind] = {
 }
 
 
+MOST_CALLS = 10_000  # a program of a whole blade calls some hundred
+
+
 @dataclass(frozen=True)
 class KrlSegment(ProgramSegment):
     """A segment with status S and turn T (n,) of its points, -1 where the text gives none."""
@@ -66,12 +69,18 @@ class _Runner:
         self.stops: list[int] = []
         self.notices: list[str] = []
         self.modules: dict[Path, syntax.Module] = {}
+        self.calls = 0
         self.frames = Frames()
         self.speed: float | None = None
         self.stored: dict[str, syntax.Value] = {}
 
     def run(self, path: Path, callers: tuple[str, ...]) -> None:
         module = self._module(path)
+        self.calls += 1
+        if self.calls > MOST_CALLS:
+            raise BadInput(
+                f"{path.name}, line 1: programs call each other more than {MOST_CALLS} times; such a program never ends"
+            )
         if module.name.upper() in callers:
             raise BadInput(f"{path.name}, line 1: {module.name} calls itself through {' and '.join(callers)}")
         data = find_file(self.folder, path.stem, ".dat")

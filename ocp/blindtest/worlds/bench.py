@@ -120,9 +120,7 @@ class Bench:
             own = line == k + 1
             q[own], rate[own] = spline(rows.s[own]), spline(rows.s[own], 1)
         approach = np.sign(rate * (travel * feed)[:, None])
-        piece = self.cell.workpiece.payload
-        name = "" if piece is None else piece.name
-        return arm_moments(q, name, hall, approach, rows.clock, visit=rows.run)
+        return arm_moments(q, self.cell.workpiece.payload_name, hall, approach, rows.clock, visit=rows.run)
 
     def _asked(self, rows: RunRows, T: Array, compliance: Array, hall: Array) -> ContactMoments:
         n = len(rows.s)

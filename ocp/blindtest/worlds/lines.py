@@ -105,8 +105,7 @@ def taught(
 
 
 def _still(cell: Cell, q: Array) -> Moments:
-    piece = cell.workpiece.payload
-    return arm_moments(q, "" if piece is None else piece.name, cell.tables.reference_temperature_C)
+    return arm_moments(q, cell.workpiece.payload_name, cell.tables.reference_temperature_C)
 
 
 def _reached(cell: Cell, goal: Array, line: GroundLine) -> Array:

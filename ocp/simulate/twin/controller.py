@@ -23,6 +23,7 @@ Index = NDArray[np.int64]
 HZ = 250.0  # samples of the axes a second: the cycle of such controllers is 4 ms (M)
 STOOD = np.radians(1e-3)  # rad; nearer than this the robot already stands where it is sent
 LIMIT = np.radians(1e-3)  # rad, rounding of a printed axis at its limit
+LONGEST = 24 * 3600.0  # s of a whole program; longer ones are mistakes, and their samples fill the memory
 NOTICED = 1.02  # share of an axis' speed or acceleration above which the notice comes
 
 
@@ -65,8 +66,9 @@ class _Piece:
 def drive(program: KrlProgram, robot: Robot, hz: float = HZ) -> Track:
     """Drive the whole program. The robot is taken to stand where the first motion goes.
 
-    Raises BadInput (a first motion without full axes, poses that no status reaches) and Infeasible (an axis beyond its
-    limit, a pose out of reach), with file and line.
+    Raises BadInput (a first motion without full axes, poses that no status reaches; in a planned program a block that begins
+    elsewhere than the last one ended, or asks for more than the axes do) and Infeasible (an axis beyond its limit, a pose out of
+    reach, more than a day), with file and line.
     """
     pieces: list[_Piece] = []
     pauses: list[tuple[float, float]] = []
@@ -82,13 +84,19 @@ def drive(program: KrlProgram, robot: Robot, hz: float = HZ) -> Track:
             continue
         chain = _chain(steps, k)
         k += len(chain)
-        for piece in _pieces(robot, chain, where, clock):
+        for piece in _pieces(robot, chain, where, clock, program.planned):
             pieces.append(piece)
             clock = piece.start + piece.duration
+            if clock > LONGEST:
+                place = f"{piece.place[0]}, line {piece.place[1]}"
+                raise Infeasible(f"{place}: the program goes on for more than {LONGEST / 3600:g} hours; is a decimal point lost?")
         where = _end(robot, chain, where) if not pieces else pieces[-1].curve(pieces[-1].duration)
     if not pieces:
         raise BadInput(f"{program.main}: the robot never leaves its first posture")
-    return _sampled(robot, pieces, clock, pauses, hz)
+    track = _sampled(robot, pieces, clock, pauses, hz)
+    if program.planned and track.notices:
+        raise BadInput(track.notices[0])
+    return track
 
 
 def _chain(steps: list[DrivenMotion | ProgramPause], k: int) -> list[DrivenMotion]:
@@ -121,7 +129,7 @@ def _end(robot: Robot, chain: list[DrivenMotion], where: Array | None) -> Array:
     return q
 
 
-def _pieces(robot: Robot, chain: list[DrivenMotion], where: Array | None, clock: float) -> list[_Piece]:
+def _pieces(robot: Robot, chain: list[DrivenMotion], where: Array | None, clock: float, planned: bool) -> list[_Piece]:
     first = chain[0]
     if first.kind in ("LIN", "SPLINE"):
         if where is None:
@@ -140,6 +148,12 @@ def _pieces(robot: Robot, chain: list[DrivenMotion], where: Array | None, clock:
     _within(robot, q, [(first.file, t.line) for t in targets])
     found = []
     if where is not None and (before := _point_to_point(robot, first, where, q[0], clock)) is not None:
+        if planned:
+            off = np.degrees(np.abs(q[0] - where).max())
+            raise BadInput(
+                f"{first.file}, line {targets[0].line}: the block begins {off:.4f} deg off where the robot stands; nobody "
+                "planned that way, write the program anew"
+            )
         found.append(before)
         clock += before.duration
     rows = np.array([t.line for t in targets])
@@ -233,6 +247,6 @@ def _notices(
         if share[k, j] > NOTICED:
             found.append(
                 f"{places[which[k]][0]}, line {int(row[k])}: A{j + 1} needs {100 * share[k, j]:.0f} % of its {what}; a "
-                "controller would stretch the time there, here it is kept"
+                "controller would stretch the time there, and what was planned is not what it drives"
             )
     return tuple(found)

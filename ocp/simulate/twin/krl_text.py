@@ -19,11 +19,13 @@ from robots.pose import Array, transform_from_xyzabc
 
 @dataclass(frozen=True)
 class ProgramFrames:
-    """What stands in $TOOL (T_flange_tool), $BASE (T_world_base) and $IPO_MODE (`held`: #TCP, the robot holds the part)."""
+    """What stands in $TOOL (T_flange_tool), $BASE (T_world_base) and $IPO_MODE (`held`: #TCP, the robot holds the part);
+    `load`: mass kg, centre m (3,) and inertia kg m^2 (3,) of $LOAD as (7,), None until the program sets it."""
 
     tool: Array
     base: Array
     held: bool = False
+    load: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,13 @@ class ProgramPause:
 
 @dataclass(frozen=True)
 class KrlProgram:
-    """Motions and pauses in the order in which the controller meets them; `files` that were read."""
+    """Motions and pauses in the order in which the controller meets them; `files` that were read; `planned`: that it must be as
+    ocp.plan writes it, where nothing is left to the controller's goodwill."""
 
     main: Path
     steps: tuple[DrivenMotion | ProgramPause, ...]
     files: tuple[str, ...]
+    planned: bool = False
 
     @property
     def motions(self) -> list[DrivenMotion]:
@@ -120,17 +124,23 @@ def frame_of(where: str, text: str) -> Array:
 
 
 DEEPEST = 10  # calls inside calls; deeper ones are taken for a program that calls itself
+MOST_STEPS = 2_000_000  # motions and points of a whole program; a controller's memory holds far fewer
+LONGEST_BLOCK = 3600.0  # s of a timed block, and of a pause
+PARTS_MISS = 2e-5  # s that printed parts of a planned block may miss its END by
 _NAME = r"[A-Z_$][A-Z0-9_$]*"
 _CALL = re.compile(rf"^({_NAME})\s*\(\s*\)$")
 _POINT = re.compile(r"^(S?PTP|S?LIN|SPL)\s+(\{.*\}|" + _NAME + r")\s*(C_PTP|C_VEL|C_DIS|C_ORI|C_SPL)?$")
 _ASSIGNMENT = re.compile(rf"^({_NAME}(?:\.{_NAME})?)\s*(?:\[\s*(\d+)\s*\])?\s*=\s*(.+)$")
 _DECLARED = re.compile(rf"^(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?(E6POS|POS|E6AXIS|AXIS|FRAME)\s+({_NAME})\s*=\s*(\{{.*\}})$")
 _TIME_BLOCK = re.compile(r"^TIME_BLOCK\s+(START|(?:PART|END)\s*=\s*(\S+))$")
-# Lines that neither move the robot nor change how it moves.
+# Lines that neither move the robot nor change how it moves. Of interrupts only the one of the INI fold: any other may call what
+# nobody has read.
 _IDLE = re.compile(
-    r"^(&.*|(GLOBAL\s+)?INTERRUPT\s.*|BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)|EXT(FCT)?\s.*|(DECL\s+)?(INT|REAL|BOOL|CHAR)\s.*|SIGNAL\s.*|"
-    r"\$OUT\s*\[.*|\$LOAD\s*=.*|\$ADVANCE\s*=.*|GLOBAL\s+INTERRUPT.*)$"
+    r"^(&.*|(GLOBAL\s+)?INTERRUPT\s+DECL\s+3\s+WHEN\s+\$STOPMESS\s*==\s*TRUE\s+DO\s+IR_STOPM\s*\(\s*\)|INTERRUPT\s+ON\s+3|"
+    r"EXT(FCT)?\s.*|(DECL\s+)?(INT|REAL|BOOL|CHAR)\s.*|SIGNAL\s.*|\$OUT\s*\[.*|\$ADVANCE\s*=.*)$"
 )
+_START_UP = re.compile(r"^BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)$")
+_LOAD = re.compile(r"^\{\s*M\s+(\S+?)\s*,\s*CM\s*(\{[^{}]*\})\s*,\s*J\s*\{([^{}]*)\}\s*\}$")
 
 
 @dataclass
@@ -147,25 +157,33 @@ class _Controller:
     axis_acceleration: Array = field(default_factory=lambda: np.ones(6))
     steps: list[DrivenMotion | ProgramPause] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
+    planned: bool = False
+    points: int = 0
+    calls: int = 0
+    since: set[str] = field(default_factory=set)  # what this file has done: START-UP, frames and load set after it, MOVED
 
 
-def read_program(place: Path, name: str | None = None) -> KrlProgram:
+SETUP = ("BAS(#INITMOV,0)", "$TOOL", "$BASE", "$IPO_MODE", "$LOAD")  # before the first motion of every planned file
+
+
+def read_program(place: Path, name: str | None = None, planned: bool = False) -> KrlProgram:
     """The program in a folder, or the one whose main .src file is given; `name` picks one of several main programs.
 
-    Raises BadInput, one sentence with file and line: no program, several main programs, a file that is called but absent, a
-    statement that is not understood.
+    `planned`: it must be as ocp.plan writes it: files in pairs with CR LF, time blocks with START and parts that sum to END, no
+    pauses, a load. Raises BadInput, one sentence with file and line: no program, several main programs, a file that is called but
+    absent, a statement that is not understood.
     """
-    main = main_program(place, name)
+    main = main_program(place, name, planned)
     files = {p.stem.upper(): p for p in main.parent.iterdir() if p.suffix.lower() == ".src"}
-    c = _Controller()
+    c = _Controller(planned=planned)
     _run(c, main, files, 0)
-    program = KrlProgram(main, tuple(c.steps), tuple(c.files))
+    program = KrlProgram(main, tuple(c.steps), tuple(c.files), planned)
     if not program.motions:
         raise BadInput(f"{main}: moves nothing; give a folder that ocp.plan wrote")
     return program
 
 
-def main_program(place: Path, name: str | None = None) -> Path:
+def main_program(place: Path, name: str | None = None, planned: bool = False) -> Path:
     """The .src that no other calls. Raises BadInput where there is none or more than one."""
     if place.is_file() and place.suffix.lower() == ".src":
         return place
@@ -176,7 +194,7 @@ def main_program(place: Path, name: str | None = None) -> Path:
         raise BadInput(f"{place}: holds no KRL program (.src); give the folder that ocp.plan wrote")
     called = set()
     for source in sources:
-        called |= {found.group(1) for _, text in _statements(source) if (found := _CALL.match(text))}
+        called |= {found.group(1) for _, text in _statements(source, planned) if (found := _CALL.match(text))}
     mains = [p for p in sources if p.stem.upper() not in called and (name is None or p.stem.upper() == name.upper())]
     if len(mains) != 1:
         named = ", ".join(p.name for p in mains) or "none"
@@ -184,30 +202,42 @@ def main_program(place: Path, name: str | None = None) -> Path:
     return mains[0]
 
 
-def _statements(path: Path) -> list[tuple[int, str]]:
+def _statements(path: Path, planned: bool) -> list[tuple[int, str]]:
     """Lines with their numbers, upper case, without comments; empty ones left out."""
     try:
-        text = path.read_bytes().decode("ascii")
+        data = path.read_bytes()
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); give a readable file") from None
-    except UnicodeDecodeError as error:
-        raise BadInput(
-            f"{path}: byte {error.start} is not ASCII, a controller would stop there; write the program anew"
-        ) from None
-    lines = enumerate(text.splitlines(), 1)
-    return [(i, s) for i, line in lines if (s := line.split(";")[0].strip().upper())]
+    lines = data.split(b"\n")
+    if planned and lines[-1]:
+        raise BadInput(f"{path}, line {len(lines)}: does not end with CR LF; the file is cut off, write the program anew")
+    found = []
+    for i, raw in enumerate(lines, 1):
+        # Only CR LF ends a line: what else some editors and languages take for an end would let a comment execute.
+        if planned and i < len(lines) and not raw.endswith(b"\r"):
+            raise BadInput(f"{path}, line {i}: ends with LF alone; a controller's file has CR LF, write the program anew")
+        body = raw.removesuffix(b"\r")
+        odd = next((b for b in body if not (32 <= b < 127 or (b == 9 and not planned))), None)
+        if odd is not None:
+            raise BadInput(f"{path}, line {i}: byte {odd} is no printable ASCII; a controller would stop there, take it out")
+        if statement := body.decode("ascii").split(";")[0].strip().upper():
+            found.append((i, statement))
+    return found
 
 
 def _run(c: _Controller, source: Path, files: dict[str, Path], depth: int) -> None:
     """Go through one file."""
     if depth > DEEPEST:
         raise BadInput(f"{source}: is called from itself; such a program never ends")
-    for suffix in (".dat", ".DAT"):
-        data = source.with_suffix(suffix)
-        if data.exists():
-            _data(c, data)
-            break
-    statements = _statements(source)
+    c.calls += 1
+    if c.calls > MOST_STEPS:
+        raise BadInput(f"{source}: programs call each other more than {MOST_STEPS} times; such a program never ends")
+    data = next((d for d in (source.with_suffix(".dat"), source.with_suffix(".DAT")) if d.exists()), None)
+    if data is not None:
+        _data(c, data)
+    elif c.planned:
+        raise BadInput(f"{source.with_suffix('.dat')}: the file is missing; a program is a pair of .src and .dat, write it anew")
+    statements = _statements(source, c.planned)
     body = [(i, s) for i, s in statements if not s.startswith("&")]
     stem = source.stem.upper()
     if not body or not re.match(rf"^(GLOBAL\s+)?DEF\s+{re.escape(stem)}\s*\(\s*\)$", body[0][1]):
@@ -219,7 +249,7 @@ def _run(c: _Controller, source: Path, files: dict[str, Path], depth: int) -> No
         raise BadInput(f"{source}, line {body[-1][0]}: the file ends without END; it was cut off or holds more than one program")
     if source.name not in c.files:
         c.files.append(source.name)
-    rest = iter(body[1:-1])
+    rest, outer, c.since = iter(body[1:-1]), c.since, set()
     for line, text in rest:
         if text in ("SPLINE", "PTP_SPLINE"):
             block: list[tuple[int, str]] = []
@@ -232,15 +262,21 @@ def _run(c: _Controller, source: Path, files: dict[str, Path], depth: int) -> No
             c.steps.append((_timed if text == "PTP_SPLINE" else _spline)(c, source, line, block))
         elif (found := _CALL.match(text)) and found.group(1) in files:
             _run(c, files[found.group(1)], files, depth + 1)
-        elif text == "RETURN":
-            return
+        elif text == "RETURN" and not c.planned:
+            break
         else:
             _statement(c, source, line, text)
+    c.since = outer
 
 
 def _data(c: _Controller, path: Path) -> None:
     """Named positions of a .dat file."""
-    for line, text in _statements(path):
+    statements = _statements(path, c.planned)
+    code = [s for s in statements if not s[1].startswith("&")]
+    if c.planned and (not code or code[0][1] != f"DEFDAT {path.stem.upper()}" or code[-1][1] != "ENDDAT"):
+        at = code[-1][0] if code else 1
+        raise BadInput(f"{path}, line {at}: is not DEFDAT {path.stem.upper()} to ENDDAT; the file was cut off or is another's")
+    for line, text in statements:
         if found := _DECLARED.match(text):
             c.named[found.group(2)] = found.group(3)
         elif not (_IDLE.match(text) or re.match(r"^(DEFDAT\s.*|ENDDAT|DECL\s.*)$", text)):
@@ -261,18 +297,33 @@ def _statement(c: _Controller, source: Path, line: int, text: str) -> None:
         c.steps.append(_motion(c, kind, (target,), source, line))
     elif found := _DECLARED.match(text):
         c.named[found.group(2)] = found.group(3)
-    elif text == "HALT" or re.match(r"^WAIT\s+FOR\s+.+$", text):
-        c.steps.append(ProgramPause(None, source.name, line))
-    elif found := re.match(r"^WAIT\s+SEC\s+(\S+)$", text):
-        c.steps.append(ProgramPause(krl_number(where, found.group(1)), source.name, line))
+    elif text == "HALT" or re.match(r"^WAIT\s", text):
+        c.steps.append(_pause(c, where, text, source.name, line))
+    elif _START_UP.match(text):
+        c.frames, c.since = ProgramFrames(np.eye(4), np.eye(4)), {SETUP[0]}
+    elif c.planned and text.startswith("$OUT"):
+        raise BadInput(f"{where}: '{text[:60]}' switches something, which no planned program does; take it out")
     elif not _IDLE.match(text):
         found = _ASSIGNMENT.match(text)
         if not found or not _assign(c, where, *found.groups()):
             raise BadInput(f"{where}: '{text[:60]}' is not understood by the virtual controller; it might move the robot")
 
 
+def _pause(c: _Controller, where: str, text: str, file: str, line: int) -> ProgramPause:
+    if c.planned:
+        raise BadInput(f"{where}: '{text[:40]}' stops a grinding program; the blade would rest on the wheel, take it out")
+    if text == "HALT" or re.match(r"^WAIT\s+FOR\s+\S", text):
+        return ProgramPause(None, file, line)
+    found = re.match(r"^WAIT\s+SEC\s+(\S+)$", text)
+    seconds = krl_number(where, found.group(1)) if found else np.nan
+    if not 0.0 <= seconds <= LONGEST_BLOCK:
+        raise BadInput(f"{where}: '{text[:40]}' is no pause between 0 and {LONGEST_BLOCK:g} s")
+    return ProgramPause(seconds, file, line)
+
+
 def _assign(c: _Controller, where: str, name: str, index: str | None, value: str) -> bool:
     """An assignment to what motion depends on; False where the name is none of it."""
+    c.since.add(name)
     tables = {"TOOL_DATA": c.tools, "BASE_DATA": c.bases}
     if name in tables and index:
         tables[name][int(index)] = frame_of(where, value)
@@ -285,14 +336,16 @@ def _assign(c: _Controller, where: str, name: str, index: str | None, value: str
         else:
             T = frame_of(where, value)
         c.frames = replace(c.frames, tool=T) if name == "$TOOL" else replace(c.frames, base=T)
+    elif name == "$LOAD" and not index:
+        c.frames = replace(c.frames, load=_load(where, value))
     elif name == "$IPO_MODE" and value in ("#TCP", "#BASE"):
         c.frames = replace(c.frames, held=value == "#TCP")
     elif name in ("$VEL.CP", "$ACC.CP") and not index:
-        size = _positive(where, name, value)
+        size = _positive(where, name, value, 100.0)
         c.speed, c.acceleration = (size, c.acceleration) if name == "$VEL.CP" else (c.speed, size)
     elif name in ("$VEL_AXIS", "$ACC_AXIS") and index and 1 <= int(index) <= 6:
         shares = (c.axis_speed if name == "$VEL_AXIS" else c.axis_acceleration).copy()
-        shares[int(index) - 1] = min(_positive(where, name, value), 100.0) / 100.0
+        shares[int(index) - 1] = _positive(where, name, value, 100.0) / 100.0
         c.axis_speed, c.axis_acceleration = (shares, c.axis_acceleration) if name == "$VEL_AXIS" else (c.axis_speed, shares)
     else:
         # Where blends begin is not modelled; without them nothing else of motion is left.
@@ -300,10 +353,25 @@ def _assign(c: _Controller, where: str, name: str, index: str | None, value: str
     return True
 
 
-def _positive(where: str, name: str, value: str) -> float:
+def _load(where: str, text: str) -> Array:
+    """{M kg,CM {X mm ..},J {X kg m^2 ..}} as (7,): kg, m, kg m^2."""
+    found = _LOAD.match(text)
+    if not found:
+        raise BadInput(f"{where}: '{text[:60]}' is no load like {{M 25.0,CM {{X 0.0,..}},J {{X 0.0,Y 0.0,Z 0.0}}}}")
+    inertia = [part.split() for part in found.group(3).split(",")]
+    if [part[0] for part in inertia if len(part) == 2] != ["X", "Y", "Z"]:
+        raise BadInput(f"{where}: the inertia J of $LOAD is not X, Y, Z with a number each; write all of them")
+    load = np.array([krl_number(where, found.group(1)), *frame_of(where, found.group(2))[:3, 3]])
+    moments = np.array([krl_number(where, part[1]) for part in inertia])
+    if load[0] < 0 or (moments < 0).any():
+        raise BadInput(f"{where}: $LOAD has a negative mass or inertia; give what hangs on the flange")
+    return np.concatenate([load, moments])
+
+
+def _positive(where: str, name: str, value: str, most: float = LONGEST_BLOCK) -> float:
     size = krl_number(where, value)
-    if size <= 0:
-        raise BadInput(f"{where}: {name} = {size:g} must be above 0, or nothing moves")
+    if not 0 < size <= most:
+        raise BadInput(f"{where}: {name} = {size:g} must be above 0 and at most {most:g}")
     return size
 
 
@@ -313,6 +381,8 @@ def _target(c: _Controller, where: str, line: int, text: str, blend: bool) -> Ta
             raise BadInput(f"{where}: position {text} is declared nowhere with values; write them out")
         text = c.named[text]
     values = aggregate(where, text)
+    if c.planned and any(letter.startswith("E") for letter in values):
+        raise BadInput(f"{where}: the position has an external axis; none is planned, and none is driven here")
     if set(AXIS_LETTERS) <= set(values):
         return Target(np.radians([values[a] for a in AXIS_LETTERS]), None, None, None, blend, line)
     if set(POSE_LETTERS) <= set(values):
@@ -324,6 +394,15 @@ def _target(c: _Controller, where: str, line: int, text: str, blend: bool) -> Ta
 def _motion(
     c: _Controller, kind: str, targets: tuple[Target, ...], source: Path, line: int, times: Array | None = None
 ) -> DrivenMotion:
+    c.points += len(targets)
+    if c.points > MOST_STEPS:
+        raise BadInput(f"{source}, line {line}: the program holds more than {MOST_STEPS} points; no controller takes that many")
+    missing = [name for name in SETUP if name not in c.since]
+    if c.planned and missing:
+        raise BadInput(f"{source}, line {line}: the robot moves before {missing[0]} stands; write the program anew")
+    if c.planned and "MOVED" not in c.since and (kind != "PTP" or targets[0].q is None):
+        raise BadInput(f"{source}, line {line}: the first motion of a file must be a PTP to full axes, it may be selected alone")
+    c.since.add("MOVED")
     return DrivenMotion(
         kind, targets, c.frames, c.speed, c.acceleration, c.axis_speed, c.axis_acceleration, source.name, line, times
     )
@@ -350,17 +429,21 @@ def _timed(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]
     targets: list[Target] = []
     parts: list[float] = []
     end: float | None = None
+    started = False
     for at, text in block:
         where = f"{source}, line {at}"
         point, timing = _POINT.match(text), _TIME_BLOCK.match(text)
-        if point and point.group(1) == "SPTP" and end is None and len(parts) == max(0, len(targets) - 1):
+        ready = started or not (c.planned and targets)
+        if point and point.group(1) == "SPTP" and ready and end is None and len(parts) == max(0, len(targets) - 1):
             targets.append(_target(c, where, at, point.group(2), False))
-        elif timing and timing.group(1) == "START" and len(targets) == 1 and not parts:
-            continue
+        elif timing and timing.group(1) == "START" and len(targets) == 1 and not (parts or started):
+            started = True
         elif timing and timing.group(1).startswith("PART") and len(targets) == len(parts) + 2:
             parts.append(_positive(where, "PART", timing.group(2)))
         elif timing and timing.group(1).startswith("END") and len(parts) == len(targets) - 1 and parts:
             end = _positive(where, "END", timing.group(2))
+            if c.planned and abs(end - sum(parts)) > PARTS_MISS:
+                raise BadInput(f"{where}: END is {end:.5f} s and the parts sum to {sum(parts):.5f} s; write the program anew")
         else:
             raise BadInput(
                 f"{where}: '{text[:60]}' is not understood here; a timed block is SPTP, START, then SPTP and PART by turns, END"

@@ -114,8 +114,22 @@ def match(track: Track, plan: PlanTable) -> Matched:
         if rows.any():
             values[rows] = _at(plan, segment, _refined(fine, segment, index[rows], track.q[rows]))
             run[rows] = k
+        _refuse_order(plan, segment, run, k)
     p, n, t, (s, feed, force, interference) = values[:, :3], values[:, 3:6], values[:, 6:9], values[:, 9:].T
     return Matched(phase, np.where(phase == AWAY, 0, fine.line[index]), run, p, n, t, s, feed, force, interference, off)
+
+
+def _refuse_order(plan: PlanTable, segment: int, run: Index, k: int) -> None:
+    """Refuse a pass that the program does not drive whole, once, and after those before it."""
+    rows = np.flatnonzero(run == k)
+    name = f"the pass of line {plan.line[_leg(plan, segment)[0]]} that begins at {plan.time[_leg(plan, segment)[0]]:.2f} s"
+    if len(rows) == 0:
+        raise BadInput(f"{plan.path}: the program beside it leaves out {name}; plan anew")
+    if (run[rows[0] :] < k).any() and (run[rows[0] :][run[rows[0] :] >= 0] < k).any():
+        raise BadInput(f"{plan.path}: the program beside it drives {name} out of turn; plan anew")
+    stretches = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    if len([s for s in stretches if len(s) > 0.2 * max(map(len, stretches))]) > 1:
+        raise BadInput(f"{plan.path}: the program beside it drives {name} more than once; plan anew")
 
 
 def _dense(plan: PlanTable) -> PlanTable:
@@ -165,6 +179,7 @@ def _at(plan: PlanTable, segment: int, time: Array) -> Array:
     return np.asarray(values)
 
 
+LOAD_PRINTED = np.array([1e-3, *[1e-6] * 3, *[1e-4] * 3])  # kg, m, kg m^2: what printing $LOAD may round
 PRINTED = (2e-5, np.radians(2e-3))  # m, rad: what printing a frame may round
 REGISTERED = (5e-4, np.radians(0.2))  # m, rad, on top of 5 sd: what a calibration may have moved a frame by
 SDS = 5.0
@@ -214,6 +229,8 @@ def refuse_stranger(program: KrlProgram, cell: Cell, summary: dict[str, Any], fo
     moved = cell.calibration is not None or recorded_input(summary, "calibration") is not None
     piece, wheel = cell.workpiece, cell.wheel
     for motion in program.motions:
+        if program.planned:
+            _compare_load(motion, cell)
         if motion.kind == "PTP" and not motion.frames.held:
             continue
         _compare(motion, "$TOOL", motion.frames.tool, piece.T_flange_blade, (piece.xyz_sd, piece.abc_sd) if moved else None, cell)
@@ -235,6 +252,19 @@ def wheel_place(cell: Cell) -> Array:
     T[:3, :3] = np.stack([np.cross(w.axis, w.contact_direction), w.axis, w.contact_direction], axis=1)
     T[:3, 3] = w.centre + w.radius * w.contact_direction
     return T
+
+
+def _compare_load(motion: DrivenMotion, cell: Cell) -> None:
+    load = cell.workpiece.payload
+    believed = np.concatenate([[load.mass], load.com, load.inertia])
+    assert motion.frames.load is not None
+    off = np.abs(motion.frames.load - believed)
+    if (off > LOAD_PRINTED).any():
+        raise BadInput(
+            f"{motion.file}, line {motion.line}: $LOAD has {motion.frames.load[0]:.3f} kg at "
+            f"{np.array2string(1e3 * motion.frames.load[1:4], precision=1)} mm and that of {cell.path} is {load.mass:.3f} kg at "
+            f"{np.array2string(1e3 * np.asarray(load.com), precision=1)} mm; the program was changed or belongs to another cell"
+        )
 
 
 def _compare(motion: DrivenMotion, name: str, found: Array, expected: Array, sd: tuple[float, float] | None, cell: Cell) -> None:

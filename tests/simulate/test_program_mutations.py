@@ -1,0 +1,223 @@
+"""What a controller would not drive, or would drive otherwise than planned, is refused by both readers with file and line.
+
+Every change is made to a program of two passes as ocp.plan writes it; the product's reader (`trajectories.krl`) and the virtual
+controller's own (`ocp.simulate.twin`) are asked apart. A change that both let pass stands in HARMLESS with the reason."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ocp.simulate.twin.controller import drive
+from ocp.simulate.twin.krl_text import read_program
+from robots.errors import BadInput, Infeasible
+from tests.support.krl_example import ROBOT, example
+from trajectories.krl.checks import check_program
+from trajectories.krl.writer import program_files
+
+MAIN, SUB, DATA = "BLADE_1.src", "BLADE_1_01.src", "BLADE_1_01.dat"
+SECOND = "BLADE_1_02.src"
+Files = dict[str, bytes]
+Change = Callable[[Files], None]
+
+
+def put(file: str, old: str, new: str, nth: int = 0) -> Change:
+    """Replace the nth place where the pattern `old` stands."""
+
+    def change(files: Files) -> None:
+        text = files[file].decode("latin-1")
+        found = list(re.finditer(old, text, re.MULTILINE))
+        assert len(found) > nth, f"{old} does not stand in {file}"
+        start, end = found[nth].span()
+        files[file] = (text[:start] + found[nth].expand(new) + text[end:]).encode("latin-1")
+        assert files[file] != text.encode("latin-1")
+
+    return change
+
+
+def both(*changes: Change) -> Change:
+    def change(files: Files) -> None:
+        for one in changes:
+            one(files)
+
+    return change
+
+
+def cut(file: str, share: float) -> Change:
+    def change(files: Files) -> None:
+        files[file] = files[file][: int(share * len(files[file]))]
+
+    return change
+
+
+def without(file: str) -> Change:
+    return lambda files: files.pop(file) and None
+
+
+def longer(factor: float) -> Change:
+    """The times of the contact block times a factor, parts and end alike."""
+
+    def change(files: Files) -> None:
+        text = files[SUB].decode()
+        files[SUB] = re.sub(r"(PART|END)=([\d.]+)", lambda m: f"{m[1]}={factor * float(m[2]):.5f}", text).encode()
+
+    return change
+
+
+POINT, PART, END = r"^  SPTP \{.*\}\r\n", r"^  TIME_BLOCK PART=[\d.]+\r\n", r"^  TIME_BLOCK END=[\d.]+"
+MUTATIONS: dict[str, Change] = {
+    # times
+    "END three times shorter than the axes can": longer(1 / 6),
+    "END alone shorter": put(SUB, END, "  TIME_BLOCK END=0.10000"),
+    "END longer than the parts": put(SUB, r"^  TIME_BLOCK END=", "  TIME_BLOCK END=9"),
+    "END of a thousand million seconds": both(put(SUB, END, "  TIME_BLOCK END=1000000000.0")),
+    "a part of that length and its END": both(
+        put(SUB, PART, "  TIME_BLOCK PART=1000000000.0\r\n"), put(SUB, END, "  TIME_BLOCK END=1000000000.0")
+    ),
+    "END negative": put(SUB, r"END=", "END=-"),
+    "END nothing": put(SUB, END, "  TIME_BLOCK END=0.0"),
+    "END with an exponent beyond numbers": put(SUB, END, "  TIME_BLOCK END=1E999"),
+    "START missing": put(SUB, r"^  TIME_BLOCK START\r\n", ""),
+    "START twice": put(SUB, r"^  TIME_BLOCK START\r\n", "  TIME_BLOCK START\r\n  TIME_BLOCK START\r\n"),
+    "END missing": put(SUB, END + "\r\n", ""),
+    "a part missing": put(SUB, PART, "", 3),
+    "a part negative": put(SUB, r"PART=", "PART=-", 3),
+    "a point missing": put(SUB, POINT, "", 5),
+    "two points exchanged with their parts lost": put(SUB, f"({POINT})({PART})({POINT})", r"\3\2\1", 2),
+    # where a block begins
+    "first point 3 deg off": put(SUB, r"(PTP_SPLINE\r\n  SPTP \{A1 )(-?\d)", r"\g<1>9\2", 1),
+    "axes 1 and 2 exchanged in a block's first point": put(
+        SUB, r"(PTP_SPLINE\r\n  SPTP \{)A1 ([-\d.]+),A2 ([-\d.]+)", r"\1A1 \3,A2 \2", 1
+    ),
+    "a whole block missing": put(SUB, r"; engage\r\n(.*\r\n)*?ENDSPLINE\r\n", ""),
+    "lost decimal point": put(SUB, r"(SPTP \{A1 \d+)\.", r"\1", 4),
+    "lost decimal point of the first motion": put(SUB, r"(^PTP \{A1 \d+)\.", r"\1"),
+    "an axis beyond its limit": put(SUB, r"A2 [-\d.]+", "A2 40.00000", 8),
+    # standing still, calling, branching
+    "HALT inside a block": put(SUB, POINT, "  HALT\r\n", 6),
+    "HALT between engage and contact": put(SUB, "^; contact", "HALT"),
+    "WAIT between engage and contact": put(SUB, "^; contact", "WAIT SEC 5.0"),
+    "WAIT FOR between engage and contact": put(SUB, "^; contact", r"WAIT FOR $IN[1]"),
+    "WAIT FOR TRUE": put(SUB, "^; contact", "WAIT FOR TRUE"),
+    "an interrupt that calls": put(SUB, r"IR_STOPM \( \)", "BLADE_1_02 ( )"),
+    "another interrupt": put(SUB, "INTERRUPT ON 3", "INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO BLADE_1_02 ( )\r\n    INTERRUPT ON 4"),
+    "the interrupt on another signal": put(SUB, "STOPMESS", "IN[7]"),
+    "a trigger": put(SUB, "^; contact", "TRIGGER WHEN DISTANCE=0 DELAY=0 DO $OUT[1]=TRUE"),
+    "an output": put(SUB, "^; contact", "$OUT[1]=TRUE"),
+    "a loop": put(SUB, "^; contact", "LOOP"),
+    "a jump": put(SUB, "^; contact", "GOTO HERE"),
+    "RETURN in the middle": put(SUB, "^; contact", "RETURN"),
+    "a relative motion": put(SUB, "^; contact", "PTP_REL {A1 5}"),
+    "an asynchronous motion": put(SUB, "^; contact", "ASYPTP {E1 5}"),
+    "a call of itself": put(SUB, "^; contact", "BLADE_1_01 ( )"),
+    "programs that call each other": both(put(SUB, "^; contact", "BLADE_1_02 ( )"), put(SECOND, "^; contact", "BLADE_1_01 ( )")),
+    "a call of what is not there": put(MAIN, r"BLADE_1_02 \( \)", "BLADE_1_07 ( )"),
+    # load, frames, speeds
+    "$LOAD lost": put(SUB, r"^\$LOAD=.*\r\n", ""),
+    "$LOAD of nonsense": put(SUB, r"^\$LOAD=.*", r"$LOAD=HEAVY"),
+    "$LOAD with a word in it": put(SUB, r"\{M 25.000", "{M HEAVY"),
+    "$LOAD negative": put(SUB, r"\{M 25", "{M -25"),
+    "$LOAD without inertia": put(SUB, r",J \{[^}]*\}", ""),
+    "$TOOL lost": put(SUB, r"^\$TOOL=.*\r\n", ""),
+    "$BASE lost": put(SUB, r"^\$BASE=.*\r\n", ""),
+    "$TOOL incomplete": put(SUB, r"(^\$TOOL=\{X [\d.]+),Y [\d.]+", r"\1"),
+    "$IPO_MODE of nonsense": put(SUB, "#TCP", "#TPC"),
+    "$VEL_AXIS above 100": put(SUB, r"(\$VEL_AXIS\[3\]=)10\b", r"\g<1>101"),
+    "$VEL_AXIS nothing": put(SUB, r"(\$VEL_AXIS\[3\]=)10\b", r"\g<1>0"),
+    "$VEL_AXIS of a word": put(SUB, r"(\$VEL_AXIS\[3\]=)10\b", r"\g<1>FULL"),
+    "$VEL_AXIS of a seventh axis": put(SUB, r"\$VEL_AXIS\[3\]", r"$VEL_AXIS[7]"),
+    "$ACC_AXIS above 100": put(SUB, r"(\$ACC_AXIS\[3\]=)30\b", r"\g<1>300"),
+    "$OV_PRO": put(SUB, "^; contact", r"$OV_PRO=100"),
+    "$ACT_BASE": put(SUB, "^; contact", r"$ACT_BASE=4"),
+    # files
+    ".dat missing": without(DATA),
+    ".dat cut": cut(DATA, 0.6),
+    ".dat empty": cut(DATA, 0.0),
+    ".dat of another program": put(DATA, "DEFDAT BLADE_1_01", "DEFDAT BLADE_1_02"),
+    ".dat of the main program missing": without("BLADE_1.dat"),
+    ".src cut": cut(SUB, 0.6),
+    ".src cut inside a number": put(SUB, r"(?s)(A4 [-\d]+)\.(?!.*A4).*", r"\1"),
+    ".src empty": cut(SUB, 0.0),
+    ".src missing": without(SECOND),
+    ".src of another program": lambda files: files.update({SUB: files[SECOND]}),
+    "END of the file missing": put(SUB, r"^END\r\n\Z", ""),
+    "text after END": put(SUB, r"^END\r\n\Z", "END\r\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\r\n"),
+    "a second DEF": put(SUB, "^; contact", "END\r\nDEF OTHER( )"),
+    # characters
+    "NUL": put(SUB, "^; contact", "; con\0tact"),
+    "LF alone": put(SUB, "; contact\r\n", "; contact\n"),
+    "CR alone before a statement": put(SUB, "; contact", "; contact\rHALT"),
+    "LF alone before a statement": put(SUB, "; contact", "; contact\n$OV_PRO=100"),
+    "form feed in a comment": put(SUB, "; contact", "; contact\fPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}"),
+    "vertical tab in a comment": put(SUB, "; contact", "; contact\vPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}"),
+    "file separator in a comment": put(SUB, "; contact", "; contact\x1cPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}"),
+    "next line (latin-1) in a comment": put(SUB, "; contact", "; contact\x85PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}"),
+    "a tabulator": put(SUB, "^  SPTP", "\tSPTP", 4),
+    "no ASCII": put(SUB, "; contact", "; Schaufel \xc4"),
+    "a byte order mark": put(SUB, r"\A", "\xef\xbb\xbf"),
+    "decimal comma": put(SUB, r"(A3 \d+)\.", r"\1,", 4),
+    "an exponent": put(SUB, r"A3 [\d.]+", "A3 1.0E999", 4),
+    "two decimal points": put(SUB, r"(A3 \d+)\.", r"\1..", 4),
+    "a number of 400 digits": put(SUB, r"A3 [\d.]+", "A3 " + "9" * 400, 4),
+    "not a number": put(SUB, r"A3 [\d.]+", "A3 NAN", 4),
+    "a brace lost": put(SUB, r"\}\r\n", "\r\n", 9),
+    "an axis lost": put(SUB, r",A6 [-\d.]+", "", 5),
+    "an axis twice": put(SUB, r"A6 ", "A5 ", 5),
+    "an axis too many": put(SUB, r"(A6 [-\d.]+)\}", r"\1,E1 10.0}", 5),
+    # blocks
+    "ENDSPLINE lost": put(SUB, r"^ENDSPLINE\r\n", ""),
+    "ENDSPLINE twice": put(SUB, r"^ENDSPLINE\r\n", "ENDSPLINE\r\nENDSPLINE\r\n"),
+    "SPLINE for PTP_SPLINE": put(SUB, "^PTP_SPLINE", "SPLINE"),
+    "a block in a block": put(SUB, POINT, "PTP_SPLINE\r\n", 4),
+    "a speed in a block": put(SUB, POINT, "  $VEL.CP=0.1\r\n", 4),
+    "first motion missing": put(SUB, r"^PTP \{.*\r\n", ""),
+    "first motion to a pose": put(SUB, r"^PTP \{.*\}", "PTP {X 1500,Y 0,Z 900,A 0,B 90,C 0,S 2,T 2}"),
+    "no start-up": put(SUB, r"^ *BAS \(.*\r\n", ""),
+    "start-up of another kind": put(SUB, "#INITMOV,0", "#TOOL,3"),
+    "nothing called": both(put(MAIN, r"BLADE_1_01 \( \)\r\n", ""), put(MAIN, r"BLADE_1_02 \( \)\r\n", "")),
+}
+HARMLESS: dict[str, Change] = {
+    # comments and remarks do not move; more blanks are no other statement
+    "a comment that looks like a statement": put(SUB, "^; contact", "; PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}"),
+    "a comment behind a point": put(SUB, r"(^  SPTP \{.*\})", r"\1 ; HALT", 3),
+    "another comment line in the header": put(SUB, "^&COMMENT [^\r]*", "&COMMENT $OV_PRO=100"),
+    "blanks": put(SUB, "^  SPTP", "      SPTP", 3),
+    # a last printed digit is a tenth of what the emitted curve may miss the plan by
+    "a last digit of an axis": put(SUB, r"(A6 [-\d.]*?)(\d)(\})", r"\g<1>5\3", 6),
+}
+
+
+@pytest.fixture(scope="module")
+def fresh() -> Files:
+    return program_files(example("axis", 2))
+
+
+def changed(fresh: Files, change: Change, folder: Path) -> Path:
+    files = dict(fresh)
+    change(files)
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    return folder
+
+
+def driven(folder: Path) -> object:
+    return drive(read_program(folder / MAIN, planned=True), ROBOT)
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_both_readers_refuse(name, fresh, tmp_path):
+    folder = changed(fresh, MUTATIONS[name], tmp_path)
+    for reader in (lambda: check_program(folder / MAIN, ROBOT), lambda: driven(folder)):
+        with pytest.raises((BadInput, Infeasible)) as refusal:
+            reader()
+        said = str(refusal.value)
+        assert "\n" not in said and len(said) < 400, said
+        assert re.search(r"BLADE_1(_0\d)?\.(src|dat)", said) or name == "nothing called", said
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_what_changes_no_motion_passes(name, fresh, tmp_path):
+    folder = changed(fresh, HARMLESS[name], tmp_path)
+    assert check_program(folder / MAIN, ROBOT).segments
+    driven(folder)
