@@ -37,7 +37,7 @@ def rehearsal_headline(rehearsal: Rehearsal, machine: str) -> Headline:
     sentence = (
         f"On {machine} the force would be {f['mean_N']:.2f} N on average with a standard deviation of {f['sd_N']:.2f} N, from "
         f"{f['min_N']:.1f} to {f['max_N']:.1f} N, where {f['goal_N']:.3g} N were planned; "
-        f"{100 * f['within_1_N']:.0f} % of the time within 1 N."
+        f"{int(100 * f['within_1_N'])} % of the time within 1 N."
     )
     if f["lost"] > 0:
         sentence += f" For {100 * f['lost']:.1f} % of the time the blade does not touch the wheel."

@@ -4,6 +4,7 @@ import contextlib
 import csv
 import io
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -232,7 +233,8 @@ def test_a_program_that_drives_into_the_wheel_is_infeasible(plan, tmp_path):
     values = [float(part.split()[1]) for part in before[before.index("{") + 1 : before.index("}")].split(",")]
     values[1] += 4.0
     aggregate = "{" + ",".join(f"A{i + 1} {v:.5f}" for i, v in enumerate(values)) + "}"
-    copy.write_bytes(copy.read_bytes().replace(b"LIN_AT", f"PTP {aggregate}".encode()))
+    back = before.replace("SPTP", "PTP").strip()  # the block after it begins where the plan has it
+    copy.write_bytes(copy.read_bytes().replace(b"LIN_AT", f"PTP {aggregate}\r\n{back}".encode()))
     told = simulated(into, "--out", tmp_path / "run")
     one_sentence(told, 1, "on the virtual cell")
     assert "wheel" in told.err and "mm" in told.err and "BLADE_01.src" in told.err
@@ -270,6 +272,35 @@ def test_a_folder_without_a_program_and_levels_out_of_range(plan, tmp_path):
     (full / "mine.txt").write_text("keep")
     one_sentence(simulated(plan, "--out", full), 2, "not empty")
     one_sentence(simulated(plan, "--out", plan.parent, "--overwrite"), 2, "an input of this run")
+
+
+CALLS = {
+    "leaves out": lambda calls: calls[:-1],
+    "drives a pass twice": lambda calls: [calls[0], *calls],
+    "out of turn": lambda calls: [calls[1], calls[0], *calls[2:]],
+}
+
+
+@pytest.mark.parametrize("what", CALLS)
+def test_passes_left_out_driven_twice_or_out_of_turn_are_refused(what, plan, tmp_path):
+    shutil.copytree(plan.parent, tmp_path / "cell")
+    folder = tmp_path / "cell" / "plan"
+    main = next(p for p in folder.glob("*.src") if not re.search(r"_\d\d(_\w)?$", p.stem))
+    lines = main.read_bytes().decode().split("\r\n")
+    calls = [line for line in lines if re.match(r"\w+_\d\d(_\w)? \( \)$", line)]
+    first = lines.index(calls[0])
+    kept = [line for line in lines if line not in calls]
+    main.write_bytes("\r\n".join([*kept[:first], *CALLS[what](calls), *kept[first:]]).encode())
+    told = simulated(main, "--poses", "0", "--out", tmp_path / "run")
+    one_sentence(told, 2, "the program beside it")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_load_that_is_not_the_cells_is_refused(plan, tmp_path):
+    shutil.copytree(plan.parent, tmp_path / "cell")
+    for file in (tmp_path / "cell" / "plan").glob("*.src"):
+        file.write_bytes(re.sub(rb"(\$LOAD=\{M )[\d.]+", rb"\g<1>9.000", file.read_bytes()))
+    one_sentence(simulated(tmp_path / "cell" / "plan", "--poses", "0", "--out", tmp_path / "run"), 2, "$LOAD has 9.000 kg")
 
 
 def test_the_list_of_effects_names_the_catalogue():
