@@ -105,6 +105,10 @@ def match(track: Track, plan: PlanTable) -> Matched:
     moves = np.abs(np.diff(fine.q, axis=0)).max() if len(fine.q) > 1 else 0.0
     if np.mean(off[fine.phase[index] == GRINDING] > FAR + moves) > 0.1 or not (fine.phase[index] == GRINDING).any():
         raise BadInput(f"{plan.path}: does not belong to the program beside it, whose axes go elsewhere; plan anew")
+    for at, word in ((0, "begins"), (-1, "ends")):
+        away = np.degrees(np.abs(track.q[at] - plan.q[at]).max())
+        if away > np.degrees(FAR):
+            raise BadInput(f"{plan.path}: the program beside it {word} {away:.2f} deg from where the plan {word}; plan anew")
     phase = np.where(off > FAR + moves, AWAY, fine.phase[index])
     grinding = phase == GRINDING
     values = np.full((len(index), len(CONTACT)), np.nan)
