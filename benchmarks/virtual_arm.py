@@ -14,7 +14,7 @@ import numpy as np
 from ocp.calibrate.tracker import as_in
 from ocp.model.cell import Cell, read_cell, read_tracker_setup
 from ocp.simulate.twin.arm import arm_moments, make_arm
-from ocp.simulate.twin.tracker_log import random_world
+from ocp.simulate.twin.tracker_log import TrackerLog, random_design, sealed_design, tracker_world, write_tracker_truth
 from ocp.simulate.twin.truth import draw_truth
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.layout import Choice
@@ -58,7 +58,7 @@ def calibrations(path: Path, folder: Path) -> None:
         means, worst, took = [], [], 0.0
         for seed in range(WORLDS):
             start = time.perf_counter()
-            random_world(path, folder, 1000 + seed, weight_bends="all" if bends == "all" else "believed")
+            world(path, folder, 1000 + seed, bends)
             took += time.perf_counter() - start
             error = sealed_error(folder, joints)
             means.append(1e3 * error.mean())
@@ -67,6 +67,14 @@ def calibrations(path: Path, folder: Path) -> None:
             f"{WORLDS} worlds, weight bends {bends}, springs fitted {joints}: mean {np.mean(means):.4f} mm "
             f"({min(means):.4f} to {max(means):.4f}), worst point {max(worst):.3f}; a world is made in {took / WORLDS:.2f} s"
         )
+
+
+def world(path: Path, folder: Path, seed: int, bends: str) -> None:
+    cell, rng = read_cell(path), np.random.default_rng([seed, 102])
+    truth = draw_truth(cell, seed, weight_bends=bends)
+    log = TrackerLog(random_design(cell, rng), sealed_design(cell, rng))
+    tracker_world(folder, cell, truth, log)
+    write_tracker_truth(folder, cell, truth, make_arm(cell, truth), log.sealed)
 
 
 def sealed_error(folder: Path, joints: tuple[int, ...]) -> np.ndarray:

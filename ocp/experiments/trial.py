@@ -23,7 +23,7 @@ from ocp.shell.workers import interrupts_held_back, workers
 from ocp.simulate.twin.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact.grinder import make_grinder
 from ocp.simulate.twin.tracker import true_points
-from ocp.simulate.twin.tracker_log import TrackerCampaign, random_design, tracker_world
+from ocp.simulate.twin.tracker_log import TrackerCampaign, TrackerLog, random_design, tracker_world
 from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.calibration.fit import Fit, fit_campaign, predict_readings
 from robots.calibration.layout import Choice
@@ -58,7 +58,7 @@ def measured_positions(cell: Cell, truth: Truth, arm: VirtualArm, poses: int, fo
     fresh = random_design(cell, rng, FRESH, repeats=0, warm_up=0.0)
     points = true_points(truth, cell, arm, fresh.moments, fresh.targets)
     campaign = random_design(cell, rng, poses, repeats=0, warm_up=0.0)
-    tracker_world(cell.path, folder, truth, campaign, sealed=fresh, label=False)
+    tracker_world(folder, cell, truth, TrackerLog(campaign, fresh))
     made = calibrate_tracker(folder / "tracker.csv", folder / "cell.toml", "full", Phases())
     best = _oracle(cell, truth, random_design(cell, rng, ORACLE, repeats=0, warm_up=0.0), made, folder / "oracle")
     assert made.sealed is not None
@@ -78,7 +78,7 @@ def measured_positions(cell: Cell, truth: Truth, arm: VirtualArm, poses: int, fo
 
 def _oracle(cell: Cell, truth: Truth, campaign: TrackerCampaign, made: TrackerCalibration, folder: Path) -> TrackerCalibration:
     """`made` with a fit to `ORACLE` readings without outliers, all six springs in it."""
-    tracker_world(cell.path, folder, replace(truth, outliers=0.0), campaign, label=False)
+    tracker_world(folder, cell, replace(truth, outliers=0.0), TrackerLog(campaign, None))
     readings = read_readings(folder / "tracker.csv", made.setup.payloads, made.setup.instrument)
     fit = fit_campaign(replace(made.fit.campaign, readings=readings), Choice(joints=(1, 2, 3, 4, 5, 6)), made.fit.priors)
     return replace(made, fit=fit)

@@ -28,7 +28,7 @@ from ocp.simulate.twin.plan_knowledge import Matched, match, read_plan_table, re
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.rehearsal import Rehearsal, rehearse
 from ocp.simulate.twin.run import GrindingCampaign, VirtualMachine, arm_conditions, make_machine, refuse_crash, run_campaign
-from ocp.simulate.twin.tracker_log import TrackerLog, tracker_log, write_tracker
+from ocp.simulate.twin.tracker_log import TrackerLog, tracker_log, write_tracker, write_tracker_truth
 from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.errors import BadInput
 from trajectories.blade import read_blade
@@ -109,7 +109,7 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
         rehearsal=None if ground is None else ground.rehearsal,
         planted=effects,
         rows=rows,
-        readings=0 if log is None else log.count,
+        readings=0 if log is None else len(log.design),
         notices=tuple(notices),
         line=_last_line(wanted, out, effects, ground, log, rows),
     )
@@ -166,6 +166,8 @@ def _write(
     if log is not None:
         arm = make_arm(cell, truth) if ground is None else ground.machine.arm
         write_tracker(out, cell, truth, arm, log)
+        if log.sealed is not None:
+            write_tracker_truth(out, cell, truth, arm, log.sealed)
     if ground is None or folder is None:
         return 0
     shutil.copyfile(folder / "plan.csv", out / "plan.csv")
@@ -239,7 +241,7 @@ def _last_line(
             f"Worst: {worst.force:.1f} N on line {worst.line} at s = {1e3 * worst.s:.0f} mm ({x:.0f}, {y:.0f}, {z:.0f}), mostly "
             f"{worst.cause}."
         )
-    written = ([f"{log.count} readings in tracker.csv"] if log is not None else []) + (
+    written = ([f"{len(log.design)} readings in tracker.csv"] if log is not None else []) + (
         [f"{rows} rows in force.csv"] if rows else []
     )
     parts.append(

@@ -31,7 +31,6 @@ from robots.pose import Array, apply, invert
 from robots.robot import Robot
 
 Form = Callable[[Planted, Any], Array]
-PHASE = Key("phase_rad", "rad", 0.0, 2 * np.pi, False, 0.0, uniform=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +95,7 @@ def outside(name: str, moves: str, form: Form, joints: tuple[int, ...], *keys: K
 
 def size(name: str, unit: str, low: float, high: float, signed: bool = True) -> Key:
     """The key of an effect's size."""
-    return Key(name, unit, low, high, signed, None)
+    return Key(name, unit, low, high, signed)
 
 
 def by_name(*effects: Outside) -> dict[str, Outside]:

@@ -7,9 +7,9 @@ Instants stand in order of time, so that a form may remember all readings before
 
 import numpy as np
 
-from ocp.blindtest.worlds.outside import PHASE, ArmInstants, GrindingInstants, Outside, by_name, joint_index, outside, size
+from ocp.blindtest.worlds.outside import ArmInstants, GrindingInstants, Outside, by_name, joint_index, outside, size
 from ocp.simulate.twin.arm import gear_ratios
-from ocp.simulate.twin.kinds import Key
+from ocp.simulate.twin.kinds import LATE_STEP, PHASE, Key
 from ocp.simulate.twin.planting import Planted
 from robots.pose import Array
 
@@ -148,9 +148,8 @@ TWIST_SLACK = 2.0  # rad: twist of the wrist's cable, axes 4 and 6 together, bef
 HELD = 0.15  # share of the axis' rated torque up to which a worn bearing's preload holds; at twice that it stands at its stop
 
 
-_AT = Key("at_s", "s", 1000.0, 8000.0, False, None, uniform=True)  # inside a campaign of three hours, away from its ends
-_PINS = Key("order", "1", 20.0, 60.0, False, None, integer=True)  # pins of a cycloidal gear's ring
-_POLES = Key("order", "1", 3.0, 8.0, False, None, uniform=True, integer=True)  # pole pairs of a motor's resolver, or twice that
+_PINS = Key("order", "1", 20.0, 60.0, integer=True)  # pins of a cycloidal gear's ring
+_POLES = Key("order", "1", 3.0, 8.0, uniform=True, integer=True)  # pole pairs of a motor's resolver, or twice that
 
 
 def _mesh_error(p: Planted, at: ArmInstants) -> Array:
@@ -228,7 +227,7 @@ LATE: dict[str, Outside] = by_name(
     outside(
         "mesh_error_under_load", "angle", _mesh_error, (2, 3, 5), size("rad_at_rated", "rad", 5e-5, 6e-4, False), _PINS, PHASE
     ),
-    outside("zero_jump", "angle", _zero_jump, (1, 2, 3, 4, 5), size("rad", "rad", 3e-5, 5e-4), _AT),
+    outside("zero_jump", "angle", _zero_jump, (1, 2, 3, 4, 5), size("rad", "rad", 3e-5, 5e-4), LATE_STEP),
     outside("bearing_slack", "link", _bearing_slack, (4, 5, 6), size("rad", "rad", 5e-5, 8e-4, False)),
     outside("loose_anchor", "link", _loose_anchor, (), size("rad_per_Nm", "rad/(N m)", 5e-9, 1e-7, False), PHASE),
     outside("ball_out_of_round", "nest", _ball, (), size("m", "m", 1e-5, 1.5e-4)),

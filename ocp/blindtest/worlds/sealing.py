@@ -19,7 +19,7 @@ from ocp.simulate.twin.contact.sensor import noise
 from ocp.simulate.twin.dataset import FORCE_COLUMNS, READ, copy_cell, log_rows, write_csv
 from ocp.simulate.twin.planting import Planted, labels
 from ocp.simulate.twin.run import GrindingConditions, GroundPasses
-from ocp.simulate.twin.tracker_log import noise_stream, tracker_world, write_readings
+from ocp.simulate.twin.tracker_log import TrackerLog, tracker_world
 from ocp.simulate.twin.truth import SENSOR_SIGMA
 from robots.errors import BadInput
 from robots.pose import Array
@@ -54,9 +54,8 @@ def write_world(folder: Path, machine: BlindMachine, effects: tuple[Planted, ...
 def _write_tracker(folder: Path, machine: TrackerMachine, effects: tuple[Planted, ...]) -> None:
     """tracker.csv and sealed_tracker.csv."""
     truth = machine.with_effects(effects)
-    tracker_world(machine.cell.path, folder, truth, machine.campaign, machine.sealed, label=False)
     arm = arm_with_outside(machine.cell, truth, machine.campaign.targets)
-    write_readings(folder / "tracker.csv", machine.cell, truth, arm, machine.campaign, noise_stream(truth.seed))
+    tracker_world(folder, machine.cell, truth, TrackerLog(machine.campaign, machine.sealed), arm)
 
 
 def _write_force(folder: Path, machine: GrindingMachine, effects: tuple[Planted, ...]) -> None:

@@ -20,8 +20,8 @@ class Key:
     unit: str
     low: float
     high: float
-    signed: bool
-    default: float | None
+    signed: bool = False
+    default: float | None = None
     length: int = 1
     uniform: bool = False
     integer: bool = False
@@ -47,171 +47,134 @@ BENDING = (2, 3, 4, 5, 6)  # joint 1 stands upright: nothing hangs on its spring
 # c3 tau^2 / c is the share at the joint's rated torque; 1 / (k tau^2) of a KR 210 is the unit of c3 (PHYSICS 2.1, 2.5).
 _CUBIC = (9.4e-15, 4.6e-15, 1.45e-14, 4.2e-13, 1.74e-12, 4.9e-12)
 # While a step of a campaign happens, s: inside a campaign of three hours, away from its ends.
-_LATE = (1000.0, 8000.0)
+LATE_STEP = Key("at_s", "s", 1000.0, 8000.0, uniform=True)
 # While a step of a grinding campaign happens, s on its clock: inside a campaign of twenty minutes, away from its ends.
-_DURING = (120.0, 1000.0)
+_DURING = Key("at_s", "s", 120.0, 1000.0, uniform=True)
+_MOTOR_ORDER = Key("order", "1", 1, 2, default=1.0, uniform=True, integer=True)
+PHASE = Key("phase_rad", "rad", 0.0, 6.283185307179586, default=0.0, uniform=True)
 
 
-def _phase() -> Key:
-    return Key("phase_rad", "rad", 0.0, 6.283185307179586, False, 0.0, uniform=True)
-
-
-def _at(low: float, high: float) -> Key:
-    return Key("at_s", "s", low, high, False, None, uniform=True)
-
-
-def _gear(name: str) -> EffectKind:
-    return EffectKind(name, ALL, (Key("amplitude_rad", "rad", 2e-5, 6e-4, False, None), _phase()), "arm")
-
-
-ARM_KINDS: tuple[EffectKind, ...] = (
-    # dq = c tau, in series with the joint's own spring
-    EffectKind("joint_compliance", ALL, (Key("rad_per_Nm", "rad/(N m)", 0.3e-6, 5e-6, False, None),), "arm"),
-    # dq = -c3 tau^3
-    EffectKind("joint_stiffening", BENDING, (Key("rad_per_Nm3", "rad/(N m)^3", 0.05, 0.3, False, None, scale=_CUBIC),), "arm"),
-    # a beam: its end turns by k M, M the mean bending moment along it
-    EffectKind("link_bending", (2, 3), (Key("rad_per_Nm", "rad/(N m)", 1e-8, 2e-7, False, None),), "arm"),
-    # a spring between link 1 (above axis 2) and the upper arm, both anchors so far from axis 2
-    EffectKind(
-        "gravity_compensator",
-        (2,),
-        (
-            Key("stiffness_N_m", "N/m", 2e4, 3e5, False, None),
-            Key("lever_link1_m", "m", 0.1, 0.6, False, 0.2),
-            Key("lever_arm_m", "m", 0.1, 0.6, False, 0.2),
-        ),
-        "arm",
-    ),
-    # of every payload that weighs something
-    EffectKind("payload_mass", (), (Key("kg", "kg", 0.5, 25.0, False, None),), "arm"),
-    EffectKind("payload_com", (), (Key("shift_m", "m", 0.005, 0.12, True, None, 3),), "arm"),
-    # A cos(k q + phase)
-    _gear("gear_1x"),
-    _gear("gear_2x"),
-    EffectKind(
-        "gear_harmonic",
-        ALL,
-        (Key("amplitude_rad", "rad", 3e-5, 2e-4, False, None), Key("order", "1", 3, 300, False, None, integer=True), _phase()),
-        "arm",
-    ),
-    # A cos(k R q + phase), R the gear's ratio
-    EffectKind(
-        "motor_harmonic",
-        ALL,
-        (
-            Key("amplitude_rad", "rad", 2e-5, 2e-4, False, None),
-            Key("order", "1", 1, 2, False, 1.0, uniform=True, integer=True),
-            _phase(),
-        ),
-        "arm",
-    ),
-    # b s, s the approach's sign
-    EffectKind("backlash", ALL, (Key("half_width_rad", "rad", 2e-5, 8e-4, False, None),), "arm"),
-    # (b0 + h |tau|) s
-    EffectKind(
-        "friction_windup",
-        ALL,
-        (Key("base_rad", "rad", 2e-5, 2e-4, False, None), Key("per_Nm", "rad/(N m)", 2e-8, 1e-7, False, None)),
-        "arm",
-    ),
-    # e q
-    EffectKind("encoder_scale", ALL, (Key("scale", "1", 1e-5, 4e-4, True, None),), "arm"),
-    # dq_j = k q_i
-    EffectKind(
-        "wrist_coupling",
-        (4, 5, 6),
-        (Key("ratio", "1", 1e-4, 3e-3, True, None), Key("source_joint", "1", 4, 6, False, 4.0, integer=True)),
-        "arm",
-    ),
-    # lengths of all links times 1 + alpha (T - T0)
-    EffectKind("link_thermal", (), (Key("per_K", "1/K", 4e-6, 2.5e-5, False, None),), "arm"),
-    # g (T - T0)
-    EffectKind("joint_thermal", ALL, (Key("rad_per_K", "rad/K", 1e-6, 2e-5, True, None),), "arm"),
-    # the base turns by this rotation vector, at a time
-    EffectKind("base_tilt", (), (Key("rad", "rad", 5e-6, 2e-4, True, None, 3), _at(*_LATE)), "arm"),
-    # readings move and turn about the head, proportional to time
-    EffectKind(
-        "tracker_drift",
-        (),
-        (Key("m_per_h", "m/h", 5e-6, 8e-5, True, None, 3), Key("rad_per_h", "rad/h", 1e-6, 2e-5, True, None, 3)),
-        "tracker",
-    ),
-    # readings times 1 + scale
-    EffectKind("tracker_scale", (), (Key("scale", "1", 1e-6, 1e-5, True, None),), "tracker"),
-    # one nest moves, in its link's frame, at a time
-    EffectKind(
-        "target_shift",
-        (),
-        (Key("shift_m", "m", 5e-5, 4e-4, True, None, 3), Key("target", "name", 0, 0, False, None), _at(*_LATE)),
-        "tracker",
-    ),
-    # one recorded channel behind the others (joints.csv, force.csv)
-    EffectKind("channel_delay", ALL, (Key("s", "s", 1e-3, 5e-2, False, None),), "timing", common=True),
-)
-
-
-def _size(name: str, unit: str, low: float, high: float, signed: bool = False) -> Key:
-    return Key(name, unit, low, high, signed, None)
+def _arm(name: str, joints: tuple[int, ...], *keys: Key) -> EffectKind:
+    return EffectKind(name, joints, keys, "arm")
 
 
 def _kind(name: str, part: str, *keys: Key) -> EffectKind:
     return EffectKind(name, (), keys, part)
 
 
+ARM_KINDS: tuple[EffectKind, ...] = (
+    # dq = c tau, in series with the joint's own spring
+    _arm("joint_compliance", ALL, Key("rad_per_Nm", "rad/(N m)", 0.3e-6, 5e-6)),
+    # dq = -c3 tau^3
+    _arm("joint_stiffening", BENDING, Key("rad_per_Nm3", "rad/(N m)^3", 0.05, 0.3, scale=_CUBIC)),
+    # a beam: its end turns by k M, M the mean bending moment along it
+    _arm("link_bending", (2, 3), Key("rad_per_Nm", "rad/(N m)", 1e-8, 2e-7)),
+    # a spring between link 1 (above axis 2) and the upper arm, both anchors so far from axis 2
+    _arm(
+        "gravity_compensator",
+        (2,),
+        Key("stiffness_N_m", "N/m", 2e4, 3e5),
+        Key("lever_link1_m", "m", 0.1, 0.6, default=0.2),
+        Key("lever_arm_m", "m", 0.1, 0.6, default=0.2),
+    ),
+    # of every payload that weighs something
+    _arm("payload_mass", (), Key("kg", "kg", 0.5, 25.0)),
+    _arm("payload_com", (), Key("shift_m", "m", 0.005, 0.12, True, length=3)),
+    # A cos(k q + phase)
+    _arm("gear_1x", ALL, Key("amplitude_rad", "rad", 2e-5, 6e-4), PHASE),
+    _arm("gear_2x", ALL, Key("amplitude_rad", "rad", 2e-5, 6e-4), PHASE),
+    _arm("gear_harmonic", ALL, Key("amplitude_rad", "rad", 3e-5, 2e-4), Key("order", "1", 3, 300, integer=True), PHASE),
+    # A cos(k R q + phase), R the gear's ratio
+    _arm("motor_harmonic", ALL, Key("amplitude_rad", "rad", 2e-5, 2e-4), _MOTOR_ORDER, PHASE),
+    # b s, s the approach's sign
+    _arm("backlash", ALL, Key("half_width_rad", "rad", 2e-5, 8e-4)),
+    # (b0 + h |tau|) s
+    _arm("friction_windup", ALL, Key("base_rad", "rad", 2e-5, 2e-4), Key("per_Nm", "rad/(N m)", 2e-8, 1e-7)),
+    # e q
+    _arm("encoder_scale", ALL, Key("scale", "1", 1e-5, 4e-4, True)),
+    # dq_j = k q_i
+    _arm(
+        "wrist_coupling",
+        (4, 5, 6),
+        Key("ratio", "1", 1e-4, 3e-3, True),
+        Key("source_joint", "1", 4, 6, default=4.0, integer=True),
+    ),
+    # lengths of all links times 1 + alpha (T - T0)
+    _arm("link_thermal", (), Key("per_K", "1/K", 4e-6, 2.5e-5)),
+    # g (T - T0)
+    _arm("joint_thermal", ALL, Key("rad_per_K", "rad/K", 1e-6, 2e-5, True)),
+    # the base turns by this rotation vector, at a time
+    _arm("base_tilt", (), Key("rad", "rad", 5e-6, 2e-4, True, length=3), LATE_STEP),
+    # readings move and turn about the head, proportional to time
+    _kind(
+        "tracker_drift",
+        "tracker",
+        Key("m_per_h", "m/h", 5e-6, 8e-5, True, length=3),
+        Key("rad_per_h", "rad/h", 1e-6, 2e-5, True, length=3),
+    ),
+    # readings times 1 + scale
+    _kind("tracker_scale", "tracker", Key("scale", "1", 1e-6, 1e-5, True)),
+    # one nest moves, in its link's frame, at a time
+    _kind("target_shift", "tracker", Key("shift_m", "m", 5e-5, 4e-4, True, length=3), Key("target", "name", 0, 0), LATE_STEP),
+    # one recorded channel behind the others (joints.csv, force.csv)
+    EffectKind("channel_delay", ALL, (Key("s", "s", 1e-3, 5e-2),), "timing", common=True),
+)
+
+
 CONTACT_KINDS: tuple[EffectKind, ...] = (
     # force of the cover times 1 + scale
-    _kind("wheel_stiffness", "contact", _size("scale", "1", 0.03, 0.3, True)),
+    _kind("wheel_stiffness", "contact", Key("scale", "1", 0.03, 0.3, True)),
     # F = 20 N (F_believed(overlap) / 20 N)^(1 + exponent)
-    _kind("wheel_law", "contact", _size("exponent", "1", 0.05, 0.6)),
+    _kind("wheel_law", "contact", Key("exponent", "1", 0.05, 0.6)),
     # standard linear solid: the force falls by the share g at constant overlap, with the time constant tau
-    _kind("wheel_relaxation", "contact", _size("g", "1", 0.05, 0.25), _size("tau", "s", 0.05, 30.0)),
+    _kind("wheel_relaxation", "contact", Key("g", "1", 0.05, 0.25), Key("tau", "s", 0.05, 30.0)),
     # radius falls with the clock, in contact only where there is no clock
-    _kind("wheel_wear", "contact", _size("m_per_s", "m/s", 2e-8, 1e-6)),
+    _kind("wheel_wear", "contact", Key("m_per_s", "m/s", 2e-8, 1e-6)),
     # modulus times 1 + per_K dT, radius plus radius_per_K dT
     _kind(
         "wheel_temperature",
         "contact",
-        Key("per_K", "1/K", -0.01, -0.003, False, -0.0055, uniform=True),
-        _size("radius_per_K", "m/K", 2e-6, 1e-5),
+        Key("per_K", "1/K", -0.01, -0.003, default=-0.0055, uniform=True),
+        Key("radius_per_K", "m/K", 2e-6, 1e-5),
     ),
     # radius plus m cos(angle turned + phase)
-    _kind("wheel_runout", "contact", _size("m", "m", 1e-5, 1e-4), _phase()),
+    _kind("wheel_runout", "contact", Key("m", "m", 1e-5, 1e-4), PHASE),
     # a push of N at its top, hz times a second
-    _kind("belt_splice", "contact", _size("N", "N", 1.0, 10.0), Key("hz", "1/s", 5.0, 15.0, False, 10.0, uniform=True)),
+    _kind("belt_splice", "contact", Key("N", "N", 1.0, 10.0), Key("hz", "1/s", 5.0, 15.0, default=10.0, uniform=True)),
     # N times a share that is 1 at an edge and rises with the blade's curvature
-    _kind("belt_tension", "contact", _size("N", "N", 1.0, 10.0)),
+    _kind("belt_tension", "contact", Key("N", "N", 1.0, 10.0)),
     # the logger is behind the motion
-    _kind("time_delay", "timing", _size("s", "s", 0.002, 0.06)),
+    _kind("time_delay", "timing", Key("s", "s", 0.002, 0.06)),
     # the arm is behind on its path by a length, whatever its speed
-    _kind("path_lag", "timing", _size("m", "m", 5e-5, 6e-4)),
+    _kind("path_lag", "timing", Key("m", "m", 5e-5, 6e-4)),
     # friction plus dmu; the share `leak` of the tangential force stands in the normal reading
     _kind(
-        "tangential_force", "contact", _size("dmu", "1", 0.05, 0.35, True), Key("leak", "1", 0.0, 0.1, False, 0.03, uniform=True)
+        "tangential_force", "contact", Key("dmu", "1", 0.05, 0.35, True), Key("leak", "1", 0.0, 0.1, default=0.03, uniform=True)
     ),
     # every grinding before took so much, times 40 mm/s over the feed
-    _kind("material_removal", "contact", _size("m_per_pass", "m", 5e-6, 1e-4)),
+    _kind("material_removal", "contact", Key("m_per_pass", "m", 5e-6, 1e-4)),
     # the surface stands out by a smooth random profile of this rms
-    _kind("stock_profile", "contact", _size("m", "m", 5e-5, 2e-4)),
+    _kind("stock_profile", "contact", Key("m", "m", 5e-5, 2e-4)),
     # stiffness of the blade's solid times 1 + scale
-    _kind("blade_stiffness", "contact", _size("scale", "1", 0.05, 0.4, True)),
+    _kind("blade_stiffness", "contact", Key("scale", "1", 0.05, 0.4, True)),
     # compliance of the clamp at 60 mm from its plane, with the distance squared
-    _kind("clamp_compliance", "contact", _size("m_per_N", "m/N", 1e-7, 2e-6)),
+    _kind("clamp_compliance", "contact", Key("m_per_N", "m/N", 1e-7, 2e-6)),
     # the blade slips away from the wheel, along the normal that is ground then
-    _kind("clamp_slip", "contact", _size("m", "m", 2e-5, 3e-4), _at(*_DURING)),
+    _kind("clamp_slip", "contact", Key("m", "m", 2e-5, 3e-4), _DURING),
     # the blade's frame moves (flange axes), the wheel moves (base axes), between two runs
-    _kind("tool_frame_shift", "contact", Key("m", "m", 5e-5, 5e-4, True, None, 3), _at(*_DURING)),
-    _kind("wheel_frame_shift", "contact", Key("m", "m", 5e-5, 5e-4, True, None, 3), _at(*_DURING)),
+    _kind("tool_frame_shift", "contact", Key("m", "m", 5e-5, 5e-4, True, length=3), _DURING),
+    _kind("wheel_frame_shift", "contact", Key("m", "m", 5e-5, 5e-4, True, length=3), _DURING),
     # on the normal reading: plus N, plus N_per_h times the clock, times 1 + scale, plus share of the tangential force
-    _kind("sensor_bias", "sensor", _size("N", "N", 0.1, 2.0, True)),
-    _kind("sensor_drift", "sensor", _size("N_per_h", "N/h", 0.1, 3.0, True)),
-    _kind("sensor_gain", "sensor", _size("scale", "1", 0.005, 0.06, True)),
-    _kind("sensor_crosstalk", "sensor", _size("share", "1", 0.01, 0.1, True)),
+    _kind("sensor_bias", "sensor", Key("N", "N", 0.1, 2.0, True)),
+    _kind("sensor_drift", "sensor", Key("N_per_h", "N/h", 0.1, 3.0, True)),
+    _kind("sensor_gain", "sensor", Key("scale", "1", 0.005, 0.06, True)),
+    _kind("sensor_crosstalk", "sensor", Key("share", "1", 0.01, 0.1, True)),
     # spring of the flange times 1 + scale
-    _kind("flange_stiffness", "contact", _size("scale", "1", 0.05, 0.4, True)),
+    _kind("flange_stiffness", "contact", Key("scale", "1", 0.05, 0.4, True)),
     # Coulomb friction beside the flange's spring
-    _kind("flange_friction", "contact", _size("N", "N", 0.3, 1.5)),
+    _kind("flange_friction", "contact", Key("N", "N", 0.3, 1.5)),
     # mass whose weight is not compensated
-    _kind("flange_gravity", "contact", _size("kg", "kg", 0.05, 1.0)),
+    _kind("flange_gravity", "contact", Key("kg", "kg", 0.05, 1.0)),
 )
 
 EFFECT_KINDS: dict[str, EffectKind] = {kind.name: kind for kind in (*ARM_KINDS, *CONTACT_KINDS)}

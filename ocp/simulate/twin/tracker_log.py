@@ -2,21 +2,17 @@
 predicted, and the files of it in the form of FORMATS.md.
 """
 
-import csv
-import json
 import re
 import shutil
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ocp.model.cell import Cell, read_cell
+from ocp.model.cell import Cell
 from ocp.simulate.twin.arm import Moments, VirtualArm, arm_moments, make_arm
-from ocp.simulate.twin.planting import Planted, labels
+from ocp.simulate.twin.dataset import write_csv
 from ocp.simulate.twin.tracker import TURN_SIGMA, measure, measure_turns, true_points
 from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.csv_table import read_csv_table
@@ -32,6 +28,7 @@ _MARGIN = np.radians(0.5)  # from the axes' limits
 # Where the flange may be, m per metre of the arm's reach: off the column, above the floor.
 _COLUMN, _FLOOR = 0.22, 0.06
 WARM_UP, WARM_TIME = 9.0, 4000.0  # K that a day's work heats the structure, s to reach 63 % of it
+BETWEEN = 40.0  # s from one posture of a poses.csv to the next
 CAMPAIGN, SEALED_AFTER, SEALED_SPAN, SEALED_WARMTH = 10800.0, 500.0, 3700.0, 4.0  # s, s, s, K
 
 
@@ -47,54 +44,41 @@ class TrackerCampaign:
 
 
 def random_design(
-    cell: Cell,
-    rng: np.random.Generator,
-    n: int = 150,
-    repeats: int = 6,
-    payloads: Sequence[str] | None = None,
-    targets: Sequence[str] | None = None,
-    warm_up: float = WARM_UP,
-    duration: float = CAMPAIGN,
+    cell: Cell, rng: np.random.Generator, n: int = 150, repeats: int = 6, warm_up: float = WARM_UP
 ) -> TrackerCampaign:
     """n readings as campaigns have them: the payloads one after another (three of the cell's, without "heavy"), nests and
     approaches at random, `repeats` of them a second time, while the structure warms up by `warm_up` K.
 
-    Raises BadInput: the cell has no nests, or a payload is unknown.
+    Raises BadInput: the cell has no nests.
     """
-    hung = _payloads(cell, payloads)
+    known = list(cell.tables.payloads)
+    hung = [name for name in known if name != HEAVY][:3] or known[:1] or [""]
     q = _postures(cell, rng, n)
     approach = rng.choice([-1.0, 1.0], (n, 6))
     blocks = np.sort(np.arange(n) % len(hung))
     label = rng.permutation(len(hung))[blocks]
-    names = _targets(cell, targets)
+    names = _targets(cell)
     nest = rng.integers(len(names), size=n)
     for k in rng.choice(np.arange(1, n), min(repeats, n - 1), replace=False) if n > 1 else ():
         before = np.flatnonzero(label[:k] == label[k])
         if len(before):
             first = int(rng.choice(before))
             q[k], approach[k], nest[k] = q[first], approach[first], nest[first]
-    time = np.sort(rng.uniform(0, duration, n)).round(1)
+    time = np.sort(rng.uniform(0, CAMPAIGN, n)).round(1)
     temperature = cell.tables.reference_temperature_C + warm_up * (1 - np.exp(-time / WARM_TIME))
     m = arm_moments(q, tuple(hung[i] for i in label), temperature.round(2), approach, time)
     return TrackerCampaign(m, tuple(names[i] for i in nest))
 
 
-def sealed_design(
-    cell: Cell,
-    rng: np.random.Generator,
-    n: int = 120,
-    payloads: Sequence[str] | None = None,
-    targets: Sequence[str] | None = None,
-) -> TrackerCampaign:
+def sealed_design(cell: Cell, rng: np.random.Generator, n: int = 120) -> TrackerCampaign:
     """n conditions to predict blind, after the campaign: half with the workpiece's payload, half with one that was not measured
     ("heavy", else the heaviest), at another temperature."""
-    known = list(cell.tables.payloads)
-    if payloads is None and known:
-        mass = [cell.tables.payloads[name].mass_kg for name in known]
+    known, hung = cell.tables.payloads, [""]
+    if known:
         table = cell.tables.workpiece
-        own = table.payload if table is not None and table.payload is not None else known[0]
-        payloads = list(dict.fromkeys([own, HEAVY if HEAVY in known else known[int(np.argmax(mass))]]))
-    hung, names = _payloads(cell, payloads), _targets(cell, targets)
+        own = table.payload if table is not None and table.payload is not None else next(iter(known))
+        hung = list(dict.fromkeys([own, HEAVY if HEAVY in known else max(known, key=lambda name: known[name].mass_kg)]))
+    names = _targets(cell)
     q = _postures(cell, rng, n)
     label = rng.permutation(len(hung))[np.sort(np.arange(n) % len(hung))]
     start = CAMPAIGN + SEALED_AFTER
@@ -104,40 +88,31 @@ def sealed_design(
     return TrackerCampaign(m, tuple(names[i] for i in rng.integers(len(names), size=n)))
 
 
-def design_from_poses(cell: Cell, path: str | Path, seconds: float = 40.0, warm_up: float = 0.0) -> TrackerCampaign:
-    """The readings of a poses.csv (columns q1_deg..q6_deg; target, payload, approach1..6 where known), `seconds` apart.
+def design_from_poses(cell: Cell, path: str | Path) -> TrackerCampaign:
+    """The readings of a poses.csv (columns q1_deg..q6_deg; target, payload, approach1..6 where known), BETWEEN s apart.
 
     Raises BadInput: as `read_csv_table`, a value that the cell does not know.
     """
     table = read_csv_table(path, AXES, ("target", "payload", *APPROACH), words=("target", "payload"))
     n = len(table)
-    targets, payloads = _targets(cell, None), list(cell.tables.payloads)
+    targets, payloads = _targets(cell), list(cell.tables.payloads)
     for column, known in (("target", targets), ("payload", payloads)):
         for row, name in enumerate(table.words.get(column, ())):
             if name not in known:
                 raise table.refuse(row, column, f"is not in {cell.path.name} ({', '.join(known) or 'none'})")
     approach = table.stack(APPROACH) if all(c in table.numbers for c in APPROACH) else np.zeros((n, 6))
-    time = seconds * np.arange(1, n + 1)
-    temperature = cell.tables.reference_temperature_C + warm_up * (1 - np.exp(-time / WARM_TIME))
+    time = BETWEEN * np.arange(1, n + 1)
     hung = tuple(table.words.get("payload", [payloads[0] if payloads else ""] * n))
-    m = arm_moments(np.radians(table.stack(AXES)), hung, temperature.round(2), approach, time)
+    m = arm_moments(np.radians(table.stack(AXES)), hung, round(cell.tables.reference_temperature_C, 2), approach, time)
     return TrackerCampaign(m, tuple(table.words.get("target", [targets[0]] * n)))
 
 
-def _payloads(cell: Cell, asked: Sequence[str] | None) -> list[str]:
-    known = list(cell.tables.payloads)
-    unknown = [name for name in asked or () if name not in known]
-    if unknown:
-        raise BadInput(f"{cell.path}: payload '{unknown[0]}' is not among [payloads] ({', '.join(known) or 'none'})")
-    return list(asked) if asked else [name for name in known if name != HEAVY][:3] or known[:1] or [""]
-
-
-def _targets(cell: Cell, asked: Sequence[str] | None) -> list[str]:
+def _targets(cell: Cell) -> list[str]:
     table = cell.tables.tracker
     known = list(table.targets) if table is not None else []
     if not known:
         raise BadInput(f"{cell.path}: the cell has no [tracker.targets]; name at least one reflector nest")
-    return list(asked) if asked else known
+    return known
 
 
 def _postures(cell: Cell, rng: np.random.Generator, n: int) -> Array:
@@ -159,116 +134,9 @@ def _postures(cell: Cell, rng: np.random.Generator, n: int) -> Array:
 
 
 CONDITIONS = ("time_s", "temperature_C", "payload", "target", *AXES, *APPROACH)
-LOAD = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm", "load_link", "lx_mm", "ly_mm", "lz_mm")
 POINT = ("x_mm", "y_mm", "z_mm")
 TURN = ("rx_deg", "ry_deg", "rz_deg", "sigma_rot_deg")
-_NOISE, _DESIGN, _POSTURES = 101, 102, 103  # streams beside those of the truth
-
-
-def tracker_world(
-    cell_path: str | Path,
-    folder: str | Path,
-    truth: Truth,
-    design: TrackerCampaign,
-    sealed: TrackerCampaign | None = None,
-    label: bool = True,
-) -> None:
-    """Write cell.toml and tracker.csv of a campaign into `folder`; with `sealed` also sealed_tracker.csv; with `label` the
-    folder labels/: labels.json (seed, what was planted) and sealed_tracker_truth.csv, free of noise with effects included."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    cell = read_cell(cell_path)
-    _copy_cell(Path(cell_path), cell, folder)
-    arm = make_arm(cell, truth)
-    write_readings(folder / "tracker.csv", cell, truth, arm, design, noise_stream(truth.seed))
-    if sealed is not None:
-        _write(folder / "sealed_tracker.csv", sealed)
-    if label:
-        (folder / "labels").mkdir(exist_ok=True)
-        content = {"seed": truth.seed, "labels": labels(truth.effects)}
-        (folder / "labels" / "labels.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        if sealed is not None:
-            _write_truth(folder, cell, truth, arm, sealed)
-
-
-def random_world(
-    cell_path: str | Path,
-    folder: str | Path,
-    seed: int,
-    effects: Sequence[Planted] = (),
-    readings: int = 150,
-    blind: int = 120,
-    weight_bends: Literal["all", "believed"] = "believed",
-) -> Truth:
-    """A whole world of one seed: machine, campaign and sealed conditions; the truth that was written.
-
-    Weight bends only the joints that the cell believes in, unless asked: the labels then hold all there is to name.
-    """
-    cell = read_cell(cell_path)
-    truth = draw_truth(cell, seed, effects, weight_bends=weight_bends)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DESIGN,)))
-    tracker_world(cell_path, folder, truth, random_design(cell, rng, readings), sealed_design(cell, rng, blind))
-    return truth
-
-
-def noise_stream(seed: int) -> np.random.Generator:
-    """The random numbers of the instrument and of repeatability, apart from those of the machine."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_NOISE,)))
-
-
-def write_readings(
-    path: Path, cell: Cell, truth: Truth, arm: VirtualArm, design: TrackerCampaign, rng: np.random.Generator
-) -> None:
-    """Take the readings of a campaign and write them; orientations too where a nest is a 6D target."""
-    m, names = design.moments, design.targets
-    points = measure(truth, cell, arm, m, names, rng)
-    turns = None
-    if any(name in truth.nest_turns for name in names):
-        R, turned = measure_turns(truth, cell, arm, m, names, rng)
-        turns = np.where(turned[:, None], Rotation.from_matrix(R).as_euler("xyz", degrees=True), np.nan)
-    _write(path, design, points, turns)
-
-
-def _write(path: Path, design: TrackerCampaign, points: Array | None = None, turns: Array | None = None) -> None:
-    """One row a reading; columns of loads where there are any, of measurements where they are given."""
-    m = design.moments
-    loaded = bool(m.load.any())
-    header = [
-        *CONDITIONS,
-        *(LOAD if loaded else ()),
-        *(POINT if points is not None else ()),
-        *(TURN if turns is not None else ()),
-    ]
-    with path.open("w", newline="", encoding="ascii") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        q = np.degrees(m.q)
-        for k, target in enumerate(design.targets):
-            payload = m.payload if isinstance(m.payload, str) else m.payload[k]
-            row = [f"{m.time_s[k]:.1f}", f"{m.temperature_C[k]:.2f}", payload, target]
-            row += [f"{v:.6f}" for v in q[k]] + [f"{s:.0f}" for s in m.approach[k]]
-            if loaded:
-                row += [f"{v:.3f}" for v in m.load[k]] + [f"{m.load_link[k]}"] + [f"{1e3 * v:.3f}" for v in m.load_place[k]]
-            if points is not None:
-                row += [f"{1e3 * v:.4f}" for v in points[k]]
-            if turns is not None:
-                blank = bool(np.isnan(turns[k]).any())
-                row += [""] * 4 if blank else [*(f"{v:.5f}" for v in turns[k]), f"{np.degrees(TURN_SIGMA):.5f}"]
-            writer.writerow(row)
-
-
-def _copy_cell(path: Path, cell: Cell, folder: Path) -> None:
-    """The cell as believed before any calibration, with the robot's file where it has one of its own."""
-    text = re.sub(r"(?m)^\s*calibration\s*=.*\n", "", path.read_text(encoding="utf-8-sig"))
-    (folder / "cell.toml").write_text(text, encoding="utf-8")
-    model = path.parent / cell.tables.robot.model
-    if model.suffix == ".toml" and model.exists():
-        shutil.copy(model, folder / model.name)
-
-
-MOST = 2000  # postures
-BLIND = 60  # readings kept back
-READING = 15.0  # s from one nest to the next in a posture
+_NOISE, _POSTURES = 101, 103  # streams beside those of the truth
 
 
 @dataclass(frozen=True)
@@ -278,10 +146,39 @@ class TrackerLog:
     design: TrackerCampaign
     sealed: TrackerCampaign | None
 
-    @property
-    def count(self) -> int:
-        """Readings."""
-        return len(self.design)
+
+def tracker_world(folder: Path, cell: Cell, truth: Truth, log: TrackerLog, arm: VirtualArm | None = None) -> None:
+    """Write a campaign into `folder`: the cell as believed before any calibration, with the robot's file where it has one of its
+    own, tracker.csv, and sealed_tracker.csv where something is kept back; arm: None: the cell's own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = re.sub(r"(?m)^\s*calibration\s*=.*\n", "", cell.path.read_text(encoding="utf-8-sig"))
+    (folder / "cell.toml").write_text(text, encoding="utf-8")
+    model = cell.path.parent / cell.tables.robot.model
+    if model.suffix == ".toml" and model.exists():
+        shutil.copy(model, folder / model.name)
+    write_tracker(folder, cell, truth, make_arm(cell, truth) if arm is None else arm, log)
+
+
+def _write(path: Path, design: TrackerCampaign, points: Array | None = None, turns: Array | None = None) -> None:
+    """One row a reading; columns of measurements where they are given."""
+    m, q = design.moments, np.degrees(design.moments.q)
+    rows = []
+    for k, target in enumerate(design.targets):
+        payload = m.payload if isinstance(m.payload, str) else m.payload[k]
+        row = [f"{m.time_s[k]:.1f}", f"{m.temperature_C[k]:.2f}", payload, target]
+        row += [f"{v:.6f}" for v in q[k]] + [f"{s:.0f}" for s in m.approach[k]]
+        if points is not None:
+            row += [f"{1e3 * v:.4f}" for v in points[k]]
+        if turns is not None:
+            blank = bool(np.isnan(turns[k]).any())
+            row += [""] * 4 if blank else [*(f"{v:.5f}" for v in turns[k]), f"{np.degrees(TURN_SIGMA):.5f}"]
+        rows.append(row)
+    write_csv(path, (*CONDITIONS, *(POINT if points is not None else ()), *(TURN if turns is not None else ())), rows)
+
+
+MOST = 2000  # postures
+BLIND = 60  # readings kept back
+READING = 15.0  # s from one nest to the next in a posture
 
 
 def tracker_log(poses: str, cell: Cell, seed: int, sealed: bool) -> TrackerLog:
@@ -318,15 +215,21 @@ def every_nest(cell: Cell, design: TrackerCampaign) -> TrackerCampaign:
 
 
 def write_tracker(folder: Path, cell: Cell, truth: Truth, arm: VirtualArm, log: TrackerLog) -> None:
-    """tracker.csv; with a sealed part sealed_tracker.csv and its noise-free truth in labels/."""
-    write_readings(folder / "tracker.csv", cell, truth, arm, log.design, noise_stream(truth.seed))
+    """Take the readings and write tracker.csv, orientations too where a nest is a 6D target; sealed_tracker.csv where something
+    is kept back. The random numbers of the instrument and of repeatability are apart from those of the machine."""
+    rng = np.random.default_rng(np.random.SeedSequence(truth.seed, spawn_key=(_NOISE,)))
+    m, names = log.design.moments, log.design.targets
+    points, turns = measure(truth, cell, arm, m, names, rng), None
+    if any(name in truth.nest_turns for name in names):
+        R, turned = measure_turns(truth, cell, arm, m, names, rng)
+        turns = np.where(turned[:, None], Rotation.from_matrix(R).as_euler("xyz", degrees=True), np.nan)
+    _write(folder / "tracker.csv", log.design, points, turns)
     if log.sealed is not None:
         _write(folder / "sealed_tracker.csv", log.sealed)
-        _write_truth(folder, cell, truth, arm, log.sealed)
 
 
-def _write_truth(folder: Path, cell: Cell, truth: Truth, arm: VirtualArm, sealed: TrackerCampaign) -> None:
-    """labels/sealed_tracker_truth.csv."""
+def write_tracker_truth(folder: Path, cell: Cell, truth: Truth, arm: VirtualArm, sealed: TrackerCampaign) -> None:
+    """labels/sealed_tracker_truth.csv: what is kept back, free of noise with effects included."""
     (folder / "labels").mkdir(exist_ok=True)
     points = true_points(truth, cell, arm, sealed.moments, sealed.targets)
     _write(folder / "labels" / "sealed_tracker_truth.csv", sealed, points)
