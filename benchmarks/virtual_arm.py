@@ -70,7 +70,7 @@ def calibrations(path: Path, folder: Path) -> None:
 
 
 def world(path: Path, folder: Path, seed: int, bends: str) -> None:
-    cell, rng = read_cell(path), np.random.default_rng([seed, 102])
+    cell, rng = read_cell(path), np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(102,)))
     truth = draw_truth(cell, seed, weight_bends=bends)
     log = TrackerLog(random_design(cell, rng), sealed_design(cell, rng))
     tracker_world(folder, cell, truth, log)

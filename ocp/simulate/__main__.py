@@ -16,10 +16,10 @@ def _simulate(
     plan: Annotated[Path | None, typer.Argument(help="folder that ocp.plan wrote; without it only the tracker campaign")] = None,
     cell: Annotated[Path | None, typer.Option(help="the cell file; without it the one the plan was made with")] = None,
     blade: Annotated[Path | None, typer.Option(help="the blade's STL, where it is not the cell's own")] = None,
-    effect: Annotated[
-        list[str] | None, typer.Option(help="plant NAME[:JOINT][=SIZE], as backlash:5=2e-4; repeat for more")
+    effects: Annotated[
+        list[str] | None, typer.Option("--effect", help="plant NAME[:JOINT][=SIZE], as backlash:5=2e-4; repeat for more")
     ] = None,
-    effects: Annotated[str | None, typer.Option(help="plant some at random, as random:2")] = None,
+    random: Annotated[str | None, typer.Option("--effects", help="plant some at random, as random:2")] = None,
     sealed: Annotated[bool, typer.Option(help="tell nothing of what was planted, and keep readings back to predict")] = False,
     machine: Annotated[str, typer.Option(help="drawn (real errors), believed (none), sampled (of the calibration)")] = "drawn",
     seed: Annotated[int, typer.Option(help="which machine; the same seed is the same machine, calibrated or not")] = 0,
@@ -28,7 +28,7 @@ def _simulate(
     ladder: Annotated[
         str | None, typer.Option(help="setpoints of the force ladder in N, as 12,20,28; none for no ladder")
     ] = None,
-    belt: Annotated[str | None, typer.Option(help="further belt speeds in m/s, as 0,-20")] = None,
+    belts: Annotated[str | None, typer.Option("--belt", help="further belt speeds in m/s, as 0,-20")] = None,
     air: Annotated[bool, typer.Option(help="log a pass with the flange drawn back")] = True,
     joints: Annotated[bool, typer.Option(help="write joints.csv, link-side encoders")] = False,
     hz: Annotated[float, typer.Option(help="control rate in 1/s")] = 250.0,
@@ -39,39 +39,18 @@ def _simulate(
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
     """Rehearse a plan on a virtual cell that shares no code with the planner, and write the data a real cell would give."""
+    asked = {name: value for name, value in locals().items() if name != "list_effects"}  # as `interface.simulate` names them
     from ocp.simulate import interface  # heavy imports only once the arguments stand
-    from ocp.simulate.input import numbers
-    from ocp.simulate.interface import plantable_effects
+    from ocp.simulate.input import numbers, setpoints
 
     def job() -> str:
         if list_effects:
-            return plantable_effects()
-        none = ladder is not None and ladder.strip().lower() == "none"
+            return interface.plantable_effects()
+        asked["effects"] = effects or ()
+        asked["ladder"] = setpoints(ladder)
+        asked["belts"] = () if belts is None else numbers("--belt", belts)
         with shown_progress() as progress:
-            return answer(
-                interface.simulate(
-                    plan,
-                    out=out,
-                    cell=cell,
-                    blade=blade,
-                    effects=effect or (),
-                    random=effects,
-                    sealed=sealed,
-                    machine=machine,
-                    seed=seed,
-                    size=size,
-                    poses=poses,
-                    ladder=() if none else None if ladder is None else numbers("--ladder", ladder),
-                    belts=() if belt is None else numbers("--belt", belt),
-                    air=air,
-                    joints=joints,
-                    hz=hz,
-                    log_hz=log_hz,
-                    clock=clock,
-                    overwrite=overwrite,
-                    progress=progress,
-                )
-            )
+            return answer(interface.simulate(**asked, progress=progress))
 
     sys.exit(run(job, "not simulated"))
 

@@ -9,12 +9,14 @@ import numpy as np
 
 from ocp.model.cell import Cell
 from ocp.simulate.twin.kinds import EFFECT_KINDS, EffectKind
-from ocp.simulate.twin.plan_knowledge import cell_of_plan, file_hash, recorded_input
+from ocp.simulate.twin.plan_knowledge import cell_of_plan, file_hash, recorded_input, with_hash
 from ocp.simulate.twin.planting import Planted, draw_effect, parse_effect
-from ocp.simulate.twin.run import CampaignPlan, check_plan, default_ladder
+from ocp.simulate.twin.run import CampaignPlan
 from robots.errors import BadInput
 
 MOST_EFFECTS = 6
+# Shares of the process force whose setpoints tell stiffness from place; of a rigid mount nearer together.
+LADDER, RIGID_LADDER = (0.6, 1.0, 1.4), (0.75, 1.0, 1.25)
 MODES = ("drawn", "believed", "sampled")
 # Effects that need what a run without a plan, without a flange, without joints.csv does not have.
 _ARM_ONLY = ("arm", "tracker")
@@ -57,13 +59,18 @@ def check_numbers(wanted: Wanted) -> None:
         raise BadInput("--ladder and --belt need a plan to grind; name the plan's folder")
 
 
+def plan_folder(plan: Path) -> Path:
+    """Of a plan that is a folder or its main program."""
+    return plan if plan.is_dir() else plan.parent
+
+
 def cell_file(wanted: Wanted, summary: dict[str, Any], bundled: Path) -> Path:
     """The cell: the one given, else the plan's own by its hash, without a plan the bundled one. Raises BadInput."""
     if wanted.cell is not None:
         return wanted.cell
     if wanted.plan is None:
         return bundled
-    folder = wanted.plan if wanted.plan.is_dir() else wanted.plan.parent
+    folder = plan_folder(wanted.plan)
     return cell_of_plan(summary, folder, (folder, folder.resolve().parent, Path.cwd()), bundled)
 
 
@@ -74,12 +81,8 @@ def blade_file(wanted: Wanted, summary: dict[str, Any], own: Path | None) -> Pat
         return wanted.blade
     if own is not None and own.is_file() and file_hash(own) == known[1]:
         return None
-    folder = wanted.plan if wanted.plan.is_dir() else wanted.plan.parent
-    for place in (folder, folder.resolve().parent, Path.cwd()):
-        candidate = place / known[0]
-        if candidate.is_file() and file_hash(candidate) == known[1]:
-            return candidate
-    return None
+    folder = plan_folder(wanted.plan)
+    return with_hash([place / known[0] for place in (folder, folder.resolve().parent, Path.cwd())], known[1])
 
 
 def planted_effects(wanted: Wanted, cell: Cell) -> tuple[Planted, ...]:
@@ -93,9 +96,9 @@ def planted_effects(wanted: Wanted, cell: Cell) -> tuple[Planted, ...]:
             )
         found += _drawn(wanted, cell, int(number))
     names = [(one.effect, one.joint) for one in found]
-    twice = [name for name in names if names.count(name) > 1]
+    twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
-        raise BadInput(f"effect '{twice[0][0]}' is planted twice in the same place; give it once with the whole size")
+        raise BadInput(f"effect '{twice[0]}' is planted twice in the same place; give it once with the whole size")
     for one in found:
         if one.effect.startswith("flange_") and cell.flange is None:
             raise BadInput(f"effect '{one.effect}': the cell has no [force_flange]; choose another effect")
@@ -123,14 +126,25 @@ def _shows(kind: EffectKind, wanted: Wanted, cell: Cell) -> bool:
 
 def campaign_plan(wanted: Wanted, cell: Cell) -> CampaignPlan:
     """What is to be ground and logged. Raises BadInput: levels, speeds or rates out of range."""
-    force = cell.process.force
-    if wanted.ladder is None:
-        ladder = default_ladder(force, cell.flange is None)
-    else:
-        ladder = wanted.ladder
-    plan = CampaignPlan(ladder, wanted.belts, wanted.air, wanted.log_hz, wanted.sealed, wanted.clock)
-    check_plan(plan, wanted.hz, force)
-    return plan
+    force, ladder = cell.process.force, wanted.ladder
+    if ladder is None:
+        ladder = tuple(round(force * share, 3) for share in (RIGID_LADDER if cell.flange is None else LADDER))
+    for level in ladder:
+        if not 0.1 * force <= level <= 3 * force:
+            raise BadInput(f"--ladder {level:g}: must lie between {0.1 * force:g} and {3 * force:g} N, about the process force")
+    if not 1.0 <= wanted.log_hz <= wanted.hz:
+        raise BadInput(f"--log-hz {wanted.log_hz:g}: must lie between 1 and the control rate of {wanted.hz:g}")
+    for belt in wanted.belts:
+        if not abs(belt) <= 60.0:
+            raise BadInput(f"--belt {belt:g}: must lie between -60 and 60 m/s")
+    return CampaignPlan(ladder, wanted.belts, wanted.air, wanted.log_hz, wanted.sealed, wanted.clock)
+
+
+def setpoints(text: str | None) -> tuple[float, ...] | None:
+    """What --ladder says: None for the usual ones, none of them for the word none. Raises BadInput."""
+    if text is None:
+        return None
+    return () if text.strip().lower() == "none" else numbers("--ladder", text)
 
 
 def numbers(name: str, text: str) -> tuple[float, ...]:
@@ -151,12 +165,9 @@ def in_words(planted: Sequence[Planted]) -> str:
     words = []
     for one in planted:
         place = "" if one.joint is None else f":{one.joint}"
-        values = ", ".join(f"{name}={_short(value)}" for name, value in one.values.items())
-        words.append(f"{one.effect}{place} ({values})")
+        values = []
+        for name, value in one.values.items():
+            numbers_ = value if isinstance(value, tuple) else (value,)
+            values.append(f"{name}=" + "/".join(v if isinstance(v, str) else f"{v:.3g}" for v in numbers_))
+        words.append(f"{one.effect}{place} ({', '.join(values)})")
     return "planted " + ", ".join(words)
-
-
-def _short(value: float | tuple[float, ...] | str) -> str:
-    if isinstance(value, str):
-        return value
-    return "/".join(f"{v:.3g}" for v in value) if isinstance(value, tuple) else f"{value:.3g}"

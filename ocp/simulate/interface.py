@@ -17,16 +17,16 @@ from ocp.effects.catalogue import key_range
 from ocp.model.cell import Cell, read_cell
 from ocp.shell.output import check_output, whole_folder
 from ocp.shell.progress import Phases, Progress
-from ocp.simulate.input import Wanted, blade_file, campaign_plan, cell_file, check_numbers, in_words, planted_effects
+from ocp.simulate.input import Wanted, blade_file, campaign_plan, cell_file, check_numbers, in_words, plan_folder, planted_effects
 from ocp.simulate.report import rehearsal_headline, write_rehearsal_page
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.controller import Track, drive
 from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_joint_log, write_labels
 from ocp.simulate.twin.kinds import EFFECT_KINDS
 from ocp.simulate.twin.krl_text import KrlProgram, read_program
-from ocp.simulate.twin.plan_knowledge import Matched, match, read_plan_table, read_summary, refuse_stranger
+from ocp.simulate.twin.plan_knowledge import match, read_plan_table, read_summary, refuse_stranger
 from ocp.simulate.twin.planting import Planted
-from ocp.simulate.twin.rehearsal import Rehearsal, rehearse
+from ocp.simulate.twin.rehearsal import Rehearsal, rehearse, statistics
 from ocp.simulate.twin.run import GrindingCampaign, VirtualMachine, arm_conditions, make_machine, refuse_crash, run_campaign
 from ocp.simulate.twin.tracker_log import TrackerLog, tracker_log, write_tracker, write_tracker_truth
 from ocp.simulate.twin.truth import Truth, draw_truth
@@ -44,12 +44,12 @@ MACHINES = {
 class _Ground:
     """What became of the plan."""
 
+    folder: Path
     program: KrlProgram
     track: Track
     machine: VirtualMachine
     campaign: GrindingCampaign
     rehearsal: Rehearsal
-    matched: Matched
 
 
 def plantable_effects() -> str:
@@ -57,13 +57,11 @@ def plantable_effects() -> str:
     lines = [f"{'effect':<22}{'joints':<9}keys: typical range, unit (a bare size goes to the first; +- either sign)"]
     for name, kind in sorted(EFFECT_KINDS.items()):
         joints = "".join(str(j) for j in kind.joints) or "-"
-        keys = "; ".join(
-            f"{key.name} of a nest"
-            if key.unit == "name"
-            else key_range(key.name, key.low, key.high, key.signed, key.length, key.unit)
-            for key in kind.keys
-        )
-        lines.append(f"{name:<22}{joints:<9}{keys}")
+        keys = [
+            "target of a nest" if k.unit == "name" else key_range(k.name, k.low, k.high, k.signed, k.length, k.unit)
+            for k in kind.keys
+        ]
+        lines.append(f"{name:<22}{joints:<9}{'; '.join(keys)}")
     return "\n".join(lines)
 
 
@@ -84,7 +82,7 @@ class SimulationResult:
 def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, phases: Phases) -> SimulationResult:
     """Do all of it and write the folder. Raises BadInput and Infeasible; then `out` is as it was."""
     check_numbers(wanted)
-    folder = None if wanted.plan is None else wanted.plan if wanted.plan.is_dir() else wanted.plan.parent
+    folder = None if wanted.plan is None else plan_folder(wanted.plan)
     summary = {} if folder is None else read_summary(folder)
     program = None if wanted.plan is None else read_program(wanted.plan, planned=bool(summary))
     file = cell_file(wanted, summary, bundled)
@@ -92,8 +90,7 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
     cell = read_cell(file, wanted.blade)
     if other := blade_file(wanted, summary, cell.workpiece.stl):
         cell = read_cell(file, other)
-    effects = planted_effects(wanted, cell)
-    truth = draw_truth(cell, wanted.seed, effects, wanted.machine, wanted.size)  # type: ignore[arg-type]
+    truth = draw_truth(cell, wanted.seed, planted_effects(wanted, cell), wanted.machine, wanted.size)  # type: ignore[arg-type]
     notices: list[str] = []
     ground = None
     if program is not None and folder is not None:
@@ -103,15 +100,15 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
     with phases.phase("tracker"):
         log = _track(wanted, cell, ground)
     with whole_folder(out, overwrite) as partial, phases.phase("writing"):
-        rows = _write(wanted, cell, truth, effects, ground, log, folder, partial, notices)
+        rows = _write(wanted, cell, truth, ground, log, partial, notices)
     return SimulationResult(
         folder=out,
         rehearsal=None if ground is None else ground.rehearsal,
-        planted=effects,
+        planted=truth.effects,
         rows=rows,
         readings=0 if log is None else len(log.design),
         notices=tuple(notices),
-        line=_last_line(wanted, out, effects, ground, log, rows),
+        line=_last_line(wanted, out, truth, ground, log, rows),
     )
 
 
@@ -133,7 +130,7 @@ def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder
     with phases.phase("judging"):
         frames = program.motions[-1].frames
         rehearsal = rehearse(machine, matched, campaign.first, frames.tool, frames.base)
-    return _Ground(program, track, machine, campaign, rehearsal, matched)
+    return _Ground(folder, program, track, machine, campaign, rehearsal)
 
 
 def _track(wanted: Wanted, cell: Cell, ground: _Ground | None) -> TrackerLog | None:
@@ -150,15 +147,7 @@ def _track(wanted: Wanted, cell: Cell, ground: _Ground | None) -> TrackerLog | N
 
 
 def _write(
-    wanted: Wanted,
-    cell: Cell,
-    truth: Truth,
-    effects: tuple[Planted, ...],
-    ground: _Ground | None,
-    log: TrackerLog | None,
-    folder: Path | None,
-    out: Path,
-    notices: list[str],
+    wanted: Wanted, cell: Cell, truth: Truth, ground: _Ground | None, log: TrackerLog | None, out: Path, notices: list[str]
 ) -> int:
     """All files; the number of rows in force.csv."""
     copy_cell(cell, out)
@@ -168,17 +157,17 @@ def _write(
         write_tracker(out, cell, truth, arm, log)
         if log.sealed is not None:
             write_tracker_truth(out, cell, truth, arm, log.sealed)
-    if ground is None or folder is None:
+    if ground is None:
         return 0
-    shutil.copyfile(folder / "plan.csv", out / "plan.csv")
+    shutil.copyfile(ground.folder / "plan.csv", out / "plan.csv")
     rows = write_force(out, ground.campaign.recorded, ground.campaign.sealed)
     if wanted.joints:
         _write_joints(out / "joints.csv", wanted, ground)
-    words = _machine_in_words(wanted, effects)
+    words = MACHINES[wanted.machine].format(seed=wanted.seed)
+    words = words if wanted.sealed or not truth.effects else f"{words}, {in_words(truth.effects)}"
     title = f"{ground.program.main.stem} on {cell.name}"
     write_rehearsal_page(ground.rehearsal, ground.machine.blade, title, words, notices, out / "rehearsal.html")
-    content = _json(wanted, effects, ground)
-    (out / "rehearsal.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    (out / "rehearsal.json").write_text(json.dumps(_json(wanted, truth, ground), indent=1) + "\n", encoding="utf-8")
     return rows
 
 
@@ -186,51 +175,33 @@ def _write_joints(path: Path, wanted: Wanted, ground: _Ground) -> None:
     """Encoders along the whole program, at the log's rate."""
     track, machine = ground.track, ground.machine
     index = np.arange(0, len(track.time), max(1, round(wanted.hz / wanted.log_hz)), dtype=np.int64)
-    m = arm_conditions(machine, track, index, 0.0)
     rng = np.random.default_rng([wanted.seed, 0x30])
+    m = arm_conditions(machine, track, index, 0.0)
     write_joint_log(path, joint_log(machine.arm, machine.truth, m, np.zeros(len(index)), track.time[index], rng))
 
 
-def _json(wanted: Wanted, effects: tuple[Planted, ...], ground: _Ground) -> dict[str, Any]:
+def _json(wanted: Wanted, truth: Truth, ground: _Ground) -> dict[str, Any]:
     """rehearsal.json: the figures, also line by line, and the worst places."""
     r = ground.rehearsal
-    lines = []
-    for k in dict.fromkeys(r.run.tolist()):
-        mine = r.run == k
-        force = r.force[mine]
-        figures = {"mean_N": force.mean(), "sd_N": force.std(), "min_N": force.min(), "max_N": force.max()}
-        lines.append({"line": int(r.line[mine][0]), **{name: float(value) for name, value in figures.items()}})
+    passes = [r.run == k for k in dict.fromkeys(r.run.tolist())]
     return {
         "schema": 1,
         "program": ground.program.main.name,
         "machine": wanted.machine,
         "seed": wanted.seed,
-        "planted": None if wanted.sealed else in_words(effects),
+        "planted": None if wanted.sealed else in_words(truth.effects),
         "duration_s": ground.track.duration,
         "force": r.figures,
-        "lines": lines,
+        "lines": [{"line": int(r.line[mine][0]), **statistics(r.force[mine])} for mine in passes],
         "worst": [
-            {
-                "line": p.line,
-                "s_mm": 1e3 * p.s,
-                "p_mm": (1e3 * p.p).tolist(),
-                "force_N": p.force,
-                "parts_N": p.parts,
-                "mostly": p.cause,
-            }
+            {"line": p.line, "s_mm": 1e3 * p.s, "p_mm": (1e3 * p.p).tolist()}
+            | {"force_N": p.force, "parts_N": p.parts, "mostly": p.cause}
             for p in r.worst
         ],
     }
 
 
-def _machine_in_words(wanted: Wanted, effects: tuple[Planted, ...]) -> str:
-    words = MACHINES[wanted.machine].format(seed=wanted.seed)
-    return words if wanted.sealed or not effects else f"{words}, {in_words(effects)}"
-
-
-def _last_line(
-    wanted: Wanted, out: Path, effects: tuple[Planted, ...], ground: _Ground | None, log: TrackerLog | None, rows: int
-) -> str:
+def _last_line(wanted: Wanted, out: Path, truth: Truth, ground: _Ground | None, log: TrackerLog | None, rows: int) -> str:
     """What was seen, where it is written, what to do with it."""
     parts = []
     if ground is not None:
@@ -241,13 +212,10 @@ def _last_line(
             f"Worst: {worst.force:.1f} N on line {worst.line} at s = {1e3 * worst.s:.0f} mm ({x:.0f}, {y:.0f}, {z:.0f}), mostly "
             f"{worst.cause}."
         )
-    written = ([f"{len(log.design)} readings in tracker.csv"] if log is not None else []) + (
-        [f"{rows} rows in force.csv"] if rows else []
-    )
-    parts.append(
-        f"{' and '.join(written) or 'nothing logged'}".capitalize()
-        + f"; {'what was planted is sealed' if wanted.sealed else in_words(effects)}."
-    )
+    written = [f"{len(log.design)} readings in tracker.csv"] if log is not None else []
+    written += [f"{rows} rows in force.csv"] if rows else []
+    planted = "what was planted is sealed" if wanted.sealed else in_words(truth.effects)
+    parts.append(f"{(' and '.join(written) or 'nothing logged').capitalize()}; {planted}.")
     if ground is not None:
         parts.append(f"Look at {out / 'rehearsal.html'}.")
     if log is not None:

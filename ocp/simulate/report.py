@@ -26,6 +26,8 @@ WORDS = {
 }
 PART_COLOURS = dict(zip(PARTS, (*SIDE_COLOURS[:2], "#2f8559", "#7a5195"), strict=True))
 COLUMNS = 3
+BLADE = "Blade from both sides, coloured by the force pressing on it; grey is not ground. White is what was planned."
+BROUGHT = "What each part of the cell brings to the force, over the whole program in its order; numbers are lines of the blade."
 # Too little is blue, too much is orange, as planned is nearly white: the two differ in lightness from it alike.
 FORCE_MAP: Colormap = LinearSegmentedColormap.from_list("force", ["#1f4e79", "#6fa3cf", "#f5f3ee", "#e2924e", "#8c3a06"])
 
@@ -61,10 +63,11 @@ def _sections(rehearsal: Rehearsal, blade: Blade) -> tuple[Section, ...]:
         "wheel and the blade stand elsewhere than the frames of the program say; each by its share of the overlap times the "
         "stiffness of the whole chain. What is left is of the contact: cover, blade and flange, friction, what was planted."
     )
+    parts_plot = Plot("parts", BROUGHT, 2.3, lambda canvas: _draw_parts(canvas, rehearsal))
     return (
-        Section("Force on the blade", (intro, _blade_plot(rehearsal, blade))),
+        Section("Force on the blade", (intro, Plot("blade", BLADE, 3.9, lambda canvas: _draw_blade(canvas, rehearsal, blade)))),
         Section("Force along each line", (_lines_plot(rehearsal),)),
-        Section("Where the errors come from", (parts, _parts_plot(rehearsal), _parts_table(rehearsal))),
+        Section("Where the errors come from", (parts, parts_plot, _parts_table(rehearsal))),
         Section("Worst places", (_worst_table(rehearsal),)),
     )
 
@@ -118,12 +121,6 @@ def _draw_lines(canvas: Canvas, r: Rehearsal, rows: int) -> None:
         ax.tick_params(labelbottom=last)
 
 
-def _blade_plot(rehearsal: Rehearsal, blade: Blade) -> Plot:
-    """The blade from its two sides."""
-    caption = "Blade from both sides, coloured by the force pressing on it; grey is not ground. White is what was planned."
-    return Plot("blade", caption, 3.9, lambda canvas: _draw_blade(canvas, rehearsal, blade))
-
-
 def _draw_blade(canvas: Canvas, r: Rehearsal, blade: Blade) -> None:
     runs = [_places(r, int(k)) for k in np.unique(r.run)]
     side = ["one" if float((r.n[rows].mean(axis=0) * r.n[0]).sum()) > 0 else "other" for rows in runs]
@@ -139,14 +136,6 @@ def _places(r: Rehearsal, run: int) -> NDArray[np.int64]:
     mine = np.flatnonzero(r.run == run)
     mine = mine[np.concatenate([[True], np.diff(r.s[mine]) > 1e-7])]
     return mine[np.unique(np.linspace(0, len(mine) - 1, min(len(mine), 200)).round().astype(int))]
-
-
-def _parts_plot(rehearsal: Rehearsal) -> Plot:
-    """What each part of the cell brings, pass after pass."""
-    caption = (
-        "What each part of the cell brings to the force, over the whole program in its order; numbers are lines of the blade."
-    )
-    return Plot("parts", caption, 2.3, lambda canvas: _draw_parts(canvas, rehearsal))
 
 
 def _draw_parts(canvas: Canvas, r: Rehearsal) -> None:

@@ -125,7 +125,8 @@ def test_one_nest_moves_from_its_time_on(cell):
 def test_repeats_scatter_by_instrument_and_joints_alone(cell):
     truth = replace(draw_truth(cell, 4), outliers=0.0)
     one = campaign(cell, 2)
-    m = one.moments.take(np.zeros(400, np.int64))
+    first = one.moments
+    m = arm_moments(np.tile(first.q[0], (400, 1)), (first.payload[0],) * 400, first.temperature_C[0], first.approach[0])
     arm, names = make_arm(cell, truth), (one.targets[0],) * 400
     off = measure(truth, cell, arm, m, names, np.random.default_rng(5)) - true_points(truth, cell, arm, m, names)
     assert np.abs(off.mean(axis=0)).max() < 6e-6 and 1.2e-5 < np.sqrt(np.mean(np.sum(off**2, axis=1))) < 8e-5

@@ -7,7 +7,7 @@ a base that tilts.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -101,20 +101,9 @@ class Hardware:
 def hardware(robot: Robot, truth: Truth) -> Hardware:
     """What to build: the truth's springs, in series with those that are planted."""
     own = np.divide(1.0, truth.stiffness, out=np.zeros(6), where=truth.stiffness > 0)
-    extra, cubic, windup = np.zeros(6), np.zeros(6), np.zeros(6)
-    for planted in truth.effects:
-        at = (planted.joint or 1) - 1
-        if planted.effect == "joint_compliance":
-            extra[at] += planted.number("rad_per_Nm")
-        elif planted.effect == "joint_stiffening":
-            cubic[at] += planted.number("rad_per_Nm3")
-        elif planted.effect == "friction_windup":
-            windup[at] += planted.number("per_Nm")
-    compliance: dict[int, float] = {}
-    for planted in truth.planted("link_bending"):
-        joint = planted.joint or 2
-        compliance[joint] = compliance.get(joint, 0.0) + planted.number("rad_per_Nm")
-    bendings = tuple(Bending(joint, compliance[joint]) for joint in sorted(compliance))
+    extra, bent = _by_joint(truth, "joint_compliance", "rad_per_Nm"), _by_joint(truth, "link_bending", "rad_per_Nm")
+    cubic, windup = _by_joint(truth, "joint_stiffening", "rad_per_Nm3"), _by_joint(truth, "friction_windup", "per_Nm")
+    bendings = tuple(Bending(int(j) + 1, float(bent[j])) for j in np.flatnonzero(bent))
     springs = np.array([planted.number("stiffness_N_m") for planted in truth.planted("gravity_compensator")])
     levers = [(p.number("lever_link1_m"), p.number("lever_arm_m")) for p in truth.planted("gravity_compensator")]
     balancer = Balancer(float(springs.sum()), levers[0]) if levers else None
@@ -133,17 +122,25 @@ def hardware(robot: Robot, truth: Truth) -> Hardware:
     return Hardware(design, Laws(np.array([*cubic, *none]), np.array([*windup, *none])), contact)
 
 
+def _by_joint(truth: Truth, effect: str, key: str) -> Array:
+    """Sizes (6,) of an effect that is planted at joints."""
+    found = np.zeros(6)
+    for planted in truth.planted(effect):
+        found[(planted.joint or 1) - 1] += planted.number(key)
+    return found
+
+
 def hung(truth: Truth, name: str) -> tuple[float, Array]:
     """Mass kg and centre (3,) m of a payload as it is: planted errors are of every payload that weighs something."""
     mass, com = truth.payloads[name] if name else (0.0, np.zeros(3))
-    more = sum(planted.number("kg") for planted in truth.planted("payload_mass")) if mass > 0 else 0.0
+    more = truth.total("payload_mass", "kg") if mass > 0 else 0.0
     shift = sum((planted.vector("shift_m") for planted in truth.planted("payload_com")), np.zeros(3))
     return max(mass + more, 0.0), com + shift
 
 
 def growth(truth: Truth, warmth: Array) -> Array:
     """Relative growth (n,) of all lengths at `warmth` (n,) K above the reference temperature."""
-    return np.asarray(sum(p.number("per_K") for p in truth.planted("link_thermal")) * warmth, float) + np.zeros(len(warmth))
+    return truth.total("link_thermal", "per_K") * warmth
 
 
 def base_tilt(truth: Truth, time_s: Array) -> Array | None:
@@ -178,13 +175,6 @@ class Moments:
 
     def __len__(self) -> int:
         return len(self.q)
-
-    def take(self, rows: Index) -> "Moments":
-        """The instants `rows`."""
-        names = ("q", "approach", "time_s", "temperature_C", "load", "load_link", "load_place")
-        arrays = {name: getattr(self, name)[rows] for name in names}
-        payload = self.payload if isinstance(self.payload, str) else tuple(self.payload[i] for i in rows)
-        return replace(self, payload=payload, visit=None if self.visit is None else self.visit[rows], **arrays)
 
 
 def arm_moments(
@@ -230,29 +220,26 @@ class VirtualArm:
     machines: dict[str, ArmModel] = field(default_factory=dict)
     _last: tuple[Moments, Settled] | None = None
 
-    def settled(
-        self, m: Moments, rng: np.random.Generator | None = None, qd: Array | None = None, qdd: Array | None = None
-    ) -> Settled:
-        """Equilibria of all instants: frames, spring torques, Jacobians, holding torques (`statics.Settled`).
+    def settled(self, m: Moments, rng: np.random.Generator | None = None) -> Settled:
+        """Equilibria of all instants: frames, spring torques, Jacobians, holding torques (`machine.Settled`).
 
         With rng the joints come back as well as they do, once for each visit. The last call without it is kept: asking the
         same `Moments` object for flange, links and compliance costs one solution. Raises BadInput: an unknown payload.
         """
-        plain = rng is None and qd is None
-        if plain and self._last is not None and self._last[0] is m:
+        if rng is None and self._last is not None and self._last[0] is m:
             return self._last[1]
         warmth = m.temperature_C - self.reference_C
         motor = motor_side(self.truth, AxisState(m.q, m.approach, warmth, self.robot))
         if rng is not None:
             visit = np.arange(len(m)) if m.visit is None else np.unique(m.visit, return_inverse=True)[1]
             motor = motor + (rng.normal(size=(int(visit.max(initial=-1)) + 1, 6)) * self.truth.repeatability)[visit]
-        grown, tilt, load = growth(self.truth, warmth), base_tilt(self.truth, m.time_s), m.load if m.load.any() else None
-        at = Situations(motor, m.approach, grown, tilt, load, m.load_link, m.load_place, qd, qdd)
+        grown, tilt = growth(self.truth, warmth), base_tilt(self.truth, m.time_s)
+        at = Situations(motor, m.approach, grown, m.load, m.load_link, m.load_place, tilt)
         if isinstance(m.payload, str):
             result = equilibria(self._machine(m.payload), self.hardware.laws, at)
         else:
             result = self._by_payload(m.payload, at)
-        if plain:
+        if rng is None:
             self._last = (m, result)
         return result
 
@@ -273,11 +260,6 @@ class VirtualArm:
         """`compliance` of equilibria that are at hand, those with repeatability too."""
         c = self.hardware.contact_compliance - 3 * self.hardware.laws.cubic * s.load_torque**2
         return np.asarray((s.jacobian * c[:, None, :]) @ np.swapaxes(s.jacobian, 1, 2))
-
-    def torques(self, m: Moments, qd: Array | None = None, qdd: Array | None = None) -> Array:
-        """Motor torques (n, 6) N m on the link side, positive along +q: holding, and with qd, qdd (n, 6) rad/s, rad/s^2 those of
-        the motion too; friction is not in them."""
-        return self.settled(m, None, qd, qdd).motor_torque
 
     def _machine(self, payload: str) -> ArmModel:
         if payload not in self.machines:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from ocp.model.cell import Cell
 from ocp.simulate.twin.controller import Index
 from ocp.simulate.twin.plan_knowledge import AWAY
+from ocp.simulate.twin.truth import Truth
 from robots.errors import Infeasible
 from robots.pose import Array, invert
 from trajectories.blade import Blade
@@ -40,10 +41,10 @@ class WheelBody:
     width: float
 
 
-def true_wheel(cell: Cell, shift: Array, turn: Array) -> WheelBody:
-    """The cell's wheel moved by `shift` m, its axis turned by the rotation vector `turn`."""
-    axis = Rotation.from_rotvec(turn).apply(cell.wheel.axis)
-    return WheelBody(cell.wheel.centre + shift, np.asarray(axis), cell.wheel.radius, cell.wheel.width)
+def true_wheel(cell: Cell, truth: Truth) -> WheelBody:
+    """The cell's wheel as it stands."""
+    axis = Rotation.from_rotvec(truth.wheel_axis_turn).apply(cell.wheel.axis)
+    return WheelBody(cell.wheel.centre + truth.wheel_shift, np.asarray(axis), cell.wheel.radius, cell.wheel.width)
 
 
 def refuse_hits(
@@ -103,22 +104,21 @@ class _Scene:
 
     def __init__(self, cell: Cell, blade: Blade, wheel: WheelBody, T_flange_blade: Array) -> None:
         spec = mujoco.MjSpec()
-        self._geoms: list[tuple[str, str, int]] = []
         bodies = [spec.worldbody.add_body(name=f"link{i}", mocap=True) for i in range(7)]
+        geoms: list[tuple[str, str, int]] = []
         for i, (link, p0, p1, radius) in enumerate(cell.robot.link_shapes):
             _capsule(bodies[link], f"shape{i}", p0, p1, radius)
-            self._geoms.append((f"shape{i}", NAMES[link], link))
+            geoms.append((f"shape{i}", NAMES[link], link))
         root = _root(cell, blade, T_flange_blade)
         end = HOLDER_SHARE * root
         length = float(np.linalg.norm(end))
         if length > 2 * HOLDER_RADIUS:
             _capsule(bodies[6], "holder", np.zeros(3), end * (1 - HOLDER_RADIUS / length), HOLDER_RADIUS)
-            self._geoms.append(("holder", "the holder", 6))
+            geoms.append(("holder", "the holder", 6))
         mesh = spec.add_mesh(name="blade")
         mesh.uservert, mesh.userface = blade.vertices.ravel(), blade.faces.ravel().astype(np.int32)
         turn = Rotation.from_matrix(T_flange_blade[:3, :3]).as_quat(scalar_first=True)
         bodies[6].add_geom(name="blade", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="blade", pos=T_flange_blade[:3, 3], quat=turn)
-        self._geoms.append(("blade", "the blade", 6))
         half = 0.5 * wheel.width * wheel.axis
         spec.worldbody.add_geom(
             name="wheel",
@@ -126,14 +126,12 @@ class _Scene:
             size=[wheel.radius, 0, 0],
             fromto=[*wheel.centre - half, *wheel.centre + half],
         )
-        self._geoms.append(("wheel", "the wheel", -1))
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        self._pairs = [(self._id(a[0]), self._id(b[0]), a[1], b[1]) for a, b in combinations(self._geoms, 2) if _may_meet(a, b)]
+        geoms += [("blade", "the blade", 6), ("wheel", "the wheel", -1)]
+        number = {g: mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, g[0]) for g in geoms}
+        self._pairs = [(number[a], number[b], a[1], b[1]) for a, b in combinations(geoms, 2) if _may_meet(a, b)]
         self._gap = np.zeros(len(self._pairs))
-
-    def _id(self, name: str) -> int:
-        return int(mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, name))
 
     def hit(self, frames: Array, nearer: float) -> tuple[str, str, float] | None:
         """The first pair that overlaps, and by how much (m), with the links at frames (7, 4, 4).

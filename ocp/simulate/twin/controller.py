@@ -5,7 +5,7 @@ and ends at rest, timed blocks keep their times, path motions keep $VEL.CP where
 smooth matters here; the maker's own is not published.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from ocp.simulate.twin.krl_text import DrivenMotion, KrlProgram, ProgramPause
-from ocp.simulate.twin.path_motion import PathSegment, drive_path, flange_poses, inverse_by_status, solve_posture
+from ocp.simulate.twin.path_motion import drive_path, flange_poses, inverse_by_status, solve_posture
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
 from robots.robot import Robot
@@ -32,8 +32,8 @@ class Track:
     """Axes over time, n samples at a fixed rate.
 
     time (n,) s; q, qd (n, 6) rad, rad/s; approach (n, 6) sign of each axis' last motion (0 before its first); motion (n,)
-    index into `places`, each (file, line) of a motion in the program; row (n,) line of the point that was passed last;
-    pauses (m, 2): time s and length s (nan where the program waits for somebody) of each stop; notices in sentences.
+    index into `places`, each (file, line) of a motion in the program; row (n,) line of the point that was passed last; notices in
+    sentences.
     """
 
     time: Array
@@ -43,7 +43,6 @@ class Track:
     motion: Index
     row: Index
     places: tuple[tuple[str, int], ...]
-    pauses: Array
     notices: tuple[str, ...]
 
     @property
@@ -71,14 +70,11 @@ def drive(program: KrlProgram, robot: Robot, hz: float = HZ) -> Track:
     reach, more than a day), with file and line.
     """
     pieces: list[_Piece] = []
-    pauses: list[tuple[float, float]] = []
     clock, where = 0.0, None
-    steps = list(program.steps)
-    k = 0
+    steps, k = program.steps, 0
     while k < len(steps):
         step = steps[k]
         if isinstance(step, ProgramPause):
-            pauses.append((clock, np.nan if step.seconds is None else step.seconds))
             clock += step.seconds or 0.0
             k += 1
             continue
@@ -90,16 +86,16 @@ def drive(program: KrlProgram, robot: Robot, hz: float = HZ) -> Track:
             if clock > LONGEST:
                 place = f"{piece.place[0]}, line {piece.place[1]}"
                 raise Infeasible(f"{place}: the program goes on for more than {LONGEST / 3600:g} hours; is a decimal point lost?")
-        where = _end(robot, chain, where) if not pieces else pieces[-1].curve(pieces[-1].duration)
+        where = _end(robot, chain[0]) if not pieces else pieces[-1].curve(pieces[-1].duration)
     if not pieces:
         raise BadInput(f"{program.main}: the robot never leaves its first posture")
-    track = _sampled(robot, pieces, clock, pauses, hz)
+    track = _sampled(robot, pieces, clock, hz)
     if program.planned and track.notices:
         raise BadInput(track.notices[0])
     return track
 
 
-def _chain(steps: list[DrivenMotion | ProgramPause], k: int) -> list[DrivenMotion]:
+def _chain(steps: Sequence[DrivenMotion | ProgramPause], k: int) -> list[DrivenMotion]:
     """The motion at k, with the LIN motions after it where they blend into one another."""
     chain: list[DrivenMotion] = []
     for step in steps[k:]:
@@ -110,9 +106,8 @@ def _chain(steps: list[DrivenMotion | ProgramPause], k: int) -> list[DrivenMotio
     return chain
 
 
-def _end(robot: Robot, chain: list[DrivenMotion], where: Array | None) -> Array:
+def _end(robot: Robot, first: DrivenMotion) -> Array:
     """Where the first motion of a program puts the robot."""
-    first = chain[0]
     target = first.targets[-1]
     if target.q is not None:
         _within(robot, target.q[None], [(first.file, target.line)])
@@ -134,10 +129,8 @@ def _pieces(robot: Robot, chain: list[DrivenMotion], where: Array | None, clock:
     if first.kind in ("LIN", "SPLINE"):
         if where is None:
             raise BadInput(f"{first.file}, line {first.line}: the first motion must be a PTP to full axes")
-        segment: PathSegment | None = drive_path(robot, chain, where)
-        if segment is None:
-            return []
-        return [_Piece((first.file, first.line), clock, segment.duration, segment.q, (segment.passed, segment.rows))]
+        path = drive_path(robot, chain, where)
+        return [] if path is None else [_Piece((first.file, first.line), clock, *path)]
     targets = first.targets
     if first.kind == "PTP":
         goal = targets[0].q if targets[0].q is not None else _posed(robot, first, where)
@@ -168,7 +161,7 @@ def _posed(robot: Robot, motion: DrivenMotion, where: Array | None) -> Array:
     target = motion.targets[0]
     assert target.pose is not None
     if target.status is not None or where is None:
-        return _end(robot, [motion], where)
+        return _end(robot, motion)
     goal = flange_poses(motion.frames, target.pose[None])
     q, left = solve_posture(robot, goal, where[None])
     if left[0] > 1e-7:
@@ -206,7 +199,7 @@ def _within(robot: Robot, q: Array, places: list[tuple[str, int]]) -> None:
         )
 
 
-def _sampled(robot: Robot, pieces: list[_Piece], end: float, pauses: list[tuple[float, float]], hz: float) -> Track:
+def _sampled(robot: Robot, pieces: list[_Piece], end: float, hz: float) -> Track:
     """Samples at a fixed rate over all pieces; between pieces the robot stands."""
     time = np.append(np.arange(0.0, end, 1.0 / hz), end)
     starts = np.array([p.start for p in pieces])
@@ -224,8 +217,7 @@ def _sampled(robot: Robot, pieces: list[_Piece], end: float, pauses: list[tuple[
     places = tuple(p.place for p in pieces)
     _within(robot, q, [(places[w][0], int(r)) for w, r in zip(which, row, strict=True)])
     notices = _notices(robot, qd, qdd, which, row, places)
-    stops = np.array(pauses).reshape(-1, 2)
-    return Track(time, q, qd, _approach(qd), which, row, places, stops, notices)
+    return Track(time, q, qd, _approach(qd), which, row, places, notices)
 
 
 def _approach(qd: Array) -> Array:

@@ -71,12 +71,11 @@ class ProgramPause:
 
 @dataclass(frozen=True)
 class KrlProgram:
-    """Motions and pauses in the order in which the controller meets them; `files` that were read; `planned`: that it must be as
-    ocp.plan writes it, where nothing is left to the controller's goodwill."""
+    """Motions and pauses in the order in which the controller meets them; `planned`: that it must be as ocp.plan writes
+    it, where nothing is left to the controller's goodwill."""
 
     main: Path
     steps: tuple[DrivenMotion | ProgramPause, ...]
-    files: tuple[str, ...]
     planned: bool = False
 
     @property
@@ -156,7 +155,6 @@ class _Controller:
     axis_speed: Array = field(default_factory=lambda: np.ones(6))
     axis_acceleration: Array = field(default_factory=lambda: np.ones(6))
     steps: list[DrivenMotion | ProgramPause] = field(default_factory=list)
-    files: list[str] = field(default_factory=list)
     planned: bool = False
     points: int = 0
     calls: int = 0
@@ -177,7 +175,7 @@ def read_program(place: Path, name: str | None = None, planned: bool = False) ->
     files = {p.stem.upper(): p for p in main.parent.iterdir() if p.suffix.lower() == ".src"}
     c = _Controller(planned=planned)
     _run(c, main, files, 0)
-    program = KrlProgram(main, tuple(c.steps), tuple(c.files), planned)
+    program = KrlProgram(main, tuple(c.steps), planned)
     if not program.motions:
         raise BadInput(f"{main}: moves nothing; give a folder that ocp.plan wrote")
     return program
@@ -247,8 +245,6 @@ def _run(c: _Controller, source: Path, files: dict[str, Path], depth: int) -> No
         )
     if body[-1][1] != "END":
         raise BadInput(f"{source}, line {body[-1][0]}: the file ends without END; it was cut off or holds more than one program")
-    if source.name not in c.files:
-        c.files.append(source.name)
     rest, outer, c.since = iter(body[1:-1]), c.since, set()
     for line, text in rest:
         if text in ("SPLINE", "PTP_SPLINE"):
@@ -341,12 +337,12 @@ def _assign(c: _Controller, where: str, name: str, index: str | None, value: str
     elif name == "$IPO_MODE" and value in ("#TCP", "#BASE"):
         c.frames = replace(c.frames, held=value == "#TCP")
     elif name in ("$VEL.CP", "$ACC.CP") and not index:
-        size = _positive(where, name, value, 100.0)
-        c.speed, c.acceleration = (size, c.acceleration) if name == "$VEL.CP" else (c.speed, size)
+        setattr(c, "speed" if name == "$VEL.CP" else "acceleration", _positive(where, name, value, 100.0))
     elif name in ("$VEL_AXIS", "$ACC_AXIS") and index and 1 <= int(index) <= 6:
-        shares = (c.axis_speed if name == "$VEL_AXIS" else c.axis_acceleration).copy()
+        register = "axis_speed" if name == "$VEL_AXIS" else "axis_acceleration"
+        shares = getattr(c, register).copy()  # motions before keep what they had
         shares[int(index) - 1] = _positive(where, name, value, 100.0) / 100.0
-        c.axis_speed, c.axis_acceleration = (shares, c.axis_acceleration) if name == "$VEL_AXIS" else (c.axis_speed, shares)
+        setattr(c, register, shares)
     else:
         # Where blends begin is not modelled; without them nothing else of motion is left.
         return name.startswith("$APO.")

@@ -129,7 +129,7 @@ def _model(design: ArmDesign, payload: tuple[float, Array]) -> mujoco.MjModel:
     parent, before = spec.worldbody.add_body(name="base"), np.eye(4)
     for i in range(6):
         parent, before = _link(parent, before, design, i)
-    _inertia(_body(parent, "payload", before), payload[0], np.eye(4), payload[1], np.zeros((3, 3)))
+    _weight(_body(parent, "payload", before), payload[0], np.eye(4), payload[1])
     if design.balancer is not None:
         _tendon(spec, design.balancer)
     return spec.compile()
@@ -157,8 +157,7 @@ def _link(parent: mujoco.MjsBody, before: Array, design: ArmDesign, i: int) -> t
             _hinge(body, f"bend{i + 1}_{k}", robot.sign[i], 0.5 * bend.compliance)
             if com @ end > share * end @ end:
                 holder, at = body, frame
-    scale = design.mass_scale[i + 1]
-    _inertia(holder, scale * robot.link_mass[i + 1], at, robot.link_com[i + 1], scale * robot.link_inertia[i + 1])
+    _weight(holder, design.mass_scale[i + 1] * robot.link_mass[i + 1], at, robot.link_com[i + 1])
     body.add_site(name=f"frame{i + 1}", pos=frame[:3, 3], quat=_quaternion(frame[:3, :3]))
     return body, frame
 
@@ -177,14 +176,12 @@ def _hinge(body: mujoco.MjsBody, name: str, sign: float, compliance: float | Non
         joint.stiffness = [1.0 / compliance if compliance > 0 else RIGID, 0.0, 0.0]
 
 
-def _inertia(body: mujoco.MjsBody, mass: float, frame: Array, com: Array, tensor: Array) -> None:
-    """Mass kg with its centre (3,) m and tensor (3, 3) kg m^2 in the axes of `frame`, which stands in the body."""
-    R = frame[:3, :3]
-    turned = R @ tensor @ R.T + LEAST * np.eye(3)
+def _weight(body: mujoco.MjsBody, mass: float, frame: Array, com: Array) -> None:
+    """Mass kg with its centre (3,) m in the axes of `frame`, which stands in the body; its spread has no part in statics."""
     body.explicitinertial = True
     body.mass = max(mass, LEAST)
-    body.ipos = R @ com + frame[:3, 3]
-    body.fullinertia = [turned[0, 0], turned[1, 1], turned[2, 2], turned[0, 1], turned[0, 2], turned[1, 2]]
+    body.ipos = frame[:3, :3] @ com + frame[:3, 3]
+    body.inertia = [LEAST] * 3
 
 
 def _tendon(spec: mujoco.MjSpec, balancer: Balancer) -> None:
@@ -230,19 +227,16 @@ class Laws:
 
 @dataclass(frozen=True)
 class Situations:
-    """n postures: motor (n, 6) rad after the gears; sign (n, 6) of approach; growth (n,) of the lengths; base_quat (n, 4) of a
-    tilted base, or None; load (n, 6) N, N m in base axes on load_link (n,) at load_place (n, 3) m, or None; qd, qdd (n, 6) of
-    the motors where torques in motion are wanted, or None."""
+    """n postures: motor (n, 6) rad after the gears; sign (n, 6) of approach; growth (n,) of the lengths; load (n, 6) N, N m in
+    base axes on load_link (n,) at load_place (n, 3) m; base_quat (n, 4) of a tilted base, or None."""
 
     motor: Array
     sign: Array
     growth: Array
+    load: Array
+    load_link: Index
+    load_place: Array
     base_quat: Array | None = None
-    load: Array | None = None
-    load_link: Index | None = None
-    load_place: Array | None = None
-    qd: Array | None = None
-    qdd: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -292,8 +286,6 @@ def equilibria(machine: ArmModel, laws: Laws, at: Situations) -> Settled:
             position[k, 1:], rotation[k, 1:] = data.site_xpos[machine.sites], data.site_xmat[machine.sites]
             mujoco.mj_jacSite(model, data, jacp, jacr, tip)
             jacobian[k, :3], jacobian[k, 3:] = jacp[:, machine.springs], jacr[:, machine.springs]
-            if at.qd is not None and at.qdd is not None:
-                motor[k] += _in_motion(machine, at.qd[k], at.qdd[k])
     finally:
         model.body_pos[:], model.site_pos[:], model.body_quat[:] = places
     links = np.zeros((n, 7, 4, 4))
@@ -305,7 +297,6 @@ def _equilibrium(machine: ArmModel, laws: Laws, at: Situations, k: int, x: Array
     """Spring angles from x on, their load torques, the drives' holding torques, and the steps taken."""
     model, data, springs, c = machine.model, machine.data, machine.springs, machine.compliance
     stiffness, bias, before = model.jnt_stiffness[springs], np.empty(model.nv), 0.0
-    applied = None
     for step in range(1, MOST_STEPS + 1):
         data.qpos[springs] = x
         mujoco.mj_kinematics(model, data)
@@ -315,9 +306,8 @@ def _equilibrium(machine: ArmModel, laws: Laws, at: Situations, k: int, x: Array
         mujoco.mj_passive(model, data)
         mujoco.mj_rne(model, data, 0, bias)
         force = data.qfrc_passive - bias
-        applied = _applied(machine, at, k)
-        if applied is not None:
-            force += applied
+        if at.load[k].any():
+            force += _applied(machine, at, k)
         tau = force[springs] + stiffness * x
         new = c * tau
         if not laws.plain:
@@ -334,10 +324,8 @@ def _equilibrium(machine: ArmModel, laws: Laws, at: Situations, k: int, x: Array
     )
 
 
-def _applied(machine: ArmModel, at: Situations, k: int) -> Array | None:
-    """Generalised force (nv,) of the load, None without."""
-    if at.load is None or at.load_link is None or at.load_place is None or not at.load[k].any():
-        return None
+def _applied(machine: ArmModel, at: Situations, k: int) -> Array:
+    """Generalised force (nv,) of the load."""
     link = int(at.load_link[k])
     force = np.zeros(machine.model.nv)
     if link > 0:
@@ -346,17 +334,3 @@ def _applied(machine: ArmModel, at: Situations, k: int) -> Array | None:
         body = int(machine.bodies[link])
         mujoco.mj_applyFT(machine.model, data, at.load[k, :3], at.load[k, 3:], point, body, force)
     return force
-
-
-def _in_motion(machine: ArmModel, qd: Array, qdd: Array) -> Array:
-    """Torques (6,) N m that the drives need beyond holding, without friction and rotors."""
-    model, data = machine.model, machine.data
-    result = np.empty((2, model.nv))
-    for row, moving in enumerate((0.0, 1.0)):
-        data.qvel[machine.drives], data.qacc[:] = moving * qd, 0.0
-        data.qacc[machine.drives] = moving * qdd
-        mujoco.mj_comVel(model, data)
-        mujoco.mj_rne(model, data, 1, result[row])
-    data.qvel[:], data.qacc[:] = 0.0, 0.0
-    mujoco.mj_comVel(model, data)
-    return np.asarray((result[1] - result[0])[machine.drives])

@@ -124,17 +124,8 @@ def inverse_by_status(robot: Robot, goal: Array, status: int, turn: int | None) 
 TURN_SPEED = np.radians(200.0)  # rad/s, $VEL.ORI1 as it usually is (M): turns without way take their time by it
 STEP = 2.5e-4  # m along the path between the poses for which axes are worked out
 SAME = 1e-7  # m; points nearer than this are one
+DrivenPath = tuple[float, Callable[..., Array], tuple[Array, NDArray[np.int64]]]
 SHARE = 0.98  # of an axis' speed that a path motion uses at most
-
-
-@dataclass(frozen=True)
-class PathSegment:
-    """A path motion: duration s, `q(t, nu)`, and the lines of the program passed at the times `passed` (m,)."""
-
-    duration: float
-    q: Callable[..., Array]
-    passed: Array
-    rows: NDArray[np.int64]
 
 
 def flange_poses(frames: ProgramFrames, P: Array) -> Array:
@@ -148,14 +139,17 @@ def programmed(frames: ProgramFrames, T: Array) -> Array:
     return invert(tool) if frames.held else tool
 
 
-def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> PathSegment | None:
-    """A SPLINE, or LINs that blend into one another, from the joints `start` (6,); None where it goes nowhere.
+def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> DrivenPath | None:
+    """A SPLINE, or LINs that blend into one another, from the joints `start` (6,): its duration s, q(t, nu), and when it passes
+    which line of the program; None where it goes nowhere.
 
     Raises Infeasible: a pose out of reach.
     """
     first = chain[0]
     targets = [t for motion in chain for t in motion.targets]
-    P = np.array([programmed(first.frames, flange(robot, start))[0], *(_pose(robot, first, t) for t in targets)])
+    begin = programmed(first.frames, flange(robot, start))[0]
+    goals = [programmed(first.frames, flange(robot, np.asarray(t.q)))[0] if t.pose is None else t.pose for t in targets]
+    P = np.array([begin, *goals])
     lines = np.array([first.line, *(t.line for t in targets)])
     middle = Rotation.from_matrix(P[len(P) // 2, :3, :3])
     turn = (middle.inv() * Rotation.from_matrix(P[:, :3, :3])).as_rotvec()
@@ -166,7 +160,9 @@ def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> PathSeg
     if len(points) < 2:
         return None
     u = np.concatenate([[0.0], np.cumsum(_ways(points, first.speed))])
-    curve = _through(u, points) if first.kind == "SPLINE" else _rounded(u, points)
+    # Fifth order, or what the number of points allows.
+    order = 5 if len(u) > 5 else 3 if len(u) > 3 else 1
+    curve = make_interp_spline(u, points, k=order) if first.kind == "SPLINE" else _rounded(u, points)
     grid = np.linspace(0.0, u[-1], max(8, int(np.ceil(u[-1] / STEP))) + 1)
     at = curve(grid)
     poses = make_transform((middle * Rotation.from_rotvec(at[:, 3:])).as_matrix(), at[:, :3])
@@ -185,23 +181,13 @@ def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> PathSeg
         slope = joints(u, 1)
         return np.asarray(slope * v[..., None] if nu == 1 else joints(u, 2) * v[..., None] ** 2 + slope * a[..., None])
 
-    return PathSegment(float(law.time[-1]), evaluate, np.interp(u, grid, law.time), lines)
-
-
-def _pose(robot: Robot, motion: DrivenMotion, target: object) -> Array:
-    pose, q = target.pose, target.q  # type: ignore[attr-defined]
-    return np.asarray(programmed(motion.frames, flange(robot, q))[0] if pose is None else pose)
+    return float(law.time[-1]), evaluate, (np.interp(u, grid, law.time), lines)
 
 
 def _ways(points: Array, speed: float) -> Array:
     """Length of the way from point to point; a turn counts by the time it takes at `TURN_SPEED`."""
     step = np.diff(points, axis=0)
     return np.maximum(np.linalg.norm(step[:, :3], axis=1), np.linalg.norm(step[:, 3:], axis=1) * speed / TURN_SPEED)
-
-
-def _through(u: Array, points: Array) -> BSpline:
-    """Fifth order, or what the number of points allows."""
-    return make_interp_spline(u, points, k=5 if len(u) > 5 else 3 if len(u) > 3 else 1)
 
 
 def _rounded(u: Array, points: Array) -> Callable[[Array], Array]:

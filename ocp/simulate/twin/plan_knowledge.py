@@ -144,15 +144,8 @@ def _dense(plan: PlanTable) -> PlanTable:
         t = plan.time[rows]
         fine = np.append(np.arange(t[0], t[-1], FINE), t[-1])
         q = CubicSpline(t, plan.q[rows])(fine) if len(t) > 3 else np.stack([np.interp(fine, t, c) for c in plan.q[rows].T], 1)
-        parts.append(
-            (
-                fine,
-                q,
-                np.full(len(fine), plan.line[rows[0]]),
-                np.full(len(fine), plan.phase[rows[0]]),
-                np.full(len(fine), segment),
-            )
-        )
+        same = (np.full(len(fine), value) for value in (plan.line[rows[0]], plan.phase[rows[0]], segment))
+        parts.append((fine, q, *same))
     time, q, line, phase, segments = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return PlanTable(plan.path, time, q, line, phase, np.empty((len(time), 0)), segments)
 
@@ -194,6 +187,11 @@ def file_hash(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def with_hash(files: Iterable[Path], digest: str) -> Path | None:
+    """The first of the files whose bytes have this hash."""
+    return next((file for file in files if file.is_file() and file_hash(file) == digest), None)
+
+
 def recorded_input(summary: dict[str, Any], role: str) -> tuple[str, str] | None:
     """Name and hash of an input of the plan, None where plan.json does not tell it."""
     for item in summary.get("inputs", []):
@@ -213,9 +211,8 @@ def cell_of_plan(summary: dict[str, Any], folder: Path, places: Iterable[Path], 
     name, digest = known
     near = list(places)
     looked = [*(place / name for place in near), bundled, *(file for place in near for file in sorted(place.glob(f"*/{name}")))]
-    for candidate in looked:
-        if candidate.is_file() and file_hash(candidate) == digest:
-            return candidate
+    if found := with_hash(looked, digest):
+        return found
     raise BadInput(f"{folder}: was made with a cell '{name}' that is not found near it; give that file with --cell")
 
 
@@ -237,10 +234,9 @@ def refuse_stranger(program: KrlProgram, cell: Cell, summary: dict[str, Any], fo
             _compare_load(motion, cell)
         if motion.kind == "PTP" and not motion.frames.held:
             continue
-        _compare(motion, "$TOOL", motion.frames.tool, piece.T_flange_blade, (piece.xyz_sd, piece.abc_sd) if moved else None, cell)
-        _compare(
-            motion, "$BASE", motion.frames.base, wheel_place(cell), (wheel.centre_sd, wheel.axis_sd) if moved else None, cell
-        )
+        tool_sd, base_sd = ((piece.xyz_sd, piece.abc_sd), (wheel.centre_sd, wheel.axis_sd)) if moved else (None, None)
+        _compare(motion, "$TOOL", motion.frames.tool, piece.T_flange_blade, tool_sd, cell)
+        _compare(motion, "$BASE", motion.frames.base, wheel_place(cell), base_sd, cell)
         if not motion.frames.held:
             raise BadInput(f"{motion.file}, line {motion.line}: $IPO_MODE is #BASE, but in {cell.path} the robot holds the blade")
     known = recorded_input(summary, "cell")

@@ -1,6 +1,6 @@
 """What force a program would be seen to make: figures, the worst places, and which part of the cell brings them there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from ocp.simulate.twin.collide import WheelBody, true_wheel
 from ocp.simulate.twin.contact import ContactMoments
 from ocp.simulate.twin.controller import Index
 from ocp.simulate.twin.plan_knowledge import Matched
-from ocp.simulate.twin.run import GroundPasses, VirtualMachine, pushed_by, true_blade
+from ocp.simulate.twin.run import GroundPasses, VirtualMachine, true_blade
 from robots.pose import Array, apply
 
 WITHIN = 1.0  # N
@@ -56,11 +56,16 @@ class Rehearsal:
         """mean, sd, min, max N, shares within 1 N and without contact, rms of the error and of each part of it, N."""
         error = self.force - self.goal
         within, lost = np.mean(np.abs(error) <= WITHIN), np.mean(self.force <= 0)
-        f = self.force
-        found = {"mean_N": f.mean(), "sd_N": f.std(), "min_N": f.min(), "max_N": f.max(), "within_1_N": within, "lost": lost}
+        found = statistics(self.force) | {"within_1_N": within, "lost": lost}
         found |= {"goal_N": self.goal.mean(), "rms_error_N": np.sqrt(np.mean(error**2))}
         found |= {f"rms_{name}_N": np.sqrt(np.mean(self.parts[:, k] ** 2)) for k, name in enumerate(PARTS)}
         return {name: float(value) for name, value in found.items()}
+
+
+def statistics(force: Array) -> dict[str, float]:
+    """Mean, standard deviation, least and most of forces N."""
+    figures = {"mean_N": force.mean(), "sd_N": force.std(), "min_N": force.min(), "max_N": force.max()}
+    return {name: float(value) for name, value in figures.items()}
 
 
 def rehearse(machine: VirtualMachine, plan: Matched, grinding: GroundPasses, tool: Array, base: Array) -> Rehearsal:
@@ -74,7 +79,7 @@ def rehearse(machine: VirtualMachine, plan: Matched, grinding: GroundPasses, too
     m, force = grinding.moments, grinding.result.force
     cell, truth, i = machine.cell, machine.truth, grinding.index
     believed = WheelBody(base[:3, 3] - cell.wheel.radius * base[:3, 2], base[:3, 1], cell.wheel.radius, cell.wheel.width)
-    really = true_wheel(cell, truth.wheel_shift, truth.wheel_axis_turn)
+    really = true_wheel(cell, truth)
     steps = [
         plan.interference[i],
         overlap(believed, m.T_base_flange @ tool, m.p),
@@ -102,7 +107,9 @@ def chain_stiffness(machine: VirtualMachine, grinding: GroundPasses, wheel: Whee
     v = apply(m.T_base_flange @ true_blade(machine.cell, machine.truth), m.p) - wheel.centre
     radial = v - (v @ wheel.axis)[:, None] * wheel.axis
     inward = -radial / np.linalg.norm(radial, axis=1, keepdims=True)
-    pushed = machine.grinder.force(pushed_by(grinding, NUDGE * inward)).force
+    T = m.T_base_flange.copy()
+    T[:, :3, 3] += NUDGE * inward
+    pushed = machine.grinder.force(replace(m, T_base_flange=T)).force
     return np.asarray(np.maximum((pushed - grinding.result.force) / NUDGE, SOFTEST))
 
 

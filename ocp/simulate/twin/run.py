@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
 from ocp.simulate.twin.arm import Moments, VirtualArm, arm_moments, make_arm
-from ocp.simulate.twin.collide import HZ, SLOW_HZ, WheelBody, refuse_hits, true_wheel
+from ocp.simulate.twin.collide import HZ, SLOW_HZ, refuse_hits, true_wheel
 from ocp.simulate.twin.contact import ContactMoments, ContactResult
 from ocp.simulate.twin.contact.grinder import Grinder, make_grinder
 from ocp.simulate.twin.contact.sensor import read_sensor
@@ -22,7 +22,7 @@ from ocp.simulate.twin.controller import Index, Track
 from ocp.simulate.twin.path_motion import flange, solve_posture
 from ocp.simulate.twin.plan_knowledge import AWAY, GRINDING, Matched
 from ocp.simulate.twin.truth import Truth
-from robots.errors import BadInput, Infeasible
+from robots.errors import Infeasible
 from robots.pose import Array, make_transform
 from trajectories.blade import Blade
 
@@ -88,17 +88,11 @@ def refuse_crash(machine: VirtualMachine, track: Track, plan: Matched) -> None:
     n = np.arange(len(track.time))
     slow = plan.phase != AWAY
     index = np.flatnonzero((n % max(1, round(rate / HZ)) == 0) & ~slow | (n % max(1, round(rate / SLOW_HZ)) == 0) & slow)
-    links = _links(machine, track, index)
+    parts = np.array_split(index, len(index) // SLICE + 1)
+    links = np.concatenate([machine.arm.links(arm_conditions(machine, track, part, 0.0)) for part in parts])
     where = [f"{track.places[track.motion[k]][0]}, line {int(track.row[k])}, {track.time[k]:.2f} s" for k in index]
-    T = true_blade(machine.cell, machine.truth)
-    refuse_hits(machine.cell, machine.blade, wheel_of(machine), T, links, plan.phase[index], plan.interference[index], where)
-
-
-def _links(machine: VirtualMachine, track: Track, index: Index) -> Array:
-    parts = [
-        machine.arm.links(arm_conditions(machine, track, part, 0.0)) for part in np.array_split(index, len(index) // SLICE + 1)
-    ]
-    return np.concatenate(parts)
+    T, wheel = true_blade(machine.cell, machine.truth), true_wheel(machine.cell, machine.truth)
+    refuse_hits(machine.cell, machine.blade, wheel, T, links, plan.phase[index], plan.interference[index], where)
 
 
 def arm_conditions(machine: VirtualMachine, track: Track, index: Index, clock: float, visit: Index | None = None) -> Moments:
@@ -108,11 +102,6 @@ def arm_conditions(machine: VirtualMachine, track: Track, index: Index, clock: f
     return arm_moments(
         track.q[index], payload, machine.temperature, track.approach[index], clock + track.time[index], visit=visit
     )
-
-
-def wheel_of(machine: VirtualMachine) -> WheelBody:
-    """The wheel as it stands."""
-    return true_wheel(machine.cell, machine.truth.wheel_shift, machine.truth.wheel_axis_turn)
 
 
 def true_blade(cell: Cell, truth: Truth) -> Array:
@@ -182,13 +171,6 @@ def _refuse_force(machine: VirtualMachine, track: Track, plan: Matched, index: I
         )
 
 
-def pushed_by(grinding: GroundPasses, shift: Array) -> ContactMoments:
-    """The same instants with the flange moved by `shift` (n, 3) m, base axes."""
-    T = grinding.moments.T_base_flange.copy()
-    T[:, :3, 3] += shift
-    return replace(grinding.moments, T_base_flange=T)
-
-
 SLIP = "clamp_slip"
 
 
@@ -251,28 +233,11 @@ class GrindingCampaign:
     sealed: tuple[GroundPasses, ...]
 
 
-def default_ladder(force: float, rigid: bool) -> tuple[float, ...]:
-    """Setpoints N that tell stiffness from place: 60, 100 and 140 % of the process force (75 to 125 % of a rigid mount)."""
-    shares = (0.75, 1.0, 1.25) if rigid else (0.6, 1.0, 1.4)
-    return tuple(round(force * share, 3) for share in shares)
-
-
-def check_plan(plan: CampaignPlan, hz: float, force: float) -> None:
-    """Raises BadInput: levels, rates or belts out of range."""
-    for level in plan.ladder:
-        if not 0.1 * force <= level <= 3 * force:
-            raise BadInput(f"--ladder {level:g}: must lie between {0.1 * force:g} and {3 * force:g} N, about the process force")
-    if not 1.0 <= plan.log_hz <= hz:
-        raise BadInput(f"--log-hz {plan.log_hz:g}: must lie between 1 and the control rate of {hz:g}")
-    for belt in plan.belts:
-        if not abs(belt) <= 60.0:
-            raise BadInput(f"--belt {belt:g}: must lie between -60 and 60 m/s")
-
-
 def run_campaign(machine: VirtualMachine, track: Track, plan: Matched, wanted: CampaignPlan, hz: float) -> GrindingCampaign:
     """Run it all, one after the other on one clock, every sample of it; only the log is thinned. Raises Infeasible as `grind`."""
     cell, every = machine.cell, max(1, round(hz / wanted.log_hz))
-    own, belt = _own_force(machine), cell.wheel.belt_speed
+    # What the program runs with: the flange's setpoint, without a flange the process force.
+    own, belt = cell.process.force if cell.flange is None else cell.flange.setpoint, cell.wheel.belt_speed
     passes = [int(k) for k in np.unique(plan.run[plan.run >= 0])]
     first = grind(machine, track, plan, GrindingConditions(own, belt, clock=wanted.clock))
     recorded, clock, ground = [decimated(first, every)], wanted.clock, _ground(plan, passes, {})
@@ -289,23 +254,13 @@ def run_campaign(machine: VirtualMachine, track: Track, plan: Matched, wanted: C
             ground = _ground(plan, some, ground)
         return decimated(done, every)
 
-    for level in wanted.ladder:
-        if abs(level - own) > 1e-9:
-            recorded.append(another(level, belt, passes))
+    recorded += [another(level, belt, passes) for level in wanted.ladder if abs(level - own) > 1e-9]
     if wanted.air:
         recorded.append(another(own, belt, passes[:AIR_PASSES], contact=False))
     recorded += [another(own, speed, spread(passes, BELT_PASSES)) for speed in wanted.belts]
-    sealed: list[GroundPasses] = []
-    if wanted.sealed:
-        level = 0.5 * (own + max((*wanted.ladder, own)))
-        sealed.append(another(level, belt, spread(passes, SEALED_PASSES)))
-    return GrindingCampaign(first, tuple(recorded), tuple(sealed))
-
-
-def _own_force(machine: VirtualMachine) -> float:
-    """What the program runs with: the flange's setpoint, without a flange the process force."""
-    flange_ = machine.cell.flange
-    return machine.cell.process.force if flange_ is None else flange_.setpoint
+    level = 0.5 * (own + max((*wanted.ladder, own)))
+    sealed = (another(level, belt, spread(passes, SEALED_PASSES)),) if wanted.sealed else ()
+    return GrindingCampaign(first, tuple(recorded), sealed)
 
 
 def spread(passes: list[int], most: int) -> list[int]:

@@ -50,9 +50,7 @@ def true_points(
     for planted in truth.planted("tracker_drift"):
         turn = Rotation.from_rotvec(hours * planted.vector("rad_per_h"))
         points = turn.apply(points) + hours * planted.vector("m_per_h")
-    for planted in truth.planted("tracker_scale"):
-        points = points * (1 + planted.number("scale"))
-    return np.asarray(points)
+    return np.asarray(points * (1 + truth.total("tracker_scale", "scale")))
 
 
 def measure(truth: Truth, cell: Cell, arm: VirtualArm, m: Moments, names: Sequence[str], rng: np.random.Generator) -> Array:

@@ -64,6 +64,10 @@ class Truth:
         """The planted effects of a name."""
         return [p for p in self.effects if p.effect == effect]
 
+    def total(self, effect: str, key: str) -> float:
+        """Sum of a key over the planted effects of a name; 0 without any."""
+        return sum((p.number(key) for p in self.planted(effect)), 0.0)
+
 
 def believed_payloads(cell: Cell) -> dict[str, tuple[float, Array]]:
     """Mass kg and centre (3,) m in the flange frame of everything the cell names."""

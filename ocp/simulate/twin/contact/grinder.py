@@ -9,6 +9,7 @@ for all instants at once and cannot fail. The mount between arm and blade is a r
 happens to it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from ocp.model.cell import Cell
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Index
 from ocp.simulate.twin.contact.sensor import lagging, memory
-from ocp.simulate.twin.contact.surface import Postures, postures
+from ocp.simulate.twin.contact.surface import postures
 from ocp.simulate.twin.contact.table import LEVELS, SolvedStations, Tables, depth_curves, make_tables, place_stations
 from ocp.simulate.twin.contact.wheel_and_blade import (
     LAW_CENTRE,
@@ -75,18 +76,14 @@ def make_mount(truth: Truth, cell: Cell, c: ContactMoments, rows: Index, normal:
         direction = c.T_base_flange[rows, :3, :3] @ flange.axis
         direction = direction * np.where(np.sum(direction * normal, axis=1) < 0, -1.0, 1.0)[:, None]
     mass = 0.0 if flange.gravity_compensated else flange.carried_mass
-    mass += sum(effect.number("kg") for effect in truth.planted("flange_gravity"))
+    mass += truth.total("flange_gravity", "kg")
     setpoint = np.where(np.isfinite(c.setpoint[rows]), c.setpoint[rows], flange.setpoint) + truth.flange_offset
-    stiffness = flange.stiffness * truth.flange_scale
-    for effect in truth.planted("flange_stiffness"):
-        stiffness *= 1 + effect.number("scale")
-    stick = sum(effect.number("N") for effect in truth.planted("flange_friction"))
     return Mount(
         along=np.sum(direction * normal, axis=1),
         preload=setpoint - mass * GRAVITY * direction[:, 2],
-        stiffness=float(stiffness),
+        stiffness=flange.stiffness * truth.flange_scale * (1 + truth.total("flange_stiffness", "scale")),
         half=0.5 * flange.stroke,
-        friction=np.full(len(rows), float(stick)),
+        friction=np.full(len(rows), truth.total("flange_friction", "N")),
     )
 
 
@@ -144,25 +141,23 @@ def solve_chain(chain: Chain) -> Equilibrium:
         closed = chain.mount.stroke(force) * chain.mount.along + _curve(chain.indentation, slopes, v) + force * chain.compliance
         return np.asarray(chain.depth - closed)
 
+    def root(low: Array, high: Array, more: Callable[[Array], Array]) -> Array:
+        """Where `more` is no longer above zero."""
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            still = more(middle) > 0
+            low, high = np.where(still, middle, low), np.where(still, high, middle)
+        return 0.5 * (low + high)
+
     zero = np.zeros_like(chain.depth)
     at_touch = chain.cover(zero)
     meets = excess(zero, zero) > 0
     loaded = excess(zero, at_touch) > 0
-    low, high = zero.copy(), np.full_like(zero, HIGHEST)
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        more = excess(middle, chain.cover(middle)) > 0
-        low, high = np.where(more, middle, low), np.where(more, high, middle)
-    v = np.where(loaded, 0.5 * (low + high), 0.0)
+    v = np.where(loaded, root(zero, np.full_like(zero, HIGHEST), lambda v: excess(v, chain.cover(v))), 0.0)
     force = chain.cover(v)
     only_push = meets & ~loaded & (at_touch > 0)
     if only_push.any():
-        low, high = zero.copy(), at_touch.copy()
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            more = excess(zero, middle) > 0
-            low, high = np.where(more, middle, low), np.where(more, high, middle)
-        force = np.where(only_push, 0.5 * (low + high), force)
+        force = np.where(only_push, root(zero, at_touch, lambda force: excess(zero, force)), force)
     force = np.where(meets, force, 0.0)
     indentation = np.where(meets, _curve(chain.indentation, slopes, v), np.nan)
     return Equilibrium(force, np.where(meets, chain.cover.elastic(v), 0.0), chain.mount.stroke(force), indentation)
@@ -257,14 +252,13 @@ class Grinder:
         if len(rows):
             moved = lagging(self.truth, c)
             stations = place_stations(c, rows, moved.s[rows])
-            chain, at = self._chain(moved, rows, stations, mu[rows])
+            chain, overlap[rows] = self._chain(moved, rows, stations, mu[rows])
             result = solve_relaxing(self.truth, chain, c.time_s[rows], _restarts(c, rows))
             force[rows], stroke[rows], indentation[rows] = result.force, result.stroke, result.indentation
-            overlap[rows] = at.overlap
         return ContactResult(force, mu * force, overlap, stroke, indentation)
 
-    def _chain(self, c: ContactMoments, rows: Index, stations: SolvedStations, mu: Array) -> tuple[Chain, Postures]:
-        """The equation of every instant in contact, and the postures."""
+    def _chain(self, c: ContactMoments, rows: Index, stations: SolvedStations, mu: Array) -> tuple[Chain, Array]:
+        """The equation of every instant in contact, and the overlap of the undeformed bodies."""
         truth, cell = self.truth, self.cell
         T = blade_poses(truth, cell, c)[rows]
         centre, axis = wheel_frames(truth, cell, c)
@@ -272,7 +266,10 @@ class Grinder:
         p, n, t = c.p[rows], c.n[rows], c.t[rows]
         at = postures(T, p, n, t, centre[rows], axis[rows], radius)
         indentation, crowding = depth_curves(self.tables, stations, at.shape)
-        compliance = blade_compliance_along(self._solid(stations), stations, T[:, :3, :3], n, t, at, mu) / blade_stiffness(truth)
+        solid = self.tables.compliance(
+            stations.p, stations.n, stations.t, lambda: solid_compliance(cell.workpiece, self.blade, stations, self.tables.patch)
+        )
+        compliance = blade_compliance_along(solid, stations, T[:, :3, :3], n, t, at, mu) / blade_stiffness(truth)
         compliance += clamp_compliance(truth, cell, p) + arm_compliance_along(c, rows, T, at, mu)
         everywhere = np.zeros(len(c.s))
         everywhere[rows] = crowding
@@ -283,16 +280,8 @@ class Grinder:
             push=push(truth, c, everywhere)[rows],
             slack=np.zeros(len(rows)),
         )
-        normal = np.einsum("kij,kj->ki", T[:, :3, :3], n)
-        mount = make_mount(truth, cell, c, rows, normal)
-        return Chain(at.depth + surface_change(truth, c)[rows], indentation, compliance, cover, mount), at
-
-    def _solid(self, stations: SolvedStations) -> Array:
-        """Compliance of the blade's solid at the stations (k, 3), kept with the tables."""
-        piece, patch = self.cell.workpiece, self.tables.patch
-        return self.tables.compliance(
-            stations.p, stations.n, stations.t, lambda: solid_compliance(piece, self.blade, stations, patch)
-        )
+        mount = make_mount(truth, cell, c, rows, np.einsum("kij,kj->ki", T[:, :3, :3], n))
+        return Chain(at.depth + surface_change(truth, c)[rows], indentation, compliance, cover, mount), at.overlap
 
 
 def make_grinder(cell: Cell, truth: Truth, blade: Blade, tables: Tables | None = None) -> Grinder:

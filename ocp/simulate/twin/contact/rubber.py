@@ -51,11 +51,16 @@ class LineElements:
         return csr_matrix(left.T @ ((self.weight * factor)[:, None] * right))
 
 
+def _to_nodes(degree: int) -> Array:
+    """Polynomials on Gauss-Lobatto nodes from powers (degree + 1, degree + 1), the highest power first."""
+    nodes = np.concatenate([[-1.0], np.sort(Legendre.basis(degree).deriv().roots().real), [1.0]])
+    return np.linalg.inv(np.vander(nodes, degree + 1))
+
+
 def elements(breaks: Array, degree: int) -> LineElements:
     """Continuous Lagrange polynomials on Gauss-Lobatto nodes between `breaks` (k+1,), degree + 2 Gauss points an element."""
-    nodes = np.concatenate([[-1.0], np.sort(Legendre.basis(degree).deriv().roots().real), [1.0]])
     points, weights = leggauss(degree + 2)
-    to_nodes = np.linalg.inv(np.vander(nodes, degree + 1))
+    to_nodes = _to_nodes(degree)
     powers = np.arange(degree, -1, -1)
     value = np.vander(points, degree + 1) @ to_nodes
     lowered = np.where(powers > 0, powers * points[:, None] ** np.maximum(powers - 1, 0), 0.0)
@@ -113,8 +118,7 @@ def _cell_loads(y: LineElements, width: float, cells: int) -> Array:
     points, weights = leggauss(DEGREE_Y)
     edges = np.linspace(-width / 2, width / 2, cells + 1)
     breaks = edges[::CELLS_PER_ELEMENT]
-    nodes = np.concatenate([[-1.0], np.sort(Legendre.basis(DEGREE_Y).deriv().roots().real), [1.0]])
-    to_nodes = np.linalg.inv(np.vander(nodes, DEGREE_Y + 1))
+    to_nodes = _to_nodes(DEGREE_Y)
     loads = np.zeros((y.value.shape[1], cells))
     for j in range(cells):
         k = j // CELLS_PER_ELEMENT
@@ -225,8 +229,7 @@ def make_rubber(radius: float, width: float, thickness: float, poisson: float, c
     """The cover on cells of about `cell` m, `reach` m to both sides of the contact along the belt."""
     across = max(2 * round(width / cell / 2), 2)
     dy = width / across
-    along = 2 * int(np.ceil(reach / cell))
-    dx = cell
+    along, dx = 2 * int(np.ceil(reach / cell)), cell
     section = cover_section(radius, width, thickness, poisson, across)
     last = 2 * np.pi * radius / dx
     n = np.concatenate([[0.0], np.geomspace(0.35, last, WAVES - 1)])
@@ -245,9 +248,8 @@ def make_rubber(radius: float, width: float, thickness: float, poisson: float, c
     wrapped[:along] = kernel
     wrapped[padded - along + 1 :] = kernel[:0:-1]
     transfer = np.ascontiguousarray(rfft(wrapped, axis=0).real, np.float32)
-    x = (np.arange(along) - 0.5 * (along - 1)) * dx
-    y = (np.arange(across) + 0.5) * dy - width / 2
-    grid = Grid(np.asarray(x, np.float64), np.asarray(y, np.float64), dx, dy)
+    x = np.asarray((np.arange(along) - 0.5 * (along - 1)) * dx)
+    grid = Grid(x, np.asarray((np.arange(across) + 0.5) * dy - width / 2), dx, dy)
     own = float(kernel[0, across // 2, across // 2])
     return Rubber(radius, width, thickness, grid, transfer, own, padded, np.cos(x / radius))
 

@@ -20,7 +20,7 @@ def lagging(truth: Truth, c: ContactMoments) -> ContactMoments:
 
     Setpoint, clock and speeds stay those of the instant. Rows should be no farther apart than the path is straight.
     """
-    length = sum(effect.number("m") for effect in truth.planted("path_lag"))
+    length = truth.total("path_lag", "m")
     if not length:
         return c
     where = np.arange(len(c.s), dtype=float)
@@ -89,14 +89,12 @@ SLOW_SHARE, SLOW_TIME = 0.4, 0.03  # variance and correlation time s of the nois
 
 def read_sensor(truth: Truth, result: ContactResult, c: ContactMoments, rng: np.random.Generator) -> tuple[Array, Array]:
     """Readings fn, ft (n,) N: ft is signed along axis x outward wheel radial at the contact."""
-    late = sum(effect.number("s") for effect in truth.planted("time_delay"))
+    late = truth.total("time_delay", "s")
     normal, tangential = (_filtered(delayed(f, c.run, c.time_s, late), c) for f in (result.force, result.tangential))
-    leak = sum(effect.number("leak") for effect in truth.planted("tangential_force"))
-    leak += sum(effect.number("share") for effect in truth.planted("sensor_crosstalk"))
-    gain = 1 + sum(effect.number("scale") for effect in truth.planted("sensor_gain"))
-    offset = truth.sensor_bias + sum(effect.number("N") for effect in truth.planted("sensor_bias"))
-    drift = sum(effect.number("N_per_h") for effect in truth.planted("sensor_drift"))
-    fn = gain * (normal + leak * tangential) + offset + drift * c.campaign_time() / 3600.0
+    leak = truth.total("tangential_force", "leak") + truth.total("sensor_crosstalk", "share")
+    offset = truth.sensor_bias + truth.total("sensor_bias", "N")
+    drift = truth.total("sensor_drift", "N_per_h") * c.campaign_time() / 3600.0
+    fn = (1 + truth.total("sensor_gain", "scale")) * (normal + leak * tangential) + offset + drift
     return fn + noise(truth.sensor_sigma, c, rng), tangential + noise(truth.sensor_sigma, c, rng)
 
 

@@ -87,14 +87,7 @@ class Tables:
             part = np.array(order[start : start + BATCH])
             for k, node in zip(part, self._solve(p[part], n[part], t[part], lattice[part] * LATTICE), strict=True):
                 self.nodes[keys[k]] = node
-        found = [self.nodes[key] for key in keys]
-        return Curves(
-            np.array([f[0] for f in found]),
-            np.array([f[1] for f in found]),
-            np.array([f[2] for f in found]),
-            np.array([f[3] for f in found]),
-            np.array([f[4] for f in found]),
-        )
+        return Curves(*(np.array(part) for part in zip(*(self.nodes[key] for key in keys), strict=True)))
 
     def _solve(self, p: Array, n: Array, t: Array, shape: Array) -> list[Node]:
         """Value, slope, bend and crowding of nodes (k, 3), (k, 4)."""

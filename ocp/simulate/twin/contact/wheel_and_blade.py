@@ -31,9 +31,7 @@ def _warmer(cell: Cell, c: ContactMoments) -> Array:
 
 def modulus_factor(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
     """Cover's force over the believed one at the same indentation (n,): truth's scale, wheel_stiffness, wheel_temperature."""
-    factor = np.full(len(c.s), truth.cover_scale)
-    for effect in truth.planted("wheel_stiffness"):
-        factor *= 1 + effect.number("scale")
+    factor = np.full(len(c.s), truth.cover_scale * (1 + truth.total("wheel_stiffness", "scale")))
     for effect in truth.planted("wheel_temperature"):
         factor *= np.maximum(1 + effect.number("per_K") * _warmer(cell, c), 0.05)
     return factor
@@ -41,17 +39,13 @@ def modulus_factor(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
 
 def law_power(truth: Truth) -> float:
     """Power of the believed force in the true one, about LAW_CENTRE."""
-    return float(np.prod([1 + effect.number("exponent") for effect in truth.planted("wheel_law")]))
+    return 1 + truth.total("wheel_law", "exponent")
 
 
 def radius_change(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
     """Radius over the cell's (n,) m: wear with the clock (contact time where there is none), heat, run-out."""
-    change = np.zeros(len(c.s))
     worn = np.where(np.isfinite(c.clock_s), c.clock_s, _contact_time(c))
-    for effect in truth.planted("wheel_wear"):
-        change -= effect.number("m_per_s") * worn
-    for effect in truth.planted("wheel_temperature"):
-        change += effect.number("radius_per_K") * _warmer(cell, c)
+    change = truth.total("wheel_temperature", "radius_per_K") * _warmer(cell, c) - truth.total("wheel_wear", "m_per_s") * worn
     for effect in truth.planted("wheel_runout"):
         turned = belt_travel(c) / cell.wheel.radius
         change += effect.number("m") * np.cos(turned + effect.number("phase_rad"))
@@ -79,15 +73,13 @@ def belt_travel(c: ContactMoments) -> Array:
 
 def friction(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
     """Signed tangential over normal force (n,) along axis x outward radial; none where the belt stands."""
-    size = cell.wheel.friction + sum(effect.number("dmu") for effect in truth.planted("tangential_force"))
+    size = cell.wheel.friction + truth.total("tangential_force", "dmu")
     return np.asarray(max(size, 0.0) * np.sign(c.belt))
 
 
 def push(truth: Truth, c: ContactMoments, crowding: Array) -> Array:
     """Force of the belt beside the cover's (n,) N wherever there is contact: splice and tension; crowding (n,) is 0..1."""
-    total = np.zeros(len(c.s))
-    for effect in truth.planted("belt_tension"):
-        total += effect.number("N") * crowding
+    total = truth.total("belt_tension", "N") * crowding
     for effect in truth.planted("belt_splice"):
         turn = np.mod(effect.number("hz") * c.time_s + 0.5, 1.0) - 0.5
         bump = np.where(np.abs(turn) < 0.5 * SPLICE_SHARE, 0.5 + 0.5 * np.cos(2 * np.pi * turn / SPLICE_SHARE), 0.0)
@@ -104,12 +96,8 @@ _STOCK_STREAM = 20_419  # keeps the profile's random numbers apart from others o
 
 def surface_change(truth: Truth, c: ContactMoments) -> Array:
     """How far the ground surface stands out over the nominal one along its normal (n,) m: stock left, less what was removed."""
-    change = np.zeros(len(c.s))
-    for effect in truth.planted("material_removal"):
-        before = np.nan_to_num(c.ground_before)
-        change -= (
-            effect.number("m_per_pass") * before * REMOVAL_FEED / np.maximum(np.nan_to_num(c.feed, nan=REMOVAL_FEED), SLOWEST)
-        )
+    feed = np.maximum(np.nan_to_num(c.feed, nan=REMOVAL_FEED), SLOWEST)
+    change = -truth.total("material_removal", "m_per_pass") * np.nan_to_num(c.ground_before) * REMOVAL_FEED / feed
     for effect in truth.planted("stock_profile"):
         for line in np.unique(c.line[c.contact]):
             rows = c.contact & (c.line == line)
@@ -127,17 +115,14 @@ def profile(seed: int, line: int, s: Array) -> Array:
 
 def blade_stiffness(truth: Truth) -> float:
     """Stiffness of the blade's solid over the believed one."""
-    return float(truth.blade_scale * np.prod([1 + effect.number("scale") for effect in truth.planted("blade_stiffness")]))
+    return truth.blade_scale * (1 + truth.total("blade_stiffness", "scale"))
 
 
 def clamp_compliance(truth: Truth, cell: Cell, p: Array) -> Array:
     """Of the clamp (n,) m/N at contacts p (n, 3): the fixture's spring, and the planted lever with the distance squared."""
     piece = cell.workpiece
     height = np.maximum(p @ piece.clamp_normal - piece.clamp_offset, 0.0)
-    compliance = np.full(len(p), 1.0 / piece.clamp_stiffness)
-    for effect in truth.planted("clamp_compliance"):
-        compliance += effect.number("m_per_N") * (height / LEVER) ** 2
-    return compliance
+    return 1.0 / piece.clamp_stiffness + truth.total("clamp_compliance", "m_per_N") * (height / LEVER) ** 2
 
 
 def blade_poses(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
