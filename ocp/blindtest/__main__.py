@@ -27,25 +27,12 @@ def _blindtest(
     overwrite: Annotated[bool, typer.Option(help="begin anew, with new worlds")] = False,
 ) -> None:
     """Draw and seal worlds, let the diagnosis answer them blind, then open the labels and score."""
+    asked = dict(locals())  # as `interface.blindtest` names them
     from ocp.blindtest import interface  # heavy imports only once the arguments stand
 
     def job() -> str:
         with shown_progress() as progress:
-            return answer(
-                interface.blindtest(
-                    out=out,
-                    worlds=worlds,
-                    kinds=kinds.split(","),
-                    signals=signals,
-                    seed=seed,
-                    jobs=jobs,
-                    cell=cell or CELL,
-                    readings=readings,
-                    again=again,
-                    overwrite=overwrite,
-                    progress=progress,
-                )
-            )
+            return answer(interface.blindtest(**asked | {"kinds": kinds.split(","), "cell": cell or CELL}, progress=progress))
 
     sys.exit(run(job, "not judged"))
 

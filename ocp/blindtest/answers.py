@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from ocp.blindtest.worlds.recipes import Recipe
 from ocp.blindtest.worlds.sealing import WITHHELD, Check, write_whole
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
@@ -202,17 +203,17 @@ FAULTS = (BadInput, Infeasible, ArithmeticError, ValueError, TypeError, LookupEr
 """What makes a world an error of the answer, counted as wrong, instead of ending the check."""
 
 
-def make_answer(check: Check, name: str) -> str:
-    """Answer a world that has none yet; returns its verdict, or what went wrong."""
-    path = check.answer(name)
+def make_answer(check: Check, recipe: Recipe) -> str:
+    """Answer a world that has none yet; returns that it is answered, or what went wrong."""
+    path = check.answer(recipe.name)
     if not path.is_file():
-        write_whole(path, json.dumps(answer_world(check.world(name))) + "\n")
+        write_whole(path, json.dumps(answer_world(check.world(recipe.name))) + "\n")
     return str(json.loads(path.read_text(encoding="utf-8")).get("error") or "answered")
 
 
 def answer_world(folder: Path) -> dict[str, Any]:
     """Everything that is said about a world. A refusal is an answer too; it counts as wrong."""
-    withheld = _withheld(folder)
+    withheld = (folder / WITHHELD).read_text(encoding="utf-8").split() if (folder / WITHHELD).is_file() else ()
     known = {name: effect for name, effect in library().items() if name not in withheld}
     wall, cpu = time.perf_counter(), time.process_time()
     try:
@@ -252,9 +253,3 @@ def _fault(error: BaseException) -> str:
     place = traceback.extract_tb(error.__traceback__)
     own = next((f for f in reversed(place) if Path(f.filename).is_file()), place[-1])
     return f"{type(error).__name__}: {error} ({Path(own.filename).name}:{own.lineno})"
-
-
-def _withheld(folder: Path) -> frozenset[str]:
-    """Names of effects that the library may not hold for this world."""
-    path = folder / WITHHELD
-    return frozenset(path.read_text(encoding="utf-8").split()) if path.is_file() else frozenset()

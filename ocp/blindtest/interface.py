@@ -9,14 +9,12 @@ from typing import Any
 from ocp.blindtest.figures import Figure, all_figures
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
-from ocp.blindtest.worlds.recipes import SIGNALS, check_kinds, recipes
+from ocp.blindtest.worlds.recipes import KINDS, SIGNALS, check_kinds, recipes
 from ocp.blindtest.worlds.sealing import Check, write_cell
 from ocp.data import CELL
 from ocp.shell.progress import Phases, Progress
 from ocp.shell.workers import cores
 from robots.errors import BadInput
-
-KINDS = ("single", "none", "none_background", "pair", "triple", "outside", "left_out")
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from ocp.blindtest.answers import make_answer
-from ocp.blindtest.oracle.detectability import ExactView, detectabilities
-from ocp.blindtest.oracle.oracle import exact_view
+from ocp.blindtest.oracle.oracle import ExactView, detectabilities, exact_view
 from ocp.blindtest.scoring import make_score
 from ocp.blindtest.worlds.machines import effects_stream
 from ocp.blindtest.worlds.recipes import BINS, Recipe, pool_of, scaled, within_range
@@ -165,12 +164,8 @@ def make_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases)
 def answer_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases) -> None:
     """Answer every world that has no answer yet."""
     with phases.phase("answers", len(recipes)) as advance:
-        for _ in _each(jobs, _answer, [(check, r) for r in recipes], advance):
+        for _ in _each(jobs, make_answer, [(check, r) for r in recipes], advance):
             pass
-
-
-def _answer(check: Check, recipe: Recipe) -> str:
-    return make_answer(check, recipe.name)
 
 
 def score_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases) -> list[dict[str, Any]]:

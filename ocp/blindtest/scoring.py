@@ -10,7 +10,6 @@ is the rms itself. Repeatability is noise; ripple and play, the same whenever an
 import json
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,20 +33,15 @@ SURE = 1.6449  # standard deviations of a 90 % interval
 KAB = ("stiffness_N_m", "lever_link1_m", "lever_arm_m")  # readings hold the product of a balancer's spring and levers
 
 
-def read_name(text: str) -> Name:
-    """`gear_1x:3` or `payload_mass` of an answer's classes."""
-    effect, _, joint = text.partition(":")
-    return effect, int(joint or 0)
-
-
 def names_by_probability(document: dict[str, Any]) -> list[tuple[Name, float]]:
     """Names with their marginal probabilities, most probable first."""
     return [((r["effect"], r["joint"] or 0), float(r["probability"])) for r in document["ranking"]]
 
 
 def declared_classes(document: dict[str, Any]) -> list[set[Name]]:
-    """Declared classes of names that cannot be told apart."""
-    return [{read_name(text) for text in group} for group in document["indistinguishable"]]
+    """Declared classes of names that cannot be told apart, `gear_1x:3` or `payload_mass`."""
+    split = [[text.partition(":") for text in group] for group in document["indistinguishable"]]
+    return [{(effect, int(joint or 0)) for effect, _, joint in group} for group in split]
 
 
 def alike(a: Name, b: Name, groups: Sequence[set[Name]]) -> bool:
@@ -93,50 +87,25 @@ def value_errors(planted: Planted, parameters: dict[str, Any]) -> tuple[float | 
         given = parameters.get(key)
         if given is None or isinstance(true, str):
             continue
-        mean, sd = _pair(given, key, parameters)
+        # Mean and standard deviation; of a balancer's product with its levers.
+        factor = _levers(key, {k: p["value"] for k, p in parameters.items()})
+        mean = np.atleast_1d(np.asarray(given["value"], float) * factor)
+        sd = None if given["sd"] is None else np.atleast_1d(np.asarray(given["sd"], float) * factor)
         real = np.atleast_1d(np.asarray(true, float)) * _levers(key, planted.values)
-        off = np.atleast_1d(mean) - real
+        off = mean - real
         if key == "phase_rad":
             off = (off + np.pi) % (2 * np.pi) - np.pi
         if k == 0:
             error = float(np.linalg.norm(off) / np.linalg.norm(real))
-        if sd is not None and np.all(np.atleast_1d(sd) > 0):
-            z += [float(v) for v in off / np.atleast_1d(sd)]
+        if sd is not None and np.all(sd > 0):
+            z += [float(v) for v in off / sd]
     return error, z
-
-
-def _pair(given: dict[str, Any], key: str, parameters: dict[str, Any]) -> tuple[Any, Any]:
-    """Mean and standard deviation; of a balancer's product with its levers."""
-    factor = _levers(key, {k: p["value"] for k, p in parameters.items()})
-    mean = np.asarray(given["value"], float) * factor
-    return mean, None if given["sd"] is None else np.asarray(given["sd"], float) * factor
 
 
 def _levers(key: str, known: dict[str, Any]) -> float:
     if key != KAB[0] or not all(k in known for k in KAB):
         return 1.0
     return float(known[KAB[1]]) * float(known[KAB[2]])
-
-
-@dataclass(frozen=True)
-class Realised:
-    """Rms errors (m of points, N of forces) at the sealed conditions against the noise-free truth: baseline, corrected, and what
-    is left where nothing was planted on the same machine; share of values within 1.645 predicted standard deviations."""
-
-    before: float
-    after: float
-    floor: float
-    covered: float
-
-    @property
-    def shrinkage(self) -> float:
-        """1 - after / before."""
-        return 1.0 - self.after / self.before
-
-    @property
-    def possible(self) -> float:
-        """The same for one who knew the effects."""
-        return 1.0 - self.floor / self.before
 
 
 def counted_signal(machine: BlindMachine, effects: tuple[Planted, ...]) -> str:
@@ -146,9 +115,9 @@ def counted_signal(machine: BlindMachine, effects: tuple[Planted, ...]) -> str:
     return "tracker" if machine.arm is not None and effects and of_arm(effects) == effects else "force"
 
 
-def realised_shrinkage(machine: BlindMachine, effects: tuple[Planted, ...], answer: dict[str, Any]) -> dict[str, Realised]:
+def realised_shrinkage(machine: BlindMachine, effects: tuple[Planted, ...], answer: dict[str, Any]) -> dict[str, Any]:
     """Blind predictions of the sealed conditions judged, by signal: under "realised" the one that counts."""
-    found: dict[str, Realised] = {}
+    found = {}
     if isinstance(machine, TrackerMachine):
         arm: TrackerMachine | None = machine
         on_arm = effects
@@ -164,14 +133,17 @@ def realised_shrinkage(machine: BlindMachine, effects: tuple[Planted, ...], answ
     return {"realised" if signal == counted else f"realised_{signal}": one for signal, one in found.items()}
 
 
-def _realised(predictions: dict[str, Any], truth: Array, floor: Callable[[], float | None]) -> Realised:
-    """Predictions of conditions of which `truth` (n, k) are the readings without noise; floor: None where nothing was planted."""
+def _realised(predictions: dict[str, Any], truth: Array, floor: Callable[[], float | None]) -> dict[str, float]:
+    """Rms errors (m of points, N of forces) of predictions at the sealed conditions, of which `truth` (n, k) are the readings
+    without noise: before (the believed cell), after (the corrected one), floor: what is left where nothing was planted on the
+    same machine (None: nothing was); covered: share of values within 1.645 predicted standard deviations."""
     baseline, corrected, sigma = (
         np.asarray(predictions[k]).reshape(len(truth), -1)[:, : truth.shape[1]] for k in ("baseline", "corrected", "sigma")
     )
     before, left = rms(baseline - truth), floor()
     within = np.abs(corrected - truth) <= 1.6449 * np.maximum(sigma, 1e-9)
-    return Realised(before, rms(corrected - truth), before if left is None else left, float(within.mean()))
+    least = before if left is None else left
+    return {"before": before, "after": rms(corrected - truth), "floor": least, "covered": float(within.mean())}
 
 
 def _tracker_floor(machine: TrackerMachine) -> float:
@@ -239,7 +211,7 @@ def scored(check: Check, label: Label, answer: dict[str, Any]) -> dict[str, Any]
         groups = [set(map(tuple, group)) for group in row["true_classes"]]
         row |= _of_answer(label, answer, counted_signal(machine, effects))
         row["rivals"] = {m: _judged(label, _names(r["ranking"]), _names(r["named"]), groups) for m, r in answer["rivals"].items()}
-        row |= {name: asdict(found) for name, found in realised_shrinkage(machine, effects, answer).items()}
+        row |= realised_shrinkage(machine, effects, answer)
     return row
 
 

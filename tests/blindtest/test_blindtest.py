@@ -11,7 +11,7 @@ import pytest
 from ocp.blindtest import answers, figures, scoring
 from ocp.blindtest.answers import make_answer
 from ocp.blindtest.oracle import oracle
-from ocp.blindtest.oracle.detectability import detectabilities
+from ocp.blindtest.oracle.oracle import detectabilities
 from ocp.blindtest.oracle.signatures import tracker_families
 from ocp.blindtest.oracle.tracker import TrackerView, point_covariance, scene_of, tracker_nuisance, tracker_view, tracker_whitener
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
@@ -262,7 +262,7 @@ def test_an_answer_that_fails_is_kept_as_wrong(tmp_path):
     made = Check(tmp_path, 1, 1, ("none",))
     (tmp_path / "worlds" / "00001").mkdir(parents=True)
     (tmp_path / "worlds" / "00001" / "cell.toml").write_text("name = 3\n")
-    assert "BadInput" in make_answer(made, "00001")
+    assert "BadInput" in make_answer(made, Recipe(1, "none", 0, None))
     assert json.loads(made.answer("00001").read_text())["error"]
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.blindtest.oracle.detectability import detectabilities
 from ocp.blindtest.oracle.force import ForceView, force_nuisance, force_view, noise_roots
-from ocp.blindtest.oracle.oracle import name_of
+from ocp.blindtest.oracle.oracle import detectabilities, name_of
 from ocp.blindtest.oracle.signatures import force_families
 from ocp.blindtest.running import draw_effects
 from ocp.blindtest.worlds.bench import Bench

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.blindtest.oracle.detectability import detectabilities
+from ocp.blindtest.oracle.oracle import detectabilities
 from ocp.blindtest.oracle.tracker import scene_of, tracker_view
 from ocp.blindtest.running import draw_effects
 from ocp.blindtest.worlds import outside_lists, recipes

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from ocp.blindtest.oracle import tracker
-from ocp.blindtest.oracle.detectability import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
+from ocp.blindtest.oracle.tracker import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
 from ocp.blindtest.worlds.lines import RunRows
 from ocp.blindtest.worlds.machines import (
     DRIFT,
@@ -37,7 +37,7 @@ from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, SENSOR_SIGMA, STIFFNESS
 from robots.pose import Array
 
 NUDGE, TURN = 2e-5, 4e-5  # m, rad: steps of the differences; the contact is solved to far less
-SCALE = 0.01  # relative, of stiffnesses and masses
+SCALE = 0.01  # relative, of stiffnesses
 PUSH = 0.1  # N
 SPLICES, RELAXATIONS = 200, 8  # rates of a belt's splice and time constants that a log tells apart
 # What each further coefficient of a form costs, of which one is drawn: waves of a profile on every line, harmonics of a splice.
@@ -79,10 +79,10 @@ def slopes_of(machine: GrindingMachine) -> ForceSlopes:
     axis = sign[:, None] * frames[:, :6, :3, 2]
     arm = frames[:, 6:7, :3, 3] - frames[:, :6, :3, 3]
     turned = np.concatenate([np.cross(axis, arm), axis], axis=2).transpose(0, 2, 1)
-    k = machine.truth.stiffness
-    compliance = np.divide(1.0, k, out=np.zeros(6), where=k > 0) * machine.truth.bends
     joint = np.einsum("snk,nkm->snm", flange, turned)
-    return ForceSlopes(flange, joint, frames, settled.load_torque[:, :6], compliance, still.approach)
+    return ForceSlopes(
+        flange, joint, frames, settled.load_torque[:, :6], tracker.weight_compliance(machine.truth), still.approach
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +113,7 @@ def _of_arm(machine: GrindingMachine, s: ForceSlopes) -> Array:
     masses = np.zeros((2, n, 7))
     still = machine.bench.still(machine.rows, machine.hall(machine.rows))
     for link in range(1, 7):
-        scale = machine.truth.mass_scale + SCALE * np.eye(7)[link]
-        changed = make_arm(machine.bench.cell, replace(machine.truth, mass_scale=scale)).settled(still)
-        torque = (changed.load_torque[:, :6] - s.torque) / SCALE
+        torque = tracker.torque_of_mass(machine.bench.cell, machine.truth, still, s.torque, link)
         masses[..., link] = np.einsum("snj,nj->sn", s.joint, torque * s.compliance) * MASS_SD
     return np.concatenate([*columns, masses], axis=2)
 
@@ -226,13 +224,14 @@ class ForceView:
         runs = sum(r.contact for r in self.machine.rows.runs)
         span = float(np.ptp(self.machine.bare.q[:, (joint or 1) - 1]))
         orders = max(2, min(GEAR_ORDERS, round(GEAR_ORDERS * span)))
-        counts = {
-            "gear_harmonic": orders,
-            "motor_harmonic": MOTOR_ORDERS,
-            "belt_splice": SPLICES,
+        counts = {"gear_harmonic": orders, "motor_harmonic": MOTOR_ORDERS, "belt_splice": SPLICES}
+        counts |= {
             "wheel_relaxation": RELAXATIONS,
+            "clamp_slip": 2 * runs,
+            "tool_frame_shift": runs,
+            "wheel_frame_shift": runs,
+            "base_tilt": runs,
         }
-        counts |= {"clamp_slip": 2 * runs, "tool_frame_shift": runs, "wheel_frame_shift": runs, "base_tilt": runs}
         return counts.get(effect, 1)
 
 
@@ -242,11 +241,8 @@ def force_view(machine: GrindingMachine) -> ForceView:
     scene = None if machine.arm is None else tracker.scene_of(machine.arm)
     found = force_nuisance(machine, slopes)
     raw = partial(white_log, noise_roots(machine.rows), machine.rows, None if scene is None else tracker.tracker_root(scene))
-    if scene is None:
-        columns = raw(np.concatenate([found.arm, found.rest], axis=2))
-    else:
-        columns = raw(*_shared(scene, found.arm, found.rest))
-    return ForceView(machine, slopes, exact_whitener(raw, columns), scene)
+    columns = (np.concatenate([found.arm, found.rest], axis=2),) if scene is None else _shared(scene, found.arm, found.rest)
+    return ForceView(machine, slopes, exact_whitener(raw, raw(*columns)), scene)
 
 
 def white_log(roots: Sequence[Array], rows: RunRows, W: Array | None, force: Array, points: Array | None = None) -> Array:

@@ -1,5 +1,14 @@
 """The oracle: it knows every signature, the true covariance of the readings and which readings are gross; the ceiling.
 
+The detectability index of a planted effect is how far its true signature stands out of noise and of all that is refitted:
+
+    lambda = d^T (Sigma + A P A^T)^-1 d                                                       (DIAGNOSIS, "How it is judged")
+
+d is the readings with the effect less those without it on the same virtual cell, Sigma the covariance of the readings' noise, A
+the derivatives in everything a machine is drawn with, P the variances it is drawn with: the right covariance, not one that was
+fitted. Scanned families pay 2 ln(variants), the price of looking at all of them. What readings are is a signal's own matter
+(`ocp.blindtest.oracle.tracker`, `ocp.blindtest.oracle.force`).
+
 Evidence of a family with columns C (white), coefficients of prior width t times the upper end u, averaged over variants and t:
 
     log Z(t) = -1/2 log det(1 + t^2 G) + 1/2 b^T (G + 1 / t^2)^-1 b,     G = u C^T C u,  b = u C^T y
@@ -11,15 +20,15 @@ class are those of the likeliest member of the planted family, estimated from th
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from ocp.blindtest.oracle.detectability import ExactView, ExactWhitener
 from ocp.blindtest.oracle.force import ForceView, force_view
 from ocp.blindtest.oracle.signatures import ExactFamily, force_families, tracker_families
-from ocp.blindtest.oracle.tracker import TrackerView, tracker_view
+from ocp.blindtest.oracle.tracker import ExactWhitener, TrackerView, tracker_view
 from ocp.blindtest.worlds.machines import BlindMachine, TrackerMachine
 from ocp.blindtest.worlds.recipes import OUTSIDE, coefficient_count, is_wave, kind_of, share_of_range, upper_end
 from ocp.simulate.twin.planting import Planted
@@ -34,6 +43,8 @@ UNSIZED = ("gravity_compensator", "belt_splice", "stock_profile")  # families wh
 MANY_SIZED = ("friction_windup", "tracker_drift", "wheel_temperature", "wheel_relaxation", "tangential_force", *UNSIZED)
 SPARED = 1e-12  # squared share of a signature that counts as nothing
 Name = tuple[str, int]
+ExactView = TrackerView | ForceView
+"""A machine of one signal, or of both, as somebody sees it who knows its numbers."""
 
 
 def name_of(planted: Planted) -> Name:
@@ -41,9 +52,29 @@ def name_of(planted: Planted) -> Name:
     return planted.effect, planted.joint or 0
 
 
-def exact_view(machine: BlindMachine, folder: Path | None = None, effects: Sequence[Planted] = ()) -> TrackerView | ForceView:
+def exact_view(machine: BlindMachine, folder: Path | None = None, effects: Sequence[Planted] = ()) -> ExactView:
     """The exact view of a machine, or of a world in `folder` that was made of it with these effects."""
     return tracker_view(machine, folder, effects) if isinstance(machine, TrackerMachine) else force_view(machine)
+
+
+def detectabilities(view: ExactView, effects: Sequence[Planted]) -> Array:
+    """Lambda (k,) of every effect given the others, less the price of its family."""
+    found = given_others([view.signature(effects, [p for p in effects if p is not one]) for one in effects])
+    return np.asarray(found - [view.price(p.effect, p.joint) for p in effects])
+
+
+def given_others(white: Sequence[Array]) -> Array:
+    """Lambda (k,) of each of k white signatures (N,), the directions of the others being free."""
+    S = np.stack(white, axis=1)
+    found = np.empty(S.shape[1])
+    for i in range(len(found)):
+        rest = np.delete(S, i, axis=1)
+        left = S[:, i]
+        if rest.shape[1]:
+            Q, _ = np.linalg.qr(rest)
+            left = left - Q @ (Q.T @ left)
+        found[i] = left @ left
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +88,19 @@ class White:
 
     def without(self, effects: Sequence[str]) -> "White":
         """Less the families of these effects."""
-        keep = [k for k, (effect, _) in enumerate(self.names) if effect not in effects]
-        columns, grams = (tuple(part[k] for k in keep) for part in (self.columns, self.grams))
-        return White(tuple(self.names[k] for k in keep), columns, grams, tuple(self.positive[k] for k in keep))
+        kept = [effect not in effects for effect, _ in self.names]
+        names, positive = tuple(compress(self.names, kept)), tuple(compress(self.positive, kept))
+        return White(names, tuple(compress(self.columns, kept)), tuple(compress(self.grams, kept)), positive)
+
+    def given(self, columns: tuple[Array, ...]) -> "White":
+        """The same families with other columns."""
+        return White(self.names, columns, _grams(columns), self.positive)
+
+    def best(self, k: int, y: Array) -> tuple[Array, Array]:
+        """Coefficients (V, m) of family k's members for readings y (N,), priors at the upper ends, and what they take (V,)."""
+        b = np.einsum("nvi,n->vi", self.columns[k], y)
+        a = np.linalg.solve(self.grams[k] + np.eye(b.shape[1]), b[..., None])[..., 0]
+        return a, np.einsum("vi,vi->v", b, a)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +125,7 @@ def observed(
     return Observed(library, view.readings(folder, effects, rng), alone, sizes)
 
 
-def library_of(view: TrackerView | ForceView) -> White:
+def library_of(view: ExactView) -> White:
     """All families, white and per upper end, of both signals where both were measured."""
     if isinstance(view, TrackerView):
         return whitened(tracker_families(view.machine, view.scene), view.white)
@@ -149,16 +190,14 @@ def chosen(library: White, y: Array, most: int = MOST) -> list[Name]:
     names: list[Name] = []
     columns = library.columns
     for _ in range(most):
-        now = White(library.names, columns, _grams(columns), library.positive)
+        now = library.given(columns)
         gain = evidence(now, y) + prior(library)
         gain[[library.names.index(n) for n in names]] = -np.inf
         best = int(np.argmax(gain))
         if gain[best] <= 0:
             break
         names.append(library.names[best])
-        b = np.einsum("nvi,n->vi", columns[best], y)
-        taken = np.einsum("vi,vi->v", b, np.linalg.solve(now.grams[best] + np.eye(b.shape[1]), b[..., None])[..., 0])
-        U, s, _ = np.linalg.svd(columns[best][:, int(np.argmax(taken))], full_matrices=False)
+        U, s, _ = np.linalg.svd(columns[best][:, int(np.argmax(now.best(best, y)[1]))], full_matrices=False)
         shrink = (1.0 - 1.0 / np.sqrt(1.0 + s**2))[:, None]
         y = y - U @ (shrink[:, 0] * (U.T @ y))
         flat = [C.reshape(len(y), -1) for C in columns]
@@ -169,12 +208,7 @@ def chosen(library: White, y: Array, most: int = MOST) -> list[Name]:
 def left_by(library: White, signature: Array) -> Array:
     """Lambda (families,) that the best member of each family leaves of a white signature (N,), priors at the upper ends."""
     whole = float(signature @ signature)
-    found = []
-    for C, G in zip(library.columns, library.grams, strict=True):
-        b = np.einsum("nvi,n->vi", C, signature)
-        taken = np.einsum("vi,vi->v", b, np.linalg.solve(G + np.eye(C.shape[2]), b[..., None])[..., 0])
-        found.append(whole - float(taken.max()))
-    return np.array(found)
+    return np.array([whole - float(library.best(k, signature)[1].max()) for k in range(len(library.names))])
 
 
 def exact_threshold(parameters: int) -> float:
@@ -194,11 +228,9 @@ def cannot_be_imitated(library: White, signature: Array) -> float:
     left = signature
     for _ in range(2):
         best = int(np.argmin(left_by(library, left)))
-        C, G = library.columns[best], library.grams[best]
-        b = np.einsum("nvi,n->vi", C, left)
-        a = np.linalg.solve(G + np.eye(C.shape[2]), b[..., None])[..., 0]
-        v = int(np.argmax(np.einsum("vi,vi->v", a, b)))
-        left = left - C[:, v] @ a[v]
+        a, taken = library.best(best, left)
+        v = int(np.argmax(taken))
+        left = left - library.columns[best][:, v] @ a[v]
     return float(left @ left)
 
 
@@ -259,10 +291,7 @@ def classes_among(library: White, planted: Sequence[Planted], alone: Sequence[Ar
         if left @ left < SPARED * (signature @ signature):
             continue
         columns = tuple(C - np.einsum("nk,kvi->nvi", Q, np.einsum("nk,nvi->kvi", Q, C)) for C in library.columns)
-        given = White(library.names, columns, _grams(columns), library.positive)
-        own = name_of(one)
-        taken = {name_of(p) for p in planted}
-        twins = not_told_apart(given, left, own) - taken
+        twins = not_told_apart(library.given(columns), left, name_of(one)) - {name_of(p) for p in planted}
         if twins:
-            groups.append(twins | {own})
+            groups.append(twins | {name_of(one)})
     return groups

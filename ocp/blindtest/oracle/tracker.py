@@ -5,26 +5,51 @@ that signatures and detectabilities of the blind check are an independent measur
 """
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ocp.blindtest.oracle.detectability import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
 from ocp.blindtest.worlds.machines import TrackerMachine
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm import VirtualArm, make_arm
+from ocp.simulate.twin.arm import Moments, make_arm
 from ocp.simulate.twin.planting import Planted
-from ocp.simulate.twin.tracker import nest_links
+from ocp.simulate.twin.tracker import instrument_noise, nest_links
 from ocp.simulate.twin.tracker_log import TrackerCampaign
 from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, RIPPLE, STIFFNESS, Truth
 from robots.pose import Array, apply
 
 FREE = 1.0  # m, rad: the tracker's place is not known at all
 GROSS = 40.0  # squared white distance of three coordinates: a gross reading, which the oracle leaves out
-_MASS_STEP = 0.01
+MASS_STEP = 0.01  # relative
+# Instants that can be told apart, orders, nests: how many members of a scanned family are looked at.
+GEAR_ORDERS, MOTOR_ORDERS = 298, 2
+
+
+@dataclass(frozen=True, eq=False)
+class ExactWhitener:
+    """The symmetric root of (Sigma + A P A^T)^-1: `raw` makes changes of the readings white as to Sigma (N, ...), then U (N, r)
+    and what it takes of each direction (r,)."""
+
+    raw: Callable[..., Array]
+    U: Array
+    take: Array
+
+    def apply(self, *changes: Array) -> Array:
+        """White rows (N, ...) of changes of the readings, one array for each signal."""
+        rows = self.raw(*changes)
+        flat = rows.reshape(len(rows), -1)
+        flat = flat - self.U @ (self.take[:, None] * (self.U.T @ flat))
+        return np.asarray(flat.reshape(rows.shape))
+
+
+def exact_whitener(raw: Callable[..., Array], columns: Array) -> ExactWhitener:
+    """`columns` (N, p): white derivatives per one sigma of what machines are drawn with."""
+    U, s, _ = np.linalg.svd(columns, full_matrices=False)
+    keep = s > 1e-9
+    return ExactWhitener(raw, U[:, keep], 1.0 - 1.0 / np.sqrt(1.0 + s[keep] ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +64,6 @@ class TrackerScene:
     cell: Cell
     truth: Truth
     campaign: TrackerCampaign
-    arm: VirtualArm
     links: Array
     point: Array
     inner: Array
@@ -63,10 +87,9 @@ class TrackerScene:
 def scene_of(machine: TrackerMachine) -> TrackerScene:
     """The scene of the campaign to learn from."""
     cell, truth, campaign = machine.cell, machine.truth, machine.campaign
-    arm = make_arm(cell, truth)
-    m = campaign.moments
-    settled = arm.settled(m)
-    links, n = settled.links, len(campaign)
+    m, n = campaign.moments, len(campaign)
+    settled = make_arm(cell, truth).settled(m)
+    links = settled.links
     carrier = nest_links(cell, campaign.targets)
     nests = np.array([truth.nests[name] for name in campaign.targets]).reshape(-1, 3)
     inner = apply(links[np.arange(n), carrier], nests)
@@ -78,7 +101,7 @@ def scene_of(machine: TrackerMachine) -> TrackerScene:
         D[:, :, j] = np.cross(axis, inner - links[:, j, :3, 3]) @ turn.T * (carrier > j)[:, None]
     warmth = m.temperature_C - cell.tables.reference_temperature_C
     point, torque = apply(truth.T_tracker_base, inner), settled.load_torque[:, :6]
-    return TrackerScene(cell, truth, campaign, arm, links, point, inner, carrier, turn, D, torque, warmth)
+    return TrackerScene(cell, truth, campaign, links, point, inner, carrier, turn, D, torque, warmth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,9 +177,7 @@ def tracker_whitener(scene: TrackerScene, usual: Array | None = None) -> ExactWh
 def point_covariance(scene: TrackerScene) -> Array:
     """Covariance (n, 3, 3) m^2 of the readings: the instrument's directions, repeatability through the Jacobian; ripples of the
     background, each of an order nobody knows, scatter like joint noise."""
-    table = scene.cell.tables.tracker
-    along = 1e-6 * (table.range_noise_um if table is not None else 8.0)
-    per_metre = 1e-6 * (table.transverse_noise_um_per_m if table is not None else 3.0)
+    along, per_metre = instrument_noise(scene.cell)
     distance = np.linalg.norm(scene.point, axis=1)
     beam = scene.point / distance[:, None]
     across = (along + per_metre * distance) ** 2
@@ -190,10 +211,14 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
         R = scene.links[np.arange(n), scene.carrier, :3, :3]
         blocks.append(scene.turn @ R * own[:, None, None])
         sds += [1e-3 * (table.target_sd_mm if table is not None else 1.0)] * 3
-    compliance = _compliance(scene)
+    compliance = weight_compliance(scene.truth)
     blocks.append(scene.D * (scene.tau * compliance)[:, None, :])
     sds += [STIFFNESS / np.sqrt(3.0)] * 6
-    blocks.append(_masses(scene, compliance))
+    masses = np.zeros((n, 3, 7))
+    for link in range(1, 7):
+        torque = torque_of_mass(scene.cell, scene.truth, scene.campaign.moments, scene.tau, link)
+        masses[:, :, link] = np.einsum("nij,nj->ni", scene.D, torque * compliance)
+    blocks.append(masses)
     sds += [MASS_SD] * 7
     if has_unrest(scene):
         blocks.append(scene.D * scene.campaign.moments.approach[:, None, :])
@@ -201,22 +226,17 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
     return np.concatenate(blocks, axis=2), np.array(sds)
 
 
-def _compliance(scene: TrackerScene) -> Array:
-    """rad/(N m) of the joints that weight bends."""
-    k = scene.truth.stiffness
-    return np.asarray(np.divide(1.0, k, out=np.zeros(6), where=k > 0) * scene.truth.bends)
+def weight_compliance(truth: Truth) -> Array:
+    """rad/(N m) (6,) of the joints that weight bends."""
+    k = truth.stiffness
+    return np.asarray(np.divide(1.0, k, out=np.zeros(6), where=k > 0) * truth.bends)
 
 
-def _masses(scene: TrackerScene, compliance: Array) -> Array:
-    """Derivatives (n, 3, 7) in the relative masses of base and links, through the torques they make."""
-    columns = np.zeros((len(scene), 3, 7))
-    for link in range(1, 7):
-        scale = scene.truth.mass_scale.copy()
-        scale[link] += _MASS_STEP
-        changed = make_arm(scene.cell, replace(scene.truth, mass_scale=scale)).settled(scene.campaign.moments)
-        torque = (changed.load_torque[:, :6] - scene.tau) / _MASS_STEP
-        columns[:, :, link] = np.einsum("nij,nj->ni", scene.D, torque * compliance)
-    return columns
+def torque_of_mass(cell: Cell, truth: Truth, moments: Moments, tau: Array, link: int) -> Array:
+    """Change (n, 6) N m of the load torques `tau` with the relative mass of a link."""
+    scale = truth.mass_scale + MASS_STEP * np.eye(7)[link]
+    changed = make_arm(cell, replace(truth, mass_scale=scale)).settled(moments)
+    return np.asarray((changed.load_torque[:, :6] - tau) / MASS_STEP)
 
 
 def cross_matrices(v: Array) -> Array:

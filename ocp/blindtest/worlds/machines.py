@@ -139,13 +139,6 @@ def arm_with_outside(cell: Cell, truth: Truth, targets: Sequence[str]) -> Virtua
     return wrapped
 
 
-def draw_machine(cell_path: Path, seed: int, recipe: Recipe, readings: int, blind: int, signals: str) -> BlindMachine:
-    """The machine of a world of any signals."""
-    if signals == "tracker":
-        return draw_tracker_machine(cell_path, seed, recipe, readings, blind)
-    return draw_grinding_machine(cell_path, seed, recipe, readings, blind, signals == "both")
-
-
 def stream(seed: int, recipe: Recipe, part: int) -> np.random.Generator:
     """Random numbers of a part of a world."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(recipe.index, part)))

@@ -11,12 +11,19 @@ from typing import Any
 import numpy as np
 
 from ocp.blindtest.worlds.bench import Log
-from ocp.blindtest.worlds.machines import BlindMachine, GrindingMachine, TrackerMachine, arm_with_outside, draw_machine
+from ocp.blindtest.worlds.machines import (
+    BlindMachine,
+    GrindingMachine,
+    TrackerMachine,
+    arm_with_outside,
+    draw_grinding_machine,
+    draw_tracker_machine,
+)
 from ocp.blindtest.worlds.recipes import Recipe, of_arm
 from ocp.model.cell import read_cell
 from ocp.shell.cache import sha256
 from ocp.simulate.twin.contact.sensor import noise
-from ocp.simulate.twin.dataset import FORCE_COLUMNS, READ, copy_cell, log_rows, write_csv
+from ocp.simulate.twin.dataset import FORCE_COLUMNS, copy_cell, log_rows, write_csv, write_sealed_force
 from ocp.simulate.twin.planting import Planted, labels
 from ocp.simulate.twin.run import GrindingConditions, GroundPasses
 from ocp.simulate.twin.tracker_log import TrackerLog, tracker_world
@@ -46,9 +53,10 @@ def write_cell(source: Path, path: Path, signals: str = "tracker") -> None:
 def write_world(folder: Path, machine: BlindMachine, effects: tuple[Planted, ...]) -> None:
     """The data set of a world, without its labels."""
     if isinstance(machine, TrackerMachine):
-        _write_tracker(folder, machine, effects)
-    else:
-        _write_force(folder, machine, effects)
+        return _write_tracker(folder, machine, effects)
+    if machine.arm is not None:
+        _write_tracker(folder, machine.arm, of_arm(effects))
+    _write_force(folder, machine, effects)
 
 
 def _write_tracker(folder: Path, machine: TrackerMachine, effects: tuple[Planted, ...]) -> None:
@@ -59,17 +67,14 @@ def _write_tracker(folder: Path, machine: TrackerMachine, effects: tuple[Planted
 
 
 def _write_force(folder: Path, machine: GrindingMachine, effects: tuple[Planted, ...]) -> None:
-    """force.csv and sealed_force.csv, and those of the tracker where one measured the arm."""
-    if machine.arm is not None:
-        _write_tracker(folder, machine.arm, of_arm(effects))
+    """force.csv and sealed_force.csv."""
     folder.mkdir(parents=True, exist_ok=True)
     copy_cell(machine.bench.cell, folder)
     log = machine.log((*effects, *machine.small), unrest=True)
     rows, following = log_rows([_grinding(log, log.both + log_noise(machine, log))])
     write_csv(folder / "force.csv", FORCE_COLUMNS, rows)
     hidden, _ = log_rows([_grinding(machine.log((), sealed=True), None)], following, truth=True)
-    keep = [k for k, c in enumerate(FORCE_COLUMNS) if c not in READ]
-    write_csv(folder / "sealed_force.csv", [FORCE_COLUMNS[k] for k in keep], [[row[k] for k in keep] for row in hidden])
+    write_sealed_force(folder, hidden)
 
 
 def log_noise(machine: GrindingMachine, log: Log) -> Array:
@@ -136,7 +141,8 @@ class Label:
 
 def machine_of(check: Check, recipe: Recipe) -> BlindMachine:
     """The machine of a world, drawn again from the check's seed."""
-    return draw_machine(check.cell, check.seed, recipe, check.readings, check.blind, check.signals)
+    asked = check.cell, check.seed, recipe, check.readings, check.blind
+    return draw_tracker_machine(*asked) if check.signals == "tracker" else draw_grinding_machine(*asked, check.signals == "both")
 
 
 def label_path(check: Check, recipe: Recipe) -> Path:

@@ -120,11 +120,15 @@ def write_force(folder: Path, recordings: Sequence[GroundPasses], sealed: Sequen
     write_csv(folder / "force.csv", FORCE_COLUMNS, rows)
     if sealed:
         hidden, _ = log_rows(sealed, following, truth=True)
-        open_columns = [c for c in FORCE_COLUMNS if c not in READ]
-        keep = [FORCE_COLUMNS.index(c) for c in open_columns]
-        write_csv(folder / "sealed_force.csv", open_columns, [[row[i] for i in keep] for row in hidden])
+        write_sealed_force(folder, hidden)
         write_csv(folder / "labels" / "sealed_force_truth.csv", FORCE_COLUMNS, hidden)
     return len(rows)
+
+
+def write_sealed_force(folder: Path, rows: Sequence[Sequence[str]]) -> None:
+    """sealed_force.csv: the rows of `log_rows` without what was read."""
+    keep = [k for k, name in enumerate(FORCE_COLUMNS) if name not in READ]
+    write_csv(folder / "sealed_force.csv", [FORCE_COLUMNS[k] for k in keep], [[row[k] for k in keep] for row in rows])
 
 
 def write_csv(path: Path, columns: Iterable[str], rows: Iterable[Sequence[str]]) -> None:
@@ -171,8 +175,5 @@ def write_joint_log(path: Path, columns: dict[str, Array]) -> None:
     """Write columns (n,) as joints.csv: angles to 1e-7 deg, torques to 0.01 N m, times to 0.1 ms."""
     digits = {"run": 0, "time_s": 4}
     forms = [digits.get(name, 2 if name.startswith("tau") else 7) for name in columns]
-    with path.open("w", newline="", encoding="ascii") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        for row in zip(*columns.values(), strict=True):
-            writer.writerow([f"{value:.{form}f}" for value, form in zip(row, forms, strict=True)])
+    rows = zip(*columns.values(), strict=True)
+    write_csv(path, columns, ([f"{value:.{form}f}" for value, form in zip(row, forms, strict=True)] for row in rows))

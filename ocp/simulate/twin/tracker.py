@@ -58,15 +58,20 @@ def measure(truth: Truth, cell: Cell, arm: VirtualArm, m: Moments, names: Sequen
     return instrument(cell, truth.outliers, true_points(truth, cell, arm, m, names, rng), rng)
 
 
+def instrument_noise(cell: Cell) -> tuple[float, float]:
+    """One sigma along the beam m, and of the transverse noise m per metre of range."""
+    table = cell.tables.tracker
+    um, um_per_m = (8.0, 3.0) if table is None else (table.range_noise_um, table.transverse_noise_um_per_m)
+    return 1e-6 * um, 1e-6 * um_per_m
+
+
 def instrument(cell: Cell, outliers: float, points: Array, rng: np.random.Generator) -> Array:
     """What the instrument reads of points (n, 3) m: azimuth, elevation and range, each with its own noise.
 
     One sigma along the beam is the cell's range noise; across it, in both angles, range noise plus the transverse noise per
     metre of range, taken as the angle it is (FORMATS, [tracker]).
     """
-    table = cell.tables.tracker
-    along = 1e-6 * (table.range_noise_um if table is not None else 8.0)
-    per_metre = 1e-6 * (table.transverse_noise_um_per_m if table is not None else 3.0)
+    along, per_metre = instrument_noise(cell)
     n = len(points)
     flat = np.hypot(points[:, 0], points[:, 1])
     distance = np.hypot(flat, points[:, 2])
