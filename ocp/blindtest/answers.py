@@ -28,7 +28,7 @@ from ocp.blindtest.worlds.recipes import Recipe
 from ocp.blindtest.worlds.sealing import WITHHELD, Check, write_whole
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
-from ocp.diagnose.engine.channel_system import Channel, Sealed
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.linearisation import stacked_columns
 from ocp.effects.catalogue import library
@@ -38,7 +38,6 @@ from robots.errors import BadInput, Infeasible
 from robots.pose import Array
 from robots.tracker_readings import Index
 
-METHODS = ("single", "stepwise", "sparse", "unprojected")
 LEVEL = 0.01  # false alarms that a score test allows itself over all it tries
 MOST_STEPS, MOST_NONZERO, SCREENED, PATH, SWEEPS = 6, 12, 600, 24, 120
 RANKED = 10  # names that are reported
@@ -83,15 +82,10 @@ def rival_columns(channels: Sequence[Channel], library: Mapping[str, Effect]) ->
     return RivalColumns(tuple(names), tuple(raw), residual, tuple(columns), stacked.y, stacked.freedom)
 
 
-def rival_answers(channels: Sequence[Channel], library: Mapping[str, Effect]) -> dict[str, RivalAnswer]:
-    """Answers of all methods, from channels without effects."""
-    c = rival_columns(channels, library)
-    return {"single": single(c), "stepwise": stepwise(c), "sparse": sparse(c), "unprojected": unprojected(c)}
-
-
 def single(c: RivalColumns) -> RivalAnswer:
     """The one coefficient that takes away most."""
-    gained = np.array([_each(C, c.y).max() for C in c.columns])
+    each = [np.einsum("nvi,n->vi", C, c.y) ** 2 / np.maximum(np.einsum("nvi,nvi->vi", C, C), 1e-12) for C in c.columns]
+    gained = np.array([one.max() for one in each])
     tried = sum(C.shape[1] * C.shape[2] for C in c.columns)
     order = np.argsort(-gained)
     sure = chi2.sf(gained[order[0]], 1) * tried < LEVEL
@@ -100,10 +94,7 @@ def single(c: RivalColumns) -> RivalAnswer:
 
 def unprojected(c: RivalColumns) -> RivalAnswer:
     """Smallest p-value of all variants, the price of trying them paid."""
-    logs = []
-    for C in c.raw:
-        gained, _ = gains(C, c.residual)
-        logs.append(float(chi2.logsf(gained.max(), C.shape[2]) + np.log(C.shape[1])))
+    logs = [float(chi2.logsf(gains(C, c.residual).max(), C.shape[2]) + np.log(C.shape[1])) for C in c.raw]
     order = np.argsort(logs)
     sure = logs[order[0]] + np.log(len(c.names)) < np.log(LEVEL)
     return _named(c, order, order[:1] if sure else ())
@@ -119,7 +110,7 @@ def stepwise(c: RivalColumns) -> RivalAnswer:
         fall = np.full(len(columns), -np.inf)
         best = np.zeros(len(columns), int)
         for k, C in enumerate(columns):
-            gained, _ = gains(C, y)
+            gained = gains(C, y)
             best[k] = int(np.argmax(gained))
             rest = max(left - float(gained.max()), 1e-9)
             fall[k] = c.freedom * np.log(left / rest) - C.shape[2] * np.log(c.freedom)
@@ -132,8 +123,7 @@ def stepwise(c: RivalColumns) -> RivalAnswer:
         Q, _ = np.linalg.qr(columns[pick][:, best[pick]])
         y = y - Q @ (Q.T @ y)
         columns = [C - np.tensordot(Q, np.tensordot(Q.T, C, 1), 1) for C in columns]
-    ranked = chosen + [k for k in order if k not in chosen]
-    return _named(c, ranked, chosen)
+    return _named(c, list(dict.fromkeys(chosen + order)), chosen)
 
 
 def sparse(c: RivalColumns) -> RivalAnswer:
@@ -146,13 +136,12 @@ def sparse(c: RivalColumns) -> RivalAnswer:
     keep = np.argsort(-first)[:SCREENED]
     X, family = X[:, keep], family[keep]
     a, best = np.zeros(X.shape[1]), (c.freedom * np.log(c.y @ c.y), np.zeros(X.shape[1]))
-    entered: dict[int, int] = {}
+    entered: list[int] = []
     rate = float(1.0 / np.linalg.norm(X, 2) ** 2)
     for weight in first.max() * np.geomspace(0.95, 0.08, PATH):
         a = _penalised(X, c.y, weight, a, rate)
         there = np.flatnonzero(a)
-        for k in family[there[np.argsort(-np.abs(a[there]))]]:
-            entered.setdefault(int(k), len(entered))
+        entered += family[there[np.argsort(-np.abs(a[there]))]].tolist()
         if len(there) > MOST_NONZERO:
             break
         # The criterion of the least-squares fit on what entered: the penalty shrinks values, which is no matter here.
@@ -162,9 +151,7 @@ def sparse(c: RivalColumns) -> RivalAnswer:
             best = (criterion, a.copy())
     strength = {int(k): float(np.abs(best[1][family == k]).max()) for k in np.unique(family)}
     named = sorted((k for k, s in strength.items() if s > 0), key=lambda k: -strength[k])
-    others = [k for k in sorted(entered, key=lambda k: entered[k]) if k not in named]
-    rest_of = [k for k in dict.fromkeys(int(f) for f in family) if k not in named and k not in others]
-    return _named(c, [*named, *others, *rest_of], named)
+    return _named(c, list(dict.fromkeys([*named, *entered, *family.tolist()])), named)
 
 
 def _penalised(X: Array, y: Array, weight: float, a: Array, rate: float) -> Array:
@@ -181,24 +168,20 @@ def _penalised(X: Array, y: Array, weight: float, a: Array, rate: float) -> Arra
     return a
 
 
-def gains(C: Array, y: Array) -> tuple[Array, Array]:
-    """What each variant's columns (N, V, m) take from y^T y (V,), and their coefficients (V, m)."""
+def gains(C: Array, y: Array) -> Array:
+    """What each variant's columns (N, V, m) take from y^T y (V,)."""
     G = np.einsum("nvi,nvj->vij", C, C)
     b = np.einsum("nvi,n->vi", C, y)
     trace = np.trace(G, axis1=1, axis2=2)[:, None, None]
     a = np.linalg.solve(G + (1e-10 * trace + 1e-12) * np.eye(C.shape[2]), b[..., None])[..., 0]
-    return np.einsum("vi,vi->v", a, b), a
-
-
-def _each(C: Array, y: Array) -> Array:
-    """The same for every column alone (V, m)."""
-    return np.asarray(np.einsum("nvi,n->vi", C, y) ** 2 / np.maximum(np.einsum("nvi,nvi->vi", C, C), 1e-12))
+    return np.asarray(np.einsum("vi,vi->v", a, b))
 
 
 def _named(c: RivalColumns, order: Sequence[int] | Index, chosen: Sequence[int] | Index) -> RivalAnswer:
     return RivalAnswer(tuple(c.names[k] for k in order[:RANKED]), tuple(c.names[k] for k in chosen))
 
 
+METHODS = {"single": single, "stepwise": stepwise, "sparse": sparse, "unprojected": unprojected}
 FAULTS = (BadInput, Infeasible, ArithmeticError, ValueError, TypeError, LookupError, AssertionError, np.linalg.LinAlgError)
 """What makes a world an error of the answer, counted as wrong, instead of ending the check."""
 
@@ -223,12 +206,14 @@ def answer_world(folder: Path) -> dict[str, Any]:
     predicted: dict[str, Any] = {}
     fault = None
     try:
-        predicted = {signal: _rounded(sealed) for signal, sealed in predict_sealed(answer).items()}
+        for signal, sealed in predict_sealed(answer).items():
+            parts = {"baseline": sealed.baseline, "corrected": sealed.corrected, "sigma": sealed.sigma}
+            predicted[signal] = {name: values.round(8).tolist() for name, values in parts.items()}
     except FAULTS as error:
         fault = _fault(error)
     seconds = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu, **answer.seconds}
     d = answer.diagnosis
-    named = rival_answers(d.baseline, known)
+    columns = rival_columns(d.baseline, known)
     return {
         "error": None,
         "document": document_of(answer).model_dump(mode="json", by_alias=True),
@@ -237,15 +222,9 @@ def answer_world(folder: Path) -> dict[str, Any]:
         "predictions": predicted.get("tracker"),
         **({"predictions_force": predicted["force"]} if "force" in predicted else {}),
         "prediction_error": fault,
-        "rivals": {method: asdict(one) for method, one in named.items()},
+        "rivals": {method: asdict(rival(columns)) for method, rival in METHODS.items()},
         "seconds": seconds,
     }
-
-
-def _rounded(sealed: Sealed) -> dict[str, Any]:
-    """Predictions as JSON has them."""
-    parts = {"baseline": sealed.baseline, "corrected": sealed.corrected, "sigma": sealed.sigma}
-    return {name: values.round(8).tolist() for name, values in parts.items()}
 
 
 def _fault(error: BaseException) -> str:

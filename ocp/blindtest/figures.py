@@ -73,6 +73,7 @@ def f1(counts: Sequence[tuple[int, int, int]]) -> Estimate:
 
 
 Row = dict[str, Any]
+USUAL = ("single", "pair", "triple", "none", "none_background")  # kinds of which the catalogue holds all
 STRANGE = 25.0  # lambda that the best two effects of the library leave of one it cannot imitate
 CONFIDENT, HARM, EXPLAINABLE = 0.8, -0.02, 0.1
 FALSE_POSITIVES = 0.05
@@ -117,12 +118,8 @@ def hit(row: Row, key: str, method: str = "diagnosis") -> bool:
 
 def by_bin(rows: Sequence[Row], key: str, method: str = "diagnosis") -> list[Estimate]:
     """Shares of hits over single effects in every bin of the detectability."""
-    found: list[list[bool]] = [[] for _ in BINS]
-    for r in of_kinds(rows, "single"):
-        k = bin_of(r["lam"][0])
-        if k is not None:
-            found[k].append(hit(r, key, method))
-    return [share_of_hits(hits) for hits in found]
+    singles = [(bin_of(r["lam"][0]), hit(r, key, method)) for r in of_kinds(rows, "single")]
+    return [share_of_hits([right for at, right in singles if at == k]) for k in range(len(BINS))]
 
 
 def all_figures(rows: Sequence[Row]) -> list[Figure]:
@@ -136,8 +133,7 @@ TARGETS = {3: (0.97, None), 2: (0.95, None), 1: (0.85, 0.97), 0: (0.70, 0.85)}  
 def _names(rows: Sequence[Row]) -> list[Figure]:
     found = []
     first, three, best_first, best_three = (by_bin(rows, k, m) for m in ("diagnosis", "oracle") for k in ("top1", "top3"))
-    for k in sorted(TARGETS, reverse=True):
-        one, other = TARGETS[k]
+    for k, (one, other) in TARGETS.items():
         found.append(Figure(f"top-1 effect and joint, lambda {bin_words(k)}", (one,), ">=", first[k], oracle=best_first[k]))
         found.append(Figure(f"top-3, lambda {bin_words(k)}", (other,) if other else (), ">=", three[k], oracle=best_three[k]))
     singles = of_kinds(rows, "single")
@@ -157,16 +153,13 @@ def _likeliest(row: Row) -> bool:
 
 
 def _silence(rows: Sequence[Row]) -> list[Figure]:
-    def alarms(kind: str) -> Estimate:
-        return share_of_hits([r.get("verdict") != "no_gap" for r in of_kinds(rows, kind)])
-
-    def best(kind: str) -> Estimate:
-        return share_of_hits([r["oracle"]["set"][1] > 0 for r in of_kinds(rows, kind)])
-
-    return [
-        Figure(f"false alarms, no effect, {words}", (limit,), "<=", alarms(kind), oracle=best(kind))
-        for words, limit, kind in (("clean", 0.01, "none"), ("outliers and background", 0.02, "none_background"))
-    ]
+    found = []
+    for words, limit, kind in (("clean", 0.01, "none"), ("outliers and background", 0.02, "none_background")):
+        worlds = of_kinds(rows, kind)
+        alarms, best = [r.get("verdict") != "no_gap" for r in worlds], [r["oracle"]["set"][1] > 0 for r in worlds]
+        what = f"false alarms, no effect, {words}"
+        found.append(Figure(what, (limit,), "<=", share_of_hits(alarms), oracle=share_of_hits(best)))
+    return found
 
 
 def _sets(rows: Sequence[Row]) -> list[Figure]:
@@ -202,10 +195,10 @@ def strange(row: Row) -> bool:
 
 
 def _unknown(rows: Sequence[Row]) -> list[Figure]:
-    known = [r.get("p_unknown", 0.0) for r in of_kinds(rows, "single", "pair", "triple", "none", "none_background")]
+    usual = of_kinds(rows, *USUAL)
+    known = [r.get("p_unknown", 0.0) for r in usual]
     limit = float(np.quantile(known, 1 - FALSE_POSITIVES)) if known else 0.5
     odd = [r for r in rows if strange(r)]
-    usual = of_kinds(rows, "single", "pair", "triple", "none", "none_background")
     judged = [r for r in rows if r["kind"] not in BEYOND or strange(r)]
     seated = [r for r in of_kinds(rows, "single") if r["planted"][0][1] and r["lam"][0] >= 30]
     odd_seated = [r for r in odd if r["planted"][0][1]]
@@ -269,15 +262,13 @@ def _rest(rows: Sequence[Row]) -> list[Figure]:
     (precision, recall), (best_precision, best_recall) = classes_judged(rows), classes_judged(rows, "oracle")
     singles = of_kinds(rows, "single")
     sizes = [pair for r in singles for pair in zip(r.get("smallest", ()), r.get("exact_smallest", ()), strict=False)]
-    ratio = [[a / b] for a, b in sizes if a and b]
-    seconds: list[list[float]] = [[r["seconds"]["cpu"], r["seconds"]["wall"]] for r in rows if "seconds" in r]
-    middle: Callable[[Any], float] = lambda t: float(np.median(t[:, 0]))  # noqa: E731
+    ratio, seconds = median([a / b for a, b in sizes if a and b]), median([r["seconds"]["cpu"] for r in rows if "seconds" in r])
     return [
         Figure("declared 'cannot tell apart', precision", (0.95,), ">=", precision, oracle=best_precision),
         Figure("declared 'cannot tell apart', recall", (0.95,), ">=", recall, oracle=best_recall),
-        Figure("smallest size told, over that of a 5 % test with exact signatures", (), "in", bootstrap(ratio, middle), False),
+        Figure("smallest size told, over that of a 5 % test with exact signatures", (), "in", ratio, False),
         Figure("smallest detectable size, found over predicted", (0.85, 1.15), "in", found_over_predicted(rows), False),
-        Figure("seconds of processor a world (median), everything", (5.0,), "<=", bootstrap(seconds, middle), False),
+        Figure("seconds of processor a world (median), everything", (5.0,), "<=", seconds, False),
         Figure("answers that failed", (0.0,), "<=", share_of_hits([r["error"] is not None for r in rows])),
     ]
 
@@ -309,9 +300,7 @@ def found_over_predicted(rows: Sequence[dict[str, Any]]) -> Estimate:
         effect, joint, values = r["planted"][0]
         size = share_of_range(Planted(effect, joint or None, values))
         pairs.append([np.log(size / r["smallest"][0]), float(r["p_none"] < 0.5)])
-    if len(pairs) < LEAST:
-        return NOTHING
-    return bootstrap(pairs, _at_power)
+    return bootstrap(pairs, _at_power) if len(pairs) >= LEAST else NOTHING
 
 
 def _at_power(table: Array) -> float:
@@ -349,18 +338,16 @@ def badness(row: Row) -> float:
     """How wrong an answer is: failures first, then false alarms and wrong names by how sure and how avoidable; 0: right."""
     if row["error"] is not None:
         return 1e6
-    score = 0.0
-    wrong = max((p for p, right in row["reliability"] if not right), default=0.0)
+    score, wrong = 0.0, max((p for p, right in row["reliability"] if not right), default=0.0)
     if row["kind"] in ("none", "none_background"):
         score += 500.0 * (row["verdict"] != "no_gap")
     elif strange(row):
-        score += 0.0 if row["p_unknown"] > 0.5 else row["left"]
+        score += 0.0 if _says_unknown(row) else row["left"]
+    elif row["kind"] == "single":
+        score += 0.0 if hit(row, "top1") else row["lam"][0]
     elif row["kind"] not in BEYOND:
         found, said, planted = row["diagnosis"]["set"]
-        if row["kind"] == "single":
-            score += 0.0 if hit(row, "top1") else row["lam"][0]
-        else:
-            score += 50.0 * (planted - found) + 50.0 * (said - found)
+        score += 50.0 * (planted - found) + 50.0 * (said - found)
     if wrong > CONFIDENT and not (row["kind"] in BEYOND and not strange(row)):
         score += 300.0 * wrong
     if row.get("realised") and shrinkage(row) < HARM:
@@ -370,8 +357,7 @@ def badness(row: Row) -> float:
 
 def worst(rows: Sequence[Row], count: int = SHOWN) -> list[Row]:
     """The worst answers, worst first; right ones are never among them."""
-    bad = [(badness(r), r) for r in rows]
-    return [r for b, r in sorted(bad, key=lambda x: -x[0])[:count] if b > 0]
+    return [r for r in sorted(rows, key=lambda r: -badness(r))[:count] if badness(r) > 0]
 
 
 def planted_words(row: Row) -> str:
@@ -393,9 +379,9 @@ def said_words(row: Row) -> str:
 
 def why_words(row: Row) -> str:
     """Kind of the fault."""
-    parts = []
     if row["error"] is not None:
         return "failed"
+    parts = []
     if row["kind"] in ("none", "none_background") and row["verdict"] != "no_gap":
         parts.append("false alarm")
     if strange(row) and row["p_unknown"] <= 0.5:
@@ -405,7 +391,7 @@ def why_words(row: Row) -> str:
     if row["kind"] in ("pair", "triple") and row["diagnosis"]["set"] != [len(row["planted"])] * 3:
         found, said, planted = row["diagnosis"]["set"]
         parts.append(f"{found} of {planted} found, {said} named")
-    if any(p > CONFIDENT and not right for p, right in row["reliability"]):
+    if _confident(row):
         parts.append("sure of a wrong name")
     if row.get("realised") and shrinkage(row) < HARM:
         parts.append(f"corrected for the worse ({shrinkage(row):.2f})")

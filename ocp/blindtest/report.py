@@ -8,21 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ocp.blindtest.answers import METHODS
-from ocp.blindtest.figures import (
-    Estimate,
-    Figure,
-    all_figures,
-    by_bin,
-    chance,
-    hit,
-    of_kinds,
-    planted_words,
-    said_words,
-    share_of_hits,
-    why_words,
-    worst,
-)
+from ocp.blindtest import figures as figs
+from ocp.blindtest.figures import Estimate, Figure
 from ocp.blindtest.worlds.recipes import BINS, WORDS, bin_words
 from ocp.blindtest.worlds.sealing import Check
 from ocp.report.parts import Plot, Table, table
@@ -52,7 +39,7 @@ Row = dict[str, Any]
 
 def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
     """Write the files into the check's folder. Raises OSError."""
-    figures = all_figures(rows)
+    figures = figs.all_figures(rows)
     sections = _sections(check, rows, figures)
     Report(KIND, TITLE, _headline(rows, figures), (), sections).write_page(check.folder / "report.html")
     lines = [
@@ -65,7 +52,7 @@ def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
 
 def blindtest_last_line(check: Check, rows: Sequence[Row]) -> str:
     """The command's answer."""
-    figures = all_figures(rows)
+    figures = figs.all_figures(rows)
     judged = [f for f in figures if f.met is not None]
     reached = f"{sum(bool(f.met) for f in judged)} of {len(judged)} figures reach their target"
     return f"{check.folder}: {len(rows)} worlds, {reached}; {check.folder / 'report.html'} shows all"
@@ -77,12 +64,11 @@ def _plain(e: Estimate) -> dict[str, Any]:
 
 def _headline(rows: Sequence[Row], figures: Sequence[Figure]) -> Headline:
     judged = [f for f in figures if f.met is not None]
-    good = all(f.met for f in judged)
     missed = [f.what for f in judged if not f.met]
     kinds = ", ".join(f"{sum(r['kind'] == k for r in rows)} {w}" for k, w in WORDS.items() if any(r["kind"] == k for r in rows))
     return Headline(
-        good,
-        "All targets reached" if good else f"{len(judged) - len(missed)} of {len(judged)} targets reached",
+        not missed,
+        "All targets reached" if not missed else f"{len(judged) - len(missed)} of {len(judged)} targets reached",
         f"{len(rows)} worlds of the virtual cell were drawn and sealed, answered blind, and judged afterwards.",
         (("worlds", kinds), ("not reached", "; ".join(missed) or "none")),
     )
@@ -94,11 +80,12 @@ def _sections(check: Check, rows: Sequence[Row], figures: Sequence[Figure]) -> l
         "declared class, with the joint."
     )
     wrong = "Planted effects with their detectability, what was said with its probability, and what is wrong with it."
+    bad = [(r["world"].lstrip("0"), figs.planted_words(r), figs.said_words(r), figs.why_words(r)) for r in figs.worst(rows)]
     return [
         Section("Figures", (rests, figures_table(figures))),
         Section("How often the name is right", (_curve_plot(rows), method_table(rows, "top1"), method_table(rows, "top3"))),
         Section("What the probabilities are worth", (_reliability_plot(rows),)),
-        Section("The worst answers", (wrong, worst_table(rows))),
+        Section("The worst answers", (wrong, table(("world", "planted (lambda)", "said", "fault"), bad, text=(0, 1, 2, 3)))),
         Section("How it was made", tuple(_made(check))),
     ]
 
@@ -114,11 +101,8 @@ def interval_words(e: Estimate, percent: bool) -> str:
 
 def _target(f: Figure) -> str:
     scale, unit = (100.0, " %") if f.percent else (1.0, "")
-    if not f.target:
-        return ""
-    if f.sense == "in":
-        return f"{scale * f.target[0]:g}-{scale * f.target[1]:g}{unit}"
-    return f"{f.sense} {scale * f.target[0]:g}{unit}"
+    words = [f"{scale * value:g}" for value in f.target]
+    return f"{'' if f.sense == 'in' else f.sense + ' '}{'-'.join(words)}{unit}" if words else ""
 
 
 def figures_table(figures: Sequence[Figure]) -> Table:
@@ -135,19 +119,11 @@ def figures_table(figures: Sequence[Figure]) -> Table:
 def method_table(rows: Sequence[Row], key: str) -> Table:
     """Hits in every bin: the diagnosis, the oracle, the rivals, chance."""
     heads = ("which", *(f"lambda {bin_words(k)}" for k in range(len(BINS))))
-    lines = []
-    for method in ("diagnosis", "strict", "oracle", *METHODS):
-        found = by_bin(rows, key, method)
-        lines.append((METHOD_WORDS[method], *(interval_words(e, True) for e in found)))
-    dealt = chance(rows, key)
-    lines.append(("chance: labels dealt anew", interval_words(dealt, True), "", "", ""))
+    lines = [
+        (words, *(interval_words(e, True) for e in figs.by_bin(rows, key, method))) for method, words in METHOD_WORDS.items()
+    ]
+    lines.append(("chance: labels dealt anew", interval_words(figs.chance(rows, key), True), "", "", ""))
     return table(heads, lines, title="First name right" if key == "top1" else "Among the first three")
-
-
-def worst_table(rows: Sequence[Row]) -> Table:
-    """The worst twenty."""
-    lines = [(r["world"].lstrip("0"), planted_words(r), said_words(r), why_words(r)) for r in worst(rows)]
-    return table(("world", "planted (lambda)", "said", "fault"), lines, text=(0, 1, 2, 3))
 
 
 def _made(check: Check) -> list[Part | str]:
@@ -176,7 +152,7 @@ def _markdown(check: Check, sections: Sequence[Section]) -> str:
 
 def _curve_plot(rows: Sequence[Row]) -> Plot:
     """Top-1 and top-3 over the bins of lambda, with intervals."""
-    shares = {(m, k): by_bin(rows, k, m) for m, *_ in CURVES for k in ("top1", "top3")}
+    shares = {(m, k): figs.by_bin(rows, k, m) for m, *_ in CURVES for k in ("top1", "top3")}
     centres = [np.sqrt(low * min(high, LAST)) for low, high in BINS]
 
     def draw(canvas: Canvas) -> None:
@@ -187,7 +163,6 @@ def _curve_plot(rows: Sequence[Row]) -> Plot:
                 _line(ax, centres, shares[method, key], colour, aside)
             if key == "top1":
                 ax.plot(*CEILING, color=SOFT, linewidth=0.7, linestyle=":")
-            ax.set_xscale("log")
             _ticks(ax)
             ax.set_xlim(13, LAST)
             ax.set_ylim(0, 1.03)
@@ -201,25 +176,22 @@ def _curve_plot(rows: Sequence[Row]) -> Plot:
 
 
 def _ticks(ax: Any) -> None:
-    """The edges of the bins as plain numbers."""
+    """Lambda on a logarithmic axis, with the edges of the bins as plain numbers."""
+    ax.set_xscale("log")
     ax.minorticks_off()
     ax.set_xticks([15, 30, 50, 100, 300], ["15", "30", "50", "100", "300"])
 
 
 def _line(ax: Any, x: Sequence[float], found: Sequence[Estimate], colour: str, aside: float) -> None:
-    known = [(a * aside, e) for a, e in zip(x, found, strict=True) if e.count]
-    if not known:
-        return
-    at = [a for a, _ in known]
-    value = np.array([e.value for _, e in known])
-    bars = np.abs(np.array([[e.value - e.low, e.high - e.value] for _, e in known]).T)
-    ax.errorbar(at, value, yerr=bars, color=colour, linewidth=1.0, elinewidth=0.7, marker="o", markersize=3)
+    known = [(a * aside, e.value, abs(e.value - e.low), abs(e.high - e.value)) for a, e in zip(x, found, strict=True) if e.count]
+    if known:
+        at, value, *bars = (list(part) for part in zip(*known, strict=True))
+        ax.errorbar(at, value, yerr=bars, color=colour, linewidth=1.0, elinewidth=0.7, marker="o", markersize=3)
 
 
 def _reliability_plot(rows: Sequence[Row]) -> Plot:
     """Told probabilities against how often the names were right, worlds whose effects the catalogue holds."""
-    usual = of_kinds(rows, "single", "pair", "triple", "none", "none_background")
-    pairs = [(p, right) for r in usual for p, right in r.get("reliability", ())]
+    pairs = [(p, right) for r in figs.of_kinds(rows, *figs.USUAL) for p, right in r.get("reliability", ())]
 
     def draw(canvas: Canvas) -> None:
         axes = panels(canvas, 1, 2)[0]
@@ -228,17 +200,16 @@ def _reliability_plot(rows: Sequence[Row]) -> Plot:
         for low, high in pairwise(EDGES):
             inside = [(p, right) for p, right in pairs if low < p <= high]
             if inside:
-                e = share_of_hits([right for _, right in inside])
+                e = figs.share_of_hits([right for _, right in inside])
                 middle = float(np.mean([p for p, _ in inside]))
                 bar = [[e.value - e.low], [e.high - e.value]]
                 axes[0].errorbar(middle, e.value, yerr=bar, color=AFTER, marker="o", markersize=3)
         dressed(axes[1], "single effects", "detectability lambda", "probability of the planted effect")
-        singles = [r for r in of_kinds(rows, "single") if "said" in r]
+        singles = [r for r in figs.of_kinds(rows, "single") if "said" in r]
         for right, colour in ((True, AFTER), (False, BAD)):
-            some = [r for r in singles if hit(r, "top1") is right]
+            some = [r for r in singles if figs.hit(r, "top1") is right]
             own = [max((p for n, j, p in r["said"] if [n, j] == r["planted"][0][:2]), default=0.0) for r in some]
             axes[1].plot([r["lam"][0] for r in some], own, color=colour, linestyle="none", marker="o", markersize=2.4)
-        axes[1].set_xscale("log")
         _ticks(axes[1])
         keys(axes[1], [("first name right", AFTER), ("wrong", BAD)])
 

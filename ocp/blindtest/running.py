@@ -6,7 +6,7 @@ The effects of a world are drawn, then brought to the detectability that its rec
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,19 +14,10 @@ import numpy as np
 from ocp.blindtest.answers import make_answer
 from ocp.blindtest.oracle.oracle import ExactView, detectabilities, exact_view
 from ocp.blindtest.scoring import make_score
+from ocp.blindtest.worlds import sealing
 from ocp.blindtest.worlds.machines import effects_stream
 from ocp.blindtest.worlds.recipes import BINS, Recipe, pool_of, scaled, within_range
-from ocp.blindtest.worlds.sealing import (
-    WITHHELD,
-    Check,
-    Label,
-    label_path,
-    machine_of,
-    read_seal,
-    write_label,
-    write_seal,
-    write_world,
-)
+from ocp.blindtest.worlds.sealing import Check, Label
 from ocp.shell.cache import sha256
 from ocp.shell.progress import Phases
 from ocp.shell.workers import interrupts_held_back, nothing, workers
@@ -43,12 +34,8 @@ STEPS = {"tracker": 3, "force": 4, "both": 4}  # how often sizes are changed: re
 FAINT = {"tracker": 1e-3, "force": 1e-2, "both": 1e-2}  # lambda with its price below which readings do not show the effect
 
 
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """Effects with the detectability of each given the others, less the price of scanned families."""
-
-    effects: tuple[Planted, ...]
-    lam: tuple[float, ...]
+Drawn = tuple[tuple[Planted, ...], tuple[float, ...]]
+"""Effects with the detectability of each given the others, less the price of scanned families."""
 
 
 def draw_effects(seed: int, recipe: Recipe, view: ExactView, signals: str) -> Drawn:
@@ -57,8 +44,7 @@ def draw_effects(seed: int, recipe: Recipe, view: ExactView, signals: str) -> Dr
     assert recipe.target is not None
     rng, pool = effects_stream(seed, recipe), pool_of(recipe, signals)
     for attempt in range(TRIES):
-        kinds = _kinds(seed, recipe, rng, attempt, pool, signals)
-        effects = [_one(rng, kind, view) for kind in kinds]
+        effects = [_one(rng, kind, view) for kind in _kinds(seed, recipe, rng, attempt, pool, signals)]
         if len({(p.effect, p.joint) for p in effects}) < len(effects):
             continue
         low, high = np.log(recipe.target)
@@ -110,7 +96,7 @@ def _brought(view: ExactView, effects: list[Planted], wanted: Array, signals: st
         lam = detectabilities(view, effects)
     if (np.abs(lam / wanted - 1.0) > CLOSE).any():
         return None
-    return Drawn(tuple(effects), tuple(float(v) for v in lam))
+    return tuple(effects), tuple(float(v) for v in lam)
 
 
 PLAN = "plan.json"
@@ -136,17 +122,16 @@ def resume(check: Check, overwrite: bool) -> None:
 
 def make_world(check: Check, recipe: Recipe) -> str:
     """Draw, write and seal a world that is not there yet; the hash of its label. Raises Infeasible of the drawing."""
-    folder, label = check.world(recipe.name), label_path(check, recipe)
+    folder, label = check.world(recipe.name), sealing.label_path(check, recipe)
     if not label.is_file():
-        machine = machine_of(check, recipe)
-        drawn = Drawn((), ())
-        if recipe.target is not None:
-            drawn = draw_effects(check.seed, recipe, exact_view(machine), check.signals)
-        write_world(folder, machine, drawn.effects)
-        withheld = tuple(p.effect for p in drawn.effects) if recipe.kind == "left_out" else ()
+        machine = sealing.machine_of(check, recipe)
+        view = None if recipe.target is None else exact_view(machine)
+        effects, lam = ((), ()) if view is None else draw_effects(check.seed, recipe, view, check.signals)
+        sealing.write_world(folder, machine, effects)
+        withheld = tuple(p.effect for p in effects) if recipe.kind == "left_out" else ()
         if withheld:
-            (folder / WITHHELD).write_text("\n".join(withheld) + "\n", encoding="utf-8")
-        write_label(label, Label(recipe, drawn.effects, drawn.lam, withheld))
+            (folder / sealing.WITHHELD).write_text("\n".join(withheld) + "\n", encoding="utf-8")
+        sealing.write_label(label, Label(recipe, effects, lam, withheld))
     return sha256(label)
 
 
@@ -154,11 +139,12 @@ def make_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases)
     """Draw, write and seal every world; hashes of labels that were sealed before must not have changed."""
     with phases.phase("worlds", len(recipes)) as advance:
         hashes = {r.name: h for r, h in _each(jobs, make_world, [(check, r) for r in recipes], advance)}
-    before = read_seal(check)
+    before = sealing.read_seal(check)
     broken = [name for name, h in before.items() if hashes.get(name, h) != h]
     if broken:
         raise BadInput(f"{check.folder}: the label of world {broken[0]} is not what was sealed; begin anew with --overwrite")
-    write_seal(check, dict(sorted({**before, **hashes}.items())))
+    whole = dict(sorted({**before, **hashes}.items()))
+    (check.folder / sealing.SEAL).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
 
 
 def answer_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases) -> None:
@@ -173,7 +159,7 @@ def score_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases
     missing = [r.name for r in recipes if not check.answer(r.name).is_file()]
     if missing:
         raise BadInput(f"{check.folder}: world {missing[0]} has no answer yet; labels stay closed until all are written")
-    seal = read_seal(check)
+    seal = sealing.read_seal(check)
     with phases.phase("scores", len(recipes)) as advance:
         rows = {r.index: row for r, row in _each(jobs, make_score, [(check, r, seal) for r in recipes], advance)}
     return [rows[r.index] for r in recipes]
@@ -198,6 +184,5 @@ def _each(
 
 def forget_answers(check: Check) -> None:
     """Remove all answers and scores: they are of an older diagnosis."""
-    for folder in ("answers", "scores"):
-        for path in (check.folder / folder).glob("*.json"):
-            path.unlink()
+    for path in (*check.folder.glob("answers/*.json"), *check.folder.glob("scores/*.json")):
+        path.unlink()

@@ -33,11 +33,6 @@ SURE = 1.6449  # standard deviations of a 90 % interval
 KAB = ("stiffness_N_m", "lever_link1_m", "lever_arm_m")  # readings hold the product of a balancer's spring and levers
 
 
-def names_by_probability(document: dict[str, Any]) -> list[tuple[Name, float]]:
-    """Names with their marginal probabilities, most probable first."""
-    return [((r["effect"], r["joint"] or 0), float(r["probability"])) for r in document["ranking"]]
-
-
 def declared_classes(document: dict[str, Any]) -> list[set[Name]]:
     """Declared classes of names that cannot be told apart, `gear_1x:3` or `payload_mass`."""
     split = [[text.partition(":") for text in group] for group in document["indistinguishable"]]
@@ -118,11 +113,8 @@ def counted_signal(machine: BlindMachine, effects: tuple[Planted, ...]) -> str:
 def realised_shrinkage(machine: BlindMachine, effects: tuple[Planted, ...], answer: dict[str, Any]) -> dict[str, Any]:
     """Blind predictions of the sealed conditions judged, by signal: under "realised" the one that counts."""
     found = {}
-    if isinstance(machine, TrackerMachine):
-        arm: TrackerMachine | None = machine
-        on_arm = effects
-    else:
-        arm, on_arm = machine.arm, of_arm(effects)
+    arm, on_arm = (machine, effects) if isinstance(machine, TrackerMachine) else (machine.arm, of_arm(effects))
+    if isinstance(machine, GrindingMachine):
         if answer.get("predictions_force") is not None:
             truth = machine.log(effects, sealed=True).fn[:, None]
             found["force"] = _realised(answer["predictions_force"], truth, lambda: _force_floor(machine) if effects else None)
@@ -219,16 +211,15 @@ def _of_answer(label: Label, answer: dict[str, Any], signal: str) -> dict[str, A
     """What the diagnosis said, and how right that is."""
     document = answer["document"]
     groups, planted = declared_classes(document), [name_of(p) for p in label.effects]
-    said, named, gap = names_by_probability(document), decided_names(document), document["gap"][signal]
+    named, gap = decided_names(document), document["gap"][signal]
+    said = [((r["effect"], r["joint"] or 0), float(r["probability"])) for r in document["ranking"]]  # most probable first
     names = [name for name, _ in said]
     parameters = {(r["effect"], r["joint"] or 0): r["parameters"] for r in document["ranking"]}
     smallest = {(e, j): size for e, j, size, _ in answer["screened"]}
     return {
         "diagnosis": _judged(label, names, named, groups),
         "strict": _judged(label, names, named, []),
-        "verdict": document["verdict"],
-        "p_none": document["p_none"],
-        "p_unknown": document["p_unknown"],
+        **{key: document[key] for key in ("verdict", "p_none", "p_unknown")},
         "said": [[*n, p] for n, p in said[:6]],
         "named": named,
         "classes": [sorted(g) for g in groups],
@@ -237,8 +228,7 @@ def _of_answer(label: Label, answer: dict[str, Any], signal: str) -> dict[str, A
         "subsystem": document["location"]["subsystem"],
         "shrinkage": gap["shrinkage"],
         "noise": gap["noise_floor"],
-        "seconds": answer["seconds"],
-        "because": answer["because"],
+        **{key: answer[key] for key in ("seconds", "because")},
         "values": [value_errors(p, parameters[name_of(p)]) if name_of(p) in parameters else None for p in label.effects],
         "smallest": [smallest.get(name_of(p)) for p in label.effects],
     }
@@ -262,7 +252,7 @@ def _names(rows: Sequence[Sequence[Any]]) -> list[Name]:
 def _of_oracle(label: Label, seen: oracle.Observed) -> dict[str, Any]:
     """What one who knows all signatures and the true covariance says of the same noise; what these data cannot tell from the
     planted effect, what the library leaves of it, and the smallest size that would be seen."""
-    library, alone = seen.library, seen.alone
+    library, y, alone, smallest = seen
     first = label.effects[0] if len(label.effects) == 1 else None
     row: dict[str, Any] = {"sure_class": [], "possible_class": [], "left": None, "oracle_error": None, "oracle_class": None}
     groups: list[set[Name]] = []
@@ -272,15 +262,11 @@ def _of_oracle(label: Label, seen: oracle.Observed) -> dict[str, Any]:
         groups = [twins | {own}] if twins else []
         row |= {"sure_class": sorted(sure), "possible_class": sorted(possible)}
         row["left"] = oracle.cannot_be_imitated(library, alone[0])
-        found = oracle.estimated(library, seen.y, own)
+        found = oracle.estimated(library, y, own)
         if found is not None:
-            row["oracle_error"] = oracle.size_error(found, first)
-            row["oracle_class"] = sorted(oracle.not_told_apart(library, found.signature, own))
+            row["oracle_error"] = oracle.size_error(found[0], first)
+            row["oracle_class"] = sorted(oracle.not_told_apart(library, found[1], own))
     elif label.effects:
         groups = oracle.classes_among(library, label.effects, alone)
-    names, said = oracle.ranked(library, seen.y), oracle.chosen(library, seen.y)
-    return row | {
-        "oracle": _judged(label, names, said, groups),
-        "true_classes": [sorted(g) for g in groups],
-        "exact_smallest": list(seen.smallest),
-    }
+    judged = _judged(label, oracle.ranked(library, y), oracle.chosen(library, y), groups)
+    return row | {"oracle": judged, "true_classes": [sorted(g) for g in groups], "exact_smallest": list(smallest)}

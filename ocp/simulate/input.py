@@ -64,14 +64,17 @@ def plan_folder(plan: Path) -> Path:
     return plan if plan.is_dir() else plan.parent
 
 
+def _near(plan: Path) -> tuple[Path, ...]:
+    return plan_folder(plan), plan_folder(plan).resolve().parent, Path.cwd()
+
+
 def cell_file(wanted: Wanted, summary: dict[str, Any], bundled: Path) -> Path:
     """The cell: the one given, else the plan's own by its hash, without a plan the bundled one. Raises BadInput."""
     if wanted.cell is not None:
         return wanted.cell
     if wanted.plan is None:
         return bundled
-    folder = plan_folder(wanted.plan)
-    return cell_of_plan(summary, folder, (folder, folder.resolve().parent, Path.cwd()), bundled)
+    return cell_of_plan(summary, plan_folder(wanted.plan), _near(wanted.plan), bundled)
 
 
 def blade_file(wanted: Wanted, summary: dict[str, Any], own: Path | None) -> Path | None:
@@ -81,8 +84,7 @@ def blade_file(wanted: Wanted, summary: dict[str, Any], own: Path | None) -> Pat
         return wanted.blade
     if own is not None and own.is_file() and file_hash(own) == known[1]:
         return None
-    folder = plan_folder(wanted.plan)
-    return with_hash([place / known[0] for place in (folder, folder.resolve().parent, Path.cwd())], known[1])
+    return with_hash([place / known[0] for place in _near(wanted.plan)], known[1])
 
 
 def planted_effects(wanted: Wanted, cell: Cell) -> tuple[Planted, ...]:

@@ -101,15 +101,9 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
         log = _track(wanted, cell, ground)
     with whole_folder(out, overwrite) as partial, phases.phase("writing"):
         rows = _write(wanted, cell, truth, ground, log, partial, notices)
-    return SimulationResult(
-        folder=out,
-        rehearsal=None if ground is None else ground.rehearsal,
-        planted=truth.effects,
-        rows=rows,
-        readings=0 if log is None else len(log.design),
-        notices=tuple(notices),
-        line=_last_line(wanted, out, truth, ground, log, rows),
-    )
+    rehearsal, readings = None if ground is None else ground.rehearsal, 0 if log is None else len(log.design)
+    line = _last_line(wanted, out, truth, ground, log, rows)
+    return SimulationResult(out, rehearsal, truth.effects, rows, readings, tuple(notices), line)
 
 
 def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder: Path, phases: Phases) -> _Ground:
@@ -136,14 +130,14 @@ def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder
 def _track(wanted: Wanted, cell: Cell, ground: _Ground | None) -> TrackerLog | None:
     """The tracker campaign; None where there is nothing to measure with or nothing is asked."""
     if wanted.poses == "0":
-        if ground is None:
-            raise BadInput("--poses 0 without a plan leaves nothing to do; name a plan's folder or ask for postures")
-        return None
-    if cell.tables.tracker is None or not cell.tables.tracker.targets:
-        if ground is None:
-            raise BadInput(f"{cell.path}: no nests in [tracker.targets], and no plan to grind; add one of them")
-        return None
-    return tracker_log(wanted.poses, cell, wanted.seed, wanted.sealed)
+        nothing = "--poses 0 without a plan leaves nothing to do; name a plan's folder or ask for postures"
+    elif cell.tables.tracker is None or not cell.tables.tracker.targets:
+        nothing = f"{cell.path}: no nests in [tracker.targets], and no plan to grind; add one of them"
+    else:
+        return tracker_log(wanted.poses, cell, wanted.seed, wanted.sealed)
+    if ground is None:
+        raise BadInput(nothing)
+    return None
 
 
 def _write(
@@ -259,23 +253,9 @@ def simulate(
     seconds that the campaign's clock shows at the start. Raises BadInput: an argument or a file is not what it should be;
     Infeasible: the program would crash or cannot be driven.
     """
-    wanted = Wanted(
-        plan=None if plan is None else Path(plan),
-        cell=None if cell is None else Path(cell),
-        blade=None if blade is None else Path(blade),
-        effects=tuple(effects),
-        random=random,
-        sealed=sealed,
-        machine=machine,
-        seed=seed,
-        size=size,
-        poses=str(poses),
-        ladder=None if ladder is None else tuple(float(v) for v in ladder),
-        belts=tuple(float(v) for v in belts),
-        air=air,
-        joints=joints,
-        hz=hz,
-        log_hz=log_hz,
-        clock=clock,
-    )
+    asked = dict(locals())  # by the names of `Wanted`
+    kept = {name: value for name, value in asked.items() if name not in ("out", "overwrite", "progress")}
+    kept |= {name: None if kept[name] is None else Path(kept[name]) for name in ("plan", "cell", "blade")}
+    kept |= {"effects": tuple(effects), "poses": str(poses), "belts": tuple(float(v) for v in belts)}
+    wanted = Wanted(**kept | {"ladder": None if ladder is None else tuple(float(v) for v in ladder)})
     return simulate_cell(wanted, CELL, Path(out), overwrite, Phases(progress))

@@ -92,8 +92,7 @@ def _worst_table(rehearsal: Rehearsal) -> Table:
 
 def _lines_plot(rehearsal: Rehearsal) -> Plot:
     """Force along every line, one panel each, on the same axes."""
-    count = len(np.unique(rehearsal.run))
-    rows = -(-count // COLUMNS)
+    rows = -(-len(np.unique(rehearsal.run)) // COLUMNS)
     caption = (
         f"True force over the way along the line, in the order of the program. Shaded: within {WITHIN:g} N of what was planned "
         "(orange). All panels share their axes."

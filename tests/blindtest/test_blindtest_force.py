@@ -35,7 +35,7 @@ def machine(tmp_path_factory) -> GrindingMachine:
     from ocp.simulate.twin.contact.table import Tables
 
     patch = pytest.MonkeyPatch()
-    patch.setattr(Tables, "compliance", lambda self, p, n, t, solve: np.tile(SOLID, (len(p), 1)))
+    patch.setattr(Tables, "compliance", lambda self, at, solve: np.tile(SOLID, (len(at.s), 1)))
     patch.setattr("ocp.blindtest.worlds.machines.drawn_runs", few_runs)
     drawn = draw_grinding_machine(folder / "cell.toml", 4, replace(SINGLE, turn=6), 60, 40, False)
     assert drawn.background and (folder / STORE).is_file()
@@ -62,7 +62,7 @@ def change(machine, **truth):
 
 
 def test_slopes_hold_what_the_machine_does(machine, view):
-    found = force_nuisance(machine, view.slopes)
+    arm, rest = force_nuisance(machine, view.slopes)
     truth, cell = machine.truth, machine.bench.cell
     placed = truth.placement.copy()
     placed[2, 4] += 1e-4  # turn of link 3 about its y axis
@@ -71,22 +71,16 @@ def test_slopes_hold_what_the_machine_does(machine, view):
     moved = change(machine, wheel_shift=truth.wheel_shift + shift) / 1e-4 * cell.wheel.centre_sd
     tilted = change(machine, wheel_axis_turn=truth.wheel_axis_turn + 1e-4 * np.eye(3)[2]) / 1e-4 * cell.wheel.axis_sd
     linked = change(machine, placement=placed) / 1e-4 * PLACEMENT[1]
-    for column, direct in (
-        (found.arm[..., 16], linked),
-        (found.rest[..., 0], moved),
-        (found.rest[..., 5], tilted),
-        (found.rest[..., 10], turned),
-    ):
+    for column, direct in ((arm[..., 16], linked), (rest[..., 0], moved), (rest[..., 5], tilted), (rest[..., 10], turned)):
         # N for one sigma; where the contact's table changes from one posture to the next (1 um) differences jump.
         assert np.quantile(np.abs(column - direct), 0.97) < 0.03 * np.abs(direct).max() + 2e-3
-    assert found.arm.shape[2] == SHARED
+    assert arm.shape[2] == SHARED
 
 
 def test_lambda_is_the_quadratic_form(machine, view):
     """By the lemma of Woodbury with covariances of runs inverted one by one; the whitener has singular values instead."""
     effect = parse_effect("wheel_wear=1e-7")
-    found = force_nuisance(machine, view.slopes)
-    A = np.concatenate([found.arm, found.rest], axis=2)
+    A = np.concatenate(force_nuisance(machine, view.slopes), axis=2)
     d = machine.log([effect]).both - machine.bare.both
     rows = machine.rows
     B, q, h = np.eye(A.shape[2]), 0.0, np.zeros(A.shape[2])
@@ -163,10 +157,10 @@ def test_effects_outside_the_catalogue_move_readings(machine, name):
 
 
 def test_effects_come_at_the_detectability_that_was_asked_for(view):
-    drawn = draw_effects(4, SINGLE, view, "force")
+    effects, lam = draw_effects(4, SINGLE, view, "force")
     low, high = SINGLE.target
-    assert len(drawn.effects) == 1 and 0.75 * low < drawn.lam[0] < 1.25 * high
-    assert drawn.effects == draw_effects(4, SINGLE, view, "force").effects
+    assert len(effects) == 1 and 0.75 * low < lam[0] < 1.25 * high
+    assert effects == draw_effects(4, SINGLE, view, "force")[0]
     assert {k.name for k in pool_of(SINGLE, "both")} > {k.name for k in pool_of(SINGLE, "force")}
 
 

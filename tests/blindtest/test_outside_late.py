@@ -215,11 +215,11 @@ def test_lambda_is_reached(cell, turn):
     recipe = Recipe(turn + 1, "outside_late", turn, recipes.STRANGE)
     machine = draw_tracker_machine(cell, 6, recipe, 150, 20)
     view = tracker_view(machine)
-    drawn = draw_effects(6, recipe, view, "tracker")
+    effects, lam = draw_effects(6, recipe, view, "tracker")
     low, high = recipes.STRANGE
-    assert len(drawn.effects) == 1 and drawn.effects[0].effect in KINDS
-    assert 0.75 * low < drawn.lam[0] < 1.25 * high and within_range(drawn.effects[0])
-    assert detectabilities(view, drawn.effects)[0] == pytest.approx(drawn.lam[0], rel=1e-6)
+    assert len(effects) == 1 and effects[0].effect in KINDS
+    assert 0.75 * low < lam[0] < 1.25 * high and within_range(effects[0])
+    assert detectabilities(view, effects)[0] == pytest.approx(lam[0], rel=1e-6)
 
 
 def test_the_second_list_comes_only_where_it_is_asked_for():

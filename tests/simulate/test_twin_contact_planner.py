@@ -95,7 +95,7 @@ def test_the_planners_second_route_is_met_with_registration_errors(taught, flang
     blade = read_blade(w.cell.workpiece.stl, "mm")
     own = replace(make_tables(w.cell, blade))  # a store of its own: what is put into it stays here
     grinder = make_grinder(w.cell, truth, blade, own)
-    grinder.tables.compliance = lambda p, n, t, solve: np.tile([4e-6, 3e-7, -2e-7], (len(p), 1))  # type: ignore[method-assign]
+    grinder.tables.compliance = lambda at, solve: np.tile([4e-6, 3e-7, -2e-7], (len(at.s), 1))  # type: ignore[method-assign]
     c = dense(w, line, q)
     off = grinder.force(c).force - CubicSpline(w.paths[line].s, planner)(c.s)
     assert np.abs(off).max() < limit and off.std() < spread

@@ -97,7 +97,7 @@ class Bench:
         truth = truth if truth is not None else believed(self.cell)
         made = make_grinder(self.cell, truth, self.blade, self.tables)
         self.tables = made.tables
-        made.tables.compliance = lambda p, n, t, solve: np.tile(self.solid, (len(p), 1))  # type: ignore[method-assign]
+        made.tables.compliance = lambda at, solve: np.tile(self.solid, (len(at.s), 1))  # type: ignore[method-assign]
         return made
 
     def force(self, c: ContactMoments, *effects: str, **changes: float | Array) -> ContactResult:

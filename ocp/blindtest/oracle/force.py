@@ -16,18 +16,9 @@ from scipy.linalg import solve_triangular
 
 from ocp.blindtest.oracle import tracker
 from ocp.blindtest.oracle.tracker import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
+from ocp.blindtest.worlds import machines
 from ocp.blindtest.worlds.lines import RunRows
-from ocp.blindtest.worlds.machines import (
-    DRIFT,
-    PLAY,
-    SETPOINT_SD,
-    SHEAR_GAIN_SD,
-    SHEAR_ZERO_SD,
-    STIFF_SD,
-    WEAR,
-    ZERO_SD,
-    GrindingMachine,
-)
+from ocp.blindtest.worlds.machines import GrindingMachine
 from ocp.blindtest.worlds.recipes import PLANTABLE
 from ocp.blindtest.worlds.sealing import log_noise
 from ocp.simulate.twin.arm import make_arm
@@ -42,7 +33,6 @@ PUSH = 0.1  # N
 SPLICES, RELAXATIONS = 200, 8  # rates of a belt's splice and time constants that a log tells apart
 # What each further coefficient of a form costs, of which one is drawn: waves of a profile on every line, harmonics of a splice.
 COEFFICIENT, WAVES, HARMONICS = 1.3, 6, 3
-ARM = 36 + 6 + 7  # columns that both signals share
 FRAME = 6  # columns of the tracker's place, before them
 AT = (0.15, 0.9)  # of the campaign's time, when steps happen
 WILD, FAR = 1.2, 5e-4  # N, m off beyond which a reading is wild, and left out by the oracle
@@ -85,18 +75,10 @@ def slopes_of(machine: GrindingMachine) -> ForceSlopes:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class ForceNuisance:
-    """Columns (2, n, p) per one sigma: of placement, springs and masses of the arm (36 + 6 + 7), which a tracker sees too, and of
-    all the rest."""
-
-    arm: Array
-    rest: Array
-
-
-def force_nuisance(machine: GrindingMachine, s: ForceSlopes) -> ForceNuisance:
-    """Everything that a machine is drawn with."""
-    return ForceNuisance(_of_arm(machine, s), np.concatenate([*_of_frames(machine, s), *_of_contact(machine, s)], axis=2))
+def force_nuisance(machine: GrindingMachine, s: ForceSlopes) -> tuple[Array, Array]:
+    """Everything that a machine is drawn with, columns (2, n, p) per one sigma: of placement, springs and masses of the arm
+    (36 + 6 + 7), which a tracker sees too, and of all the rest."""
+    return _of_arm(machine, s), np.concatenate([*_of_frames(machine, s), *_of_contact(machine, s)], axis=2)
 
 
 def _of_arm(machine: GrindingMachine, s: ForceSlopes) -> Array:
@@ -145,17 +127,18 @@ def _of_contact(machine: GrindingMachine, s: ForceSlopes) -> list[Array]:
     columns = []
     for name in ("cover_scale", "blade_scale", "flange_scale"):
         changed = replace(truth, **{name: getattr(truth, name) + SCALE})
-        columns.append((machine.log((), truth=changed).both - bare.both) / SCALE * STIFF_SD)
+        columns.append((machine.log((), truth=changed).both - bare.both) / SCALE * machines.STIFF_SD)
     changed = replace(truth, flange_offset=truth.flange_offset + PUSH)
-    columns.append((machine.log((), truth=changed).both - bare.both) / PUSH * SETPOINT_SD)
+    columns.append((machine.log((), truth=changed).both - bare.both) / PUSH * machines.SETPOINT_SD)
     one, none = np.ones(len(rows.s)), np.zeros(len(rows.s))
-    columns += [np.stack([one * ZERO_SD, none]), np.stack([none, bare.ft * SHEAR_GAIN_SD]), np.stack([none, one * SHEAR_ZERO_SD])]
+    shear = [np.stack([none, bare.ft * machines.SHEAR_GAIN_SD]), np.stack([none, one * machines.SHEAR_ZERO_SD])]
+    columns += [np.stack([one * machines.ZERO_SD, none]), *shear]
     if machine.background:
-        worn = machine.log([Planted("wheel_wear", None, {"m_per_s": WEAR})]).both - bare.both
-        columns += [np.stack([rows.clock / 3600.0 * DRIFT, none]) / np.sqrt(3.0), worn / np.sqrt(3.0)]
+        worn = machine.log([Planted("wheel_wear", None, {"m_per_s": machines.WEAR})]).both - bare.both
+        columns += [np.stack([rows.clock / 3600.0 * machines.DRIFT, none]) / np.sqrt(3.0), worn / np.sqrt(3.0)]
     blocks = [np.stack(columns, axis=2)]
     if machine.background:
-        blocks.append(s.joint * s.approach * PLAY / np.sqrt(3.0))
+        blocks.append(s.joint * s.approach * machines.PLAY / np.sqrt(3.0))
     repeats = np.zeros((*bare.both.shape, 6 * len(rows.runs)))
     for k in range(len(rows.runs)):
         repeats[:, rows.run == k, 6 * k : 6 * k + 6] = s.joint[:, rows.run == k] * truth.repeatability
@@ -180,7 +163,7 @@ class ForceView:
     def signature(self, effects: Sequence[Planted], without: Sequence[Planted] = ()) -> Array:
         """White change (N,) of all readings from `without` to `effects`."""
         machine = self.machine
-        force = machine.log(effects).both - machine.log(without).both
+        force = machine.forces(effects) - machine.forces(without)
         if machine.arm is None:
             return self.white.apply(force)
         return self.white.apply(force, machine.tracked(effects) - machine.tracked(without))
@@ -241,7 +224,7 @@ def force_view(machine: GrindingMachine) -> ForceView:
     scene = None if machine.arm is None else tracker.scene_of(machine.arm)
     found = force_nuisance(machine, slopes)
     raw = partial(white_log, noise_roots(machine.rows), machine.rows, None if scene is None else tracker.tracker_root(scene))
-    columns = (np.concatenate([found.arm, found.rest], axis=2),) if scene is None else _shared(scene, found.arm, found.rest)
+    columns = (np.concatenate(found, axis=2),) if scene is None else _shared(scene, *found)
     return ForceView(machine, slopes, exact_whitener(raw, raw(*columns)), scene)
 
 

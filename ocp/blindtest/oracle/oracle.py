@@ -103,15 +103,9 @@ class White:
         return a, np.einsum("vi,vi->v", b, a)
 
 
-@dataclass(frozen=True, eq=False)
-class Observed:
-    """A world as the oracle sees it: library, white readings y (N,), white signature (N,) of each planted effect given the
-    others, the smallest size of each that would be seen, as a share of its usual upper end."""
-
-    library: White
-    y: Array
-    alone: tuple[Array, ...]
-    smallest: tuple[float | None, ...]
+Observed = tuple[White, Array, tuple[Array, ...], tuple[float | None, ...]]
+"""A world as the oracle sees it: library, white readings y (N,), white signature (N,) of each planted effect given the others,
+and the smallest size of each that would be seen, as a share of its usual upper end."""
 
 
 def observed(
@@ -122,7 +116,7 @@ def observed(
     library = library_of(view).without(withheld)
     alone = tuple(view.signature(effects, [p for p in effects if p is not one]) for one in effects)
     sizes = tuple(smallest_size(view, p, s) for p, s in zip(effects, alone, strict=True))
-    return Observed(library, view.readings(folder, effects, rng), alone, sizes)
+    return library, view.readings(folder, effects, rng), alone, sizes
 
 
 def library_of(view: ExactView) -> White:
@@ -244,16 +238,9 @@ def smallest_size(view: ExactView, planted: Planted, white: Array) -> float | No
     return share_of_range(planted) * float(np.sqrt(least / lam)) if lam > 0 else None
 
 
-@dataclass(frozen=True, eq=False)
-class LikeliestMember:
-    """The likeliest member of a family: coefficients (m,) per upper end, white signature (N,)."""
-
-    coefficients: Array
-    signature: Array
-
-
-def estimated(library: White, y: Array, own: Name) -> LikeliestMember | None:
-    """The member of a family that the white readings y (N,) speak for most; None where the library lacks the family."""
+def estimated(library: White, y: Array, own: Name) -> tuple[Array, Array] | None:
+    """Coefficients (m,) per upper end and white signature (N,) of the member of a family that the white readings y (N,) speak for
+    most; None where the library lacks the family."""
     if own not in library.names:
         return None
     k = library.names.index(own)
@@ -262,22 +249,18 @@ def estimated(library: White, y: Array, own: Name) -> LikeliestMember | None:
     inner = G + np.eye(C.shape[2]) / SIZES[-1] ** 2
     a = np.linalg.solve(inner, b[..., None])[..., 0]
     best = int(np.argmax(np.einsum("vi,vi->v", a, b) - np.linalg.slogdet(inner)[1]))
-    return LikeliestMember(a[best], C[:, best] @ a[best])
+    return a[best], C[:, best] @ a[best]
 
 
-def size_error(found: LikeliestMember, planted: Planted) -> float | None:
-    """Error of the first key as a share of its value; None where coefficients are not that key."""
+def size_error(found: Array, planted: Planted) -> float | None:
+    """Error of the first key as a share of its value, of coefficients (m,) `found`; None where they are not that key."""
     key = kind_of(planted.effect).keys[0]
     true = np.atleast_1d(planted.vector(key.name)) / upper_end(key, planted.joint)
     if planted.effect in UNSIZED:
         return None
     if is_wave(planted.effect):
-        if len(found.coefficients) != 2:
-            return None
-        return float(abs(np.linalg.norm(found.coefficients) - abs(true[0])) / abs(true[0]))
-    if len(found.coefficients) < key.length:
-        return None
-    return float(np.linalg.norm(found.coefficients[: key.length] - true) / np.linalg.norm(true))
+        return float(abs(np.linalg.norm(found) - abs(true[0])) / abs(true[0])) if len(found) == 2 else None
+    return float(np.linalg.norm(found[: key.length] - true) / np.linalg.norm(true)) if len(found) >= key.length else None
 
 
 def classes_among(library: White, planted: Sequence[Planted], alone: Sequence[Array]) -> list[set[Name]]:

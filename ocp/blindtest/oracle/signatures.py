@@ -8,6 +8,7 @@ of a log's two forces, V variants of m coefficients each.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -97,13 +98,8 @@ def _of_joints(
         yield _family("joint_compliance", at(j, t), j + 1)
         if j + 1 in BENDING:
             yield _family("joint_stiffening", at(j, -(t**3)), j + 1)
-        ripples = (
-            ("gear_1x", [1.0]),
-            ("gear_2x", [2.0]),
-            ("gear_harmonic", orders[j]),
-            ("motor_harmonic", ratio[j] * np.array([1, 2])),
-        )
-        for effect, ks in ripples:
+        ripples = {"gear_1x": [1.0], "gear_2x": [2.0], "gear_harmonic": orders[j], "motor_harmonic": ratio[j] * np.array([1, 2])}
+        for effect, ks in ripples.items():
             waves = [at(j, np.cos(k * x), np.sin(k * x)) for k in ks]
             yield _family(effect, np.concatenate(waves, axis=2), j + 1, repeat=2)
         yield _family("backlash", at(j, s), j + 1)
@@ -126,22 +122,15 @@ def tracker_families(machine: TrackerMachine, scene: TrackerScene) -> list[Exact
 
 def _of_torques(machine: TrackerMachine) -> Iterator[ExactFamily]:
     """What is built into the machine: small amounts of it, run and compared."""
-    bare = machine.points(())
-
-    def change(effect: str, joint: int | None, size: float, **values: Value) -> Array:
-        """Columns (n, 3) per unit of the first key."""
-        key = kind_of(effect).keys[0].name
-        one = values.pop(key, size)
-        return (machine.points([Planted(effect, joint, {key: one, **values})]) - bare) / size
-
+    change = partial(_change, machine.points, machine.points(()))
     for joint in (2, 3):
-        yield _family("link_bending", change("link_bending", joint, 1e-8)[:, :, None, None], joint)
-    springs = [change("gravity_compensator", 2, 1e4, lever_link1_m=a, lever_arm_m=b) for a, b in LEVERS]
-    yield _family("gravity_compensator", np.stack(springs, axis=2)[..., None], 2)
-    yield _family("payload_mass", change("payload_mass", None, 0.5)[:, :, None, None])
-    shifts = [change("payload_com", None, 0.01, shift_m=tuple(0.01 * np.eye(3)[i])) for i in range(3)]
-    yield _family("payload_com", np.stack(shifts, axis=2)[:, :, None], repeat=3)
-    yield _family("link_thermal", change("link_thermal", None, 1e-5)[:, :, None, None])
+        yield _family("link_bending", change("link_bending", 1e-8, joint), joint)
+    springs = [change("gravity_compensator", 1e4, 2, lever_link1_m=a, lever_arm_m=b) for a, b in LEVERS]
+    yield _family("gravity_compensator", np.concatenate(springs, axis=2), 2)
+    yield _family("payload_mass", change("payload_mass", 0.5))
+    shifts = [change("payload_com", 0.01, shift_m=tuple(0.01 * np.eye(3)[i])) for i in range(3)]
+    yield _family("payload_com", np.concatenate(shifts, axis=3), repeat=3)
+    yield _family("link_thermal", change("link_thermal", 1e-5))
 
 
 def _of_places(scene: TrackerScene) -> Iterator[ExactFamily]:
@@ -177,24 +166,27 @@ def force_families(machine: GrindingMachine, s: ForceSlopes, orders_too: bool) -
     return _seen([*_of_wheel(machine, s), *_of_frames(machine, s), *_of_sensor(machine), *_differences(machine), *stiff])
 
 
-def _change(machine: GrindingMachine, effect: str, size: float, joint: int | None = None, **values: Value) -> Array:
-    """Readings (2, n, 1, 1) per unit of the effect's first key."""
-    key = kind_of(effect).keys[0].name
-    log = machine.log([Planted(effect, joint, {key: size, **values})])
-    return np.asarray((log.both - machine.bare.both) / size)[:, :, None, None]
+Read = Callable[[Sequence[Planted]], Array]
+
+
+def _change(read: Read, bare: Array, effect: str, size: float, joint: int | None = None, **values: Value) -> Array:
+    """Change of what is read from `bare`, (2, n, 1, 1) or (n, 3, 1, 1), per unit of the effect's first key."""
+    planted = Planted(effect, joint, {kind_of(effect).keys[0].name: size, **values})
+    return np.asarray((read([planted]) - bare) / size)[:, :, None, None]
 
 
 def _differences(machine: GrindingMachine) -> Iterator[ExactFamily]:
+    change = partial(_change, machine.forces, machine.bare.both)
     for effect, size in STEPS.items():
-        yield _family(effect, _change(machine, effect, size))
+        yield _family(effect, change(effect, size))
     for joint in (2, 3):
-        yield _family("link_bending", _change(machine, "link_bending", 1e-8, joint), joint)
-    relaxed = [_change(machine, "wheel_relaxation", 0.02, tau=float(tau)) for tau in TAUS]
+        yield _family("link_bending", change("link_bending", 1e-8, joint), joint)
+    relaxed = [change("wheel_relaxation", 0.02, tau=float(tau)) for tau in TAUS]
     yield _family("wheel_relaxation", np.concatenate(relaxed, axis=2))
-    soft = _change(machine, "wheel_temperature", -5e-4, radius_per_K=0.0)
-    grown = machine.log([Planted("wheel_temperature", None, {"per_K": 0.0, "radius_per_K": 1e-6})]).both - machine.bare.both
+    soft = change("wheel_temperature", -5e-4, radius_per_K=0.0)
+    grown = machine.forces([Planted("wheel_temperature", None, {"per_K": 0.0, "radius_per_K": 1e-6})]) - machine.bare.both
     yield _family("wheel_temperature", np.concatenate([soft, grown[:, :, None, None] / 1e-6], axis=3), keys=2)
-    rubbed = _change(machine, "tangential_force", 0.02, leak=0.0)
+    rubbed = change("tangential_force", 0.02, leak=0.0)
     leaked = np.stack([machine.bare.result.tangential, np.zeros(len(machine.rows.s))])[:, :, None, None]
     yield _family("tangential_force", np.concatenate([rubbed, leaked], axis=3), keys=2)
 
@@ -208,7 +200,7 @@ def _of_wheel(machine: GrindingMachine, s: ForceSlopes) -> Iterator[ExactFamily]
     yield _family("stock_profile", np.stack(stock, axis=2)[:, :, None], repeat=len(stock))
     waves = np.stack([deeper * np.cos(angle), deeper * np.sin(angle)], axis=2)
     yield _family("wheel_runout", waves[:, :, None], repeat=2)
-    pushed = _change(machine, "belt_splice", 0.5, hz=1e-9)[:, :, 0, 0]
+    pushed = _change(machine.forces, machine.bare.both, "belt_splice", 0.5, hz=1e-9)[:, :, 0, 0]
     turn = np.mod(RATES * machine.rows.time[:, None] + 0.5, 1.0) - 0.5
     bump = np.where(np.abs(turn) < 0.5 * SPLICE_SHARE, 0.5 + 0.5 * np.cos(2 * np.pi * turn / SPLICE_SHARE), 0.0)
     yield _family("belt_splice", (pushed[:, :, None] * bump)[..., None])
@@ -241,11 +233,7 @@ def _of_frames(machine: GrindingMachine, s: ForceSlopes) -> Iterator[ExactFamily
 def _of_sensor(machine: GrindingMachine) -> Iterator[ExactFamily]:
     """What the reading adds."""
     none = np.zeros(len(machine.rows.s))
-    shown = {
-        "sensor_bias": none + 1.0,
-        "sensor_drift": machine.rows.clock / 3600.0,
-        "sensor_gain": machine.bare.result.force,
-        "sensor_crosstalk": machine.bare.result.tangential,
-    }
+    pressed, hours = machine.bare.result, machine.rows.clock / 3600.0
+    shown = {"bias": none + 1.0, "drift": hours, "gain": pressed.force, "crosstalk": pressed.tangential}
     for effect, values in shown.items():
-        yield _family(effect, np.stack([values, none])[:, :, None, None])
+        yield _family(f"sensor_{effect}", np.stack([values, none])[:, :, None, None])

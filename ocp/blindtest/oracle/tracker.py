@@ -195,35 +195,28 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
     """Derivatives (n, 3, p) of the points and one sigma (p,) of what a machine is drawn with: the tracker's place, the placement
     of every link, nests, springs, masses, and the play of a background."""
     n = len(scene)
-    blocks, sds = [], []
     frame = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -cross_matrices(scene.point)], axis=2)
-    blocks.append(frame)
-    sds += [FREE] * 6
+    parts = [(frame, [FREE] * 6)]
     for link in range(1, 7):
         R = scene.links[:, link, :3, :3]
         motion = np.zeros((n, 6, 6))
         motion[:, :3, :3] = motion[:, 3:, 3:] = R
-        blocks.append(scene.moved(link, motion))
-        sds += list(np.repeat(PLACEMENT, 3))
+        parts.append((scene.moved(link, motion), np.repeat(PLACEMENT, 3).tolist()))
     table = scene.cell.tables.tracker
     for name in dict.fromkeys(scene.campaign.targets):
         own = np.array([t == name for t in scene.campaign.targets])
         R = scene.links[np.arange(n), scene.carrier, :3, :3]
-        blocks.append(scene.turn @ R * own[:, None, None])
-        sds += [1e-3 * (table.target_sd_mm if table is not None else 1.0)] * 3
+        parts.append((scene.turn @ R * own[:, None, None], [1e-3 * (table.target_sd_mm if table is not None else 1.0)] * 3))
     compliance = weight_compliance(scene.truth)
-    blocks.append(scene.D * (scene.tau * compliance)[:, None, :])
-    sds += [STIFFNESS / np.sqrt(3.0)] * 6
+    parts.append((scene.D * (scene.tau * compliance)[:, None, :], [STIFFNESS / np.sqrt(3.0)] * 6))
     masses = np.zeros((n, 3, 7))
     for link in range(1, 7):
         torque = torque_of_mass(scene.cell, scene.truth, scene.campaign.moments, scene.tau, link)
         masses[:, :, link] = np.einsum("nij,nj->ni", scene.D, torque * compliance)
-    blocks.append(masses)
-    sds += [MASS_SD] * 7
+    parts.append((masses, [MASS_SD] * 7))
     if has_unrest(scene):
-        blocks.append(scene.D * scene.campaign.moments.approach[:, None, :])
-        sds += [PLAY / np.sqrt(3.0)] * 6
-    return np.concatenate(blocks, axis=2), np.array(sds)
+        parts.append((scene.D * scene.campaign.moments.approach[:, None, :], [PLAY / np.sqrt(3.0)] * 6))
+    return np.concatenate([block for block, _ in parts], axis=2), np.concatenate([sd for _, sd in parts])
 
 
 def weight_compliance(truth: Truth) -> Array:

@@ -81,7 +81,9 @@ class Bench:
         truth = replace(truth, effects=tuple(p for p in truth.effects if p.effect not in OUTSIDE), sensor_sigma=0.0)
         q, T, compliance = self._settled(truth, rows, hall, rng)
         if moved is not None:
-            T = _twisted(T, np.broadcast_to(moved, (len(q), 6)).copy())
+            twist, T = np.broadcast_to(moved, (len(q), 6)).copy(), T.copy()
+            T[:, :3, 3] += twist[:, :3]
+            T[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ T[:, :3, :3]
         asked = shown = self._asked(rows, T, compliance, hall)
         grinder = make_grinder(self.cell, truth, self.blade, self.tables)
         at = self._instants(rows, q, asked)
@@ -114,12 +116,11 @@ class Bench:
 
     def still(self, rows: RunRows, hall: Array) -> Moments:
         """The arm's moments on the path."""
-        line, travel, feed = rows.each("line"), rows.each("travel"), rows.each("feed")
-        q, rate = np.empty((len(rows.s), 6)), np.empty((len(rows.s), 6))
+        line, q, rate = rows.each("line"), np.empty((len(rows.s), 6)), np.empty((len(rows.s), 6))
         for k, spline in enumerate(self.joints):
             own = line == k + 1
             q[own], rate[own] = spline(rows.s[own]), spline(rows.s[own], 1)
-        approach = np.sign(rate * (travel * feed)[:, None])
+        approach = np.sign(rate * (rows.each("travel") * rows.each("feed"))[:, None])
         return arm_moments(q, self.cell.workpiece.payload_name, hall, approach, rows.clock, visit=rows.run)
 
     def _asked(self, rows: RunRows, T: Array, compliance: Array, hall: Array) -> ContactMoments:
@@ -137,16 +138,13 @@ class Bench:
             t=t,
             s=rows.s,
             line=line,
-            setpoint=rows.each("setpoint"),
-            feed=rows.each("feed"),
-            belt=rows.each("belt"),
             contact=rows.each("contact").astype(bool),
             clock_s=rows.clock,
             time_s=rows.time,
             run=rows.run,
-            ground_before=rows.each("ground_before"),
             wheel_temperature_C=self.cell.tables.reference_temperature_C + rows.wheel_warmth,
             temperature_C=hall,
+            **{name: rows.each(name) for name in ("setpoint", "feed", "belt", "ground_before")},
         )
 
     def _instants(self, rows: RunRows, q: Array, asked: ContactMoments) -> GrindingInstants:
@@ -161,14 +159,6 @@ class Bench:
             force=np.zeros(len(q)),
             q=q,
         )
-
-
-def _twisted(T: Array, twist: Array) -> Array:
-    """Flange poses (n, 4, 4) moved by small twists (n, 6) about their origins."""
-    out = T.copy()
-    out[:, :3, 3] += twist[:, :3]
-    out[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ T[:, :3, :3]
-    return out
 
 
 def store_of(path: Path, make: Callable[[], Tables]) -> Tables:

@@ -13,17 +13,18 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell, read_cell
-from ocp.simulate.twin.arm import Moments, VirtualArm, arm_moments
+from ocp.simulate.twin.arm import VirtualArm, arm_moments
+from ocp.simulate.twin.collide import true_wheel
 from ocp.simulate.twin.path_motion import follow, frames, nominal_error, nominal_jacobian
+from ocp.simulate.twin.run import true_blade
 from ocp.simulate.twin.truth import Truth
 from robots.errors import Infeasible
 from robots.pose import Array, invert, make_transform
 from robots.tracker_readings import Index
 from trajectories.blade import Blade, find_shape, read_blade
-from trajectories.passes import BladePath, PassOptions, passes
+from trajectories.passes import PassOptions, passes
 
 STEP = 0.5e-3  # m between points of a line
 UNIT = 2.4e-3  # m: lines are whole multiples, so that runs of all feeds begin and end at the same places
@@ -79,11 +80,8 @@ def blade_lines(stl: Path, unit: str, cell_path: Path) -> tuple[Blade, tuple[Gro
     length = UNIT * np.floor(min(p.s[-1] for p in picked) / UNIT - 1e-9)
     if length < 10 * UNIT:
         raise Infeasible(f"{stl}: its lines are {1e3 * length:.0f} mm long, too short for a force world")
-    return blade, tuple(_line(k + 1, p, float(length)) for k, p in enumerate(picked))
-
-
-def _line(number: int, path: BladePath, length: float) -> GroundLine:
-    return GroundLine(number, length, CubicSpline(path.s, path.p), CubicSpline(path.s, path.n), CubicSpline(path.s, path.t))
+    curves = ((CubicSpline(path.s, values) for values in (path.p, path.n, path.t)) for path in picked)
+    return blade, tuple(GroundLine(k + 1, float(length), *three) for k, three in enumerate(curves))
 
 
 def taught(
@@ -96,16 +94,13 @@ def taught(
         goal = _goal(cell, truth, line, s, TAUGHT * rng.normal())
         q = _reached(cell, goal, line)
         for _ in range(4):
-            error = nominal_error(goal, arm.flange(_still(cell, q)))
+            still = arm_moments(q, cell.workpiece.payload_name, cell.tables.reference_temperature_C)
+            error = nominal_error(goal, arm.flange(still))
             q = q + np.linalg.solve(nominal_jacobian(cell.robot, frames(cell.robot, q)), error[..., None])[..., 0]
         if np.abs(error).max() > 1e2 * LEFT:
             raise Infeasible(f"line {line.number} of the blade is out of reach of the robot")
         found.append(CubicSpline(s, q))
     return tuple(found)
-
-
-def _still(cell: Cell, q: Array) -> Moments:
-    return arm_moments(q, cell.workpiece.payload_name, cell.tables.reference_temperature_C)
 
 
 def _reached(cell: Cell, goal: Array, line: GroundLine) -> Array:
@@ -115,8 +110,7 @@ def _reached(cell: Cell, goal: Array, line: GroundLine) -> Array:
     first = np.asarray(line.n(0.0))
     guess[5] += np.arctan2(first[0], first[1]) * -robot.sign[5] if first[1] > 0 else -np.pi
     found, left = follow(robot, goal, guess)
-    inside = np.all((found > robot.q_min) & (found < robot.q_max))
-    if left.max() > LEFT or not inside:
+    if left.max() > LEFT or not np.all((found > robot.q_min) & (found < robot.q_max)):
         raise Infeasible(f"line {line.number} of the blade is out of reach of the robot")
     return found
 
@@ -124,19 +118,15 @@ def _reached(cell: Cell, goal: Array, line: GroundLine) -> Array:
 def _goal(cell: Cell, truth: Truth, line: GroundLine, s: Array, off: float) -> Array:
     """Poses (k, 4, 4) of the flange that bring this machine's contacts to its wheel, `off` m too deep, the feed downward."""
     out = -cell.wheel.contact_direction
-    axis = Rotation.from_rotvec(truth.wheel_axis_turn).apply(cell.wheel.axis)
-    down = np.cross(axis, out)
+    wheel = true_wheel(cell, truth)
+    down = np.cross(wheel.axis, out)
     p, n, t = line.at(s)
     own = np.stack([n, t, np.cross(n, t)], axis=2)
     wanted = np.stack([out, down, np.cross(out, down)], axis=1)
     R = wanted @ np.swapaxes(own, 1, 2)
-    centre = cell.wheel.centre + truth.wheel_shift
-    place = centre - (cell.wheel.radius - DEPTH - off) * out
+    place = wheel.centre - (wheel.radius - DEPTH - off) * out
     T = make_transform(R, place - np.einsum("kij,kj->ki", R, p))
-    held = cell.workpiece.T_flange_blade
-    turn = Rotation.from_rotvec(truth.blade_turn).as_matrix()
-    blade = make_transform(turn @ held[:3, :3], held[:3, 3] + truth.blade_shift)
-    return np.asarray(T @ invert(blade))
+    return np.asarray(T @ invert(true_blade(cell, truth)))
 
 
 @dataclass(frozen=True)
@@ -197,11 +187,8 @@ def drawn_runs(rng: np.random.Generator, process: float, speed: float) -> tuple[
     runs = [_scaled(r, process) for r in runs]
     pause = {len(runs) - 4 - int(rng.integers(0, 3)): float(rng.uniform(*PAUSE))}
     timed, clock, ground = _timed(runs, 0.0, {}, pause)
-    new = [
-        Run(c, setpoint=low, feed=0.06),
-        Run(b, setpoint=high, feed=0.03, travel=-1),
-        Run(a, setpoint=round(0.5 * (process + high), 1), belt=0.75 * speed, travel=-1),
-    ]
+    new = [Run(c, setpoint=low, feed=0.06), Run(b, setpoint=high, feed=0.03, travel=-1)]
+    new += [Run(a, setpoint=round(0.5 * (process + high), 1), belt=0.75 * speed, travel=-1)]
     sealed, _, _ = _timed([_scaled(r, process) for r in new], clock + float(rng.uniform(*LATE)), ground, {})
     return tuple(timed), tuple(sealed)
 

@@ -83,7 +83,6 @@ class GrindingMachine:
         unrest: bool = False,
         moved: Array | None = None,
         truth: Truth | None = None,
-        gains: tuple[float, float] | None = None,
     ) -> Log:
         """Readings without noise with these effects; unrest: the joints come back as badly as they do.
 
@@ -91,7 +90,7 @@ class GrindingMachine:
         rows = self.whole if sealed else self.rows
         truth = replace(self.truth if truth is None else truth, effects=tuple(effects))
         rng = np.random.default_rng([self.seed, int(sealed)]) if unrest else None
-        log = self.bench.log(truth, rows, self.hall(rows), rng, moved, self.gains if gains is None else gains)
+        log = self.bench.log(truth, rows, self.hall(rows), rng, moved, self.gains)
         return log.last(self.sealed) if sealed else log
 
     @cached_property
@@ -101,8 +100,11 @@ class GrindingMachine:
 
     def hall(self, rows: RunRows) -> Array:
         """Temperature of the hall (n,) deg C."""
-        clock = rows.clock
-        return np.asarray(self.bench.cell.tables.reference_temperature_C + self.warming * clock / 3600.0)
+        return np.asarray(self.bench.cell.tables.reference_temperature_C + self.warming * rows.clock / 3600.0)
+
+    def forces(self, effects: Sequence[Planted]) -> Array:
+        """Readings (2, n) N without noise."""
+        return self.log(effects).both if effects else self.bare.both
 
     @cached_property
     def bare(self) -> Log:
@@ -156,12 +158,8 @@ def draw_tracker_machine(cell_path: Path, seed: int, recipe: Recipe, readings: i
     truth = draw_truth(cell, int(stream(seed, recipe, _MACHINE).integers(2**31)), weight_bends="believed")
     if not has_background(recipe):
         truth = replace(truth, ripple=truth.ripple * [0.0, 1.0, 1.0], play=np.zeros(6), outliers=0.0)
-    return TrackerMachine(
-        cell,
-        truth,
-        random_design(cell, stream(seed, recipe, _CAMPAIGN), readings),
-        sealed_design(cell, stream(seed, recipe, _SEALED), blind),
-    )
+    campaign = random_design(cell, stream(seed, recipe, _CAMPAIGN), readings)
+    return TrackerMachine(cell, truth, campaign, sealed_design(cell, stream(seed, recipe, _SEALED), blind))
 
 
 def has_background(recipe: Recipe) -> bool:

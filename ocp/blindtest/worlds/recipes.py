@@ -70,22 +70,16 @@ def check_kinds(text: str, signals: str = "tracker") -> tuple[str, ...]:
 
 def recipes(worlds: int, kinds: tuple[str, ...] = KINDS) -> list[Recipe]:
     """The first `worlds` recipes: kinds spread evenly over each round, single effects through all bins one after another."""
-    order = _order(kinds)
+    # One round: the i-th of c worlds of a kind stands at (i + 1/2) / c of it.
+    weights = ROUND | ASKED
+    places = sorted(((i + 0.5) / weights[k], list(weights).index(k), k) for k in kinds for i in range(weights[k]))
     counts = dict.fromkeys(kinds, 0)
     found = []
-    for index in range(1, worlds + 1):
-        kind = order[(index - 1) % len(order)]
-        turn = counts[kind]
+    for index in range(worlds):
+        kind = places[index % len(places)][2]
+        found.append(Recipe(index + 1, kind, counts[kind], _target(kind, counts[kind])))
         counts[kind] += 1
-        found.append(Recipe(index, kind, turn, _target(kind, turn)))
     return found
-
-
-def _order(kinds: tuple[str, ...]) -> list[str]:
-    """One round: the i-th of c worlds of a kind stands at (i + 1/2) / c of it."""
-    weights = ROUND | ASKED
-    places = [((i + 0.5) / weights[k], list(weights).index(k), k) for k in kinds for i in range(weights[k])]
-    return [kind for _, _, kind in sorted(places)]
 
 
 def _target(kind: str, turn: int) -> tuple[float, float] | None:
@@ -98,8 +92,7 @@ def _target(kind: str, turn: int) -> tuple[float, float] | None:
 
 def bin_of(value: float) -> int | None:
     """Index of the bin that a detectability falls into; None below the first."""
-    found = [k for k, (low, _) in enumerate(BINS) if value >= low]
-    return found[-1] if found else None
+    return max((k for k, (low, _) in enumerate(BINS) if value >= low), default=None)
 
 
 def bin_words(k: int) -> str:
@@ -173,8 +166,5 @@ def _times(value: Value, factor: float) -> Value:
 
 def within_range(planted: Planted) -> bool:
     """Whether no size is above the upper end of its range; smaller ones are as likely as not (DIAGNOSIS, catalogue)."""
-    for key in kind_of(planted.effect).keys:
-        if key.name not in SHAPES and key.unit != "name":
-            if float(np.linalg.norm(planted.vector(key.name))) > upper_end(key, planted.joint) * (1 + 1e-9):
-                return False
-    return True
+    sizes = [key for key in kind_of(planted.effect).keys if key.name not in SHAPES and key.unit != "name"]
+    return all(np.linalg.norm(planted.vector(k.name)) <= upper_end(k, planted.joint) * (1 + 1e-9) for k in sizes)

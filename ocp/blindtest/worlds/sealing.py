@@ -10,22 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from ocp.blindtest.worlds import machines
 from ocp.blindtest.worlds.bench import Log
-from ocp.blindtest.worlds.machines import (
-    BlindMachine,
-    GrindingMachine,
-    TrackerMachine,
-    arm_with_outside,
-    draw_grinding_machine,
-    draw_tracker_machine,
-)
+from ocp.blindtest.worlds.machines import BlindMachine, GrindingMachine, TrackerMachine
 from ocp.blindtest.worlds.recipes import Recipe, of_arm
 from ocp.model.cell import read_cell
 from ocp.shell.cache import sha256
 from ocp.simulate.twin.contact.sensor import noise
 from ocp.simulate.twin.dataset import FORCE_COLUMNS, copy_cell, log_rows, write_csv, write_sealed_force
 from ocp.simulate.twin.planting import Planted, labels
-from ocp.simulate.twin.run import GrindingConditions, GroundPasses
+from ocp.simulate.twin.run import GroundPasses
 from ocp.simulate.twin.tracker_log import TrackerLog, tracker_world
 from ocp.simulate.twin.truth import SENSOR_SIGMA
 from robots.errors import BadInput
@@ -62,7 +56,7 @@ def write_world(folder: Path, machine: BlindMachine, effects: tuple[Planted, ...
 def _write_tracker(folder: Path, machine: TrackerMachine, effects: tuple[Planted, ...]) -> None:
     """tracker.csv and sealed_tracker.csv."""
     truth = machine.with_effects(effects)
-    arm = arm_with_outside(machine.cell, truth, machine.campaign.targets)
+    arm = machines.arm_with_outside(machine.cell, truth, machine.campaign.targets)
     tracker_world(folder, machine.cell, truth, TrackerLog(machine.campaign, machine.sealed), arm)
 
 
@@ -91,7 +85,7 @@ def _grinding(log: Log, read: Array | None) -> GroundPasses:
     """A log in the virtual cell's own form."""
     fn, ft = (log.result.force, log.result.tangential) if read is None else read
     index = np.arange(len(log.fn))
-    return GroundPasses(GrindingConditions(0.0, 0.0), index, log.q, log.moments, log.result, fn, ft)
+    return GroundPasses(index, log.q, log.moments, log.result, fn, ft)
 
 
 WORLDS, ANSWERS, SEALED, SEAL, CELL, WITHHELD = "worlds", "answers", "sealed", "seal.json", "cell.toml", "withheld.txt"
@@ -142,7 +136,9 @@ class Label:
 def machine_of(check: Check, recipe: Recipe) -> BlindMachine:
     """The machine of a world, drawn again from the check's seed."""
     asked = check.cell, check.seed, recipe, check.readings, check.blind
-    return draw_tracker_machine(*asked) if check.signals == "tracker" else draw_grinding_machine(*asked, check.signals == "both")
+    if check.signals == "tracker":
+        return machines.draw_tracker_machine(*asked)
+    return machines.draw_grinding_machine(*asked, check.signals == "both")
 
 
 def label_path(check: Check, recipe: Recipe) -> Path:
@@ -183,11 +179,6 @@ def read_label(check: Check, recipe: Recipe, seal: dict[str, str]) -> Label:
         values = {k: tuple(v) if isinstance(v, list) else v for k, v in p["values"].items()}
         effects.append(Planted(p["effect"], p["joint"], values))
     return Label(recipe, tuple(effects), tuple(content["detectability"]), tuple(content["withheld"]))
-
-
-def write_seal(check: Check, hashes: dict[str, str]) -> None:
-    """Hashes of all labels."""
-    (check.folder / SEAL).write_text(json.dumps(hashes, indent=1) + "\n", encoding="utf-8")
 
 
 def read_seal(check: Check) -> dict[str, str]:

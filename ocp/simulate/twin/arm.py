@@ -14,18 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.machine import (
-    ArmDesign,
-    ArmModel,
-    Balancer,
-    Bending,
-    Index,
-    Laws,
-    Settled,
-    Situations,
-    build_machine,
-    equilibria,
-)
+from ocp.simulate.twin import machine
+from ocp.simulate.twin.machine import ArmModel, Index, Settled
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.truth import Truth
 from robots.errors import BadInput
@@ -93,8 +83,8 @@ class Hardware:
     """The machine with its planted parts: design, laws of the springs, compliance (ns,) rad/(N m) of every spring under
     contact, and its cubic part in `laws`."""
 
-    design: ArmDesign
-    laws: Laws
+    design: machine.ArmDesign
+    laws: machine.Laws
     contact_compliance: Array
 
 
@@ -103,23 +93,15 @@ def hardware(robot: Robot, truth: Truth) -> Hardware:
     own = np.divide(1.0, truth.stiffness, out=np.zeros(6), where=truth.stiffness > 0)
     extra, bent = _by_joint(truth, "joint_compliance", "rad_per_Nm"), _by_joint(truth, "link_bending", "rad_per_Nm")
     cubic, windup = _by_joint(truth, "joint_stiffening", "rad_per_Nm3"), _by_joint(truth, "friction_windup", "per_Nm")
-    bendings = tuple(Bending(int(j) + 1, float(bent[j])) for j in np.flatnonzero(bent))
+    bendings = tuple(machine.Bending(int(j) + 1, float(bent[j])) for j in np.flatnonzero(bent))
     springs = np.array([planted.number("stiffness_N_m") for planted in truth.planted("gravity_compensator")])
     levers = [(p.number("lever_link1_m"), p.number("lever_arm_m")) for p in truth.planted("gravity_compensator")]
-    balancer = Balancer(float(springs.sum()), levers[0]) if levers else None
-    design = ArmDesign(
-        robot,
-        truth.mdh,
-        truth.placement,
-        truth.mass_scale,
-        own * truth.bends + extra,
-        bendings,
-        balancer,
-        grows=bool(truth.planted("link_thermal")),
-    )
+    balancer = machine.Balancer(float(springs.sum()), levers[0]) if levers else None
+    grows, bending = bool(truth.planted("link_thermal")), own * truth.bends + extra
+    design = machine.ArmDesign(robot, truth.mdh, truth.placement, truth.mass_scale, bending, bendings, balancer, grows=grows)
     none = np.zeros(2 * len(bendings))  # two hinges a link
     contact = np.array([*(own + extra), *(0.5 * b.compliance for b in bendings for _ in range(2))])
-    return Hardware(design, Laws(np.array([*cubic, *none]), np.array([*windup, *none])), contact)
+    return Hardware(design, machine.Laws(np.array([*cubic, *none]), np.array([*windup, *none])), contact)
 
 
 def _by_joint(truth: Truth, effect: str, key: str) -> Array:
@@ -195,18 +177,8 @@ def arm_moments(
     def spread(value: ArrayLike, *shape: int) -> Array:
         return np.broadcast_to(np.asarray(value, float), (n, *shape)).copy()
 
-    link = np.broadcast_to(np.asarray(load_link, np.int64), (n,)).copy()
-    return Moments(
-        rows,
-        spread(approach, 6),
-        payload,
-        spread(time_s),
-        spread(temperature_C),
-        spread(load, 6),
-        link,
-        spread(load_place, 3),
-        visit,
-    )
+    loaded = spread(load, 6), spread(load_link).astype(np.int64), spread(load_place, 3)
+    return Moments(rows, spread(approach, 6), payload, spread(time_s), spread(temperature_C), *loaded, visit)
 
 
 @dataclass
@@ -234,9 +206,9 @@ class VirtualArm:
             visit = np.arange(len(m)) if m.visit is None else np.unique(m.visit, return_inverse=True)[1]
             motor = motor + (rng.normal(size=(int(visit.max(initial=-1)) + 1, 6)) * self.truth.repeatability)[visit]
         grown, tilt = growth(self.truth, warmth), base_tilt(self.truth, m.time_s)
-        at = Situations(motor, m.approach, grown, m.load, m.load_link, m.load_place, tilt)
+        at = machine.Situations(motor, m.approach, grown, m.load, m.load_link, m.load_place, tilt)
         if isinstance(m.payload, str):
-            result = equilibria(self._machine(m.payload), self.hardware.laws, at)
+            result = machine.equilibria(self._machine(m.payload), self.hardware.laws, at)
         else:
             result = self._by_payload(m.payload, at)
         if rng is None:
@@ -266,17 +238,17 @@ class VirtualArm:
             if payload and payload not in self.truth.payloads:
                 known = ", ".join(self.truth.payloads) or "none"
                 raise BadInput(f"payload '{payload}' is not among the cell's [payloads] ({known})")
-            self.machines[payload] = build_machine(self.hardware.design, hung(self.truth, payload))
+            self.machines[payload] = machine.build_machine(self.hardware.design, hung(self.truth, payload))
         return self.machines[payload]
 
-    def _by_payload(self, names: tuple[str, ...], at: Situations) -> Settled:
+    def _by_payload(self, names: tuple[str, ...], at: machine.Situations) -> Settled:
         """All instants of one payload after another, put back into their order."""
         label = np.array(names)
         parts, order = [], []
         for name in dict.fromkeys(names):
             rows = np.flatnonzero(label == name)
             arrays = {key: value[rows] for key, value in vars(at).items() if value is not None}
-            parts.append(equilibria(self._machine(name), self.hardware.laws, Situations(**arrays)))
+            parts.append(machine.equilibria(self._machine(name), self.hardware.laws, machine.Situations(**arrays)))
             order.append(rows)
         back = np.argsort(np.concatenate(order), kind="stable")
         names_of = ("links", "bent", "load_torque", "motor_torque", "jacobian")

@@ -120,12 +120,8 @@ class _Scene:
         turn = Rotation.from_matrix(T_flange_blade[:3, :3]).as_quat(scalar_first=True)
         bodies[6].add_geom(name="blade", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="blade", pos=T_flange_blade[:3, 3], quat=turn)
         half = 0.5 * wheel.width * wheel.axis
-        spec.worldbody.add_geom(
-            name="wheel",
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[wheel.radius, 0, 0],
-            fromto=[*wheel.centre - half, *wheel.centre + half],
-        )
+        ends = [*wheel.centre - half, *wheel.centre + half]
+        spec.worldbody.add_geom(name="wheel", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[wheel.radius, 0, 0], fromto=ends)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         geoms += [("blade", "the blade", 6), ("wheel", "the wheel", -1)]

@@ -149,11 +149,8 @@ def _pieces(robot: Robot, chain: list[DrivenMotion], where: Array | None, clock:
             )
         found.append(before)
         clock += before.duration
-    rows = np.array([t.line for t in targets])
-    return [
-        *found,
-        _Piece((first.file, first.line), clock, float(first.times[-1]), _rest_to_rest(first.times, q), (first.times, rows)),
-    ]
+    times, rows = first.times, np.array([t.line for t in targets])
+    return [*found, _Piece((first.file, first.line), clock, float(times[-1]), _rest_to_rest(times, q), (times, rows))]
 
 
 def _posed(robot: Robot, motion: DrivenMotion, where: Array | None) -> Array:

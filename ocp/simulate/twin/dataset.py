@@ -97,7 +97,7 @@ def _columns(g: GroundPasses, truth: bool) -> dict[str, Any]:
         "line": m.line,
         "ground_before": m.ground_before,
         "contact": m.contact.astype(int),
-        "session": np.full(n, g.conditions.session),
+        "session": ["1"] * n,
         "temperature_C": m.temperature_C,
         "wheel_temperature_C": m.wheel_temperature_C,
         "fn_N": g.result.force if truth else g.fn,

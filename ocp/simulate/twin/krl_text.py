@@ -65,8 +65,6 @@ class ProgramPause:
     """The robot stands: `seconds` where they are told (WAIT SEC), None for HALT and WAIT FOR."""
 
     seconds: float | None
-    file: str
-    line: int
 
 
 @dataclass(frozen=True)
@@ -294,7 +292,7 @@ def _statement(c: _Controller, source: Path, line: int, text: str) -> None:
     elif found := _DECLARED.match(text):
         c.named[found.group(2)] = found.group(3)
     elif text == "HALT" or re.match(r"^WAIT\s", text):
-        c.steps.append(_pause(c, where, text, source.name, line))
+        c.steps.append(_pause(c, where, text))
     elif _START_UP.match(text):
         c.frames, c.since = ProgramFrames(np.eye(4), np.eye(4)), {SETUP[0]}
     elif c.planned and text.startswith("$OUT"):
@@ -305,16 +303,16 @@ def _statement(c: _Controller, source: Path, line: int, text: str) -> None:
             raise BadInput(f"{where}: '{text[:60]}' is not understood by the virtual controller; it might move the robot")
 
 
-def _pause(c: _Controller, where: str, text: str, file: str, line: int) -> ProgramPause:
+def _pause(c: _Controller, where: str, text: str) -> ProgramPause:
     if c.planned:
         raise BadInput(f"{where}: '{text[:40]}' stops a grinding program; the blade would rest on the wheel, take it out")
     if text == "HALT" or re.match(r"^WAIT\s+FOR\s+\S", text):
-        return ProgramPause(None, file, line)
+        return ProgramPause(None)
     found = re.match(r"^WAIT\s+SEC\s+(\S+)$", text)
     seconds = krl_number(where, found.group(1)) if found else np.nan
     if not 0.0 <= seconds <= LONGEST_BLOCK:
         raise BadInput(f"{where}: '{text[:40]}' is no pause between 0 and {LONGEST_BLOCK:g} s")
-    return ProgramPause(seconds, file, line)
+    return ProgramPause(seconds)
 
 
 def _assign(c: _Controller, where: str, name: str, index: str | None, value: str) -> bool:

@@ -101,19 +101,14 @@ def build_machine(design: ArmDesign, payload: tuple[float, Array]) -> ArmModel:
     grown = _model(replace(design, growth=design.growth + _GROWN), payload) if design.grows else model
     names = [f"spring{i}" for i in range(1, 7)] + [f"bend{b.joint}_{k}" for b in design.bendings for k in range(2)]
     tips = {b.joint: f"part{b.joint}_1" for b in design.bendings}
-    bodies = ["base"] + [tips.get(i, f"link{i}") for i in range(1, 7)]
+    carriers = ["base"] + [tips.get(i, f"link{i}") for i in range(1, 7)]
     kind = mujoco.mjtObj
-    return ArmModel(
-        model=model,
-        data=mujoco.MjData(model),
-        drives=_ids(model, kind.mjOBJ_JOINT, [f"drive{i}" for i in range(1, 7)]),
-        springs=_ids(model, kind.mjOBJ_JOINT, names),
-        compliance=np.array([*design.compliance, *(0.5 * b.compliance for b in design.bendings for _ in range(2))]),
-        sites=_ids(model, kind.mjOBJ_SITE, [f"frame{i}" for i in range(1, 7)]),
-        bodies=_ids(model, kind.mjOBJ_BODY, bodies),
-        body_growth=(grown.body_pos - model.body_pos) / _GROWN,
-        site_growth=(grown.site_pos - model.site_pos) / _GROWN,
-    )
+    drives = _ids(model, kind.mjOBJ_JOINT, [f"drive{i}" for i in range(1, 7)])
+    springs, bodies = _ids(model, kind.mjOBJ_JOINT, names), _ids(model, kind.mjOBJ_BODY, carriers)
+    sites = _ids(model, kind.mjOBJ_SITE, [f"frame{i}" for i in range(1, 7)])
+    compliance = np.array([*design.compliance, *(0.5 * b.compliance for b in design.bendings for _ in range(2))])
+    growth = (grown.body_pos - model.body_pos) / _GROWN, (grown.site_pos - model.site_pos) / _GROWN
+    return ArmModel(model, mujoco.MjData(model), drives, springs, compliance, sites, bodies, *growth)
 
 
 def _ids(model: mujoco.MjModel, kind: mujoco.mjtObj, names: Sequence[str]) -> Index:

@@ -171,8 +171,8 @@ def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> DrivenP
         k = int(np.argmax(left))
         line = int(lines[min(int(np.searchsorted(u, grid[k])), len(lines) - 1)])
         raise Infeasible(f"{first.file}, line {line}: the arm {robot.name} cannot follow the path to this pose")
-    law = _timing(robot, grid, q, first)
     joints = CubicSpline(grid, q)
+    law = _timing(robot, grid, joints, first)
 
     def evaluate(time: Array, nu: int = 0) -> Array:
         u, v, a = law.at(np.asarray(time, float))
@@ -215,13 +215,12 @@ class _Law:
         return self.station[k] + since * (self.speed[k] + 0.5 * a * since), self.speed[k] + a * since, a
 
 
-def _timing(robot: Robot, u: Array, q: Array, motion: DrivenMotion) -> _Law:
+def _timing(robot: Robot, u: Array, joints: CubicSpline, motion: DrivenMotion) -> _Law:
     """As fast as $VEL.CP and $ACC.CP say and the axes allow, from rest to rest over the stations u (n,) m.
 
     With q' and q'' along the path an axis has the speed q' v and the acceleration q'' v^2 + q' a; each term gets half the limit.
     """
-    curve = CubicSpline(u, q)
-    slope, bend = (np.maximum(np.abs(curve(u, order)), 1e-12) for order in (1, 2))
+    slope, bend = (np.maximum(np.abs(joints(u, order)), 1e-12) for order in (1, 2))
     limit = np.minimum(motion.speed, SHARE * (robot.qd_max / slope).min(axis=1))
     v2 = np.minimum(limit**2, 0.5 * (robot.qdd_max / bend).min(axis=1))
     a = np.minimum(motion.acceleration, 0.5 * (robot.qdd_max / slope).min(axis=1))

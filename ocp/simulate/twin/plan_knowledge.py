@@ -7,7 +7,7 @@ point, its normal and the feed direction are then the plan's there. Frames and h
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,7 @@ class PlanTable:
 @dataclass(frozen=True)
 class Matched:
     """The plan along a driven program, n samples: phase, line, number of the pass (-1 off contact); p, n, t (n, 3) in m and unit,
-    s m, feed m/s, force N, interference m (nan off contact); `off` (n,) rad from the plan's joints."""
+    s m, feed m/s, force N, interference m (nan off contact)."""
 
     phase: Index
     line: Index
@@ -61,7 +61,6 @@ class Matched:
     feed: Array
     force: Array
     interference: Array
-    off: Array
 
 
 def read_plan_table(folder: Path) -> PlanTable:
@@ -120,7 +119,7 @@ def match(track: Track, plan: PlanTable) -> Matched:
             run[rows] = k
         _refuse_order(plan, segment, run, k)
     p, n, t, (s, feed, force, interference) = values[:, :3], values[:, 3:6], values[:, 6:9], values[:, 9:].T
-    return Matched(phase, np.where(phase == AWAY, 0, fine.line[index]), run, p, n, t, s, feed, force, interference, off)
+    return Matched(phase, np.where(phase == AWAY, 0, fine.line[index]), run, p, n, t, s, feed, force, interference)
 
 
 def _refuse_order(plan: PlanTable, segment: int, run: Index, k: int) -> None:
@@ -200,7 +199,7 @@ def recorded_input(summary: dict[str, Any], role: str) -> tuple[str, str] | None
     return None
 
 
-def cell_of_plan(summary: dict[str, Any], folder: Path, places: Iterable[Path], bundled: Path) -> Path:
+def cell_of_plan(summary: dict[str, Any], folder: Path, places: Sequence[Path], bundled: Path) -> Path:
     """The cell file that a plan was made with, by its hash: in `places`, the bundled one, or one folder below `places`.
 
     Raises BadInput: plan.json names a cell that is nowhere; another one is never taken in its place.
@@ -209,8 +208,8 @@ def cell_of_plan(summary: dict[str, Any], folder: Path, places: Iterable[Path], 
     if known is None:
         raise BadInput(f"{folder}: plan.json does not tell which cell the plan was made with; give it with --cell")
     name, digest = known
-    near = list(places)
-    looked = [*(place / name for place in near), bundled, *(file for place in near for file in sorted(place.glob(f"*/{name}")))]
+    below = (file for place in places for file in sorted(place.glob(f"*/{name}")))
+    looked = [*(place / name for place in places), bundled, *below]
     if found := with_hash(looked, digest):
         return found
     raise BadInput(f"{folder}: was made with a cell '{name}' that is not found near it; give that file with --cell")

@@ -54,21 +54,19 @@ def parse_effect(text: str) -> Planted:
     joint = _joint(text, kind, number.strip() if colon else None)
     given = _given(text, kind, tail)
     values = {key.name: _read(text, key, given[key.name]) if key.name in given else middle(key, joint) for key in kind.keys}
-    planted = Planted(kind.name, joint, values)
-    if planted.values.get("source_joint") == joint and joint is not None:
+    if joint is not None and values.get("source_joint") == joint:
         if "source_joint" in given:
             raise BadInput(f"effect '{text}': source_joint {joint} is the joint itself; give another of 4, 5, 6")
-        return Planted(kind.name, joint, {**values, "source_joint": 5.0 if joint == 4 else 4.0})
-    return planted
+        values["source_joint"] = 5.0 if joint == 4 else 4.0
+    return Planted(kind.name, joint, values)
 
 
 def _kind(text: str, name: str) -> EffectKind:
-    known = EFFECT_KINDS
-    if name not in known:
-        near = get_close_matches(name, known, 1, 0.4)
+    if name not in EFFECT_KINDS:
+        near = get_close_matches(name, EFFECT_KINDS, 1, 0.4)
         hint = f"the nearest is '{near[0]}'; " if near else ""
         raise BadInput(f"effect '{text}': there is no effect '{name}'; {hint}{LISTED}")
-    return known[name]
+    return EFFECT_KINDS[name]
 
 
 def _joint(text: str, kind: EffectKind, number: str | None) -> int | None:
@@ -131,13 +129,9 @@ def middle(key: Key, joint: int | None) -> Value:
     """What a key takes that is not given: its default, else the middle of its range (geometric unless drawn evenly)."""
     if key.unit == "name":
         return "T1"
-    if key.default is not None:
-        size = key.default
-    elif key.uniform or key.low <= 0:
-        size = 0.5 * (key.low + key.high)
-    else:
-        size = float(np.sqrt(key.low * key.high))
-    size *= _scale(key, joint)
+    even = key.uniform or key.low <= 0
+    size = 0.5 * (key.low + key.high) if even else float(np.sqrt(key.low * key.high))
+    size = (size if key.default is None else key.default) * _scale(key, joint)
     if key.length == 3:
         return (size, 0.0, 0.0)
     return float(round(size)) if key.integer else size
@@ -190,11 +184,11 @@ def _levers(rng: np.random.Generator, stiffness: float) -> tuple[float, float]:
 
 def labels(planted: Sequence[Planted]) -> list[dict[str, Any]]:
     """What was planted, in the form of a data set's labels.json: effect, joint (None: of no joint), then every key."""
-    known = EFFECT_KINDS
     found = []
     for one in planted:
         label: dict[str, Any] = {"effect": one.effect, "joint": one.joint}
-        whole = {key.name for key in known[one.effect].keys if key.integer} if one.effect in known else set()
+        kind = EFFECT_KINDS.get(one.effect)
+        whole = {key.name for key in kind.keys if key.integer} if kind is not None else set()
         for name, value in one.values.items():
             label[name] = list(value) if isinstance(value, tuple) else int(value) if name in whole else value
         found.append(label)

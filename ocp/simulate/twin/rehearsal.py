@@ -80,18 +80,13 @@ def rehearse(machine: VirtualMachine, plan: Matched, grinding: GroundPasses, too
     cell, truth, i = machine.cell, machine.truth, grinding.index
     believed = WheelBody(base[:3, 3] - cell.wheel.radius * base[:3, 2], base[:3, 1], cell.wheel.radius, cell.wheel.width)
     really = true_wheel(cell, truth)
-    steps = [
-        plan.interference[i],
-        overlap(believed, m.T_base_flange @ tool, m.p),
-        overlap(really, m.T_base_flange @ tool, m.p),
-        overlap(really, m.T_base_flange @ true_blade(cell, truth), m.p),
-    ]
+    T, held = m.T_base_flange @ tool, m.T_base_flange @ true_blade(cell, truth)
+    steps = [plan.interference[i], overlap(believed, T, m.p), overlap(really, T, m.p), overlap(really, held, m.p)]
     stiffness = chain_stiffness(machine, grinding, really)
     parts = np.diff(np.array(steps), axis=0).T * stiffness[:, None]
     goal = plan.force[i]
     parts = np.column_stack([parts, force - goal - parts.sum(axis=1)])
-    worst = _worst(m, force, goal, parts)
-    return Rehearsal(m.run, m.line, m.s, m.p, m.n, m.t, force, goal, parts, worst)
+    return Rehearsal(m.run, m.line, m.s, m.p, m.n, m.t, force, goal, parts, _worst(m, force, goal, parts))
 
 
 def overlap(wheel: WheelBody, T_base_blade: Array, p: Array) -> Array:

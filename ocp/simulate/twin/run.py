@@ -51,14 +51,13 @@ class VirtualMachine:
 @dataclass(frozen=True)
 class GrindingConditions:
     """How a program is run: setpoint N, belt m/s with sign, in contact or with the flange drawn back, seconds since the
-    campaign began, how often each line was ground before, label of the session."""
+    campaign began, how often each line was ground before."""
 
     setpoint: float
     belt: float
     contact: bool = True
     clock: float = 0.0
     ground: dict[int, int] | None = None
-    session: str = "1"
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,6 @@ class GroundPasses:
     """n samples of the passes of a run, in time order: `index` into the track, q (n, 6) rad commanded, time s since the pass
     began, clock s, moments of the contact, the true force N, tangential N, overlap m, and the readings fn, ft N."""
 
-    conditions: GrindingConditions
     index: Index
     q: Array
     moments: ContactMoments
@@ -126,7 +124,7 @@ def grind(
     if conditions.contact:
         _refuse_force(machine, track, plan, index, result)
     fn, ft = read_sensor(machine.truth, result, asked, machine.rng)
-    return GroundPasses(conditions, index, m.q, asked, result, fn, ft)
+    return GroundPasses(index, m.q, asked, result, fn, ft)
 
 
 def _contact(
@@ -140,13 +138,7 @@ def _contact(
     return ContactMoments(
         T_base_flange=flange,
         arm_compliance=compliance,
-        p=plan.p[index],
-        n=plan.n[index],
-        t=plan.t[index],
-        s=plan.s[index],
-        line=line,
         setpoint=np.full(n, c.setpoint),
-        feed=plan.feed[index],
         belt=np.full(n, c.belt),
         contact=np.full(n, c.contact),
         clock_s=clock,
@@ -155,6 +147,7 @@ def _contact(
         ground_before=np.array([ground.get(int(k), 0) for k in line]),
         wheel_temperature_C=machine.temperature + WARM * (1 - np.exp(-clock / WARMING)),
         temperature_C=np.full(n, machine.temperature),
+        **{name: getattr(plan, name)[index] for name in ("p", "n", "t", "s", "line", "feed")},
     )
 
 
@@ -196,7 +189,7 @@ def already_slipped(machine: VirtualMachine, known: Mapping[int, Array], begin: 
     done = [k for k, effect in enumerate(slips) if k in known and effect.number("at_s") < begin]
     if not done:
         return machine
-    R = Rotation.from_rotvec(truth.blade_turn).as_matrix() @ machine.cell.workpiece.T_flange_blade[:3, :3]
+    R = true_blade(machine.cell, truth)[:3, :3]
     shift = truth.blade_shift - sum(slips[k].number("m") * (R @ known[k]) for k in done)
     gone = {id(slips[k]) for k in done}
     left = tuple(effect for effect in truth.effects if id(effect) not in gone)

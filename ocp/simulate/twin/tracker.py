@@ -20,14 +20,11 @@ def nest_links(cell: Cell, names: Sequence[str]) -> Array:
     """Link (n,) 0..6 of every nest. Raises BadInput: a name that the cell does not have."""
     table = cell.tables.tracker
     known = table.targets if table is not None else {}
-    found = []
-    for name in names:
-        if name not in known:
-            listed = ", ".join(known) or "none"
-            raise BadInput(f"{cell.path}: target '{name}' is not among [tracker.targets] ({listed})")
-        target = known[name]
-        found.append(6 if isinstance(target, tuple) else target.link)
-    return np.array(found, np.int64)
+    unknown = next((name for name in names if name not in known), None)
+    if unknown is not None:
+        raise BadInput(f"{cell.path}: target '{unknown}' is not among [tracker.targets] ({', '.join(known) or 'none'})")
+    links = {name: 6 if isinstance(target, tuple) else target.link for name, target in known.items()}
+    return np.array([links[name] for name in names], np.int64)
 
 
 def true_points(

@@ -7,7 +7,7 @@ cell shares nothing with the model.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from robots.pose import Array, make_transform
 SENSOR_SIGMA = 0.3  # N, one sigma of a force reading
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Truth:
     """A virtual cell, SI and radians.
 
@@ -36,14 +36,14 @@ class Truth:
 
     seed: int
     mdh: Array
-    placement: Array
+    placement: Array = field(default_factory=lambda: np.zeros((6, 6)))
     stiffness: Array
     bends: Array
-    mass_scale: Array
+    mass_scale: Array = field(default_factory=lambda: np.ones(7))
     payloads: dict[str, tuple[float, Array]]
-    ripple: Array
-    play: Array
-    repeatability: float
+    ripple: Array = field(default_factory=lambda: np.zeros((6, 3)))
+    play: Array = field(default_factory=lambda: np.zeros(6))
+    repeatability: float = 0.0
     T_tracker_base: Array
     nests: dict[str, Array]
     nest_turns: dict[str, Array]
@@ -56,8 +56,8 @@ class Truth:
     flange_scale: float
     flange_offset: float
     sensor_bias: float
-    sensor_sigma: float
-    outliers: float
+    sensor_sigma: float = SENSOR_SIGMA
+    outliers: float = 0.0
     effects: tuple[Planted, ...]
 
     def planted(self, effect: str) -> list[Planted]:
@@ -69,24 +69,15 @@ class Truth:
         return sum((p.number(key) for p in self.planted(effect)), 0.0)
 
 
-def believed_payloads(cell: Cell) -> dict[str, tuple[float, Array]]:
-    """Mass kg and centre (3,) m in the flange frame of everything the cell names."""
-    return {name: (table.mass_kg, 1e-3 * np.array(table.com_mm)) for name, table in cell.tables.payloads.items()}
-
-
+Tracker = tuple[Array, dict[str, Array], dict[str, Array]]
 _MDH = ("th", "d", "a", "al", "be")
 
 
 def believed_truth(
-    cell: Cell,
-    seed: int,
-    effects: tuple[Planted, ...],
-    sample: np.random.Generator | None,
-    T_tracker_base: Array,
-    nests: dict[str, Array],
-    nest_turns: dict[str, Array],
+    cell: Cell, seed: int, effects: tuple[Planted, ...], sample: np.random.Generator | None, tracker: Tracker
 ) -> Truth:
-    """The cell with its calibration's values, moved by one sample of the covariance where `sample` is given.
+    """The cell with its calibration's values, moved by one sample of the covariance where `sample` is given; tracker: where it
+    stands, its nests and their turns.
 
     Only the cell's compliant joints bend under weight, as the planner has it; under contact all listed springs give.
     Raises BadInput: a sample is asked of a cell without calibration.
@@ -101,17 +92,12 @@ def believed_truth(
     return Truth(
         seed=seed,
         mdh=mdh,
-        placement=np.zeros((6, 6)),
         stiffness=np.divide(1.0, compliance, out=np.zeros(6), where=compliance > 0),
         bends=np.array([float(j in cell.compliant_joints) for j in range(1, 7)]),
-        mass_scale=np.ones(7),
         payloads=_payloads(cell, known),
-        ripple=np.zeros((6, 3)),
-        play=np.zeros(6),
-        repeatability=0.0,
-        T_tracker_base=T_tracker_base,
-        nests=nests,
-        nest_turns=nest_turns,
+        T_tracker_base=tracker[0],
+        nests=tracker[1],
+        nest_turns=tracker[2],
         wheel_shift=_vector(known, "wheel_x", "wheel_y", "wheel_z"),
         wheel_axis_turn=known.get("wheel_axis_u", 0.0) * u + known.get("wheel_axis_v", 0.0) * v,
         blade_shift=_vector(known, "blade_x", "blade_y", "blade_z"),
@@ -121,8 +107,6 @@ def believed_truth(
         flange_scale=known.get("flange_stiffness", stiffness) / stiffness,
         flange_offset=known.get("flange_setpoint_offset", 0.0),
         sensor_bias=known.get("sensor_bias", 0.0),
-        sensor_sigma=SENSOR_SIGMA,
-        outliers=0.0,
         effects=effects,
     )
 
@@ -148,8 +132,8 @@ def _vector(known: dict[str, float], *names: str) -> Array:
 
 
 def _payloads(cell: Cell, known: dict[str, float]) -> dict[str, tuple[float, Array]]:
-    """The cell's payloads; the one that grinds as calibrated."""
-    payloads = believed_payloads(cell)
+    """Mass kg and centre (3,) m in the flange frame of the cell's payloads; the one that grinds as calibrated."""
+    payloads = {name: (table.mass_kg, 1e-3 * np.array(table.com_mm)) for name, table in cell.tables.payloads.items()}
     table = cell.tables.workpiece
     name = (table.payload if table is not None else None) or next(iter(payloads), None)
     if name is not None:
@@ -170,8 +154,6 @@ def _across(axis: Array) -> tuple[Array, Array]:
     u = u / np.sqrt(u @ u)
     return u, np.cross(axis, u)
 
-
-__all__ = ["Mode", "Truth", "draw_truth"]
 
 Mode = Literal["drawn", "believed", "sampled"]
 
@@ -209,7 +191,7 @@ def draw_truth(
     tracker = (_head(rng["tracker"]), *_nests(cell, rng["nests"], size if mode == "drawn" else 0.0))
     _refuse_unknown_targets(cell, effects)
     if mode != "drawn":
-        return believed_truth(cell, seed, tuple(effects), rng["sample"] if mode == "sampled" else None, *tracker)
+        return believed_truth(cell, seed, tuple(effects), rng["sample"] if mode == "sampled" else None, tracker)
     piece, wheel = cell.workpiece, cell.wheel
     unit, axis = _normal(rng["wheel"], 6) * size, wheel.axis
     held = _normal(rng["blade"], 6) * size
@@ -218,7 +200,7 @@ def draw_truth(
     ripple[:, 1] = rng["ripple"].integers(*RIPPLE_ORDERS, 6)
     turn = unit[3:] * wheel.axis_sd
     return replace(
-        believed_truth(replace(cell, calibration=None), seed, tuple(effects), None, *tracker),
+        believed_truth(replace(cell, calibration=None), seed, tuple(effects), None, tracker),
         placement=_normal(rng["placement"], (6, 6)) * np.repeat(PLACEMENT, 3) * size,
         stiffness=cell.robot.stiffness * (1 + size * rng["stiffness"].uniform(-STIFFNESS, STIFFNESS, 6)),
         bends=np.array([float(weight_bends == "all" or j in cell.compliant_joints) for j in range(1, 7)]),
@@ -230,9 +212,7 @@ def draw_truth(
         wheel_axis_turn=turn - axis * (axis @ turn),
         blade_shift=held[:3] * piece.xyz_sd,
         blade_turn=held[3:] * piece.abc_sd,
-        cover_scale=float(factor[0]),
-        blade_scale=float(factor[1]),
-        flange_scale=float(factor[2]),
+        **dict(zip(("cover_scale", "blade_scale", "flange_scale"), factor.tolist(), strict=True)),
         flange_offset=float(size * _normal(rng["factors"], 1)[0] * FLANGE_OFFSET_SD),
         sensor_bias=float(size * _normal(rng["sensor"], 1)[0] * SENSOR_BIAS_SD),
         outliers=OUTLIERS,

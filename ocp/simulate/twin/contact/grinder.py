@@ -16,25 +16,10 @@ import numpy as np
 
 from ocp.model.cell import Cell
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Index
+from ocp.simulate.twin.contact import wheel_and_blade as bodies
 from ocp.simulate.twin.contact.sensor import lagging, memory
 from ocp.simulate.twin.contact.surface import postures
 from ocp.simulate.twin.contact.table import LEVELS, SolvedStations, Tables, depth_curves, make_tables, place_stations
-from ocp.simulate.twin.contact.wheel_and_blade import (
-    LAW_CENTRE,
-    arm_compliance_along,
-    blade_compliance_along,
-    blade_poses,
-    blade_stiffness,
-    clamp_compliance,
-    friction,
-    law_power,
-    modulus_factor,
-    push,
-    radius_change,
-    solid_compliance,
-    surface_change,
-    wheel_frames,
-)
 from ocp.simulate.twin.truth import Truth
 from robots.pose import Array
 from trajectories.blade import Blade
@@ -248,7 +233,7 @@ class Grinder:
         count = len(c.s)
         force, stroke = np.zeros(count), np.zeros(count)
         overlap, indentation = np.full(count, np.nan), np.full(count, np.nan)
-        mu = friction(self.truth, self.cell, c)
+        mu = bodies.friction(self.truth, self.cell, c)
         if len(rows):
             moved = lagging(self.truth, c)
             stations = place_stations(c, rows, moved.s[rows])
@@ -260,28 +245,28 @@ class Grinder:
     def _chain(self, c: ContactMoments, rows: Index, stations: SolvedStations, mu: Array) -> tuple[Chain, Array]:
         """The equation of every instant in contact, and the overlap of the undeformed bodies."""
         truth, cell = self.truth, self.cell
-        T = blade_poses(truth, cell, c)[rows]
-        centre, axis = wheel_frames(truth, cell, c)
-        radius = cell.wheel.radius + radius_change(truth, cell, c)[rows]
+        T = bodies.blade_poses(truth, cell, c)[rows]
+        centre, axis = bodies.wheel_frames(truth, cell, c)
+        radius = cell.wheel.radius + bodies.radius_change(truth, cell, c)[rows]
         p, n, t = c.p[rows], c.n[rows], c.t[rows]
         at = postures(T, p, n, t, centre[rows], axis[rows], radius)
         indentation, crowding = depth_curves(self.tables, stations, at.shape)
         solid = self.tables.compliance(
-            stations.p, stations.n, stations.t, lambda: solid_compliance(cell.workpiece, self.blade, stations, self.tables.patch)
+            stations, lambda patch: bodies.solid_compliance(cell.workpiece, self.blade, stations, patch)
         )
-        compliance = blade_compliance_along(solid, stations, T[:, :3, :3], n, t, at, mu) / blade_stiffness(truth)
-        compliance += clamp_compliance(truth, cell, p) + arm_compliance_along(c, rows, T, at, mu)
+        compliance = bodies.blade_compliance_along(solid, stations, T[:, :3, :3], n, t, at, mu) / bodies.blade_stiffness(truth)
+        compliance += bodies.clamp_compliance(truth, cell, p) + bodies.arm_compliance_along(c, rows, T, at, mu)
         everywhere = np.zeros(len(c.s))
         everywhere[rows] = crowding
         cover = CoverForce(
-            unit=cell.process.force * modulus_factor(truth, cell, c)[rows],
-            centre=LAW_CENTRE,
-            power=law_power(truth),
-            push=push(truth, c, everywhere)[rows],
+            unit=cell.process.force * bodies.modulus_factor(truth, cell, c)[rows],
+            centre=bodies.LAW_CENTRE,
+            power=1 + truth.total("wheel_law", "exponent"),
+            push=bodies.push(truth, c, everywhere)[rows],
             slack=np.zeros(len(rows)),
         )
         mount = make_mount(truth, cell, c, rows, np.einsum("kij,kj->ki", T[:, :3, :3], n))
-        return Chain(at.depth + surface_change(truth, c)[rows], indentation, compliance, cover, mount), at.overlap
+        return Chain(at.depth + bodies.surface_change(truth, c)[rows], indentation, compliance, cover, mount), at.overlap
 
 
 def make_grinder(cell: Cell, truth: Truth, blade: Blade, tables: Tables | None = None) -> Grinder:

@@ -18,7 +18,6 @@ d cos(angle); dividing by that cosine brings back the plain form.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -68,13 +67,12 @@ def elements(breaks: Array, degree: int) -> LineElements:
     count = len(breaks) - 1
     shape = (count * len(points), count * degree + 1)
     all_values, all_slopes = np.zeros(shape), np.zeros(shape)
-    places, all_weights = [], []
-    for k, (a, b) in enumerate(pairwise(breaks)):
+    a, b = breaks[:-1, None], breaks[1:, None]
+    places, all_weights = 0.5 * (a + b) + 0.5 * (b - a) * points, 0.5 * (b - a) * weights
+    for k, size in enumerate(np.diff(breaks)):
         rows, columns = slice(k * len(points), (k + 1) * len(points)), slice(k * degree, k * degree + degree + 1)
-        all_values[rows, columns], all_slopes[rows, columns] = value, slope * 2.0 / (b - a)
-        places.append(0.5 * (a + b) + 0.5 * (b - a) * points)
-        all_weights.append(0.5 * (b - a) * weights)
-    return LineElements(np.concatenate(places), np.concatenate(all_weights), all_values, all_slopes)
+        all_values[rows, columns], all_slopes[rows, columns] = value, slope * 2.0 / size
+    return LineElements(places.ravel(), all_weights.ravel(), all_values, all_slopes)
 
 
 @dataclass(frozen=True)
@@ -261,12 +259,11 @@ CHECK = 4  # steps between looks for problems that are done
 
 @dataclass(frozen=True)
 class Patches:
-    """Solved contacts k: approach (k,) m, cell forces over modulus times cosine (nx, ny, k), steps (k,), residual (k,) opening
-    on the cells in contact over the approach's range (rms)."""
+    """Solved contacts k: approach (k,) m, cell forces over modulus times cosine (nx, ny, k), residual (k,) opening on the cells
+    in contact over the approach's range (rms)."""
 
     approach: Array
     forces: Array
-    steps: Array
     residual: Array
 
 
@@ -287,8 +284,7 @@ def press(rubber: Rubber, gap: Array, load: Array, start: Array | None = None) -
         total = known.sum(axis=(0, 1))
         f = np.where(total > 0, known * (load / np.where(total > 0, total, 1.0)), f)
     f = f.astype(np.float32)
-    forces, approach = np.zeros(f.shape), np.zeros(count)
-    steps, residual = np.full(count, STEPS), np.full(count, np.inf)
+    forces, approach, residual = np.zeros(f.shape), np.zeros(count), np.full(count, np.inf)
     todo = np.arange(count)
     direction = np.zeros_like(f)
     squared, keep = np.ones(count, np.float32), np.zeros(count, np.float32)
@@ -306,7 +302,7 @@ def press(rubber: Rubber, gap: Array, load: Array, start: Array | None = None) -
             done = (off < TOLERANCE) | (step == STEPS)
             if done.any():
                 at = todo[done]
-                forces[:, :, at], steps[at], residual[at] = f[:, :, done], step, off[done]
+                forces[:, :, at], residual[at] = f[:, :, done], off[done]
                 approach[at] = level[done] + (opening * f)[:, :, done].sum(axis=(0, 1)) / load[done]
                 left = ~done
                 todo, load, squared, keep, fresh = todo[left], load[left], squared[left], keep[left], fresh[left]
@@ -328,7 +324,7 @@ def press(rubber: Rubber, gap: Array, load: Array, start: Array | None = None) -
         keep = np.where(joining.any(axis=(0, 1)), 0.0, 1.0).astype(np.float32)
         f = np.where(joining, -length * opening, f)
         f *= load / f.sum(axis=(0, 1))
-    return Patches(approach, forces, steps, residual)
+    return Patches(approach, forces, residual)
 
 
 def _guess(rubber: Rubber, gap: NDArray[Any], there: NDArray[Any], load: NDArray[Any]) -> NDArray[Any]:

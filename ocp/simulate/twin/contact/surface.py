@@ -43,14 +43,8 @@ def postures(T_base_blade: Array, p: Array, n: Array, t: Array, centre: Array, a
     x = np.cross(axis, e)
     v = at - centre
     across = np.sum(v * axis, axis=1)
-    shape = np.column_stack(
-        [
-            -np.sum(v * x, axis=1),
-            across,
-            np.arcsin(np.clip(lean, -1, 1)),
-            np.arctan2(np.sum(np.cross(normal, feed) * x, axis=1), np.sum(feed * x, axis=1)),
-        ]
-    )
+    turn = np.arctan2(np.sum(np.cross(normal, feed) * x, axis=1), np.sum(feed * x, axis=1))
+    shape = np.column_stack([-np.sum(v * x, axis=1), across, np.arcsin(np.clip(lean, -1, 1)), turn])
     overlap = radius - np.linalg.norm(v - across[:, None] * axis, axis=1)
     return Postures(radius - np.sum(v * e, axis=1), shape, e, x, overlap)
 

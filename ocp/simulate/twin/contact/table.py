@@ -71,11 +71,11 @@ class Tables:
     nodes: dict[bytes, Node] = field(default_factory=dict)
     solid: dict[bytes, Array] = field(default_factory=dict)
 
-    def compliance(self, p: Array, n: Array, t: Array, solve: Callable[[], Array]) -> Array:
-        """Compliance of the blade's solid at contacts (k, 3) m/N, (k, 3); `solve` is asked for all where one is not known."""
-        keys = [row.tobytes() for row in _exact(p, n, t)]
+    def compliance(self, at: "SolvedStations", solve: Callable[[tuple[float, float]], Array]) -> Array:
+        """Of the blade's solid at stations m/N, (k, 3); `solve`, for a patch, is asked for all where one is not known."""
+        keys = [row.tobytes() for row in _exact(at.p, at.n, at.t)]
         if not all(key in self.solid for key in keys):
-            self.solid.update(zip(keys, solve(), strict=True))
+            self.solid.update(zip(keys, solve(self.patch), strict=True))
         return np.array([self.solid[key] for key in keys])
 
     def curves(self, p: Array, n: Array, t: Array, lattice: NDArray[np.int64]) -> Curves:
@@ -108,21 +108,13 @@ class Tables:
         for whole, ahead in zip(gaps, moved, strict=True):
             beside += [(g, k) for g in (whole[:, :rows], whole[:, 2:]) for k in LEVELS[BESIDE]] + [(ahead, LEVELS[PROCESS])]
         like = np.concatenate([BESIDE, BESIDE, [PROCESS]]) - 1
-        count, each = len(LEVELS) - 1, len(like)
+        count = len(LEVELS) - 1
         start = np.concatenate([forces[:, :, k * count + like] for k in range(len(gaps))], axis=2)
         around_it, pressing = self._press(beside, start)
-        return [
-            self._node(
-                gaps[k],
-                shape[k],
-                base[k * count :][:count],
-                forces[:, :, k * count :][:, :, :count],
-                around_it[k * each :][:each],
-                pressing[:, :, k * each :][:, :, : 2 * len(BESIDE)],
-                crowding[k],
-            )
-            for k in range(len(gaps))
-        ]
+        there = zip(base.reshape(-1, count), np.split(forces, len(gaps), axis=2), strict=True)
+        about = zip(around_it.reshape(-1, len(like)), np.split(pressing, len(gaps), axis=2), strict=True)
+        parts = zip(gaps, shape, there, about, crowding, strict=True)
+        return [self._node(here, at, *own, *other, crowded) for here, at, own, other, crowded in parts]
 
     def _press(self, tasks: list[tuple[Array, float]], start: Array | None = None) -> tuple[Array, Array]:
         """Depth (k,) m and cell forces (nx, ny, k) of gaps under loads in process forces; ABSENT where there is no blade."""
@@ -158,7 +150,7 @@ class Tables:
         slope, bend = np.zeros((len(LEVELS), 4)), np.zeros((len(LEVELS), 2))
         slope[:, OTHERS] = self._moments(forces, shape[1], LEVELS)
         mixed = self._moments(pressing[:, :, :sideways], shape[1] + cell, LEVELS[known])
-        mixed = (mixed - self._moments(pressing[:, :, sideways:], shape[1] - cell, LEVELS[known])) / (2 * cell)
+        mixed = (mixed - self._moments(pressing[:, :, sideways : 2 * sideways], shape[1] - cell, LEVELS[known])) / (2 * cell)
         slope[:, 1], bend[:, 1] = across.T
         bend[:, 0] = 2 * (beside[-1] - value[PROCESS] - slope[PROCESS, 0] * ALONG_STEP) / ALONG_STEP**2
         if not (np.concatenate([value, beside, down, up]) < 0.5 * ABSENT).all():

@@ -37,11 +37,6 @@ def modulus_factor(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
     return factor
 
 
-def law_power(truth: Truth) -> float:
-    """Power of the believed force in the true one, about LAW_CENTRE."""
-    return 1 + truth.total("wheel_law", "exponent")
-
-
 def radius_change(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
     """Radius over the cell's (n,) m: wear with the clock (contact time where there is none), heat, run-out."""
     worn = np.where(np.isfinite(c.clock_s), c.clock_s, _contact_time(c))
@@ -185,11 +180,9 @@ def solid_compliance(piece: Workpiece, blade: Blade, stations: SolvedStations, p
     """c_nn, c_nt, c_nb (stations, 3) m/N of the clamped solid under a patch of semi-axes (along the feed, across) m, as in
     `ocp.contact.blade.compliance`. Raises BadInput as that does."""
     lines = [np.flatnonzero(stations.line == k) for k in np.unique(stations.line)]
-    asked = []
-    for k in lines:
-        p = np.round(stations.p[k], DIGITS_PLACE)
-        n, t = np.round(stations.n[k], DIGITS_DIRECTION), np.round(stations.t[k], DIGITS_DIRECTION)
-        asked.append(SolidLine(p, n, t, np.round(stations.s[k], DIGITS_PLACE)))
+    p, s = np.round(stations.p, DIGITS_PLACE), np.round(stations.s, DIGITS_PLACE)
+    n, t = np.round(stations.n, DIGITS_DIRECTION), np.round(stations.t, DIGITS_DIRECTION)
+    asked = [SolidLine(p[k], n[k], t[k], s[k]) for k in lines]
     material = Material(piece.youngs_modulus, piece.poisson, piece.density)
     held = HeldBlade(blade.vertices, blade.faces, piece.clamp_normal, piece.clamp_offset, material)
     answer = blade_compliance(held, cast(Any, asked), patch, ELEMENT_FACTOR * held.element_size(patch))
@@ -209,12 +202,8 @@ def blade_compliance_along(
     c = (1 - stations.share)[:, None] * solid[stations.left] + stations.share[:, None] * solid[stations.right]
     force = at.e + friction[:, None] * at.x
     normal, feed = np.einsum("kij,kj->ki", R, n), np.einsum("kij,kj->ki", R, t)
-    across = np.cross(normal, feed)
-    return np.asarray(
-        -c[:, 0] * np.sum(force * normal, axis=1)
-        + c[:, 1] * np.sum(force * feed, axis=1)
-        + c[:, 2] * np.sum(force * across, axis=1)
-    )
+    along_n, along_t, along_b = (np.sum(force * axis, axis=1) for axis in (normal, feed, np.cross(normal, feed)))
+    return np.asarray(-c[:, 0] * along_n + c[:, 1] * along_t + c[:, 2] * along_b)
 
 
 def arm_compliance_along(c: ContactMoments, rows: Index, T_base_blade: Array, at: Postures, friction: Array) -> Array:
