@@ -195,16 +195,16 @@ def test_pauses_and_approach_signs(tmp_path):
 
 
 REFUSED = [
-    ("$VEL.CP=0.04000", "$OV_PRO=50", "line 32: '$OV_PRO=50' is not understood"),
-    ("$VEL.CP=0.04000", "CIRC {X 1,Y 2,Z 3,A 0,B 0,C 0},{X 1,Y 2,Z 3,A 0,B 0,C 0}", "line 32"),
-    ("$VEL.CP=0.04000", "IF $IN[1] THEN", "line 32"),
-    ("$VEL.CP=0.04000", "LIN_REL {Z 10}", "line 32"),
+    ("$VEL.CP=0.04000", "$OV_PRO=50", "line 40: '$OV_PRO=50' is not understood"),
+    ("$VEL.CP=0.04000", "CIRC {X 1,Y 2,Z 3,A 0,B 0,C 0},{X 1,Y 2,Z 3,A 0,B 0,C 0}", "line 40"),
+    ("$VEL.CP=0.04000", "IF $IN[1] THEN", "line 40"),
+    ("$VEL.CP=0.04000", "LIN_REL {Z 10}", "line 40"),
     ("$VEL.CP=0.04000", "$VEL.CP=FAST", "'FAST' is no number"),
     ("$VEL.CP=0.04000", "$VEL.CP=-1", "must be above 0"),
     ("$VEL.CP=0.04000", "$BASE=BASE_DATA[3]", "set nowhere"),
-    ("$VEL.CP=0.04000", "MISSING ( )", "line 32"),
+    ("$VEL.CP=0.04000", "MISSING ( )", "line 40"),
     ("$VEL.CP=0.04000", "LIN XP7", "XP7 is declared nowhere"),
-    ("  SPL {X 1.0000", "  SPTP {X 1.0000", "line 36"),
+    ("  SPL {X 1.0000", "  SPTP {X 1.0000", "line 44"),
     ("ENDSPLINE", "; gone", "has no ENDSPLINE"),
     ("Y 0.0000,Z 0.0000,A 0.00000,B 0.00000,C 0.00000,S 2,T 2}\r\n  SPL {X 1", "S 2,T 2}\r\n  SPL {X 1", "incomplete"),
     ("DEF GOLD_01( )", "DEF GOLD_02( )", "line 4"),
@@ -248,7 +248,7 @@ def test_an_axis_beyond_its_limit_is_infeasible(first, tmp_path):
         changed(folder, "GOLD_01.src", "PTP {A1 0.00000", "PTP {A1 186.00000")
     else:
         changed(folder, "GOLD_01.src", "; contact", "PTP {A1 186,A2 -90,A3 90,A4 0,A5 10,A6 0}\r\n; contact")
-    with pytest.raises(Infeasible, match=rf"GOLD_01.src, line {30 if first else 31}: A1 goes to 186\.00 deg"):
+    with pytest.raises(Infeasible, match=rf"GOLD_01.src, line {32 if first else 33}: A1 goes to 186\.00 deg"):
         drive(read_program(folder), ROBOT)
 
 

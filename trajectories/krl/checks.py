@@ -14,7 +14,7 @@ from robots.errors import BadInput
 from robots.pose import Array, invert
 from robots.robot import Robot
 from trajectories.krl import syntax
-from trajectories.krl.checks_structure import check_module, check_pair
+from trajectories.krl.checks_structure import FRAMES, check_module, check_pair
 from trajectories.krl.interpreter import KrlExecution, KrlSegment, execute
 from trajectories.krl.names import LONGEST, is_legal
 from trajectories.krl.reader import read_module
@@ -51,11 +51,11 @@ def check_program(
 
 
 def _check_one_setup(modules: list[syntax.Module]) -> None:
-    """Tool, base and load are the same in every file: each may be selected alone, and one blade is held."""
+    """Tool, base and load are the same wherever they are set: every file and block may be selected alone, one blade is held."""
     first: dict[str, tuple[str, syntax.Value]] = {}
     for module in modules:
         for s in module.statements:
-            if isinstance(s, syntax.Assignment) and s.target in ("$TOOL", "$BASE", "$LOAD"):
+            if isinstance(s, syntax.Assignment) and s.target in (*FRAMES, "$ACT_TOOL", "$ACT_BASE"):
                 place, value = first.setdefault(s.target, (f"{module.path.name}, line {s.line}", s.value))
                 if s.value != value:
                     raise BadInput(f"{module.path.name}, line {s.line}: {s.target} differs from that of {place}; one is wrong")

@@ -8,6 +8,7 @@ from trajectories.krl import syntax
 
 MOST_POINTS = 2000  # of a file, KRL.md
 FRAMES = ("$TOOL", "$BASE", "$IPO_MODE", "$LOAD")
+NUMBERS = {"$ACT_TOOL": (1, 128), "$ACT_BASE": (1, 128), "$ADVANCE": (1, 5)}  # whole, least and most
 SPEEDS = ("$VEL.CP", "$ACC.CP", "$APO.CVEL", *(f"${k}_AXIS[{i}]" for k in ("VEL", "ACC") for i in range(1, 7)))
 ALLOWED = {"PTP_SPLINE": ("SPTP",), "SPLINE": ("SPL", "SLIN"), "": ("PTP", "LIN")}
 AXES = frozenset(f"A{i}" for i in range(1, 7))
@@ -126,7 +127,11 @@ def _check_assignment(module: syntax.Module, s: syntax.Assignment) -> None:
         _check_load(module, s)
     if s.target == "$IPO_MODE" and getattr(s.value, "text", "").upper() not in ("#TCP", "#BASE"):
         raise _bad(module, s, "$IPO_MODE is #TCP (the robot holds the part) or #BASE")
-    if s.target in FRAMES:
+    if s.target in NUMBERS:
+        low, high = NUMBERS[s.target]
+        if not isinstance(s.value, syntax.Number) or not s.value.text.isdigit() or not low <= s.value.value <= high:
+            raise _bad(module, s, f"{s.target} must be a whole number from {low} to {high}")
+    if s.target in FRAMES or s.target in NUMBERS:
         return
     if s.target not in SPEEDS:
         raise _bad(module, s, f"{s.target} may not be assigned by a grinding program")

@@ -32,6 +32,7 @@ INI = (
     "  ;ENDFOLD (BASISTECH INI)",
     ";ENDFOLD (INI)",
 )
+ADVANCE = 3  # motions that the controller plans ahead: without any it approximates nothing, KRL.md
 EXTERNALS = (
     ";FOLD EXTERNAL DECLARATIONS",
     "  ;FOLD BASISTECH EXT",
@@ -86,7 +87,18 @@ def _bytes(lines: list[str]) -> bytes:
 
 
 def _frames(setup: Setup) -> list[str]:
-    """Frames and load, after BAS(#INITMOV,0), which resets them."""
+    """Frames and load with what they are, after BAS(#INITMOV,0), which resets them."""
+    from_data = setup.base_on_controller and setup.kind != "axis"
+    return [
+        f"; blade frame on the flange, as in TOOL_DATA[{setup.tool_no}]",
+        f"; wheel frame in world, as in BASE_DATA[{setup.base_no}]"
+        + (f": {frame_text(setup.T_base_wheel)}" if from_data else ""),
+        *_setting(setup),
+    ]
+
+
+def _setting(setup: Setup) -> list[str]:
+    """Frames, their numbers and the load: again before every block, where an operator may select it."""
     com, inertia = setup.load_com * 1e3, setup.load_inertia
     load = f"$LOAD={{M {fixed(setup.load_mass, 3)},CM {{"
     load += ",".join(f"{c} {fixed(v, 3)}" for c, v in zip("XYZ", com, strict=True))
@@ -95,10 +107,10 @@ def _frames(setup: Setup) -> list[str]:
     tool, base = frame_text(setup.T_flange_blade), frame_text(setup.T_base_wheel)
     from_data = setup.base_on_controller and setup.kind != "axis"
     return [
-        f"; blade frame on the flange, as in TOOL_DATA[{setup.tool_no}]",
         f"$TOOL={tool}",
-        f"; wheel frame in world, as in BASE_DATA[{setup.base_no}]" + (f": {base}" if from_data else ""),
+        f"$ACT_TOOL={setup.tool_no}",
         f"$BASE=BASE_DATA[{setup.base_no}]" if from_data else f"$BASE={base}",
+        f"$ACT_BASE={setup.base_no}",
         "$IPO_MODE=#TCP",
         load,
     ]
@@ -122,10 +134,9 @@ def _sub(sub: SubProgram, setup: Setup) -> list[str]:
             lines.append(_stop(block))
         elif isinstance(block, PointMotion):
             lines.append(f"PTP {axes_text(block.q)}")
-        elif isinstance(block, TimedSpline):
-            lines += timed_spline(block)
         else:
-            lines += _poses(block, setup)
+            lines += _setting(setup)
+            lines += timed_spline(block) if isinstance(block, TimedSpline) else _poses(block, setup)
     return lines
 
 
@@ -153,4 +164,4 @@ def _poses(block: PoseSpline | PoseLines, setup: Setup) -> list[str]:
     lines = [f"$VEL.CP={fixed(block.feed, 5)}", f"$ACC.CP={fixed(block.acceleration, 3)}"]
     if isinstance(block, PoseSpline):
         return [*lines, "SPLINE", *(f"  SPL {p}" for p in points), "ENDSPLINE"]
-    return [*lines, "$APO.CVEL=100", *(f"LIN {p} C_VEL" for p in points[1:-1]), f"LIN {points[-1]}"]
+    return [*lines, f"$ADVANCE={ADVANCE}", "$APO.CVEL=100", *(f"LIN {p} C_VEL" for p in points[1:-1]), f"LIN {points[-1]}"]

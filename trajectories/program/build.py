@@ -27,6 +27,7 @@ from trajectories.program.program import (
 from trajectories.toppra_law import times_at
 
 SPACING = 1e-3  # m between the poses of a Cartesian program
+LINE_TIME = 0.025  # s, at least, between the poses of a program of lines: the controller plans and blends each one (M)
 
 
 class Leg(Protocol):
@@ -102,7 +103,10 @@ def _pose_block(
 ) -> PoseSpline | PoseLines:
     """Poses P = (FLANGE TOOL)^-1 BASE at equal stations, and the speed of P at which the planned feed is driven."""
     length = float(trajectory.stations[-1])
-    n = int(np.clip(np.ceil(length / SPACING), 2, most - 1))
+    n = np.ceil(length / SPACING)
+    if setup.kind == "lin":
+        n = min(n, np.floor(trajectory.duration / LINE_TIME))
+    n = int(np.clip(n, 2, most - 1))
     times = times_at(trajectory.law, np.linspace(0.0, length, n + 1))
     q = trajectory.q(times)
     P = invert(forward(q) @ setup.T_flange_blade) @ setup.T_base_wheel

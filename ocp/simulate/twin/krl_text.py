@@ -134,7 +134,7 @@ _TIME_BLOCK = re.compile(r"^TIME_BLOCK\s+(START|(?:PART|END)\s*=\s*(\S+))$")
 # nobody has read.
 _IDLE = re.compile(
     r"^(&.*|(GLOBAL\s+)?INTERRUPT\s+DECL\s+3\s+WHEN\s+\$STOPMESS\s*==\s*TRUE\s+DO\s+IR_STOPM\s*\(\s*\)|INTERRUPT\s+ON\s+3|"
-    r"EXT(FCT)?\s.*|(DECL\s+)?(INT|REAL|BOOL|CHAR)\s.*|SIGNAL\s.*|\$OUT\s*\[.*|\$ADVANCE\s*=.*)$"
+    r"EXT(FCT)?\s.*|(DECL\s+)?(INT|REAL|BOOL|CHAR)\s.*|SIGNAL\s.*|\$OUT\s*\[.*)$"
 )
 _START_UP = re.compile(r"^BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)$")
 _LOAD = re.compile(r"^\{\s*M\s+(\S+?)\s*,\s*CM\s*(\{[^{}]*\})\s*,\s*J\s*\{([^{}]*)\}\s*\}$")
@@ -156,9 +156,11 @@ class _Controller:
     planned: bool = False
     points: int = 0
     calls: int = 0
+    whole: dict[str, float] = field(default_factory=dict)
     since: set[str] = field(default_factory=set)  # what this file has done: START-UP, frames and load set after it, MOVED
 
 
+WHOLE = {"$ACT_TOOL": 128, "$ACT_BASE": 128, "$ADVANCE": 5}  # whole numbers, their largest
 SETUP = ("BAS(#INITMOV,0)", "$TOOL", "$BASE", "$IPO_MODE", "$LOAD")  # before the first motion of every planned file
 
 
@@ -330,6 +332,12 @@ def _assign(c: _Controller, where: str, name: str, index: str | None, value: str
         else:
             T = frame_of(where, value)
         c.frames = replace(c.frames, tool=T) if name == "$TOOL" else replace(c.frames, base=T)
+    elif name in WHOLE and not index:
+        number, most = krl_number(where, value), WHOLE[name]
+        if number != int(number) or not 0 <= number <= most or (c.planned and number == 0):
+            raise BadInput(f"{where}: {name} = {number:g} is no number from 1 to {most}")
+        if c.planned and c.whole.setdefault(name, number) != number:
+            raise BadInput(f"{where}: {name} = {number:g} was {c.whole[name]:g} before; one blade and one wheel are planned")
     elif name == "$LOAD" and not index:
         c.frames = replace(c.frames, load=_load(where, value))
     elif name == "$IPO_MODE" and value in ("#TCP", "#BASE"):
