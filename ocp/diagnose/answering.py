@@ -30,7 +30,7 @@ from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
-from ocp.diagnose.verdict.answer import Answer, SignalGap
+from ocp.diagnose.verdict.answer import Answer
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect
@@ -52,10 +52,15 @@ def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
             found.append(tracker_channel(data))
     if data.log is not None:
         with phases.phase("force"):
-            found.append(_force_channel(data))
+            from ocp.diagnose.force.channel import force_channel  # blade and contact: only for those who measured force
+
+            assert data.cell is not None
+            found.append(force_channel(data.cell, data.log, None if data.readings is None else data.folder / TRACKER))
     if data.joints is not None:
         with phases.phase("joints"):
-            found.append(_joint_channel(data))
+            from ocp.diagnose.joints.channel import joint_channel
+
+            found.append(joint_channel(data.joints, data.setup.robot, data.payload, _stated(data)))
     return found
 
 
@@ -75,22 +80,6 @@ def tracker_channel(data: DataSet) -> TrackerChannel:
     return TrackerChannel(task, fit)
 
 
-def _force_channel(data: DataSet) -> Channel:
-    """The believed contact refitted to the log, the arm as the tracker's readings place it."""
-    from ocp.diagnose.force.channel import force_channel  # blade and contact: only for those who measured force
-
-    assert data.cell is not None and data.log is not None
-    return force_channel(data.cell, data.log, None if data.readings is None else data.folder / TRACKER)
-
-
-def _joint_channel(data: DataSet) -> Channel:
-    """Link-side encoders."""
-    from ocp.diagnose.joints.channel import joint_channel
-
-    assert data.joints is not None
-    return joint_channel(data.joints, data.setup.robot, data.payload, _stated(data))
-
-
 def _stated(data: DataSet) -> bool:
     """Whether the cell states its springs itself: those are believed more than a catalogue's."""
     return data.setup.tables.robot.stiffness_Nm_per_rad is not None
@@ -106,29 +95,19 @@ def averaged(parts: Sequence[tuple[float, Sealed]]) -> Sealed:
     return Sealed(parts[0][1].baseline, np.asarray(corrected), np.sqrt(variance), lacking)
 
 
-def write_tracker_predictions(path: Path, sealed: Sealed) -> None:
-    """x, y, z in mm of the baseline, of the corrected model and its one sigma; sealed holds m."""
-    axes = [f"{c}_mm" for c in "xyz"]
-    _write(path, axes, sealed, 1e3)
-
-
-def write_force_predictions(path: Path, sealed: Sealed) -> None:
-    """fn in N of the baseline, of the corrected model and its one sigma; a tangential column of the channel is left out."""
-    first = [np.asarray(a).reshape(len(a), -1)[:, :1] for a in (sealed.baseline, sealed.corrected, sealed.sigma)]
-    normal = Sealed(first[0], first[1], first[2])
-    _write(path, ["fn_N"], normal, 1.0)
-
-
-def _write(path: Path, columns: Sequence[str], sealed: Sealed, factor: float) -> None:
-    header = [f"{kind}_{c}" for kind in ("baseline", "corrected", "sigma") for c in columns]
-    rows: Array = factor * np.hstack([sealed.baseline, sealed.corrected, sealed.sigma])
+def write_predictions(path: Path, signal: str, sealed: Sealed) -> None:
+    """Of a signal, x, y, z in mm or fn in N: the baseline, the corrected model and its one sigma; sealed holds SI. A tangential
+    column of a force channel is left out."""
+    columns, factor = PREDICTED[signal]
+    kinds = {"baseline": sealed.baseline, "corrected": sealed.corrected, "sigma": sealed.sigma}
+    rows = factor * np.hstack([np.asarray(values).reshape(len(values), -1)[:, : len(columns)] for values in kinds.values()])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for row in rows:
-            writer.writerow([f"{v:.5f}" for v in row])
+        writer.writerow([f"{kind}_{c}" for kind in kinds for c in columns])
+        writer.writerows([f"{v:.5f}" for v in row] for row in rows)
 
 
+PREDICTED = {"tracker": (("x_mm", "y_mm", "z_mm"), 1e3), "force": (("fn_N",), 1.0)}
 _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
 NEVER = frozenset({"speed"})  # no column of readings at rest
 
@@ -168,7 +147,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
     found: dict[str, Sealed] = {}
     data, told = answer.data, answer.diagnosis.alternatives or (Alternative(1.0, answer.diagnosis.active),)
     for signal in data.sealed:
-        channel = _of(answer.diagnosis.channels, signal)
+        channel = next(c for c in answer.diagnosis.channels if c.name == signal)
         sealed = read_sealed_tracker(data) if signal == "tracker" else read_sealed_force(data)
         least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
         kept = [told[0], *(a for a in told[1:] if a.probability >= least)]
@@ -227,10 +206,8 @@ def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) ->
         with whole_folder(out, overwrite) as made:
             with phases.phase("writing"):
                 (made / "diagnosis.json").write_text(json_text(document_of(answer)), encoding="utf-8")
-                if "tracker" in sealed:
-                    write_tracker_predictions(made / "predictions_tracker.csv", sealed["tracker"])
-                if "force" in sealed:
-                    write_force_predictions(made / "predictions_force.csv", sealed["force"])
+                for signal, told in sealed.items():
+                    write_predictions(made / f"predictions_{signal}.csv", signal, told)
                 write_corrected_cell(made, out, answer.data, answer.diagnosis.channels, answer.diagnosis.active)
             with phases.phase("report"):
                 (made / "report.html").write_bytes(page())
@@ -247,10 +224,6 @@ def last_line(answer: Answer, out: Path) -> str:
         "no_gap": "The believed cell stands",
     }[answer.diagnosis.verdict]
     return f"{out}: {head.verdict} {head.sentence.rstrip('.')}. {safe}; {out / 'report.html'} shows why."
-
-
-def _of(channels: Sequence[Channel], signal: str) -> Channel:
-    return next(c for c in channels if c.name == signal)
 
 
 Page = Callable[[], bytes]
@@ -275,13 +248,9 @@ class Shown:
 
 def lean(answer: Answer) -> Answer:
     """An answer with no more of its channels than the report shows."""
-    gaps = tuple(_lean_gap(gap) for gap in answer.gaps)
+    gaps = tuple(replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected)) for gap in answer.gaps)
     before, after = tuple(g.baseline for g in gaps), tuple(g.corrected for g in gaps)
     return replace(answer, gaps=gaps, diagnosis=replace(answer.diagnosis, baseline=before, channels=after))
-
-
-def _lean_gap(gap: SignalGap) -> SignalGap:
-    return replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected))
 
 
 def _shown(channel: Channel) -> Channel:

@@ -23,26 +23,27 @@ from robots.pose import Array
 from robots.toml_files import toml_text
 
 CALIBRATION = "calibration.toml"
-DROPPED = "effects"
 
 
 def write_corrected_cell(folder: Path, out: Path, data: DataSet, channels: Sequence[Channel], active: Sequence[Active]) -> None:
     """Write corrected_cell.toml and its calibration into `folder`, which will stand at `out`."""
     source = data.folder / CELL
     tables = cell_tables_for(source, out, data.cell.workpiece.stl if data.cell is not None else None)
-    tables.pop(DROPPED, None)
+    tables.pop("effects", None)
     robot = tables["robot"]
     calibration = calibration_of(channels, data)
     if calibration is not None:
         write_calibration(folder / CALIBRATION, calibration)
         robot["calibration"] = CALIBRATION
     elif data.setup.tables.robot.calibration is not None:
-        robot["calibration"] = _with_covariance(folder, data.folder / data.setup.tables.robot.calibration)
+        believed = data.folder / data.setup.tables.robot.calibration
+        for file in (believed, believed.with_suffix(".npz")):
+            if file.is_file():
+                shutil.copyfile(file, folder / file.name)
+        robot["calibration"] = believed.name
     if active:
         tables["conditions"] = conditions_at_the_end(data)
-    tables[DROPPED] = [table_of(one) for one in active]
-    if not active:
-        tables.pop(DROPPED)
+        tables["effects"] = [table_of(one) for one in active]
     text = f"# {source.name} with what ocp.diagnose found\n" + toml_text(tables)
     (folder / "corrected_cell.toml").write_text(text, encoding="utf-8")
 
@@ -66,13 +67,10 @@ def _ends(**columns: Array | None) -> dict[str, float]:
 
 def calibration_of(channels: Sequence[Channel], data: DataSet) -> Calibration | None:
     """The refitted arm, and contact where a force channel has refitted it; None where neither was measured."""
-    for channel in channels:
-        if channel.name == "force":
-            return _of_contact(channel, data)
-    for channel in channels:
-        if isinstance(channel, TrackerChannel):
-            return _of_arm(channel, data)
-    return None
+    by_signal = {channel.name: channel for channel in channels}
+    if "force" in by_signal:
+        return _of_contact(by_signal["force"], data)
+    return _of_arm(by_signal["tracker"], data) if "tracker" in by_signal else None
 
 
 def _of_contact(channel: Channel, data: DataSet) -> Calibration:
@@ -104,8 +102,9 @@ def _provenance(channel: Channel) -> dict[str, Any]:
     return {"made_by": "ocp.diagnose, fitted together with the named effects", "effects": effects}
 
 
-def _of_arm(channel: TrackerChannel, data: DataSet) -> Calibration:
+def _of_arm(channel: Channel, data: DataSet) -> Calibration:
     """Geometry, springs and the base in the tracker, with their joint covariance."""
+    assert isinstance(channel, TrackerChannel)
     fit, readings = channel.fit, channel.readings
     provenance = {"readings": len(readings), "noise": {"joints_rad": float(fit.noise.joints)}}
     return as_calibration(
@@ -116,12 +115,3 @@ def _of_arm(channel: TrackerChannel, data: DataSet) -> Calibration:
         int(np.unique(readings.station)[0]),
         provenance=_provenance(channel) | provenance,
     )
-
-
-def _with_covariance(folder: Path, calibration: Path) -> str:
-    """Copy a calibration and its covariance beside the cell; its name there."""
-    shutil.copyfile(calibration, folder / calibration.name)
-    archive = calibration.with_suffix(".npz")
-    if archive.is_file():
-        shutil.copyfile(archive, folder / archive.name)
-    return calibration.name

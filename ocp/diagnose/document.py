@@ -2,17 +2,25 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from ocp.diagnose.engine.findings import Diagnosis, Experiment, Name, Ranked
 from ocp.diagnose.rules import LEAST_BUDGET, LISTED, MOST_BUDGET, MOST_LISTED
 from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
+
+def rounded(value: float, digits: int = 6) -> float:
+    """A number to so many significant digits: files differ only where answers do."""
+    return float(f"{value:.{digits}g}")
+
+
+Share = Annotated[float, Field(ge=0.0, le=1.0), AfterValidator(partial(round, ndigits=6))]
+Number = Annotated[float, Field(allow_inf_nan=False), AfterValidator(rounded)]
+Minutes = Annotated[float, Field(allow_inf_nan=False), AfterValidator(partial(rounded, digits=3))]
 Verdict = Literal["explained", "ambiguous", "unexplained", "no_gap"]
 Subsystem = Literal[
     "joint", "link", "base", "payload", "tool", "tracker", "target", "wheel", "blade", "flange", "sensor", "timing"
@@ -21,9 +29,9 @@ SUM_TOLERANCE = 1e-6
 
 
 class JsonObject(BaseModel):
-    """A JSON object: nothing but what the schema names."""
+    """A JSON object: nothing but what the schema names; numbers as the file rounds them."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True)
 
 
 class NamedJson(JsonObject):
@@ -114,7 +122,7 @@ class ExperimentJson(JsonObject):
     """A measurement that would tell apart what these data do not."""
 
     do: str
-    minutes: Number
+    minutes: Minutes
     tells_apart: list[str]
     expected_probability: Share
 
@@ -148,15 +156,6 @@ def json_text(document: Document) -> str:
     return document.model_dump_json(by_alias=True, indent=1) + "\n"
 
 
-def rounded(value: Any, digits: int = 6) -> Any:
-    """Numbers to so many significant digits, inside lists too: files differ only where answers do."""
-    if isinstance(value, float):
-        return float(f"{value:.{digits}g}")
-    if isinstance(value, list | tuple):
-        return [rounded(v, digits) for v in value]
-    return value
-
-
 def document_of(answer: Answer) -> Document:
     """The document; probabilities sum to one to the last digit that is written."""
     d = answer.diagnosis
@@ -179,7 +178,7 @@ def _probabilities(d: Diagnosis) -> dict[str, Any]:
     shares = np.array([d.p_none, d.p_unknown, *(e.probability for e in kept)], float)
     whole = np.round(np.maximum(shares, 0.0) / max(shares.sum(), 1e-300), 6)
     whole[int(np.argmax(whole))] += 1.0 - whole.sum()
-    none, unknown, *each = (_share(p) for p in np.round(whole, 6))
+    none, unknown, *each = np.round(whole, 6)
     explained = [{"effects": [_named(n) for n in e.names], "probability": p} for e, p in zip(kept, each, strict=True)]
     return {"p_none": none, "p_unknown": unknown, "explanations": explained}
 
@@ -188,43 +187,34 @@ def _named(name: Name) -> dict[str, Any]:
     return {"effect": name.effect, "joint": name.joint or None}
 
 
-def _share(value: float) -> float:
-    return float(round(min(max(float(value), 0.0), 1.0), 6))
-
-
 def _rank(r: Ranked) -> dict[str, Any]:
     known = {p.key: p.unit for p in r.active.effect.parameters}
-    sd = r.active.deviations
-    values = r.active.parameters.items()
+    sd, values = r.active.deviations, r.active.parameters.items()
     parameters = {key: {"value": _plain(v), "sd": _plain(sd.get(key)), "unit": known.get(key, "")} for key, v in values}
-    evidence = {"log_evidence": _plain(r.log_evidence), "detectability": _plain(r.detectability)}
-    return _named(r.name) | {"probability": _share(r.probability), "parameters": parameters} | evidence
+    figures_of = {"probability": r.probability, "log_evidence": r.log_evidence, "detectability": r.detectability}
+    return _named(r.name) | figures_of | {"parameters": parameters}
 
 
 def _plain(value: Any) -> Any:
     """A value that JSON can hold: floats, texts, lists of floats, None."""
     if value is None or isinstance(value, str):
         return value
-    if isinstance(value, Sequence | np.ndarray):
-        return rounded([float(v) for v in np.asarray(value).ravel()])
-    return rounded(float(value))
+    many = isinstance(value, Sequence | np.ndarray)
+    return [float(v) for v in np.asarray(value).ravel()] if many else float(value)
 
 
 def _location(d: Diagnosis) -> dict[str, Any]:
     empty = {"signal": None, "subsystem": None, "joint": None, "depends_on": (), "segments": ()}
     at = empty if d.location is None else asdict(d.location)
     listed = [b for k, b in enumerate(d.budget) if k < LEAST_BUDGET or b.share > 0][:MOST_BUDGET]
-    budget = [{"where": b.where, "share": _share(b.share), "p_value": _share(b.p_value)} for b in listed]
-    return at | {"joint": at["joint"] or None, "budget": budget}
+    return at | {"joint": at["joint"] or None, "budget": listed}
 
 
 def _gap(gap: SignalGap) -> dict[str, Any]:
-    before, after = ({k: rounded(v) for k, v in figures(sizes).items()} for sizes in (gap.before, gap.after))
-    shrinkage = None if gap.shrinkage is None else {k: rounded(v) for k, v in asdict(gap.shrinkage).items()}
-    told = {"unit": gap.unit, "noise_floor": rounded(gap.noise_floor), "before": before, "after": after, "shrinkage": shrinkage}
-    return told | {"extrapolation": [{"withheld": name, "shrinkage": rounded(value)} for name, value in gap.extrapolation]}
+    told = {"unit": gap.unit, "noise_floor": gap.noise_floor, "shrinkage": gap.shrinkage}
+    told |= {"before": figures(gap.before), "after": figures(gap.after)}
+    return told | {"extrapolation": [{"withheld": name, "shrinkage": value} for name, value in gap.extrapolation]}
 
 
 def _experiment(e: Experiment) -> dict[str, Any]:
-    asked = {"do": e.do, "minutes": rounded(e.minutes, 3), "tells_apart": e.tells_apart}
-    return asked | {"expected_probability": _share(e.expected)}
+    return {"do": e.do, "minutes": e.minutes, "tells_apart": e.tells_apart, "expected_probability": e.expected}

@@ -222,7 +222,7 @@ class SixRows(LinearChannel):
         """Readings of six rows."""
         from dataclasses import replace
 
-        return replace(super().system, reading=np.repeat(np.arange(120), 6), component=np.tile(np.arange(6), 120))
+        return replace(super().system, reading=np.repeat(np.arange(120), 6))
 
     def whiten(self, changes):
         """Rows of all six components."""

@@ -88,7 +88,7 @@ def line_of(n=300, seed=1):
     x = np.sort(rng.uniform(0, 1, n))
     curve, wave = np.exp(2 * x), np.sin(9 * x)
     y = 4 * curve + 3 * wave + rng.normal(size=n)
-    system = System(y, np.ones((n, 1)), ("c",), np.array([np.inf]), np.zeros(1), np.arange(n), np.zeros(n, int))
+    system = System(y, np.ones((n, 1)), np.array([np.inf]), np.zeros(1), np.arange(n))
     halves = [Fold(f"x {side}", "joint range", m) for side, m in (("above", x > 0.5), ("below", x <= 0.5))]
     steep = 1e5 * np.column_stack([x, x**4])[:, None]  # per unit of the coefficients, so that values are usual ones
     springs, gear = LIBRARY["joint_compliance"], LIBRARY["gear_1x"]

@@ -238,7 +238,7 @@ def test_listed_springs_bend_where_the_readings_say_so(bends):
     compliance = listed * [0, 1, 1, bends * 1.1, bends * 0.9, bends * 1.0]
     readings, _ = world(3, compliance=compliance)
     c = channel(readings)
-    assert ("c5" in c.system.names) == bends
+    assert ("c5" in c.task.layout.names) == bends
     # A joint that gives where all others are rigid is an effect.
     if not bends:
         readings, _ = world(3, compliance=listed * [0, 1, 1, 0, 0.9, 0])

@@ -52,8 +52,7 @@ class LinearChannel:
         residual = self.y - sum((self._of(a)[0] @ a.a for a in self.active), np.zeros(len(self.y)))
         offset = np.zeros(len(self.prior_sd)) if self.offset is None else self.offset
         n = len(self.y)
-        names = tuple(f"n{i}" for i in range(len(self.prior_sd)))
-        return System(residual - self.A @ offset, self.A, names, self.prior_sd, offset, np.arange(n), np.zeros(n, np.int64))
+        return System(residual - self.A @ offset, self.A, self.prior_sd, offset, np.arange(n))
 
     @property
     def surroundings(self):

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.evidence import log_evidence
+from ocp.diagnose.engine.evidence import Projection, log_evidence
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.rules import NOISE_TRUST
 from ocp.effects.effect import Effect, Scanned
@@ -77,10 +77,15 @@ class CandidatePool:
     place: tuple[tuple[int, int], ...]  # of each family: group, first variant
     crossed: dict[tuple[int, int], tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
+    def of(self, family: int) -> tuple[_Group, slice]:
+        """The group of a family, and its variants there."""
+        group, start = self.place[family]
+        return self.groups[group], slice(start, start + self.families[family].columns.shape[1])
+
     def columns(self, member: Member) -> Array:
         """Projected columns (N, m) of a member in units of the priors' upper ends."""
-        group, start = self.place[member.family]
-        return self.groups[group].X[:, start + member.variant]
+        group, rows = self.of(member.family)
+        return group.X[:, rows.start + member.variant]
 
     def look_ahead(self, members: Sequence[Member]) -> None:
         """Take the products of all members that `scan` will ask for at once: the candidates are read from memory only once."""
@@ -111,19 +116,15 @@ class Given:
     log: float
 
     @cached_property
-    def _directions(self) -> tuple[Array, Array]:
+    def directions(self) -> tuple[Array, Array]:
+        """Left singular vectors (N, r) of the columns, and what (r,) of the inverse covariance they take of each."""
         U, s, _ = np.linalg.svd(self.C, full_matrices=False)
         return U, s**2 / (1.0 + s**2)
 
-    @property
-    def U(self) -> Array:
-        """Left singular vectors (N, r) of the columns."""
-        return self._directions[0]
-
-    @property
-    def take(self) -> Array:
-        """What (r,) of the inverse covariance the columns take of each of these directions."""
-        return self._directions[1]
+    def after(self, rows: Array) -> Array:
+        """Rows (N,) or (N, m) with what is given projected out too."""
+        U, take = self.directions
+        return Projection(U, 1.0 - np.sqrt(1.0 - take), 0).apply(rows)
 
 
 @dataclass(frozen=True)
@@ -177,10 +178,8 @@ def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
     turn = np.linalg.inv(root)
     inner = turn @ (C.T @ pool.y)
     after = max(left - float(inner @ inner), 1e-9)
-    log = -float(np.log(np.diag(root)).sum()) - 0.5 * (pool.freedom + NOISE_TRUST) * np.log(
-        (NOISE_TRUST + after) / (NOISE_TRUST + left)
-    )
-    return Given(tuple(members), C, turn, inner, after, float(log))
+    fit = 0.5 * (pool.freedom + NOISE_TRUST) * np.log((NOISE_TRUST + after) / (NOISE_TRUST + left))
+    return Given(tuple(members), C, turn, inner, after, float(-float(np.log(np.diag(root)).sum()) - fit))
 
 
 def scan(pool: CandidatePool, there: Given) -> Scan:
@@ -201,14 +200,12 @@ def scan(pool: CandidatePool, there: Given) -> Scan:
 
 def scan_one(pool: CandidatePool, there: Given, family: int) -> tuple[Array, Array]:
     """Log evidence (V, T) of one family's variants over what is given, and its sizes (T,)."""
-    k, start = pool.place[family]
-    g, count = pool.groups[k], pool.families[family].columns.shape[1]
-    rows = slice(start, start + count)
+    g, rows = pool.of(family)
     G, b = g.G[rows], g.b[rows]
     if there.members:
-        flat = g.X.reshape(len(pool.y), -1)[:, start * g.m : (start + count) * g.m]
+        flat = g.X.reshape(len(pool.y), -1)[:, rows.start * g.m : rows.stop * g.m]
         G, b = _beside(there, there.C.T @ flat, G, b)
-    return log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom), g.sizes[start]
+    return log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom), g.sizes[rows.start]
 
 
 def _beside(there: Given, crossed: Array, G: Array, b: Array) -> tuple[Array, Array]:
@@ -250,10 +247,7 @@ def weigh(pool: CandidatePool, families: Sequence[int], near: Sequence[Member] =
     known = {m.family: m for m in near}
     members: list[Member] = []
     for f in families:
-        if f in known:
-            members.append(known[f])
-        else:
-            members.append(_best(pool, given(pool, members), f)[0])
+        members.append(known[f] if f in known else _best(pool, given(pool, members), f)[0])
     if len(members) > 1:
         for i in range(len(members)):
             members[i] = _best(pool, given(pool, members[:i] + members[i + 1 :]), members[i].family)[0]
@@ -289,9 +283,7 @@ class Search:
         first = self.scan(NOTHING)
         gain = self._value(first)
         order = np.argsort(-gain)
-        for f in order[: rules.EXACT_SINGLES]:
-            if not np.isfinite(gain[f]):
-                break
+        for f in order[: rules.EXACT_SINGLES][np.isfinite(gain[order[: rules.EXACT_SINGLES]])]:
             self.add(frozenset([int(f)]))
         if pairs and self.most > 1:
             self._pairs(first, gain)

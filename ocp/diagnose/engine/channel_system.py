@@ -13,7 +13,7 @@ without it is residual + columns @ a.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,18 +83,16 @@ class ReadingConditions:
 
 @dataclass(frozen=True)
 class System:
-    """Whitened linear system of a channel, unit noise: residual (N,), nuisance (N, p) with names (p,), prior_sd (p,) (inf:
+    """Whitened linear system of a channel, unit noise: residual (N,), nuisance (N, p), prior_sd (p,) (inf:
     free) and offset (p,) in the nuisance's own units; reading (N,): which of the channel's readings a row belongs to;
-    component (N,): which of its numbers (x, y, z; fn, ft); picked: squares beyond their number that rows which were picked for
+    picked: squares beyond their number that rows which were picked for
     what they show have where nothing is there."""
 
     residual: Array
     nuisance: Array
-    names: tuple[str, ...]
     prior_sd: Array
     offset: Array
     reading: Index
-    component: Index
     picked: float = 0.0
 
 
@@ -247,6 +245,20 @@ class Channel(Protocol):
         """Predictions for readings in the channel's own form, with the fit of all readings."""
 
 
+@runtime_checkable
+class WeighedReadings(Protocol):
+    """A channel that weighs its readings one by one, so that some may be left out, or all counted."""
+
+    def thinned(self, most: int) -> Channel:
+        """The channel with at most so many of its readings, evenly taken; itself where it has no more."""
+
+    def opened(self) -> Channel:
+        """The channel about the same fit with no reading set aside."""
+
+    def restless(self, scale: float) -> bool:
+        """Whether `scale` times the noise that its residual asks for is many times the usual."""
+
+
 @dataclass(frozen=True)
 class Predictable:
     """Effects that can be predicted, and those for which a column is missing; kept (k,): places of the known ones' coefficients
@@ -263,7 +275,7 @@ class Predictable:
 
 
 def predictable(active: Sequence[Active], says: Callable[[Effect], bool]) -> Predictable:
-    """Effects parted by whether the conditions have what each needs (`told`)."""
+    """Effects parted by whether the conditions have what each needs (`says`)."""
     inside = [says(a.effect) for a in active]
     known, unknown = (tuple(a for a, k in zip(active, inside, strict=True) if k is wanted) for wanted in (True, False))
     kept = np.flatnonzero(np.repeat(inside, [a.effect.size for a in active])) if active else np.zeros(0, np.int64)

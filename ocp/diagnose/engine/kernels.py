@@ -71,10 +71,10 @@ def kernels(c: ReadingConditions) -> Iterator[Kernel]:
             if c.sight is not None:
                 yield _of_sight(c.point, c.sight)
     elif c.signal == "force":
-        for one in reading_kernels(c):
-            changes = np.zeros((n, k, *one.features.shape[1:]))
-            changes[:, 0] = one.features
-            yield Kernel(one.where, "reading", 0, changes, *FORCE_KERNEL, one.among)
+        for where, features, among in _of_reading(c):
+            changes = np.zeros((n, k, *features.shape[1:]))
+            changes[:, 0] = features
+            yield Kernel(where, "reading", 0, changes, *FORCE_KERNEL, among)
 
 
 def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Array]]:
@@ -82,7 +82,7 @@ def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Array]]:
     name, q = j + 1, c.q[:, j]
     tau = c.tau[:, j] if c.tau is not None and np.ptp(c.tau[:, j]) > LEAST_TORQUE else None
     yield f"q{name}", smooth(q)[:, None]
-    yield f"ripple{name}", np.stack([np.cos(RIPPLES * q[:, None]), np.sin(RIPPLES * q[:, None])], axis=2)
+    yield f"ripple{name}", _of_orders(RIPPLES * q[:, None])
     if c.approach is not None and np.ptp(c.approach[:, j]) > 0:
         sign = c.approach[:, j]
         turns = np.stack([np.column_stack([np.ones(len(q)), np.cos(k * q), np.sin(k * q)]) for k in (1, 2)], axis=1)
@@ -90,17 +90,17 @@ def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Array]]:
         if tau is not None:
             yield f"approach{name} x tau{name}", (sign[:, None] * _powers(tau))[:, None]
         if c.signal == "tracker" and c.time is not None:
-            yield f"approach{name} x wait", (sign[:, None] * _rest(c.time))[:, :, None]
-            yield f"step{name}", smooth(_step(c.time, q), 5)[:, None]
+            # What is left of the motion to each reading, which began at the reading before, after settling for so long.
+            rest = np.exp(-_since_last(c.time, c.time, -np.inf)[:, None] / np.array(SETTLING))
+            yield f"approach{name} x wait", (sign[:, None] * rest)[:, :, None]
+            yield f"step{name}", smooth(_since_last(c.time, q, q[np.argmin(c.time)]), 5)[:, None]
     ratios = c.gear_ratio[j] if c.gear_ratio is not None else ()
     if len(ratios):
-        phase = np.outer(q, np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel())
-        yield f"motor{name}", np.stack([np.cos(phase), np.sin(phase)], axis=2)
+        yield f"motor{name}", _of_orders(np.outer(q, np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel()))
     if tau is not None:
         yield f"tau{name}", smooth(tau, 3)[:, None]
         if c.signal == "tracker":
-            loaded = np.stack([np.cos(LOADED * q[:, None]), np.sin(LOADED * q[:, None])], axis=2)
-            yield f"tau{name} x ripple{name}", unit(tau)[:, None, None] * loaded
+            yield f"tau{name} x ripple{name}", unit(tau)[:, None, None] * _of_orders(LOADED * q[:, None])
     for i in range(6):
         if i != j and np.ptp(c.q[:, i]) > LEAST_TURN:
             yield f"q{name} x q{i + 1}", np.stack([waves_of_two(q, c.q[:, i], *k) for k in ORDERS_OF_TWO], axis=1)
@@ -190,20 +190,16 @@ def _time(c: ReadingConditions) -> Array | None:
     return c.clock if c.clock is not None else c.time
 
 
-def _rest(time: Array) -> Array:
-    """What is left (n, V) of the motion to each reading, which began at the reading before, after settling for so long."""
-    order = np.argsort(time, kind="stable")
-    waited = np.empty_like(time)
-    waited[order] = np.diff(time[order], prepend=-np.inf)
-    return np.exp(-waited[:, None] / np.array(SETTLING))
+def _since_last(time: Array, values: Array, first: float) -> Array:
+    """By how much (n,) values differ from those of the reading before in time, those of the first from `first`."""
+    order, out = np.argsort(time, kind="stable"), np.empty_like(values)
+    out[order] = np.diff(values[order], prepend=first)
+    return out
 
 
-def _step(time: Array, q: Array) -> Array:
-    """How far (n,) rad an axis came to each reading from the one before; zero at the first."""
-    order = np.argsort(time, kind="stable")
-    step = np.empty_like(q)
-    step[order] = np.diff(q[order], prepend=q[order[0]])
-    return step
+def _of_orders(phase: Array) -> Array:
+    """Cosine and sine (n, V, 2) of phases (n, V)."""
+    return np.stack([np.cos(phase), np.sin(phase)], axis=2)
 
 
 def _powers(values: Array) -> Array:
@@ -258,36 +254,26 @@ def groups(index: Array | Index | None, centred: bool = True) -> Array | None:
     return indicator - indicator.mean(axis=0) if centred else indicator
 
 
-@dataclass(frozen=True)
-class ReadingKernel:
-    """Features (n, V, m) of the normal reading by the condition `where`; among: of how many variants these are the most telling,
-    0: they are all there are."""
-
-    where: str
-    features: Array
-    among: int = 0
-
-
-def reading_kernels(c: ReadingConditions) -> Iterator[ReadingKernel]:
-    """All that the conditions of a force log allow."""
+def _of_reading(c: ReadingConditions) -> Iterator[tuple[str, Array, int]]:
+    """Features (n, V, m) of the normal reading by their condition, all that the conditions of a force log allow; among how many
+    variants these are the most telling, 0: they are all there are."""
     for where in _SCALAR:
         one = _of_one(c, where)
         if one is not None:
-            yield ReadingKernel(where, one[:, None])
+            yield where, one[:, None], 0
     for first, second in map(str.split, _TWO.split(", ")):
         a, b = _of_one(c, first, 2), _of_one(c, second, 3)
         if a is not None and b is not None:
-            yield ReadingKernel(f"{first} x {second}", products(a, b)[:, None])
+            yield f"{first} x {second}", products(a, b)[:, None], 0
     for j in range(6):
         if np.ptp(c.q[:, j]) > LEAST_TURN:
-            yield ReadingKernel(f"q{j + 1}", smooth(c.q[:, j], 4)[:, None])
+            yield f"q{j + 1}", smooth(c.q[:, j], 4)[:, None], 0
     if c.clock is not None and c.run is not None and len(np.unique(c.run)) > 4:
         phase = np.pi * (c.clock - c.clock.min()) / max(float(np.ptp(c.clock)), 1e-9)
-        yield ReadingKernel("clock wave", np.stack([_wave(k * phase) for k in range(3, 3 + CLOCK_WAVES)], axis=1))
-    kinds = dict.fromkeys(w.where for w in c.waves)
-    for where in kinds:
-        waves = [w for w in c.waves if w.where == where]
-        yield ReadingKernel(where, np.stack([w.columns for w in waves], axis=1), waves[0].among)
+        yield "clock wave", np.stack([waves(k * phase) for k in range(3, 3 + CLOCK_WAVES)], axis=1), 0
+    for where in dict.fromkeys(w.where for w in c.waves):
+        picked = [w for w in c.waves if w.where == where]
+        yield where, np.stack([w.columns for w in picked], axis=1), picked[0].among
 
 
 def _of_one(c: ReadingConditions, where: str, count: int = 3) -> Array | None:
@@ -299,7 +285,3 @@ def _of_one(c: ReadingConditions, where: str, count: int = 3) -> Array | None:
         indicator = groups(values)
         return indicator if indicator is not None and indicator.shape[1] <= MOST_GROUPS else None
     return smooth(values, SMOOTH if where == "s" and count == 3 else count)
-
-
-def _wave(phase: Array) -> Array:
-    return np.column_stack([np.cos(phase), np.sin(phase)])

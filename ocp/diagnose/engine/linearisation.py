@@ -1,6 +1,7 @@
 """One linearisation of all channels: library and kernels projected together, with their priors; sets back to effects."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,8 +75,9 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options)
             continue
         scans = tuple(s for s, k in zip(c.scans, visible, strict=True) if k)
         odds = log_odds(c.effect, kinds, options) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
-        family = family_of(c.effect, c.joint, scans, projected if visible.all() else projected[:, visible], odds)
-        family = replace(family, among=c.among)
+        seen, scale = projected if visible.all() else projected[:, visible], np.asarray(c.effect.prior_sd, float)
+        name, sizes = Name(c.effect.name, c.joint), size_grid(ratio_of(c.effect, scans))
+        family = Family(name, c.effect, scans, seen * scale, scale, sizes, positive_of(c.effect), odds, among=c.among)
         families.append(family)
         if has_twin(c.effect, c.joint, scans):
             small = np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(c.effect, scans))
@@ -103,13 +105,6 @@ def log_odds(effect: Effect, kinds: int, options: Options) -> float:
     return float(np.log(options.prior_effects / kinds / len(effect.places)))
 
 
-def family_of(effect: Effect, joint: int, scans: Sequence[Scanned], projected: Array, odds: float) -> Family:
-    """A family from projected columns (N, V, m) per unit coefficient."""
-    scale = np.asarray(effect.prior_sd, float)
-    name, sizes = Name(effect.name, joint), size_grid(ratio_of(effect, scans))
-    return Family(name, effect, tuple(scans), projected * scale, scale, sizes, positive_of(effect), odds)
-
-
 def ratio_of(effect: Effect, scans: Sequence[Scanned]) -> float:
     """Lower over upper end of the typical range, the least over the parameters that are sizes."""
     sizes = [p.low / p.high for p in effect.parameters if p.low > 0 and p.key not in scans[0]]
@@ -132,23 +127,16 @@ def stacked_columns(
     """Whitened columns (N, V, m) of all channels one below the other, and the scanned values of each variant; zero where a
     channel cannot see the effect. Without `scans` the union of the channels' own."""
     if scans is None and len(channels) > 1:
-        scans = _union(s.scanned for c in channels for s in c.variants(effect, joint))
+        scans = list({scan_key(v.scanned): v.scanned for c in channels for v in c.variants(effect, joint)}.values())
     parts = [c.variants(effect, joint, scans) for c in channels]
     chosen = tuple(scans) if scans is not None else tuple(v.scanned for v in parts[0])
     if not chosen or not any(parts):
         return np.zeros((0, 0, effect.size)), ()
-    rows = []
-    for channel, variants in zip(channels, parts, strict=True):
-        if variants:
-            rows.append(np.stack([v.columns for v in variants], axis=1))
-        else:
-            rows.append(np.zeros((len(channel.system.residual), len(chosen), effect.size)))
+    rows = [
+        np.stack([v.columns for v in made], axis=1) if made else np.zeros((len(c.system.residual), len(chosen), effect.size))
+        for c, made in zip(channels, parts, strict=True)
+    ]
     return np.concatenate(rows), chosen
-
-
-def _union(scans: Iterable[Scanned]) -> list[Scanned]:
-    """Each set of scanned values once, in order."""
-    return list({scan_key(s): s for s in scans}.values())
 
 
 def put_back(channels: Sequence[Channel], active: Sequence[Active]) -> Array:
@@ -219,9 +207,7 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
 def kernel_families(channels: Sequence[Channel], stacked: Stack, options: Options) -> list[Family]:
     """Library-free kernels of each channel as candidates for an effect outside the catalogue."""
     made = list(kernel_columns(channels, stacked))
-    kinds: dict[str, int] = {}
-    for _, kernel, _ in made:
-        kinds[_kind(kernel)] = kinds.get(_kind(kernel), 0) + 1
+    kinds = Counter(_kind(kernel) for _, kernel, _ in made)
     found = []
     for name, kernel, columns in made:
         share = options.prior_unknown / len(kinds) / kinds[_kind(kernel)]

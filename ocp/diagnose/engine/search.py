@@ -22,14 +22,13 @@ are grossly wrong.
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Given, Key, Member, Search, Weighed, given, weigh
-from ocp.diagnose.engine.channel_system import Channel, effects_key
+from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, effects_key
 from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, stacked_columns
@@ -88,7 +87,7 @@ def search_and_refit(
         search = Search(problem.pool, options.most, options.beam)
         index = problem.index
         search.run([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
-        held = problem.channels[0].active if len(problem.channels) == 1 else _all_active(problem.channels)
+        held = _all_active(problem.channels)
         reweighted(first, problem, search, held)
         diverged.converged(Name(*a.key) for a in held)
         diverged.strike(search, problem)
@@ -100,8 +99,9 @@ def search_and_refit(
                 channels = outliers_rechecked(problem, held, library, options) if freeing else None
                 if channels is None:
                     return problem, search
-                freeing = effects_key(_all_active(channels), 2) not in tried  # a set that was tried is not tried for ever
-                tried.add(effects_key(_all_active(channels), 2))
+                freed = effects_key(_all_active(channels), 2)
+                freeing = freed not in tried  # a set that was tried is not tried for ever
+                tried.add(freed)
                 break
             tried.add(effects_key(chosen, 2))
             try:
@@ -135,8 +135,7 @@ def _best(search: Search, keys: Iterable[Key]) -> Key:
 
 def _all_active(channels: Sequence[Channel]) -> tuple[Active, ...]:
     """Effects active in any channel, once each."""
-    found = {a.key: a for c in channels for a in c.active}
-    return tuple(found.values())
+    return tuple({a.key: a for c in channels for a in c.active}.values())
 
 
 def reweighted(first: Linearisation, problem: Linearisation, search: Search, held: tuple[Active, ...]) -> None:
@@ -214,22 +213,14 @@ def _evidence(problem: Linearisation, others: Given, effect: Effect, joint: int,
     scale = np.asarray(effect.prior_sd, float)
     X = problem.stack.apply((columns * scale).reshape(n, V * m)).reshape(n, V, m)
     y = problem.pool.y
-    P = np.einsum("nr,nvi->rvi", others.U, X)
-    held = others.take[:, None, None] * P
+    U, take = others.directions
+    P = np.einsum("nr,nvi->rvi", U, X)
+    held = take[:, None, None] * P
     G = np.einsum("nvi,nvj->vij", X, X) - np.einsum("rvi,rvj->vij", P, held)
-    b = np.einsum("nvi,n->vi", X, y) - np.einsum("rvi,r->vi", held, others.U.T @ y)
-    left = others.left
-    log = log_evidence(G, b, np.ones((V, 1)), np.zeros((V, m), bool), left, problem.pool.freedom)[:, 0]
+    b = np.einsum("nvi,n->vi", X, y) - np.einsum("rvi,r->vi", held, U.T @ y)
+    log = log_evidence(G, b, np.ones((V, 1)), np.zeros((V, m), bool), others.left, problem.pool.freedom)[:, 0]
     means = np.linalg.solve(G + np.eye(m), b[..., None])[..., 0] * scale
     return log, means
-
-
-@runtime_checkable
-class Openable(Protocol):
-    """A channel that can count every reading in full."""
-
-    def opened(self) -> Channel:
-        """The channel about the same fit with no reading set aside."""
 
 
 def outliers_rechecked(
@@ -238,7 +229,7 @@ def outliers_rechecked(
     """The channels fitted with one effect more than is held, where that takes gross readings back; else None."""
     if _count(problem.channels) < OUTLIERS_OF_ONE_CAUSE:
         return None
-    whole = linearised([c.opened() if isinstance(c, Openable) else c for c in problem.channels], library, options)
+    whole = linearised([c.opened() if isinstance(c, WeighedReadings) else c for c in problem.channels], library, options)
     search = Search(whole.pool, options.most, options.beam)
     names = {a.key for a in held}
     key = [i for n, i in whole.index.items() if (n.effect, n.joint) in names]

@@ -16,14 +16,13 @@ Everything is linear about the channel's fit, in whitened readings, nuisance wit
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import NOTHING, Search
-from ocp.diagnose.engine.channel_system import Channel, Fold, System
+from ocp.diagnose.engine.channel_system import Channel, Fold, System, WeighedReadings
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Candidate, Linearisation, candidates, linearised, positive_of, put_back
 from ocp.effects.effect import Active, Effect, Scanned
@@ -76,27 +75,20 @@ class Entry:
     turned: bool
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A fold with the nuisance taken out of columns by a fit to the rest: name, held rows' and train rows' columns (., k)."""
-
-    name: str
-    train: Array
-    held: Array
-
-
 def select_on_held_out(system: System, candidates: Sequence[Candidate], folds: Sequence[Fold], most: int = 8) -> SelectedEffects:
     """Effects that hold in left-out conditions, at most `most`. system: about the believed cell's fit without effects;
     candidates: their whitened columns about the same fit; folds of kind "random" do not count."""
     apart = [f for f in folds if f.kind != "random"]
-    believed = np.array([np.mean(part.held[:, 0] ** 2) for part in _parts(system, apart, system.residual[:, None])])
+    believed = np.array([np.mean(held[:, 0] ** 2) for _, held in _parts(system, apart, system.residual[:, None])])
     pool = [_projected(system, c) for c in candidates]
     chosen: list[Entry] = []
     scores: list[float] = []
     refused: dict[Name, Refused] = {}
     while len(chosen) < most:
         short = _shortlist(system, pool, candidates, chosen)
-        choices = _choices(short, most - len(chosen))
+        # Each alone, and one effect at two joints: springs that carry the same weight mask each other, and neither holds alone.
+        pairs = [[a, b] for a, b in combinations(short, 2) if a.name.effect == b.name.effect]
+        choices = [[e] for e in short] + (pairs if len(chosen) < most - 1 else [])
         ratios = [_ratios(system, apart, [*chosen, *choice], believed) for choice in choices]
         errors = [float(np.mean(np.log(r))) for r in ratios]
         bar = scores[-1] if scores else 0.0
@@ -117,48 +109,30 @@ def select_on_held_out(system: System, candidates: Sequence[Candidate], folds: S
     return SelectedEffects(tuple(steps), tuple(r for n, r in refused.items() if n not in {e.name for e in chosen}))
 
 
-def _choices(short: Sequence[Entry], room: int) -> list[list[Entry]]:
-    """What a round may accept: each candidate, and one effect at two joints: springs that carry the same weight mask each
-    other, and neither holds alone."""
-    pairs = [[a, b] for a, b in combinations(short, 2) if a.name.effect == b.name.effect]
-    return [[e] for e in short] + (pairs if room > 1 else [])
-
-
-def _scaled(system: System) -> tuple[Array, Array]:
-    """Nuisance columns (N, p) over their priors, and the priors' own rows' right-hand side (p,), zero where free."""
-    finite = np.isfinite(system.prior_sd)
-    scale = np.where(finite, system.prior_sd, 1.0)
-    return system.nuisance * scale, np.where(finite, -system.offset / scale, 0.0)
-
-
-def _without_nuisance(A: Array, centre: Array, known: Mask, B: Array, rows: Mask) -> tuple[Array, Array]:
-    """Columns B (N, k), the first of them the readings, less the nuisance fitted to `rows` (N,) within its priors: rows of the
-    fit with the priors' below, and all other rows."""
+def _without_nuisance(system: System, B: Array, rows: Mask, readings: bool = True) -> tuple[Array, Array]:
+    """Columns B (N, k) less the nuisance fitted to `rows` (N,) within its priors: rows of the fit with the priors' below, and all
+    other rows; readings: whether the first column is the readings, whose priors have a mean."""
+    known = np.isfinite(system.prior_sd)
+    scale = np.where(known, system.prior_sd, 1.0)
+    A = system.nuisance * scale
     prior = np.zeros((int(known.sum()), B.shape[1]))
-    prior[:, 0] = centre[known]
-    top = np.vstack([A[rows], np.eye(A.shape[1])[known]])
+    if readings:
+        prior[:, 0] = -(system.offset / scale)[known]
     fitted = np.vstack([B[rows], prior])
-    Q, R = np.linalg.qr(top)
+    Q, R = np.linalg.qr(np.vstack([A[rows], np.eye(A.shape[1])[known]]))
     turned = Q.T @ fitted
     return fitted - Q @ turned, B[~rows] - A[~rows] @ np.linalg.lstsq(R, turned, rcond=1e-10)[0]
 
 
-def _parts(system: System, folds: Sequence[Fold], B: Array) -> list[_Part]:
-    A, centre = _scaled(system)
-    known = np.isfinite(system.prior_sd)
-    found = []
-    for fold in folds:
-        train, held = _without_nuisance(A, centre, known, B, ~np.asarray(fold.held, bool)[system.reading])
-        found.append(_Part(fold.name, train, held))
-    return found
+def _parts(system: System, folds: Sequence[Fold], B: Array) -> list[tuple[Array, Array]]:
+    """Of every fold: train rows' and held rows' columns (., k), the nuisance taken out by a fit to the former."""
+    return [_without_nuisance(system, B, ~np.asarray(fold.held, bool)[system.reading]) for fold in folds]
 
 
 def _projected(system: System, c: Candidate) -> Array:
     """Columns (N + p, V, m) of a candidate with the nuisance fitted to all readings taken out, over their priors."""
-    A, centre = _scaled(system)
     n, V, m = c.columns.shape
-    flat = (c.columns * _scale(c)).reshape(n, V * m)
-    fitted, _ = _without_nuisance(A, 0 * centre, np.isfinite(system.prior_sd), flat, np.ones(n, bool))
+    fitted, _ = _without_nuisance(system, (c.columns * _scale(c)).reshape(n, V * m), np.ones(n, bool), readings=False)
     return fitted.reshape(-1, V, m)
 
 
@@ -166,18 +140,17 @@ def _ratios(system: System, folds: Sequence[Fold], entries: Sequence[Entry], bel
     """Mean squares (f,) of the folds with entries fitted, over those of the believed cell."""
     columns = np.hstack([e.columns for e in entries])
     after = []
-    for part in _parts(system, folds, np.hstack([system.residual[:, None], columns])):
-        a = _solved(part.train[:, 1:], part.train[:, 0])
-        after.append(np.mean((part.held[:, 0] - part.held[:, 1:] @ a) ** 2))
+    for train, held in _parts(system, folds, np.hstack([system.residual[:, None], columns])):
+        a = _solved(train[:, 1:], train[:, 0])
+        after.append(np.mean((held[:, 0] - held[:, 1:] @ a) ** 2))
     return np.array(after) / believed
 
 
 def _solved(C: Array, y: Array) -> Array:
     """Coefficients (m,) of columns (N, m) over their wide priors."""
     m = C.shape[1]
-    return np.asarray(
-        np.linalg.lstsq(np.vstack([C, np.eye(m) / rules.WIDE_PRIOR]), np.concatenate([y, np.zeros(m)]), rcond=None)[0]
-    )
+    rows = np.vstack([C, np.eye(m) / rules.WIDE_PRIOR])
+    return np.asarray(np.linalg.lstsq(rows, np.concatenate([y, np.zeros(m)]), rcond=None)[0])
 
 
 def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candidate], chosen: Sequence[Entry]) -> list[Entry]:
@@ -205,9 +178,8 @@ def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candi
 
 def _fitted(system: System, entries: Sequence[Entry]) -> Array:
     """Readings and entries' columns with the nuisance fitted to all readings taken out, the priors' rows below."""
-    A, centre = _scaled(system)
     both = np.hstack([system.residual[:, None], *(e.columns for e in entries)])
-    return _without_nuisance(A, centre, np.isfinite(system.prior_sd), both, np.ones(len(both), bool))[0]
+    return _without_nuisance(system, both, np.ones(len(both), bool))[0]
 
 
 def _values(system: System, chosen: Sequence[Entry]) -> list[Array]:
@@ -224,14 +196,6 @@ def _scale(c: Candidate) -> Array:
     return np.asarray(c.effect.prior_sd, float)
 
 
-@runtime_checkable
-class Restless(Protocol):
-    """A channel that can tell whether its residual is far above noise."""
-
-    def restless(self, scale: float) -> bool:
-        """Whether `scale` times the noise that its residual asks for is many times the usual."""
-
-
 @dataclass(frozen=True)
 class SelectedLinearisation:
     """Linearisation about the selected names, their sets weighed, and what was refused with the fold that did."""
@@ -245,7 +209,7 @@ def misses_far_more_than_noise(problem: Linearisation, search: Search) -> bool:
     """Whether names must be selected on held-out error: the only channel says that noise is far above the usual, even with all
     that the best set of names and kernels explains."""
     channels = problem.channels
-    if len(channels) != 1 or not isinstance(channels[0], Restless):
+    if len(channels) != 1 or not isinstance(channels[0], WeighedReadings):
         return False
     left = problem.taken(search.sets[search.best()[0]]).left
     return channels[0].restless(float(np.sqrt(left / problem.pool.freedom)))
@@ -256,9 +220,8 @@ def select_effects(channel: Channel, library: Mapping[str, Effect], options: Opt
 
     Twice: what is found first (springs, mostly) leaves the geometry, whose prior is as wide as what it had to follow, narrower.
     """
-    first = select_on_held_out(
-        channel.system, candidates([channel], library, options), channel.folds(), most=rules.SELECTED_FIRST
-    )
+    offered = candidates([channel], library, options)
+    first = select_on_held_out(channel.system, offered, channel.folds(), most=rules.SELECTED_FIRST)
     about = channel.with_active(_active(first, library))
     system = replace(about.system, residual=about.system.residual + put_back([about], about.active))
     found = select_on_held_out(system, candidates([about], library, options), channel.folds())

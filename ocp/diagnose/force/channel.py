@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ocp.calibrate.force.fit import pressed_rows
-from ocp.calibrate.force.log import ForceLog, Index
+from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import (
@@ -27,7 +27,7 @@ from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.held_out import force_fold_errors, force_folds, predict_sealed_force
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
 from ocp.diagnose.force.logged_contact import logged_arm
-from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_forces
+from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_anew
 from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior, with_setpoints_read_off
 from ocp.diagnose.force.waves import SpliceTrains, likely_trains, picked_squares, telling_waves
 from ocp.diagnose.rules import LEAST_DIRECTION, ORDERS_APART, OUTLIER_WEIGHT
@@ -113,20 +113,17 @@ class ForceChannel:
         """Whitened about the current fit; directions of the nuisance turned so that they are independent."""
         averages, (r, o), n = self.averages, self.problem.sizes, len(self.log)
         white = np.column_stack([self.fit.residual, self.fit.sensitivity[:, : r + o]]).reshape(len(averages.whiteners), n, -1)
-        rows = _of_whitened(averages, white)
+        rows = averages.of_whitened(white)
         U, s, Vt = np.linalg.svd(rows[:, 1:], full_matrices=False)
         keep = s > LEAST_DIRECTION
-        parts = averages.parts
         place = [w.place for w in averages.whiteners]
-        far = np.full(sum(parts[len(place) :]), place[0][-1])
+        far = np.full(averages.patterns.shape[2] + averages.spare, place[0][-1])
         return System(
             residual=rows[:, 0],
             nuisance=U[:, keep] * s[keep],
-            names=tuple(f"contact {k + 1}" for k in range(int(keep.sum()))),
             prior_sd=np.ones(int(keep.sum())),
             offset=(Vt @ self.fit.z[: r + o])[keep],
             reading=np.concatenate([*place, far]),
-            component=np.repeat(np.arange(len(parts)), parts),
             picked=picked_squares(self.waves) + self.trains.picked,
         )
 
@@ -203,8 +200,7 @@ class ForceChannel:
         registration, one prior sd each."""
         squares = []
         for problem, fit in ((self.baseline.problem, self.baseline.fit), (self.problem, self.fit)):
-            e = problem.residuals(fit.at, fit.z)
-            left = [w.whole(r[:, None]) for w, r in zip(self.fit.whiteners, e, strict=False) if r is not None]
+            left = [w.whole(r[:, None]) for w, r in zip(self.fit.whiteners, problem.residuals(fit.at, fit.z), strict=True)]
             own = fit.z[: problem.sizes[0]]
             squares.append((sum(float(np.sum(x**2)) for x in left), float(own @ own)))
         return squares[0][0] - squares[1][0], squares[0][1] - squares[1][1]
@@ -269,13 +265,16 @@ def force_channel(
     return ForceChannel(problem, fit_effects(problem), chosen, tracker=channel)
 
 
-def problem_of(setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None) -> ForceProblem:
-    """The problem of a log that is the first of a setup."""
+def problem_of(
+    setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None, pressed: Flags | None = None
+) -> ForceProblem:
+    """The problem of a log that is the first of a setup; pressed (n,): rows that only contact explains, as the readings say."""
     given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
     believed = contact_prior(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
     law, own = setup.model.law, logged_arm(cell, theta, log.q, known)
-    scene = LogScene(cell, ForceModel(cell, law), setup.rows[0], known, own, theta, given, pressed_rows(setup.model, log))
+    pressed = pressed_rows(setup.model, log) if pressed is None else pressed
+    scene = LogScene(cell, ForceModel(cell, law), setup.rows[0], known, own, theta, given, pressed)
     return ForceProblem.of(log, scene, believed, setup.notices)
 
 
@@ -285,23 +284,15 @@ def predict_believed(cell: Cell, log: ForceLog, sealed: ForceLog, tracker: Path 
     setup = prepare_force(replace(cell, effects=()), [log, sealed])
     problem = problem_of(setup, cell, log, None if tracker is None else arm_from_tracker(tracker, cell.path))
     fit, scene = fit_effects(problem), problem.scene
-    known = log_conditions(cell, sealed)
-    there = replace(scene, rows=setup.rows[1], conditions=known, arm=logged_arm(cell, scene.theta, sealed.q, known), pressed=None)
-    return predict_forces(there, fit.at.x, (), predict_forces(there, fit.at.x)).fn
-
-
-def _of_whitened(averages: LogAverages, white: Array) -> Array:
-    """Rows of the system from columns (S, n, m) that are whitened row by row."""
-    short = [np.concatenate([s.blocks @ c[s.rows] for s in w.stretches]) for w, c in zip(averages.whiteners, white, strict=True)]
-    fast = np.einsum("snk,snm->km", averages.patterns, white)
-    return np.concatenate([*short, fast, np.zeros((averages.spare, white.shape[2]))])
+    there = scene.over(setup.rows[1], log_conditions(cell, sealed))
+    return predict_anew(there, fit.at.x).fn
 
 
 def surroundings(problem: ForceProblem) -> Surroundings:
     """For the scans of effects."""
     log, c, cell = problem.log, problem.scene.conditions, problem.scene.cell
     clocked = "clock_s" in c.given
-    first, last = _ends(c.run, c.clock)
+    first, last = np.array(sorted((c.clock[c.run == r].min(), c.clock[c.run == r].max()) for r in np.unique(c.run))).T
     breaks = 0.5 * (last[:-1] + first[1:]) if clocked and len(first) > 1 else np.empty(0)
     spans = [np.ptp(c.time[c.run == r]) for r in np.unique(c.run)]
     lengths = [np.ptp(c.s[(c.line == k) & log.contact]) for k in np.unique(c.line[log.contact])]
@@ -352,12 +343,3 @@ def _sides(n: Array) -> tuple[tuple[float, float, float], ...]:
     groups = [n[n @ n[0] > 0], n[n @ n[0] <= 0]] if len(n) else []
     means = [part.mean(axis=0) / np.linalg.norm(part.mean(axis=0)) for part in groups if len(part)]
     return tuple((float(m[0]), float(m[1]), float(m[2])) for m in means)
-
-
-def _ends(run: Index, clock: Array) -> tuple[Array, Array]:
-    """First and last instants of the runs, in the order of the clock."""
-    runs = np.unique(run)
-    first = np.array([clock[run == r].min() for r in runs])
-    last = np.array([clock[run == r].max() for r in runs])
-    order = np.argsort(first)
-    return first[order], last[order]

@@ -8,6 +8,7 @@ The two signals are whitened as one matrix a run, with averages over short block
 matrix. Kept as such, thousands of columns of effects are whitened and averaged at the price of a product (the same, "Rows").
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -27,7 +28,7 @@ from ocp.diagnose.force.prediction import (
 )
 from ocp.diagnose.force.prior import NuisancePrior
 from ocp.diagnose.rules import RUN_SD
-from ocp.effects.effect import Active
+from ocp.effects.effect import Active, coefficients, prior_sds, with_coefficients
 from robots.errors import Infeasible
 from robots.gauss_newton import Rule, Valley, minimise
 from robots.pose import Array
@@ -84,10 +85,7 @@ class Whitener:
 
     def whole(self, columns: Array) -> Array:
         """Columns (n, m) whitened row by row."""
-        out = np.zeros_like(columns, dtype=float)
-        for s in self.stretches:
-            out[s.rows] = s.W @ columns[s.rows]
-        return out
+        return self._by_stretch(columns, lambda s, rows: s.W @ rows)
 
     def short(self, columns: Array) -> Array:
         """Columns (n, m) whitened and averaged, (b, m)."""
@@ -95,17 +93,16 @@ class Whitener:
 
     def back(self, whitened: Array) -> Array:
         """The transpose of `whole` on columns (n, m): scores of unwhitened columns are their products with it."""
-        out = np.zeros_like(whitened)
-        for s in self.stretches:
-            out[s.rows] = s.W.T @ whitened[s.rows]
-        return out
+        return self._by_stretch(whitened, lambda s, rows: s.W.T @ rows)
 
     def lost(self, whitened: Array) -> Array:
-        """What the averages lose of whitened columns (n, m): the columns less their averages."""
-        out = np.zeros_like(whitened)
+        """What the averages lose of whitened columns (n, m)."""
+        return self._by_stretch(whitened, lambda s, rows: rows - s.blocks.T @ (s.blocks @ rows))
+
+    def _by_stretch(self, columns: Array, changed: Callable[[Stretch, Array], Array]) -> Array:
+        out = np.zeros_like(columns, dtype=float)
         for s in self.stretches:
-            part = whitened[s.rows]
-            out[s.rows] = part - s.blocks.T @ (s.blocks @ part)
+            out[s.rows] = changed(s, columns[s.rows])
         return out
 
     @property
@@ -137,14 +134,6 @@ def _averages(count: int, length: int) -> tuple[Array, Index]:
     for b, (i, j) in enumerate(pairwise(steps)):
         out[b, i:j] = 1.0 / np.sqrt(j - i)
     return out, np.asarray((steps[:-1] + steps[1:] - 1) // 2, np.int64)
-
-
-def whiteners_of(log: ForceLog, residual: Array, shear: Array | None) -> tuple[Whitener, ...]:
-    """Whiteners of fn and, where the log has it, ft, from the scatter of residuals (n,) N about some prediction."""
-    out = [Whitener.of(channel_of(log, residual), BLOCKS[0])]
-    if shear is not None:
-        out.append(Whitener.of(channel_of(as_shear(log), shear), BLOCKS[1]))
-    return tuple(out)
 
 
 def refreshed(log: ForceLog, whitener: Whitener, residual: Array) -> Whitener:
@@ -196,12 +185,12 @@ class ForceProblem:
         """Unknowns of the nuisance, of the recordings."""
         return self.believed.root.shape[1], self.offsets.count
 
-    def residuals(self, at: Predicted, z: Array) -> tuple[Array, Array | None]:
-        """Measured less predicted (n,) N of both signals; what recordings add counts as predicted."""
+    def residuals(self, at: Predicted, z: Array) -> tuple[Array, ...]:
+        """Measured less predicted (n,) N of each signal; what recordings add counts as predicted."""
         r, o = self.sizes
         own = z[r : r + o]
-        shear = None if self.log.ft is None else self.log.ft - at.ft - self.offsets.shear @ own
-        return self.log.fn - at.fn - self.offsets.normal @ own, shear
+        normal = self.log.fn - at.fn - self.offsets.normal @ own
+        return (normal,) if self.log.ft is None else (normal, self.log.ft - at.ft - self.offsets.shear @ own)
 
     def gap(self, at: Predicted, z: Array) -> Array:
         """Measured less predicted normal reading (n,) N where single runs' own offsets count as gap."""
@@ -238,24 +227,12 @@ class EffectFit(Linear):
         return self.at.active
 
 
-def scale_of(active: tuple[Active, ...]) -> Array:
-    """Prior sd of all coefficients in order."""
-    return np.concatenate([np.asarray(a.effect.prior_sd, float) for a in active] or [np.zeros(0)])
-
-
-def with_values(active: tuple[Active, ...], a: Array) -> tuple[Active, ...]:
-    """The effects with coefficients a, one after the other."""
-    edges = np.cumsum([a_.effect.size for a_ in active])[:-1]
-    return tuple(replace(one, a=part) for one, part in zip(active, np.split(a, edges) if active else [], strict=True))
-
-
 def linear(problem: ForceProblem, z: Array, at: Predicted, whiteners: tuple[Whitener, ...]) -> Linear:
     """Linearise."""
     slopes = force_derivatives(problem.scene, at)
     columns = _columns(problem, problem.scene, at, slopes, problem.offsets)
-    e = problem.residuals(at, z)
-    parts = [w.whole(np.column_stack([r, c])) for w, r, c in zip(whiteners, e, columns, strict=False) if r is not None]
-    both = np.concatenate(parts)
+    rest = problem.residuals(at, z)
+    both = np.concatenate([w.whole(np.column_stack([r, c])) for w, r, c in zip(whiteners, rest, columns, strict=False)])
     if not np.isfinite(both).all():
         raise Infeasible(f"{problem.log.path}: the fit of the force log leaves what can be computed; the cell is not the log's")
     return Linear(both[:, 0], both[:, 1:], columns[0], slopes)
@@ -288,20 +265,18 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
     The noise comes from the scatter about the first prediction, then about the fit's. Raises Infeasible: no rest.
     """
     r, o = problem.sizes
-    scale = scale_of(active)
-    given = np.concatenate([one.a for one in active] or [np.zeros(0)]) / np.where(scale > 0, scale, 1.0)
-    z = np.concatenate([np.zeros(r + o) if start is None else start.z[: r + o], given])
+    scale = prior_sds(active)
+    z = np.concatenate([np.zeros(r + o) if start is None else start.z[: r + o], units_of(active)])
     at = _at(problem, z, active, None if start is None else start.at)
     if start is None:
-        # The stroke's sign, and with it friction, comes from a first prediction.
-        at = _at(problem, z, active, at)
-        whiteners = whiteners_of(problem.log, *problem.residuals(at, z))
+        at = _at(problem, z, active, at)  # the stroke's sign, and with it friction, comes from a first prediction
+        each = zip(signals(problem.log), problem.residuals(at, z), BLOCKS, strict=False)
+        whiteners = tuple(Whitener.of(channel_of(log, rest), blocks) for log, rest, blocks in each)
     else:
         whiteners = start.whiteners
     point, steps = _settled(_Point(problem, z, at, whiteners))
     rest = problem.residuals(point.at, point.z)
-    pairs = zip(signals(problem.log), point.whiteners, rest, strict=False)
-    anew = tuple(refreshed(log, w, e) for log, w, e in pairs if e is not None)
+    anew = tuple(refreshed(log, w, e) for log, w, e in zip(signals(problem.log), point.whiteners, rest, strict=True))
     if any(w is not old for w, old in zip(anew, point.whiteners, strict=True)):
         point, more = _settled(replace(point, whiteners=anew))
         steps += more
@@ -309,12 +284,14 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
     line = linear(problem, z, at, whiteners)
     information = np.eye(len(z)) + reading_information(whiteners, line.sensitivity)
     covariance = np.linalg.inv(information)[r + o :, r + o :] * np.outer(scale, scale)
-    edges = np.cumsum([0, *(one.effect.size for one in active)])
-    fitted = tuple(
-        replace(one, covariance=covariance[i:j, i:j]) for one, i, j in zip(at.active, edges[:-1], edges[1:], strict=True)
-    )
-    at = replace(at, active=fitted)
+    at = replace(at, active=with_coefficients(at.active, coefficients(at.active), covariance))
     return EffectFit(**vars(line), z=z, at=at, whiteners=whiteners, information=information, steps=steps)
+
+
+def units_of(active: tuple[Active, ...]) -> Array:
+    """Coefficients (m,) of effects in units of their priors."""
+    scale = prior_sds(active)
+    return coefficients(active) / np.where(scale > 0, scale, 1.0)
 
 
 def signals(log: ForceLog) -> tuple[ForceLog, ...]:
@@ -324,17 +301,14 @@ def signals(log: ForceLog) -> tuple[ForceLog, ...]:
 
 def reading_information(whiteners: tuple[Whitener, ...], sensitivity: Array) -> Array:
     """What whitened sensitivities (N, k) tell about z, (k, k), in the noise's own law (Student's t)."""
-    n = len(sensitivity) // len(whiteners)
-    total = np.zeros((sensitivity.shape[1], sensitivity.shape[1]))
-    for i, whitener in enumerate(whiteners):
-        total += whitener.noise.information(sensitivity[i * n : (i + 1) * n])
-    return total
+    parts = zip(whiteners, np.split(sensitivity, len(whiteners)), strict=True)
+    return np.asarray(sum(whitener.noise.information(part) for whitener, part in parts))
 
 
 def _at(problem: ForceProblem, z: Array, active: tuple[Active, ...], near: Predicted | None) -> Predicted:
     r, o = problem.sizes
     x = problem.believed.mean + problem.believed.root @ z[:r]
-    return predict_forces(problem.scene, x, with_values(active, scale_of(active) * z[r + o :]), near)
+    return predict_forces(problem.scene, x, with_coefficients(active, prior_sds(active) * z[r + o :]), near)
 
 
 @dataclass(frozen=True)
@@ -352,13 +326,13 @@ class _Point:
 
     def reweighted(self) -> "_Point":
         """With the weights of Student's t that follow from the residuals."""
-        e = self.problem.residuals(self.at, self.z)
-        return replace(self, whiteners=tuple(w.reweighted(r) for w, r in zip(self.whiteners, e, strict=False) if r is not None))
+        rest = self.problem.residuals(self.at, self.z)
+        return replace(self, whiteners=tuple(w.reweighted(r) for w, r in zip(self.whiteners, rest, strict=True)))
 
     def residual(self) -> Array:
         """Whitened (N,)."""
-        e = self.problem.residuals(self.at, self.z)
-        return np.concatenate([w.whole(r[:, None])[:, 0] for w, r in zip(self.whiteners, e, strict=False) if r is not None])
+        rest = self.problem.residuals(self.at, self.z)
+        return np.concatenate([w.whole(r[:, None])[:, 0] for w, r in zip(self.whiteners, rest, strict=True)])
 
     def linearised(self) -> tuple[Array, Array]:
         """Whitened residuals (N,) and sensitivities (N, k) to z."""

@@ -17,8 +17,7 @@ from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, drifts, predictable
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
-from ocp.diagnose.force.logged_contact import logged_arm
-from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
+from ocp.diagnose.force.prediction import LogScene, Predicted, predict_anew
 from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS, RUN_SD
 from ocp.effects.effect import Effect
 from robots.pose import Array
@@ -127,8 +126,7 @@ def predict_sealed_force(
     model = ForceModel(scene.cell, setup.model.law)
     used = float(scene.conditions.clock.max())
     known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
-    arm = logged_arm(scene.cell, scene.theta, sealed.q, known)
-    there = LogScene(scene.cell, model, setup.rows[1], known, arm, scene.theta, scene.given)
+    there = replace(scene, model=model).over(setup.rows[1], known)
     found: list[tuple[EffectFit, Predicted]] = []
 
     def has(effect: Effect) -> bool:
@@ -141,8 +139,7 @@ def predict_sealed_force(
         measured = replace(own, scene=replace(own.scene, model=model, rows=setup.rows[0]))
         again = fit_effects(measured, fit.active, fit)
         effects = predictable(again.active, has).known
-        at = predict_forces(there, again.at.x, effects)
-        found.append((again, predict_forces(there, again.at.x, effects, at)))
+        found.append((again, predict_anew(there, again.at.x, effects)))
     (_, baseline), (fit, corrected) = found
     parted = predictable(fit.active, has)
     setpoint = scene.cell.flange.setpoint if scene.cell.flange is not None else 0.0
@@ -155,10 +152,7 @@ def _unshown(scene: LogScene, fit: EffectFit, parted: Predictable) -> float:
     """Mean square N^2 of what the unknown ones of the active effects do to the normal reading in the log."""
     if not parted.unknown:
         return 0.0
-    ends = [
-        predict_forces(scene, fit.at.x, active, predict_forces(scene, fit.at.x, active)).fn
-        for active in (fit.active, parted.known)
-    ]
+    ends = [predict_anew(scene, fit.at.x, active).fn for active in (fit.active, parted.known)]
     return float(np.mean((ends[1] - ends[0])[scene.rows.contact] ** 2))
 
 

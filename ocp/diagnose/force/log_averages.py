@@ -64,10 +64,11 @@ class LogAverages:
         fast = sum(b.T @ c for b, c in zip(self.back, columns, strict=True))
         return np.concatenate([*short, np.asarray(fast), np.zeros((self.spare, columns[0].shape[1]))])
 
-    @property
-    def parts(self) -> list[int]:
-        """Rows of each signal's averages, of the fast patterns, spare."""
-        return [*(len(w.place) for w in self.whiteners), self.patterns.shape[2], self.spare]
+    def of_whitened(self, white: Array) -> Array:
+        """Rows of the system from columns (S, n, m) that are whitened row by row."""
+        short = [np.concatenate([s.blocks @ c[s.rows] for s in w.stretches]) for w, c in zip(self.whiteners, white, strict=True)]
+        fast = np.einsum("snk,snm->km", self.patterns, white)
+        return np.concatenate([*short, fast, np.zeros((self.spare, white.shape[2]))])
 
     def variants(self, effect: Effect, scans: Sequence[Scanned], columns: Sequence[Array]) -> Array:
         """Columns (V, n, m) of each signal as rows (N, V, m)."""
@@ -75,8 +76,7 @@ class LogAverages:
         out = self.rows([np.moveaxis(c, 0, 1).reshape(n, V * m) for c in columns]).reshape(-1, V, m)
         spare = self.spares.get(effect.name)
         if spare is not None:
-            for v, scanned in enumerate(scans):
-                root = spare.root(scan_key(scanned))
+            for v, root in enumerate(spare.root(scan_key(scanned)) for scanned in scans):
                 if root is not None:
                     out[len(out) - self.spare : len(out) - self.spare + m, v] = root
         return out
@@ -97,8 +97,7 @@ def log_averages(
         both = effect_derivatives(problem.scene, fit.at, fit.slopes, one.effect, one.joint, [one.scanned])
         if both is not None:
             chosen.append(_lost(fit, [c[0] for c in both]))
-    for wave in waves:
-        chosen.append(_lost(fit, [wave.columns, np.zeros_like(wave.columns)][:count]))
+    chosen += [_lost(fit, [wave.columns, np.zeros_like(wave.columns)][:count]) for wave in waves]
     for effect in effects:
         if effect.on_arm or effect.along is not None or not _is_fast(problem, fit, effect, around):
             continue
@@ -123,9 +122,7 @@ def _is_fast(problem: ForceProblem, fit: EffectFit, effect: Effect, around: Surr
     if not any((effect.overlap, effect.push, effect.sensor, effect.shear)):
         return False
     scans = effect.scan(0, around)
-    if not len(scans):
-        return False
-    made = effect_derivatives(problem.scene, fit.at, fit.slopes, effect, 0, [scans[len(scans) // 2]])
+    made = effect_derivatives(problem.scene, fit.at, fit.slopes, effect, 0, [scans[len(scans) // 2]]) if len(scans) else None
     if made is None:
         return False
     scale = np.asarray(effect.prior_sd)
@@ -155,10 +152,8 @@ def _telling(fit: EffectFit, effect: Effect, scans: Sequence[Scanned], made: Seq
     n, m, scale = made[0].shape[1], effect.size, np.asarray(effect.prior_sd)
     keys = tuple(scan_key(s) for s in scans)
     probes = np.unique(np.linspace(0, len(scans) - 1, PROBES).round().astype(int))
-    roots = []
-    for v in probes:
-        lost = _lost(fit, [c[v] for c in made]).reshape(-1, m)
-        roots.append(np.asarray(np.linalg.qr(lost, mode="r"), float))
+    lost = [_lost(fit, [c[v] for c in made]).reshape(-1, m) for v in probes]
+    roots = [np.asarray(np.linalg.qr(part, mode="r"), float) for part in lost]
     nearest = np.array([int(np.argmin(np.abs(probes - v))) for v in range(len(scans))])
     score = np.zeros((len(scans), m))
     for s, (whitener, columns) in enumerate(zip(fit.whiteners, made, strict=False)):

@@ -32,7 +32,7 @@ MOVING = 5e-6  # m/s of stroke below which the flange stands: what rounding of a
 
 @dataclass(frozen=True)
 class ContactSamples:
-    """Numbers (n, k) of n samples in the order of `rows.CONTACT_LAYOUT`; columns that a log does not have are nan."""
+    """Numbers (n, k) of n samples in the order of `CONTACT_LAYOUT`; columns that a log does not have are nan."""
 
     values: Array
 

@@ -15,7 +15,16 @@ from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.model import PROBE, STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
-from ocp.diagnose.force.logged_contact import BLADE, PLACE, ContactSamples, LoggedArm, hook_columns, samples_of, with_stroke_sign
+from ocp.diagnose.force.logged_contact import (
+    BLADE,
+    PLACE,
+    ContactSamples,
+    LoggedArm,
+    hook_columns,
+    logged_arm,
+    samples_of,
+    with_stroke_sign,
+)
 from ocp.diagnose.force.prior import NUISANCE, SHEAR_BIAS, SHEAR_GAIN
 from ocp.effects.context import LogRows
 from ocp.effects.effect import Active, Effect, Scanned
@@ -42,6 +51,11 @@ class LogScene:
     theta: Array
     given: tuple[Active, ...] = ()
     pressed: Flags | None = None
+
+    def over(self, rows: ForceRows, conditions: LogConditions, pressed: Flags | None = None) -> "LogScene":
+        """The same cell over other rows."""
+        arm = logged_arm(self.cell, self.theta, rows.q, conditions)
+        return replace(self, rows=rows, conditions=conditions, arm=arm, pressed=pressed)
 
     @cached_property
     def air(self) -> ContactSamples:
@@ -85,7 +99,7 @@ class Predicted:
 
 
 def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), near: Predicted | None = None) -> Predicted:
-    """Readings at nuisance x (`believed.NUISANCE`) and coefficients of `active`; Newton starts at `near`'s force, and the sign
+    """Readings at nuisance x (`prior.NUISANCE`) and coefficients of `active`; Newton starts at `near`'s force, and the sign
     of the flange's stroke is taken from there."""
     at, n, whole = scene.touching, len(scene.rows), (*scene.given, *active)
     rows = placed_rows(scene, x, whole)
@@ -127,6 +141,11 @@ def predict_forces(scene: LogScene, x: Array, active: Sequence[Active] = (), nea
         add_n, add_t = remembered(scene, made, one.effect, one.joint, one.scanned)
         late_n, late_t = late_n + add_n @ one.a, late_t + add_t @ one.a
     return replace(made, fn=fn + late_n, ft=ft + late_t)
+
+
+def predict_anew(scene: LogScene, x: Array, active: Sequence[Active] = ()) -> Predicted:
+    """Readings from no prediction nearby: once more with the sign of the stroke that comes out."""
+    return predict_forces(scene, x, active, predict_forces(scene, x, active))
 
 
 def placed_rows(scene: LogScene, x: Array, active: Sequence[Active]) -> PlacedRows:
@@ -256,7 +275,7 @@ def effect_derivatives(
     scene: LogScene, at: Predicted, slopes: tuple[Array, Array], effect: Effect, joint: int, scans: Sequence[Scanned]
 ) -> Both | None:
     """Change (V, n, m) N of fn and ft per unit coefficient of each variant; None where the log does not say what the effect
-    depends on. `slopes`: of `derivatives`."""
+    depends on. `slopes`: of `force_derivatives`."""
     theta, joints = slopes
     n, rows = len(at.F), scene.touching
     fn, ft = np.zeros((len(scans), n, effect.size)), np.zeros((len(scans), n, effect.size))

@@ -20,17 +20,7 @@ import numpy as np
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.calibrate.force.log import AIR_SHARE, Flags, ForceLog
-from ocp.diagnose.rules import (
-    SAME_POINTS,
-    SENSOR_BIAS_SD,
-    SETPOINT_ALIKE,
-    SETPOINT_CHANGED,
-    SETPOINT_ROWS,
-    SETPOINT_SD,
-    SHEAR_BIAS_SD,
-    SHEAR_GAIN_SD,
-    STIFFNESS_SD,
-)
+from ocp.diagnose import rules
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active
 from ocp.model.cell import Cell, read_tracker_setup
@@ -70,16 +60,16 @@ def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
     prior = force_prior(replace(cell, calibration=calibration))
     known = () if calibration is None else calibration.names
     covariance = prior.covariance.copy()
-    small = {name: STIFFNESS_SD for name in SCALES} | {"sensor_bias": SENSOR_BIAS_SD}
+    small = {name: rules.STIFFNESS_SD for name in SCALES} | {"sensor_bias": rules.SENSOR_BIAS_SD}
     if cell.flange is not None:
-        small["flange_stiffness"] = STIFFNESS_SD * cell.flange.stiffness
+        small["flange_stiffness"] = rules.STIFFNESS_SD * cell.flange.stiffness
     for name, sd in small.items():
         i = FIT_NAMES.index(name)
         if name not in known:
             covariance[i, i] = sd**2
     whole = np.zeros((len(NUISANCE), len(NUISANCE)))
     whole[: BIAS + 1, : BIAS + 1] = covariance
-    whole[SHEAR_GAIN, SHEAR_GAIN], whole[SHEAR_BIAS, SHEAR_BIAS] = SHEAR_GAIN_SD**2, SHEAR_BIAS_SD**2
+    whole[SHEAR_GAIN, SHEAR_GAIN], whole[SHEAR_BIAS, SHEAR_BIAS] = rules.SHEAR_GAIN_SD**2, rules.SHEAR_BIAS_SD**2
     noise = calibration.provenance.get("noise") if calibration is not None else None
     joints = noise.get("joints_rad") if isinstance(noise, dict) else 0.0
     mean = np.concatenate([prior.mean, np.zeros(len(EXTRA))])
@@ -123,7 +113,7 @@ def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] |
     if log.setpoint is not None or not own > 0:
         return None
     touching = {int(r): (log.run == r) & log.contact for r in np.unique(log.run)}
-    pressed = {r: rows for r, rows in touching.items() if np.count_nonzero(rows) >= SETPOINT_ROWS}
+    pressed = {r: rows for r, rows in touching.items() if np.count_nonzero(rows) >= rules.SETPOINT_ROWS}
     force = {r: float(np.median(log.fn[rows])) for r, rows in pressed.items()}
     pressed = {r: rows for r, rows in pressed.items() if force[r] > AIR_SHARE * own}  # what hardly touches has no setpoint
     force = {r: force[r] for r in pressed}
@@ -131,18 +121,18 @@ def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] |
     for group in _over_the_same_points(log, pressed):
         # Most runs of a log are at the cell's setpoint, whatever the cell makes of it.
         usual = _usual([force[r] for r in group], _usual(list(force.values()), own))
-        changed |= {r: own + force[r] - usual for r in group if abs(force[r] - usual) > SETPOINT_CHANGED * usual}
+        changed |= {r: own + force[r] - usual for r in group if abs(force[r] - usual) > rules.SETPOINT_CHANGED * usual}
     if not changed:
         return None
     setpoint, sd = np.full(len(log), own), np.zeros(len(log))
     for r, value in changed.items():
-        setpoint[log.run == r], sd[log.run == r] = max(value, 0.0), SETPOINT_SD * own
+        setpoint[log.run == r], sd[log.run == r] = max(value, 0.0), rules.SETPOINT_SD * own
     return replace(log, setpoint=setpoint, setpoint_sd=sd), _sentence(log, changed, own)
 
 
 def _usual(forces: list[float], likely: float) -> float:
     """The one of some forces N that most of them are like, of several such the one nearest to `likely`."""
-    return max(forces, key=lambda u: (sum(abs(f - u) <= SETPOINT_ALIKE * u for f in forces), -abs(u - likely)))
+    return max(forces, key=lambda u: (sum(abs(f - u) <= rules.SETPOINT_ALIKE * u for f in forces), -abs(u - likely)))
 
 
 def _sentence(log: ForceLog, changed: dict[int, float], own: float) -> str:
@@ -159,7 +149,7 @@ def _over_the_same_points(log: ForceLog, pressed: dict[int, Flags]) -> list[list
     for r, rows in pressed.items():
         p, n, session = log.p[rows].mean(axis=0), log.n[rows].mean(axis=0), int(log.session[np.argmax(rows)])
         for middle, normal, at, members in groups:
-            if at == session and np.linalg.norm(p - middle) < SAME_POINTS and n @ normal > 0:
+            if at == session and np.linalg.norm(p - middle) < rules.SAME_POINTS and n @ normal > 0:
                 members.append(r)
                 break
         else:

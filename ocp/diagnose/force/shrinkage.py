@@ -18,8 +18,7 @@ from ocp.diagnose.engine.channel_system import Channel, effects_key
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
-from ocp.diagnose.force.logged_contact import logged_arm
-from ocp.diagnose.force.prediction import LogScene, Predicted, predict_forces
+from ocp.diagnose.force.prediction import LogScene, predict_anew
 from ocp.diagnose.rules import BETWEEN_RUNS, FOLLOWED_FORCE, LATER_FORCE, NO_GAP, RECORDING_WEIGHT, RUN_SD
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval
 from ocp.effects.effect import Active
@@ -60,16 +59,18 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
     later = [after_log(known, share, changing) for share in LATER_FORCE for changing in warmths]
     for conditions in (known, *later):
         there = _scene(after, conditions, rows)
-        old = _at(before, there).fn
-        found = [_at(m, there) for m in models]
+        old = predict_anew(there, before.fit.at.x, before.fit.active).fn
+        found = [predict_anew(there, m.fit.at.x, m.fit.active) for m in models]
         moved.append(np.stack([(made.fn - old)[touching] for made in found]))
         errors.append(linear_normal(models[0].problem, there, found[0])[touching])
     weight = np.where((p >= FOLLOWED_FORCE) | (np.arange(len(p)) == 0), p, 0.0)
     share = np.array([BETWEEN_RUNS, *((1.0 - BETWEEN_RUNS) / len(later) for _ in later)])
     run = np.unique(known.run[rows][touching], return_inverse=True)[1].astype(np.int64)
-    return LaterGrinding(
-        np.stack(moved), np.stack(errors), _covariance(models[0]), p / p.sum(), weight / weight.sum(), share, run
-    )
+    # Of the unknowns that go on: the nuisance and the effects' coefficients, not what single recordings were off by.
+    fit, (r, o) = models[0].fit, models[0].problem.sizes
+    keep = np.r_[np.arange(r), np.arange(r + o, len(fit.z))]
+    covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
+    return LaterGrinding(np.stack(moved), np.stack(errors), covariance, p / p.sum(), weight / weight.sum(), share, run)
 
 
 def after_log(known: LogConditions, share: float, changing: bool = False) -> LogConditions:
@@ -110,22 +111,8 @@ def _with(before: ForceChannel, after: ForceChannel, active: tuple[Active, ...])
 def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> LogScene:
     """Some of the log's rows under other conditions. Effects that remember see time in coarser steps."""
     scene, known = channel.problem.scene, conditions.take(rows)
-    arm = logged_arm(scene.cell, scene.theta, channel.log.q[rows], known)
     pressed = None if scene.pressed is None else scene.pressed[rows]
-    return replace(scene, rows=scene.rows.take(rows), conditions=known, arm=arm, pressed=pressed)
-
-
-def _at(channel: ForceChannel, scene: LogScene) -> Predicted:
-    """What a channel's fit predicts there; once more with the sign of the stroke that comes out."""
-    x, active = channel.fit.at.x, channel.fit.active
-    return predict_forces(scene, x, active, predict_forces(scene, x, active))
-
-
-def _covariance(channel: ForceChannel) -> Array:
-    """Of the unknowns that go on: the nuisance and the effects' coefficients, not what single recordings were off by."""
-    fit, (r, o) = channel.fit, channel.problem.sizes
-    keep = np.r_[np.arange(r), np.arange(r + o, len(fit.z))]
-    return np.asarray(np.linalg.inv(fit.information)[np.ix_(keep, keep)])
+    return scene.over(scene.rows.take(rows), known, pressed)
 
 
 def of_grinding(before: Channel, after: Channel, alternatives: tuple[Alternative, ...]) -> Shrinkage | None:

@@ -155,6 +155,12 @@ def _scores(problem: ForceProblem, fit: EffectFit) -> Array:
     return np.asarray(y * mask)
 
 
+def _whitened(problem: ForceProblem, fit: EffectFit, columns: Array) -> list[Array]:
+    """Columns (n, m) of the normal reading, with their friction in the tangential one, whitened signal by signal."""
+    both = zip(fit.whiteners, (columns, problem.scene.shear[:, None] * columns), strict=False)
+    return [whitener.whole(part) for whitener, part in both]
+
+
 def _sizes(problem: ForceProblem, fit: EffectFit) -> tuple[Array, Array]:
     """Frequencies (k,) 1/s and mean squared whitened lengths (k,) of a unit wave in all of the log."""
     log, c = problem.log, problem.scene.conditions
@@ -164,10 +170,7 @@ def _sizes(problem: ForceProblem, fit: EffectFit) -> tuple[Array, Array]:
     lengths = []
     for f in probes:
         wave = mask[:, None] * np.column_stack([np.cos(2 * np.pi * f * c.time), np.sin(2 * np.pi * f * c.time)])
-        whole = np.sum(fit.whiteners[0].whole(wave) ** 2)
-        if len(fit.whiteners) > 1:
-            whole += np.sum(fit.whiteners[1].whole(problem.scene.shear[:, None] * wave) ** 2)
-        lengths.append(whole / 2)
+        lengths.append(sum(np.sum(part**2) for part in _whitened(problem, fit, wave)) / 2)
     return probes, np.array(lengths)
 
 
@@ -249,9 +252,7 @@ def _gains(problem: ForceProblem, fit: EffectFit, y: Array, time: Array, scans: 
     turns = [time * s["hz"] - s["turn"] for s in scans]
     away = np.column_stack([t - np.floor(t + 0.5) for t in turns]) / np.array([s["length"] for s in scans])
     trains = mask[:, None] * np.exp(-0.5 * away**2)
-    size = np.sum(fit.whiteners[0].whole(trains) ** 2, axis=0)
-    if len(fit.whiteners) > 1:
-        size = size + np.sum(fit.whiteners[1].whole(problem.scene.shear[:, None] * trains) ** 2, axis=0)
+    size = sum(np.sum(part**2, axis=0) for part in _whitened(problem, fit, trains))
     return np.asarray(np.maximum(y @ trains, 0.0) ** 2 / np.maximum(size, 1e-12))
 
 

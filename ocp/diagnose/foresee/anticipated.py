@@ -75,10 +75,8 @@ def counted(channel: Channel) -> NDArray[np.bool_]:
 
 def active_columns(channel: Channel) -> Array:
     """Whitened columns (N, m) of a channel's active effects, each over its prior's sd."""
-    parts = []
-    for one in channel.active:
-        for variant in channel.variants(one.effect, one.joint, [one.scanned]):
-            parts.append(variant.columns * np.asarray(one.effect.prior_sd, float))
+    seen = [v for one in channel.active for v in channel.variants(one.effect, one.joint, [one.scanned])]
+    parts = [v.columns * v.prior_sd for v in seen]
     return np.hstack(parts) if parts else np.zeros((len(channel.system.residual), 0))
 
 

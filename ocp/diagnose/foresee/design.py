@@ -6,9 +6,13 @@ end, mean over its coefficients) has the detectability t^2 |M C|^2 / m; it is na
 """
 
 import csv
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -22,7 +26,7 @@ from ocp.diagnose.foresee.planned_tracker import arm_expected, default_poses, pl
 from ocp.diagnose.rules import LEAST_CONTACT_ROWS, LEAST_READINGS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.catalogue import library
-from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.effect import Effect, Parameter, Scanned
 from ocp.model.cell import TrackerSetup, read_tracker_setup
 from robots.calibration.store import Calibration
 from robots.csv_table import read_csv_table
@@ -38,14 +42,6 @@ FREE_LIMIT = 1e-9  # lambda at the upper end below which nothing shows
 NOT = "cannot be seen"
 NARROWEST = 12  # characters of a column
 NEVER = frozenset({"speed"})  # no column of readings at rest
-
-
-@dataclass(frozen=True)
-class PlannedMeasurement:
-    """A planned measurement: the channel it would make, in words what it is."""
-
-    channel: Channel
-    what: str
 
 
 @dataclass(frozen=True)
@@ -79,48 +75,41 @@ def design_text(cell: Path, poses: Path | None, log: Path | None = None) -> str:
     rows = None if log is None else read_planned_log(log)
     columns, notes, arm = list[Column](), list[str](), None
     if poses is not None or rows is None:
-        own = _tracker_plan(setup, poses)
-        full = PlannedMeasurement(planned_channel(setup, default_poses(setup, FULL, full=True)), "")
+        channel, what = _tracker_plan(setup, poses)
+        full = planned_channel(setup, default_poses(setup, FULL, full=True))
         every = f"{FULL} poses, all payloads, both directions, warm-up: from"
-        columns += [Column(f"{own.what} see it from", visible_in(own.channel, known), own.what, "needs a force log (--log)")]
-        columns += [Column(every, visible_in(full.channel, known), "", "needs a force log (--log)")]
-        arm = arm_expected(own.channel) if poses is not None and isinstance(own.channel, TrackerChannel) else None
-    if rows is not None and log is not None:
-        plan = _force_plan(cell, rows, known, arm)
-        columns.append(
-            Column(f"{plan.what} see it from", visible_in(plan.channel, known), plan.what, "needs the tracker (--poses)")
-        )
+        columns.append(Column(f"{what} see it from", visible_in(channel, known), what, "needs a force log (--log)"))
+        columns.append(Column(every, visible_in(full, known), "", "needs a force log (--log)"))
+        arm = None if poses is None else arm_expected(channel)
+    if rows is not None:
+        what = f"the {len(rows)} rows of {rows.path.name} ({len(rows.runs)} recording{'s' if len(rows.runs) > 1 else ''})"
+        seen = visible_in(_force_plan(cell, rows, known, arm), known)
+        columns.append(Column(f"{what} see it from", seen, what, "needs the tracker (--poses)"))
         notes += _assumed(rows)
     return design_table(known, columns, notes)
 
 
-def _tracker_plan(setup: TrackerSetup, poses: Path | None) -> PlannedMeasurement:
+def _tracker_plan(setup: TrackerSetup, poses: Path | None) -> tuple[TrackerChannel, str]:
+    """The channel that planned readings would make, and what they are."""
     if poses is None:
-        planned = default_poses(setup, POSES, full=False)
-        return PlannedMeasurement(planned_channel(setup, planned), f"{POSES} unidirectional poses with one payload")
+        return planned_channel(setup, default_poses(setup, POSES, full=False)), f"{POSES} unidirectional poses with one payload"
     planned = read_readings(poses, setup.payloads, setup.instrument, sealed=True)
     if len(planned) < LEAST_READINGS:
         raise BadInput(f"{poses}: {len(planned)} readings tell nothing of an arm; plan at least {LEAST_READINGS}")
-    return PlannedMeasurement(planned_channel(setup, planned), f"the {len(planned)} readings of {poses.name}")
+    return planned_channel(setup, planned), f"the {len(planned)} readings of {poses.name}"
 
 
-def _force_plan(cell: Path, log: ForceLog, known: Sequence[Effect], arm: Calibration | None) -> PlannedMeasurement:
+def _force_plan(cell: Path, log: ForceLog, known: Sequence[Effect], arm: Calibration | None) -> Channel:
     """The believed contact of the plan. Of families of many variants only those that are looked at have their patterns kept."""
     from ocp.diagnose.foresee.planned_grinding import planned_force_channel
     from ocp.model.cell import read_cell  # only those who plan a log wait for the contact's imports
 
-    runs = len(log.runs)
-    what = f"the {len(log)} rows of {log.path.name} ({runs} recording{'s' if runs > 1 else ''})"
-    return PlannedMeasurement(planned_force_channel(read_cell(cell), log, [_with_few(e) for e in known], arm), what)
+    return planned_force_channel(read_cell(cell), log, [_with_few(e) for e in known], arm)
 
 
 def _with_few(effect: Effect) -> Effect:
     """The effect with the variants that are looked at alone."""
-
-    def scan(joint: int, seen: Surroundings) -> list[Scanned]:
-        return _picked(tuple(effect.scan(joint, seen)))
-
-    return replace(effect, scan=scan)
+    return replace(effect, scan=lambda joint, seen: _picked(tuple(effect.scan(joint, seen))))
 
 
 def _assumed(log: ForceLog) -> list[str]:
@@ -243,18 +232,8 @@ def _seen(lines: Sequence[DesignLine], high: float) -> str:
 
 def _wrapped_head(head: Sequence[str], widths: Sequence[int]) -> list[str]:
     """The head over as many lines as its cells need."""
-    cells = []
-    for words, width in zip(head, widths, strict=True):
-        lines = [""]
-        for word in words.split():
-            joined = f"{lines[-1]} {word}".strip()
-            if len(joined) <= width:
-                lines[-1] = joined
-            else:
-                lines.append(word)
-        cells.append(lines)
-    height = max(len(c) for c in cells)
-    return [_row([c[k] if k < len(c) else "" for c in cells], widths) for k in range(height)]
+    wrap = partial(textwrap.wrap, break_long_words=False, break_on_hyphens=False)
+    return [_row(line, widths) for line in zip_longest(*map(wrap, head, widths), fillvalue="")]
 
 
 def _row(cells: Sequence[str], widths: Sequence[int]) -> str:
@@ -262,6 +241,7 @@ def _row(cells: Sequence[str], widths: Sequence[int]) -> str:
 
 
 NEEDED = ("time_s", "line", "contact", *AXES, *POINT, *NORMAL, *FEED)  # of a plan.csv
+ABSENT = ("ft", "sigma_fn", "sigma_ft", "setpoint", "belt", "temperature", "wheel_temperature")  # never told by it
 ALONG = ("s_mm", "feed_mm_s")  # told by a plan.csv too
 
 
@@ -314,58 +294,40 @@ def _log_of_plan(path: Path) -> ForceLog:
         if (np.abs(length - 1.0) > UNIT_TOLERANCE).any():
             k, what = int(np.argmax(np.abs(length - 1.0))), ", ".join(columns)
             raise table.refuse(int(rows[k]), columns[0], f"makes {what} {length[k]:.4g} long; a unit vector is expected")
-    run = _passages(contact, line)[rows]
+    change = (np.diff(contact) != 0) | (np.diff(line) != 0)  # a new passage begins there
+    _, first, run = np.unique(np.append(0, np.cumsum(change))[rows], return_index=True, return_inverse=True)
     clock = table.numbers["time_s"][rows]
     back = np.flatnonzero(np.diff(clock) < 0)
     if len(back):
         raise table.refuse(int(rows[back[0] + 1]), "time_s", f"comes after {clock[back[0]]:g}; a plan's rows are in time order")
-    label, none = np.unique(run, return_inverse=True), np.zeros(len(rows), np.int64)
     s, feed = (table.numbers.get(c) for c in ALONG)
+    rest: dict[str, Any] = dict.fromkeys(ABSENT)
     return ForceLog(
         path=path,
-        run=label[1].astype(np.int64),
-        runs=tuple(f"{k + 1}" for k in range(len(label[0]))),
-        time=clock - _start(label[1], clock),
+        run=run.astype(np.int64),
+        runs=tuple(f"{k + 1}" for k in range(len(first))),
+        time=clock - clock[first][run],
         q=np.radians(table.stack(AXES))[rows],
         p=1e-3 * table.stack(POINT)[rows],
         n=n / np.linalg.norm(n, axis=1, keepdims=True),
         t=t / np.linalg.norm(t, axis=1, keepdims=True),
         fn=np.full(len(rows), np.nan),
         contact=np.ones(len(rows), bool),
-        session=none,
+        session=np.zeros(len(rows), np.int64),
         sessions=("",),
         s=_metres(s, rows),
-        ft=None,
-        sigma_fn=None,
-        sigma_ft=None,
-        setpoint=None,
         feed=_metres(feed, rows),
-        belt=None,
         line=line[rows].astype(np.int64),
-        ground_before=_ground(label[1], line[rows]),
-        temperature=None,
-        wheel_temperature=None,
+        ground_before=_ground(run, line[rows]),
         clock=clock,
         row=np.array(table.line)[rows],
+        **rest,
     )
 
 
 def _metres(values: Array | None, rows: Index) -> Array | None:
     """A column of millimetres in metres; None where it has gaps in contact."""
     return None if values is None or not np.isfinite(values[rows]).all() else 1e-3 * values[rows]
-
-
-def _passages(contact: Array, line: Array) -> Index:
-    """Number (n,) of the passage that each row belongs to: a new one where contact or line changes."""
-    change = (np.diff(contact) != 0) | (np.diff(line) != 0)
-    return np.concatenate([[0], np.cumsum(change)]).astype(np.int64)
-
-
-def _start(run: Index, clock: Array) -> Array:
-    """Clock (n,) s at the start of each row's recording."""
-    start = np.full(int(run.max(initial=-1)) + 1, np.inf)
-    np.minimum.at(start, run, clock)
-    return start[run]
 
 
 def _ground(run: Index, line: Array) -> Index:

@@ -3,7 +3,7 @@
 For two rivals A and B the evidence that new readings bring if A is true is half of what of A's signature B cannot imitate
 (`separation`): log odds + (lambda_new - lambda_now) / 2. Measurements with the tracker (`planned_tracker`) and more grinding
 (`planned_grinding`) are simulated as rows added to the linear system. What no rows of the log can stand for, and link-side
-encoders, are judged by what they bring out (`QualitativeExperiment`).
+encoders, are judged by what they bring out (`Lever`).
 """
 
 from collections.abc import Sequence
@@ -16,55 +16,52 @@ from scipy.special import expit
 from ocp.diagnose import rules
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Diagnosis, Experiment, Name
-from ocp.diagnose.foresee.planned_tracker import PlannedReadings, before_and_after, channel_about, planned_measurements
-from ocp.diagnose.foresee.separation import NOTHING, ReadingRows, RivalPair, pair_signature, signature_or_none, unlike
+from ocp.diagnose.foresee.planned_tracker import before_and_after, channel_about, planned_measurements
+from ocp.diagnose.foresee.separation import (
+    NOTHING,
+    ProposedMeasurement,
+    ReadingRows,
+    RivalPair,
+    pair_signature,
+    signature_or_none,
+    unlike,
+)
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Effect
 
 if TYPE_CHECKING:  # a campaign of the tracker alone need not load meshes and contact
     from ocp.diagnose.force.channel import ForceChannel
-    from ocp.diagnose.foresee.planned_grinding import PlannedCampaign, PlannedGrinding
 
 FORCE = "force"  # name of the channel of a grinding-force log
 
 
 @dataclass(frozen=True)
-class QualitativeExperiment:
-    """An experiment: what to do, minutes, effects whose signature it isolates or turns over (others keep theirs)."""
+class Lever(ProposedMeasurement):
+    """An experiment in words; moves: effects whose signature it isolates or turns over (others keep theirs)."""
 
-    do: str
-    minutes: float
-    moves: frozenset[str]
+    moves: str
 
 
-BY_SIGNAL: dict[str, tuple[QualitativeExperiment, ...]] = {
+BY_SIGNAL = {
     "force": (
-        QualitativeExperiment(
+        Lever(
             "second blade: the same line on a fresh blade of the same kind (session)",
             15.0,
-            frozenset({"material_removal", "stock_profile", "blade_stiffness"}),
+            "material_removal stock_profile blade_stiffness",
         ),
-        QualitativeExperiment(
-            "tilt: the same contact with the flange's axis turned up and down by 30 deg",
-            8.0,
-            frozenset({"flange_gravity", "sensor_bias"}),
-        ),
+        Lever("tilt: the same contact with the flange's axis turned up and down by 30 deg", 8.0, "flange_gravity sensor_bias"),
     ),
     "joint": (
-        QualitativeExperiment(
-            "the same motion at half and at double speed",
-            3.0,
-            frozenset({"channel_delay", "joint_compliance", "friction_windup"}),
-        ),
-        QualitativeExperiment(
+        Lever("the same motion at half and at double speed", 3.0, "channel_delay joint_compliance friction_windup"),
+        Lever(
             "creep: every joint over its range at 1 deg/s and back, so that inertia and delay vanish",
             10.0,
-            frozenset({"channel_delay", "backlash", "gear_1x", "gear_2x", "gear_harmonic", "motor_harmonic", "encoder_scale"}),
+            "channel_delay backlash gear_1x gear_2x gear_harmonic motor_harmonic encoder_scale",
         ),
-        QualitativeExperiment(
+        Lever(
             "the same motion with a known payload",
             12.0,
-            frozenset({"joint_compliance", "joint_stiffening", "gravity_compensator", "friction_windup", "payload_mass"}),
+            "joint_compliance joint_stiffening gravity_compensator friction_windup payload_mass",
         ),
     ),
 }
@@ -72,14 +69,12 @@ BY_SIGNAL: dict[str, tuple[QualitativeExperiment, ...]] = {
 
 FIXED = 3  # reflectors on the floor
 BAR_SD = 2.5e-6  # of the scale: 5 um over a bar of two metres
-FLOOR = Experiment(
+FLOOR = ProposedMeasurement(
     f"fixed reflectors: set {FIXED} reflectors on the floor around the robot and read them at the start, in the middle and at "
     "the end of the next campaign",
     10.0,
-    (),
-    0.0,
 )
-BAR = Experiment("scale bar: read both ends of a calibrated bar of two metres in four places around the tracker", 15.0, (), 0.0)
+BAR = ProposedMeasurement("scale bar: read both ends of a calibrated bar of two metres in four places around the tracker", 15.0)
 
 
 def next_experiments(d: Diagnosis, library: dict[str, Effect]) -> tuple[Experiment, ...]:
@@ -200,11 +195,7 @@ def _without_the_robot(channel: TrackerChannel, pair: RivalPair, now: float) -> 
     return [_expected(BAR if scale else FLOOR, pair, gained)]
 
 
-def _expected(
-    candidate: "PlannedReadings | Experiment | QualitativeExperiment | PlannedGrinding | PlannedCampaign",
-    pair: RivalPair,
-    gained: float,
-) -> Experiment:
+def _expected(candidate: ProposedMeasurement, pair: RivalPair, gained: float) -> Experiment:
     """The pair's odds after lambda has grown by `gained`."""
     odds = np.log(max(pair.now, 1e-6) / max(1.0 - pair.now, 1e-6))
     return Experiment(candidate.do, candidate.minutes, pair.names, float(expit(odds + 0.5 * max(gained, 0.0))))
@@ -215,7 +206,7 @@ def _by_levers(channel: Channel, pairs: Sequence[RivalPair]) -> list[Experiment]
     found = []
     for lever in BY_SIGNAL[channel.name]:
         for p in pairs:
-            moved = [name.split(":")[0] in lever.moves for name in p.names]
+            moved = [name.split(":")[0] in lever.moves.split() for name in p.names]
             if (moved[0] != moved[1] or (p.rival is None and moved[0])) and pair_signature(channel, p) is not None:
                 gained = rules.EXPERIMENT_REPEATED * p.first.detectability
                 found.append(_expected(lever, p, gained))
@@ -261,4 +252,6 @@ def _for_unknown(d: Diagnosis) -> tuple[Experiment, ...]:
         return ()
     channel = next(c for c in d.channels if isinstance(c, TrackerChannel))
     sweep = planned_measurements(channel, (at.joint,))[-1]
-    return (Experiment(sweep.do, sweep.minutes, ("an effect outside the catalogue", NOTHING), float(max(d.p_unknown, 0.9))),)
+    return (
+        Experiment(sweep.do, sweep.minutes, ("an effect outside the catalogue", NOTHING), float(np.clip(d.p_unknown, 0.9, 1.0))),
+    )

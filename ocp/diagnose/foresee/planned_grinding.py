@@ -5,7 +5,7 @@ sensitivities, columns and whitening are those of a measured log. Recordings of 
 rows of the same model. With them stand tracker readings beside a log, and the effects that a log leaves unseen.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
@@ -14,20 +14,19 @@ import numpy as np
 from scipy.special import expit
 
 from ocp.calibrate.force.log import Flags, ForceLog, Index
-from ocp.calibrate.force.model import ForceModel, ForceRows
+from ocp.calibrate.force.model import ForceRows
 from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise, Runs
 from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import System, Variant
 from ocp.diagnose.engine.evidence import Projection, project
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked
 from ocp.diagnose.engine.linearisation import log_odds
-from ocp.diagnose.force.channel import ForceChannel
-from ocp.diagnose.force.fit import BLOCKS, EffectFit, ForceProblem, Whitener, linear, reading_information, scale_of, signals
-from ocp.diagnose.force.logged_contact import logged_arm
-from ocp.diagnose.force.prediction import LogScene, M, nuisance_derivatives, predict_forces
-from ocp.diagnose.force.prior import NUISANCE, NuisancePrior, contact_prior
+from ocp.diagnose.force.channel import ForceChannel, problem_of
+from ocp.diagnose.force.fit import BLOCKS, EffectFit, ForceProblem, Whitener, linear, reading_information, signals, units_of
+from ocp.diagnose.force.prediction import nuisance_derivatives, predict_anew
+from ocp.diagnose.force.prior import NUISANCE, NuisancePrior
 from ocp.diagnose.foresee.planned_tracker import PER_READING, SETTLING, arm_expected, default_poses, planned_channel
-from ocp.diagnose.foresee.separation import RivalPair, scans_of
+from ocp.diagnose.foresee.separation import ProposedMeasurement, RivalPair, scans_of
 from ocp.diagnose.rules import HIDDEN, NAMED_PRICE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
@@ -47,30 +46,24 @@ def planned_force_channel(cell: Cell, log: ForceLog, effects: Iterable[Effect], 
     A plan with a column ft_N logs the tangential force too. Of more than `MOST` rows every k-th is taken, in the place of k of
     them. Raises BadInput, as `prepare_force`.
     """
-    given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
-    setup = prepare_force(cell, [log])
+    setup = prepare_force(replace(cell, effects=()), [log])
     every = int(np.ceil(len(log) / MOST))
     rows = np.flatnonzero(_place(log) % every == 0)
-    log, model_rows = log.take(rows), setup.rows[0].take(rows)
-    believed = contact_prior(cell, arm)
-    known, theta = log_conditions(cell, log), believed.mean[:M]
-    own = logged_arm(cell, theta, log.q, known)
-    scene = LogScene(cell, ForceModel(cell, setup.model.law), model_rows, known, own, theta, given, log.contact)
+    log = log.take(rows)
+    problem = problem_of(replace(setup, rows=(setup.rows[0].take(rows),)), cell, log, arm, log.contact)
     noise = noise_of_means(CorrelatedNoise(1.0, SHARE, LASTS), every)
     whiteners = tuple(
         _whitener(one, np.full(len(log), SIGMA) if one.sigma_fn is None else one.sigma_fn, {True: noise, False: noise}, blocks)
         for one, blocks in zip(signals(log), BLOCKS, strict=False)
     )
-    problem = ForceProblem.of(log, scene, believed, setup.notices)
-    return ForceChannel(*_unmeasured(problem, np.zeros(believed.root.shape[1]), (), whiteners), tuple(effects))
+    return ForceChannel(*_unmeasured(problem, np.zeros(problem.sizes[0]), (), whiteners), tuple(effects))
 
 
 def foreseen_force(channel: ForceChannel, log: ForceLog, rows: ForceRows, effects: Iterable[Effect]) -> ForceChannel:
     """The channel that more rows of `log` would make about the fit of a measured one, with its noise."""
     old, fit = channel.problem, channel.fit
     known = log_conditions(old.scene.cell, log, float(old.scene.conditions.clock.max()))
-    arm = logged_arm(old.scene.cell, old.scene.theta, log.q, known)
-    problem = ForceProblem.of(log, replace(old.scene, rows=rows, conditions=known, arm=arm, pressed=log.contact), old.believed)
+    problem = ForceProblem.of(log, old.scene.over(rows, known, log.contact), old.believed)
     whiteners = tuple(
         _whitener(one, np.full(len(log), np.median(w.noise.base)), _noises(w), blocks)
         for one, w, blocks in zip(signals(log), fit.whiteners, BLOCKS, strict=False)
@@ -80,7 +73,7 @@ def foreseen_force(channel: ForceChannel, log: ForceLog, rows: ForceRows, effect
 
 @dataclass(frozen=True)
 class Shared:
-    """A force channel whose nuisance is that of other recordings of the same cell too: columns of `believed.NUISANCE`'s standard
+    """A force channel whose nuisance is that of other recordings of the same cell too: columns of `prior.NUISANCE`'s standard
     normal unknowns, what single recordings are off by projected out."""
 
     channel: ForceChannel
@@ -98,8 +91,7 @@ class Shared:
         normal, shear = nuisance_derivatives(problem.scene, fit.at, fit.slopes[0])
         columns = self._own.apply(self._rows(normal @ problem.believed.root, shear @ problem.believed.root))
         n, p = columns.shape
-        none = np.zeros(n, np.int64)
-        return System(np.zeros(n), columns, tuple(f"contact {k + 1}" for k in range(p)), np.ones(p), np.zeros(p), none, none)
+        return System(np.zeros(n), columns, np.ones(p), np.zeros(p), reading=np.zeros(n, np.int64))
 
     def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
         """As the channel's, in these rows."""
@@ -116,13 +108,10 @@ def _unmeasured(
 ) -> tuple[ForceProblem, EffectFit]:
     """The problem with readings as predicted at nuisance z and these effects, and the fit that stands there."""
     x = problem.believed.mean + problem.believed.root @ z
-    at = predict_forces(
-        problem.scene, x, active, predict_forces(problem.scene, x, active)
-    )  # the stroke's sign comes from a first prediction
+    at = predict_anew(problem.scene, x, active)
     log = replace(problem.log, fn=at.fn, ft=None if problem.log.ft is None else at.ft)
-    problem, scale = replace(problem, log=log), scale_of(active)
-    values = np.concatenate([one.a for one in active] or [np.zeros(0)]) / np.where(scale > 0, scale, 1.0)
-    whole = np.concatenate([z, np.zeros(problem.sizes[1]), values])
+    problem = replace(problem, log=log)
+    whole = np.concatenate([z, np.zeros(problem.sizes[1]), units_of(active)])
     made = linear(problem, whole, at, whiteners)
     information = np.eye(len(whole)) + reading_information(whiteners, made.sensitivity)
     return problem, EffectFit(**vars(made), z=whole, at=at, whiteners=whiteners, information=information, steps=0)
@@ -170,11 +159,9 @@ READINGS, SWAP = 60, 10.0  # of a tracker campaign beside a log; minutes for ano
 
 
 @dataclass(frozen=True)
-class PlannedGrinding:
-    """Recordings that could be made: what to do, minutes, their log (readings nan) and the model's rows."""
+class PlannedGrinding(ProposedMeasurement):
+    """Recordings that could be made: their log (readings nan) and the model's rows."""
 
-    do: str
-    minutes: float
     log: ForceLog
     rows: ForceRows
 
@@ -340,14 +327,6 @@ def _ground(log: ForceLog, rows: Index, sizes: list[int], contact: Flags) -> Ind
     return out
 
 
-@dataclass(frozen=True)
-class PlannedCampaign:
-    """Tracker readings that could be taken: what to do, minutes."""
-
-    do: str
-    minutes: float
-
-
 def more_grinding(channel: ForceChannel, pairs: Sequence[RivalPair]) -> tuple[Shared, list[tuple[PlannedGrinding, Shared]]]:
     """The log's own rows, and those of every candidate with the nuisance in common."""
     some = _looked_at(channel, pairs)
@@ -355,7 +334,7 @@ def more_grinding(channel: ForceChannel, pairs: Sequence[RivalPair]) -> tuple[Sh
     return own, [(g, Shared(foreseen_force(channel, g.log, g.rows, some))) for g in grindings(channel)]
 
 
-def tracker_beside(own: Shared) -> tuple[PlannedCampaign, Shared, TrackerChannel]:
+def tracker_beside(own: Shared) -> tuple[ProposedMeasurement, Shared, TrackerChannel]:
     """A tracker campaign after the log; the log's rows with the arm as its readings leave it; the readings."""
     channel, scene = own.channel, own.channel.problem.scene
     setup = read_tracker_setup(scene.cell.path)
@@ -366,7 +345,7 @@ def tracker_beside(own: Shared) -> tuple[PlannedCampaign, Shared, TrackerChannel
     believed = placed_by(channel.problem.believed, planned)
     known = Shared(replace(channel, problem=replace(channel.problem, believed=believed)))
     do = f"tracker campaign: {n} readings with all payloads and both approach directions (ocp.poses)"
-    return PlannedCampaign(do, SETTLING + PER_READING * n + SWAP * (len(like.payloads) - 1)), known, planned
+    return ProposedMeasurement(do, SETTLING + PER_READING * n + SWAP * (len(like.payloads) - 1)), known, planned
 
 
 def placed_by(believed: NuisancePrior, readings: TrackerChannel) -> NuisancePrior:
@@ -390,14 +369,11 @@ def _looked_at(channel: ForceChannel, pairs: Sequence[RivalPair]) -> tuple[Effec
         scans.setdefault(p.first.name.effect, (p.first.active.effect, []))[1].append(p.first.active.scanned)
         if p.rival is not None:
             scans.setdefault(p.rival.name, (p.rival, []))[1].extend(scans_of([channel], p.rival, p.joint))
-    return tuple(_with_scan(effect, some) for effect, some in scans.values())
+    return tuple(replace(effect, scan=_always(some)) for effect, some in scans.values())
 
 
-def _with_scan(effect: Effect, some: Sequence[Scanned]) -> Effect:
-    def scan(joint: int, seen: Surroundings) -> Sequence[Scanned]:
-        return some
-
-    return replace(effect, scan=scan)
+def _always(some: Sequence[Scanned]) -> Callable[[int, Surroundings], Sequence[Scanned]]:
+    return lambda joint, seen: some
 
 
 def unseen(d: Diagnosis, channel: ForceChannel, library: dict[str, Effect]) -> list[RivalPair]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.diagnose.force.prior import posterior_of
+from ocp.diagnose.foresee.separation import ProposedMeasurement
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import Task, TrackerFit, linearise_with
 from ocp.model.cell import TrackerSetup
@@ -29,11 +30,9 @@ LOW = 0.2  # m above the floor of a flange that can be measured
 
 
 @dataclass(frozen=True)
-class PlannedReadings:
-    """A measurement that could be made: what to do, minutes, the readings it gives."""
+class PlannedReadings(ProposedMeasurement):
+    """A measurement with the readings it gives."""
 
-    do: str
-    minutes: float
     readings: Readings
 
 
@@ -81,46 +80,42 @@ def before_and_after(readings: Readings) -> Readings:
     assert like.time is not None and like.temperature is not None
     n = len(like)
     length = 7200.0 if readings.time is None else max(float(np.ptp(readings.time)), 3600.0)
-    both = replace(_twice(like), time=np.repeat([0.0, length], n))
-    return replace(both, temperature=np.concatenate([like.temperature, like.temperature + WARM]))
+    warmth = np.concatenate([like.temperature, like.temperature + WARM])
+    return replace(_twice(like), time=np.repeat([0.0, length], n), temperature=warmth)
 
 
-def _minutes(n: int, more: float = 0.0) -> float:
-    return SETTLING + more + PER_READING * n
+def _planned(do: str, readings: Readings, more: float = 0.0) -> PlannedReadings:
+    return PlannedReadings(do, SETTLING + more + PER_READING * len(readings), readings)
 
 
 def _directions(like: Readings) -> PlannedReadings:
-    both = _twice(like)
     n = len(like)
-    both = replace(both, approach=np.repeat([[1.0], [-1.0]], n, axis=0) * np.ones(6))
+    both = replace(_twice(like), approach=np.repeat([[1.0], [-1.0]], n, axis=0) * np.ones(6))
     do = f"measure {n} of the postures twice, every axis coming once from below and once from above (approach1..6 = 1, then -1)"
-    return PlannedReadings(do, _minutes(2 * n), both)
+    return _planned(do, both)
 
 
 def _swaps(channel: TrackerChannel, like: Readings) -> list[PlannedReadings]:
     found = []
     hung = channel.task.campaign.payloads
     for k, name in enumerate(like.payloads):
-        if name not in hung or not name:
-            continue
-        share = float(np.mean(channel.readings.payload == k))
-        if share < 0.2:
+        if name in hung and name and np.mean(channel.readings.payload == k) < 0.2:
             swapped = replace(like, payload=np.full(len(like), k, np.int64))
             do = f"payload swap: measure {len(like)} of the postures with payload '{name}' ({hung[name].mass:g} kg)"
-            found.append(PlannedReadings(do, _minutes(len(like), 10.0), swapped))
+            found.append(_planned(do, swapped, 10.0))
     return found
 
 
 def _warmed(like: Readings) -> PlannedReadings:
     assert like.temperature is not None and like.time is not None
     n = len(like)
-    later = replace(_twice(like), temperature=np.concatenate([like.temperature, like.temperature + WARM]))
-    later = replace(later, time=np.concatenate([like.time, like.time + 4500.0]))
+    warmth, time = np.concatenate([like.temperature, like.temperature + WARM]), np.concatenate([like.time, like.time + 4500.0])
+    later = replace(_twice(like), temperature=warmth, time=time)
     do = (
         f"warm-up: measure {n} postures cold, let the arm run fast for an hour (about {WARM:.0f} K), measure them again; record "
         "time_s and temperature_C, and three fixed reflectors on the floor before and after"
     )
-    return PlannedReadings(do, _minutes(2 * n, 65.0), later)
+    return _planned(do, later, 65.0)
 
 
 def _pulls(like: Readings) -> PlannedReadings:
@@ -132,7 +127,7 @@ def _pulls(like: Readings) -> PlannedReadings:
         f"pull test: in {n} postures pull at the flange with {PULL:.0f} N along +x, +y, +z and back (load cell, strap), read the "
         "reflector each time; fill fx_N, fy_N, fz_N"
     )
-    return PlannedReadings(do, _minutes(6 * n, 15.0), replace(pulled, load=load, load_place=np.zeros((6 * n, 3))))
+    return _planned(do, replace(pulled, load=load, load_place=np.zeros((6 * n, 3))), 15.0)
 
 
 def _flipped(channel: TrackerChannel, like: Readings) -> PlannedReadings | None:
@@ -146,7 +141,7 @@ def _flipped(channel: TrackerChannel, like: Readings) -> PlannedReadings | None:
         return None
     flipped = replace(like, q=q).take(inside)
     do = f"posture flip: measure {len(inside)} of the postures with the wrist flipped (A4, A6 by 180 deg, A5 with the other sign)"
-    return PlannedReadings(do, _minutes(len(inside)), flipped)
+    return _planned(do, flipped)
 
 
 def _sweep(channel: TrackerChannel, like: Readings, joint: int) -> PlannedReadings:
@@ -163,7 +158,7 @@ def _sweep(channel: TrackerChannel, like: Readings, joint: int) -> PlannedReadin
     approach[:, joint - 1] = np.repeat([1.0, -1.0], SWEEP)
     ends = f"{np.degrees(low):.0f} to {np.degrees(high):.0f} deg"
     do = f"one-axis sweep: only axis {joint} from {ends} and back in {SWEEP} uneven steps, the other axes at rest"
-    return PlannedReadings(do, _minutes(2 * SWEEP), replace(middle, q=q, approach=approach))
+    return _planned(do, replace(middle, q=q, approach=approach))
 
 
 def _twice(like: Readings) -> Readings:

@@ -33,6 +33,14 @@ class ReadingRows(Protocol):
 
 
 @dataclass(frozen=True)
+class ProposedMeasurement:
+    """A measurement that could be made: what to do, minutes."""
+
+    do: str
+    minutes: float
+
+
+@dataclass(frozen=True)
 class RivalPair:
     """An effect with its value, its rival (None: nothing), and the probability of the first against the second now."""
 

@@ -15,9 +15,8 @@ moment ago is what the link shows now, column -speed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,21 +56,8 @@ def encoder_rows(signals: Signals, robot: Robot, payload: Hanging) -> ArmRows:
     rows = arm_rows(
         robot, arm, inputs, ("",), approach=signals.direction, warm=np.zeros(n), time=signals.log.time, speed=signals.qd
     )
-    start = 0
-    for name, size in ARM_LAYOUT.sizes:
-        if name == "tau":
-            rows.state[:, start : start + size] = signals.tau
-        start += size
+    rows.state[:, ARM_LAYOUT.places["tau"]] = signals.tau
     return rows
-
-
-def delay_columns(signals: Signals, joint: int, delays: Array) -> Array:
-    """Angle (n, 6) rad of each link per s of delay of one joint's link side (0: of all), about the delays (6,) s."""
-    out = np.zeros_like(signals.log.q)
-    for j in signals.log.joints:
-        if joint in (0, j):
-            out[:, j - 1] = -signals.speed(j, float(delays[j - 1]))
-    return out
 
 
 def encoder_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: ArmRows, recorded: NDArray[np.bool_]) -> Array:
@@ -83,6 +69,16 @@ def encoder_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: 
         share = rows.block("c") * np.where(recorded, 0.0, 1.0)
         total += share[None, :, :, None] * evaluated(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
     return total
+
+
+@dataclass(frozen=True)
+class EncoderNuisance:
+    """Unknowns that are no effects: names, prior mean and sd (p,) (sd infinite: free), sensitivities (readings, p) of the gap."""
+
+    names: tuple[str, ...]
+    mean: Array
+    sd: Array
+    columns: Array
 
 
 @dataclass(frozen=True)
@@ -111,9 +107,14 @@ class EncoderProblem:
         """Noise (n,) rad from instant to instant."""
         return np.array([self.noise[j].floor for j in self.joint])
 
-    def of_readings(self, links: Array) -> Array:
-        """Values (rows, 6, m) by row and joint as (readings, m)."""
-        return np.asarray(links[self.row, self.joint - 1])
+    def delay_column(self, joint: int, delays: Array) -> Array:
+        """Gap (readings, 1) rad per s of delay of one joint's link side (0: of all), about the delays (6,) s."""
+        out = np.zeros((len(self.row), 1))
+        for j in self.signals.log.joints:
+            if joint in (0, j):
+                at = self.joint == j
+                out[at, 0] = -self.signals.speed(j, float(delays[j - 1]))[self.row[at]]
+        return out
 
     def columns(self, effect: Effect, joint: int, scans: Sequence[Scanned]) -> Array:
         """Sensitivities (variants, readings, m) rad of the gap in an effect's coefficients."""
@@ -136,55 +137,28 @@ class EncoderProblem:
             out[at] = whiten_blocks(roots, columns[at])
         return out
 
+    @cached_property
+    def nuisance(self) -> EncoderNuisance:
+        """One offset a joint, where there are several runs one a joint and run too; friction in recorded torques; springs."""
+        s, log = self.signals, self.signals.log
+        mine = {j: self.joint == j for j in self.noise}
+        found = [(f"offset {j}", 0.0, np.inf, at.astype(float)) for j, at in mine.items()]
+        if len(log.runs) > 1:
+            runs = [(name, log.run[self.row] == k) for k, name in enumerate(log.runs)]
+            every = [(j, at, name, run) for j, at in mine.items() for name, run in runs]
+            found += [(f"offset {j} run {name}", 0.0, RUN_OFFSET_SD, (at & run).astype(float)) for j, at, name, run in every]
+        loaded = {j: at for j, at in mine.items() if s.measured[j - 1]}
+        for kind, friction in (("viscous", s.qd), ("dry", s.direction)):
+            for j, at in loaded.items():
+                found.append((f"{kind} {j}", 0.0, FRICTION_SD[kind], np.where(at, -friction[self.row, j - 1], 0.0)))
+        for j, (compliance, sd) in self.springs.items():
+            found.append((f"spring {j}", compliance, sd, np.where(mine[j], s.tau[self.row, j - 1], 0.0)))
+        names, mean, sds, columns = zip(*found, strict=True)
+        return EncoderNuisance(names, np.array(mean), np.array(sds), np.stack(columns, axis=1))
+
     def part(self, rows: NDArray[np.bool_]) -> "EncoderProblem":
         """The readings of a mask."""
         return replace(self, row=self.row[rows], joint=self.joint[rows])
-
-
-def nuisance_names(problem: EncoderProblem) -> tuple[str, ...]:
-    """One offset a joint, where there are several runs one a joint and run too, and the believed springs."""
-    runs = problem.signals.log.runs
-    names = [f"offset {j}" for j in problem.noise]
-    if len(runs) > 1:
-        names += [f"offset {j} run {name}" for j in problem.noise for name in runs]
-    return (
-        *names,
-        *(f"{kind} {j}" for kind in FRICTION_SD for j in torque_recorded(problem)),
-        *(f"spring {j}" for j in problem.springs),
-    )
-
-
-def torque_recorded(problem: EncoderProblem) -> list[int]:
-    """Joints whose motor torque was recorded."""
-    return [j for j in problem.noise if problem.signals.measured[j - 1]]
-
-
-def nuisance_prior(problem: EncoderProblem) -> tuple[Array, Array]:
-    """Prior mean and sd (p,) of the nuisance; sd infinite: free."""
-    mean, sd = [], []
-    for name in nuisance_names(problem):
-        kind, joint = name.split()[:2]
-        if kind == "spring":
-            mean.append(problem.springs[int(joint)][0])
-            sd.append(problem.springs[int(joint)][1])
-        else:
-            mean.append(0.0)
-            sd.append(FRICTION_SD.get(kind, RUN_OFFSET_SD if " run " in name else np.inf))
-    return np.array(mean), np.array(sd)
-
-
-def nuisance_sensitivities(problem: EncoderProblem) -> Array:
-    """Sensitivities (readings, p) of the gap in the nuisance."""
-    runs = problem.signals.log.runs
-    columns = [(problem.joint == j).astype(float) for j in problem.noise]
-    if len(runs) > 1:
-        run = problem.signals.log.run[problem.row]
-        columns += [((problem.joint == j) & (run == k)).astype(float) for j in problem.noise for k in range(len(runs))]
-    tau = problem.signals.tau
-    for friction in (problem.signals.qd, problem.signals.direction):
-        columns += [np.where(problem.joint == j, -friction[problem.row, j - 1], 0.0) for j in torque_recorded(problem)]
-    columns += [np.where(problem.joint == j, tau[problem.row, j - 1], 0.0) for j in problem.springs]
-    return np.stack(columns, axis=1)
 
 
 def delays_of(active: Sequence[Active]) -> Array:
@@ -213,7 +187,7 @@ def shift_of(problem: EncoderProblem, active: Sequence[Active]) -> Array:
 def column_of(problem: EncoderProblem, one: Active, delays: Array) -> Array:
     """Columns (n, m) of an active effect about the present delays."""
     if one.effect.name == DELAY:
-        return problem.of_readings(delay_columns(problem.signals, one.joint, delays)[:, :, None])
+        return problem.delay_column(one.joint, delays)
     return problem.columns(one.effect, one.joint, [one.scanned])[0]
 
 
@@ -255,13 +229,13 @@ class _Point:
 
 def fit_encoders(problem: EncoderProblem, active: tuple[Active, ...]) -> tuple[Array, tuple[Active, ...]]:
     """Nuisance (p,) and effects with values and covariance that fit the readings best."""
-    mean, sd = nuisance_prior(problem)
-    p = len(mean)
-    mean, sd = np.append(mean, np.zeros(len(coefficients(active)))), np.append(sd, prior_sds(active))
+    nuisance, p = problem.nuisance, len(problem.nuisance.names)
+    mean = np.append(nuisance.mean, np.zeros(len(coefficients(active))))
+    sd = np.append(nuisance.sd, prior_sds(active))
     known = np.isfinite(sd)
     scale = np.where(known, sd, RUN_OFFSET_SD)
-    allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance_names(problem)])
-    columns = np.where(allowed, 0.0, nuisance_sensitivities(problem))
+    allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance.names])
+    columns = np.where(allowed, 0.0, nuisance.columns)
     moving = any(one.effect.name == DELAY for one in active)
     start = _Point(problem, mean[:p], active, mean, scale, columns, problem.whitened(columns))
     found = minimise(start, known.astype(float), Rule(STEPS if moving else 1, rank=RANK))
@@ -312,7 +286,6 @@ class JointChannel:
     active: tuple[Active, ...] = ()
     name: str = "joint"
     unit: str = "arcsec"
-    _kept: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def conditions(self) -> ReadingConditions:
@@ -348,24 +321,13 @@ class JointChannel:
         robot = self.problem.robot
         return Surroundings(robot.gear_ratio, span, np.sort(log.time), (), step, robot=robot.name)
 
-    @property
+    @cached_property
     def system(self) -> System:
         """Whitened about the current fit."""
-        if "system" not in self._kept:
-            mean, sd = nuisance_prior(self.problem)
-            white = self.problem.whitened(np.column_stack([self.gap()[:, 0], nuisance_sensitivities(self.problem)]))
-            n = len(white)
-            self._kept["system"] = System(
-                white[:, 0],
-                white[:, 1:],
-                nuisance_names(self.problem),
-                sd,
-                self.theta - mean,
-                np.arange(n, dtype=np.int64),
-                np.zeros(n, np.int64),
-            )
-        system: System = self._kept["system"]
-        return system
+        nuisance = self.problem.nuisance
+        white = self.problem.whitened(np.column_stack([self.gap()[:, 0], nuisance.columns]))
+        offset = self.theta - nuisance.mean
+        return System(white[:, 0], white[:, 1:], nuisance.sd, offset, np.arange(len(white), dtype=np.int64))
 
     def blind(self, effect: Effect) -> str:
         """Why the channel cannot see an effect; empty where it can."""
@@ -383,7 +345,7 @@ class JointChannel:
             if joint and (joint not in p.noise or len(p.noise) == 1):
                 return []  # the delay of an only joint is the common one
             scans = scans if scans is not None else [{}]
-            raw = [p.of_readings(delay_columns(p.signals, joint, delays_of(self.active))[:, :, None]) for _ in scans]
+            raw = [p.delay_column(joint, delays_of(self.active))] * len(scans)
         else:
             scans = list(scans if scans is not None else effect.scan(joint, self.surroundings))
             raw = list(p.columns(effect, joint, scans)) if scans else []
@@ -400,7 +362,7 @@ class JointChannel:
     def gap(self) -> Array:
         """Link angle less predicted, (n, 1) rad."""
         p = self.problem
-        return (p.measured - nuisance_sensitivities(p) @ self.theta - shift_of(p, self.active))[:, None]
+        return (p.measured - p.nuisance.columns @ self.theta - shift_of(p, self.active))[:, None]
 
     def whiten(self, changes: Array) -> Array:
         """Whitened rows of changes (n, 1, m) rad."""
@@ -436,9 +398,8 @@ class JointChannel:
         arm = encoder_rows(signals, self.problem.robot, self.problem.payload)
         row, joint = np.repeat(np.arange(n), len(joints)), np.tile(joints, n)
         there = replace(self.problem, signals=signals, arm=arm, row=row, joint=joint)
-        kept = [k for k, name in enumerate(nuisance_names(self.problem)) if " run " not in name]
-        same = [k for k, name in enumerate(nuisance_names(there)) if " run " not in name]
-        columns = nuisance_sensitivities(there)[:, same]
+        kept, same = ([k for k, n in enumerate(p.nuisance.names) if " run " not in n] for p in (self.problem, there))
+        columns = there.nuisance.columns[:, same]
         motor = signals.log.q[:, joints - 1]
         baseline = motor + (columns @ bare.theta[kept]).reshape(n, -1)
         corrected = motor + (columns @ other.theta[kept] + shift_of(there, other.active)).reshape(n, -1)

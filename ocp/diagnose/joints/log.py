@@ -135,7 +135,8 @@ def _notices(table: CsvTable, log: JointLog) -> list[str]:
         found.append(f"{name}: the link side of joint {', '.join(map(str, still))} is not used, the joint hardly moved")
     without = [j for j in range(1, 7) if j not in log.joints]
     if without:
-        found.append(f"{name}: no link side of joint {', '.join(map(str, without))}: it says nothing of {_it(without)}")
+        them = "it" if len(without) == 1 else "them"
+        found.append(f"{name}: no link side of joint {', '.join(map(str, without))}: it says nothing of {them}")
     dark = [j for j in log.joints if not np.isfinite(log.tau[:, j - 1]).any()]
     if dark:
         found.append(
@@ -143,7 +144,3 @@ def _notices(table: CsvTable, log: JointLog) -> list[str]:
             "less sharply"
         )
     return found
-
-
-def _it(joints: list[int]) -> str:
-    return "it" if len(joints) == 1 else "them"

@@ -118,8 +118,7 @@ def _motion(log: JointLog) -> tuple[tuple[tuple[CubicSpline, ...], ...], Array, 
         rows = np.flatnonzero(log.run == k)
         time = log.time[rows]
         if len(rows) < 4:  # a run too short to differentiate stands still
-            still = CubicSpline([time[0], time[0] + 1.0], np.stack([log.q[rows[0]]] * 2))
-            splines.append(tuple(CubicSpline(still.x, still(still.x)[:, j]) for j in range(6)))
+            splines.append(tuple(CubicSpline([time[0], time[0] + 1.0], [angle, angle]) for angle in log.q[rows[0]]))
             continue
         of_run = tuple(CubicSpline(time, log.q[rows, j]) for j in range(6))
         splines.append(of_run)

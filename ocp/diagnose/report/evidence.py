@@ -1,7 +1,9 @@
 """The section "Evidence": the tables behind the one sentence."""
 
-from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.joints.channel import JointChannel, nuisance_names
+from collections.abc import Sequence
+
+from ocp.diagnose.engine.findings import KernelTest, Name
+from ocp.diagnose.joints.channel import JointChannel
 from ocp.diagnose.report.verdict_sentence import SHORT, condition_words, effect_words, effects_words, figure, values_words
 from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.effects.catalogue import library
@@ -20,21 +22,15 @@ def evidence_section(answer: Answer) -> Section:
         ranking_table(answer),
         explanations_table(answer),
     ]
-    if d.kernels:
-        parts.append(kernels_table(answer, left_over=False))
-    if d.left_over:
-        parts.append(kernels_table(answer, left_over=True))
+    told = {"Before: what does the gap vary with?": d.kernels, "After the named effects: does anything still vary?": d.left_over}
+    parts += [kernels_table(tests, title) for title, tests in told.items() if tests]
     parts += [folds_table(answer, gap) for gap in answer.gaps if d.held_out.get(gap.name)]
     parts += [found for found in map(refitted_springs_table, answer.gaps) if found is not None]
     if d.screened:
         parts.append(screened_table(answer))
-    parts.append(f"Noise: {_noise(answer)}.")
+    noise = [f"{SHORT[gap.name]} {gap.noise_floor:.3g} {gap.unit} rms of a reading" for gap in answer.gaps]
+    parts.append(f"Noise: {'; '.join(noise)}.")
     return Section("Evidence", tuple(parts))
-
-
-def _noise(answer: Answer) -> str:
-    words = [f"{SHORT[gap.name]} {gap.noise_floor:.3g} {gap.unit} rms of a reading" for gap in answer.gaps]
-    return "; ".join(words)
 
 
 def ranking_table(answer: Answer) -> Table:
@@ -79,14 +75,12 @@ def explanations_table(answer: Answer) -> Table:
     return table(("explanation", "probability", "log evidence over none"), rows, title="Explanations as a whole")
 
 
-def kernels_table(answer: Answer, left_over: bool) -> Table:
+def kernels_table(tests: Sequence[KernelTest], title: str) -> Table:
     """Library-free tests, of the baseline's gap or of what the named effects leave."""
-    tests = answer.diagnosis.left_over if left_over else answer.diagnosis.kernels
     rows = [
         (SHORT[k.channel], condition_words(k.where), k.source, f"{k.gained:.1f}", f"{k.p_value:.3g}")
         for k in sorted(tests, key=lambda k: k.p_value)[:12]
     ]
-    title = "After the named effects: does anything still vary?" if left_over else "Before: what does the gap vary with?"
     strong = [k for k, row in enumerate(rows) if float(row[4]) < 0.01]
     return table(("signal", "varies with", "enters as", "evidence", "p-value"), rows, text=(0, 1, 2), strong=strong, title=title)
 
@@ -96,14 +90,11 @@ def screened_table(answer: Answer) -> Table:
     rows = []
     for s in sorted(answer.diagnosis.screened, key=lambda s: s.p_value)[:MOST]:
         figures_of = (f"{s.gained:.1f}", f"{s.freedom}", f"{s.variants}", f"{s.p_value:.2g}")
-        rows.append((str(s.name), *figures_of, _size(s.smallest), f"{100 * s.left:.0f} %"))
+        size = f"{100 * s.smallest:.0f} %" if s.smallest < 10 else "not seen"
+        rows.append((str(s.name), *figures_of, size, f"{100 * s.left:.0f} %"))
     tested = ("effect", "lambda gained", "freedom", "tried", "p-value")
     columns = (*tested, "smallest seen, of the usual upper end", "of it left by the refit")
     return table(columns, rows, title="Every effect alone, before any was accepted (those that fit best)")
-
-
-def _size(share: float) -> str:
-    return f"{100 * share:.0f} %" if share < 10 else "not seen"
 
 
 def folds_table(answer: Answer, gap: SignalGap) -> Table:
@@ -123,7 +114,7 @@ def refitted_springs_table(gap: SignalGap) -> Table | None:
     before, after = gap.baseline, gap.corrected
     if not (isinstance(before, JointChannel) and isinstance(after, JointChannel)) or not after.problem.springs:
         return None
-    at = {name: k for k, name in enumerate(nuisance_names(after.problem))}
+    at = {name: k for k, name in enumerate(after.problem.nuisance.names)}
     rows = []
     for j, (believed, sd) in after.problem.springs.items():
         values = (believed, sd, *(float(c.theta[at[f"spring {j}"]]) for c in (before, after)))

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from ocp.diagnose.report.evidence import evidence_section
 from ocp.diagnose.report.verdict_sentence import SHORT, diagnosis_headline, effect_words, figure
-from ocp.diagnose.report.where import where_section
+from ocp.diagnose.report.where import draw_bars, where_section
 from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 from ocp.diagnose.verdict.shrinkage import NONE
 from ocp.report.parts import Plot, Points, Table, made_from, table
@@ -68,15 +68,11 @@ def _draw_probabilities(canvas: Canvas, answer: Answer) -> None:
 
 def _bars(ax: Axes, rows: list[tuple[str, float]], title: str, most: int) -> None:
     """Bars of probabilities with their numbers behind them."""
-    place = -np.arange(float(len(rows)))
     values = [p for _, p in rows]
-    ax.barh(place, values, height=0.62, color=[AFTER if p >= 0.5 else BEFORE for p in values])
-    ax.set_yticks(place, [shorten(words, most) for words, _ in rows], fontsize=6.5)
+    words = [shorten(words, most) for words, _ in rows]
+    draw_bars(ax, values, [AFTER if p >= 0.5 else BEFORE for p in values], words, [f"{p:.3f}" for p in values], 0.015)
     ax.set_xlim(0, 1)
-    for y, p in zip(place, values, strict=True):
-        ax.text(p + 0.015, y, f"{p:.3f}", va="center", fontsize=6.5, color=SOFT, clip_on=False)
-    dressed(ax, title, "probability", grid="x")
-    ax.tick_params(axis="y", length=0)
+    dressed(ax, title, "probability", grid="x").tick_params(axis="y", length=0)
 
 
 def shrinkage_section(answer: Answer) -> Section:
@@ -154,7 +150,11 @@ def diagnosis_sections(answer: Answer, hashes: dict[str, str]) -> list[Section]:
     """All sections after the headline."""
     found = [which_effect_section(answer), shrinkage_section(answer), where_section(answer)]
     if answer.next:
-        found.append(Section("What to measure next", (_next_words(), next_table(answer))))
+        words = (
+            "In order of what a minute of it brings. The probability is the one that the true explanation is expected to have "
+            "against its rival once the experiment was made; tracker measurements are simulated with this campaign's own noise."
+        )
+        found.append(Section("What to measure next", (words, next_table(answer))))
     found.append(_not_seen(answer))
     return [*found, evidence_section(answer), made_from(hashes)]
 
@@ -163,13 +163,6 @@ def next_table(answer: Answer) -> Table:
     """Experiments with minutes and what they tell."""
     rows = [(e.do, f"{e.minutes:.0f}", " | ".join(e.tells_apart), f"{e.expected:.2f}") for e in answer.next]
     return table(("experiment", "minutes", "tells apart", "probability expected"), rows, text=(0, 2))
-
-
-def _next_words() -> str:
-    return (
-        "In order of what a minute of it brings. The probability is the one that the true explanation is expected to have "
-        "against its rival once the experiment was made; tracker measurements are simulated with this campaign's own noise."
-    )
 
 
 def _not_seen(answer: Answer) -> Section:

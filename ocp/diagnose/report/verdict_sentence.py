@@ -96,7 +96,8 @@ def diagnosis_headline(answer: Answer) -> Headline:
     """Verdict, sentence and facts."""
     d = answer.diagnosis
     verdict = d.verdict
-    facts = [("Where", _where(answer)), ("What", _what(answer)), ("How sure", _how_sure(answer))]
+    named = [f"{effect_words(Name(*a.key))}: {values_words(a.parameters, a.deviations)}" for a in d.active]
+    facts = [("Where", _where(answer)), ("What", "; ".join(named) or "no effect is named"), ("How sure", _how_sure(answer))]
     facts.append(("How much better", _better(answer)))
     if answer.next:
         first = answer.next[0]
@@ -205,13 +206,6 @@ def _with(answer: Answer) -> str:
     if at is None or not at.depends_on:
         return ""
     return f", and goes with {listed([condition_words(c) for c in at.depends_on])}"
-
-
-def _what(answer: Answer) -> str:
-    d = answer.diagnosis
-    if not d.active:
-        return "no effect is named"
-    return "; ".join(f"{effect_words(Name(*a.key))}: {values_words(a.parameters, a.deviations)}" for a in d.active)
 
 
 def _how_sure(answer: Answer) -> str:

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from ocp.calibrate.report.view import in_base
@@ -30,25 +31,14 @@ def where_section(answer: Answer) -> Section:
     joint = d.location.joint if d.location else 0
     parts: list[Part | str] = [budget_plot(answer)] if d.budget else []
     for gap in answer.gaps:
-        parts += _pictures(gap, joint)
+        of_force, c = gap.name == "force", gap.baseline.conditions
+        plot = vectors_plot if isinstance(gap.baseline, TrackerChannel) else force_gap_plot if of_force else log_plot
+        parts.append(plot(gap))
+        if c.d_joints is not None and not of_force:
+            parts.append(hysteresis_plot(gap, joint))
     if d.spectrum:
         parts.append(spectrum_plot(d.spectrum))
     return Section("Where it lies", tuple(parts))
-
-
-def _pictures(gap: SignalGap, joint: int) -> list[Part | str]:
-    """Figures of one signal."""
-    c = gap.baseline.conditions
-    parts: list[Part | str] = []
-    if isinstance(gap.baseline, TrackerChannel):
-        parts.append(vectors_plot(gap))
-    elif gap.name == "force":
-        parts.append(force_gap_plot(gap))
-    else:
-        parts.append(log_plot(gap))
-    if c.d_joints is not None and gap.name != "force":
-        parts.append(hysteresis_plot(gap, joint))
-    return parts
 
 
 def budget_plot(answer: Answer) -> Plot:
@@ -70,16 +60,21 @@ def _draw_budget(canvas: Canvas, answer: Answer) -> None:
     ax = canvas.subplots(1, 1, left=2.6, right=0.9, top=0.08)
     lines = _lines(answer)
     several = len(answer.gaps) > 1
-    place = -np.arange(len(lines))
     colours = [AFTER if line.p_value <= SURE else SHADE for line in lines]
-    ax.barh(place, [line.share for line in lines], height=0.62, color=colours)
     names = [f"{SHORT[b.channel]}: {condition_words(b.where)}" if several else condition_words(b.where) for b in lines]
-    ax.set_yticks(place, [shorten(name, 44) for name in names], fontsize=6.5)
+    told = [f"{100 * line.share:.0f} %   p {line.p_value:.2g}" for line in lines]
+    draw_bars(ax, [line.share for line in lines], colours, [shorten(name, 44) for name in names], told, 0.01)
     ax.set_xlim(0, max(1.0, *(line.share for line in lines)) if lines else 1.0)
-    for y, line in zip(place, lines, strict=True):
-        ax.text(line.share + 0.01, y, f"{100 * line.share:.0f} %   p {line.p_value:.2g}", va="center", fontsize=6.5, color=SOFT)
-    dressed(ax, "", "share of the gap beyond noise", grid="x")
-    ax.tick_params(axis="y", length=0)
+    dressed(ax, "", "share of the gap beyond noise", grid="x").tick_params(axis="y", length=0)
+
+
+def draw_bars(ax: Axes, values: list[float], colours: list[str], names: list[str], told: list[str], behind: float) -> None:
+    """Bars from the top down with their names before and words behind them."""
+    place = -np.arange(float(len(values)))
+    ax.barh(place, values, height=0.62, color=colours)
+    ax.set_yticks(place, names, fontsize=6.5)
+    for y, value, words in zip(place, values, told, strict=True):
+        ax.text(value + behind, y, words, va="center", fontsize=6.5, color=SOFT, clip_on=False)
 
 
 def vectors_plot(gap: SignalGap) -> Plot:
@@ -133,37 +128,29 @@ def hysteresis_plot(gap: SignalGap, joint: int) -> Plot:
 
 
 def log_plot(gap: SignalGap) -> Plot:
-    """Errors of a log in the order it was recorded, before and after."""
-    caption = (
-        f"The gap of the {'link-side encoders' if gap.name == 'joint' else 'force readings'} in the order of the recording: grey "
-        "before, blue with the named effects."
-    )
-    c = gap.baseline.conditions
-    joints = _joints_of(gap) if gap.name == "joint" else [0]
-    return Plot(f"log-{gap.name}", caption, 0.5 + 1.15 * len(joints), lambda canvas: _draw_log(canvas, gap, joints, c.time))
-
-
-def _joints_of(gap: SignalGap) -> list[int]:
+    """Errors of a log of encoders in the order it was recorded, before and after."""
+    caption = "The gap of the link-side encoders in the order of the recording: grey before, blue with the named effects."
     there = gap.baseline.conditions.d_joints
-    return [] if there is None else [j for j in range(1, 7) if np.any(there[:, :, j - 1])]
+    assert there is not None
+    joints = [j for j in range(1, 7) if np.any(there[:, :, j - 1])]
+    return Plot(f"log-{gap.name}", caption, 0.5 + 1.15 * len(joints), lambda canvas: _draw_log(canvas, gap, joints, there))
 
 
-def _draw_log(canvas: Canvas, gap: SignalGap, joints: list[int], time: Array | None) -> None:
+def _draw_log(canvas: Canvas, gap: SignalGap, joints: list[int], there: Array) -> None:
     axes = [row[0] for row in panels(canvas, len(joints), 1, down=0.38, bottom=0.36)]
     scale = SCALE[gap.unit]
     before, after = (scale * channel.gap()[:, 0] for channel in (gap.baseline, gap.corrected))
-    there = gap.baseline.conditions.d_joints
-    run = gap.baseline.conditions.run
+    time, run = gap.baseline.conditions.time, gap.baseline.conditions.run
+    one_run = time is not None and (run is None or len(np.unique(run)) == 1)
     for ax, j in zip(axes, joints, strict=True):
-        rows = np.arange(len(before)) if j == 0 or there is None else np.flatnonzero(there[:, 0, j - 1])
-        one_run = time is not None and (run is None or len(np.unique(run)) == 1)
+        rows = np.flatnonzero(there[:, 0, j - 1])
         x = time[rows] if one_run and time is not None else np.arange(len(rows))
         limit = reach(before[rows])
         for values, colour in ((before, BEFORE), (after, AFTER)):
             dots(ax, x, np.clip(values[rows], -limit, limit), colour, 1.2)
         ax.set_ylim(-1.05 * limit, 1.05 * limit)
         ax.axhline(0, color=RULE, lw=0.8, zorder=0)
-        dressed(ax, f"joint {j}" if j else "", ("s" if one_run else "reading") if j == joints[-1] else "", gap.unit)
+        dressed(ax, f"joint {j}", ("s" if one_run else "reading") if j == joints[-1] else "", gap.unit)
 
 
 def force_gap_plot(gap: SignalGap) -> Plot:
@@ -182,21 +169,12 @@ def _draw_blade(canvas: Canvas, gap: SignalGap) -> None:
     group = c.run if c.run is not None else c.line if c.line is not None else np.zeros(len(c.q), int)
     contact = np.ones(len(c.q), bool) if c.contact is None else np.asarray(c.contact, bool)
     limit = reach(gap.baseline.gap()[contact, 0])
+    colours: dict[str, Any] = {"cmap": COLOUR_MAP, "vmin": -limit, "vmax": limit}
     image: Any = None
     for ax, (title, channel) in zip(axes, (("before", gap.baseline), ("with the effects", gap.corrected)), strict=True):
         values = np.clip(channel.gap()[contact, 0], -limit, limit)
-        image = ax.scatter(
-            1e3 * s[contact],
-            group[contact],
-            c=values,
-            s=3,
-            marker="s",
-            linewidths=0,
-            cmap=COLOUR_MAP,
-            vmin=-limit,
-            vmax=limit,
-            rasterized=True,
-        )
+        place = 1e3 * s[contact], group[contact]
+        image = ax.scatter(*place, s=3, c=values, marker="s", linewidths=0, rasterized=True, **colours)
         dressed(ax, title, "along the line, mm", "run" if title == "before" else "", grid="")
         ax.invert_yaxis() if title == "before" else None
     bar = axes[-1].inset_axes((1.04, 0.0, 0.035, 1.0))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from ocp.diagnose.engine.channel_system import (
 from ocp.diagnose.rules import LEAST_CHANGES, LINK_MASS_SD
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
-from ocp.diagnose.tracker.motion import MASS_NAMES, PlacedReadings, displaced, mass_columns, motion
+from ocp.diagnose.tracker.motion import LINKS, PlacedReadings, displaced, mass_columns, motion
 from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, placed_readings, refit, relearned, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
@@ -31,6 +32,7 @@ from robots.tracker_readings import Readings
 
 COLUMNS = {"temperature_C": "temperature", "time_s": "time", "clock_s": "time"}  # of the file, as `Readings` calls them
 COLUMNS |= {name: name for name in ("approach", "target", "payload")}
+OF_READINGS = ("q", "approach", "payload", "payloads", "target", "targets", "time", "temperature")
 ANY = {"target", "payload"}  # one of them is as good as many
 
 
@@ -73,11 +75,9 @@ class TrackerChannel:
         return System(
             residual=np.einsum("nij,nj->ni", self.fit.W, linear.residual).ravel(),
             nuisance=(self.fit.W @ J).reshape(3 * n, -1),
-            names=(*layout.names, *MASS_NAMES),
-            prior_sd=np.append(layout.prior_sd, np.full(len(MASS_NAMES), LINK_MASS_SD)),
-            offset=np.append(np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0), np.zeros(len(MASS_NAMES))),
+            prior_sd=np.append(layout.prior_sd, np.full(len(LINKS), LINK_MASS_SD)),
+            offset=np.append(np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0), np.zeros(len(LINKS))),
             reading=np.repeat(np.arange(n), 3),
-            component=np.tile(np.arange(3), n),
         )
 
     @cached_property
@@ -126,20 +126,12 @@ class TrackerChannel:
             rows = r.payload == k
             mass, *com = self.fit.state.payloads[k]
             tau[rows] = weight_torques(c.robot, r.q[rows], mass, np.array(com))
-        several = {"session": r.sessions, "station": r.stations}
+        same: dict[str, Any] = {name: getattr(r, name) for name in OF_READINGS}
         return ReadingConditions(
             signal=self.name,
-            q=r.q,
-            approach=r.approach,
-            payload=r.payload,
-            payloads=r.payloads,
-            target=r.target,
-            targets=r.targets,
-            time=r.time,
             clock=r.time,
-            temperature=r.temperature,
-            session=r.session if len(several["session"]) > 1 else None,
-            station=r.station if len(several["station"]) > 1 else None,
+            session=r.session if len(r.sessions) > 1 else None,
+            station=r.station if len(r.stations) > 1 else None,
             tau=tau,
             d_joints=self.fit.linear.d_joints,
             d_tilts=self.seen.tilts,
@@ -147,6 +139,7 @@ class TrackerChannel:
             gear_ratio=ratios_of(self.surroundings),
             point=self.fit.linear.point,
             sight=self.seen.sight,
+            **same,
         )
 
     def blind(self, effect: Effect) -> str:
@@ -176,7 +169,7 @@ class TrackerChannel:
     def _displaced(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None) -> tuple[tuple[Scanned, ...], Array]:
         """Displacements (V, n, 3, m) m per unit coefficient and their scanned values."""
         key = (effect.name, joint)
-        if key in self.store and (scans is None or _same(scans, self.store[key][0])):
+        if key in self.store and (scans is None or [*map(scan_key, scans)] == [*map(scan_key, self.store[key][0])]):
             return self.store[key]
         chosen = tuple(effect.scan(joint, self.surroundings) if scans is None else scans)
         if not chosen:
@@ -235,7 +228,3 @@ class TrackerChannel:
 def _has_columns(effect: Effect, readings: Readings) -> bool:
     """Whether conditions have the columns that an effect needs."""
     return all(getattr(readings, COLUMNS[c], None) is not None for c in effect.needs if c in COLUMNS)
-
-
-def _same(one: Sequence[Scanned], other: Sequence[Scanned]) -> bool:
-    return len(one) == len(other) and all(scan_key(a) == scan_key(b) for a, b in zip(one, other, strict=True))

@@ -39,23 +39,16 @@ def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
     for kind, index, names in (("payload", r.payload, r.payloads), ("session", r.session, r.sessions)):
         if len(np.unique(index)) > 1:
             found += [Fold(f"{kind}={names[k]}", kind, index == k) for k in np.unique(index)]
-    for kind, values, least in (("temperature", r.temperature, FOLD_WARMTH), ("time", r.time, FOLD_TIME)):
+    for kind, unit, values, least in (("temperature", "C", r.temperature, FOLD_WARMTH), ("time", "s", r.time, FOLD_TIME)):
         if values is not None and np.ptp(values) > least:
-            found += _thirds(kind, values)
+            cut = float(np.quantile(values, 2 / 3))
+            found.append(Fold(f"{kind} above {cut:.4g} {unit}", kind, values > cut))
     for j in range(6):
         if np.ptp(r.q[:, j]) > LEAST_TURN:
             middle = float(np.median(r.q[:, j]))
-            degrees = f"{np.degrees(middle):.0f}"
-            found.append(Fold(f"joint {j + 1} above {degrees} deg", "joint range", r.q[:, j] > middle))
-            found.append(Fold(f"joint {j + 1} below {degrees} deg", "joint range", r.q[:, j] <= middle))
+            for side, held in (("above", r.q[:, j] > middle), ("below", r.q[:, j] <= middle)):
+                found.append(Fold(f"joint {j + 1} {side} {np.degrees(middle):.0f} deg", "joint range", held))
     return [f for f in found if f.held.sum() >= LEAST and (~f.held).sum() >= LEAST]
-
-
-def _thirds(kind: str, values: Array) -> list[Fold]:
-    """The highest third."""
-    cut = float(np.quantile(values, 2 / 3))
-    unit = {"temperature": "C", "time": "s"}[kind]
-    return [Fold(f"{kind} above {cut:.4g} {unit}", kind, values > cut)]
 
 
 def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active]) -> HeldOut | None:

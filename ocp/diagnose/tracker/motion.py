@@ -17,7 +17,6 @@ from robots.robot import Robot
 from robots.tracker_readings import Index, Instrument, Readings
 
 LINKS = (2, 3, 4, 5, 6)  # the base and link 1 turn about the vertical only
-MASS_NAMES = tuple(f"mass_link{i}" for i in LINKS)
 Motion = tuple[Array | None, Array | None]
 
 

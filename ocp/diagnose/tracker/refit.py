@@ -21,19 +21,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit
 
-from ocp.diagnose.rules import (
-    BELIEVED_SPRING_SD,
-    LEAST_REPEATED,
-    OUTLIER_SHARE,
-    OUTLIER_SIZE,
-    RELEARNED_WIDTH,
-    REPEATED_NOISE_SD,
-    RESTLESS,
-    STRAY_COMPLIANCE,
-    STRAY_SPRINGS,
-    USUAL_JOINT_NOISE,
-    USUAL_JOINT_NOISE_SD,
-)
+from ocp.diagnose import rules
 from ocp.diagnose.tracker.motion import PlacedReadings, together
 from ocp.effects.effect import Active, coefficients, prior_sds, with_coefficients
 from robots.calibration.fit import Fit, fit_campaign, learned_priors, learned_width
@@ -63,27 +51,31 @@ RANK = 1e-9  # of the largest singular value; what the readings say less of stay
 def gap_noise(noise: Noise) -> Noise:
     """The joint noise that a gap is judged against: what the residual asks for unless that is far above the usual
     (`is_restless`), for then it is the gap itself."""
-    return Noise(USUAL_JOINT_NOISE) if is_restless(noise.joints) else noise
+    return Noise(rules.USUAL_JOINT_NOISE) if is_restless(noise.joints) else noise
 
 
 def is_restless(joints: float) -> bool:
     """Whether joint noise (rad) is far above what such joints usually scatter."""
-    return joints > RESTLESS * USUAL_JOINT_NOISE
+    return joints > rules.RESTLESS * rules.USUAL_JOINT_NOISE
 
 
 def reliability(squared: Array) -> Array:
     """Probability (n,) that a reading of whitened squared distance `squared` (three components) is none of the outliers: flat
     at one for good readings, so that Gaussian evidence stays exact, and zero for gross ones."""
-    log_odds = np.log((1 - OUTLIER_SHARE) / OUTLIER_SHARE) + 3 * np.log(OUTLIER_SIZE) - 0.5 * squared * (1 - 1 / OUTLIER_SIZE**2)
+    log_odds = (
+        np.log((1 - rules.OUTLIER_SHARE) / rules.OUTLIER_SHARE)
+        + 3 * np.log(rules.OUTLIER_SIZE)
+        - 0.5 * squared * (1 - 1 / rules.OUTLIER_SIZE**2)
+    )
     return np.asarray(expit(log_odds))
 
 
 def usual_noise(repeats: Repeats | None) -> tuple[float, float]:
     """Joint noise rad before the residual is looked at, and one sigma of its logarithm: what repeats show where there are enough,
     else what is usual."""
-    if repeats is None or repeats.freedom < LEAST_REPEATED or repeats.joints <= 0:
-        return USUAL_JOINT_NOISE, USUAL_JOINT_NOISE_SD
-    return max(repeats.joints, JOINT_NOISE[0]), REPEATED_NOISE_SD + 2.0 / np.sqrt(repeats.freedom)
+    if repeats is None or repeats.freedom < rules.LEAST_REPEATED or repeats.joints <= 0:
+        return rules.USUAL_JOINT_NOISE, rules.USUAL_JOINT_NOISE_SD
+    return max(repeats.joints, JOINT_NOISE[0]), rules.REPEATED_NOISE_SD + 2.0 / np.sqrt(repeats.freedom)
 
 
 @dataclass(frozen=True)
@@ -249,24 +241,25 @@ def believed_baseline(
 ) -> tuple[Task, TrackerFit]:
     """Task and fit of the believed cell; `compliant` joints of the cell, reference temperature deg C; stated: whether the cell
     lists the springs itself. Springs that only the robot's catalogue knows belong to `compliant` joints alone."""
-    points = replace(campaign, readings=replace(campaign.readings, turn=None, sigma_turn=None))
+    c = replace(campaign, readings=replace(campaign.readings, turn=None, sigma_turn=None))
     listed = believed_compliance(campaign.robot) > 0
     believed = tuple(j for j in compliant if listed[j - 1])
     others = tuple(j for j in range(2, 7) if stated and listed[j - 1] and j not in believed)
-    first = fit_campaign(points, Choice(joints=(*believed, *others)), Priors())
+    first = fit_campaign(c, Choice(joints=(*believed, *others)), Priors())
     if others and not _bend(first, others):
-        first = fit_campaign(points, Choice(joints=believed), Priors(), begin=_rigid(first, others).state)
+        rigid = first.state.arm.copy()
+        rigid[[29 + j for j in others]] = 0.0
+        first = fit_campaign(c, Choice(joints=believed), Priors(), begin=replace(first.state, arm=rigid))
         others = ()
-    priors = replace(learned_priors(first), compliance=BELIEVED_SPRING_SD)
+    priors = replace(learned_priors(first), compliance=rules.BELIEVED_SPRING_SD)
     choice = Choice(joints=(*believed, *others))
-    c = points
     layout = build_layout(c.robot, c.readings, c.instrument, choice, priors)
     nominal = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
     d_joints = linearise(c.robot, c.readings, c.instrument, layout, first.state).d_joints
     good = first.weight > GROSS  # an outlier among few repeats would pass for their drift
     repeats = repeat_scatter(c.readings.take(good), c.instrument, d_joints[good])
     start = replace(nominal, stations=first.state.stations)
-    task = Task(points, layout, start, reference, repeats)
+    task = Task(c, layout, start, reference, repeats)
     return task, refit(task, first.state, offset_between(layout, start, first.state), (), Noise(first.noise.joints))
 
 
@@ -276,23 +269,16 @@ def _bend(fit: Fit, others: tuple[int, ...]) -> bool:
     odds = 0.0
     for j in others:
         c, sd = float(fit.state.arm[29 + j]), float(fit.sd[fit.layout.arm[29 + j]])
-        stray = STRAY_SPRINGS * _normal(c, float(np.hypot(STRAY_COMPLIANCE, sd)))
-        agree = _normal(c - listed[j - 1], float(np.hypot(BELIEVED_SPRING_SD * listed[j - 1], sd)))
+        stray = rules.STRAY_SPRINGS * _normal(c, float(np.hypot(rules.STRAY_COMPLIANCE, sd)))
+        agree = _normal(c - listed[j - 1], float(np.hypot(rules.BELIEVED_SPRING_SD * listed[j - 1], sd)))
         rigid = _normal(c, float(np.hypot(0.05 * listed[j - 1], sd)))
-        odds += float(np.log((1 - STRAY_SPRINGS) * agree + stray) - np.log((1 - STRAY_SPRINGS) * rigid + stray))
+        odds += float(np.log((1 - rules.STRAY_SPRINGS) * agree + stray) - np.log((1 - rules.STRAY_SPRINGS) * rigid + stray))
     return odds > 0.0
 
 
 def _normal(off: float, sd: float) -> float:
     """Density of a normal law `off` its mean."""
     return float(np.exp(-0.5 * (off / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd))
-
-
-def _rigid(fit: Fit, others: tuple[int, ...]) -> Fit:
-    """The fit's state with these joints rigid, to begin from."""
-    arm = fit.state.arm.copy()
-    arm[[29 + j for j in others]] = 0.0
-    return replace(fit, state=replace(fit.state, arm=arm))
 
 
 def relearned(task: Task, fit: TrackerFit) -> Task:
@@ -307,7 +293,7 @@ def relearned(task: Task, fit: TrackerFit) -> Task:
             continue
         before = float(prior[columns[0]])
         width = learned_width(fit.offset[columns], sd[columns], before)
-        if abs(np.log(width / before)) > RELEARNED_WIDTH:
+        if abs(np.log(width / before)) > rules.RELEARNED_WIDTH:
             prior[columns] = scale[columns] = width
             changed = True
     return replace(task, layout=replace(layout, prior_sd=prior, scale=scale)) if changed else task

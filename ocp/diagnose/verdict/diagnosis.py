@@ -3,16 +3,16 @@
 What hurts where the data are extrapolated is an impostor: it is barred, and the search begins anew without it.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.special import fdtrc
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Family, Given, Search, Weighed, given, weigh
-from ocp.diagnose.engine.channel_system import Channel
+from ocp.diagnose.engine.channel_system import Channel, WeighedReadings
 from ocp.diagnose.engine.evidence import visible_lambda
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, rival_of, stacked_columns
@@ -37,18 +37,10 @@ from robots.pose import Array
 USUAL = Options()
 
 
-@runtime_checkable
-class Thinnable(Protocol):
-    """A channel that can do with fewer readings."""
-
-    def thinned(self, most: int) -> Channel:
-        """The channel with at most so many of its readings, evenly taken; itself where it has no more."""
-
-
 def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options = USUAL) -> Diagnosis:
     """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
     baseline = tuple(c.with_active(()) if c.active else c for c in channels)
-    few = tuple(c.thinned(rules.MOST_SEARCHED) if isinstance(c, Thinnable) else c for c in baseline)
+    few = tuple(_thinned(c, rules.MOST_SEARCHED) for c in baseline)
     impostors: list[tuple[Name, str]] = []
     reasons: list[str] = []
     levels: list[float] = []
@@ -57,10 +49,7 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
         first = linearised(few, library, options)
         problem, search = search_and_refit(first, library, options, diverged)
         if posterior(problem, search).p_unknown > rules.LEADS and misses_far_more_than_noise(problem, search):
-            whole = baseline[0]
-            selected = select_effects(
-                whole.thinned(rules.SELECTED_ON) if isinstance(whole, Thinnable) else whole, library, options
-            )
+            selected = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
             return findings(baseline, first, selected.problem, selected.search, library, options, selected.refused)
         found = findings(baseline, first, problem, search, library, options)
         levels.append(max(w.log for w in search.sets.values()))
@@ -72,6 +61,10 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
     whys = tuple(f"{n}: no fit with it comes to rest" for n in diverged.names())
     found = replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys))))
     return _unmasked(found, impostors, reasons, levels[-1] > max(levels) - rules.WITHOUT_IMPOSTOR) if impostors else found
+
+
+def _thinned(channel: Channel, most: int) -> Channel:
+    return channel.thinned(most) if isinstance(channel, WeighedReadings) else channel
 
 
 def _unmasked(found: Diagnosis, earlier: Sequence[tuple[Name, str]], reasons: Sequence[str], enough: bool) -> Diagnosis:
@@ -186,7 +179,7 @@ def alike_at(first: Linearisation, problem: Linearisation, weighed: Weighed) -> 
     None where it was no candidate there."""
     names = [Name(*a.key) for a in problem.values(weighed)]
     there = weigh(first.pool, [first.index[n] for n in names if n in first.index])
-    found = list[tuple[Name, set[Name] | None]]()
+    found: list[tuple[Name, set[Name] | None]] = []
     values = {Name(*a.key): a for a in first.values(there)}
     for name in names:
         if name not in values:
@@ -240,9 +233,8 @@ def ranking(problem: Linearisation, search: Search, found: Posterior) -> tuple[R
         one = next(a for a in problem.values(search.sets[key]) if a.key == (name.effect, name.joint))
         d = signature(problem, search.sets[key], one)
         ranked.append(Ranked(name, min(found.marginal[name], 1.0), found.gain[name], one, float(d @ d)))
-    return tuple(
-        sorted(ranked, key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > rules.LEADS else 0.0))
-    )
+    ranked.sort(key=lambda r: (-round(r.probability, 2), -r.detectability if r.probability > rules.LEADS else 0.0))
+    return tuple(ranked)
 
 
 def place(
@@ -258,9 +250,9 @@ def place(
         k = int(np.argmax([d @ d for d in signatures]))
         return of_effect(problem, active[k].effect, active[k].joint, signatures[k])
     if found.where and found.p_unknown > found.p_none:
-        joints: dict[int, float] = {}
+        joints = defaultdict[int, float](float)
         for name, p in found.where.items():
-            joints[name.joint] = joints.get(name.joint, 0.0) + p
+            joints[name.joint] += p
         joint = max(joints, key=lambda j: joints[j])
         return of_kernel(max((n for n in found.where if n.joint == joint), key=lambda n: found.where[n]))
     return of_tests(tests)
@@ -274,9 +266,8 @@ def screened(problem: Linearisation) -> tuple[Screened, ...]:
     for i, family in enumerate(pool.families):
         if family.effect is None:
             continue
-        k, start = pool.place[i]
-        g, V = pool.groups[k], family.columns.shape[1]
-        G, b = g.G[start : start + V], g.b[start : start + V]
+        g, rows = pool.of(i)
+        G, b, V = g.G[rows], g.b[rows], family.columns.shape[1]
         gained = np.einsum("vi,vi->v", b, np.linalg.solve(G + 1e-9 * np.eye(g.m), b[..., None])[..., 0])
         best = int(np.argmax(gained))
         ratio = gained[best] / g.m / max((total - gained[best]) / (pool.freedom - g.m), 1e-9)
@@ -296,8 +287,7 @@ def screened(problem: Linearisation) -> tuple[Screened, ...]:
 
 def share_left(problem: Linearisation, family: Family, variant: int, projected: float) -> float:
     """Share of lambda that the nuisance leaves of a family's signature; projected: mean square over its coefficients with it."""
-    if family.effect is None:
-        return np.nan
+    assert family.effect is not None
     columns, scans = stacked_columns(problem.channels, family.effect, family.name.joint, [family.scans[variant]])
     whole = float(np.sum((columns[:, 0] * family.scale) ** 2)) if scans else 0.0
     return projected / whole if whole > 0 else np.nan

@@ -69,11 +69,8 @@ def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[t
         if not visible or elsewhere or any(a.effect.on_arm for a in visible) or not isinstance(channel, Registered):
             continue
         readings, registration = channel.gained()
-        if (
-            registration > 0
-            and readings + registration > rules.RELIEF_LEAST
-            and readings < rules.RELIEF * (readings + registration)
-        ):
+        both = readings + registration
+        if registration > 0 and both > rules.RELIEF_LEAST and readings < rules.RELIEF * both:
             why = "readings are met hardly better with it, the registration is only nearer to what was believed"
             found += [(Name(*a.key), why) for a in visible]
     return found

@@ -36,21 +36,16 @@ READING = {where: subsystem for subsystem, every in _READS.items() for where in 
 
 def of_effect(problem: Linearisation, effect: Effect, joint: int, signature: Array) -> Location:
     """Of a named effect with its signature (N,): the condition of its joint (or of none) that goes with it best."""
-    best, chosen, signal = -np.inf, "", ""
+    best, chosen = -np.inf, ""
     size = float(signature @ signature)
     for family in problem.pool.families:
-        if (
-            not family.where
-            or " x q" in family.where
-            or "ripple" in family.where
-            or "wave" in family.where
-            or (family.name.joint != joint and family.name.joint and joint)
-        ):
+        elsewhere = family.name.joint != joint and family.name.joint and joint
+        if not family.where or elsewhere or any(word in family.where for word in (" x q", "ripple", "wave")):
             continue
         basis = orthonormal(family.columns[:, 0])
         share = float(np.sum((basis.T @ signature) ** 2)) / max(size, 1e-12) - SHARE_PER_FEATURE * basis.shape[1]
         if share > best:
-            best, chosen, signal = share, family.where, family.name.effect[1:].split("/")[0]
+            best, chosen = share, family.where
     lengths = {c.name: float(signature[b] @ signature[b]) for c, b in zip(problem.channels, problem.stack.blocks, strict=True)}
     signal = max(lengths, key=lambda k: lengths[k])
     return Location(signal, effect.subsystem, joint, depends_on(chosen))
@@ -83,23 +78,16 @@ def depends_on(where: str) -> tuple[str, ...]:
     return tuple(p.rstrip("123456") if p[:4] in ("temp", "time", "payl") else p for p in found)
 
 
-def after_given(there: Given, rows: Array) -> Array:
-    """Rows (N,) or (N, m) with what is given projected out too."""
-    inner = there.U.T @ rows
-    shrink = 1.0 - np.sqrt(1.0 - there.take)
-    return rows - there.U @ (shrink * inner if rows.ndim == 1 else shrink[:, None] * inner)
-
-
 def kernel_tests(problem: Linearisation, there: Given) -> list[KernelTest]:
     """All kernels but ripples (the spectrum's) and waves that were picked for what they tell, after what is given, most telling
     first."""
-    y = after_given(there, problem.pool.y)
+    y = there.after(problem.pool.y)
     total, freedom = float(y @ y), problem.pool.freedom
     found = []
     for family in problem.pool.families:
         if not family.where or "ripple" in family.where or "wave" in family.where:
             continue
-        basis = orthonormal(after_given(there, family.columns.reshape(len(y), -1)))
+        basis = orthonormal(there.after(family.columns.reshape(len(y), -1)))
         m = basis.shape[1]
         gained = float(np.sum((basis.T @ y) ** 2))
         ratio = (gained / max(m, 1)) / max((total - gained) / (freedom - m), 1e-12)

@@ -13,25 +13,16 @@ probabilities, no prediction has a smaller expected squared error (Hoeting et al
 'none of these' count as no effect beyond what is sure.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import CandidatePool, Key, Member, Search, Weighed, given, scan_one
 from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.linearisation import Linearisation
-from ocp.diagnose.rules import (
-    FOLLOWED,
-    IMITATED,
-    MISTAKEN_WITHIN,
-    MOST_FOLLOWED,
-    NAME_BESIDE_UNKNOWN,
-    RIGHT_BESIDE_UNKNOWN,
-    SURE_BESIDE_UNKNOWN,
-    TOLD_APART,
-    TOLD_APART_MORE,
-)
 from ocp.effects.effect import Active, Scanned
 from robots.pose import Array
 
@@ -62,33 +53,30 @@ def posterior(problem: Linearisation, search: Search) -> Posterior:
     share = np.exp(log - log.max())
     share /= share.sum()
     families = problem.pool.families
-    probability: dict[Names, float] = {}
+    probability = defaultdict[Names, float](float)
+    where, marginal, beside_strange = (defaultdict[Name, float](float) for _ in range(3))
     best: dict[Names, Key] = {}
     weight: dict[Names, float] = {}
-    where: dict[Name, float] = {}
-    marginal: dict[Name, float] = {}
     p_none = p_unknown = 0.0
     with_name: dict[Name, float] = {}
-    strange_share: dict[Name, float] = {}
     for key, p, w in zip(keys, share, log, strict=True):
         named = tuple(sorted(families[f].name for f in key if families[f].effect is not None))
         strange = [families[f].name for f in key if families[f].effect is None and not families[f].background]
         for name in named:
-            beside = strange_share if strange else marginal
-            beside[name] = beside.get(name, 0.0) + float(p)
+            (beside_strange if strange else marginal)[name] += float(p)
             with_name[name] = max(with_name.get(name, -np.inf), float(w))
         if strange:
             p_unknown += float(p)
-            where[strange[0]] = where.get(strange[0], 0.0) + float(p)
+            where[strange[0]] += float(p)
         elif not named:
             p_none += float(p)
         else:
-            probability[named] = probability.get(named, 0.0) + float(p)
+            probability[named] += float(p)
             if named not in best or w > weight[named]:
                 best[named], weight[named] = key, float(w)
     gain = {name: w - max(_without(name, problem, search), 0.0) for name, w in with_name.items()}
-    for name, p in strange_share.items():
-        marginal[name] = marginal.get(name, 0.0) + p * (1.0 if gain[name] > SURE_BESIDE_UNKNOWN else NAME_BESIDE_UNKNOWN)
+    for name, p in beside_strange.items():
+        marginal[name] += p * (1.0 if gain[name] > rules.SURE_BESIDE_UNKNOWN else rules.NAME_BESIDE_UNKNOWN)
     return Posterior(probability, weight, p_none, p_unknown, where, marginal, gain, best)
 
 
@@ -102,18 +90,7 @@ def _without(name: Name, problem: Linearisation, search: Search) -> float:
 
 def told_apart(parameters: int) -> float:
     """Lambda below which a signature is not told from zero."""
-    return TOLD_APART[min(parameters, 3) - 1] + TOLD_APART_MORE * max(parameters - 3, 0)
-
-
-def imitated(pool: CandidatePool, signature: Array, family: int) -> tuple[float, int]:
-    """The most of a signature's lambda (N,) that a family takes at its prior's upper end, and by which variant."""
-    group, start = pool.place[family]
-    g = pool.groups[group]
-    rows = slice(start, start + pool.families[family].columns.shape[1])
-    b = np.einsum("nvi,n->vi", g.X[:, rows], signature)
-    taken = np.einsum("vi,vi->v", b, np.linalg.solve(g.G[rows] + np.eye(g.m), b[..., None])[..., 0])
-    best = int(np.argmax(taken))
-    return float(taken[best]), best
+    return rules.TOLD_APART[min(parameters, 3) - 1] + rules.TOLD_APART_MORE * max(parameters - 3, 0)
 
 
 def twins(problem: Linearisation, weighed: Weighed, member: Member, signature: Array, factor: float = 1.0) -> list[Name]:
@@ -132,7 +109,7 @@ def mistaken(problem: Linearisation, seen: Mapping[Key, Weighed], weighed: Weigh
     found = []
     for other, its in seen.items():
         new = other - key
-        if key - other != {member.family} or len(new) != 1 or its.log < weighed.log - MISTAKEN_WITHIN:
+        if key - other != {member.family} or len(new) != 1 or its.log < weighed.log - rules.MISTAKEN_WITHIN:
             continue
         one = next(m for m in its.members if m.family in new)
         family = pool.families[one.family]
@@ -151,13 +128,16 @@ def _beside(problem: Linearisation, weighed: Weighed, member: Member, signature:
     # Background stays as small as it was found: at an effect's size it would take the effect's place.
     sizes = {m.family: m.size if families[m.family].background else 1.0 for m in weighed.members}
     there = given(problem.pool, [Member(m.family, m.variant, sizes[m.family]) for m in weighed.members if m != member])
-    return np.asarray(signature - there.U @ ((1.0 - np.sqrt(1.0 - there.take)) * (there.U.T @ signature)))
+    return there.after(signature)
 
 
 def _imitates(pool: CandidatePool, d: Array, family: int, factor: float = 1.0) -> bool:
-    """Whether a family takes so much of a signature (N,) that what it leaves is not told from zero."""
-    size, (taken, _) = float(d @ d), imitated(pool, d, family)
-    return taken > IMITATED * size and size - taken < factor * told_apart(len(pool.families[family].scale))
+    """Whether a family takes so much of a signature (N,), at its prior's upper end, that what it leaves is not told from zero."""
+    g, rows = pool.of(family)
+    b = np.einsum("nvi,n->vi", g.X[:, rows], d)
+    taken = np.einsum("vi,vi->v", b, np.linalg.solve(g.G[rows] + np.eye(g.m), b[..., None])[..., 0]).max()
+    size = float(d @ d)
+    return bool(taken > rules.IMITATED * size and size - taken < factor * told_apart(len(pool.families[family].scale)))
 
 
 def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:
@@ -203,11 +183,11 @@ def alternatives(
         listed += _variants(problem, weighed, active, whole)
         listed.append(Alternative(weights.unknown, ()))
     else:  # what is sure beside an effect outside the catalogue, which it may still imitate in part
-        listed += _variants(problem, weighed, active, RIGHT_BESIDE_UNKNOWN * weights.unknown)
-        listed.append(Alternative((1.0 - RIGHT_BESIDE_UNKNOWN) * weights.unknown, ()))
+        listed += _variants(problem, weighed, active, rules.RIGHT_BESIDE_UNKNOWN * weights.unknown)
+        listed.append(Alternative((1.0 - rules.RIGHT_BESIDE_UNKNOWN) * weights.unknown, ()))
     listed.append(Alternative(weights.none, ()))
-    for other, p in sorted(weights.explanations.items(), key=lambda item: -item[1])[: MOST_FOLLOWED + 1]:
-        if other != names and p >= FOLLOWED:
+    for other, p in sorted(weights.explanations.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED + 1]:
+        if other != names and p >= rules.FOLLOWED:
             members = problem.values(search.sets[found.best[other]])
             listed.append(Alternative(p, tuple(a for a in members if Name(*a.key) not in dropped)))
     return _summed(listed)
@@ -241,7 +221,7 @@ def _by_words(problem: Linearisation, weighed: Weighed, member: Member, one: Act
     for words, rows, p in zip(groups, groups.values(), weight / weight.sum(), strict=True):
         if words == own:
             listed.append((float(p), one))
-        elif p >= FOLLOWED:
+        elif p >= rules.FOLLOWED:
             best = Member(member.family, rows[int(np.argmax(per[rows]))], 1.0)
             values = problem.values(Weighed(0.0, (*others, best)))
             listed.append((float(p), next(a for a in values if a.effect is one.effect and a.joint == one.joint)))
@@ -256,8 +236,8 @@ def _words(scanned: Scanned) -> tuple[tuple[str, str], ...]:
 def _summed(listed: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """The first, then the most probable others, probabilities summing to one; no effect at all as one alternative."""
     first, rest = listed[0], [a for a in listed[1:] if a.active]
-    rest = sorted(rest, key=lambda a: -a.probability)[:MOST_FOLLOWED]
+    rest = sorted(rest, key=lambda a: -a.probability)[: rules.MOST_FOLLOWED]
     nothing = Alternative(sum(a.probability for a in listed if not a.active), ())
-    staying = [a for a in (first, *rest, nothing) if a is first or a.probability >= FOLLOWED]
+    staying = [a for a in (first, *rest, nothing) if a is first or a.probability >= rules.FOLLOWED]
     total = sum(a.probability for a in staying) or 1.0
     return tuple(Alternative(a.probability / total, a.active) for a in staying)

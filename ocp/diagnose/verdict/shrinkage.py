@@ -86,16 +86,11 @@ def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: in
         expected = np.tensordot(new.probability, g.moved, 1)
         after += np.sum(rows * (np.sum((expected - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
         before += np.sum(rows * (np.sum((off - g.moved[true]) ** 2, axis=2) + joints), axis=1)
-    rest = _unexplained(held, _estimation(new), rng)
+    each = [np.einsum("nij,jk,nik->n", g.errors, new.covariance, g.errors, optimize=True).mean() for g in new.groups]
+    rest = _unexplained(held, float(np.mean(each)), rng)  # their mean: what the parameters' errors leave, m^2
     if np.median(before + rest) <= rules.NO_GAP**2 * noise:
         return None
     return interval(1.0 - np.sqrt((after + rest) / (before + rest)))
-
-
-def _estimation(new: Anticipated) -> float:
-    """Mean square m^2 that the parameters' errors leave."""
-    each = [np.einsum("nij,jk,nik->n", g.errors, new.covariance, g.errors, optimize=True).mean() for g in new.groups]
-    return float(np.mean(each))
 
 
 def drawn_errors(covariance: Array, rng: np.random.Generator) -> Array:
