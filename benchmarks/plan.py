@@ -37,8 +37,8 @@ from ocp.plan.passes.posture import Seed, find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
-from ocp.plan.paths import lay_paths
-from ocp.plan.planning import Plan, PlanOptions, make_plan
+from ocp.plan.paths import PlanOptions, lay_paths
+from ocp.plan.planning import Plan, make_plan
 from ocp.shell.progress import Phases
 from robots.pose import Array
 from trajectories.passes import BladePath, reversed_path

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -13,7 +13,7 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import FLANGE_STIFFNESS, FORCE_RANGE, Domain, draw, fit_wheel_law
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import read_cell
-from ocp.plan.paths import lay_paths
+from ocp.plan.paths import PlanOptions, lay_paths
 
 LARGE = WheelGeometry(radius=0.150, width=0.040, cover_thickness=0.015, modulus=12e6, poisson=0.47)
 SMALL = WheelGeometry(radius=0.075, width=0.025, cover_thickness=0.015, modulus=3.43e6, poisson=0.47)
@@ -147,21 +147,12 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Passes of our own, a waypoint every millimetre."""
-
-    path: None = None
-    program: None = None
-    step: float = 1e-3
-
-
 def real() -> None:
     """The law on real blades with the bundled cell's passes, in the whole box of freedoms and in a quarter of it."""
     root = Path(__file__).resolve().parents[1]
     cell = read_cell(root / "ocp" / "data" / "cell.toml")
     for name in ("twisted", "rotor37"):
-        paths = lay_paths(cell, root.parent / "shared" / "data" / "blades" / f"{name}.stl", Choice()).paths
+        paths = lay_paths(cell, root.parent / "shared" / "data" / "blades" / f"{name}.stl", PlanOptions(step=1e-3)).paths
         curvature = np.vstack([path.curvature for path in paths])
         for title, wheel in (("small", SMALL), ("large", LARGE)):
             cover = build_cover(wheel, default_cell(wheel, 20.0))

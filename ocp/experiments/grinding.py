@@ -24,8 +24,7 @@ from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.optimise import Ground, PassWorker, SolvedPass
 from ocp.plan.passes.posture import Seed, find_seeds
 from ocp.plan.passes.stage import ObjectiveWeights
-from ocp.plan.paths import lay_paths
-from ocp.plan.planning import PlanOptions
+from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import VirtualArm, arm_moments
 from ocp.simulate.twin.contact import ContactMoments

@@ -4,6 +4,7 @@ Distances are coal's on simple convex shapes. In contact the pair of blade and w
 (`find_secondary_contact`): does the blade touch the wheel anywhere else than the contact model thinks?
 """
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -58,7 +59,7 @@ class CollisionScene:
         """`blade_vertices` (n, 3) m in the blade frame."""
         self.cell = cell
         self._bodies = _bodies(cell, blade_vertices)
-        self._pairs = _pairs(cell, self._bodies)
+        self._pairs = _pairs(self._bodies)
 
     @cached_property
     def _request(self) -> coal.DistanceRequest:
@@ -120,33 +121,25 @@ def _bodies(cell: Cell, vertices: Array) -> list[Body]:
     wheel_placement = np.eye(4)
     wheel_placement[:3, :3], wheel_placement[:3, 3] = R, cell.wheel.centre
     bodies.append(Body("wheel", 7, coal.Cylinder(cell.wheel.radius, cell.wheel.width), wheel_placement))
-    bodies.append(Body("floor", 7, coal.Halfspace(np.array([0.0, 0.0, 1.0]), _floor(cell)), np.eye(4)))
+    # The robot's base plane, or just below the wheel where that hangs lower (a pedestal).
+    floor = min(0.0, float(cell.wheel.centre[2]) - cell.wheel.radius - FLOOR_BELOW_WHEEL)
+    bodies.append(Body("floor", 7, coal.Halfspace(np.array([0.0, 0.0, 1.0]), floor), np.eye(4)))
     return bodies
 
 
-def _floor(cell: Cell) -> float:
-    """Height of the floor: the robot's base plane, or just below the wheel where that hangs lower (a pedestal)."""
-    return min(0.0, float(cell.wheel.centre[2]) - cell.wheel.radius - FLOOR_BELOW_WHEEL)
-
-
-def _pairs(cell: Cell, bodies: list[Body]) -> list[BodyPair]:
+def _pairs(bodies: list[Body]) -> list[BodyPair]:
     pairs = []
-    for i, a in enumerate(bodies):
-        for j in range(i + 1, len(bodies)):
-            b = bodies[j]
-            kinds = {a.name, b.name}
-            if "wheel" in kinds and "blade" in kinds:
-                pairs.append(BodyPair(i, j, BLADE_MARGIN, off_contact=True))
-            elif "wheel" in kinds and "holder" in kinds:
-                pairs.append(BodyPair(i, j, BLADE_MARGIN))
-            elif "wheel" in kinds:
-                if a.frame >= 1 and "floor" not in kinds:
-                    pairs.append(BodyPair(i, j, ARM_MARGIN))
-            elif "floor" in kinds:
-                if a.frame >= 2:
-                    pairs.append(BodyPair(i, j, ARM_MARGIN))
-            elif _far_apart(a, b):
-                pairs.append(BodyPair(i, j, ARM_MARGIN))
+    for (i, a), (j, b) in itertools.combinations(enumerate(bodies), 2):
+        kinds = {a.name, b.name}
+        if "wheel" in kinds and kinds & {"blade", "holder"}:
+            pairs.append(BodyPair(i, j, BLADE_MARGIN, off_contact="blade" in kinds))
+            continue
+        if "wheel" in kinds:
+            meet = a.frame >= 1 and "floor" not in kinds
+        else:
+            meet = a.frame >= 2 if "floor" in kinds else _far_apart(a, b)
+        if meet:
+            pairs.append(BodyPair(i, j, ARM_MARGIN))
     return pairs
 
 

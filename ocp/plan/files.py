@@ -86,7 +86,7 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
     with phases.phase("reading back"):
         values = plan.theta.values
         believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
-        readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, files[0], plan.jobs)
+        readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, files[0])
     return _Written(sorted(file.name for file in files), timeline, readback)
 
 

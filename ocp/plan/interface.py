@@ -4,7 +4,8 @@ from pathlib import Path
 
 from ocp.data import CELL
 from ocp.plan.files import PlanResult, write_plan
-from ocp.plan.planning import PlanOptions, make_plan
+from ocp.plan.paths import PlanOptions
+from ocp.plan.planning import make_plan
 from ocp.shell.progress import Phases, Progress
 
 

@@ -5,7 +5,6 @@ Of an old program every pose tells where it lets the blade touch the wheel.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import trimesh
@@ -24,25 +23,20 @@ from trajectories.dialects import dialect_named
 from trajectories.passes import BladePath, PassOptions, passes
 from trajectories.path_file import read_path_file
 from trajectories.path_points import paths_from_points
-from trajectories.program.old_program import contact_frames_from_program
+from trajectories.program.old_program import OldPass, contact_frames_from_program
 
 CLOUD_SPACING = 8e-4  # m between points of the surface cloud
 
 
-class PathChoice(Protocol):
-    """Where the passes come from and how far apart waypoints stand, m."""
+@dataclass(frozen=True)
+class PlanOptions:
+    """Options of the command: a path made elsewhere or an old program, kind of output, name, waypoint distance m."""
 
-    @property
-    def path(self) -> Path | None:
-        """A path.csv, or None."""
-
-    @property
-    def program(self) -> Path | None:
-        """An old .src, or None."""
-
-    @property
-    def step(self) -> float:
-        """Distance of waypoints, m."""
+    path: Path | None = None
+    program: Path | None = None
+    kind: str = "axis"
+    name: str | None = None
+    step: float = 5e-4
 
 
 @dataclass(frozen=True)
@@ -55,7 +49,7 @@ class LaidPaths:
     notices: tuple[str, ...]
 
 
-def lay_paths(cell: Cell, stl: Path, choice: PathChoice) -> LaidPaths:
+def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     """Read the blade, find its aerofoil and lay the passes the cell asks for.
 
     Raises BadInput: the STL, the clamp, the margins or the path handed in cannot be used.
@@ -63,12 +57,12 @@ def lay_paths(cell: Cell, stl: Path, choice: PathChoice) -> LaidPaths:
     blade = read_blade(stl, cell.workpiece.stl_unit)
     shape = find_shape(blade)
     cloud = surface_cloud(shape, blade)
-    if choice.path is not None:
-        paths, notices = read_path_file(choice.path, blade, shape, cell.process.feed, cell.process.force)
-    elif choice.program is not None:
-        paths, notices = paths_from_program(cell, blade, shape, cloud, choice.program, choice.step)
+    if options.path is not None:
+        paths, notices = read_path_file(options.path, blade, shape, cell.process.feed, cell.process.force)
+    elif options.program is not None:
+        paths, notices = paths_from_program(cell, blade, shape, cloud, options.program, options.step)
     else:
-        paths, notices = passes(blade, shape, _options(cell, choice.step))
+        paths, notices = passes(blade, shape, _pass_options(cell, options.step))
     return LaidPaths(blade, paths, cloud, (*blade.notices, *shape.notices, *notices))
 
 
@@ -104,21 +98,17 @@ def _facet_points(blade: Blade) -> tuple[Array, Array]:
     return vertices[used], np.repeat(normal[sound] / length[sound, None], 3, axis=0)[first]
 
 
-def _options(cell: Cell, step: float) -> PassOptions:
+def _pass_options(cell: Cell, step: float) -> PassOptions:
     process, piece = cell.process, cell.workpiece
+    same = ("side", "root_margin", "tip_margin", "edge_margin", "feed", "force")
     return PassOptions(
+        **{name: getattr(process, name) for name in same},
         clamp_normal=(float(piece.clamp_normal[0]), float(piece.clamp_normal[1]), float(piece.clamp_normal[2])),
         clamp_offset=piece.clamp_offset,
         clamp_side="below",
         direction=process.passes,
-        side=process.side,
         spacing=process.pass_spacing,
-        root_margin=process.root_margin,
-        tip_margin=process.tip_margin,
-        edge_margin=process.edge_margin,
         step=step,
-        feed=process.feed,
-        force=process.force,
         wheel_radius=cell.wheel.radius + WHEEL_ROOM,
         wheel_width=cell.wheel.width + 2 * WHEEL_ROOM,
     )
@@ -141,57 +131,55 @@ def paths_from_program(
     old, notes = contact_frames_from_program(
         execution, lambda q: forward(cell.robot, q), cell.workpiece.T_flange_blade, wheel_frame(cell)
     )
-    notices = list(notes)
-    p, n, line, places, feed = [], [], [], [], []
-    for number, one in enumerate(old, 1):
-        touched = [_contact(cell, cloud, T) for T in one.flange @ cell.workpiece.T_flange_blade]
-        last: Array | None = None
-        for found, place in zip(touched, one.lines, strict=True):
-            if found is None or (last is not None and np.linalg.norm(found[0] - last) < LEAST_SPACING):
-                continue
-            last = found[0]
-            p.append(found[0])
-            n.append(found[1])
-            line.append(number)
-            places.append(f"{one.file}, line {place}")
-            feed.append(one.feed or cell.process.feed)
-    counts = np.bincount(line, minlength=len(old) + 1) if line else np.zeros(1, int)
-    keep = np.array([counts[k] >= 3 for k in line], bool)
-    if not keep.any():
+    touching = {number: found for number, one in enumerate(old, 1) if len(found := _touching(cell, cloud, one)) >= 3}
+    if not touching:
         raise BadInput(
             f"{source}: none of its {len(old)} path motions brings the blade within {APART * 1e3:g} mm of the wheel; "
             "is it a program of this cell, blade and tool frame?"
         )
-    passes, points = len(set(np.array(line)[keep])), int(keep.sum())
-    notices.append(f"{source.name}: {passes} of {len(old)} path motions touch the wheel, {points} contact points are taken.")
-    index = np.flatnonzero(keep)
-    rows = [
-        _resampled(np.array(p), np.array(n), index[np.array(line)[index] == k], step) for k in np.unique(np.array(line)[keep])
-    ]
-    at, normal, of = np.vstack([r[0] for r in rows]), np.vstack([r[1] for r in rows]), np.concatenate([r[2] for r in rows])
-    of_line = np.array(line)[of]
-    paths, more = paths_from_points(
-        blade,
-        shape,
-        of_line,
-        at,
-        normal,
-        _feed_directions(at, normal, of_line),
-        np.array(feed)[of],
-        np.full(len(at), cell.process.force),
-        source.name,
-        [places[k] for k in of],
-    )
-    return paths, notices + more
+    points = sum(map(len, touching.values()))
+    told = f"{source.name}: {len(touching)} of {len(old)} path motions touch the wheel, {points} contact points are taken."
+    rows = [_resampled(found, step) for found in touching.values()]
+    p, n, t = (np.vstack(part) for part in zip(*(r[:3] for r in rows), strict=True))
+    line = np.repeat(list(touching), [len(r[0]) for r in rows])
+    nearest = [found[k] for found, r in zip(touching.values(), rows, strict=True) for k in r[3]]
+    feed, force = np.array([one.feed for one in nearest]), np.full(len(p), cell.process.force)
+    places = [one.place for one in nearest]
+    paths, more = paths_from_points(blade, shape, line, p, n, t, feed, force, source.name, places)
+    return paths, [*notes, told, *more]
 
 
-def _resampled(p: Array, n: Array, rows: NDArray[np.int64], step: float) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Points and normals of one pass every `step` m along the curve through them, and which point of the program is next."""
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p[rows], axis=0), axis=1))])
+@dataclass(frozen=True)
+class _OldContact:
+    """Contact point and outward normal (3,) in the blade frame; where the program has it; its feed m/s."""
+
+    p: Array
+    n: Array
+    place: str
+    feed: float
+
+
+def _touching(cell: Cell, cloud: SurfaceCloud, one: OldPass) -> list[_OldContact]:
+    """The contacts of one path motion, those that are crowded left out."""
+    contacts: list[_OldContact] = []
+    for T, line in zip(one.flange @ cell.workpiece.T_flange_blade, one.lines, strict=True):
+        found = _contact(cell, cloud, T)
+        if found is not None and not (contacts and np.linalg.norm(found[0] - contacts[-1].p) < LEAST_SPACING):
+            contacts.append(_OldContact(*found, f"{one.file}, line {line}", one.feed or cell.process.feed))
+    return contacts
+
+
+def _resampled(contacts: list[_OldContact], step: float) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    """Points, normals and unit directions of travel of one pass every `step` m along the curve through its contacts, and which
+    contact is next."""
+    known = np.array([one.p for one in contacts])
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(known, axis=0), axis=1))])
     even = np.linspace(0.0, s[-1], max(int(np.ceil(s[-1] / step)) + 1, 8))
-    normal = CubicSpline(s, n[rows])(even)
-    nearest = rows[np.abs(even[:, None] - s).argmin(axis=1)]
-    return CubicSpline(s, p[rows])(even), normal / np.linalg.norm(normal, axis=1, keepdims=True), nearest
+    p, n = CubicSpline(s, known)(even), CubicSpline(s, np.array([one.n for one in contacts]))(even)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    t = np.gradient(p, axis=0)
+    t -= n * np.sum(t * n, axis=1, keepdims=True)
+    return p, n, t / np.linalg.norm(t, axis=1, keepdims=True), np.abs(even[:, None] - s).argmin(axis=1)
 
 
 def _contact(cell: Cell, cloud: SurfaceCloud, T: Array) -> tuple[Array, Array] | None:
@@ -219,13 +207,3 @@ def _contact(cell: Cell, cloud: SurfaceCloud, T: Array) -> tuple[Array, Array] |
     at = float(np.clip(at, -STRIP, STRIP))
     value = np.array([1.0, at, 0.0, at * at, 0.0, 0.0]) @ fit
     return value[1:4], value[4:7] / np.linalg.norm(value[4:7])
-
-
-def _feed_directions(p: Array, n: Array, line: Array) -> Array:
-    """Unit directions (m, 3) of travel along the contact points of each pass, freed of their part along n."""
-    t = np.empty_like(p)
-    for number in np.unique(line):
-        rows = np.flatnonzero(line == number)
-        t[rows] = np.gradient(p[rows], axis=0)
-    t -= n * np.sum(t * n, axis=1, keepdims=True)
-    return np.asarray(t / np.linalg.norm(t, axis=1, keepdims=True))

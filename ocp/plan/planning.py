@@ -15,28 +15,15 @@ from ocp.plan.motion import PlannedMotion, build_motion
 from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes, solve_passes
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.stage import ObjectiveWeights
-from ocp.plan.paths import lay_paths
+from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
-from ocp.shell.workers import cores
 from robots.errors import BadInput
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
 from trajectories.program.program import KINDS
 
 FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is
-
-
-@dataclass(frozen=True)
-class PlanOptions:
-    """Options of the command: a path made elsewhere or an old program, kind of output, name, waypoint distance m, jobs."""
-
-    path: Path | None = None
-    program: Path | None = None
-    kind: str = "axis"
-    name: str | None = None
-    step: float = 5e-4
-    jobs: int = 0
 
 
 @dataclass(frozen=True)
@@ -51,7 +38,6 @@ class Plan:
     cloud: SurfaceCloud
     kind: str
     name: str
-    jobs: int
     inputs: tuple[tuple[str, Path], ...]
     notices: tuple[str, ...]
     wheel_error: float
@@ -85,7 +71,6 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         raise BadInput(
             f"--step {options.step * 1e3:g} mm is not between {LEAST_STEP * 1e3:g} and {MOST_STEP * 1e3:g} mm; 0.5 is usual"
         )
-    jobs = options.jobs or cores()
     with phases.phase("passes"):
         laid = lay_paths(cell, stl, options)
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
@@ -99,7 +84,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         with phases.phase("postures"):
             seeds = find_seeds(cell, scene, contact.law, laid.paths)
         with phases.phase("optimal control", len(laid.paths)) as advance:
-            return solve_passes(ground, laid.paths, seeds, compliance, jobs, advance)
+            return solve_passes(ground, laid.paths, seeds, compliance, advance)
 
     solved = remembered_passes(ground, laid.paths, compliance, solve)
     with phases.phase("timing", len(solved)) as advance:
@@ -117,7 +102,6 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         cloud=laid.cloud,
         kind=options.kind,
         name=options.name or stl.name,
-        jobs=jobs,
         inputs=tuple(inputs),
         notices=(*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices),
         wheel_error=contact.law.error.max,

@@ -12,7 +12,7 @@ from ocp.model.cell import Cell
 from ocp.plan.motion import PlannedMotion
 from ocp.plan.rules import BLOCK_TIME_TOLERANCE, FLANGE_FORCE_TOLERANCE, READ_BACK_LIMIT, RIGID_FORCE_TOLERANCE
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, verify_pass
-from ocp.shell.workers import interrupts_held_back, workers
+from ocp.shell.workers import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches
 from robots.pose import Array, invert
@@ -41,7 +41,7 @@ class Readback:
 
 
 def read_back(
-    cell: Cell, believed: BelievedRobot, cover: Cover, cloud: SurfaceCloud, motion: PlannedMotion, main: Path, jobs: int
+    cell: Cell, believed: BelievedRobot, cover: Cover, cloud: SurfaceCloud, motion: PlannedMotion, main: Path
 ) -> Readback:
     """Read the program `main` and judge it.
 
@@ -56,7 +56,7 @@ def read_back(
         (one.problem.path, one.problem.compliance, *rows, one.problem.named_conditions(cell))
         for one, rows in zip(motion.passes, driven, strict=True)
     ]
-    for one, checked in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks, jobs), strict=True):
+    for one, checked in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks), strict=True):
         worst = max(worst, force_error(cell, one.problem.path, checked))
         passes.append(checked)
     return Readback(passes, worst, axis_error, time_error, ratio)
@@ -92,12 +92,13 @@ def _verify(*task: Any) -> VerifiedPass:
 
 
 def _verified(
-    cell: Cell, believed: BelievedRobot, cover: Cover, cloud: SurfaceCloud, tasks: list[tuple[Any, ...]], jobs: int
+    cell: Cell, believed: BelievedRobot, cover: Cover, cloud: SurfaceCloud, tasks: list[tuple[Any, ...]]
 ) -> list[VerifiedPass]:
-    """`verify_pass` of every task (path, compliance, time, q, s), in `jobs` worker processes (1: in this one)."""
+    """`verify_pass` of every task (path, compliance, time, q, s), in worker processes where there are several cores."""
+    jobs = min(cores(), len(tasks))
     if jobs <= 1:
         return [verify_pass(cell, believed, cover, cloud, *task) for task in tasks]
-    with workers(min(jobs, len(tasks)), _share, cell, believed, cover, cloud) as pool:
+    with workers(jobs, _share, cell, believed, cover, cloud) as pool:
         with interrupts_held_back():
             futures = [pool.submit(_verify, *task) for task in tasks]
         return [future.result() for future in futures]

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ocp.model.cell import Cell, Wheel
 from ocp.plan.clearance import Body, BodyPair, CollisionScene, _between, flange_pose
 from ocp.plan.passes.posture import contact_poses
-from ocp.plan.paths import lay_paths
-from ocp.plan.planning import PlanOptions
+from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.rules import ARM_MARGIN
 from ocp.poses.rules import AXIS_MARGIN, BRACKET_RADIUS, HOLDING_SHARE, WRIST_RANGE
 from robots.errors import Infeasible

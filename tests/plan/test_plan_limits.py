@@ -31,7 +31,8 @@ from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import PassSolver, refuse_violated
 from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, ROWS
-from ocp.plan.planning import PlanOptions, make_plan
+from ocp.plan.paths import PlanOptions
+from ocp.plan.planning import make_plan
 from ocp.plan.readback import _timed, force_error
 from ocp.plan.second_route import VerifiedPass
 from ocp.shell.progress import Phases

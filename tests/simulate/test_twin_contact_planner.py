@@ -26,7 +26,7 @@ Array = np.ndarray
 def taught(tmp_path_factory) -> tuple[force_world.World, int, Array]:
     """The believed cell with its truth moved, without finite elements: every waypoint gives way alike; a line and its joints."""
     cell = read_cell(small_cell(tmp_path_factory.mktemp("cell")))
-    laid = lay_paths(cell, cell.workpiece.stl, force_world.Choice())
+    laid = lay_paths(cell, cell.workpiece.stl, force_world.CHOICE)
     injected = {f"wheel_{a}": v for a, v in zip("xyz", (2e-4, -3e-4, 4e-4), strict=True)}
     injected |= {f"blade_{a}": v for a, v in zip("xyz", (-3e-4, 2e-4, 1e-4), strict=True)}
     injected |= dict(wheel_axis_u=8e-4, wheel_axis_v=-1e-3, blade_a=1e-3, blade_b=-7e-4, blade_c=5e-4)

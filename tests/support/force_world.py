@@ -18,7 +18,7 @@ from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, read_cell
 from ocp.model.force_balance import axis_directions
 from ocp.model.prepare import typical_patch, wheel_cover
-from ocp.plan.paths import lay_paths
+from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.second_route import BelievedRobot, believed_robot, bent, verify_pass
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.calibration.store import Calibration
@@ -34,11 +34,7 @@ FINE = 0.75  # of the default cell: another grid than the fit's, finer
 ARM_SD = 1e-4  # m and rad: the posterior of a good tracker campaign, diagonal
 
 
-@dataclass(frozen=True)
-class Choice:
-    path: Path | None = None
-    program: Path | None = None
-    step: float = 2e-3
+CHOICE = PlanOptions(step=2e-3)
 
 
 @dataclass(frozen=True)
@@ -65,7 +61,7 @@ def arm_posterior(cell: Cell, sd: float = ARM_SD) -> Calibration:
 def make_world(folder: Path, rng: np.random.Generator, changes: dict[str, str] | None = None) -> World:
     """A cell of the bundled kind whose truth is drawn from the priors of its file and of `arm_posterior`."""
     cell = read_cell(small_cell(folder, changes))
-    laid = lay_paths(cell, cell.workpiece.stl, Choice())
+    laid = lay_paths(cell, cell.workpiece.stl, CHOICE)
     names = [f"wheel_{a}" for a in "xyz"] + [f"blade_{a}" for a in "xyz"]
     injected = {name: 3e-4 * rng.normal() for name in names}
     turns = ("wheel_axis_u", "wheel_axis_v", "blade_c", "blade_b", "blade_a")

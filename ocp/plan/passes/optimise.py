@@ -30,7 +30,7 @@ from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.rules import DIRECT_TOLERANCE, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE
 from ocp.shell.cache import content_key, flattened, rebuilt, remember
-from ocp.shell.workers import interrupts_held_back, workers
+from ocp.shell.workers import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath, reversed_path
@@ -232,14 +232,14 @@ def solve_passes(
     paths: list[BladePath],
     seeds: list[list[Seed]],
     compliance: list[Array],
-    jobs: int,
     advance: Callable[[], None] = lambda: None,
 ) -> list[SolvedPass]:
-    """Solve every pass in `jobs` worker processes (1: in this one).
+    """Solve every pass, in worker processes where there are several cores.
 
     Raises Infeasible of the first pass (in order) that has no sound solution.
     """
     tasks = list(zip(paths, seeds, compliance, strict=True))
+    jobs = min(cores(), len(tasks))
     if jobs <= 1:
         worker = PassWorker(ground)
         solved = []
@@ -247,7 +247,7 @@ def solve_passes(
             solved.append(worker.solve(*task))
             advance()
         return solved
-    with workers(min(jobs, len(tasks)), _start_worker, ground) as pool:
+    with workers(jobs, _start_worker, ground) as pool:
         with interrupts_held_back():
             futures = [pool.submit(_solve_in_worker, *task) for task in tasks]
         for future in futures:
