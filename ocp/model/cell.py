@@ -9,21 +9,12 @@ from typing import Any
 import numpy as np
 
 from ocp.effects.cell_effects import CellEffect, effect_of
-from ocp.model.cell_schema import (
-    CellTables,
-    ConditionsTable,
-    FlangeTable,
-    LinkTarget,
-    PayloadTable,
-    TrackerTable,
-    WheelTable,
-    WorkpieceTable,
-)
+from ocp.model.cell_schema import CellTables, ConditionsTable, FlangeTable, LinkTarget, TrackerTable, WheelTable, WorkpieceTable
 from robots.calibration.store import Calibration, read_calibration
 from robots.errors import BadInput
 from robots.pose import Array, rotation_from_abc, transform_from_xyzabc
 from robots.robot import Robot, load_robot
-from robots.toml_files import read_toml
+from robots.toml_files import TomlTable, read_toml
 from robots.tracker_readings import Hanging, Instrument, Nest
 
 
@@ -173,7 +164,6 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
                 f"{path}: calibration '{tables.robot.calibration}' belongs to robot '{calibration.robot}', the cell has "
                 f"'{robot.name}'; calibrate this robot or correct robot.model"
             )
-    process = _from_table(tables.process)
     return Cell(
         name=tables.name,
         path=path,
@@ -183,7 +173,7 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
         workpiece=_workpiece(tables, tables.workpiece, path, Path(blade) if blade is not None else None),
         wheel=_wheel(tables.wheel),
         flange=_flange(tables.force_flange),
-        process=Process(**process),
+        process=Process(**_si(tables.process)),
         controller=Controller(**tables.controller.model_dump()),
         tables=tables,
         effects=tuple(effect_of(table.model_dump()) for table in tables.effects),
@@ -216,19 +206,20 @@ def wheel_frame(cell: Cell) -> Array:
     return T
 
 
-_FACTORS = {"_mm": ("", 1e-3), "_deg": ("", np.pi / 180), "_N": ("", 1.0), "_mm_s": ("", 1e-3)}
+# What the unit at the end of a key is in SI; longer ones before those that they end with.
+_SI = {"_N_per_mm": 1e3, "_mm_s": 1e-3, "_m_s": 1.0, "_mm": 1e-3, "_deg": np.pi / 180, "_N": 1.0}
+_SI |= {"_GPa": 1e9, "_MPa": 1e6, "_kg_m3": 1.0, "_kg": 1.0}
 
 
-def _from_table(table: Any) -> dict[str, Any]:
-    """Values of a table in SI with the unit suffix taken off the names."""
-    result = {}
+def _si(table: TomlTable) -> dict[str, Any]:
+    """Values of a table in SI with the unit taken off the names; lists of numbers with a unit are arrays."""
+    found = {}
     for key, value in table.model_dump().items():
-        suffix = next((s for s in ("_mm_s", "_mm", "_deg", "_N") if key.endswith(s)), None)
-        if suffix is None:
-            result[key] = value
-        else:
-            result[key.removesuffix(suffix)] = value * _FACTORS[suffix][1]
-    return result
+        unit = next((unit for unit in _SI if key.endswith(unit)), "")
+        if unit and value is not None:
+            value = (np.array(value) if isinstance(value, tuple) else value) * _SI[unit]
+        found[key.removesuffix(unit)] = value
+    return found
 
 
 def _workpiece(tables: CellTables, table: WorkpieceTable, path: Path, blade: Path | None) -> Workpiece:
@@ -243,18 +234,15 @@ def _workpiece(tables: CellTables, table: WorkpieceTable, path: Path, blade: Pat
         normal, offset = -normal, -offset
     name = table.payload or next(iter(tables.payloads), None)
     payload = tables.payloads[name] if name is not None else None
+    si = _si(table)
     return Workpiece(
+        **{key: si[key] for key in ("stl_unit", "xyz_sd", "youngs_modulus", "density", "clamp_stiffness")},
         stl=blade,
-        stl_unit=table.stl_unit,
-        T_flange_blade=transform_from_xyzabc(np.array(table.xyz_mm) * 1e-3, np.radians(table.abc_deg)),
-        xyz_sd=table.xyz_sd_mm * 1e-3,
-        abc_sd=float(np.radians(table.abc_sd_deg)),
-        youngs_modulus=table.youngs_modulus_GPa * 1e9,
+        T_flange_blade=transform_from_xyzabc(si["xyz"], si["abc"]),
+        abc_sd=float(si["abc_sd"]),
         poisson=table.poisson_ratio,
-        density=table.density_kg_m3,
         clamp_normal=normal,
         clamp_offset=offset * 1e-3,
-        clamp_stiffness=table.clamp_stiffness_N_per_mm * 1e3,
         payload=_payload(payload),
         payload_name=name or "",
     )
@@ -265,41 +253,23 @@ def _payload(table: PayloadTable | None) -> Hanging:
 
 
 def _wheel(table: WheelTable) -> Wheel:
+    si = _si(table)
+    shore, modulus, arc = si.pop("shore_A"), si.pop("cover_modulus"), si.pop("contact_arc")
     axis = np.array(table.axis) / np.linalg.norm(table.axis)
     direction = np.array(table.contact_direction)
     direction = direction - axis * (axis @ direction)
-    modulus = table.cover_modulus_MPa
     if modulus is None:
         # Shore A to Young's modulus, PHYSICS 3.4: log10 E[MPa] = 0.0235 S - 0.6403
-        modulus = 10 ** (0.0235 * (table.shore_A or 0.0) - 0.6403)
-    return Wheel(
-        centre=np.array(table.centre_mm) * 1e-3,
-        axis=axis,
-        contact_direction=direction / np.linalg.norm(direction),
-        radius=table.radius_mm * 1e-3,
-        width=table.width_mm * 1e-3,
-        cover_thickness=table.cover_thickness_mm * 1e-3,
-        cover_modulus=modulus * 1e6,
-        cover_poisson=table.cover_poisson,
-        arc=(float(np.radians(table.contact_arc_deg[0])), float(np.radians(table.contact_arc_deg[1]))),
-        belt_speed=table.belt_speed_m_s,
-        friction=table.friction,
-        centre_sd=table.centre_sd_mm * 1e-3,
-        axis_sd=float(np.radians(table.axis_sd_deg)),
-    )
+        modulus = 1e6 * 10 ** (0.0235 * shore - 0.6403)
+    si |= {"axis": axis, "contact_direction": direction / np.linalg.norm(direction), "cover_modulus": modulus}
+    return Wheel(**si, arc=(float(arc[0]), float(arc[1])))
 
 
 def _flange(table: FlangeTable | None) -> ForceFlange | None:
     if table is None:
         return None
-    return ForceFlange(
-        setpoint=table.setpoint_N,
-        stiffness=table.stiffness_N_per_mm * 1e3,
-        stroke=table.stroke_mm * 1e-3,
-        carried_mass=table.carried_mass_kg,
-        gravity_compensated=table.gravity_compensated,
-        axis=None if table.axis is None else np.array(table.axis) / np.linalg.norm(table.axis),
-    )
+    axis = None if table.axis is None else np.array(table.axis) / np.linalg.norm(table.axis)
+    return ForceFlange(**_si(table) | {"axis": axis})
 
 
 def cell_tables_for(source: Path, out: Path, blade: Path | None = None) -> dict[str, Any]:
