@@ -5,16 +5,8 @@ earlier: dq = -s dq/dt, of one joint or of all alike (joint 0). Positive: the me
 one speed it hides behind anything that goes with the sign of the speed.
 """
 
-import casadi as ca
-
-from ocp.effects.context import ArmContext
-from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.effect import Effect, Parameter
 from ocp.effects.forms import at_joint, proportional
-
-
-def _lag(x: ArmContext, j: int, scanned: Scanned) -> ca.SX:
-    return -x.speed if j == 0 else at_joint(j, -x.speed[j - 1])
-
 
 EFFECT = Effect(
     name="channel_delay",
@@ -23,6 +15,6 @@ EFFECT = Effect(
     physics=__doc__,
     joints=(0, 1, 2, 3, 4, 5, 6),
     needs=("speed",),
-    joint=_lag,
+    joint=lambda x, j, scanned: -x.speed if j == 0 else at_joint(j, -x.speed[j - 1]),
     **proportional(Parameter("s", "s", 1e-3, 5e-2)),
 )

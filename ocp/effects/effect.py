@@ -22,7 +22,6 @@ TwistHook = Callable[[ArmContext, int, Scanned], dict[int, ca.SX]]
 TrackerHook = Callable[[TrackerContext, int, Scanned], ca.SX]
 ContactHook = Callable[[ContactContext, int, Scanned], ca.SX]
 AlongHook = Callable[[LogRows, int, Scanned], Array]
-SIGNALS = ("tracker", "force", "joint")
 SUBSYSTEMS = ("joint", "link", "base", "payload", "tool", "tracker", "target", "wheel", "blade", "flange", "sensor", "timing")
 
 

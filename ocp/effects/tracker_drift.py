@@ -7,14 +7,8 @@ from the robot.
 
 import casadi as ca
 
-from ocp.effects.context import TrackerContext
-from ocp.effects.effect import Effect, Parameter, Scanned
+from ocp.effects.effect import Effect, Parameter
 from ocp.effects.forms import HOUR, proportional
-
-
-def _drift(x: TrackerContext, j: int, scanned: Scanned) -> ca.SX:
-    return x.time / HOUR * ca.horzcat(ca.SX.eye(3), -ca.skew(x.point))
-
 
 EFFECT = Effect(
     name="tracker_drift",
@@ -22,6 +16,6 @@ EFFECT = Effect(
     subsystem="tracker",
     physics=__doc__,
     needs=("time_s",),
-    reading=_drift,
+    reading=lambda x, j, scanned: x.time / HOUR * ca.horzcat(ca.SX.eye(3), -ca.skew(x.point)),
     **proportional(Parameter("m_per_h", "m/h", 5e-6, 8e-5, length=3), Parameter("rad_per_h", "rad/h", 1e-6, 2e-5, length=3)),
 )

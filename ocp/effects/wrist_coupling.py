@@ -6,9 +6,6 @@ wrong ratio leaves dq_j = k q_i among joints 4 to 6 (DIAGNOSIS, catalogue). sour
 
 from collections.abc import Sequence
 
-import casadi as ca
-
-from ocp.effects.context import ArmContext
 from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
 from ocp.effects.forms import at_joint, proportional
 
@@ -19,10 +16,6 @@ def _sources(joint: int, seen: Surroundings) -> Sequence[Scanned]:
     return [{"source_joint": i} for i in WRIST if i != joint]
 
 
-def _coupled(x: ArmContext, j: int, scanned: Scanned) -> ca.SX:
-    return at_joint(j, x.q[int(scanned["source_joint"]) - 1])
-
-
 EFFECT = Effect(
     name="wrist_coupling",
     title="joint {joint} turns with another wrist axis",
@@ -30,7 +23,7 @@ EFFECT = Effect(
     physics=__doc__,
     joints=WRIST,
     scan=_sources,
-    joint=_coupled,
+    joint=lambda x, j, scanned: at_joint(j, x.q[int(scanned["source_joint"]) - 1]),
     **proportional(
         Parameter("ratio", "1", 1e-4, 3e-3), Parameter("source_joint", "1", 4, 6, signed=False), scanned=("source_joint",)
     ),

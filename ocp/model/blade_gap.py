@@ -94,11 +94,8 @@ def surface_shape(wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_bl
     index = np.sort(np.asarray(cloud.tree.query_ball_point(contact, REACH), dtype=int))
     far = np.linalg.norm(cloud.points[index] - contact, axis=1) > NEAR
     index = index[~far | (index % THINNED == 0)]
-    p = apply(T_base_blade, np.vstack([contact, cloud.points[index]])) - wheel.centre
     n = cloud.normals[index] @ T_base_blade[:3, :3].T
-    lateral = p @ wheel.axis
-    radial = p - lateral[:, None] * wheel.axis
-    rho = np.linalg.norm(radial, axis=1)
+    lateral, radial, rho = wheel.cylindrical(apply(T_base_blade, np.vstack([contact, cloud.points[index]])))
     e = radial[0] / rho[0]
     angle = np.arctan2(radial @ np.cross(wheel.axis, e), radial @ e)
     x, y = wheel.radius * angle, lateral - lateral[0]
@@ -106,9 +103,7 @@ def surface_shape(wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_bl
     facing = np.sum(n * radial[1:], axis=1) / rho[1:] < -FACING
     keep = np.concatenate([[True], facing & (np.hypot(x[1:], y[1:]) > SHARPEST)])
     x, y, height = x[keep], y[keep], height[keep]
-    quadratic = base.tilt_x * x + base.tilt_y * y
-    quadratic += 0.5 * (base.kxx * x**2 + 2 * base.kxy * x * y + base.kyy * y**2)
-    departure = _departure(np.column_stack([x, y]), height - quadratic)
+    departure = _departure(np.column_stack([x, y]), height - base.gap(x, y))
     return SurfaceShape(
         base.kxx, base.kyy, base.kxy, base.lateral, base.tilt_x, base.tilt_y, None, base.heading, departure=departure
     )

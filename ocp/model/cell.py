@@ -64,6 +64,18 @@ class Wheel:
         """Sign of the belt's speed, +1 where it stands."""
         return float(np.sign(self.belt_speed)) or 1.0
 
+    def cylindrical(self, points: Array) -> tuple[Array, Array, Array]:
+        """Of points (n, 3) m in the base frame: lateral (n,), outward radial (n, 3) and its length (n,), m."""
+        v = points - self.centre
+        lateral = v @ self.axis
+        radial = v - lateral[:, None] * self.axis
+        return lateral, radial, np.linalg.norm(radial, axis=1)
+
+    def outward(self, arc: Array | float) -> Array:
+        """Unit radial (..., 3) in the base frame at arc angles (...) rad."""
+        side = np.cross(self.axis, self.contact_direction)
+        return np.asarray(np.cos(arc)[..., None] * self.contact_direction + np.sin(arc)[..., None] * side)
+
 
 @dataclass(frozen=True)
 class ForceFlange:

@@ -48,7 +48,10 @@ def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Ph
             with interrupts_held_back():
                 waiting = pool.submit(blade_compliance, *task)
         with phases.phase("wheel table"):
-            law = wheel_law(cell, cover, curvature)
+            # Over what the blade and the cell's tolerances ask for.
+            process, lateral = cell.process, min(cell.process.lateral_tolerance, 0.5 * cell.wheel.width)
+            domain = Domain(curvature, process.turn_tolerance, lateral, float(np.tan(process.tilt_tolerance)), process.force)
+            law = remembered_law(cover, domain)
         with phases.phase("blade"):
             compliance = blade_compliance(*task) if waiting is None else waiting.result()
     return ContactModel(cover, law, compliance)
@@ -59,14 +62,6 @@ def wheel_cover(cell: Cell, coarser: float = 1.0) -> Cover:
     wheel = cell.wheel
     geometry = WheelGeometry(wheel.radius, wheel.width, wheel.cover_thickness, wheel.cover_modulus, wheel.cover_poisson)
     return build_cover(geometry, coarser * default_cell(geometry, cell.process.force))
-
-
-def wheel_law(cell: Cell, cover: Cover, curvature: Array) -> WheelLaw:
-    """The table over what the blade (curvature (m, 3)) and the cell's tolerances ask for."""
-    process = cell.process
-    lateral = min(process.lateral_tolerance, 0.5 * cell.wheel.width)
-    domain = Domain(curvature, process.turn_tolerance, lateral, float(np.tan(process.tilt_tolerance)), process.force)
-    return remembered_law(cover, domain)
 
 
 def typical_patch(cell: Cell, cover: Cover, curvature: Array) -> tuple[float, float]:

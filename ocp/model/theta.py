@@ -33,6 +33,7 @@ assert set(NAMES) <= set(SYMBOLS), "every parameter of the model is in the produ
 UNCALIBRATED_LENGTH_SD = 3e-4  # m; with the next line about 1.2 mm at the tool, PHYSICS 2.6
 UNCALIBRATED_ANGLE_SD = 3e-4  # rad
 UNMODELLED_JOINTS = 2e-5  # rad; 0.04 mm at 2 m, what gears leave after a calibration (PHYSICS 2.6)
+UNCALIBRATED_MDH_SD = [UNCALIBRATED_ANGLE_SD, *[UNCALIBRATED_LENGTH_SD] * 2, *[UNCALIBRATED_ANGLE_SD] * 2]  # th, d, a, al, be
 COMPLIANCE_SD = 0.2  # relative, PHYSICS 2.5
 PAYLOAD_MASS_SD = 0.5  # kg
 PAYLOAD_COM_SD = 5e-3  # m
@@ -80,15 +81,28 @@ def covariance_root(covariance: Array) -> Array:
 
 def believed_theta(cell: Cell) -> Theta:
     """The cell's values and, where a calibration gives them, its estimates with their full covariance."""
-    blocks = {
-        "mdh": cell.robot.mdh.ravel(),
-        "c": np.divide(1.0, cell.robot.stiffness, out=np.zeros(6), where=cell.robot.stiffness > 0),
-        "payload_mass": np.array([cell.workpiece.payload.mass]),
-        "payload_com": cell.workpiece.payload.com,
-        "flange_stiffness": np.array([cell.flange.stiffness if cell.flange else 1.0]),
+    wheel, piece, flange = cell.wheel, cell.workpiece, cell.flange
+    compliance = np.divide(1.0, cell.robot.stiffness, out=np.zeros(6), where=cell.robot.stiffness > 0)
+    loaded, stiffness = float(piece.payload.mass > 0), flange.stiffness if flange else 1.0
+    # Values, and one sigma where no calibration speaks.
+    believed: dict[str, tuple[Array | float, Array | float]] = {
+        "mdh": (cell.robot.mdh.ravel(), np.tile(UNCALIBRATED_MDH_SD, 6)),
+        "c": (compliance, COMPLIANCE_SD * np.abs(compliance)),
+        "payload_mass": (piece.payload.mass, PAYLOAD_MASS_SD * loaded),
+        "payload_com": (piece.payload.com, PAYLOAD_COM_SD * loaded),
+        "wheel_centre": (0.0, wheel.centre_sd),
+        "wheel_axis": (0.0, wheel.axis_sd),
+        "blade_shift": (0.0, piece.xyz_sd),
+        "blade_rotation": (0.0, piece.abc_sd),
+        "cover_stiffness_scale": (0.0, COVER_STIFFNESS_SD),
+        "blade_stiffness_scale": (0.0, BLADE_STIFFNESS_SD),
+        "flange_stiffness": (stiffness, FLANGE_STIFFNESS_SD * stiffness if flange else 0.0),
+        "flange_setpoint_offset": (0.0, FLANGE_SETPOINT_SD if flange else 0.0),
     }
-    values = np.concatenate([blocks.get(name, np.zeros(len(names))) for name, names in BLOCKS.items()])
-    sd = np.concatenate([_prior_sd(cell, name, blocks) for name in BLOCKS])
+    values, sd = (
+        np.concatenate([np.broadcast_to(np.asarray(believed[block][k], float), len(names)) for block, names in BLOCKS.items()])
+        for k in (0, 1)
+    )
     covariance = np.diag(sd**2)
     calibration = cell.calibration
     if calibration is not None:
@@ -114,29 +128,6 @@ def _joint_noise(cell: Cell) -> float:
     noise = cell.calibration.provenance.get("noise") if cell.calibration is not None else None
     found = noise.get("joints_rad") if isinstance(noise, dict) else None
     return float(found) if isinstance(found, int | float) and np.isfinite(found) and found > 0 else UNMODELLED_JOINTS
-
-
-def _prior_sd(cell: Cell, block: str, blocks: dict[str, Array]) -> Array:
-    """One sigma of a block where no calibration speaks."""
-    n = len(BLOCKS[block])
-    mdh = np.tile([UNCALIBRATED_ANGLE_SD, *[UNCALIBRATED_LENGTH_SD] * 2, *[UNCALIBRATED_ANGLE_SD] * 2], 6)
-    loaded = float(cell.workpiece.payload.mass > 0)
-    flange = float(cell.flange is not None)
-    fixed: dict[str, Array | float] = {
-        "mdh": mdh,
-        "c": COMPLIANCE_SD * np.abs(blocks["c"]),
-        "payload_mass": PAYLOAD_MASS_SD * loaded,
-        "payload_com": PAYLOAD_COM_SD * loaded,
-        "wheel_centre": cell.wheel.centre_sd,
-        "wheel_axis": cell.wheel.axis_sd,
-        "blade_shift": cell.workpiece.xyz_sd,
-        "blade_rotation": cell.workpiece.abc_sd,
-        "cover_stiffness_scale": COVER_STIFFNESS_SD,
-        "blade_stiffness_scale": BLADE_STIFFNESS_SD,
-        "flange_stiffness": FLANGE_STIFFNESS_SD * flange * float(blocks["flange_stiffness"][0]),
-        "flange_setpoint_offset": FLANGE_SETPOINT_SD * flange,
-    }
-    return np.broadcast_to(np.asarray(fixed[block], float), (n,)).copy()
 
 
 def registered(cell: Cell) -> tuple[Cell, Theta]:

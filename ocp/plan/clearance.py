@@ -197,10 +197,8 @@ def find_secondary_contact(
     wheel = cell.wheel
     worst = SecondaryContact(0.0, 0, 0.0)
     for k, T in enumerate(T_base_blade):
-        v = apply(T, np.vstack([points, contact[k]])) - wheel.centre
-        lateral = v @ wheel.axis
-        radial = v - lateral[:, None] * wheel.axis
-        depth = wheel.radius - np.linalg.norm(radial, axis=1)
+        lateral, radial, rho = wheel.cylindrical(apply(T, np.vstack([points, contact[k]])))
+        depth = wheel.radius - rho
         seen = np.linalg.norm(points - contact[k], axis=1) < 0.9 * REACH
         near = (np.abs(lateral[:-1]) <= 0.5 * wheel.width) & (depth[:-1] > SECONDARY_CONTACT_TOLERANCE) & ~seen
         if not near.any():

@@ -91,7 +91,7 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
 
 
 def _verdict(plan: Plan, written: _Written) -> str:
-    sd = max(float(p.evaluation.force_sd.max()) for p in plan.motion.passes)
+    sd = plan.force_sd
     goal, asked = _asked(plan)
     found = (
         f"the program read back gives {asked} within {written.readback.force_error:.2g} N by the independent route; "
@@ -148,7 +148,7 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], v
         "verdict": verdict,
         "summary": dict(summary),
         "force_error_N": written.readback.force_error,
-        "force_sd_max_N": max(float(p.evaluation.force_sd.max()) for p in plan.motion.passes),
+        "force_sd_max_N": plan.force_sd,
         "duration_s": plan.motion.duration,
         "passes": [
             {"line": path.line, "side": path.side, "waypoints": len(path.s), "iterations": p.solution.iterations}

@@ -78,14 +78,15 @@ def build_motion(
         segments.append(MotionSegment(kind, place, trajectory, time))
         time += trajectory.duration
 
-    where = (home, _normal(cell, passes[0], 0))
+    def go(place: int, start: tuple[Array, Array], goal: tuple[Array, Array], label: str) -> None:
+        for a, b in itertools.pairwise(travel(cell, scene, start, goal)):
+            if np.abs(b - a).max() > 1e-9:
+                add("travel", place, time_joint_move(a, b, limits, label=label))
+
+    where = at_home = (home, _normal(cell, passes[0], 0))
     for place, (one, (inward, outward)) in enumerate(zip(passes, ends, strict=True)):
         name = f"line {one.problem.path.line} ({one.problem.path.side})"
-        entry = (inward[-1], _normal(cell, one, 0))
-        way = travel(cell, scene, where, entry)
-        for a, b in itertools.pairwise(way):
-            if np.abs(b - a).max() > 1e-9:
-                add("travel", place, time_joint_move(a, b, limits, label=f"{name}, approach"))
+        go(place, where, (inward[-1], _normal(cell, one, 0)), f"{name}, approach")
         distance = np.linspace(0.0, LIFT_OFF, ENGAGE_POINTS)
         add("engage", place, time_contact_path(inward[::-1], distance, ENGAGE_SPEED, limits, label=f"{name}, engage"))
         path = one.problem.path
@@ -93,18 +94,13 @@ def build_motion(
         add("retreat", place, time_contact_path(outward, distance, ENGAGE_SPEED, limits, label=f"{name}, retreat"))
         where = (outward[-1], _normal(cell, one, -1))
         advance()
-    way = travel(cell, scene, where, (home, _normal(cell, passes[0], 0)))
-    for a, b in itertools.pairwise(way):
-        if np.abs(b - a).max() > 1e-9:
-            add("travel", len(passes), time_joint_move(a, b, limits, label="way home"))
+    go(len(passes), where, at_home, "way home")
     return PlannedMotion(passes, segments)
 
 
 def _normal(cell: Cell, solved: SolvedPass, k: int) -> Array:
     """Outward wheel radial (3,) in the base frame at waypoint k, from the arc angle."""
-    wheel, arc = cell.wheel, solved.evaluation.arc[k]
-    side = np.cross(wheel.axis, wheel.contact_direction)
-    return np.asarray(np.cos(arc) * wheel.contact_direction + np.sin(arc) * side)
+    return cell.wheel.outward(solved.evaluation.arc[k])
 
 
 def _clear(cell: Cell, solved: SolvedPass, k: int) -> Array:

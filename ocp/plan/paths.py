@@ -185,10 +185,7 @@ def _resampled(contacts: list[_OldContact], step: float) -> tuple[Array, Array, 
 def _contact(cell: Cell, cloud: SurfaceCloud, T: Array) -> tuple[Array, Array] | None:
     """Contact point and outward normal (blade frame) of a blade pose (4, 4), or None off the wheel."""
     wheel = cell.wheel
-    v = apply(T, cloud.points) - wheel.centre
-    lateral = v @ wheel.axis
-    radial = v - lateral[:, None] * wheel.axis
-    rho = np.linalg.norm(radial, axis=1)
+    lateral, radial, rho = wheel.cylindrical(apply(T, cloud.points))
     facing = np.sum((cloud.normals @ T[:3, :3].T) * radial, axis=1) < -FACING * rho
     strip = np.flatnonzero(facing & (np.abs(lateral) < STRIP))
     if len(strip) < 8:

@@ -44,6 +44,11 @@ class Plan:
     compliance_error: float
 
     @property
+    def force_sd(self) -> float:
+        """Largest standard deviation of the force on the real cell, N."""
+        return max(float(p.evaluation.force_sd.max()) for p in self.motion.passes)
+
+    @property
     def waypoints(self) -> int:
         """Waypoints of all passes."""
         return sum(len(p.problem.path.s) for p in self.motion.passes)

@@ -1,6 +1,6 @@
 """The usual parts of a section: paragraph, list, facts, table, plot; each draws itself on the page and on paper."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -51,17 +51,15 @@ class Points(Part):
     def on_page(self) -> Markup:
         """An `<ol>` or `<ul>`."""
         tag = Markup("ol" if self.numbered else "ul")
-        return Markup('<{} class="notices">{}</{}>').format(tag, _each(Markup("<li>{}</li>"), self.items), tag)
+        return Markup('<{} class="notices">{}</{}>').format(
+            tag, Markup("").join(map(Markup("<li>{}</li>").format, self.items)), tag
+        )
 
     def on_sheets(self, sheets: Sheets) -> None:
         """One item after the other, the first line of each with its mark."""
         for k, item in enumerate(self.items):
             sheets.paragraph(item, mark=f"{k + 1}." if self.numbered else "•", gap=0.04)
         sheets.y += 0.06
-
-    def beginning(self) -> float:
-        """A line or two."""
-        return 0.4
 
 
 @dataclass(frozen=True)
@@ -89,10 +87,6 @@ class Facts(Part):
                     sheets.last.text(LEFT + indent, sheets.y, said[k])
                 sheets.y += LINE
             sheets.y += 0.06
-
-    def beginning(self) -> float:
-        """A line or two."""
-        return 0.4
 
 
 @dataclass(frozen=True)
@@ -223,10 +217,6 @@ def column_widths(table: Table) -> list[float]:
 
 def _row_height(cells: list[list[str]]) -> float:
     return 0.14 * max(len(cell) for cell in cells) + 0.045
-
-
-def _each(template: Markup, items: Iterable[str]) -> Markup:
-    return Markup("").join(template.format(item) for item in items)
 
 
 @dataclass(frozen=True)

@@ -268,11 +268,6 @@ def arm_shift(active: Sequence[Active], rows: ArmRows) -> ArmColumns:
     return ArmColumns(joints, twists)
 
 
-def shifted_joints(active: Sequence[Active], rows: ArmRows) -> Array:
-    """What active effects add to the commanded joints (n, 6) rad."""
-    return np.asarray(arm_shift(active, rows).joints[0, :, :, 0])
-
-
 @dataclass(frozen=True)
 class TrackerPlace:
     """Names of the reflector nests."""
@@ -306,12 +301,3 @@ def tracker_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: 
     blocks = {"point": rows.point, "R": rows.R.reshape(n, 9), "time": rows.time, "warm": rows.warm, "target": rows.target}
     hook = Hook(effect, "reading", joint, TRACKER_LAYOUT, TrackerPlace(rows.targets))
     return evaluated(hook, TRACKER_LAYOUT.stack(n, blocks), scans)[-1]
-
-
-def tracker_shift(active: Sequence[Active], rows: TrackerRows) -> Array:
-    """What active effects add to the readings (n, 3) m in the tracker's frame."""
-    out = np.zeros((len(rows.point), 3))
-    for item in active:
-        if item.effect.reading is not None:
-            out += tracker_columns(item.effect, item.joint, (item.scanned,), rows)[0] @ item.a
-    return out

@@ -5,7 +5,7 @@
 dq, dtau, overlap .. are the hooks at the believed posture times the coefficients; docs/effects.md.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,8 +66,8 @@ class ModelEffects:
         """Whether any of them acts at the contact."""
         return any(e.active.effect.overlap is not None or e.active.effect.push is not None for e in self.effects)
 
-    def _sum(self, hooks: tuple[str, ...], context: Any, add: Any) -> None:
-        """add(hook, value times coefficients) for every effect that has one of the hooks."""
+    def _values(self, hooks: tuple[str, ...], context: Any) -> Iterator[tuple[str, Any]]:
+        """Name and value times coefficients of every one of the hooks that an effect has."""
         start = 0
         for e in self.effects:
             a, effect = self.a[start : start + len(e.a)], e.active.effect
@@ -76,34 +76,26 @@ class ModelEffects:
                 hook = getattr(effect, name)
                 if hook is not None:
                     value = hook(context, e.joint, e.scanned)
-                    add(name, {k: v @ a for k, v in value.items()} if isinstance(value, dict) else value @ a)
+                    yield name, {k: v @ a for k, v in value.items()} if isinstance(value, dict) else value @ a
 
     def arm(self, context: ArmContext) -> ArmChange:
         """What the effects do to the arm, seen at its believed posture."""
         change: dict[str, ca.SX] = {"joint": ca.SX.zeros(6), "torque": ca.SX.zeros(6)}
         twists: dict[int, ca.SX] = {}
-
-        def add(name: str, value: Any) -> None:
+        for name, value in self._values(("joint", "torque", "twist"), context):
             if name == "twist":
                 for link, motion in value.items():
                     twists[link] = twists.get(link, ca.SX.zeros(6)) + motion
             else:
                 change[name] += value
-
-        self._sum(("joint", "torque", "twist"), context, add)
         return ArmChange(change["joint"], change["torque"], twists)
 
     def overlap(self, context: ContactContext, rigid: bool) -> ca.SX:
         """Overlap m that the effects add; a push counts as the stroke of the flange that it takes, in a rigid cell as the
         overlap that brings as much force."""
-        total = [ca.SX(0)]
         give = ca.sum1(context.slopes) if rigid else context.slopes[0]
-
-        def add(name: str, value: ca.SX) -> None:
-            total[0] += value * give if name == "push" else value
-
-        self._sum(("overlap", "push"), context, add)
-        return total[0]
+        found = self._values(("overlap", "push"), context)
+        return sum((value * give if name == "push" else value for name, value in found), ca.SX(0))
 
 
 def planned_arm_context(

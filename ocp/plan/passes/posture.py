@@ -6,6 +6,7 @@ neither a pass nor the travel between passes depends on luck.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +47,7 @@ def contact_poses(cell: Cell, path: BladePath, index: Index, arc: Array, turn: A
     `arc`, `turn` (...) rad; touching, without overlap, in the middle of the wheel's width. docs/architecture.md.
     """
     wheel = cell.wheel
-    side = np.cross(wheel.axis, wheel.contact_direction)
-    e = np.cos(arc)[..., None] * wheel.contact_direction + np.sin(arc)[..., None] * side
+    e = wheel.outward(arc)
     belt = np.cross(np.broadcast_to(wheel.axis, e.shape), e)
     heading = np.cos(turn)[..., None] * belt + np.sin(turn)[..., None] * wheel.axis
     t = -sigma * wheel.travel * heading
@@ -212,8 +212,8 @@ def _families(
     at = at if direction == 1 else 1.0 - at
     seconds = np.diff(at) * path.s[-1] / path.feed.mean()
     seeds = []
-    for shift in _shifts():
-        moved = q + 2 * np.pi * shift
+    for a, b, c in product((-1, 0, 1), repeat=3):  # whole turns of axes 1, 4, 6
+        moved = q + 2 * np.pi * np.array([a, 0, 0, b, 0, c])
         over = np.maximum(robot.q_min + AXIS_MARGIN - moved, moved - robot.q_max + AXIS_MARGIN).max(axis=2)
         wrist = np.abs(np.sin(q[..., 4])).min(axis=2)
         speed = (np.abs(np.diff(q, axis=2)) / seconds[:, None] / robot.qd_max).max(axis=(2, 3))
@@ -236,11 +236,6 @@ def _families(
         for g, b in np.argwhere(inside & sound):
             seeds.append(Seed(direction, int(b), float(arc[g]), float(turn[g]), moved[g, b], at, float(cost[g, b])))
     return seeds
-
-
-def _shifts() -> list[Array]:
-    """Whole turns of axes 1, 4, 6."""
-    return [np.array([a, 0, 0, b, 0, c]) for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)]
 
 
 def wrist_radius(cell: Cell, q: Array) -> Array:
