@@ -8,7 +8,7 @@ import pytest
 from ocp.contact.wheel.cover import Cover, WheelGeometry
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.theta import believed_theta
-from ocp.plan.passes.optimise import DirectContact, Ground, SolvedPass, remembered_passes
+from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import Evaluation, PassSolution
@@ -27,7 +27,7 @@ def solved_pass() -> SolvedPass:
     names = Evaluation.__dataclass_fields__
     evaluation = Evaluation(**{name: RANDOM.normal(size=shapes.get(name, (N,))) for name in names})
     solution = PassSolution(RANDOM.normal(size=(N, 6)), np.full(N, 20.0), 12, 3.5)
-    return SolvedPass(problem, solution, evaluation, DirectContact(np.arange(3), np.ones(3), np.ones((3, 2))))
+    return SolvedPass(problem, solution, evaluation)
 
 
 def ground() -> Ground:

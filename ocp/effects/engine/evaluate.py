@@ -209,28 +209,15 @@ class ArmColumns:
     def at(self, rows: ArmRows, point: Array, d_joints: Array, link: int = 6) -> Array:
         """Displacement (v, n, 3, m) m, base axes, of points (n, 3) m (base frame) of `link`; d_joints (n, 3, 6) m/rad in the
         commanded joints, base axes (eq. 1)."""
-        out = self._by_joints(d_joints)
-        for i, twist in self.twists.items():
-            if i <= link:
-                lever = point - rows.origins[:, i]
-                out += twist[:, :, :3] + np.cross(twist[:, :, 3:], lever[None, :, :, None], axis=2)
-        return out
-
-    def spin(self, spin_joints: Array, link: int = 6) -> Array:
-        """Turn (v, n, 3, m) rad, base axes, of `link`; spin_joints (n, 3, 6) in the commanded joints."""
-        out = self._by_joints(spin_joints)
-        for i, twist in self.twists.items():
-            if i <= link:
-                out += twist[:, :, 3:]
-        return out
-
-    def _by_joints(self, slope: Array) -> Array:
-        """slope (n, 3, 6) times the joints, (v, n, 3, m), over the joints that move at all."""
         v, n, _, m = self.joints.shape
         out = np.zeros((v, n, 3, m))
         for j in range(6):
             if self.joints[:, :, j].any():
-                out += slope[None, :, :, j, None] * self.joints[:, :, None, j]
+                out += d_joints[None, :, :, j, None] * self.joints[:, :, None, j]
+        for i, twist in self.twists.items():
+            if i <= link:
+                lever = point - rows.origins[:, i]
+                out += twist[:, :, :3] + np.cross(twist[:, :, 3:], lever[None, :, :, None], axis=2)
         return out
 
 

@@ -21,7 +21,7 @@ from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
-from ocp.model.cell import Cell, Wheel
+from ocp.model.cell import Cell
 from ocp.model.theta import Theta
 from ocp.plan.clearance import CollisionScene, find_secondary_contact
 from ocp.plan.passes.posture import Seed
@@ -63,49 +63,28 @@ class Ground:
     cloud: SurfaceCloud
 
 
-@dataclass(frozen=True)
-class DirectContact:
-    """Directly solved contact at some waypoints of a pass: index (k,), patch semi-axes (k, 2) m.
+def solve_directly(ground: Ground, problem: PassProblem, solved: Evaluation) -> Array:
+    """The indentation correction (n,) m that makes the model's wheel indentation that of the contact solved directly, under the
+    programmed force on the blade's real surface, at the postures of `solved`.
 
-    indentation (k,) m under the programmed force on the real surface; it varies smoothly along a pass, other than the
-    local curvature that the table goes by.
+    The indentation varies smoothly along a pass, other than the local curvature that the table goes by: it is solved at some
+    waypoints. Raises Infeasible of the contact solver, with the waypoint.
     """
-
-    index: Array
-    indentation: Array
-    semi_axes: Array
-
-
-def solve_directly(
-    wheel: Wheel, cover: Cover, cloud: SurfaceCloud, problem: PassProblem, solved: Evaluation, sigma_travel: float
-) -> DirectContact:
-    """Indentation under the programmed force on the blade's real surface, at the postures of `solved`.
-
-    `sigma_travel` is +1 where the blade moves with the belt at zero turn, else -1 (docs/architecture.md). Raises
-    Infeasible of the contact solver, with the waypoint.
-    """
-    index = contact_stations(problem.path.s, STATION_SPACING)
-    indentation, axes = [], []
+    wheel, path = ground.cell.wheel, problem.path
+    along = -wheel.travel * ground.cell.process.sigma  # zero turn: the blade moves with the belt or against it
+    index = contact_stations(path.s, STATION_SPACING)
+    indentation = []
     for k in index:
         kxx, kyy, kxy = (float(c) for c in solved.curvature[k])
         tilt_x, tilt_y = (float(c) for c in solved.tilt[k])
-        heading = (-sigma_travel * float(np.cos(solved.turn[k])), -sigma_travel * float(np.sin(solved.turn[k])))
+        heading = (along * float(np.cos(solved.turn[k])), along * float(np.sin(solved.turn[k])))
         base = LocalShape(kxx, kyy, kxy, float(solved.lateral[k]), tilt_x, tilt_y, heading=heading)
-        shape = surface_shape(wheel, cloud, base, solved.T_base_blade[k], problem.path.p[k])
+        shape = surface_shape(wheel, ground.cloud, base, solved.T_base_blade[k], path.p[k])
         try:
-            contact = solve_force(cover, float(problem.path.force[k]), shape)
+            indentation.append(solve_force(ground.cover, float(path.force[k]), shape).indentation)
         except Infeasible as error:
-            path = problem.path
             raise Infeasible(f"line {path.line} ({path.side}), waypoint {k + 1}: {error}") from None
-        indentation.append(contact.indentation)
-        axes.append(contact.semi_axes)
-    return DirectContact(index, np.array(indentation), np.array(axes))
-
-
-def corrected_indentation(problem: PassProblem, solved: Evaluation, direct: DirectContact) -> Array:
-    """The indentation correction (n,) m that makes the model's wheel indentation the direct one at the postures of `solved`."""
-    s = problem.path.s
-    wanted = PchipInterpolator(s[direct.index], direct.indentation)(s)
+    wanted = PchipInterpolator(path.s[index], indentation)(path.s)
     return np.asarray(problem.indentation_correction + wanted - solved.parts[:, 1])
 
 
@@ -116,7 +95,6 @@ class SolvedPass:
     problem: PassProblem
     solution: PassSolution
     evaluation: Evaluation
-    direct: DirectContact
 
 
 class PassWorker:
@@ -126,7 +104,6 @@ class PassWorker:
         self.ground = ground
         self.solver = PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
         self.scene = CollisionScene(ground.cell, ground.vertices)
-        self.sigma_travel = ground.cell.wheel.travel * ground.cell.process.sigma
 
     def solve(self, path: BladePath, seeds: list[Seed], compliance: Array) -> SolvedPass:
         """The first seed that gives a sound pass. Raises Infeasible with the first seed's reason where none does."""
@@ -152,10 +129,7 @@ class PassWorker:
         for _ in range(CORRECTIONS):
             solution = self.solver.solve(problem, start)
             solved = self.solver.evaluate(problem, solution.q, solution.force)
-            direct = solve_directly(
-                self.ground.cell.wheel, self.ground.cover, self.ground.cloud, problem, solved, self.sigma_travel
-            )
-            better = corrected_indentation(problem, solved, direct)
+            better = solve_directly(self.ground, problem, solved)
             off = np.abs((better - problem.indentation_correction) * solved.stiffness).max()
             blocked = self._with_clearances(problem, solution.q)
             turned = self.solver.with_approach(problem, solution.q)
@@ -164,7 +138,7 @@ class PassWorker:
             problem = replace(blocked or problem, indentation_correction=better, approach=turned.approach)
             start = solution
         refuse_unsound(self.ground.cell, self.scene, self.ground.cloud, problem.path, solution, solved)
-        return SolvedPass(problem, replace(solution, multipliers=None), solved, direct)
+        return SolvedPass(problem, replace(solution, multipliers=None), solved)
 
     def _with_clearances(self, problem: PassProblem, q: Array) -> PassProblem | None:
         """The problem with rows that keep what collides free, linear about q; None where nothing collides."""

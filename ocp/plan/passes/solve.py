@@ -173,15 +173,12 @@ class PassSolver:
         """Bounds of the variables: axis limits with margin, the seed's side of wrist and elbow, the force."""
         robot, seed = self.cell.robot, problem.seed
         low, high = robot.q_min + AXIS_MARGIN, robot.q_max - AXIS_MARGIN
-        if seed.q[0, 4] > 0:
-            low[4] = max(low[4], SINGULARITY_SHARE * WRIST_MARGIN)
-        else:
-            high[4] = min(high[4], -SINGULARITY_SHARE * WRIST_MARGIN)
         elbow = float(np.arctan2(robot.mdh[2, 2], robot.mdh[3, 1]))
-        if seed.q[0, 2] > elbow:
-            low[2] = max(low[2], elbow + SINGULARITY_SHARE * ELBOW_MARGIN)
-        else:
-            high[2] = min(high[2], elbow - SINGULARITY_SHARE * ELBOW_MARGIN)
+        for axis, singular, margin in ((4, 0.0, WRIST_MARGIN), (2, elbow, ELBOW_MARGIN)):
+            if seed.q[0, axis] > singular:
+                low[axis] = max(low[axis], singular + SINGULARITY_SHARE * margin)
+            else:
+                high[axis] = min(high[axis], singular - SINGULARITY_SHARE * margin)
         force = _padded(problem.path.force, n)[:, None]
         return (np.hstack([np.tile(low, (n, 1)), force]).ravel(), np.hstack([np.tile(high, (n, 1)), force]).ravel())
 
