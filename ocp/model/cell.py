@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 from ocp.effects.cell_effects import CellEffect, effect_of
-from ocp.model.cell_schema import CellTables, ConditionsTable, FlangeTable, LinkTarget, TrackerTable, WheelTable, WorkpieceTable
+from ocp.model.cell_schema import (
+    CellTables,
+    ConditionsTable,
+    FlangeTable,
+    LinkTarget,
+    PayloadTable,
+    TrackerTable,
+    WheelTable,
+    WorkpieceTable,
+)
 from robots.calibration.store import Calibration, read_calibration
 from robots.errors import BadInput
 from robots.pose import Array, rotation_from_abc, transform_from_xyzabc

@@ -6,7 +6,6 @@ Distances are coal's on simple convex shapes. In contact the pair of blade and w
 
 import itertools
 from dataclasses import dataclass
-from functools import cached_property
 
 import coal
 import numpy as np
@@ -61,14 +60,10 @@ class CollisionScene:
         self._bodies = _bodies(cell, blade_vertices)
         self._pairs = _pairs(self._bodies)
 
-    @cached_property
-    def _request(self) -> coal.DistanceRequest:
-        request = coal.DistanceRequest()
-        request.enable_signed_distance = True
-        return request
-
     def clearances(self, q: Array, in_contact: bool) -> tuple[Array, list[tuple[str, str]]]:
         """Distance minus margin of the closest pair at joints q (n, 6): values (n,) m and the bodies' names."""
+        request = coal.DistanceRequest()
+        request.enable_signed_distance = True
         frames = link_frames(self.cell.robot, np.atleast_2d(q))
         pairs = [p for p in self._pairs if not (in_contact and p.off_contact)]
         values, names = np.full(len(frames), np.inf), [("", "")] * len(frames)
@@ -77,7 +72,7 @@ class CollisionScene:
             for pair in pairs:
                 a, b = self._bodies[pair.a], self._bodies[pair.b]
                 result = coal.DistanceResult()
-                gap = coal.distance(a.shape, placed[pair.a], b.shape, placed[pair.b], self._request, result)
+                gap = coal.distance(a.shape, placed[pair.a], b.shape, placed[pair.b], request, result)
                 if gap - pair.margin < values[k]:
                     values[k], names[k] = gap - pair.margin, (a.name, b.name)
         return values, names

@@ -199,9 +199,9 @@ def dense(points: Array, step: float = COLLISION_STEP) -> Array:
     return np.vstack(pieces)
 
 
-def is_free(scene: CollisionScene, points: Array, step: float = COLLISION_STEP) -> bool:
-    """True if the straight joint moves along `points` (k, 6), looked at every `step` rad, keep all margins off contact."""
-    return scene.clearance(dense(points, step), in_contact=False).value >= 0
+def is_free(scene: CollisionScene, points: Array) -> bool:
+    """True if the straight joint moves along `points` (k, 6), looked at every COLLISION_STEP, keep all margins off contact."""
+    return scene.clearance(dense(points), in_contact=False).value >= 0
 
 
 def travel(cell: Cell, scene: CollisionScene, start: tuple[Array, Array], goal: tuple[Array, Array]) -> Array:
@@ -221,16 +221,14 @@ def travel(cell: Cell, scene: CollisionScene, start: tuple[Array, Array], goal: 
             continue
         if is_free(scene, via):
             return via
-    found = connect(scene, cell.robot.q_min, cell.robot.q_max, qa, qb, COLLISION_STEP)
+    found = connect(scene, cell.robot.q_min, cell.robot.q_max, qa, qb)
     if found is None:
         clearance = scene.clearance(dense(direct), in_contact=False)
         raise Infeasible(f"no free way between two passes: on the straight move {clearance.sentence()}; move the wheel")
     return found
 
 
-def connect(
-    scene: CollisionScene, low: Array, high: Array, start: Array, goal: Array, step: float, seed: int = 0
-) -> Array | None:
+def connect(scene: CollisionScene, low: Array, high: Array, start: Array, goal: Array, seed: int = 0) -> Array | None:
     """A collision-free joint polyline (k, 6) from `start` to `goal` within low..high, or None after `ATTEMPTS` samples.
 
     Two trees are grown toward each other (RRT-Connect, Kuffner and LaValle 2000).
@@ -244,26 +242,26 @@ def connect(
     lower, upper = np.maximum(lower, low), np.minimum(upper, high)
     for attempt in range(ATTEMPTS):
         a = attempt % 2
-        reached = _extend(scene, trees[a], parents[a], rng.uniform(lower, upper), step)
+        reached = _extend(scene, trees[a], parents[a], rng.uniform(lower, upper))
         if reached is None:
             continue
         target = trees[a][reached]
-        while (other := _extend(scene, trees[1 - a], parents[1 - a], target, step)) is not None:
+        while (other := _extend(scene, trees[1 - a], parents[1 - a], target)) is not None:
             if np.allclose(trees[1 - a][other], target):
                 ends = (reached, other) if a == 0 else (other, reached)
                 points = _branch(trees[0], parents[0], ends[0])[::-1] + _branch(trees[1], parents[1], ends[1])[1:]
-                return _shortened(scene, np.array(points), step, rng)
+                return _shortened(scene, np.array(points), rng)
     return None
 
 
-def _extend(scene: CollisionScene, tree: list[Array], parents: list[int], target: Array, step: float) -> int | None:
+def _extend(scene: CollisionScene, tree: list[Array], parents: list[int], target: Array) -> int | None:
     """Grow the tree one edge toward target; the new node's index, or None where something is in the way."""
     nodes = np.array(tree)
     nearest = int(np.argmin(np.linalg.norm(nodes - target, axis=1)))
     direction = target - nodes[nearest]
     length = np.abs(direction).max()
     new = target if length <= GROW else nodes[nearest] + direction * (GROW / length)
-    if length < 1e-12 or not is_free(scene, np.array([nodes[nearest], new]), step):
+    if length < 1e-12 or not is_free(scene, np.array([nodes[nearest], new])):
         return None
     tree.append(new)
     parents.append(nearest)
@@ -279,12 +277,12 @@ def _branch(tree: list[Array], parents: list[int], node: int) -> list[Array]:
     return points
 
 
-def _shortened(scene: CollisionScene, points: Array, step: float, rng: np.random.Generator) -> Array:
+def _shortened(scene: CollisionScene, points: Array, rng: np.random.Generator) -> Array:
     """Cut corners where the straight move is free."""
     for _ in range(SHORTCUTS):
         if len(points) <= 2:
             break
         i, j = sorted(rng.choice(len(points), 2, replace=False))
-        if j > i + 1 and is_free(scene, points[[i, j]], step):
+        if j > i + 1 and is_free(scene, points[[i, j]]):
             points = np.vstack([points[: i + 1], points[j:]])
     return points

@@ -53,10 +53,8 @@ def program_setup(cell: Cell, load: Hanging, kind: str = "axis") -> Setup:
         T_flange_blade=cell.workpiece.T_flange_blade,
         T_base_wheel=wheel_frame(cell),
         robot=cell.robot,
-        tool_no=cell.controller.tool_no,
-        base_no=cell.controller.base_no,
+        **{name: getattr(cell.controller, name) for name in ("tool_no", "base_no", "absolute_accuracy")},
         kind=kind,
-        absolute_accuracy=cell.controller.absolute_accuracy,
         load_mass=load.mass,
         load_com=load.com,
         load_inertia=load.inertia,
@@ -81,9 +79,6 @@ def _label(motion: PlannedMotion, place: int) -> str:
         return "way home"
     path = motion.passes[place].problem.path
     return f"line {path.line} {path.side}"
-
-
-CONTACT_COLUMNS = ("p", "n", "t")
 
 
 @dataclass(frozen=True)
@@ -126,14 +121,12 @@ def _rows(motion: PlannedMotion, index: int, segment: MotionSegment, t: Array) -
     vector, number = np.full((m, 3), np.nan), np.full(m, np.nan)
     values: dict[str, Array] = dict.fromkeys(("p", "n", "t"), vector)
     values |= dict.fromkeys(("s", "feed", "force", "force_sd", "interference"), number)
-    line = 0
-    if segment.kind != "travel":
-        solved = motion.passes[segment.place]
-        line = solved.problem.path.line
+    line = 0 if segment.kind == "travel" else motion.passes[segment.place].problem.path.line
     if contact:
+        solved = motion.passes[segment.place]
         path, s = solved.problem.path, trajectory.s(t)
         stations = path.s
-        for name in CONTACT_COLUMNS:
+        for name in ("p", "n", "t"):
             values[name] = np.asarray(CubicSpline(stations, getattr(path, name))(s))
         for name in ("n", "t"):
             values[name] = values[name] / np.linalg.norm(values[name], axis=1, keepdims=True)

@@ -15,7 +15,6 @@ from ocp.model.cell import Cell
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.motion import connect, is_free
 from ocp.plan.programming import program_setup, write_program
-from ocp.plan.rules import COLLISION_STEP
 from ocp.poses.rules import APPROACH_SHARE, READ_BACK_TOLERANCE
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -118,7 +117,7 @@ def _way(robot: Robot, scene: CollisionScene, start: Array, goal: Array, home: A
     for way in (np.array([start, goal]), np.array([start, home, goal])):
         if is_free(scene, way):
             return way
-    found = connect(scene, robot.q_min, robot.q_max, start, goal, COLLISION_STEP, seed)
+    found = connect(scene, robot.q_min, robot.q_max, start, goal, seed)
     if found is None:
         raise Infeasible(f"no free way leads from {_text(start)} to {_text(goal)} deg; take another --seed, or clear the cell")
     return found

@@ -153,11 +153,11 @@ def test_the_search_is_free_short_and_always_the_same():
     low, high = np.radians(np.full(6, -180.0)), np.radians(np.full(6, 180.0))
     start, goal = np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0])
     scene = wall([25, -170], [35, 20])
-    one, two = (connect(scene, low, high, start, goal, COLLISION_STEP) for _ in range(2))
+    one, two = (connect(scene, low, high, start, goal) for _ in range(2))
     np.testing.assert_array_equal(one, two)
     np.testing.assert_array_equal(one[[0, -1]], [start, goal])
     assert is_free(scene, one) and len(one) < 15
-    other = connect(scene, low, high, start, goal, COLLISION_STEP, seed=1)
+    other = connect(scene, low, high, start, goal, seed=1)
     assert other is not None and (other.shape != one.shape or np.abs(other - one).max() > 1e-6)
 
 
@@ -165,7 +165,7 @@ def test_the_search_gives_up_where_the_wall_has_no_gap(monkeypatch):
     monkeypatch.setattr("ocp.plan.motion.ATTEMPTS", 300)
     low, high = np.radians(np.full(6, -180.0)), np.radians(np.full(6, 180.0))
     scene = wall([25, -400], [35, 400])
-    assert connect(scene, low, high, np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0]), COLLISION_STEP) is None
+    assert connect(scene, low, high, np.zeros(6), np.radians([60.0, 0, 0, 0, 0, 0])) is None
 
 
 # -- order of the passes -------------------------------------------------------------------------------------------

@@ -36,29 +36,31 @@ CONTACT_LAYOUT = RowLayout.of(
 
 @dataclass(frozen=True)
 class ArmPlace:
-    """What is the same in all rows: a robot's constants as bytes, and the names of payloads."""
+    """What is the same in all rows: a robot's sign (6), gear_ratio (6), link_mass (7) and link_com (7, 3) as bytes, one after the
+    other, and the names of payloads."""
 
-    sign: bytes
-    gear_ratio: bytes
-    link_mass: bytes
-    link_com: bytes
+    constants: bytes
     payloads: tuple[str, ...]
 
     @staticmethod
     def of(robot: Robot, payloads: tuple[str, ...]) -> "ArmPlace":
         """Of a robot."""
-        sign, ratio, mass, com = (
-            np.asarray(a, float).tobytes() for a in (robot.sign, robot.gear_ratio, robot.link_mass, robot.link_com)
-        )
-        return ArmPlace(sign, ratio, mass, com, payloads)
+        constants = (robot.sign, robot.gear_ratio, robot.link_mass, np.ravel(robot.link_com))
+        return ArmPlace(np.concatenate(constants).astype(float).tobytes(), payloads)
 
     def context(self, row: ca.SX) -> ArmContext:
         """What hooks see of a symbolic row."""
         x = ARM_LAYOUT.split(row)
         numbers = x.pop("frames")
         frames = [_frame(numbers[12 * i : 12 * i + 12]) for i in range(7)]
-        sign, mass, com, ratio = (np.frombuffer(b) for b in (self.sign, self.link_mass, self.link_com, self.gear_ratio))
-        return arm_context(frames, sign, mass, com.reshape(7, 3), ratio, self.payloads, **x)
+        sign, ratio, mass, com = _constants(self.constants)
+        return arm_context(frames, sign, mass, com, ratio, self.payloads, **x)
+
+
+def _constants(packed: bytes) -> tuple[Array, Array, Array, Array]:
+    """sign, gear_ratio, link_mass and link_com of an `ArmPlace`."""
+    sign, ratio, mass, com = np.split(np.frombuffer(packed), (6, 12, 19))
+    return sign, ratio, mass, com.reshape(7, 3)
 
 
 def arm_context(
@@ -121,9 +123,9 @@ def arm_rows(
     only an instant is asked of it).
     """
     n = len(inputs.q)
-    masses = tuple(np.asarray(a, float).tobytes() for a in (robot.sign, robot.link_mass, robot.link_com))
+    place = ArmPlace.of(robot, payloads)
     whole = np.broadcast_to(arm, (n, 36))
-    state = run_rows(_state(inputs.load_link, *masses), inputs.q, whole, inputs.payload, inputs.load, inputs.load_place)
+    state = run_rows(_state(inputs.load_link, place.constants), inputs.q, whole, inputs.payload, inputs.load, inputs.load_place)
     blocks: dict[str, Any] = {
         "q": inputs.q,
         "q_real": state[:, :6],
@@ -133,15 +135,15 @@ def arm_rows(
     }
     blocks |= {"approach": approach, "speed": speed, "warm": warm, "time": time, "payload": inputs.payload}
     blocks |= {"hung": 0.0 if hung is None else hung}
-    return ArmRows(ArmPlace.of(robot, payloads), ARM_LAYOUT.stack(n, blocks))
+    return ArmRows(place, ARM_LAYOUT.stack(n, blocks))
 
 
 @lru_cache(maxsize=32)
-def _state(load_link: int, sign_: bytes, mass_: bytes, com_: bytes) -> ca.Function:
+def _state(load_link: int, constants: bytes) -> ca.Function:
     """(q, arm, payload, load, place) -> q_real (6), tau (6), frames (7 x 12)."""
     q, arm, payload = ca.SX.sym("q", 6), ca.SX.sym("arm", 36), ca.SX.sym("payload", 4)
     load, place = ca.SX.sym("load", 6), ca.SX.sym("place", 3)
-    sign, mass, com = np.frombuffer(sign_), np.frombuffer(mass_), np.frombuffer(com_).reshape(7, 3)
+    sign, _, mass, com = _constants(constants)
     mdh = ca.reshape(arm[:30], 5, 6).T
 
     def torque(joints: ca.SX) -> ca.SX:

@@ -181,13 +181,8 @@ def _bears(cell: Cell, law: WheelLaw, path: BladePath, index: Index, turns: Arra
     good = ~hollow & (d > SEED_INDENTATION)
     if not good.all(axis=1).any():
         worst = int(np.argmax((~good).sum(axis=0)))
-        reasons.append(
-            (
-                4.0,
-                f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel, which would bear beside "
-                "the planned point",
-            )
-        )
+        where = f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel"
+        reasons.append((4.0, f"{where}, which would bear beside the planned point"))
     return np.asarray(good.all(axis=1))
 
 
