@@ -78,6 +78,7 @@ def one_variant(joint: int, seen: Surroundings) -> Sequence[Scanned]:
 class Effect:
     """An effect of the catalogue.
 
+    physics: what it is and where that is written; of a file's docstring all that stands below the first line.
     joints: where it may sit (1..6), empty for effects of no joint (hooks then get joint 0). coefficients: their names;
     prior_sd (m,) of the coefficients: the upper end of the typical range. scan(joint, surroundings): variants of the scanned
     values; symbolic: those of them that hooks take as CasADi symbols, so that one function serves all their values.

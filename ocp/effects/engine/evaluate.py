@@ -126,14 +126,8 @@ def arm_rows(
     place = ArmPlace.of(robot, payloads)
     whole = np.broadcast_to(arm, (n, 36))
     state = run_rows(_state(inputs.load_link, place.constants), inputs.q, whole, inputs.payload, inputs.load, inputs.load_place)
-    blocks: dict[str, Any] = {
-        "q": inputs.q,
-        "q_real": state[:, :6],
-        "tau": state[:, 6:12],
-        "frames": state[:, 12:],
-        "c": arm[30:],
-    }
-    blocks |= {"approach": approach, "speed": speed, "warm": warm, "time": time, "payload": inputs.payload}
+    blocks: dict[str, Any] = {"q": inputs.q, "q_real": state[:, :6], "tau": state[:, 6:12], "frames": state[:, 12:]}
+    blocks |= {"approach": approach, "speed": speed, "warm": warm, "time": time, "payload": inputs.payload, "c": arm[30:]}
     blocks |= {"hung": 0.0 if hung is None else hung}
     return ArmRows(place, ARM_LAYOUT.stack(n, blocks))
 
