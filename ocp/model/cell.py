@@ -174,9 +174,7 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
     if tables.workpiece is None or tables.wheel is None:
         missing = "workpiece" if tables.workpiece is None else "wheel"
         raise BadInput(f"{path}: table [{missing}] is missing; planning needs it")
-    robot = robot_of(path, tables)
-    if tables.robot.stiffness_Nm_per_rad is not None:
-        robot = replace(robot, stiffness=np.array(tables.robot.stiffness_Nm_per_rad))
+    robot = _robot(path, tables)
     calibration = None
     if tables.robot.calibration is not None:
         calibration = read_calibration(path.parent / tables.robot.calibration)
@@ -202,14 +200,16 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
     )
 
 
-def robot_of(path: Path, tables: CellTables) -> Robot:
-    """The robot that a cell file names. Raises BadInput as `load_robot`, with the file and its key."""
+def _robot(path: Path, tables: CellTables) -> Robot:
+    """The robot that a cell file names, with the stiffness it gives. Raises BadInput as `load_robot`, with file and key."""
     model = tables.robot.model
     local = path.parent / model
     try:
-        return load_robot(local if model.endswith(".toml") and local.exists() else model)
+        robot = load_robot(local if model.endswith(".toml") and local.exists() else model)
     except BadInput as error:
         raise BadInput(f"{path}, robot.model: {error}") from None
+    given = tables.robot.stiffness_Nm_per_rad
+    return robot if given is None else replace(robot, stiffness=np.array(given))
 
 
 def _conditions(table: ConditionsTable, reference: float) -> RunConditions:
@@ -335,9 +335,7 @@ def read_tracker_setup(path: str | Path) -> TrackerSetup:
     """Read cell.toml for a measurement; wheel and workpiece may be absent. Raises BadInput as `read_toml`, `load_robot`."""
     path = Path(path)
     tables = read_toml(path, CellTables)
-    robot = robot_of(path, tables)
-    if tables.robot.stiffness_Nm_per_rad is not None:
-        robot = replace(robot, stiffness=np.array(tables.robot.stiffness_Nm_per_rad))
+    robot = _robot(path, tables)
     payloads = {name: _payload(table) for name, table in tables.payloads.items()}
     return TrackerSetup(path, robot, payloads, _instrument(tables.tracker), tables.robot.compliant_joints, tables)
 

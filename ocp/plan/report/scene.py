@@ -20,8 +20,7 @@ from ocp.plan.report.quantities import QUANTITIES, colour_range, values_along
 from ocp.plan.report.surface import PaintedBlade, draw_blade, paint_blade, pass_spacing
 from ocp.report.parts import Plot
 from ocp.report.plotting import Canvas
-from ocp.report.section import Part, Section
-from ocp.report.sheets import Sheets
+from ocp.report.section import Section
 from ocp.report.style import COLOUR_MAP, NOT_GROUND, VIRIDIS
 
 _VIEWER = Path(__file__).parent / "viewer"
@@ -34,17 +33,27 @@ def scene_section(report: PlanReport) -> Section:
     """Blade, passes, arm and wheel in three dimensions."""
     script = "\n".join((_VIEWER / name).read_text(encoding="utf-8") for name in _SCRIPTS)
     painted = paint_blade(report.vertices, report.faces, report.passes, report.pass_spacing)
+    item = QUANTITIES[0]
+    caption = f"{item.label} in {item.unit}; grey is not ground. In report.html the blade can be turned and the cell moves."
+
+    def still(canvas: Canvas) -> None:
+        toward = report.passes[0].n.mean(axis=0)
+        draw_blade(canvas, painted, values_along(report, item), colour_range(report, item), COLOUR_MAP, toward, item.unit)
+
     return Section(
         "Blade and cell",
-        (SceneView(report, painted),),
+        (SceneView("blade", caption, 2.6, still, report, painted),),
         style=(_VIEWER / "viewer.css").read_text(encoding="utf-8"),
         script=f'(function () {{\n"use strict";\n{script}}})();\n',
     )
 
 
 @dataclass(frozen=True)
-class SceneView(Part):
-    """The plan to be looked at from all sides; `painted`: its blade, ready for drawing."""
+class SceneView(Plot):
+    """The plan to be looked at from all sides; on paper a still picture of its blade from both sides, coloured by the force.
+
+    `painted`: the blade, ready for drawing.
+    """
 
     report: PlanReport
     painted: PaintedBlade
@@ -62,25 +71,6 @@ class SceneView(Part):
             bands=Markup("\n").join(bands),
             payload=Markup(script_json(page_payload(self.report, self.painted))),
         )
-
-    def on_sheets(self, sheets: Sheets) -> None:
-        """The blade from both sides, coloured by the force."""
-        self._still().on_sheets(sheets)
-
-    def beginning(self) -> float:
-        """All of it."""
-        return self._still().beginning()
-
-    def _still(self) -> Plot:
-        item = QUANTITIES[0]
-        caption = f"{item.label} in {item.unit}; grey is not ground. In report.html the blade can be turned and the cell moves."
-        return Plot("blade", caption, 2.6, self._draw)
-
-    def _draw(self, canvas: Canvas) -> None:
-        item = QUANTITIES[0]
-        toward = self.report.passes[0].n.mean(axis=0)
-        values, span = values_along(self.report, item), colour_range(self.report, item)
-        draw_blade(canvas, self.painted, values, span, COLOUR_MAP, toward, item.unit)
 
 
 def encode(array: ArrayLike, dtype: str = "<f4") -> dict[str, Any]:
