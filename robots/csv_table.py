@@ -1,11 +1,12 @@
 """A CSV file as columns of numbers and words, every complaint with file, line, column and value."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robots.errors import BadInput
 from robots.pose import Array
@@ -27,6 +28,15 @@ class CsvTable:
     def stack(self, columns: Sequence[str]) -> Array:
         """The named columns side by side, (n, len(columns))."""
         return np.stack([self.numbers[c] for c in columns], axis=1)
+
+    def column(
+        self, name: str, factor: float = 1.0, bad: Callable[[Array], NDArray[np.bool_]] | None = None, must: str = ""
+    ) -> Array | None:
+        """A column of numbers times a factor, None where the file has none. Raises BadInput at the first value that is `bad`."""
+        values = self.numbers.get(name)
+        if values is not None and bad is not None and (wrong := bad(values)).any():
+            raise self.refuse(int(np.argmax(wrong)), name, f"must be {must}")
+        return None if values is None else values * factor
 
     def refuse(self, row: int, column: str, reason: str) -> BadInput:
         """The error to raise about one value."""

@@ -144,7 +144,7 @@ def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: In
     station, stations = _words(table, "station")
     session, sessions = _words(table, "session")
     turn = _turns(table)
-    turn_sd = _positive(table, "sigma_rot_deg", np.pi / 180.0)
+    turn_sd = table.column("sigma_rot_deg", np.pi / 180.0, lambda v: v <= 0, "above 0")
     return Readings(
         path=table.path,
         q=np.radians(table.stack(AXES)),
@@ -163,7 +163,7 @@ def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: In
         approach=_signs(table),
         time=table.numbers.get("time_s"),
         temperature=table.numbers.get("temperature_C"),
-        sigma=_positive(table, "sigma_um", 1e-6),
+        sigma=table.column("sigma_um", 1e-6, lambda v: v <= 0, "above 0"),
         turn=turn,
         sigma_turn=turn_sd,
         line=np.array(table.line),
@@ -249,17 +249,6 @@ def _signs(table: CsvTable) -> Array | None:
 
 
 def _links(table: CsvTable) -> Index:
-    links = table.numbers.get("load_link", np.full(len(table), 6.0))
-    bad = ~np.isin(links, np.arange(7.0))
-    if bad.any():
-        raise table.refuse(int(np.argmax(bad)), "load_link", "must be a link from 0 (base) to 6 (flange)")
-    return links.astype(np.int64)
-
-
-def _positive(table: CsvTable, column: str, factor: float) -> Array | None:
-    values = table.numbers.get(column)
-    if values is None:
-        return None
-    if (values <= 0).any():
-        raise table.refuse(int(np.argmax(values <= 0)), column, "must be above 0")
-    return values * factor
+    known = np.arange(7.0)
+    links = table.column("load_link", 1.0, lambda v: ~np.isin(v, known), "a link from 0 (base) to 6 (flange)")
+    return np.full(len(table), 6) if links is None else links.astype(np.int64)

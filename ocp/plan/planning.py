@@ -109,7 +109,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         name=options.name or stl.name,
         inputs=tuple(inputs),
         notices=(*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices),
-        wheel_error=contact.law.error.max,
+        wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
     )
 

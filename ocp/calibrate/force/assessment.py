@@ -5,6 +5,7 @@ estimate, which is exact Gaussian updating (docs/force_registration.md, eq. 12).
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -95,15 +96,15 @@ DOES = {
     "flange_setpoint_offset": "adds a constant to the flange's force",
     "sensor_bias": "adds a constant to the reading",
 }
-CONTACT_NAMES: tuple[str, ...] = tuple(n for n in FIT_NAMES if n in DOES)
 
 
 def not_identified(solution: ForceSolution) -> dict[str, str]:
     """One name, or several with spaces between, to the reason; arm and payload are the tracker's and not listed."""
     prior_sd = np.sqrt(np.diag(solution.prior.covariance))
     sd = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0))
-    index = [i for i, name in enumerate(FIT_NAMES) if name in CONTACT_NAMES and prior_sd[i] > 0]
-    effect = _effects(solution, index, prior_sd)
+    index = [i for i, name in enumerate(FIT_NAMES) if name in DOES and prior_sd[i] > 0]
+    columns = solution.jacobian[:, index] * prior_sd[index]
+    effect = solution.channel.whitened(np.zeros(len(columns)), columns).sensitivity  # of one prior standard deviation each
     size = np.linalg.norm(effect, axis=0)
     alike = effect.T @ effect / np.maximum(np.outer(size, size), 1e-12)
     out: dict[str, str] = {}
@@ -112,19 +113,18 @@ def not_identified(solution: ForceSolution) -> dict[str, str]:
             out[FIT_NAMES[i]] = _why_unseen(solution, index, k, size, alike, sd[i] / prior_sd[i], prior_sd)
     apart = np.minimum.outer(size, size) * np.sqrt(np.maximum(1.0 - alike**2, 0.0))
     one = (apart < VISIBLE) & (np.minimum.outer(size, size) > VISIBLE) & (np.abs(alike) > ALIKE)
-    for group in _groups(one):
-        out[" ".join(FIT_NAMES[index[k]] for k in group)] = _why_alike(group, index, alike)
-    for a, i in enumerate(index):
-        for b, j in list(enumerate(index))[a + 1 :]:
-            if one[a, b]:
-                continue
-            tie = solution.covariance[i, j] / (sd[i] * sd[j])
-            if abs(tie) > TIED:
-                kind = "difference" if tie > 0 else "sum"
-                out[f"{FIT_NAMES[i]} {FIT_NAMES[j]}"] = (
-                    f"only their {kind} is seen (correlation {tie:.3f}): {FIT_NAMES[i]} {DOES[FIT_NAMES[i]]}, "
-                    f"{FIT_NAMES[j]} {DOES[FIT_NAMES[j]]}"
-                )
+    count, label = connected_components(one, directed=False)
+    for group in (np.flatnonzero(label == g).tolist() for g in range(count)):
+        if len(group) > 1:
+            out[" ".join(FIT_NAMES[index[k]] for k in group)] = _why_alike(group, index, alike)
+    for (a, i), (b, j) in combinations(enumerate(index), 2):
+        tie = solution.covariance[i, j] / (sd[i] * sd[j])
+        if not one[a, b] and abs(tie) > TIED:
+            first, second = FIT_NAMES[i], FIT_NAMES[j]
+            out[f"{first} {second}"] = (
+                f"only their {'difference' if tie > 0 else 'sum'} is seen (correlation {tie:.3f}): {first} {DOES[first]}, "
+                f"{second} {DOES[second]}"
+            )
     return out
 
 
@@ -135,12 +135,6 @@ def directions_seen(solution: ForceSolution) -> tuple[int, Array]:
     left = np.linalg.inv(solution.information)[:r, :r]
     gain = 1.0 / np.sqrt(np.linalg.eigvalsh(0.5 * (left + left.T)))
     return int((gain > 2.0).sum()), np.sort(gain)[::-1]
-
-
-def _effects(solution: ForceSolution, index: list[int], prior_sd: Array) -> Array:
-    """Whitened effect (n, k) of one prior standard deviation of each parameter."""
-    columns = solution.jacobian[:, index] * prior_sd[index]
-    return solution.channel.whitened(np.zeros(len(columns)), columns).sensitivity
 
 
 def _why_unseen(
@@ -157,13 +151,6 @@ def _why_unseen(
     others = sorted(others, key=lambda j: -abs(alike[k, j]))[:3]
     like = ", ".join(f"{FIT_NAMES[index[j]]} ({abs(alike[k, j]):.0%})" for j in others)
     return f"{left}; it moves the force by {newton:.2g} N, but others imitate it, nearest {like or 'the arm'}; it {DOES[name]}"
-
-
-def _groups(one: Flags) -> list[list[int]]:
-    """Sets of two and more that hang together in a symmetric matrix, each in order."""
-    count, label = connected_components(one, directed=False)
-    groups = [np.flatnonzero(label == g).tolist() for g in range(count)]
-    return [group for group in groups if len(group) > 1]
 
 
 def _why_alike(group: list[int], index: list[int], alike: Array) -> str:

@@ -1,6 +1,5 @@
 """A grinding-force log as recorded: axes, planned contact points, forces and conditions (FORMATS, force.csv)."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -123,11 +122,11 @@ def read_force_log(path: str | Path, sealed: bool = False) -> ForceLog:
         contact=contact,
         session=session,
         sessions=sessions,
-        s=_checked(table, "s_mm", 1e-3),
-        sigma_fn=_checked(table, "sigma_fn_N", 1.0, lambda v: v <= 0, "above 0"),
-        sigma_ft=_checked(table, "sigma_ft_N", 1.0, lambda v: v <= 0, "above 0"),
-        setpoint=_checked(table, "setpoint_N", 1.0, lambda v: v < 0, "zero or above"),
-        feed=_checked(table, "feed_mm_s", 1e-3, lambda v: v < 0, "zero or above"),
+        s=table.column("s_mm", 1e-3),
+        sigma_fn=table.column("sigma_fn_N", 1.0, lambda v: v <= 0, "above 0"),
+        sigma_ft=table.column("sigma_ft_N", 1.0, lambda v: v <= 0, "above 0"),
+        setpoint=table.column("setpoint_N", 1.0, lambda v: v < 0, "zero or above"),
+        feed=table.column("feed_mm_s", 1e-3, lambda v: v < 0, "zero or above"),
         line=_counts(table, "line"),
         ground_before=_counts(table, "ground_before"),
         row=np.array(table.line),
@@ -177,10 +176,7 @@ def _check_times(table: CsvTable, run: Index, runs: tuple[str, ...]) -> None:
 def _contact(table: CsvTable, fn: Array, run: Index) -> Flags:
     """The column, else a running median of fn_N against the log's usual force."""
     if "contact" in table.numbers:
-        flags = table.numbers["contact"]
-        bad = ~np.isin(flags, (0.0, 1.0))
-        if bad.any():
-            raise table.refuse(int(np.argmax(bad)), "contact", "must be 1 in contact or 0 in an air run")
+        flags = table.column("contact", 1.0, lambda v: ~np.isin(v, (0.0, 1.0)), "1 in contact or 0 in an air run")
         return np.asarray(flags == 1.0)
     if np.isnan(fn).all():
         return np.ones(len(fn), bool)
@@ -201,16 +197,6 @@ def _check_force(table: CsvTable, fn: Array, contact: Flags) -> None:
         raise table.refuse(k, "fn_N", "is negative as most of the log is; the force that presses wheel and blade is positive")
 
 
-def _checked(
-    table: CsvTable, column: str, factor: float = 1.0, bad: Callable[[Array], Flags] | None = None, must: str = ""
-) -> Array | None:
-    """A column times a factor, None where the file has none; refused at the first row that is `bad`."""
-    values = table.numbers.get(column)
-    if values is not None and bad is not None and (wrong := bad(values)).any():
-        raise table.refuse(int(np.argmax(wrong)), column, f"must be {must}")
-    return None if values is None else values * factor
-
-
 def _counts(table: CsvTable, column: str) -> Index | None:
-    values = _checked(table, column, 1.0, lambda v: (v < 0) | (v != np.round(v)), "a whole number, zero or above")
+    values = table.column(column, 1.0, lambda v: (v < 0) | (v != np.round(v)), "a whole number, zero or above")
     return None if values is None else values.astype(np.int64)

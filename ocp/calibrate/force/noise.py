@@ -198,17 +198,14 @@ def _with_freedom(noise: CorrelatedNoise, white: Array) -> CorrelatedNoise:
         s = 1.0
         for _ in range(30):
             s = float(np.sqrt(np.mean(_weights(white / s, freedom) * white**2)))
-        score = _log_likelihood(white / s, freedom) - len(white) * float(np.log(s))
+        # Of independent samples of Student's t; scipy.stats has it too, and takes half a second to import.
+        constant = gammaln((freedom + 1.0) / 2.0) - gammaln(freedom / 2.0) - 0.5 * np.log(freedom * np.pi)
+        spread = 0.5 * (freedom + 1.0) * np.log1p((white / s) ** 2 / freedom).sum()
+        score = float(len(white) * constant - spread) - len(white) * float(np.log(s))
         if best is None or score > best[0] + 1.0:
             best = (score, freedom, s)
     assert best is not None
     return CorrelatedNoise(noise.sigma * best[2], noise.share, noise.tau, best[1])
-
-
-def _log_likelihood(z: Array, freedom: float) -> float:
-    """Of independent samples (n,) of Student's t; scipy.stats has it too, and takes half a second to import."""
-    constant = gammaln((freedom + 1.0) / 2.0) - gammaln(freedom / 2.0) - 0.5 * np.log(freedom * np.pi)
-    return float(len(z) * constant - 0.5 * (freedom + 1.0) * np.log1p(z**2 / freedom).sum())
 
 
 @dataclass(frozen=True)

@@ -152,22 +152,17 @@ def _notices(
         f"{name}: the log narrows {count} of {len(gain)} directions of what is unknown to less than half, the best "
         f"{gain[0]:.0f}-fold"
     )
-    stroke = _stroke(cell, log, solution)
-    if cell.flange is not None and stroke > 0.5 * cell.flange.stroke:
+    if cell.flange is None:
+        return notices
+    setpoint = cell.flange.setpoint if log.setpoint is None else log.setpoint
+    force = solution.reading - solution.x[BIAS]
+    stroke = float(np.abs((force - setpoint)[log.contact]).max() / cell.flange.stiffness)
+    if stroke > 0.5 * cell.flange.stroke:
         notices.append(
             f"{name}: the flange's stroke reaches {1e3 * stroke:.1f} mm from its middle, it has {5e2 * cell.flange.stroke:.1f}; "
             "beyond it the model is wrong"
         )
     return notices
-
-
-def _stroke(cell: Cell, log: ForceLog, solution: ForceSolution) -> float:
-    """Largest distance (m) of the flange from its middle."""
-    if cell.flange is None:
-        return 0.0
-    setpoint = cell.flange.setpoint if log.setpoint is None else log.setpoint
-    force = solution.reading - solution.x[BIAS]
-    return float(np.abs((force - setpoint)[log.contact]).max() / cell.flange.stiffness)
 
 
 def _joined(robot: Calibration, names: tuple[str, ...], values: Array, covariance: Array) -> tuple[tuple[str, ...], Array, Array]:

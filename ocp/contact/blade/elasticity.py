@@ -64,15 +64,22 @@ def tetra_volumes(points: Array, tetrahedra: Index) -> Array:
     return np.asarray(np.linalg.det(corner[:, 1:] - corner[:, :1]) / 6.0)
 
 
+def tetra_edges(tetrahedra: Index) -> tuple[Index, Index, Index]:
+    """The two ends of every edge once, the smaller number first, and which of them the edges of the tetrahedra are (6 ne,)."""
+    ends = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
+    count = int(tetrahedra.max()) + 1
+    key, which = np.unique(ends[:, 0] * count + ends[:, 1], return_inverse=True)
+    low, high = np.divmod(key, count)
+    return low, high, which
+
+
 def quadratic_mesh(points: Array, tetrahedra: Index) -> QuadraticMesh:
     """Make ten-node tetrahedra with straight edges from corners (nv, 3) and four-node tetrahedra (ne, 4)."""
     turned = tetra_volumes(points, tetrahedra) < 0.0
     corners = np.where(turned[:, None], tetrahedra[:, [1, 0, 2, 3]], tetrahedra)
     used, corners = np.unique(corners, return_inverse=True)
     points, corners = points[used], corners.reshape(-1, 4)
-    ends = np.sort(corners[:, EDGES].reshape(-1, 2), axis=1)
-    key, middle = np.unique(ends[:, 0] * len(points) + ends[:, 1], return_inverse=True)
-    first, second = np.divmod(key, len(points))
+    first, second, middle = tetra_edges(corners)
     nodes = np.vstack([points, 0.5 * (points[first] + points[second])])
     elements = np.hstack([corners, len(points) + middle.reshape(-1, 6)]).astype(np.int64)
     faces = elements[:, FACES].reshape(-1, 6)

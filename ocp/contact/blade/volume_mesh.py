@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.contact.blade.elasticity import EDGES, QuadraticMesh, quadratic_mesh, tetra_volumes
+from ocp.contact.blade.elasticity import EDGES, QuadraticMesh, quadratic_mesh, tetra_edges, tetra_volumes
 from ocp.contact.blade.surface_mesh import SizeLaw, edges_of, remesh
 from ocp.shell.cache import content_key, remember
 from robots.errors import BadInput
@@ -211,7 +211,7 @@ def clamp_cut(points: Array, tetrahedra: Index, normal: Array, offset: float) ->
             "move clamp_to_mm between them"
         )
     while True:
-        low, high = _edges(tetrahedra)
+        low, high, _ = tetra_edges(tetrahedra)
         crossing = height[low] * height[high] < 0.0
         if not crossing.any():
             return points, tetrahedra
@@ -220,14 +220,6 @@ def clamp_cut(points: Array, tetrahedra: Index, normal: Array, offset: float) ->
         count = len(points)
         points, tetrahedra = _split(points, tetrahedra, low, high, share)
         height = np.concatenate([height, np.zeros(len(points) - count)])
-
-
-def _edges(tetrahedra: Index) -> tuple[Index, Index]:
-    """Return the two ends of every edge once, the smaller number first."""
-    ends = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
-    key = np.unique(ends[:, 0] * (tetrahedra.max() + 1) + ends[:, 1])
-    low, high = np.divmod(key, tetrahedra.max() + 1)
-    return low, high
 
 
 def _split(points: Array, tetrahedra: Index, low: Index, high: Index, share: Array) -> tuple[Array, Index]:

@@ -112,34 +112,11 @@ def chebyshev_products(u: Array, terms: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class LawError:
-    """Held-out error against direct solutions: all at the process force over the domain, `wide_*` over the force range.
-
-    rms and max in m; as force errors in N on a flange of 5.6 N/mm in series (`flange_*`) and on a rigid cell (`rigid_*`).
-    least_stiffness: smallest dF/dd N/m found over the domain and force range: positive, so d rises with F.
-    samples: how many direct solutions; dropped: how many combinations of the domain lie outside the law's limits.
-    """
-
-    rms: float = np.nan
-    max: float = np.nan
-    flange_rms: float = np.nan
-    flange_max: float = np.nan
-    rigid_rms: float = np.nan
-    rigid_max: float = np.nan
-    wide_rms: float = np.nan
-    wide_max: float = np.nan
-    wide_flange_max: float = np.nan
-    wide_rigid_max: float = np.nan
-    least_stiffness: float = np.nan
-    samples: int = 0
-    dropped: int = 0
-
-
-@dataclass(frozen=True)
 class WheelLaw:
     """Fitted law of one wheel; build it with `ocp.contact.wheel.law_fit.fit_wheel_law`.
 
-    limits: ranges of force N, kxx 1/m, lateral m, tilt_x, tilt_y (slopes) in which `error` was measured.
+    limits: ranges of force N, kxx 1/m, lateral m, tilt_x, tilt_y (slopes) for which it was made; error m: the largest on
+    held-out direct solutions at the process force.
     decay: p over the force scale; count: strips. low, high (5,): ranges of the features; terms (k, 5), coefficients (k,):
     correction.
     """
@@ -153,7 +130,7 @@ class WheelLaw:
     terms: Array
     coefficients: Array
     limits: dict[str, tuple[float, float]]
-    error: LawError
+    error: float
 
     def indentation(self, F: ca.SX, kxx: ca.SX, kyy: ca.SX, kxy: ca.SX, lateral: ca.SX, tilt_x: ca.SX, tilt_y: ca.SX) -> ca.SX:
         """Interference d (m) at the planned point under `F` > 0 N; arguments scalar, as in docs/architecture.md.
