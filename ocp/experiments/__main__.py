@@ -48,7 +48,7 @@ def _experiments(
         options: dict[str, object] = {"cell": believed.name, "robots": robots, "seed": seed, "poses": poses, "mounts": mounts}
         with whole_folder(out, overwrite) as folder:
             (folder / "experiments.json").write_text(trials_json(trials, options))
-            write_experiments(trials, believed.process.force, (), folder)
+            write_experiments(trials, believed.process.force, folder)
         return f"{out}: {last_line(trials, believed.process.force)}. {out / 'report.html'} has tables and figures."
 
     sys.exit(run(job, "no experiment"))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,17 @@ from ocp.report.style import AFTER, BAD, BEFORE, INK, SOFT
 
 PAPER_POSITIONS = {"before": 1.186, "after": 0.154}  # mm, mean of Table 2
 PAPER_FORCES = {"nothing calibrated": "11.4 .. 25.8", "robot only": "17.9 .. 20.8", "everything": "mean 20.4"}  # N
-ORDER = ("before", "placed", "full", "geometry", "relative", "relative-literal", "oracle")
+
+
+METHOD_WORDS = {
+    "before": "before, in the base of the robot",
+    "placed": "before, tracker and nests fitted",
+    "full": "geometry and springs together (ours)",
+    "geometry": "geometry alone",
+    "relative": "differences of positions, springs inside",
+    "relative-literal": "the paper's order, taken literally",
+    "oracle": "oracle: 400 readings, no outliers",
+}
 
 
 @dataclass(frozen=True)
@@ -53,7 +64,7 @@ class ForceRow:
 def position_rows(trials: Sequence[Trial]) -> list[PositionRow]:
     """One row a method, "before" first."""
     rows = []
-    for method in ORDER:
+    for method in METHOD_WORDS:
         errors = [trial.positions[method] for trial in trials if method in trial.positions]
         if errors:
             means = np.array([e.mean() for e in errors])
@@ -71,14 +82,9 @@ def force_rows(trials: Sequence[Trial], wanted: float) -> list[ForceRow]:
             if not forces:
                 continue
             means, sds = np.array([f.mean() for f in forces]), np.array([f.std() for f in forces])
-            least, most, close = (
-                min(f.min() for f in forces),
-                max(f.max() for f in forces),
-                np.mean(np.abs(means - wanted) <= 0.4),
-            )
-            low, high, mean, near, sd, sd90 = map(
-                float, (least, most, means.mean(), close, np.median(sds), np.quantile(sds, 0.9))
-            )
+            reached = min(f.min() for f in forces), max(f.max() for f in forces), means.mean()
+            figures = *reached, np.mean(np.abs(means - wanted) <= 0.4), np.median(sds), np.quantile(sds, 0.9)
+            low, high, mean, near, sd, sd90 = map(float, figures)
             lost = sum(bool((f <= 0).any()) for f in forces)
             rows.append(ForceRow(mount, step, low, high, mean, near, sd, sd90, lost, len(forces)))
     return rows
@@ -101,22 +107,10 @@ def last_line(trials: Sequence[Trial], wanted: float) -> str:
     return words + (f"; {failed} plans refused" if failed else "")
 
 
-KIND = "Experiments on virtual robots"
-METHOD_WORDS = {
-    "before": "before, in the base of the robot",
-    "placed": "before, tracker and nests fitted",
-    "full": "geometry and springs together (ours)",
-    "geometry": "geometry alone",
-    "relative": "differences of positions, springs inside",
-    "relative-literal": "the paper's order, taken literally",
-    "oracle": "oracle: 400 readings, no outliers",
-}
-
-
-def write_experiments(trials: Sequence[Trial], wanted: float, notices: Sequence[str], folder: Path) -> None:
+def write_experiments(trials: Sequence[Trial], wanted: float, folder: Path) -> None:
     """report.html and report.pdf in `folder`; `wanted` N is the process force."""
     title = f"{len(trials)} robots, {wanted:g} N"
-    report = Report(KIND, title, _headline(trials, wanted), notices, experiment_sections(trials, wanted))
+    report = Report("Experiments on virtual robots", title, _headline(trials, wanted), (), experiment_sections(trials, wanted))
     report.write_page(folder / "report.html")
     report.write_pdf(folder / "report.pdf")
 
@@ -133,18 +127,15 @@ def experiment_sections(trials: Sequence[Trial], wanted: float) -> list[Section]
     mounts = list(dict.fromkeys(row.mount for row in force_rows(trials, wanted)))
     for mount in mounts:
         words = "Force-setting flange" if mount == "flange" else "Rigid mount"
-        parts = (force_table(trials, wanted, mount), _force_plot(trials, mount, wanted))
+        caption = "True force at 20 working points of each robot (dots), its mean (line), after each step."
+        draw = partial(_draw_forces, trials=trials, mount=mount, wanted=wanted)
+        parts = (force_table(trials, wanted, mount), Plot(f"force-{mount}", caption, 3.6, draw))
         found.append(Section(f"{words} (Figures 11 to 13)", parts))
     failed = [f"robot {t.seed}, {key}: {reason}" for t in trials for key, reason in t.failed.items()]
     if failed:
         found.append(Section("Refused plans", (Points(tuple(failed)),)))
     found.append(Section("What was done", (Points(_PROCEDURE),)))
     return found
-
-
-def _force_plot(trials: Sequence[Trial], mount: str, wanted: float) -> Plot:
-    caption = "True force at 20 working points of each robot (dots), its mean (line), after each step."
-    return Plot(f"force-{mount}", caption, 3.6, lambda canvas: _draw_forces(canvas, trials, mount, wanted))
 
 
 _PROCEDURE = (

@@ -52,7 +52,7 @@ def test_the_sentence_names_what_was_refused():
 
 def test_report_holds_the_papers_numbers_and_failures(tmp_path):
     failed = Trial(2, TRIALS[0].positions, {"flange/everything": np.array([20.0, 20.0])}, {}, {"rigid/oracle": "line <3>: no"})
-    write_experiments([*TRIALS, failed], 20.0, (), tmp_path)
+    write_experiments([*TRIALS, failed], 20.0, tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "11.4 .. 25.8" in page and "1.186" in page and "line &lt;3&gt;: no" in page
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")

@@ -95,11 +95,6 @@ def campaign_readings(rng: np.random.Generator, n: int, file: Path = Path("track
         load_link=np.full(n, 6),
         load_place=np.zeros((n, 3)),
         approach=np.asarray(rng.choice([-1.0, 1.0], (n, 6))),
-        time=None,
-        temperature=None,
-        sigma=None,
-        turn=None,
-        sigma_turn=None,
         line=np.arange(2, n + 2),
     )
 

@@ -55,11 +55,9 @@ def fit_wheel_law(cover: Cover, domain: Domain, samples: int = 2000, held_out: i
     """
     train = draw(cover, domain, samples, seed, True, FORCE_RANGE)
     test = draw(cover, domain, held_out, seed + 1, False, (1.0, 1.0))
-    wide = draw(cover, domain, held_out // 2, seed + 2, False, FORCE_RANGE)
-    inputs = np.vstack([s.inputs for s in (train, test, wide)])
     limits = {
         "force": (FORCE_RANGE[0] * domain.force, FORCE_RANGE[1] * domain.force),
-        "kxx": (MIN_KXX / cover.geometry.radius, float(1.05 * inputs[:, 1].max())),
+        "kxx": (MIN_KXX / cover.geometry.radius, float(1.05 * train.inputs[:, 1].max())),
         "lateral": (-domain.lateral, domain.lateral),
         "tilt_x": (-domain.tilt, domain.tilt),
         "tilt_y": (-domain.tilt, domain.tilt),

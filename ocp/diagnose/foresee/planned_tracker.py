@@ -210,9 +210,6 @@ def default_poses(setup: TrackerSetup, count: int, full: bool, seed: int = 0) ->
         approach=rng.choice([-1.0, 1.0], (n, 6)) if full else np.ones((n, 6)),
         time=time if full else None,
         temperature=20.0 + WARMED * (1 - np.exp(-3 * time / DURATION)) if full else None,
-        sigma=None,
-        turn=None,
-        sigma_turn=None,
         line=each.astype(np.int64) + 2,
     )
 
