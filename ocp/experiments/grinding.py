@@ -253,21 +253,16 @@ def _log(
         runs=tuple(str(k) for k in range(len(rungs))),
         time=joined("time_s"),
         q=q,
-        p=joined("p"),
-        n=joined("n"),
-        t=joined("t"),
         fn=fn,
         contact=contact,
         session=np.zeros(n, np.int64),
         sessions=("",),
-        s=joined("s"),
         ft=ft,
-        setpoint=joined("setpoint"),
-        feed=joined("feed"),
-        belt=joined("belt"),
         line=joined("line").astype(np.int64),
         ground_before=np.zeros(n, np.int64),
         row=np.arange(2, n + 2),
+        notices=(),
+        **{name: joined(name) for name in ("p", "n", "t", "s", "setpoint", "feed", "belt")},
     )
     waypoint = np.vstack([rung.solved.problem.waypoints for rung in rungs])
     return log, ForceRows(q, waypoint, joined("setpoint"), np.sign(joined("belt")), contact)

@@ -39,18 +39,13 @@ ORACLE = 400  # readings
 _DESIGN = 7  # stream of the random postures beside the truth's
 
 
-@dataclass(frozen=True)
-class Positions:
-    """Errors (20,) mm of fresh poses by method; "before": the believed arm in its own base, "placed": with the tracker's frame
-    and nests fitted, which hides a part; "oracle". The calibration of method full and the oracle's."""
-
-    errors: dict[str, Array]
-    calibration: Calibration
-    oracle: Calibration
-
-
-def measured_positions(cell: Cell, truth: Truth, arm: VirtualArm, poses: int, folder: Path) -> Positions:
+def measured_positions(
+    cell: Cell, truth: Truth, arm: VirtualArm, poses: int, folder: Path
+) -> tuple[dict[str, Array], Calibration, Calibration]:
     """Measure `poses` random postures of the virtual robot, calibrate by each method, judge on fresh postures.
+
+    Errors (20,) mm of fresh poses by method; "before": the believed arm in its own base, "placed": with the tracker's frame and
+    nests fitted, which hides a part; "oracle". Then the calibration of method full and the oracle's.
 
     Data pass through files in `folder`, as a user's do. Raises BadInput, Infeasible of the calibration.
     """
@@ -73,7 +68,7 @@ def measured_positions(cell: Cell, truth: Truth, arm: VirtualArm, poses: int, fo
         fit = made.fit if method == "full" else calibrate_by(method, made.fit.campaign, made.fit.choice, made.fit.priors)
         errors[method] = _error(fit, made, points)
     errors["oracle"] = _error(best.fit, best, points)
-    return Positions(errors, tracker_calibration(made, []), tracker_calibration(best, []))
+    return errors, tracker_calibration(made, []), tracker_calibration(best, [])
 
 
 def _oracle(cell: Cell, truth: Truth, campaign: TrackerCampaign, made: TrackerCalibration, folder: Path) -> TrackerCalibration:
@@ -113,7 +108,7 @@ def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], 
     truth = draw_truth(course.cell, seed)
     arm = make_arm(course.cell, truth)
     with tempfile.TemporaryDirectory() as folder:
-        found = measured_positions(course.cell, truth, arm, poses, Path(folder))
+        errors, full, oracle = measured_positions(course.cell, truth, arm, poses, Path(folder))
     force: dict[str, Array] = {}
     read: dict[str, Array] = {}
     failed: dict[str, str] = {}
@@ -121,7 +116,7 @@ def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], 
         machine = VirtualRobot(truth, arm, make_grinder(on.cell, truth, on.blade))
         force[f"{mount}/{STEPS[0]}"], read[f"{mount}/{STEPS[0]}"] = working_forces(on, machine, nominal[mount], rng)
         for step in STEPS[1:]:
-            calibration = found.oracle if step == "oracle" else found.calibration
+            calibration = oracle if step == "oracle" else full
             try:
                 if step != "robot only":
                     calibration = registered_by_ladder(on, machine, calibration, mount, rng, noise=step != "oracle")
@@ -130,7 +125,7 @@ def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], 
                 failed[f"{mount}/{step}"] = str(error)
                 continue
             force[f"{mount}/{step}"], read[f"{mount}/{step}"] = working_forces(on, machine, solved, rng)
-    return Trial(seed, found.errors, force, read, failed)
+    return Trial(seed, errors, force, read, failed)
 
 
 def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: int, jobs: int, phases: Phases) -> list[Trial]:

@@ -110,33 +110,19 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
         for k, name in enumerate(payloads):
             mine = chosen[design.readings.payload[chosen] == k]
             if len(mine):
-                campaigns.append(_campaign(cell, scene, setup, candidates, design, mine, name, options))
+                rows = design.posture[mine]
+                # What is driven is what is printed: five decimals of a degree.
+                q = np.radians(np.round(np.degrees(candidates.q[rows]), 5))
+                stops = [MeasuringPose(*pose) for pose in zip(q, candidates.sign[rows], strict=True)]
+                tour = find_tour(cell.robot, scene, stops, options.approach, options.seed)
+                targets = [design.readings.targets[i] for i in design.readings.target[mine[tour.order]]]
+                driven = [stops[i] for i in tour.order]
+                campaigns.append(MeasurementCampaign(name, setup.payloads[name], driven, targets, tour))
             advance()
     told = (*blade.notices, *notices)
     return PosePlan(
         cell, setup, scene, options, tracker, tracker_from, candidates, design, zone, chosen, tuple(campaigns), curve, told
     )
-
-
-def _campaign(
-    cell: Cell,
-    scene: CollisionScene,
-    setup: TrackerSetup,
-    candidates: CandidatePoses,
-    design: Design,
-    mine: Index,
-    payload: str,
-    options: PoseOptions,
-) -> MeasurementCampaign:
-    """The poses of one payload in the order of a short tour."""
-    rows = design.posture[mine]
-    # What is driven is what is printed: five decimals of a degree.
-    q = np.radians(np.round(np.degrees(candidates.q[rows]), 5))
-    stops = [MeasuringPose(*pose) for pose in zip(q, candidates.sign[rows], strict=True)]
-    tour = find_tour(cell.robot, scene, stops, options.approach, options.seed)
-    targets = [design.readings.targets[i] for i in design.readings.target[mine]]
-    order = tour.order
-    return MeasurementCampaign(payload, setup.payloads[payload], [stops[i] for i in order], [targets[i] for i in order], tour)
 
 
 def _refuse_blind(cell: Cell, options: PoseOptions, tracker: Array, source: str, seen: Mask) -> None:

@@ -129,7 +129,8 @@ def estimate_noise(run: Index, time: Array, residual: Array, before: CorrelatedN
     if before is None:
         start, reach = np.array([np.log(spread), 0.0, np.log(3.0)]), 1.0
     else:
-        start, reach = np.array([np.log(before.sigma), _logit(before.share), np.log(before.tau / max(step, 1e-9))]), 0.3
+        logit = float(np.log(before.share / (1.0 - before.share))) if 0.0 < before.share < 1.0 else -6.0
+        start, reach = np.array([np.log(before.sigma), logit, np.log(before.tau / max(step, 1e-9))]), 0.3
     simplex = np.vstack([start, start + reach * np.diag([0.3, 1.0, 0.7])])
     options = {"maxfev": 100, "xatol": 0.03, "fatol": 0.2, "initial_simplex": simplex}
     found = minimize(cost, start, method="Nelder-Mead", options=options)
@@ -152,10 +153,6 @@ def _noise(x: Array, step: float) -> CorrelatedNoise:
     """Noise of unbounded numbers: logarithm of sigma, logit of the share, logarithm of tau in samples."""
     share = 1.0 / (1.0 + np.exp(-np.clip(x[1], -6.0, 4.0)))
     return CorrelatedNoise(float(np.exp(x[0])), float(share), float(max(step, 1e-9) * np.exp(np.clip(x[2], -1.0, 5.0))))
-
-
-def _logit(share: float) -> float:
-    return float(np.log(share / (1.0 - share))) if 0.0 < share < 1.0 else -6.0
 
 
 def _slow_course(runs: Runs, time: Array) -> Array:

@@ -6,7 +6,7 @@ Conditions are where along the pass a row stands, which way each axis moves, how
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -65,8 +65,7 @@ class LogConditions:
 
     def take(self, rows: Any) -> "LogConditions":
         """The rows of an index or mask."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return LogConditions(**{k: v[rows] if isinstance(v, np.ndarray) else v for k, v in values.items()})
+        return replace(self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)})
 
 
 def log_conditions(cell: Cell, log: ForceLog, used: float = 0.0) -> LogConditions:

@@ -34,20 +34,9 @@ def write_calibration_report(c: TrackerCalibration, folder: Path, hashes: dict[s
     hashes: SHA-256 by file name of what it was made from. extra: sections of other measurements, shown before what to measure
     next. Raises OSError where a file cannot be written.
     """
-    view = look_at(c)
+    view, tellable = look_at(c), tellable_parameters(c)
     title = f"{c.fit.campaign.robot.title} from {c.fit.campaign.readings.path.name}"
-    sections = calibration_sections(c, view, hashes, extra)
-    report = Report("Calibration of a robot", title, calibration_headline(c, view), c.notices, sections)
-    report.write_page(folder / "report.html")
-    report.write_pdf(folder / "report.pdf")
-
-
-def calibration_sections(
-    c: TrackerCalibration, view: ReadingsView, hashes: dict[str, str], extra: Sequence[Section]
-) -> list[Section]:
-    """All sections after the headline; `extra` stands before what to measure next."""
-    tellable = tellable_parameters(c)
-    return [
+    sections = [
         before_and_after_section(c),
         left_out_section(c),
         residuals_section(c, view),
@@ -59,6 +48,9 @@ def calibration_sections(
         advice_section(c, view, tellable),
         made_from(hashes),
     ]
+    report = Report("Calibration of a robot", title, calibration_headline(c, view), c.notices, sections)
+    report.write_page(folder / "report.html")
+    report.write_pdf(folder / "report.pdf")
 
 
 CLEARLY = 0.8  # of the mean error: a method below it does clearly better

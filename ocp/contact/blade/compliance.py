@@ -177,15 +177,12 @@ def _along_passes(
     return interpolate_passes(solve, [path.s for path in passes])
 
 
-def interpolate_passes(
-    solve: Callable[[Index], Array], arc_lengths: Sequence[Array], tolerance: float = TOLERANCE
-) -> tuple[list[Array], Array, int]:
+def interpolate_passes(solve: Callable[[Index], Array], arc_lengths: Sequence[Array]) -> tuple[list[Array], Array, int]:
     """Return c (n, 3) of each pass from few calls of `solve`.
 
     Args:
         solve: gives (m, 3) c_nn, c_nt, c_nb in m/N at m waypoints, numbered through all passes.
         arc_lengths: s (n,) m of each pass, increasing.
-        tolerance: relative error at the middle of an interval above which it is halved.
 
     Returns:
         The values, the largest relative error found at the middle of the intervals kept of each pass, and the number
@@ -214,7 +211,7 @@ def interpolate_passes(
         for i, s in enumerate(arc_lengths):
             pairs, middle = open_intervals[i], middles[i]
             pairs = pairs[np.diff(pairs, axis=1).ravel() > 1] if len(pairs) else pairs
-            bad = at_waypoint[starts[i] + middle] > tolerance
+            bad = at_waypoint[starts[i] + middle] > TOLERANCE
             bad &= s[pairs[:, 1]] - s[pairs[:, 0]] > 2.0 * FINEST
             kept = at_waypoint[starts[i] + middle[~bad]]
             error[i] = max(error[i], kept.max(initial=0.0))

@@ -105,20 +105,15 @@ _REFERENCE = shape_gradients(QUADRATURE)
 _REFERENCE = _REFERENCE[..., 1:] - _REFERENCE[..., :1]  # (4, 10, 3): derivatives in L2, L3, L4 with L1 = 1 - ...
 
 
-def element_gradients(corners: Array) -> tuple[Array, Array]:
-    """Gradients (ne, 4, 10, 3) in 1/m at the quadrature points and weights (ne, 4) in m^3 of elements (ne, 10, 3)."""
-    jacobian = np.einsum("qad,eai->eqid", _REFERENCE, corners)
-    gradient = _REFERENCE @ np.linalg.inv(jacobian)
-    return gradient, np.linalg.det(jacobian) / 24.0
-
-
 def element_stiffness(corners: Array, material: Material) -> Array:
     """Stiffness (ne, 30, 30) in N/m of elements with node positions (ne, 10, 3), node by node x, y, z.
 
     K_ab = integral of lambda ga gb^T + mu gb ga^T + mu (ga . gb) I (Hughes 2000, eq. 2.7).
     """
     lame, shear = material.lame
-    gradient, weight = element_gradients(corners)
+    jacobian = np.einsum("qad,eai->eqid", _REFERENCE, corners)
+    # In 1/m (ne, 4, 10, 3) at the quadrature points, whose weights (ne, 4) are in m^3.
+    gradient, weight = _REFERENCE @ np.linalg.inv(jacobian), np.linalg.det(jacobian) / 24.0
     count = len(corners)
     flat = gradient.reshape(count, 4, 30)
     outer = (np.swapaxes(flat * weight[..., None], 1, 2) @ flat).reshape(count, 10, 3, 10, 3)
@@ -165,10 +160,11 @@ def patch_weights(mesh: QuadraticMesh, p: Array, n: Array, t: Array, semi_axes: 
     rows, columns, values = [], [], []
     for k, candidates in enumerate(near):
         face = np.array(candidates, np.int64)
-        face = face[normal[face] @ n[k] > FACING] if len(face) else face
+        face = face[normal[face] @ n[k] > FACING]
         b_axis = np.cross(n[k], t[k])
         frame = np.stack([t[k] / a, b_axis / b, n[k] / max(a, b)], axis=1)
-        face = face[_touches(corner[face] - p[k], frame)] if len(face) else face
+        local = (corner[face] - p[k]) @ frame  # facets that can meet the patch: its box in scaled axes
+        face = face[np.all((local.min(axis=1) < 1.0) & (local.max(axis=1) > -1.0), axis=1)]
         weights = _face_weights(corner[face] - p[k], area[face] @ n[k], frame, min(a, b)) if len(face) else np.zeros((0, 6))
         total = weights.sum()
         if total <= 0.0:
@@ -189,12 +185,6 @@ def patch_loads(weights: csr_matrix) -> csr_matrix:
     rows = (3 * coo.col[:, None] + np.arange(3)).ravel()
     columns = (3 * coo.row[:, None] + np.arange(3)).ravel()
     return csr_matrix((np.repeat(coo.data, 3), (rows, columns)), shape=(3 * weights.shape[1], 3 * weights.shape[0]))
-
-
-def _touches(corner: Array, frame: Array) -> NDArray[np.bool_]:
-    """Tell which facets (k, 3, 3), relative to the contact, can meet the patch: its box in scaled axes."""
-    local = corner @ frame
-    return np.asarray(np.all((local.min(axis=1) < 1.0) & (local.max(axis=1) > -1.0), axis=1))
 
 
 def _face_weights(corner: Array, area: Array, frame: Array, shortest: float) -> Array:

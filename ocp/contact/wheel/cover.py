@@ -207,13 +207,13 @@ class Cover:
         return replace(self, geometry=replace(self.geometry, modulus=modulus), spectrum=self.spectrum * ratio)
 
 
-def default_cell(geometry: WheelGeometry, force: float, curvature: float | None = None) -> float:
-    """Cell size (m): CELLS_A_RADIUS cells in the half-space contact radius under `force` N on `curvature` (default 2/R).
+def default_cell(geometry: WheelGeometry, force: float) -> float:
+    """Cell size (m): CELLS_A_RADIUS cells in the half-space contact radius under `force` N on the curvature 2/R.
 
     Error of the indentation then below 1 % (docs/wheel.md, convergence).
     """
     modulus = geometry.modulus / (1 - geometry.poisson**2)
-    radius = (0.75 * force / modulus / (curvature or 2 / geometry.radius)) ** (1 / 3)
+    radius = (0.75 * force / modulus / (2 / geometry.radius)) ** (1 / 3)
     return float(np.clip(radius / CELLS_A_RADIUS, geometry.width / MAX_CELLS, geometry.cover_thickness / 4))
 
 

@@ -143,18 +143,14 @@ def _fit(
     u = (2 * features - low - high) / (high - low)
     terms = exponents(degree)
     target = train.indentation - reduced.offset - base
-    weight = _importance(force, scale, domain.force)
+    # Error in m to error in N on a rigid cell, F / (1.5 d) being the stiffness, less above the process force.
+    weight = force / scale / np.maximum(force / domain.force, 1.0)
     A = chebyshev_products(u, terms) * (p * weight)[:, None]
     b = target * weight
     fold = np.arange(len(b)) % FOLDS
     held = [A[fold == k] @ _ridge(A[fold != k], b[fold != k]) - b[fold == k] for k in range(FOLDS)]
     law = WheelLaw(g, domain.force, float(decay), count, low, high, terms, _ridge(A, b), limits, np.nan)
     return float(np.sqrt(np.mean(np.concatenate(held) ** 2))), law
-
-
-def _importance(force: Array, scale: Array, process_force: float) -> Array:
-    """Weights (n,): error in m to error in N on a rigid cell, F / (1.5 d) being the stiffness, less above process force."""
-    return force / scale / np.maximum(force / process_force, 1.0)
 
 
 def _ridge(A: Array, b: Array) -> Array:
