@@ -38,6 +38,24 @@ class CsvTable:
             raise self.refuse(int(np.argmax(wrong)), name, f"must be {must}")
         return None if values is None else values * factor
 
+    def labels(self, column: str) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+        """Index (n,) of each row's word and the words as they come; an absent column is one word without letters."""
+        words = self.words.get(column, [""] * len(self))
+        names = tuple(dict.fromkeys(words))
+        at = {name: i for i, name in enumerate(names)}
+        return np.array([at[word] for word in words], np.int64), names
+
+    def check_order(self, column: str, run: NDArray[np.int64], runs: tuple[str, ...], strictly: bool) -> None:
+        """Raises BadInput where a column of times runs back inside a run, or stands still if it must grow `strictly`."""
+        time = self.numbers[column]
+        for i, name in enumerate(runs):
+            rows = np.flatnonzero(run == i)
+            step = np.diff(time[rows])
+            for k in np.flatnonzero(step <= 0 if strictly else step < 0)[:1]:
+                how = "no later than" if strictly else "after"
+                rule = "times must grow in a run" if strictly else "the rows of a run must be in time order"
+                raise self.refuse(int(rows[k + 1]), column, f"comes {how} {time[rows[k]]:g} in run {name}; {rule}")
+
     def refuse(self, row: int, column: str, reason: str) -> BadInput:
         """The error to raise about one value."""
         value = self.words[column][row] if column in self.words else f"{self.numbers[column][row]:g}"

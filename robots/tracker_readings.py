@@ -229,8 +229,9 @@ def _words(table: CsvTable, column: str, known: tuple[str, ...] | None = None, w
     """Index of each row's word and the words; an absent column means the first known word."""
     if column not in table.words:
         return np.zeros(len(table), np.int64), known or ("",)
-    words = table.words[column]
-    names = known if known is not None else tuple(dict.fromkeys(words))
+    if known is None:
+        return table.labels(column)
+    names, words = known, table.words[column]
     for row, word in enumerate(words):
         if word not in names:
             raise table.refuse(row, column, f"is not in the cell's [{where}] ({', '.join(names)}); add it there or correct it")

@@ -99,9 +99,13 @@ def read_force_log(path: str | Path, sealed: bool = False) -> ForceLog:
     table = read_csv_table(path, needed, (*OPTIONAL, "fn_N"), ("run", "session"))
     n, t = table.stack(NORMAL), table.stack(FEED)
     _check_vectors(table, n, t)
-    run, runs = _words(table, "run")
-    session, sessions = _words(table, "session")
-    _check_times(table, run, runs)
+    for column, words in table.words.items():
+        for row, word in enumerate(words):
+            if not word:
+                raise table.refuse(row, column, "is empty where a label is expected; give one or remove the row")
+    run, runs = table.labels("run")
+    session, sessions = table.labels("session")
+    table.check_order("time_s", run, runs, strictly=False)
     fn = np.full(len(table), np.nan) if sealed else table.numbers["fn_N"]
     known = {*table.numbers, *table.words, *(("contact", "ft_N") if sealed else ())}
     blind = [f"{table.path.name}: no column {c}: {text}" for c, text in BLIND.items() if c not in known]
@@ -135,19 +139,6 @@ def read_force_log(path: str | Path, sealed: bool = False) -> ForceLog:
     )
 
 
-def _words(table: CsvTable, column: str) -> tuple[Index, tuple[str, ...]]:
-    """Index of each row's label and the labels; an absent column is one label without a name."""
-    if column not in table.words:
-        return np.zeros(len(table), np.int64), ("",)
-    words = table.words[column]
-    for row, word in enumerate(words):
-        if not word:
-            raise table.refuse(row, column, "is empty where a label is expected; give one or remove the row")
-    names = tuple(dict.fromkeys(words))
-    at = {name: i for i, name in enumerate(names)}
-    return np.array([at[word] for word in words], np.int64), names
-
-
 def _check_vectors(table: CsvTable, n: Array, t: Array) -> None:
     for columns, vectors in ((NORMAL, n), (FEED, t)):
         length = np.linalg.norm(vectors, axis=1)
@@ -160,17 +151,6 @@ def _check_vectors(table: CsvTable, n: Array, t: Array) -> None:
     if (slant > SQUARE).any():
         k = int(np.argmax(slant > SQUARE))
         raise table.refuse(k, "tx", f"makes n . t = {slant[k]:.3f}; the feed direction must lie in the surface (below {SQUARE})")
-
-
-def _check_times(table: CsvTable, run: Index, runs: tuple[str, ...]) -> None:
-    time = table.numbers["time_s"]
-    for i, name in enumerate(runs):
-        rows = np.flatnonzero(run == i)
-        back = np.flatnonzero(np.diff(time[rows]) < 0)
-        if len(back):
-            k = int(rows[back[0] + 1])
-            before = time[rows[back[0]]]
-            raise table.refuse(k, "time_s", f"comes after {before:g} in run {name}; the rows of a run must be in time order")
 
 
 def _contact(table: CsvTable, fn: Array, run: Index) -> Flags:

@@ -63,11 +63,8 @@ def read_joint_log(path: str | Path) -> JointLog:
     table = read_csv_table(path, ("run", "time_s", *AXES), (*LINK, *TORQUE, *SPEED), ("run",), (*LINK, *TORQUE, *SPEED))
     if not any(c in table.numbers for c in LINK):
         raise BadInput(f"{table.path}: none of the columns link1_deg .. link6_deg is there; the link side is what is compared")
-    words = table.words["run"]
-    runs = tuple(dict.fromkeys(words))
-    at = {name: i for i, name in enumerate(runs)}
-    run = np.array([at[word] for word in words], np.int64)
-    _check_times(table, run, runs)
+    run, runs = table.labels("run")
+    table.check_order("time_s", run, runs, strictly=True)
     q, link = np.radians(table.stack(AXES)), np.radians(_columns(table, LINK))
     _check_link(table, q, link)
     log = JointLog(
@@ -92,17 +89,6 @@ def read_joint_log(path: str | Path) -> JointLog:
 def _columns(table: CsvTable, names: tuple[str, ...]) -> Array:
     """Columns side by side, nan where one is absent."""
     return np.stack([table.numbers.get(c, np.full(len(table), np.nan)) for c in names], axis=1)
-
-
-def _check_times(table: CsvTable, run: Index, runs: tuple[str, ...]) -> None:
-    time = table.numbers["time_s"]
-    for i, name in enumerate(runs):
-        rows = np.flatnonzero(run == i)
-        back = np.flatnonzero(np.diff(time[rows]) <= 0)
-        if len(back):
-            k = int(rows[back[0] + 1])
-            before = time[rows[back[0]]]
-            raise table.refuse(k, "time_s", f"comes no later than {before:g} in run {name}; times must grow in a run")
 
 
 def _check_link(table: CsvTable, q: Array, link: Array) -> None:
