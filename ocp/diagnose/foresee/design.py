@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -241,7 +240,6 @@ def _row(cells: Sequence[str], widths: Sequence[int]) -> str:
 
 
 NEEDED = ("time_s", "line", "contact", *AXES, *POINT, *NORMAL, *FEED)  # of a plan.csv
-ABSENT = ("ft", "sigma_fn", "sigma_ft", "setpoint", "belt", "temperature", "wheel_temperature")  # never told by it
 ALONG = ("s_mm", "feed_mm_s")  # told by a plan.csv too
 
 
@@ -301,7 +299,6 @@ def _log_of_plan(path: Path) -> ForceLog:
     if len(back):
         raise table.refuse(int(rows[back[0] + 1]), "time_s", f"comes after {clock[back[0]]:g}; a plan's rows are in time order")
     s, feed = (table.numbers.get(c) for c in ALONG)
-    rest: dict[str, Any] = dict.fromkeys(ABSENT)
     return ForceLog(
         path=path,
         run=run.astype(np.int64),
@@ -321,7 +318,6 @@ def _log_of_plan(path: Path) -> ForceLog:
         ground_before=_ground(run, line[rows]),
         clock=clock,
         row=np.array(table.line)[rows],
-        **rest,
     )
 
 
