@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path.insert(0, str(ROOT))
 
-import blade_samples  # noqa: E402  (lies beside the tests)
-
+from tests.support import blade_samples  # noqa: E402
 from trajectories.blade import Blade, find_shape, read_blade  # noqa: E402
 from trajectories.passes import PassOptions, passes  # noqa: E402
 

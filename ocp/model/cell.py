@@ -25,11 +25,15 @@ from robots.pose import Array, rotation_from_abc, transform_from_xyzabc
 from robots.robot import Robot, load_robot
 from robots.toml_files import TomlTable, read_toml
 from robots.tracker_readings import Hanging, Instrument, Nest
+from trajectories.blade import NamedAerofoil
 
 
 @dataclass(frozen=True)
 class Workpiece:
-    """The blade in its holder: `T_flange_blade`, material (Pa, kg/m^3), clamp plane `normal . x < offset` held."""
+    """The blade in its holder: `T_flange_blade`, material (Pa, kg/m^3), clamp plane `normal . x < offset` held.
+
+    `aerofoil`: where the cell says that it lies, None where its shape is to tell.
+    """
 
     stl: Path | None
     stl_unit: str
@@ -44,6 +48,7 @@ class Workpiece:
     clamp_stiffness: float
     payload: Hanging
     payload_name: str = ""
+    aerofoil: NamedAerofoil | None = None
 
 
 @dataclass(frozen=True)
@@ -266,7 +271,16 @@ def _workpiece(tables: CellTables, table: WorkpieceTable, path: Path, blade: Pat
         clamp_offset=offset * 1e-3,
         payload=_payload(payload),
         payload_name=name or "",
+        aerofoil=_named_aerofoil(table),
     )
+
+
+def _named_aerofoil(table: WorkpieceTable) -> NamedAerofoil | None:
+    if table.aerofoil_axis is None:
+        return None
+    axis = np.array(table.aerofoil_axis) / np.linalg.norm(table.aerofoil_axis)
+    low, high = table.aerofoil_from_mm, table.aerofoil_to_mm
+    return NamedAerofoil(axis, -np.inf if low is None else 1e-3 * low, np.inf if high is None else 1e-3 * high)
 
 
 def _payload(table: PayloadTable | None) -> Hanging:

@@ -10,6 +10,9 @@ from pydantic import ConfigDict, Field, model_validator
 from ocp.effects.cell_effects import effect_of
 from robots.toml_files import NotNegative, Number, Positive, TomlTable, Vector
 
+# Of a place on a blade: 100 m off its frame's origin is a slip.
+Millimetres = Annotated[float, Field(ge=-1e5, le=1e5, strict=True)]
+
 
 class RobotTable(TomlTable):
     """`[robot]`."""
@@ -56,6 +59,9 @@ class WorkpieceTable(TomlTable):
     clamp_normal: Vector | None = None
     clamp_offset_mm: Number | None = None
     clamp_stiffness_N_per_mm: Annotated[float, Field(gt=0, strict=True)] = float("inf")
+    aerofoil_axis: Vector | None = None
+    aerofoil_from_mm: Millimetres | None = None
+    aerofoil_to_mm: Millimetres | None = None
 
     @model_validator(mode="after")
     def _one_clamp(self) -> "WorkpieceTable":
@@ -65,6 +71,18 @@ class WorkpieceTable(TomlTable):
             raise ValueError("give the clamp either as clamp_axis with clamp_to_mm or as clamp_normal with clamp_offset_mm")
         if self.clamp_normal is not None and sum(c * c for c in self.clamp_normal) < 1e-12:
             raise ValueError("clamp_normal has length zero; give the direction across the clamp plane")
+        return self
+
+    @model_validator(mode="after")
+    def _one_aerofoil(self) -> "WorkpieceTable":
+        low, high = self.aerofoil_from_mm, self.aerofoil_to_mm
+        if self.aerofoil_axis is None:
+            if low is not None or high is not None:
+                raise ValueError("aerofoil_from_mm and aerofoil_to_mm count along aerofoil_axis; give that direction too")
+        elif sum(c * c for c in self.aerofoil_axis) < 1e-12:
+            raise ValueError("aerofoil_axis has length zero; give the direction of the aerofoil's span in the blade frame")
+        if low is not None and high is not None and low >= high:
+            raise ValueError(f"aerofoil_from_mm {low:g} must be below aerofoil_to_mm {high:g}")
         return self
 
 

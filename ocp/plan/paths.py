@@ -55,7 +55,7 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     Raises BadInput: the STL, the clamp, the margins or the path handed in cannot be used.
     """
     blade = read_blade(stl, cell.workpiece.stl_unit)
-    shape = find_shape(blade)
+    shape = find_shape(blade, cell.workpiece.aerofoil)
     cloud = surface_cloud(shape, blade)
     if options.path is not None:
         paths, notices = read_path_file(options.path, blade, shape, cell.process.feed, cell.process.force)

@@ -54,9 +54,42 @@ def test_a_clamp_plane_is_scaled_with_its_normal(tmp_path):
     assert piece.clamp_offset == pytest.approx(0.01)
 
 
+def test_a_named_aerofoil_is_a_unit_direction_and_metres(tmp_path):
+    assert read_cell(CELL).workpiece.aerofoil is None
+    axis = "clamp_to_mm = 10.0\naerofoil_axis = [0, 3, 4]"
+    named = read_cell(write(tmp_path, "clamp_to_mm = 10.0", f"{axis}\naerofoil_from_mm = -20\naerofoil_to_mm = 50.0")).workpiece
+    assert named.aerofoil is not None and named.aerofoil.axis == pytest.approx([0, 0.6, 0.8])
+    assert (named.aerofoil.low, named.aerofoil.high) == pytest.approx((-0.02, 0.05))
+    whole = read_cell(write(tmp_path, "clamp_to_mm = 10.0", axis)).workpiece.aerofoil
+    assert whole is not None and (whole.low, whole.high) == (-np.inf, np.inf)
+
+
+AXIS = "clamp_to_mm = 10.0\naerofoil_axis = "
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
+        ("clamp_to_mm = 10.0", AXIS + "[0, 0, 0]", "aerofoil_axis has length zero"),
+        ("clamp_to_mm = 10.0", AXIS + "[0, 1]", r"workpiece.aerofoil_axis"),
+        ("clamp_to_mm = 10.0", AXIS + "[0, inf, 1]", r"workpiece.aerofoil_axis\[1\] = inf"),
+        ("clamp_to_mm = 10.0", AXIS + '"z"', "workpiece.aerofoil_axis = 'z'"),
+        (
+            "clamp_to_mm = 10.0",
+            "clamp_to_mm = 10.0\naerofoil_from_mm = 5.0",
+            "count along aerofoil_axis; give that direction too",
+        ),
+        (
+            "clamp_to_mm = 10.0",
+            AXIS + "[0, 0, 1]\naerofoil_from_mm = 60.0\naerofoil_to_mm = 60.0",
+            "aerofoil_from_mm 60 must be below aerofoil_to_mm 60",
+        ),
+        (
+            "clamp_to_mm = 10.0",
+            AXIS + "[0, 0, 1]\naerofoil_to_mm = 1e7",
+            "aerofoil_to_mm = 10000000.0: .*less than or equal to 1",
+        ),
+        ("clamp_to_mm = 10.0", AXIS + '[0, 0, 1]\naerofoil_to_mm = "60 mm"', "aerofoil_to_mm = '60 mm': .*number"),
         (
             "radius_mm = 40.0",
             "radius_mm = 40.0\nradios_mm = 3",

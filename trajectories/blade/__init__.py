@@ -4,8 +4,9 @@ Here: reading and mending the mesh, span, sections and edges, a smooth surface f
 Not here: the passes laid on it (trajectories.passes); how the blade bends (ocp.contact.blade).
 """
 
+from trajectories.blade.axis import NamedAerofoil
 from trajectories.blade.mesh import Blade
 from trajectories.blade.reading import read_blade
 from trajectories.blade.shape import AerofoilShape, find_shape
 
-__all__ = ["AerofoilShape", "Blade", "find_shape", "read_blade"]
+__all__ = ["AerofoilShape", "Blade", "NamedAerofoil", "find_shape", "read_blade"]

@@ -7,14 +7,14 @@ from scipy.interpolate import make_lsq_spline
 
 from robots.errors import BadInput
 from robots.pose import Array
-from trajectories.blade.axis import aerofoil_range, find_span
+from trajectories.blade.axis import NamedAerofoil, NoAerofoil, aerofoil_range, find_span
 from trajectories.blade.fit import SideSurface, fit_side
 from trajectories.blade.frame import SpanFrame, find_frame
 from trajectories.blade.mesh import Blade, facet_normals
 from trajectories.blade.sections import BladeSection, make_section, slicer
 from trajectories.blade.spline import clamped_knots
 
-N_SECTIONS = 96
+N_SECTIONS = 96  # over the whole part, and as often again until half of them lie on the aerofoil
 ROUGH = 20e-6  # m: a larger worst distance between smooth surface and mesh is told to the user
 _PLATE = 0.97  # thickness near both edges against that at mid-chord, above which the part is a plate
 
@@ -36,35 +36,44 @@ class AerofoilShape:
     notices: tuple[str, ...]
 
 
-def find_shape(blade: Blade) -> AerofoilShape:
+def find_shape(blade: Blade, named: NamedAerofoil | None = None) -> AerofoilShape:
     """Span axis, aerofoil range, edges, sides and smooth surfaces of a blade in any position in its file.
 
+    named: where the cell says that the aerofoil lies.
     Raises: BadInput where the part shows no aerofoil.
     """
-    span = find_span(blade)
+    span = find_span(blade, named)
     frame = find_frame(blade, span, span.centre_low, span.centre_high)
     v_vertices = frame.coordinate(blade.vertices)
+    ends = sorted(float(frame.coordinate(centre)) for centre in (span.centre_low, span.centre_high))
+    dense = int(np.ceil(0.5 * float(np.ptp(v_vertices)) / (ends[1] - ends[0])))
     found = aerofoil_range(
         slicer(blade.vertices, blade.faces),
         facet_normals(blade.vertices, blade.faces)[0],
         v_vertices,
         lambda v: frame.normal(np.array(v)),
-        N_SECTIONS,
+        N_SECTIONS * dense,
+        named,
+        (ends[0], ends[1]),
     )
-    if isinstance(found, str):
-        raise BadInput(f"{blade.name}: this is no blade: {found}; hand in one aerofoil with or without root block.")
-    levels, loops = found
+    if isinstance(found, NoAerofoil):
+        raise BadInput(
+            f"{blade.name}: this is no blade: {found.why}, in section planes between those of the ends of what looks like an "
+            f"aerofoil; hand in one aerofoil with or without root block."
+        )
+    levels, loops = found.levels, found.loops
     sections: list[BladeSection] = []
     guess: Array | None = None
     for level, loop in zip(levels, loops, strict=True):
         section = make_section(loop, frame.normal(np.array(level)), guess)
         guess = section.at(section.nose)
         sections.append(section)
-    notices: list[str] = []
+    notices = _told_openings(found.openings, frame)
     noses = _smooth_noses(levels, sections)
     lead = _leading_edge(sections, noses, notices)
     order = [lead, 1 - lead]
-    _refuse_plate(blade, sections, noses)
+    if named is None:
+        _refuse_plate(blade, sections, noses)
     sides = _sides(blade, levels, sections, noses, lead, notices)
     for side in sides.values():
         if side.deviation[1] > ROUGH:
@@ -74,6 +83,17 @@ def find_shape(blade: Blade) -> AerofoilShape:
             )
     edges = np.array([section.at(nose) for section, nose in zip(sections, noses, strict=True)])
     return AerofoilShape(frame, levels[[0, -1]], sides, levels, edges[:, order[0]], edges[:, order[1]], tuple(notices))
+
+
+def _told_openings(openings: Array, frame: SpanFrame) -> list[str]:
+    """A notice where sections were left out."""
+    if not len(openings):
+        return []
+    widest = 1e3 * float(np.diff(openings, axis=1).max())
+    return [
+        f"The aerofoil has holes or slots at {len(openings)} places along its span, the longest over {widest:.1f} mm: "
+        f"the passes cross them as if the wall went on."
+    ]
 
 
 def smooth_along(levels: Array, values: Array, pieces: int = 5) -> Array:

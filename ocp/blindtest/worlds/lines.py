@@ -73,7 +73,7 @@ def blade_lines(stl: Path, unit: str, cell_path: Path) -> tuple[Blade, tuple[Gro
         wheel_radius=wheel.radius,
         wheel_width=wheel.width,
     )
-    laid, _ = passes(blade, find_shape(blade), options)
+    laid, _ = passes(blade, find_shape(blade, piece.aerofoil), options)
     sides = [[p for p in laid if p.side == side] for side in dict.fromkeys(p.side for p in laid)]
     chosen = [sides[min(int(place), len(sides) - 1)] for place in PLACES]
     picked = [side[int(place % 1.0 * len(side))] for side, place in zip(chosen, PLACES, strict=True)]

@@ -22,7 +22,7 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import FORCE_RANGE, Domain, remembered_law
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.blade_gap import SurfaceCloud
-from ocp.model.cell import Cell
+from ocp.model.cell import Cell, Workpiece
 from ocp.model.prepare import typical_patch, wheel_cover
 from ocp.plan.paths import surface_cloud
 from ocp.shell.workers import interrupts_held_back, nothing, workers
@@ -176,7 +176,7 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     """
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell.path}: no blade; name it as workpiece.stl, a force log needs the blade's shape")
-    blade, shape, cloud = _measured(cell.workpiece.stl, cell.workpiece.stl_unit)
+    blade, shape, cloud = _measured(cell.workpiece.stl, cell.workpiece)
     points = [points_on_surface(blade, shape, log) for log in logs]
     poses = [_posture(cell, log, point) for log, point in zip(logs, points, strict=True)]
     touching = np.concatenate([log.contact for log in logs])
@@ -199,18 +199,19 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     return ForceSetup(model, rows, notices)
 
 
-_LAST: dict[tuple[str, str, str], tuple[Blade, AerofoilShape, SurfaceCloud]] = {}
+_LAST: dict[tuple[str, ...], tuple[Blade, AerofoilShape, SurfaceCloud]] = {}
 
 
-def _measured(stl: Path, unit: str) -> tuple[Blade, AerofoilShape, SurfaceCloud]:
+def _measured(stl: Path, piece: Workpiece) -> tuple[Blade, AerofoilShape, SurfaceCloud]:
     """Blade, shape and surface of an STL; the last one is kept, for a log and its sealed conditions ask one after the other."""
     try:
-        key = (hashlib.sha256(stl.read_bytes()).hexdigest(), stl.name, unit)
+        read = hashlib.sha256(stl.read_bytes()).hexdigest()
     except OSError:
-        key = ("", str(stl), unit)  # the reader says what is wrong with it
+        read = ""  # the reader says what is wrong with it
+    key = (read, stl.name, piece.stl_unit, str(piece.aerofoil))
     if key not in _LAST:
-        blade = read_blade(stl, unit)
-        shape = find_shape(blade)
+        blade = read_blade(stl, piece.stl_unit)
+        shape = find_shape(blade, piece.aerofoil)
         _LAST.clear()
         _LAST[key] = blade, shape, surface_cloud(shape, blade)
     return _LAST[key]

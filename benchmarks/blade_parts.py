@@ -1,0 +1,75 @@
+"""`python benchmarks/blade_parts.py [NUMBER ..] [--keep FOLDER]`: thirty odd blades made, read, and their aerofoils compared.
+
+Prints the table of docs/blade.md: what each part is, and what was found against what was built (tests/support/blade_parts.py).
+Ends with exit code 1 where a part is not as it was built.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tests.support.blade_parts import RECIPES, Outcome, build, outcome
+
+HEAD = (
+    "part", "length, chord, edge mm", "twist deg", "root", "tip", "cuts", "facets", "span off, deg", "from, to off, mm",
+    "passes off, um, 95 % / worst", "lines", "s", "verdict",
+)  # fmt: skip
+
+
+def found(got: Outcome) -> list[str]:
+    return [
+        f"{got.angle:.1f}",
+        f"{got.low:+.1f}, {got.high:+.1f}",
+        f"{1e3 * got.off[0]:.1f} / {1e3 * got.off[1]:.0f}",
+        str(got.lines),
+    ]
+
+
+def verdict(got: Outcome, fault: str) -> str:
+    if fault:
+        return f"WRONG: {fault} {got.refusal}"
+    return "refused: " + got.refusal.split("this is no blade: ")[-1].split("; hand")[0] if got.refusal else "planned"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("numbers", type=int, nargs="*")
+    parser.add_argument("--keep", type=Path, help="folder for the STL files")
+    options = parser.parse_args()
+    folder = options.keep or Path(tempfile.mkdtemp())
+    folder.mkdir(parents=True, exist_ok=True)
+    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
+    wrong = 0
+    for recipe in RECIPES:
+        if options.numbers and recipe.seed not in options.numbers:
+            continue
+        part = build(recipe)
+        stl = part.write(folder)
+        start = time.process_time()
+        got = outcome(part, stl)
+        seconds = time.process_time() - start
+        fault = got.wrong(recipe)
+        wrong += bool(fault)
+        cells = [
+            str(recipe.seed) + (", file in m" if recipe.unit == "m" else ""),
+            f"{recipe.length:g}, {recipe.chord:g}, {recipe.edge:g}",
+            f"{recipe.twist:g}",
+            f"{recipe.root}, {recipe.depth:g} mm" if recipe.depth else "none",
+            recipe.tip,
+            recipe.cuts,
+            str(len(part.faces)),
+            *(["", "", "", ""] if got.refusal else found(got)),
+            f"{seconds:.1f}",
+            verdict(got, fault),
+        ]
+        print(f"| {' | '.join(cells)} |", flush=True)
+    print(f"\n{wrong} parts are not as they were built")
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
