@@ -1,6 +1,5 @@
 """`ocp.api.blindtest`: worlds drawn and sealed, answered by the diagnosis without their labels, then judged."""
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,8 @@ from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, 
 from ocp.blindtest.worlds.recipes import KINDS, SIGNALS, check_kinds, recipes
 from ocp.blindtest.worlds.sealing import Check, write_cell
 from ocp.data import CELL
+from ocp.model.cell import files_of
+from ocp.shell.output import reserved
 from ocp.shell.progress import Phases, Progress
 from ocp.shell.workers import cores
 from robots.errors import BadInput
@@ -58,19 +59,20 @@ def blindtest(
         if not low <= value <= high:
             raise BadInput(f"{name} {value} must lie between {low} and {high}")
     check = Check(folder, seed, worlds, check_kinds(",".join(kinds), signals), readings, signals=signals)
-    if overwrite and folder.is_dir():
-        if not (folder / "plan.json").is_file() and any(folder.iterdir()):
-            raise BadInput(f"{folder}: holds no blind check; --overwrite would delete it, give another --out")
-        shutil.rmtree(folder)
-    resume(check, overwrite)
+    with reserved(folder, overwrite, files_of(cell), grows=True) as output, output.grown():
+        return _judged(check, Path(cell), again, jobs or cores(), Phases(progress))
+
+
+def _judged(check: Check, cell: Path, again: bool, count: int, phases: Phases) -> BlindtestResult:
+    resume(check)
     if not check.cell.is_file():
-        write_cell(Path(cell), check.cell, signals)
+        write_cell(cell, check.cell, check.signals)
     if again:
         forget_answers(check)
-    planned, count, phases = recipes(worlds, check.kinds), jobs or cores(), Phases(progress)
+    planned = recipes(check.worlds, check.kinds)
     make_all(check, planned, count, phases)
     answer_all(check, planned, count, phases)
     rows = score_all(check, planned, count, phases)
     with phases.phase("report"):
         write_blindtest_report(check, rows)
-    return BlindtestResult(folder, tuple(rows), tuple(all_figures(rows)), blindtest_last_line(check, rows))
+    return BlindtestResult(check.folder, tuple(rows), tuple(all_figures(rows)), blindtest_last_line(check, rows))

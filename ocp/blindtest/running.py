@@ -102,7 +102,7 @@ def _brought(view: ExactView, effects: list[Planted], wanted: Array, signals: st
 PLAN = "plan.json"
 
 
-def resume(check: Check, overwrite: bool) -> None:
+def resume(check: Check) -> None:
     """Raises BadInput: the folder holds another check, or anything else."""
     path = check.folder / PLAN
     if path.is_file():

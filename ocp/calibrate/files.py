@@ -12,7 +12,7 @@ from ocp.calibrate.tracker import TrackerCalibration, as_calibration
 from ocp.model.cell import cell_tables_for
 from ocp.report.section import Section
 from ocp.shell.cache import sha256
-from ocp.shell.output import whole_folder
+from ocp.shell.output import Output
 from ocp.shell.progress import Phases
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.store import Calibration, write_calibration
@@ -41,13 +41,13 @@ def write_tracker_calibration(
     made: TrackerCalibration,
     calibration: Calibration,
     extra: Sequence[Section],
-    out: Path,
-    overwrite: bool,
+    output: Output,
     phases: Phases,
     inputs: Sequence[Path],
 ) -> CalibrationResult:
     """Write the folder of a calibration; `extra` sections of the report are what a force log adds."""
-    with whole_folder(out, overwrite) as folder:
+    out = output.named
+    with output.whole() as folder:
         with phases.phase("writing"):
             write_calibration(folder / "calibration.toml", calibration)
             _write_cell(made, folder / "cell.toml", out)

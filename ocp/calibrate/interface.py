@@ -12,7 +12,7 @@ from ocp.calibrate.report.pages import contact_sections
 from ocp.calibrate.tracker import calibrate_tracker
 from ocp.model.cell import Cell, files_of, read_cell
 from ocp.report.section import Section
-from ocp.shell.output import check_output
+from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
 from robots.errors import BadInput, Infeasible
 
@@ -35,11 +35,18 @@ def calibrate(
     """
     readings, cell_file, folder, phases = Path(tracker), Path(cell), Path(out), Phases(progress)
     inputs = [readings, *([] if force is None else [Path(force)]), *files_of(cell_file)]
-    ground = None if force is None else _ground(cell_file, Path(force))
-    check_output(folder, overwrite, inputs)
-    for file in inputs:
-        if not file.is_file():
-            raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
+    sealed = [file for given in inputs[:2] for file in given.parent.glob("sealed_*.csv")]
+    with reserved(folder, overwrite, [*inputs, *sealed]) as output:
+        for file in inputs:
+            if not file.is_file():
+                raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
+        return _calibrated(readings, cell_file, None if force is None else Path(force), method, inputs, output, phases)
+
+
+def _calibrated(
+    readings: Path, cell_file: Path, force: Path | None, method: str, inputs: list[Path], output: Output, phases: Phases
+) -> CalibrationResult:
+    ground = None if force is None else _ground(cell_file, force)
     made = calibrate_tracker(readings, cell_file, method, phases)
     if not len(made.methods.before):
         path = made.fit.campaign.readings.path
@@ -49,7 +56,7 @@ def calibrate(
         with phases.phase("contact"):
             fit = fit_force(*ground, calibration)
         calibration, extra = fit.calibration(calibration), contact_sections(fit)
-    return write_tracker_calibration(made, calibration, extra, folder, overwrite, phases, inputs)
+    return write_tracker_calibration(made, calibration, extra, output, phases, inputs)
 
 
 UNITS = 30.0  # kilonewtons and grams-force are farther off than any setpoint of a ladder

@@ -34,8 +34,9 @@ from ocp.diagnose.verdict.answer import Answer
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect
+from ocp.model.cell import files_of
 from ocp.shell.cache import sha256
-from ocp.shell.output import check_output, whole_folder
+from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases
 from ocp.shell.workers import cores, interrupts_held_back, nothing, workers
 from robots.calibration.mistakes import refuse_mistakes
@@ -194,16 +195,19 @@ def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) ->
 
     Raises BadInput and Infeasible of every part; then `out` is as it was.
     """
-    inputs = [p for p in folder.iterdir() if p.is_file()] if folder.is_dir() else []
-    check_output(out, overwrite, inputs)
-    if out.resolve() == folder.resolve():
-        raise BadInput(f"--out {out}: is the data set itself; give another folder")
+    inputs = [folder, *(files_of(folder / "cell.toml") if (folder / "cell.toml").is_file() else [])]
+    with reserved(out, overwrite, inputs) as output:
+        return _written(folder, output, phases)
+
+
+def _written(folder: Path, output: Output, phases: Phases) -> DiagnosisResult:
+    out = output.named
     with drawn_beside() as draw:
         answer = answer_of(folder, phases)
         page = draw(answer, {p.name: sha256(p) for p in answer.data.inputs})
         with phases.phase("predictions"):
             sealed = predict_sealed(answer)
-        with whole_folder(out, overwrite) as made:
+        with output.whole() as made:
             with phases.phase("writing"):
                 (made / "diagnosis.json").write_text(json_text(document_of(answer)), encoding="utf-8")
                 for signal, told in sealed.items():

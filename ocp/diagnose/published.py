@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from ocp.shell.command import main, run
-from ocp.shell.output import check_output, whole_folder
+from ocp.shell.output import whole_folder
 from robots.errors import BadInput
 from robots.pose import Array
 from robots.toml_files import toml_text
@@ -219,12 +219,11 @@ def load_campaign(
     """Write a published tracker campaign as a data set that `python -m ocp.diagnose` reads."""
 
     def job() -> str:
-        check_output(out, overwrite, [recording])
         campaign = read_campaign(recording, difference)
         if springs:
             campaign.cell["robot"]["compliant_joints"] = [2, 3]
         held = held_rows(len(campaign), sealed, seed) if sealed else None
-        with whole_folder(out, overwrite) as folder:
+        with whole_folder(out, overwrite, [recording]) as folder:
             write_data_set(campaign, folder, held)
         kept = "" if held is None else f", {len(held)} of them sealed"
         return f"{out}: {len(campaign)} readings{kept}, with cell.toml; `python -m ocp.diagnose {out}` looks at them."
@@ -241,8 +240,7 @@ def load_recordings(
     """Write recordings of the KR 300 campaign as a data set that `python -m ocp.diagnose` reads."""
 
     def job() -> str:
-        check_output(out, overwrite, recordings)
-        with whole_folder(out, overwrite) as folder:
+        with whole_folder(out, overwrite, recordings) as folder:
             rows = write_recordings(recordings, folder)
         return f"{out}: {rows} rows of joints.csv with cell.toml; `python -m ocp.diagnose {out}` looks at them."
 

@@ -28,8 +28,8 @@ def _experiments(
     from ocp.experiments.grinding import MOUNTS
     from ocp.experiments.report import last_line, write_experiments
     from ocp.experiments.trial import run_trials, trials_json
-    from ocp.model.cell import read_cell  # heavy imports only once the arguments stand
-    from ocp.shell.output import check_output, whole_folder
+    from ocp.model.cell import files_of, read_cell  # heavy imports only once the arguments stand
+    from ocp.shell.output import reserved
     from ocp.shell.progress import Phases
     from ocp.shell.workers import cores
 
@@ -39,16 +39,16 @@ def _experiments(
         for name, value, least, most in (("robots", robots, 1, 10000), ("poses", poses, 20, 1000), ("seed", seed, 0, 2**31)):
             if not least <= value <= most:
                 raise BadInput(f"--{name} {value} must lie between {least} and {most}")
-        check_output(out, overwrite, [cell])
-        believed = read_cell(cell)
         mounts = list(MOUNTS) if mount == "both" else [mount]
         seeds = list(range(seed, seed + robots))
-        with shown_progress() as progress:
-            trials = run_trials(believed, mounts, seeds, poses, jobs or cores(), Phases(progress))
-        options: dict[str, object] = {"cell": believed.name, "robots": robots, "seed": seed, "poses": poses, "mounts": mounts}
-        with whole_folder(out, overwrite) as folder:
-            (folder / "experiments.json").write_text(trials_json(trials, options))
-            write_experiments(trials, believed.process.force, folder)
+        with reserved(out, overwrite, files_of(cell)) as output:
+            believed = read_cell(cell)
+            with shown_progress() as progress:
+                trials = run_trials(believed, mounts, seeds, poses, jobs or cores(), Phases(progress))
+            options: dict[str, object] = {"cell": believed.name, "robots": robots, "seed": seed, "poses": poses, "mounts": mounts}
+            with output.whole() as folder:
+                (folder / "experiments.json").write_text(trials_json(trials, options))
+                write_experiments(trials, believed.process.force, folder)
         return f"{out}: {last_line(trials, believed.process.force)}. {out / 'report.html'} has tables and figures."
 
     sys.exit(run(job, "no experiment"))

@@ -2,7 +2,6 @@
 
 import json
 import platform
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -17,7 +16,7 @@ from ocp.plan.report.plan_report import build_report
 from ocp.plan.rules import UNCERTAIN_FORCE
 from ocp.plan.second_route import believed_robot
 from ocp.shell.cache import sha256
-from ocp.shell.output import check_output, whole_folder
+from ocp.shell.output import Output
 from ocp.shell.progress import Phases
 from trajectories.dialects import dialect_named
 
@@ -50,15 +49,11 @@ class _Written:
     readback: Readback
 
 
-def write_plan(make: Callable[[], Plan], out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path] = ()) -> PlanResult:
-    """Make the plan and write its folder.
-
-    Raises BadInput and Infeasible of every part; then `out` is as it was.
-    """
-    check_output(out, overwrite, inputs)
-    plan = make()
-    check_output(out, overwrite, [file for _, file in plan.inputs])
-    with whole_folder(out, overwrite) as folder:
+def write_plan(plan: Plan, output: Output, phases: Phases) -> PlanResult:
+    """Write the folder of a plan. Raises BadInput and Infeasible of every part; then the folder is as it was."""
+    output.reads(file for _, file in plan.inputs)
+    out = output.named
+    with output.whole() as folder:
         written = _write_programs(plan, folder, phases)
         with phases.phase("report"):
             summary = _summary(plan, written)

@@ -3,9 +3,11 @@
 from pathlib import Path
 
 from ocp.data import CELL
+from ocp.model.cell import files_of
 from ocp.plan.files import PlanResult, write_plan
 from ocp.plan.paths import PlanOptions
 from ocp.plan.planning import make_plan
+from ocp.shell.output import reserved
 from ocp.shell.progress import Phases, Progress
 
 
@@ -29,9 +31,12 @@ def plan(
     BadInput: an argument or a file is not what it should be; Infeasible: there is no safe plan. Nothing is written then.
     """
     chosen = PlanOptions(_path(path), _path(program), kind, name, step)
-    files = [file for file in (Path(cell), _path(blade), chosen.path, chosen.program) if file is not None]
+    files = [file for file in (_path(blade), chosen.path, chosen.program) if file is not None]
+    if chosen.program is not None:
+        files += chosen.program.parent.glob("*.[sSdD][rRaA][cCtT]")  # the programs that it calls, and their positions
     phases = Phases(progress)
-    return write_plan(lambda: make_plan(Path(cell), _path(blade), chosen, phases), Path(out), overwrite, phases, files)
+    with reserved(Path(out), overwrite, [*files_of(Path(cell)), *files]) as output:
+        return write_plan(make_plan(Path(cell), _path(blade), chosen, phases), output, phases)
 
 
 def _path(given: str | Path | None) -> Path | None:

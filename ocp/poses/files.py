@@ -16,7 +16,7 @@ from ocp.poses.planning import PosePlan
 from ocp.poses.program import measuring_program, write_and_check
 from ocp.poses.report import write_poses_sheet
 from ocp.shell.cache import sha256
-from ocp.shell.output import whole_folder
+from ocp.shell.output import Output
 from ocp.shell.progress import Phases
 from robots.calibration.observability import CRITERIA, identifiable_basis, observability, posterior_sd, singular_values
 from robots.calibration.parameters import SYMBOLS
@@ -40,9 +40,10 @@ class PosesResult:
         return self.plan.notices
 
 
-def write_poses(plan: PosePlan, out: Path, overwrite: bool, phases: Phases, inputs: Sequence[Path]) -> PosesResult:
-    """Write the folder of a choice. Raises BadInput and Infeasible; then `out` is as it was."""
-    with whole_folder(out, overwrite) as folder:
+def write_poses(plan: PosePlan, output: Output, phases: Phases, inputs: Sequence[Path]) -> PosesResult:
+    """Write the folder of a choice. Raises BadInput and Infeasible; then the folder is as it was."""
+    out = output.named
+    with output.whole() as folder:
         with phases.phase("writing"):
             programs = _write_programs(plan, folder)
             rows = write_poses_csv(plan, folder / "poses.csv")

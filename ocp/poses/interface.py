@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from ocp.data import CELL
+from ocp.model.cell import files_of
 from ocp.poses.files import PosesResult, write_poses
 from ocp.poses.planning import PoseOptions, make_poses
 from ocp.poses.program import base_name
-from ocp.shell.output import check_output
+from ocp.shell.output import reserved
 from ocp.shell.progress import Phases, Progress
 from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
@@ -84,5 +85,5 @@ def choose_poses(
         noise=Noise(joint_noise),
     )
     phases, inputs = Phases(progress), [Path(cell)]
-    check_output(Path(out), overwrite, inputs)
-    return write_poses(make_poses(Path(cell), options, phases), Path(out), overwrite, phases, inputs)
+    with reserved(Path(out), overwrite, files_of(Path(cell))) as output:
+        return write_poses(make_poses(Path(cell), options, phases), output, phases, inputs)

@@ -31,9 +31,8 @@ OLD, NEW = "replaced", "unfinished"  # what stands beside a folder while it is w
 class Output:
     """A folder that this run alone will write."""
 
-    def __init__(self, named: Path, overwrite: bool) -> None:
-        self.named = named
-        self.overwrite = overwrite
+    def __init__(self, named: Path, overwrite: bool, grows: bool) -> None:
+        self.named, self.overwrite, self.grows = named, overwrite, grows
         self.folder = _resolved(named)
         self._inputs: set[Path] = set()
         self._seen: tuple[bool, bytes | None] = True, None
@@ -65,9 +64,10 @@ class Output:
             if place.exists() and not os.access(place, os.W_OK | os.X_OK):
                 raise BadInput(f"{self.named}: cannot be written, no permission in {place}; give another --out")
         if not _empty(self.folder):
-            if not self.overwrite:
+            if self.overwrite:
+                self._refuse_losses()
+            elif not self.grows:
                 raise BadInput(f"{self.named}: exists and is not empty; give another --out, or --overwrite to replace it")
-            self._refuse_losses()
         self._seen = _state(self.folder)
 
     def _refuse_losses(self) -> None:
@@ -110,6 +110,22 @@ class Output:
                 shutil.rmtree(partial, ignore_errors=True)
             _remove_empty(missing)
 
+    @contextmanager
+    def grown(self) -> Iterator[Path]:
+        """The folder itself, emptied first where it is to be overwritten, for work that a later run goes on with.
+
+        The marker is written anew however the block ends; what somebody else put there before is never listed.
+        """
+        if self.overwrite and not _empty(self.folder):
+            self._refuse_losses()
+            shutil.rmtree(self.folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        foreign = {name for name in _names(self.folder) if _listed(self.folder).get(name) != _hash(self.folder / name)}
+        try:
+            yield self.folder
+        finally:
+            write_marker(self.folder, foreign)
+
     def _put(self, partial: Path) -> None:
         meanwhile = f"{self.named}: somebody else wrote there while this run worked, and that stays; give another --out"
         if _state(self.folder) != self._seen:
@@ -136,20 +152,21 @@ class Output:
 
 
 @contextmanager
-def reserved(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> Iterator[Output]:
+def reserved(folder: Path, overwrite: bool, inputs: Iterable[Path] = (), grows: bool = False) -> Iterator[Output]:
     """`folder` for this run alone: checked now, written later by `Output.whole`.
 
     Args:
         folder: where to write; a link is followed.
         overwrite: replace a folder that this software wrote and nobody changed since.
         inputs: files and folders that the run reads; more may be told by `Output.reads` before anything is written.
+        grows: the folder may hold what an earlier run of the same kind began (`Output.grown`).
 
     Raises BadInput: another run writes there; the folder holds files and `overwrite` is false, or holds a file that is not this
     software's, an input, or the working folder; it is a file, has a name that is empty or too long, or cannot be written.
     """
     if str(folder) in ("", "."):
         raise BadInput("--out is empty or the working folder itself; give the name of a folder to write")
-    output = Output(folder, overwrite)
+    output = Output(folder, overwrite, grows)
     name = sha256(os.fsencode(output.folder)).hexdigest()[:24]
     lock = FileLock(Path(interrupts.TEMPORARY) / f"grindplan-{name}.lock", timeout=0)
     try:
@@ -167,25 +184,32 @@ def reserved(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> Iter
         lock.release()
 
 
-def write_marker(folder: Path) -> None:
-    """List a folder's files with their hashes in its marker. Raises OSError where it cannot be written."""
-    files = {name: _hash(folder / name) for name in _names(folder)}
+def write_marker(folder: Path, foreign: Iterable[str] = ()) -> None:
+    """List a folder's files with their hashes in its marker, `foreign` ones apart. Raises OSError where it cannot be written."""
+    files = {name: _hash(folder / name) for name in sorted({*_names(folder)} - {*foreign})}
     (folder / MARKER).write_text(json.dumps({"by": "grindplan", "sha256": files}, indent=1), encoding="utf-8")
 
 
 def users_file(folder: Path) -> str | None:
     """A file in `folder` that is not as this software wrote it, with the reason; None where all are."""
-    try:
-        listed = dict(json.loads((folder / MARKER).read_text(encoding="utf-8"))["sha256"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    listed, told = _listed(folder), (folder / MARKER).exists()
+    if not listed:
         first = next(iter(_names(folder)), None)
-        return None if first is None else f"{first}, and {MARKER} does not tell that this software wrote it"
+        why = "which this software did not write" if told else f"and no {MARKER} tells that this software wrote it"
+        return None if first is None else f"{first}, {why}"
     for name in _names(folder):
         if name not in listed:
             return f"{name}, which this software did not write"
         if _hash(folder / name) != listed[name]:
             return f"{name}, which was changed since it was written"
     return None
+
+
+def _listed(folder: Path) -> dict[str, str]:
+    try:
+        return dict(json.loads((folder / MARKER).read_text(encoding="utf-8"))["sha256"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return {}
 
 
 def _names(folder: Path) -> list[str]:
@@ -267,9 +291,3 @@ def whole_folder(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> 
     """`reserved` and `Output.whole` in one, for what is written at once."""
     with reserved(folder, overwrite, inputs) as output, output.whole() as partial:
         yield partial
-
-
-def check_output(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Refuse early what `whole_folder` would refuse after the work is done; raises as `reserved`."""
-    with reserved(folder, overwrite, inputs):
-        pass

@@ -14,8 +14,8 @@ import numpy as np
 
 from ocp.data import CELL
 from ocp.effects.catalogue import key_range
-from ocp.model.cell import Cell, read_cell
-from ocp.shell.output import check_output, whole_folder
+from ocp.model.cell import Cell, files_of, read_cell
+from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
 from ocp.simulate.input import Wanted, blade_file, campaign_plan, cell_file, check_numbers, in_words, plan_folder, planted_effects
 from ocp.simulate.report import rehearsal_headline, write_rehearsal_page
@@ -86,10 +86,25 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
     summary = {} if folder is None else read_summary(folder)
     program = None if wanted.plan is None else read_program(wanted.plan, planned=bool(summary))
     file = cell_file(wanted, summary, bundled)
-    check_output(out, overwrite, [p for p in (file, wanted.plan, wanted.blade) if p is not None])
-    cell = read_cell(file, wanted.blade)
-    if other := blade_file(wanted, summary, cell.workpiece.stl):
-        cell = read_cell(file, other)
+    given = [Path(p) for p in (folder, wanted.blade, None if wanted.poses.isdigit() else wanted.poses) if p is not None]
+    with reserved(out, overwrite, [*files_of(file), *given]) as output:
+        cell = read_cell(file, wanted.blade)
+        if other := blade_file(wanted, summary, cell.workpiece.stl):
+            output.reads([other])
+            cell = read_cell(file, other)
+        return _simulated(wanted, cell, program, folder, summary, output, phases)
+
+
+def _simulated(
+    wanted: Wanted,
+    cell: Cell,
+    program: KrlProgram | None,
+    folder: Path | None,
+    summary: dict[str, Any],
+    output: Output,
+    phases: Phases,
+) -> SimulationResult:
+    out = output.named
     truth = draw_truth(cell, wanted.seed, planted_effects(wanted, cell), wanted.machine, wanted.size)  # type: ignore[arg-type]
     notices: list[str] = []
     ground = None
@@ -99,7 +114,7 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
         notices += ground.track.notices
     with phases.phase("tracker"):
         log = _track(wanted, cell, ground)
-    with whole_folder(out, overwrite) as partial, phases.phase("writing"):
+    with output.whole() as partial, phases.phase("writing"):
         rows = _write(wanted, cell, truth, ground, log, partial, notices)
     rehearsal, readings = None if ground is None else ground.rehearsal, 0 if log is None else len(log.design)
     line = _last_line(wanted, out, truth, ground, log, rows)

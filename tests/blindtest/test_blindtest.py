@@ -47,7 +47,7 @@ def scene(machine):
 def check(tmp_path_factory: pytest.TempPathFactory) -> Check:
     """Two worlds, made and sealed."""
     made = Check(tmp_path_factory.mktemp("blind") / "check", 5, 2, ("single", "none"), 60, 12)
-    resume(made, False)
+    resume(made)
     write_cell(CELL, made.cell)
     make_all(made, recipes.recipes(2, made.kinds), 1, Phases())
     return made
@@ -251,9 +251,9 @@ def test_answers_need_no_labels_and_are_resumed(check, tmp_path):
 
 
 def test_a_check_with_other_options_is_not_gone_on_with(check):
-    resume(check, False)
+    resume(check)
     with pytest.raises(BadInput, match="another seed"):
-        resume(replace(check, seed=6), False)
+        resume(replace(check, seed=6))
     check.answer("00009").parent.mkdir(exist_ok=True)
     with pytest.raises(BadInput, match="no answer yet"):
         score_all(check, recipes.recipes(3, check.kinds), 1, Phases())

@@ -16,6 +16,7 @@ from tests.support.example_pass import bar_pass
 from tests.support.invented_motion import cell, checked, motion, written
 from tests.support.toy_dialect import TOY
 from trajectories.dialects import DIALECTS
+from trajectories.krl.interpreter import execute
 
 
 def test_segments_follow_one_another_without_a_gap():
@@ -159,7 +160,7 @@ def test_a_point_moved_in_the_text_is_noticed(tmp_path):
     a, b = middle.span(1)
     file.write_bytes((text[:a] + f"{float(middle[1]) + 0.05:.6f}" + text[b:]).encode("ascii"))
     try:
-        _, error, _, _ = _timed(cell(), motion(), checked(main))
+        _, error, _, _ = _timed(cell(), motion(), execute(main))  # the reader's checks would refuse such a kink already
     except Infeasible:
         return  # the kink alone may break a limit
     assert error > np.radians(0.04) > 10 * sound

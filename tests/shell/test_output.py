@@ -8,8 +8,13 @@ import signal
 import pytest
 
 from ocp.shell import output as shell_output
-from ocp.shell.output import MARKER, check_output, reserved, whole_folder, write_marker
+from ocp.shell.output import MARKER, reserved, whole_folder, write_marker
 from robots.errors import BadInput, Infeasible
+
+
+def check_output(folder, overwrite, inputs=()):
+    with reserved(folder, overwrite, inputs):
+        pass
 
 
 def names(folder):
@@ -149,10 +154,10 @@ def kill_at(step):
         (lambda out: (out / "deep" / "notes.txt").write_text("mine"), "deep/notes.txt, which this software did not write"),
         (lambda out: (out / "deep" / "b.txt").write_text("an afternoon of readings"), "deep/b.txt, which was changed"),
         (lambda out: (out / "deep" / "link").symlink_to(out), "deep/link, which this software did not write"),
-        (lambda out: (out / MARKER).unlink(), "a.txt, and .written.json does not tell"),
+        (lambda out: (out / MARKER).unlink(), "a.txt, and no .written.json tells"),
         (lambda out: (out / MARKER).write_text('{"sha256": {"a.txt": 1}}'), "a.txt, which was changed"),
-        (lambda out: (out / MARKER).write_text('{"sha256": 3}'), "a.txt, and .written.json does not tell"),
-        (lambda out: (out / MARKER).write_text("\0"), "a.txt, and .written.json does not tell"),
+        (lambda out: (out / MARKER).write_text('{"sha256": 3}'), "a.txt, which this software did not write"),
+        (lambda out: (out / MARKER).write_text("\0"), "a.txt, which this software did not write"),
     ],
 )
 def test_what_is_the_users_is_never_replaced(tmp_path, change, named):
@@ -280,3 +285,21 @@ def test_a_link_stays_and_its_folder_is_replaced(tmp_path):
     with whole_folder(link, overwrite=True) as partial:
         (partial / "x.txt").write_text("new")
     assert link.is_symlink() and names(out) == [MARKER, "x.txt"]
+
+
+def test_a_folder_that_grows_lists_what_was_written_and_nothing_else(tmp_path):
+    out = tmp_path / "check"
+    with pytest.raises(KeyboardInterrupt), reserved(out, False, grows=True) as output, output.grown() as folder:
+        (folder / "a.txt").write_text("world 1")
+        raise KeyboardInterrupt
+    with reserved(out, False, grows=True) as output, output.grown() as folder:
+        (folder / "b.txt").write_text("world 2")
+    (out / "notes.txt").write_text("mine")
+    with reserved(out, False, grows=True) as output, output.grown() as folder:
+        (folder / "c.txt").write_text("world 3")
+    with pytest.raises(BadInput, match=r"notes\.txt, which this software did not write"), reserved(out, True, grows=True):
+        pass
+    (out / "notes.txt").unlink()
+    with reserved(out, True, grows=True) as output, output.grown() as folder:
+        assert names(folder) == []
+    assert names(out) == [MARKER]

@@ -44,8 +44,9 @@ def check_program(
     for (stem, suffix), module in stems.items():
         if suffix == ".src":
             check_pair(module, stems[stem, ".dat"])
-    _check_one_setup([m for m in modules.values() if m.path.suffix.lower() == ".src"])
     execution = execute(source)
+    runs = {source.name.upper(), *(segment.file.upper() for segment in execution.segments)}
+    _check_one_setup([m for m in modules.values() if m.path.name.upper() in runs])
     _check_segments(execution.segments, robot, absolute_accuracy)
     return execution
 
