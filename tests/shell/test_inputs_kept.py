@@ -1,4 +1,4 @@
-"""No command writes into a folder that holds a file it reads, whichever way the file is named. The folders are this software's own
+"""No command writes into a folder that holds a file it reads, whichever way the file is named. The folders are of this software
 and unchanged: nothing but being an input protects them."""
 
 import shutil
