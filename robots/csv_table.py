@@ -1,6 +1,7 @@
 """A CSV file as columns of numbers and words, every complaint with file, line, column and value."""
 
 import csv
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,8 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.errors import BadInput
+from robots.bounds import LONGEST_LABEL, MOST_CSV_BYTES, MOST_CSV_LINE, MOST_CSV_VALUES, column_bounds, read_whole
+from robots.errors import BadInput, shown
 from robots.pose import Array
+
+# Digits that a person types: float() alone also takes other scripts' digits, and underscores.
+_PLAIN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -54,18 +59,19 @@ class CsvTable:
             for k in np.flatnonzero(step <= 0 if strictly else step < 0)[:1]:
                 how = "no later than" if strictly else "after"
                 rule = "times must grow in a run" if strictly else "the rows of a run must be in time order"
-                raise self.refuse(int(rows[k + 1]), column, f"comes {how} {time[rows[k]]:g} in run {name}; {rule}")
+                raise self.refuse(int(rows[k + 1]), column, f"comes {how} {time[rows[k]]:g} in run {shown(name)}; {rule}")
 
     def refuse(self, row: int, column: str, reason: str) -> BadInput:
         """The error to raise about one value."""
         value = self.words[column][row] if column in self.words else f"{self.numbers[column][row]:g}"
-        return BadInput(f"{self.path}, line {self.line[row]}, column {column}: {value} {reason}")
+        return BadInput(f"{self.path}, line {self.line[row]}, column {column}: {shown(value)} {reason}")
 
 
 def read_csv_table(
     path: str | Path, needed: Sequence[str], optional: Sequence[str] = (), words: Sequence[str] = (), gaps: Sequence[str] = ()
 ) -> CsvTable:
-    """Read a file with a header. Numbers are finite; `words` names the columns, needed or optional, kept as text.
+    """Read a file with a header. Numbers lie in the bounds of their columns (robots.bounds); `words` names the columns, needed
+    or optional, kept as text.
 
     In the columns `gaps` an empty cell is nan.
 
@@ -85,24 +91,20 @@ def read_csv_table(
             continue
         cells = [row[k] for row in rows]
         if column in words:
+            _check_words(path, lines, column, cells)
             texts[column] = cells
         else:
             holes = column in gaps
             pairs = zip(lines, cells, strict=True)
             read = [np.nan if holes and not cell else _number(path, n, column, cell) for n, cell in pairs]
             numbers[column] = np.array(read)
+            _check_bounds(path, lines, column, numbers[column], cells)
     return CsvTable(path, numbers, texts, lines, tuple(c for c in header if c not in known))
 
 
 def _cells(path: Path, needed: Sequence[str]) -> tuple[list[str], list[list[str]], list[int]]:
     """Header, rows and the line of each row."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror or error}); give the path of a CSV file") from None
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: byte {error.start} is no UTF-8 text; save it as CSV in UTF-8") from None
-    reader = csv.reader(text.splitlines())
+    reader = csv.reader(_lines_of(path))
     header: list[str] = []
     rows: list[list[str]] = []
     lines: list[int] = []
@@ -122,11 +124,48 @@ def _cells(path: Path, needed: Sequence[str]) -> tuple[list[str], list[list[str]
             else:
                 rows.append(cells)
                 lines.append(reader.line_num)
+                if len(rows) * len(header) > MOST_CSV_VALUES:
+                    raise BadInput(
+                        f"{path}, line {reader.line_num}: more than {MOST_CSV_VALUES} values; thin the file out or split it"
+                    )
     except csv.Error as error:
         raise BadInput(f"{path}, line {reader.line_num}: {error}; give a CSV file") from None
     if not rows:
         raise BadInput(f"{path}: holds no {'row' if header else 'header'}; needed columns are {', '.join(needed)}")
     return header, rows, lines
+
+
+def _lines_of(path: Path) -> list[str]:
+    """The lines of a text file, none so long that it is no table."""
+    try:
+        lines = read_whole(path, MOST_CSV_BYTES, "a CSV file").decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: byte {error.start} is no UTF-8 text; save it as CSV in UTF-8") from None
+    for number, line in enumerate(lines, 1):
+        if len(line) > MOST_CSV_LINE:
+            raise BadInput(f"{path}, line {number}: {len(line)} characters, the limit is {MOST_CSV_LINE}; give a CSV file")
+    return lines
+
+
+def _check_words(path: Path, lines: list[int], column: str, cells: list[str]) -> None:
+    """Labels go into reports, files and onto the terminal."""
+    for line, cell in zip(lines, cells, strict=True):
+        if len(cell) > LONGEST_LABEL or not cell.isprintable():
+            raise BadInput(
+                f"{path}, line {line}, column {column}: '{shown(cell)}' is no label of at most {LONGEST_LABEL} characters that "
+                "can be printed; shorten it"
+            )
+
+
+def _check_bounds(path: Path, lines: list[int], column: str, values: Array, cells: list[str]) -> None:
+    least, most, reason = column_bounds(column)
+    outside = np.flatnonzero((values < least) | (values > most))
+    if len(outside):
+        k = int(outside[0])
+        raise BadInput(
+            f"{path}, line {lines[k]}, column {column}: {shown(cells[k])} is not between {least:g} and {most:g} ({reason}); "
+            "correct it"
+        )
 
 
 def _check_header(path: Path, header: list[str], number: int, needed: Sequence[str]) -> None:
@@ -138,17 +177,17 @@ def _check_header(path: Path, header: list[str], number: int, needed: Sequence[s
     if missing:
         raise BadInput(
             f"{path}, line {number}: column{'s' if len(missing) > 1 else ''} {', '.join(missing)} missing; the header "
-            f"reads '{', '.join(header)[:120]}'"
+            f"reads '{shown(', '.join(header), 120)}'"
         )
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:
     if not text:
         raise BadInput(f"{path}, line {line}, column {column}: the cell is empty; fill it in or remove the row")
-    try:
+    if _PLAIN.fullmatch(text):
         value = float(text)
-    except ValueError:
-        raise BadInput(f"{path}, line {line}, column {column}: '{text}' is not a number, as in 12.5; correct it") from None
-    if not np.isfinite(value):
-        raise BadInput(f"{path}, line {line}, column {column}: '{text}' is not a finite number; remove the row") from None
-    return value
+        if value - value == 0.0:
+            return value
+    elif text.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
+        raise BadInput(f"{path}, line {line}, column {column}: '{shown(text)}' is not a number, as in 12.5; correct it")
+    raise BadInput(f"{path}, line {line}, column {column}: '{shown(text)}' is not a finite number; remove the row")

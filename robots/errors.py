@@ -13,3 +13,16 @@ class Infeasible(Exception):
 
     Commands print it and exit with code 1.
     """
+
+
+LONGEST_SHOWN = 40
+
+
+def shown(value: object, most: int = LONGEST_SHOWN) -> str:
+    """A value as a message echoes it: on one line, without what a terminal would obey, cut to `most` characters."""
+    try:
+        text = value if isinstance(value, str) else str(value)
+    except ValueError:  # an integer of more digits than Python writes out
+        text = f"a {type(value).__name__} too long to print"
+    head = "".join(c if c.isprintable() else "?" for c in text[: most + 1])
+    return head if len(text) <= most else f"{head[: most - 2]}.."

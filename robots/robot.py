@@ -10,14 +10,19 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from robots.errors import BadInput
+from robots.bounds import Angle, Label, Mass, Moment, Place, PlaceVector, Size, Spring
+from robots.errors import BadInput, shown
 from robots.pose import Array
-from robots.toml_files import NotNegative, Number, Positive, TomlTable, Vector, read_toml
+from robots.toml_files import TomlTable, read_toml
 
-Six = tuple[Number, Number, Number, Number, Number, Number]
-SixPositive = tuple[Positive, Positive, Positive, Positive, Positive, Positive]
-SixNotNegative = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
+# Of an axis: deg/s, deg/s^2, N m, motor turns a turn; from a creeping giant to a pick-and-place arm, with room.
+Rate = Annotated[float, Field(ge=1e-2, le=1e7, allow_inf_nan=False, strict=True)]
+SixAngles = tuple[Angle, Angle, Angle, Angle, Angle, Angle]
+SixPlaces = tuple[Place, Place, Place, Place, Place, Place]
+SixRates = tuple[Rate, Rate, Rate, Rate, Rate, Rate]
+SixSprings = tuple[Spring, Spring, Spring, Spring, Spring, Spring]
 Sign = Literal[-1, 1]
+MOST_SHAPES = 100  # capsules of an arm: every one is checked against every other at every point of a plan
 
 
 class GeometryTable(TomlTable):
@@ -25,22 +30,22 @@ class GeometryTable(TomlTable):
 
     source: str
     sign: tuple[Sign, Sign, Sign, Sign, Sign, Sign]
-    theta_deg: Six
-    d_mm: Six
-    a_mm: Six
-    alpha_deg: Six
-    beta_deg: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    theta_deg: SixAngles
+    d_mm: SixPlaces
+    a_mm: SixPlaces
+    alpha_deg: SixAngles
+    beta_deg: SixAngles = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class LimitsTable(TomlTable):
     """`[limits]`, in the controller's axis signs."""
 
     source: str
-    q_min_deg: Six
-    q_max_deg: Six
-    speed_deg_s: SixPositive
-    acceleration_deg_s2: SixPositive
-    torque_Nm: SixPositive
+    q_min_deg: SixAngles
+    q_max_deg: SixAngles
+    speed_deg_s: SixRates
+    acceleration_deg_s2: SixRates
+    torque_Nm: SixRates
 
     @model_validator(mode="after")
     def _ordered(self) -> "LimitsTable":
@@ -57,22 +62,22 @@ class GearsTable(TomlTable):
     """`[gears]`, optional: motor turns per turn of the axis."""
 
     source: str
-    ratio: SixPositive
+    ratio: SixRates
 
 
 class StiffnessTable(TomlTable):
     """`[stiffness]`: joint stiffness about the axis, 0 = rigid."""
 
     source: str
-    joint_Nm_per_rad: SixNotNegative
+    joint_Nm_per_rad: SixSprings
 
 
 class LinkTable(TomlTable):
     """One link in its MD-H frame (link i after joint i; the base in the base frame)."""
 
-    mass_kg: NotNegative
-    com_mm: Vector
-    inertia_kg_m2: Six  # xx, yy, zz, xy, xz, yz about the centre of mass
+    mass_kg: Mass
+    com_mm: PlaceVector
+    inertia_kg_m2: tuple[Moment, Moment, Moment, Moment, Moment, Moment]  # xx, yy, zz, xy, xz, yz about the centre of mass
 
     @model_validator(mode="after")
     def _physical(self) -> "LinkTable":
@@ -105,22 +110,22 @@ class CapsuleTable(TomlTable):
     """`[[shape]]`: a capsule of a link for collision checks, in the link's MD-H frame; 0 is the base."""
 
     link: Annotated[int, Field(ge=0, le=6)]
-    from_mm: Vector
-    to_mm: Vector
-    radius_mm: Positive
+    from_mm: PlaceVector
+    to_mm: PlaceVector
+    radius_mm: Size
 
 
 class RobotTables(TomlTable):
     """The whole file."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+$")]
-    title: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,100}$")]
+    title: Label
     geometry: GeometryTable
     limits: LimitsTable
     gears: GearsTable | None = None
     stiffness: StiffnessTable
     links: LinksTable
-    shape: tuple[CapsuleTable, ...] = ()
+    shape: Annotated[tuple[CapsuleTable, ...], Field(max_length=MOST_SHAPES)] = ()
 
 
 def read_robot_tables(path: Path) -> RobotTables:
@@ -182,7 +187,7 @@ def load_robot(name_or_path: str | Path) -> Robot:
         return _robot(read_robot_tables(Path(name_or_path)))
     if text not in catalogue():
         raise BadInput(
-            f"robot '{text}' is not in the catalogue ({', '.join(catalogue())}); choose one of these or give the path "
+            f"robot '{shown(text)}' is not in the catalogue ({', '.join(catalogue())}); choose one of these or give the path "
             "of a robot .toml file"
         )
     return _robot(read_robot_tables(CATALOGUE / f"{text}.toml"))

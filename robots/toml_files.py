@@ -5,17 +5,22 @@ import math
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from robots.errors import BadInput
+from robots.bounds import MEGABYTE, read_whole
+from robots.errors import BadInput, shown
 
 Schema = TypeVar("Schema", bound=BaseModel)
-Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
-Vector = tuple[Number, Number, Number]
+
+MOST_BYTES = 2 * MEGABYTE  # a cell with every effect, patch and covariance has 0.1 MB
+DEEPEST = 20  # tables and lists inside each other; a diagnosis writes five
+LONGEST_KEY = 300  # characters; a direction that nothing tells apart is named by its parameters' names
+LONGEST_TEXT = 20_000  # characters of one string
+LARGEST_INTEGER = 2**53  # beyond it a float does not hold an integer
+# A dotted name of more parts than DEEPEST: the parser's time grows with their square.
+_DOTTED = re.compile(r"(?<![\w\-\"'])(?:[\w\-\"']++[ \t]*+\.[ \t]*+){20}")
 
 
 class TomlTable(BaseModel):
@@ -37,17 +42,52 @@ def read_toml(path: Path, schema: type[Schema], what: str = "cell") -> Schema:
 
 
 def parse_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
-    """Text and content of a file. Raises BadInput: missing or unreadable, TOML syntax."""
+    """Text and content of a file. Raises BadInput: missing or unreadable, TOML syntax, nested too deep, an integer or a text
+    that is too long."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of an existing {what} file") from None
+        text = read_whole(path, MOST_BYTES, f"an existing {what} file").decode("utf-8-sig")
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from None
+    if found := _DOTTED.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise BadInput(f"{path}, line {line}: {shown(found.group())}: a name of more than {DEEPEST} parts; shorten it")
     try:
-        return text, tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{path}: not valid TOML: {error}; correct that line") from None
+        data = tomllib.loads(text)
+    except RecursionError:
+        raise BadInput(f"{path}: lists or tables stand more than {DEEPEST} deep in each other; write them flat") from None
+    except ValueError as error:  # syntax, and integers that Python does not read
+        raise BadInput(f"{path}: not valid TOML: {shown(error, 120)}; correct that line") from None
+    _check_values(path, text, data)
+    return text, data
+
+
+def _check_values(path: Path, text: str, data: dict[str, Any]) -> None:
+    """Refuse what no file of ours holds, whatever its keys: depth, endless texts, integers beyond floats."""
+    left: list[tuple[list[str], Any]] = [([], data)]
+    while left:
+        keys, value = left.pop()
+        fault = _fault(value, len(keys))
+        if fault:
+            names = [key for key in keys if key]
+            raise BadInput(f"{path}, line {_line_of(text, names)}: {shown('.'.join(names), 80)}{fault}")
+        if isinstance(value, dict):
+            left += [([*keys, key], inner) for key, inner in value.items()]
+        elif isinstance(value, list):
+            left += [([*keys, ""], inner) for inner in value]
+
+
+def _fault(value: Any, depth: int) -> str:
+    """Why a value can be in no file; empty where it can."""
+    if depth > DEEPEST:
+        return f": lists or tables stand more than {DEEPEST} deep in each other; write them flat"
+    if isinstance(value, dict) and (wrong := [key for key in value if len(key) > LONGEST_KEY]):
+        return f": the name {shown(wrong[0])} has more than {LONGEST_KEY} characters; shorten it"
+    if isinstance(value, str) and len(value) > LONGEST_TEXT:
+        return f": a text of {len(value)} characters, the limit is {LONGEST_TEXT}; shorten it"
+    if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+        return f" = {shown(value)}: an integer beyond {LARGEST_INTEGER}; correct it"
+    return ""
 
 
 def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseModel]) -> str:
@@ -56,7 +96,7 @@ def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseMo
     keys = [str(k) for k in fault["loc"] if not isinstance(k, int) and not _is_union_label(str(k))]
     index = next((k for k in fault["loc"] if isinstance(k, int)), None)
     parts = [f"[{k}]" if isinstance(k, int) else f".{k}" for k in fault["loc"] if not _is_union_label(str(k))]
-    name = "".join(parts).lstrip(".")
+    name = shown("".join(parts).lstrip("."), 80)
     where = f"{path}, line {_line_of(text, keys, index)}"
     given = fault.get("input")
     if fault["type"] == "extra_forbidden":
@@ -75,9 +115,7 @@ def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseMo
         if named and not keys:
             where = f"{path}, line {_line_of(text, named.group().split('.'))}"
         return f"{where}: {name + ': ' if name else ''}{message}"
-    shown = repr(given)
-    shown = shown if len(shown) < 80 else f"{shown[:60]}.."
-    return f"{where}: {name} = {shown}: {message[0].lower() + message[1:]}"
+    return f"{where}: {name} = {shown(repr(given))}: {message[0].lower() + message[1:]}"
 
 
 def _is_union_label(key: str) -> bool:
@@ -88,7 +126,8 @@ def _line_of(text: str, keys: list[str], index: int | None = None) -> int:
     """Line (from 1) of a key, of its table where the key is absent, else 1; of the table number `index` (from 0) in a list."""
     table: list[str] = []
     found, in_list = 1, -1
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, whole in enumerate(text.splitlines(), 1):
+        line = whole[:300]  # a name ends before
         header = re.match(r"\s*\[{1,2}\s*([^\[\]]+?)\s*\]", line)
         if header:
             table = [part.strip().strip('"') for part in header.group(1).split(".")]

@@ -8,27 +8,50 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, model_validator
 
 from ocp.effects.cell_effects import effect_of
-from robots.toml_files import NotNegative, Number, Positive, TomlTable, Vector
+from robots.bounds import (
+    AngleSpread,
+    AngleVector,
+    Direction,
+    FileName,
+    Force,
+    Label,
+    Margin,
+    Mass,
+    Micrometres,
+    Moment,
+    Number,
+    OffsetVector,
+    Place,
+    PlaceVector,
+    Seconds,
+    Spread,
+    Spring,
+    Temperature,
+    Turn,
+)
+from robots.errors import shown
+from robots.toml_files import TomlTable
 
-# Of a place on a blade: 100 m off its frame's origin is a slip.
-Millimetres = Annotated[float, Field(ge=-1e5, le=1e5, strict=True)]
+# Counts: a joint's springs are six; every payload, nest and effect is a block of unknowns in a fit.
+MOST_PAYLOADS, MOST_NESTS, MOST_EFFECTS = 200, 1000, 100
+MomentOfInertia = Annotated[Moment, Field(ge=0)]
 
 
 class RobotTable(TomlTable):
     """`[robot]`."""
 
-    model: str
-    calibration: str | None = None
-    stiffness_Nm_per_rad: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative] | None = None
-    compliant_joints: tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...] = (2, 3)
+    model: FileName
+    calibration: FileName | None = None
+    stiffness_Nm_per_rad: tuple[Spring, Spring, Spring, Spring, Spring, Spring] | None = None
+    compliant_joints: Annotated[tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...], Field(max_length=6)] = (2, 3)
 
 
 class PayloadTable(TomlTable):
     """`[payloads.NAME]`."""
 
-    mass_kg: NotNegative
-    com_mm: Vector = (0.0, 0.0, 0.0)
-    inertia_kg_m2: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+    mass_kg: Mass
+    com_mm: OffsetVector = (0.0, 0.0, 0.0)
+    inertia_kg_m2: tuple[MomentOfInertia, MomentOfInertia, MomentOfInertia] = (0.0, 0.0, 0.0)
 
 
 class ControllerTable(TomlTable):
@@ -43,25 +66,29 @@ class ControllerTable(TomlTable):
 class WorkpieceTable(TomlTable):
     """`[workpiece]`."""
 
-    payload: str | None = None
-    stl: str | None = None
+    payload: Label | None = None
+    stl: FileName | None = None
     stl_unit: Literal["mm", "m", "in"] = "mm"
-    xyz_mm: Vector
-    abc_deg: Vector = (0.0, 0.0, 0.0)
-    xyz_sd_mm: NotNegative = 0.3
-    abc_sd_deg: NotNegative = 0.05
-    youngs_modulus_GPa: Positive = 114.0
-    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5, strict=True)] = 0.34
-    density_kg_m3: Positive = 4430.0
+    xyz_mm: OffsetVector
+    abc_deg: AngleVector = (0.0, 0.0, 0.0)
+    xyz_sd_mm: Spread = 0.3
+    abc_sd_deg: AngleSpread = 0.05
+    # From rubber to diamond (1220 GPa).
+    youngs_modulus_GPa: Annotated[float, Field(ge=1e-3, le=2000, strict=True)] = 114.0
+    # Beyond these bulk or shear modulus vanishes, and the stiffness matrix with it.
+    poisson_ratio: Annotated[float, Field(ge=-0.95, le=0.495, strict=True)] = 0.34
+    # From cork to osmium (22 590).
+    density_kg_m3: Annotated[float, Field(ge=10, le=3e4, strict=True)] = 4430.0
     clamp_axis: Literal["x", "y", "z"] | None = None
-    clamp_to_mm: Number | None = None
+    clamp_to_mm: Place | None = None
     clamp_side: Literal["below", "above"] = "below"
-    clamp_normal: Vector | None = None
+    clamp_normal: Direction | None = None
     clamp_offset_mm: Number | None = None
-    clamp_stiffness_N_per_mm: Annotated[float, Field(gt=0, strict=True)] = float("inf")
-    aerofoil_axis: Vector | None = None
-    aerofoil_from_mm: Millimetres | None = None
-    aerofoil_to_mm: Millimetres | None = None
+    # A jaw of rubber or softer; infinite: rigid.
+    clamp_stiffness_N_per_mm: Annotated[float, Field(ge=1, strict=True)] = float("inf")
+    aerofoil_axis: Direction | None = None
+    aerofoil_from_mm: Place | None = None
+    aerofoil_to_mm: Place | None = None
 
     @model_validator(mode="after")
     def _one_clamp(self) -> "WorkpieceTable":
@@ -89,20 +116,22 @@ class WorkpieceTable(TomlTable):
 class WheelTable(TomlTable):
     """`[wheel]`."""
 
-    centre_mm: Vector
-    centre_sd_mm: NotNegative = 0.3
-    axis: Vector
-    axis_sd_deg: NotNegative = 0.05
-    radius_mm: Positive
-    width_mm: Positive
-    cover_thickness_mm: Positive
-    cover_modulus_MPa: Positive | None = None
+    centre_mm: PlaceVector
+    centre_sd_mm: Spread = 0.3
+    axis: Direction
+    axis_sd_deg: AngleSpread = 0.05
+    # From a mandrel to a wheel of 4 m; a cover from a lacquer to solid rubber, from foam to steel.
+    radius_mm: Annotated[float, Field(ge=1, le=2000, strict=True)]
+    width_mm: Annotated[float, Field(ge=0.5, le=1000, strict=True)]
+    cover_thickness_mm: Annotated[float, Field(ge=0.1, le=1000, strict=True)]
+    cover_modulus_MPa: Annotated[float, Field(ge=0.01, le=2e5, strict=True)] | None = None
     shore_A: Annotated[float, Field(ge=20, le=95, strict=True)] | None = None
     cover_poisson: Annotated[float, Field(ge=0, le=0.495, strict=True)] = 0.47
     contact_arc_deg: tuple[Number, Number] = (-30.0, 30.0)
-    contact_direction: Vector
-    belt_speed_m_s: Number = 20.0
-    friction: NotNegative = 0.35
+    contact_direction: Direction
+    # No belt holds together above; 0.35 is usual of friction, 2 is glue.
+    belt_speed_m_s: Annotated[float, Field(ge=-300, le=300, strict=True)] = 20.0
+    friction: Annotated[float, Field(ge=0, le=2, strict=True)] = 0.35
 
     @model_validator(mode="after")
     def _sound(self) -> "WheelTable":
@@ -126,12 +155,13 @@ class WheelTable(TomlTable):
 class FlangeTable(TomlTable):
     """`[force_flange]`."""
 
-    setpoint_N: NotNegative = 20.0
-    stiffness_N_per_mm: Positive
-    stroke_mm: Positive
-    carried_mass_kg: NotNegative = 0.0
+    setpoint_N: Force = 20.0
+    # Air behind a piston to a solid block.
+    stiffness_N_per_mm: Annotated[float, Field(ge=1e-3, le=1e6, strict=True)]
+    stroke_mm: Annotated[float, Field(ge=0.01, le=1000, strict=True)]
+    carried_mass_kg: Mass = 0.0
     gravity_compensated: bool = True
-    axis: Vector | None = None
+    axis: Direction | None = None
 
     @model_validator(mode="after")
     def _axis(self) -> "FlangeTable":
@@ -143,35 +173,36 @@ class FlangeTable(TomlTable):
 class ProcessTable(TomlTable):
     """`[process]`."""
 
-    force_N: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False, strict=True)] = 20.0
-    feed_mm_s: Positive = 40.0
-    pass_spacing_mm: Positive = 6.0
+    force_N: Annotated[float, Field(ge=0.01, le=1000, allow_inf_nan=False, strict=True)] = 20.0
+    # Slower a line of a blade takes hours, faster than any arm's path; lines nearer than 0.1 mm cover nothing anew.
+    feed_mm_s: Annotated[float, Field(ge=0.1, le=5000, strict=True)] = 40.0
+    pass_spacing_mm: Annotated[float, Field(ge=0.1, le=1000, strict=True)] = 6.0
     passes: Literal["spanwise", "chordwise"] = "spanwise"
     side: Literal["convex", "concave", "both"] = "both"
     tilt_tolerance_deg: Annotated[float, Field(ge=0, le=45, strict=True)] = 3.0
-    turn_tolerance_deg: Annotated[float, Field(ge=0, le=180, strict=True)] = 30.0
-    lateral_tolerance_mm: NotNegative = 10.0
+    turn_tolerance_deg: Turn = 30.0
+    lateral_tolerance_mm: Margin = 10.0
     grinding: Literal["down", "up"] = "down"
-    root_margin_mm: NotNegative = 5.0
-    tip_margin_mm: NotNegative = 5.0
-    edge_margin_mm: NotNegative = 3.0
+    root_margin_mm: Margin = 5.0
+    tip_margin_mm: Margin = 5.0
+    edge_margin_mm: Margin = 3.0
 
 
 class LinkTarget(TomlTable):
     """A reflector nest on a link, or a 6D target."""
 
     link: Annotated[int, Field(ge=0, le=6, strict=True)] = 6
-    xyz_mm: Vector
-    abc_deg: Vector | None = None
+    xyz_mm: OffsetVector
+    abc_deg: AngleVector | None = None
 
 
 class TrackerTable(TomlTable):
     """`[tracker]`."""
 
-    range_noise_um: NotNegative = 8.0
-    transverse_noise_um_per_m: NotNegative = 3.0
-    target_sd_mm: NotNegative = 1.0
-    targets: dict[str, Vector | LinkTarget] = Field(default_factory=dict)
+    range_noise_um: Micrometres = 8.0
+    transverse_noise_um_per_m: Micrometres = 3.0
+    target_sd_mm: Spread = 1.0
+    targets: dict[Label, OffsetVector | LinkTarget] = Field(default_factory=dict, max_length=MOST_NESTS)
 
 
 class EffectTable(TomlTable):
@@ -192,27 +223,28 @@ class EffectTable(TomlTable):
 class ConditionsTable(TomlTable):
     """`[conditions]`: what the cell's effects depend on, as it will be when the plan runs."""
 
-    temperature_C: Number | None = None
-    wheel_temperature_C: Number | None = None
-    time_s: NotNegative = 0.0
-    clock_s: NotNegative = 0.0
-    ground_before: Annotated[int, Field(ge=0, strict=True)] = 0
+    temperature_C: Temperature | None = None
+    wheel_temperature_C: Temperature | None = None
+    time_s: Seconds = 0.0
+    clock_s: Seconds = 0.0
+    # A thousand passes take the blade away.
+    ground_before: Annotated[int, Field(ge=0, le=1000, strict=True)] = 0
 
 
 class CellTables(TomlTable):
     """The whole of cell.toml."""
 
-    name: str = "cell"
-    reference_temperature_C: Number = 20.0
+    name: Label = "cell"
+    reference_temperature_C: Temperature = 20.0
     robot: RobotTable
-    payloads: dict[str, PayloadTable] = Field(default_factory=dict)
+    payloads: dict[Label, PayloadTable] = Field(default_factory=dict, max_length=MOST_PAYLOADS)
     controller: ControllerTable = ControllerTable()
     workpiece: WorkpieceTable | None = None
     wheel: WheelTable | None = None
     force_flange: FlangeTable | None = None
     process: ProcessTable = ProcessTable()
     tracker: TrackerTable | None = None
-    effects: tuple[EffectTable, ...] = ()
+    effects: Annotated[tuple[EffectTable, ...], Field(max_length=MOST_EFFECTS)] = ()
     conditions: ConditionsTable = ConditionsTable()
 
     @model_validator(mode="after")
@@ -220,5 +252,5 @@ class CellTables(TomlTable):
         named = self.workpiece.payload if self.workpiece else None
         if named is not None and named not in self.payloads:
             known = ", ".join(sorted(self.payloads)) or "none"
-            raise ValueError(f"workpiece.payload '{named}' is not among [payloads] ({known})")
+            raise ValueError(f"workpiece.payload '{shown(named)}' is not among [payloads] ({shown(known, 200)})")
         return self

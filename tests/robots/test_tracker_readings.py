@@ -63,7 +63,7 @@ def test_repeats_are_the_same_posture_nest_payload_load_and_approach(tmp_path):
         (HEADER, ROW.replace("weight", "anvil"), "column payload: anvil is not in the cell's"),
         (HEADER, ROW + ",1", "12 values where the header names 11 columns"),
         (HEADER.replace(",", ";"), ROW.replace(",", ";"), "separate them by commas"),
-        (HEADER + ",sigma_um", ROW + ",-3", "column sigma_um: -3 must be above 0"),
+        (HEADER + ",sigma_um", ROW + ",-3", "column sigma_um: -3 is not between"),
         (HEADER + SIGNS, ROW + ",1,1,2,1,1,1", "approach3: 2 must be -1, 0 or 1"),
         (HEADER + ",load_link", ROW + ",7", "load_link: 7 must be a link"),
         (HEADER + ",x_mm", ROW + ",1", "x_mm stands there twice"),
