@@ -18,13 +18,13 @@ from ocp.model.cell import Cell, files_of, read_cell
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
 from ocp.simulate.input import Wanted, blade_file, campaign_plan, cell_file, check_numbers, in_words, plan_folder, planted_effects
-from ocp.simulate.report import rehearsal_headline, write_rehearsal_page
+from ocp.simulate.report import missed_parts_figures, rehearsal_headline, write_rehearsal_page
 from ocp.simulate.twin.arm import make_arm
-from ocp.simulate.twin.controller import Track, drive
+from ocp.simulate.twin.controller import MissedParts, Track, drive, missed_parts
 from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_joint_log, write_labels
 from ocp.simulate.twin.kinds import EFFECT_KINDS
 from ocp.simulate.twin.krl_text import KrlProgram, read_program
-from ocp.simulate.twin.plan_knowledge import match, read_plan_table, read_summary, refuse_stranger
+from ocp.simulate.twin.plan_knowledge import GRINDING, match, read_plan_table, read_summary, refuse_stranger
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.rehearsal import Rehearsal, rehearse, statistics
 from ocp.simulate.twin.run import GrindingCampaign, VirtualMachine, arm_conditions, make_machine, refuse_crash, run_campaign
@@ -50,6 +50,7 @@ class _Ground:
     machine: VirtualMachine
     campaign: GrindingCampaign
     rehearsal: Rehearsal
+    missed: MissedParts | None
 
 
 def plantable_effects() -> str:
@@ -139,7 +140,9 @@ def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder
     with phases.phase("judging"):
         frames = program.motions[-1].frames
         rehearsal = rehearse(machine, matched, campaign.first, frames.tool, frames.base)
-    return _Ground(folder, program, track, machine, campaign, rehearsal)
+        grinding = {track.places[k] for k in np.unique(track.motion[matched.phase == GRINDING])}
+        missed = missed_parts(program, cell.robot, grinding)
+    return _Ground(folder, program, track, machine, campaign, rehearsal, missed)
 
 
 def _track(wanted: Wanted, cell: Cell, ground: _Ground | None) -> TrackerLog | None:
@@ -175,7 +178,8 @@ def _write(
     words = MACHINES[wanted.machine].format(seed=wanted.seed)
     words = words if wanted.sealed or not truth.effects else f"{words}, {in_words(truth.effects)}"
     title = f"{ground.program.main.stem} on {cell.name}"
-    write_rehearsal_page(ground.rehearsal, ground.machine.blade, title, words, notices, out / "rehearsal.html")
+    shown = ground.rehearsal, ground.missed, ground.machine.blade
+    write_rehearsal_page(*shown, title, words, notices, out / "rehearsal.html")
     (out / "rehearsal.json").write_text(json.dumps(_json(wanted, truth, ground), indent=1) + "\n", encoding="utf-8")
     return rows
 
@@ -201,6 +205,7 @@ def _json(wanted: Wanted, truth: Truth, ground: _Ground) -> dict[str, Any]:
         "planted": None if wanted.sealed else in_words(truth.effects),
         "duration_s": ground.track.duration,
         "force": r.figures,
+        "parts_missed": None if ground.missed is None else missed_parts_figures(ground.missed),
         "lines": [{"line": int(r.line[mine][0]), **statistics(r.force[mine])} for mine in passes],
         "worst": [
             {"line": p.line, "s_mm": 1e3 * p.s, "p_mm": (1e3 * p.p).tolist()}

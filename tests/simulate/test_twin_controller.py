@@ -9,7 +9,7 @@ import pytest
 from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.simulate.twin.collide import WheelBody, refuse_hits
-from ocp.simulate.twin.controller import drive
+from ocp.simulate.twin.controller import drive, missed_parts
 from ocp.simulate.twin.krl_text import ProgramPause, read_program
 from ocp.simulate.twin.path_motion import (
     flange,
@@ -309,3 +309,13 @@ def test_blocks_that_ask_for_too_much_are_told(tmp_path):
     track = drive(read_program(folder), ROBOT)
     assert any("would stretch the time" in note for note in track.notices)
     assert LIMITS is not None
+
+
+def test_parts_that_are_missed_leave_the_end_and_the_way(tmp_path):
+    """Points are met at other times: the feed varies by about what the parts do, the way by hardly anything."""
+    program = read_program(written("axis", tmp_path))
+    blocks = [m for m in program.motions if m.times is not None]
+    missed = missed_parts(program, ROBOT, {(m.file, m.line) for m in blocks[2:3]})
+    assert 0.03 < missed.speed < 0.12 and 0 < missed.axes < np.radians(0.5)
+    assert 0 < missed.along < 1e-3 and missed.aside < 0.1 * missed.along
+    assert missed_parts(program, ROBOT, set()) is None

@@ -112,12 +112,12 @@ def with_table(page: str) -> str:
 
 
 def lines_of_code(path: Path) -> int:
-    """Lines that hold code: no docstring, comment or blank."""
+    """Lines that hold code: no docstring, be it of a constant, no comment, no blank."""
     text = path.read_text(encoding="utf-8")
     told: set[int] = set()
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and ast.get_docstring(node):
-            told |= set(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            told |= set(range(node.lineno, (node.end_lineno or 0) + 1))
     silent = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
     tokens = [t for t in tokenize.generate_tokens(io.StringIO(text).readline) if t.type not in silent]
     return len({line for t in tokens for line in range(t.start[0], t.end[0] + 1)} - told)
