@@ -536,10 +536,6 @@ RECORDING_WEIGHT = 0.5
 """[-] Dirichlet weight of a recording in new readings: which lines, setpoints and feeds come again. Reason: Jeffreys'."""
 
 # ---------- signal: joints
-RUN_OFFSET_SD = 1e-4
-"""[rad] By which an encoder's zero may move from recording to recording. Guards: effects against a referencing anew. Reason: none
-is known; 20 arcsec."""
-
 SPRING_SHARE = 0.3
 """[-] One sigma of a spring that the cell states, of its compliance. Guards: a spring that is off by more is named. Reason: as
 BELIEVED_SPRING_SD."""

@@ -40,7 +40,9 @@ class Truth:
     backlash: np.ndarray
     joint_noise: float = 1e-5
 
-    def points(self, readings: Readings, noise: np.random.Generator | None = None) -> np.ndarray:
+    def points(
+        self, readings: Readings, noise: np.random.Generator | None = None, payloads: dict[str, Hanging] = PAYLOADS
+    ) -> np.ndarray:
         """Reflectors (n, 3) m in the tracker's frame; with `noise` the joints repeat as well as they do."""
         out = np.empty((len(readings), 3))
         for k, name in enumerate(readings.payloads):
@@ -53,7 +55,7 @@ class Truth:
                 q = q + self.backlash * readings.approach[rows]
             if noise is not None:
                 q = q + noise.normal(size=q.shape) * self.joint_noise
-            hung, real = PAYLOADS[name], q
+            hung, real = payloads[name], q
             for _ in range(8):
                 torque = elementary_weight_torques(self.robot, real, GRAVITY, hung.mass, hung.com)
                 real = q + self.compliance * torque

@@ -1,7 +1,7 @@
 """One linearisation of all channels: library and kernels projected together, with their priors; sets back to effects."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,14 +63,17 @@ def play(found: Sequence[Candidate], stack: Stack) -> list[Family]:
     return [Family(Name("~play"), None, ({},), projected, np.ones(m), BACKGROUND_PLAY, positive, odds, background=True)]
 
 
-def library_families(found: Sequence[Candidate], stack: Stack, options: Options) -> list[Family]:
-    """Families with projected columns; ripples of many orders with a twin each that stays in the background."""
+def library_families(found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]]) -> list[Family]:
+    """Families with projected columns; ripples of many orders with a twin each that stays in the background. active: effects
+    that the channels hold, candidates whether or not the noise of that fit still lets their usual size be seen: what was
+    accepted must be weighed, and may be dropped."""
     families = []
     kinds = len({c.effect.name for c in found})
     for c in found:
         n, count, m = c.columns.shape
         projected = stack.apply(c.columns.reshape(n, -1)).reshape(n, count, m)
         visible = ((projected * np.asarray(c.effect.prior_sd)) ** 2).sum(axis=0).max(axis=1) > SEEN_LAMBDA
+        visible |= (c.effect.name, c.joint) in active
         if not visible.any():
             continue
         scans = tuple(s for s, k in zip(c.scans, visible, strict=True) if k)
@@ -199,7 +202,7 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
     back = np.concatenate([put_back([c], c.active) for c in channels])
     found = candidates(channels, library, options)
     stacked = stack(tuple(channels), back)
-    families = library_families(found, stacked, options)
+    families = library_families(found, stacked, options, {a.key for c in channels for a in c.active})
     families += kernel_families(channels, stacked, options)
     return Linearisation(tuple(channels), stacked, make_pool(stacked.y, stacked.freedom, families))
 

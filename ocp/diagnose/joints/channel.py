@@ -1,6 +1,6 @@
 """The channel of link-side encoders: link angle less motor angle as a fit of offsets, believed springs, effects and delays.
 
-    link_j(t) = q_j(t - s_j) + offset_j + offset_(j, run) + c_j tau_j - v_j dq_j/dt - k_j sign(dq_j/dt)
+    link_j(t) = q_j(t - s_j) + offset_(j, run) + c_j tau_j - v_j dq_j/dt - k_j sign(dq_j/dt)
                 + sum over effects of columns_j(t) a                                                                    (1)
 
 with q the motor side and tau the load. The believed springs c are nuisance, as everywhere: as good as `SPRING_SHARE` where the
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant
 from ocp.diagnose.joints.log import JointLog
 from ocp.diagnose.joints.signals import EncoderNoise, Signals, blocks, factors, noise_of, signals_of, whiten_blocks
-from ocp.diagnose.rules import CATALOGUE_SPRING_SD, FRICTION_SD, RUN_OFFSET_SD, SPRING_SHARE
+from ocp.diagnose.rules import CATALOGUE_SPRING_SD, FRICTION_SD, SPRING_SHARE
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, coefficients, prior_sds, with_coefficients
 from ocp.effects.engine.compiled import Hook, evaluated
 from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmRows, arm_rows
@@ -39,6 +39,7 @@ from robots.tracker_readings import Hanging, Index
 STEPS = 4
 RANK = 1e-12  # of the largest singular value; what the readings say less of stays where it is
 DELAY = "channel_delay"
+OFFSET_UNIT = 1e-4  # rad, of offsets in the fit
 
 
 def seen_by_encoder(effect: Effect) -> bool:
@@ -79,6 +80,11 @@ class EncoderNuisance:
     mean: Array
     sd: Array
     columns: Array
+
+
+def offset_of(joint: int, run: str) -> str:
+    """Name of the offset of a joint in a run."""
+    return f"offset {joint} run {run}"
 
 
 @dataclass(frozen=True)
@@ -139,14 +145,12 @@ class EncoderProblem:
 
     @cached_property
     def nuisance(self) -> EncoderNuisance:
-        """One offset a joint, where there are several runs one a joint and run too; friction in recorded torques; springs."""
+        """An offset a joint and run, free: an encoder may be set to zero anew before any recording, which is no gap; friction
+        in recorded torques; springs."""
         s, log = self.signals, self.signals.log
         mine = {j: self.joint == j for j in self.noise}
-        found = [(f"offset {j}", 0.0, np.inf, at.astype(float)) for j, at in mine.items()]
-        if len(log.runs) > 1:
-            runs = [(name, log.run[self.row] == k) for k, name in enumerate(log.runs)]
-            every = [(j, at, name, run) for j, at in mine.items() for name, run in runs]
-            found += [(f"offset {j} run {name}", 0.0, RUN_OFFSET_SD, (at & run).astype(float)) for j, at, name, run in every]
+        runs = [(name, log.run[self.row] == k) for k, name in enumerate(log.runs)]
+        found = [(offset_of(j, name), 0.0, np.inf, (at & run).astype(float)) for j, at in mine.items() for name, run in runs]
         loaded = {j: at for j, at in mine.items() if s.measured[j - 1]}
         for kind, friction in (("viscous", s.qd), ("dry", s.direction)):
             for j, at in loaded.items():
@@ -155,6 +159,27 @@ class EncoderProblem:
             found.append((f"spring {j}", compliance, sd, np.where(mine[j], s.tau[self.row, j - 1], 0.0)))
         names, mean, sds, columns = zip(*found, strict=True)
         return EncoderNuisance(names, np.array(mean), np.array(sds), np.stack(columns, axis=1))
+
+    def places_in(self, names: Sequence[str]) -> Array:
+        """Values (p,) of this log's nuisance as a linear map (p, len(names)) of another log's: by name, and a run that the other
+        log does not have takes the mean of the runs that it has."""
+        found = np.zeros((len(self.nuisance.names), len(names)))
+        for k, name in enumerate(self.nuisance.names):
+            head = name.partition(" run ")[0]
+            like = [i for i, other in enumerate(names) if other == name] or [
+                i for i, other in enumerate(names) if " run " in name and other.partition(" run ")[0] == head
+            ]
+            found[k, like] = 1.0 / max(len(like), 1)
+        return found
+
+    def without_new_zeros(self, gap: Array, known: NDArray[np.bool_]) -> Array:
+        """Gap (n,) rad with the mean taken out of every joint and run that has none of the readings `known` (n,): its zero is
+        free, and what was fitted to those says nothing of it."""
+        group = self.joint * len(self.signals.log.runs) + self.signals.log.run[self.row]
+        out = gap.copy()
+        for one in np.setdiff1d(group, group[known]):
+            out[group == one] -= gap[group == one].mean()
+        return out
 
     def part(self, rows: NDArray[np.bool_]) -> "EncoderProblem":
         """The readings of a mask."""
@@ -233,7 +258,7 @@ def fit_encoders(problem: EncoderProblem, active: tuple[Active, ...]) -> tuple[A
     mean = np.append(nuisance.mean, np.zeros(len(coefficients(active))))
     sd = np.append(nuisance.sd, prior_sds(active))
     known = np.isfinite(sd)
-    scale = np.where(known, sd, RUN_OFFSET_SD)
+    scale = np.where(known, sd, OFFSET_UNIT)
     allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance.names])
     columns = np.where(allowed, 0.0, nuisance.columns)
     moving = any(one.effect.name == DELAY for one in active)
@@ -380,7 +405,7 @@ class JointChannel:
         if held.sum() < LEAST_TEST or least < LEAST_TRAIN:
             return None
         bare, whole = (fitted(p, a, ~held) for a in ((), active))
-        before, after = (np.sum(c.gap()[held] ** 2, axis=1) for c in (bare, whole))
+        before, after = (p.without_new_zeros(c.gap()[:, 0], ~held)[held] ** 2 for c in (bare, whole))
         noise, excused = p.scatter[held] ** 2, 0.0
         there, delays = p.part(held), delays_of(whole.active)
         for one in whole.active:
@@ -398,13 +423,21 @@ class JointChannel:
         arm = encoder_rows(signals, self.problem.robot, self.problem.payload)
         row, joint = np.repeat(np.arange(n), len(joints)), np.tile(joints, n)
         there = replace(self.problem, signals=signals, arm=arm, row=row, joint=joint)
-        kept, same = ([k for k, n in enumerate(p.nuisance.names) if " run " not in n] for p in (self.problem, there))
-        columns = there.nuisance.columns[:, same]
+        columns, known = there.nuisance.columns, self.problem.nuisance.names
+        place = there.places_in(known)
         motor = signals.log.q[:, joints - 1]
-        baseline = motor + (columns @ bare.theta[kept]).reshape(n, -1)
-        corrected = motor + (columns @ other.theta[kept] + shift_of(there, other.active)).reshape(n, -1)
-        sigma = np.array([np.hypot(self.problem.noise[int(j)].quick, self.problem.noise[int(j)].slow) for j in joints])
-        return Sealed(baseline, corrected, np.broadcast_to(sigma, baseline.shape))
+        baseline = motor + (columns @ (place @ bare.theta)).reshape(n, -1)
+        corrected = motor + (columns @ (place @ other.theta) + shift_of(there, other.active)).reshape(n, -1)
+        noise = np.array([np.hypot(self.problem.noise[int(j)].quick, self.problem.noise[int(j)].slow) for j in joints])
+        return Sealed(baseline, corrected, np.hypot(noise, self._anew(joints, signals.log)))
+
+    def _anew(self, joints: Index, log: JointLog) -> Array:
+        """One sigma (n, m) rad of the zeros of `joints` in a log: what known runs differ by, where a run is none of them."""
+        runs = self.problem.signals.log.runs
+        zero = [self.theta[[self.problem.nuisance.names.index(offset_of(int(j), name)) for name in runs]] for j in joints]
+        spread = np.array([z.std(ddof=1) if len(z) > 1 else 0.0 for z in zero])
+        unknown = np.array([name not in runs for name in log.runs])
+        return np.asarray(unknown[log.run][:, None] * spread)
 
 
 def fitted(problem: EncoderProblem, active: tuple[Active, ...], rows: NDArray[np.bool_]) -> JointChannel:

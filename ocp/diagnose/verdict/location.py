@@ -108,9 +108,10 @@ def budget(problem: Linearisation, tests: list[KernelTest], explained: Given) ->
     scale2 = explained.left / problem.pool.freedom
     excess = float(problem.pool.y @ problem.pool.y) - problem.pool.freedom * scale2
     least = BUDGET_SD * np.sqrt(2.0 * problem.pool.freedom) * scale2  # no gap to share out below what noise itself scatters
+    whole = max(excess, least) or np.inf  # readings met exactly leave nothing to share out
     lines = []
     for t in tests:
-        share = float(np.clip(t.gained / max(excess, least), 0.0, 1.0))
+        share = float(np.clip(t.gained / whole, 0.0, 1.0))
         elsewhere = t.joint and t.source in ("joint", "axis") and str(t.joint) not in t.where
         where = f"{t.where} at joint {t.joint}" if elsewhere else t.where
         lines.append(BudgetLine(t.channel, where, share, t.p_value))
