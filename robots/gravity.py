@@ -20,12 +20,14 @@ from robots.robot import Robot
 GRAVITY = 9.81
 
 
-def gravity_torques(q: Any, mdh: Any, sign: Any, link_mass: Any, link_com: Any, payload_mass: Any, payload_com: Any) -> Any:
+def gravity_torques(
+    q: Any, mdh: Any, sign: Any, link_mass: Any, link_com: Any, payload_mass: Any, payload_com: Any, down: Any
+) -> Any:
     """Torque of weight (6) N m about each axis at posture q, as a CasADi expression.
 
     q (6) rad, mdh (6, 5), sign (6); link_mass (7) kg and link_com (7, 3) m of the base and links 1..6 in the
-    link frames; payload mass kg and centre (3) m in the flange frame. The base is upright. q may be a
-    deflected posture.
+    link frames; payload mass kg and centre (3) m in the flange frame; down (3) unit direction of gravity in the base
+    frame. q may be a deflected posture.
     """
     frames = chain(q, mdh, sign)
     mass, moment = payload_mass, payload_mass * _point(frames[6], payload_com)
@@ -35,8 +37,7 @@ def gravity_torques(q: Any, mdh: Any, sign: Any, link_mass: Any, link_com: Any, 
         com = ca.vertcat(link_com[j + 1, 0], link_com[j + 1, 1], link_com[j + 1, 2])
         moment = moment + link_mass[j + 1] * _point(frames[j + 1], com)
         z, lever = frames[j][:3, 2], moment - mass * frames[j][:3, 3]
-        # z . (lever x (0, 0, -g)), written out
-        torques.append(sign[j] * GRAVITY * (z[1] * lever[0] - z[0] * lever[1]))
+        torques.append(sign[j] * GRAVITY * ca.dot(z, ca.cross(lever, ca.SX(down))))
     return ca.vertcat(*reversed(torques))
 
 
@@ -50,14 +51,15 @@ def weight_torques(robot: Robot, q: ArrayLike, payload_mass: float = 0.0, payloa
 
     Payload kg, its centre (3,) m in the flange frame.
     """
-    function = _compiled(*(np.asarray(a, float).tobytes() for a in (robot.mdh, robot.sign, robot.link_mass, robot.link_com)))
+    constants = (robot.mdh, robot.sign, robot.link_mass, robot.link_com, robot.gravity_direction)
+    function = _compiled(*(np.asarray(a, float).tobytes() for a in constants))
     rows = np.asarray(q, float).reshape(-1, 6)
     payload = np.array([payload_mass, *np.asarray(payload_com, float)])
     return evaluate_rows(function, rows, np.broadcast_to(payload, (len(rows), 4)))
 
 
 @lru_cache(maxsize=32)
-def _compiled(mdh: bytes, sign: bytes, link_mass: bytes, link_com: bytes) -> ca.Function:
+def _compiled(mdh: bytes, sign: bytes, link_mass: bytes, link_com: bytes, down: bytes) -> ca.Function:
     """The function (q, [payload mass, com]) -> torques for one arm."""
     q, payload = ca.SX.sym("q", 6), ca.SX.sym("payload", 4)
     torques = gravity_torques(
@@ -68,5 +70,6 @@ def _compiled(mdh: bytes, sign: bytes, link_mass: bytes, link_com: bytes) -> ca.
         np.frombuffer(link_com).reshape(7, 3),
         payload[0],
         payload[1:],
+        np.frombuffer(down),
     )
     return ca.Function("weight_torques", [q, payload], [ca.densify(torques)])

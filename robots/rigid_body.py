@@ -10,13 +10,13 @@ from robots.robot import Robot
 
 
 def rigid_body_model(robot: Robot, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)) -> pin.Model:
-    """Pinocchio model with joint variables q in the controller's signs, base upright, payload as a point mass.
+    """Pinocchio model with joint variables q in the controller's signs, payload as a point mass, gravity as the base is mounted.
 
     Joint i turns about sign_i z of link frame i - 1 and starts at the theta offset, so no conversion of q is
     needed. Frames "link1" .. "link6" are the MD-H link frames. payload kg, centre (3,) m in the flange frame.
     """
     model = pin.Model()
-    model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
+    model.gravity.linear = GRAVITY * robot.gravity_direction
     parent, before = 0, np.eye(4)
     for i, (offset, d, a, alpha, beta) in enumerate(robot.mdh):
         # A_i = Rz(offset) Rz(sign q) X_i; X_i belongs to the body that the joint carries.

@@ -3,7 +3,7 @@
 First the keys of that file as users write them (millimetres, degrees, kilograms) with their bounds, then the robot in SI.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -170,6 +170,8 @@ class Robot:
     stiffness: Array  # (6,) N m/rad, 0 = rigid
     link_shapes: tuple[Capsule, ...]
     sources: str
+    # (3,) unit, base frame; an upright base unless the cell says how it is mounted
+    gravity_direction: Array = field(default_factory=lambda: _fixed(np.array([0.0, 0.0, -1.0])))
 
 
 def catalogue() -> list[str]:

@@ -17,7 +17,8 @@ class ArmContext:
     above the cell's reference temperature; time s on the campaign's clock; speed (6) rad/s of the commanded joints; frames:
     link frames 0..6 (4, 4) in the base frame; gear_ratio (6,) numbers, those of a sister machine or nan where the robot's are
     unknown; payload (4): mass kg, centre m in the flange frame; hung: index of the payload in `payloads`; sign (6,) of KUKA's
-    axes; weight_torque(mass, com): load torque (6) N m of an added mass kg at com (3) m in the flange frame."""
+    axes; down (3,): unit direction of gravity in the base frame; weight_torque(mass, com): load torque (6) N m of an added mass
+    kg at com (3) m in the flange frame."""
 
     q: ca.SX
     q_real: ca.SX
@@ -36,6 +37,7 @@ class ArmContext:
     speed: ca.SX
     hung: ca.SX
     payloads: tuple[str, ...]
+    down: Array
 
     def is_payload(self, name: str) -> ca.SX:
         """1 where the payload of that name hangs, 0 elsewhere; "loaded": any with a mass."""
@@ -73,7 +75,8 @@ class ContactContext:
     stroke_sign: sign of the flange's stroke rate (+1: it is pressed in); radius m, friction of the cell; normal_stiffness N/m: dF
     per m of overlap; friction_deflection m: by how much more the parts give way per unit of the friction coefficient; lever m:
     height of the contact over the clamp's plane; push_axis (3): direction in which the flange pushes the blade, base frame;
-    clamp_deflection m: how much of the parts is the clamp's stiffness; line of the blade.
+    clamp_deflection m: how much of the parts is the clamp's stiffness; line of the blade; down (3,): unit direction of gravity in
+    the base frame.
     """
 
     F: ca.SX
@@ -112,6 +115,7 @@ class ContactContext:
     push_axis: ca.SX
     clamp_deflection: ca.SX
     line: ca.SX
+    down: Array
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,6 @@ EFFECT = Effect(
     title="weight carried by the flange",
     subsystem="flange",
     physics=__doc__,
-    push=lambda x, j, scanned: row(-GRAVITY * x.push_axis[2] / ca.dot(x.push_axis, x.n_base)),
+    push=lambda x, j, scanned: row(GRAVITY * ca.dot(ca.SX(x.down), x.push_axis) / ca.dot(x.push_axis, x.n_base)),
     **proportional(Parameter("kg", "kg", 0.05, 1.0)),
 )

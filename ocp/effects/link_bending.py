@@ -25,7 +25,7 @@ def _tip_moment(x: ArmContext, axis: Any) -> Any:
     weights.append((6, x.payload[0], x.payload[1:4]))
     for link, mass, com in weights:
         lever = x.frames[link][:3, 3] + x.frames[link][:3, :3] @ com - x.frames[4][:3, 3]
-        moment += mass * GRAVITY * (axis[1] * lever[0] - axis[0] * lever[1])
+        moment += mass * GRAVITY * ca.dot(axis, ca.cross(lever, ca.SX(x.down)))
     return moment
 
 

@@ -206,13 +206,18 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
 
 
 def _robot(path: Path, tables: CellTables) -> Robot:
-    """The robot that a cell file names, with the stiffness it gives. Raises BadInput as `load_robot`, with file and key."""
+    """The robot that a cell file names, mounted as it says, with the stiffness it gives.
+
+    Raises BadInput as `load_robot`, with file and key.
+    """
     model = tables.robot.model
     local = path.parent / model
     try:
         robot = load_robot(local if model.endswith(".toml") and local.exists() else model)
     except BadInput as error:
         raise BadInput(f"{path}, robot.model: {error}") from None
+    down = np.array(tables.robot.gravity_direction)
+    robot = replace(robot, gravity_direction=down / np.linalg.norm(down))
     given = tables.robot.stiffness_Nm_per_rad
     return robot if given is None else replace(robot, stiffness=np.array(given))
 

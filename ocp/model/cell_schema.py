@@ -44,6 +44,20 @@ class RobotTable(TomlTable):
     calibration: FileName | None = None
     stiffness_Nm_per_rad: tuple[Spring, Spring, Spring, Spring, Spring, Spring] | None = None
     compliant_joints: Annotated[tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...], Field(max_length=6)] = (2, 3)
+    gravity_direction: Direction = (0.0, 0.0, -1.0)  # base frame; of any length
+
+    @model_validator(mode="after")
+    def _mounted(self) -> "RobotTable":
+        if sum(c * c for c in self.gravity_direction) < 1e-12:
+            raise ValueError("gravity_direction has length zero; [0, 0, -1] is an upright base, [0, 0, 1] one under a ceiling")
+        return self
+
+
+class FloorTable(TomlTable):
+    """`[floor]`: height of the floor above the origin of the robot's base, along the vertical; negative where the base stands
+    higher than the floor, or hangs."""
+
+    z_mm: Place
 
 
 class PayloadTable(TomlTable):
@@ -242,6 +256,7 @@ class CellTables(TomlTable):
     workpiece: WorkpieceTable | None = None
     wheel: WheelTable | None = None
     force_flange: FlangeTable | None = None
+    floor: FloorTable | None = None
     process: ProcessTable = ProcessTable()
     tracker: TrackerTable | None = None
     effects: Annotated[tuple[EffectTable, ...], Field(max_length=MOST_EFFECTS)] = ()

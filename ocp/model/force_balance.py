@@ -137,6 +137,7 @@ def _extra(
         normal_stiffness=1 / ca.sum1(slopes),
         friction_deflection=ca.jacobian(ca.sum1(parts), friction),
         push_axis=_push_axis(cell, seen["n_base"], R_flange),
+        down=cell.robot.gravity_direction,
         lever=ca.fabs(ca.dot(clamp.clamp_normal, seen["p"]) - clamp.clamp_offset),
         clamp_deflection=F / clamp.clamp_stiffness,
         **seen,
@@ -146,12 +147,12 @@ def _extra(
 
 def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], effects: ModelEffects) -> tuple[list[ca.SX], ca.SX, ca.SX]:
     """Link frames, joints and flange pose of the arm that is bent by gravity and moved by the cell's effects."""
-    mdh, sign = ca.reshape(par["mdh"], 5, 6).T, cell.robot.sign
+    robot, mdh, sign = cell.robot, ca.reshape(par["mdh"], 5, 6).T, cell.robot.sign
     bends = np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
 
     def torque(joints: ca.SX) -> ca.SX:
         return gravity_torques(
-            joints, mdh, sign, cell.robot.link_mass, cell.robot.link_com, par["payload_mass"], par["payload_com"]
+            joints, mdh, sign, robot.link_mass, robot.link_com, par["payload_mass"], par["payload_com"], robot.gravity_direction
         )
 
     c = par["c"] * bends
@@ -160,7 +161,7 @@ def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], effects: ModelEffects) -> 
     if not cell.effects:
         return frames, q_real, frames[-1]
     context = planned_arm_context(
-        cell.robot,
+        robot,
         cell.workpiece.payload_name,
         frames,
         CONDITIONS.split(effects.conditions),
@@ -212,7 +213,8 @@ def _flange_stroke(cell: Cell, F: ca.SX, n: ca.SX, T_base_flange: ca.SX, par: di
         return ca.SX(0)
     direction = _push_axis(cell, n, T_base_flange[:3, :3])
     along = ca.SX(1) if flange.axis is None else ca.dot(direction, n)
-    weight = ca.SX(0) if flange.gravity_compensated else -flange.carried_mass * GRAVITY * direction[2]
+    along_gravity = ca.dot(ca.SX(cell.robot.gravity_direction), direction)
+    weight = ca.SX(0) if flange.gravity_compensated else flange.carried_mass * GRAVITY * along_gravity
     setpoint = flange.setpoint + par["flange_setpoint_offset"]
     return (F * along - setpoint - weight) / par["flange_stiffness"] * along
 

@@ -210,7 +210,8 @@ class ContactSample:
         blocks |= {"turn": np.arctan2(heading @ wheel.axis, heading @ belt)}
         blocks |= {"lever": abs(clamp.clamp_normal @ self.p - clamp.clamp_offset)}
         active = [e.active for e in cell.effects]
-        return added_overlap(active, ContactPlace(wheel.radius, wheel.friction), blocks, cell.flange is None)
+        place = ContactPlace(wheel.radius, wheel.friction, tuple(cell.robot.gravity_direction))
+        return added_overlap(active, place, blocks, cell.flange is None)
 
 
 def _equilibrium(
@@ -276,5 +277,7 @@ def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[flo
         R_flange = T_base_blade[:3, :3] @ cell.workpiece.T_flange_blade[:3, :3].T
         direction = R_flange @ flange.axis
         direction = direction * np.sign(direction @ n)
-    weight = 0.0 if flange.gravity_compensated else -flange.carried_mass * GRAVITY * direction[2]
+    weight = (
+        0.0 if flange.gravity_compensated else flange.carried_mass * GRAVITY * float(cell.robot.gravity_direction @ direction)
+    )
     return float(direction @ n), (flange.setpoint + weight, 1.0 / flange.stiffness)

@@ -123,7 +123,7 @@ def _mapped(build: Callable[..., ca.Function], count: int, key: tuple[Any, ...])
 
 
 def _masses(robot: Robot) -> tuple[bytes, ...]:
-    return tuple(np.asarray(a, float).tobytes() for a in (robot.sign, robot.link_mass, robot.link_com))
+    return tuple(np.asarray(a, float).tobytes() for a in (robot.sign, robot.link_mass, robot.link_com, robot.gravity_direction))
 
 
 def _table(mdh: ca.SX) -> ca.SX:
@@ -185,7 +185,7 @@ def _motions(q: Any, table: Any, sign: Array, frames: list[Any]) -> Iterator[_Mo
 def _torques(q: ca.SX, mdh: ca.SX, payload: ca.SX, load: ca.SX, place: ca.SX, link: int, masses: tuple[bytes, ...]) -> ca.SX:
     """Torque (6) N m about each axis, positive along +q: weight, and a force and moment in base axes at a place of a link."""
     sign, mass, com = np.frombuffer(masses[0]), np.frombuffer(masses[1]), np.frombuffer(masses[2]).reshape(7, 3)
-    weight = gravity_torques(q, _table(mdh), sign, mass, com, payload[0], payload[1:])
+    weight = gravity_torques(q, _table(mdh), sign, mass, com, payload[0], payload[1:], np.frombuffer(masses[3]))
     frames = chain(q, _table(mdh), sign)
     at = frames[link][:3, 3] + frames[link][:3, :3] @ place
     pull = []
@@ -220,7 +220,7 @@ def _statics(link: int, *masses: bytes) -> ca.Function:
     for i in range(6, 0, -1):
         total.insert(0, total[0] + mass[i])
         moment.insert(0, moment[0] + mass[i] * (o[i] + R[i] @ com[i]))
-    weight, force, at = ca.DM([0, 0, -GRAVITY]), load[:3], o[link] + R[link] @ place
+    weight, force, at = ca.SX(GRAVITY * np.frombuffer(masses[3])), load[:3], o[link] + R[link] @ place
     derivative: list[list[Any]] = [[] for _ in range(6)]
     motions = list(_motions(q, _table(mdh), sign, frames))
     for j, row in enumerate(derivative):

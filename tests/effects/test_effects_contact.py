@@ -10,7 +10,7 @@ from ocp.effects.context import LogRows
 from ocp.effects.engine.evaluate import CONTACT_LAYOUT, ContactPlace, added_overlap, contact_columns
 from tests.effects.test_effects import PLACES, SEEN, some
 
-PLACE = ContactPlace(0.15, 0.35)
+PLACE = ContactPlace(0.15, 0.35, (0.0, 0.0, -1.0))
 N = 9
 KINDS = ("overlap", "push", "sensor", "shear")
 ON_CONTACT = sorted({name for name, _ in PLACES if any(getattr(library()[name], kind) for kind in KINDS)})

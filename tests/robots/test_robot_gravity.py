@@ -122,7 +122,7 @@ def test_symbolic_deflection_is_the_numeric_one():
     c = compliance_from_stiffness(EXTRA.stiffness) * np.array([0, 1, 1, 0, 0, 0])
 
     def torque(x):
-        return gravity_torques(x, EXTRA.mdh, EXTRA.sign, EXTRA.link_mass, EXTRA.link_com, 150.0, COM)
+        return gravity_torques(x, EXTRA.mdh, EXTRA.sign, EXTRA.link_mass, EXTRA.link_com, 150.0, COM, EXTRA.gravity_direction)
 
     function = ca.Function("f", [q], [deflected_joints(q, torque, c)])
     posture = np.array([0.3, -1.2, 1.4, 0.5, -0.7, 2.0])

@@ -55,7 +55,7 @@ class ArmInstants:
         """Moments (n, 3) N m, base axes, of the weight of all links after the joint (0..5) and of the payload about its origin:
         whole, and the part square to the joint's axis."""
         origin, axis = self.links[:, joint, :3, 3], self.links[:, joint, :3, 2]
-        weight = np.array([0.0, 0.0, -GRAVITY])
+        weight = GRAVITY * self.robot.gravity_direction
         moment = self.mass[:, None] * np.cross(self.centre - origin, weight)
         for link in range(joint + 1, 7):
             centre = apply(self.links[:, link], np.broadcast_to(self.robot.link_com[link], (len(self.q), 3)))

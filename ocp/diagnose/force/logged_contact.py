@@ -55,7 +55,8 @@ class ContactSamples:
 
 def hook_columns(cell: Cell, effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], samples: ContactSamples) -> Array:
     """A contact hook ("overlap", "push", "sensor", "shear") on samples for every variant: (V, n, m)."""
-    return contact_columns(effect, kind, joint, scans, ContactPlace(cell.wheel.radius, cell.wheel.friction), samples.values)
+    place = ContactPlace(cell.wheel.radius, cell.wheel.friction, tuple(cell.robot.gravity_direction))
+    return contact_columns(effect, kind, joint, scans, place, samples.values)
 
 
 def samples_of(

@@ -103,7 +103,7 @@ class PlacedReadings:
                 total = total + mass
                 moment = moment + mass[:, None] * (centre[:, :, 0] + frames[:, link, :, 3])
                 lever = moment - total[:, None] * frames[:, link - 1, :, 3]
-                weight = GRAVITY * np.column_stack([-lever[:, 1], lever[:, 0], np.zeros(len(rows))])
+                weight = GRAVITY * np.cross(lever, self.robot.gravity_direction)
                 out[rows, link - 1] = np.einsum("ni,nik->nk", weight, frames[:, link - 1, :, :2])
         return out
 

@@ -36,8 +36,8 @@ CONTACT_LAYOUT = RowLayout.of(
 
 @dataclass(frozen=True)
 class ArmPlace:
-    """What is the same in all rows: a robot's sign (6), gear_ratio (6), link_mass (7) and link_com (7, 3) as bytes, one after the
-    other, and the names of payloads."""
+    """What is the same in all rows: a robot's sign (6), gear_ratio (6), link_mass (7), link_com (7, 3) and gravity_direction (3)
+    as bytes, one after the other, and the names of payloads."""
 
     constants: bytes
     payloads: tuple[str, ...]
@@ -45,7 +45,7 @@ class ArmPlace:
     @staticmethod
     def of(robot: Robot, payloads: tuple[str, ...]) -> "ArmPlace":
         """Of a robot."""
-        constants = (robot.sign, robot.gear_ratio, robot.link_mass, np.ravel(robot.link_com))
+        constants = (robot.sign, robot.gear_ratio, robot.link_mass, np.ravel(robot.link_com), robot.gravity_direction)
         return ArmPlace(np.concatenate(constants).astype(float).tobytes(), payloads)
 
     def context(self, row: ca.SX) -> ArmContext:
@@ -53,18 +53,25 @@ class ArmPlace:
         x = ARM_LAYOUT.split(row)
         numbers = x.pop("frames")
         frames = [_frame(numbers[12 * i : 12 * i + 12]) for i in range(7)]
-        sign, ratio, mass, com = _constants(self.constants)
-        return arm_context(frames, sign, mass, com, ratio, self.payloads, **x)
+        sign, ratio, mass, com, down = _constants(self.constants)
+        return arm_context(frames, sign, mass, com, ratio, down, self.payloads, **x)
 
 
-def _constants(packed: bytes) -> tuple[Array, Array, Array, Array]:
-    """sign, gear_ratio, link_mass and link_com of an `ArmPlace`."""
-    sign, ratio, mass, com = np.split(np.frombuffer(packed), (6, 12, 19))
-    return sign, ratio, mass, com.reshape(7, 3)
+def _constants(packed: bytes) -> tuple[Array, Array, Array, Array, Array]:
+    """sign, gear_ratio, link_mass, link_com and gravity_direction of an `ArmPlace`."""
+    sign, ratio, mass, com, down = np.split(np.frombuffer(packed), (6, 12, 19, 40))
+    return sign, ratio, mass, com.reshape(7, 3), down
 
 
 def arm_context(
-    frames: list[ca.SX], sign: Array, link_mass: Array, link_com: Array, gear_ratio: Array, payloads: tuple[str, ...], **x: Any
+    frames: list[ca.SX],
+    sign: Array,
+    link_mass: Array,
+    link_com: Array,
+    gear_ratio: Array,
+    down: Array,
+    payloads: tuple[str, ...],
+    **x: Any,
 ) -> ArmContext:
     """The context of an instant with link frames (4, 4) and the symbols of `ARM_LAYOUT` by name."""
 
@@ -73,11 +80,11 @@ def arm_context(
         torques = []
         for j in range(6):
             z, lever = frames[j][:3, 2], p - frames[j][:3, 3]
-            torques.append(sign[j] * mass * GRAVITY * (z[1] * lever[0] - z[0] * lever[1]))
+            torques.append(sign[j] * mass * GRAVITY * ca.dot(z, ca.cross(lever, ca.SX(down))))
         return ca.vertcat(*torques)
 
     x |= {"frames": frames, "sign": sign, "link_mass": link_mass, "link_com": link_com, "gear_ratio": gear_ratio}
-    return ArmContext(payloads=payloads, weight_torque=weight_torque, **x)
+    return ArmContext(payloads=payloads, down=down, weight_torque=weight_torque, **x)
 
 
 def _frame(numbers: ca.SX) -> ca.SX:
@@ -137,11 +144,11 @@ def _state(load_link: int, constants: bytes) -> ca.Function:
     """(q, arm, payload, load, place) -> q_real (6), tau (6), frames (7 x 12)."""
     q, arm, payload = ca.SX.sym("q", 6), ca.SX.sym("arm", 36), ca.SX.sym("payload", 4)
     load, place = ca.SX.sym("load", 6), ca.SX.sym("place", 3)
-    sign, _, mass, com = _constants(constants)
+    sign, _, mass, com, down = _constants(constants)
     mdh = ca.reshape(arm[:30], 5, 6).T
 
     def torque(joints: ca.SX) -> ca.SX:
-        weight = gravity_torques(joints, mdh, sign, mass, com, payload[0], payload[1:])
+        weight = gravity_torques(joints, mdh, sign, mass, com, payload[0], payload[1:], down)
         frames = chain(joints, mdh, sign)
         at = frames[load_link][:3, 3] + frames[load_link][:3, :3] @ place
         pull = [
@@ -158,17 +165,18 @@ def _state(load_link: int, constants: bytes) -> ca.Function:
 
 @dataclass(frozen=True)
 class ContactPlace:
-    """What is the same in all rows: the wheel's radius m and the cell's friction."""
+    """What is the same in all rows: the wheel's radius m, the cell's friction, gravity's unit direction in the base frame."""
 
     radius: float
     friction: float
+    down: tuple[float, ...]
 
     def context(self, row: ca.SX) -> ContactContext:
         """What hooks see of a symbolic row."""
         x = CONTACT_LAYOUT.split(row)
         for name in ("R_flange", "R_blade"):
             x[name] = ca.reshape(x[name], 3, 3).T
-        return ContactContext(radius=self.radius, friction=self.friction, **x)
+        return ContactContext(radius=self.radius, friction=self.friction, down=np.array(self.down), **x)
 
 
 def contact_columns(effect: Effect, kind: str, joint: int, scans: Sequence[Scanned], place: ContactPlace, rows: Array) -> Array:

@@ -103,4 +103,5 @@ def planned_arm_context(
 ) -> ArmContext:
     """What arm effects see in the model: `state` are q, q_real, tau, c, payload; frames of the believed posture."""
     state |= {name: conditions[name] for name in ("approach", "warm", "time", "speed")} | {"hung": ca.SX(0)}
-    return arm_context(frames, robot.sign, robot.link_mass, robot.link_com, robot.gear_ratio, (payload_name,), **state)
+    r, names = robot, (payload_name,)
+    return arm_context(frames, r.sign, r.link_mass, r.link_com, r.gear_ratio, r.gravity_direction, names, **state)

@@ -60,7 +60,7 @@ class Balancer:
 
 @dataclass(frozen=True)
 class ArmDesign:
-    """What an arm is built of: robot (signs, masses, centres), mdh (6, 5), placement (6, 6) m and rad, mass_scale (7,),
+    """What an arm is built of: robot (signs, masses, centres, mounting), mdh (6, 5), placement (6, 6) m and rad, mass_scale (7,),
     compliance (6,) rad/(N m) of the joints' springs (0 rigid), bending links, balancer; growth of the lengths d and a; whether
     they will grow while the machine is used."""
 
@@ -120,7 +120,7 @@ def _model(design: ArmDesign, payload: tuple[float, Array]) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.boundmass, spec.compiler.boundinertia, spec.compiler.balanceinertia = LEAST, LEAST, True
-    spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    spec.option.gravity = (GRAVITY * design.robot.gravity_direction).tolist()
     parent, before = spec.worldbody.add_body(name="base"), np.eye(4)
     for i in range(6):
         parent, before = _link(parent, before, design, i)

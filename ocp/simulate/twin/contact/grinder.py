@@ -65,7 +65,7 @@ def make_mount(truth: Truth, cell: Cell, c: ContactMoments, rows: Index, normal:
     setpoint = np.where(np.isfinite(c.setpoint[rows]), c.setpoint[rows], flange.setpoint) + truth.flange_offset
     return Mount(
         along=np.sum(direction * normal, axis=1),
-        preload=setpoint - mass * GRAVITY * direction[:, 2],
+        preload=setpoint + mass * GRAVITY * (direction @ cell.robot.gravity_direction),
         stiffness=flange.stiffness * truth.flange_scale * (1 + truth.total("flange_stiffness", "scale")),
         half=0.5 * flange.stroke,
         friction=np.full(len(rows), truth.total("flange_friction", "N")),
