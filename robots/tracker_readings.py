@@ -21,6 +21,7 @@ TURN = ("rx_deg", "ry_deg", "rz_deg")
 APPROACH = tuple(f"approach{i}" for i in range(1, 7))
 WORDS = ("target", "payload", "session", "station")
 OPTIONAL = (*POINT, *WORDS, "time_s", "temperature_C", *APPROACH, *LOAD, *PLACE, "load_link", "sigma_um", *TURN, "sigma_rot_deg")
+LEAST_OF_STRATUM = 30  # readings of a station, nest and payload that thinning leaves
 REPEAT_TOLERANCE = np.radians(1e-4)
 # What a missing column cannot show.
 BLIND = {
@@ -107,10 +108,20 @@ class Readings:
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)
 
+    def strata(self) -> list[Index]:
+        """Rows of each nest with each payload from each station: what thinning and folds must not empty."""
+        keys = np.column_stack([self.station, self.target, self.payload])
+        kind = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+        return [np.flatnonzero(kind == k) for k in range(kind.max() + 1)]
+
     def thinned(self, most: int) -> "Readings":
-        """At most so many readings, evenly taken."""
+        """About so many readings, evenly taken from each stratum, of which LEAST_OF_STRATUM stay at least (or all)."""
         n = len(self)
-        return self if n <= most else self.take(np.unique(np.linspace(0, n - 1, most).astype(np.int64)))
+        if n <= most:
+            return self
+        counts = [(rows, max(round(most * len(rows) / n), min(len(rows), LEAST_OF_STRATUM))) for rows in self.strata()]
+        few = [rows[np.linspace(0, len(rows) - 1, count).astype(np.int64)] for rows, count in counts]
+        return self.take(np.sort(np.concatenate(few)))
 
     def repeats(self) -> Index:
         """Group (n,) of each reading: the same axes, target, payload, load, approach, station and session."""

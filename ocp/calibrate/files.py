@@ -17,7 +17,7 @@ from ocp.shell.progress import Phases
 from robots.calibration.parameters import SYMBOLS
 from robots.calibration.store import Calibration, write_calibration
 from robots.calibration.validation import GROSS, by_kind
-from robots.pose import Array
+from robots.pose import Array, abc_from_rotation
 from robots.toml_files import toml_text
 
 
@@ -118,7 +118,7 @@ def _provenance(made: TrackerCalibration, inputs: Sequence[Path]) -> dict[str, A
         "readings": len(readings),
         "payloads": [readings.payloads[k] for k in np.unique(readings.payload)],
         "targets": [readings.targets[k] for k in np.unique(readings.target)],
-        "stations": len(np.unique(readings.station)),
+        "stations": {readings.stations[k] or "tracker": _station(made, int(k)) for k in np.unique(readings.station)},
         "reference_temperature_C": made.setup.tables.reference_temperature_C,
     }
     if readings.temperature is not None:
@@ -136,6 +136,18 @@ def _provenance(made: TrackerCalibration, inputs: Sequence[Path]) -> dict[str, A
         "priors": {"length_m": float(fit.priors.length), "angle_rad": float(fit.priors.angle)},
         "bending_joints": list(fit.choice.joints),
         "corrected_payloads": list(fit.choice.payloads),
+    }
+
+
+def _station(made: TrackerCalibration, k: int) -> dict[str, Any]:
+    """Where the base is in a station's frame, with one sigma of place and turn, and how many readings say so."""
+    T, sd = made.fit.state.stations[k], made.fit.sd[made.fit.layout.station[k]]
+    return {
+        "readings": int((made.fit.campaign.readings.station == k).sum()),
+        "base_xyz_mm": (1e3 * T[:3, 3]).round(6).tolist(),
+        "base_abc_deg": np.degrees(abc_from_rotation(T[:3, :3])).round(8).tolist(),
+        "xyz_sd_mm": (1e3 * sd[:3]).round(6).tolist(),
+        "turn_sd_deg": np.degrees(sd[3:]).round(8).tolist(),
     }
 
 

@@ -11,7 +11,7 @@ from ocp.model.cell import TrackerSetup, read_tracker_setup
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
 from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings, predictive_covariance
-from robots.calibration.identifiability import Identifiability, identify
+from robots.calibration.identifiability import Identifiability, described, identify
 from robots.calibration.layout import Choice, Layout, State
 from robots.calibration.load_tests import LoadTest, load_test
 from robots.calibration.methods import METHODS, before, calibrate_by
@@ -20,12 +20,12 @@ from robots.calibration.noise import Repeats, repeat_scatter
 from robots.calibration.parameters import BASE_NAMES
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 from robots.calibration.residuals import linearise, residuals
-from robots.calibration.solver import Campaign
+from robots.calibration.solver import Campaign, OpenDirection
 from robots.calibration.store import Calibration
 from robots.calibration.validation import FOLDS, GROSS, FoldErrors, folds, hold_out, validate
 from robots.errors import BadInput
 from robots.pose import Array, abc_by_spin, abc_from_rotation
-from robots.tracker_readings import Readings, read_readings
+from robots.tracker_readings import WORDS, Readings, read_readings
 
 LEAST_READINGS = 20
 LEAST_POSTURES = 10
@@ -85,10 +85,11 @@ def calibrate_tracker(tracker: Path, cell: Path, method: str, phases: Phases) ->
     """Read, check, fit and judge. Raises BadInput of every part."""
     try:
         return _calibrate(tracker, cell, method, phases)
-    except np.linalg.LinAlgError:
+    except OpenDirection as error:
+        what = ", ".join(dict.fromkeys(described(name) for name in error.names))
         raise BadInput(
-            f"{tracker}: the readings leave something open that no prior holds, as the tracker's turn; measure more postures, "
-            "with all axes moved, and give the nests' places in [tracker.targets]"
+            f"{tracker}: the readings leave open {what} (unknown{'s' * (len(error.names) > 1)} {', '.join(error.names)}), which "
+            "no prior holds; measure more postures that move it, or give the nests' places in [tracker.targets]"
         ) from None
 
 
@@ -200,26 +201,31 @@ def _refit(method: str) -> Callable[[Campaign, Fit], Fit] | None:
 
 
 def as_in(sealed: Readings, readings: Readings) -> Readings:
-    """`sealed` with stations numbered as in `readings`; where it names no target or station and only one was measured, that one.
-    Raises BadInput for a target or station not measured."""
-    for kind in ("target", "station"):
-        index, names = getattr(sealed, kind), getattr(sealed, f"{kind}s")
-        known = {getattr(readings, f"{kind}s")[k] for k in np.unique(getattr(readings, kind))}
-        if names == ("",) and "" not in known:
+    """`sealed` with its targets, payloads, stations and sessions numbered as in `readings`, by their names; where it names no
+    target or station and only one was measured, that one. Raises BadInput for a target or station that was not measured, a
+    payload that neither the cell nor the readings know."""
+    for kind in WORDS:
+        index, names, own = getattr(sealed, kind), getattr(sealed, f"{kind}s"), getattr(readings, f"{kind}s")
+        measured = kind in ("target", "station")  # their places come from readings alone
+        known = {own[k] for k in np.unique(getattr(readings, kind))} if measured else {*own}
+        if measured and names == ("",) and "" not in known:
             if len(known) > 1:
                 some = ", ".join(sorted(known))
                 raise BadInput(f"{sealed.path}: no column {kind}, or an empty one, and {readings.path.name} has {some}; add it")
-            own = getattr(readings, f"{kind}s")
-            sealed = replace(sealed, **{kind: np.full(len(sealed), own.index(min(known))), f"{kind}s": own})
-            continue
+            index, names = np.zeros(len(sealed), np.int64), (min(known),)
+        if kind == "session":  # a new one is no fault: nothing is fitted to a session
+            own = (*own, *(name for name in names if name not in known))
+            known = {*own}
         for row, k in enumerate(index):
             if names[k] not in known:
                 raise BadInput(
                     f"{sealed.path}, line {sealed.line[row]}, column {kind}: '{names[k]}' was not measured in "
-                    f"{readings.path.name}, so where it is is not known; remove the row or measure it"
+                    f"{readings.path.name}, so {'where it is' if measured else 'what hangs there'} is not known; remove the row "
+                    "or measure it"
                 )
-    station = np.array([readings.stations.index(sealed.stations[k]) for k in sealed.station], np.int64)
-    return replace(sealed, station=station, stations=readings.stations)
+        numbers = np.array([own.index(name) if name in known else -1 for name in names], np.int64)
+        sealed = replace(sealed, **{kind: numbers[index], f"{kind}s": own})
+    return sealed
 
 
 def _refuse_few(readings: Readings) -> None:

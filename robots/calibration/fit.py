@@ -12,7 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from robots.calibration.layout import Choice, Layout, Priors, State, build_layout, nominal_state, offset_between
 from robots.calibration.noise import Noise
 from robots.calibration.residuals import linearise, residuals
-from robots.calibration.solver import Campaign, Solution, solve
+from robots.calibration.solver import Campaign, Solution, check_open, solve
 from robots.calibration.student_t import gaussian_moments, moments, spread_of, weights
 from robots.pose import Array, make_transform
 from robots.tracker_readings import Index, Readings
@@ -225,7 +225,8 @@ def _finished(
 
 
 def scaled_inverse(information: Array, layout: Layout) -> Array:
-    """Covariance (p, p) of an information matrix in units of the layout's scale."""
+    """Covariance (p, p) of an information matrix in units of the layout's scale. Raises OpenDirection: it has no inverse."""
+    check_open(information, layout)
     inverse = cho_solve(cho_factor(information), np.eye(layout.size))
     return np.asarray(layout.scale[:, None] * inverse * layout.scale[None, :])
 

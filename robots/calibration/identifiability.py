@@ -98,8 +98,8 @@ def _company(fit: Fit, i: int) -> tuple[str, ...]:
 def described(name: str) -> str:
     """A parameter in words."""
     if name.startswith("station"):
-        what = "turn" if name[-1] in "uvw" else "place"
-        return f"the tracker's {what} against the base"
+        what, station = "turn" if name[-1] in "uvw" else "place", name.removeprefix("station").strip("_")[:-2]
+        return f"the tracker's {what} against the base" + (f" at station '{station}'" if station else "")
     if name.startswith("nest"):
         return "the places of the reflector nests on the flange"
     if ":" in name:

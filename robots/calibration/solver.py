@@ -18,10 +18,19 @@ from robots.robot import Robot
 from robots.tracker_readings import Hanging, Index, Instrument, Readings
 
 RULE = Rule(steps=40, rest=1e-6, halvings=10)
+OPEN_SHARE = 0.2  # of the largest part in an open direction; unknowns with less are not named
 JITTER = 1e-12  # precision of every unknown, lest a campaign that says nothing of one be singular
 RELINEARISE = 1e-5  # m or rad: smaller steps leave the Jacobian as it is (its change is below 1e-5 of itself)
 JOINT_NOISE_SD = 1.0  # of its logarithm about what is usual: a factor of three either way, which few readings cannot correct
 LEAST_SPREAD = 0.5  # of the noise model: few readings can be met too well, no instrument is that much better than it says
+
+
+class OpenDirection(np.linalg.LinAlgError):
+    """The readings and priors leave a direction of the unknowns open; names: those that take part in it, most first."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        super().__init__(", ".join(names))
+        self.names = names
 
 
 @dataclass(frozen=True)
@@ -110,8 +119,23 @@ class Solution:
 
 
 def solve(campaign: Campaign, layout: Layout, begin: State, offset: Array, noise: Noise) -> Solution:
-    """The most probable state near `begin`, which is `offset` (p,) from the prior's mean."""
-    return minimise(Solution.at(campaign, layout, begin, offset, noise), layout.precision + JITTER, RULE).at.reweighted()
+    """The most probable state near `begin`, which is `offset` (p,) from the prior's mean. Raises OpenDirection."""
+    start = Solution.at(campaign, layout, begin, offset, noise)
+    if campaign.pairs is None:  # differences say nothing of a station's place, and are not asked for it
+        _, columns = start.linearised()
+        check_open(columns.T @ columns + np.diag(layout.precision), layout)
+    return minimise(start, layout.precision + JITTER, RULE).at.reweighted()
+
+
+def check_open(information: Array, layout: Layout) -> None:
+    """Raises OpenDirection where an information matrix (p, p), in units of the layout's scale, has no inverse."""
+    # Scaled to a unit diagonal, so that only what is really open, and not what is merely coarse, is called so.
+    size = np.sqrt(np.maximum(np.diag(information), JITTER))
+    values, directions = np.linalg.eigh(information / np.outer(size, size))
+    if values[0] < layout.size * np.finfo(float).eps:
+        part = np.abs(directions[:, 0])
+        most = np.argsort(-part)
+        raise OpenDirection(tuple(layout.names[i] for i in most if part[i] > OPEN_SHARE * part[most[0]]))
 
 
 def _linearised(campaign: Campaign, layout: Layout, state: State, noise: Noise) -> tuple[Linearised, Array]:

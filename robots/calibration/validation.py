@@ -4,18 +4,22 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
 from robots.calibration.fit import Fit, fit_campaign, predict_readings
 from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import linearise
-from robots.calibration.solver import Campaign
+from robots.calibration.solver import Campaign, OpenDirection
 from robots.calibration.student_t import NU, consistency
 from robots.pose import Array
-from robots.tracker_readings import Index
+from robots.tracker_readings import Index, Readings
+
+Mask = NDArray[np.bool_]
 
 FOLDS = 5
 LEAST_TRAIN, LEAST_TEST = 15, 3  # readings on each side of a fold
+LEAST_PLACED = 4  # postures that place a station or nest
 GROSS = 0.05  # weight in the full fit below which a reading is an outlier and is not held against a model
 
 
@@ -50,18 +54,20 @@ class FoldErrors:
 
 
 def folds(campaign: Campaign, seed: int = 0) -> Iterator[ReadingFold]:
-    """All folds that the readings allow, repeats always on one side."""
+    """All folds that the readings allow, repeats always on one side.
+
+    Random ones take their share of each station, nest and payload; regions and halves of a joint's range leave a station or nest
+    alone that would keep too few readings to be placed.
+    """
     readings = campaign.readings
-    group = readings.repeats()
-    rng = np.random.default_rng(seed)
-    part = rng.permutation(group.max() + 1) % FOLDS
+    part = _stratified(readings, np.random.default_rng(seed))
     for k in range(FOLDS):
-        yield ReadingFold("random", f"{k + 1} of {FOLDS}", np.flatnonzero(part[group] == k))
+        yield ReadingFold("random", f"{k + 1} of {FOLDS}", np.flatnonzero(part == k))
     # Regions in the space of the first three axes, where the arm is.
     q = readings.q[:, :3]
     _, label = kmeans2(q, FOLDS, seed=seed, minit="++")
     for k in np.unique(label):
-        yield ReadingFold("region", f"{k + 1} of {FOLDS}", np.flatnonzero(label == k))
+        yield ReadingFold("region", f"{k + 1} of {FOLDS}", np.flatnonzero(_spared(readings, label == k)))
     for kind, index, names in (
         ("campaign", readings.session, readings.sessions),
         ("payload", readings.payload, readings.payloads),
@@ -73,26 +79,58 @@ def folds(campaign: Campaign, seed: int = 0) -> Iterator[ReadingFold]:
         middle = np.median(readings.q[:, j])
         if np.ptp(readings.q[:, j]) > np.radians(20):
             yield ReadingFold(
-                "joint range", f"axis {j + 1} above {np.degrees(middle):.0f} deg", np.flatnonzero(readings.q[:, j] > middle)
+                "joint range",
+                f"axis {j + 1} above {np.degrees(middle):.0f} deg",
+                np.flatnonzero(_spared(readings, readings.q[:, j] > middle)),
             )
+
+
+def _stratified(readings: Readings, rng: np.random.Generator) -> Index:
+    """Part (n,) of each reading, 0 to FOLDS - 1; each stratum is dealt out in turn, repeats together."""
+    group = readings.repeats()
+    part, dealt = np.zeros(group.max() + 1, np.int64), 0
+    for rows in readings.strata():
+        postures = rng.permutation(np.unique(group[rows]))
+        part[postures] = (dealt + np.arange(len(postures))) % FOLDS
+        dealt += len(postures)
+    return np.asarray(part[group])
+
+
+def _placed(readings: Readings, left: Mask) -> Mask:
+    """Readings (n,) whose station and nest are placed by the readings `left` (n,): LEAST_PLACED postures of each."""
+    seen = np.ones(len(readings), bool)
+    group = readings.repeats()
+    for index in (readings.station, readings.target):
+        for k in np.unique(index):
+            seen[index == k] &= len(np.unique(group[left & (index == k)])) >= LEAST_PLACED
+    return seen
+
+
+def _spared(readings: Readings, held: Mask) -> Mask:
+    """`held` (n,) without the stations and nests that would not be placed by what is left."""
+    return np.asarray(held & _placed(readings, ~held))
 
 
 def hold_out(fit: Fit, fold: ReadingFold, refit: Callable[[Campaign, Fit], Fit] | None = None) -> FoldErrors | None:
     """Fit without the fold's readings and predict them; None where too few are left on a side.
 
-    Readings with a nest or station that only the fold has cannot be predicted and are passed over, as are outliers.
+    Readings with a nest or station that the rest does not place cannot be predicted and are passed over on both sides, as are
+    outliers; so is a fold without which the readings leave something open.
     `refit` fits another model than `fit`'s to the campaign that is left.
     """
     c = fit.campaign
     n = len(c.readings)
     held = np.zeros(n, bool)
     held[fold.held] = True
-    known = np.isin(c.readings.target, c.readings.target[~held]) & np.isin(c.readings.station, c.readings.station[~held])
+    known = _placed(c.readings, ~held)
     rows = np.flatnonzero(held & known & (fit.weight > GROSS))
-    if (~held).sum() < LEAST_TRAIN or len(rows) < LEAST_TEST:
+    if (known & ~held).sum() < LEAST_TRAIN or len(rows) < LEAST_TEST:
         return None
-    left = replace(c, readings=c.readings.take(np.flatnonzero(~held)))
-    other = refit(left, fit) if refit else again(left, fit)
+    left = replace(c, readings=c.readings.take(np.flatnonzero(known & ~held)))
+    try:
+        other = refit(left, fit) if refit else again(left, fit)
+    except OpenDirection:
+        return None
     seen = replace(c.readings.take(rows), turn=None)
     points, covariance = predict_readings(other, seen)
     off = seen.point - points
