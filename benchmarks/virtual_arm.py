@@ -14,7 +14,7 @@ import numpy as np
 from ocp.calibrate.tracker import as_in
 from ocp.model.cell import Cell, read_cell, read_tracker_setup
 from ocp.simulate.twin.arm import arm_moments, make_arm
-from ocp.simulate.twin.tracker_log import TrackerLog, random_design, sealed_design, tracker_world, write_tracker_truth
+from ocp.simulate.twin.tracker import TrackerLog, random_design, sealed_design, tracker_world, write_tracker_truth
 from ocp.simulate.twin.truth import draw_truth
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings
 from robots.calibration.layout import Choice

@@ -13,8 +13,8 @@ from ocp.blindtest.worlds.sealing import Check, write_cell
 from ocp.data import CELL
 from ocp.model.cell import files_of
 from ocp.shell.output import reserved
+from ocp.shell.processes import cores
 from ocp.shell.progress import Phases, Progress
-from ocp.shell.workers import cores
 from robots.errors import BadInput
 
 

@@ -19,8 +19,8 @@ from ocp.blindtest.worlds.machines import effects_stream
 from ocp.blindtest.worlds.recipes import BINS, Recipe, pool_of, scaled, within_range
 from ocp.blindtest.worlds.sealing import Check, Label
 from ocp.shell.cache import sha256
+from ocp.shell.processes import interrupts_held_back, nothing, workers
 from ocp.shell.progress import Phases
-from ocp.shell.workers import interrupts_held_back, nothing, workers
 from ocp.simulate.twin.kinds import EffectKind
 from ocp.simulate.twin.planting import Planted, draw_effect
 from robots.errors import BadInput, Infeasible

@@ -37,8 +37,8 @@ from ocp.effects.effect import Effect
 from ocp.model.cell import files_of
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output, reserved
+from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
 from ocp.shell.progress import Phases
-from ocp.shell.workers import cores, interrupts_held_back, nothing, workers
 from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput, Infeasible

@@ -30,8 +30,8 @@ def _experiments(
     from ocp.experiments.trial import run_trials, trials_json
     from ocp.model.cell import files_of, read_cell  # heavy imports only once the arguments stand
     from ocp.shell.output import reserved
+    from ocp.shell.processes import cores
     from ocp.shell.progress import Phases
-    from ocp.shell.workers import cores
 
     def job() -> str:
         if mount not in (*MOUNTS, "both"):

@@ -18,12 +18,11 @@ from ocp.experiments.grinding import Course, VirtualRobot, compensated, lay_cour
 from ocp.model.cell import Cell
 from ocp.plan.passes.optimise import FILES, SolvedPass, code_hash
 from ocp.shell.cache import content_key, flattened, keep, recall
+from ocp.shell.processes import interrupts_held_back, workers
 from ocp.shell.progress import Phases
-from ocp.shell.workers import interrupts_held_back, workers
 from ocp.simulate.twin.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact.grinder import make_grinder
-from ocp.simulate.twin.tracker import true_points
-from ocp.simulate.twin.tracker_log import TrackerCampaign, TrackerLog, random_design, tracker_world
+from ocp.simulate.twin.tracker import TrackerCampaign, TrackerLog, random_design, tracker_world, true_points
 from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.calibration.fit import Fit, fit_campaign, predict_readings
 from robots.calibration.layout import Choice

@@ -13,8 +13,8 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import Domain, remembered_law
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import Cell
+from ocp.shell.processes import interrupts_held_back, nothing, workers
 from ocp.shell.progress import Phases
-from ocp.shell.workers import interrupts_held_back, nothing, workers
 from robots.pose import Array
 from trajectories.blade import Blade
 from trajectories.passes import BladePath

@@ -11,10 +11,16 @@ import numpy as np
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline, build_timeline, emitted_times, grinding_program, write_plan_csv, write_program
 from ocp.plan.readback import Readback, read_back
-from ocp.plan.report.pages import write_plan_report
-from ocp.plan.report.plan_report import build_report
+from ocp.plan.report.axes import axes_section
+from ocp.plan.report.force import force_section
+from ocp.plan.report.plan_report import PlanReport, build_report
+from ocp.plan.report.quantities import contact_section, maps_section
+from ocp.plan.report.scene import scene_section
 from ocp.plan.rules import UNCERTAIN_FORCE
 from ocp.plan.second_route import believed_robot
+from ocp.report.parts import Facts, made_from
+from ocp.report.report import Report
+from ocp.report.section import Headline, Section
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output
 from ocp.shell.progress import Phases
@@ -156,3 +162,25 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], v
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def plan_pages(report: PlanReport) -> Report:
+    """The report as headline and sections, in their order."""
+    head = Headline(report.safe, "Safe to use." if report.safe else "Do not use.", report.verdict)
+    sections = (
+        Section("Summary", (Facts(tuple(report.summary)),)),
+        scene_section(report),
+        force_section(report),
+        axes_section(report),
+        maps_section(report),
+        contact_section(report),
+        made_from(report.inputs),
+    )
+    return Report("Grinding plan", report.title, head, report.notices, sections)
+
+
+def write_plan_report(report: PlanReport, folder: Path) -> None:
+    """Write report.html and report.pdf into `folder`; equal reports give equal bytes. Raises OSError."""
+    pages = plan_pages(report)
+    pages.write_page(folder / "report.html")
+    pages.write_pdf(folder / "report.pdf")

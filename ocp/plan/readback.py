@@ -12,7 +12,7 @@ from ocp.model.cell import Cell
 from ocp.plan.motion import PlannedMotion
 from ocp.plan.rules import BLOCK_TIME_TOLERANCE, FLANGE_FORCE_TOLERANCE, READ_BACK_LIMIT, RIGID_FORCE_TOLERANCE
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, verify_pass
-from ocp.shell.workers import cores, interrupts_held_back, workers
+from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches
 from robots.pose import Array, invert

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
-from ocp.shell.interrupts import INTERRUPTED, supervised, was_told
+from ocp.shell.processes import INTERRUPTED, supervised, was_told
 from ocp.shell.progress import Progress
 from robots.errors import BadInput, Infeasible
 

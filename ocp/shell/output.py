@@ -19,7 +19,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from ocp.shell import interrupts
+from ocp.shell import processes
 from robots.errors import BadInput
 
 LONGEST_NAME = 200  # bytes; file systems take 255, the temporary neighbour needs some
@@ -94,12 +94,12 @@ class Output:
         except OSError as error:
             _remove_empty(missing)
             raise BadInput(f"{self.named}: cannot be written ({error.strerror}); give another --out") from None
-        interrupts.clear_if_killed(partial)
+        processes.clear_if_killed(partial)
         try:
             yield partial
             write_marker(partial)
             partial.chmod(0o755)
-            interrupts.raise_if_told()
+            processes.raise_if_told()
             self._put(partial)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EFBIG):
@@ -168,13 +168,13 @@ def reserved(folder: Path, overwrite: bool, inputs: Iterable[Path] = (), grows: 
         raise BadInput("--out is empty or the working folder itself; give the name of a folder to write")
     output = Output(folder, overwrite, grows)
     name = sha256(os.fsencode(output.folder)).hexdigest()[:24]
-    lock = FileLock(Path(interrupts.TEMPORARY) / f"grindplan-{name}.lock", timeout=0)
+    lock = FileLock(Path(processes.TEMPORARY) / f"grindplan-{name}.lock", timeout=0)
     try:
         lock.acquire()
     except Timeout:
         raise BadInput(f"{folder}: another run is writing there; wait for it, or give another --out") from None
     except OSError as error:
-        raise BadInput(f"{interrupts.TEMPORARY}: temporary files cannot be written ({error.strerror}); free some space") from None
+        raise BadInput(f"{processes.TEMPORARY}: temporary files cannot be written ({error.strerror}); free some space") from None
     try:
         _recover(output.folder)
         output.reads(inputs)

@@ -28,7 +28,7 @@ from ocp.simulate.twin.plan_knowledge import GRINDING, match, read_plan_table, r
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.rehearsal import Rehearsal, rehearse, statistics
 from ocp.simulate.twin.run import GrindingCampaign, VirtualMachine, arm_conditions, make_machine, refuse_crash, run_campaign
-from ocp.simulate.twin.tracker_log import TrackerLog, tracker_log, write_tracker, write_tracker_truth
+from ocp.simulate.twin.tracker import TrackerLog, tracker_log, write_tracker, write_tracker_truth
 from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.errors import BadInput
 from trajectories.blade import read_blade

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp.plan.report.pages import plan_pages, write_plan_report
+from ocp.plan.files import plan_pages, write_plan_report
 from ocp.plan.report.plan_report import PlanReport
 from ocp.plan.report.quantities import QUANTITIES
 from tests.support.report_example import example_report
@@ -155,7 +155,7 @@ def test_nothing_can_be_smuggled_into_the_page(report, hostile):
 def test_equal_reports_give_equal_bytes_whatever_the_hash_seed(tmp_path, hostile, report):
     code = (
         "import sys; from pathlib import Path; from tests.support.report_example import example_report\n"
-        "from ocp.plan.report.pages import write_plan_report\n"
+        "from ocp.plan.files import write_plan_report\n"
         "write_plan_report(example_report(lines=2, count=40, frames=50), Path(sys.argv[1]))\n"
     )
     other = tmp_path / "other"

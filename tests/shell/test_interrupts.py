@@ -17,7 +17,7 @@ from pathlib import Path
 import typer
 from ocp.shell.command import main, run
 from ocp.shell.output import reserved
-from ocp.shell.workers import workers, nothing
+from ocp.shell.processes import workers, nothing
 app = typer.Typer()
 
 def swallow():

@@ -7,7 +7,7 @@ from pathlib import Path
 from tests.support.house import ROOT
 
 SCRIPT = """
-from ocp.shell.workers import cores, interrupts_held_back, nothing, workers
+from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
 with workers(1, nothing) as pool:
     with interrupts_held_back():
         waiting = pool.submit(cores)

@@ -14,14 +14,17 @@ from ocp.calibrate.tracker import as_in
 from ocp.model.cell import read_cell, read_tracker_setup
 from ocp.simulate.twin.arm import arm_moments, make_arm
 from ocp.simulate.twin.planting import parse_effect
-from ocp.simulate.twin.tracker import instrument, measure, nest_links, true_points
-from ocp.simulate.twin.tracker_log import (
+from ocp.simulate.twin.tracker import (
     TrackerCampaign,
     TrackerLog,
     design_from_poses,
+    instrument,
+    measure,
+    nest_links,
     random_design,
     sealed_design,
     tracker_world,
+    true_points,
 )
 from ocp.simulate.twin.truth import draw_truth
 from robots.calibration.fit import fit_campaign, learned_priors, predict_readings

@@ -9,7 +9,7 @@ from ocp.model.cell import read_cell
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.dataset import write_labels
 from ocp.simulate.twin.planting import Planted
-from ocp.simulate.twin.tracker_log import TrackerLog, random_design, sealed_design, tracker_world, write_tracker_truth
+from ocp.simulate.twin.tracker import TrackerLog, random_design, sealed_design, tracker_world, write_tracker_truth
 from ocp.simulate.twin.truth import Truth, draw_truth
 
 _DESIGN = 102  # stream beside those of the truth

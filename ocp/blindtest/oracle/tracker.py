@@ -16,8 +16,7 @@ from ocp.blindtest.worlds.machines import TrackerMachine
 from ocp.model.cell import Cell
 from ocp.simulate.twin.arm import Moments, make_arm
 from ocp.simulate.twin.planting import Planted
-from ocp.simulate.twin.tracker import instrument_noise, nest_links
-from ocp.simulate.twin.tracker_log import TrackerCampaign
+from ocp.simulate.twin.tracker import TrackerCampaign, instrument_noise, nest_links
 from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, RIPPLE, STIFFNESS, Truth
 from robots.pose import Array, apply
 

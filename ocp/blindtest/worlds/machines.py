@@ -20,8 +20,7 @@ from ocp.model.cell import Cell, read_cell
 from ocp.simulate.twin.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact.table import make_tables
 from ocp.simulate.twin.planting import Planted
-from ocp.simulate.twin.tracker import true_points
-from ocp.simulate.twin.tracker_log import TrackerCampaign, random_design, sealed_design
+from ocp.simulate.twin.tracker import TrackerCampaign, random_design, sealed_design, true_points
 from ocp.simulate.twin.truth import REPEATABILITY, Truth, draw_truth
 from robots.pose import Array
 

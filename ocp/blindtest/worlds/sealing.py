@@ -20,7 +20,7 @@ from ocp.simulate.twin.contact.sensor import noise
 from ocp.simulate.twin.dataset import FORCE_COLUMNS, copy_cell, log_rows, write_csv, write_sealed_force
 from ocp.simulate.twin.planting import Planted, labels
 from ocp.simulate.twin.run import GroundPasses
-from ocp.simulate.twin.tracker_log import TrackerLog, tracker_world
+from ocp.simulate.twin.tracker import TrackerLog, tracker_world
 from ocp.simulate.twin.truth import SENSOR_SIGMA
 from robots.errors import BadInput
 from robots.pose import Array

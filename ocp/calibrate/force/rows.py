@@ -25,7 +25,7 @@ from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, Workpiece
 from ocp.model.prepare import typical_patch, wheel_cover
 from ocp.plan.paths import surface_cloud
-from ocp.shell.workers import interrupts_held_back, nothing, workers
+from ocp.shell.processes import interrupts_held_back, nothing, workers
 from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array

@@ -30,7 +30,7 @@ from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.rules import DIRECT_TOLERANCE, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE
 from ocp.shell.cache import content_key, flattened, rebuilt, remember
-from ocp.shell.workers import cores, interrupts_held_back, workers
+from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath, reversed_path

@@ -1,11 +1,13 @@
-"""Ctrl-C that always ends a command, at once and without a trace.
+"""Processes that end when they should: a command's own at Ctrl-C, at once and without a trace, its workers with their parent.
 
 A command's work runs in a child process. Its parent does nothing but wait, so that an interrupt is never swallowed by a library
 that is busy or in a callback: the child is asked to end and given a moment for it, then it is ended, and what it left
-unfinished is removed. Where a process cannot be forked the work runs in place, with Python's own Ctrl-C.
+unfinished is removed. Where a process cannot be forked the work runs in place, with Python's own Ctrl-C. Worker processes share
+a large read-only state and leave interrupts to their parent.
 """
 
 import os
+import pickle
 import select
 import shutil
 import signal
@@ -13,10 +15,14 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
-from types import FrameType
-from typing import NoReturn
+from types import FrameType, ModuleType
+from typing import Any, NoReturn
 
 INTERRUPTED = 130
 MOMENT = 1.2  # s, for a child that was asked to end
@@ -93,7 +99,7 @@ def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
     finally:
         _send(child, signal.SIGKILL)  # what the child may have left running
         for number, old in before.items():
-            signal.signal(number, old)
+            signal.signal(number, signal.SIG_IGN if asked else old)  # a further Ctrl-C must not change the exit code
         os.close(from_child)
         os.close(ours)
         shutil.rmtree(scratch, ignore_errors=True)
@@ -172,3 +178,71 @@ def _ended(child: int, from_child: int, asked: list[float]) -> tuple[int, bytes]
             _send(child, signal.SIGKILL)
         if not listening:
             time.sleep(0.005)
+
+
+@contextmanager
+def workers(jobs: int, start: Callable[..., None], *state: Any) -> Iterator[Executor]:
+    """A pool of `jobs` processes, each of which has called `start(*state)`.
+
+    The state travels by file: a worker that dies while starting would otherwise block its parent on a full pipe. Where
+    the block ends with an error or an interrupt, the workers are ended at once.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "state.pickle"
+        file.write_bytes(pickle.dumps((start, state)))
+        pool = ProcessPoolExecutor(jobs, get_context("spawn"), _start, (str(file),))
+        try:
+            yield pool
+        except BaseException:
+            for process in list((pool._processes or {}).values()):
+                process.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start(file: str) -> None:
+    threading.Thread(target=_end_with_spawner, daemon=True).start()
+    start, state = pickle.loads(Path(file).read_bytes())
+    start(*state)
+    # Ended early, a worker still removes the temporary files of what it was doing.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+
+
+def _end_with_spawner() -> None:
+    """End this process when its parent's end of their pipe closes, however that ended: work for nobody is no work."""
+    parent = parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(143)
+
+
+@contextmanager
+def interrupts_held_back() -> Iterator[None]:
+    """While work is handed out (that is when workers are spawned) new processes learn to ignore Ctrl-C.
+
+    The disposition is inherited; the parent's own is put back at the end of the block. Nor do new processes import the script
+    that called: it may have no guard against being run again, or no file at all, and no work of ours is defined there.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+    finally:
+        sys.modules["__main__"] = script
+
+
+def cores() -> int:
+    """Processes worth starting: cores that this process may use, at most eight."""
+    return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+def nothing() -> None:
+    """The `start` of workers that need no state."""
