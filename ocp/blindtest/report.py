@@ -130,9 +130,9 @@ def _made(check: Check) -> list[Part | str]:
     return [
         f"python -m ocp.blindtest --worlds {check.worlds} --seed {check.seed} --kinds {','.join(check.kinds)} --readings "
         f"{check.readings}",
-        "Worlds are drawn by the virtual cell, which shares no code with the diagnosis (tests/test_twin_imports.py). Effects and "
-        "sizes are drawn and sealed with their SHA-256 before the first answer; the answering processes are given the folders of "
-        "the measurements alone; labels are opened when all answers are written.",
+        "Worlds are drawn by the virtual cell, which shares no code with the diagnosis (tests/simulate/test_twin_imports.py). "
+        "Effects and sizes are drawn and sealed with their SHA-256 before the first answer; the answering processes are given "
+        "the folders of the measurements alone; labels are opened when all answers are written.",
         "Lambda is computed from what the virtual machine was drawn with: its own signature of the effect, the instrument's "
         "noise and repeatability, and the variances of placement, nests, springs and masses.",
     ]

@@ -69,6 +69,8 @@ def choose_poses(
             raise BadInput(f"{option} {value:g} must lie between {low:g} and {high:g} {unit}".rstrip())
     if wait is not None and wait_input is not None:
         raise BadInput("--wait and --input exclude each other; give one of them")
+    if tracker is not None and np.shape(tracker) != (3,):
+        raise BadInput(f"--tracker has {np.size(tracker)} numbers; give x, y and z")
     options = PoseOptions(
         count=count,
         criterion=criterion,
