@@ -34,7 +34,8 @@ _ACROSS = np.concatenate([_ACROSS, [0.5], 1.0 - _ACROSS[::-1]])
 _NECK = 0.05  # share of the largest thickness by which a section may be thinner between two thicker places
 _STEEPEST = 3.5  # change of thickness, as a share of the largest, over a share of the chord, off the ends: beyond is a step
 _SPLIT = 1e-3  # share of the perimeter that a second outline may have
-_OPENING, _LUMP = 0.02, 0.06  # area off its smooth course, as a share, that marks an opening and a lump
+_OPENING, _LUMP = 0.02, 0.03  # area off its smooth course, as a share, that marks an opening and a lump
+_JUMP = 0.4  # change of ln(area) from one section to the next that parts two stretches
 _LONGEST_GAP = 0.12  # share of all slices that openings may take in one piece
 _COARSE = 40  # slices to judge a candidate direction
 _FEWEST = 4  # slices that make a stretch
@@ -319,10 +320,16 @@ def _shape_fault(loop: Loop, area: float, perimeter: float) -> str:
 
 
 def _joined_runs(good: NDArray[np.bool_], area: Array) -> list[tuple[int, int]]:
-    """First and one past the last index of stretches of True, joined where only material is missing between them."""
+    """First and one past the last index of stretches of True, parted where the area jumps, joined over missing material."""
     runs: list[tuple[int, int]] = []
-    for first, last in all_runs(good):
-        if runs:
+    jump = np.abs(np.diff(np.log(np.maximum(area, 1e-12)))) > _JUMP
+    pieces = [
+        (first + a, first + b)
+        for first, last in all_runs(good)
+        for a, b in pairwise([0, *(np.flatnonzero(jump[first : last - 1]) + 1), last - first])
+    ]
+    for first, last in pieces:
+        if runs and first > runs[-1][1]:
             gap = slice(runs[-1][1], first)
             before, behind = area[runs[-1][1] - 1], area[first]
             alike = abs(np.log(behind / before)) < 0.15
