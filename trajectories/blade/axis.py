@@ -353,7 +353,7 @@ def _on_course(rows: NDArray[np.int64], area: Array) -> NDArray[np.int64]:
     off = y - course
     typical = float(np.median(np.abs(off)))
     lump = off > max(_LUMP, 8.0 * typical)
-    opening = off < -max(_OPENING, 8.0 * typical)
+    opening = _sharp(off, off < -max(_OPENING, 8.0 * typical))
     pieces = all_runs(~lump)
     first, last = max(pieces, key=lambda piece: piece[1] - piece[0])
     within = np.flatnonzero(~opening[first:last])
@@ -361,6 +361,17 @@ def _on_course(rows: NDArray[np.int64], area: Array) -> NDArray[np.int64]:
         return rows
     opening[: first + within[0]] = opening[first + within[-1] :] = False  # what tapers off at the ends is no opening
     return rows[first:last][~opening[first:last]]
+
+
+def _sharp(off: Array, low: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of the low rows lie between steps down and up; where coarse facets sag the area goes down and up slowly."""
+    sharp = np.zeros(len(low), bool)
+    for first, last in all_runs(low):
+        depth = float(-off[first:last].min())
+        before = off[first - 1] - off[first] if first > 0 else depth
+        behind = off[last] - off[last - 1] if last < len(off) else depth
+        sharp[first:last] = min(before, behind) > 0.4 * depth
+    return sharp
 
 
 def all_runs(good: NDArray[np.bool_]) -> list[tuple[int, int]]:

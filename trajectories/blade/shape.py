@@ -91,8 +91,8 @@ def _told_openings(openings: Array, frame: SpanFrame) -> list[str]:
         return []
     widest = 1e3 * float(np.diff(openings, axis=1).max())
     return [
-        f"The aerofoil has holes or slots at {len(openings)} places along its span, the longest over {widest:.1f} mm: "
-        f"the passes cross them as if the wall went on."
+        f"Sections at {len(openings)} places along the aerofoil, the longest {widest:.1f} mm, are broken by holes or slots, or "
+        f"uneven from coarse facets: they were left out, and passes cross them as if the wall went on."
     ]
 
 
