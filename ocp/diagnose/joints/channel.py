@@ -39,7 +39,6 @@ from robots.tracker_readings import Hanging, Index
 STEPS = 4
 RANK = 1e-12  # of the largest singular value; what the readings say less of stays where it is
 DELAY = "channel_delay"
-OFFSET_UNIT = 1e-4  # rad, of offsets in the fit
 
 
 def seen_by_encoder(effect: Effect) -> bool:
@@ -258,7 +257,7 @@ def fit_encoders(problem: EncoderProblem, active: tuple[Active, ...]) -> tuple[A
     mean = np.append(nuisance.mean, np.zeros(len(coefficients(active))))
     sd = np.append(nuisance.sd, prior_sds(active))
     known = np.isfinite(sd)
-    scale = np.where(known, sd, OFFSET_UNIT)
+    scale = np.where(known, sd, 1.0)
     allowed = np.array([name.split()[0] in FRICTION_SD for name in nuisance.names])
     columns = np.where(allowed, 0.0, nuisance.columns)
     moving = any(one.effect.name == DELAY for one in active)
