@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.bounds import LONGEST_LABEL, MOST_CSV_BYTES, MOST_CSV_LINE, MOST_CSV_VALUES, column_bounds, read_whole
+from robots.column_mapping import ColumnMapping, seconds_of
 from robots.errors import BadInput, shown
 from robots.pose import Array
+
+OURS = ColumnMapping()
 
 # Digits that a person types: float() alone also takes other scripts' digits, and underscores.
 _PLAIN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
@@ -68,43 +71,72 @@ class CsvTable:
 
 
 def read_csv_table(
-    path: str | Path, needed: Sequence[str], optional: Sequence[str] = (), words: Sequence[str] = (), gaps: Sequence[str] = ()
+    path: str | Path,
+    needed: Sequence[str],
+    optional: Sequence[str] = (),
+    words: Sequence[str] = (),
+    gaps: Sequence[str] = (),
+    mapping: ColumnMapping = OURS,
 ) -> CsvTable:
     """Read a file with a header. Numbers lie in the bounds of their columns (robots.bounds); `words` names the columns, needed
     or optional, kept as text.
 
-    In the columns `gaps` an empty cell is nan.
+    In the columns `gaps` an empty cell is nan. `mapping`: how the file's columns become ours.
 
     Comma-separated, decimal points; blank lines and lines that begin with # are passed over. Columns of other names are
     ignored and named in `ignored`. Raises BadInput for everything else.
     """
     path = Path(path)
-    header, rows, lines = _cells(path, needed)
+    theirs, rows, lines = _cells(path, needed, mapping)
+    header = mapping.header(path, theirs)
     known = [c for c in header if c in needed or c in optional]
-    for column in known:
-        if header.count(column) > 1:
+    made = {c: mapping.sources(c) if c in mapping.columns else (c,) for c in known}
+    for column in (source for sources in made.values() for source in sources):
+        if theirs.count(column) > 1:
             raise BadInput(f"{path}: column {column} stands there twice; remove one")
     numbers: dict[str, Array] = {}
     texts: dict[str, list[str]] = {}
-    for k, column in enumerate(header):
-        if column not in known:
-            continue
-        cells = [row[k] for row in rows]
+    for column, sources in made.items():
+        found = {source: [row[theirs.index(source)] for row in rows] for source in sources}
+        cells = ["+".join(parts) for parts in zip(*found.values(), strict=True)] or ["a constant"] * len(rows)
         if column in words:
             _check_words(path, lines, column, cells)
             texts[column] = cells
+            continue
+        dates = mapping.seconds(column)
+        read = [_numbers(path, lines, name, texts_, column in gaps, mapping, dates) for name, texts_ in found.items()]
+        if dates:
+            numbers[column] = read[0] - read[0][0]
+        elif column in mapping.columns:
+            numbers[column] = mapping.values(column, read, len(rows))
         else:
-            holes = column in gaps
-            pairs = zip(lines, cells, strict=True)
-            read = [np.nan if holes and not cell else _number(path, n, column, cell) for n, cell in pairs]
-            numbers[column] = np.array(read)
-            _check_bounds(path, lines, column, numbers[column], cells)
+            numbers[column] = read[0]
+        _check_bounds(path, lines, column, numbers[column], cells)
     return CsvTable(path, numbers, texts, lines, tuple(c for c in header if c not in known))
 
 
-def _cells(path: Path, needed: Sequence[str]) -> tuple[list[str], list[list[str]], list[int]]:
+def _numbers(
+    path: Path, lines: list[int], column: str, cells: list[str], holes: bool, mapping: ColumnMapping, dates: str
+) -> Array:
+    """Cells as numbers (n,), `holes`: empty ones as nan; `dates`: as seconds of dates in that form. Raises BadInput."""
+    if not dates:
+        signs = [cell.replace(mapping.decimal, ".") if mapping.decimal != "." else cell for cell in cells]
+        pairs = zip(lines, signs, strict=True)
+        return np.array([np.nan if holes and not cell else _number(path, n, column, cell) for n, cell in pairs])
+    found = []
+    for n, cell in zip(lines, cells, strict=True):
+        try:
+            found.append(seconds_of(cell, dates))
+        except ValueError:
+            raise BadInput(
+                f"{path}, line {n}, column {column}: '{shown(cell)}' is no time of the form {dates}; correct it"
+            ) from None
+    return np.array(found)
+
+
+def _cells(path: Path, needed: Sequence[str], mapping: ColumnMapping) -> tuple[list[str], list[list[str]], list[int]]:
     """Header, rows and the line of each row."""
-    reader = csv.reader(_lines_of(path))
+    reader = csv.reader(_lines_of(path), delimiter=mapping.separator, skipinitialspace=mapping.separator == " ")
     header: list[str] = []
     rows: list[list[str]] = []
     lines: list[int] = []
@@ -115,7 +147,7 @@ def _cells(path: Path, needed: Sequence[str]) -> tuple[list[str], list[list[str]
                 continue
             if not header:
                 header = cells
-                _check_header(path, header, reader.line_num, needed)
+                _check_header(path, header, reader.line_num, needed, mapping)
             elif len(cells) != len(header):
                 raise BadInput(
                     f"{path}, line {reader.line_num}: {len(cells)} values where the header names {len(header)} columns; "
@@ -168,12 +200,13 @@ def _check_bounds(path: Path, lines: list[int], column: str, values: Array, cell
         )
 
 
-def _check_header(path: Path, header: list[str], number: int, needed: Sequence[str]) -> None:
-    if len(header) == 1 and ";" in header[0]:
-        raise BadInput(f"{path}, line {number}: values are separated by semicolons; separate them by commas")
-    if len(header) == 1 and "\t" in header[0]:
-        raise BadInput(f"{path}, line {number}: values are separated by tabs; separate them by commas")
-    missing = [column for column in needed if column not in header]
+def _check_header(path: Path, header: list[str], number: int, needed: Sequence[str], mapping: ColumnMapping) -> None:
+    for sign, name in ((",", "commas"), (";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and sign in header[0]:
+            what = "separate them by commas" if mapping is OURS else f"say so in {mapping.path} (separator)"
+            raise BadInput(f"{path}, line {number}: values are separated by {name}; {what}")
+    ours = mapping.header(path, header)
+    missing = [column for column in needed if column not in ours]
     if missing:
         raise BadInput(
             f"{path}, line {number}: column{'s' if len(missing) > 1 else ''} {', '.join(missing)} missing; the header "

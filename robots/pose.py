@@ -36,6 +36,21 @@ def rotation_from_abc(abc: ArrayLike) -> Array:
     return rot_z(abc[..., 0]) @ rot_y(abc[..., 1]) @ rot_x(abc[..., 2])
 
 
+_LETTERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "xyx", "xzx", "yxy", "yzy", "zxz", "zyz")
+ROTATION_ORDERS = tuple(f"{order}_{kind}" for kind in ("intrinsic", "extrinsic") for order in _LETTERS)
+
+
+def rotations_in_order(angles: ArrayLike, order: str) -> Array:
+    """Rotations (..., 3, 3) of three angles (..., 3) rad in one of ROTATION_ORDERS: turns about the letters one after the other,
+    about axes that turn along (intrinsic) or stay (extrinsic). Where each letter stands once the angles are those about x, y
+    and z, else those of the first, second and third turn."""
+    letters, kind = order.split("_")
+    places = ["xyz".index(c) for c in letters] if len(set(letters)) == 3 else [0, 1, 2]
+    turned = np.asarray(angles, float)[..., places]
+    axes = letters.upper() if kind == "intrinsic" else letters  # SciPy's capital letters turn along
+    return np.asarray(Rotation.from_euler(axes, turned.reshape(-1, 3)).as_matrix()).reshape(*turned.shape[:-1], 3, 3)
+
+
 def abc_from_rotation(R: ArrayLike) -> Array:
     """KUKA Euler angles A, B, C (..., 3) rad of rotations (..., 3, 3), B in [-pi/2, pi/2].
 

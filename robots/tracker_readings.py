@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from robots.csv_table import CsvTable, read_csv_table
+from robots.column_mapping import ColumnMapping
+from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
-from robots.pose import Array
+from robots.pose import Array, rotations_in_order
 
 Index = NDArray[np.int64]
 
@@ -18,6 +18,7 @@ POINT = ("x_mm", "y_mm", "z_mm")
 LOAD = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 PLACE = ("lx_mm", "ly_mm", "lz_mm")
 TURN = ("rx_deg", "ry_deg", "rz_deg")
+ROTATION = "zyx_intrinsic"  # order in which they turn: R = Rz(rz) Ry(ry) Rx(rx)
 APPROACH = tuple(f"approach{i}" for i in range(1, 7))
 WORDS = ("target", "payload", "session", "station")
 OPTIONAL = (*POINT, *WORDS, "time_s", "temperature_C", *APPROACH, *LOAD, *PLACE, "load_link", "sigma_um", *TURN, "sigma_rot_deg")
@@ -132,13 +133,16 @@ class Readings:
         return np.asarray(np.unique(np.hstack(keys), axis=0, return_inverse=True)[1], np.int64).ravel()
 
 
-def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: Instrument, sealed: bool = False) -> Readings:
-    """Readings of a tracker.csv; `sealed` files have conditions to predict and no measured columns.
+def read_readings(
+    path: str | Path, payloads: dict[str, Hanging], instrument: Instrument, sealed: bool = False, mapping: ColumnMapping = OURS
+) -> Readings:
+    """Readings of a tracker.csv; `sealed` files have conditions to predict and no measured columns; mapping: how a table made by
+    others becomes one of ours.
 
     Raises BadInput: as `read_csv_table`, and a payload, target, sign or link that does not exist.
     """
     needed = AXES if sealed else (*AXES, *POINT)
-    table = read_csv_table(path, needed, OPTIONAL, WORDS, (*POINT, *TURN, "sigma_rot_deg"))
+    table = read_csv_table(path, needed, OPTIONAL, WORDS, (*POINT, *TURN, "sigma_rot_deg"), mapping)
     notices = _notices(table, payloads)
     if not sealed:
         table = _without_gaps(table, notices)
@@ -154,7 +158,7 @@ def read_readings(path: str | Path, payloads: dict[str, Hanging], instrument: In
     payload, names = _words(table, "payload", tuple(payloads) if payloads else None, "payloads")
     station, stations = _words(table, "station")
     session, sessions = _words(table, "session")
-    turn = _turns(table)
+    turn = _turns(table, mapping.rotation or ROTATION)
     turn_sd = table.column("sigma_rot_deg", np.pi / 180.0, lambda v: v <= 0, "above 0")
     return Readings(
         path=table.path,
@@ -214,7 +218,7 @@ def _without_gaps(table: CsvTable, notices: list[str]) -> CsvTable:
     return replace(table, numbers=numbers, words=words, line=[table.line[i] for i in keep])
 
 
-def _turns(table: CsvTable) -> Array | None:
+def _turns(table: CsvTable, order: str) -> Array | None:
     """Orientations (n, 3, 3) of 6D targets, nan where a row has none; None where no row has one."""
     if not _all(table, TURN):
         return None
@@ -223,7 +227,7 @@ def _turns(table: CsvTable) -> Array | None:
     if not known.any():
         return None
     turns = np.full((len(table), 3, 3), np.nan)
-    turns[known] = Rotation.from_euler("xyz", angles[known], degrees=True).as_matrix()
+    turns[known] = rotations_in_order(np.radians(angles[known]), order)
     return turns
 
 

@@ -17,6 +17,9 @@ def _calibrate(
     cell: Annotated[Path, typer.Option(help="the cell file")],
     force: Annotated[Path | None, typer.Option(help="grinding-force log of a force ladder, force.csv")] = None,
     method: Annotated[str, typer.Option(help="full, geometry, relative or relative-literal")] = "full",
+    columns: Annotated[
+        Path | None, typer.Option(help="mapping file: which of a table's columns is which (docs/formats.md)")
+    ] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("calibration"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
@@ -27,7 +30,14 @@ def _calibrate(
         with shown_progress() as progress:
             return answer(
                 interface.calibrate(
-                    tracker, cell=cell, out=out, force=force, method=method, overwrite=overwrite, progress=progress
+                    tracker,
+                    cell=cell,
+                    out=out,
+                    force=force,
+                    method=method,
+                    columns=columns,
+                    overwrite=overwrite,
+                    progress=progress,
                 )
             )
 

@@ -9,11 +9,13 @@ from ocp.calibrate.files import CalibrationResult, tracker_calibration, write_tr
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.registration import fit_force
 from ocp.calibrate.report.pages import contact_sections
-from ocp.calibrate.tracker import calibrate_tracker
+from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
 from ocp.model.cell import Cell, files_of, read_cell
 from ocp.report.section import Section
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
+from robots.column_mapping import ColumnMapping, read_column_mapping
+from robots.csv_table import OURS
 from robots.errors import BadInput, Infeasible
 
 
@@ -24,30 +26,33 @@ def calibrate(
     out: str | Path,
     force: str | Path | None = None,
     method: str = "full",
+    columns: str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> CalibrationResult:
     """Calibrate the robot of `cell` from the readings `tracker` (tracker.csv) and, with the log `force` of a force ladder
     (force.csv), the contact of wheel and blade; write calibration, cell and report into the folder `out`.
 
-    method: full, geometry, relative or relative-literal. Raises BadInput: an argument or a file is not what it should be;
+    method: full, geometry, relative or relative-literal; columns: a mapping file, for tables made by others (docs/formats.md).
+    Raises BadInput: an argument or a file is not what it should be;
     Infeasible: the readings cannot be judged. Nothing is written then.
     """
     readings, cell_file, folder, phases = Path(tracker), Path(cell), Path(out), Phases(progress)
-    inputs = [readings, *([] if force is None else [Path(force)]), *files_of(cell_file)]
+    inputs = [readings, *(Path(file) for file in (force, columns) if file is not None), *files_of(cell_file)]
     sealed = [file for given in inputs[:2] for file in given.parent.glob("sealed_*.csv")]
     with reserved(folder, overwrite, [*inputs, *sealed]) as output:
         for file in inputs:
             if not file.is_file():
                 raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
-        return _calibrated(readings, cell_file, None if force is None else Path(force), method, inputs, output, phases)
+        mapping = OURS if columns is None else read_column_mapping(columns)
+        ground = None if force is None else _ground(cell_file, Path(force), mapping)
+        made = calibrate_tracker(readings, cell_file, method, phases, mapping)
+        return _calibrated(made, ground, inputs, output, phases)
 
 
 def _calibrated(
-    readings: Path, cell_file: Path, force: Path | None, method: str, inputs: list[Path], output: Output, phases: Phases
+    made: TrackerCalibration, ground: tuple[Cell, ForceLog] | None, inputs: list[Path], output: Output, phases: Phases
 ) -> CalibrationResult:
-    ground = None if force is None else _ground(cell_file, force)
-    made = calibrate_tracker(readings, cell_file, method, phases)
     if not len(made.methods.before):
         path = made.fit.campaign.readings.path
         raise Infeasible(f"{path}: too few readings, outliers apart, to leave any out and judge the rest; measure more poses")
@@ -62,12 +67,12 @@ def _calibrated(
 UNITS = 30.0  # kilonewtons and grams-force are farther off than any setpoint of a ladder
 
 
-def _ground(cell_file: Path, force: Path) -> tuple[Cell, ForceLog]:
+def _ground(cell_file: Path, force: Path, mapping: ColumnMapping) -> tuple[Cell, ForceLog]:
     """The cell, without what is known of it already, and the log of what was ground in it.
 
     Raises BadInput: the cell has no blade or wheel, the log is malformed or is not of this cell.
     """
-    log = read_force_log(force)
+    log = read_force_log(force, mapping=mapping)
     cell = read_cell(cell_file)
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell_file}: workpiece.stl is missing; a force log needs the blade that was ground")

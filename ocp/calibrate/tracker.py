@@ -23,6 +23,8 @@ from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign, OpenDirection
 from robots.calibration.store import Calibration
 from robots.calibration.validation import FOLDS, GROSS, FoldErrors, folds, hold_out, validate
+from robots.column_mapping import ColumnMapping
+from robots.csv_table import OURS
 from robots.errors import BadInput
 from robots.pose import Array, abc_by_spin, abc_from_rotation
 from robots.tracker_readings import WORDS, Readings, read_readings
@@ -81,10 +83,12 @@ class TrackerCalibration:
         return np.asarray(np.linalg.norm(self.fit.residual[:, :3], axis=1))
 
 
-def calibrate_tracker(tracker: Path, cell: Path, method: str, phases: Phases) -> TrackerCalibration:
-    """Read, check, fit and judge. Raises BadInput of every part."""
+def calibrate_tracker(
+    tracker: Path, cell: Path, method: str, phases: Phases, mapping: ColumnMapping = OURS
+) -> TrackerCalibration:
+    """Read by `mapping`, check, fit and judge. Raises BadInput of every part."""
     try:
-        return _calibrate(tracker, cell, method, phases)
+        return _calibrate(tracker, cell, method, phases, mapping)
     except OpenDirection as error:
         what = ", ".join(dict.fromkeys(described(name) for name in error.names))
         raise BadInput(
@@ -93,19 +97,19 @@ def calibrate_tracker(tracker: Path, cell: Path, method: str, phases: Phases) ->
         ) from None
 
 
-def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases) -> TrackerCalibration:
+def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: ColumnMapping) -> TrackerCalibration:
     if method not in METHODS:
         raise BadInput(f"--method '{method}' is not one of {', '.join(METHODS)}")
     with phases.phase("readings"):
         setup = read_tracker_setup(cell)
-        readings = read_readings(tracker, setup.payloads, setup.instrument)
+        readings = read_readings(tracker, setup.payloads, setup.instrument, mapping=mapping)
         campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
         _refuse_few(readings)
         refuse_mistakes(campaign)
         beside = tracker.parent / SEALED
         sealed = None
         if beside.exists() and beside.resolve() != tracker.resolve():
-            sealed = as_in(read_readings(beside, setup.payloads, setup.instrument, sealed=True), readings)
+            sealed = as_in(read_readings(beside, setup.payloads, setup.instrument, True, mapping), readings)
     with phases.phase("fit"):
         choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
         first = fit_campaign(campaign, choice)

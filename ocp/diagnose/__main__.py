@@ -24,6 +24,9 @@ def _catalogue() -> str | None:
 def _diagnose(
     folder: Annotated[Path | None, typer.Argument(help="data set: cell.toml with tracker.csv, force.csv, joints.csv")] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("diagnosis"),
+    columns: Annotated[
+        Path | None, typer.Option(help="mapping file: which of a table's columns is which (docs/formats.md)")
+    ] = None,
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
     design: Annotated[Path | None, typer.Option(help="a cell: what a planned measurement could see, before any data")] = None,
     poses: Annotated[
@@ -57,7 +60,7 @@ def _diagnose(
         from ocp.diagnose import interface
 
         with shown_progress() as progress:
-            return answer(interface.diagnose(folder, out=out, overwrite=overwrite, progress=progress))
+            return answer(interface.diagnose(folder, out=out, columns=columns, overwrite=overwrite, progress=progress))
 
     sys.exit(run(job, "not diagnosed"))
 

@@ -56,7 +56,8 @@ def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
             from ocp.diagnose.force.channel import force_channel  # blade and contact: only for those who measured force
 
             assert data.cell is not None
-            found.append(force_channel(data.cell, data.log, None if data.readings is None else data.folder / TRACKER))
+            readings = None if data.readings is None else data.folder / TRACKER
+            found.append(force_channel(data.cell, data.log, readings, mapping=data.mapping))
     if data.joints is not None:
         with phases.phase("joints"):
             from ocp.diagnose.joints.channel import joint_channel
@@ -113,12 +114,12 @@ _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
 NEVER = frozenset({"speed"})  # no column of readings at rest
 
 
-def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = None) -> Answer:
-    """Diagnose a folder with the effects `known` (default: all). Shrinkage is predicted here, from the folds alone; sealed files
-    are not opened. Raises BadInput."""
+def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = None, columns: Path | None = None) -> Answer:
+    """Diagnose a folder with the effects `known` (default: all); columns: a mapping file. Shrinkage is predicted here, from
+    the folds alone; sealed files are not opened. Raises BadInput."""
     known = library() if known is None else known
     with phases.phase("reading"):
-        data = read_data_set(folder)
+        data = read_data_set(folder, columns)
     channels = channels_of(data, phases)
     with phases.phase("diagnosis"):
         found = diagnose_channels(channels, known)
@@ -190,20 +191,21 @@ class DiagnosisResult:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # threads only fight over matrices as small as these
-def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases) -> DiagnosisResult:
-    """Diagnose a data set folder and write the answer's folder.
+def write_diagnosis(folder: Path, out: Path, overwrite: bool, phases: Phases, columns: Path | None = None) -> DiagnosisResult:
+    """Diagnose a data set folder and write the answer's folder; columns: the mapping file of its tables.
 
     Raises BadInput and Infeasible of every part; then `out` is as it was.
     """
     inputs = [folder, *(files_of(folder / "cell.toml") if (folder / "cell.toml").is_file() else [])]
+    inputs += [] if columns is None else [columns]
     with reserved(out, overwrite, inputs) as output:
-        return _written(folder, output, phases)
+        return _written(folder, output, phases, columns)
 
 
-def _written(folder: Path, output: Output, phases: Phases) -> DiagnosisResult:
+def _written(folder: Path, output: Output, phases: Phases, columns: Path | None) -> DiagnosisResult:
     out = output.named
     with drawn_beside() as draw:
-        answer = answer_of(folder, phases)
+        answer = answer_of(folder, phases, columns=columns)
         page = draw(answer, {p.name: sha256(p) for p in answer.data.inputs})
         with phases.phase("predictions"):
             sealed = predict_sealed(answer)

@@ -11,6 +11,8 @@ from ocp.diagnose.joints.log import JointLog, read_joint_log
 from ocp.diagnose.rules import FORCE_UNIT_FACTOR, LEAST_READINGS
 from ocp.model.cell import Cell, TrackerSetup, files_of, read_cell, read_tracker_setup
 from ocp.model.cell_schema import CellTables
+from robots.column_mapping import ColumnMapping, read_column_mapping
+from robots.csv_table import OURS
 from robots.errors import BadInput
 from robots.tracker_readings import BLIND, Hanging, Readings, read_readings
 
@@ -24,7 +26,8 @@ class DataSet:
     """What a folder holds; None where a signal was not measured.
 
     setup: the cell as far as tracker and joints need it; cell: with wheel and blade, where force was measured; inputs: files
-    that were read; sealed: files of conditions to predict, by signal; notices, and what missing columns blind, in sentences.
+    that were read; sealed: files of conditions to predict, by signal; notices, and what missing columns blind, in sentences;
+    mapping: how the tables became ours.
     """
 
     folder: Path
@@ -37,6 +40,7 @@ class DataSet:
     sealed: dict[str, Path]
     notices: tuple[str, ...]
     blind: tuple[str, ...]
+    mapping: ColumnMapping = OURS
 
     @property
     def payload(self) -> Hanging:
@@ -46,8 +50,8 @@ class DataSet:
         return payloads[named] if named is not None else next(iter(payloads.values()), Hanging())
 
 
-def read_data_set(folder: str | Path) -> DataSet:
-    """Read and check a folder; sealed files are found, not opened.
+def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
+    """Read and check a folder, its tables by the mapping file `columns` where one is given; sealed files are found, not opened.
 
     Raises BadInput: no such folder, no cell, no measurement, and every fault of a file, with its line and column.
     """
@@ -61,16 +65,17 @@ def read_data_set(folder: str | Path) -> DataSet:
     if not found:
         raise BadInput(f"{folder}: holds none of {', '.join(MEASURED)}; nothing was measured, so nothing can be diagnosed")
     setup = read_tracker_setup(folder / CELL)
+    mapping = OURS if columns is None else read_column_mapping(columns)
     readings = log = joints = cell = None
     if TRACKER in found:
-        readings = read_readings(folder / TRACKER, setup.payloads, setup.instrument)
+        readings = read_readings(folder / TRACKER, setup.payloads, setup.instrument, mapping=mapping)
         _check_readings(readings)
     if FORCE in found:
         cell = _grinding_cell(folder, setup.tables)
-        log = read_force_log(folder / FORCE)
+        log = read_force_log(folder / FORCE, mapping=mapping)
         _check_units(cell, log)
     if JOINTS in found:
-        joints = read_joint_log(folder / JOINTS)
+        joints = read_joint_log(folder / JOINTS, mapping)
     sealed = {signal: folder / name for signal, name in SEALED.items() if (folder / name).is_file()}
     told = [n for part in (readings, log, joints) if part is not None for n in part.notices]
     blind = tuple(n for n in told if blinds(n))
@@ -83,22 +88,24 @@ def read_data_set(folder: str | Path) -> DataSet:
         readings=readings,
         log=log,
         joints=joints,
-        inputs=(*files_of(folder / CELL), *(folder / name for name in found)),
+        inputs=(*files_of(folder / CELL), *(folder / name for name in found), *([] if columns is None else [columns])),
         sealed={s: p for s, p in sealed.items() if learnt[p] in found},
         notices=tuple([n for n in told if n not in blind] + orphans),
         blind=(*blind, *_not_measured(found)),
+        mapping=mapping,
     )
 
 
 def read_sealed_tracker(data: DataSet) -> Readings:
     """Conditions of sealed_tracker.csv, stations numbered as in tracker.csv. Raises BadInput as the readers."""
     assert data.readings is not None
-    return as_in(read_readings(data.sealed["tracker"], data.setup.payloads, data.setup.instrument, sealed=True), data.readings)
+    sealed = read_readings(data.sealed["tracker"], data.setup.payloads, data.setup.instrument, True, data.mapping)
+    return as_in(sealed, data.readings)
 
 
 def read_sealed_force(data: DataSet) -> ForceLog:
     """Conditions of sealed_force.csv. Raises BadInput as the reader."""
-    return read_force_log(data.sealed["force"], sealed=True)
+    return read_force_log(data.sealed["force"], True, data.mapping)
 
 
 def _grinding_cell(folder: Path, tables: CellTables) -> Cell:

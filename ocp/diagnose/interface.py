@@ -7,14 +7,20 @@ from ocp.shell.progress import Phases, Progress
 
 
 def diagnose(
-    folder: str | Path, *, out: str | Path, overwrite: bool = False, progress: Progress | None = None
+    folder: str | Path,
+    *,
+    out: str | Path,
+    columns: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
 ) -> DiagnosisResult:
     """Diagnose the data set `folder` (cell.toml with any of tracker.csv, force.csv, joints.csv) and write diagnosis.json, the
-    corrected cell, predictions of sealed conditions and the report into the folder `out`.
+    corrected cell, predictions of sealed conditions and the report into the folder `out`. columns: a mapping file, for tables
+    made by others (docs/formats.md).
 
     Raises BadInput: a file is not what it should be; Infeasible: the believed cell cannot be fitted. Nothing is written then.
     """
-    return write_diagnosis(Path(folder), Path(out), overwrite, Phases(progress))
+    return write_diagnosis(Path(folder), Path(out), overwrite, Phases(progress), None if columns is None else Path(columns))
 
 
 def judge_measurement(cell: str | Path, *, poses: str | Path | None = None, log: str | Path | None = None) -> str:

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.csv_table import CsvTable, read_csv_table
+from robots.column_mapping import ColumnMapping
+from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array
 
@@ -88,15 +89,16 @@ class ForceLog:
         return replace(self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)})
 
 
-def read_force_log(path: str | Path, sealed: bool = False) -> ForceLog:
-    """The rows of a force.csv; `sealed` files hold conditions to predict, without fn_N.
+def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMapping = OURS) -> ForceLog:
+    """The rows of a force.csv; `sealed` files hold conditions to predict, without fn_N; mapping: how a table made by
+    others becomes one of ours.
 
     Raises BadInput: as `read_csv_table`, and for vectors that are not unit or not square to each other, times that run
     back, flags, counts, feeds, setpoints and sigmas out of range, a force that is negative nearly throughout, no contact.
     """
     vectors = (*POINT, *NORMAL, *FEED)
     needed = ("run", "time_s", *AXES, *vectors, *(() if sealed else ("fn_N",)))
-    table = read_csv_table(path, needed, (*OPTIONAL, "fn_N"), ("run", "session"))
+    table = read_csv_table(path, needed, (*OPTIONAL, "fn_N"), ("run", "session"), (), mapping)
     n, t = table.stack(NORMAL), table.stack(FEED)
     _check_vectors(table, n, t)
     for column, words in table.words.items():

@@ -38,6 +38,8 @@ from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
 from ocp.model.cell import Cell
 from robots.calibration.store import Calibration
+from robots.column_mapping import ColumnMapping
+from robots.csv_table import OURS
 from robots.gravity import weight_torques
 from robots.pose import Array
 
@@ -245,18 +247,20 @@ def force_channel(
     tracker: Path | TrackerChannel | None = None,
     arm: Calibration | None = None,
     effects: Iterable[Effect] | None = None,
+    mapping: ColumnMapping = OURS,
 ) -> ForceChannel:
     """The believed contact fitted to a log.
 
     The arm's prior is `arm`, else what the readings `tracker` say of the believed arm (a channel: with its active effects too),
-    else the cell's. `effects`: those whose fast patterns are kept (default: the library). Raises BadInput, Infeasible: as
+    else the cell's. `effects`: those whose fast patterns are kept (default: the library); mapping: of
+    the readings. Raises BadInput, Infeasible: as
     `prepare_force` and the fit.
     """
     channel = tracker if isinstance(tracker, TrackerChannel) else None
     if arm is None and channel is not None:
         arm = arm_with_effects(channel, ())
     elif arm is None and isinstance(tracker, Path):
-        arm = arm_from_tracker(tracker, cell.path)
+        arm = arm_from_tracker(tracker, cell.path, mapping)
     read_off = None if cell.flange is None else with_setpoints_read_off(log, cell.flange.setpoint)
     log, more = (log, ()) if read_off is None else (read_off[0], read_off[1:])
     problem = problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.csv_table import CsvTable, read_csv_table
+from robots.column_mapping import ColumnMapping
+from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array
 from robots.tracker_readings import Index
@@ -54,13 +55,13 @@ class JointLog:
         return replace(self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)})
 
 
-def read_joint_log(path: str | Path) -> JointLog:
-    """The rows of a joints.csv.
+def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS) -> JointLog:
+    """The rows of a joints.csv; mapping: how a table made by others becomes one of ours.
 
     Raises BadInput: as `read_csv_table`; no link column; times that do not grow inside a run; a link side that has another
     unit or counts the other way; too few rows; no joint with a link side that moved.
     """
-    table = read_csv_table(path, ("run", "time_s", *AXES), (*LINK, *TORQUE, *SPEED), ("run",), (*LINK, *TORQUE, *SPEED))
+    table = read_csv_table(path, ("run", "time_s", *AXES), (*LINK, *TORQUE, *SPEED), ("run",), (*LINK, *TORQUE, *SPEED), mapping)
     if not any(c in table.numbers for c in LINK):
         raise BadInput(f"{table.path}: none of the columns link1_deg .. link6_deg is there; the link side is what is compared")
     run, runs = table.labels("run")

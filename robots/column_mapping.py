@@ -1,0 +1,191 @@
+"""A table made by others as one of ours: which column is which, in which unit, sign and zero (FORMATS, "Mapping").
+
+    separator = ";"                 # default ","
+    decimal = ","                   # default "."
+    rotation = "xyz_intrinsic"      # of rx_deg, ry_deg, rz_deg, as in [tracker]
+
+    [q1_deg]                        # a column of ours
+    from = "shoulder_pan_joint"     # theirs; a list is summed; [] with an offset is a constant; default: the same name
+    unit = "rad"                    # theirs; default: ours
+    sign = -1                       # or a list, one for each of `from`
+    offset = 90.0                   # added after that, in our unit
+
+Some units are no factors: a time as a date of digits ("%Y%m%d%H%M%S", as strptime has it) is seconds since the first row;
+"step_deg" or "step_rad" of approach1 .. approach6 is the sign by which an angle changed since the row before, for campaigns that
+say where they drove but not from where.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field, ValidationError, field_validator
+
+from robots.bounds import COLUMNS
+from robots.errors import BadInput, shown
+from robots.pose import ROTATION_ORDERS, Array
+from robots.toml_files import TomlTable, parse_toml
+
+_LENGTH = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "in": 25.4}
+_ANGLE = {"deg": 1.0, "rad": 180.0 / np.pi, "mrad": 0.18 / np.pi, "arcmin": 1.0 / 60.0, "arcsec": 1.0 / 3600.0, "rev": 360.0}
+_FORCE = {"N": 1.0, "kN": 1e3, "mN": 1e-3}
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
+# Units of a column by the end of its name, longer ends first; what one of theirs is of ours.
+UNITS: dict[str, dict[str, float]] = {
+    "_deg_s": {f"{u}/s": f for u, f in _ANGLE.items()} | {"rpm": 6.0},
+    "_mm_s": {f"{u}/s": f for u, f in _LENGTH.items()},
+    "_m_s": {f"{u}/s": 1e-3 * f for u, f in _LENGTH.items()},
+    "_Nm": {"Nm": 1.0, "kNm": 1e3, "Nmm": 1e-3},
+    "_mm": _LENGTH,
+    "_um": {u: 1e3 * f for u, f in _LENGTH.items()},
+    "_deg": _ANGLE,
+    "_N": _FORCE,
+    "_s": _TIME,
+    "_C": {"C": 1.0, "K": 1.0, "F": 5.0 / 9.0},
+}
+ZERO = {"K": -273.15, "F": -160.0 / 9.0}  # deg C at zero of the scale
+APPROACH, MOVED = "approach", 0.01  # deg: less is no motion of an axis
+STEPS = {"step_deg": 1.0, "step_rad": 180.0 / np.pi}
+OTHERS = ("target", "payload", "session", "station", "run", "contact", "load_link")  # columns without a unit
+SEPARATORS = (",", ";", "\t", "|", " ")
+
+
+class MappedColumn(TomlTable):
+    """Where a column of ours comes from: sum of sign times theirs in our unit, and offset."""
+
+    source: tuple[str, ...] | None = Field(default=None, alias="from")
+    unit: str | None = None
+    sign: tuple[float, ...] = (1.0,)
+    offset: float = Field(default=0.0, ge=-1e9, le=1e9)
+
+    @field_validator("source", "sign", mode="before")
+    @classmethod
+    def _listed(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str | int | float) and not isinstance(value, bool) else value
+
+    @field_validator("sign")
+    @classmethod
+    def _signs(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if not value or any(abs(v) != 1.0 for v in value):
+            raise ValueError("sign must be 1 or -1, or a list of these, one for each of from")
+        return value
+
+
+class _MappingTables(TomlTable):
+    """The keys that are no column."""
+
+    separator: str = ","
+    decimal: str = "."
+    rotation: str | None = None
+
+
+@dataclass(frozen=True)
+class ColumnMapping:
+    """A mapping file: separator, decimal sign, order of rotations (None: the cell's), tables by our column."""
+
+    path: Path | None = None
+    separator: str = ","
+    decimal: str = "."
+    rotation: str | None = None
+    columns: dict[str, MappedColumn] = field(default_factory=dict)
+
+    def header(self, path: Path, header: Sequence[str]) -> list[str]:
+        """Our names of what a file with this header holds: its columns that no table uses, then those that tables make. A table
+        whose columns the file lacks makes nothing. Raises BadInput: part of a table's columns is there."""
+        made = []
+        for name in self.columns:
+            sources = self.sources(name)
+            there = [s for s in sources if s in header]
+            if there and len(there) < len(sources):
+                lacking = ", ".join(s for s in sources if s not in header)
+                raise BadInput(
+                    f"{path}: column {shown(lacking)} is missing, which {self.path} makes {name} of; correct one of them"
+                )
+            if len(there) == len(sources):
+                made.append(name)
+        used = {s for name in made for s in self.sources(name)}
+        return [*(h for h in header if h not in used and h not in made), *made]
+
+    def sources(self, name: str) -> tuple[str, ...]:
+        """Their columns of which a column of ours is made."""
+        given = self.columns[name].source
+        return (name,) if given is None else given
+
+    def values(self, name: str, theirs: Sequence[Array], n: int) -> Array:
+        """A column (n,) of ours from theirs (n,) each."""
+        column = self.columns[name]
+        unit = column.unit or ""
+        signs = column.sign * len(theirs) if len(column.sign) == 1 else column.sign
+        total: Array = sum((s * v for s, v in zip(signs, theirs, strict=True)), np.zeros(n))
+        if unit in STEPS:
+            step = STEPS[unit] * np.diff(total, prepend=total[:1])
+            return np.where(np.abs(step) > MOVED, np.sign(step), 0.0)
+        factors = _units_of(name)
+        return np.asarray(total * factors.get(unit, 1.0) + ZERO.get(unit, 0.0) * bool(factors) + column.offset)
+
+    def seconds(self, name: str) -> str:
+        """The form of a column of dates; empty where it is none."""
+        unit = self.columns[name].unit or "" if name in self.columns else ""
+        return unit if "%" in unit else ""
+
+
+def seconds_of(text: str, form: str) -> float:
+    """Seconds of a date in the form of strptime. Raises ValueError."""
+    return (datetime.strptime(text, form) - datetime(1970, 1, 1)).total_seconds()
+
+
+def read_column_mapping(path: str | Path) -> ColumnMapping:
+    """Read a mapping file.
+
+    Raises BadInput: as `parse_toml`; an unknown key, separator or unit; signs that are none or not one for each source.
+    """
+    path = Path(path)
+    _, data = parse_toml(path, "mapping")
+    plain = {key: value for key, value in data.items() if not isinstance(value, dict)}
+    tables = {key: value for key, value in data.items() if isinstance(value, dict)}
+    head = _checked(path, "", _MappingTables, plain)
+    if head.separator not in SEPARATORS:
+        raise BadInput(f"{path}: separator = '{shown(head.separator)}' is none of , ; tab | and blank; correct it")
+    if head.decimal not in (".", ",") or head.decimal == head.separator:
+        raise BadInput(f"{path}: decimal = '{shown(head.decimal)}' must be a point or a comma, another sign than separator")
+    if head.rotation is not None and head.rotation not in ROTATION_ORDERS:
+        raise BadInput(f"{path}: rotation = '{shown(head.rotation)}' is none of {', '.join(ROTATION_ORDERS)}")
+    columns = {name: _checked(path, name, MappedColumn, table) for name, table in tables.items()}
+    for name, column in columns.items():
+        _check_column(path, name, column)
+    return ColumnMapping(path, head.separator, head.decimal, head.rotation, columns)
+
+
+def _checked(path: Path, name: str, schema: Any, table: dict[str, Any]) -> Any:
+    try:
+        return schema.model_validate(table)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        key = ".".join(str(k) for k in (name, *fault["loc"]) if k != "")
+        known = ", ".join(f.alias or k for k, f in schema.model_fields.items())
+        what = f"is no key of a mapping; known here: {known}" if fault["type"] == "extra_forbidden" else fault["msg"]
+        raise BadInput(f"{path}: {shown(key, 80)} = {shown(repr(fault.get('input')))}: {what}; correct it") from None
+
+
+def _check_column(path: Path, name: str, column: MappedColumn) -> None:
+    """Raises BadInput: unit, signs or offset that this column cannot have."""
+    if not (_units_of(name) or name in OTHERS or name in COLUMNS or name.startswith(APPROACH)):
+        raise BadInput(
+            f"{path}: [{shown(name)}] is no column of tracker.csv, force.csv or joints.csv; docs/formats.md lists them"
+        )
+    sources = 1 if column.source is None else len(column.source)
+    if len(column.sign) not in (1, sources):
+        raise BadInput(f"{path}: {name}.sign has {len(column.sign)} signs for {sources} columns; give one, or one for each")
+    units = [*_units_of(name)] + ["%Y%m%d%H%M%S"] * (name == "time_s") + [*STEPS] * name.startswith(APPROACH)
+    dated = column.unit is not None and "%" in column.unit and name == "time_s" and sources == 1
+    if column.unit is not None and column.unit not in units and not dated:
+        known = f"give one of {', '.join(units)}" if units else "it has none; leave the key out"
+        raise BadInput(f"{path}: {name}.unit = '{shown(column.unit)}' is no unit of {name}; {known}")
+
+
+def _units_of(name: str) -> dict[str, float]:
+    """Units of a column of ours; {} where it has none."""
+    return next((units for end, units in UNITS.items() if name.endswith(end)), {})

@@ -1,0 +1,108 @@
+"""Tables made by others: columns, units, signs, zeros, separators, decimal commas, orders of rotations."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from robots.column_mapping import read_column_mapping
+from robots.csv_table import read_csv_table
+from robots.errors import BadInput
+from robots.pose import ROTATION_ORDERS, rot_x, rot_y, rot_z, rotation_from_abc, rotations_in_order
+from robots.tracker_readings import Instrument, read_readings
+
+AXES = "".join(f'q{i}_deg = {{ from = "j{i}", unit = "rad" }}\n' for i in range(1, 7))
+MAPPING = f"""separator = ";"
+decimal = ","
+rotation = "xyz_intrinsic"
+{AXES.replace('"j2", unit = "rad"', '"j2", unit = "rad", sign = -1, offset = 90.0')}
+x_mm = {{ from = ["goal", "error"], unit = "m", sign = [1, -1] }}
+y_mm = {{ from = "py", unit = "in" }}
+z_mm = {{ from = "pz" }}
+target = {{ from = "Reflektor" }}
+temperature_C = {{ from = "T", unit = "K" }}
+time_s = {{ from = "Zeit", unit = "%Y%m%d%H%M%S" }}
+approach1 = {{ from = "j1", unit = "step_rad" }}
+sigma_um = {{ from = [], offset = 30 }}
+rx_deg = {{ from = "a" }}
+ry_deg = {{ from = "b" }}
+rz_deg = {{ from = "c" }}
+"""
+HEAD = "Zeit;j1;j2;j3;j4;j5;j6;goal;error;py;pz;Reflektor;T;a;b;c;note"
+ROWS = (
+    "20200714235959;0,1;0,2;0,3;0;0;-1,5e0;1,25;0,25;2;3,5;SMR;295,15;10;20;30;x",
+    "20200715000001;0,2;0,2;0,3;0;0;-1,5e0;1,25;0,25;2;3,5;SMR;295,15;10;20;30;x",
+)
+
+
+def readings(folder, mapping=MAPPING, head=HEAD, rows=ROWS):
+    (folder / "m.toml").write_text(mapping)
+    (folder / "t.csv").write_text("\n".join([head, *rows]) + "\n")
+    return read_readings(folder / "t.csv", {}, Instrument(), mapping=read_column_mapping(folder / "m.toml"))
+
+
+def test_a_table_made_by_others_is_read_as_ours(tmp_path):
+    r = readings(tmp_path)
+    assert np.allclose(r.q[0], [0.1, np.pi / 2 - 0.2, 0.3, 0, 0, -1.5])
+    assert np.allclose(r.point[0], [1.0, 2 * 0.0254, 0.0035])
+    assert r.targets == ("SMR",) and np.allclose(r.temperature, 22.0) and list(r.time) == [0.0, 2.0]
+    assert np.allclose(r.sigma, 30e-6)
+    a, b, c = np.radians([10, 20, 30])
+    assert np.allclose(r.turn[0], rot_x(a) @ rot_y(b) @ rot_z(c))
+
+
+def test_the_sign_of_a_step_is_that_of_the_last_motion(tmp_path):
+    more = "".join(f'approach{k} = {{ from = "j{k}", unit = "step_rad" }}\n' for k in range(2, 7))
+    signs = readings(tmp_path, MAPPING + more).approach
+    assert signs.tolist() == [[0] * 6, [1, 0, 0, 0, 0, 0]]
+
+
+@pytest.mark.parametrize("order", ROTATION_ORDERS)
+def test_every_order_turns_about_its_letters(order):
+    angles = np.array([0.3, -0.5, 0.8])
+    letters, kind = order.split("_")
+    about = {"x": rot_x, "y": rot_y, "z": rot_z}
+    values = [angles["xyz".index(c)] for c in letters] if len({*letters}) == 3 else angles
+    turns = [about[c](v) for c, v in zip(letters, values, strict=True)]
+    first, second, third = turns if kind == "intrinsic" else turns[::-1]
+    assert np.allclose(rotations_in_order(angles, order), first @ second @ third)
+
+
+def test_the_default_order_is_that_of_the_contract():
+    angles = np.array([[0.1, 0.2, 0.3]])
+    assert np.allclose(rotations_in_order(angles, "zyx_intrinsic"), rotation_from_abc(angles[:, ::-1]))
+    assert np.allclose(rotations_in_order(angles, "zyx_intrinsic"), Rotation.from_euler("xyz", angles).as_matrix())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('unit = "in"', 'unit = "rad"', "y_mm.unit = 'rad' is no unit of y_mm; give one of mm, m, cm, um, in"),
+        ("sign = [1, -1]", "sign = [1]", None),
+        ("sign = [1, -1]", "sign = [1, -1, 1]", "x_mm.sign has 3 signs for 2 columns"),
+        ("sign = -1", "sign = -2", "sign must be 1 or -1"),
+        ('decimal = ","', 'decimal = ";"', "decimal = ';' must be a point or a comma"),
+        ('separator = ";"', 'separator = "#"', "separator = '#' is none of"),
+        ('separator = ";"', "", "decimal = ',' must be a point or a comma, another sign than separator"),
+        ('"xyz_intrinsic"', '"xyz"', "rotation = 'xyz' is none of xyz_intrinsic"),
+        ("sigma_um =", "sigma_mu =", r"\[sigma_mu\] is no column"),
+        ("sigma_um = {", "sigma_um = { form = 1,", "form.*is no key of a mapping; known here: from, unit, sign, offset"),
+        ('from = "pz"', 'from = "p_z"', "column z_mm missing"),
+        ('"error"]', '"err"]', "column err is missing, which .*m.toml makes x_mm of"),
+        ("%Y%m%d%H%M%S", "%Y-%m-%d", "line 2, column Zeit: '20200714235959' is no time of the form"),
+        ('from = "py"', 'from = "note"', "column note: 'x' is not a number"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_refused(tmp_path, old, new, said):
+    assert old in MAPPING
+    if said is None:
+        readings(tmp_path, MAPPING.replace(old, new))
+    else:
+        with pytest.raises(BadInput, match=said):
+            readings(tmp_path, MAPPING.replace(old, new))
+
+
+def test_separators_are_told_where_the_mapping_lacks_them(tmp_path):
+    (tmp_path / "m.toml").write_text(AXES)
+    (tmp_path / "t.csv").write_text("a;b\n1;2\n")
+    with pytest.raises(BadInput, match=r"separated by semicolons; say so in .*m\.toml"):
+        read_csv_table(tmp_path / "t.csv", ("a",), mapping=read_column_mapping(tmp_path / "m.toml"))
