@@ -121,7 +121,7 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
     with phases.phase("held out"):
         held = validate(full, _refit(method))
     with phases.phase("methods", len(METHODS)) as advance:
-        table = compare_methods(full, advance)
+        table = compare_methods(full, advance, held if method == "full" else [])
     linear = linearise(campaign.robot, replace(readings, turn=None), campaign.instrument, full.layout, full.state)
     repeats = repeat_scatter(readings, campaign.instrument, linear.d_joints)
     return TrackerCalibration(
@@ -180,14 +180,15 @@ def as_calibration(
     )
 
 
-def compare_methods(fit: Fit, advance: Callable[[], None]) -> MethodTable:
-    """All methods on the same blocked folds as `fit`: errors of every reading when it was left out."""
+def compare_methods(fit: Fit, advance: Callable[[], None], held: Sequence[FoldErrors] = ()) -> MethodTable:
+    """All methods on the same random folds as `fit`: errors of every reading when it was left out. held: what is known of the
+    method full already."""
     blocks = [f for f in folds(fit.campaign) if f.kind == "random"][:FOLDS]
     off: dict[str, Array] = {}
     rows = np.array([], int)
     for method in METHODS:
-        found = [hold_out(fit, fold, _refit(method)) for fold in blocks]
-        kept = [h for h in found if h is not None]
+        kept = [h for h in held if h.fold.kind == "random"] if method == "full" else []
+        kept = kept or [h for h in (hold_out(fit, fold, _refit(method)) for fold in blocks) if h is not None]
         rows = np.concatenate([h.rows for h in kept]) if kept else rows
         off[method] = np.concatenate([h.off for h in kept]) if kept else np.empty((0, 3))
         advance()
@@ -201,7 +202,7 @@ def compare_methods(fit: Fit, advance: Callable[[], None]) -> MethodTable:
 
 def _refit(method: str) -> Callable[[Campaign, Fit], Fit] | None:
     """How a method fits what is left without a fold; None: as the fit that is judged."""
-    return None if method == "full" else lambda left, near: calibrate_by(method, left, near.choice, near.priors)
+    return None if method == "full" else lambda left, near: calibrate_by(method, left, near.choice, near.priors, near.state)
 
 
 def as_in(sealed: Readings, readings: Readings) -> Readings:

@@ -12,7 +12,7 @@ from robots.calibration.fit import Fit, fit_campaign
 from robots.calibration.layout import Choice
 from robots.calibration.solver import Campaign
 from robots.calibration.student_t import NU, consistency
-from robots.calibration.validation import FoldErrors, ReadingFold, folds, hold_out
+from robots.calibration.validation import FoldErrors, ReadingFold, again, folds, hold_out
 from robots.robot import Robot
 
 LEAST_GAIN = 4.0  # of log density over all held-out readings; below it a term is not worth its name
@@ -42,25 +42,29 @@ def choose_terms(fit: Fit) -> tuple[Choice, list[Term]]:
     far = [f for f in folds(campaign) if f.kind in ("payload", "joint range", "campaign")]
     tried: list[Term] = []
     for _ in range(ROUNDS):
-        base = _scores(fit, blocks, fit.choice)
-        found = []
-        for name, choice in _candidates(fit):
-            # What does not even help where it was fitted is not tried on what was held out.
-            other = fit_campaign(campaign, choice, fit.priors, fit.noise, begin=fit.state)
-            own = _likelihood(other) - _likelihood(fit)
-            gain = _gain(base, _scores(fit, blocks, choice)) if own > LEAST_GAIN else (min(own, 0.0), 0.0)
-            found.append((Term(name, *gain, True), choice))
-        found.sort(key=lambda entry: -entry[0].gain)
-        good = [e for e in found if e[0].gain > _wanted(fit.choice, e[1]) and e[0].sigma > LEAST_SIGMA]
-        good = [e for e in good if _carries(fit, far, e[1])]
-        tried = [t for t in tried if t.accepted] + [
-            replace(t, accepted=False) for t, c in found if not good or c is not good[0][1]
-        ]
-        if not good:
+        accepted, terms = _next_term(fit, blocks, far)
+        tried = [t for t in tried if t.accepted] + terms
+        if accepted is None:
             break
-        tried.append(good[0][0])
-        fit = fit_campaign(campaign, good[0][1], fit.priors, fit.noise, begin=fit.state)
+        fit = accepted
     return fit.choice, sorted(tried, key=lambda t: (not t.accepted, -t.gain))
+
+
+def _next_term(fit: Fit, blocks: list[ReadingFold], far: list[ReadingFold]) -> tuple[Fit | None, list[Term]]:
+    """The fit with one term more, or None, and every candidate. The one that helps most where it is fitted is judged first on
+    what was held out, and the others wait for the next round if it stands."""
+    base, found, accepted = _scores(fit, blocks, fit), list[Term](), None
+    fits = [(name, fit_campaign(fit.campaign, c, fit.priors, fit.noise, begin=fit.state)) for name, c in _candidates(fit)]
+    likely = [(_likelihood(other) - _likelihood(fit), name, other) for name, other in fits]
+    for own, name, other in sorted(likely, key=lambda each: _wanted(fit.choice, each[2].choice) - each[0]):
+        gain, sigma, good = min(own, 0.0), 0.0, False
+        # What does not even help where it was fitted is not tried on what was held out.
+        if own > LEAST_GAIN and accepted is None:
+            gain, sigma = _gain(base, _scores(fit, blocks, other))
+            good = bool(gain > _wanted(fit.choice, other.choice)) and sigma > LEAST_SIGMA and _carries(fit, far, other)
+        found.append(Term(name, gain, sigma, good))
+        accepted = other if good else accepted
+    return accepted, found
 
 
 def _candidates(fit: Fit) -> Iterator[tuple[str, Choice]]:
@@ -83,9 +87,9 @@ def _wanted(choice: Choice, more: Choice) -> float:
     return LEAST_GAIN + MORE * (parameters - 1)
 
 
-def _carries(fit: Fit, far: list[ReadingFold], choice: Choice) -> bool:
+def _carries(fit: Fit, far: list[ReadingFold], other: Fit) -> bool:
     """Whether a term helps beyond where it was fitted too: a stand-in for something else does not (DIAGNOSIS, impostors)."""
-    pairs = zip(_scores(fit, far, fit.choice), _scores(fit, far, choice), strict=True)
+    pairs = zip(_scores(fit, far, fit), _scores(fit, far, other), strict=True)
     gains = [after.score.sum() - before.score.sum() for before, after in pairs if after is not None and before is not None]
     return not gains or (sum(gains) > 0 and min(gains) > -LEAST_GAIN)
 
@@ -100,9 +104,11 @@ def _bends(robot: Robot, j: int) -> bool:
     return bool(robot.stiffness[j - 1] > 0 or not (robot.stiffness > 0).any())
 
 
-def _scores(fit: Fit, blocks: list[ReadingFold], choice: Choice) -> list[FoldErrors | None]:
+def _scores(fit: Fit, blocks: list[ReadingFold], other: Fit) -> list[FoldErrors | None]:
+    """The model of `other` on the readings of `fit`, each block predicted from the rest; the search begins where it stands."""
+
     def refit(left: Campaign, near: Fit) -> Fit:
-        return fit_campaign(left, choice, near.priors, near.noise, begin=near.state)
+        return again(left, other)
 
     return [hold_out(fit, block, refit) for block in blocks]
 

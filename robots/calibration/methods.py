@@ -27,25 +27,37 @@ METHODS = ("full", "geometry", "relative", "relative-literal")
 PARTNERS = 3  # differences each reading takes part in, about
 
 
-def calibrate_by(method: str, campaign: Campaign, choice: Choice = PLAIN, priors: Priors = WEAK) -> Fit:
-    """Fit by a method's name. The state of every result places all stations, so that it predicts readings."""
+def calibrate_by(
+    method: str, campaign: Campaign, choice: Choice = PLAIN, priors: Priors = WEAK, begin: State | None = None
+) -> Fit:
+    """Fit by a method's name, from the geometry and places of `begin` if given. The state of every result places all stations, so
+    that it predicts readings."""
+    rigid = replace(choice, joints=(), payloads=())
     if method == "full":
-        return fit_campaign(campaign, choice, priors)
+        return fit_campaign(campaign, choice, priors, begin=begin)
+    if begin is not None and method in ("geometry", "relative-literal"):
+        begin = _without_terms(begin, campaign, rigid)
     if method == "geometry":
-        return fit_campaign(campaign, replace(choice, joints=(), payloads=()), priors)
+        return fit_campaign(campaign, rigid, priors, begin=begin)
     if method == "relative":
         points = replace(campaign, readings=replace(campaign.readings, turn=None))
-        fit = fit_campaign(replace(points, pairs=spread_pairs(campaign.readings)), choice, priors)
+        fit = fit_campaign(replace(points, pairs=spread_pairs(campaign.readings)), choice, priors, begin=begin)
         return _as_readings(fit, points, fit.state)
     if method == "relative-literal":
         pairs = equal_torque_pairs(campaign.robot, campaign.readings)
-        rigid = replace(choice, joints=(), payloads=())
         points = replace(campaign, readings=replace(campaign.readings, turn=None))
-        fit = fit_campaign(replace(points, pairs=pairs), rigid, priors)
+        fit = fit_campaign(replace(points, pairs=pairs), rigid, priors, begin=begin)
         bends = np.array([float(j in choice.joints) for j in range(1, 7)])
         arm = np.concatenate([fit.state.arm[:30], bends * believed_compliance(campaign.robot)])
         return _as_readings(fit, points, replace(fit.state, arm=arm))
     raise ValueError(f"method '{method}' is not one of {', '.join(METHODS)}")
+
+
+def _without_terms(state: State, campaign: Campaign, choice: Choice) -> State:
+    """`state` with springs and payloads as `choice` holds them."""
+    c = campaign
+    nominal = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
+    return replace(state, arm=np.concatenate([state.arm[:30], nominal.arm[30:]]), payloads=nominal.payloads)
 
 
 def _as_readings(fit: Fit, campaign: Campaign, state: State) -> Fit:

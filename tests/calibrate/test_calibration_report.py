@@ -232,7 +232,7 @@ def test_a_bad_calibration_is_not_praised(made):
     assert calibration_headline(replace(made, methods=worse), view).verdict == "No better than before."
     wild = replace(m, error=m.error | {"full": np.where(np.arange(len(m.rows)) == 0, 2 * m.before.max(), m.error["full"])})
     assert "further off than before" in calibration_headline(replace(made, methods=wild), view).sentence
-    double = replace(m, error=m.error | {"geometry": 2 * m.error["full"]})
+    double = replace(m, error={"full": m.error["full"], "geometry": 2 * m.error["full"]})
     assert "Method 'full' does better" in calibration_headline(replace(made, method="geometry", methods=double), view).sentence
 
 
