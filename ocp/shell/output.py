@@ -168,13 +168,13 @@ def reserved(folder: Path, overwrite: bool, inputs: Iterable[Path] = (), grows: 
         raise BadInput("--out is empty or the working folder itself; give the name of a folder to write")
     output = Output(folder, overwrite, grows)
     name = sha256(os.fsencode(output.folder)).hexdigest()[:24]
-    lock = FileLock(Path(processes.TEMPORARY) / f"grindplan-{name}.lock", timeout=0)
     try:
+        lock = FileLock(processes.temporary() / f"grindplan-{name}.lock", timeout=0)
         lock.acquire()
     except Timeout:
         raise BadInput(f"{folder}: another run is writing there; wait for it, or give another --out") from None
     except OSError as error:
-        raise BadInput(f"{processes.TEMPORARY}: temporary files cannot be written ({error.strerror}); free some space") from None
+        raise BadInput(f"temporary files cannot be written ({error.strerror}); free some space there, or set TMPDIR") from None
     try:
         _recover(output.folder)
         output.reads(inputs)

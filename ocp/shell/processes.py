@@ -26,8 +26,7 @@ from typing import Any, NoReturn
 
 INTERRUPTED = 130
 MOMENT = 1.2  # s, for a child that was asked to end
-TEMPORARY = tempfile.gettempdir()
-"""The system's folder of temporary files, also where a command's own lie in a folder that is removed with it."""
+_temporary: str | None = None
 _told = threading.Event()
 _to_parent: int | None = None
 
@@ -41,6 +40,11 @@ def raise_if_told() -> None:
     """Raise KeyboardInterrupt where an interrupt has come."""
     if was_told():
         raise KeyboardInterrupt
+
+
+def temporary() -> Path:
+    """The system's folder of temporary files, also where a command's own lie in a folder that is removed with it."""
+    return Path(_temporary or tempfile.gettempdir())
 
 
 def clear_if_killed(folder: Path) -> None:
@@ -61,9 +65,15 @@ def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
     """
     if not hasattr(os, "fork"):
         return work()
+    global _temporary
+    try:
+        _temporary = tempfile.gettempdir()
+        scratch = tempfile.mkdtemp(prefix="grindplan-")
+    except OSError as error:
+        told(f"refused: temporary files cannot be written ({error.strerror}); free some space there, or set TMPDIR")
+        return 2
     from_child, to_parent = os.pipe()
     alive, ours = os.pipe()  # its end tells the child that its parent is gone
-    scratch = tempfile.mkdtemp(prefix="grindplan-")
     asked: list[float] = []
     child = 0
 

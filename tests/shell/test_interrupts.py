@@ -170,6 +170,14 @@ def test_nobody_listening_is_no_fault(script, tmp_path):
     assert (tmp_path / "out" / "b.txt").exists()
 
 
+def test_no_place_for_temporary_files_is_one_sentence(script, tmp_path):
+    """Every candidate of the system is looked at; here the one that counts is refused by the tempfile module itself."""
+    script.write_text("import tempfile\ntempfile._candidate_tempdir_list = lambda: ['/nonexistent']\n" + script.read_text())
+    process = started(script, "finish", tmp_path / "out")
+    text = process.communicate(timeout=20)[1]
+    assert process.returncode == 2 and "set TMPDIR" in text and text.count("\n") == 1
+
+
 def test_the_python_interface_installs_no_handlers():
     before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     import ocp.api  # noqa: F401
