@@ -16,8 +16,11 @@ import numpy as np
 
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect, Parameter
+from robots.errors import shown
 from robots.pose import Array
 
+UNUSUAL = 1e4  # times the upper end of the usual range: beyond, a unit is wrong
+MOST_NUMBERS = 1000  # of one key: a profile over a blade
 RESERVED = ("effect", "joint", "sd")
 
 
@@ -46,7 +49,7 @@ def effect_of(table: Mapping[str, Any]) -> CellEffect:
     given = {key: value for key, value in table.items() if key not in RESERVED and value is not None}
     for key in given:
         if key not in keys:
-            raise ValueError(f"effect '{effect.name}' has no key '{key}'; its keys are {', '.join(keys)}")
+            raise ValueError(f"effect '{effect.name}' has no key '{shown(key)}'; its keys are {', '.join(keys)}")
     values = {key: _value(effect, keys[key], value) for key, value in given.items()}
     try:
         a, scanned = effect.coefficients_of(values)
@@ -57,7 +60,9 @@ def effect_of(table: Mapping[str, Any]) -> CellEffect:
     sd = table.get("sd") or {}
     for key in sd:
         if key not in values or keys[key].unit == "name" or key in scanned:
-            raise ValueError(f"effect '{effect.name}' has sd.{key}, which is no value of this table that can have one; remove it")
+            raise ValueError(
+                f"effect '{effect.name}' has sd.{shown(key)}, which is no value of this table that can have one; remove it"
+            )
     return CellEffect(effect.name, joint, np.asarray(a, float), dict(scanned), _covariance(effect, values, sd))
 
 
@@ -75,7 +80,7 @@ def _known_effect(name: str) -> Effect:
     effects = library()
     if name not in effects:
         near = get_close_matches(name, effects, 3) or sorted(effects)
-        raise ValueError(f"unknown effect '{name}'; {'near it' if len(near) < 4 else 'known'}: {', '.join(near)}")
+        raise ValueError(f"unknown effect '{shown(name)}'; {'near it' if len(near) < 4 else 'known'}: {', '.join(near)}")
     return effects[name]
 
 
@@ -90,7 +95,7 @@ def _joint(effect: Effect, joint: Any) -> int:
     if joint is None and len(allowed) == 1:
         return allowed[0]
     if joint not in allowed:
-        told = "is missing" if joint is None else f"= {joint} is not possible"
+        told = "is missing" if joint is None else f"= {shown(joint)} is not possible"
         raise ValueError(f"effect '{effect.name}': joint {told}; give one of {', '.join(map(str, allowed))}")
     return int(joint)
 
@@ -98,25 +103,39 @@ def _joint(effect: Effect, joint: Any) -> int:
 def _value(effect: Effect, parameter: Parameter, value: Any) -> Any:
     if parameter.unit == "name":
         if not isinstance(value, str) or not value:
-            raise ValueError(f"effect '{effect.name}': {parameter.key} = {value!r} is not a name")
+            raise ValueError(f"effect '{effect.name}': {parameter.key} = {shown(repr(value))} is not a name")
         return value
     numbers = value if isinstance(value, list | tuple) else [value]
     plain = all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers)
     listed, count = isinstance(value, list | tuple), parameter.length
     if not plain or listed != (count != 1) or (count > 0 and len(numbers) != count):
         wanted = "a number" if count == 1 else f"a list of {count or ''} numbers".replace("  ", " ")
-        raise ValueError(f"effect '{effect.name}': {parameter.key} = {value!r} is not {wanted}")
+        raise ValueError(f"effect '{effect.name}': {parameter.key} = {shown(repr(value))} is not {wanted}")
+    most = _most(parameter)
+    if len(numbers) > MOST_NUMBERS or any(abs(v) > most for v in numbers):
+        raise ValueError(
+            f"effect '{effect.name}': {parameter.key} = {shown(repr(value))} is beyond {most:g}, {UNUSUAL:g} times the usual; "
+            "is it in SI units?"
+        )
     return [float(v) for v in numbers] if listed else value
+
+
+def _most(parameter: Parameter) -> float:
+    """The largest value of a parameter, either sign."""
+    return UNUSUAL * max(abs(parameter.low), abs(parameter.high))
 
 
 def _covariance(effect: Effect, values: dict[str, Any], sd: Mapping[str, Any]) -> Array:
     """Covariance (m, m) of the coefficients when the keys' deviations are independent: by differences of the inverse."""
     out = np.zeros((effect.size, effect.size))
+    most = {p.key: _most(p) for p in effect.parameters}
     for key, given in sd.items():
         size = np.atleast_1d(np.asarray(values[key], float)).size
         spread = np.broadcast_to(np.asarray(given, float), (size,))
-        if not (np.isfinite(spread).all() and (spread >= 0).all()):
-            raise ValueError(f"effect '{effect.name}': sd.{key} = {given!r} is not zero or above")
+        if not (np.isfinite(spread).all() and (spread >= 0).all() and (spread <= most[key]).all()):
+            raise ValueError(
+                f"effect '{effect.name}': sd.{key} = {shown(repr(given))} is not zero or above, or beyond {most[key]:g}"
+            )
         for i in np.flatnonzero(spread > 0):
             moved = []
             for sign in (1.0, -1.0):

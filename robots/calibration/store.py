@@ -2,20 +2,24 @@
 
 import hashlib
 import io
-import math
+import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from robots.bounds import MEGABYTE, read_whole
 from robots.calibration.parameters import SYMBOLS
-from robots.errors import BadInput
+from robots.errors import BadInput, shown
 from robots.pose import Array
 from robots.toml_files import parse_toml, toml_text
 
 SCHEMA = 1
 _TABLES = ("parameters", "not_identified", "provenance")
+LARGEST = 1e12  # of a value or its standard deviation in SI: the stiffest spring has 1e9 N/m
+LEAST_SD = 1e-25  # a compliance of 1e-12 rad/(N m)^3 is known to six digits or so
+MOST_ARCHIVE = 20 * MEGABYTE  # a covariance of all parameters has 1 MB
 _LIST = "robots/calibration/parameters.py"  # of the names that exist
 # Most negative eigenvalue of the correlation matrix that rounding explains.
 _EIGENVALUE_FLOOR = -1e-8
@@ -110,20 +114,20 @@ def read_calibration(path: str | Path) -> Calibration:
 def _read_toml(path: Path) -> dict[str, Any]:
     _, data = parse_toml(path, "calibration")
     if data.get("schema", SCHEMA) != SCHEMA:
-        raise BadInput(f"{path}: schema = {data['schema']!r}, this version reads {SCHEMA}; calibrate again")
+        raise BadInput(f"{path}: schema = {shown(repr(data['schema']))}, this version reads {SCHEMA}; calibrate again")
     if not isinstance(data.get("robot"), str):
-        raise BadInput(f"{path}: key 'robot' must name the robot, got {data.get('robot')!r}; add it")
+        raise BadInput(f"{path}: key 'robot' must name the robot, got {shown(repr(data.get('robot')))}; add it")
     known = {"schema", "robot", "covariance_file", "covariance_sha256", *_TABLES}
     for key in data:
         if key not in known:
-            raise BadInput(f"{path}: unknown key '{key}'; known are {', '.join(sorted(known))}")
+            raise BadInput(f"{path}: unknown key '{shown(key)}'; known are {', '.join(sorted(known))}")
     return data
 
 
 def _table(path: Path, data: dict[str, Any], key: str) -> dict[str, Any]:
     table = data.get(key, {})
     if not isinstance(table, dict):
-        raise BadInput(f"{path}: '{key}' must be a table, got {table!r}; write it as [{key}]")
+        raise BadInput(f"{path}: '{key}' must be a table, got {shown(repr(table))}; write it as [{key}]")
     return table
 
 
@@ -135,14 +139,14 @@ def _parameters(path: Path, data: dict[str, Any]) -> tuple[tuple[str, ...], Arra
     values, sd = [], []
     for name, entry in table.items():
         if name not in SYMBOLS:
-            raise BadInput(f"{path}: unknown parameter '{name}'; {_LIST} lists the names")
+            raise BadInput(f"{path}: unknown parameter '{shown(name)}'; {_LIST} lists the names")
         if not isinstance(entry, dict):
-            raise BadInput(f"{path}: [parameters.{name}] = {entry!r}, expected a table with value, sd, unit")
+            raise BadInput(f"{path}: [parameters.{name}] = {shown(repr(entry))}, expected a table with value, sd, unit")
         unit = SYMBOLS[name].unit
         if entry.get("unit") != unit:
             found = entry.get("unit")
-            raise BadInput(f"{path}: parameters.{name}.unit = {found!r}, expected '{unit}'; convert the value")
-        values.append(_number(path, name, entry, "value", -math.inf))
+            raise BadInput(f"{path}: parameters.{name}.unit = {shown(repr(found))}, expected '{unit}'; convert the value")
+        values.append(_number(path, name, entry, "value", -LARGEST))
         sd.append(_number(path, name, entry, "sd", 0.0))
     return tuple(table), np.array(values), np.array(sd)
 
@@ -150,9 +154,9 @@ def _parameters(path: Path, data: dict[str, Any]) -> tuple[tuple[str, ...], Arra
 def _number(path: Path, name: str, entry: dict[str, Any], key: str, low: float) -> float:
     value: Any = entry.get(key)
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not math.isfinite(value) or value < low:
-        what = "a finite number" if low < 0 else "a finite number, zero or above"
-        raise BadInput(f"{path}: parameters.{name}.{key} = {value!r}, expected {what}; correct it")
+    if not number or not low <= value <= LARGEST or 0.0 < abs(value) < LEAST_SD <= low + LEAST_SD:
+        what = f"a finite number from {low:g} to {LARGEST:g}" + ("" if low < 0 else f", zero or at least {LEAST_SD:g}")
+        raise BadInput(f"{path}: parameters.{name}.{key} = {shown(repr(value))}, expected {what}; correct it")
     return float(value)
 
 
@@ -160,13 +164,15 @@ def _covariance(path: Path, data: dict[str, Any], names: tuple[str, ...], sd: Ar
     """Covariance (m, m) and notices."""
     file = data.get("covariance_file", path.with_suffix(".npz").name)
     if not isinstance(file, str) or Path(file).name != file:
-        raise BadInput(f"{path}: covariance_file = {file!r} must be a file name beside this file; correct it")
+        raise BadInput(f"{path}: covariance_file = {shown(repr(file))} must be a file name beside this file; correct it")
     archive = path.parent / file
+    if len(file.encode()) > 255:  # NAME_MAX
+        raise BadInput(f"{path}: covariance_file = {shown(file)} is longer than a file's name may be; correct it")
     if not archive.is_file():
         notice = f"{archive} is missing: the parameters are taken as uncorrelated, predicted deviations are rough"
         return np.diag(sd**2), (notice,)
     wanted = data.get("covariance_sha256")
-    content = archive.read_bytes()
+    content = read_whole(archive, MOST_ARCHIVE, "the archive written with the calibration")
     found = hashlib.sha256(content).hexdigest()
     if wanted is not None and wanted != found:
         raise BadInput(
@@ -174,12 +180,15 @@ def _covariance(path: Path, data: dict[str, Any], names: tuple[str, ...], sd: Ar
             "files of one calibration, or delete the .npz to go on with uncorrelated parameters"
         )
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+            if (size := sum(entry.file_size for entry in packed.infolist())) > MOST_ARCHIVE:
+                raise ValueError(f"{size} bytes unpacked")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             stored, covariance = tuple(arrays["names"].tolist()), np.asarray(arrays["covariance"], float)
     except Exception as error:  # zip, header and pickle faults have no common class
-        raise BadInput(f"{archive}: not a covariance archive ({error}); calibrate again") from None
+        raise BadInput(f"{archive}: not a covariance archive ({shown(error, 80)}); calibrate again") from None
     if set(stored) != set(names) or covariance.shape != (len(stored), len(stored)):
-        odd = ", ".join(sorted(set(stored) ^ set(names))) or "shape"
+        odd = shown(", ".join(sorted(map(str, set(stored) ^ set(names)))), 80) or "shape"
         raise BadInput(f"{archive}: parameters do not match {path.name} ({odd}); restore the pair of files")
     order = [stored.index(name) for name in names]
     covariance = covariance[np.ix_(order, order)]
@@ -204,8 +213,8 @@ def _check(where: str, robot: str, names: tuple[str, ...], values: Array, covari
         raise BadInput(
             f"{where}: {m} names, values {np.shape(values)}, covariance {np.shape(covariance)}; give one value and one row each"
         )
-    if not (np.isfinite(values).all() and np.isfinite(covariance).all()):
-        raise BadInput(f"{where}: a value or covariance for robot '{robot}' is not finite; calibrate again")
+    if not (np.isfinite(values).all() and np.isfinite(covariance).all() and np.abs(covariance).max(initial=0.0) <= LARGEST**2):
+        raise BadInput(f"{where}: a value or covariance for robot '{shown(robot)}' is not finite; calibrate again")
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(sd > 0, sd, 1.0)
     correlation = covariance / np.outer(scale, scale)
@@ -221,4 +230,6 @@ def _check_reasons(where: str, not_identified: dict[str, Any]) -> None:
     for key, reason in not_identified.items():
         wrong = [name for name in key.split() if name not in SYMBOLS]
         if wrong or not key.split() or not isinstance(reason, str):
-            raise BadInput(f"{where}: not_identified '{key}' = {reason!r}, expected parameter names and a reason")
+            raise BadInput(
+                f"{where}: not_identified '{shown(key, 80)}' = {shown(repr(reason))}, expected parameter names and a reason"
+            )

@@ -1,14 +1,19 @@
 """STL files, ASCII and binary, read facet by facet; whatever is malformed is named with its place."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from robots.errors import BadInput
+from robots.bounds import MEGABYTE, read_whole
+from robots.errors import BadInput, shown
 from robots.pose import Array
 
 MAX_FACETS = 1_000_000  # beyond this a blade is a raw scan, and every later step would take minutes
+MOST_BYTES = 300 * MEGABYTE  # a million facets as text, nine digits a number
+LONGEST_WORD = 60  # characters; a double printed in full has 25
+_LONG = re.compile(rf"[^\s]{{{LONGEST_WORD + 1},}}")
 _HEADER, _FACET = 84, 50  # bytes of a binary STL: header with count, one facet
 _FOREIGN = {
     b"PK\x03\x04": "a zip archive (3MF?)",
@@ -31,10 +36,7 @@ def read_facets(path: Path) -> tuple[Array, list[str]]:
     Returns: (nf, 3, 3) corners and a list of sentences.
     Raises: BadInput naming byte, line or facet where the file is empty, cut short, no STL or not finite.
     """
-    try:
-        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")  # editors put a byte order mark before text
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror or error}); give the path of an STL file.") from None
+    data = read_whole(path, MOST_BYTES, "an STL file.").removeprefix(b"\xef\xbb\xbf")  # editors put it before text
     if not data:
         raise BadInput(f"{path}: is empty (0 bytes); export the blade as STL again.")
     notices: list[str] = []
@@ -78,7 +80,7 @@ def _read_damaged(path: Path, data: bytes, notices: list[str]) -> Array:
     if _is_text(data) or len(data) < _HEADER:
         start = data[:20].decode("latin-1")
         raise BadInput(
-            f"{path}: is no STL file: its {len(data)} bytes start with {start!r} where an ASCII STL has 'solid' "
+            f"{path}: is no STL file: its {len(data)} bytes start with {shown(repr(start))} where an ASCII STL has 'solid' "
             f"and a binary one has 84 bytes of header; export the blade as STL."
         )
     count = int.from_bytes(data[80:84], "little")
@@ -100,17 +102,46 @@ def _read_damaged(path: Path, data: bytes, notices: list[str]) -> Array:
 
 def _read_ascii(path: Path, data: bytes) -> Array:
     text = data.decode("latin-1")
+    count = len(re.findall(r"(?i)\bendfacet\b", text))
+    if count > MAX_FACETS:
+        raise BadInput(f"{path}: has {count} facets, the limit is {MAX_FACETS}; export it coarser.")
     body = re.sub(r"(?im)^[ \t]*(end)?solid\b.*$", "", text)
-    tokens = np.array(body.split())
-    if len(tokens) and len(tokens) % 21 == 0:
-        table = tokens.reshape(-1, 21)
-        if all((np.char.lower(table[:, column]) == word).all() for column, word in _KEYWORDS.items()):
-            try:
-                return table[:, _VERTEX_TOKENS].astype(float).reshape(-1, 3, 3)
-            except ValueError:
-                pass  # the slow reader below finds the line
+    if long := _LONG.search(body):
+        raise BadInput(
+            f"{path}, line {body.count(chr(10), 0, long.start()) + 1}: '{shown(long.group())}' has more than {LONGEST_WORD} "
+            "characters, which no number has; export it again."
+        )
+    blocks = [_facets_of(block) for block in _blocks(body)]
+    known = [block for block in blocks if block is not None]
+    if len(known) == len(blocks) and known:
+        return np.concatenate(known)
     _raise_at_bad_line(path, text)
     raise BadInput(f"{path}: holds no facet; export the blade as STL again.")
+
+
+def _blocks(body: str) -> Iterator[str]:
+    """Whole facets, ten thousand at a time: as words all of them would fill the memory."""
+    start = 0
+    for k, found in enumerate(re.finditer(r"(?i)\bendfacet\b", body), 1):
+        if k % 10_000 == 0:
+            yield body[start : found.end()]
+            start = found.end()
+    if rest := body[start:].strip():
+        yield rest
+
+
+def _facets_of(text: str) -> Array | None:
+    """Corners (n, 3, 3) of whole facets; None where a word is not the one that the grammar has there."""
+    tokens = np.array(text.split())
+    if len(tokens) % 21:
+        return None
+    table = tokens.reshape(-1, 21)
+    if not all((np.char.lower(table[:, column]) == word).all() for column, word in _KEYWORDS.items()):
+        return None
+    try:
+        return np.asarray(table[:, _VERTEX_TOKENS].astype(float).reshape(-1, 3, 3))
+    except ValueError:
+        return None
 
 
 _GRAMMAR = ["facet normal", "outer loop", "vertex", "vertex", "vertex", "endloop", "endfacet"]
@@ -130,7 +161,7 @@ def _raise_at_bad_line(path: Path, text: str) -> None:
         expected = _GRAMMAR[state].split()
         if [word.lower() for word in words[: len(expected)]] != expected:
             raise BadInput(
-                f"{path}, line {number}: {line.strip()[:60]!r} where '{_GRAMMAR[state]}' is expected; export it again."
+                f"{path}, line {number}: '{shown(line.strip(), 60)}' where '{_GRAMMAR[state]}' is expected; export it again."
             )
         wanted = 3 if expected[0] in ("facet", "vertex") else 0
         numbers = words[len(expected) :]
@@ -143,7 +174,7 @@ def _raise_at_bad_line(path: Path, text: str) -> None:
             try:
                 float(word)
             except ValueError:
-                raise BadInput(f"{path}, line {number}: {word!r} is not a number; export it again.") from None
+                raise BadInput(f"{path}, line {number}: '{shown(word)}' is not a number; export it again.") from None
         state = (state + 1) % len(_GRAMMAR)
     if state:
         raise BadInput(f"{path}: ends at line {last} inside a facet ('{_GRAMMAR[state]}' is missing); copy it again.")

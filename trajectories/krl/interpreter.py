@@ -1,5 +1,6 @@
 """Runs KRL statements as a robot would: motions in order, with frames and times (trajectories.program.execution)."""
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ KINDS: dict[str, MotionKind] = {
 }
 
 
+BITS = re.compile(r"'[Bb][01]{1,31}'")
 MOST_CALLS = 10_000  # a program of a whole blade calls some hundred
 
 
@@ -160,8 +162,9 @@ class _Runner:
             if isinstance(value, syntax.Aggregate):
                 T = pose_of(value)
             elif isinstance(value, syntax.Word) and value.text.upper().startswith(f"{target[1:]}_DATA["):
-                number = int(value.text[10:-1])
-                T = self._data(f"{target[1:]}_DATA", number)
+                index = value.text[10:-1]
+                number = int(index) if index.isdigit() else None  # a variable: known on the controller alone
+                T = None if number is None else self._data(f"{target[1:]}_DATA", number)
             self.frames = replace(self.frames, **{which: T, f"{which}_no": number})  # type: ignore[arg-type]
         elif target == "$IPO_MODE" and isinstance(value, syntax.Word):
             self.frames = replace(self.frames, external_tcp=value.text.upper() == "#TCP")
@@ -237,6 +240,6 @@ def _numbers(value: syntax.Aggregate, names: tuple[str, ...]) -> Array | None:
 def _integer(value: syntax.Value | None) -> int:
     if isinstance(value, syntax.Number):
         return int(value.value)
-    if isinstance(value, syntax.Word) and value.text[:2].upper() == "'B":
+    if isinstance(value, syntax.Word) and BITS.fullmatch(value.text):
         return int(value.text[2:-1], 2)
     return -1

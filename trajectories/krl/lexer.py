@@ -3,7 +3,10 @@
 import re
 from dataclasses import dataclass
 
-from robots.errors import BadInput
+from robots.errors import BadInput, shown
+
+LONGEST_TOKEN = 40  # characters: names have at most 24, numbers fewer; strings and comments are no names
+LONGEST_STRING = 1000
 
 TOKEN = re.compile(
     r"""\s*(?:
@@ -43,9 +46,14 @@ class TokenLine:
         while position < len(text):
             match = TOKEN.match(text, position)
             if match is None:
-                raise self.error(f"'{text[position:].strip()[:20]}' is not KRL")
+                raise self.error(f"'{shown(text[position:].strip(), 20)}' is not KRL")
             kind = match.lastgroup or ""
-            found.append(Token(kind, match.group(kind)))
+            token = Token(kind, match.group(kind))
+            if len(token.text) > (LONGEST_STRING if kind == "string" else LONGEST_TOKEN):
+                raise self.error(
+                    f"'{shown(token.text)}' has {len(token.text)} characters; no {kind} of the language is that long"
+                )
+            found.append(token)
             position = match.end()
         return found
 
@@ -87,7 +95,7 @@ class TokenLine:
     def finish(self) -> None:
         """Refuse the line if something is left."""
         if self.position < len(self.tokens):
-            raise self.error(f"'{self.peek().text}' is too much in this line")
+            raise self.error(f"'{shown(self.peek().text)}' is too much in this line")
 
     def rest(self) -> str:
         """The remaining tokens as text, consumed."""

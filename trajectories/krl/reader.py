@@ -7,15 +7,20 @@ loops are refused, because then the text does not say which path the robot takes
 
 from pathlib import Path
 
-from robots.errors import BadInput
+from robots.bounds import MEGABYTE, read_whole
+from robots.errors import BadInput, shown
 from trajectories.krl import syntax
-from trajectories.krl.lexer import TokenLine
+from trajectories.krl.lexer import LONGEST_TOKEN, TokenLine
 
 BRANCHES = frozenset(
     "IF ELSE ENDIF FOR ENDFOR WHILE ENDWHILE LOOP ENDLOOP REPEAT UNTIL SWITCH CASE DEFAULT ENDSWITCH GOTO EXIT RETURN".split()
 )
 HARMLESS = frozenset("WAIT HALT CONTINUE PULSE TRIGGER ANOUT ANIN SIGNAL CONFIRM RESUME BRAKE STRUC ENUM IMPORT".split())
 REFUSED_MOTIONS = frozenset("CIRC SCIRC PTP_REL LIN_REL CIRC_REL SPTP_REL SLIN_REL SPL_REL SCIRC_REL ASYPTP".split())
+MOST_PROGRAM_BYTES = 5 * MEGABYTE  # some 50 000 points; a controller's memory holds fewer
+LONGEST_LINE = 10_000  # characters; editors of controllers show some hundred
+LARGEST_NUMBER = 2.0**31  # an INT of the controller; as millimetres or seconds far beyond everything
+DEEPEST = 5  # aggregates in each other; $LOAD and FDAT have two
 APPROXIMATIONS = frozenset("C_PTP C_DIS C_VEL C_ORI C_SPL".split())
 
 
@@ -25,10 +30,7 @@ def read_module(path: Path, strict: bool = True) -> syntax.Module:
     Raises BadInput, which names file and line: not KRL, or not the part of KRL that is allowed; a file that is absent.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")  # editors put a byte order mark before text
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path") from None
+    data = read_whole(path, MOST_PROGRAM_BYTES, "a KRL file").removeprefix(b"\xef\xbb\xbf")  # editors put it before text
     return parse_text(data.decode("ascii" if data.isascii() else "latin-1"), path, strict)
 
 
@@ -40,8 +42,12 @@ def parse_text(text: str, path: Path, strict: bool = True) -> syntax.Module:
         line = raw.rstrip("\r")
         if not line.strip():
             continue
+        if len(line) > LONGEST_LINE:
+            raise BadInput(
+                f"{path.name}, line {number}: {len(line)} characters, the limit is {LONGEST_LINE}; this is no KRL program"
+            )
         if ended and strict and not line.strip().startswith(";"):
-            raise BadInput(f"{path.name}, line {number}: '{line.strip()[:40]}' stands after END; nothing may follow it")
+            raise BadInput(f"{path.name}, line {number}: '{shown(line.strip())}' stands after END; nothing may follow it")
         if ended:
             break  # local sub-programs of an old file are not the program
         statement = _statement(line, path.name, number, strict)
@@ -72,7 +78,7 @@ def _statement(text: str, file: str, number: int, strict: bool) -> syntax.Statem
     first = line.peek()
     word = first.text.upper()
     if first.kind != "name":
-        raise line.error(f"'{stripped[:40]}' is no statement")
+        raise line.error(f"'{shown(stripped)}' is no statement")
     if word in ("DEF", "DEFDAT"):
         return _definition(line)
     if word in ("END", "ENDDAT"):
@@ -187,10 +193,14 @@ def _number(line: TokenLine) -> syntax.Number:
     if token.kind != "number":
         raise line.error(f"expected a number and found '{token.text or 'the end of the line'}'")
     text = sign + token.text
+    if len(text) > LONGEST_TOKEN or not float(token.text) <= LARGEST_NUMBER:
+        raise line.error(f"{shown(text)} is beyond {LARGEST_NUMBER:.0f}, the largest number of a program")
     return syntax.Number(float(token.text) * (-1.0 if sign.count("-") % 2 else 1.0), text)
 
 
-def _aggregate(line: TokenLine) -> syntax.Aggregate:
+def _aggregate(line: TokenLine, depth: int = 1) -> syntax.Aggregate:
+    if depth > DEEPEST:
+        raise line.error(f"braces stand more than {DEEPEST} deep in each other")
     line.expect("{")
     if line.peek().kind == "name" and line.peek(1).text == ":":  # {E6POS: X ..}
         line.take()
@@ -203,17 +213,17 @@ def _aggregate(line: TokenLine) -> syntax.Aggregate:
             name += "[]"
         if name in dict(items):
             raise line.error(f"component {name} is given twice")
-        items.append((name, _value(line)))
+        items.append((name, _value(line, depth)))
         if not line.accept(","):
             break
     line.expect("}", "; is a brace missing?")
     return syntax.Aggregate(tuple(items))
 
 
-def _value(line: TokenLine) -> syntax.Value:
+def _value(line: TokenLine, depth: int = 0) -> syntax.Value:
     token = line.peek()
     if token.text == "{":
-        return _aggregate(line)
+        return _aggregate(line, depth + 1)
     if token.kind == "number" or token.text in ("-", "+"):
         return _number(line)
     if token.kind in ("enum", "string", "name", "bits"):
@@ -239,7 +249,7 @@ def _declaration_or_plain(line: TokenLine, strict: bool) -> syntax.Statement:
         index += "." + line.expect_name("a component").upper()
     if line.accept("="):
         return syntax.Assignment(line.number, name.upper() + index, _right_side(line, strict))
-    raise line.error(f"'{line.text.strip()[:40]}' is no statement of the KRL that may be used here")
+    raise line.error(f"'{shown(line.text.strip())}' is no statement of the KRL that may be used here")
 
 
 def _right_side(line: TokenLine, strict: bool) -> syntax.Value:

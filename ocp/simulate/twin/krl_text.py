@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from robots.errors import BadInput
+from robots.bounds import MEGABYTE, read_whole
+from robots.errors import BadInput, shown
 from robots.pose import Array, transform_from_xyzabc
 
 
@@ -85,27 +86,30 @@ class KrlProgram:
 AXIS_LETTERS = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE_LETTERS = ("X", "Y", "Z", "A", "B", "C")
 _ALLOWED = {*AXIS_LETTERS, *POSE_LETTERS, "S", "T", *(f"E{i}" for i in range(1, 7))}
+LARGEST = 1e9  # of mm, deg, s, kg: beyond is a lost decimal point
 _NUMBER = re.compile(r"^[-+]?(\d+(\.\d*)?|\.\d+)(E[-+]?\d+)?$")
 
 
 def krl_number(where: str, text: str) -> float:
     """A number as KRL knows it; `where` names file and line. Raises BadInput."""
     if not _NUMBER.match(text.strip()):
-        raise BadInput(f"{where}: '{text.strip()[:40]}' is no number; the virtual controller works nothing out")
-    return float(text)
+        raise BadInput(f"{where}: '{shown(text.strip())}' is no number; the virtual controller works nothing out")
+    if not abs(number := float(text)) <= LARGEST:
+        raise BadInput(f"{where}: {shown(text.strip())} is beyond {LARGEST:.0f}; no quantity of a program is that large")
+    return number
 
 
 def aggregate(where: str, text: str) -> dict[str, float]:
     """`{X 1.0,Y 2.0,..}` as numbers by component. Raises BadInput: malformed, a component twice or unknown."""
     inner = re.match(r"^\{\s*(?:[A-Z0-9_]+\s*:)?(.*)\}$", text.strip())
     if not inner or "{" in inner.group(1):
-        raise BadInput(f"{where}: '{text[:60]}' is no aggregate like {{X 1.0,Y 2.0}}")
+        raise BadInput(f"{where}: '{shown(text, 60)}' is no aggregate like {{X 1.0,Y 2.0}}")
     values: dict[str, float] = {}
     for part in inner.group(1).split(","):
         words = part.split()
         if len(words) != 2 or words[0] not in _ALLOWED or words[0] in values:
             raise BadInput(
-                f"{where}: '{part.strip()[:40]}' in a position is not understood; each component stands once with a number"
+                f"{where}: '{shown(part.strip())}' in a position is not understood; each component stands once with a number"
             )
         values[words[0]] = krl_number(where, words[1])
     return values
@@ -122,12 +126,14 @@ def frame_of(where: str, text: str) -> Array:
 
 DEEPEST = 10  # calls inside calls; deeper ones are taken for a program that calls itself
 MOST_STEPS = 2_000_000  # motions and points of a whole program; a controller's memory holds far fewer
+MOST_FILE_BYTES = 5 * MEGABYTE
+LONGEST_LINE = 5000  # characters
 LONGEST_BLOCK = 3600.0  # s of a timed block, and of a pause
 PARTS_MISS = 2e-5  # s that printed parts of a planned block may miss its END by
 _NAME = r"[A-Z_$][A-Z0-9_$]*"
 _CALL = re.compile(rf"^({_NAME})\s*\(\s*\)$")
 _POINT = re.compile(r"^(S?PTP|S?LIN|SPL)\s+(\{.*\}|" + _NAME + r")\s*(C_PTP|C_VEL|C_DIS|C_ORI|C_SPL)?$")
-_ASSIGNMENT = re.compile(rf"^({_NAME}(?:\.{_NAME})?)\s*(?:\[\s*(\d+)\s*\])?\s*=\s*(.+)$")
+_ASSIGNMENT = re.compile(rf"^({_NAME}(?:\.{_NAME})?)\s*(?:\[\s*(\d{{1,6}})\s*\])?\s*=\s*(.+)$")
 _DECLARED = re.compile(rf"^(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?(E6POS|POS|E6AXIS|AXIS|FRAME)\s+({_NAME})\s*=\s*(\{{.*\}})$")
 _TIME_BLOCK = re.compile(r"^TIME_BLOCK\s+(START|(?:PART|END)\s*=\s*(\S+))$")
 # Lines that neither move the robot nor change how it moves. Of interrupts only the one of the INI fold: any other may call what
@@ -202,10 +208,7 @@ def main_program(place: Path, name: str | None = None, planned: bool = False) ->
 
 def _statements(path: Path, planned: bool) -> list[tuple[int, str]]:
     """Lines with their numbers, upper case, without comments; empty ones left out."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give a readable file") from None
+    data = read_whole(path, MOST_FILE_BYTES, "a readable .src or .dat file")
     lines = data.split(b"\n")
     if planned and lines[-1]:
         raise BadInput(f"{path}, line {len(lines)}: does not end with CR LF; the file is cut off, write the program anew")
@@ -218,6 +221,8 @@ def _statements(path: Path, planned: bool) -> list[tuple[int, str]]:
         odd = next((b for b in body if not (32 <= b < 127 or (b == 9 and not planned))), None)
         if odd is not None:
             raise BadInput(f"{path}, line {i}: byte {odd} is no printable ASCII; a controller would stop there, take it out")
+        if len(body) > LONGEST_LINE:
+            raise BadInput(f"{path}, line {i}: {len(body)} characters, the limit is {LONGEST_LINE}; give a KRL program")
         if statement := body.decode("ascii").split(";")[0].strip().upper():
             found.append((i, statement))
     return found
@@ -276,7 +281,7 @@ def _data(c: _Controller, path: Path) -> None:
         if found := _DECLARED.match(text):
             c.named[found.group(2)] = found.group(3)
         elif not (_IDLE.match(text) or re.match(r"^(DEFDAT\s.*|ENDDAT|DECL\s.*)$", text)):
-            raise BadInput(f"{path}, line {line}: '{text[:60]}' is not understood by the virtual controller; take it out")
+            raise BadInput(f"{path}, line {line}: '{shown(text, 60)}' is not understood by the virtual controller; take it out")
 
 
 def _statement(c: _Controller, source: Path, line: int, text: str) -> None:
@@ -298,22 +303,22 @@ def _statement(c: _Controller, source: Path, line: int, text: str) -> None:
     elif _START_UP.match(text):
         c.frames, c.since = ProgramFrames(np.eye(4), np.eye(4)), {SETUP[0]}
     elif c.planned and text.startswith("$OUT"):
-        raise BadInput(f"{where}: '{text[:60]}' switches something, which no planned program does; take it out")
+        raise BadInput(f"{where}: '{shown(text, 60)}' switches something, which no planned program does; take it out")
     elif not _IDLE.match(text):
         found = _ASSIGNMENT.match(text)
         if not found or not _assign(c, where, *found.groups()):
-            raise BadInput(f"{where}: '{text[:60]}' is not understood by the virtual controller; it might move the robot")
+            raise BadInput(f"{where}: '{shown(text, 60)}' is not understood by the virtual controller; it might move the robot")
 
 
 def _pause(c: _Controller, where: str, text: str) -> ProgramPause:
     if c.planned:
-        raise BadInput(f"{where}: '{text[:40]}' stops a grinding program; the blade would rest on the wheel, take it out")
+        raise BadInput(f"{where}: '{shown(text)}' stops a grinding program; the blade would rest on the wheel, take it out")
     if text == "HALT" or re.match(r"^WAIT\s+FOR\s+\S", text):
         return ProgramPause(None)
     found = re.match(r"^WAIT\s+SEC\s+(\S+)$", text)
     seconds = krl_number(where, found.group(1)) if found else np.nan
     if not 0.0 <= seconds <= LONGEST_BLOCK:
-        raise BadInput(f"{where}: '{text[:40]}' is no pause between 0 and {LONGEST_BLOCK:g} s")
+        raise BadInput(f"{where}: '{shown(text)}' is no pause between 0 and {LONGEST_BLOCK:g} s")
     return ProgramPause(seconds)
 
 
@@ -325,9 +330,11 @@ def _assign(c: _Controller, where: str, name: str, index: str | None, value: str
         tables[name][int(index)] = frame_of(where, value)
     elif name in ("$TOOL", "$BASE") and not index:
         table, word = (c.tools, "TOOL_DATA") if name == "$TOOL" else (c.bases, "BASE_DATA")
-        if found := re.match(rf"^{word}\s*\[\s*(\d+)\s*\]$", value):
+        if found := re.match(rf"^{word}\s*\[\s*(\d{{1,6}})\s*\]$", value):
             if int(found.group(1)) not in table:
-                raise BadInput(f"{where}: {value} is set nowhere in the program; assign the frame so that it can be known here")
+                raise BadInput(
+                    f"{where}: {shown(value)} is set nowhere in the program; assign the frame so that it can be known here"
+                )
             T = table[int(found.group(1))]
         else:
             T = frame_of(where, value)
@@ -359,7 +366,7 @@ def _load(where: str, text: str) -> Array:
     """{M kg,CM {X mm ..},J {X kg m^2 ..}} as (7,): kg, m, kg m^2."""
     found = _LOAD.match(text)
     if not found:
-        raise BadInput(f"{where}: '{text[:60]}' is no load like {{M 25.0,CM {{X 0.0,..}},J {{X 0.0,Y 0.0,Z 0.0}}}}")
+        raise BadInput(f"{where}: '{shown(text, 60)}' is no load like {{M 25.0,CM {{X 0.0,..}},J {{X 0.0,Y 0.0,Z 0.0}}}}")
     inertia = [part.split() for part in found.group(3).split(",")]
     if [part[0] for part in inertia if len(part) == 2] != ["X", "Y", "Z"]:
         raise BadInput(f"{where}: the inertia J of $LOAD is not X, Y, Z with a number each; write all of them")
@@ -380,7 +387,7 @@ def _positive(where: str, name: str, value: str, most: float = LONGEST_BLOCK) ->
 def _target(c: _Controller, where: str, line: int, text: str, blend: bool) -> Target:
     if not text.startswith("{"):
         if text not in c.named:
-            raise BadInput(f"{where}: position {text} is declared nowhere with values; write them out")
+            raise BadInput(f"{where}: position {shown(text)} is declared nowhere with values; write them out")
         text = c.named[text]
     values = aggregate(where, text)
     if c.planned and any(letter.startswith("E") for letter in values):
@@ -416,7 +423,9 @@ def _spline(c: _Controller, source: Path, line: int, block: list[tuple[int, str]
     for at, text in block:
         found = _POINT.match(text)
         if not found or found.group(1) not in ("SPL", "SLIN"):
-            raise BadInput(f"{source}, line {at}: '{text[:60]}' does not belong into a SPLINE block; only SPL with poses do")
+            raise BadInput(
+                f"{source}, line {at}: '{shown(text, 60)}' does not belong into a SPLINE block; only SPL with poses do"
+            )
         target = _target(c, f"{source}, line {at}", at, found.group(2), False)
         if target.pose is None:
             raise BadInput(f"{source}, line {at}: SPL with axes; a SPLINE block goes through poses")
@@ -448,7 +457,7 @@ def _timed(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]
                 raise BadInput(f"{where}: END is {end:.5f} s and the parts sum to {sum(parts):.5f} s; write the program anew")
         else:
             raise BadInput(
-                f"{where}: '{text[:60]}' is not understood here; a timed block is SPTP, START, then SPTP and PART by turns, END"
+                f"{where}: '{shown(text)}' is not understood here; a timed block is SPTP, START, then SPTP and PART by turns, END"
             )
     if end is None:
         raise BadInput(f"{source}, line {line}: the PTP_SPLINE has no complete TIME_BLOCK; only timed blocks can be driven here")

@@ -7,8 +7,10 @@ point, its normal and the feed direction are then the plan's there. Frames and h
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +22,15 @@ from scipy.spatial.transform import Rotation
 from ocp.model.cell import Cell
 from ocp.simulate.twin.controller import Index, Track
 from ocp.simulate.twin.krl_text import DrivenMotion, KrlProgram
+from robots.bounds import MEGABYTE, read_whole
 from robots.csv_table import read_csv_table
-from robots.errors import BadInput
+from robots.errors import BadInput, shown
 from robots.pose import Array, abc_from_rotation, invert
 
 AXES = tuple(f"q{i}_deg" for i in range(1, 7))
 CONTACT = ("px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz", "s_mm", "feed_mm_s", "fn_N", "interference_mm")
+MOST_SUMMARY = 20 * MEGABYTE
+LONGEST_PLAN = 4 * 3600.0  # s; a blade takes some minutes, and the plan is laid out every FINE
 FINE = 0.002  # s between the plan's points that are looked at
 ORDER = 2e-3  # rad that the whole program's time counts for when postures repeat
 FAR = np.radians(0.05)  # rad; a posture farther from the plan than this is not the plan's
@@ -73,9 +78,12 @@ def read_plan_table(folder: Path) -> PlanTable:
         raise BadInput(f"{table.path}: no row is in contact; give the plan of a grinding program")
     if np.isnan(values[contact]).any():
         raise BadInput(f"{table.path}: rows in contact lack their contact point; write the plan anew")
+    time = table.numbers["time_s"]
+    if not (late := np.ptp(time)) <= LONGEST_PLAN:
+        raise BadInput(f"{table.path}: reaches over {late:g} s, the limit is {LONGEST_PLAN:g} s; write the plan anew")
     change = (np.diff(line) != 0) | (np.diff(phase) != 0)
     segment = np.concatenate([[0], np.cumsum(change)])
-    return PlanTable(table.path, table.numbers["time_s"], np.radians(table.stack(AXES)), line, phase, values, segment)
+    return PlanTable(table.path, time, np.radians(table.stack(AXES)), line, phase, values, segment)
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
@@ -84,11 +92,18 @@ def read_summary(folder: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{path}: cannot be read as JSON ({str(error)[:80]}); write the plan anew") from None
-    if not isinstance(found, dict):
+        found = json.loads(read_whole(path, MOST_SUMMARY, "a plan's summary"))
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{path}: cannot be read as JSON ({shown(error, 80)}); write the plan anew") from None
+    inputs = found.get("inputs", []) if isinstance(found, dict) else None
+    if not isinstance(inputs, list) or not all(isinstance(item, dict) for item in inputs):
         raise BadInput(f"{path}: holds no summary of a plan; write the plan anew")
+    for item in inputs:
+        name, digest = item.get("name"), item.get("sha256")
+        if not isinstance(name, str) or Path(name).name != name or not name.isprintable() or len(name.encode()) > 255:
+            raise BadInput(f"{path}: inputs name = {shown(repr(name))} is no file's name; write the plan anew")
+        if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
+            raise BadInput(f"{path}: inputs sha256 = {shown(repr(digest))} is no hash of a file; write the plan anew")
     return found
 
 
@@ -194,8 +209,8 @@ def with_hash(files: Iterable[Path], digest: str) -> Path | None:
 def recorded_input(summary: dict[str, Any], role: str) -> tuple[str, str] | None:
     """Name and hash of an input of the plan, None where plan.json does not tell it."""
     for item in summary.get("inputs", []):
-        if isinstance(item, dict) and item.get("role") == role:
-            return str(item.get("name")), str(item.get("sha256"))
+        if item.get("role") == role:
+            return item["name"], item["sha256"]
     return None
 
 
@@ -208,7 +223,7 @@ def cell_of_plan(summary: dict[str, Any], folder: Path, places: Sequence[Path], 
     if known is None:
         raise BadInput(f"{folder}: plan.json does not tell which cell the plan was made with; give it with --cell")
     name, digest = known
-    below = (file for place in places for file in sorted(place.glob(f"*/{name}")))
+    below = (file for place in places for file in sorted(place.glob(f"*/{escape(name)}")))
     looked = [*(place / name for place in places), bundled, *below]
     if found := with_hash(looked, digest):
         return found
