@@ -26,7 +26,7 @@ from ocp.diagnose.joints.log import read_joint_log
 from ocp.model.cell import cell_tables_for, files_of, read_cell, read_tracker_setup, wheel_frame
 from ocp.simulate.twin.krl_text import read_program
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, read_plan_table, read_summary, recorded_input
-from ocp.simulate.twin.tracker_log import design_from_poses
+from ocp.simulate.twin.tracker import design_from_poses
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput, Infeasible
 from robots.kinematics import forward
