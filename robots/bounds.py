@@ -66,6 +66,7 @@ Mass = Annotated[
     float, _between(0.0, 1e5), AfterValidator(_zero_or_from(1e-6))
 ]  # kg: a hundred tonnes; links of the largest arms
 Moment = Annotated[float, _between(-1e6, 1e6)]  # kg m^2
+MomentOfInertia = Annotated[Moment, Field(ge=0)]
 Spring = Annotated[float, _between(0.0, 1e11), AfterValidator(_zero_or_from(1.0))]  # N m/rad: 1 is a wrist of rubber, 0 rigid
 Temperature = Annotated[float, _between(-100.0, 1000.0)]  # C: nothing here grinds beyond
 Seconds = Annotated[float, _between(0.0, 1e10)]  # s: 300 years, so that clocks of computers are in

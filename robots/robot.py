@@ -3,6 +3,7 @@
 First the keys of that file as users write them (millimetres, degrees, kilograms) with their bounds, then the robot in SI.
 """
 
+import itertools
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from robots.bounds import Angle, Label, Mass, Moment, Place, PlaceVector, Size, Spring
+from robots.bounds import Angle, Label, Margin, Mass, Moment, MomentOfInertia, Place, PlaceVector, Size, Spring
 from robots.errors import BadInput, shown
 from robots.pose import Array
 from robots.toml_files import TomlTable, read_toml
@@ -115,6 +116,29 @@ class CapsuleTable(TomlTable):
     radius_mm: Size
 
 
+class RatedPayloadTable(TomlTable):
+    """`[payload]`, optional: what the maker lets hang on the flange, its centre in the flange frame; the load diagram says for a
+    payload's centre at a distance from the flange's centre which mass is allowed."""
+
+    source: str
+    rated_kg: Annotated[Mass, Field(gt=0)]
+    com_mm_at_rated: PlaceVector | None = None
+    inertia_kg_m2: tuple[MomentOfInertia, MomentOfInertia, MomentOfInertia] | None = None  # about that centre
+    diagram: Annotated[tuple[tuple[Margin, Mass], ...], Field(min_length=2, max_length=1000)] | None = None
+
+    @model_validator(mode="after")
+    def _falling(self) -> "RatedPayloadTable":
+        points = self.diagram or ()
+        for (near, more), (far, less) in itertools.pairwise(points):
+            if far <= near or less > more:
+                raise ValueError(
+                    f"diagram: [{far:g}, {less:g}] follows [{near:g}, {more:g}]; distances must grow and masses never, correct it"
+                )
+        if self.inertia_kg_m2 is not None and self.com_mm_at_rated is None:
+            raise ValueError("inertia_kg_m2 says nothing without com_mm_at_rated; give both or neither")
+        return self
+
+
 class RobotTables(TomlTable):
     """The whole file."""
 
@@ -125,6 +149,7 @@ class RobotTables(TomlTable):
     gears: GearsTable | None = None
     stiffness: StiffnessTable
     links: LinksTable
+    payload: RatedPayloadTable | None = None
     shape: Annotated[tuple[CapsuleTable, ...], Field(max_length=MOST_SHAPES)] = ()
 
 
@@ -142,6 +167,17 @@ CATALOGUE = Path(__file__).parent / "catalogue"
 
 # Link index 0..6, end points (3,) m in the link's frame, radius m.
 Capsule = tuple[int, Array, Array, float]
+
+
+@dataclass(frozen=True, eq=False)
+class RatedPayload:
+    """What the maker lets hang on the flange: mass kg; its centre (3,) m in the flange frame and its inertia (3,) kg m^2 about
+    it, None where unknown. diagram (k, 2): distance m of a payload's centre from the flange's, kg allowed there, or None."""
+
+    mass: float
+    com: Array | None
+    inertia: Array | None
+    diagram: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +206,7 @@ class Robot:
     stiffness: Array  # (6,) N m/rad, 0 = rigid
     link_shapes: tuple[Capsule, ...]
     sources: str
+    payload: RatedPayload | None = None  # None: unknown
     # (3,) unit, base frame; an upright base unless the cell says how it is mounted
     gravity_direction: Array = field(default_factory=lambda: _fixed(np.array([0.0, 0.0, -1.0])))
 
@@ -205,7 +242,7 @@ def _robot(tables: RobotTables) -> Robot:
         np.radians(geometry.alpha_deg),
         np.radians(geometry.beta_deg),
     ]
-    blocks = [(name, getattr(tables, name)) for name in ("geometry", "limits", "gears", "stiffness", "links")]
+    blocks = [(name, getattr(tables, name)) for name in ("geometry", "limits", "gears", "stiffness", "links", "payload")]
     sources = [f"{name}: {block.source}" for name, block in blocks if block is not None]
     return Robot(
         name=tables.name,
@@ -227,6 +264,17 @@ def _robot(tables: RobotTables) -> Robot:
             for c in tables.shape
         ),
         sources="\n".join(sources),
+        payload=None if tables.payload is None else _rated(tables.payload),
+    )
+
+
+def _rated(table: RatedPayloadTable) -> RatedPayload:
+    com, inertia, diagram = table.com_mm_at_rated, table.inertia_kg_m2, table.diagram
+    return RatedPayload(
+        mass=table.rated_kg,
+        com=None if com is None else _fixed(np.array(com) * 1e-3),
+        inertia=None if inertia is None else _fixed(np.array(inertia)),
+        diagram=None if diagram is None else _fixed(np.array(diagram) * [1e-3, 1.0]),
     )
 
 

@@ -167,12 +167,22 @@ class Cell:
     effects: tuple[CellEffect, ...] = ()
     conditions: RunConditions = RunConditions()
 
+    @property
+    def up(self) -> Array:
+        """Against gravity, unit (3,) in the base frame."""
+        return -self.robot.gravity_direction
+
+    @property
+    def floor(self) -> float | None:
+        """Height m of the floor above the base's origin along `up`; None where the cell gives none."""
+        return None if self.tables.floor is None else 1e-3 * self.tables.floor.z_mm
+
 
 def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
     """Read cell.toml; `blade` replaces `[workpiece].stl`.
 
     Raises BadInput: as `read_toml`, and where tables needed for grinding are absent, the robot is unknown, or
-    the calibration belongs to another robot.
+    the calibration belongs to another robot, or the wheel reaches below the floor.
     """
     path = Path(path)
     tables = read_toml(path, CellTables)
@@ -188,7 +198,7 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
                 f"{path}: calibration '{tables.robot.calibration}' belongs to robot '{calibration.robot}', the cell has "
                 f"'{robot.name}'; calibrate this robot or correct robot.model"
             )
-    return Cell(
+    cell = Cell(
         name=tables.name,
         path=path,
         robot=robot,
@@ -203,6 +213,31 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
         effects=tuple(effect_of(table.model_dump()) for table in tables.effects),
         conditions=_conditions(tables.conditions, tables.reference_temperature_C),
     )
+    _refuse_sunken_wheel(cell)
+    return cell
+
+
+def _refuse_sunken_wheel(cell: Cell) -> None:
+    """The lowest point of the wheel's rim stands on or above the floor."""
+    if cell.floor is None:
+        return
+    wheel, lean = cell.wheel, abs(float(cell.wheel.axis @ cell.up))
+    lowest = float(wheel.centre @ cell.up) - wheel.radius * np.sqrt(max(1.0 - lean**2, 0.0)) - 0.5 * wheel.width * lean
+    if lowest < cell.floor:
+        raise BadInput(
+            f"{cell.path}: the wheel reaches {1e3 * (cell.floor - lowest):.0f} mm below the floor; correct wheel.centre_mm, "
+            f"floor.z_mm = {1e3 * cell.floor:g} (height above the base's origin) or robot.gravity_direction"
+        )
+
+
+def floor_notices(cell: Cell) -> list[str]:
+    """A sentence where no floor could be checked."""
+    if cell.floor is not None:
+        return []
+    return [
+        f"{cell.path.name} gives no [floor], so no floor was checked, only the plane that the robot's base stands on; give "
+        "floor.z_mm, the height of the floor above the base's origin"
+    ]
 
 
 def _robot(path: Path, tables: CellTables) -> Robot:
@@ -288,6 +323,11 @@ def _named_aerofoil(table: WorkpieceTable) -> NamedAerofoil | None:
     return NamedAerofoil(axis, -np.inf if low is None else 1e-3 * low, np.inf if high is None else 1e-3 * high)
 
 
+def payloads_of(tables: CellTables) -> dict[str, Hanging]:
+    """What may hang on the flange, by name."""
+    return {name: _payload(table) for name, table in tables.payloads.items()}
+
+
 def _payload(table: PayloadTable | None) -> Hanging:
     return Hanging() if table is None else Hanging(table.mass_kg, np.array(table.com_mm) * 1e-3, np.array(table.inertia_kg_m2))
 
@@ -355,8 +395,7 @@ def read_tracker_setup(path: str | Path) -> TrackerSetup:
     path = Path(path)
     tables = read_toml(path, CellTables)
     robot = _robot(path, tables)
-    payloads = {name: _payload(table) for name, table in tables.payloads.items()}
-    return TrackerSetup(path, robot, payloads, _instrument(tables.tracker), tables.robot.compliant_joints, tables)
+    return TrackerSetup(path, robot, payloads_of(tables), _instrument(tables.tracker), tables.robot.compliant_joints, tables)
 
 
 def files_of(path: str | Path) -> list[Path]:

@@ -18,7 +18,7 @@ from robots.bounds import (
     Margin,
     Mass,
     Micrometres,
-    Moment,
+    MomentOfInertia,
     Number,
     OffsetVector,
     Place,
@@ -34,7 +34,6 @@ from robots.toml_files import TomlTable
 
 # Counts: a joint's springs are six; every payload, nest and effect is a block of unknowns in a fit.
 MOST_PAYLOADS, MOST_NESTS, MOST_EFFECTS = 200, 1000, 100
-MomentOfInertia = Annotated[Moment, Field(ge=0)]
 
 
 class RobotTable(TomlTable):

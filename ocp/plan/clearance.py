@@ -12,9 +12,19 @@ import numpy as np
 
 from ocp.model.blade_gap import REACH
 from ocp.model.cell import Cell
-from ocp.plan.rules import ARM_MARGIN, BLADE_MARGIN, FLOOR_BELOW_WHEEL, HOLDER_RADIUS, HOLDER_SHARE, SECONDARY_CONTACT_TOLERANCE
+from ocp.plan.rules import (
+    ARM_MARGIN,
+    BLADE_MARGIN,
+    FLOOR_BELOW_WHEEL,
+    HOLDER_RADIUS,
+    HOLDER_SHARE,
+    SECONDARY_CONTACT_TOLERANCE,
+    UPRIGHT,
+)
 from robots.kinematics import link_frames
 from robots.pose import Array, apply, invert
+
+BASE_PLANE = "plane of the base"
 
 
 @dataclass(frozen=True)
@@ -116,9 +126,12 @@ def _bodies(cell: Cell, vertices: Array) -> list[Body]:
     wheel_placement = np.eye(4)
     wheel_placement[:3, :3], wheel_placement[:3, 3] = R, cell.wheel.centre
     bodies.append(Body("wheel", 7, coal.Cylinder(cell.wheel.radius, cell.wheel.width), wheel_placement))
-    # The robot's base plane, or just below the wheel where that hangs lower (a pedestal).
-    floor = min(0.0, float(cell.wheel.centre[2]) - cell.wheel.radius - FLOOR_BELOW_WHEEL)
-    bodies.append(Body("floor", 7, coal.Halfspace(np.array([0.0, 0.0, 1.0]), floor), np.eye(4)))
+    if cell.floor is not None:
+        bodies.append(Body("floor", 7, coal.Halfspace(cell.up, cell.floor), np.eye(4)))
+    if cell.floor is None or cell.up[2] < UPRIGHT:
+        # The robot's base plane, or just below the wheel where that hangs lower (a pedestal).
+        plane = min(0.0, float(cell.wheel.centre[2]) - cell.wheel.radius - FLOOR_BELOW_WHEEL)
+        bodies.append(Body(BASE_PLANE, 7, coal.Halfspace(np.array([0.0, 0.0, 1.0]), plane), np.eye(4)))
     return bodies
 
 
@@ -126,15 +139,21 @@ def _pairs(bodies: list[Body]) -> list[BodyPair]:
     pairs = []
     for (i, a), (j, b) in itertools.combinations(enumerate(bodies), 2):
         kinds = {a.name, b.name}
+        if a.frame == b.frame == 7:
+            continue
         if "wheel" in kinds and kinds & {"blade", "holder"}:
             pairs.append(BodyPair(i, j, BLADE_MARGIN, off_contact="blade" in kinds))
             continue
+        margin = ARM_MARGIN
         if "wheel" in kinds:
-            meet = a.frame >= 1 and "floor" not in kinds
+            meet = a.frame >= 1
+        elif "floor" in kinds:
+            # Over an upright base the column keeps its height, which may be less than the margin.
+            meet, margin = a.frame >= 1, 0.0 if a.frame == 1 else ARM_MARGIN
         else:
-            meet = a.frame >= 2 if "floor" in kinds else _far_apart(a, b)
+            meet = a.frame >= 2 if BASE_PLANE in kinds else _far_apart(a, b)
         if meet:
-            pairs.append(BodyPair(i, j, ARM_MARGIN))
+            pairs.append(BodyPair(i, j, margin))
     return pairs
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
-from ocp.model.cell import Cell, read_cell
+from ocp.model.cell import Cell, floor_notices, read_cell
 from ocp.model.prepare import prepare_contact
 from ocp.model.theta import Theta, registered
 from ocp.plan.clearance import CollisionScene
@@ -19,6 +19,7 @@ from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
 from robots.errors import BadInput
+from robots.payload import refuse_overload
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
 from trajectories.program.program import KINDS
@@ -76,6 +77,9 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         raise BadInput(
             f"--step {options.step * 1e3:g} mm is not between {LEAST_STEP * 1e3:g} and {MOST_STEP * 1e3:g} mm; 0.5 is usual"
         )
+    told = floor_notices(cell) + refuse_overload(
+        str(cell_file), cell.robot, {cell.workpiece.payload_name: cell.workpiece.payload}
+    )
     with phases.phase("passes"):
         laid = lay_paths(cell, stl, options)
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
@@ -108,7 +112,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         kind=options.kind,
         name=options.name or stl.name,
         inputs=tuple(inputs),
-        notices=(*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices),
+        notices=(*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices, *told),
         wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
     )

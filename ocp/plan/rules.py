@@ -93,8 +93,12 @@ HOLDER_SHARE = 0.5
 other half to pass beside the clamp."""
 
 FLOOR_BELOW_WHEEL = 0.05
-"""[m] Of the floor below a wheel that hangs lower than the robot's base. Guards: the floor, which the cell file does not
-describe. Reason: judgement; the robot then stands on a pedestal."""
+"""[m] Of the plane that is kept free below a wheel that hangs lower than the robot's base, where the cell file gives no floor.
+Guards: what the robot stands on. Reason: judgement; the robot then stands on a pedestal."""
+
+UPRIGHT = np.cos(np.radians(45.0))
+"""[-] Share of the base's z axis that points up, from which on a robot stands on the floor that the cell gives: with less the
+plane of its base, wall or ceiling, is kept free beside that floor. Guards: the wall. Reason: midway between floor and wall."""
 
 COLLISION_STEP = np.radians(1.0)
 """[rad] Largest move of an axis between two postures that are looked at off contact. Guards: nothing thin is passed through.

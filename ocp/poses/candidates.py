@@ -253,7 +253,8 @@ def _slab(cell: Cell) -> tuple[Array, list[BladePath]]:
 
 
 RANDOM, NEAR = 2000, 1000  # postures tried: anywhere, and with the blade near the wheel
-STAND = (3.5, 1.5)  # m from axis 1 and above the floor of the base: where the tracker is taken to stand
+# m from the robot and above the floor (unknown: on the arm's side of the base): where the tracker is taken to stand
+STAND = (3.5, 1.5)
 AZIMUTHS = 24
 SAMPLE = 600  # postures on which stands are compared
 
@@ -311,7 +312,12 @@ def choose_stand(cell: Cell, sight: Sight, nests: list[Nest], q: Array, rng: np.
     """The tracker's place (3,) m around the robot, `STAND` away, from which most readings of postures q (n, 6) are seen."""
     sample = q if len(q) <= SAMPLE else q[rng.choice(len(q), SAMPLE, replace=False)]
     angle = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
-    stands = np.stack([STAND[0] * np.cos(angle), STAND[0] * np.sin(angle), np.full(AZIMUTHS, STAND[1])], axis=1)
+    up = cell.up
+    across = np.eye(3)[0 if abs(up[0]) < 0.9 else 1]
+    across = across - up * (up @ across)
+    across /= np.linalg.norm(across)
+    height = STAND[1] * up[2] if cell.floor is None else cell.floor + STAND[1]
+    stands = STAND[0] * (np.outer(np.cos(angle), across) + np.outer(np.sin(angle), np.cross(up, across))) + height * up
     counts = [int(visible_nests(cell, sight, nests, stand, sample).sum()) for stand in stands]
     return np.asarray(stands[int(np.argmax(counts))])
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.model.cell import Cell, TrackerSetup, read_cell, read_tracker_setup
+from ocp.model.cell import Cell, TrackerSetup, floor_notices, read_cell, read_tracker_setup
 from ocp.plan.clearance import CollisionScene
 from ocp.poses.candidates import (
     CandidatePoses,
@@ -27,6 +27,7 @@ from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
 from robots.calibration.pose_choice import choose
 from robots.errors import BadInput, Infeasible
+from robots.payload import refuse_overload
 from robots.pose import Array, invert, transform_from_xyzabc
 from robots.tracker_readings import Index, Nest
 from trajectories.program.program import Wait
@@ -82,6 +83,8 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
     payloads, notices = chosen_payloads(setup, options.payloads)
     if not 1 <= options.count <= MOST_POSES:
         raise BadInput(f"-n {options.count}: choose between 1 and {MOST_POSES} poses")
+    notices += refuse_overload(str(cell_file), cell.robot, {name: setup.payloads[name] for name in payloads})
+    notices += floor_notices(cell)
     tracker, tracker_from = stated_tracker(cell, options.tracker)
     rng = np.random.default_rng(options.seed)
     with phases.phase("candidates"):

@@ -14,7 +14,7 @@ import numpy as np
 
 from ocp.data import CELL
 from ocp.effects.catalogue import key_range
-from ocp.model.cell import Cell, files_of, read_cell
+from ocp.model.cell import Cell, files_of, floor_notices, payloads_of, read_cell
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
 from ocp.simulate.input import Wanted, blade_file, campaign_plan, cell_file, check_numbers, in_words, plan_folder, planted_effects
@@ -31,6 +31,7 @@ from ocp.simulate.twin.run import GrindingCampaign, VirtualMachine, arm_conditio
 from ocp.simulate.twin.tracker import TrackerLog, tracker_log, write_tracker, write_tracker_truth
 from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.errors import BadInput
+from robots.payload import refuse_overload
 from trajectories.blade import read_blade
 
 MACHINES = {
@@ -110,11 +111,14 @@ def _simulated(
     notices: list[str] = []
     ground = None
     if program is not None and folder is not None:
+        hung = {cell.workpiece.payload_name: cell.workpiece.payload}
+        notices += refuse_overload(str(cell.path), cell.robot, hung) + floor_notices(cell)
         notices += refuse_stranger(program, cell, summary, folder)
         ground = _grind(wanted, cell, truth, program, folder, phases)
         notices += ground.track.notices
     with phases.phase("tracker"):
         log = _track(wanted, cell, ground)
+        notices += [n for n in _campaign_notices(cell, log) if n not in notices]
     with output.whole() as partial, phases.phase("writing"):
         rows = _write(wanted, cell, truth, ground, log, partial, notices)
     rehearsal, readings = None if ground is None else ground.rehearsal, 0 if log is None else len(log.design)
@@ -156,6 +160,17 @@ def _track(wanted: Wanted, cell: Cell, ground: _Ground | None) -> TrackerLog | N
     if ground is None:
         raise BadInput(nothing)
     return None
+
+
+def _campaign_notices(cell: Cell, log: TrackerLog | None) -> list[str]:
+    """What could not be checked of a campaign's payloads. Raises BadInput: one is more than the robot carries."""
+    names: set[str] = set()
+    for campaign in () if log is None else (log.design, log.sealed):
+        if campaign is not None:
+            hung = campaign.moments.payload
+            names |= {hung} if isinstance(hung, str) else set(hung)
+    loads = {name: load for name, load in payloads_of(cell.tables).items() if name in names}
+    return refuse_overload(str(cell.path), cell.robot, loads)
 
 
 def _write(

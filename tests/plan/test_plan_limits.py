@@ -5,6 +5,7 @@ others judge the result.
 - DIRECT_TOLERANCE ends the corrections; FLANGE_FORCE_TOLERANCE judges what is left.
 - SINGULARITY_SHARE on wrist and elbow, as AXIS_MARGIN, are bounds that the optimiser cannot leave.
 - HOLDER_RADIUS, HOLDER_SHARE, FLOOR_BELOW_WHEEL, WHEEL_ROOM are shapes; the margins judge them.
+- UPRIGHT says which planes are there (tests/plan/test_safe_to_move.py).
 - COLLISION_STEP says how densely moves are looked at; LIFT_OFF, HOME_LIFT and ENGAGE_SPEED say how moves are laid.
 - EMITTED_FORCE_ERROR, EMITTED_TOLERANCE and EMITTED_AIR_TOLERANCE say how points are thinned out; the text is read back.
 """

@@ -1,12 +1,13 @@
 """A pass on a round bar, a wheel law in closed form: small, exact problems for the tests of model and optimiser."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
 
 from ocp.data import CELL
 from ocp.model.cell import Cell, read_cell
+from ocp.model.cell_schema import FloorTable
 from trajectories.passes import BladePath
 
 
@@ -26,6 +27,11 @@ class LineLaw:
 
 def bundled_cell() -> Cell:
     return read_cell(CELL)
+
+
+def with_floor(cell: Cell, height_mm: float) -> Cell:
+    """The cell with a floor so high above its base."""
+    return replace(cell, tables=cell.tables.model_copy(update={"floor": FloorTable(z_mm=height_mm)}))
 
 
 def bar_pass(n: int = 40, radius: float = 0.04, length: float = 0.06, force: float = 20.0, feed: float = 0.04) -> BladePath:

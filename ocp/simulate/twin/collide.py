@@ -1,7 +1,8 @@
-"""Does anything hit: arm against wheel and itself, holder and blade against the wheel, along a driven program.
+"""Does anything hit: arm against wheel, floor and itself, holder and blade against wheel and floor, along a driven program.
 
-Links are the robot's capsules, the wheel a cylinder, the holder a slender rod: MuJoCo measures their distances. Blade and wheel
-are looked at by points of the blade's surface, because an aerofoil is hollow and a hull of it is not.
+Links are the robot's capsules, the wheel a cylinder, the holder a slender rod, the floor a plane across gravity: MuJoCo measures
+their distances. Blade and wheel are looked at by points of the blade's surface, because an aerofoil is hollow and a hull of it is
+not.
 """
 
 from dataclasses import dataclass
@@ -99,6 +100,17 @@ def surface_points(blade: Blade) -> Array:
     return np.asarray(vertices[np.sort(first)])
 
 
+def height_over_floor(cell: Cell, links: Array) -> Array:
+    """Heights (n,) m of the arm's lowest moving point over the cell's floor, links (n, 7, 4, 4); inf where it gives none."""
+    lowest, up = np.full(len(links), np.inf), -cell.robot.gravity_direction
+    if cell.tables.floor is not None:
+        for link, p0, p1, radius in cell.robot.link_shapes:
+            for end in (p0, p1) if link >= 1 else ():
+                lowest = np.minimum(lowest, (links[:, link, :3, :3] @ end + links[:, link, :3, 3]) @ up - radius)
+        lowest = lowest - 1e-3 * cell.tables.floor.z_mm
+    return lowest
+
+
 class _Scene:
     """Shapes on frames that are put where the arm is; distances of the pairs that may meet."""
 
@@ -122,9 +134,15 @@ class _Scene:
         half = 0.5 * wheel.width * wheel.axis
         ends = [*wheel.centre - half, *wheel.centre + half]
         spec.worldbody.add_geom(name="wheel", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[wheel.radius, 0, 0], fromto=ends)
+        geoms += [("blade", "the blade", 6), ("wheel", "the wheel", -1)]
+        if cell.tables.floor is not None:
+            up, height = -cell.robot.gravity_direction, 1e-3 * cell.tables.floor.z_mm
+            level = Rotation.align_vectors(up[None], [[0.0, 0.0, 1.0]])[0].as_quat(scalar_first=True)
+            plane = mujoco.mjtGeom.mjGEOM_PLANE
+            spec.worldbody.add_geom(name="floor", type=plane, size=[0, 0, 1], pos=height * up, quat=level)
+            geoms.append(("floor", "the floor", -2))
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        geoms += [("blade", "the blade", 6), ("wheel", "the wheel", -1)]
         number = {g: mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, g[0]) for g in geoms}
         self._pairs = [(number[a], number[b], a[1], b[1]) for a, b in combinations(geoms, 2) if _may_meet(a, b)]
         self._gap = np.zeros(len(self._pairs))
@@ -164,8 +182,10 @@ def _root(cell: Cell, blade: Blade, T_flange_blade: Array) -> Array:
 
 
 def _may_meet(a: tuple[str, str, int], b: tuple[str, str, int]) -> bool:
-    """Neighbours overlap by construction, the base does not reach the wheel, blade and wheel are looked at elsewhere."""
+    """Neighbours overlap by construction, base and wheel stand, blade and wheel are looked at elsewhere."""
     names, carried = {a[0], b[0]}, {"holder", "blade"}
+    if "floor" in names:
+        return max(a[2], b[2]) >= 1
     if "wheel" in names:
         return "blade" not in names and max(a[2], b[2]) >= 1
     if names == carried:

@@ -14,10 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
 from ocp.simulate.twin.arm import Moments, VirtualArm, arm_moments, make_arm
+from ocp.simulate.twin.collide import height_over_floor
 from ocp.simulate.twin.dataset import write_csv
 from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.csv_table import read_csv_table
-from robots.errors import BadInput
+from robots.errors import BadInput, Infeasible
 from robots.pose import Array, apply
 
 # A gross reading: a beam that was cut, a reflector not seated, a ghost. Distance m, log-evenly, any direction.
@@ -114,6 +115,7 @@ _FRONT, _WRIST = 92.0, 175.0
 _MARGIN = np.radians(0.5)  # from the axes' limits
 # Where the flange may be, m per metre of the arm's reach: off the column, above the floor.
 _COLUMN, _FLOOR = 0.22, 0.06
+_TRIES = 40  # times so many postures are drawn as are asked for; one in three is free of a floor at the base
 WARM_UP, WARM_TIME = 9.0, 4000.0  # K that a day's work heats the structure, s to reach 63 % of it
 BETWEEN = 40.0  # s from one posture of a poses.csv to the next
 CAMPAIGN, SEALED_AFTER, SEALED_SPAN, SEALED_WARMTH = 10800.0, 500.0, 3700.0, 4.0  # s, s, s, K
@@ -188,6 +190,11 @@ def design_from_poses(cell: Cell, path: str | Path) -> TrackerCampaign:
             if name not in known:
                 raise table.refuse(row, column, f"is not in {cell.path.name} ({', '.join(known) or 'none'})")
     approach = table.stack(APPROACH) if all(c in table.numbers for c in APPROACH) else np.zeros((n, 6))
+    arm, T0 = make_arm(cell, draw_truth(cell, 0, mode="believed")), cell.tables.reference_temperature_C
+    height = height_over_floor(cell, arm.links(arm_moments(np.radians(table.stack(AXES)), "", T0)))
+    if (height < 0).any():
+        row = int(np.argmin(height))
+        raise table.refuse(row, "q2_deg", f"puts the arm {-1e3 * height[row]:.0f} mm into the floor of {cell.path.name}")
     time = BETWEEN * np.arange(1, n + 1)
     hung = tuple(table.words.get("payload", [payloads[0] if payloads else ""] * n))
     m = arm_moments(np.radians(table.stack(AXES)), hung, round(cell.tables.reference_temperature_C, 2), approach, time)
@@ -203,20 +210,31 @@ def _targets(cell: Cell) -> list[str]:
 
 
 def _postures(cell: Cell, rng: np.random.Generator, n: int) -> Array:
-    """Axes (n, 6) rad in front of the robot with the flange off the column and the floor, rounded as files hold them."""
+    """Axes (n, 6) rad in front of the robot with the flange off the column and the floor, rounded as files hold them.
+
+    Raises Infeasible: hardly any posture does.
+    """
     robot = cell.robot
     box = np.radians([_FRONT, np.inf, np.inf, _WRIST, np.inf, _WRIST])
     low, high = np.maximum(robot.q_min + _MARGIN, -box), np.minimum(robot.q_max - _MARGIN, box)
     arm = make_arm(cell, draw_truth(cell, 0, mode="believed"))
     reach = float(np.abs(robot.mdh[:, 1:3]).sum())
     found, count = [np.empty((0, 6))], 0
-    while count < n:
+    for _ in range(_TRIES):
+        if count >= n:
+            break
         q = rng.uniform(low, high, (n + 50, 6))
-        links = arm.links(arm_moments(q, "", cell.tables.reference_temperature_C))[:, 4:, :3, 3]
-        free = (np.hypot(links[..., 0], links[..., 1]) > _COLUMN * reach) & (links[..., 2] > _FLOOR * reach)
-        kept = q[free.all(axis=1)]
+        links = arm.links(arm_moments(q, "", cell.tables.reference_temperature_C))
+        x, y, z = np.moveaxis(links[:, 4:, :3, 3], 2, 0)
+        free = (np.hypot(x, y) > _COLUMN * reach) & (z > _FLOOR * reach)
+        kept = q[free.all(axis=1) & (height_over_floor(cell, links) > 0)]
         count += len(kept)
         found.append(kept)
+    if count < n:
+        raise Infeasible(
+            f"{cell.path}: of {_TRIES * (n + 50)} postures drawn {count} keep off the column and the floor; correct floor.z_mm "
+            "(height above the base's origin) or robot.gravity_direction, or give poses of your own"
+        )
     return np.asarray(np.radians(np.degrees(np.concatenate(found)[:n]).round(6)))
 
 
