@@ -374,7 +374,7 @@ def test_a_force_that_may_be_double_or_none_is_not_called_ready(cell):
             evaluation=SimpleNamespace(force_sd=np.array([sd])),
             problem=SimpleNamespace(path=SimpleNamespace(force=np.full(3, 20.0))),
         )
-        plan = SimpleNamespace(motion=SimpleNamespace(passes=[one]), cell=cell)
+        plan = SimpleNamespace(motion=SimpleNamespace(passes=[one]), cell=cell, force_sd=sd)
         return _verdict(plan, SimpleNamespace(readback=SimpleNamespace(force_error=0.02)))  # type: ignore[arg-type]
 
     assert "calibrate the cell before the blade touches the wheel" not in verdict(20.0 / rules.UNCERTAIN_FORCE - 1e-6)
