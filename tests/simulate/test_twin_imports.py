@@ -14,6 +14,7 @@ OWN = {
     "ocp.model.cell_schema",
     "robots.robot",
     "robots.pose",
+    "robots.bounds",
     "robots.errors",
     "robots.csv_table",
     "trajectories.blade",
