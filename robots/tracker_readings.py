@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
@@ -18,10 +19,27 @@ POINT = ("x_mm", "y_mm", "z_mm")
 LOAD = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 PLACE = ("lx_mm", "ly_mm", "lz_mm")
 TURN = ("rx_deg", "ry_deg", "rz_deg")
+QUATERNION = ("qw", "qx", "qy", "qz")
 ROTATION = "zyx_intrinsic"  # order in which they turn: R = Rz(rz) Ry(ry) Rx(rx)
+UNIT = 1e-2  # how far a quaternion's length may be from one
+SEVENTH = "q7_deg"
+COPIES = 0.2  # of the rows that repeat another in every number before the file is refused
 APPROACH = tuple(f"approach{i}" for i in range(1, 7))
 WORDS = ("target", "payload", "session", "station")
-OPTIONAL = (*POINT, *WORDS, "time_s", "temperature_C", *APPROACH, *LOAD, *PLACE, "load_link", "sigma_um", *TURN, "sigma_rot_deg")
+OPTIONAL = (
+    *POINT,
+    *WORDS,
+    "time_s",
+    "temperature_C",
+    *APPROACH,
+    *LOAD,
+    *PLACE,
+    "load_link",
+    "sigma_um",
+    *TURN,
+    *QUATERNION,
+    "sigma_rot_deg",
+)
 LEAST_OF_STRATUM = 30  # readings of a station, nest and payload that thinning leaves
 REPEAT_TOLERANCE = np.radians(1e-4)
 # What a missing column cannot show.
@@ -54,12 +72,14 @@ class Hanging:
 
 @dataclass(frozen=True)
 class Instrument:
-    """The cell's tracker: one sigma m along the beam and per m of range more across it, sd m of nest places, the nests."""
+    """The cell's tracker: one sigma m along the beam and per m of range more across it, sd m of nest places, the nests, and the
+    order (one of ROTATION_ORDERS) in which a 6D target's angles turn."""
 
     range_noise: float = 8e-6
     transverse_noise: float = 3e-6
     nest_sd: float = 1e-3
     nests: dict[str, Nest] | None = None
+    rotation: str = ROTATION
 
 
 @dataclass(frozen=True)
@@ -68,7 +88,8 @@ class Readings:
 
     Words as indices into their names: target, payload, session, station (n,). load (n, 6) N, N m in base axes at
     load_place (n, 3) m of load_link (n,); approach (n, 6) or None; time s, temperature C, sigma m (n,) or None; turn
-    (n, 3, 3) with sigma_turn (n,) rad of a 6D target or None; line (n,) in the file.
+    (n, 3, 3) with sigma_turn (n,) rad of a 6D target or None, angles (n, 3) rad that it was made of (None: no angles were given);
+    line (n,) in the file.
     """
 
     path: Path
@@ -92,6 +113,7 @@ class Readings:
     sigma: Array | None = None
     turn: Array | None = None
     sigma_turn: Array | None = None
+    angles: Array | None = None
     notices: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -142,7 +164,12 @@ def read_readings(
     Raises BadInput: as `read_csv_table`, and a payload, target, sign or link that does not exist.
     """
     needed = AXES if sealed else (*AXES, *POINT)
-    table = read_csv_table(path, needed, OPTIONAL, WORDS, (*POINT, *TURN, "sigma_rot_deg"), mapping)
+    table = read_csv_table(path, needed, OPTIONAL, WORDS, (*POINT, *TURN, *QUATERNION, "sigma_rot_deg"), mapping)
+    if SEVENTH in table.ignored:
+        raise BadInput(
+            f"{table.path}: column {SEVENTH}: an arm of seven axes is not one of six; if it is a rail or a table, measure with "
+            "it standing still and remove the column"
+        )
     notices = _notices(table, payloads)
     if not sealed:
         table = _without_gaps(table, notices)
@@ -158,7 +185,9 @@ def read_readings(
     payload, names = _words(table, "payload", tuple(payloads) if payloads else None, "payloads")
     station, stations = _words(table, "station")
     session, sessions = _words(table, "session")
-    turn = _turns(table, mapping.rotation or ROTATION)
+    turn = _turns(table, mapping.rotation or instrument.rotation)
+    if not sealed:
+        _refuse_copies(table)
     turn_sd = table.column("sigma_rot_deg", np.pi / 180.0, lambda v: v <= 0, "above 0")
     return Readings(
         path=table.path,
@@ -181,6 +210,7 @@ def read_readings(
         sigma=table.column("sigma_um", 1e-6, lambda v: v <= 0, "above 0"),
         turn=turn,
         sigma_turn=turn_sd,
+        angles=np.radians(table.stack(TURN)) if turn is not None and _all(table, TURN) else None,
         line=np.array(table.line),
         notices=tuple(notices),
     )
@@ -191,7 +221,7 @@ def _notices(table: CsvTable, payloads: dict[str, Hanging]) -> list[str]:
     name = table.path.name
     found = [f"{name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
     found += [text for column, text in BLIND.items() if column not in table.numbers]
-    for group in (APPROACH, TURN):
+    for group in (APPROACH, TURN, QUATERNION):
         given = [c for c in group if c in table.numbers]
         if 0 < len(given) < len(group):
             found.append(f"{name}: of {', '.join(group)} only {', '.join(given)} are given; they are ignored")
@@ -219,16 +249,43 @@ def _without_gaps(table: CsvTable, notices: list[str]) -> CsvTable:
 
 
 def _turns(table: CsvTable, order: str) -> Array | None:
-    """Orientations (n, 3, 3) of 6D targets, nan where a row has none; None where no row has one."""
-    if not _all(table, TURN):
+    """Orientations (n, 3, 3) of 6D targets from quaternions or angles in an order, nan where a row has none; None where no row
+    has one. Raises BadInput: both are given, or a quaternion's length is not one."""
+    given = [group for group in (TURN, QUATERNION) if _all(table, group)]
+    if len(given) > 1:
+        raise BadInput(f"{table.path}: orientations stand there as {', '.join(TURN)} and as {', '.join(QUATERNION)}; remove one")
+    if not given:
         return None
-    angles = table.stack(TURN)
-    known = np.isfinite(angles).all(axis=1)
+    numbers = table.stack(given[0])
+    known = np.isfinite(numbers).all(axis=1)
     if not known.any():
         return None
     turns = np.full((len(table), 3, 3), np.nan)
-    turns[known] = rotations_in_order(np.radians(angles[known]), order)
+    if given[0] == TURN:
+        turns[known] = rotations_in_order(np.radians(numbers[known]), order)
+        return turns
+    off = np.where(known, np.abs(np.linalg.norm(numbers, axis=1) - 1.0), 0.0)
+    if off.max() > UNIT:
+        row = int(np.argmax(off))
+        raise table.refuse(row, "qw", f"and qx, qy, qz have length {np.linalg.norm(numbers[row]):g}, not 1; correct the row")
+    turns[known] = Rotation.from_quat(np.roll(numbers[known], -1, axis=1)).as_matrix()  # SciPy's scalar comes last
     return turns
+
+
+def _refuse_copies(table: CsvTable) -> None:
+    """Raises BadInput where many rows repeat another in every number: an instrument never does, and copies would count as repeats
+    without any scatter."""
+    rows = np.column_stack([table.numbers[c] for c in sorted(table.numbers)])
+    words = [table.labels(c)[0] for c in sorted(table.words)]
+    _, first, kind = np.unique(np.column_stack([np.nan_to_num(rows), *words]), axis=0, return_index=True, return_inverse=True)
+    first = first[kind.ravel()]
+    copies = np.flatnonzero(first != np.arange(len(table)))
+    if len(copies) > max(COPIES * len(table), 2):
+        row = int(copies[0])
+        raise BadInput(
+            f"{table.path}, line {table.line[row]}: repeats line {table.line[first[row]]} in every number, as {len(copies)} of "
+            f"{len(table)} rows repeat another; remove the copies"
+        )
 
 
 def _all(table: CsvTable, columns: tuple[str, ...]) -> bool:

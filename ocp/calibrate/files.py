@@ -66,7 +66,7 @@ def last_line(made: TrackerCalibration, out: Path, calibration: Calibration) -> 
     return (
         f"{out}: {n} readings by method {made.method}, {found.rank} of the robot's {found.parameters} parameters seen; left-out "
         f"readings are met within {1e3 * errors.mean():.3f} mm on average, {1e3 * errors.max():.3f} mm at most (before: "
-        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}{_use(made, errors, before, out)}; "
+        f"{1e3 * before.mean():.3f} and {1e3 * before.max():.3f}). {_contact(calibration)}{_use(made, out)}; "
         f"{out / 'report.html'} says what was not seen."
     )
 
@@ -79,11 +79,13 @@ def _contact(calibration: Calibration) -> str:
     return f"The force log is met within {figures['rms_after']:.2f} N rms (before: {figures['rms_before']:.2f}). "
 
 
-def _use(made: TrackerCalibration, errors: Array, before: Array, out: Path) -> str:
-    """Whether to use it. A method that is only compared may be worse than nothing, and is written all the same."""
+def _use(made: TrackerCalibration, out: Path) -> str:
+    """Whether to use it. One that makes things worse is not written at all."""
+    errors = made.methods.error[made.method]
     full = made.methods.error.get("full", errors)
-    if errors.mean() >= before.mean():
-        return "It is no better than the arm as believed: do not use it"
+    gain, half = made.methods.gained(made.method)
+    if gain <= half:
+        return f"Nothing gained: it meets left-out readings as the arm as believed does, within {1e3 * half:.3f} mm"
     if errors.mean() > 1.5 * full.mean():
         return f"Method full meets the same readings within {1e3 * full.mean():.3f} mm: use that one"
     return f"{out / 'cell.toml'} is the cell with it, for ocp.plan"

@@ -42,6 +42,8 @@ def calibrate(
     sealed = [file for given in inputs[:2] for file in given.parent.glob("sealed_*.csv")]
     with reserved(folder, overwrite, [*inputs, *sealed]) as output:
         for file in inputs:
+            if file.is_dir():
+                raise BadInput(f"{file}: is a folder; give the file in it, as {file / 'tracker.csv'}")
             if not file.is_file():
                 raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
         mapping = OURS if columns is None else read_column_mapping(columns)
@@ -56,12 +58,28 @@ def _calibrated(
     if not len(made.methods.before):
         path = made.fit.campaign.readings.path
         raise Infeasible(f"{path}: too few readings, outliers apart, to leave any out and judge the rest; measure more poses")
+    methods, path = made.methods, made.fit.campaign.readings.path
+    gain, half = methods.gained(made.method)
+    if gain < -half:
+        raise Infeasible(
+            f"{path}: by method {made.method} left-out readings are met within {1e3 * methods.error[made.method].mean():.3f} mm "
+            f"on average, {-1e3 * gain:.3f} +- {1e3 * half:.3f} mm worse than by the arm as believed "
+            f"({1e3 * methods.before.mean():.3f} mm), so nothing is to be gained by it; {_remedy(made)}"
+        )
     calibration, extra = tracker_calibration(made, inputs), list[Section]()
     if ground is not None:
         with phases.phase("contact"):
             fit = fit_force(*ground, calibration)
         calibration, extra = fit.calibration(calibration), contact_sections(fit)
     return write_tracker_calibration(made, calibration, extra, output, phases, inputs)
+
+
+def _remedy(made: TrackerCalibration) -> str:
+    """What to do about a calibration that makes things worse."""
+    full = made.methods.gained("full")[0]
+    if made.method != "full" and full > 0:
+        return f"method full gains {1e3 * full:.3f} mm: use that one"
+    return "measure more postures, and check that units, orientations and names are as docs/formats.md has them"
 
 
 UNITS = 30.0  # kilonewtons and grams-force are farther off than any setpoint of a ladder

@@ -415,5 +415,9 @@ def _instrument(table: TrackerTable | None) -> Instrument:
         turn = None if entry.abc_deg is None else rotation_from_abc(np.radians(entry.abc_deg))
         nests[name] = Nest(entry.link, 1e-3 * np.array(entry.xyz_mm), turn)
     return Instrument(
-        1e-6 * table.range_noise_um, 1e-6 * table.transverse_noise_um_per_m, 1e-3 * table.target_sd_mm, nests or None
+        1e-6 * table.range_noise_um,
+        1e-6 * table.transverse_noise_um_per_m,
+        1e-3 * table.target_sd_mm,
+        nests or None,
+        table.rotation,
     )

@@ -30,6 +30,7 @@ from robots.bounds import (
     Turn,
 )
 from robots.errors import shown
+from robots.pose import ROTATION_ORDERS
 from robots.toml_files import TomlTable
 
 # Counts: a joint's springs are six; every payload, nest and effect is a block of unknowns in a fit.
@@ -215,6 +216,7 @@ class TrackerTable(TomlTable):
     range_noise_um: Micrometres = 8.0
     transverse_noise_um_per_m: Micrometres = 3.0
     target_sd_mm: Spread = 1.0
+    rotation: Literal[ROTATION_ORDERS] = "zyx_intrinsic"  # type: ignore[valid-type]
     targets: dict[Label, OffsetVector | LinkTarget] = Field(default_factory=dict, max_length=MOST_NESTS)
 
 

@@ -15,14 +15,17 @@ from robots.calibration.layout import Choice, nominal_state
 from robots.calibration.residuals import residuals
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput
-from robots.pose import Array
+from robots.pose import ROTATION_ORDERS, Array, rotations_in_order
 from robots.robot import Robot, catalogue, load_robot
-from robots.tracker_readings import Readings
+from robots.tracker_readings import Index, Readings
 
 TURNS_FIT = np.radians(1.0)  # an uncalibrated arm's hand is off by a tenth of it
 FITS = 15e-3  # m; an uncalibrated arm with roughly placed nests stays below
 NEST_SHARE = 5.0  # nests farther off than this many of their sds speak for another robot
-CLOSER = 3  # of the guesses are looked at with the nests fitted too
+CLOSER = 6  # of the guesses are looked at with the nests fitted too
+ALIKE = 2.0  # times the best guess' misfit: guesses that fit as well are told beside it
+FREE_NEST = 0.1  # m; a nest so loosely held is found where it is
+IS_ANGLE = np.array([True, False, False, True, True])  # of a row of MD-H
 ROWS = 400  # readings looked at; more would say the same
 WRONG_SHARE = 0.2  # of readings that may be far off before the file is refused
 SCALES = {1e3: "in metres, not millimetres", 1e-3: "in micrometres, not millimetres", 1e3 / 39.3701: "in inches, not millimetres"}
@@ -32,7 +35,7 @@ def refuse_mistakes(campaign: Campaign) -> None:
     """Raises BadInput with the mistake that explains the readings, where the arm as believed does not fit them."""
     thin = _thinned(campaign)
     where = str(campaign.readings.path)
-    _refuse_units(thin, where)
+    refuse_units(thin)
     plain, off = misfit(thin)
     if plain < FITS:
         share = float(np.mean(off > 10 * max(plain, 1e-3)))
@@ -44,9 +47,12 @@ def refuse_mistakes(campaign: Campaign) -> None:
         _refuse_other_robot(thin, where)
         _refuse_turns(campaign, where)
         return
+    _refuse_nests(thin, where)
     rough = sorted(((_roughly(c), text, c) for text, c in _guesses(thin)), key=lambda g: g[0])
-    best, text = min((misfit(c)[0], text) for _, text, c in rough[:CLOSER])
+    close = sorted((misfit(c)[0], text) for _, text, c in rough[:CLOSER])
+    best = close[0][0]
     if best < FITS and best < 0.3 * plain:
+        text = ", or ".join(text for off, text in close if off < ALIKE * best)
         raise BadInput(
             f"{where}: {text}; so read, the arm fits within {best * 1e3:.1f} mm instead of {plain * 1e3:.0f} mm; correct the "
             "file or the cell"
@@ -86,9 +92,9 @@ def _thinned(campaign: Campaign) -> Campaign:
     return replace(campaign, readings=replace(campaign.readings.thinned(ROWS), turn=None))
 
 
-def _refuse_units(campaign: Campaign, where: str) -> None:
-    """Lengths and angles by themselves: distances between readings against those between the arm's nests."""
-    readings = campaign.readings
+def refuse_units(campaign: Campaign) -> None:
+    """Lengths and angles by themselves: distances between readings against those between the arm's nests. Raises BadInput."""
+    readings, where = campaign.readings, str(campaign.readings.path)
     if np.abs(readings.q).max() < np.radians(2 * np.pi * 1.05) and np.ptp(readings.q, axis=0).max() > np.radians(0.5):
         turned = replace(campaign, readings=replace(readings, q=np.degrees(readings.q)))
         if _limits_hold(turned) and misfit(turned)[0] < FITS < misfit(campaign)[0]:
@@ -148,6 +154,30 @@ def _refuse_other_robot(campaign: Campaign, where: str) -> None:
             )
 
 
+def _refuse_nests(campaign: Campaign, where: str) -> None:
+    """Nests whose names are exchanged come out where the cell puts the other one."""
+    c, nests = campaign, campaign.instrument.nests or {}
+    used = [k for k in np.unique(c.readings.target) if (nest := nests.get(c.readings.targets[k])) and nest.place is not None]
+    if len(used) < 2:
+        return
+    given = np.array([nests[c.readings.targets[k]].place for k in used])
+    off, places = _rigid(replace(c, instrument=replace(c.instrument, nest_sd=FREE_NEST)))
+    if np.median(np.linalg.norm(off, axis=1)) > FITS:
+        return
+    found = places[used]
+    apart = np.linalg.norm(found[:, None] - given[None], axis=2)
+    nearest, here = apart.argmin(axis=1), np.diag(apart)
+    far = here > max(NEST_SHARE * c.instrument.nest_sd, FITS)
+    moved = np.flatnonzero(far & (apart.min(axis=1) < 0.3 * here))
+    if len(moved) >= 2 and {*nearest[moved]} == {*moved}:
+        names = [f"'{c.readings.targets[used[k]]}'" for k in moved]
+        raise BadInput(
+            f"{where}, column target: the nests {' and '.join(names)} are exchanged: each is found within "
+            f"{1e3 * apart.min(axis=1)[moved].max():.1f} mm of where the cell puts another and {1e3 * here[moved].min():.0f} mm "
+            "or more from its own place; correct the column, or the places in [tracker.targets]"
+        )
+
+
 def _refuse_turns(campaign: Campaign, where: str) -> None:
     """Orientations of 6D targets: seen from the flange each target has one turn, the same in all postures."""
     if campaign.readings.turn is None:
@@ -159,17 +189,49 @@ def _refuse_turns(campaign: Campaign, where: str) -> None:
     frames = replace(state, turns=np.tile(np.eye(3), (len(readings.targets), 1, 1)))
     # Residual turn of an identity reading: the predicted frame backwards.
     predicted = Rotation.from_rotvec(-residuals(c.robot, unturned, c.instrument, frames)[:, 3:])
-    seen = predicted.inv() * Rotation.from_matrix(readings.turn)
-    off = np.empty(len(readings))
-    for k in np.unique(readings.target):
-        rows = np.flatnonzero(readings.target == k)
-        off[rows] = (_middle(seen[rows]).inv() * seen[rows]).magnitude()
-    if np.median(off) > TURNS_FIT:
+    plain = _scatter(predicted, Rotation.from_matrix(readings.turn), readings.target)
+    if plain < TURNS_FIT / 10:
+        return
+    tried = [(_scatter(predicted, turns, readings.target), text) for text, turns in _conventions(readings)]
+    best, text = min(tried, default=(np.inf, ""))
+    if best < TURNS_FIT and best < 0.3 * plain:
         raise BadInput(
-            f"{where}: the orientations rx, ry, rz scatter by {np.degrees(np.median(off)):.1f} deg (median) as seen from the "
-            "flange, while the points fit; write them in degrees as R = Rz(rz) Ry(ry) Rx(rx) in the tracker's frame, or leave "
-            "them out"
+            f"{where}: the orientations scatter by {np.degrees(plain):.3g} deg (median) as seen from the flange, while the "
+            f"points fit, and by {np.degrees(best):.2g} deg {text}, or leave them out"
         )
+    if plain > TURNS_FIT:
+        raise BadInput(
+            f"{where}: the orientations rx, ry, rz scatter by {np.degrees(plain):.1f} deg (median) as seen from the "
+            "flange, while the points fit, in every order of their turns; write them in degrees as R = Rz(rz) Ry(ry) Rx(rx) in "
+            "the tracker's frame, or leave them out"
+        )
+
+
+def _scatter(predicted: Rotation, turns: Rotation, target: Index) -> float:
+    """Median angle rad of the turns (n,) about the middle of their target's, as seen from the links they sit on."""
+    seen = predicted.inv() * turns
+    off = np.empty(len(target))
+    for k in np.unique(target):
+        rows = np.flatnonzero(target == k)
+        off[rows] = (_middle(seen[rows]).inv() * seen[rows]).magnitude()
+    return float(np.median(off))
+
+
+def _conventions(readings: Readings) -> Iterator[tuple[str, Rotation]]:
+    """The orientations as other conventions would have them, and what to change then."""
+    assert readings.turn is not None
+    yield (
+        "turned about: give the target in the tracker's frame, not the tracker in the target's",
+        Rotation.from_matrix(readings.turn).inv(),
+    )
+    if readings.angles is None:
+        return
+    for unit, angles in (("", readings.angles), (" and the angles in degrees, not radians", np.degrees(readings.angles))):
+        for order in ROTATION_ORDERS:
+            yield (
+                f"with rotation = '{order}' in [tracker] of the cell{unit}: state that",
+                Rotation.from_matrix(rotations_in_order(angles, order)),
+            )
 
 
 def _middle(turns: Rotation) -> Rotation:
@@ -202,6 +264,11 @@ def _guesses(campaign: Campaign) -> Iterator[tuple[str, Campaign]]:
         q = readings.q.copy()
         q[:, j] *= -1
         yield f"axis {j + 1} has the opposite sign (KUKA's signs are wanted)", with_q(q)
+    for i in range(6):
+        for j in range(i + 1, 6):
+            q = readings.q.copy()
+            q[:, [i, j]] *= -1
+            yield f"axes {i + 1} and {j + 1} both have the opposite sign (KUKA's signs are wanted)", with_q(q)
     flipped = readings.q * campaign.robot.sign
     yield "the axes have mathematical signs instead of KUKA's", with_q(flipped)
     for i in range(6):
@@ -219,8 +286,21 @@ def _guesses(campaign: Campaign) -> Iterator[tuple[str, Campaign]]:
             f"the points stand {abs(shift)} row{'s' * (abs(shift) > 1)} too {'early' if shift < 0 else 'late'}",
             _shifted(campaign, shift),
         )
+    for text, mdh in _tables(campaign.robot):
+        yield f"the robot file's geometry {text}", replace(campaign, robot=replace(campaign.robot, mdh=mdh))
     for name, robot in _variants(campaign.robot):
         yield f"the robot is a '{name}', not a '{campaign.robot.name}'", replace(campaign, robot=robot)
+
+
+def _tables(robot: Robot) -> Iterator[tuple[str, Array]]:
+    """Geometries (6, 5) that were meant where a robot file was written otherwise than [geometry] wants it."""
+    craig = robot.mdh.copy()
+    craig[:5, 2:4], craig[5, 2:4] = robot.mdh[1:, 2:4], 0.0  # what lies before joint 1 only moves the base
+    yield "has the lengths and twists of Craig's (modified) convention: write a and alpha of each row one row up", craig
+    yield "has d_mm and a_mm in metres", robot.mdh * [1.0, 1e3, 1e3, 1.0, 1.0]
+    degrees = np.where(IS_ANGLE, np.degrees(robot.mdh), robot.mdh)
+    yield "has its angles in radians", degrees
+    yield "has d_mm and a_mm in metres and its angles in radians", degrees * [1.0, 1e3, 1e3, 1.0, 1.0]
 
 
 def _shifted(campaign: Campaign, shift: int) -> Campaign:

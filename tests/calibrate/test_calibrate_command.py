@@ -110,6 +110,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(tmp_path):
     folder = folder_with_campaign(tmp_path)
     text = (folder / "tracker.csv").read_text()
     assert "cannot be read" in refused(folder, "none.csv", "--cell", "cell.toml")
+    assert "is a folder; give the file in it" in refused(folder, ".", "--cell", "cell.toml")
     assert "--method" in refused(folder, "tracker.csv", "--cell", "cell.toml", "--method", "best")
     assert "force.csv" in refused(folder, "tracker.csv", "--cell", "cell.toml", "--force", "force.csv")
     (folder / "few.csv").write_text("\n".join(text.splitlines()[:8]))
@@ -118,10 +119,10 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(tmp_path):
     assert "T7" in refused(folder, "tracker.csv", "--cell", "cell.toml")
 
 
-def test_a_method_that_makes_things_worse_is_written_with_a_warning(tmp_path):
+def test_a_method_that_gains_nothing_is_written_and_says_so(tmp_path):
     folder = folder_with_campaign(tmp_path)
     told = run(folder, "tracker.csv", "--cell", "cell.toml", "--method", "relative-literal")
-    assert told.returncode == 0 and "do not use it" in told.stdout, told
+    assert told.returncode == 0 and "Nothing gained" in told.stdout, told
     assert (folder / "calibration" / "predictions_tracker.csv").is_file()
 
 
@@ -129,7 +130,7 @@ def test_campaigns_that_cannot_tell_anything_are_refused(tmp_path):
     folder = folder_with_campaign(tmp_path)
     header, *rows = (folder / "tracker.csv").read_text().splitlines()
     (folder / "same.csv").write_text("\n".join([header, *[rows[0]] * 20]))
-    assert "1 different postures" in refused(folder, "same.csv", "--cell", "cell.toml")
+    assert "line 3: repeats line 2 in every number" in refused(folder, "same.csv", "--cell", "cell.toml")
     first, swept = rows[0].split(","), [header]
     for k, row in enumerate(rows):
         cells = row.split(",")

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp.calibrate.files import _use
+from ocp.calibrate.interface import _calibrated
 from ocp.calibrate.report.advice import advice, extrapolates_badly
 from ocp.calibrate.report.pages import calibration_headline, write_calibration_report
 from ocp.calibrate.report.parameters import tellable_parameters, term_verdict
@@ -28,6 +30,7 @@ from robots.calibration.load_tests import LoadTest
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.residuals import residuals
 from robots.calibration.validation import FoldErrors, ReadingFold
+from robots.errors import Infeasible
 from tests.support.calibration_example import SIGMA, example_calibration, with_names
 
 HOSTILE = '</td><script>alert("x")</script><img src=x onerror=alert(1)>&amp;\'$\\frac{$ 叶片 \x00'
@@ -234,6 +237,22 @@ def test_a_bad_calibration_is_not_praised(made):
     assert "further off than before" in calibration_headline(replace(made, methods=wild), view).sentence
     double = replace(m, error={"full": m.error["full"], "geometry": 2 * m.error["full"]})
     assert "Method 'full' does better" in calibration_headline(replace(made, method="geometry", methods=double), view).sentence
+
+
+def test_a_calibration_is_weighed_against_the_arm_as_believed(made):
+    m, rng = made.methods, np.random.default_rng(0)
+
+    def with_error(error):
+        return replace(made, methods=replace(m, error=m.error | {"full": error}))
+
+    assert (
+        "is the cell with it" in _use(made, Path("out")) and made.methods.gained("full")[0] > 5 * made.methods.gained("full")[1]
+    )
+    equal = with_error(m.before + rng.normal(0, 1e-4, len(m.before)))
+    assert "Nothing gained" in _use(equal, Path("out"))
+    worse = with_error(m.before * 1.3)
+    with pytest.raises(Infeasible, match="worse than by the arm as believed"):
+        _calibrated(worse, None, [], None, None)
 
 
 def test_residuals_turn_into_the_base_without_changing_their_length(made):

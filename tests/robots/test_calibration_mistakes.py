@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from robots.calibration.mistakes import misfit, refuse_mistakes
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput
+from robots.pose import ROTATION_ORDERS, rotations_in_order
 from robots.reference_kinematics import elementary_forward
 from robots.robot import load_robot
+from robots.tracker_readings import ROTATION
 from tests.support.simulated_campaign import EXTRA, INSTRUMENT, PAYLOADS, campaign_readings, measured, random_truth
 
 
@@ -29,6 +31,18 @@ def of(**change):
     return lambda c: replace(c, readings=replace(c.readings, **{k: f(getattr(c.readings, k)) for k, f in change.items()}))
 
 
+def with_table(written):
+    """A robot file whose geometry was written otherwise than it is meant."""
+    return lambda c: replace(c, robot=replace(c.robot, mdh=written(c.robot.mdh)))
+
+
+def craig(mdh: np.ndarray) -> np.ndarray:
+    """a and alpha as Craig's convention lists them: of the link before the joint."""
+    rows = mdh.copy()
+    rows[1:, 2:4], rows[0, 2:4] = mdh[:5, 2:4], 0.0
+    return rows
+
+
 MISTAKES = {
     "metres": (of(point=lambda p: p / 1e3), "in metres, not millimetres"),
     "inches": (of(point=lambda p: p / 25.4), "in inches, not millimetres"),
@@ -41,6 +55,14 @@ MISTAKES = {
     "another zero": (of(q=lambda q: q + np.radians([0, 0, 90, 0, 0, 0])), "axis 3 counts from a zero 90 deg away"),
     "points one row late": (of(point=lambda p: np.roll(p, 1, axis=0)), "1 row too late"),
     "rows of another file": (of(point=lambda p: np.random.default_rng(0).permutation(p)), "rows belong together"),
+    "two signs": (of(q=lambda q: q * [1, -1, 1, 1, -1, 1]), "axes 2 and 5 both have the opposite sign"),
+    "a wrist's sign": (of(q=lambda q: q * [1, 1, 1, 1, 1, -1]), "axis 6 has the opposite sign"),
+    "the base's sign": (of(q=lambda q: q * [-1, 1, 1, 1, 1, 1]), "axis 1 has the opposite sign"),
+    "exchanged nests": (of(target=lambda t: np.where(t == 2, 2, 1 - t)), "the nests 'T1' and 'T2' are exchanged"),
+    "nests all round": (of(target=lambda t: (t + 1) % 3), "the nests 'T1' and 'T2' and 'T3' are exchanged"),
+    "DH in Craig's convention": (with_table(craig), "Craig's (modified) convention"),
+    "DH in metres": (with_table(lambda m: m * [1, 1e-3, 1e-3, 1, 1]), "d_mm and a_mm in metres"),
+    "DH in radians": (with_table(lambda m: m * [np.pi / 180, 1, 1, np.pi / 180, 1]), "angles in radians"),
     "robot -2": (lambda c: replace(c, robot=load_robot("kr210_r2700_2")), "the robot is a 'kr210_r2700_extra'"),
     "robot prime": (lambda c: replace(c, robot=load_robot("kr210_r2700_prime")), "kr210_r2700_prime'"),
 }
@@ -68,16 +90,37 @@ def test_many_readings_far_off_are_not_called_outliers():
         refuse_mistakes(replace(c, readings=replace(c.readings, point=point)))
 
 
-def test_orientations_in_another_convention_are_told_and_sound_ones_pass():
+def sixfold() -> tuple[Campaign, np.ndarray]:
+    """A sound campaign of one 6D target, and its orientations (n, 3, 3)."""
     rng = np.random.default_rng(3)
     truth = random_truth(rng)
     readings = measured(truth, replace(campaign_readings(rng, 40), target=np.zeros(40, np.int64)), rng)
     # The flange as elementary motions have it, the target mounted askew.
     flange = elementary_forward(truth.robot, readings.q)[:, :3, :3]
-    mounted = Rotation.from_euler("xyz", [20, -10, 35], degrees=True).as_matrix()
-    turn = truth.T_tracker_base[:3, :3] @ flange @ mounted
-    sound = Campaign(EXTRA, replace(readings, turn=turn), PAYLOADS, INSTRUMENT)
+    turn = truth.T_tracker_base[:3, :3] @ flange @ Rotation.from_euler("xyz", [20, -10, 35], degrees=True).as_matrix()
+    return Campaign(EXTRA, replace(readings, turn=turn), PAYLOADS, INSTRUMENT), turn
+
+
+@pytest.mark.parametrize("order", ROTATION_ORDERS)
+def test_orientations_in_another_convention_are_told_and_sound_ones_pass(order):
+    sound, turn = sixfold()
     refuse_mistakes(sound)
-    other = Rotation.from_euler("XYZ", Rotation.from_matrix(turn).as_euler("xyz")).as_matrix()
-    with pytest.raises(BadInput, match="orientations rx, ry, rz"):
-        refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=other)))
+    letters, kind = order.split("_")
+    turned = Rotation.from_matrix(turn).as_euler(letters.upper() if kind == "intrinsic" else letters)
+    angles = turned[:, np.argsort(["xyz".index(c) for c in letters])] if len({*letters}) == 3 else turned
+    assert np.allclose(rotations_in_order(angles, order), turn)
+    given = rotations_in_order(angles, ROTATION)
+    if np.allclose(given, turn):
+        return
+    with pytest.raises(BadInput, match="orientations scatter .* while the points fit") as error:
+        refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=given, angles=angles)))
+    named = str(error.value).split("rotation = '")[1].split("'")[0]
+    assert np.allclose(rotations_in_order(angles, named), turn)
+
+
+def test_orientations_turned_about_or_of_no_order_are_told():
+    sound, turn = sixfold()
+    with pytest.raises(BadInput, match="not the tracker in the target's"):
+        refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=np.swapaxes(turn, 1, 2))))
+    with pytest.raises(BadInput, match="in every order of their turns"):
+        refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=turn[::-1])))

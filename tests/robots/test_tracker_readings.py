@@ -1,7 +1,10 @@
 """tracker.csv: columns in any order, absent ones told, malformed ones refused with line, column and value."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from robots.errors import BadInput
 from robots.tracker_readings import read_readings
@@ -112,3 +115,30 @@ def test_rows_without_an_orientation_are_points(tmp_path):
 def test_without_a_target_column_the_nest_is_unknown_and_the_payload_is_told(tmp_path):
     r = read(tmp_path, BARE, "0,-90,90,0,20,30,1,2,3")
     assert r.targets == ("",) and any("'bare' is taken to hang" in n for n in r.notices)
+
+
+def test_orientations_come_as_quaternions_too(tmp_path):
+    quaternion = Rotation.from_euler("ZYX", [30, 20, 10], degrees=True).as_quat(scalar_first=True)
+    row = ",".join(f"{v:.9f}" for v in quaternion)
+    r = read(tmp_path, HEADER + ",qw,qx,qy,qz", ROW + "," + row, ROW.replace("1500", "1400") + ",,,,")
+    angles = read(tmp_path, HEADER + ",rx_deg,ry_deg,rz_deg", ROW + ",10,20,30")
+    assert r.turn[0] == pytest.approx(angles.turn[0], abs=1e-8) and list(r.turned) == [True, False]
+    with pytest.raises(BadInput, match="line 2, column qw: 2 .* length 2, not 1"):
+        read(tmp_path, HEADER + ",qw,qx,qy,qz", ROW + ",2,0,0,0")
+    with pytest.raises(BadInput, match="remove one"):
+        read(tmp_path, HEADER + ",qw,qx,qy,qz,rx_deg,ry_deg,rz_deg", ROW + ",1,0,0,0,0,0,0")
+
+
+def test_the_cell_states_the_order_of_turns(tmp_path):
+    stated = replace(INSTRUMENT, rotation="xyz_intrinsic")
+    turn = read(tmp_path, HEADER + ",rx_deg,ry_deg,rz_deg", ROW + ",10,20,30", instrument=stated).turn[0]
+    assert turn == pytest.approx(Rotation.from_euler("XYZ", [10, 20, 30], degrees=True).as_matrix())
+
+
+def test_a_seventh_axis_and_rows_that_stand_twice_are_refused(tmp_path):
+    with pytest.raises(BadInput, match="q7_deg: an arm of seven axes"):
+        read(tmp_path, HEADER + ",q7_deg", ROW + ",0")
+    rows = [ROW.replace("1500", str(1400 + k)) for k in range(8)]
+    with pytest.raises(BadInput, match="line 10: repeats line 2 in every number, as 8 of 16 rows"):
+        read(tmp_path, HEADER, *rows, *rows)
+    assert len(read(tmp_path, HEADER, *rows, rows[0])) == 9
