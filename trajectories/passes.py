@@ -16,6 +16,8 @@ from trajectories.blade.surroundings import extents, thickness
 from trajectories.blade.window import Margins, Window, free_stretch, ground_window, obstacles
 
 MIN_WAYPOINTS = 20
+MOST_LINES = 2000  # of a side: a blade of 2 m ground every millimetre
+MOST_WAYPOINTS = 500_000  # of all passes: at half a millimetre 250 m; every one is a stage of a nonlinear program
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,7 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
         raise BadInput(f"pass_spacing_mm = {1e3 * options.spacing:g} and step {1e3 * options.step:g} mm must be above 0.")
     paths: list[BladePath] = []
     notices: list[str] = []
+    waypoints = 0
     around = obstacles(blade, shape) if options.wheel_radius > 0.0 else np.zeros((0, 3))
     for name in names:
         side = shape.sides[name]
@@ -113,7 +116,14 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
                     f"The {name} side is ground up to where it turns into the {edge} edge, which is more "
                     f"than edge_margin_mm = {1e3 * options.edge_margin:g} away from it."
                 )
-        for u, v in _with_room(side, lay(side, window, options), around, options, notices):
+        lines = _with_room(side, lay(side, window, options), around, options, notices)
+        waypoints += _count_waypoints(side, lines, options.step)
+        if waypoints > MOST_WAYPOINTS:
+            raise BadInput(
+                f"pass_spacing_mm = {1e3 * options.spacing:g} and step {1e3 * options.step:g} mm make {waypoints} waypoints on "
+                f"{len(paths) + len(lines)} lines, the limit is {MOST_WAYPOINTS}; lay fewer lines or take a longer step"
+            )
+        for u, v in lines:
             paths.append(_waypoints(shape, side, u, v, len(paths) + 1, options))
     if not paths:
         raise BadInput(
@@ -183,7 +193,20 @@ def _margins(blade: Blade, options: PassOptions) -> Margins:
 
 
 def _count(width: float, spacing: float) -> int:
-    return int(np.ceil(width / spacing - 1e-9)) + 1 if width > 0.1 * spacing else 1
+    """How many lines `spacing` apart cover a width. Raises BadInput before they are laid."""
+    lines = np.ceil(width / spacing - 1e-9) + 1 if width > 0.1 * spacing else 1
+    if lines > MOST_LINES:
+        raise BadInput(
+            f"pass_spacing_mm = {1e3 * spacing:g} makes {lines:.4g} lines on a width of {1e3 * width:.4g} mm, the limit is "
+            f"{MOST_LINES}; write a larger spacing"
+        )
+    return int(lines)
+
+
+def _count_waypoints(side: SideSurface, lines: list[tuple[Array, Array]], step: float) -> int:
+    """Waypoints that lines (u, v) will have at a step, before they are laid."""
+    lengths = (float(np.linalg.norm(np.diff(side.surface(u[::40], v[::40]), axis=0), axis=1).sum()) for u, v in lines)
+    return int(sum(max(np.ceil(length / step) + 1, MIN_WAYPOINTS) for length in lengths))
 
 
 def _shares(count: int) -> Array:

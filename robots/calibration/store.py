@@ -166,8 +166,10 @@ def _covariance(path: Path, data: dict[str, Any], names: tuple[str, ...], sd: Ar
     if not isinstance(file, str) or Path(file).name != file:
         raise BadInput(f"{path}: covariance_file = {shown(repr(file))} must be a file name beside this file; correct it")
     archive = path.parent / file
-    if len(file.encode()) > 255:  # NAME_MAX
-        raise BadInput(f"{path}: covariance_file = {shown(file)} is longer than a file's name may be; correct it")
+    if len(file.encode()) > 255 or not file.isprintable():  # NAME_MAX
+        raise BadInput(
+            f"{path}: covariance_file = {shown(file)} is longer than a file's name may be, or not printable; correct it"
+        )
     if not archive.is_file():
         notice = f"{archive} is missing: the parameters are taken as uncorrelated, predicted deviations are rough"
         return np.diag(sd**2), (notice,)
@@ -176,7 +178,7 @@ def _covariance(path: Path, data: dict[str, Any], names: tuple[str, ...], sd: Ar
     found = hashlib.sha256(content).hexdigest()
     if wanted is not None and wanted != found:
         raise BadInput(
-            f"{archive}: sha256 {found[:12]}.. is not {str(wanted)[:12]}.. written in {path.name}; restore the pair of "
+            f"{archive}: sha256 {found[:12]}.. is not {shown(wanted, 14)} written in {path.name}; restore the pair of "
             "files of one calibration, or delete the .npz to go on with uncorrelated parameters"
         )
     try:

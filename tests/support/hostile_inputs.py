@@ -28,6 +28,7 @@ from ocp.simulate.twin.krl_text import read_program
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, read_plan_table, read_summary, recorded_input
 from ocp.simulate.twin.tracker import design_from_poses
 from robots.calibration.store import Calibration, read_calibration, write_calibration
+from robots.column_mapping import read_column_mapping
 from robots.errors import BadInput, Infeasible
 from robots.kinematics import forward
 from robots.robot import CATALOGUE, load_robot, read_robot_tables
@@ -289,6 +290,36 @@ def _summary() -> bytes:
     ).encode()
 
 
+def _mapped() -> dict[str, bytes]:
+    """A table made by others: blanks of their units, semicolons, decimal commas, dates."""
+    joints = ";".join(f"j{i}" for i in range(1, 7))
+    moves = "".join(
+        f'q{i}_deg = {{ from = "j{i}", unit = "rad", sign = {-1 if i == 2 else 1}, offset = 0.5 }}\n' for i in range(1, 7)
+    )
+    moves += "".join(f'approach{i} = {{ from = "j{i}", unit = "step_rad" }}\n' for i in range(1, 7))
+    places = "".join(f'{axis}_mm = {{ from = ["m{axis}", "d{axis}"], unit = "m" }}\n' for axis in "xyz")
+    when = 'time_s = { from = "stamp", unit = "%Y%m%d%H%M%S" }\ntemperature_C = { from = "air", unit = "K" }\n'
+    rows = [
+        ";".join(
+            [
+                *(f"{0.1 * j + 0.01 * k:.4f}" for j in range(6)),
+                *"2.1 0.4 1.3 0.01 0.02 0.03".split(),
+                f"202105031212{k:02d}",
+                "295",
+            ]
+        )
+        for k in range(12)
+    ]
+    table = "\n".join([f"{joints};mx;my;mz;dx;dy;dz;stamp;air", *rows]).replace(".", ",") + "\n"
+    mapping = f'separator = ";"\ndecimal = ","\nrotation = "xyz_intrinsic"\n{moves}{places}{when}'
+    return {"mapping.toml": mapping.encode(), "theirs.csv": table.encode()}
+
+
+def _read_mapped(folder: Path) -> None:
+    setup = _setup()
+    read_readings(folder / "theirs.csv", setup.payloads, setup.instrument, mapping=read_column_mapping(folder / "mapping.toml"))
+
+
 def _readings(name: str, sealed: bool) -> Callable[[Path], Any]:
     def read(folder: Path) -> Any:
         setup = _setup()
@@ -314,6 +345,8 @@ READERS = (
     HostileReader(
         "sealed_tracker.csv", "t.csv", lambda: {"t.csv": tracker_table(True)}, _readings("t.csv", True), ("read_readings",)
     ),
+    HostileReader("mapping.toml", "mapping.toml", _mapped, _read_mapped, ("read_column_mapping",)),
+    HostileReader("a mapped table", "theirs.csv", _mapped, _read_mapped, ("read_column_mapping",)),
     HostileReader(
         "force.csv",
         "force.csv",
