@@ -21,24 +21,31 @@ from tests.support.hostile_inputs import BYTES, READERS, SECONDS, HostileReader,
 TEXT_SHARE = 10  # one input of ten is hypothesis'
 
 
-def child(reader: HostileReader, seed: int, first: int, count: int, folder: Path) -> None:
+def kept(out: Path, reader: HostileReader, number: int) -> Path:
+    return out / f"{reader.kind.replace('/', '_')}.{number}"
+
+
+def child(reader: HostileReader, seed: int, first: int, count: int, folder: Path, out: Path) -> None:
     """Inputs `first` .. `count` - 1, a line each: number, how it went. The alarm's default ends the process, foreign code too."""
     lay(reader, folder)
     outcome(reader, folder, mutant(reader, seed, 0))  # what is loaded late is loaded now
     used = int(next(line for line in Path("/proc/self/status").open() if line.startswith("VmSize")).split()[1]) * 1024
     resource.setrlimit(resource.RLIMIT_AS, (used + BYTES, used + BYTES))
 
-    def tell(number: int, came: str) -> None:
+    def tell(number: int, came: str, data: bytes) -> None:
         signal.alarm(0)
+        if came not in ("worked", "refused"):
+            kept(out, reader, number).write_bytes(data)
         print(f"{number}\t{came}", flush=True)
 
     mutants = count - count // TEXT_SHARE
     for number in range(first, mutants):
         print(f"{number}\t", flush=True)
         signal.alarm(int(SECONDS) + 5)
-        tell(number, outcome(reader, folder, mutant(reader, seed, number)))
+        data = mutant(reader, seed, number)
+        tell(number, outcome(reader, folder, data), data)
     numbers = iter(range(max(first, mutants), 10 * count))
-    texts(reader, folder, count - max(first, mutants), seed + first, lambda came, _: tell(next(numbers), came))
+    texts(reader, folder, count - max(first, mutants), seed + first, lambda came, data: tell(next(numbers), came, data))
 
 
 def tried(reader: HostileReader, seed: int, count: int, out: Path) -> tuple[Counter[str], list[str]]:
@@ -60,6 +67,7 @@ def tried(reader: HostileReader, seed: int, count: int, out: Path) -> tuple[Coun
                 "--first",
                 str(first),
             ]
+            asked += ["--out", str(out)]
             command = [sys.executable, "-m", "benchmarks.hostile_inputs", *asked]
             with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
                 assert process.stdout is not None
@@ -71,11 +79,10 @@ def tried(reader: HostileReader, seed: int, count: int, out: Path) -> tuple[Coun
                         counts[came if came in ("worked", "refused") else "anything else"] += 1
                         if came not in ("worked", "refused"):
                             wrong.append(f"{reader.kind}, number {number}: {came}")
-                            (out / f"{reader.kind.replace('/', '_')}.{number}").write_bytes(mutant(reader, seed, number))
             if process.returncode != 0 or number + 1 < count:
                 counts["anything else"] += 1
                 wrong.append(f"{reader.kind}, number {number}: the process ended with {process.returncode}")
-                (out / f"{reader.kind.replace('/', '_')}.{number}").write_bytes(mutant(reader, seed, number))
+                kept(out, reader, number).write_bytes(mutant(reader, seed, number))
         first = number + 1
     return counts, wrong
 
@@ -91,7 +98,7 @@ def main() -> None:
     asked = parser.parse_args()
     chosen = [reader for reader in READERS if asked.reader in (None, reader.kind)]
     if asked.child is not None:
-        child(chosen[0], asked.seed, asked.first, asked.count, asked.child)
+        child(chosen[0], asked.seed, asked.first, asked.count, asked.child, asked.out)
         return
     asked.out.mkdir(exist_ok=True)
     print("| file and reader | inputs | worked | refused | anything else | s |\n|---|---|---|---|---|---|")
