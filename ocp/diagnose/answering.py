@@ -33,7 +33,7 @@ from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.answer import Answer
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
-from ocp.effects.effect import Effect
+from ocp.effects.effect import Active, Effect
 from ocp.model.cell import files_of
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output, reserved
@@ -62,7 +62,7 @@ def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
         with phases.phase("joints"):
             from ocp.diagnose.joints.channel import joint_channel
 
-            found.append(joint_channel(data.joints, data.setup.robot, data.payload, _stated(data)))
+            found.append(joint_channel(data.joints, data.setup.robot, data.payload, _stated(data), data.believed_by("joint")))
     return found
 
 
@@ -73,7 +73,9 @@ def tracker_channel(data: DataSet) -> TrackerChannel:
     campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
     try:
         refuse_mistakes(campaign)
-        task, fit = believed_baseline(campaign, setup.compliant_joints, setup.tables.reference_temperature_C, _stated(data))
+        task, fit = believed_baseline(
+            campaign, setup.compliant_joints, setup.tables.reference_temperature_C, _stated(data), data.believed_by("tracker")
+        )
     except np.linalg.LinAlgError:
         raise BadInput(
             f"{readings.path}: the readings leave something open that no prior holds, as the tracker's turn; measure more "
@@ -122,7 +124,7 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
         data = read_data_set(folder, columns)
     channels = channels_of(data, phases)
     with phases.phase("diagnosis"):
-        found = diagnose_channels(channels, known)
+        found = diagnose_channels(channels, with_either_sign(known, data.believed))
     with phases.phase("next"):
         gaps = tuple(signal_gap(found, b, a) for b, a in zip(found.baseline, found.channels, strict=True))
         experiments = next_experiments(found, known)
@@ -130,6 +132,12 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
     notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
     return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds))
+
+
+def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:
+    """Effects with those that the cell believes free in sign: what comes on top of a belief may lessen it."""
+    free = {a.effect.name for a in believed} & known.keys()
+    return known | {n: replace(known[n], parameters=tuple(replace(p, signed=True) for p in known[n].parameters)) for n in free}
 
 
 def grouped(blind: Sequence[str]) -> list[str]:

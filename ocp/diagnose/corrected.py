@@ -6,6 +6,7 @@ the cell as calibration.toml, what force readings moved (wheel, blade frame) in 
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from ocp.calibrate.tracker import as_calibration
 from ocp.diagnose.dataset import CELL, DataSet
-from ocp.diagnose.engine.channel_system import Channel
+from ocp.diagnose.engine.channel_system import Channel, scan_key
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active
@@ -43,9 +44,20 @@ def write_corrected_cell(folder: Path, out: Path, data: DataSet, channels: Seque
         robot["calibration"] = believed.name
     if active:
         tables["conditions"] = conditions_at_the_end(data)
-        tables["effects"] = [table_of(one) for one in active]
+    if total := summed(data.believed, active):
+        tables["effects"] = [table_of(one) for one in total]
     text = f"# {source.name} with what ocp.diagnose found\n" + toml_text(tables)
     (folder / "corrected_cell.toml").write_text(text, encoding="utf-8")
+
+
+def summed(believed: Sequence[Active], found: Sequence[Active]) -> list[Active]:
+    """Believed effects with what was found on top of them: coefficients of the same effect, joint and scanned values add up, with
+    the covariance of what was fitted."""
+    total = {(a.key, scan_key(a.scanned)): a for a in believed}
+    for one in found:
+        key = (one.key, scan_key(one.scanned))
+        total[key] = replace(one, a=one.a + total[key].a) if key in total else one
+    return list(total.values())
 
 
 def conditions_at_the_end(data: DataSet) -> dict[str, float]:

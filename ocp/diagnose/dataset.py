@@ -7,8 +7,13 @@ import numpy as np
 
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.tracker import as_in
+from ocp.diagnose.joints.channel import HAVE as JOINT_COLUMNS
+from ocp.diagnose.joints.channel import seen_by_encoder
 from ocp.diagnose.joints.log import JointLog, read_joint_log
 from ocp.diagnose.rules import FORCE_UNIT_FACTOR, LEAST_READINGS
+from ocp.diagnose.tracker.channel import shown_in
+from ocp.effects.cell_effects import effect_of
+from ocp.effects.effect import Active
 from ocp.model.cell import Cell, TrackerSetup, files_of, read_cell, read_tracker_setup
 from ocp.model.cell_schema import CellTables
 from robots.column_mapping import ColumnMapping, read_column_mapping
@@ -41,6 +46,18 @@ class DataSet:
     notices: tuple[str, ...]
     blind: tuple[str, ...]
     mapping: ColumnMapping = OURS
+
+    @property
+    def believed(self) -> tuple[Active, ...]:
+        """Effects that the cell believes."""
+        return tuple(effect_of(table.model_dump()).active for table in self.setup.tables.effects)
+
+    def believed_by(self, signal: str) -> tuple[Active, ...]:
+        """Believed effects that a signal's baseline has: it shows them, and its file says what they depend on."""
+        if signal == "tracker":
+            assert self.readings is not None
+            return shown_in(self.believed, self.readings)
+        return tuple(a for a in self.believed if seen_by_encoder(a.effect) and JOINT_COLUMNS.issuperset(a.effect.needs))
 
     @property
     def payload(self) -> Hanging:
@@ -90,7 +107,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
         joints=joints,
         inputs=(*files_of(folder / CELL), *(folder / name for name in found), *([] if columns is None else [columns])),
         sealed={s: p for s, p in sealed.items() if learnt[p] in found},
-        notices=tuple([n for n in told if n not in blind] + orphans),
+        notices=tuple([n for n in told if n not in blind] + orphans + _believed(setup.tables)),
         blind=(*blind, *_not_measured(found)),
         mapping=mapping,
     )
@@ -106,6 +123,14 @@ def read_sealed_tracker(data: DataSet) -> Readings:
 def read_sealed_force(data: DataSet) -> ForceLog:
     """Conditions of sealed_force.csv. Raises BadInput as the reader."""
     return read_force_log(data.sealed["force"], True, data.mapping)
+
+
+def _believed(tables: CellTables) -> list[str]:
+    """What it means that a cell has effects."""
+    names = [f"{t.effect} of joint {t.joint}" if t.joint else t.effect for t in tables.effects]
+    if not names:
+        return []
+    return [f"{CELL} believes {', '.join(names)}: in the baseline, and what is named of it comes on top"]
 
 
 def _grinding_cell(folder: Path, tables: CellTables) -> Cell:

@@ -5,11 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.channel_system import Fold, HeldOut
+from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.joints.channel import ARCSEC, joint_channel
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.diagnose.joints.signals import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
 from ocp.diagnose.published import write_recordings
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.shrinkage import from_folds, realised
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
@@ -126,3 +129,12 @@ def test_a_condition_that_is_new_widens_the_promise():
 def test_no_gap_has_no_shrinkage():
     assert from_folds([held(0.0, 0.0)], 0.0) is None
     assert realised(1.03, 1.0, 1.0) is None and realised(2.0, 1.0, 1.0) == 1.0
+
+
+def test_two_recordings_with_a_zero_set_anew_give_the_lag_that_each_alone_gives(shared_data):
+    data = read_data_set(shared_data / "real" / "kr300_two_recordings")
+    assert data.joints.runs == ("FF_A", "FF_C")  # the link encoder of joint 1 is 512 arcsec apart
+    channel = joint_channel(data.joints, data.setup.robot, data.payload)
+    best = diagnose_channels([channel], library()).ranking[0]
+    assert best.name == Name("channel_delay", 0) and best.probability > 0.99
+    assert 2.845e-3 < best.active.a[0] < 2.885e-3

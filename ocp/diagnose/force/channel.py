@@ -273,9 +273,10 @@ def problem_of(
     setup: ForceSetup, cell: Cell, log: ForceLog, arm: Calibration | None, pressed: Flags | None = None
 ) -> ForceProblem:
     """The problem of a log that is the first of a setup; pressed (n,): rows that only contact explains, as the readings say."""
-    given, cell = tuple(e.active for e in cell.effects), replace(cell, effects=())
+    effects, cell = [e.active for e in cell.effects], replace(cell, effects=())
     believed = contact_prior(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
+    given = tuple(a for a in effects if known.given.issuperset(a.effect.needs))
     law, own = setup.model.law, logged_arm(cell, theta, log.q, known)
     pressed = pressed_rows(setup.model, log) if pressed is None else pressed
     scene = LogScene(cell, ForceModel(cell, law), setup.rows[0], known, own, theta, given, pressed)

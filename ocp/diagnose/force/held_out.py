@@ -126,12 +126,12 @@ def predict_sealed_force(
     model = ForceModel(scene.cell, setup.model.law)
     used = float(scene.conditions.clock.max())
     known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
-    there = replace(scene, model=model).over(setup.rows[1], known)
     found: list[tuple[EffectFit, Predicted]] = []
 
     def has(effect: Effect) -> bool:
         return set(effect.needs) <= known.given
 
+    there = replace(scene, model=model, given=predictable(scene.given, has).known).over(setup.rows[1], known)
     for own, fit in (before, after):
         if found and fit is before[1]:  # no effect
             found.append(found[0])

@@ -21,7 +21,9 @@ import numpy as np
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.calibrate.force.log import AIR_SHARE, Flags, ForceLog
 from ocp.diagnose import rules
-from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.tracker.channel import TrackerChannel, shown_in
+from ocp.diagnose.tracker.refit import without_effects
+from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active
 from ocp.model.cell import Cell, read_tracker_setup
 from ocp.model.theta import NAMES, covariance_root
@@ -88,6 +90,10 @@ def arm_from_tracker(tracker: Path, cell_file: Path, mapping: ColumnMapping = OU
     campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
     choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
     first = fit_campaign(campaign, choice)
+    believed = shown_in([effect_of(table.model_dump()).active for table in setup.tables.effects], readings)
+    if believed:  # what the cell believes is not geometry
+        campaign = without_effects(campaign, first.state, believed, setup.tables.reference_temperature_C)
+        first = fit_campaign(campaign, choice)
     fit = fit_campaign(campaign, choice, learned_priors(first), begin=first.state)
     return posterior_of(setup.robot.name, fit.layout, fit.state, fit.covariance, fit.noise.joints)
 

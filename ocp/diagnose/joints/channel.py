@@ -89,7 +89,8 @@ def offset_of(joint: int, run: str) -> str:
 @dataclass(frozen=True)
 class EncoderProblem:
     """What the log is, apart from what is fitted: signals, arm at its instants, robot, payload, noise by joint, the readings as
-    pairs (row of the signals, joint 1..6), and springs by joint: compliance rad/(N m) and its one sigma."""
+    pairs (row of the signals, joint 1..6), and springs by joint: compliance rad/(N m) and its one sigma; effects
+    that the cell believes."""
 
     signals: Signals
     arm: ArmRows
@@ -100,6 +101,7 @@ class EncoderProblem:
     joint: Index
     springs: dict[int, tuple[float, float]]
     notices: tuple[str, ...] = ()
+    believed: tuple[Active, ...] = ()
 
     @property
     def measured(self) -> Array:
@@ -185,24 +187,24 @@ class EncoderProblem:
         return replace(self, row=self.row[rows], joint=self.joint[rows])
 
 
-def delays_of(active: Sequence[Active]) -> Array:
-    """Delay (6,) s of each link side."""
+def delays_of(problem: EncoderProblem, active: Sequence[Active]) -> Array:
+    """Delay (6,) s of each link side, believed ones in."""
     out = np.zeros(6)
-    for one in active:
+    for one in (*problem.believed, *active):
         if one.effect.name == DELAY:
             out[slice(None) if one.joint == 0 else one.joint - 1] += one.a[0]
     return out
 
 
 def shift_of(problem: EncoderProblem, active: Sequence[Active]) -> Array:
-    """Link less motor angle (n,) rad that the effects explain."""
+    """Link less motor angle (n,) rad that the effects explain, believed ones in."""
     signals = problem.signals
     total = np.zeros(len(problem.row))
-    delays = delays_of(active)
+    delays = delays_of(problem, active)
     for j in np.flatnonzero(delays) + 1:
         at = problem.joint == j
         total[at] += (signals.motor(int(j), float(delays[j - 1])) - signals.log.q[:, j - 1])[problem.row[at]]
-    for one in active:
+    for one in (*problem.believed, *active):
         if one.effect.name != DELAY:
             total += column_of(problem, one, delays) @ one.a
     return total
@@ -240,7 +242,7 @@ class _Point:
         return self.problem.whitened(left[:, None])[:, 0]
 
     def linearised(self) -> tuple[Array, Array]:
-        delays = delays_of(self.active)
+        delays = delays_of(self.problem, self.active)
         effects = [self.problem.whitened(column_of(self.problem, one, delays)) for one in self.active]
         return self.residual(), np.column_stack([self.white, *effects]) * self.scale
 
@@ -270,7 +272,7 @@ def fit_encoders(problem: EncoderProblem, active: tuple[Active, ...]) -> tuple[A
 
 ARCSEC = float(np.degrees(1.0) * 3600.0)
 LEAST_TRAIN, LEAST_TEST = 60, 20  # readings on each side of a fold
-_HAVE = frozenset({"approach", "time_s", "tau", "speed"})  # what a motion log brings by itself
+HAVE = frozenset({"approach", "time_s", "tau", "speed"})  # what a motion log brings by itself
 BLOCKS = 5
 
 
@@ -357,7 +359,7 @@ class JointChannel:
         """Why the channel cannot see an effect; empty where it can."""
         if not seen_by_encoder(effect):
             return f"{effect.name}: no link-side encoder sees it"
-        lacking = [need for need in effect.needs if need not in _HAVE]
+        lacking = [need for need in effect.needs if need not in HAVE]
         return f"joints.csv has no column {lacking[0]}: {effect.name} cannot be seen" if lacking else ""
 
     def variants(self, effect: Effect, joint: int, scans: Sequence[Scanned] | None = None) -> list[Variant]:
@@ -369,7 +371,7 @@ class JointChannel:
             if joint and (joint not in p.noise or len(p.noise) == 1):
                 return []  # the delay of an only joint is the common one
             scans = scans if scans is not None else [{}]
-            raw = [p.delay_column(joint, delays_of(self.active))] * len(scans)
+            raw = [p.delay_column(joint, delays_of(p, self.active))] * len(scans)
         else:
             scans = list(scans if scans is not None else effect.scan(joint, self.surroundings))
             raw = list(p.columns(effect, joint, scans)) if scans else []
@@ -406,7 +408,7 @@ class JointChannel:
         bare, whole = (fitted(p, a, ~held) for a in ((), active))
         before, after = (p.without_new_zeros(c.gap()[:, 0], ~held)[held] ** 2 for c in (bare, whole))
         noise, excused = p.scatter[held] ** 2, 0.0
-        there, delays = p.part(held), delays_of(whole.active)
+        there, delays = p.part(held), delays_of(p, whole.active)
         for one in whole.active:
             columns = column_of(there, one, delays)
             excused += float(np.mean(np.einsum("ni,ij,nj->n", columns, one.covariance, columns)))
@@ -425,7 +427,7 @@ class JointChannel:
         columns, known = there.nuisance.columns, self.problem.nuisance.names
         place = there.places_in(known)
         motor = signals.log.q[:, joints - 1]
-        baseline = motor + (columns @ (place @ bare.theta)).reshape(n, -1)
+        baseline = motor + (columns @ (place @ bare.theta) + shift_of(there, ())).reshape(n, -1)
         corrected = motor + (columns @ (place @ other.theta) + shift_of(there, other.active)).reshape(n, -1)
         noise = np.array([np.hypot(self.problem.noise[int(j)].quick, self.problem.noise[int(j)].slow) for j in joints])
         return Sealed(baseline, corrected, np.hypot(noise, self._anew(joints, signals.log)))
@@ -445,8 +447,11 @@ def fitted(problem: EncoderProblem, active: tuple[Active, ...], rows: NDArray[np
     return JointChannel(problem, theta, active)
 
 
-def joint_channel(log: JointLog, robot: Robot, payload: Hanging, stated: bool = False) -> JointChannel:
-    """The channel of a log, without effects; `stated`: the robot's stiffness is the cell's own, not a catalogue's."""
+def joint_channel(
+    log: JointLog, robot: Robot, payload: Hanging, stated: bool = False, believed: tuple[Active, ...] = ()
+) -> JointChannel:
+    """The channel of a log, without effects but those `believed`; `stated`: the robot's stiffness is the cell's own, not a
+    catalogue's."""
     signals = signals_of(log, robot, payload)
     noise = {j: noise_of(signals, j) for j in log.joints}
     row = np.concatenate([np.flatnonzero(noise[j].good) for j in noise])
@@ -459,5 +464,5 @@ def joint_channel(log: JointLog, robot: Robot, payload: Hanging, stated: bool = 
     compliance = {j: float(1.0 / robot.stiffness[j - 1]) for j in noise if robot.stiffness[j - 1] > 0}
     springs = {j: (c, SPRING_SHARE * c if stated else CATALOGUE_SPRING_SD) for j, c in compliance.items()}
     arm = encoder_rows(signals, robot, payload)
-    problem = EncoderProblem(signals, arm, robot, payload, noise, row, joint, springs, notices)
+    problem = EncoderProblem(signals, arm, robot, payload, noise, row, joint, springs, notices, believed)
     return fitted(problem, (), np.ones(len(row), bool))

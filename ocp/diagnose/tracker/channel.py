@@ -7,17 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.diagnose.engine.channel_system import (
-    Fold,
-    HeldOut,
-    ReadingConditions,
-    Sealed,
-    System,
-    Variant,
-    effects_key,
-    predictable,
-    scan_key,
-)
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant, effects_key, scan_key
 from ocp.diagnose.rules import LEAST_CHANGES, LINK_MASS_SD
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
@@ -221,10 +211,22 @@ class TrackerChannel:
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = (self if effects_key(a) == effects_key(self.active) else self.with_active(a) for a in ((), active))
-        parted = predictable(after.active, lambda effect: _has_columns(effect, sealed))
-        return predict_sealed_readings(before.task, before.fit, after.task, after.fit, after.background.mean, sealed, parted)
+        return predict_sealed_readings(
+            before.task,
+            before.fit,
+            after.task,
+            after.fit,
+            after.background.mean,
+            sealed,
+            lambda effect: has_columns(effect, sealed),
+        )
 
 
-def _has_columns(effect: Effect, readings: Readings) -> bool:
+def shown_in(effects: Sequence[Active], readings: Readings) -> tuple[Active, ...]:
+    """Effects that move the arm or its readings and for which these have the columns."""
+    return tuple(a for a in effects if (a.effect.on_arm or a.effect.reading is not None) and has_columns(a.effect, readings))
+
+
+def has_columns(effect: Effect, readings: Readings) -> bool:
     """Whether conditions have the columns that an effect needs."""
     return all(getattr(readings, COLUMNS[c], None) is not None for c in effect.needs if c in COLUMNS)

@@ -99,13 +99,14 @@ class TrackerFit:
 @dataclass(frozen=True)
 class Task:
     """What is fitted: campaign (points only), layout with its priors, prior mean, reference temperature deg C,
-    repeats."""
+    repeats; believed: effects of the cell, in every prediction at their values."""
 
     campaign: Campaign
     layout: Layout
     start: State
     reference: float
     repeats: Repeats | None = None
+    believed: tuple[Active, ...] = ()
 
 
 def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noise: Noise) -> TrackerFit:
@@ -139,22 +140,25 @@ def linearise_with(task: Task, state: State, active: tuple[Active, ...]) -> tupl
     """Residuals about state and effects, and the effects' columns (n, 3, m)."""
     c = task.campaign
     n = len(c.readings)
-    if not active:
+    whole = (*task.believed, *active)
+    if not whole:
         return linearise(c.robot, c.readings, c.instrument, task.layout, state), np.zeros((n, 3, 0))
-    parts, shift, displacement = together(active, placed_readings(task, state))
+    parts, shift, displacement = together(whole, placed_readings(task, state))
     turned = replace(c.readings, q=c.readings.q + shift)
     linear = linearise(c.robot, turned, c.instrument, task.layout, state)
     linear = replace(linear, residual=linear.residual - displacement, point=linear.point + displacement)
-    extra = np.concatenate([linear.d_joints @ p[:, :6] + p[:, 6:] for p in parts], axis=2)
+    columns = [linear.d_joints @ p[:, :6] + p[:, 6:] for p in parts[len(task.believed) :]]
+    extra = np.concatenate(columns, axis=2) if active else np.zeros((n, 3, 0))
     return linear, extra
 
 
 def points_with(task: Task, state: State, active: tuple[Active, ...]) -> Array:
     """Predicted reflectors (n, 3) m alone, as `linearise_with` gives them."""
     c = task.campaign
-    if not active:
+    whole = (*task.believed, *active)
+    if not whole:
         return points(c.robot, c.readings, c.instrument, state)
-    _, shift, displacement = together(active, placed_readings(task, state))
+    _, shift, displacement = together(whole, placed_readings(task, state))
     return points(c.robot, replace(c.readings, q=c.readings.q + shift), c.instrument, state) + displacement
 
 
@@ -237,13 +241,21 @@ def _settled(
 
 
 def believed_baseline(
-    campaign: Campaign, compliant: tuple[int, ...], reference: float, stated: bool = True
+    campaign: Campaign,
+    compliant: tuple[int, ...],
+    reference: float,
+    stated: bool = True,
+    believed_effects: tuple[Active, ...] = (),
 ) -> tuple[Task, TrackerFit]:
     """Task and fit of the believed cell; `compliant` joints of the cell, reference temperature deg C; stated: whether the cell
-    lists the springs itself. Springs that only the robot's catalogue knows belong to `compliant` joints alone."""
-    c = replace(campaign, readings=replace(campaign.readings, turn=None, sigma_turn=None))
+    lists the springs itself, those that only the robot's catalogue knows belong to `compliant` joints alone; effects that the
+    cell believes."""
+    real = replace(campaign, readings=replace(campaign.readings, turn=None, sigma_turn=None))
     listed = believed_compliance(campaign.robot) > 0
     believed = tuple(j for j in compliant if listed[j - 1])
+    c = real
+    if believed_effects:  # what the cell believes is not geometry
+        c = without_effects(real, fit_campaign(real, Choice(joints=believed)).state, believed_effects, reference)
     others = tuple(j for j in range(2, 7) if stated and listed[j - 1] and j not in believed)
     first = fit_campaign(c, Choice(joints=(*believed, *others)), Priors())
     if others and not _bend(first, others):
@@ -259,8 +271,18 @@ def believed_baseline(
     good = first.weight > GROSS  # an outlier among few repeats would pass for their drift
     repeats = repeat_scatter(c.readings.take(good), c.instrument, d_joints[good])
     start = replace(nominal, stations=first.state.stations)
-    task = Task(c, layout, start, reference, repeats)
+    task = Task(real, layout, start, reference, repeats, believed_effects)
     return task, refit(task, first.state, offset_between(layout, start, first.state), (), Noise(first.noise.joints))
+
+
+def without_effects(campaign: Campaign, state: State, effects: Sequence[Active], reference: float) -> Campaign:
+    """The campaign that an arm without these effects would have given, to first order about a state: joints where the effects
+    take them, reflectors without what comes on top."""
+    r = campaign.readings
+    believed = believed_compliance(campaign.robot)
+    seen = PlacedReadings(campaign.robot, r, campaign.instrument, state, r.point, reference, believed)
+    _, shift, displacement = together(effects, seen)
+    return replace(campaign, readings=replace(r, q=r.q + shift, point=r.point - displacement))
 
 
 def _bend(fit: Fit, others: tuple[int, ...]) -> bool:

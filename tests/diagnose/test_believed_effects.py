@@ -1,0 +1,80 @@
+"""`[[effects]]` of the cell are believed: in the baseline of every channel, named again only for what they are off by."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from ocp.diagnose.answering import tracker_channel
+from ocp.diagnose.corrected import summed
+from ocp.diagnose.dataset import read_data_set, read_sealed_tracker
+from ocp.diagnose.interface import diagnose
+from ocp.diagnose.joints.channel import joint_channel
+from ocp.effects.catalogue import library
+from ocp.effects.cell_effects import effect_of
+from ocp.effects.effect import Active
+from tests.support.diagnosis_folder import write_joint_folder, write_tracker_folder
+
+PLAY = 3e-4  # rad, of joint 3
+
+
+def believe(folder, **table):
+    text = "".join(f"{key} = {value!r}\n".replace("'", '"') for key, value in table.items())
+    with (folder / "cell.toml").open("a") as file:
+        file.write(f"\n[[effects]]\n{text}")
+
+
+def play_of(size):
+    return {"effect": "backlash", "joint": 3, "half_width_rad": size}
+
+
+def rms(channel):
+    return 1e3 * float(np.sqrt(np.mean(np.sum(channel.gap() ** 2, axis=1))))
+
+
+def test_a_believed_effect_is_in_the_baseline_of_readings_and_predictions(tmp_path):
+    truth = write_tracker_folder(tmp_path / "a", seed=4, backlash=PLAY)
+    ignorant = tracker_channel(read_data_set(tmp_path / "a"))
+    believe(tmp_path / "a", **play_of(PLAY))
+    data = read_data_set(tmp_path / "a")
+    channel = tracker_channel(data)
+    assert rms(channel) < 0.04 < 0.1 < rms(ignorant)
+    sealed = read_sealed_tracker(data)
+    off = [1e3 * np.linalg.norm(c.predict(sealed, ()).baseline - truth, axis=1).mean() for c in (channel, ignorant)]
+    assert off[0] < 0.04 < 0.1 < off[1]
+    assert any("believes backlash of joint 3" in notice for notice in data.notices)
+
+
+def test_what_a_belief_is_off_by_is_named_and_the_corrected_cell_has_the_sum(tmp_path):
+    believed = 1.8 * PLAY  # too much: what comes on top is negative, which no play is
+    write_tracker_folder(tmp_path / "a", seed=4, backlash=PLAY)
+    believe(tmp_path / "a", **play_of(believed))
+    found = diagnose(tmp_path / "a", out=tmp_path / "out").answer.diagnosis
+    (one,) = [a for a in found.active if a.key == ("backlash", 3)]
+    assert abs(one.a[0] - (PLAY - believed)) < 0.15 * PLAY
+    written = tomllib.loads((tmp_path / "out" / "corrected_cell.toml").read_text())["effects"]
+    (table,) = [t for t in written if t["effect"] == "backlash" and t["joint"] == 3]
+    assert abs(table["half_width_rad"] - PLAY) < 0.15 * PLAY
+
+
+def test_a_believed_delay_is_in_the_baseline_of_link_encoders(tmp_path):
+    write_joint_folder(tmp_path, seed=2, delay=6e-3)
+    believe(tmp_path, effect="channel_delay", s=4e-3)
+    data = read_data_set(tmp_path)
+    channel = joint_channel(data.joints, data.setup.robot, data.payload, True, data.believed_by("joint"))
+    delay = library()["channel_delay"]
+    found = channel.with_active((Active(delay, 0, np.zeros(1), {}, np.zeros((1, 1))),))
+    assert abs(found.active[0].a[0] - 2e-3) < 1e-4 and found.gap().std() < 0.1 * channel.gap().std()
+
+
+def test_effects_add_up_where_they_are_the_same_and_stand_side_by_side_else():
+    made = [effect_of(play_of(2e-4)).active, effect_of({"effect": "backlash", "joint": 5, "half_width_rad": 1e-4}).active]
+    ripple = [
+        effect_of({"effect": "gear_harmonic", "joint": 2, "order": k, "amplitude_rad": 1e-4, "phase_rad": 0.3}).active
+        for k in (17.0, 18.0)
+    ]
+    total = {(a.key, a.scanned.get("order")): a.parameters for a in summed([made[0], ripple[0]], [made[0], *made[1:], *ripple])}
+    assert total[("backlash", 3), None]["half_width_rad"] == pytest.approx(4e-4)
+    assert total[("backlash", 5), None]["half_width_rad"] == pytest.approx(1e-4)
+    assert total[("gear_harmonic", 2), 17.0]["amplitude_rad"] == pytest.approx(2e-4)
+    assert total[("gear_harmonic", 2), 18.0]["amplitude_rad"] == pytest.approx(1e-4)
