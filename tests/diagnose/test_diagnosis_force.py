@@ -19,6 +19,7 @@ from ocp.diagnose.force.prediction import effect_derivatives, force_derivatives,
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
+from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active, Effect
 from tests.support.diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, moved_joints, record
 from tests.support.force_world import arm_posterior, write_log
@@ -391,3 +392,15 @@ def test_a_rigid_cell_is_a_channel_too(made):
     found = channel.with_active((_active("sensor_bias"),)).active[0]
     assert abs(found.a[0] - 0.6) < 4 * np.sqrt(found.covariance[0, 0]) + 0.02 < 0.2
     assert truth.stiffness[scene.touching].min() > 1.5e4  # N/m: a wheel without a flange
+
+
+def test_an_effect_that_the_cell_believes_is_in_the_baseline(made):
+    log, scene = made.channel.log, made.channel.problem.scene
+    louder = replace(log, fn=1.04 * log.fn)
+    problem = replace(made.channel.problem, log=louder)
+    given = effect_of({"effect": "sensor_gain", "scale": 0.04}).active
+    believing = replace(problem, scene=replace(scene, given=(given,)))
+    residual = [np.mean(fit_effects(p, (), made.channel.fit).residual ** 2) for p in (problem, believing)]
+    found = fit_effects(believing, (_active("sensor_gain"),), made.channel.fit).active[0]
+    assert residual[1] == pytest.approx(1.0, abs=0.1) and residual[1] < residual[0]
+    assert abs(found.a[0]) < 0.01  # nothing comes on top
