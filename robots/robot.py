@@ -39,14 +39,14 @@ class GeometryTable(TomlTable):
 
 
 class LimitsTable(TomlTable):
-    """`[limits]`, in the controller's axis signs."""
+    """`[limits]`, in the controller's axis signs; accelerations and torques may be left out."""
 
     source: str
     q_min_deg: SixAngles
     q_max_deg: SixAngles
     speed_deg_s: SixRates
-    acceleration_deg_s2: SixRates
-    torque_Nm: SixRates
+    acceleration_deg_s2: SixRates | None = None
+    torque_Nm: SixRates | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> "LimitsTable":
@@ -74,14 +74,17 @@ class StiffnessTable(TomlTable):
 
 
 class LinkTable(TomlTable):
-    """One link in its MD-H frame (link i after joint i; the base in the base frame)."""
+    """One link in its MD-H frame (link i after joint i; the base in the base frame); its inertia may be left out."""
 
     mass_kg: Mass
     com_mm: PlaceVector
-    inertia_kg_m2: tuple[Moment, Moment, Moment, Moment, Moment, Moment]  # xx, yy, zz, xy, xz, yz about the centre of mass
+    # xx, yy, zz, xy, xz, yz about the centre of mass
+    inertia_kg_m2: tuple[Moment, Moment, Moment, Moment, Moment, Moment] | None = None
 
     @model_validator(mode="after")
     def _physical(self) -> "LinkTable":
+        if self.inertia_kg_m2 is None:
+            return self
         xx, yy, zz, xy, xz, yz = self.inertia_kg_m2
         minors = (xx * yy - xy**2, xx * zz - xz**2, yy * zz - yz**2)
         determinant = xx * (yy * zz - yz**2) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
@@ -147,8 +150,8 @@ class RobotTables(TomlTable):
     geometry: GeometryTable
     limits: LimitsTable
     gears: GearsTable | None = None
-    stiffness: StiffnessTable
-    links: LinksTable
+    stiffness: StiffnessTable | None = None
+    links: LinksTable | None = None
     payload: RatedPayloadTable | None = None
     shape: Annotated[tuple[CapsuleTable, ...], Field(max_length=MOST_SHAPES)] = ()
 
@@ -163,6 +166,15 @@ def read_robot_tables(path: Path) -> RobotTables:
     return read_toml(path, RobotTables, "robot")
 
 
+# What a robot file for geometry alone may leave out, and what is then not offered.
+LEAVES = {
+    "limits.acceleration_deg_s2": "nothing that moves in time is planned or rehearsed",
+    "limits.torque_Nm": "no torque is checked, so nothing is planned or rehearsed",
+    "links": "what the arm's own weight bends is not seen, and nothing is planned or rehearsed",
+    "links.inertia_kg_m2": "torques of motion are not known, so nothing is planned or rehearsed",
+    "stiffness": "the joints are taken as rigid until readings say otherwise",
+}
+MOVES = ("limits.acceleration_deg_s2", "limits.torque_Nm", "links", "links.inertia_kg_m2")
 CATALOGUE = Path(__file__).parent / "catalogue"
 
 # Link index 0..6, end points (3,) m in the link's frame, radius m.
@@ -197,8 +209,8 @@ class Robot:
     q_min: Array  # (6,) rad
     q_max: Array  # (6,) rad
     qd_max: Array  # (6,) rad/s
-    qdd_max: Array  # (6,) rad/s^2
-    torque_max: Array  # (6,) N m at the link side of the gear
+    qdd_max: Array  # (6,) rad/s^2, inf where unknown
+    torque_max: Array  # (6,) N m at the link side of the gear, inf where unknown
     gear_ratio: Array  # (6,) motor turns per turn of the axis, nan where unknown
     link_mass: Array  # (7,) kg: base, links 1..6
     link_com: Array  # (7, 3) m in the link frames
@@ -207,6 +219,7 @@ class Robot:
     link_shapes: tuple[Capsule, ...]
     sources: str
     payload: RatedPayload | None = None  # None: unknown
+    left_out: tuple[str, ...] = ()  # keys of LEAVES that the file does not give
     # (3,) unit, base frame; an upright base unless the cell says how it is mounted
     gravity_direction: Array = field(default_factory=lambda: _fixed(np.array([0.0, 0.0, -1.0])))
 
@@ -232,9 +245,24 @@ def load_robot(name_or_path: str | Path) -> Robot:
     return _robot(read_robot_tables(CATALOGUE / f"{text}.toml"))
 
 
+def left_out_notices(robot: Robot) -> list[str]:
+    """What the robot file leaves out and what is not offered for it."""
+    return [f"robot '{robot.name}' gives no {key}: {LEAVES[key]}" for key in robot.left_out]
+
+
+def refuse_left_out(robot: Robot, what: str) -> None:
+    """Raises BadInput where the robot file leaves out what a motion needs; what: who needs it."""
+    missing = [key for key in robot.left_out if key in MOVES]
+    if missing:
+        raise BadInput(f"robot '{robot.name}': {', '.join(missing)} left out of its file, and {what} needs it; add it there")
+
+
 def _robot(tables: RobotTables) -> Robot:
     geometry, limits = tables.geometry, tables.limits
-    links = [getattr(tables.links, name) for name in ("base", *(f"link{i}" for i in range(1, 7)))]
+    links = [] if tables.links is None else [getattr(tables.links, name) for name in LinksTable.model_fields if name != "source"]
+    unknown, none = np.full(6, np.inf), np.zeros((7, 3))
+    accelerations, torques = limits.acceleration_deg_s2, limits.torque_Nm
+    given = (accelerations, torques, tables.links, all(link.inertia_kg_m2 for link in links) or None, tables.stiffness)
     rows = [
         np.radians(geometry.theta_deg),
         np.array(geometry.d_mm) * 1e-3,
@@ -252,13 +280,14 @@ def _robot(tables: RobotTables) -> Robot:
         q_min=_fixed(np.radians(limits.q_min_deg)),
         q_max=_fixed(np.radians(limits.q_max_deg)),
         qd_max=_fixed(np.radians(limits.speed_deg_s)),
-        qdd_max=_fixed(np.radians(limits.acceleration_deg_s2)),
-        torque_max=_fixed(np.array(limits.torque_Nm)),
+        qdd_max=_fixed(unknown if accelerations is None else np.radians(accelerations)),
+        torque_max=_fixed(unknown if torques is None else np.array(torques)),
         gear_ratio=_fixed(np.array(tables.gears.ratio) if tables.gears is not None else np.full(6, np.nan)),
-        link_mass=_fixed(np.array([link.mass_kg for link in links])),
-        link_com=_fixed(np.array([link.com_mm for link in links]) * 1e-3),
-        link_inertia=_fixed(np.array([_tensor(link) for link in links])),
-        stiffness=_fixed(np.array(tables.stiffness.joint_Nm_per_rad)),
+        link_mass=_fixed(np.array([link.mass_kg for link in links]) if links else none[:, 0]),
+        link_com=_fixed(np.array([link.com_mm for link in links]) * 1e-3 if links else none),
+        link_inertia=_fixed(np.array([_tensor(link) for link in links]) if links else np.zeros((7, 3, 3))),
+        stiffness=_fixed(np.zeros(6) if tables.stiffness is None else np.array(tables.stiffness.joint_Nm_per_rad)),
+        left_out=tuple(key for key, value in zip(LEAVES, given, strict=True) if value is None),
         link_shapes=tuple(
             (c.link, _fixed(np.array(c.from_mm) * 1e-3), _fixed(np.array(c.to_mm) * 1e-3), c.radius_mm * 1e-3)
             for c in tables.shape
@@ -279,6 +308,8 @@ def _rated(table: RatedPayloadTable) -> RatedPayload:
 
 
 def _tensor(link: LinkTable) -> Array:
+    if link.inertia_kg_m2 is None:
+        return np.zeros((3, 3))
     xx, yy, zz, xy, xz, yz = link.inertia_kg_m2
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 

@@ -27,6 +27,7 @@ from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS
 from robots.errors import BadInput
 from robots.pose import Array, abc_by_spin, abc_from_rotation
+from robots.robot import left_out_notices
 from robots.tracker_readings import WORDS, Readings, read_readings
 
 LEAST_READINGS = 20
@@ -147,7 +148,7 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
         sealed=sealed,
         sealed_points=None if sealed is None else predict_readings(fit, sealed)[0],
         sealed_covariance=None if sealed is None else predictive_covariance(fit, sealed, repeats.joints if repeats else 0.0),
-        notices=(*readings.notices, *_notices(full)),
+        notices=(*readings.notices, *left_out_notices(setup.robot), *_notices(full)),
     )
 
 

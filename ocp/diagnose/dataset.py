@@ -19,6 +19,7 @@ from ocp.model.cell_schema import CellTables
 from robots.column_mapping import ColumnMapping, read_column_mapping
 from robots.csv_table import OURS
 from robots.errors import BadInput
+from robots.robot import left_out_notices
 from robots.tracker_readings import BLIND, Hanging, Readings, read_readings
 
 CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
@@ -94,7 +95,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
     if JOINTS in found:
         joints = read_joint_log(folder / JOINTS, mapping)
     sealed = {signal: folder / name for signal, name in SEALED.items() if (folder / name).is_file()}
-    told = [n for part in (readings, log, joints) if part is not None for n in part.notices]
+    told = [n for part in (readings, log, joints) if part is not None for n in part.notices] + left_out_notices(setup.robot)
     blind = tuple(n for n in told if blinds(n))
     learnt = {path: path.name.removeprefix("sealed_") for path in sealed.values()}
     orphans = [f"{p.name} is not predicted: there is no {name} to learn from" for p, name in learnt.items() if name not in found]

@@ -146,7 +146,8 @@ def _form(
 
 def rated_torque(joint: int, seen: Surroundings) -> float:
     """N m at the link side of joint 1..6, a KR 210's where the robot has none of its own."""
-    return float((RATED_TORQUE if seen.torque_max is None else seen.torque_max)[joint - 1])
+    known = seen.torque_max is not None and np.isfinite(seen.torque_max).all()
+    return float((seen.torque_max if seen.torque_max is not None and known else RATED_TORQUE)[joint - 1])
 
 
 def instants(time: Array) -> Array:

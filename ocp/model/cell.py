@@ -254,7 +254,9 @@ def _robot(path: Path, tables: CellTables) -> Robot:
     down = np.array(tables.robot.gravity_direction)
     robot = replace(robot, gravity_direction=down / np.linalg.norm(down))
     given = tables.robot.stiffness_Nm_per_rad
-    return robot if given is None else replace(robot, stiffness=np.array(given))
+    if given is None:
+        return robot
+    return replace(robot, stiffness=np.array(given), left_out=tuple(key for key in robot.left_out if key != "stiffness"))
 
 
 def _conditions(table: ConditionsTable, reference: float) -> RunConditions:

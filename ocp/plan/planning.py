@@ -20,6 +20,7 @@ from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
 from robots.errors import BadInput
 from robots.payload import refuse_overload
+from robots.robot import refuse_left_out
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
 from trajectories.program.program import KINDS
@@ -61,6 +62,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     Raises BadInput (exit code 2) and Infeasible (exit code 1) of every part, one sentence each.
     """
     cell, theta = registered(read_cell(cell_file, blade_file))
+    refuse_left_out(cell.robot, "a plan")
     stl = cell.workpiece.stl
     if stl is None:
         raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")

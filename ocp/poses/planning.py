@@ -29,6 +29,7 @@ from robots.calibration.pose_choice import choose
 from robots.errors import BadInput, Infeasible
 from robots.payload import refuse_overload
 from robots.pose import Array, invert, transform_from_xyzabc
+from robots.robot import left_out_notices
 from robots.tracker_readings import Index, Nest
 from trajectories.program.program import Wait
 
@@ -84,7 +85,7 @@ def make_poses(cell_file: Path, options: PoseOptions, phases: Phases) -> PosePla
     if not 1 <= options.count <= MOST_POSES:
         raise BadInput(f"-n {options.count}: choose between 1 and {MOST_POSES} poses")
     notices += refuse_overload(str(cell_file), cell.robot, {name: setup.payloads[name] for name in payloads})
-    notices += floor_notices(cell)
+    notices += floor_notices(cell) + left_out_notices(cell.robot)
     tracker, tracker_from = stated_tracker(cell, options.tracker)
     rng = np.random.default_rng(options.seed)
     with phases.phase("candidates"):

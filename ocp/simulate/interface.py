@@ -32,6 +32,7 @@ from ocp.simulate.twin.tracker import TrackerLog, tracker_log, write_tracker, wr
 from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.errors import BadInput
 from robots.payload import refuse_overload
+from robots.robot import refuse_left_out
 from trajectories.blade import read_blade
 
 MACHINES = {
@@ -91,6 +92,7 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
     given = [Path(p) for p in (folder, wanted.blade, None if wanted.poses.isdigit() else wanted.poses) if p is not None]
     with reserved(out, overwrite, [*files_of(file), *given]) as output:
         cell = read_cell(file, wanted.blade)
+        refuse_left_out(cell.robot, "a rehearsal")
         if other := blade_file(wanted, summary, cell.workpiece.stl):
             output.reads([other])
             cell = read_cell(file, other)

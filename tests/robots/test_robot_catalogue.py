@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from robots.errors import BadInput
-from robots.robot import CATALOGUE, catalogue, load_robot
+from robots.robot import CATALOGUE, LEAVES, catalogue, left_out_notices, load_robot, refuse_left_out
 
 EXTRA = CATALOGUE / "kr210_r2700_extra.toml"
 
@@ -103,3 +103,21 @@ def test_every_block_of_the_catalogue_names_its_source():
         tables = tomllib.loads((CATALOGUE / f"{name}.toml").read_text())
         assert all(len(tables[key]["source"]) > 20 for key in ("geometry", "limits", "stiffness", "links"))
         assert load_robot(name).sources.count("\n") >= 3
+
+
+def test_a_robot_file_for_geometry_alone(tmp_path):
+    text = (CATALOGUE / "ur5.toml").read_text()
+    text = re.sub(r"\n(acceleration_deg_s2|torque_Nm) = .*", "", text)
+    start, end = text.index("[stiffness]"), text.find("[[shape]]")
+    (tmp_path / "arm.toml").write_text(text[:start] + (text[end:] if end > 0 else ""))
+    bare, whole = load_robot(tmp_path / "arm.toml"), load_robot("ur5")
+    assert (bare.mdh == whole.mdh).all() and (bare.q_max == whole.q_max).all()
+    assert not bare.link_mass.any() and not bare.stiffness.any() and np.isinf(bare.torque_max).all()
+    assert {*bare.left_out} == {*LEAVES} - {"links.inertia_kg_m2"} and len(left_out_notices(bare)) == 4
+    with pytest.raises(BadInput, match="limits.acceleration_deg_s2, limits.torque_Nm, links left out .* a plan needs"):
+        refuse_left_out(bare, "a plan")
+    refuse_left_out(whole, "a plan")
+    without = re.sub(r"\ninertia_kg_m2 = .*", "", (CATALOGUE / "ur5.toml").read_text())
+    (tmp_path / "arm.toml").write_text(without)
+    assert load_robot(tmp_path / "arm.toml").left_out == ("links.inertia_kg_m2",)
+    assert (load_robot(tmp_path / "arm.toml").link_mass == whole.link_mass).all()
