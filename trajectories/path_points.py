@@ -159,7 +159,8 @@ def _along(
     t = t / length
     s = np.concatenate([[0.0], np.cumsum(steps)])
     motion = np.gradient(p, s, axis=0)
-    cosine = np.einsum("ni,ni->n", motion, t) / np.linalg.norm(motion, axis=1)
+    # Where the points turn back on themselves there is no way to go along.
+    cosine = np.einsum("ni,ni->n", motion, t) / np.maximum(np.linalg.norm(motion, axis=1), 1e-6)
     if cosine.min() < np.cos(FEED_LIMIT):
         k = int(np.argmin(cosine))
         angle = np.rad2deg(np.arccos(np.clip(cosine[k], -1.0, 1.0)))

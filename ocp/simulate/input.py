@@ -1,5 +1,6 @@
 """What `ocp.simulate` was asked for, checked: numbers, effects, the cell that a plan belongs to."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,10 @@ from ocp.simulate.twin.kinds import EFFECT_KINDS, EffectKind
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, file_hash, recorded_input, with_hash
 from ocp.simulate.twin.planting import Planted, draw_effect, parse_effect
 from ocp.simulate.twin.run import CampaignPlan
-from robots.errors import BadInput
+from robots.errors import BadInput, shown
 
 MOST_EFFECTS = 6
+MOST_LEVELS = 20  # setpoints and belt speeds: for each the whole plan is ground once more
 # Shares of the process force whose setpoints tell stiffness from place; of a rigid mount nearer together.
 LADDER, RIGID_LADDER = (0.6, 1.0, 1.4), (0.75, 1.0, 1.25)
 MODES = ("drawn", "believed", "sampled")
@@ -92,9 +94,9 @@ def planted_effects(wanted: Wanted, cell: Cell) -> tuple[Planted, ...]:
     found = [parse_effect(text) for text in wanted.effects]
     if wanted.random is not None:
         word, _, number = wanted.random.partition(":")
-        if word != "random" or not number.isdecimal() or not 0 <= int(number) <= MOST_EFFECTS:
+        if word != "random" or not re.fullmatch(r"\d{1,9}", number, re.ASCII) or not 0 <= int(number) <= MOST_EFFECTS:
             raise BadInput(
-                f"--effects '{wanted.random}': write random:N with N from 0 to {MOST_EFFECTS}; --effect names single ones"
+                f"--effects '{shown(wanted.random)}': write random:N with N from 0 to {MOST_EFFECTS}; --effect names single ones"
             )
         found += _drawn(wanted, cell, int(number))
     names = [(one.effect, one.joint) for one in found]
@@ -136,6 +138,8 @@ def campaign_plan(wanted: Wanted, cell: Cell) -> CampaignPlan:
             raise BadInput(f"--ladder {level:g}: must lie between {0.1 * force:g} and {3 * force:g} N, about the process force")
     if not 1.0 <= wanted.log_hz <= wanted.hz:
         raise BadInput(f"--log-hz {wanted.log_hz:g}: must lie between 1 and the control rate of {wanted.hz:g}")
+    if len(ladder) + len(wanted.belts) > MOST_LEVELS:
+        raise BadInput(f"--ladder and --belt ask for {len(ladder) + len(wanted.belts)} campaigns, the limit is {MOST_LEVELS}")
     for belt in wanted.belts:
         if not abs(belt) <= 60.0:
             raise BadInput(f"--belt {belt:g}: must lie between -60 and 60 m/s")
@@ -154,9 +158,9 @@ def numbers(name: str, text: str) -> tuple[float, ...]:
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise BadInput(f"{name} '{text}' must be numbers between commas, as 12,20,28") from None
+        raise BadInput(f"{name} '{shown(text)}' must be numbers between commas, as 12,20,28") from None
     if not np.isfinite(values).all():
-        raise BadInput(f"{name} '{text}' must be finite numbers between commas")
+        raise BadInput(f"{name} '{shown(text)}' must be finite numbers between commas")
     return values
 
 

@@ -147,3 +147,10 @@ def test_drawn_effects_lie_in_their_typical_range(name, seed):
             continue
         assert key.low * scale * 0.999 <= size <= key.high * scale * 1.001
         assert key.signed or value.min() >= 0
+
+
+@pytest.mark.parametrize("text", ["backlash:5=1e300", "backlash:" + "9" * 5000 + "=1e-4", "x" * 500, "backlash:５=1e-4"])
+def test_an_effect_without_bounds_is_refused_in_a_short_sentence(text):
+    with pytest.raises(BadInput) as error:
+        parse_effect(text)
+    assert len(str(error.value)) < 400

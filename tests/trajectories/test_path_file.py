@@ -144,3 +144,9 @@ def test_a_pass_round_the_leading_edge_is_taken_with_a_notice(tmp_path, sample):
     exact = 1.0 / (chord * (0.5 * 0.12 * 1.6) ** 2 / 0.5)
     assert np.median(np.abs(paths[0].curvature[:, 1] / exact - 1.0)) < 0.3
     assert (paths[0].extent > 0.0).all() and (paths[0].thickness > 0.0).all()
+
+
+def test_a_path_that_turns_back_on_itself_is_refused(tmp_path, sample):
+    rows = rows_of(sample[2][:1])[:3]
+    with pytest.raises(BadInput, match="deg off the way from point to point"):
+        read(write(tmp_path, [rows[0], rows[1], rows[0]]), sample)

@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 
 from ocp.simulate.twin.kinds import EFFECT_KINDS, EffectKind, Key
-from robots.errors import BadInput
+from robots.errors import BadInput, shown
 
 Value = float | tuple[float, ...] | str
 LISTED = "docs/virtual_arm.md and docs/virtual_grinding.md list all"
+
+LONGEST_EFFECT = 200  # characters of an effect as it is written
+UNUSUAL = 1e4  # times the usual size: beyond, a unit is wrong
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,8 @@ def parse_effect(text: str) -> Planted:
     The number behind the first `=` is the size, other keys follow by name, vectors stand with `/`. Keys left out take their
     default or the middle of their range. Raises BadInput in one sentence.
     """
+    if len(text) > LONGEST_EFFECT:
+        raise BadInput(f"effect '{shown(text)}': has {len(text)} characters, the limit is {LONGEST_EFFECT}; shorten it")
     head, _, tail = text.strip().partition("=")
     name, colon, number = head.partition(":")
     kind = _kind(text, name.strip())
@@ -81,7 +86,7 @@ def _joint(text: str, kind: EffectKind, number: str | None) -> int | None:
         if len(kind.joints) == 1:
             return kind.joints[0]
         raise BadInput(f"effect '{text}': {kind.name} needs a joint ({allowed}); write {kind.name}:{kind.joints[0]}=SIZE")
-    if not re.fullmatch(r"\d+", number) or int(number) not in kind.joints:
+    if not re.fullmatch(r"\d{1,3}", number, re.ASCII) or int(number) not in kind.joints:
         raise BadInput(f"effect '{text}': {kind.name} is not of joint '{number}'; choose from {allowed}")
     return int(number)
 
@@ -115,6 +120,9 @@ def _read(text: str, key: Key, value: str) -> Value:
         raise BadInput(f"effect '{text}': {key.name} = '{value}' is not a number, as in 2e-4; correct it") from None
     if not np.isfinite(numbers).all():
         raise BadInput(f"effect '{text}': {key.name} = '{value}' is not finite; correct it")
+    most = UNUSUAL * max(abs(key.low), abs(key.high), abs(key.default or 0.0))
+    if max(map(abs, numbers)) > most:
+        raise BadInput(f"effect '{text}': {key.name} = '{shown(value)}' is beyond {most:g}; is it in SI units?")
     if len(numbers) != key.length:
         form = "/".join(["1e-4", "0", "0"][: key.length])
         raise BadInput(

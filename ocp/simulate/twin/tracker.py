@@ -18,7 +18,7 @@ from ocp.simulate.twin.collide import height_over_floor
 from ocp.simulate.twin.dataset import write_csv
 from ocp.simulate.twin.truth import Truth, draw_truth
 from robots.csv_table import read_csv_table
-from robots.errors import BadInput, Infeasible
+from robots.errors import BadInput, Infeasible, shown
 from robots.pose import Array, apply
 
 # A gross reading: a beam that was cut, a reflector not seated, a ghost. Distance m, log-evenly, any direction.
@@ -293,7 +293,7 @@ def tracker_log(poses: str, cell: Cell, seed: int, sealed: bool) -> TrackerLog:
     Raises BadInput: neither a number in range nor a file, a cell without nests, as `design_from_poses`.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_POSTURES,)))
-    if poses.lstrip("-").isdecimal():
+    if re.fullmatch(r"-?\d{1,9}", poses, re.ASCII):
         n = int(poses)
         if not 4 <= n <= MOST:
             raise BadInput(f"--poses {n}: give 4 to {MOST} postures, 0 for no campaign, or the folder that ocp.poses wrote")
@@ -302,7 +302,7 @@ def tracker_log(poses: str, cell: Cell, seed: int, sealed: bool) -> TrackerLog:
         path = Path(poses)
         file = path / "poses.csv" if path.is_dir() else path
         if not file.is_file():
-            raise BadInput(f"--poses '{poses}': is neither a number nor a folder of ocp.poses; give one of them")
+            raise BadInput(f"--poses '{shown(poses)}': is neither a number nor a folder of ocp.poses; give one of them")
         design = design_from_poses(cell, file)
     return TrackerLog(design, sealed_design(cell, rng, BLIND) if sealed else None)
 
