@@ -61,7 +61,7 @@ def _next_term(fit: Fit, blocks: list[ReadingFold], far: list[ReadingFold]) -> t
         # What does not even help where it was fitted is not tried on what was held out.
         if own > LEAST_GAIN and accepted is None:
             gain, sigma = _gain(base, _scores(fit, blocks, other))
-            good = bool(gain > _wanted(fit.choice, other.choice)) and sigma > LEAST_SIGMA and _carries(fit, far, other)
+            good = bool(gain > _wanted(fit.choice, other.choice) and sigma > LEAST_SIGMA and _carries(fit, far, other))
         found.append(Term(name, gain, sigma, good))
         accepted = other if good else accepted
     return accepted, found
