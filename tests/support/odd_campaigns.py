@@ -207,6 +207,8 @@ def write_odd_log(
         late = np.interp(time - delay, time, motor[:, j]) if delay else motor[:, j]
         link = np.degrees(late + zero + run * 2e-3 * (j + 1) + rng.normal(size=len(time)) * noise)
         made[f"link{j + 1}_deg"] = np.round(link / step_deg) * step_deg if step_deg else link
+        if not (delay or noise or zero or step_deg or runs > 1):  # to the last digit
+            made[f"link{j + 1}_deg"] = made[f"q{j + 1}_deg"]
     made["run"] = [f"r{k}" for k in run]
     kept = [c for c in made if not c.startswith("link") or int(c[4]) <= links]
     rows = slice(None, None, every)
