@@ -15,6 +15,7 @@ Some units are no factors: a time as a date of digits ("%Y%m%d%H%M%S", as strpti
 say where they drove but not from where.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -25,7 +26,7 @@ import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
 from robots.bounds import COLUMNS
-from robots.errors import BadInput, shown
+from robots.errors import LONGEST_SHOWN, BadInput, shown
 from robots.pose import ROTATION_ORDERS, Array
 from robots.toml_files import TomlTable, parse_toml
 
@@ -180,10 +181,19 @@ def _check_column(path: Path, name: str, column: MappedColumn) -> None:
     if len(column.sign) not in (1, sources):
         raise BadInput(f"{path}: {name}.sign has {len(column.sign)} signs for {sources} columns; give one, or one for each")
     units = [*_units_of(name)] + ["%Y%m%d%H%M%S"] * (name == "time_s") + [*STEPS] * name.startswith(APPROACH)
-    dated = column.unit is not None and "%" in column.unit and name == "time_s" and sources == 1
+    dated = column.unit is not None and _is_date_form(column.unit) and name == "time_s" and sources == 1
     if column.unit is not None and column.unit not in units and not dated:
         known = f"give one of {', '.join(units)}" if units else "it has none; leave the key out"
         raise BadInput(f"{path}: {name}.unit = '{shown(column.unit)}' is no unit of {name}; {known}")
+
+
+def _is_date_form(form: str) -> bool:
+    """Whether a form of dates reads what it writes."""
+    try:
+        seconds_of(datetime(2021, 5, 3, 12, 10, 7).strftime(form), form)
+    except (ValueError, re.error):  # strptime makes a pattern of it; a letter twice is a group twice
+        return False
+    return "%" in form and len(form) <= LONGEST_SHOWN
 
 
 def _units_of(name: str) -> dict[str, float]:

@@ -15,6 +15,7 @@ from ocp.simulate.twin.krl_text import read_program
 from ocp.simulate.twin.plan_knowledge import read_plan_table, read_summary
 from robots.bounds import COLUMNS, column_bounds, read_whole
 from robots.calibration.store import read_calibration
+from robots.column_mapping import read_column_mapping
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput, shown
 from robots.robot import load_robot
@@ -194,3 +195,20 @@ def test_a_robot_of_a_thousand_shapes_is_refused(tmp_path):
     path.write_text(text + "\n[[shape]]\nlink = 1\nfrom_mm = [0, 0, 0]\nto_mm = [0, 0, 1]\nradius_mm = 1\n" * 1000)
     with pytest.raises(BadInput, match="remove what is too much"):
         load_robot(path)
+
+
+def test_a_signalling_nan_in_a_mesh_is_refused(tmp_path):
+    data = bytearray(stl_bytes(True))
+    data[84 + 12 : 84 + 16] = (0x7F800001).to_bytes(4, "little")
+    (tmp_path / "blade.stl").write_bytes(data)
+    with pytest.raises(BadInput, match="a vertex coordinate is nan"):
+        read_facets(tmp_path / "blade.stl")
+
+
+@pytest.mark.parametrize("form", ["%m%m", "%Y%q", "%", "%Y" + "x" * 100, "100%"])
+def test_a_form_of_dates_that_reads_nothing_is_refused(form, tmp_path):
+    path = tmp_path / "mapping.toml"
+    path.write_text(f'time_s = {{ from = "stamp", unit = "{form}" }}\n')
+    with pytest.raises(BadInput, match="is no unit of time_s") as error:
+        read_column_mapping(path)
+    assert len(str(error.value)) - len(str(path)) < 200

@@ -69,7 +69,9 @@ def _is_text(data: bytes) -> bool:
 def _read_binary(path: Path, data: bytes, notices: list[str]) -> Array:
     count = int.from_bytes(data[80:84], "little")
     records = np.frombuffer(data, np.uint8, count * _FACET, _HEADER).reshape(count, _FACET)
-    return records[:, 12:48].copy().view("<f4").reshape(count, 3, 3).astype(float)
+    corners = records[:, 12:48].copy().view("<f4").reshape(count, 3, 3)
+    # Any bits may stand there; a signalling NaN must not reach the cast.
+    return np.where(np.isnan(corners), np.float32(np.nan), corners).astype(float)
 
 
 def _read_damaged(path: Path, data: bytes, notices: list[str]) -> Array:
