@@ -368,7 +368,7 @@ def _load(where: str, text: str) -> Array:
     if not found:
         raise BadInput(f"{where}: '{shown(text, 60)}' is no load like {{M 25.0,CM {{X 0.0,..}},J {{X 0.0,Y 0.0,Z 0.0}}}}")
     inertia = [part.split() for part in found.group(3).split(",")]
-    if [part[0] for part in inertia if len(part) == 2] != ["X", "Y", "Z"]:
+    if any(len(part) != 2 for part in inertia) or [part[0] for part in inertia] != ["X", "Y", "Z"]:
         raise BadInput(f"{where}: the inertia J of $LOAD is not X, Y, Z with a number each; write all of them")
     load = np.array([krl_number(where, found.group(1)), *frame_of(where, found.group(2))[:3, 3]])
     moments = np.array([krl_number(where, part[1]) for part in inertia])
