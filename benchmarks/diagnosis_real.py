@@ -23,7 +23,6 @@ from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.linearisation import candidates
 from ocp.diagnose.engine.selection import SelectedEffects, select_on_held_out
-from ocp.diagnose.published import ACHIEVED, TARGET, PublishedCampaign, held_rows, read_campaign, write_data_set, write_recordings
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -36,6 +35,15 @@ from robots.calibration.noise import Noise, reading_covariance
 from robots.gravity import GRAVITY
 from robots.pose import Array
 from robots.tracker_readings import Index
+from tests.support.published_campaigns import (
+    ACHIEVED,
+    TARGET,
+    PublishedCampaign,
+    held_rows,
+    read_campaign,
+    write_data_set,
+    write_recordings,
+)
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data" / "real"
 FILES = {"ur5": "ur5_tracker/3D_UR5_uncalibrated_grid_cleaned.csv", "ur10": "ur10_tracker/measurements_grid.csv"}

@@ -73,8 +73,8 @@ def make_inputs(runner: Runner, inputs: Path) -> None:
     real = SHARED / "real"
     ur5 = real / "ur5_tracker" / "3D_UR5_uncalibrated_grid_cleaned.csv"
     kr300 = real / "kr300_secondary_encoder" / "FF_A.mat"
-    runner.run("inputs/ur5", "ocp.diagnose.published", "ur", ur5, "--out", inputs / "ur5")
-    runner.run("inputs/kr300", "ocp.diagnose.published", "kr300", kr300, "--out", inputs / "kr300")
+    runner.run("inputs/ur5", "tests.support.published_campaigns", "ur", ur5, "--out", inputs / "ur5")
+    runner.run("inputs/kr300", "tests.support.published_campaigns", "kr300", kr300, "--out", inputs / "kr300")
     runner.run("inputs/plan", "ocp.plan", "--out", inputs / "plan")
     runner.run("inputs/lin", "ocp.plan", "--kind", "lin", "--out", inputs / "lin")
     runner.run("inputs/run", "ocp.simulate", inputs / "plan", "--seed", "1", "--out", inputs / "run")

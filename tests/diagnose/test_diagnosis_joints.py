@@ -11,7 +11,6 @@ from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.joints.channel import ARCSEC, joint_channel
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.diagnose.joints.signals import BLOCK, EncoderNoise, covariance, factors, whiten_blocks
-from ocp.diagnose.published import write_recordings
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.shrinkage import from_folds, realised
 from ocp.effects.catalogue import library
@@ -19,6 +18,7 @@ from ocp.effects.effect import Active
 from robots.errors import BadInput
 from robots.robot import load_robot
 from tests.support.diagnosis_folder import joint_columns, write_csv
+from tests.support.published_campaigns import write_recordings
 from tests.support.simulated_campaign import EXTRA, PAYLOADS
 
 

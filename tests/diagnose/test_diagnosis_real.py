@@ -12,10 +12,10 @@ from ocp.diagnose.engine.channel_system import Fold, System
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Candidate, candidates
 from ocp.diagnose.engine.selection import select_on_held_out
-from ocp.diagnose.published import TARGET, held_rows, read_campaign, write_data_set
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from robots.errors import BadInput
+from tests.support.published_campaigns import TARGET, held_rows, read_campaign, write_data_set
 
 LIBRARY = library()
 SLOW = ("joint_compliance", "gear_1x", "gear_2x", "encoder_scale")

@@ -50,8 +50,6 @@ AXES = [f"q{i}_deg" for i in range(1, 7)]
 CONTACT = {"px_mm": 1.0, "py_mm": 2.0, "pz_mm": 3.0, "nx": 0.0, "ny": 1.0, "nz": 0.0, "tx": 0.0, "ty": 0.0, "tz": 1.0}
 # Readers of the tree that take a path and stand in no row below, with the reason.
 ELSEWHERE = {
-    "read_campaign": "loads one published repository; the mapping files take its place",
-    "read_recording": "loads MATLAB's files of one published repository; the mapping files take its place",
     "read_back": "reads what its own command has just written",
     "read_toml": "is how read_cell and read_robot_tables read",
     "read_whole": "is how every reader below opens a file",

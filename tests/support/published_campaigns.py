@@ -1,7 +1,7 @@
-"""`python -m ocp.diagnose.published`: a published campaign of a real robot as a data set folder.
+"""`python -m tests.support.published_campaigns`: a published campaign of a real robot as a data set folder.
 
-    python -m ocp.diagnose.published ur FILE.csv --out DIR          the UR5's or the UR10's
-    python -m ocp.diagnose.published kr300 FF_A.mat --out DIR       recordings of a KUKA KR 300 R2500
+    python -m tests.support.published_campaigns ur FILE.csv --out DIR          the UR5's or the UR10's
+    python -m tests.support.published_campaigns kr300 FF_A.mat --out DIR       recordings of a KUKA KR 300 R2500
 
 * UR5: Jacobi (github.com/pauljac7700/serial_robots_datasets, MIT licence), 1000 postures, GTS3800 tracker, one reflector. Points
   are given in the robot's base frame, so where the tracker stood is unknown: `sigma_um` is the same in all directions. Its
