@@ -15,6 +15,7 @@ from ocp.shell.progress import Phases, Progress
 from robots.calibration.layout import Priors
 from robots.calibration.noise import Noise
 from robots.errors import BadInput
+from robots.pose import Array
 from trajectories.program.program import Wait
 
 CRITERIA = ("zone", "O1", "O2", "O3", "O4", "O5")
@@ -54,7 +55,7 @@ def choose_poses(
     """
     if criterion not in CRITERIA:
         raise BadInput(f"--criterion '{criterion}' is not one of {', '.join(CRITERIA)}")
-    for option, value, low, high, unit in (
+    _refuse_outside(
         ("--approach", float(np.degrees(approach)), 0.1, 20.0, "deg"),
         ("--speed", speed, 1, 100, "percent"),
         ("--wait", wait, 0.1, 3600.0, "s"),
@@ -64,19 +65,15 @@ def choose_poses(
         ("--prior-mrad", 1e3 * angle_sd, 1e-3, 100.0, "mrad"),
         ("--joint-noise", 1e6 * joint_noise, 0.1, 1000.0, "urad"),
         ("--seed", seed, 0, 2**32, ""),
-    ):
-        if value is not None and not low * (1 - 1e-12) <= value <= high * (1 + 1e-12):
-            raise BadInput(f"{option} {value:g} must lie between {low:g} and {high:g} {unit}".rstrip())
+    )
     if wait is not None and wait_input is not None:
         raise BadInput("--wait and --input exclude each other; give one of them")
-    if tracker is not None and np.shape(tracker) != (3,):
-        raise BadInput(f"--tracker has {np.size(tracker)} numbers; give x, y and z")
     options = PoseOptions(
         count=count,
         criterion=criterion,
         payloads=tuple(payloads),
         targets=tuple(targets),
-        tracker=None if tracker is None else np.asarray(tracker, float),
+        tracker=None if tracker is None else _place(tracker),
         seed=seed,
         name=base_name(name),
         approach=float(approach),
@@ -89,3 +86,16 @@ def choose_poses(
     phases, inputs = Phases(progress), [Path(cell)]
     with reserved(Path(out), overwrite, files_of(Path(cell))) as output:
         return write_poses(make_poses(Path(cell), options, phases), output, phases, inputs)
+
+
+def _refuse_outside(*limits: tuple[str, float | None, float, float, str]) -> None:
+    """Refuse an option whose value lies outside its least and most; each with its unit."""
+    for option, value, low, high, unit in limits:
+        if value is not None and not low * (1 - 1e-12) <= value <= high * (1 + 1e-12):
+            raise BadInput(f"{option} {value:g} must lie between {low:g} and {high:g} {unit}".rstrip())
+
+
+def _place(tracker: Sequence[float]) -> Array:
+    if np.shape(tracker) != (3,):
+        raise BadInput(f"--tracker has {np.size(tracker)} numbers; give x, y and z")
+    return np.asarray(tracker, float)

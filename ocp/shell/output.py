@@ -100,6 +100,7 @@ class Output:
             write_marker(partial)
             partial.chmod(0o755)
             processes.raise_if_told()
+            processes.finish_undisturbed()
             self._put(partial)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EFBIG):

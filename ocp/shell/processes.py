@@ -53,6 +53,16 @@ def clear_if_killed(folder: Path) -> None:
         os.write(_to_parent, os.fsencode(folder) + b"\0")
 
 
+def finish_undisturbed() -> None:
+    """From here on this command ends by itself: the result is being put in its place, an interrupt comes too late.
+
+    If it is killed all the same, its parent removes nothing: what `clear_if_killed` named may by then be what stood there before.
+    """
+    if _to_parent is not None:
+        os.write(_to_parent, b"\0\0")
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+
 def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
     """Run `work` so that SIGINT and SIGTERM end it within two seconds, a second one at once.
 
@@ -72,6 +82,24 @@ def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
     except OSError as error:
         told(f"refused: temporary files cannot be written ({error.strerror}); free some space there, or set TMPDIR")
         return 2
+    try:
+        status, unfinished, asked = _watched(work, scratch)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    code = os.waitstatus_to_exitcode(status)
+    if code >= 0:
+        return code
+    for folder in unfinished:
+        shutil.rmtree(folder, ignore_errors=True)
+    if asked:
+        told("interrupted, nothing written")
+        return INTERRUPTED
+    told(f"ended by the system (signal {-code}, often want of memory), nothing written; try again, or with a smaller input")
+    return 1
+
+
+def _watched(work: Callable[[], int], scratch: str) -> tuple[int, list[str], bool]:
+    """Run `work` in a child; its status, the folders to remove if it was killed, and whether an interrupt came."""
     from_child, to_parent = os.pipe()
     alive, ours = os.pipe()  # its end tells the child that its parent is gone
     asked: list[float] = []
@@ -105,25 +133,14 @@ def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
     if asked:
         _send(child, signal.SIGTERM)
     try:
-        status, unfinished = _ended(child, from_child, asked)
+        status, said = _ended(child, from_child, asked)
     finally:
         _send(child, signal.SIGKILL)  # what the child may have left running
         for number, old in before.items():
             signal.signal(number, signal.SIG_IGN if asked else old)  # a further Ctrl-C must not change the exit code
         os.close(from_child)
         os.close(ours)
-        shutil.rmtree(scratch, ignore_errors=True)
-    code = os.waitstatus_to_exitcode(status)
-    if code >= 0:
-        return code
-    for folder in unfinished.split(b"\0"):
-        if folder:
-            shutil.rmtree(os.fsdecode(folder), ignore_errors=True)
-    if asked:
-        told("interrupted, nothing written")
-        return INTERRUPTED
-    told(f"ended by the system (signal {-code}, often want of memory), nothing written; try again, or with a smaller input")
-    return 1
+    return status, [os.fsdecode(f) for f in said.rpartition(b"\0\0")[2].split(b"\0") if f], bool(asked)
 
 
 def _child(work: Callable[[], int], to_parent: int, alive: int, scratch: str, asked: bool) -> NoReturn:
@@ -134,6 +151,7 @@ def _child(work: Callable[[], int], to_parent: int, alive: int, scratch: str, as
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal tells all processes, the parent decides
     signal.signal(signal.SIGTERM, _tell)
     signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # a terminal set to stop what writes from the background stops no command
     threading.Thread(target=_end_with_parent, args=(alive,), daemon=True).start()
     code = 1
     try:

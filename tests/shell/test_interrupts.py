@@ -51,6 +51,27 @@ def masked():
     except KeyboardInterrupt:
         raise ValueError("a writer's own error in its place") from None
 
+def exchanged():
+    # The user writes into the old folder just after it was exchanged for the new one; then the machine is slow.
+    from ocp.shell import output
+    real = output._exchanged
+    def slow(one, other):
+        done = real(one, other)
+        (one / "notes.txt").write_text("an afternoon of readings")
+        swallow()
+        return done
+    output._exchanged = slow
+
+def late():
+    # The interrupt comes when everything is in its place.
+    from ocp.shell import output
+    real = output.Output._put
+    def put(self, partial):
+        real(self, partial)
+        print("busy", flush=True)
+        time.sleep(0.5)
+    output.Output._put = put
+
 def crash():
     import ctypes
     ctypes.string_at(0)
@@ -123,6 +144,27 @@ def test_an_interrupt_ends_a_command_and_leaves_nothing(script, tmp_path, what, 
     assert text == "interrupted, nothing written\n"
     assert processes(process.pid) == []
     assert not out.exists() and list((tmp_path / "tmp").glob("*/*")) == [] and not list(out.parent.glob(".*"))
+
+
+def test_nothing_of_the_users_goes_with_a_command_killed_while_folders_are_exchanged(script, tmp_path):
+    out = tmp_path / "out"
+    assert started(script, "finish", out).communicate(timeout=20)[0] == "done\n"
+    process = started(script, "exchanged", out)
+    assert process.stdout.readline() == "busy\n"
+    os.kill(process.pid, signal.SIGINT)
+    process.communicate(timeout=20)
+    assert process.returncode == 130 and (out / "b.txt").read_text() == "whole"
+    for _ in range(2):  # the next run neither
+        assert [p.read_text() for p in tmp_path.glob(".out.*/notes.txt")] == ["an afternoon of readings"]
+        started(script, "finish", out).communicate(timeout=20)
+
+
+def test_an_interrupt_that_comes_when_all_is_written_does_not_say_that_nothing_is(script, tmp_path):
+    process = started(script, "late", tmp_path / "out")
+    assert process.stdout.readline() == "busy\n"
+    os.kill(process.pid, signal.SIGINT)
+    told, _ = process.communicate(timeout=20)
+    assert process.returncode == 0 and told == "done\n" and (tmp_path / "out" / "b.txt").exists()
 
 
 def test_a_second_interrupt_ends_at_once(script, tmp_path):
