@@ -66,19 +66,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     stl = cell.workpiece.stl
     if stl is None:
         raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")
-    if options.kind not in KINDS:
-        raise BadInput(f"--kind '{options.kind}' is not axis, cartesian or lin")
-    if cell.controller.absolute_accuracy and options.kind != "axis":
-        raise BadInput(
-            f"{cell_file}: controller.absolute_accuracy is true and --kind is '{options.kind}': the controller would correct "
-            "the poses a second time; use --kind axis"
-        )
-    if options.path is not None and options.program is not None:
-        raise BadInput("--path and --program both say where the path comes from; give one of them")
-    if not LEAST_STEP <= options.step <= MOST_STEP:
-        raise BadInput(
-            f"--step {options.step * 1e3:g} mm is not between {LEAST_STEP * 1e3:g} and {MOST_STEP * 1e3:g} mm; 0.5 is usual"
-        )
+    _refuse_options(cell_file, cell, options)
     told = floor_notices(cell) + refuse_overload(
         str(cell_file), cell.robot, {cell.workpiece.payload_name: cell.workpiece.payload}
     )
@@ -118,6 +106,23 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
     )
+
+
+def _refuse_options(cell_file: Path, cell: Cell, options: PlanOptions) -> None:
+    """Refuse what the command line asks for and nobody can plan, or what this cell's controller would correct twice."""
+    if options.kind not in KINDS:
+        raise BadInput(f"--kind '{options.kind}' is not axis, cartesian or lin")
+    if cell.controller.absolute_accuracy and options.kind != "axis":
+        raise BadInput(
+            f"{cell_file}: controller.absolute_accuracy is true and --kind is '{options.kind}': the controller would correct "
+            "the poses a second time; use --kind axis"
+        )
+    if options.path is not None and options.program is not None:
+        raise BadInput("--path and --program both say where the path comes from; give one of them")
+    if not LEAST_STEP <= options.step <= MOST_STEP:
+        raise BadInput(
+            f"--step {options.step * 1e3:g} mm is not between {LEAST_STEP * 1e3:g} and {MOST_STEP * 1e3:g} mm; 0.5 is usual"
+        )
 
 
 def _refuse_forces(paths: list[BladePath], limits: tuple[float, float], options: PlanOptions) -> None:
