@@ -127,7 +127,8 @@ def line_patches(at: Array, contacts: Sequence[Contact], headings: Sequence[tupl
         grid = (contact.y, contact.x)
         share = RegularGridInterpolator(grid, contact.pressure, bounds_error=False, fill_value=0.0)(place)
         shares.append(share / (share.sum() * CELL**2))
-    return LinePatches(np.asarray(at, float), x, np.array(shares), np.array([contact.force for contact in contacts]))
+    force = np.array([contact.force for contact in contacts], float)
+    return LinePatches(np.asarray(at, float), np.asarray(x, float), np.array(shares, float), force)
 
 
 def _reach(contact: Contact) -> float:
