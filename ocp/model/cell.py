@@ -93,7 +93,11 @@ class Wheel:
 
 @dataclass(frozen=True)
 class ForceFlange:
-    """Force-setting flange: `F (n.a) = setpoint + stiffness * stroke`; N, N/m, m; axis None = along the contact normal."""
+    """Force-setting flange: `F (n.a) = setpoint + stiffness * stroke`; N, N/m, m; axis None = along the contact normal.
+
+    What it does in time: bandwidth Hz of the force that it sets (None: at once), delay s of it, friction N against its stroke.
+    setpoint_output: analogue output that sets its force, setpoint_scale of it per newton; None: none.
+    """
 
     setpoint: float
     stiffness: float
@@ -101,6 +105,16 @@ class ForceFlange:
     carried_mass: float
     gravity_compensated: bool
     axis: Array | None
+    bandwidth: float | None = None
+    delay: float = 0.0
+    friction: float = 0.0
+    setpoint_output: str | None = None
+    setpoint_scale: float | None = None
+
+    @property
+    def moves_in_time(self) -> bool:
+        """Whether the cell says anything of the flange's own motion; else it is taken to be in balance at every instant."""
+        return self.bandwidth is not None or self.delay > 0 or self.friction > 0
 
 
 @dataclass(frozen=True)
@@ -119,6 +133,7 @@ class Process:
     root_margin: float
     tip_margin: float
     edge_margin: float
+    edge_force: float = 5.0
 
     @property
     def sigma(self) -> int:
@@ -276,7 +291,7 @@ def wheel_frame(cell: Cell) -> Array:
 
 # What the unit at the end of a key is in SI; longer ones before those that they end with.
 _SI = {"_N_per_mm": 1e3, "_mm_s": 1e-3, "_m_s": 1.0, "_mm": 1e-3, "_deg": np.pi / 180, "_N": 1.0}
-_SI |= {"_GPa": 1e9, "_MPa": 1e6, "_kg_m3": 1.0, "_kg": 1.0}
+_SI |= {"_ms": 1e-3, "_hz": 1.0, "_GPa": 1e9, "_MPa": 1e6, "_kg_m3": 1.0, "_kg": 1.0}
 
 
 def _si(table: TomlTable) -> dict[str, Any]:

@@ -166,6 +166,9 @@ class WheelTable(TomlTable):
         return self
 
 
+OUTPUTS = frozenset(f"ANOUT[{k}]" for k in range(1, 33))  # the analogue outputs of KRL's $ANOUT
+
+
 class FlangeTable(TomlTable):
     """`[force_flange]`."""
 
@@ -176,6 +179,26 @@ class FlangeTable(TomlTable):
     carried_mass_kg: Mass = 0.0
     gravity_compensated: bool = True
     axis: Direction | None = None
+    # From a bellows filled through a long hose to faster than any valve; without it the force is set at once.
+    bandwidth_hz: Annotated[float, Field(ge=0.1, le=1e4, strict=True)] | None = None
+    delay_ms: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False, strict=True)] = 0.0
+    friction_N: Force = 0.0
+    # Scale: output, which reaches from -1 to 1, per newton.
+    setpoint_output: Label | None = None
+    setpoint_scale: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = None
+
+    @model_validator(mode="after")
+    def _output(self) -> "FlangeTable":
+        if self.setpoint_output is not None and self.setpoint_output not in OUTPUTS:
+            raise ValueError(
+                f"setpoint_output '{shown(self.setpoint_output)}' is no analogue output; name one of ANOUT[1] to ANOUT[32]"
+            )
+        if (self.setpoint_output is None) != (self.setpoint_scale is None):
+            raise ValueError("setpoint_output and setpoint_scale (output per newton) belong together; give both or neither")
+        if self.setpoint_scale is not None and self.setpoint_N * self.setpoint_scale > 1:
+            asked = self.setpoint_N * self.setpoint_scale
+            raise ValueError(f"setpoint_N times setpoint_scale is {asked:g}, an analogue output reaches 1; give a smaller scale")
+        return self
 
     @model_validator(mode="after")
     def _axis(self) -> "FlangeTable":
@@ -200,6 +223,8 @@ class ProcessTable(TomlTable):
     root_margin_mm: Margin = 5.0
     tip_margin_mm: Margin = 5.0
     edge_margin_mm: Margin = 3.0
+    # Most that an edge of the blade may be pressed with where a ramp runs off it; a thousand tonnes cut it off.
+    edge_force_N: Force = 5.0
 
 
 class LinkTarget(TomlTable):

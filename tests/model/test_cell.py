@@ -33,6 +33,17 @@ def test_units_are_si_and_radians_inside():
     assert cell.workpiece.clamp_normal @ np.array([0, 0, 0.02]) > cell.workpiece.clamp_offset
 
 
+def test_what_a_flange_does_in_time_is_si_and_absent_where_nothing_is_said(tmp_path):
+    still = read_cell(CELL).flange
+    assert still is not None and not still.moves_in_time
+    keys = 'bandwidth_hz = 10.0\ndelay_ms = 10.0\nfriction_N = 0.3\nsetpoint_output = "ANOUT[2]"\nsetpoint_scale = 0.02'
+    flange = read_cell(write(tmp_path, "stroke_mm = 8.0", STROKE + keys)).flange
+    assert flange is not None and flange.moves_in_time
+    assert (flange.bandwidth, flange.delay, flange.friction) == pytest.approx((10.0, 0.01, 0.3))
+    assert (flange.setpoint_output, flange.setpoint_scale) == ("ANOUT[2]", 0.02)
+    assert read_cell(CELL).process.edge_force == 5.0
+
+
 def test_every_cell_of_the_worlds_is_read(shared_data):
     cells = sorted((shared_data / "worlds").glob("*/cell.toml"))
     assert cells
@@ -64,6 +75,7 @@ def test_a_named_aerofoil_is_a_unit_direction_and_metres(tmp_path):
     assert whole is not None and (whole.low, whole.high) == (-np.inf, np.inf)
 
 
+STROKE = "stroke_mm = 8.0\n"
 AXIS = "clamp_to_mm = 10.0\naerofoil_axis = "
 
 
@@ -108,6 +120,14 @@ AXIS = "clamp_to_mm = 10.0\naerofoil_axis = "
         ("contact_direction = [-1, 0, 0]", "contact_direction = [0, 1, 0]", "across axis"),
         ("cover_thickness_mm = 12.0", "cover_thickness_mm = 80.0", "must be below radius_mm"),
         ('clamp_axis = "z"', 'clamp_axis = "w"', "workpiece.clamp_axis = 'w'"),
+        ("stroke_mm = 8.0", STROKE + "bandwidth_hz = 0.0", "force_flange.bandwidth_hz = 0.0: .*greater than or equal to 0.1"),
+        ("stroke_mm = 8.0", STROKE + "delay_ms = -1.0", "force_flange.delay_ms = -1.0"),
+        ("stroke_mm = 8.0", STROKE + "friction_N = 1e9", "force_flange.friction_N = 1000000000.0"),
+        ("stroke_mm = 8.0", STROKE + 'setpoint_output = "ANOUT[33]"\nsetpoint_scale = 0.01', "'ANOUT.33.' is no analogue output"),
+        ("stroke_mm = 8.0", STROKE + 'setpoint_output = "ANOUT[1]"', "belong together"),
+        ("stroke_mm = 8.0", STROKE + "setpoint_scale = 0.01", "belong together"),
+        ("stroke_mm = 8.0", STROKE + 'setpoint_output = "ANOUT[1]"\nsetpoint_scale = 0.1', "times setpoint_scale is 2"),
+        ("force_N = 20.0\nfeed", "force_N = 20.0\nedge_force_N = -5.0\nfeed", "process.edge_force_N = -5.0"),
     ],
 )
 def test_a_faulty_cell_is_refused_in_one_sentence(tmp_path, old, new, said):
