@@ -76,14 +76,15 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
     rho = ca.norm_2(radial)
     e = radial / rho
     belt = ca.cross(axis, e)
-    delta = cell.wheel.radius - rho
+    radius = cell.wheel.radius + par["wheel_radius"]
+    delta = radius - rho
 
     start = cell.wheel.contact_direction
     arc = ca.atan2(ca.dot(ca.cross(ca.SX(start), e), axis), ca.dot(ca.SX(start), e))
     heading = -sigma * cell.wheel.travel * t
     turn = ca.atan2(ca.dot(heading, axis), ca.dot(heading, belt))
     tilt = -ca.vertcat(ca.dot(n, belt), ca.dot(n, axis)) / ca.dot(n, e)
-    curvature = _relative_curvature(cell, waypoint["curvature"], n, t, belt, axis)
+    curvature = _relative_curvature(radius, waypoint["curvature"], n, t, belt, axis)
 
     friction = ca.SX.sym("friction") if effects.on_contact else ca.SX(cell.wheel.friction)
     force_direction = e + friction * float(np.sign(cell.wheel.belt_speed)) * belt
@@ -198,12 +199,12 @@ def _tilted_axis(axis: np.ndarray, uv: ca.SX) -> ca.SX:
     return tilted / ca.norm_2(tilted)
 
 
-def _relative_curvature(cell: Cell, k: ca.SX, n: ca.SX, t: ca.SX, belt: ca.SX, axis: ca.SX) -> ca.SX:
+def _relative_curvature(radius: ca.SX, k: ca.SX, n: ca.SX, t: ca.SX, belt: ca.SX, axis: ca.SX) -> ca.SX:
     """kxx, kyy, kxy of the gap in the wheel's contact frame: the blade's curvature turned, plus the wheel's 1/R."""
     b = ca.cross(n, t)
     A = ca.blockcat([[ca.dot(t, belt), ca.dot(b, belt)], [ca.dot(t, axis), ca.dot(b, axis)]])
     K = A @ ca.blockcat([[k[0], k[2]], [k[2], k[1]]]) @ A.T
-    return ca.vertcat(K[0, 0] + 1 / cell.wheel.radius, K[1, 1], K[0, 1])
+    return ca.vertcat(K[0, 0] + 1 / radius, K[1, 1], K[0, 1])
 
 
 def _flange_stroke(cell: Cell, F: ca.SX, n: ca.SX, T_base_flange: ca.SX, par: dict[str, ca.SX]) -> ca.SX:

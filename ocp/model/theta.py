@@ -19,6 +19,7 @@ BLOCKS: dict[str, tuple[str, ...]] = {
     "payload_com": ("payload_com_x", "payload_com_y", "payload_com_z"),
     "wheel_centre": ("wheel_x", "wheel_y", "wheel_z"),
     "wheel_axis": ("wheel_axis_u", "wheel_axis_v"),
+    "wheel_radius": ("wheel_radius",),
     "blade_shift": ("blade_x", "blade_y", "blade_z"),
     "blade_rotation": ("blade_c", "blade_b", "blade_a"),
     "cover_stiffness_scale": ("cover_stiffness_scale",),
@@ -42,8 +43,8 @@ BLADE_STIFFNESS_SD = 0.05  # relative
 FLANGE_STIFFNESS_SD = 0.05  # relative
 FLANGE_SETPOINT_SD = 0.2  # N
 # Blocks that `registered` folds into the cell.
-FOLDED: tuple[str, ...] = ("wheel_centre", "wheel_axis", "blade_shift", "blade_rotation", "flange_setpoint_offset")
-FOLDED += ("cover_stiffness_scale", "blade_stiffness_scale")
+FOLDED: tuple[str, ...] = ("wheel_centre", "wheel_axis", "wheel_radius", "blade_shift", "blade_rotation")
+FOLDED += ("flange_setpoint_offset", "cover_stiffness_scale", "blade_stiffness_scale")
 RANK = 1e-12  # of the largest eigenvalue of a correlation; less is rounding, no freedom
 
 
@@ -92,6 +93,7 @@ def believed_theta(cell: Cell) -> Theta:
         "payload_com": (piece.payload.com, PAYLOAD_COM_SD * loaded),
         "wheel_centre": (0.0, wheel.centre_sd),
         "wheel_axis": (0.0, wheel.axis_sd),
+        "wheel_radius": (0.0, 0.0),  # the centre's doubt has it in; what wears is ocp.update's
         "blade_shift": (0.0, piece.xyz_sd),
         "blade_rotation": (0.0, piece.abc_sd),
         "cover_stiffness_scale": (0.0, COVER_STIFFNESS_SD),
@@ -147,6 +149,7 @@ def registered(cell: Cell) -> tuple[Cell, Theta]:
         centre=wheel.centre + value["wheel_centre"],
         axis=axis,
         contact_direction=toward,
+        radius=wheel.radius + float(value["wheel_radius"][0]),
         cover_modulus=wheel.cover_modulus * (1 + float(value["cover_stiffness_scale"][0])),
     )
     R = Rotation.from_rotvec(value["blade_rotation"]).as_matrix() @ piece.T_flange_blade[:3, :3]

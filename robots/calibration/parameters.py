@@ -36,6 +36,8 @@ SYMBOLS: dict[str, Symbol] = {
     **_vector("payload_com", "m", "xyz", "its centre of mass in the flange frame, {}, absolute"),
     # From here on: small corrections that are added to what the cell file says.
     **_vector("wheel", "m", "xyz", "shift of the wheel's centre in the base frame, {}"),
+    "wheel_radius": Symbol("m", "change of the wheel's radius, belt and cover together"),
+    "wheel_wear": Symbol("m/s", "loss of the wheel's radius per second of its clock; what ocp.update forecasts by"),
     "wheel_axis_u": Symbol("rad", "turn of the wheel's axis about the first direction across it"),
     "wheel_axis_v": Symbol("rad", "turn of the wheel's axis about the second direction across it"),
     **_vector("blade", "m", "xyz", "shift of the blade frame in the flange frame, {}"),

@@ -26,8 +26,9 @@ def test_folded_corrections_leave_the_prediction_unchanged():
         "blade_a",
         "blade_c",
         "flange_stiffness",
+        "wheel_radius",
     )
-    values = np.array([4e-4, 5e-7, 3e-4, -2e-4, 4e-4, -6e-4, 2e-4, 5e-4, -3e-4, 5000.0])
+    values = np.array([4e-4, 5e-7, 3e-4, -2e-4, 4e-4, -6e-4, 2e-4, 5e-4, -3e-4, 5000.0, -2e-4])
     calibration = Calibration("kr210_r2700_extra", names, values, np.diag((0.1 * values) ** 2), {})
     cell = replace(bundled_cell(), calibration=calibration)
     q = np.radians([0.5, -82.0, 101.0, -2.0, 80.0, -84.0]) + np.zeros((40, 6))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from ocp.model.cell import read_cell
 from ocp.simulate.twin.arm import arm_moments, make_arm
+from ocp.simulate.twin.collide import true_wheel
 from ocp.simulate.twin.kinds import EFFECT_KINDS
 from ocp.simulate.twin.planting import Planted, draw_effect, labels, parse_effect
 from ocp.simulate.twin.truth import draw_truth
@@ -59,8 +60,9 @@ class Estimates:
     """A calibration's part that the virtual cell reads."""
 
     names = ("th2", "a2", "c3", "wheel_x", "wheel_axis_u", "payload_mass", "blade_c", "flange_stiffness", "cover_stiffness_scale")
-    values = np.array([1e-3, 1.151, 5e-7, 2e-4, 1e-4, 26.0, 3e-4, 6000.0, 0.1])
-    covariance = np.diag(np.array([1e-5, 2e-5, 1e-8, 1e-5, 1e-5, 0.1, 1e-5, 50.0, 0.01]) ** 2)
+    names = (*names, "wheel_radius")
+    values = np.array([1e-3, 1.151, 5e-7, 2e-4, 1e-4, 26.0, 3e-4, 6000.0, 0.1, -3e-4])
+    covariance = np.diag(np.array([1e-5, 2e-5, 1e-8, 1e-5, 1e-5, 0.1, 1e-5, 50.0, 0.01, 1e-5]) ** 2)
     standard_deviation = np.sqrt(np.diag(covariance))
 
 
@@ -70,6 +72,7 @@ def test_believed_means_as_calibrated_and_sampled_scatters_about_it():
     assert truth.mdh[1, 0] == 1e-3 and truth.mdh[1, 2] == 1.151 and truth.stiffness[2] == pytest.approx(2e6)
     assert truth.payloads["grinder"][0] == 26.0 and truth.payloads["weight"][0] == 90.0
     assert truth.wheel_shift == pytest.approx([2e-4, 0, 0]) and truth.blade_turn == pytest.approx([3e-4, 0, 0])
+    assert truth.wheel_radius == -3e-4 and true_wheel(cell, truth).radius == pytest.approx(CELL.wheel.radius - 3e-4)
     assert truth.wheel_axis_turn @ CELL.wheel.axis == pytest.approx(0.0) and np.linalg.norm(truth.wheel_axis_turn) > 9e-5
     assert truth.flange_scale == pytest.approx(6000 / 5600) and truth.cover_scale == pytest.approx(1.1)
     assert draw_truth(cell, 1).mdh == pytest.approx(ROBOT.mdh)  # the virtual machine does not know of the calibration

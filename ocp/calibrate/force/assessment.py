@@ -86,6 +86,7 @@ VISIBLE = 3.0  # whitened length of one prior standard deviation's effect, from 
 # What a parameter does, for sentences.
 DOES = {
     **{f"wheel_{a}": f"moves the wheel along {a} of the base" for a in "xyz"},
+    "wheel_radius": "changes the wheel's radius",
     "wheel_axis_u": "turns the wheel's axis",
     "wheel_axis_v": "turns the wheel's axis",
     **{f"blade_{a}": f"moves the blade along {a} of the flange" for a in "xyz"},

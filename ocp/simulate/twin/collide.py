@@ -45,7 +45,9 @@ class WheelBody:
 def true_wheel(cell: Cell, truth: Truth) -> WheelBody:
     """The cell's wheel as it stands."""
     axis = Rotation.from_rotvec(truth.wheel_axis_turn).apply(cell.wheel.axis)
-    return WheelBody(cell.wheel.centre + truth.wheel_shift, np.asarray(axis), cell.wheel.radius, cell.wheel.width)
+    return WheelBody(
+        cell.wheel.centre + truth.wheel_shift, np.asarray(axis), cell.wheel.radius + truth.wheel_radius, cell.wheel.width
+    )
 
 
 def refuse_hits(

@@ -30,8 +30,8 @@ class Truth:
     springs give); mass_scale (7,) of base and links; payloads: mass kg and centre (3,) m by name. ripple (6, 3) amplitude rad,
     order, phase; play (6,) half width rad; repeatability rad. T_tracker_base; nests: places (3,) m in their links' frames,
     nest_turns: rotation vectors of 6D targets. wheel_shift m and wheel_axis_turn (rotation vector) in base axes; blade_shift m
-    and blade_turn (rotation vector) in flange axes, on top of the cell's. cover_scale, blade_scale, flange_scale: factors on
-    stiffness, 1 = as in the cell; flange_offset N. sensor N; outliers: share of gross tracker readings.
+    and blade_turn (rotation vector) in flange axes, wheel_radius m, on top of the cell's. cover_scale, blade_scale,
+    flange_scale: factors on stiffness, 1 = as in the cell; flange_offset N. sensor N; outliers: share of gross tracker readings.
     """
 
     seed: int
@@ -56,6 +56,7 @@ class Truth:
     flange_scale: float
     flange_offset: float
     sensor_bias: float
+    wheel_radius: float = 0.0
     sensor_sigma: float = SENSOR_SIGMA
     outliers: float = 0.0
     effects: tuple[Planted, ...]
@@ -99,6 +100,7 @@ def believed_truth(
         nests=tracker[1],
         nest_turns=tracker[2],
         wheel_shift=_vector(known, "wheel_x", "wheel_y", "wheel_z"),
+        wheel_radius=known.get("wheel_radius", 0.0),
         wheel_axis_turn=known.get("wheel_axis_u", 0.0) * u + known.get("wheel_axis_v", 0.0) * v,
         blade_shift=_vector(known, "blade_x", "blade_y", "blade_z"),
         blade_turn=_vector(known, "blade_c", "blade_b", "blade_a"),

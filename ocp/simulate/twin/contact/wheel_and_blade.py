@@ -38,9 +38,13 @@ def modulus_factor(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
 
 
 def radius_change(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
-    """Radius over the cell's (n,) m: wear with the clock (contact time where there is none), heat, run-out."""
+    """Radius over the cell's (n,) m: truth's, wear with the clock (contact time where there is none), heat, run-out."""
     worn = np.where(np.isfinite(c.clock_s), c.clock_s, _contact_time(c))
-    change = truth.total("wheel_temperature", "radius_per_K") * _warmer(cell, c) - truth.total("wheel_wear", "m_per_s") * worn
+    change = (
+        truth.wheel_radius
+        + truth.total("wheel_temperature", "radius_per_K") * _warmer(cell, c)
+        - truth.total("wheel_wear", "m_per_s") * worn
+    )
     for effect in truth.planted("wheel_runout"):
         turned = belt_travel(c) / cell.wheel.radius
         change += effect.number("m") * np.cos(turned + effect.number("phase_rad"))
