@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import coal
 import numpy as np
+from numpy.typing import NDArray
 
 from ocp.model.blade_gap import REACH
 from ocp.model.cell import Cell
@@ -25,6 +26,8 @@ from robots.kinematics import link_frames
 from robots.pose import Array, apply, invert
 
 BASE_PLANE = "plane of the base"
+SLANT = np.radians(60.0)  # of the other rays from a facet off its normal
+RAY_START = 2e-4  # m off the facet, so that a ray does not meet its own neighbours
 
 
 @dataclass(frozen=True)
@@ -183,6 +186,40 @@ def _frame_with_z(z: Array) -> Array:
     x = x - z * (z @ x)
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def enclosed(vertices: Array, faces: NDArray[np.int64], which: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Of the facets `which` of a closed mesh (vertices (nv, 3) m, faces (nf, 3) turned outward) those that see nothing but the
+    part itself, along their normal and slanting off it to six sides: walls of cavities, bores and slots.
+
+    A wheel that touches a facet has its own radius of free room along that facet's normal.
+    """
+    mesh, corners = coal.BVHModelOBBRSS(), coal.StdVec_Vec3s()
+    corners.extend(list(np.asarray(vertices, float)))
+    triangles = coal.StdVec_Triangle()
+    triangles.extend([coal.Triangle(*map(int, face)) for face in faces])
+    mesh.beginModel(len(faces), len(vertices))
+    mesh.addSubModel(corners, triangles)
+    mesh.endModel()
+    length = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    ray, request, here = coal.Capsule(1e-6, length), coal.CollisionRequest(), coal.Transform3s()
+
+    def meets(start: Array, direction: Array) -> bool:
+        placed = coal.Transform3s(_frame_with_z(direction), start + (RAY_START + 0.5 * length) * direction)
+        return bool(coal.collide(mesh, here, ray, placed, request, coal.CollisionResult()))
+
+    a, b, c = (vertices[faces[which, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    turns = np.radians(np.arange(0.0, 360.0, 60.0))
+    found = np.zeros(len(which), bool)
+    for k, (middle, n) in enumerate(zip((a + b + c) / 3.0, normal, strict=True)):
+        if not np.any(n) or not meets(middle, n):
+            continue
+        x, y, _ = _frame_with_z(n).T
+        around = (np.cos(SLANT) * n + np.sin(SLANT) * (np.cos(turn) * x + np.sin(turn) * y) for turn in turns)
+        found[k] = all(meets(middle, direction) for direction in around)
+    return found
 
 
 def flange_pose(cell: Cell, T_base_blade: Array) -> Array:

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from ocp.model.blade_gap import FACING, SurfaceCloud
 from ocp.model.cell import Cell, wheel_frame
+from ocp.plan.clearance import enclosed
 from ocp.plan.rules import WHEEL_ROOM
 from robots.errors import BadInput
 from robots.kinematics import forward
@@ -67,9 +68,9 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
 
 
 def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:
-    """The blade's whole surface: smooth on both flanks, the STL's own facets elsewhere (edges, tip, fillets, platform).
+    """The blade's whole outer surface: smooth on both flanks, the STL's own facets elsewhere (edges, tip, fillets, platform).
 
-    Points stand about CLOUD_SPACING apart.
+    Points stand about CLOUD_SPACING apart. Walls of cavities and bores, which no wheel can touch, are not in it.
     """
     points, normals = [], []
     for side in shape.sides.values():
@@ -82,14 +83,17 @@ def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:
         points.append(side.surface(u_all, v_all))
         normals.append(side.normal(u_all, v_all))
     smooth = np.vstack(points)
-    other, other_normals = _facet_points(blade)
-    apart = cKDTree(smooth).query(other)[0] > CLOUD_SPACING
+    tree = cKDTree(smooth)
+    off = np.flatnonzero((tree.query(blade.vertices)[0] > CLOUD_SPACING)[blade.faces].any(axis=1))
+    inner = off[enclosed(blade.vertices, blade.faces, off)]
+    other, other_normals = _facet_points(blade.vertices, np.delete(blade.faces, inner, axis=0))
+    apart = tree.query(other)[0] > CLOUD_SPACING
     return SurfaceCloud(np.vstack([smooth, other[apart]]), np.vstack([*normals, other_normals[apart]]))
 
 
-def _facet_points(blade: Blade) -> tuple[Array, Array]:
-    """Points on the facets about CLOUD_SPACING apart, (m, 3) m, and the facets' normals (m, 3)."""
-    vertices, faces = trimesh.remesh.subdivide_to_size(blade.vertices, blade.faces, 1.5 * CLOUD_SPACING, max_iter=12)
+def _facet_points(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Points on facets (nf, 3) about CLOUD_SPACING apart, (m, 3) m, and the facets' normals (m, 3)."""
+    vertices, faces = trimesh.remesh.subdivide_to_size(vertices, faces, 1.5 * CLOUD_SPACING, max_iter=12)
     corner = vertices[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     length = np.linalg.norm(normal, axis=1)

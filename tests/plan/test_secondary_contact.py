@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from ocp.contact.wheel.signorini import LocalShape
 from ocp.model.blade_gap import FACING, REACH, SurfaceCloud, surface_shape
-from ocp.plan.clearance import find_secondary_contact
+from ocp.plan.clearance import enclosed, find_secondary_contact
+from ocp.plan.paths import surface_cloud
 from ocp.plan.rules import SECONDARY_CONTACT_TOLERANCE
+from tests.support.blade_parts import RECIPES, build, section
 from tests.support.example_pass import bundled_cell
 from tests.support.round_bar import CONTACT, RADIUS, bar, buried, on_wheel
+from trajectories.blade import find_shape, read_blade
 
 
 @pytest.fixture(scope="module")
@@ -155,3 +159,37 @@ def test_there_is_no_blade_in_the_bay_of_a_hollow_edge(cell):
     gap = shape.gap(np.zeros(5), across)
     assert np.isfinite(gap[1:4]).all()
     assert sorted(np.isinf(gap[[0, 4]])) == [False, True]
+
+
+def tube(outer=0.01, inner=0.006, length=0.1):
+    """A square tube along z, open at both ends: corners (16, 3) m, facets (32, 3), which of them are walls of its bore."""
+    ring = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    flat = np.vstack([outer * ring, inner * ring])
+    corners = np.vstack([np.column_stack([flat, np.full(8, z)]) for z in (-0.5 * length, 0.5 * length)])
+    quads, bore = [], []
+    for k in range(4):
+        m = (k + 1) % 4
+        # Counter-clockwise seen from outside: outer wall, wall of the bore, upper and lower end.
+        quads += [(k, m, m + 8, k + 8), (m + 4, k + 4, k + 12, m + 12), (k + 8, m + 8, m + 12, k + 12), (m, k, k + 4, m + 4)]
+        bore += [False, True, False, False]
+    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
+    return corners, faces, np.repeat(bore, 2)
+
+
+def test_walls_of_a_bore_are_no_surface_that_a_wheel_touches():
+    """They look at the wheel from below the wall that it bears on; taken for surface they were pits in it, 0.5 N of force."""
+    corners, faces, bore = tube()
+    np.testing.assert_array_equal(enclosed(corners, faces, np.arange(len(faces))), bore)
+    short, faces, _ = tube(length=0.004)  # a frame rather than a tube: its inner walls are seen from both ends
+    assert not enclosed(short, faces, np.arange(len(faces))).any()
+
+
+def test_the_surface_of_a_cored_blade_is_its_outside(tmp_path):
+    part = build(next(recipe for recipe in RECIPES if recipe.cuts == "cavity"))
+    blade = read_blade(part.write(tmp_path), "mm")
+    cloud = surface_cloud(find_shape(blade), blade)
+    built = part.back(cloud.points)
+    slab = built[np.abs(built[:, 2] - 25.0) < 2.0]
+    # Over 2 mm of span the walls move by less than 0.3 mm; the cavity's stand 2 mm and more inside of them.
+    off = cKDTree(section(part.recipe, 25.0, 400)[:, :2]).query(slab[:, :2])[0]
+    assert len(slab) > 500 and off.max() < 0.5
