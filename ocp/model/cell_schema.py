@@ -33,6 +33,9 @@ from robots.errors import shown
 from robots.pose import ROTATION_ORDERS
 from robots.toml_files import TomlTable
 
+# um mm^2 / (N m): steel on felt takes some 0.01, a coarse belt on titanium some 10, a file on chalk less than 1e6.
+Preston = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False, strict=True)]
+
 # Counts: a joint's springs are six; every payload, nest and effect is a block of unknowns in a fit.
 MOST_PAYLOADS, MOST_NESTS, MOST_EFFECTS = 200, 1000, 100
 
@@ -225,6 +228,14 @@ class ProcessTable(TomlTable):
     edge_margin_mm: Margin = 3.0
     # Most that an edge of the blade may be pressed with where a ramp runs off it; a thousand tonnes cut it off.
     edge_force_N: Force = 5.0
+    preston_um_mm2_per_N_m: Preston | None = None
+    preston_sd_um_mm2_per_N_m: Preston | None = None
+
+    @model_validator(mode="after")
+    def _preston(self) -> "ProcessTable":
+        if self.preston_sd_um_mm2_per_N_m is not None and self.preston_um_mm2_per_N_m is None:
+            raise ValueError("preston_sd_um_mm2_per_N_m belongs to preston_um_mm2_per_N_m, which is missing; add it")
+        return self
 
 
 class LinkTarget(TomlTable):

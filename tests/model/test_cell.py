@@ -44,6 +44,13 @@ def test_what_a_flange_does_in_time_is_si_and_absent_where_nothing_is_said(tmp_p
     assert read_cell(CELL).process.edge_force == 5.0
 
 
+def test_prestons_coefficient_is_per_pascal(tmp_path):
+    keys = "force_N = 20.0\npreston_um_mm2_per_N_m = 9.5\npreston_sd_um_mm2_per_N_m = 0.5\nfeed"
+    process = read_cell(write(tmp_path, "force_N = 20.0\nfeed", keys)).process
+    assert (process.preston, process.preston_sd) == pytest.approx((9.5e-12, 0.5e-12))
+    assert read_cell(CELL).process.preston is None
+
+
 def test_every_cell_of_the_worlds_is_read(shared_data):
     cells = sorted((shared_data / "worlds").glob("*/cell.toml"))
     assert cells
@@ -128,6 +135,8 @@ AXIS = "clamp_to_mm = 10.0\naerofoil_axis = "
         ("stroke_mm = 8.0", STROKE + "setpoint_scale = 0.01", "belong together"),
         ("stroke_mm = 8.0", STROKE + 'setpoint_output = "ANOUT[1]"\nsetpoint_scale = 0.1', "times setpoint_scale is 2"),
         ("force_N = 20.0\nfeed", "force_N = 20.0\nedge_force_N = -5.0\nfeed", "process.edge_force_N = -5.0"),
+        ("force_N = 20.0\nfeed", "force_N = 20.0\npreston_um_mm2_per_N_m = 0.0\nfeed", "process.preston_um_mm2_per_N_m = 0.0"),
+        ("force_N = 20.0\nfeed", "force_N = 20.0\npreston_sd_um_mm2_per_N_m = 1.0\nfeed", "which is missing"),
     ],
 )
 def test_a_faulty_cell_is_refused_in_one_sentence(tmp_path, old, new, said):
