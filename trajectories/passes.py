@@ -93,10 +93,8 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
 
     Raises: BadInput when the clamp holds nothing or everything, or the margins leave nothing.
     """
-    margins = _margins(blade, options)
-    names = ["convex", "concave"] if options.side == "both" else [options.side]
     lay = {"spanwise": _spanwise, "chordwise": _chordwise}.get(options.direction)
-    if lay is None or names[0] not in shape.sides:
+    if lay is None or options.side not in ("both", *shape.sides):
         raise BadInput(
             f"passes = {options.direction!r}, side = {options.side!r}: use 'spanwise' or 'chordwise' and "
             f"'convex', 'concave' or 'both'."
@@ -107,9 +105,8 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
     notices: list[str] = []
     waypoints = 0
     around = obstacles(blade, shape) if options.wheel_radius > 0.0 else np.zeros((0, 3))
-    for name in names:
+    for name, window in ground_windows(blade, shape, options).items():
         side = shape.sides[name]
-        window = ground_window(blade.name, shape, side, margins)
         for edge, cut in zip(("leading", "trailing"), window.cut, strict=True):
             if cut:
                 notices.append(
@@ -138,6 +135,13 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
             f"of the surface, so part of the contact hangs over."
         )
     return paths, notices
+
+
+def ground_windows(blade: Blade, shape: AerofoilShape, options: PassOptions) -> dict[str, Window]:
+    """What is asked to be ground of each chosen side, by its name. Raises BadInput as `passes`."""
+    margins = _margins(blade, options)
+    names = ["convex", "concave"] if options.side == "both" else [options.side]
+    return {name: ground_window(blade.name, shape, shape.sides[name], margins) for name in names}
 
 
 def _with_room(

@@ -15,6 +15,7 @@ from ocp.plan.report.axes import axes_section
 from ocp.plan.report.force import force_section
 from ocp.plan.report.plan_report import PlanReport, build_report
 from ocp.plan.report.quantities import contact_section, maps_section
+from ocp.plan.report.removal import removal_section
 from ocp.plan.report.scene import scene_section
 from ocp.plan.rules import UNCERTAIN_FORCE
 from ocp.plan.second_route import believed_robot
@@ -83,7 +84,7 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
         program = grinding_program(cell, plan.motion, plan.kind, plan.name)
         files = write_program(cell, program, folder)
         timeline = build_timeline(plan.motion, emitted_times(plan.motion, program))
-        write_plan_csv(timeline, folder / "plan.csv")
+        write_plan_csv(timeline, folder / "plan.csv", plan.removal.columns(timeline))
     with phases.phase("reading back"):
         values = plan.theta.values
         believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
@@ -156,6 +157,7 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], v
             for p in plan.motion.passes
             for path in [p.problem.path]
         ],
+        "process": plan.removal.figures.document(),
         "files": written.files,
         "inputs": [{"role": role, "name": p.name, "sha256": sha256(p)} for role, p in plan.inputs],
         "notices": list(plan.notices),
@@ -172,6 +174,7 @@ def plan_pages(report: PlanReport) -> Report:
         scene_section(report),
         force_section(report),
         axes_section(report),
+        removal_section(report),
         maps_section(report),
         contact_section(report),
         made_from(report.inputs),

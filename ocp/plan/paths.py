@@ -15,13 +15,15 @@ from scipy.spatial import cKDTree
 from ocp.model.blade_gap import FACING, SurfaceCloud
 from ocp.model.cell import Cell, wheel_frame
 from ocp.plan.clearance import enclosed
+from ocp.plan.removal.surface import SideCells, flank_cells
 from ocp.plan.rules import WHEEL_ROOM
 from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
+from trajectories.blade.window import Window
 from trajectories.dialects import dialect_named
-from trajectories.passes import BladePath, PassOptions, passes
+from trajectories.passes import BladePath, PassOptions, ground_windows, passes
 from trajectories.path_file import read_path_file
 from trajectories.path_points import paths_from_points
 from trajectories.program.old_program import OldPass, contact_frames_from_program
@@ -42,11 +44,13 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class LaidPaths:
-    """Blade, passes in the order of the lines, the ground surface as a cloud, and notices in sentences."""
+    """Blade, passes in the order of the lines, the ground surface as a cloud, the flanks in cells with what is asked of them, and
+    notices in sentences."""
 
     blade: Blade
     paths: list[BladePath]
     cloud: SurfaceCloud
+    flanks: list[SideCells]
     notices: tuple[str, ...]
 
 
@@ -58,13 +62,17 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     blade = read_blade(stl, cell.workpiece.stl_unit)
     shape = find_shape(blade, cell.workpiece.aerofoil)
     cloud = surface_cloud(shape, blade)
+    windows: dict[str, Window] = {}
     if options.path is not None:
         paths, notices = read_path_file(options.path, blade, shape, cell.process.feed, cell.process.force)
     elif options.program is not None:
         paths, notices = paths_from_program(cell, blade, shape, cloud, options.program, options.step)
     else:
-        paths, notices = passes(blade, shape, _pass_options(cell, options.step))
-    return LaidPaths(blade, paths, cloud, (*blade.notices, *shape.notices, *notices))
+        chosen = _pass_options(cell, options.step)
+        paths, notices = passes(blade, shape, chosen)
+        windows = ground_windows(blade, shape, chosen)
+    flanks = flank_cells(shape, windows, paths, 0.5 * cell.process.pass_spacing)
+    return LaidPaths(blade, paths, cloud, flanks, (*blade.notices, *shape.notices, *notices))
 
 
 def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:

@@ -16,6 +16,7 @@ from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes, solv
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import PlanOptions, lay_paths
+from ocp.plan.removal.result import Removal, find_removal
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
 from robots.errors import BadInput
@@ -44,6 +45,7 @@ class Plan:
     notices: tuple[str, ...]
     wheel_error: float
     compliance_error: float
+    removal: Removal
 
     @property
     def force_sd(self) -> float:
@@ -88,6 +90,8 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     solved = remembered_passes(ground, laid.paths, compliance, solve)
     with phases.phase("timing", len(solved)) as advance:
         motion = build_motion(cell, scene, solved, advance)
+    with phases.phase("removal"):
+        removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks)
     inputs = [("cell", cell_file), ("blade", stl)]
     inputs += [(role, file) for role, file in (("path", options.path), ("program", options.program)) if file is not None]
     if cell.tables.robot.calibration is not None:
@@ -105,6 +109,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         notices=(*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices, *told),
         wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
+        removal=removal,
     )
 
 

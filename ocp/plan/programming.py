@@ -2,6 +2,7 @@
 emits, air moves included, with what the model says of each.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -146,10 +147,13 @@ def _rows(motion: PlannedMotion, index: int, segment: MotionSegment, t: Array) -
     )
 
 
-def write_plan_csv(timeline: Timeline, path: Path) -> None:
-    """Write plan.csv as FORMATS.md asks; cells without meaning off contact stay empty."""
+Column = tuple[str, Array, int]  # name, values (m,) in the unit of the name, digits after the point
+
+
+def write_plan_csv(timeline: Timeline, path: Path, more: Sequence[Column] = ()) -> None:
+    """Write plan.csv as FORMATS.md asks, `more` columns last; cells without meaning off contact stay empty."""
     degrees = 180 / np.pi
-    columns: list[tuple[str, Array, int]] = [
+    columns: list[Column] = [
         ("time_s", timeline.time, 6),
         ("line", timeline.line, 0),
         ("contact", timeline.contact.astype(int), 0),
@@ -165,6 +169,7 @@ def write_plan_csv(timeline: Timeline, path: Path) -> None:
         ("fn_sd_N", timeline.force_sd, 5),
         ("interference_mm", timeline.interference * 1e3, 6),
         ("limit_ratio", timeline.limit_ratio, 6),
+        *more,
     ]
     texts = [[_cell(v, digits) for v in values] for _, values, digits in columns]
     lines = [",".join(name for name, _, _ in columns), *(",".join(row) for row in zip(*texts, strict=True))]

@@ -11,7 +11,6 @@ from scipy.interpolate import CubicSpline
 
 from robots.errors import BadInput, Infeasible
 from trajectories.joint_trajectory import Limits, TimingStatus, ramps, sample_times
-from trajectories.removal import dwell_times, relative_removal, removal_of
 from trajectories.timing import time_contact_path, time_joint_move
 from trajectories.toppra_law import squared_speeds, stretched, time_law, times_at
 
@@ -210,17 +209,6 @@ def test_slow_motion_as_the_last_resort_holds_the_limits(monkeypatch):
     trajectory = timing.time_contact_path(q, s, 0.5, replace(ARM, margin=0.8))
     assert trajectory.status is TimingStatus.SLOWED
     assert 0.75 < trajectory.limit_ratio(sample_times(trajectory)).max() <= 0.8
-
-
-def test_removal_follows_preston():
-    assert relative_removal(np.array([20.0]), np.array([0.1]), np.array([0.004]), 20.0, 0.04) == pytest.approx(1.0)
-    assert relative_removal(np.array([30.0]), np.array([0.2]), np.array([0.004]), 20.0, 0.04) == pytest.approx(3.0)
-    q, s = smooth_pass()
-    trajectory = time_contact_path(q, s, 0.04, ARM)
-    assert dwell_times(trajectory).sum() == pytest.approx(trajectory.duration, abs=1e-9)
-    removal = removal_of(trajectory, np.full(200, 20.0), 20.0, 0.04)
-    assert np.allclose(removal[20:-20], 1.0, atol=0.01)
-    assert removal[0] > 1.5 and np.all(np.isfinite(removal))
 
 
 def test_a_blade_of_3000_waypoints_is_timed_within_seconds():

@@ -14,13 +14,13 @@ from ocp.model.cell import Cell, Wheel
 from ocp.plan.motion import PlannedMotion
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline
+from ocp.plan.removal.result import Removal
 from ocp.plan.report.surface import GroundPass
 from ocp.shell.cache import sha256
 from robots.kinematics import link_frames
 from robots.pose import Array
 from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
-from trajectories.removal import removal_of
 
 FRAMES = 500  # of the animation
 SAMPLE = 0.02  # s between samples of the drawn motion
@@ -32,8 +32,8 @@ class PassReport(GroundPass):
 
     `p`, `n`, `t` (n, 3): contact point m, outward normal, feed direction; `s` (n,) m along the pass.
     `force`, `force_sd` (n,) N: predicted normal force and its standard deviation. `interference` (n,) m.
-    `compliance_nn` (n,) m/N: blade along its own normal. `removal` (n,): relative to the intended depth, 1
-    = as intended. `limit_ratio` (n,): largest use of any axis limit, 1 = at the limit. `arc` rad, `lateral`
+    `compliance_nn` (n,) m/N: blade along its own normal. `removal` (n,): depth of all passes over the wanted
+    one. `limit_ratio` (n,): largest use of any axis limit, 1 = at the limit. `arc` rad, `lateral`
     m, `turn` rad, `tilt` (n, 2) rad: where and how the blade touches the wheel. `feed` (n,) m/s. nan = not
     known, drawn as a gap.
     """
@@ -93,7 +93,7 @@ class PlanReport:
     `verdict` is one sentence; `safe` says whether the program may be run. `summary`: what it is and its value, ready to print;
     `inputs`: SHA-256 of the files that the plan was made from, by their part ("blade", "cell", ...) and name. `vertices` (nv, 3)
     m and `faces` (nf, 3) are the blade, `robot` and `wheel` what the plan was made for. `target_force` N. `pass_spacing` m
-    between neighbouring passes (0 = take it from the passes).
+    between neighbouring passes (0 = take it from the passes). `removal`: the map of what is taken off, all passes summed.
     """
 
     title: str
@@ -111,6 +111,7 @@ class PlanReport:
     robot: Robot
     wheel: Wheel
     pass_spacing: float = 0.0
+    removal: Removal | None = None
 
     def contact_spans(self) -> tuple[tuple[int, float, float], ...]:
         """(line, start s, end s) of every stretch of contact."""
@@ -135,19 +136,20 @@ def build_report(plan: Plan, timeline: Timeline, verdict: str, summary: Sequence
         target_force=cell.process.force,
         vertices=plan.blade.vertices,
         faces=plan.blade.faces,
-        passes=tuple(_pass(cell, motion, place) for place in range(len(motion.passes))),
+        passes=tuple(_pass(plan, place) for place in range(len(motion.passes))),
         motion=_motion(cell, motion, timeline),
         animation=_animation(cell, motion),
         robot=cell.robot,
         wheel=cell.wheel,
         pass_spacing=cell.process.pass_spacing,
+        removal=plan.removal,
     )
 
 
-def _pass(cell: Cell, motion: PlannedMotion, place: int) -> PassReport:
+def _pass(plan: Plan, place: int) -> PassReport:
+    motion = plan.motion
     solved, trajectory = motion.passes[place], motion.contact(place).trajectory
     path, seen = solved.problem.path, solved.evaluation
-    removal = removal_of(trajectory, solved.solution.force[trajectory.kept], cell.process.force, cell.process.feed)
 
     def at_waypoints(values: Array) -> Array:
         return np.interp(path.s, trajectory.stations, values)
@@ -158,7 +160,7 @@ def _pass(cell: Cell, motion: PlannedMotion, place: int) -> PassReport:
         force=solved.solution.force,
         interference=seen.delta,
         compliance_nn=solved.problem.compliance[:, 0],
-        removal=at_waypoints(removal),
+        removal=plan.removal.at(path.p),
         limit_ratio=at_waypoints(trajectory.limit_ratio(trajectory.times)),
         tilt=np.arctan(seen.tilt),
         feed=at_waypoints(trajectory.feed(trajectory.times)),

@@ -1,0 +1,162 @@
+"""What a timed motion takes off the blade: the map over its surface, all lines summed, and the shares by which it is judged."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ocp.contact.wheel.cover import Cover
+from ocp.model.blade_gap import SurfaceCloud, contact_stations
+from ocp.model.cell import Cell
+from ocp.plan.motion import PlannedMotion
+from ocp.plan.programming import Column, Timeline, build_timeline
+from ocp.plan.removal.footprint import STATION_SPACING, LinePatches, contacts_along
+from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, row_times, shares_of_time, work_done
+from robots.kinematics import forward
+from robots.pose import Array, apply
+
+SAME_SPEED = 1e-6  # s; half the step of the differences that give the blade's speed
+COARSER = 2.0  # times as far apart as the optimiser's contacts: the patch varies less than the indentation
+HALF = 0.5  # of the wanted depth, from which on a cell counts as ground
+
+
+@dataclass(frozen=True)
+class SideRemoval:
+    """One flank: its cells, those of the core, and the depth over what is wanted (i, j); nan where nothing is wanted."""
+
+    cells: SideCells
+    core: Mask
+    relative: Array
+
+
+@dataclass(frozen=True)
+class Figures:
+    """`process` of plan.json (FORMATS.md): shares of the asked area (of the core's, None without a core), least and most depth
+    over what is wanted on the asked area, seconds of contact while travelling."""
+
+    ground_share: float
+    core_within_5: float | None
+    core_within_10: float | None
+    all_within_10: float
+    least: float
+    most: float
+    contact_in_travel_s: float
+
+    def document(self) -> dict[str, float | None]:
+        """Rounded to what they are worth."""
+        found = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: None if value is None else round(float(value), 4) for name, value in found.items()}
+
+
+@dataclass(frozen=True)
+class Removal:
+    """The map of a plan. wanted_um: wanted depth of an even job where Preston's coefficient is known, else None; points (m, 3) m
+    and relative (m,): every place it was computed at, waypoints among them."""
+
+    sides: tuple[SideRemoval, ...]
+    figures: Figures
+    wanted_um: float | None
+    points: Array
+    relative: Array
+
+    def at(self, points: Array) -> Array:
+        """Depth over what is wanted at contact points (n, 3), nan where a point is nan."""
+        known = np.isfinite(points).all(axis=1)
+        found = np.full(len(points), np.nan)
+        found[known] = self.relative[cKDTree(self.points).query(points[known])[1]]
+        return found
+
+    def columns(self, line: Timeline) -> list[Column]:
+        """What plan.csv says of it at every row of contact."""
+        relative = np.where(line.contact, self.at(line.p), np.nan)
+        return [("removal_rel", relative, 4)]
+
+
+def find_removal(cell: Cell, motion: PlannedMotion, cover: Cover, cloud: SurfaceCloud, flanks: Sequence[SideCells]) -> Removal:
+    """The depth that the timed motion takes off the `flanks`, every row of contact of every pass summed.
+
+    Raises Infeasible of the contact solver.
+    """
+    patches = [line_patches_of(cell, cover, cloud, motion, place) for place in range(len(motion.passes))]
+    rows, travelling = contact_rows(cell, motion)
+    paths = [one.problem.path for one in motion.passes]
+    points = np.vstack([*(one.points.reshape(-1, 3) for one in flanks), *(path.p for path in paths)])
+    normals = np.vstack([*(one.normals.reshape(-1, 3) for one in flanks), *(path.n for path in paths)])
+    relative = work_done(points, normals, rows, patches) / programmed_work(cell)
+    half = [float(one.half_axes[:, 0].max()) for one in patches]
+    sides, first = [], 0
+    for one in flanks:
+        count = one.area.size
+        sides.append(SideRemoval(one, core_cells(one, paths, half), relative[first : first + count].reshape(one.area.shape)))
+        first += count
+    return Removal(tuple(sides), figures_of(sides, travelling), wanted_depth_um(cell), points, relative)
+
+
+def line_patches_of(cell: Cell, cover: Cover, cloud: SurfaceCloud, motion: PlannedMotion, place: int) -> LinePatches:
+    """Footprints of the pass at `place` at its solved postures."""
+    one = motion.passes[place]
+    index = contact_stations(one.problem.path.s, COARSER * STATION_SPACING).astype(np.int64)
+    return contacts_along(cell, cover, cloud, one.problem.path, one.evaluation, index)
+
+
+def programmed_work(cell: Cell) -> float:
+    """Pressure times slid length, N/m, of an even surface under lines `pass_spacing` apart at the programmed force and feed."""
+    process = cell.process
+    return process.force * abs(cell.wheel.belt_speed) / (process.feed * process.pass_spacing)
+
+
+def wanted_depth_um(cell: Cell) -> float | None:
+    """Depth um that 1 stands for where Preston's coefficient is known."""
+    return None
+
+
+def contact_rows(cell: Cell, motion: PlannedMotion) -> tuple[ContactRows, float]:
+    """The rows of the motion in which wheel and blade touch, and how many seconds of them lie in travel."""
+    times = []
+    for segment in motion.segments:
+        feed = max(float(motion.passes[min(segment.place, len(motion.passes) - 1)].problem.path.feed.max()), 1e-3)
+        times.append(row_times(segment.trajectory.duration, feed if segment.kind != "travel" else 0.0))
+    line = build_timeline(motion, times)
+    seconds = np.concatenate([shares_of_time(t) for t in times])
+    travel = np.array([segment.kind == "travel" for segment in motion.segments])[line.segment]
+    place = np.array([segment.place for segment in motion.segments])[line.segment]
+    bears = np.asarray((line.contact > 0) & (np.nan_to_num(line.force) > 0.0))
+    values = {name: getattr(line, name)[bears] for name in ("p", "n", "t", "s", "force")}
+    slide = seconds[bears] * sliding_speed(cell, line, bears)
+    return ContactRows(place=place[bears], slide=slide, **values), float(seconds[bears & travel].sum())
+
+
+def sliding_speed(cell: Cell, line: Timeline, rows: Mask) -> Array:
+    """Speed m/s of the belt against the moving blade at the contact points of `rows`, (n,)."""
+    wheel, ahead = cell.wheel, SAME_SPEED * line.qd[rows]
+    p = apply(np.broadcast_to(cell.workpiece.T_flange_blade, (int(rows.sum()), 4, 4)), line.p[rows])
+    before, after = (apply(forward(cell.robot, line.q[rows] + sign * ahead), p) for sign in (-1.0, 1.0))
+    blade = (after - before) / (2.0 * SAME_SPEED)
+    _, radial, rho = wheel.cylindrical(0.5 * (before + after))
+    belt = wheel.belt_speed * np.cross(wheel.axis, radial / rho[:, None])
+    return np.asarray(np.linalg.norm(belt - blade, axis=1))
+
+
+def figures_of(sides: Sequence[SideRemoval], travelling: float) -> Figures:
+    """The shares, every cell weighed by its area."""
+    asked = [one.cells.asked & np.isfinite(one.relative) for one in sides]
+    depth, area, core = (
+        np.concatenate([values[mask] for values, mask in zip(of, asked, strict=True)])
+        for of in ([one.relative for one in sides], [one.cells.area for one in sides], [one.core for one in sides])
+    )
+
+    def within(part: float, mask: Mask) -> float | None:
+        total = area[mask].sum()
+        return float(area[mask & (np.abs(depth - 1.0) <= part)].sum() / total) if total > 0 else None
+
+    whole = np.ones(len(depth), bool)
+    return Figures(
+        ground_share=float(area[depth >= HALF].sum() / area.sum()),
+        core_within_5=within(0.05, core),
+        core_within_10=within(0.10, core),
+        all_within_10=within(0.10, whole) or 0.0,
+        least=float(depth.min()),
+        most=float(depth.max()),
+        contact_in_travel_s=travelling,
+    )

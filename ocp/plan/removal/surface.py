@@ -1,0 +1,149 @@
+"""The blade's surface as cells, which of them are asked to be ground, and what rows of contact take off them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ocp.plan.removal.footprint import LinePatches
+from robots.pose import Array
+from trajectories.blade import AerofoilShape
+from trajectories.blade.window import Window
+from trajectories.passes import BladePath
+
+Mask = NDArray[np.bool_]
+GRID = 7e-4  # m between cells: a fifth of a usual half axis
+FACING = 0.5  # smallest cosine between a cell's normal and the contact's for it to be reached: the other wall looks away
+LEAST_ROW = 1e-9  # of the force there is: rows with less take nothing off
+
+
+@dataclass(frozen=True)
+class SideCells:
+    """Cells of one flank on an even grid of its parameters, (i, j) along the chord and the span.
+
+    points, normals (i, j, 3) m, blade frame; area (i, j) m^2; asked (i, j): between the margins; along (i, j) m on the surface
+    from the root's end, across (i, j) m from the leading edge's.
+    """
+
+    side: str
+    points: Array
+    normals: Array
+    area: Array
+    asked: Mask
+    along: Array
+    across: Array
+
+
+def flank_cells(shape: AerofoilShape, windows: Mapping[str, Window], paths: Sequence[BladePath], strip: float) -> list[SideCells]:
+    """The flanks that are ground, in cells of about GRID. Asked is what lies in the `windows` (by side); without any, what lies
+    within `strip` m of the `paths`."""
+    names = [name for name in shape.sides if name in windows or (not windows and any(path.side == name for path in paths))]
+    return [_cells(shape, name, windows.get(name), [path for path in paths if path.side == name], strip) for name in names]
+
+
+def _cells(shape: AerofoilShape, name: str, window: Window | None, paths: Sequence[BladePath], strip: float) -> SideCells:
+    side = shape.sides[name]
+    n_u = int(np.ceil(side.width.max() / GRID))
+    n_v = int(np.ceil((shape.v[1] - shape.v[0]) / GRID))
+    u_step, v_step = 1.0 / n_u, (shape.v[1] - shape.v[0]) / n_v
+    u, v = np.meshgrid((np.arange(n_u) + 0.5) * u_step, shape.v[0] + (np.arange(n_v) + 0.5) * v_step, indexing="ij")
+    flat = u.ravel(), v.ravel()
+    points, normals = (x.reshape(n_u, n_v, 3) for x in (side.surface(*flat), side.normal(*flat)))
+    along_u, along_v = (side.surface(*flat, *order).reshape(n_u, n_v, 3) for order in ((1, 0), (0, 1)))
+    area = np.linalg.norm(np.cross(along_u, along_v), axis=2) * u_step * v_step
+    if window is not None:
+        asked = (u >= np.interp(v, window.v, window.u_lo)) & (u <= np.interp(v, window.v, window.u_hi))
+        asked &= (v >= np.interp(u, window.u, window.v_lo)) & (v <= np.interp(u, window.u, window.v_hi))
+    else:
+        asked = cKDTree(np.vstack([path.p for path in paths])).query(points)[0] <= strip
+    along = np.cumsum(np.linalg.norm(along_v, axis=2), axis=1) * v_step
+    across = np.cumsum(np.linalg.norm(along_u, axis=2), axis=0) * u_step
+    return SideCells(name, points, normals, area, asked, along, across)
+
+
+def core_cells(cells: SideCells, paths: Sequence[BladePath], half_length: Sequence[float]) -> Mask:
+    """Asked cells (i, j) between the outermost lines of the side and at least a patch's half-length m (one a path) inside both
+    ends of the line nearest to them."""
+    own = [k for k, path in enumerate(paths) if path.side == cells.side]
+    flat = cells.points.reshape(-1, 3)
+    inside = np.zeros(len(flat), bool)
+    if len(own) < 2:
+        return inside.reshape(cells.asked.shape)
+    found = [cKDTree(paths[k].p).query(flat) for k in own]
+    nearest = np.argmin([distance for distance, _ in found], axis=0)
+    places = [np.mean(paths[k].p, axis=0) for k in own]
+    outer = _outermost(np.array(places))
+    for k, number in enumerate(own):
+        path, mine = paths[number], np.flatnonzero(nearest == k)
+        at = found[k][1][mine]
+        kept = (path.s[at] >= half_length[number]) & (path.s[at] <= path.s[-1] - half_length[number])
+        if k in outer:
+            offset, neighbour = flat[mine] - path.p[at], outer[k] - path.p[at]
+            b = np.cross(path.n[at], path.t[at])
+            kept &= np.sum(offset * b, axis=1) * np.sum(neighbour * b, axis=1) >= 0.0
+        inside[mine] = kept
+    return inside.reshape(cells.asked.shape) & cells.asked
+
+
+def _outermost(places: Array) -> dict[int, Array]:
+    """Which of the lines, by their middles (k, 3), have all others on one side; and the middle of their nearest neighbour."""
+    spread = places - places.mean(axis=0)
+    order = np.argsort(spread @ np.linalg.svd(spread, full_matrices=False)[2][0])
+    ends = {int(order[0]): int(order[1]), int(order[-1]): int(order[-2])}
+    return {end: places[neighbour] for end, neighbour in ends.items()}
+
+
+@dataclass(frozen=True)
+class ContactRows:
+    """Moments of contact, n rows: line's `place` in driving order (n,); p, n, t (n, 3) blade frame; s (n,) m along the line;
+    force (n,) N; slide (n,) m of belt that passes in the row's share of time, against the moving blade."""
+
+    place: NDArray[np.int64]
+    p: Array
+    n: Array
+    t: Array
+    s: Array
+    force: Array
+    slide: Array
+
+    def of(self, place: int) -> "ContactRows":
+        """The rows of one line that bear."""
+        mine = (self.place == place) & (self.force > LEAST_ROW * self.force.max(initial=1.0))
+        return ContactRows(*(getattr(self, name)[mine] for name in ContactRows.__dataclass_fields__))
+
+
+def work_done(points: Array, normals: Array, rows: ContactRows, patches: Sequence[LinePatches]) -> Array:
+    """Pressure times slid length, N/m, at surface points (m, 3) with normals (m, 3), of all rows summed: (m,).
+
+    patches: of each line, in driving order. Preston's coefficient makes it a depth (docs/process.md, eq. 1).
+    """
+    tree, total = cKDTree(points), np.zeros(len(points))
+    for place, one in enumerate(patches):
+        mine = rows.of(place)
+        if not len(mine.s):
+            continue
+        size = np.cbrt(mine.force / np.interp(mine.s, one.at, one.force))
+        near = tree.query_ball_point(mine.p, np.sqrt(2.0) * one.x[-1] * size, return_sorted=False)
+        count = np.array([len(found) for found in near])
+        row, index = np.repeat(np.arange(len(near)), count), np.concatenate([np.asarray(found, int) for found in near])
+        facing = np.sum(normals[index] * mine.n[row], axis=1) > FACING
+        row, index = row[facing], index[facing]
+        offset = points[index] - mine.p[row]
+        along, across = np.sum(offset * mine.t[row], axis=1), np.sum(offset * np.cross(mine.n, mine.t)[row], axis=1)
+        pressure = one.pressure(mine.s[row], along, across, mine.force[row])
+        total += np.bincount(index, pressure * (mine.force * mine.slide)[row], minlength=len(points))
+    return total
+
+
+def row_times(duration: float, feed: float, step: float = 5e-4) -> Array:
+    """Times (n,) s from 0 to `duration`, a row every `step` m at `feed` m/s."""
+    return np.linspace(0.0, duration, max(int(np.ceil(duration * feed / step)), 8) + 1)
+
+
+def shares_of_time(time: Array) -> Array:
+    """Seconds (n,) that each row of rising times (n,) stands for, trapezoid rule."""
+    gaps = np.array([b - a for a, b in pairwise(time)])
+    return 0.5 * (np.concatenate([gaps, [0.0]]) + np.concatenate([[0.0], gaps]))

@@ -1,0 +1,105 @@
+"""What passes take off a surface: conservation, linearity, sums over lines, shares; on plane and bar with closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ocp.plan.removal.footprint import CELL
+from ocp.plan.removal.result import SideRemoval, figures_of
+from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, row_times, shares_of_time, work_done
+from tests.plan.test_footprint import A, B, ellipsoid
+from tests.support.example_pass import bar_pass
+
+FORCE, BELT, FEED, LENGTH = 20.0, 25.0, 0.04, 0.06
+
+
+def plane(step: float = 5e-4, wide: float = 0.02) -> tuple[SideCells, np.ndarray, np.ndarray]:
+    """Cells of the plane z = 0 about lines along x from 0 to LENGTH; points and normals flat."""
+    y, x = np.meshgrid(np.arange(-wide, wide + LENGTH / 2, step), np.arange(-0.01, LENGTH + 0.01, step), indexing="ij")
+    points = np.stack([x, y, 0 * x], axis=-1)
+    normals = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+    cells = SideCells("convex", points, normals, np.full(x.shape, step**2), (x >= 0) & (x <= LENGTH), x, y)
+    return cells, points.reshape(-1, 3), normals.reshape(-1, 3)
+
+
+def line_rows(y: float, place: int = 0, force: float = FORCE, feed: float = FEED) -> ContactRows:
+    """Rows of a straight pass along x at constant force and feed."""
+    time = row_times(LENGTH / feed, feed)
+    n = len(time)
+    p = np.column_stack([feed * time, np.full(n, y), np.zeros(n)])
+    up, ahead = np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile([1.0, 0.0, 0.0], (n, 1))
+    slide = BELT * shares_of_time(time)
+    return ContactRows(np.full(n, place), p, up, ahead, feed * time, np.full(n, force), slide)
+
+
+def together(*rows: ContactRows) -> ContactRows:
+    return ContactRows(*(np.concatenate([getattr(one, name) for one in rows]) for name in ContactRows.__dataclass_fields__))
+
+
+def test_the_volume_is_prestons_force_times_slid_length():
+    cells, points, normals = plane()
+    work = work_done(points, normals, line_rows(0.0), [ellipsoid()])
+    assert (work * cells.area.ravel()).sum() == pytest.approx(FORCE * BELT * LENGTH / FEED, rel=3e-3)
+
+
+def test_the_depth_is_linear_in_force_over_feed():
+    _, points, normals = plane()
+    once = work_done(points, normals, line_rows(0.0), [ellipsoid()])
+    slow = work_done(points, normals, line_rows(0.0, feed=FEED / 3), [ellipsoid()])
+    assert slow == pytest.approx(3 * once, rel=2e-3, abs=2e-3 * once.max())
+    rows = line_rows(0.0)
+    twice = work_done(points, normals, replace(rows, slide=2 * rows.slide), [ellipsoid()])
+    assert twice == pytest.approx(2 * once)
+
+
+def test_depth_across_a_line_and_in_its_middle():
+    """A parabola of half-width B: 3 F V / (4 b v) in the middle of the line."""
+    cells, points, normals = plane()
+    work = work_done(points, normals, line_rows(0.0), [ellipsoid()]).reshape(cells.area.shape)
+    across, y = work[:, work.shape[1] // 2], cells.points[:, 0, 1]
+    parabola = 0.75 * FORCE * BELT / (B * FEED) * np.maximum(1 - (y / B) ** 2, 0.0)
+    assert np.abs(across - parabola).max() < 0.05 * parabola.max()
+
+
+def test_lines_are_summed_and_judged():
+    """Lines 0.58 b apart: the core is even within 5 %, half of the depth is there at the ends, what lies beyond is not core."""
+    h, cells, lines = 0.58 * B, plane()[0], 12
+    paths = []
+    for k in range(lines):
+        x = np.linspace(0.0, LENGTH, 121)
+        p = np.column_stack([x, np.full(121, k * h), 0 * x])
+        one = bar_pass(121)
+        paths.append(replace(one, p=p, n=np.tile([0.0, 0.0, 1.0], (121, 1)), t=np.tile([1.0, 0, 0], (121, 1)), s=x))
+    rows = together(*(line_rows(k * h, k) for k in range(lines)))
+    points, normals = cells.points.reshape(-1, 3), cells.normals.reshape(-1, 3)
+    work = work_done(points, normals, rows, [ellipsoid()] * lines).reshape(cells.area.shape)
+    relative = work * FEED * h / (FORCE * BELT)
+    core = core_cells(cells, paths, [A] * lines)
+    y = cells.points[..., 1]
+    assert np.ptp(y[core]) == pytest.approx((lines - 1) * h, abs=1.2e-3)
+    asked = cells.asked & (y > 0) & (y < (lines - 1) * h)
+    figures = figures_of([SideRemoval(replace(cells, asked=asked), core & asked, relative)], 0.0)
+    inner = core & (y > h) & (y < (lines - 2) * h)
+    assert np.abs(relative[inner] - 1).max() < 0.05
+    assert figures.core_within_10 is not None and figures.core_within_10 > 0.85
+    assert figures.all_within_10 < figures.core_within_10
+    assert figures.least == pytest.approx(0.5 * 0.75 * 0.58 * (1 + (1 - 0.58**2)), abs=0.03)  # the corner
+    assert figures.ground_share > 0.97
+
+
+def test_the_other_wall_is_not_ground():
+    _, points, normals = plane(2e-3)
+    both, looks = np.vstack([points, points - [0, 0, 1e-3]]), np.vstack([normals, -normals])
+    work = work_done(both, looks, line_rows(0.0), [ellipsoid()])
+    assert work[: len(points)].max() > 0 and (work[len(points) :] == 0).all()
+
+
+def test_no_core_without_neighbours_and_no_share_of_nothing():
+    cells = plane(2e-3)[0]
+    assert not core_cells(cells, [bar_pass()], [A]).any()
+    relative = np.ones(cells.area.shape)
+    figures = figures_of([SideRemoval(cells, np.zeros(relative.shape, bool), relative)], 0.25)
+    assert figures.core_within_5 is None and figures.all_within_10 == 1.0
+    assert figures.document()["contact_in_travel_s"] == 0.25 and figures.document()["core_within_10"] is None
+    assert CELL < 5e-4
