@@ -9,12 +9,13 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from glob import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -34,13 +35,15 @@ LONGEST_PLAN = 4 * 3600.0  # s; a blade takes some minutes, and the plan is laid
 FINE = 0.002  # s between the plan's points that are looked at
 ORDER = 2e-3  # rad that the whole program's time counts for when postures repeat
 FAR = np.radians(0.05)  # rad; a posture farther from the plan than this is not the plan's
+PASS = "pass"  # of the column `phase`, where a plan has it: the line itself
 AWAY, NEAR, GRINDING = 0, 1, 2  # travel; engage and retreat; the planned contact
 
 
 @dataclass(frozen=True)
 class PlanTable:
     """The rows of plan.csv in SI, m points: time s, q (m, 6) rad, line, phase (AWAY, NEAR, GRINDING); values (m, 13) of the
-    columns CONTACT, nan off contact; `segment` (m,) number of the leg."""
+    columns CONTACT, nan off contact; `segment` (m,) number of the leg; `planned` (m,) rows of a pass itself, neither led in nor
+    out; setpoint (m,) N that the program sets, nan where the plan does not tell."""
 
     path: Path
     time: Array
@@ -49,12 +52,14 @@ class PlanTable:
     phase: Index
     values: Array
     segment: Index
+    planned: NDArray[np.bool_]
+    setpoint: Array
 
 
 @dataclass(frozen=True)
 class Matched:
     """The plan along a driven program, n samples: phase, line, number of the pass (-1 off contact); p, n, t (n, 3) in m and unit,
-    s m, feed m/s, force N, interference m (nan off contact)."""
+    s m, feed m/s, force N, interference m (nan off contact); whether it is the pass itself; setpoint N (nan: not told)."""
 
     phase: Index
     line: Index
@@ -66,11 +71,18 @@ class Matched:
     feed: Array
     force: Array
     interference: Array
+    planned: NDArray[np.bool_]
+    setpoint: Array
+
+    def take(self, rows: Index) -> "Matched":
+        """Some of the samples."""
+        return Matched(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
 def read_plan_table(folder: Path) -> PlanTable:
     """plan.csv of a plan folder. Raises BadInput as `read_csv_table`, and where nothing is in contact."""
-    table = read_csv_table(folder / "plan.csv", ("time_s", "line", "contact", *AXES, *CONTACT), gaps=CONTACT)
+    needed, told = ("time_s", "line", "contact", *AXES, *CONTACT), ("setpoint_N", "phase")
+    table = read_csv_table(folder / "plan.csv", needed, told, words=("phase",), gaps=(*CONTACT, "setpoint_N"))
     line, contact = table.numbers["line"].astype(int), table.numbers["contact"] > 0.5
     phase = np.where(contact, GRINDING, np.where(line > 0, NEAR, AWAY))
     values = table.stack(CONTACT) * ([1e-3] * 3 + [1.0] * 6 + [1e-3, 1e-3, 1.0, 1e-3])
@@ -83,7 +95,12 @@ def read_plan_table(folder: Path) -> PlanTable:
         raise BadInput(f"{table.path}: reaches over {late:g} s, the limit is {LONGEST_PLAN:g} s; write the plan anew")
     change = (np.diff(line) != 0) | (np.diff(phase) != 0)
     segment = np.concatenate([[0], np.cumsum(change)])
-    return PlanTable(table.path, time, np.radians(table.stack(AXES)), line, phase, values, segment)
+    words = np.array(table.words.get("phase", [PASS] * len(time)))
+    setpoint = table.numbers.get("setpoint_N", np.full(len(time), np.nan))
+    planned = contact & (words == PASS)
+    if not planned.any():
+        raise BadInput(f"{table.path}: no row in contact has the phase '{PASS}'; write the plan anew")
+    return PlanTable(table.path, time, np.radians(table.stack(AXES)), line, phase, values, segment, planned, setpoint)
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
@@ -134,7 +151,9 @@ def match(track: Track, plan: PlanTable) -> Matched:
             run[rows] = k
         _refuse_order(plan, segment, run, k)
     p, n, t, (s, feed, force, interference) = values[:, :3], values[:, 3:6], values[:, 6:9], values[:, 9:].T
-    return Matched(phase, np.where(phase == AWAY, 0, fine.line[index]), run, p, n, t, s, feed, force, interference)
+    line = np.where(phase == AWAY, 0, fine.line[index])
+    planned, setpoint = fine.planned[index] & (run >= 0), fine.setpoint[index]
+    return Matched(phase, line, run, p, n, t, s, feed, force, interference, planned, setpoint)
 
 
 def _refuse_order(plan: PlanTable, segment: int, run: Index, k: int) -> None:
@@ -159,9 +178,10 @@ def _dense(plan: PlanTable) -> PlanTable:
         fine = np.append(np.arange(t[0], t[-1], FINE), t[-1])
         q = CubicSpline(t, plan.q[rows])(fine) if len(t) > 3 else np.stack([np.interp(fine, t, c) for c in plan.q[rows].T], 1)
         same = (np.full(len(fine), value) for value in (plan.line[rows[0]], plan.phase[rows[0]], segment))
-        parts.append((fine, q, *same))
-    time, q, line, phase, segments = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return PlanTable(plan.path, time, q, line, phase, np.empty((len(time), 0)), segments)
+        nearest = rows[np.argmin(np.abs(np.subtract.outer(fine, t)), axis=1)]
+        parts.append((fine, q, *same, plan.planned[nearest], np.interp(fine, t, plan.setpoint[rows])))
+    time, q, line, phase, segments, planned, setpoint = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return PlanTable(plan.path, time, q, line, phase, np.empty((len(time), 0)), segments, planned, setpoint)
 
 
 def _leg(plan: PlanTable, segment: int) -> Index:

@@ -76,6 +76,7 @@ def rehearse(machine: VirtualMachine, plan: Matched, grinding: GroundPasses, too
     newtons by the stiffness of the whole chain at the place. What is left of the error of the force is the contact's: cover,
     blade, flange and their stiffnesses, friction, effects.
     """
+    grinding = _planned(grinding, plan)
     m, force = grinding.moments, grinding.result.force
     cell, truth, i = machine.cell, machine.truth, grinding.index
     believed = WheelBody(base[:3, 3] - cell.wheel.radius * base[:3, 2], base[:3, 1], cell.wheel.radius, cell.wheel.width)
@@ -89,6 +90,13 @@ def rehearse(machine: VirtualMachine, plan: Matched, grinding: GroundPasses, too
     return Rehearsal(m.run, m.line, m.s, m.p, m.n, m.t, force, goal, parts, _worst(m, force, goal, parts))
 
 
+def _planned(grinding: GroundPasses, plan: Matched) -> GroundPasses:
+    """The samples of the passes themselves, without what leads in and out."""
+    kept = np.flatnonzero(plan.planned[grinding.index])
+    arrays = {name: getattr(grinding, name)[kept] for name in ("index", "q", "fn", "ft")}
+    return replace(grinding, moments=grinding.moments.take(kept), result=grinding.result.take(kept), **arrays)
+
+
 def overlap(wheel: WheelBody, T_base_blade: Array, p: Array) -> Array:
     """Interference (n,) m of the undeformed contact points p (n, 3) of a blade at T_base_blade (n, 4, 4)."""
     v = apply(T_base_blade, p) - wheel.centre
@@ -97,7 +105,8 @@ def overlap(wheel: WheelBody, T_base_blade: Array, p: Array) -> Array:
 
 
 def chain_stiffness(machine: VirtualMachine, grinding: GroundPasses, wheel: WheelBody) -> Array:
-    """Newtons per metre (n,) of the chain of arm, flange, blade and wheel, by moving the flange a little toward the wheel."""
+    """Newtons per metre (n,) of the chain of arm, flange, blade and wheel in balance, by moving the flange a little toward the
+    wheel."""
     m = grinding.moments
     v = apply(m.T_base_flange @ true_blade(machine.cell, machine.truth), m.p) - wheel.centre
     radial = v - (v @ wheel.axis)[:, None] * wheel.axis
@@ -105,7 +114,8 @@ def chain_stiffness(machine: VirtualMachine, grinding: GroundPasses, wheel: Whee
     T = m.T_base_flange.copy()
     T[:, :3, 3] += NUDGE * inward
     pushed = machine.grinder.force(replace(m, T_base_flange=T)).force
-    return np.asarray(np.maximum((pushed - grinding.result.force) / NUDGE, SOFTEST))
+    before = grinding.result.force if grinding.touched is None else machine.grinder.force(m).force
+    return np.asarray(np.maximum((pushed - before) / NUDGE, SOFTEST))
 
 
 def _worst(m: ContactMoments, force: Array, goal: Array, parts: Array) -> tuple[Place, ...]:

@@ -7,6 +7,7 @@ recording it stands where it slipped to, whatever side is ground then: that is a
 """
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from ocp.simulate.twin.contact.sensor import read_sensor
 from ocp.simulate.twin.controller import Index, Track
 from ocp.simulate.twin.path_motion import flange, solve_posture
 from ocp.simulate.twin.plan_knowledge import AWAY, GRINDING, Matched
+from ocp.simulate.twin.touching import Touching, carried_acceleration, touch, touch_windows
 from ocp.simulate.twin.truth import Truth
 from robots.errors import Infeasible
 from robots.pose import Array, make_transform
@@ -63,7 +65,8 @@ class GrindingConditions:
 @dataclass(frozen=True)
 class GroundPasses:
     """n samples of the passes of a run, in time order: `index` into the track, q (n, 6) rad commanded, time s since the pass
-    began, clock s, moments of the contact, the true force N, tangential N, overlap m, and the readings fn, ft N."""
+    began, clock s, moments of the contact, the true force N, tangential N, overlap m, and the readings fn, ft N; touched: the
+    passes from the air to the air, where a flange that moves in time has them."""
 
     index: Index
     q: Array
@@ -71,6 +74,7 @@ class GroundPasses:
     result: ContactResult
     fn: Array
     ft: Array
+    touched: Touching | None = None
 
 
 def make_machine(cell: Cell, truth: Truth, blade: Blade, seed: int) -> VirtualMachine:
@@ -116,10 +120,19 @@ def grind(
     rows = plan.phase == GRINDING
     if runs is not None:
         rows &= np.isin(plan.run, runs)
+    own = machine.cell.flange
+    if conditions.contact and own is not None and own.moves_in_time:
+        touched, asked, result = approach(machine, track, plan, conditions, np.unique(plan.run[rows]))
+        _refuse_force(machine, track, touched.windows.plan, touched.windows.index, replace(result, force=touched.most))
+        mine = plan.run[touched.windows.index] == touched.windows.run
+        asked, result, index = asked.take(mine), result.take(mine), touched.windows.index[mine]
+        return GroundPasses(
+            index, track.q[index], asked, result, *read_sensor(machine.truth, result, asked, machine.rng), touched
+        )
     index = np.concatenate([np.flatnonzero(rows & (plan.run == k)) for k in np.unique(plan.run[rows])])
     m = arm_conditions(machine, track, index, conditions.clock, plan.run[index])
     flange, compliance = machine.arm.flange(m, machine.rng), machine.arm.compliance(m)
-    asked = _contact(machine, track, plan, conditions, index, flange, compliance)
+    asked = _contact(machine, track, plan.take(index), conditions, index, flange, compliance)
     result = machine.grinder.force(asked)
     if conditions.contact:
         _refuse_force(machine, track, plan, index, result)
@@ -127,18 +140,32 @@ def grind(
     return GroundPasses(index, m.q, asked, result, fn, ft)
 
 
+def approach(
+    machine: VirtualMachine, track: Track, plan: Matched, conditions: GrindingConditions, runs: Index
+) -> tuple[Touching, ContactMoments, ContactResult]:
+    """The contact of the passes `runs` from the air to the air: what became of it, its moments and its result, at every sample of
+    their windows."""
+    windows = touch_windows(track, plan, runs)
+    m = arm_conditions(machine, track, windows.index, conditions.clock, windows.run)
+    settled = machine.arm.settled(m, machine.rng)
+    of, stands = windows.plan, (settled.links[:, 6], machine.arm.compliance_at(settled))
+    asked = _contact(machine, track, replace(of, run=windows.run), conditions, windows.index, *stands)
+    touched, result = touch(machine.grinder, asked, windows, carried_acceleration(machine.cell, track, windows))
+    return touched, asked, result
+
+
 def _contact(
     machine: VirtualMachine, track: Track, plan: Matched, c: GrindingConditions, index: Index, flange: Array, compliance: Array
 ) -> ContactMoments:
-    """The contact's conditions at samples of the track."""
-    n, run, line = len(index), plan.run[index], plan.line[index]
+    """The contact's conditions at samples `index` of the track; `plan`: what it says at these."""
+    n, run, line = len(index), plan.run, plan.line
     clock = c.clock + track.time[index]
-    begin = {int(k): float(track.time[index[run == k][0]]) for k in np.unique(run)}
+    begin = {int(k): float(track.time[index[(run == k) & (plan.phase == GRINDING)][0]]) for k in np.unique(run)}
     ground = c.ground or {}
     return ContactMoments(
         T_base_flange=flange,
         arm_compliance=compliance,
-        setpoint=np.full(n, c.setpoint),
+        setpoint=_setpoint(machine.cell, plan, c.setpoint),
         belt=np.full(n, c.belt),
         contact=np.full(n, c.contact),
         clock_s=clock,
@@ -147,8 +174,15 @@ def _contact(
         ground_before=np.array([ground.get(int(k), 0) for k in line]),
         wheel_temperature_C=machine.temperature + WARM * (1 - np.exp(-clock / WARMING)),
         temperature_C=np.full(n, machine.temperature),
-        **{name: getattr(plan, name)[index] for name in ("p", "n", "t", "s", "line", "feed")},
+        **{name: getattr(plan, name) for name in ("p", "n", "t", "s", "line", "feed")},
     )
+
+
+def _setpoint(cell: Cell, plan: Matched, asked: float) -> Array:
+    """Setpoints (n,) N of a run at `asked`: what the plan sets, in proportion; `asked` where it tells none."""
+    own = asked if cell.flange is None else cell.flange.setpoint
+    share = plan.setpoint / own if own > 0 else np.ones(len(plan.setpoint))
+    return np.asarray(asked * np.where(np.isfinite(share), share, 1.0))
 
 
 def _refuse_force(machine: VirtualMachine, track: Track, plan: Matched, index: Index, result: ContactResult) -> None:
@@ -219,9 +253,11 @@ class CampaignPlan:
 
 @dataclass(frozen=True)
 class GrindingCampaign:
-    """What was run: the program as it is (`first`, every sample), the logged recordings in order, the sealed ones."""
+    """What was run: the program as it is (`first`, every sample; `touched`, from the air to the air), the logged recordings in
+    order, the sealed ones."""
 
     first: GroundPasses
+    touched: Touching
     recorded: tuple[GroundPasses, ...]
     sealed: tuple[GroundPasses, ...]
 
@@ -232,7 +268,10 @@ def run_campaign(machine: VirtualMachine, track: Track, plan: Matched, wanted: C
     # What the program runs with: the flange's setpoint, without a flange the process force.
     own, belt = cell.process.force if cell.flange is None else cell.flange.setpoint, cell.wheel.belt_speed
     passes = [int(k) for k in np.unique(plan.run[plan.run >= 0])]
-    first = grind(machine, track, plan, GrindingConditions(own, belt, clock=wanted.clock))
+    as_planned, again = GrindingConditions(own, belt, clock=wanted.clock), deepcopy(machine.rng)
+    first = grind(machine, track, plan, as_planned)
+    # The same joints, drawn again: of a flange in balance the passes are worked out without the rest of their windows.
+    touched = first.touched or approach(replace(machine, rng=again), track, plan, as_planned, np.array(passes))[0]
     recorded, clock, ground = [decimated(first, every)], wanted.clock, _ground(plan, passes, {})
     sides = ground_sides(machine, {}, first.moments)
 
@@ -253,7 +292,7 @@ def run_campaign(machine: VirtualMachine, track: Track, plan: Matched, wanted: C
     recorded += [another(own, speed, spread(passes, BELT_PASSES)) for speed in wanted.belts]
     level = 0.5 * (own + max((*wanted.ladder, own)))
     sealed = (another(level, belt, spread(passes, SEALED_PASSES)),) if wanted.sealed else ()
-    return GrindingCampaign(first, tuple(recorded), sealed)
+    return GrindingCampaign(first, touched, tuple(recorded), sealed)
 
 
 def spread(passes: list[int], most: int) -> list[int]:
@@ -272,7 +311,7 @@ def decimated(grinding: GroundPasses, every: int) -> GroundPasses:
     run = grinding.moments.run
     keep = np.concatenate([np.flatnonzero(run == k)[::every] for k in np.unique(run)])
     arrays = {name: getattr(grinding, name)[keep] for name in ("index", "q", "fn", "ft")}
-    return replace(grinding, moments=grinding.moments.take(keep), result=grinding.result.take(keep), **arrays)
+    return replace(grinding, moments=grinding.moments.take(keep), result=grinding.result.take(keep), touched=None, **arrays)
 
 
 def nearer(machine: VirtualMachine, track: Track, plan: Matched, share: float) -> Track:

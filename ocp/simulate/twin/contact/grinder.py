@@ -14,17 +14,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.model.cell import Cell
+from ocp.model.cell import Cell, ForceFlange
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Index
 from ocp.simulate.twin.contact import wheel_and_blade as bodies
+from ocp.simulate.twin.contact.flange_motion import GRAVITY, NODES, ClosingPath, MovingDevice
 from ocp.simulate.twin.contact.sensor import lagging, memory
 from ocp.simulate.twin.contact.surface import postures
-from ocp.simulate.twin.contact.table import LEVELS, SolvedStations, Tables, depth_curves, make_tables, place_stations
+from ocp.simulate.twin.contact.table import ABSENT, LEVELS, SolvedStations, Tables, depth_curves, make_tables, place_stations
 from ocp.simulate.twin.truth import Truth
 from robots.pose import Array
 from trajectories.blade import Blade
-
-GRAVITY = 9.80665  # m/s^2, standard gravity
 
 
 @dataclass(frozen=True)
@@ -49,24 +48,51 @@ class Mount:
         return np.asarray(np.clip(free, -self.half, self.half))
 
 
+def flange_direction(flange: ForceFlange, T_base_flange: Array, normal: Array) -> Array:
+    """Unit direction (n, 3), base axes, in which the flange pushes toward the wheel at flange poses (n, 4, 4)."""
+    if flange.axis is None:
+        return normal
+    direction = T_base_flange[:, :3, :3] @ flange.axis
+    return np.asarray(direction * np.where(np.sum(direction * normal, axis=1) < 0, -1.0, 1.0)[:, None])
+
+
+def told(truth: Truth, flange: ForceFlange, c: ContactMoments) -> Array:
+    """Force (n,) N that the flange was told to set, as it takes it."""
+    return np.where(np.isfinite(c.setpoint), c.setpoint, flange.setpoint) + truth.flange_offset
+
+
+def moving_device(truth: Truth, flange: ForceFlange, lanes: int) -> MovingDevice:
+    """The flange of a virtual cell on `lanes` lanes side by side."""
+    return MovingDevice(
+        mass=np.full(lanes, flange.carried_mass),
+        friction=np.full(lanes, flange.friction + truth.total("flange_friction", "N")),
+        stiffness=flange_spring(truth, flange),
+        half=0.5 * flange.stroke,
+        bandwidth=flange.bandwidth,
+        delay=flange.delay,
+        compensated=flange.gravity_compensated,
+        hanging=truth.total("flange_gravity", "kg"),
+    )
+
+
+def flange_spring(truth: Truth, flange: ForceFlange) -> float:
+    """Stiffness N/m of the flange as it is."""
+    return flange.stiffness * truth.flange_scale * (1 + truth.total("flange_stiffness", "scale"))
+
+
 def make_mount(truth: Truth, cell: Cell, c: ContactMoments, rows: Index, normal: Array) -> Mount:
     """The mount at the instants `rows`; `normal` (rows, 3): outward normals of the blade there, base axes."""
     flange = cell.flange
     zero = np.zeros(len(rows))
     if flange is None:
         return Mount(zero, zero, 0.0, 0.0, zero)
-    if flange.axis is None:
-        direction = normal
-    else:
-        direction = c.T_base_flange[rows, :3, :3] @ flange.axis
-        direction = direction * np.where(np.sum(direction * normal, axis=1) < 0, -1.0, 1.0)[:, None]
+    direction = flange_direction(flange, c.T_base_flange[rows], normal)
     mass = 0.0 if flange.gravity_compensated else flange.carried_mass
     mass += truth.total("flange_gravity", "kg")
-    setpoint = np.where(np.isfinite(c.setpoint[rows]), c.setpoint[rows], flange.setpoint) + truth.flange_offset
     return Mount(
         along=np.sum(direction * normal, axis=1),
-        preload=setpoint + mass * GRAVITY * (direction @ cell.robot.gravity_direction),
-        stiffness=flange.stiffness * truth.flange_scale * (1 + truth.total("flange_stiffness", "scale")),
+        preload=told(truth, flange, c)[rows] + mass * GRAVITY * (direction @ cell.robot.gravity_direction),
+        stiffness=flange_spring(truth, flange),
         half=0.5 * flange.stroke,
         friction=np.full(len(rows), truth.total("flange_friction", "N")),
     )
@@ -215,6 +241,7 @@ def _curve(depth: Array, slopes: Array, v: Array) -> Array:
     return np.asarray(value + np.maximum(v - V[-1], 0.0) * slopes[:, -1])
 
 
+BESIDE_TOUCH = 1e-3  # m before touch from which on the contact's curve is worked out
 PAUSE = 0.5  # s without a row in contact after which the cover and the flange have forgotten
 
 
@@ -241,6 +268,57 @@ class Grinder:
             result = solve_relaxing(self.truth, chain, c.time_s[rows], _restarts(c, rows))
             force[rows], stroke[rows], indentation[rows] = result.force, result.stroke, result.indentation
         return ContactResult(force, mu * force, overlap, stroke, indentation)
+
+    def depth(self, c: ContactMoments) -> Array:
+        """Overlap (n,) m of the undeformed bodies along the wheel's direction into the blade, stroke 0; below zero: apart."""
+        moved = lagging(self.truth, c)
+        radius = self.cell.wheel.radius + bodies.radius_change(self.truth, self.cell, c)
+        T = bodies.blade_poses(self.truth, self.cell, moved)
+        at = postures(T, moved.p, moved.n, moved.t, *bodies.wheel_frames(self.truth, self.cell, moved), radius)
+        return at.depth + bodies.surface_change(self.truth, moved)
+
+    def in_reach(self, c: ContactMoments) -> ContactMoments:
+        """`c` with contact where the flange, wherever in its stroke it stands, may bring blade and wheel together."""
+        half = 0.0 if self.cell.flange is None else 0.5 * self.cell.flange.stroke
+        return replace(c, contact=c.contact & (self.depth(c) > -half - BESIDE_TOUCH))
+
+    def closing(self, c: ContactMoments, driven: Array, still: ContactResult) -> list[ClosingPath]:
+        """The motion of every run of `c`, as `in_reach` gives it. driven (n, 3): acceleration m/s^2, base axes, of what
+        the flange carries were its stroke held; still: the same instants in balance. Raises ValueError: no force flange."""
+        flange, rows = self.cell.flange, np.flatnonzero(c.contact)
+        if flange is None:
+            raise ValueError("a rigid mount does not move")
+        moved, count = lagging(self.truth, c), len(c.s)
+        T = bodies.blade_poses(self.truth, self.cell, moved)
+        normal = np.einsum("kij,kj->ki", T[:, :3, :3], moved.n)
+        toward = flange_direction(flange, moved.T_base_flange, normal)
+        closed = np.tile(ABSENT + 1e-3 * NODES, (count, 1))
+        load, compliance, push = np.tile(NODES, (count, 1)), np.zeros(count), np.zeros(count)
+        if len(rows):
+            mu = bodies.friction(self.truth, self.cell, c)[rows]
+            chain, _ = self._chain(moved, rows, place_stations(c, rows, moved.s[rows]), mu)
+            slopes = _slopes(chain.indentation)
+            levels = [np.full(len(rows), v) for v in NODES]
+            closed[rows] = np.stack([_curve(chain.indentation, slopes, v) for v in levels], axis=1)
+            load[rows] = np.stack([chain.cover.elastic(v) for v in levels], axis=1)
+            compliance[rows], push[rows] = chain.compliance, chain.cover.push
+        columns = {
+            "time": c.time_s,
+            "depth": self.depth(c),
+            "along": np.sum(toward * normal, axis=1),
+            "driven": np.sum(toward * driven, axis=1),
+            "told": told(self.truth, flange, c),
+            "down": toward @ self.cell.robot.gravity_direction,
+            **{"closed": closed, "load": load, "compliance": compliance, "push": push},
+        }
+        solids = tuple((effect.number("g"), effect.number("tau")) for effect in self.truth.planted("wheel_relaxation"))
+        return [self._path(columns, run, solids, still) for run in c.runs()]
+
+    def _path(
+        self, columns: dict[str, Array], run: slice, solids: tuple[tuple[float, float], ...], still: ContactResult
+    ) -> ClosingPath:
+        start = float(still.stroke[run][0]) if still.force[run][0] > 0 else None
+        return ClosingPath(**{name: values[run] for name, values in columns.items()}, solids=solids, start=start)
 
     def _chain(self, c: ContactMoments, rows: Index, stations: SolvedStations, mu: Array) -> tuple[Chain, Array]:
         """The equation of every instant in contact, and the overlap of the undeformed bodies."""
