@@ -1,7 +1,7 @@
 """Grinding passes on the aerofoil: contact frames at even steps, with what the contact needs to know of the blade."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -66,8 +66,10 @@ class PassOptions:
     """What to lay where, in m, m/s and N.
 
     direction: "spanwise" (root to tip) or "chordwise" (leading to trailing edge); side: "convex", "concave", "both".
-    The clamp holds everything with clamp_normal . x below (clamp_side = "below") or above clamp_offset. step:
-    distance of waypoints; pad_radius: waypoints closer than this to an end of the surface are counted in a notice.
+    spacing: largest distance of neighbouring lines, where they are farthest apart; spread: for a side by its name a smaller one
+    where there is reason for it, (k,) m at shares (k,) of the way from the first line to the last. The clamp holds everything
+    with clamp_normal . x below (clamp_side = "below") or above clamp_offset. step: distance of waypoints; pad_radius: waypoints
+    closer than this to an end of the surface are counted in a notice.
     wheel_radius, wheel_width: when given, passes stop where that wheel, untilted, would touch block or platform.
     """
 
@@ -80,6 +82,7 @@ class PassOptions:
     root_margin: float = 5e-3
     tip_margin: float = 5e-3
     edge_margin: float = 3e-3
+    spread: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     step: float = 0.5e-3
     pad_radius: float = 0.0
     wheel_radius: float = 0.0
@@ -196,15 +199,19 @@ def _margins(blade: Blade, options: PassOptions) -> Margins:
     return Margins(normal, offset, options.root_margin, options.tip_margin, options.edge_margin)
 
 
-def _count(width: float, spacing: float) -> int:
-    """How many lines `spacing` apart cover a width. Raises BadInput before they are laid."""
-    lines = np.ceil(width / spacing - 1e-9) + 1 if width > 0.1 * spacing else 1
+def _line_shares(side: str, width: float, options: PassOptions) -> Array:
+    """Shares (lines,) of a width, 0 the first line and 1 the last, at which lines are laid. Raises BadInput before they are."""
+    fine = np.linspace(0.0, 1.0, 1001)
+    asked = options.spread.get(side, (fine, np.full(len(fine), options.spacing)))
+    density = width / np.minimum(np.interp(fine, *asked), options.spacing)
+    counted = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fine))])
+    lines = np.ceil(counted[-1] - 1e-9) + 1 if width > 0.1 * options.spacing else 1
     if lines > MOST_LINES:
         raise BadInput(
-            f"pass_spacing_mm = {1e3 * spacing:g} makes {lines:.4g} lines on a width of {1e3 * width:.4g} mm, the limit is "
-            f"{MOST_LINES}; write a larger spacing"
+            f"pass_spacing_mm = {1e3 * options.spacing:g} makes {lines:.4g} lines on a width of {1e3 * width:.4g} mm, the limit "
+            f"is {MOST_LINES}; write a larger spacing"
         )
-    return int(lines)
+    return np.interp(np.linspace(0.0, counted[-1], int(lines)), counted, fine) if lines > 1 else np.array([0.5])
 
 
 def _count_waypoints(side: SideSurface, lines: list[tuple[Array, Array]], step: float) -> int:
@@ -213,17 +220,13 @@ def _count_waypoints(side: SideSurface, lines: list[tuple[Array, Array]], step: 
     return int(sum(max(np.ceil(length / step) + 1, MIN_WAYPOINTS) for length in lengths))
 
 
-def _shares(count: int) -> Array:
-    return np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
-
-
 def _spanwise(side: SideSurface, window: Window, options: PassOptions) -> list[tuple[Array, Array]]:
     """Fine polylines (u, v) from root to tip; lines follow the taper and are `spacing` apart where it is widest."""
     lowest, highest = float(np.nanmin(window.v_lo)), float(np.nanmax(window.v_hi))
     used = (window.v >= lowest) & (window.v <= highest)
     width = float((np.interp(window.v, side.levels, side.width) * (window.u_hi - window.u_lo))[used].max())
     lines = []
-    for share in _shares(_count(width, options.spacing)):
+    for share in _line_shares(side.name, width, options):
         u = window.u_lo + share * (window.u_hi - window.u_lo)
         low, high = np.interp(u, window.u, window.v_lo), np.interp(u, window.u, window.v_hi)
         start = _first_root(window.v, window.v - low)
@@ -247,13 +250,14 @@ def _chordwise(side: SideSurface, window: Window, options: PassOptions) -> list[
     u, low, high = window.u[inside], window.v_lo[inside], window.v_hi[inside]
     stretch = np.linalg.norm(side.surface(u, 0.5 * (low + high), 0, 1), axis=1)
     lines = []
-    for share in _shares(_count(float(((high - low) * stretch).max()), options.spacing)):
+    shares = _line_shares(side.name, float(((high - low) * stretch).max()), options)
+    for share in 1.0 - shares if window.flip else shares:
         v = low + share * (high - low)
         start = _first_root(u, u - np.interp(v, window.v, window.u_lo))
         stop = _first_root(u, u - np.interp(v, window.v, window.u_hi))
         fine = np.linspace(start, stop, 801)
         lines.append((fine, np.interp(fine, u, v)))
-    return lines[::-1] if window.flip else lines
+    return lines
 
 
 def _waypoints(shape: AerofoilShape, side: SideSurface, u: Array, v: Array, line: int, options: PassOptions) -> BladePath:

@@ -78,7 +78,7 @@ def lay_course(cell: Cell, mount: str, phases: Phases) -> Course:
         raise BadInput(f"{cell.path}: no [force_flange]; the flange's experiment needs it, or run with --mount rigid")
     cell = replace(cell, calibration=None, flange=cell.flange if mount == "flange" else None)
     cell, _ = registered(cell)
-    laid = lay_paths(cell, stl, PlanOptions(step=STEP))
+    laid = lay_paths(cell, stl, PlanOptions(step=STEP, even=False))
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
     chosen = _spread(laid.paths)
     paths = [laid.paths[k] for k in chosen]

@@ -3,7 +3,7 @@
 Of an old program every pose tells where it lets the blade touch the wheel.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +14,15 @@ from scipy.spatial import cKDTree
 
 from ocp.model.blade_gap import FACING, SurfaceCloud
 from ocp.model.cell import Cell, wheel_frame
+from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import enclosed
+from ocp.plan.removal.dwell import PROBE, feeds_told, probed_spacing, with_feeds
 from ocp.plan.removal.surface import SideCells, flank_cells
 from ocp.plan.rules import WHEEL_ROOM
 from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
-from trajectories.blade.window import Window
 from trajectories.dialects import dialect_named
 from trajectories.passes import BladePath, PassOptions, ground_windows, passes
 from trajectories.path_file import read_path_file
@@ -33,13 +34,18 @@ CLOUD_SPACING = 8e-4  # m between points of the surface cloud
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """Options of the command: a path made elsewhere or an old program, kind of output, name, waypoint distance m."""
+    """Options of the command: a path made elsewhere or an old program, kind of output, name, waypoint distance m.
+
+    even: lines as near to each other as the patch's width asks for; without it `pass_spacing` apart at the feed given, for those
+    who want a few lines to look at.
+    """
 
     path: Path | None = None
     program: Path | None = None
     kind: str = "axis"
     name: str | None = None
     step: float = 5e-4
+    even: bool = True
 
 
 @dataclass(frozen=True)
@@ -62,17 +68,30 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     blade = read_blade(stl, cell.workpiece.stl_unit)
     shape = find_shape(blade, cell.workpiece.aerofoil)
     cloud = surface_cloud(shape, blade)
-    windows: dict[str, Window] = {}
+    if options.path is None and options.program is None:
+        return _laid_lines(cell, blade, shape, cloud, options)
     if options.path is not None:
         paths, notices = read_path_file(options.path, blade, shape, cell.process.feed, cell.process.force)
-    elif options.program is not None:
-        paths, notices = paths_from_program(cell, blade, shape, cloud, options.program, options.step)
     else:
-        chosen = _pass_options(cell, options.step)
-        paths, notices = passes(blade, shape, chosen)
-        windows = ground_windows(blade, shape, chosen)
-    flanks = flank_cells(shape, windows, paths, 0.5 * cell.process.pass_spacing)
+        assert options.program is not None
+        paths, notices = paths_from_program(cell, blade, shape, cloud, options.program, options.step)
+    flanks = flank_cells(shape, {}, paths, 0.5 * cell.process.pass_spacing)
     return LaidPaths(blade, paths, cloud, flanks, (*blade.notices, *shape.notices, *notices))
+
+
+def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCloud, options: PlanOptions) -> LaidPaths:
+    """Lines as near to each other as the patch's width asks for, each at the feed that makes their sum even."""
+    chosen, told = _pass_options(cell, options.step), []
+    if options.even:
+        cover = wheel_cover(cell)
+        look = replace(chosen, spacing=min(chosen.spacing, PROBE), step=PROBE, wheel_radius=0.0)
+        chosen = replace(chosen, spread=probed_spacing(cell, cover, passes(blade, shape, look)[0]))
+    paths, notices = passes(blade, shape, chosen)
+    flanks = flank_cells(shape, ground_windows(blade, shape, chosen), paths, 0.0)
+    if options.even:
+        paths = with_feeds(cell, cover, paths, flanks)
+        told.append(feeds_told(cell, paths))
+    return LaidPaths(blade, paths, cloud, flanks, (*blade.notices, *shape.notices, *notices, *told))
 
 
 def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:

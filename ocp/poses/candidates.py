@@ -158,7 +158,7 @@ def ground_blade(cell: Cell) -> GroundBlade:
     """The cell's blade with a few passes, or a plain slab where its STL is not there. Raises BadInput as `lay_paths`."""
     stl = cell.workpiece.stl
     if stl is not None and stl.is_file():
-        laid = lay_paths(cell, stl, PlanOptions(step=STEP))
+        laid = lay_paths(cell, stl, PlanOptions(step=STEP, even=False))
         return GroundBlade(laid.blade.vertices, laid.paths)
     what = f"{stl.name} is not beside the cell" if stl is not None else "the cell names no STL"
     width, half, span = (2e3 * STAND_IN[0], 2e3 * STAND_IN[1], 1e3 * STAND_IN[2])

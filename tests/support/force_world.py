@@ -34,7 +34,7 @@ FINE = 0.75  # of the default cell: another grid than the fit's, finer
 ARM_SD = 1e-4  # m and rad: the posterior of a good tracker campaign, diagonal
 
 
-CHOICE = PlanOptions(step=2e-3)
+CHOICE = PlanOptions(step=2e-3, even=False)
 
 
 @dataclass(frozen=True)

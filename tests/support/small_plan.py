@@ -17,7 +17,11 @@ from ocp.plan.__main__ import app
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (CELL).read_text()
-SMALL = {'side = "both"': 'side = "convex"', "pass_spacing_mm = 6.0": "pass_spacing_mm = 25.0"}
+SMALL = {  # three lines in the middle of one side
+    'side = "both"': 'side = "convex"',
+    "edge_margin_mm = 3.0": "edge_margin_mm = 18.7",
+    "root_margin_mm = 5.0": "root_margin_mm = 40.0",
+}
 STEP = ("--step", "2")
 
 

@@ -58,6 +58,19 @@ def test_frames_margins_and_spacing(sample, direction):
         assert 0.5 * options.spacing < min(g.min() for g in gaps) and max(g.max() for g in gaps) < 1.01 * options.spacing
 
 
+@pytest.mark.parametrize("direction", ["spanwise", "chordwise"])
+@pytest.mark.parametrize("clamp", [{}, {"clamp_offset": 0.09, "clamp_side": "above"}])
+def test_lines_lie_nearer_where_it_is_asked(sample, direction, clamp):
+    """2 mm at the first line, 6 mm at the last, in the order of the lines whichever end is clamped."""
+    spread = {"convex": (np.array([0.0, 1.0]), np.array([2e-3, 6e-3]))}
+    options = PassOptions(direction=direction, side="convex", spread=spread, step=2e-3, **clamp)
+    paths = passes(*sample, options)[0]
+    gaps = [length(b.p[:, None] - a.p[None]).min(axis=1).max() for a, b in pairwise(paths)]
+    assert (np.diff(gaps) > -2e-4).all()
+    assert 1.5e-3 < gaps[0] < 2.6e-3 and 4.5e-3 < gaps[-1] < 6.05e-3
+    assert len(passes(*sample, replace(options, spread={}))[0]) < len(paths)
+
+
 def test_the_edge_margin_is_measured_on_the_surface(sample):
     blade, shape = sample
     for margin in (3e-3, 6e-3):

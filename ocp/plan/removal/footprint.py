@@ -9,6 +9,7 @@ so that depth is linear in r (docs/process.md, eq. 1 to 3). phi comes from the c
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -87,32 +88,29 @@ def contacts_along(
         heading = (along * float(np.cos(seen.turn[k])), along * float(np.sin(seen.turn[k])))
         base = LocalShape(kxx, kyy, kxy, float(seen.lateral[k]), tilt_x, tilt_y, heading=heading)
         shape = surface_shape(cell.wheel, cloud, base, seen.T_base_blade[k], path.p[k])
-        contacts.append(_solved(cover, path, int(k), shape))
+        try:
+            contacts.append(solve_force(cover, float(path.force[k]), shape))
+        except Infeasible as error:
+            raise Infeasible(f"line {path.line} ({path.side}), waypoint {k + 1}: {error}") from None
         headings.append(heading)
     return line_patches(path.s[index], contacts, headings)
 
 
-def planned_patches(cell: Cell, cover: Cover, path: BladePath) -> LinePatches:
+def planned_patches(cell: Cell, cover: Cover, path: BladePath) -> LinePatches | None:
     """Footprints along a pass before its postures are known: the middle of the wheel, no turn, no tilt, the local quadratic.
 
-    Raises Infeasible as `contacts_along`.
+    Stations that are too hollow for the wheel are passed over (the optimiser tells of them); None where all of them are.
     """
     heading = (-cell.wheel.travel * cell.process.sigma, 0.0)
-    index = contact_stations(path.s, STATION_SPACING)
-    contacts = []
-    for k in index:
+    at, contacts = [], []
+    for k in contact_stations(path.s, 2.0 * STATION_SPACING):
         k_tt, k_bb, k_tb = (float(c) for c in path.curvature[k])
         # The blade's frame is seen from its far side (n = -z), so its k_tb changes sign; docs/model.md, eq. 4.
         shape = LocalShape(k_tt + 1 / cell.wheel.radius, k_bb, -k_tb, extent=path.extent[k], heading=heading)
-        contacts.append(_solved(cover, path, int(k), shape))
-    return line_patches(path.s[index], contacts, [heading] * len(index))
-
-
-def _solved(cover: Cover, path: BladePath, k: int, shape: LocalShape) -> Contact:
-    try:
-        return solve_force(cover, float(path.force[k]), shape)
-    except Infeasible as error:
-        raise Infeasible(f"line {path.line} ({path.side}), waypoint {k + 1}: {error}") from None
+        with suppress(Infeasible):
+            contacts.append(solve_force(cover, float(path.force[k]), shape))
+            at.append(path.s[k])
+    return line_patches(np.array(at), contacts, [heading] * len(at)) if at else None
 
 
 def line_patches(at: Array, contacts: Sequence[Contact], headings: Sequence[tuple[float, float]]) -> LinePatches:

@@ -15,6 +15,7 @@ from trajectories.blade.window import Window
 from trajectories.passes import BladePath
 
 Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
 GRID = 7e-4  # m between cells: a fifth of a usual half axis
 FACING = 0.5  # smallest cosine between a cell's normal and the contact's for it to be reached: the other wall looks away
 LEAST_ROW = 1e-9  # of the force there is: rows with less take nothing off
@@ -123,19 +124,25 @@ def work_done(points: Array, normals: Array, rows: ContactRows, patches: Sequenc
     tree, total = cKDTree(points), np.zeros(len(points))
     for place, one in enumerate(patches):
         mine = rows.of(place)
-        if not len(mine.s):
-            continue
-        size = np.cbrt(mine.force / np.interp(mine.s, one.at, one.force))
-        near = tree.query_ball_point(mine.p, np.sqrt(2.0) * one.x[-1] * size, return_sorted=False)
-        count = np.array([len(found) for found in near])
-        row, index = np.repeat(np.arange(len(near)), count), np.concatenate([np.asarray(found, int) for found in near])
-        facing = np.sum(normals[index] * mine.n[row], axis=1) > FACING
-        row, index = row[facing], index[facing]
-        offset = points[index] - mine.p[row]
-        along, across = np.sum(offset * mine.t[row], axis=1), np.sum(offset * np.cross(mine.n, mine.t)[row], axis=1)
-        pressure = one.pressure(mine.s[row], along, across, mine.force[row])
+        row, index, pressure = pressures(tree, normals, mine, one)
         total += np.bincount(index, pressure * (mine.force * mine.slide)[row], minlength=len(points))
     return total
+
+
+def pressures(tree: cKDTree, normals: Array, rows: ContactRows, patches: LinePatches) -> tuple[Index, Index, Array]:
+    """Which of the `rows` of one line presses on which point of the tree (with `normals`), and with what pressure per newton:
+    three times (k,)."""
+    if not len(rows.s):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+    size = np.cbrt(rows.force / np.interp(rows.s, patches.at, patches.force))
+    near = tree.query_ball_point(rows.p, np.sqrt(2.0) * patches.x[-1] * size, return_sorted=False)
+    row = np.repeat(np.arange(len(near)), [len(found) for found in near])
+    index = np.concatenate([np.asarray(found, np.int64) for found in near])
+    facing = np.sum(normals[index] * rows.n[row], axis=1) > FACING
+    row, index = row[facing], index[facing]
+    offset = tree.data[index] - rows.p[row]
+    along, across = np.sum(offset * rows.t[row], axis=1), np.sum(offset * np.cross(rows.n, rows.t)[row], axis=1)
+    return row, index, patches.pressure(rows.s[row], along, across, rows.force[row])
 
 
 def row_times(duration: float, feed: float, step: float = 5e-4) -> Array:

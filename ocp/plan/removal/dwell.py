@@ -1,0 +1,123 @@
+"""Where lines lie and how fast each is ground, so that all of them together take off what is wanted.
+
+Distances follow from the patch's width; feeds are the dwell times under which the sum over all lines comes nearest to what is
+wanted: linear least squares in r at nodes of all lines at once (docs/process.md, eq. 6 and 7).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+from scipy.sparse import block_diag, csr_matrix, diags_array, eye_array, hstack, vstack
+from scipy.spatial import cKDTree
+
+from ocp.contact.wheel.cover import Cover
+from ocp.model.cell import Cell
+from ocp.plan.removal.footprint import LinePatches, planned_patches
+from ocp.plan.removal.surface import ContactRows, Mask, SideCells, pressures
+from robots.pose import Array
+from trajectories.passes import BladePath
+
+EVEN = 0.6  # of the patch's half-width between lines: even within 5 % (PHYSICS 6)
+PROBE = 6e-3  # m, at most, between the lines on which the patch is looked at before lines are laid
+NODE = 4e-3  # m between places of a line where r is free; linear in between
+ROW = 1e-3  # m between the contacts that are summed
+KEPT = 1.0  # weight of keeping to the r of evenly shared lines, against the miss of a cell
+SMOOTH = 1.0  # weight of the second difference of r along a line, against the same
+RANGE = (0.5, 2.0)  # of the r of evenly shared lines: no more is asked of an arm
+
+
+def probed_spacing(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> dict[str, tuple[Array, Array]]:
+    """`PassOptions.spread` from lines laid to look at, all of a side: EVEN of the smallest half-width along each.
+
+    A line that is too hollow for the wheel asks for nothing.
+    """
+    spread = {}
+    for side in dict.fromkeys(path.side for path in probes):
+        lines = [planned_patches(cell, cover, path) for path in probes if path.side == side]
+        shares = np.linspace(0.0, 1.0, len(lines)) if len(lines) > 1 else np.array([0.5])
+        found = [(share, EVEN * one.half_axes[:, 1].min()) for share, one in zip(shares, lines, strict=True) if one is not None]
+        if found:
+            spread[side] = (np.array([share for share, _ in found]), np.array([spacing for _, spacing in found]))
+    return spread
+
+
+@dataclass(frozen=True)
+class _Line:
+    """What a line adds: matrix (cells, nodes) of depth over the programmed one under r = 1; nodes (k,) m."""
+
+    depth: csr_matrix
+    nodes: Array
+
+
+def with_feeds(cell: Cell, cover: Cover, paths: Sequence[BladePath], flanks: Sequence[SideCells]) -> list[BladePath]:
+    """The paths with the feeds that together take off the programmed depth on the asked cells of the flanks.
+
+    A path on which the wheel bears nowhere keeps its feed.
+    """
+    points, normals, area = (
+        np.concatenate([getattr(one, name)[one.asked] for one in flanks]) for name in ("points", "normals", "area")
+    )
+    tree, timed, lines = cKDTree(points), list(paths), {}
+    for k, path in enumerate(paths):
+        patches = planned_patches(cell, cover, path)
+        if patches is not None:
+            lines[k] = _line(cell, path, patches, tree, normals)
+    if lines:
+        weight = np.sqrt(area / area.mean()) * _passed(points, [paths[k] for k in lines])
+        r = _solved(list(lines.values()), weight, np.ones(len(points)))
+        for k, line in lines.items():
+            own, r = r[: len(line.nodes)], r[len(line.nodes) :]
+            timed[k] = replace(paths[k], feed=cell.process.feed / np.interp(paths[k].s, line.nodes, own))
+    return timed
+
+
+def _passed(points: Array, paths: Sequence[BladePath]) -> Mask:
+    """Which points (m,) lie beside a line, not beyond its ends: others are not made good by grinding deeper before them."""
+    along = np.concatenate([np.r_[True, np.zeros(len(path.s) - 2, bool), True] for path in paths])
+    return ~along[cKDTree(np.vstack([path.p for path in paths])).query(points)[1]]
+
+
+def _line(cell: Cell, path: BladePath, patches: LinePatches, tree: cKDTree, normals: Array) -> _Line:
+    """A line with what leads in to it and out of it, which goes on straight at the r of its ends for a patch's half-length."""
+    length, beyond, process = float(path.s[-1]), float(patches.half_axes[:, 0].max()), cell.process
+    s = np.linspace(-beyond, length + beyond, int(np.ceil((length + 2 * beyond) / ROW)) + 1)
+    inside = np.clip(s, 0.0, length)
+    p, n, t = (np.column_stack([np.interp(inside, path.s, of[:, i]) for i in range(3)]) for of in (path.p, path.n, path.t))
+    n, t = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (n, t))
+    force, zero = np.interp(inside, path.s, path.force), np.zeros(len(s))
+    rows = ContactRows(zero.astype(int), p + (s - inside)[:, None] * t, n, t, inside, force, zero)
+    row, index, pressure = pressures(tree, normals, rows, patches)
+    share = pressure * (force / process.force)[row] * (s[1] - s[0]) * process.pass_spacing
+    depth = csr_matrix((share, (index, row)), shape=(len(normals), len(s)))
+    nodes = np.linspace(0.0, length, max(int(np.ceil(length / NODE)), 2) + 1)
+    place = inside / nodes[1]
+    below, k = np.minimum(place.astype(int), len(nodes) - 2), np.arange(len(s))
+    weight = place - below
+    hats = csr_matrix((np.r_[1.0 - weight, weight], (np.r_[k, k], np.r_[below, below + 1])), shape=(len(s), len(nodes)))
+    return _Line(csr_matrix(depth @ hats), nodes)
+
+
+def _solved(lines: Sequence[_Line], weight: Array, wanted: Array) -> Array:
+    """r of all nodes, line after line, that brings the cells (weighed, m) nearest to `wanted` (m,), near that of evenly shared
+    lines: the wanted depth over the depth under r = 1, both averaged over what a node reaches."""
+    depth = hstack([line.depth for line in lines]).tocsr()
+    reached = depth.T @ diags_array(weight**2)
+    usual = (reached @ wanted) / np.maximum(reached @ (depth @ np.ones(depth.shape[1])), 1e-12)
+    usual = np.where(usual > 0.0, usual, 1.0)
+    bends = [diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(len(one.nodes) - 2, len(one.nodes))) for one in lines]
+    kept, smooth, count = np.sqrt(KEPT), np.sqrt(SMOOTH), len(usual)
+    rows = vstack([diags_array(weight) @ depth @ diags_array(usual), kept * eye_array(count), smooth * block_diag(bends)])
+    goal = np.concatenate([weight * wanted, np.full(count, kept), np.zeros(sum(one.shape[0] for one in bends))])
+    return np.asarray(usual * lsq_linear(rows.tocsr(), goal, RANGE, lsq_solver="lsmr", tol=1e-6).x)
+
+
+def feeds_told(cell: Cell, paths: Sequence[BladePath]) -> str:
+    """A sentence on how many lines there are, and how fast they are ground."""
+    feed = np.concatenate([path.feed for path in paths])
+    return (
+        f"{len(paths)} lines lie at most {EVEN:g} of the contact's half-width apart, so that they take off evenly; their feeds "
+        f"are {1e3 * feed.min():.0f} to {1e3 * feed.max():.0f} mm/s, which together make the depth of process.feed_mm_s = "
+        f"{1e3 * cell.process.feed:g} at process.pass_spacing_mm = {1e3 * cell.process.pass_spacing:g}."
+    )
