@@ -33,11 +33,13 @@ def commands(folder: Path) -> dict[str, list[str]]:
     told = planned(folder, "--cell", "cell.toml", "--out", "plan", *STEP)
     assert told.code == 0, told.err
     run("ocp.simulate", folder, "--poses", "60", "--out", "measured")
+    run("ocp.simulate", folder, "plan", "--poses", "0", "--ladder", "none", "--out", "ground")
     return {
         "ocp.plan": ["--cell", "cell.toml", *STEP],
         "ocp.poses": ["--cell", str(CELL), "-n", "20"],
         "ocp.simulate": ["plan", "--poses", "0", "--ladder", "none"],
         "ocp.calibrate": ["measured/tracker.csv", "--cell", "measured/cell.toml"],
+        "ocp.update": ["ground/force.csv", "--cell", "ground/cell.toml"],
         "ocp.diagnose": ["measured"],
         "ocp.experiments": ["--robots", "2", "--mount", "flange"],
     }

@@ -1,4 +1,4 @@
-"""The Python interface: plan, choose_poses, calibrate, simulate, diagnose, judge_measurement, blindtest.
+"""The Python interface: plan, choose_poses, calibrate, simulate, diagnose, judge_measurement, update, blindtest.
 
 Here: the functions that the commands call, under one roof, with what they return. Not here: anything of a command line, and
 anything that is not in the rooms of these names. Lengths are metres, angles radians, forces newtons; `progress` is called
@@ -16,6 +16,8 @@ from ocp.poses.files import PosesResult
 from ocp.poses.interface import choose_poses
 from ocp.shell.progress import Progress
 from ocp.simulate.interface import SimulationResult, simulate
+from ocp.update.files import UpdateResult
+from ocp.update.interface import update
 from robots.errors import BadInput, Infeasible
 
 __all__ = [
@@ -28,6 +30,7 @@ __all__ = [
     "PosesResult",
     "Progress",
     "SimulationResult",
+    "UpdateResult",
     "blindtest",
     "calibrate",
     "choose_poses",
@@ -35,4 +38,5 @@ __all__ = [
     "judge_measurement",
     "plan",
     "simulate",
+    "update",
 ]

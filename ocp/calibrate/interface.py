@@ -47,7 +47,10 @@ def calibrate(
             if not file.is_file():
                 raise BadInput(f"{file}: cannot be read (no such file); give the path of an existing file")
         mapping = OURS if columns is None else read_column_mapping(columns)
-        ground = None if force is None else _ground(cell_file, Path(force), mapping)
+        ground = None
+        if force is not None:
+            believed, log = logged_cell(cell_file, Path(force), mapping)
+            ground = replace(believed, calibration=None), log
         made = calibrate_tracker(readings, cell_file, method, phases, mapping)
         return _calibrated(made, ground, inputs, output, phases)
 
@@ -85,8 +88,8 @@ def _remedy(made: TrackerCalibration) -> str:
 UNITS = 30.0  # kilonewtons and grams-force are farther off than any setpoint of a ladder
 
 
-def _ground(cell_file: Path, force: Path, mapping: ColumnMapping) -> tuple[Cell, ForceLog]:
-    """The cell, without what is known of it already, and the log of what was ground in it.
+def logged_cell(cell_file: Path, force: Path, mapping: ColumnMapping = OURS) -> tuple[Cell, ForceLog]:
+    """The cell, and the log of what was ground in it.
 
     Raises BadInput: the cell has no blade or wheel, the log is malformed or is not of this cell.
     """
@@ -102,4 +105,4 @@ def _ground(cell_file: Path, force: Path, mapping: ColumnMapping) -> tuple[Cell,
             f"{force}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
             "correct the cell's setpoint_N"
         )
-    return replace(cell, calibration=None), log
+    return cell, log

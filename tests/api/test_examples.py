@@ -38,6 +38,8 @@ def test_a_plan_is_rehearsed(planned, tmp_path):
     made, cell = planned
     result = example(3).main(tmp_path, made, cell=cell)
     assert 10 < result.rehearsal.figures["mean_N"] < 35 and len(result.rehearsal.worst) > 0
+    after = example(7).main(tmp_path, result.folder).made.latest
+    assert abs(after["found_N"] - result.rehearsal.figures["mean_N"]) < 4 * after["found_sd_N"] < 0.8 * after["expected_sd_N"] * 4
 
 
 def test_readings_calibrate_an_arm(tmp_path):

@@ -15,6 +15,7 @@ from ocp.plan.__main__ import app as plan
 from ocp.poses.__main__ import app as poses
 from ocp.shell.output import write_marker
 from ocp.simulate.__main__ import app as simulate
+from ocp.update.__main__ import app as update
 from robots.robot import CATALOGUE
 
 
@@ -30,6 +31,7 @@ def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "logs/force.csv": b"",
         "old/old.src": b"DEF old( )\r\nEND\r\n",
         "paths/path.csv": b"",
+        "paths/removal.csv": b"",
     }
     text = CELL.read_text().replace('stl = "blade.stl"', 'stl = "blades/blade.stl"')
     text = text.replace('model = "kr210_r2700_extra"', 'model = "robots/arm.toml"')
@@ -58,6 +60,9 @@ CASES = [
     (calibrate, ["measured/tracker.csv", "--cell", "cell.toml", "--out", "measured"], "measured"),
     (calibrate, ["measured/tracker.csv", "--cell", "cell.toml", "--force", "logs/force.csv", "--out", "logs"], "logs"),
     (calibrate, ["measured/tracker.csv", "--cell", "cell.toml", "--out", "robots"], "robots"),
+    (update, ["logs/force.csv", "--cell", "cell.toml", "--out", "logs"], "logs"),
+    (update, ["logs/force.csv", "--cell", "cell.toml", "--removal", "paths/removal.csv", "--out", "paths"], "paths"),
+    (update, ["logs/force.csv", "--cell", "cell.toml", "--out", "blades"], "blades"),
     (diagnose, ["run", "--out", "run"], "run"),
     (experiments, ["--cell", "cell.toml", "--robots", "1", "--out", "robots"], "robots"),
 ]

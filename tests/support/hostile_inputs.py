@@ -27,6 +27,8 @@ from ocp.model.cell import cell_tables_for, files_of, read_cell, read_tracker_se
 from ocp.simulate.twin.krl_text import read_program
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, read_plan_table, read_summary, recorded_input
 from ocp.simulate.twin.tracker import design_from_poses
+from ocp.update.history import ENTRIES, History, history_of
+from ocp.update.removal import read_removal
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.column_mapping import read_column_mapping
 from robots.errors import BadInput, Infeasible
@@ -127,6 +129,11 @@ def force_table(sealed: bool, n: int = 12) -> bytes:
     return _table(columns | _spread(n, s_mm=1.0, temperature_C=22.0, wheel_temperature_C=25.0, clock_s=5.0))
 
 
+def removal_table(n: int = 12) -> bytes:
+    places = {name: [round(3.0 + 0.7 * k, 3) for k in range(n)] for name in ("px_mm", "py_mm", "pz_mm")}
+    return _table(places | {"removal_um": [round(20 + 0.1 * k, 2) for k in range(n)]} | _spread(n, sd_um=1.5))
+
+
 def joint_table(n: int = 36) -> bytes:
     columns = {"run": ["a"] * n, "time_s": [round(0.01 * k, 3) for k in range(n)]}
     columns |= {name: [round(10 * j + 0.2 * k, 4) for k in range(n)] for j, name in enumerate(AXES)}
@@ -190,6 +197,7 @@ def _calibration() -> dict[str, bytes]:
         path = Path(folder) / "calibration.toml"
         reason = {"th1": "hidden in the base frame"}
         kept = {"residual_rms_mm": 0.0312, "rows": 150, "conditions": {"payloads": ["bare"], "temperature_C": 22.5}}
+        kept["update"] = History().grown(600.0, 900.0, "5f3a", dict.fromkeys(ENTRIES, 1.5)).table()
         write_calibration(path, Calibration(ROBOT.name, names, factor[0], factor @ factor.T, kept, reason))
         return {file.name: file.read_bytes() for file in Path(folder).iterdir()}
 
@@ -230,7 +238,7 @@ def _read_cell_files(folder: Path) -> None:
 
 
 def _read_calibration_files(folder: Path) -> None:
-    read_calibration(folder / "calibration.toml")
+    history_of(read_calibration(folder / "calibration.toml"), folder / "cell.toml")
 
 
 def _setup() -> Any:
@@ -358,6 +366,13 @@ READERS = (
         lambda: {"force.csv": force_table(True)},
         lambda folder: read_force_log(folder / "force.csv", sealed=True),
         ("read_force_log", "read_planned_log"),
+    ),
+    HostileReader(
+        "removal.csv",
+        "removal.csv",
+        lambda: {"removal.csv": removal_table()},
+        lambda folder: read_removal(folder / "removal.csv"),
+        ("read_removal",),
     ),
     HostileReader(
         "joints.csv",

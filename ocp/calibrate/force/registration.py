@@ -92,6 +92,8 @@ class ForceFit:
         if robot is not None:
             names, values, covariance = _joined(robot, names, values, covariance)
         provenance["force"] = {name: value for name, value in vars(self.figures).items()}
+        if self.log.clock is not None:
+            provenance["force"]["clock_s"] = float(self.log.clock.max())
         return Calibration(cell.robot.name, names, values, covariance, provenance, reasons, self.notices)
 
 

@@ -176,7 +176,7 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     """
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell.path}: no blade; name it as workpiece.stl, a force log needs the blade's shape")
-    blade, shape, cloud = _measured(cell.workpiece.stl, cell.workpiece)
+    blade, shape, cloud = measured_blade(cell.workpiece.stl, cell.workpiece)
     points = [points_on_surface(blade, shape, log) for log in logs]
     poses = [_posture(cell, log, point) for log, point in zip(logs, points, strict=True)]
     touching = np.concatenate([log.contact for log in logs])
@@ -202,7 +202,7 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
 _LAST: dict[tuple[str, ...], tuple[Blade, AerofoilShape, SurfaceCloud]] = {}
 
 
-def _measured(stl: Path, piece: Workpiece) -> tuple[Blade, AerofoilShape, SurfaceCloud]:
+def measured_blade(stl: Path, piece: Workpiece) -> tuple[Blade, AerofoilShape, SurfaceCloud]:
     """Blade, shape and surface of an STL; the last one is kept, for a log and its sealed conditions ask one after the other."""
     try:
         read = hashlib.sha256(stl.read_bytes()).hexdigest()

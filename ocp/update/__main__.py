@@ -1,0 +1,41 @@
+"""`python -m ocp.update force.csv --cell cell.toml [--removal removal.csv]`: the cell after one more blade."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ocp.shell.command import answer, main, run, shown_progress
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def _update(
+    force: Annotated[Path, typer.Argument(help="force log of the last blade, force.csv")],
+    cell: Annotated[Path, typer.Option(help="the cell file that the blade was ground with")],
+    removal: Annotated[Path | None, typer.Option(help="depths measured on that blade, removal.csv")] = None,
+    changed: Annotated[
+        list[str] | None,
+        typer.Option(help="what was changed since: wheel, blade (its holder), flange, belt or sensor; repeat for more"),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="folder to write")] = Path("update"),
+    overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
+) -> None:
+    """Bring wheel, blade, flange and wear up to date from one blade's force log, without a new campaign."""
+    from ocp.update import interface  # heavy imports only once the arguments stand
+
+    def job() -> str:
+        with shown_progress() as progress:
+            return answer(
+                interface.update(
+                    force, cell=cell, out=out, removal=removal, changed=changed or (), overwrite=overwrite, progress=progress
+                )
+            )
+
+    sys.exit(run(job, "not updated"))
+
+
+if __name__ == "__main__":
+    main(app)

@@ -1,0 +1,69 @@
+"""What earlier updates left in a calibration: when they held, which logs they used, how the wheel wore."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from robots.calibration.store import Calibration
+from robots.errors import BadInput, shown
+
+KEY = "update"  # of a calibration's provenance
+MOST = 2000  # updates that are remembered: a year of eight a working day
+LARGEST = 1e12
+ENTRIES = (
+    *("clock_s", "measured_N", "expected_N", "expected_sd_N", "found_N", "found_sd_N"),
+    *("radius_um", "radius_sd_um", "wear_um_per_h", "wear_sd_um_per_h", "preston", "preston_sd"),
+)
+"""Columns of the history, one number an update; nan where there was none (preston in um mm^2 / (N m))."""
+
+
+@dataclass(frozen=True)
+class History:
+    """ends: clock s where the last log ended, holds: clock s that the state is for, both None before the first update; logs:
+    SHA-256 of the logs used; columns: lists by name of ENTRIES."""
+
+    ends: float | None = None
+    holds: float | None = None
+    logs: tuple[str, ...] = ()
+    columns: dict[str, tuple[float, ...]] = field(default_factory=lambda: dict.fromkeys(ENTRIES, ()))
+
+    def __len__(self) -> int:
+        return len(self.columns["clock_s"])
+
+    def grown(self, ends: float, holds: float, log: str, entry: dict[str, float]) -> "History":
+        """With one more update; the oldest goes where there are MOST."""
+        columns = {name: (*self.columns[name], float(entry[name]))[-MOST:] for name in ENTRIES}
+        return replace(self, ends=ends, holds=holds, logs=(*self.logs, log)[-MOST:], columns=columns)
+
+    def table(self) -> dict[str, Any]:
+        """As a calibration's provenance holds it."""
+        known = {name: [round(x, 9) for x in values] for name, values in self.columns.items()}
+        return {"ends_s": self.ends, "holds_s": self.holds, "logs": list(self.logs), "history": known}
+
+
+def history_of(calibration: Calibration | None, path: Path) -> History:
+    """What the calibration of the cell `path` remembers. Raises BadInput: it was edited into something else."""
+    told = None if calibration is None else calibration.provenance.get(KEY)
+    if told is None:
+        return History()
+    table = told if isinstance(told, dict) else {}
+    columns, logs = table.get("history"), table.get("logs")
+    known = columns if isinstance(columns, dict) else {}
+    read = {name: known.get(name) for name in ENTRIES}
+    counts = {len(values) if isinstance(values, list) else -1 for values in read.values()}
+    sound = len(counts) == 1 and min(counts) >= 1 and isinstance(logs, list) and all(isinstance(x, str) for x in logs)
+    clocks: list[Any] = [table.get("ends_s"), table.get("holds_s")]
+    numbers = [*clocks, *(x for values in read.values() if isinstance(values, list) for x in values)]
+    if not sound or not all(is_number(x) for x in numbers) or any(x != x for x in clocks):
+        raise BadInput(
+            f"{path}: its calibration's [provenance.{KEY}] is not as ocp.update wrote it ({shown(repr(told), 60)}); restore the "
+            "file, or take that table out to begin a new history"
+        )
+    whole = {name: tuple(float(x) for x in values) for name, values in read.items() if values is not None}
+    assert isinstance(logs, list)
+    return History(float(clocks[0]), float(clocks[1]), tuple(logs), whole)
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is a number that is not beyond all bounds; nan stands for what was not measured."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and (value != value or abs(value) <= LARGEST)

@@ -1,0 +1,227 @@
+"""`ocp.api.update`: the cell of the last posterior and one blade's force log in; the cell for the next blade out."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ocp.calibrate.force.blade import CORRECTION
+from ocp.calibrate.force.fit import BIAS
+from ocp.calibrate.force.log import ForceLog
+from ocp.calibrate.force.registration import ForceFit, fit_force
+from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, prepare_force
+from ocp.calibrate.interface import logged_cell
+from ocp.model.cell import Cell, files_of
+from ocp.model.theta import believed_theta
+from ocp.shell.cache import sha256
+from ocp.shell.output import reserved
+from ocp.shell.progress import Phases, Progress
+from ocp.update.drift import (
+    PARTS,
+    RADIUS,
+    WEAR,
+    Verdict,
+    carried_on,
+    changed_state,
+    force_spread,
+    last_state,
+    unmodelled_force,
+    verdict_on,
+)
+from ocp.update.files import Updated, UpdateResult, write_update
+from ocp.update.history import History, history_of, is_number
+from ocp.update.removal import UNIT, Preston, Removal, joined_preston, less_sure, on_blade, preston_from, read_removal, work_at
+from robots.calibration.store import Calibration
+from robots.errors import BadInput, Infeasible, shown
+
+PRESTON_SD = 0.3  # of a coefficient whose sigma the cell does not tell
+TURN_BACK = 1.0  # s by which a clock may run back between two logs before it counts as started anew
+RECENT = 6  # logs whose distance on the clock says when the next blade comes
+SAME_WEAR = 5e-6  # m over a log, by which another wear rate is worth another fit
+
+
+def update(
+    force: str | Path,
+    *,
+    cell: str | Path,
+    out: str | Path = "update",
+    removal: str | Path | None = None,
+    changed: Sequence[str] = (),
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> UpdateResult:
+    """Bring `cell` up to date from the force log `force` (force.csv) of the blade that was last ground with it, and Preston's
+    coefficient from depths measured on that blade, `removal` (removal.csv); write cell, calibration and report into `out`.
+
+    changed: what was changed since the last update, of wheel, blade (its holder), flange, belt, sensor: known as at first again.
+    Raises BadInput: an argument or a file is not what it should be; Infeasible: the log cannot be of this cell as it was last
+    known. Nothing is written then.
+    """
+    log_file, cell_file, phases = Path(force), Path(cell), Phases(progress)
+    depths = None if removal is None else Path(removal)
+    parts = _known_parts(changed)
+    inputs = [log_file, *((depths,) if depths is not None else ()), *files_of(cell_file)]
+    with reserved(Path(out), overwrite, inputs) as output:
+        measured = None if depths is None else read_removal(depths)
+        believed, log = logged_cell(cell_file, log_file)
+        if "flange" in parts and believed.flange is None:
+            raise BadInput(f"--changed flange: {cell_file} has no [force_flange]; leave it out")
+        history = history_of(believed.calibration, cell_file)
+        mark = sha256(log_file)
+        if mark in history.logs:
+            raise BadInput(f"{log_file}: an earlier update used this log already; give the log of the blade ground since")
+        with phases.phase("contact"):
+            setup = prepare_force(replace(believed, calibration=None), [log])
+        with phases.phase("fit"):
+            made = updated(believed, log, setup, history, mark, parts, measured)
+        return write_update(made, output, phases, inputs)
+
+
+def _known_parts(changed: Sequence[str]) -> tuple[str, ...]:
+    for part in changed:
+        if part not in PARTS:
+            raise BadInput(f"--changed {shown(part)}: is none of {', '.join(PARTS)}; give one of them")
+    return tuple(dict.fromkeys(changed))
+
+
+def updated(
+    cell: Cell,
+    log: ForceLog,
+    setup: ForceSetup,
+    history: History,
+    mark: str,
+    parts: tuple[str, ...] = (),
+    removal: Removal | None = None,
+) -> Updated:
+    """One step of the filter; setup: of the log alone, of the cell without its calibration; mark: SHA-256 of the log.
+
+    Raises Infeasible: the fit does not come to rest, log or removal cannot have come from the cell as last known.
+    """
+    clock, spent, notices = _clock(cell, log, history)
+    touching = log.contact
+    now = float(clock[touching].mean())
+    before = changed_state(last_state(cell), cell, parts)
+    expected = carried_on(before, now - _state_holds(cell, clock, history), grips=int(history.holds is None))
+    fit, verdict = _fitted(cell, log, setup, expected, now - clock)
+    if not verdict.possible:
+        raise Infeasible(_impossible(log, fit, verdict, parts))
+    found = fit.calibration(expected)
+    ahead = now + _until_next(clock, (*history.columns["clock_s"], now))
+    coming = carried_on(found, ahead - now, grips=1)
+    preston = _preston(cell, log, setup, fit, removal, spent, "belt" in parts)
+    entry = _entry(fit, log, clock, expected, found, preston)
+    grown_history = history.grown(float(clock.max()), ahead, mark, entry)
+    coming = replace(coming, provenance=coming.provenance | {"update": grown_history.table()})
+    return Updated(
+        cell, log, fit, verdict, parts, (now, ahead), (before, expected, found, coming), grown_history, preston, notices
+    )
+
+
+def _clock(cell: Cell, log: ForceLog, history: History) -> tuple[np.ndarray, float, tuple[str, ...]]:
+    """The wheel's clock (n,) s of each row, seconds in contact since the last update, notices."""
+    known: LogConditions = log_conditions(cell, log, history.ends or 0.0)
+    clock, notices = known.clock, tuple[str, ...]()
+    in_contact = sum(float(np.ptp(log.time[(log.run == r) & log.contact])) for r in np.unique(log.run[log.contact]))
+    if log.clock is None or history.ends is None:
+        return clock, in_contact, notices
+    if clock.min() < history.ends - TURN_BACK:
+        notices = (
+            f"{log.path.name}: clock_s begins at {clock.min():.0f} s where the last update ended at {history.ends:.0f} s: it was "
+            "started anew, wear between the two logs is not known and counted as none",
+        )
+        return clock + history.ends - clock.min(), in_contact, notices
+    # Blades that were ground between the logs wear the belt as this one did.
+    return clock, in_contact * float((clock.max() - history.ends) / max(np.ptp(clock), 1e-9)), notices
+
+
+def _until_next(clock: np.ndarray, middles: tuple[float, ...]) -> float:
+    """Seconds from the middle of this blade to that of the next: as usual between the last logs, of the first one as if the next
+    blade followed at once."""
+    usual = np.diff(middles[-RECENT:])
+    return float(np.median(usual)) if len(usual) else float(clock.max() + 0.5 * np.ptp(clock) - middles[-1])
+
+
+def _state_holds(cell: Cell, clock: np.ndarray, history: History) -> float:
+    """Clock s that the state in the cell is for: as the last update forecast it, else the end of the calibration's force log
+    where that shows on this clock, else the beginning of this log."""
+    if history.holds is not None:
+        return history.holds
+    told = _force_figures(cell.calibration).get("clock_s")
+    return float(told) if told is not None and told <= clock.min() else float(clock.min())
+
+
+def _force_figures(calibration: Calibration | None) -> dict[str, float]:
+    """The numbers that a calibration tells of its force log; none where it was edited into something else."""
+    told = None if calibration is None else calibration.provenance.get("force")
+    return {k: float(v) for k, v in (told if isinstance(told, dict) else {}).items() if is_number(v)}
+
+
+def _fitted(cell: Cell, log: ForceLog, setup: ForceSetup, expected: Calibration, earlier: np.ndarray) -> tuple[ForceFit, Verdict]:
+    """The fit with the wheel worn inside the log by its rate; `earlier` (n,) s: how long before the state's moment a row was."""
+    noise = believed_theta(replace(cell, calibration=expected)).joint_noise
+    before = abs(_force_figures(expected).get("run_offset", 0.0))
+    rate = expected.values[expected.names.index(WEAR)]
+    for _ in range(2):
+        rows = setup.rows[0]
+        waypoint = rows.waypoint.copy()
+        waypoint[:, CORRECTION] -= rate * earlier * rows.contact  # before that moment there was more wheel, as if it gave less
+        worn = replace(setup, rows=(replace(rows, waypoint=waypoint),))
+        fit = fit_force(replace(cell, calibration=None), log, expected, worn)
+        usual = max(unmodelled_force(setup.model, worn.rows[0], fit.solution, noise), before)
+        verdict = verdict_on(fit.solution, log, usual)
+        found = fit.calibration(expected)
+        change, rate = found.values[found.names.index(WEAR)] - rate, found.values[found.names.index(WEAR)]
+        if not verdict.possible or abs(change) * np.ptp(earlier) < SAME_WEAR:
+            break
+    return fit, verdict
+
+
+def _impossible(log: ForceLog, fit: ForceFit, verdict: Verdict, parts: tuple[str, ...]) -> str:
+    """Why a log is not of the state that was handed in, and what to do."""
+    f, left = fit.figures, [part for part in PARTS if part not in parts]
+    return (
+        f"{log.path}: cannot have come from the cell as last known: it reads {f.mean_before:+.2f} N ({f.rms_before:.2f} N "
+        f"rms) off what was forecast (chance {verdict.chance:.1g}), {verdict.sentence()}; if something was changed say so "
+        f"(--changed, of {', '.join(left) or 'nothing more'}), else calibrate anew with a force ladder"
+    )
+
+
+def _preston(
+    cell: Cell, log: ForceLog, setup: ForceSetup, fit: ForceFit, removal: Removal | None, spent: float, new_belt: bool
+) -> Preston | None:
+    """The coefficient for the next blade; None where it was never known."""
+    process = cell.process
+    known = None
+    if process.preston is not None:
+        sd = PRESTON_SD * process.preston if process.preston_sd is None else process.preston_sd
+        known = less_sure(Preston(process.preston, sd), spent, new_belt)
+    if removal is None:
+        return known
+    p, n = on_blade(cell, removal)
+    h = work_at(cell, setup.model, setup.rows[0], log, fit.solution, p, n)
+    return joined_preston(known, preston_from(removal, h))
+
+
+def _entry(
+    fit: ForceFit, log: ForceLog, clock: np.ndarray, expected: Calibration, found: Calibration, preston: Preston | None
+) -> dict[str, float]:
+    """This update's row of the history."""
+    solution, touching = fit.solution, log.contact
+    at = found.names.index(RADIUS), found.names.index(WEAR)
+    sd = found.standard_deviation
+    told = (np.nan, np.nan) if preston is None else (preston.value / UNIT, preston.sd / UNIT)
+    return {
+        "clock_s": float(clock[touching].mean()),
+        "measured_N": float(log.fn[touching].mean() - solution.x[BIAS]),
+        "expected_N": float(solution.before[touching].mean() - solution.prior.mean[BIAS]),
+        "expected_sd_N": force_spread(solution, log, expected),
+        "found_N": float(solution.reading[touching].mean() - solution.x[BIAS]),
+        "found_sd_N": force_spread(solution, log, found),
+        "radius_um": 1e6 * float(found.values[at[0]]),
+        "radius_sd_um": 1e6 * float(sd[at[0]]),
+        "wear_um_per_h": 3.6e9 * float(found.values[at[1]]),
+        "wear_sd_um_per_h": 3.6e9 * float(sd[at[1]]),
+        "preston": told[0],
+        "preston_sd": told[1],
+    }

@@ -1,0 +1,170 @@
+"""The filter from blade to blade on logs that the model itself makes: wear is followed and forecast, a jump is said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
+from ocp.model.theta import registered
+from ocp.update.drift import SURPRISE, carried_on, changed_state, last_state
+from ocp.update.files import Updated
+from ocp.update.history import History, history_of
+from ocp.update.interface import updated
+from robots.errors import BadInput, Infeasible
+from tests.support.wearing_cell import NOISE, WearingCell, posterior, wearing_cell
+
+RADIUS = FIT_NAMES.index("wheel_radius")
+WEAR, BETWEEN = 4e-7, 600.0  # m/s, s from one blade to the next
+
+
+@pytest.fixture(scope="module")
+def world() -> WearingCell:
+    return wearing_cell()
+
+
+def blades(world: WearingCell, count: int, wear: float = WEAR, seed: int = 1) -> list[tuple[np.ndarray, Updated]]:
+    """So many updates one after the other, each with the true parameters at its beginning."""
+    rng, made, cell = np.random.default_rng(seed), [], world.cell
+    truth = force_prior(cell).mean.copy()
+    truth[FIT_NAMES.index("wheel_x")] += 1e-5
+    for k in range(count):
+        x = truth.copy()
+        x[RADIUS] -= wear * BETWEEN * k
+        log = world.ground(x, BETWEEN * k, wear, rng)
+        made.append((x, updated(cell, log, world.setup, history_of(cell.calibration, cell.path), f"log {k}")))
+        cell = replace(cell, calibration=made[-1][1].states[3])
+    return made
+
+
+@pytest.fixture(scope="module")
+def worn(world) -> list[tuple[np.ndarray, Updated]]:
+    return blades(world, 6)
+
+
+def test_wear_is_followed_and_its_rate_learnt(worn):
+    truth, last = worn[-1]
+    latest = last.latest
+    middle = 1e6 * (truth[RADIUS] - WEAR * (latest["clock_s"] - 5 * BETWEEN))
+    assert middle < -1150 and abs(latest["radius_um"] - middle) < 3 * latest["radius_sd_um"] < 200
+    assert latest["wear_um_per_h"] == pytest.approx(3.6e9 * WEAR, rel=0.1)
+    assert latest["wear_sd_um_per_h"] < 0.2 * 3.6e9 * 3e-7
+    assert len(last.history) == 6 and last.history.logs[-1] == "log 5"
+
+
+def test_the_forecast_is_met_once_the_rate_is_known(worn):
+    for _, made in worn[2:]:
+        latest = made.latest
+        assert abs(latest["found_N"] - latest["expected_N"]) < 3 * np.hypot(latest["expected_sd_N"], NOISE / 12)
+        assert latest["found_sd_N"] < latest["expected_sd_N"] < 0.4 and made.verdict.chance > 1e-3
+    ahead = worn[-2][1].forecast[0]
+    assert abs(ahead[1] - worn[-1][1].latest["found_N"]) < 3 * ahead[2]
+    assert worn[-1][1].latest["found_N"] < worn[0][1].latest["found_N"] - 4.0  # nobody planned anew here
+
+
+def test_the_next_plan_has_the_wheel_of_the_next_blade(world, worn):
+    truth, last = worn[-1]
+    cell, _ = registered(replace(world.cell, calibration=last.states[3]))
+    coming = world.cell.wheel.radius + truth[RADIUS] - WEAR * (last.clocks[1] - 5 * BETWEEN)
+    assert last.clocks[1] - last.clocks[0] == pytest.approx(BETWEEN)
+    # Wheel, blade and arm share what is not known apart; the force that comes of them all is the one that counts.
+    assert cell.wheel.radius == pytest.approx(coming, abs=6e-5)
+    x = force_prior(replace(world.cell, calibration=last.states[3])).mean
+    true = truth.copy()
+    true[RADIUS] -= WEAR * (last.clocks[1] - 5 * BETWEEN)
+    assert np.abs(world.model.force(world.rows, x[:BIAS]) - world.model.force(world.rows, true[:BIAS])).mean() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "part"), [("wheel_x", 6e-4, "wheel"), ("blade_y", 1e-3, "blade"), ("wheel_radius", 6e-4, "belt")]
+)
+def test_a_jump_is_said_and_taken_only_where_the_user_says_so(world, worn, name, size, part):
+    truth, last = worn[-1]
+    cell = replace(world.cell, calibration=last.states[3])
+    x = truth.copy()
+    x[RADIUS] -= WEAR * BETWEEN
+    x[FIT_NAMES.index(name)] += size
+    log = world.ground(x, 6 * BETWEEN, WEAR, np.random.default_rng(5))
+    history = history_of(cell.calibration, cell.path)
+    with pytest.raises(Infeasible, match=r"cannot have come from the cell as last known.*--changed"):
+        updated(cell, log, world.setup, history, "jump")
+    told = updated(cell, log, world.setup, history, "jump", (part,))
+    assert told.latest["found_N"] == pytest.approx(told.latest["measured_N"], abs=0.1)
+
+
+def test_chances_of_logs_of_the_cell_itself_are_spread_evenly(world):
+    """Truth drawn from the state that is handed in: the verdict must not cry wolf, nor sleep."""
+    rng, chances = np.random.default_rng(2), []
+    state = carried_on(last_state(world.cell), 0.0, 1)
+    root = np.linalg.cholesky(state.covariance + 1e-30 * np.eye(len(state.names)))
+    for _ in range(24):
+        x = force_prior(world.cell).mean.copy()
+        drawn = state.values + root @ rng.normal(size=len(root))
+        for i, name in enumerate(state.names):
+            if name in FIT_NAMES:
+                x[FIT_NAMES.index(name)] = drawn[i]
+        log = world.ground(x, 0.0, 1.4e-7, rng)
+        try:
+            chances.append(updated(world.cell, log, world.setup, History(), "one").verdict.chance)
+        except Infeasible:
+            chances.append(SURPRISE)
+    assert min(chances) > SURPRISE and 0.3 < np.mean(chances) < 0.75 and min(chances) < 0.3
+
+
+def test_time_only_adds_doubt_and_radius_follows_its_rate(world):
+    state = last_state(world.cell)
+    later = carried_on(state, 7200.0, 2)
+    at, wear = state.names.index("wheel_radius"), state.names.index("wheel_wear")
+    assert later.values[at] == pytest.approx(-7200.0 * state.values[wear])
+    assert (np.diag(later.covariance) >= np.diag(state.covariance)).all()
+    assert later.covariance[at, wear] < 0 < later.covariance[at, at]
+    blade = state.names.index("blade_x")
+    assert later.covariance[blade, blade] - state.covariance[blade, blade] == pytest.approx(2 * 1e-5**2)
+
+
+def test_a_cell_whose_effects_hold_wear_begins_at_none(world):
+    class Wear:
+        name = "wheel_wear"
+
+    assert last_state(world.cell).values[-1] > 0
+    assert last_state(replace(world.cell, effects=(Wear(),))).values[-1] == 0.0
+
+
+def test_changed_parts_are_as_doubtful_as_the_cell_says(world):
+    state = last_state(world.cell)
+    wider = changed_state(state, world.cell, ("wheel", "belt"))
+    sd = dict(zip(wider.names, wider.standard_deviation, strict=True))
+    assert sd["wheel_x"] == pytest.approx(np.hypot(2e-5, world.cell.wheel.centre_sd)) and sd["wheel_radius"] == pytest.approx(
+        3e-4
+    )
+    assert sd["blade_y"] == pytest.approx(2e-5)
+
+
+def test_a_clock_started_anew_counts_no_wear_and_is_told(world, worn):
+    truth, last = worn[-1]
+    cell = replace(world.cell, calibration=last.states[3])
+    log = world.ground(truth, 0.0, WEAR, np.random.default_rng(6))
+    made = updated(cell, log, world.setup, history_of(cell.calibration, cell.path), "anew")
+    assert "started anew" in made.notices[0] and made.history.ends > last.history.ends
+
+
+def test_without_a_clock_contact_time_is_the_clock(world):
+    truth = force_prior(world.cell).mean
+    log = replace(world.ground(truth, 0.0, 0.0, np.random.default_rng(7)), clock=None)
+    made = updated(world.cell, log, world.setup, History(), "one")
+    assert made.history.ends == pytest.approx(0.25 * 39 * 4)
+
+
+@pytest.mark.parametrize("told", ["yes", {"ends_s": 1.0}, {"ends_s": "a", "holds_s": 1.0, "logs": [], "history": {}}])
+def test_a_history_that_was_edited_is_refused(world, told):
+    edited = replace(posterior(world.cell), provenance={"update": told})
+    with pytest.raises(BadInput, match="not as ocp.update wrote it"):
+        history_of(edited, world.cell.path)
+
+
+def test_a_history_is_read_back_as_written(worn):
+    last = worn[-1][1]
+    read = history_of(last.states[3], last.cell.path)
+    assert (read.ends, read.holds, read.logs) == (last.history.ends, last.history.holds, last.history.logs)
+    for name, values in last.history.columns.items():
+        np.testing.assert_allclose(read.columns[name], values, atol=1e-8)
