@@ -19,9 +19,11 @@ from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
 from ocp.simulate.input import Wanted, blade_file, campaign_plan, cell_file, check_numbers, in_words, plan_folder, planted_effects
 from ocp.simulate.report import missed_parts_figures, rehearsal_headline, write_rehearsal_page
+from ocp.simulate.report_passes import WholePasses, contact_figures, flange_in_words
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.controller import MissedParts, Track, drive, missed_parts
 from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_joint_log, write_labels
+from ocp.simulate.twin.ground_depth import GroundDepth, ground_depth
 from ocp.simulate.twin.kinds import EFFECT_KINDS
 from ocp.simulate.twin.krl_text import KrlProgram, read_program
 from ocp.simulate.twin.plan_knowledge import GRINDING, match, read_plan_table, read_summary, refuse_stranger
@@ -53,6 +55,8 @@ class _Ground:
     campaign: GrindingCampaign
     rehearsal: Rehearsal
     missed: MissedParts | None
+    travel: float  # s in which blade and wheel may touch in travel
+    depth: GroundDepth
 
 
 def plantable_effects() -> str:
@@ -140,7 +144,7 @@ def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder
         blade = read_blade(cell.workpiece.stl, cell.workpiece.stl_unit)
         machine = make_machine(cell, truth, blade, wanted.seed)
     with phases.phase("collisions"):
-        refuse_crash(machine, track, matched)
+        travel = refuse_crash(machine, track, matched)
     with phases.phase("grinding"):
         campaign = run_campaign(machine, track, matched, plan, wanted.hz)
     with phases.phase("judging"):
@@ -148,7 +152,8 @@ def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder
         rehearsal = rehearse(machine, matched, campaign.first, frames.tool, frames.base)
         grinding = {track.places[k] for k in np.unique(track.motion[matched.phase == GRINDING])}
         missed = missed_parts(program, cell.robot, grinding)
-    return _Ground(folder, program, track, machine, campaign, rehearsal, missed)
+        depth = ground_depth(blade, campaign.patches, campaign.touched, cell.process.force)
+    return _Ground(folder, program, track, machine, campaign, rehearsal, missed, travel, depth)
 
 
 def _track(wanted: Wanted, cell: Cell, ground: _Ground | None) -> TrackerLog | None:
@@ -195,7 +200,8 @@ def _write(
     words = MACHINES[wanted.machine].format(seed=wanted.seed)
     words = words if wanted.sealed or not truth.effects else f"{words}, {in_words(truth.effects)}"
     title = f"{ground.program.main.stem} on {cell.name}"
-    shown = ground.rehearsal, ground.missed, ground.machine.blade
+    whole = WholePasses(ground.campaign.touched, ground.depth, ground.travel, flange_in_words(cell))
+    shown = ground.rehearsal, ground.missed, whole, ground.machine.blade
     write_rehearsal_page(*shown, title, words, notices, out / "rehearsal.html")
     (out / "rehearsal.json").write_text(json.dumps(_json(wanted, truth, ground), indent=1) + "\n", encoding="utf-8")
     return rows
@@ -223,6 +229,8 @@ def _json(wanted: Wanted, truth: Truth, ground: _Ground) -> dict[str, Any]:
         "duration_s": ground.track.duration,
         "force": r.figures,
         "parts_missed": None if ground.missed is None else missed_parts_figures(ground.missed),
+        "contact": contact_figures(ground.campaign.touched, ground.travel),
+        "removal": {"plan": ground.depth.figures(ground.depth.planned), "machine": ground.depth.figures(ground.depth.made)},
         "lines": [{"line": int(r.line[mine][0]), **statistics(r.force[mine])} for mine in passes],
         "worst": [
             {"line": p.line, "s_mm": 1e3 * p.s, "p_mm": (1e3 * p.p).tolist()}

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.colors import Colormap, LinearSegmentedColormap
 from numpy.typing import NDArray
 
 from ocp.plan.report.surface import GroundPass, draw_blade, paint_blade
@@ -13,6 +12,7 @@ from ocp.report.plotting import Canvas, dressed, keys, panels
 from ocp.report.report import Report
 from ocp.report.section import Headline, Section
 from ocp.report.style import CURVE, RULE, SIDE_COLOURS, SOFT, TARGET
+from ocp.simulate.report_passes import FORCE_MAP, WholePasses, whole_pass_sections
 from ocp.simulate.twin.controller import MissedParts
 from ocp.simulate.twin.rehearsal import PARTS, WITHIN, Rehearsal
 from trajectories.blade import Blade
@@ -23,14 +23,12 @@ WORDS = {
     "arm": "the arm stands elsewhere",
     "wheel": "the wheel stands elsewhere",
     "blade": "the blade is held elsewhere",
-    "contact": "stiffness, friction, planted effects",
+    "contact": "stiffness, friction, the flange's motion, planted effects",
 }
 PART_COLOURS = dict(zip(PARTS, (*SIDE_COLOURS[:2], "#2f8559", "#7a5195"), strict=True))
 COLUMNS = 3
 BLADE = "Blade from both sides, coloured by the force pressing on it; grey is not ground. White is what was planned."
 BROUGHT = "What each part of the cell brings to the force, over the whole program in its order; numbers are lines of the blade."
-# Too little is blue, too much is orange, as planned is nearly white: the two differ in lightness from it alike.
-FORCE_MAP: Colormap = LinearSegmentedColormap.from_list("force", ["#1f4e79", "#6fa3cf", "#f5f3ee", "#e2924e", "#8c3a06"])
 
 
 def rehearsal_headline(rehearsal: Rehearsal, machine: str) -> Headline:
@@ -48,13 +46,22 @@ def rehearsal_headline(rehearsal: Rehearsal, machine: str) -> Headline:
 
 
 def write_rehearsal_page(
-    rehearsal: Rehearsal, missed: MissedParts | None, blade: Blade, title: str, machine: str, notices: Sequence[str], path: Path
+    rehearsal: Rehearsal,
+    missed: MissedParts | None,
+    whole: WholePasses,
+    blade: Blade,
+    title: str,
+    machine: str,
+    notices: Sequence[str],
+    path: Path,
 ) -> None:
     """Write the page; equal rehearsals give equal bytes. Raises OSError where the file cannot be written."""
-    Report(KIND, title, rehearsal_headline(rehearsal, machine), notices, _sections(rehearsal, missed, blade)).write_page(path)
+    Report(KIND, title, rehearsal_headline(rehearsal, machine), notices, _sections(rehearsal, missed, whole, blade)).write_page(
+        path
+    )
 
 
-def _sections(rehearsal: Rehearsal, missed: MissedParts | None, blade: Blade) -> tuple[Section, ...]:
+def _sections(rehearsal: Rehearsal, missed: MissedParts | None, whole: WholePasses, blade: Blade) -> tuple[Section, ...]:
     intro = (
         "The programs were read from their files and driven on a virtual cell that shares no code with the planner's model. The "
         "force shown is the true one between blade and wheel, not what the sensor reads."
@@ -68,6 +75,7 @@ def _sections(rehearsal: Rehearsal, missed: MissedParts | None, blade: Blade) ->
     return (
         Section("Force on the blade", (intro, Plot("blade", BLADE, 3.9, lambda canvas: _draw_blade(canvas, rehearsal, blade)))),
         Section("Force along each line", (_lines_plot(rehearsal),)),
+        *whole_pass_sections(whole, blade),
         Section("Where the errors come from", (parts, parts_plot, _parts_table(rehearsal))),
         Section("Worst places", (_worst_table(rehearsal),)),
         *([] if missed is None else [Section("If the controller misses the parts of its times", _missed_parts(missed))]),

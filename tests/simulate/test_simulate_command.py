@@ -130,6 +130,28 @@ def test_the_figures_told_are_those_of_the_force(run):
     assert "<script" not in page and "http" not in page.replace("http-equiv", "")
 
 
+def test_a_flange_that_moves_in_time_is_rehearsed(plan, run, tmp_path):
+    """The same plan on the same machine, its flange in balance and in time: entries, exits and removal beside each other."""
+    keys = "gravity_compensated = true\nbandwidth_hz = 10.0\ndelay_ms = 10.0\nfriction_N = 0.3"
+    small_cell(tmp_path, {"gravity_compensated = true": keys})
+    told = simulated(
+        plan, "--cell", tmp_path / "cell.toml", "--out", tmp_path / "run", "--poses", 0, "--ladder", "none", "--no-air"
+    )
+    assert told.code == 0, told.err
+    still, moving = (json.loads((out / "rehearsal.json").read_text()) for out in (run[0], tmp_path / "run"))
+    for found in (still, moving):
+        assert [p["line"] for p in found["contact"]["passes"]] == [p["line"] for p in found["lines"]]
+        assert found["contact"]["peak_N"] == max(p["peak_N"] for p in found["contact"]["passes"]) < 60
+        assert found["contact"]["contact_in_travel_s"] == 0.0
+        assert found["removal"]["machine"]["ground_share"] > 0.5 and found["removal"]["plan"]["most"] < 3
+    assert still["contact"]["losses"] == 0
+    assert abs(moving["contact"]["peak_N"] - still["contact"]["peak_N"]) > 0.05
+    assert moving["force"]["sd_N"] > 0.01 and moving["force"]["mean_N"] == pytest.approx(still["force"]["mean_N"], abs=0.5)
+    pages = [(out / "rehearsal.html").read_text() for out in (run[0], tmp_path / "run")]
+    assert all("Entry and exit" in page and "Removal" in page for page in pages)
+    assert "in balance at every instant" in pages[0] and "carries 5 kg" in pages[1] and "10 ms late" in pages[1]
+
+
 def test_the_believed_machine_grinds_as_planned(plan, tmp_path):
     """What the planner holds to 20 N gives 20 N on a machine of the same numbers that shares no code with it."""
     told = simulated(plan, "--out", tmp_path / "run", "--machine", "believed", "--poses", "0", "--ladder", "none", "--no-air")

@@ -27,6 +27,7 @@ HZ, SLOW_HZ = 40.0, 10.0  # samples a second that are looked at on the way (20 m
 HOLDER_RADIUS, HOLDER_SHARE = 0.025, 0.5
 TOUCH = 5e-4  # m of blade inside the wheel that counts as a hit off contact
 DEEP = 3e-3  # m beyond the planned interference, where blade and wheel are meant to touch
+NEARBY = 0.02  # m between blade and wheel up to which their distance is told
 POINTS = 2e-3  # m between points of the blade's surface
 FAR = 2.0  # m; distances beyond are not measured out
 REACH = 1.4  # m that a shape of a link reaches from its frame at most
@@ -52,13 +53,15 @@ def true_wheel(cell: Cell, truth: Truth) -> WheelBody:
 
 def refuse_hits(
     cell: Cell, blade: Blade, wheel: WheelBody, T_flange_blade: Array, links: Array, phase: Index, depth: Array, where: list[str]
-) -> None:
-    """Raises Infeasible, naming what hits what, where in the program and by how much.
+) -> Array:
+    """How deep (n,) m blade and undeformed wheel overlap, the flange at stroke 0; -inf where they are far from each other.
+
+    Raises Infeasible, naming what hits what, where in the program and by how much.
 
     links (n, 7, 4, 4) of base and links; phase (n,) of the plan (`plan_knowledge`); depth (n,) m of interference planned; where
     (n,): each sample's place in words.
     """
-    _refuse_blade(blade, wheel, links[:, 6] @ T_flange_blade, phase, depth, where)
+    inside = _refuse_blade(blade, wheel, links[:, 6] @ T_flange_blade, phase, depth, where)
     scene = _Scene(cell, blade, wheel, T_flange_blade)
     turned = Rotation.from_matrix((links[1:, :, :3, :3] @ links[:-1, :, :3, :3].swapaxes(-1, -2)).reshape(-1, 3, 3)).magnitude()
     way = np.linalg.norm(np.diff(links[..., :3, 3], axis=0), axis=2) + REACH * turned.reshape(-1, 7)
@@ -68,14 +71,16 @@ def refuse_hits(
         if found is not None:
             a, b, by = found
             raise Infeasible(f"{where[k]}: {a} and {b} overlap by {1e3 * by:.1f} mm on the virtual cell; plan another way")
+    return inside
 
 
-def _refuse_blade(blade: Blade, wheel: WheelBody, T: Array, phase: Index, depth: Array, where: list[str]) -> None:
-    """The blade inside the wheel: not at all off contact, not much deeper than planned in contact."""
+def _refuse_blade(blade: Blade, wheel: WheelBody, T: Array, phase: Index, depth: Array, where: list[str]) -> Array:
+    """The blade inside the wheel: not at all off contact, not much deeper than planned in contact. As `refuse_hits`."""
     points = surface_points(blade)
     middle = points.mean(axis=0)
     reach = float(np.linalg.norm(points - middle, axis=1).max()) + float(np.hypot(wheel.radius, wheel.width / 2))
-    near = np.linalg.norm(T[:, :3, :3] @ middle + T[:, :3, 3] - wheel.centre, axis=1) < reach
+    near = np.linalg.norm(T[:, :3, :3] @ middle + T[:, :3, 3] - wheel.centre, axis=1) < reach + NEARBY
+    deepest = np.full(len(T), -np.inf)
     for k in np.flatnonzero(near):
         back = invert(T[k])
         centre, axis = back[:3, :3] @ wheel.centre + back[:3, 3], back[:3, :3] @ wheel.axis
@@ -84,7 +89,7 @@ def _refuse_blade(blade: Blade, wheel: WheelBody, T: Array, phase: Index, depth:
         inside = np.minimum(
             wheel.radius - np.sqrt(np.maximum((v * v).sum(axis=1) - across**2, 0)), wheel.width / 2 - np.abs(across)
         )
-        worst = float(inside.max())
+        worst = deepest[k] = float(inside.max())
         allowed = TOUCH if phase[k] == AWAY else DEEP + float(np.nan_to_num(depth[k]))
         if worst > allowed:
             x, y, z = 1e3 * points[int(np.argmax(inside))]
@@ -92,6 +97,7 @@ def _refuse_blade(blade: Blade, wheel: WheelBody, T: Array, phase: Index, depth:
                 f"{where[k]}: the blade is {1e3 * worst:.1f} mm inside the wheel at ({x:.0f}, {y:.0f}, {z:.0f}) mm of the blade "
                 f"(allowed {1e3 * allowed:.1f} there) on the virtual cell; check the registration or plan another way"
             )
+    return deepest
 
 
 def surface_points(blade: Blade) -> Array:

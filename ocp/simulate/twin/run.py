@@ -17,7 +17,7 @@ from ocp.model.cell import Cell
 from ocp.simulate.twin.arm import Moments, VirtualArm, arm_moments, make_arm
 from ocp.simulate.twin.collide import HZ, SLOW_HZ, refuse_hits, true_wheel
 from ocp.simulate.twin.contact import ContactMoments, ContactResult
-from ocp.simulate.twin.contact.grinder import Grinder, make_grinder
+from ocp.simulate.twin.contact.grinder import ContactPatches, Grinder, make_grinder
 from ocp.simulate.twin.contact.sensor import read_sensor
 from ocp.simulate.twin.controller import Index, Track
 from ocp.simulate.twin.path_motion import flange, solve_posture
@@ -84,8 +84,11 @@ def make_machine(cell: Cell, truth: Truth, blade: Blade, seed: int) -> VirtualMa
     )
 
 
-def refuse_crash(machine: VirtualMachine, track: Track, plan: Matched) -> None:
-    """Raises Infeasible where the arm, the blade or its holder hits the wheel or the arm on the way."""
+def refuse_crash(machine: VirtualMachine, track: Track, plan: Matched) -> float:
+    """Seconds of travel in which blade and wheel may touch with the flange as far out as it stands free.
+
+    Raises Infeasible where the arm, the blade or its holder hits the wheel or the arm on the way.
+    """
     rate = 1.0 / max(float(np.median(np.diff(track.time))), 1e-9)
     n = np.arange(len(track.time))
     slow = plan.phase != AWAY
@@ -94,7 +97,11 @@ def refuse_crash(machine: VirtualMachine, track: Track, plan: Matched) -> None:
     links = np.concatenate([machine.arm.links(arm_conditions(machine, track, part, 0.0)) for part in parts])
     where = [f"{track.places[track.motion[k]][0]}, line {int(track.row[k])}, {track.time[k]:.2f} s" for k in index]
     T, wheel = true_blade(machine.cell, machine.truth), true_wheel(machine.cell, machine.truth)
-    refuse_hits(machine.cell, machine.blade, wheel, T, links, plan.phase[index], plan.interference[index], where)
+    phase, own = plan.phase[index], machine.cell.flange
+    inside = refuse_hits(machine.cell, machine.blade, wheel, T, links, phase, plan.interference[index], where)
+    stands_out = 0.0 if own is None else min(0.5 * own.stroke, own.setpoint / own.stiffness)
+    spent = np.minimum(np.diff(track.time[index], append=track.time[-1]), 1.0 / HZ)
+    return float(spent[(phase == AWAY) & (inside > -stands_out)].sum())
 
 
 def arm_conditions(machine: VirtualMachine, track: Track, index: Index, clock: float, visit: Index | None = None) -> Moments:
@@ -254,10 +261,11 @@ class CampaignPlan:
 @dataclass(frozen=True)
 class GrindingCampaign:
     """What was run: the program as it is (`first`, every sample; `touched`, from the air to the air), the logged recordings in
-    order, the sealed ones."""
+    order, the sealed ones; patches: where the pressure of `touched` lies."""
 
     first: GroundPasses
     touched: Touching
+    patches: ContactPatches
     recorded: tuple[GroundPasses, ...]
     sealed: tuple[GroundPasses, ...]
 
@@ -292,7 +300,7 @@ def run_campaign(machine: VirtualMachine, track: Track, plan: Matched, wanted: C
     recorded += [another(own, speed, spread(passes, BELT_PASSES)) for speed in wanted.belts]
     level = 0.5 * (own + max((*wanted.ladder, own)))
     sealed = (another(level, belt, spread(passes, SEALED_PASSES)),) if wanted.sealed else ()
-    return GrindingCampaign(first, touched, tuple(recorded), sealed)
+    return GrindingCampaign(first, touched, machine.grinder.patches(touched.moments), tuple(recorded), sealed)
 
 
 def spread(passes: list[int], most: int) -> list[int]:

@@ -40,9 +40,11 @@ class TouchWindows:
 @dataclass(frozen=True)
 class Touching:
     """What became of the contact in the windows, n samples: the force N then, its mean and most until the next sample, share of
-    that time in contact, losses of contact in it; `still` N: the same in balance; stroke m; dt s between samples."""
+    that time in contact, losses of contact in it; `still` N: the same in balance; stroke m; dt s between samples; moments:
+    what it was worked out from."""
 
     windows: TouchWindows
+    moments: ContactMoments
     time: Array
     force: Array
     mean: Array
@@ -109,15 +111,15 @@ def in_balance(windows: TouchWindows, c: ContactMoments, still: ContactResult) -
     touches = still.force > 0
     opened = np.append(False, touches[:-1]) & ~touches & (np.diff(windows.run, prepend=-1) == 0)
     parts = (still.force, still.force, still.force, touches.astype(float), opened.astype(np.int64), still.force, still.stroke)
-    return Touching(windows, c.time_s, *parts, _rate(windows, c))
+    return Touching(windows, c, c.time_s, *parts, _rate(windows, c))
 
 
 def in_time(windows: TouchWindows, c: ContactMoments, still: ContactResult, lanes: list[MovedLane]) -> Touching:
-    """The contact of a flange that moves in time; lanes: a pass each, in their order."""
+    """The contact of a flange that moves in time; lanes: a pass each, in their order; `c` as `Grinder.in_reach` gives it."""
     names = ("force", "mean", "most", "touching", "losses")
     force, mean, most, touches, losses = (np.concatenate([getattr(lane, name) for lane in lanes]) for name in names)
     stroke = np.concatenate([lane.stroke for lane in lanes])
-    return Touching(windows, c.time_s, force, mean, most, touches, losses, still.force, stroke, _rate(windows, c))
+    return Touching(windows, c, c.time_s, force, mean, most, touches, losses, still.force, stroke, _rate(windows, c))
 
 
 def _rate(windows: TouchWindows, c: ContactMoments) -> float:
@@ -129,9 +131,9 @@ def touch(grinder: Grinder, c: ContactMoments, windows: TouchWindows, driven: Ar
     reached = grinder.in_reach(c)
     still, own = grinder.force(reached), grinder.cell.flange
     if own is None or not own.moves_in_time:
-        return in_balance(windows, c, still), still
+        return in_balance(windows, reached, still), still
     paths = grinder.closing(reached, driven, still)
-    found = in_time(windows, c, still, move(paths, np.arange(len(paths)), moving_device(grinder.truth, own, len(paths))))
+    found = in_time(windows, reached, still, move(paths, np.arange(len(paths)), moving_device(grinder.truth, own, len(paths))))
     tangential = friction(grinder.truth, grinder.cell, c) * found.force
     return found, replace(still, force=found.force, tangential=tangential, stroke=found.stroke)
 
@@ -146,13 +148,14 @@ def touch_figures(t: Touching) -> list[TouchFigures]:
         met = np.flatnonzero(touches > 0)
         between = touches[met[0] : met[-1] + 1] if len(met) else touches[:0]
         apart_at_last = len(met) > 0 and met[-1] < len(rows) - 1
+        losses = max(int(t.losses[rows].sum()) - int(apart_at_last), 0)
         found.append(
             TouchFigures(
                 line=int(t.windows.plan.line[rows[0]]),
                 peak=float(max(t.most[rows].max(), t.force[rows].max())),
                 outside=float(touches[~planned].sum() * t.dt),
-                losses=max(int(t.losses[rows].sum()) - int(apart_at_last), 0),
-                lost=float((1.0 - between).sum() * t.dt),
+                losses=losses,
+                lost=float((1.0 - between).sum() * t.dt) if losses else 0.0,
                 over=float(max(error.max(initial=0.0), 0.0)),
                 under=float(max(-error.min(initial=0.0), 0.0)),
             )

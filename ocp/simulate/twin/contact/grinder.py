@@ -20,7 +20,16 @@ from ocp.simulate.twin.contact import wheel_and_blade as bodies
 from ocp.simulate.twin.contact.flange_motion import GRAVITY, NODES, ClosingPath, MovingDevice
 from ocp.simulate.twin.contact.sensor import lagging, memory
 from ocp.simulate.twin.contact.surface import postures
-from ocp.simulate.twin.contact.table import ABSENT, LEVELS, SolvedStations, Tables, depth_curves, make_tables, place_stations
+from ocp.simulate.twin.contact.table import (
+    ABSENT,
+    LEVELS,
+    SolvedStations,
+    Tables,
+    contact_patches,
+    depth_curves,
+    make_tables,
+    place_stations,
+)
 from ocp.simulate.twin.truth import Truth
 from robots.pose import Array
 from trajectories.blade import Blade
@@ -246,6 +255,18 @@ PAUSE = 0.5  # s without a row in contact after which the cover and the flange h
 
 
 @dataclass(frozen=True)
+class ContactPatches:
+    """Pressure on the blade near the process force at n instants, blade frame: middle (n, 3) m, outward normal, unit vectors
+    along the belt and across, semi-axes (n, 2) m of its ellipse along these; nan where nothing is near."""
+
+    middle: Array
+    normal: Array
+    along: Array
+    across: Array
+    axes: Array
+
+
+@dataclass(frozen=True)
 class Grinder:
     """Wheel, blade and mount of one virtual cell; `tables` may be shared with other cells of the same blade and wheel."""
 
@@ -281,6 +302,20 @@ class Grinder:
         """`c` with contact where the flange, wherever in its stroke it stands, may bring blade and wheel together."""
         half = 0.0 if self.cell.flange is None else 0.5 * self.cell.flange.stroke
         return replace(c, contact=c.contact & (self.depth(c) > -half - BESIDE_TOUCH))
+
+    def patches(self, c: ContactMoments) -> "ContactPatches":
+        """Where and how wide the pressure lies at n instants, as `in_reach` gives them."""
+        rows, moved = np.flatnonzero(c.contact), lagging(self.truth, c)
+        radius = self.cell.wheel.radius + bodies.radius_change(self.truth, self.cell, c)[rows]
+        centre, axis = (v[rows] for v in bodies.wheel_frames(self.truth, self.cell, moved))
+        T, p, n, t = bodies.blade_poses(self.truth, self.cell, moved)[rows], moved.p[rows], moved.n[rows], moved.t[rows]
+        at = postures(T, p, n, t, centre, axis, radius)
+        patch = contact_patches(self.tables, place_stations(c, rows, moved.s[rows]), at.shape)
+        x, y = (np.einsum("kji,kj->ki", T[:, :3, :3], v) for v in (at.x, axis))
+        found = ContactPatches(*(np.full((len(c.s), k), np.nan) for k in (3, 3, 3, 3, 2)))
+        found.normal[rows], found.along[rows], found.across[rows], found.axes[rows] = n, x, y, patch[:, 2:]
+        found.middle[rows] = p + patch[:, :1] * x + patch[:, 1:2] * y
+        return found
 
     def closing(self, c: ContactMoments, driven: Array, still: ContactResult) -> list[ClosingPath]:
         """The motion of every run of `c`, as `in_reach` gives it. driven (n, 3): acceleration m/s^2, base axes, of what

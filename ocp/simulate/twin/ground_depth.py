@@ -1,0 +1,143 @@
+"""What a machine takes off the blade: force over time and patch, summed over all passes with what leads in and out, beside what
+the plan would take.
+
+Preston's law with the belt's speed the same everywhere (a blade at 0.2 m/s changes 20 m/s by 1 %): depth goes with the time
+integral of the pressure. The patch is the table's: a half-ellipsoid with the second moments of the solved pressure, growing with
+the cube root of the force as a Hertz contact does.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ocp.simulate.twin.contact.grinder import ContactPatches
+from ocp.simulate.twin.touching import Touching
+from robots.pose import Array
+from trajectories.blade import Blade
+
+SPACING = 2.5e-3  # m, longest edge of the surface's pieces
+STRIDE = 5e-4  # m of way whose instants are laid down as one
+FACING = 0.3  # least cosine between a piece's normal and the contact's to be ground with it
+CHUNK = 2000  # instants laid down at once
+GROUND = 0.5  # share of what is wanted from which on a place counts as ground
+
+
+@dataclass(frozen=True)
+class GroundDepth:
+    """Depth on pieces of the blade's surface relative to the middle of what the plan means to take: p, n (m, 3), area (m,) m^2;
+    planned (m,): by the plan's forces, made (m,): by this machine's; asked, core (m,): within half a line's spacing of a pass;
+    of these between lines and a patch inside the ends."""
+
+    p: Array
+    n: Array
+    area: Array
+    planned: Array
+    made: Array
+    asked: NDArray[np.bool_]
+    core: NDArray[np.bool_]
+
+    def at(self, p: Array, n: Array) -> Array:
+        """Depth that the machine takes at places p (k, 3) whose outward normals are n (k, 3): that of the nearest piece."""
+        near = cKDTree(self.p).query(p, k=min(12, len(self.p)))[1].reshape(len(p), -1)
+        same = np.einsum("kij,kj->ki", self.n[near], n) > FACING
+        return np.asarray(self.made[near[np.arange(len(p)), np.argmax(same, axis=1)]])
+
+    def figures(self, depth: Array) -> dict[str, float | None]:
+        """Shares of area and extremes of a depth (m,), by the names of plan.json; None where there is no core."""
+
+        def share(where: NDArray[np.bool_], good: NDArray[np.bool_]) -> float | None:
+            return float(self.area[where & good].sum() / self.area[where].sum()) if where.any() else None
+
+        off = np.abs(depth - 1.0)
+        return {
+            "ground_share": share(self.asked, depth >= GROUND),
+            "core_within_5": share(self.core, off <= 0.05),
+            "core_within_10": share(self.core, off <= 0.10),
+            "all_within_10": share(self.asked, off <= 0.10),
+            "least": float(depth[self.asked].min()),
+            "most": float(depth.max()),
+        }
+
+
+def ground_depth(blade: Blade, patches: ContactPatches, t: Touching, process_force: float) -> GroundDepth:
+    """Lay down what plan and machine press; patches: of the samples of `t`."""
+    p, n, area = _pieces(blade)
+    lies = t.windows.plan.run == t.windows.run
+    plan = np.where(lies, t.windows.plan.force, 0.0)
+    planned, made = (_laid(p, n, patches, force, t.dt, process_force) for force in (plan, t.mean))
+    asked, core = _asked(p, n, patches, t)
+    level = np.median(planned[core] if core.any() else planned[asked])
+    return GroundDepth(p, n, area, planned / level, made / level, asked, core)
+
+
+def _pieces(blade: Blade) -> tuple[Array, Array, Array]:
+    """Middles, outward normals (m, 3) and areas (m,) of triangles no longer than SPACING."""
+    vertices, faces = trimesh.remesh.subdivide_to_size(blade.vertices, blade.faces, SPACING, max_iter=20)
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(cross, axis=1)
+    kept = size > 0
+    return corners[kept].mean(axis=1), cross[kept] / size[kept, None], 0.5 * size[kept]
+
+
+def _laid(p: Array, n: Array, patches: ContactPatches, force: Array, dt: float, process_force: float) -> Array:
+    """Time integral (m,) N s/m^2 of the pressure on pieces p, n."""
+    depth, tree = np.zeros(len(p)), cKDTree(p)
+    step = np.linalg.norm(np.diff(patches.middle, axis=0), axis=1)
+    together = int(np.clip(STRIDE / max(float(np.nanmedian(step)), 1e-9), 1, 8))
+    # The middle instant of each few carries what they all press; between windows nothing does.
+    starts = np.arange(0, len(force), together)
+    middle, count = np.minimum(starts + together // 2, len(force) - 1), np.diff(starts, append=len(force))
+    carried, dt = np.zeros(len(force)), dt * together
+    carried[middle] = np.add.reduceat(force, starts) / count
+    rows = np.flatnonzero((carried > 0) & np.isfinite(patches.axes[:, 0]))
+    force = carried
+    for part in np.array_split(rows, len(rows) // CHUNK + 1):
+        if not len(part):
+            continue
+        axes = patches.axes[part] * np.cbrt(force[part] / process_force)[:, None]
+        found = tree.query_ball_point(patches.middle[part], axes.max(axis=1))
+        count = np.array([len(k) for k in found])
+        piece, k = np.concatenate([np.array(f, np.int64) for f in found]), np.repeat(np.arange(len(part)), count)
+        way = p[piece] - patches.middle[part][k]
+        u, v = (np.sum(way * axis[part][k], axis=1) / axes[k, i] for i, axis in enumerate((patches.along, patches.across)))
+        inside = 1.0 - u**2 - v**2
+        kept = (inside > 0) & (np.sum(n[piece] * patches.normal[part][k], axis=1) > FACING)
+        peak = 1.5 * force[part] / (np.pi * axes.prod(axis=1))
+        depth += np.bincount(piece[kept], peak[k[kept]] * np.sqrt(inside[kept]) * dt, len(p))
+    return depth
+
+
+def _asked(p: Array, n: Array, patches: ContactPatches, t: Touching) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """`asked` and `core` of GroundDepth for pieces p, n (m, 3)."""
+    of, rows = t.windows.plan, np.flatnonzero(t.windows.planned)
+    runs = np.unique(t.windows.run[rows])
+    away, end = np.full((len(runs), len(p)), np.inf), np.zeros((len(runs), len(p)))
+    between = []
+    lines = [rows[t.windows.run[rows] == k] for k in runs]
+    for k, mine in enumerate(lines):
+        distance, nearest = cKDTree(of.p[mine]).query(p)
+        same = np.sum(n * of.n[mine][nearest], axis=1) > FACING
+        away[k] = np.where(same, distance, np.inf)
+        s = of.s[mine]
+        end[k] = np.minimum(s - s.min(), s.max() - s)[nearest]
+        beside = [
+            np.median(cKDTree(of.p[other]).query(of.p[mine])[0])
+            for other in lines
+            if other is not mine and np.mean(of.n[other], axis=0) @ np.mean(of.n[mine], axis=0) > FACING
+        ]
+        between += [min(beside)] if beside else []
+    spacing = float(np.median(between)) if between else 2.0 * float(np.nanmedian(patches.axes))
+    order = np.sort(away, axis=0)
+    inside = end[np.argmin(away, axis=0), np.arange(len(p))]
+    asked = (order[0] < 0.5 * spacing) & (inside > 0)
+    second = order[1] if len(runs) > 1 else np.full(len(p), np.inf)
+    core = (
+        asked
+        & (second < 1.05 * spacing)
+        & (inside > float(patches.axes[rows].max(initial=0.0, where=np.isfinite(patches.axes[rows]))))
+    )
+    return asked, core
