@@ -20,6 +20,7 @@ from ocp.plan.motion import build_motion
 from ocp.plan.passes.optimise import Ground, solve_passes
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.stage import ObjectiveWeights
+from ocp.plan.passes.stretches import whole_lines
 from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
 from ocp.shell.progress import Phases
 from robots.errors import Infeasible
@@ -46,7 +47,8 @@ def plan(cell: Cell, laid: LaidPaths, contact: ContactModel) -> str:
         ground = Ground(
             cell, believed_theta(cell), ObjectiveWeights(), contact.law, contact.cover, laid.blade.vertices, laid.cloud
         )
-        solved = solve_passes(ground, laid.paths, seeds, list(contact.compliance.per_pass))
+        stretches = whole_lines(laid.paths, list(contact.compliance.per_pass))[0]
+        solved = solve_passes(ground, stretches, seeds).passes
         return f"planned, program of {build_motion(cell, scene, solved).duration:.0f} s"
     except Infeasible as error:
         return f"refused: {error}"

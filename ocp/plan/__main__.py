@@ -23,6 +23,7 @@ def _plan(
     kind: Annotated[str, typer.Option(help="axis (timed splines), cartesian (#TCP splines) or lin (KSS 5)")] = "axis",
     name: Annotated[str | None, typer.Option(help="name of the program; without it the blade's")] = None,
     step: Annotated[float, typer.Option(help="distance of waypoints in mm")] = 0.5,
+    whole: Annotated[bool, typer.Option(help="refuse the blade where any of it has to be left out")] = False,
 ) -> None:
     """Plan the grinding of a blade: joints that hold the process force, KRL files and a report to look at first."""
     from ocp.plan import interface  # heavy imports only once the arguments stand
@@ -40,6 +41,7 @@ def _plan(
                     kind=kind,
                     name=name,
                     step=step * 1e-3,
+                    whole=whole,
                     progress=progress,
                 )
             )

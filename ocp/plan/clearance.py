@@ -229,11 +229,14 @@ def flange_pose(cell: Cell, T_base_blade: Array) -> Array:
 
 @dataclass(frozen=True)
 class SecondaryContact:
-    """Deepest unplanned overlap on a path: depth (m), waypoint index, distance (m) of that point from the contact."""
+    """Deepest unplanned overlap on a path: depth (m), waypoint index, distance (m) of that point from the contact, how far along
+    the wheel's axis it lies from the wheel's middle (m); of every waypoint the depth, depths (n,) m."""
 
     depth: float
     index: int
     distance: float
+    lateral: float
+    depths: Array
 
 
 def find_secondary_contact(
@@ -246,7 +249,7 @@ def find_secondary_contact(
     tilt (n, 2); delta (n,) m. Frames: docs/architecture.md.
     """
     wheel = cell.wheel
-    worst = SecondaryContact(0.0, 0, 0.0)
+    worst, depths = (0.0, 0, 0.0, 0.0), np.zeros(len(T_base_blade))
     for k, T in enumerate(T_base_blade):
         lateral, radial, rho = wheel.cylindrical(apply(T, np.vstack([points, contact[k]])))
         depth = wheel.radius - rho
@@ -261,6 +264,7 @@ def find_secondary_contact(
         gap += 0.5 * (curvature[k, 0] * x**2 + 2 * curvature[k, 2] * x * y + curvature[k, 1] * y**2)
         beyond = depth[:-1][near] - np.maximum(delta[k] - gap, 0.0)
         i = int(np.argmax(beyond))
-        if beyond[i] > worst.depth:
-            worst = SecondaryContact(float(beyond[i]), k, float(np.hypot(x[i], y[i])))
-    return worst
+        depths[k] = max(float(beyond[i]), 0.0)
+        if beyond[i] > worst[0]:
+            worst = (float(beyond[i]), k, float(np.hypot(x[i], y[i])), float(lateral[:-1][near][i]))
+    return SecondaryContact(*worst, depths)

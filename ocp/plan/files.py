@@ -158,6 +158,7 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], v
             for path in [p.problem.path]
         ],
         "process": plan.removal.figures.document(),
+        "left_out": [one.document() for one in plan.left_out],
         "files": written.files,
         "inputs": [{"role": role, "name": p.name, "sha256": sha256(p)} for role, p in plan.inputs],
         "notices": list(plan.notices),

@@ -14,6 +14,7 @@ import numpy as np
 from ocp.model.cell import Cell
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.optimise import SolvedPass
+from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.rules import COLLISION_STEP, ENGAGE_SPEED, HOME_LIFT, LIFT_OFF, LIMIT_SHARE
 from robots.errors import Infeasible
 from robots.kinematics import forward, jacobian
@@ -79,7 +80,12 @@ def build_motion(
         time += trajectory.duration
 
     def go(place: int, start: tuple[Array, Array], goal: tuple[Array, Array], label: str) -> None:
-        for a, b in itertools.pairwise(travel(cell, scene, start, goal)):
+        try:
+            points = travel(cell, scene, start, goal)
+        except Infeasible as error:
+            stuck = place > 0 and not is_free(scene, start[0][None])
+            raise _out_of_reach(passes[min(place - stuck, len(passes) - 1)], error) from None
+        for a, b in itertools.pairwise(points):
             if np.abs(b - a).max() > 1e-9:
                 add("travel", place, time_joint_move(a, b, limits, label=label))
 
@@ -98,6 +104,13 @@ def build_motion(
     return PlannedMotion(passes, segments)
 
 
+def _out_of_reach(solved: SolvedPass, error: Infeasible) -> CannotGrind:
+    """The whole of a pass that the arm cannot come to or leave."""
+    path = solved.problem.path
+    remedy = "move the wheel or use a smaller one, or a longer holder"
+    return CannotGrind.of(path, np.ones(len(path.s), bool), str(error).removesuffix("; move the wheel"), remedy, 0, str(error))
+
+
 def _normal(cell: Cell, solved: SolvedPass, k: int) -> Array:
     """Outward wheel radial (3,) in the base frame at waypoint k, from the arc angle."""
     return cell.wheel.outward(solved.evaluation.arc[k])
@@ -110,7 +123,8 @@ def _clear(cell: Cell, solved: SolvedPass, k: int) -> Array:
     try:
         off = lifted(cell, q, _normal(cell, solved, k), np.linspace(0.0, LIFT_OFF, ENGAGE_POINTS)[1:])
     except Infeasible as error:
-        raise Infeasible(f"line {path.line} ({path.side}): {error}") from None
+        message, where = f"line {path.line} ({path.side}): {error}", np.ones(len(path.s), bool)
+        raise CannotGrind.of(path, where, str(error), "move the wheel or the blade in its holder", k, message) from None
     return np.vstack([q, off])
 
 

@@ -37,7 +37,7 @@ class PlanOptions:
     """Options of the command: a path made elsewhere or an old program, kind of output, name, waypoint distance m.
 
     even: lines as near to each other as the patch's width asks for; without it `pass_spacing` apart at the feed given, for those
-    who want a few lines to look at.
+    who want a few lines to look at. whole: refuse a blade of which anything has to be left out.
     """
 
     path: Path | None = None
@@ -46,6 +46,7 @@ class PlanOptions:
     name: str | None = None
     step: float = 5e-4
     even: bool = True
+    whole: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """The main job as a function: cell and blade in, a verified motion out. Writing it is `ocp.plan.files`."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,14 +13,15 @@ from ocp.model.prepare import prepare_contact
 from ocp.model.theta import Theta, registered
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.motion import PlannedMotion, build_motion
-from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes, solve_passes
-from ocp.plan.passes.posture import find_seeds
+from ocp.plan.passes.optimise import Ground, GroundLines, remembered_passes, solve_passes
+from ocp.plan.passes.posture import seeds_of_stretches
 from ocp.plan.passes.stage import ObjectiveWeights
+from ocp.plan.passes.stretches import CannotGrind, LeftOut, joined, left_out_notices, refuse_mostly_left_out, whole_lines
 from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.removal.result import Removal, find_removal
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
-from robots.errors import BadInput
+from robots.errors import BadInput, Infeasible
 from robots.payload import refuse_overload
 from robots.robot import refuse_left_out
 from trajectories.blade import Blade
@@ -31,7 +33,8 @@ FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the
 
 @dataclass(frozen=True)
 class Plan:
-    """A motion that holds the force, with all that the files and the report need."""
+    """A motion that holds the force, with all that the files and the report need; `lines` as they were laid, and what of them is
+    left out."""
 
     cell: Cell
     theta: Theta
@@ -46,6 +49,8 @@ class Plan:
     wheel_error: float
     compliance_error: float
     removal: Removal
+    lines: tuple[BladePath, ...]
+    left_out: tuple[LeftOut, ...]
 
     @property
     def force_sd(self) -> float:
@@ -81,15 +86,18 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
     compliance = [np.asarray(c) for c in contact.compliance.per_pass]
 
-    def solve() -> list[SolvedPass]:
+    def solve() -> GroundLines:
+        stretches, short = whole_lines(laid.paths, compliance)
         with phases.phase("postures"):
-            seeds = find_seeds(cell, scene, contact.law, laid.paths)
-        with phases.phase("optimal control", len(laid.paths)) as advance:
-            return solve_passes(ground, laid.paths, seeds, compliance, advance)
+            stretches, seeds, lost = seeds_of_stretches(cell, scene, contact.law, stretches, options.whole)
+        with phases.phase("optimal control", len(stretches)) as advance:
+            found = solve_passes(ground, stretches, seeds, options.whole, advance)
+        return GroundLines(found.passes, joined([*short, *lost, *found.left_out]))
 
-    solved = remembered_passes(ground, laid.paths, compliance, solve)
-    with phases.phase("timing", len(solved)) as advance:
-        motion = build_motion(cell, scene, solved, advance)
+    solved = remembered_passes(ground, laid.paths, compliance, solve, options.whole)
+    with phases.phase("timing", len(solved.passes)) as advance:
+        motion, lost = reachable_motion(cell, scene, solved, options.whole, advance)
+    refuse_mostly_left_out(laid.paths, lost)
     with phases.phase("removal"):
         removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks)
     inputs = [("cell", cell_file), ("blade", stl)]
@@ -106,11 +114,38 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         kind=options.kind,
         name=options.name or stl.name,
         inputs=tuple(inputs),
-        notices=(*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices, *told),
+        notices=(
+            *(cell.calibration.notices if cell.calibration is not None else ()),
+            *laid.notices,
+            *told,
+            *left_out_notices(lost),
+        ),
         wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
         removal=removal,
+        lines=tuple(laid.paths),
+        left_out=tuple(lost),
     )
+
+
+def reachable_motion(
+    cell: Cell, scene: CollisionScene, solved: GroundLines, whole: bool, advance: Callable[[], None]
+) -> tuple[PlannedMotion, list[LeftOut]]:
+    """The motion through all passes that the arm can come to and leave, and what is left out with those that it cannot.
+
+    Raises Infeasible as `build_motion` does if the `whole` of them is asked for, or nothing remains.
+    """
+    passes, lost = list(solved.passes), list(solved.left_out)
+    while passes:
+        try:
+            return build_motion(cell, scene, passes, advance), joined(lost)
+        except CannotGrind as error:
+            if whole:
+                raise
+            place = next(i for i, p in enumerate(passes) if (p.problem.path.line, p.problem.path.start) == error.whose)
+            path = passes.pop(place).problem.path
+            lost.append(LeftOut(path.line, path.side, path.start, path.start + path.s[-1], error.reason, error.would_do))
+    raise Infeasible(f"nothing of the blade can be ground: {lost[0].clause()}")
 
 
 def _refuse_options(cell_file: Path, cell: Cell, options: PlanOptions) -> None:

@@ -119,6 +119,19 @@ WHEEL_ROOM = 2e-3
 """[m] Added to the wheel's radius and to either side where passes end beside block and platform. Guards: the wheel does not
 touch them. Reason: it turns, tilts and sinks in."""
 
+# ---------- what is left out
+LEAST_STRETCH = 5e-3
+"""[m] Of a pass. Guards: a pass is not a dwell; what is shorter is left out by name. Reason: half the length of a usual contact
+patch to either side, which the force needs to rise and fall while the blade moves."""
+
+STRETCH_ROOM = 1e-3
+"""[m] Between a place that cannot be ground and the pass that ends beside it. Guards: passes are planned again where they can
+hold. Reason: judgement; two usual waypoints."""
+
+LEAST_GROUND_SHARE = 0.5
+"""[-] Of the asked surface that has to be ground. Guards: nobody takes a half-ground blade for a ground one. Reason: the
+mission's requirement."""
+
 # ---------- the program
 BLOCK_TIME_TOLERANCE = 1e-3
 """[s] By which a block of the program read back may last longer or shorter than planned. Guards: the feed, and with it what is

@@ -8,11 +8,12 @@ import pytest
 from ocp.contact.wheel.cover import Cover, WheelGeometry
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.theta import believed_theta
-from ocp.plan.passes.optimise import Ground, SolvedPass, remembered_passes
+from ocp.plan.passes.optimise import Ground, GroundLines, SolvedPass, remembered_passes
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import Evaluation, PassSolution
 from ocp.plan.passes.stage import ObjectiveWeights
+from ocp.plan.passes.stretches import LeftOut
 from ocp.shell.cache import flattened, rebuilt
 from tests.support.example_pass import bar_pass, bundled_cell
 
@@ -38,7 +39,7 @@ def ground() -> Ground:
     return Ground(cell, believed_theta(cell), ObjectiveWeights(), None, cover, np.ones((4, 3)), cloud)  # type: ignore[arg-type]
 
 
-def refuse() -> list[SolvedPass]:
+def refuse() -> GroundLines:
     raise AssertionError("solved again")
 
 
@@ -46,19 +47,22 @@ def test_a_pass_survives_the_disk_bit_by_bit():
     passes = [solved_pass(), solved_pass()]
     give = [p.problem.compliance for p in passes]
     paths = [p.problem.path for p in passes]
-    remembered_passes(ground(), paths, give, lambda: passes)
-    again = remembered_passes(ground(), paths, give, refuse)
+    lost = [LeftOut(3, "concave", 0.0, 0.012, "too hollow", "use a wheel at most 12 mm wide")]
+    remembered_passes(ground(), paths, give, lambda: GroundLines(passes, lost), False)
+    found = remembered_passes(ground(), paths, give, refuse, False)
+    assert found.left_out == lost
+    again = found.passes
     before, after = flattened(passes), flattened(again)
     assert before.keys() == after.keys()
     assert all(np.array_equal(before[name], after[name]) for name in before)
     assert type(again[0].problem.seed.direction) is int and type(again[0].problem.path.side) is str
 
 
-@pytest.mark.parametrize("change", ["feed", "wheel", "theta", "compliance", "weights", "vertices"])
+@pytest.mark.parametrize("change", ["feed", "wheel", "theta", "compliance", "weights", "vertices", "whole"])
 def test_any_input_changes_the_key(change):
     one, base = solved_pass(), ground()
     path, give = one.problem.path, one.problem.compliance
-    remembered_passes(base, [path], [give], lambda: [one])
+    remembered_passes(base, [path], [give], lambda: GroundLines([one], []))
     if change == "feed":
         path = replace(path, feed=path.feed * (1 + 1e-12))
     elif change == "wheel":
@@ -69,10 +73,10 @@ def test_any_input_changes_the_key(change):
         give = give * 1.001
     elif change == "weights":
         base = replace(base, weights=ObjectiveWeights(force_sd=0.5))
-    else:
+    elif change == "vertices":
         base = replace(base, vertices=base.vertices + 1e-9)
     with pytest.raises(AssertionError, match="solved again"):
-        remembered_passes(base, [path], [give], refuse)
+        remembered_passes(base, [path], [give], refuse, change != "whole")
 
 
 def test_what_cannot_be_kept_is_not_left_out_silently():

@@ -32,6 +32,7 @@ from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import PassSolver, refuse_violated
 from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, ROWS
+from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, refuse_mostly_left_out, whole_lines
 from ocp.plan.paths import PlanOptions
 from ocp.plan.planning import make_plan
 from ocp.plan.readback import _timed, force_error
@@ -222,7 +223,7 @@ def solved(T=None, stroke=0.0, curvature=(0.0, 0.0, 0.0)):
 
 def put_to_test(cell, scene=None, points=None, q=HOME, **evaluation):
     free = SimpleNamespace(clearance=lambda q, in_contact: Clearance(0.0, 0, ("hand", "wheel")))
-    path = SimpleNamespace(line=3, side="convex", p=CONTACT[None])
+    path = SimpleNamespace(line=3, side="convex", p=CONTACT[None], s=np.zeros(1), start=0.0)
     far = np.full((1, 3), 50.0) if points is None else points
     whole: Any = SimpleNamespace(q=q[None]), solved(**evaluation)
     refuse_unsound(cell, scene or free, SurfaceCloud(far, far), path, *whole)  # type: ignore[arg-type]
@@ -276,6 +277,41 @@ def test_a_flange_near_the_end_of_its_stroke_is_refused(cell, side):
     put_to_test(cell, stroke=side * (end - 1e-9))
     with pytest.raises(Infeasible, match="the force flange would stand .* mm are usable"):
         put_to_test(cell, stroke=side * (end + 1e-9))
+
+
+# -- what is left out ----------------------------------------------------------------------------------------------
+
+
+def test_a_line_shorter_than_a_pass_needs_is_left_out():
+    def left(length):
+        path = bar_pass()
+        return whole_lines([replace(path, s=path.s * length / path.s[-1])], [np.zeros((40, 3))])[1]
+
+    assert not left(rules.LEAST_STRETCH + 1e-9)
+    (one,) = left(rules.LEAST_STRETCH - 1e-5)
+    assert "a pass needs 5 mm and here are 5.0" in one.reason and one.end == pytest.approx(rules.LEAST_STRETCH - 1e-5)
+
+
+def test_a_pass_begins_off_what_cannot_be_ground():
+    """Waypoint 5 cannot be ground, waypoint 6 begins the rest where it is just farther off than STRETCH_ROOM."""
+    for more, first in ((1e-9, 6), (-1e-9, 7)):
+        step = rules.STRETCH_ROOM + more
+        path = replace(bar_pass(), s=step * np.arange(40))
+        error = CannotGrind.of(path, np.arange(40) == 5, "it is hollow", "use another wheel")
+        pieces, _ = cut_out(LineStretch(path, np.zeros((40, 3))), error)
+        assert pieces[-1].path.start == pytest.approx(first * step) and len(pieces[-1].path.s) == 40 - first
+
+
+def test_less_than_half_of_the_surface_is_refused():
+    path = bar_pass()
+
+    def judged(share):
+        lost = LeftOut(path.line, path.side, 0.0, float((1 - share) * path.s[-1]), "it is hollow", "use another wheel")
+        return refuse_mostly_left_out([path], [lost])
+
+    assert judged(rules.LEAST_GROUND_SHARE + 1e-6) == pytest.approx(rules.LEAST_GROUND_SHARE, abs=1e-5)
+    with pytest.raises(Infeasible, match="only 50 % of the asked surface can be ground, 50 % are asked at least; .*it is hollow"):
+        judged(rules.LEAST_GROUND_SHARE - 1e-6)
 
 
 # -- timing and the program read back ------------------------------------------------------------------------------

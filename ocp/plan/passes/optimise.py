@@ -6,7 +6,7 @@ gives way to the next.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -23,13 +23,14 @@ from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
-from ocp.plan.clearance import CollisionScene, find_secondary_contact
-from ocp.plan.passes.posture import Seed
+from ocp.plan.clearance import CollisionScene, SecondaryContact, find_secondary_contact
+from ocp.plan.passes.posture import Seed, find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
-from ocp.plan.rules import DIRECT_TOLERANCE, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE
-from ocp.shell.cache import content_key, flattened, rebuilt, remember
+from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, joined
+from ocp.plan.rules import DIRECT_TOLERANCE, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
+from ocp.shell.cache import Entry, content_key, flattened, rebuilt, remember
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -45,7 +46,7 @@ TURN_LIMITS = (1.0, 0.2, 0.02)  # of the turn tolerance, tried in turn while a t
 FILES = (".path", ".stl")  # where a file lies does not matter, what it says is in the key by value
 
 
-class TouchesElsewhere(Infeasible):
+class TouchesElsewhere(CannotGrind):
     """The wheel would touch the blade beside the contact."""
 
 
@@ -83,7 +84,8 @@ def solve_directly(ground: Ground, problem: PassProblem, solved: Evaluation) -> 
         try:
             indentation.append(solve_force(ground.cover, float(path.force[k]), shape).indentation)
         except Infeasible as error:
-            raise Infeasible(f"line {path.line} ({path.side}), waypoint {k + 1}: {error}") from None
+            here = np.abs(path.s - path.s[k]) <= 0.5 * STATION_SPACING
+            raise CannotGrind.of(path, here, str(error), "use a narrower wheel or larger margins", int(k)) from None
     wanted = PchipInterpolator(path.s[index], indentation)(path.s)
     return np.asarray(problem.indentation_correction + wanted - solved.parts[:, 1])
 
@@ -97,6 +99,20 @@ class SolvedPass:
     evaluation: Evaluation
 
 
+@dataclass(frozen=True)
+class GroundLines:
+    """Passes that hold their force, and what of their lines is left out."""
+
+    passes: list[SolvedPass]
+    left_out: list[LeftOut]
+
+    @staticmethod
+    def together(parts: Sequence["GroundLines"]) -> "GroundLines":
+        """All of them in one, the passes in the order of the lines."""
+        passes = sorted((p for one in parts for p in one.passes), key=lambda p: (p.problem.path.line, p.problem.path.start))
+        return GroundLines(passes, joined([lost for one in parts for lost in one.left_out]))
+
+
 class PassWorker:
     """Solves passes one after another with one compiled model."""
 
@@ -107,7 +123,7 @@ class PassWorker:
 
     def solve(self, path: BladePath, seeds: list[Seed], compliance: Array) -> SolvedPass:
         """The first seed that gives a sound pass. Raises Infeasible with the first seed's reason where none does."""
-        reason: Infeasible | None = None
+        reasons: list[Infeasible] = []
         for seed in seeds[:FALLBACKS]:
             problem = PassProblem.start(path, seed, compliance)
             if seed.direction < 0:
@@ -115,13 +131,33 @@ class PassWorker:
             for limit in TURN_LIMITS:
                 try:
                     return self._solve(replace(problem, turn_limit=limit * self.ground.cell.process.turn_tolerance))
-                except TouchesElsewhere as error:
-                    reason = reason or error
                 except Infeasible as error:
-                    reason = reason or error
-                    break
-        assert reason is not None
-        raise reason
+                    turned = isinstance(error, CannotGrind) and seed.direction < 0
+                    reasons.append(error.turned_round() if isinstance(error, CannotGrind) and turned else error)
+                    if not isinstance(error, TouchesElsewhere):
+                        break
+        # What takes the least of the line away.
+        raise min(reasons, key=lambda e: e.nodes(path.s).sum() if isinstance(e, CannotGrind) and len(e.at) else len(path.s))
+
+    def solve_stretch(self, stretch: LineStretch, seeds: list[Seed], whole: bool) -> GroundLines:
+        """All that can be ground of a piece of a line, and what is left out of it; `whole`: all of it.
+
+        Pieces that are cut off begin from seeds of their own. Raises Infeasible where `whole` cannot be, as `solve` does.
+        """
+        found, lost = [], []
+        open_ = [(stretch, seeds)]
+        while open_:
+            one, starts = open_.pop(0)
+            try:
+                starts = starts or find_seeds(self.ground.cell, self.scene, self.ground.law, [one.path])[0]
+                found.append(self.solve(one.path, starts, one.compliance))
+            except Infeasible as error:
+                if whole:
+                    raise
+                pieces, gone = cut_out(one, error)
+                lost += gone
+                open_ += [(piece, []) for piece in pieces]
+        return GroundLines(found, lost)
 
     def _solve(self, problem: PassProblem) -> SolvedPass:
         start: PassSolution | None = None
@@ -156,29 +192,35 @@ class PassWorker:
 def refuse_unsound(
     cell: Cell, scene: CollisionScene, cloud: SurfaceCloud, path: BladePath, solution: PassSolution, solved: Evaluation
 ) -> None:
-    """Raises Infeasible: something collides, the blade touches elsewhere, the flange is at the end of its stroke."""
-    name = f"line {path.line} ({path.side})"
+    """Raises CannotGrind: something collides, the blade touches elsewhere, the flange is at the end of its stroke."""
     clearance = scene.clearance(solution.q, in_contact=True)
     if clearance.value < 0:
-        raise Infeasible(
-            f"{name}, waypoint {clearance.index + 1}: {clearance.sentence()}; move the wheel or the blade in its holder"
-        )
+        where = scene.clearances(solution.q, in_contact=True)[0] < 0
+        raise CannotGrind.of(path, where, clearance.sentence(), "move the wheel or the blade in its holder", clearance.index)
     points, poses = cloud.points[::THINNING], solved.T_base_blade
     beside = find_secondary_contact(cell, points, poses, path.p, solved.curvature, solved.tilt, solved.delta)
     if beside.depth > SECONDARY_CONTACT_TOLERANCE:
-        raise TouchesElsewhere(
-            f"{name}, waypoint {beside.index + 1}: the blade would touch the wheel {beside.distance * 1e3:.1f} mm beside "
-            f"the contact, {beside.depth * 1e3:.2f} mm deeper than planned (at most {SECONDARY_CONTACT_TOLERANCE * 1e3:.2f}); "
-            f"use a smaller or narrower wheel, or larger margins"
+        reason = (
+            f"the blade would touch the wheel {beside.distance * 1e3:.1f} mm beside "
+            f"the contact, {beside.depth * 1e3:.2f} mm deeper than planned (at most {SECONDARY_CONTACT_TOLERANCE * 1e3:.2f})"
         )
+        where = beside.depths > SECONDARY_CONTACT_TOLERANCE
+        error = CannotGrind.of(path, where, reason, f"use {_other_wheel(cell, beside)}, or larger margins", beside.index)
+        raise TouchesElsewhere(str(error), **vars(error))
     if cell.flange is not None:
         stroke, limit = solved.parts[:, 0], 0.5 * cell.flange.stroke - STROKE_RESERVE
         k = int(np.argmax(np.abs(stroke)))
         if abs(stroke[k]) > limit:
-            raise Infeasible(
-                f"{name}, waypoint {k + 1}: the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, "
-                f"{limit * 1e3:.2f} mm are usable; set force_N nearer to the flange's setpoint"
-            )
+            reason = f"the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, {limit * 1e3:.2f} mm are usable"
+            raise CannotGrind.of(path, np.abs(stroke) > limit, reason, "set force_N nearer to the flange's setpoint", k)
+
+
+def _other_wheel(cell: Cell, beside: SecondaryContact) -> str:
+    """The wheel that would not reach what is touched beside the contact."""
+    narrower = 2.0 * abs(beside.lateral) - 2.0 * WHEEL_ROOM
+    if narrower > 0.2 * cell.wheel.width:
+        return f"a wheel at most {np.floor(1e3 * narrower):.0f} mm wide"
+    return "a smaller or narrower wheel"
 
 
 def _turns_differ(one: PassProblem, other: PassProblem) -> bool:
@@ -196,47 +238,53 @@ def _start_worker(ground: Ground) -> None:
     _worker = PassWorker(ground)
 
 
-def _solve_in_worker(path: BladePath, seeds: list[Seed], compliance: Array) -> SolvedPass:
+def _solve_in_worker(stretch: LineStretch, seeds: list[Seed], whole: bool) -> GroundLines:
     assert _worker is not None
-    return _worker.solve(path, seeds, compliance)
+    return _worker.solve_stretch(stretch, seeds, whole)
 
 
 def solve_passes(
     ground: Ground,
-    paths: list[BladePath],
+    stretches: list[LineStretch],
     seeds: list[list[Seed]],
-    compliance: list[Array],
+    whole: bool = True,
     advance: Callable[[], None] = lambda: None,
-) -> list[SolvedPass]:
-    """Solve every pass, in worker processes where there are several cores.
+) -> GroundLines:
+    """Solve every pass, in worker processes where there are several cores; what cannot be ground is left out.
 
-    Raises Infeasible of the first pass (in order) that has no sound solution.
+    Raises Infeasible of the first pass (in order) that has no sound solution if the `whole` of all of them is asked for.
     """
-    tasks = list(zip(paths, seeds, compliance, strict=True))
+    tasks = [(stretch, starts, whole) for stretch, starts in zip(stretches, seeds, strict=True)]
     jobs = min(cores(), len(tasks))
+    solved = []
     if jobs <= 1:
         worker = PassWorker(ground)
-        solved = []
         for task in tasks:
-            solved.append(worker.solve(*task))
+            solved.append(worker.solve_stretch(*task))
             advance()
-        return solved
+        return GroundLines.together(solved)
     with workers(jobs, _start_worker, ground) as pool:
         with interrupts_held_back():
             futures = [pool.submit(_solve_in_worker, *task) for task in tasks]
         for future in futures:
             future.add_done_callback(lambda _: advance())
-        return [future.result() for future in futures]
+        return GroundLines.together([future.result() for future in futures])
 
 
 def remembered_passes(
-    ground: Ground, paths: list[BladePath], compliance: list[Array], solve: Callable[[], list[SolvedPass]]
-) -> list[SolvedPass]:
-    """The solved passes of `paths` on `ground` with the blade's compliance: kept ones, else those of `solve`."""
+    ground: Ground, paths: list[BladePath], compliance: list[Array], solve: Callable[[], GroundLines], whole: bool = True
+) -> GroundLines:
+    """What can be ground of `paths` on `ground` with the blade's compliance: kept ones, else those of `solve`."""
     content = flattened((ground, paths, compliance))
     parts = [part for name, array in sorted(content.items()) if not name.endswith(FILES) for part in (name, array)]
-    entry = remember("passes", content_key(code_hash(), *parts), lambda: flattened(solve()))
-    return [rebuilt(SolvedPass, entry, f".{i}") for i in range(len(paths))]
+
+    def counted() -> Entry:
+        found = solve()
+        return flattened({"passes": found.passes, "left_out": found.left_out, "count": [len(found.passes), len(found.left_out)]})
+
+    entry = remember("passes", content_key(code_hash(), whole, *parts), counted)
+    passes = [rebuilt(SolvedPass, entry, f".passes.{i}") for i in range(int(entry[".count.0"]))]
+    return GroundLines(passes, [rebuilt(LeftOut, entry, f".left_out.{i}") for i in range(int(entry[".count.1"]))])
 
 
 @cache

@@ -14,9 +14,9 @@ from scipy.interpolate import CubicSpline
 
 from ocp.contact.wheel.law import WheelLaw
 from ocp.model.cell import Cell
-from ocp.plan.clearance import CollisionScene, flange_pose
+from ocp.plan.clearance import Clearance, CollisionScene, flange_pose
+from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out
 from ocp.plan.rules import AXIS_MARGIN, ELBOW_MARGIN, SEED_INDENTATION, SEED_SPEED_SHARE, SHOULDER_MARGIN, WRIST_MARGIN
-from robots.errors import Infeasible
 from robots.inverse import inverse_branches, reach_excess
 from robots.pose import Array, make_transform
 from trajectories.passes import BladePath
@@ -73,12 +73,14 @@ def poses_along(cell: Cell, path: BladePath, seed: Seed, overlap: Array, sigma: 
 def joints_near(cell: Cell, path: BladePath, seed: Seed, T_base_blade: Array) -> Array:
     """Joints (n, 6) of the nominal arm for blade poses (n, 4, 4), on the seed's branch and turns.
 
-    Raises Infeasible where a waypoint between the seed's stations is out of reach.
+    Raises CannotGrind where a waypoint between the seed's stations is out of reach.
     """
     q, reachable = inverse_branches(cell.robot, flange_pose(cell, T_base_blade))
     if not reachable[:, seed.branch].all():
-        k = int(np.argmin(reachable[:, seed.branch]))
-        raise Infeasible(f"line {path.line} ({path.side}): waypoint {k + 1} is beyond the robot's reach")
+        out = ~reachable[:, seed.branch]
+        k = int(np.argmax(out))
+        message = f"line {path.line} ({path.side}): waypoint {k + 1} is beyond the robot's reach"
+        raise CannotGrind.of(path, out, "it is beyond the robot's reach", NEARER, k, message)
     near = CubicSpline(seed.at, seed.q)(path.s / path.s[-1])
     return np.asarray(near + (q[:, seed.branch] - near + np.pi) % (2 * np.pi) - np.pi)
 
@@ -87,12 +89,38 @@ def find_seeds(cell: Cell, scene: CollisionScene, law: WheelLaw, paths: list[Bla
     """For each pass its collision-free seeds, one a family, the one of the cheapest chain over all passes first.
 
     The chain takes the passes in the order given; the others follow by cost, for the optimiser to fall back on.
-    Raises Infeasible: a pass has no reachable, collision-free posture; the message says what stands in the way.
+    Raises CannotGrind: a pass has no reachable, collision-free posture; the message says what stands in the way.
     """
-    options = [_options(cell, scene, law, path) for path in paths]
+    return chained(cell, [seeds_of(cell, scene, law, path) for path in paths])
+
+
+def seeds_of_stretches(
+    cell: Cell, scene: CollisionScene, law: WheelLaw, stretches: list[LineStretch], whole: bool
+) -> tuple[list[LineStretch], list[list[Seed]], list[LeftOut]]:
+    """The stretches, cut where there is no posture, with their seeds as `find_seeds` ranks them, and what is left out.
+
+    Raises CannotGrind as `find_seeds` does if the `whole` of them is asked for.
+    """
+    tried, options, lost, left = [], [], [], list(stretches)
+    while left:
+        one = left.pop(0)
+        try:
+            options.append(seeds_of(cell, scene, law, one.path))
+            tried.append(one)
+        except CannotGrind as error:
+            if whole:
+                raise
+            pieces, gone = cut_out(one, error)
+            lost += gone
+            left = pieces + left
+    return tried, chained(cell, options) if options else [], lost
+
+
+def chained(cell: Cell, options: list[list[Seed]]) -> list[list[Seed]]:
+    """The seeds of every pass, the one of the cheapest chain over all passes first, then by cost."""
     cost = [np.array([seed.cost for seed in seeds]) for seeds in options]
     total, back = cost[0], []
-    for k in range(1, len(paths)):
+    for k in range(1, len(options)):
         step = TRAVEL_WEIGHT * _travel(cell, options[k - 1], options[k])
         through = total[:, None] + step
         back.append(np.argmin(through, axis=0))
@@ -114,13 +142,12 @@ def _travel(cell: Cell, before: list[Seed], after: list[Seed]) -> Array:
     return np.asarray((np.abs(end - start) / cell.robot.qd_max).max(axis=-1))
 
 
-def _options(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) -> list[Seed]:
-    """The best collision-free seed of every family of a pass."""
+def seeds_of(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) -> list[Seed]:
+    """The best collision-free seed of every family of a pass. Raises CannotGrind where it has none."""
     sigma = cell.process.sigma
     index = np.unique(np.linspace(0, len(path.s) - 1, STATIONS).round().astype(int))
     low, high = cell.wheel.arc
-    arcs = np.linspace(low, high, 7)[1:-1]
-    turns = cell.process.turn_tolerance * np.linspace(-0.95, 0.95, 9)
+    arcs, turns = _grid(cell)
     found: list[Seed] = []
     reasons: list[tuple[float, str]] = []
     turns = turns[_bears(cell, law, path, index, turns, reasons)]
@@ -149,13 +176,115 @@ def _options(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) 
             blocked = clearance.sentence()
     if not free:
         reason = f"every reachable posture collides: {blocked}" if blocked else max(reasons, key=lambda r: r[0])[1]
-        raise Infeasible(
+        remedy = "move the wheel or the blade in its holder, or widen the arc or the turn"
+        message = (
             f"line {path.line} ({path.side}): no posture on the wheel's arc "
             f"{np.degrees(low):.0f}..{np.degrees(high):.0f} deg with turn within "
-            f"{np.degrees(cell.process.turn_tolerance):.0f} deg: "
-            f"{reason}; move the wheel or the blade in its holder, or widen the arc or the turn"
+            f"{np.degrees(cell.process.turn_tolerance):.0f} deg: {reason}; {remedy}"
         )
+        where, why, would_do = impossible(cell, scene, law, path)
+        raise CannotGrind.of(path, where, why or reason, would_do or remedy, message=message)
     return list(free.values())
+
+
+PROBE = 3e-3  # m between the waypoints that are looked at one by one
+PROBED = 24  # postures of such a waypoint that are looked at for collisions
+NEARER = "move the wheel nearer, or use a shorter holder"
+
+
+def impossible(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) -> tuple[Mask, str, str]:
+    """Waypoints (n,) at which no posture on the wheel is sound whatever its neighbours do, looked at every PROBE m; why, and what
+    would do. Of several reasons the most frequent one, with its waypoints alone; none of them: ("", "")."""
+    index = np.unique(np.linspace(0, len(path.s) - 1, max(int(path.s[-1] / PROBE), 2)).round().astype(int))
+    arcs, turns = _grid(cell)
+    bears = _bearing(cell, law, path, index, turns)
+    arc, turn = (grid.ravel() for grid in np.meshgrid(arcs, turns, indexing="ij"))
+    on = np.tile(bears, (len(arcs), 1))  # (grid, stations)
+    kind = np.where(bears.any(axis=0), "reach", "hollow").astype("<U8")
+    excess, blocked = np.full(len(index), np.inf), ""
+    for direction in (1, -1):
+        T = flange_pose(cell, contact_poses(cell, path, index, arc, turn, direction, cell.process.sigma))
+        q, reachable = inverse_branches(cell.robot, T.reshape(-1, 4, 4))
+        q, reachable = q.reshape(*on.shape, 8, 6), reachable.reshape(*on.shape, 8)
+        over = reach_excess(cell.robot, T.reshape(-1, 4, 4)).reshape(on.shape)
+        excess = np.minimum(excess, np.where(on, over, np.inf).min(axis=0))
+        reached = reachable & on[..., None]
+        sound = reached & _sound(cell, np.where(reached[..., None], q, 0.0))
+        for k in map(int, np.flatnonzero(kind != "hollow")):
+            if kind[k] == "free" or not reached[:, k].any():
+                continue
+            if not sound[:, k].any():
+                kind[k] = "axes" if kind[k] == "reach" else kind[k]
+                continue
+            postures = q[:, k][sound[:, k]]
+            found = scene.clearances(postures[:: max(len(postures) // PROBED, 1)], in_contact=True)
+            kind[k] = "free" if found[0].max() >= 0 else "collides"
+            if kind[k] == "collides":
+                best = int(np.argmax(found[0]))
+                blocked = Clearance(float(found[0][best]), k, found[1][best]).sentence()
+    reasons, counts = np.unique(kind[kind != "free"], return_counts=True)
+    if not len(reasons):
+        return np.zeros(len(path.s), bool), "", ""
+    worst = str(reasons[np.argmax(counts)])
+    nearest = np.abs(path.s[:, None] - path.s[index]).argmin(axis=1)
+    far = f"the blade would have to be held {1e3 * excess[kind == worst].max():.0f} mm beyond the robot's reach"
+    texts = {
+        "hollow": lambda: _hollow(cell, law, path, index[kind == "hollow"]),
+        "reach": lambda: (far, NEARER),
+        "axes": lambda: (
+            "every posture is beyond an axis' range or near a singularity",
+            "turn the blade in its holder, or widen the arc or the turn",
+        ),
+        "collides": lambda: (
+            f"every reachable posture collides: {blocked}",
+            "use a longer holder, a smaller wheel or another place for it",
+        ),
+    }
+    return kind[nearest] == worst, *texts[worst]()
+
+
+def _grid(cell: Cell) -> tuple[Array, Array]:
+    """Places on the wheel's arc and turns, rad, from which seeds are taken."""
+    return np.linspace(*cell.wheel.arc, 7)[1:-1], cell.process.turn_tolerance * np.linspace(-0.95, 0.95, 9)
+
+
+def _sound(cell: Cell, q: Array) -> Mask:
+    """Which of joints q (..., 6), each axis at any whole turn, keep range and singularities off by the margins."""
+    robot = cell.robot
+    low, high = robot.q_min + AXIS_MARGIN, robot.q_max - AXIS_MARGIN
+    inside = (low + (q - low) % (2 * np.pi) <= high).all(axis=-1)
+    elbow = np.abs(q[..., 2] - np.arctan2(robot.mdh[2, 2], robot.mdh[3, 1]))
+    wrist = np.abs(np.sin(q[..., 4])) > np.sin(WRIST_MARGIN)
+    return np.asarray(inside & wrist & (np.abs(wrist_radius(cell, q)) > SHOULDER_MARGIN) & (elbow > ELBOW_MARGIN))
+
+
+def _hollow(cell: Cell, law: WheelLaw, path: BladePath, index: Index) -> tuple[str, str]:
+    """In words: waypoints `index` are too hollow for the wheel; the width, radius or turn with which it would bear there.
+
+    Shapes scale: a wheel s times as wide bears on a hollow 1/s^2 times as curved, as its edges then lie as deep.
+    """
+    wheel, turns = cell.wheel, _grid(cell)[1]
+    reason = f"the blade is too hollow for a wheel {wheel.width * 1e3:.0f} mm wide with {wheel.radius * 1e3:.0f} mm radius"
+    kxx, kyy, _ = turned_curvature(path.curvature[index], turns[:, None], wheel.radius)
+    remedies = []
+    if (kxx.max(axis=0) < law.limits["kxx"][0]).any():
+        least = float((kxx.max(axis=0) - 1 / wheel.radius).min())
+        remedies.append(f"a wheel of at most {np.floor(500.0 / -least):.0f} mm radius")
+    low, high = float(kyy.max(axis=0).min()), 0.0
+    if low < 0.0:
+        force, one = path.force[index[:1]], np.ones(1)
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            d = law.evaluate(force, np.median(kxx) * one, middle * one, 0 * one, 0 * one, 0 * one, 0 * one)
+            low, high = (low, middle) if d[0] > SEED_INDENTATION else (middle, high)
+        share = np.sqrt(high / float(kyy.max(axis=0).min()))
+        if 0.05 < share < 1.0:
+            remedies.append(f"a wheel at most {np.floor(1e3 * wheel.width * share):.0f} mm wide")
+    wider = np.radians(np.arange(-90.0, 91.0, 5.0))
+    bears = _bearing(cell, law, path, index, wider).all(axis=1)
+    if bears.any():
+        remedies.append(f"turn_tolerance_deg = {np.degrees(np.abs(wider[bears]).min()) + 5.0:.0f}")
+    return f"{reason}, which would bear beside the planned point", "use " + (" or ".join(remedies) or "another wheel")
 
 
 def turned_curvature(curvature: Array, turn: Array, radius: float) -> tuple[Array, Array, Array]:
@@ -171,19 +300,25 @@ def turned_curvature(curvature: Array, turn: Array, radius: float) -> tuple[Arra
 
 
 def _bears(cell: Cell, law: WheelLaw, path: BladePath, index: Index, turns: Array, reasons: list[tuple[float, str]]) -> Array:
-    """Which turns (m,) let the wheel bear at the planned points: overlap there under the programmed force, kxx in range."""
+    """Which turns (m,) let the wheel bear at the planned points `index`; notes why none does."""
+    good = _bearing(cell, law, path, index, turns)
+    if not good.all(axis=1).any():
+        worst = int(np.argmax((~good).sum(axis=0)))
+        where = f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel"
+        reasons.append((4.0, f"{where}, which would bear beside the planned point"))
+    return np.asarray(good.all(axis=1))
+
+
+def _bearing(cell: Cell, law: WheelLaw, path: BladePath, index: Index, turns: Array) -> Mask:
+    """At which turns (m,) the wheel bears at which planned points, (m, len(index)): overlap there under the programmed force, kxx
+    in range."""
     kxx, kyy, kxy = turned_curvature(path.curvature[index], turns[:, None], cell.wheel.radius)
     hollow = kxx < law.limits["kxx"][0]
     kxx = np.maximum(kxx, law.limits["kxx"][0])
     force = np.broadcast_to(path.force[index], kxx.shape).ravel()
     zero = np.zeros(kxx.size)
     d = law.evaluate(force, kxx.ravel(), kyy.ravel(), kxy.ravel(), zero, zero, zero).reshape(kxx.shape)
-    good = ~hollow & (d > SEED_INDENTATION)
-    if not good.all(axis=1).any():
-        worst = int(np.argmax((~good).sum(axis=0)))
-        where = f"at waypoint {index[worst] + 1} the blade is too hollow for this wheel"
-        reasons.append((4.0, f"{where}, which would bear beside the planned point"))
-    return np.asarray(good.all(axis=1))
+    return np.asarray(~hollow & (d > SEED_INDENTATION))
 
 
 def _family(seed: Seed) -> tuple[int, ...]:

@@ -11,7 +11,18 @@ from ocp.model.force_balance import Model, build_model
 from ocp.model.theta import Theta
 from ocp.plan.passes.posture import joints_near, poses_along, turned_curvature, wrist_radius
 from ocp.plan.passes.problem import PassProblem, approach_signs
-from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, N_Z, ROWS, ObjectiveWeights, Stage, build_stage, force_variance
+from ocp.plan.passes.stage import (
+    N_CLEARANCE,
+    N_PLAIN_ROWS,
+    N_ROWS,
+    N_Z,
+    ROWS,
+    ObjectiveWeights,
+    Stage,
+    build_stage,
+    force_variance,
+)
+from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.passes.transcription import Transcription, transcribe
 from ocp.plan.rules import (
     AXIS_MARGIN,
@@ -29,6 +40,19 @@ from trajectories.passes import BladePath
 PAD = 32  # programs are built for multiples of this many waypoints and shared by passes of similar length
 AIM_STEPS = 2  # each leaves a thousandth of the miss
 FEASIBLE = 1e-5  # largest scaled violation of a row that counts as solved (0.01 um, 1e-5 rad)
+WORST_SHARE = 0.1  # of the worst violation: where a row is broken by more, the pass is at fault and not the way to it
+REMEDIES = (
+    "widen tilt, turn or lateral tolerance or move the wheel",
+    "widen the wheel's arc (contact_arc_deg) or move the wheel",
+    "widen lateral_tolerance_mm or use a wider wheel",
+    "widen turn_tolerance_deg or move the wheel",
+    "widen tilt_tolerance_deg or use a narrower wheel",
+    "widen tilt_tolerance_deg or use a narrower wheel",
+    "move the wheel or the blade in its holder",
+    "use a wheel of smaller radius or grind the other way (passes)",
+    "use a narrower wheel, or one of smaller radius",
+    *(("move the wheel or the blade in its holder",) * N_CLEARANCE),
+)  # for each of ROWS
 
 
 @dataclass(frozen=True)
@@ -222,7 +246,7 @@ class PassSolver:
 
 
 def refuse_violated(path: BladePath, violation: Array, full: bool, status: str) -> None:
-    """Raises Infeasible with the worst row of a pass as a sentence, if `violation` of any is more than FEASIBLE.
+    """Raises CannotGrind with the worst row of a pass as a sentence, if `violation` of any is more than FEASIBLE.
 
     violation: of the rows of `ocp.plan.passes.stage.ROWS` at all waypoints, padded ones included, then (`full`) of the joint
     steps between them; `status` of the optimiser.
@@ -233,19 +257,23 @@ def refuse_violated(path: BladePath, violation: Array, full: bool, status: str) 
     n = (len(violation) + 6 * full) // (rows + 6 * full)
     stage = violation[: rows * n].reshape(n, rows)[: len(path.s)]
     steps = violation[rows * n :].reshape(-1, 6)
-    k, row = np.unravel_index(int(np.argmax(stage)), stage.shape)
+    k, row = (int(i) for i in np.unravel_index(int(np.argmax(stage)), stage.shape))
     if full and steps.max() > stage.max():
-        k, axis = np.unravel_index(int(np.argmax(steps)), steps.shape)
-        raise Infeasible(
-            f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: axis {axis + 1} would have to move "
-            f"{np.degrees(steps[k, axis]):.3f} deg more per step than its speed allows at the programmed feed; lower the feed"
+        k, axis = (int(i) for i in np.unravel_index(int(np.argmax(steps)), steps.shape))
+        where = np.append(steps.max(axis=1) > WORST_SHARE * steps.max(), False)[: len(path.s)]
+        reason = (
+            f"axis {axis + 1} would have to move {np.degrees(steps[k, axis]):.3f} deg more per step than its speed allows at the "
+            "programmed feed"
         )
+        raise CannotGrind.of(path, where, reason, "lower the feed", k, _told(path, k, reason, "lower the feed"))
     name, unit, factor = ROWS[row]
-    raise Infeasible(
-        f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: {name} cannot be met, "
-        f"{stage[k, row] * factor:.3g} {unit} are missing "
-        f"(optimiser: {status}); widen that tolerance or move the wheel"
-    )
+    reason = f"{name} cannot be met, {stage[k, row] * factor:.3g} {unit} are missing (optimiser: {status})"
+    where = stage.max(axis=1) > WORST_SHARE * stage.max()
+    raise CannotGrind.of(path, where, reason, REMEDIES[row], k, _told(path, k, reason, REMEDIES[row]))
+
+
+def _told(path: BladePath, k: int, reason: str, remedy: str) -> str:
+    return f"line {path.line} ({path.side}), waypoint {k + 1} of {len(path.s)}: {reason}; {remedy}"
 
 
 def _padded(values: Array, n: int) -> Array:

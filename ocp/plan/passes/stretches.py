@@ -1,0 +1,225 @@
+"""Pieces of lines: where a line cannot be ground it is cut there, the rest is planned, and what is left out has a name."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ocp.plan.rules import LEAST_GROUND_SHARE, LEAST_STRETCH, STRETCH_ROOM
+from robots.errors import Infeasible
+from robots.pose import Array
+from trajectories.passes import BladePath, stretch_of
+
+Mask = NDArray[np.bool_]
+MOST_CUTS = 5  # of a line, one after the other: each costs the optimiser's time
+SHOWN = 6  # notices of what is left out
+HALVINGS = 3  # where the place is not known; an eighth of a line is then given up
+
+
+class CannotGrind(Infeasible):
+    """A pass that cannot be ground as it is: where along it, why, and what would help.
+
+    line, side, start: whose, and where on the line it begins, m; length m of the path that was tried, at (m,): arc lengths m on
+    it, in its direction of travel, that cannot be ground (none: the place is not known); waypoint: 0-based, the one that the
+    sentence names; reason and would_do: two parts of a sentence.
+    """
+
+    def __init__(self, message: str, **told: Any) -> None:
+        """`told`: the attributes above by name; passed on as they are, so that the error travels between processes."""
+        super().__init__(message)
+        self.line: int = told.get("line", 0)
+        self.side: str = told.get("side", "")
+        self.start: float = told.get("start", 0.0)
+        self.length: float = told.get("length", 0.0)
+        self.at: Array = told.get("at", np.zeros(0))
+        self.waypoint: int = told.get("waypoint", 0)
+        self.reason: str = told.get("reason", message)
+        self.would_do: str = told.get("would_do", "")
+
+    @staticmethod
+    def of(
+        path: BladePath, where: Mask, reason: str, would_do: str, worst: int | None = None, message: str = ""
+    ) -> "CannotGrind":
+        """At the nodes `where` (n,) of `path` (n nodes, in its direction of travel), `worst` of them named; none of them: the
+        place is not known. `message`: the whole sentence, where it says more than reason and remedy."""
+        k = int(np.argmax(where)) if worst is None else worst
+        named = f", waypoint {k + 1}" if where.any() else ""
+        message = message or f"line {path.line} ({path.side}){named}: {reason}; {would_do}"
+        told = {"reason": reason, "would_do": would_do, "waypoint": k, "at": path.s[where], "length": float(path.s[-1])}
+        return CannotGrind(message, line=path.line, side=path.side, start=path.start, **told)
+
+    @property
+    def whose(self) -> tuple[int, float]:
+        """Line, and where on it the pass begins."""
+        return self.line, self.start
+
+    def turned_round(self) -> "CannotGrind":
+        """The same of the path run from its other end."""
+        told = dict(self.__dict__) | {"at": self.length - self.at}
+        return CannotGrind(str(self), **told)
+
+    def nodes(self, s: Array) -> Mask:
+        """Which of the waypoints at arc lengths s (n,) m of the path these are; those beyond its ends count for the ends."""
+        found = np.zeros(len(s), bool)
+        found[np.abs(s[:, None] - np.clip(self.at, s[0], s[-1])).argmin(axis=0)] = True
+        return found
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A piece of a line that is not ground: from `start` to `end`, m along the line as it was laid; why, and what would do."""
+
+    line: int
+    side: str
+    start: float
+    end: float
+    reason: str
+    would_do: str
+
+    @property
+    def length(self) -> float:
+        """Its length m."""
+        return self.end - self.start
+
+    def document(self) -> dict[str, object]:
+        """As plan.json has it."""
+        ends = {"from_mm": round(1e3 * self.start, 2), "to_mm": round(1e3 * self.end, 2)}
+        return {"line": self.line, "side": self.side, **ends, "reason": self.reason, "would_do": self.would_do}
+
+    def clause(self) -> str:
+        """Tell it to a user, without an end."""
+        ends = f"{self.start * 1e3:.1f} to {self.end * 1e3:.1f} mm"
+        return f"line {self.line} ({self.side}), {ends}, is left out: {self.reason}; {self.would_do}".removesuffix("; ")
+
+    def sentence(self) -> str:
+        """The same as a sentence."""
+        return f"L{self.clause()[1:]}."
+
+
+@dataclass(frozen=True)
+class LineStretch:
+    """A piece of a line that is to be ground: its path and the blade's compliance (n, 3) along it; how often it was cut."""
+
+    path: BladePath
+    compliance: Array
+    cuts: int = 0
+
+    def piece(self, first: int, last: int) -> "LineStretch":
+        """From waypoint `first` to `last`, both included."""
+        return LineStretch(stretch_of(self.path, first, last), self.compliance[first : last + 1], self.cuts + 1)
+
+
+def whole_lines(paths: list[BladePath], compliance: list[Array]) -> tuple[list[LineStretch], list[LeftOut]]:
+    """Every line in one piece; lines that are too short for a pass are left out."""
+    stretches, lost = [], []
+    for path, give in zip(paths, compliance, strict=True):
+        if path.s[-1] < LEAST_STRETCH:
+            error = too_short(path)
+            lost.append(LeftOut(path.line, path.side, path.start, path.start + path.s[-1], error.reason, error.would_do))
+        else:
+            stretches.append(LineStretch(path, give))
+    return stretches, lost
+
+
+def too_short(path: BladePath) -> CannotGrind:
+    """Why a line shorter than LEAST_STRETCH is no pass."""
+    reason = f"a pass needs {LEAST_STRETCH * 1e3:g} mm and here are {path.s[-1] * 1e3:.1f}"
+    remedy = "use a smaller or narrower wheel or smaller margins, or grind the other way (passes)"
+    return CannotGrind.of(
+        path, np.ones(len(path.s), bool), reason, remedy, message=f"line {path.line} ({path.side}): {reason}; {remedy}"
+    )
+
+
+def cut_out(stretch: LineStretch, error: Infeasible) -> tuple[list[LineStretch], list[LeftOut]]:
+    """What can still be tried of a stretch that `error` forbids, and what of it is left out.
+
+    Named places are cut out with STRETCH_ROOM to either side, pieces shorter than LEAST_STRETCH go with them. Where the place is
+    not known the stretch is halved, which leaves nothing out, until it is too short or was cut too often.
+    """
+    path, s = stretch.path, stretch.path.s
+    known = isinstance(error, CannotGrind) and len(error.at) > 0
+    if not known and stretch.cuts < HALVINGS and s[-1] >= 2 * LEAST_STRETCH:
+        middle = int(np.argmin(np.abs(s - 0.5 * s[-1])))
+        return [stretch.piece(0, middle), stretch.piece(middle, len(s) - 1)], []
+    bad = np.ones(len(s), bool)
+    if isinstance(error, CannotGrind) and known and stretch.cuts < MOST_CUTS:
+        at = s[error.nodes(s)]
+        bad = np.abs(s[:, None] - at).min(axis=1) <= STRETCH_ROOM
+    kept = [(i, j) for i, j in runs(~bad) if s[j] - s[i] >= LEAST_STRETCH]
+    ends = [0.0, *(float(s[k]) for run in kept for k in run), float(s[-1])]
+    reason, would_do = (error.reason, error.would_do) if isinstance(error, CannotGrind) else (str(error), "")
+    lost = [
+        LeftOut(path.line, path.side, path.start + a, path.start + b, reason, would_do)
+        for a, b in zip(ends[::2], ends[1::2], strict=True)
+        if b > a
+    ]
+    return [stretch.piece(i, j) for i, j in kept], lost
+
+
+def runs(mask: Mask) -> list[tuple[int, int]]:
+    """First and last index of every stretch of True in a mask (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def joined(lost: list[LeftOut]) -> list[LeftOut]:
+    """In order of lines; pieces that touch are one, with the reason of the longest."""
+    found: list[LeftOut] = []
+    longest = 0.0
+    for one in sorted(lost, key=lambda o: (o.line, o.start)):
+        last = found[-1] if found else None
+        if last is None or last.line != one.line or one.start > last.end + 1e-9:
+            found.append(one)
+            longest = one.length
+            continue
+        named = one if one.length > longest else last
+        longest = max(longest, one.length)
+        found[-1] = replace(named, start=last.start, end=max(last.end, one.end))
+    return found
+
+
+def left_out_notices(lost: list[LeftOut]) -> list[str]:
+    """A sentence for each of them, for the longest SHOWN of many."""
+    longest = sorted(lost, key=lambda one: -one.length)
+    told = [one.sentence() for one in sorted(longest[:SHOWN], key=lambda o: (o.line, o.start))]
+    more = longest[SHOWN:]
+    if more:
+        length = 1e3 * sum(one.length for one in more)
+        told.append(f"{len(more)} more stretches, {length:.0f} mm in all, are left out; plan.json and the report name them.")
+    return told
+
+
+def ground_share(paths: list[BladePath], lost: list[LeftOut]) -> float:
+    """Share of the asked surface that is ground: every line stands for the strip up to half-way to its neighbours."""
+    area = missing = 0.0
+    for path in paths:
+        width = _strip(path, paths)
+        area += float(np.trapezoid(width, path.s))
+        for one in lost:
+            if one.line == path.line:
+                a, b = (np.clip(end - path.start, path.s[0], path.s[-1]) for end in (one.start, one.end))
+                within = np.linspace(a, b, 50)
+                missing += float(np.trapezoid(np.interp(within, path.s, width), within))
+    return 1.0 - missing / area
+
+
+def _strip(path: BladePath, paths: list[BladePath]) -> Array:
+    """Half the distance (n,) m to the line before and to the line after on the same side; 1 m for a line alone."""
+    same = sorted((other for other in paths if other.side == path.side), key=lambda other: other.line)
+    place = next(i for i, other in enumerate(same) if other is path)
+    near = [same[i].p for i in (place - 1, place + 1) if 0 <= i < len(same)]
+    return np.asarray(sum(0.5 * cKDTree(p).query(path.p)[0] for p in near)) if near else np.ones(len(path.s))
+
+
+def refuse_mostly_left_out(paths: list[BladePath], lost: list[LeftOut]) -> float:
+    """The ground share. Raises Infeasible where less than LEAST_GROUND_SHARE is ground, with what stops most of it."""
+    share = ground_share(paths, lost)
+    if share < LEAST_GROUND_SHARE:
+        worst = max(lost, key=lambda one: one.length)
+        raise Infeasible(
+            f"only {100 * share:.0f} % of the asked surface can be ground, {100 * LEAST_GROUND_SHARE:g} % are asked at least; "
+            f"{len(lost)} stretches are left out, the longest of them: {worst.clause()}"
+        )
+    return share

@@ -1,0 +1,158 @@
+"""What cannot be ground is cut out of its line, named and left out; the rest is planned."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ocp.plan.passes.stretches import (
+    HALVINGS,
+    MOST_CUTS,
+    SHOWN,
+    CannotGrind,
+    LeftOut,
+    LineStretch,
+    cut_out,
+    ground_share,
+    joined,
+    left_out_notices,
+    runs,
+)
+from ocp.plan.rules import LEAST_STRETCH, STRETCH_ROOM
+from robots.errors import Infeasible
+from tests.support.example_pass import bar_pass
+from trajectories.passes import reversed_path, stretch_of
+
+N = 40
+
+
+def line(length=0.078, number=1, shift=0.0):
+    """A line of 40 waypoints, 2 mm apart by default, `shift` m beside the first."""
+    path = bar_pass()
+    at = path.p[0] + np.linspace(0.0, length, N)[:, None] * path.t[0] + shift * np.cross(path.n[0], path.t[0])
+    return replace(path, line=number, p=at, s=np.linspace(0.0, length, N))
+
+
+def stretch(cuts=0, **asked):
+    return LineStretch(line(**asked), np.arange(3.0 * N).reshape(N, 3), cuts)
+
+
+def error(path, *nodes):
+    return CannotGrind.of(path, np.isin(np.arange(len(path.s)), nodes), "it is hollow", "use a wheel at most 12 mm wide")
+
+
+# -- where it cannot be ground -------------------------------------------------------------------------------------
+
+
+def test_the_sentence_names_line_waypoint_reason_and_remedy_and_survives_another_process():
+    one = error(line(), 7, 8)
+    assert str(one) == "line 1 (convex), waypoint 8: it is hollow; use a wheel at most 12 mm wide"
+    back = pickle.loads(pickle.dumps(one))
+    assert str(back) == str(one) and isinstance(back, Infeasible) and back.whose == (1, 0.0) and back.waypoint == 7
+    np.testing.assert_allclose(back.at, [0.014, 0.016])
+
+
+def test_a_path_run_backwards_is_cut_at_the_same_place_of_the_line():
+    path = line()
+    back = error(reversed_path(path), 3).turned_round()
+    assert np.flatnonzero(back.nodes(path.s)).tolist() == [N - 1 - 3]
+
+
+def test_what_lies_beyond_the_ends_of_a_line_counts_for_its_ends():
+    """A way from air to air has arc lengths before the line's start and behind its end."""
+    path = line()
+    told = {"length": float(path.s[-1]), "at": np.array([-0.01, 0.09])}
+    assert np.flatnonzero(CannotGrind("", **told).nodes(path.s)).tolist() == [0, N - 1]
+
+
+# -- cutting -------------------------------------------------------------------------------------------------------
+
+
+def test_a_place_in_the_middle_is_cut_out_with_room_and_both_ends_stay():
+    one = stretch()
+    pieces, (lost,) = cut_out(one, error(one.path, 20, 21))
+    assert [(p.path.start, len(p.path.s)) for p in pieces] == [(0.0, 20), (pytest.approx(0.044), 18)]
+    assert (lost.start, lost.end) == (pytest.approx(0.038), pytest.approx(0.044))
+    assert lost.start <= 0.040 - STRETCH_ROOM and lost.end >= 0.042 + STRETCH_ROOM
+    second = pieces[1]
+    np.testing.assert_array_equal(second.path.p, one.path.p[22:])
+    np.testing.assert_array_equal(second.compliance, one.compliance[22:])
+    assert second.path.s[0] == 0.0 and second.path.line == 1 and second.cuts == 1
+
+
+def test_a_piece_of_a_piece_knows_where_on_the_line_it_lies():
+    path = stretch_of(stretch_of(line(), 10, 39), 5, 20)
+    assert path.start == pytest.approx(0.030) and path.s[-1] == pytest.approx(0.030)
+    assert reversed_path(path).start == path.start
+
+
+def test_an_end_too_short_for_a_pass_goes_with_the_cut():
+    one = stretch()
+    pieces, (lost,) = cut_out(one, error(one.path, 2))  # 2 mm of pass would be left before it
+    assert len(pieces) == 1 and lost.start == 0.0 and lost.end == pytest.approx(0.006)
+    assert 0.002 < LEAST_STRETCH
+
+
+def test_a_line_that_cannot_be_ground_anywhere_is_left_out_whole():
+    one = stretch()
+    pieces, (lost,) = cut_out(one, error(one.path, *range(N)))
+    assert not pieces and (lost.start, lost.end) == (0.0, pytest.approx(0.078))
+
+
+def test_without_a_place_the_line_is_halved_and_nothing_lost_until_that_has_an_end():
+    halves, lost = cut_out(stretch(), Infeasible("the optimiser stopped"))
+    assert not lost and len(halves) == 2
+    assert halves[1].path.start == halves[0].path.s[-1], "the halves meet in a waypoint"
+    for cuts, length in ((HALVINGS, 0.078), (0, 1.9 * LEAST_STRETCH)):
+        pieces, (lost,) = cut_out(stretch(cuts, length=length), Infeasible("the optimiser stopped"))
+        assert not pieces and lost.reason == "the optimiser stopped" and lost.length == pytest.approx(length)
+
+
+def test_cutting_has_an_end_where_every_cut_shows_another_place():
+    one = stretch(MOST_CUTS)
+    pieces, (lost,) = cut_out(one, error(one.path, 20))
+    assert not pieces and lost.length == pytest.approx(0.078)
+
+
+def test_runs_of_a_mask():
+    assert runs(np.array([True, True, False, True, False, False, True])) == [(0, 1), (3, 3), (6, 6)]
+    assert runs(np.zeros(3, bool)) == [] and runs(np.ones(3, bool)) == [(0, 2)]
+
+
+def lost_at(number, start, end, reason="it is hollow"):
+    return LeftOut(number, "concave", start, end, reason, "use a wheel at most 12 mm wide")
+
+
+def test_pieces_that_touch_are_told_as_one_with_the_reason_of_the_longest():
+    parts = [
+        lost_at(2, 0.008, 0.02),
+        lost_at(2, 0.0, 0.008, "short"),
+        lost_at(2, 0.02, 0.022, "b"),
+        lost_at(2, 0.03, 0.04),
+        lost_at(3, 0.04, 0.05),
+    ]
+    assert joined(parts) == [lost_at(2, 0.0, 0.022), lost_at(2, 0.03, 0.04), lost_at(3, 0.04, 0.05)]
+
+
+# -- what is told --------------------------------------------------------------------------------------------------
+
+
+def test_the_share_of_a_line_goes_by_the_strip_it_stands_for():
+    """Three lines 4 mm and 8 mm apart: strips 2, 6 and 4 mm wide."""
+    paths = [line(number=1), line(number=2, shift=0.004), line(number=3, shift=0.012)]
+    assert ground_share(paths, []) == 1.0
+    for number, strip in ((1, 2.0), (2, 6.0), (3, 4.0)):
+        assert ground_share(paths, [lost_at(number, 0.0, 0.039)]) == pytest.approx(1 - 0.5 * strip / 12.0, abs=1e-6)
+    assert ground_share([line(number=4)], [lost_at(4, 0.0, 0.0195)]) == pytest.approx(0.75)
+
+
+def test_left_out_as_a_user_reads_it():
+    one = lost_at(7, 0.012, 0.0345)
+    assert one.sentence() == ("Line 7 (concave), 12.0 to 34.5 mm, is left out: it is hollow; use a wheel at most 12 mm wide.")
+    assert one.document() == {
+        "line": 7, "side": "concave", "from_mm": 12.0, "to_mm": 34.5, "reason": "it is hollow",
+        "would_do": "use a wheel at most 12 mm wide",
+    }  # fmt: skip
+    told = left_out_notices([lost_at(k, 0.0, 0.01 * k) for k in range(1, SHOWN + 3)])
+    assert len(told) == SHOWN + 1 and told[-1].startswith("2 more stretches, 30 mm in all") and told[0].startswith("Line 3 ")
