@@ -16,7 +16,7 @@ from ocp.plan.motion import PlannedMotion, build_motion
 from ocp.plan.passes.optimise import Ground, GroundLines, remembered_passes, solve_passes
 from ocp.plan.passes.posture import seeds_of_stretches
 from ocp.plan.passes.stage import ObjectiveWeights
-from ocp.plan.passes.stretches import CannotGrind, LeftOut, joined, left_out_notices, refuse_mostly_left_out, whole_lines
+from ocp.plan.passes.stretches import CannotGrind, LeftOut, joined, refuse_mostly_left_out, ungrindable_notices, whole_lines
 from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.removal.result import Removal, find_removal
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
@@ -118,7 +118,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
             *(cell.calibration.notices if cell.calibration is not None else ()),
             *laid.notices,
             *told,
-            *left_out_notices(lost),
+            *ungrindable_notices(lost),
         ),
         wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),

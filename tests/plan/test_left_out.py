@@ -16,8 +16,8 @@ from ocp.plan.passes.stretches import (
     cut_out,
     ground_share,
     joined,
-    left_out_notices,
     runs,
+    ungrindable_notices,
 )
 from ocp.plan.rules import LEAST_STRETCH, STRETCH_ROOM
 from robots.errors import Infeasible
@@ -154,5 +154,5 @@ def test_left_out_as_a_user_reads_it():
         "line": 7, "side": "concave", "from_mm": 12.0, "to_mm": 34.5, "reason": "it is hollow",
         "would_do": "use a wheel at most 12 mm wide",
     }  # fmt: skip
-    told = left_out_notices([lost_at(k, 0.0, 0.01 * k) for k in range(1, SHOWN + 3)])
+    told = ungrindable_notices([lost_at(k, 0.0, 0.01 * k) for k in range(1, SHOWN + 3)])
     assert len(told) == SHOWN + 1 and told[-1].startswith("2 more stretches, 30 mm in all") and told[0].startswith("Line 3 ")

@@ -180,7 +180,7 @@ def joined(lost: list[LeftOut]) -> list[LeftOut]:
     return found
 
 
-def left_out_notices(lost: list[LeftOut]) -> list[str]:
+def ungrindable_notices(lost: list[LeftOut]) -> list[str]:
     """A sentence for each of them, for the longest SHOWN of many."""
     longest = sorted(lost, key=lambda one: -one.length)
     told = [one.sentence() for one in sorted(longest[:SHOWN], key=lambda o: (o.line, o.start))]
