@@ -32,7 +32,7 @@ def plan(
     refuse what cannot be ground whole instead of leaving stretches out. Raises BadInput: an argument or a file is not what it
     should be; Infeasible: there is no safe plan. Nothing is written then.
     """
-    chosen = PlanOptions(_path(path), _path(program), kind, name, step, whole)
+    chosen = PlanOptions(_path(path), _path(program), kind, name, step, whole=whole)
     files = [file for file in (_path(blade), chosen.path, chosen.program) if file is not None]
     if chosen.program is not None:
         files += chosen.program.parent.glob("*.[sSdD][rRaA][cCtT]")  # the programs that it calls, and their positions

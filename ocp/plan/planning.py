@@ -87,7 +87,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     compliance = [np.asarray(c) for c in contact.compliance.per_pass]
 
     def solve() -> GroundLines:
-        stretches, short = whole_lines(laid.paths, compliance)
+        stretches, short = whole_lines(laid.paths, compliance, options.whole)
         with phases.phase("postures"):
             stretches, seeds, lost = seeds_of_stretches(cell, scene, contact.law, stretches, options.whole)
         with phases.phase("optimal control", len(stretches)) as advance:

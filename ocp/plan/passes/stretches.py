@@ -111,12 +111,15 @@ class LineStretch:
         return LineStretch(stretch_of(self.path, first, last), self.compliance[first : last + 1], self.cuts + 1)
 
 
-def whole_lines(paths: list[BladePath], compliance: list[Array]) -> tuple[list[LineStretch], list[LeftOut]]:
-    """Every line in one piece; lines that are too short for a pass are left out."""
+def whole_lines(paths: list[BladePath], compliance: list[Array], whole: bool = False) -> tuple[list[LineStretch], list[LeftOut]]:
+    """Every line in one piece; lines that are too short for a pass are left out. Raises CannotGrind of such a line if the `whole`
+    of them is asked for."""
     stretches, lost = [], []
     for path, give in zip(paths, compliance, strict=True):
         if path.s[-1] < LEAST_STRETCH:
             error = too_short(path)
+            if whole:
+                raise error
             lost.append(LeftOut(path.line, path.side, path.start, path.start + path.s[-1], error.reason, error.would_do))
         else:
             stretches.append(LineStretch(path, give))
