@@ -152,7 +152,7 @@ def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder
         rehearsal = rehearse(machine, matched, campaign.first, frames.tool, frames.base)
         grinding = {track.places[k] for k in np.unique(track.motion[matched.phase == GRINDING])}
         missed = missed_parts(program, cell.robot, grinding)
-        depth = ground_depth(blade, campaign.patches, campaign.touched, cell.process.force)
+        depth = ground_depth(blade, campaign.patches, campaign.touched, cell.process)
     return _Ground(folder, program, track, machine, campaign, rehearsal, missed, travel, depth)
 
 

@@ -23,6 +23,7 @@ NAMES = {
     "core_within_5": "core within 5 %",
     "core_within_10": "core within 10 %",
     "all_within_10": "asked surface within 10 %",
+    "core_median": "median depth of the core",
     "least": "least depth",
     "most": "most depth",
 }
@@ -33,10 +34,10 @@ ENTRY = (
 )
 REMOVAL = (
     "Depth by the time integral of the pressure, with the virtual cell's own patch, summed over all passes, entries and exits; 1 "
-    "is the middle of what the plan's own forces take in the core: between lines, a patch inside their ends. The asked surface "
-    "reaches half a line's spacing to both sides of the lines."
+    "is what even lines take at the cell's force, feed and spacing. The asked surface reaches half a line's spacing to both "
+    "sides of the lines; its core lies between lines, a patch inside their ends."
 )
-MAP = "Depth that this machine takes along the lines, entries and exits included, over what is meant (white)."
+MAP = "Depth that this machine takes along the lines, entries and exits included, over what is wanted (white)."
 
 # Too little is blue, too much is orange, as planned is nearly white: the two differ in lightness from it alike.
 FORCE_MAP: Colormap = LinearSegmentedColormap.from_list("force", ["#1f4e79", "#6fa3cf", "#f5f3ee", "#e2924e", "#8c3a06"])
@@ -116,7 +117,7 @@ def _depth_table(depth: GroundDepth) -> Table:
     plan, made = depth.figures(depth.planned), depth.figures(depth.made)
 
     def told(name: str, value: float | None) -> str:
-        return "none" if value is None else f"{value:.2f}" if name in ("least", "most") else f"{100 * value:.0f} %"
+        return "none" if value is None else f"{value:.2f}" if name in ("core_median", "least", "most") else f"{100 * value:.0f} %"
 
     rows = [(words, told(name, plan[name]), told(name, made[name])) for name, words in NAMES.items()]
     return table(("what", "plan's forces", "this machine"), rows, text=(0,))

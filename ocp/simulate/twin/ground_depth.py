@@ -13,6 +13,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ocp.model.cell import Process
 from ocp.simulate.twin.contact.grinder import ContactPatches
 from ocp.simulate.twin.touching import Touching
 from robots.pose import Array
@@ -27,9 +28,9 @@ GROUND = 0.5  # share of what is wanted from which on a place counts as ground
 
 @dataclass(frozen=True)
 class GroundDepth:
-    """Depth on pieces of the blade's surface relative to the middle of what the plan means to take: p, n (m, 3), area (m,) m^2;
-    planned (m,): by the plan's forces, made (m,): by this machine's; asked, core (m,): within half a line's spacing of a pass;
-    of these between lines and a patch inside the ends."""
+    """Depth on pieces of the blade's surface over what even lines at the cell's spacing, feed and force take: p, n (m, 3), area
+    (m,) m^2; planned (m,): by the plan's forces, made (m,): by this machine's; asked, core (m,): within half a line's spacing of
+    a pass; of these between lines and a patch inside the ends."""
 
     p: Array
     n: Array
@@ -57,20 +58,21 @@ class GroundDepth:
             "core_within_5": share(self.core, off <= 0.05),
             "core_within_10": share(self.core, off <= 0.10),
             "all_within_10": share(self.asked, off <= 0.10),
+            "core_median": float(np.median(depth[self.core])) if self.core.any() else None,
             "least": float(depth[self.asked].min()),
             "most": float(depth.max()),
         }
 
 
-def ground_depth(blade: Blade, patches: ContactPatches, t: Touching, process_force: float) -> GroundDepth:
+def ground_depth(blade: Blade, patches: ContactPatches, t: Touching, process: Process) -> GroundDepth:
     """Lay down what plan and machine press; patches: of the samples of `t`."""
     p, n, area = _pieces(blade)
     lies = t.windows.plan.run == t.windows.run
     plan = np.where(lies, t.windows.plan.force, 0.0)
-    planned, made = (_laid(p, n, patches, force, t.dt, process_force) for force in (plan, t.mean))
+    planned, made = (_laid(p, n, patches, force, t.dt, process.force) for force in (plan, t.mean))
     asked, core = _asked(p, n, patches, t)
-    level = np.median(planned[core] if core.any() else planned[asked])
-    return GroundDepth(p, n, area, planned / level, made / level, asked, core)
+    wanted = process.force / (process.feed * process.pass_spacing)
+    return GroundDepth(p, n, area, planned / wanted, made / wanted, asked, core)
 
 
 def _pieces(blade: Blade) -> tuple[Array, Array, Array]:

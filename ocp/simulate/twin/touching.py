@@ -156,8 +156,8 @@ def touch_figures(t: Touching) -> list[TouchFigures]:
                 outside=float(touches[~planned].sum() * t.dt),
                 losses=losses,
                 lost=float((1.0 - between).sum() * t.dt) if losses else 0.0,
-                over=float(max(error.max(initial=0.0), 0.0)),
-                under=float(max(-error.min(initial=0.0), 0.0)),
+                over=float(error.max(initial=0.0)),
+                under=abs(float(error.min(initial=0.0))),
             )
         )
     return found
