@@ -115,31 +115,26 @@ def _laid(p: Array, n: Array, patches: ContactPatches, force: Array, dt: float, 
 
 def _asked(p: Array, n: Array, patches: ContactPatches, t: Touching) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """`asked` and `core` of GroundDepth for pieces p, n (m, 3)."""
-    of, rows = t.windows.plan, np.flatnonzero(t.windows.planned)
-    runs = np.unique(t.windows.run[rows])
-    away, end = np.full((len(runs), len(p)), np.inf), np.zeros((len(runs), len(p)))
-    between = []
-    lines = [rows[t.windows.run[rows] == k] for k in runs]
+    of, planned = t.windows.plan, np.flatnonzero(t.windows.planned)
+    lines = [planned[t.windows.run[planned] == k] for k in np.unique(t.windows.run[planned])]
+    trees, sides = [cKDTree(of.p[mine]) for mine in lines], [of.n[mine].mean(axis=0) for mine in lines]
+    half, away, end = np.empty(len(lines)), np.empty((len(lines), len(p))), np.empty((len(lines), len(p)))
+    toward = np.empty((len(lines), len(p), 3))
     for k, mine in enumerate(lines):
-        distance, nearest = cKDTree(of.p[mine]).query(p)
-        same = np.sum(n * of.n[mine][nearest], axis=1) > FACING
-        away[k] = np.where(same, distance, np.inf)
-        s = of.s[mine]
-        end[k] = np.minimum(s - s.min(), s.max() - s)[nearest]
+        distance, nearest = trees[k].query(p)
+        away[k] = np.where(np.sum(n * of.n[mine][nearest], axis=1) > FACING, distance, np.inf)
+        toward[k] = of.p[mine][nearest] - p
+        end[k] = np.minimum(of.s[mine] - of.s[mine].min(), of.s[mine].max() - of.s[mine])[nearest]
         beside = [
-            np.median(cKDTree(of.p[other]).query(of.p[mine])[0])
-            for other in lines
-            if other is not mine and np.mean(of.n[other], axis=0) @ np.mean(of.n[mine], axis=0) > FACING
+            np.median(tree.query(of.p[mine])[0])
+            for tree, side in zip(trees, sides, strict=True)
+            if tree is not trees[k] and side @ sides[k] > FACING
         ]
-        between += [min(beside)] if beside else []
-    spacing = float(np.median(between)) if between else 2.0 * float(np.nanmedian(patches.axes))
-    order = np.sort(away, axis=0)
-    inside = end[np.argmin(away, axis=0), np.arange(len(p))]
-    asked = (order[0] < 0.5 * spacing) & (inside > 0)
-    second = order[1] if len(runs) > 1 else np.full(len(p), np.inf)
-    core = (
-        asked
-        & (second < 1.05 * spacing)
-        & (inside > float(patches.axes[rows].max(initial=0.0, where=np.isfinite(patches.axes[rows]))))
-    )
-    return asked, core
+        half[k] = 0.5 * min(beside, default=2 * np.median(patches.axes[mine, 1]))
+    own, piece = np.argmin(away, axis=0), np.arange(len(p))
+    inside = end[own, piece]
+    asked = (away[own, piece] < half[own]) & (inside > 0)
+    # Between lines: another one of the same side lies to the other side of the piece.
+    across = np.einsum("kmi,mi->km", toward, toward[own, piece]) < 0
+    between = (across & np.isfinite(away)).any(axis=0)
+    return asked, asked & between & (inside > float(np.nanmax(patches.axes[planned], initial=0.0)))
