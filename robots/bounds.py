@@ -102,6 +102,7 @@ MOST_CSV_LINE = 20_000  # characters: 60 columns have 1500
 
 # Least and most of a column's numbers by its name, else by the longest ending that fits, with the reason.
 COLUMNS: dict[str, tuple[float, float, str]] = {
+    "depth_um": (0.0, 2000.0, "from nothing to what a belt mills rather than grinds"),
     "sigma_um": (1e-4, 1e6, "one sigma between an atom's size and a metre"),
     "sigma_rot_deg": (1e-7, 90.0, "one sigma of an angle"),
     "sigma_fn_N": (1e-6, 1e5, "one sigma of a force"),

@@ -119,8 +119,10 @@ class ForceFlange:
 
 @dataclass(frozen=True)
 class Process:
-    """What is wanted: force N, feed m/s, spacing m, freedoms (rad, m), margins m; what belt and metal make of it: Preston's
-    coefficient 1/Pa (depth per pressure and sliding way) with its one sigma, None where it is not known."""
+    """What is wanted: force N, feed m/s, spacing m, freedoms (rad, m), margins m, removal m (None: what force and feed make).
+
+    What belt and metal make of it: Preston's coefficient 1/Pa (depth per pressure and sliding way) with its one sigma, None where
+    it is not known."""
 
     force: float
     feed: float
@@ -135,6 +137,7 @@ class Process:
     tip_margin: float
     edge_margin: float
     edge_force: float = 5.0
+    removal: float | None = None
     preston: float | None = None
     preston_sd: float | None = None
 
@@ -293,7 +296,16 @@ def wheel_frame(cell: Cell) -> Array:
 
 
 # What the unit at the end of a key is in SI; longer ones before those that they end with.
-_SI = {"_um_mm2_per_N_m": 1e-12, "_N_per_mm": 1e3, "_mm_s": 1e-3, "_m_s": 1.0, "_mm": 1e-3, "_deg": np.pi / 180, "_N": 1.0}
+_SI = {
+    "_um_mm2_per_N_m": 1e-12,
+    "_N_per_mm": 1e3,
+    "_mm_s": 1e-3,
+    "_m_s": 1.0,
+    "_mm": 1e-3,
+    "_um": 1e-6,
+    "_deg": np.pi / 180,
+    "_N": 1.0,
+}
 _SI |= {"_ms": 1e-3, "_hz": 1.0, "_GPa": 1e9, "_MPa": 1e6, "_kg_m3": 1.0, "_kg": 1.0}
 
 

@@ -228,6 +228,8 @@ class ProcessTable(TomlTable):
     edge_margin_mm: Margin = 3.0
     # Most that an edge of the blade may be pressed with where a ramp runs off it; a thousand tonnes cut it off.
     edge_force_N: Force = 5.0
+    # What is wanted of all passes together; a belt that takes off 2 mm mills.
+    removal_um: Annotated[float, Field(ge=0.01, le=2000, allow_inf_nan=False, strict=True)] | None = None
     preston_um_mm2_per_N_m: Preston | None = None
     preston_sd_um_mm2_per_N_m: Preston | None = None
 

@@ -19,6 +19,7 @@ def plan(
     overwrite: bool = False,
     path: str | Path | None = None,
     program: str | Path | None = None,
+    stock: str | Path | None = None,
     kind: str = "axis",
     name: str | None = None,
     step: float = 5e-4,
@@ -27,13 +28,14 @@ def plan(
 ) -> PlanResult:
     """Plan the grinding of a blade (its STL; None: the cell's own) and write programs, table and report into the folder `out`.
 
-    path: contact points made elsewhere, path.csv; program: an existing KRL program to take the path from; kind: axis (timed
-    splines), cartesian (#TCP splines) or lin (KSS 5); name of the program (None: the blade's); step m between waypoints; whole:
-    refuse what cannot be ground whole instead of leaving stretches out. Raises BadInput: an argument or a file is not what it
-    should be; Infeasible: there is no safe plan. Nothing is written then.
+    path: contact points made elsewhere, path.csv; program: an existing KRL program to take the path from; stock: a map of the
+    depth to take off, stock.csv or a PLY (None: even); kind: axis (timed splines), cartesian (#TCP splines) or lin (KSS 5); name
+    of the program (None: the blade's); step m between waypoints; whole: refuse what cannot be ground whole instead of leaving
+    stretches out. Raises BadInput: an argument or a file is not what it should be; Infeasible: there is no safe plan. Nothing is
+    written then.
     """
-    chosen = PlanOptions(_path(path), _path(program), kind, name, step, whole=whole)
-    files = [file for file in (_path(blade), chosen.path, chosen.program) if file is not None]
+    chosen = PlanOptions(_path(path), _path(program), kind, name, step, whole=whole, stock=_path(stock))
+    files = [file for file in (_path(blade), chosen.path, chosen.program, chosen.stock) if file is not None]
     if chosen.program is not None:
         files += chosen.program.parent.glob("*.[sSdD][rRaA][cCtT]")  # the programs that it calls, and their positions
     phases = Phases(progress)

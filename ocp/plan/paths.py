@@ -18,6 +18,7 @@ from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import enclosed
 from ocp.plan.removal.dwell import PROBE, feeds_told, probed_spacing, with_feeds
 from ocp.plan.removal.surface import SideCells, flank_cells
+from ocp.plan.removal.wanted import Wanted, wanted_of
 from ocp.plan.rules import WHEEL_ROOM
 from robots.errors import BadInput
 from robots.kinematics import forward
@@ -36,8 +37,9 @@ CLOUD_SPACING = 8e-4  # m between points of the surface cloud
 class PlanOptions:
     """Options of the command: a path made elsewhere or an old program, kind of output, name, waypoint distance m.
 
-    even: lines as near to each other as the patch's width asks for; without it `pass_spacing` apart at the feed given, for those
-    who want a few lines to look at. whole: refuse a blade of which anything has to be left out.
+    stock: a map of the depth that is wanted. even: lines as near to each other as the patch's width asks for; without it
+    `pass_spacing` apart at the feed given, for those who want a few lines to look at. whole: refuse a blade of which anything has
+    to be left out.
     """
 
     path: Path | None = None
@@ -47,17 +49,19 @@ class PlanOptions:
     step: float = 5e-4
     even: bool = True
     whole: bool = False
+    stock: Path | None = None
 
 
 @dataclass(frozen=True)
 class LaidPaths:
-    """Blade, passes in the order of the lines, the ground surface as a cloud, the flanks in cells with what is asked of them, and
-    notices in sentences."""
+    """Blade, passes in the order of the lines, the ground surface as a cloud, the flanks in cells, what is wanted to be taken
+    off them, and notices in sentences."""
 
     blade: Blade
     paths: list[BladePath]
     cloud: SurfaceCloud
     flanks: list[SideCells]
+    wanted: Wanted
     notices: tuple[str, ...]
 
 
@@ -77,11 +81,16 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
         assert options.program is not None
         paths, notices = paths_from_program(cell, blade, shape, cloud, options.program, options.step)
     flanks = flank_cells(shape, {}, paths, 0.5 * cell.process.pass_spacing)
-    return LaidPaths(blade, paths, cloud, flanks, (*blade.notices, *shape.notices, *notices))
+    wanted = wanted_of(cell, blade, cloud, options.stock)
+    if options.stock is not None:
+        paths = with_feeds(cell, wheel_cover(cell), paths, flanks, wanted)
+        notices.append(feeds_told(cell, paths, wanted))
+    return LaidPaths(blade, paths, cloud, flanks, wanted, (*blade.notices, *shape.notices, *notices))
 
 
 def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCloud, options: PlanOptions) -> LaidPaths:
-    """Lines as near to each other as the patch's width asks for, each at the feed that makes their sum even."""
+    """Lines as near to each other as the patch's width asks for, each at the feed that makes their sum what is wanted."""
+    wanted = wanted_of(cell, blade, cloud, options.stock)
     chosen, told = _pass_options(cell, options.step), []
     if options.even:
         cover = wheel_cover(cell)
@@ -90,9 +99,9 @@ def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCl
     paths, notices = passes(blade, shape, chosen)
     flanks = flank_cells(shape, ground_windows(blade, shape, chosen), paths, 0.0)
     if options.even:
-        paths = with_feeds(cell, cover, paths, flanks)
-        told.append(feeds_told(cell, paths))
-    return LaidPaths(blade, paths, cloud, flanks, (*blade.notices, *shape.notices, *notices, *told))
+        paths = with_feeds(cell, cover, paths, flanks, wanted)
+        told.append(feeds_told(cell, paths, wanted))
+    return LaidPaths(blade, paths, cloud, flanks, wanted, (*blade.notices, *shape.notices, *notices, *told))
 
 
 def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:

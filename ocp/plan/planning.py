@@ -99,9 +99,10 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         motion, lost = reachable_motion(cell, scene, solved, options.whole, advance)
     refuse_mostly_left_out(laid.paths, lost)
     with phases.phase("removal"):
-        removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks)
+        removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted)
     inputs = [("cell", cell_file), ("blade", stl)]
-    inputs += [(role, file) for role, file in (("path", options.path), ("program", options.program)) if file is not None]
+    given = (("path", options.path), ("program", options.program), ("stock", options.stock))
+    inputs += [(role, file) for role, file in given if file is not None]
     if cell.tables.robot.calibration is not None:
         inputs.append(("calibration", cell.path.parent / cell.tables.robot.calibration))
     return Plan(

@@ -75,6 +75,10 @@ UNCERTAIN_FORCE = 2.0
 """[sd] So many standard deviations of the force on the real cell below the force asked for: else the verdict is that the cell
 has to be calibrated first. Guards: a force that may be double or none. Reason: 95 % of what the covariance allows."""
 
+FEEDS = (0.002, 0.3)
+"""[m/s] Of the contact that a wanted depth may ask for. Guards: a blade that burns, a depth that is missed in silence. Reason:
+judgement; below, a line takes a minute, above, the arm that turns the blade on a wheel of 40 mm needs half its speed."""
+
 # ---------- what must stay free
 ARM_MARGIN = 0.020
 """[m] Between bodies of the arm, wheel, floor and what the arm carries. Guards: collisions. Reason: shapes are simple, and the

@@ -12,8 +12,9 @@ from ocp.model.prepare import wheel_cover
 from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.removal.dwell import EVEN
 from ocp.plan.removal.footprint import planned_patches
-from ocp.plan.removal.result import SideRemoval, figures_of, programmed_work
+from ocp.plan.removal.result import SideRemoval, figures_of
 from ocp.plan.removal.surface import ContactRows, core_cells, work_done
+from ocp.plan.removal.wanted import programmed_work
 from trajectories.passes import BladePath
 
 OPTIONS = PlanOptions(step=1e-3)
@@ -45,7 +46,8 @@ def judged(cell, laid):
     half = [float(one.half_axes[:, 0].max()) for one in patches]
     for one in laid.flanks:
         work = work_done(one.points.reshape(-1, 3), one.normals.reshape(-1, 3), rows, patches).reshape(one.area.shape)
-        sides.append(SideRemoval(one, core_cells(one, laid.paths, half), work / programmed_work(cell)))
+        asked = laid.wanted.at(one.points.reshape(-1, 3), one.normals.reshape(-1, 3)).reshape(one.area.shape)
+        sides.append(SideRemoval(one, core_cells(one, laid.paths, half), work / programmed_work(cell) / asked))
     return figures_of(sides, 0.0), patches
 
 

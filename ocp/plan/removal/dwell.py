@@ -16,6 +16,9 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.cell import Cell
 from ocp.plan.removal.footprint import LinePatches, planned_patches
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, pressures
+from ocp.plan.removal.wanted import Wanted, refuse_uncovered
+from ocp.plan.rules import FEEDS
+from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath
 
@@ -25,6 +28,7 @@ NODE = 4e-3  # m between places of a line where r is free; linear in between
 ROW = 1e-3  # m between the contacts that are summed
 KEPT = 1.0  # weight of keeping to the r of evenly shared lines, against the miss of a cell
 SMOOTH = 1.0  # weight of the second difference of r along a line, against the same
+SHALLOW = 0.2  # of the mean wanted depth, below which a miss counts as there: misses are counted over what is wanted
 RANGE = (0.5, 2.0)  # of the r of evenly shared lines: no more is asked of an arm
 
 
@@ -51,10 +55,13 @@ class _Line:
     nodes: Array
 
 
-def with_feeds(cell: Cell, cover: Cover, paths: Sequence[BladePath], flanks: Sequence[SideCells]) -> list[BladePath]:
-    """The paths with the feeds that together take off the programmed depth on the asked cells of the flanks.
+def with_feeds(
+    cell: Cell, cover: Cover, paths: Sequence[BladePath], flanks: Sequence[SideCells], wanted: Wanted
+) -> list[BladePath]:
+    """The paths with the feeds that together take off what is wanted on the asked cells of the flanks.
 
-    A path on which the wheel bears nowhere keeps its feed.
+    A path on which the wheel bears nowhere keeps its feed. Raises BadInput: a map of the wanted depth leaves asked surface out;
+    Infeasible: a depth is beyond what the programmed force and the feeds of `ocp.plan.rules.FEEDS` reach.
     """
     points, normals, area = (
         np.concatenate([getattr(one, name)[one.asked] for one in flanks]) for name in ("points", "normals", "area")
@@ -64,11 +71,16 @@ def with_feeds(cell: Cell, cover: Cover, paths: Sequence[BladePath], flanks: Seq
         patches = planned_patches(cell, cover, path)
         if patches is not None:
             lines[k] = _line(cell, path, patches, tree, normals)
+    depth = wanted.at(points, normals)
+    refuse_uncovered(wanted, points, normals)
     if lines:
-        weight = np.sqrt(area / area.mean()) * _passed(points, [paths[k] for k in lines])
-        r = _solved(list(lines.values()), weight, np.ones(len(points)))
+        weight = (
+            np.sqrt(area / area.mean()) / np.maximum(depth, SHALLOW * depth.mean()) * _passed(points, [paths[k] for k in lines])
+        )
+        r = _solved(list(lines.values()), weight, depth)
         for k, line in lines.items():
             own, r = r[: len(line.nodes)], r[len(line.nodes) :]
+            _refuse_unreachable(cell, paths[k], line.nodes, own)
             timed[k] = replace(paths[k], feed=cell.process.feed / np.interp(paths[k].s, line.nodes, own))
     return timed
 
@@ -113,11 +125,25 @@ def _solved(lines: Sequence[_Line], weight: Array, wanted: Array) -> Array:
     return np.asarray(usual * lsq_linear(rows.tocsr(), goal, RANGE, lsq_solver="lsmr", tol=1e-6).x)
 
 
-def feeds_told(cell: Cell, paths: Sequence[BladePath]) -> str:
+def _refuse_unreachable(cell: Cell, path: BladePath, nodes: Array, r: Array) -> None:
+    """Raises Infeasible where a line would have to be ground faster or slower than FEEDS."""
+    feed = cell.process.feed / r
+    beyond = (feed < FEEDS[0]) | (feed > FEEDS[1])
+    if beyond.any():
+        k = np.flatnonzero(beyond)
+        worst = k[np.argmax(np.abs(np.log(feed[k] / cell.process.feed)))]
+        raise Infeasible(
+            f"line {path.line} ({path.side}), {1e3 * nodes[k[0]]:.1f} to {1e3 * nodes[k[-1]]:.1f} mm: the wanted depth asks for "
+            f"a feed of {1e3 * feed[worst]:.3g} mm/s at {cell.process.force:g} N, {1e3 * FEEDS[0]:g} to {1e3 * FEEDS[1]:g} can "
+            f"be driven; change process.force_N or the depth ({'grind twice' if feed[worst] < FEEDS[0] else 'leave it out'} there)"
+        )
+
+
+def feeds_told(cell: Cell, paths: Sequence[BladePath], wanted: Wanted) -> str:
     """A sentence on how many lines there are, and how fast they are ground."""
     feed = np.concatenate([path.feed for path in paths])
     return (
-        f"{len(paths)} lines lie at most {EVEN:g} of the contact's half-width apart, so that they take off evenly; their feeds "
-        f"are {1e3 * feed.min():.0f} to {1e3 * feed.max():.0f} mm/s, which together make the depth of process.feed_mm_s = "
+        f"{len(paths)} lines lie at most {EVEN:g} of the contact's half-width apart, so that their sum is smooth; their feeds "
+        f"are {1e3 * feed.min():.0f} to {1e3 * feed.max():.0f} mm/s, which together make {wanted.told()} process.feed_mm_s = "
         f"{1e3 * cell.process.feed:g} at process.pass_spacing_mm = {1e3 * cell.process.pass_spacing:g}."
     )

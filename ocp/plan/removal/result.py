@@ -13,11 +13,13 @@ from ocp.plan.motion import PlannedMotion
 from ocp.plan.programming import Column, Timeline, build_timeline
 from ocp.plan.removal.footprint import STATION_SPACING, LinePatches, contacts_along
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, row_times, shares_of_time, work_done
+from ocp.plan.removal.wanted import Wanted, programmed_work
 from robots.kinematics import forward
 from robots.pose import Array, apply
 
 SAME_SPEED = 1e-6  # s; half the step of the differences that give the blade's speed
 COARSER = 2.0  # times as far apart as the optimiser's contacts: the patch varies less than the indentation
+LEAST_WANTED = 0.01  # of the programmed depth; a map that asks for less asks for nothing
 HALF = 0.5  # of the wanted depth, from which on a cell counts as ground
 
 
@@ -51,30 +53,39 @@ class Figures:
 
 @dataclass(frozen=True)
 class Removal:
-    """The map of a plan. wanted_um: wanted depth of an even job where Preston's coefficient is known, else None; points (m, 3) m
-    and relative (m,): every place it was computed at, waypoints among them."""
+    """The map of a plan, and every place it was computed at, waypoints among them: points (m, 3) m, depth (m,) over that of the
+    programmed force and feed, relative (m,) over what is wanted, nan where that is nothing."""
 
     sides: tuple[SideRemoval, ...]
     figures: Figures
-    wanted_um: float | None
+    wanted: Wanted
     points: Array
+    depth: Array
     relative: Array
 
     def at(self, points: Array) -> Array:
         """Depth over what is wanted at contact points (n, 3), nan where a point is nan."""
+        return self._nearest(self.relative, points)
+
+    def _nearest(self, values: Array, points: Array) -> Array:
         known = np.isfinite(points).all(axis=1)
         found = np.full(len(points), np.nan)
-        found[known] = self.relative[cKDTree(self.points).query(points[known])[1]]
+        found[known] = values[cKDTree(self.points).query(points[known])[1]]
         return found
 
     def columns(self, line: Timeline) -> list[Column]:
         """What plan.csv says of it at every row of contact."""
-        relative = np.where(line.contact, self.at(line.p), np.nan)
-        return [("removal_rel", relative, 4)]
+        points = np.where(line.contact[:, None], line.p, np.nan)
+        found: list[Column] = [("removal_rel", self.at(points), 4)]
+        if self.wanted.programmed_um is not None:
+            found.append(("removal_um", self.wanted.programmed_um * self._nearest(self.depth, points), 3))
+        return found
 
 
-def find_removal(cell: Cell, motion: PlannedMotion, cover: Cover, cloud: SurfaceCloud, flanks: Sequence[SideCells]) -> Removal:
-    """The depth that the timed motion takes off the `flanks`, every row of contact of every pass summed.
+def find_removal(
+    cell: Cell, motion: PlannedMotion, cover: Cover, cloud: SurfaceCloud, flanks: Sequence[SideCells], wanted: Wanted
+) -> Removal:
+    """The depth that the timed motion takes off the `flanks`, every row of contact of every pass summed, over what is `wanted`.
 
     Raises Infeasible of the contact solver.
     """
@@ -83,14 +94,15 @@ def find_removal(cell: Cell, motion: PlannedMotion, cover: Cover, cloud: Surface
     paths = [one.problem.path for one in motion.passes]
     points = np.vstack([*(one.points.reshape(-1, 3) for one in flanks), *(path.p for path in paths)])
     normals = np.vstack([*(one.normals.reshape(-1, 3) for one in flanks), *(path.n for path in paths)])
-    relative = work_done(points, normals, rows, patches) / programmed_work(cell)
+    depth, asked = work_done(points, normals, rows, patches) / programmed_work(cell), wanted.at(points, normals)
+    relative = np.where(asked > LEAST_WANTED, depth / np.maximum(asked, LEAST_WANTED), np.nan)
     half = [float(one.half_axes[:, 0].max()) for one in patches]
     sides, first = [], 0
     for one in flanks:
         count = one.area.size
         sides.append(SideRemoval(one, core_cells(one, paths, half), relative[first : first + count].reshape(one.area.shape)))
         first += count
-    return Removal(tuple(sides), figures_of(sides, travelling), wanted_depth_um(cell), points, relative)
+    return Removal(tuple(sides), figures_of(sides, travelling), wanted, points, depth, relative)
 
 
 def line_patches_of(cell: Cell, cover: Cover, cloud: SurfaceCloud, motion: PlannedMotion, place: int) -> LinePatches:
@@ -98,17 +110,6 @@ def line_patches_of(cell: Cell, cover: Cover, cloud: SurfaceCloud, motion: Plann
     one = motion.passes[place]
     index = contact_stations(one.problem.path.s, COARSER * STATION_SPACING).astype(np.int64)
     return contacts_along(cell, cover, cloud, one.problem.path, one.evaluation, index)
-
-
-def programmed_work(cell: Cell) -> float:
-    """Pressure times slid length, N/m, of an even surface under lines `pass_spacing` apart at the programmed force and feed."""
-    process = cell.process
-    return process.force * abs(cell.wheel.belt_speed) / (process.feed * process.pass_spacing)
-
-
-def wanted_depth_um(cell: Cell) -> float | None:
-    """Depth um that 1 stands for where Preston's coefficient is known."""
-    return None
 
 
 def contact_rows(cell: Cell, motion: PlannedMotion) -> tuple[ContactRows, float]:
