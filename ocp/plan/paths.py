@@ -16,6 +16,7 @@ from ocp.model.blade_gap import FACING, SurfaceCloud
 from ocp.model.cell import Cell, wheel_frame
 from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import enclosed
+from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.dwell import PROBE, feeds_told, probed_spacing, with_feeds
 from ocp.plan.removal.surface import SideCells, flank_cells
 from ocp.plan.removal.wanted import Wanted, wanted_of
@@ -55,13 +56,14 @@ class PlanOptions:
 @dataclass(frozen=True)
 class LaidPaths:
     """Blade, passes in the order of the lines, the ground surface as a cloud, the flanks in cells, what is wanted to be taken
-    off them, and notices in sentences."""
+    off them, where that is beyond reach, and notices in sentences."""
 
     blade: Blade
     paths: list[BladePath]
     cloud: SurfaceCloud
     flanks: list[SideCells]
     wanted: Wanted
+    beyond: list[CannotGrind]
     notices: tuple[str, ...]
 
 
@@ -82,16 +84,18 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
         paths, notices = paths_from_program(cell, blade, shape, cloud, options.program, options.step)
     flanks = flank_cells(shape, {}, paths, 0.5 * cell.process.pass_spacing)
     wanted = wanted_of(cell, blade, cloud, options.stock)
+    beyond: list[CannotGrind] = []
     if options.stock is not None:
-        paths = with_feeds(cell, wheel_cover(cell), paths, flanks, wanted)
+        paths, beyond = with_feeds(cell, wheel_cover(cell), paths, flanks, wanted)
         notices.append(feeds_told(cell, paths, wanted))
-    return LaidPaths(blade, paths, cloud, flanks, wanted, (*blade.notices, *shape.notices, *notices))
+    return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
 
 
 def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCloud, options: PlanOptions) -> LaidPaths:
     """Lines as near to each other as the patch's width asks for, each at the feed that makes their sum what is wanted."""
     wanted = wanted_of(cell, blade, cloud, options.stock)
     chosen, told = _pass_options(cell, options.step), []
+    beyond: list[CannotGrind] = []
     if options.even:
         cover = wheel_cover(cell)
         look = replace(chosen, spacing=min(chosen.spacing, PROBE), step=PROBE, wheel_radius=0.0)
@@ -99,9 +103,9 @@ def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCl
     paths, notices = passes(blade, shape, chosen)
     flanks = flank_cells(shape, ground_windows(blade, shape, chosen), paths, 0.0)
     if options.even:
-        paths = with_feeds(cell, cover, paths, flanks, wanted)
+        paths, beyond = with_feeds(cell, cover, paths, flanks, wanted)
         told.append(feeds_told(cell, paths, wanted))
-    return LaidPaths(blade, paths, cloud, flanks, wanted, (*blade.notices, *shape.notices, *notices, *told))
+    return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices, *told))
 
 
 def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:

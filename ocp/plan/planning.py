@@ -16,7 +16,15 @@ from ocp.plan.motion import PlannedMotion, build_motion
 from ocp.plan.passes.optimise import Ground, GroundLines, remembered_passes, solve_passes
 from ocp.plan.passes.posture import seeds_of_stretches
 from ocp.plan.passes.stage import ObjectiveWeights
-from ocp.plan.passes.stretches import CannotGrind, LeftOut, joined, refuse_mostly_left_out, ungrindable_notices, whole_lines
+from ocp.plan.passes.stretches import (
+    CannotGrind,
+    LeftOut,
+    joined,
+    refuse_mostly_left_out,
+    ungrindable_notices,
+    whole_lines,
+    without_places,
+)
 from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.removal.result import Removal, find_removal
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
@@ -88,6 +96,9 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
 
     def solve() -> GroundLines:
         stretches, short = whole_lines(laid.paths, compliance, options.whole)
+        stretches, lost = without_places(stretches, laid.beyond, options.whole)
+        short += lost
+        refuse_mostly_left_out(laid.paths, short)
         with phases.phase("postures"):
             stretches, seeds, lost = seeds_of_stretches(cell, scene, contact.law, stretches, options.whole)
         with phases.phase("optimal control", len(stretches)) as advance:

@@ -36,6 +36,8 @@ from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out
 from ocp.plan.paths import PlanOptions
 from ocp.plan.planning import make_plan
 from ocp.plan.readback import _timed, force_error
+from ocp.plan.removal.dwell import beyond_reach
+from ocp.plan.removal.wanted import Wanted
 from ocp.plan.second_route import VerifiedPass
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
@@ -415,3 +417,13 @@ def test_a_force_that_may_be_double_or_none_is_not_called_ready(cell):
 
     assert "calibrate the cell before the blade touches the wheel" not in verdict(20.0 / rules.UNCERTAIN_FORCE - 1e-6)
     assert "calibrate the cell before the blade touches the wheel" in verdict(20.0 / rules.UNCERTAIN_FORCE + 1e-6)
+
+
+def test_feeds_that_a_wanted_depth_may_ask_for(cell):
+    path = bar_pass()
+    for feed, inside in ((rules.FEEDS[0], 1.001), (rules.FEEDS[1], 0.999)):
+        for factor, named in ((inside, False), (1 / inside, True)):
+            asked = replace(path, feed=np.where(np.arange(len(path.s)) < 5, feed * factor, path.feed))
+            error = beyond_reach(cell, asked, Wanted())
+            assert (error is not None) == named
+    assert error is not None and len(error.at) == 5

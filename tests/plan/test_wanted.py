@@ -1,5 +1,7 @@
 """What is wanted: an even depth in micrometres, a stock map as CSV or PLY; maps that are refused; what is then ground."""
 
+import csv
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +9,12 @@ import pytest
 
 from ocp.data import CELL
 from ocp.model.cell import read_cell
+from ocp.plan.passes.stretches import whole_lines, without_places
 from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.removal.wanted import programmed_work, wanted_of
 from robots.errors import BadInput, Infeasible
 from tests.plan.test_dwell import judged
-from tests.support.small_plan import refused, small_cell
+from tests.support.small_plan import STEP, planned, refused, small_cell
 
 OPTIONS = PlanOptions(step=2e-3)
 PRESTON = 5e-13  # 1/Pa, 0.5 um mm^2 / (N m)
@@ -139,11 +142,27 @@ def test_a_ply_without_the_property_and_a_file_that_is_none(cell, laid, tmp_path
         wanted_of(cell, laid.blade, laid.cloud, write_csv(tmp_path / "few.csv", rows[:3]))
 
 
-def test_a_depth_beyond_reach_is_named(cell, tmp_path):
-    for removal, feed in ((900e-6, "feed of"), (0.05e-6, "leave it out")):
-        with pytest.raises(Infeasible, match=feed) as error:
-            lay_paths(replace(cell, process=replace(cell.process, removal=removal)), cell.workpiece.stl, OPTIONS)
-        assert "line 1 (convex)" in str(error.value)
+def test_a_depth_beyond_reach_is_left_out_by_name(cell, laid, tmp_path):
+    """Nothing is wanted below z = 65 mm: that part of every line is left out, the rest keeps its feeds."""
+    made = laid.wanted.programmed_um
+    stock = write_csv(tmp_path / "stock.csv", map_rows(laid, lambda z: made if z > 0.065 else 0.0))
+    mapped = lay_paths(cell, cell.workpiece.stl, replace(OPTIONS, stock=stock))
+    assert len(mapped.beyond) == len(mapped.paths)
+    assert "um are wanted" in str(mapped.beyond[0]) and "line 1 (convex)" in str(mapped.beyond[0])
+    whole, _ = whole_lines(mapped.paths, [np.zeros((len(path.s), 3)) for path in mapped.paths])
+    kept, lost = without_places(whole, mapped.beyond, False)
+    assert {one.line for one in lost} == {path.line for path in mapped.paths}
+    for stretch in kept:
+        assert stretch.path.p[:, 2].min() > 0.06 and stretch.path.feed.max() < 0.3
+    with pytest.raises(Infeasible, match="are wanted"):
+        without_places(whole, mapped.beyond, True)
+
+
+def test_a_depth_that_no_feed_makes_leaves_everything_out(cell, laid):
+    for removal, remedy in ((5000e-6, "more than once"), (0.05e-6, "leave it as it is")):
+        asked = replace(cell, process=replace(cell.process, removal=removal))
+        beyond = lay_paths(asked, cell.workpiece.stl, OPTIONS).beyond
+        assert len(beyond) == len(laid.paths) and remedy in str(beyond[0])
 
 
 def test_the_command_refuses_in_one_sentence_and_writes_nothing(tmp_path):
@@ -151,3 +170,25 @@ def test_the_command_refuses_in_one_sentence_and_writes_nothing(tmp_path):
     told = refused("--cell", str(cell), "--stock", str(tmp_path / "absent.csv"), "--out", str(tmp_path / "plan"))
     assert told.code == 2 and "absent.csv" in told.err and told.err.strip().count("\n") == 0
     assert not (tmp_path / "plan").exists()
+
+
+def test_the_command_takes_a_stock_map_off_and_says_how_much(tmp_path, laid):
+    """plan.csv in micrometres of the map's depth, plan.json with the shares and with what is beyond reach."""
+    made = laid.wanted.programmed_um
+    cell = small_cell(tmp_path, {'grinding = "down"': f'grinding = "down"\npreston_um_mm2_per_N_m = {1e12 * PRESTON:g}'})
+    write_csv(tmp_path / "stock.csv", map_rows(laid, lambda z: 1.2 * made if z > 0.075 else 0.0))
+    told = planned(tmp_path, "--cell", str(cell), "--stock", "stock.csv", *STEP)
+    assert told.code == 0, told
+    content = json.loads((tmp_path / "plan" / "plan.json").read_text())
+    assert {"cell", "blade", "stock"} <= {one["role"] for one in content["inputs"]}
+    assert content["left_out"] and all("um are wanted" in one["reason"] for one in content["left_out"])
+    assert set(content["process"]) == {
+        *("ground_share", "core_within_5", "core_within_10", "all_within_10", "least", "most", "contact_in_travel_s")
+    }
+    with (tmp_path / "plan" / "plan.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["contact"] == "1"]
+    depth, relative = (np.array([float(row[name] or "nan") for row in rows]) for name in ("removal_um", "removal_rel"))
+    deep = np.array([float(row["pz_mm"]) for row in rows])
+    middle = (deep > 85.0) & (deep < 98.0)
+    assert depth[middle] == pytest.approx(1.2 * made, rel=0.25)
+    assert depth[middle] == pytest.approx(relative[middle] * 1.2 * made, rel=0.02)

@@ -161,6 +161,21 @@ def cut_out(stretch: LineStretch, error: Infeasible) -> tuple[list[LineStretch],
     return [stretch.piece(i, j) for i, j in kept], lost
 
 
+def without_places(
+    stretches: list[LineStretch], errors: list[CannotGrind], whole: bool
+) -> tuple[list[LineStretch], list[LeftOut]]:
+    """Whole lines without the places that `errors` name on them, and these. Raises the first of them if the `whole` is asked."""
+    for error in errors[: int(whole)]:
+        raise error
+    named = {error.line: error for error in errors}
+    kept, lost = [], []
+    for stretch in stretches:
+        pieces, out = cut_out(stretch, named[stretch.path.line]) if stretch.path.line in named else ([stretch], [])
+        kept += pieces
+        lost += out
+    return kept, lost
+
+
 def runs(mask: Mask) -> list[tuple[int, int]]:
     """First and last index of every stretch of True in a mask (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))

@@ -14,11 +14,11 @@ from scipy.spatial import cKDTree
 
 from ocp.contact.wheel.cover import Cover
 from ocp.model.cell import Cell
+from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.footprint import LinePatches, planned_patches
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, pressures
 from ocp.plan.removal.wanted import Wanted, refuse_uncovered
 from ocp.plan.rules import FEEDS
-from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath
 
@@ -57,11 +57,11 @@ class _Line:
 
 def with_feeds(
     cell: Cell, cover: Cover, paths: Sequence[BladePath], flanks: Sequence[SideCells], wanted: Wanted
-) -> list[BladePath]:
-    """The paths with the feeds that together take off what is wanted on the asked cells of the flanks.
+) -> tuple[list[BladePath], list[CannotGrind]]:
+    """The paths with the feeds that together take off what is wanted on the asked cells of the flanks, and what of them is beyond
+    what the programmed force and the feeds of `ocp.plan.rules.FEEDS` reach.
 
-    A path on which the wheel bears nowhere keeps its feed. Raises BadInput: a map of the wanted depth leaves asked surface out;
-    Infeasible: a depth is beyond what the programmed force and the feeds of `ocp.plan.rules.FEEDS` reach.
+    A path on which the wheel bears nowhere keeps its feed. Raises BadInput: a map of the wanted depth leaves asked surface out.
     """
     points, normals, area = (
         np.concatenate([getattr(one, name)[one.asked] for one in flanks]) for name in ("points", "normals", "area")
@@ -80,9 +80,9 @@ def with_feeds(
         r = _solved(list(lines.values()), weight, depth)
         for k, line in lines.items():
             own, r = r[: len(line.nodes)], r[len(line.nodes) :]
-            _refuse_unreachable(cell, paths[k], line.nodes, own)
             timed[k] = replace(paths[k], feed=cell.process.feed / np.interp(paths[k].s, line.nodes, own))
-    return timed
+    beyond = [error for path in timed if (error := beyond_reach(cell, path, wanted)) is not None]
+    return [replace(path, feed=np.clip(path.feed, *FEEDS)) for path in timed], beyond
 
 
 def _passed(points: Array, paths: Sequence[BladePath]) -> Mask:
@@ -125,18 +125,24 @@ def _solved(lines: Sequence[_Line], weight: Array, wanted: Array) -> Array:
     return np.asarray(usual * lsq_linear(rows.tocsr(), goal, RANGE, lsq_solver="lsmr", tol=1e-6).x)
 
 
-def _refuse_unreachable(cell: Cell, path: BladePath, nodes: Array, r: Array) -> None:
-    """Raises Infeasible where a line would have to be ground faster or slower than FEEDS."""
-    feed = cell.process.feed / r
-    beyond = (feed < FEEDS[0]) | (feed > FEEDS[1])
-    if beyond.any():
-        k = np.flatnonzero(beyond)
-        worst = k[np.argmax(np.abs(np.log(feed[k] / cell.process.feed)))]
-        raise Infeasible(
-            f"line {path.line} ({path.side}), {1e3 * nodes[k[0]]:.1f} to {1e3 * nodes[k[-1]]:.1f} mm: the wanted depth asks for "
-            f"a feed of {1e3 * feed[worst]:.3g} mm/s at {cell.process.force:g} N, {1e3 * FEEDS[0]:g} to {1e3 * FEEDS[1]:g} can "
-            f"be driven; change process.force_N or the depth ({'grind twice' if feed[worst] < FEEDS[0] else 'leave it out'} there)"
-        )
+def beyond_reach(cell: Cell, path: BladePath, wanted: Wanted) -> CannotGrind | None:
+    """Where a line's feed is outside FEEDS, why, and what would do; None where it is not."""
+    beyond = (path.feed < FEEDS[0]) | (path.feed > FEEDS[1])
+    if not beyond.any():
+        return None
+    k = int(np.argmax(np.where(beyond, np.abs(np.log(path.feed / cell.process.feed)), -1.0)))
+    depth, slow = wanted.at(path.p[k : k + 1], path.n[k : k + 1])[0], path.feed[k] < FEEDS[0]
+    unit = "times the programmed depth" if wanted.programmed_um is None else "um"
+    reason = (
+        f"{depth * (wanted.programmed_um or 1.0):.3g} {unit} are wanted, which takes a feed of {1e3 * path.feed[k]:.3g} mm/s at "
+        f"{path.force[k]:g} N, and {1e3 * FEEDS[0]:g} to {1e3 * FEEDS[1]:g} can be driven"
+    )
+    remedy = (
+        "grind it more than once, or with a larger process.force_N"
+        if slow
+        else "lower process.force_N there, or leave it as it is"
+    )
+    return CannotGrind.of(path, beyond, reason, remedy, k)
 
 
 def feeds_told(cell: Cell, paths: Sequence[BladePath], wanted: Wanted) -> str:
