@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ocp.calibrate.force.fit import BIAS, ForceSolution
 from ocp.calibrate.force.log import Flags, ForceLog
@@ -20,6 +19,7 @@ from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import Cell
 from ocp.model.prepare import wheel_cover
 from ocp.plan.removal.footprint import LinePatches, line_patches
+from ocp.plan.removal.surface import ContactRows, shares_of_time, work_done
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
@@ -99,34 +99,24 @@ def work_at(cell: Cell, model: ForceModel, rows: ForceRows, log: ForceLog, solut
 
     Raises Infeasible of the contact solver.
     """
-    h, belt = np.zeros(len(p)), np.full(len(log), cell.wheel.belt_speed) if log.belt is None else log.belt
+    belt = np.full(len(log), cell.wheel.belt_speed) if log.belt is None else log.belt
     force = np.maximum(solution.reading - solution.x[BIAS], 0.0)
-    tree = cKDTree(p)
+    parts, patches = [], list[LinePatches]()
     for run in np.unique(log.run[log.contact]):
         at = np.flatnonzero((log.run == run) & log.contact & (force > 0))
         if len(at) < 2:
             continue
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(log.p[at], axis=0), axis=1))])
-        patches = _patches(cell, model, rows.take(at), way, force[at], solution.x[:BIAS])
-        seconds = _row_seconds(log.time[at])
-        feed = np.gradient(way, log.time[at]) if np.all(np.diff(log.time[at]) > 0) else np.zeros(len(at))
-        speed = np.abs(np.abs(belt[at]) - cell.process.sigma * feed)  # at zero turn the blade runs with the belt, or against it
-        dose = force[at] * speed * seconds
-        near = tree.query_ball_point(log.p[at], 1.5 * patches.x[-1])
-        row = np.repeat(np.arange(len(at)), [len(found) for found in near])
-        point = np.concatenate([np.asarray(found, np.int64) for found in near])
-        same = np.sum(n[point] * log.n[at][row], axis=1) > 0.5  # not through a thin blade
-        row, point = row[same], point[same]
-        off, t, normal = p[point] - log.p[at][row], log.t[at][row], log.n[at][row]
-        along, across = np.sum(off * t, axis=1), np.sum(off * np.cross(normal, t), axis=1)
-        np.add.at(h, point, dose[row] * patches.pressure(way[row], along, across, force[at][row]))
-    return h
-
-
-def _row_seconds(time: Array) -> Array:
-    """Time (n,) s that each row of a run stands for."""
-    edges = np.concatenate([time[:1], 0.5 * (time[1:] + time[:-1]), time[-1:]])
-    return np.diff(edges)
+        time, way = log.time[at], np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(log.p[at], axis=0), axis=1))])
+        feed = np.gradient(way, time) if np.all(np.diff(time) > 0) else np.zeros(len(at))
+        # At zero turn the blade runs with the belt, or against it.
+        slide = np.abs(np.abs(belt[at]) - cell.process.sigma * feed) * shares_of_time(time)
+        place = np.full(len(at), len(patches), np.int64)
+        parts.append(ContactRows(place, log.p[at], log.n[at], log.t[at], way, force[at], slide))
+        patches.append(_patches(cell, model, rows.take(at), way, force[at], solution.x[:BIAS]))
+    if not parts:
+        return np.zeros(len(p))
+    whole = ContactRows(*(np.concatenate([getattr(part, name) for part in parts]) for name in ContactRows.__dataclass_fields__))
+    return work_done(p, n, whole, patches)
 
 
 def _patches(cell: Cell, model: ForceModel, rows: ForceRows, way: Array, force: Array, theta: Array) -> LinePatches:

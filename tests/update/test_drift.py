@@ -168,3 +168,13 @@ def test_a_history_is_read_back_as_written(worn):
     assert (read.ends, read.holds, read.logs) == (last.history.ends, last.history.holds, last.history.logs)
     for name, values in last.history.columns.items():
         np.testing.assert_allclose(read.columns[name], values, atol=1e-8)
+
+
+def test_the_rate_is_learnt_beside_a_stiffness_that_is_hardly_known(world):
+    """Newtons per metre beside metres: the covariance of the state spans twenty orders of magnitude."""
+    known = world.cell.calibration
+    wide = np.where([n == "flange_stiffness" for n in known.names], 800.0 / known.standard_deviation, 1.0)
+    cell = replace(world.cell, calibration=replace(known, covariance=known.covariance * np.outer(wide, wide)))
+    made = blades(replace(world, cell=cell), 3)
+    sd = [one.latest["wear_sd_um_per_h"] for _, one in made]
+    assert sd[-1] < 0.5 * sd[0] and made[-1][1].latest["wear_um_per_h"] == pytest.approx(3.6e9 * WEAR, rel=0.25)

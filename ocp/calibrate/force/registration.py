@@ -175,8 +175,9 @@ def _joined(robot: Calibration, names: tuple[str, ...], values: Array, covarianc
     shared = [name for name in robot.names if name in names]
     old = [robot.names.index(name) for name in shared]
     new = [names.index(name) for name in shared]
-    C = robot.covariance
-    slope = C[np.ix_(rest, old)] @ np.linalg.pinv(C[np.ix_(old, old)], rcond=1e-12, hermitian=True)
+    C, sd = robot.covariance, np.maximum(robot.standard_deviation[old], 1e-300)
+    # Of correlations: a stiffness in N/m beside a metre would take every direction of the metres below the cut.
+    slope = C[np.ix_(rest, old)] / sd @ np.linalg.pinv(C[np.ix_(old, old)] / np.outer(sd, sd), rcond=1e-12, hermitian=True) / sd
     moved = robot.values[rest] + slope @ (values[new] - robot.values[old])
     cross = slope @ covariance[new]
     own = C[np.ix_(rest, rest)] - slope @ (C[np.ix_(old, old)] - covariance[np.ix_(new, new)]) @ slope.T
