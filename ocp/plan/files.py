@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from ocp.plan.grades import Grades, grade_force, grade_move
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline, build_timeline, emitted_times, grinding_program, write_plan_csv, write_program
 from ocp.plan.readback import Readback, read_back
 from ocp.plan.report.axes import axes_section
-from ocp.plan.report.force import force_section
+from ocp.plan.report.force import force_section, left_out_section, verification_section
 from ocp.plan.report.plan_report import PlanReport, build_report
 from ocp.plan.report.quantities import contact_section, maps_section
 from ocp.plan.report.removal import removal_section
 from ocp.plan.report.scene import scene_section
-from ocp.plan.rules import UNCERTAIN_FORCE
 from ocp.plan.second_route import believed_robot
 from ocp.report.parts import Facts, made_from
 from ocp.report.report import Report
@@ -32,14 +32,19 @@ PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh"
 
 @dataclass(frozen=True)
 class PlanResult:
-    """A plan whose written program was read back and found safe: the folder, the plan, the verdict in words, and the one line
-    that says what was written."""
+    """A plan whose written program was read back and found safe: the folder, the plan, what it promises, and the one line that
+    says what was written."""
 
     folder: Path
     plan: Plan
     readback: Readback
-    verdict: str
+    grades: Grades
     line: str
+
+    @property
+    def verdict(self) -> str:
+        """What it promises in two sentences."""
+        return self.grades.sentences()
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -64,18 +69,18 @@ def write_plan(plan: Plan, output: Output, phases: Phases) -> PlanResult:
         written = _write_programs(plan, folder, phases)
         with phases.phase("report"):
             summary = _summary(plan, written)
-            verdict = _verdict(plan, written)
-            report = build_report(plan, written.timeline, verdict, summary)
+            grades = grades_of(plan, written.readback)
+            report = build_report(plan, written.timeline, grades, summary)
             write_plan_report(report, folder)
         with phases.phase("writing"):
-            _write_json(plan, written, summary, verdict, folder / "plan.json")
+            _write_json(plan, written, summary, grades, folder / "plan.json")
     dialect = dialect_named(plan.cell.controller.dialect)
     line = (
         f"{out}: {len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} {dialect.title} files, "
-        f"safe to use: {verdict} "
+        f"{grades.headline[0].lower()}{grades.headline[1:]} {grades.sentences()} "
         f"Look at {out / 'report.html'} before anything moves."
     )
-    return PlanResult(out, plan, written.readback, verdict, line)
+    return PlanResult(out, plan, written.readback, grades, line)
 
 
 def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
@@ -92,18 +97,10 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
     return _Written(sorted(file.name for file in files), timeline, readback)
 
 
-def _verdict(plan: Plan, written: _Written) -> str:
-    sd = plan.force_sd
+def grades_of(plan: Plan, readback: Readback) -> Grades:
+    """The two grades of a written plan."""
     goal, asked = _asked(plan)
-    found = (
-        f"the program read back gives {asked} within {written.readback.force_error:.2g} N by the independent route; "
-        f"one standard deviation of the force on the real cell is up to {sd:.2g} N"
-    )
-    if plan.cell.calibration is None:
-        found += " because the cell has no calibration"
-    if UNCERTAIN_FORCE * sd > goal:
-        return f"{found}: motion and limits are checked, but calibrate the cell before the blade touches the wheel."
-    return f"{found}."
+    return Grades(grade_move(readback), grade_force(plan.cell, goal, plan.force_sd, readback.force_error), asked)
 
 
 def _asked(plan: Plan) -> tuple[float, str]:
@@ -142,12 +139,13 @@ def _summary(plan: Plan, written: _Written) -> list[tuple[str, str]]:
     return [(label, f"{value} {unit}".strip()) for label, value, unit in rows]
 
 
-def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], verdict: str, path: Path) -> None:
+def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], grades: Grades, path: Path) -> None:
     """plan.json: status, summary, inputs and their hashes, versions; the only file that tells of this machine."""
     content = {
         "schema": 1,
         "status": "safe",
-        "verdict": verdict,
+        "verdict": grades.sentences(),
+        "grades": grades.document(),
         "summary": dict(summary),
         "force_error_N": written.readback.force_error,
         "force_sd_max_N": plan.force_sd,
@@ -169,15 +167,18 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], v
 
 def plan_pages(report: PlanReport) -> Report:
     """The report as headline and sections, in their order."""
-    head = Headline(report.safe, "Safe to use." if report.safe else "Do not use.", report.verdict)
+    words = report.headline if report.safe else "Do not use."
+    head = Headline(report.safe, words, report.verdict, doubtful=words != "Safe to use.")
     sections = (
         Section("Summary", (Facts(tuple(report.summary)),)),
+        *([left_out_section(report)] if report.left_out else []),
         scene_section(report),
         force_section(report),
         axes_section(report),
         removal_section(report),
         maps_section(report),
         contact_section(report),
+        verification_section(report),
         made_from(report.inputs),
     )
     return Report("Grinding plan", report.title, head, report.notices, sections)

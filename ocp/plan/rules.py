@@ -79,6 +79,14 @@ FEEDS = (0.002, 0.3)
 """[m/s] Of the contact that a wanted depth may ask for. Guards: a blade that burns, a depth that is missed in silence. Reason:
 judgement; below, a line takes a minute, above, the arm that turns the blade on a wheel of 40 mm needs half its speed."""
 
+FORCE_SHARE = 0.05
+"""[-] Of the force asked for, from which on its standard deviation on the real cell, or the difference of the two routes, is
+amber. Guards: a force that is not known as well as the removal has to be. Reason: depth goes with force, and 5 % are wanted."""
+
+STOP_PRELOAD = 1.0
+"""[N] That a force flange may bear on its stop with before it is amber, without an output that sets it. Guards: touch, which is
+as stiff as without a flange below that force. Reason: the mission's requirement; PHYSICS 6."""
+
 # ---------- what must stay free
 ARM_MARGIN = 0.020
 """[m] Between bodies of the arm, wheel, floor and what the arm carries. Guards: collisions. Reason: shapes are simple, and the

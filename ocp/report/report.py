@@ -22,6 +22,9 @@ from ocp.report.section import Headline, Section
 from ocp.report.sheets import LEFT, Sheet, Sheets, new_sheet, number_sheets, wrapped
 from ocp.report.style import STYLE, printable, shorten
 
+TONES = {"safe": ("#12643a", "#eef6f1"), "doubtful": ("#7a5200", "#fcf5e3"), "unsafe": ("#9c2f0a", "#fdf1ec")}
+"""Colour and ground of the headline's box; page.css has the same."""
+
 _KIT = Path(__file__).parent
 
 
@@ -86,12 +89,12 @@ def _source_hash(source: str) -> str:
 
 def _verdict_on_sheet(sheet: Sheet, head: Headline, y: float) -> float:
     """The coloured box with verdict and sentence; returns where the next thing begins."""
-    colour, ground = ("#12643a", "#eef6f1") if head.good else ("#9c2f0a", "#fdf1ec")
+    colour, ground = TONES[head.tone]
     lines = wrapped(head.sentence, WIDTH - 0.4, 9.5)
     height = 0.45 + 0.2 * len(lines)
     sheet.box(LEFT, y + height, WIDTH, height, ground)
     sheet.box(LEFT, y + height, 0.06, height, colour)
-    words = f"{'✓' if head.good else '!'} {head.verdict}"
+    words = f"{head.mark} {head.verdict}"
     sheet.text(LEFT + 0.2, y + 0.27, words, fontsize=11, fontweight="bold", color=colour)
     for k, line in enumerate(lines):
         sheet.text(LEFT + 0.2, y + 0.5 + 0.2 * k, line, fontsize=9.5)

@@ -14,13 +14,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Headline:
-    """The first thing to read: whether all is well (`good`), that in a few words, one sentence, and facts as (question,
-    answer)."""
+    """The first thing to read: whether all is well (`good`; `doubtful`: but for what the sentence says), that in a few words, one
+    sentence or two, and facts as (question, answer)."""
 
     good: bool
     verdict: str
     sentence: str
     facts: tuple[tuple[str, str], ...] = ()
+    doubtful: bool = False
+
+    @property
+    def tone(self) -> str:
+        """The class of its box: safe, doubtful or unsafe."""
+        return "unsafe" if not self.good else "doubtful" if self.doubtful else "safe"
+
+    @property
+    def mark(self) -> str:
+        """The sign before it."""
+        return "✓" if self.tone == "safe" else "!"
 
 
 class Part(Protocol):

@@ -24,7 +24,7 @@ from ocp.data import CELL
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.plan import rules
 from ocp.plan.clearance import Clearance, CollisionScene
-from ocp.plan.files import _verdict
+from ocp.plan.grades import grade_force
 from ocp.plan.motion import is_free
 from ocp.plan.passes import posture
 from ocp.plan.passes.optimise import TouchesElsewhere, refuse_unsound
@@ -407,16 +407,10 @@ def test_waypoints_neither_too_dense_nor_too_far_apart(monkeypatch, inside, outs
 
 
 def test_a_force_that_may_be_double_or_none_is_not_called_ready(cell):
-    def verdict(sd):
-        one = SimpleNamespace(
-            evaluation=SimpleNamespace(force_sd=np.array([sd])),
-            problem=SimpleNamespace(path=SimpleNamespace(force=np.full(3, 20.0))),
-        )
-        plan = SimpleNamespace(motion=SimpleNamespace(passes=[one]), cell=cell, force_sd=sd)
-        return _verdict(plan, SimpleNamespace(readback=SimpleNamespace(force_error=0.02)))  # type: ignore[arg-type]
-
-    assert "calibrate the cell before the blade touches the wheel" not in verdict(20.0 / rules.UNCERTAIN_FORCE - 1e-6)
-    assert "calibrate the cell before the blade touches the wheel" in verdict(20.0 / rules.UNCERTAIN_FORCE + 1e-6)
+    for more, grade in ((-1e-6, "amber"), (1e-6, "red")):
+        found = grade_force(cell, 20.0, 20.0 / rules.UNCERTAIN_FORCE + more, 0.02)
+        assert found.grade == grade
+        assert ("calibrate the cell before the blade touches the wheel" in found.why) == (grade == "red")
 
 
 def test_feeds_that_a_wanted_depth_may_ask_for(cell):
@@ -427,3 +421,20 @@ def test_feeds_that_a_wanted_depth_may_ask_for(cell):
             error = beyond_reach(cell, asked, Wanted())
             assert (error is not None) == named
     assert error is not None and len(error.at) == 5
+
+
+def test_a_force_that_is_not_known_to_a_twentieth_is_amber(cell):
+    limit = 20.0 * rules.FORCE_SHARE
+    for sd, off in ((limit, 0.02), (0.1, limit)):
+        assert grade_force(cell, 20.0, sd - 1e-9, off - 1e-9).grade == "green"
+    assert grade_force(cell, 20.0, limit + 1e-9, 0.02).grade == "amber"
+    assert grade_force(cell, 20.0, 0.1, limit + 1e-9).grade == "amber"
+
+
+def test_a_flange_that_bears_on_its_stop_is_amber(cell):
+    free = 0.5 * cell.flange.stiffness * cell.flange.stroke
+    for more, grade in ((-1e-6, "green"), (1e-6, "amber")):
+        flange = replace(cell.flange, setpoint=free + rules.STOP_PRELOAD + more)
+        assert grade_force(replace(cell, flange=flange), 20.0, 0.1, 0.02).grade == grade
+    output = replace(flange, setpoint_output="ANOUT[1]")
+    assert grade_force(replace(cell, flange=output), 20.0, 0.1, 0.02).grade == "green"

@@ -8,16 +8,20 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from ocp.plan.files import plan_pages, write_plan_report
-from ocp.plan.report.plan_report import PlanReport
+from ocp.plan.grades import Grade, Grades
+from ocp.plan.passes.stretches import LeftOut
+from ocp.plan.report.plan_report import LeftOutReport, PlanReport
 from ocp.plan.report.quantities import QUANTITIES
+from ocp.plan.report.surface import paint_blade, pass_spacing
 from tests.support.report_example import example_report
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -233,3 +237,34 @@ def test_page_comes_alive_in_a_browser(tmp_path, report):
     assert abs(float(re.search(r"A2\s+(-?[\d.]+) deg", told).group(1)) - np.degrees(report.motion.q[at, 1])) < 0.2
     assert re.search(r"Line 2 \(convex\), [\d.]+ mm along", told)
     assert "Standard deviation of the force, N" in told
+
+
+def test_what_is_left_out_is_named_and_coloured(report):
+    """The middle of the second pass is left out: in words, as red triangles of the scene and in no quantity's colour."""
+    cut = report.passes[1]
+    piece = {name: getattr(cut, name)[10:30] for name in "pn"} | {"s": cut.s[10:30] - cut.s[10]}
+    lost = LeftOut(cut.line, cut.side, float(cut.s[10]), float(cut.s[29]), "it is too hollow <b>", "use a narrower wheel")
+    names = [field.name for field in fields(cut) if isinstance(getattr(cut, field.name), np.ndarray)]
+    ends = [replace(cut, **{name: getattr(cut, name)[part] for name in names}) for part in (slice(0, 10), slice(30, 40))]
+    ends[1] = replace(ends[1], s=ends[1].s - ends[1].s[0])
+    without = replace(report, passes=(report.passes[0], *ends, *report.passes[2:]))
+    told = replace(without, left_out=(LeftOutReport(cut.side, **piece, lost=lost),))
+    text = " ".join(Page(page_of(told)).words)
+    assert "it is too hollow <b>" in text and "use a narrower wheel" in text and "left out" in text
+    assert "left out" not in " ".join(Page(page_of(without)).words)
+    painted = paint_blade(told.vertices, told.faces, told.passes, told.pass_spacing, told.left_out)
+    middles = painted.vertices[painted.faces].mean(axis=1)
+    assert painted.left.any() and cKDTree(piece["p"]).query(middles[painted.left])[0].max() < pass_spacing(told.passes)
+    grey = paint_blade(told.vertices, told.faces, told.passes, told.pass_spacing)
+    assert not grey.left.any() and painted.waypoint.max() < sum(len(one.s) for one in told.passes)
+
+
+@pytest.mark.parametrize(
+    "grade, words", [("green", "Safe to use."), ("amber", "Safe to use, with care."), ("red", "not to grind")]
+)
+def test_the_headline_has_the_colour_of_its_grade(report, grade, words):
+    grades = Grades(Grade("green", "it moves"), Grade(grade, "as measured"), "20 N")
+    page = page_of(replace(report, verdict=grades.sentences(), headline=grades.headline))
+    assert words in page and ("verdict safe" in page) == (grade == "green") and ("verdict doubtful" in page) == (grade != "green")
+    assert f"({grade}): as measured." in page and "safe to move (green): it moves." in page
+    assert "shared with the planner" in page and "the blade&#39;s compliance" in page

@@ -12,8 +12,9 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 
+from ocp.plan.grades import SHARED
 from ocp.plan.report.plan_report import PassReport, PlanReport
-from ocp.report.parts import Plot, Table, table
+from ocp.report.parts import Facts, Plot, Table, table
 from ocp.report.plotting import Canvas, dressed, envelope, panels
 from ocp.report.section import Part, Section
 from ocp.report.sheets import Sheets
@@ -49,6 +50,23 @@ def force_section(report: PlanReport) -> Section:
     )
     style = (Path(__file__).parent / "viewer" / "panels.css").read_text(encoding="utf-8")
     return Section("Predicted force along each pass", (words, ForcePanels(report), pass_table(report)), style=style)
+
+
+def left_out_section(report: PlanReport) -> Section:
+    """What of the lines is not ground: where, why, and what would do."""
+    rows = []
+    for one in (piece.lost for piece in report.left_out):
+        ends = (f"{one.start * 1e3:.1f}", f"{one.end * 1e3:.1f}")
+        rows.append((str(one.line), one.side, *ends, one.reason, one.would_do))
+    names = ("line", "side", "from, mm", "to, mm", "why", "what would do")
+    words = "Distances run along the line as it was laid. The scene shows these stretches in red, the maps hatched."
+    return Section("Left out", (words, table(names, rows, text=(1, 4, 5))))
+
+
+def verification_section(report: PlanReport) -> Section:
+    """What the independent route has in common with the planner, and what not."""
+    words = "The force is judged on the written text by a route that is independent of the planner, but not in everything:"
+    return Section("How the force was verified", (words, Facts(tuple(SHARED.items()))))
 
 
 @dataclass(frozen=True)

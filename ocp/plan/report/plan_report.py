@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.model.cell import Cell, Wheel
+from ocp.plan.grades import Grades
 from ocp.plan.motion import PlannedMotion
+from ocp.plan.passes.stretches import LeftOut
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline
 from ocp.plan.removal.result import Removal
@@ -54,6 +56,13 @@ class PassReport(GroundPass):
 
 
 @dataclass(frozen=True)
+class LeftOutReport(GroundPass):
+    """A piece of a line that is not ground, `lost`; its points, none where it was never laid."""
+
+    lost: LeftOut
+
+
+@dataclass(frozen=True)
 class MotionReport:
     """The timed program, air moves included; m samples.
 
@@ -90,7 +99,8 @@ class CellAnimation:
 class PlanReport:
     """Everything the report of one plan says.
 
-    `verdict` is one sentence; `safe` says whether the program may be run. `summary`: what it is and its value, ready to print;
+    `verdict` is two sentences, `headline` a few words; `safe` says whether the program may be run. `summary`: what it is and its
+    value, ready to print; `left_out`: what of the lines is not ground.
     `inputs`: SHA-256 of the files that the plan was made from, by their part ("blade", "cell", ...) and name. `vertices` (nv, 3)
     m and `faces` (nf, 3) are the blade, `robot` and `wheel` what the plan was made for. `target_force` N. `pass_spacing` m
     between neighbouring passes (0 = take it from the passes). `removal`: the map of what is taken off, all passes summed.
@@ -112,6 +122,8 @@ class PlanReport:
     wheel: Wheel
     pass_spacing: float = 0.0
     removal: Removal | None = None
+    headline: str = "Safe to use."
+    left_out: tuple[LeftOutReport, ...] = ()
 
     def contact_spans(self) -> tuple[tuple[int, float, float], ...]:
         """(line, start s, end s) of every stretch of contact."""
@@ -123,12 +135,13 @@ class PlanReport:
         return tuple((int(key[a]), float(time[a]), float(time[b])) for a, b in zip(starts, ends, strict=True) if key[a])
 
 
-def build_report(plan: Plan, timeline: Timeline, verdict: str, summary: Sequence[tuple[str, str]]) -> PlanReport:
+def build_report(plan: Plan, timeline: Timeline, grades: Grades, summary: Sequence[tuple[str, str]]) -> PlanReport:
     """Everything the pages show of a plan that was found safe."""
     cell, motion = plan.cell, plan.motion
     return PlanReport(
         title=f"Grinding plan for {plan.blade.name}",
-        verdict=verdict,
+        verdict=grades.sentences(),
+        headline=grades.headline,
         safe=True,
         summary=summary,
         inputs={f"{role}: {path.name}": sha256(path) for role, path in plan.inputs},
@@ -143,6 +156,7 @@ def build_report(plan: Plan, timeline: Timeline, verdict: str, summary: Sequence
         wheel=cell.wheel,
         pass_spacing=cell.process.pass_spacing,
         removal=plan.removal,
+        left_out=tuple(_left_out(plan, one) for one in plan.left_out),
     )
 
 
@@ -165,6 +179,15 @@ def _pass(plan: Plan, place: int) -> PassReport:
         tilt=np.arctan(seen.tilt),
         feed=at_waypoints(trajectory.feed(trajectory.times)),
     )
+
+
+def _left_out(plan: Plan, lost: LeftOut) -> LeftOutReport:
+    """With the points of the laid line between its ends, the nearest two at least."""
+    path = next(one for one in plan.lines if one.line == lost.line)
+    first, last = np.searchsorted(path.s, [lost.start - path.start - 1e-9, lost.end - path.start - 1e-9])
+    first, last = min(first, len(path.s) - 2), min(max(last, first + 1), len(path.s) - 1)
+    kept = slice(first, last + 1)
+    return LeftOutReport(path.side, path.p[kept], path.n[kept], path.s[kept] - path.s[first], lost)
 
 
 def _motion(cell: Cell, motion: PlannedMotion, timeline: Timeline) -> MotionReport:

@@ -5,6 +5,7 @@ blade" (quantities as colours, a bar a pass, distance along it to the right) and
 touches it: place, turn about the normal, tilts; zero turn means that blade and belt move along one line).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
@@ -15,11 +16,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 
-from ocp.plan.report.plan_report import PassReport, PlanReport
+from ocp.plan.report.plan_report import LeftOutReport, PassReport, PlanReport
+from ocp.plan.report.surface import GroundPass
 from ocp.report.parts import Plot
 from ocp.report.plotting import Canvas, dressed, keys, panels
 from ocp.report.section import Section
-from ocp.report.style import COLOUR_MAP, LIMIT, RULE, SIDE_COLOURS
+from ocp.report.style import COLOUR_MAP, LEFT_OUT, LIMIT, RULE, SIDE_COLOURS
 from robots.pose import Array
 
 
@@ -90,6 +92,8 @@ def sides_of(report: PlanReport) -> dict[str, str]:
 def maps_section(report: PlanReport) -> Section:
     """Compliance and force; removal, feed and limits."""
     words = "A row a line of the blade; across: mm from the end where the side's first pass starts; arrow: feed."
+    if report.left_out:
+        words += " Hatched red: left out."
     return Section(
         "On the unrolled blade",
         (
@@ -115,10 +119,12 @@ def _draw_maps(canvas: Canvas, report: PlanReport, keys: tuple[str, ...]) -> Non
         norm = Normalize(*colour_range(report, item))
         for ax, side in zip(row, sides, strict=True):
             group = [one for one in report.passes if one.side == side]
-            _draw_bars(ax, group, item, norm)
+            lost = [one for one in report.left_out if one.side == side and len(one.s)]
+            lines = list(dict.fromkeys([one.line for one in group] + [one.lost.line for one in lost]))
+            _draw_bars(ax, group, lost, lines, item, norm)
             ax.set_facecolor("#f2f4f6")
-            step = max(1, len(group) // 16)
-            ax.set_yticks(range(0, len(group), step), [str(one.line) for one in group[::step]])
+            step = max(1, len(lines) // 16)
+            ax.set_yticks(range(0, len(lines), step), [str(line) for line in lines[::step]])
             dressed(ax, f"{item.label}{f', {item.unit}' if item.unit else ''}: {side}", grid="")
             ax.tick_params(color=RULE)
         bar = row[-1].inset_axes((1.05, 0.0, 0.045, 1.0))
@@ -126,7 +132,7 @@ def _draw_maps(canvas: Canvas, report: PlanReport, keys: tuple[str, ...]) -> Non
         bar.tick_params(length=2, labelsize=6.5)
 
 
-def common_distance(group: list[PassReport]) -> list[Array]:
+def common_distance(group: Sequence[GroundPass]) -> list[Array]:
     """Distance m along each pass from the same end of the blade, whichever way the pass is fed.
 
     The direction is the first pass's; passes fed against it are counted backwards. Starts are set apart by
@@ -143,10 +149,18 @@ def common_distance(group: list[PassReport]) -> list[Array]:
     return result
 
 
-def _draw_bars(ax: Axes, group: list[PassReport], item: Quantity, norm: Normalize) -> None:
-    """A strip of cells a pass with the waypoints in their middles, and an arrow along it."""
+def _draw_bars(
+    ax: Axes, group: list[PassReport], lost: list[LeftOutReport], lines: list[int], item: Quantity, norm: Normalize
+) -> None:
+    """A strip of cells a pass with the waypoints in their middles, and an arrow along it, in the row of its line; a plain strip
+    for what is left out."""
     cells, values, ends = [], [], []
-    for place, (one, along) in enumerate(zip(group, common_distance(group), strict=True)):
+    distances = common_distance([*group, *lost])
+    for gone, along in zip(lost, distances[len(group) :], strict=True):
+        low, high = 1e3 * float(along.min()), 1e3 * float(along.max())
+        ax.barh(lines.index(gone.lost.line), high - low, 0.84, low, color=LEFT_OUT, hatch="////", edgecolor="white", lw=0)
+    for one, along in zip(group, distances[: len(group)], strict=True):
+        place = lines.index(one.line)
         x = 1e3 * along
         edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]) if len(x) > 1 else x[0] + np.array([-0.5, 0.5])
         left, right, foot, head = edges[:-1], edges[1:], np.full(len(x), place - 0.42), np.full(len(x), place + 0.42)
@@ -160,12 +174,13 @@ def _draw_bars(ax: Axes, group: list[PassReport], item: Quantity, norm: Normaliz
     bars.set_array(np.ma.masked_invalid(np.concatenate(values)))
     ax.add_collection(bars)
     start, end = np.array(ends).T
-    ax.set_xlim(min(start.min(), end.min()), max(start.max(), end.max()))
-    ax.set_ylim(-0.6, len(group) - 0.4)
+    everywhere = 1e3 * np.concatenate(distances)
+    ax.set_xlim(everywhere.min(), everywhere.max())
+    ax.set_ylim(-0.6, len(lines) - 0.4)
     way = 0.94 * (end - start)
     ax.quiver(
         start + 0.03 * (end - start),
-        np.arange(len(group)),
+        np.array([lines.index(one.line) for one in group]),
         way,
         0 * way,
         angles="xy",

@@ -21,10 +21,11 @@ from ocp.plan.report.surface import PaintedBlade, draw_blade, paint_blade, pass_
 from ocp.report.parts import Plot
 from ocp.report.plotting import Canvas
 from ocp.report.section import Section
-from ocp.report.style import COLOUR_MAP, NOT_GROUND, VIRIDIS
+from ocp.report.style import COLOUR_MAP, LEFT_OUT, NOT_GROUND, VIRIDIS
 
 _VIEWER = Path(__file__).parent / "viewer"
 _SCRIPTS = ("math.js", "mesh.js", "scene.js", "orbit.js", "viewer.js", "page.js")
+LEFT_OUT_KEY = '<span class="swatch left"></span><span>left out</span>'
 MAX_SAMPLES = 2000
 """Motion samples shipped for the readout: one per pixel of a wide screen."""
 
@@ -32,9 +33,11 @@ MAX_SAMPLES = 2000
 def scene_section(report: PlanReport) -> Section:
     """Blade, passes, arm and wheel in three dimensions."""
     script = "\n".join((_VIEWER / name).read_text(encoding="utf-8") for name in _SCRIPTS)
-    painted = paint_blade(report.vertices, report.faces, report.passes, report.pass_spacing)
+    lost = [one for one in report.left_out if len(one.s)]
+    painted = paint_blade(report.vertices, report.faces, report.passes, report.pass_spacing, lost)
     item = QUANTITIES[0]
-    caption = f"{item.label} in {item.unit}; grey is not ground. In report.html the blade can be turned and the cell moves."
+    grey = "grey is not ground, red was left out" if lost else "grey is not ground"
+    caption = f"{item.label} in {item.unit}; {grey}. In report.html the blade can be turned and the cell moves."
 
     def still(canvas: Canvas) -> None:
         toward = report.passes[0].n.mean(axis=0)
@@ -69,6 +72,7 @@ class SceneView(Plot):
         return Markup((_VIEWER / "scene.html").read_text(encoding="utf-8")).format(
             options=Markup("\n").join(options),
             bands=Markup("\n").join(bands),
+            left_out=Markup(LEFT_OUT_KEY if self.painted.left.any() else ""),
             payload=Markup(script_json(page_payload(self.report, self.painted))),
         )
 
@@ -94,6 +98,7 @@ def page_payload(report: PlanReport, painted: PaintedBlade) -> dict[str, Any]:
         "target": float(report.target_force),
         "colours": VIRIDIS,
         "notGround": NOT_GROUND,
+        "leftOut": LEFT_OUT,
         "quantities": [
             {
                 "key": item.key,
@@ -122,7 +127,8 @@ def _blade(painted: PaintedBlade) -> dict[str, Any]:
     index = "<u2" if max(len(painted.vertices), int(painted.waypoint.max()) + 1) < 2**16 else "<u4"
     return {
         "vertices": encode(painted.vertices),
-        "faces": encode(painted.faces, index),
+        "faces": encode(painted.faces[~painted.left], index),
+        "left": encode(painted.faces[painted.left], index),
         "waypoint": encode(painted.waypoint, index),
         "weight": encode(np.round(255 * painted.weight), "<u1"),
     }

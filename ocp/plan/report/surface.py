@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ocp.report.plotting import Canvas
-from ocp.report.style import NOT_GROUND, SOFT
+from ocp.report.style import LEFT_OUT, NOT_GROUND, SOFT
 from robots.pose import Array
 
 MAX_FACES = 60_000
@@ -42,7 +42,8 @@ class GroundPass:
 
 @dataclass(frozen=True)
 class PaintedBlade:
-    """Triangles `vertices` (nv, 3) m, `faces` (nf, 3); per vertex `waypoint` (nv, 4) and `weight` (nv, 4).
+    """Triangles `vertices` (nv, 3) m, `faces` (nf, 3); per vertex `waypoint` (nv, 4) and `weight` (nv, 4); `left` (nf,):
+    triangles nearer to what is left out than to a pass.
 
     Waypoints count through all passes in order. The sum of a vertex's weights is its cover: 1 near a pass,
     falling with the distance; the surface counts as ground where it is at least 0.5. Being linear across a
@@ -53,15 +54,22 @@ class PaintedBlade:
     faces: NDArray[np.int64]
     waypoint: NDArray[np.int64]
     weight: Array
+    left: NDArray[np.bool_]
 
 
-def paint_blade(vertices: Array, faces: NDArray[Any], passes: Sequence[GroundPass], spacing: float = 0.0) -> PaintedBlade:
+def paint_blade(
+    vertices: Array, faces: NDArray[Any], passes: Sequence[GroundPass], spacing: float = 0.0, left_out: Sequence[GroundPass] = ()
+) -> PaintedBlade:
     """Blade mesh ready for drawing, see `PaintedBlade`; `spacing` m between passes, 0 = measured."""
     spacing = spacing if spacing > 0 else pass_spacing(passes)
     small = cluster_vertices(np.asarray(vertices, float), np.asarray(faces, np.int64), MAX_FACES)
-    fine, triangles = refine_near(*small, np.concatenate([item.p for item in passes]), spacing)
-    waypoint, weight = paint_weights(fine, angle_weighted_normals(fine, triangles), passes, 0.6 * spacing)
-    return PaintedBlade(fine, triangles, waypoint, weight)
+    everything = [*passes, *left_out]
+    fine, triangles = refine_near(*small, np.concatenate([item.p for item in everything]), spacing)
+    waypoint, weight = paint_weights(fine, angle_weighted_normals(fine, triangles), everything, 0.6 * spacing)
+    beyond = waypoint >= sum(len(item.s) for item in passes)
+    cover, lost = weight.sum(axis=1), np.where(beyond, weight, 0.0).sum(axis=1)
+    left = (cover[triangles].mean(axis=1) >= 0.5) & (2 * lost[triangles].sum(axis=1) > cover[triangles].sum(axis=1))
+    return PaintedBlade(fine, triangles, np.where(beyond, 0, waypoint), np.where(beyond, 0.0, weight), left)
 
 
 def pass_spacing(passes: Sequence[GroundPass]) -> float:
@@ -185,6 +193,7 @@ def draw_blade(
     ground = cover[blade.faces].mean(axis=1) >= 0.5
     painted = np.asarray(colours(norm(value[blade.faces].mean(axis=1))))[:, :3]
     painted = np.where(ground[:, None], painted, to_rgb(NOT_GROUND))
+    painted[blade.left] = to_rgb(LEFT_OUT)
     for ax, sign in zip(axes, (1.0, -1.0), strict=True):
         _draw_side(ax, blade, painted, sign * level, np.eye(3)[upright])
     beside = axes[-1].get_position()

@@ -28,6 +28,7 @@ function createViewer(data, canvas) {
   const { passes, blade, cell } = data, wheel = cell.wheel;
   const width = Math.max(0.14 * passes.spacing, 0.0003);
   const surface = renderer.mesh(bladeMesh(blade.vertices, blade.faces));
+  const left = blade.left.length ? renderer.mesh(bladeMesh(blade.vertices, blade.left)) : null, leftColour = rgb(data.leftOut);
   const outline = renderer.mesh(ribbons(passes, 1.7 * width, 0.00012));
   const strips = renderer.mesh(ribbons(passes, width, 0.0002));
   const marker = renderer.mesh(capsuleMesh([0, 0, 0], [0, 0, 0], 1));
@@ -59,6 +60,7 @@ function createViewer(data, canvas) {
 
   function bladeItems(state, model) {
     const items = [{ mesh: surface, model, colour: state.grey, range: state.range }];
+    if (left) items.push({ mesh: left, model, colour: leftColour });
     if (state.lines) {
       items.push({ mesh: outline, model, colour: OUTLINE_COLOUR, lit: false });
       items.push({ mesh: strips, model, colour: state.grey, range: state.range, lit: false });
