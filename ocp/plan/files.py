@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ocp.plan.accuracy import accuracy_columns, accuracy_rows
 from ocp.plan.grades import Grades, grade_force, grade_move
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline, build_timeline, emitted_times, grinding_program, write_plan_csv, write_program
@@ -89,7 +90,11 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
         program = grinding_program(cell, plan.motion, plan.kind, plan.name)
         files = write_program(cell, program, folder)
         timeline = build_timeline(plan.motion, emitted_times(plan.motion, program))
-        write_plan_csv(timeline, folder / "plan.csv", plan.removal.columns(timeline))
+        write_plan_csv(
+            timeline,
+            folder / "plan.csv",
+            [*plan.removal.columns(timeline), *accuracy_columns(plan.accuracy, plan.motion, timeline)],
+        )
     with phases.phase("reading back"):
         values = plan.theta.values
         believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
@@ -136,6 +141,7 @@ def _summary(plan: Plan, written: _Written) -> list[tuple[str, str]]:
         ("Table of the wheel, largest held-out error", f"{plan.wheel_error * 1e6:.1f}", "um"),
         ("Blade compliance, estimated error", f"{100 * plan.compliance_error:.2f}", "%"),
     ]
+    rows += accuracy_rows(plan.accuracy, motion.passes)
     return [(label, f"{value} {unit}".strip()) for label, value, unit in rows]
 
 

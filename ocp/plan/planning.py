@@ -11,6 +11,7 @@ from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, floor_notices, read_cell
 from ocp.model.prepare import prepare_contact
 from ocp.model.theta import Theta, registered
+from ocp.plan.accuracy import WorkingAccuracy, working_accuracy
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.motion import PlannedMotion, build_motion
 from ocp.plan.passes.optimise import Ground, GroundLines, remembered_passes, solve_passes
@@ -57,6 +58,7 @@ class Plan:
     wheel_error: float
     compliance_error: float
     removal: Removal
+    accuracy: tuple[WorkingAccuracy, ...]
     lines: tuple[BladePath, ...]
     left_out: tuple[LeftOut, ...]
 
@@ -76,7 +78,8 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
 
     Raises BadInput (exit code 2) and Infeasible (exit code 1) of every part, one sentence each.
     """
-    cell, theta = registered(read_cell(cell_file, blade_file))
+    believed = read_cell(cell_file, blade_file)
+    cell, theta = registered(believed)
     refuse_left_out(cell.robot, "a plan")
     stl = cell.workpiece.stl
     if stl is None:
@@ -135,6 +138,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
         removal=removal,
+        accuracy=tuple(working_accuracy(believed, cell, theta, contact.law, motion.passes)),
         lines=tuple(laid.paths),
         left_out=tuple(lost),
     )

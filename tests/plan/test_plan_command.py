@@ -97,6 +97,10 @@ def test_every_row_of_the_table_holds_force_and_limits(small):
     assert np.abs(force[contact] - 20.0).max() <= 0.2
     assert np.isnan(force[~contact]).all()
     assert 0.0 < numbers(rows["limit_ratio"]).max() <= 1.0
+    assert {"removal_rel", "d_normal_mm", "d_feed_mm", "d_lateral_mm"} <= set(rows) and "removal_um" not in rows
+    assert np.isfinite(numbers(rows["removal_rel"])[contact]).all() and np.isnan(numbers(rows["removal_rel"])[~contact]).all()
+    d = np.column_stack([numbers(rows[f"d_{axis}_mm"])[contact] for axis in ("normal", "feed", "lateral")])
+    assert 0.05 < np.linalg.norm(d, axis=1).mean() < 3.0  # weight bends the arm, and nobody told the controller
     told = re.search(
         r"feeds are \d+ to (\d+) mm/s", " ".join(json.loads((small[0] / "plan" / "plan.json").read_text())["notices"])
     )
