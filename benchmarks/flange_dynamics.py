@@ -23,7 +23,7 @@ from ocp.simulate.twin.contact.grinder import ContactPatches, moving_device
 from ocp.simulate.twin.controller import drive
 from ocp.simulate.twin.ground_depth import ground_depth
 from ocp.simulate.twin.krl_text import read_program
-from ocp.simulate.twin.plan_knowledge import cell_of_plan, match, read_plan_table, read_summary
+from ocp.simulate.twin.plan_knowledge import cell_of_plan, match, read_plan_table, read_summary, recorded_input, with_hash
 from ocp.simulate.twin.run import GrindingConditions, VirtualMachine, approach, make_machine, refuse_crash
 from ocp.simulate.twin.touching import Touching, carried_acceleration, in_time, touch_figures
 from ocp.simulate.twin.truth import draw_truth
@@ -94,9 +94,9 @@ def main() -> None:
     parser.add_argument("--mass", type=numbers, default=[2.0, 5.0, 10.0])
     asked = parser.parse_args()
     for folder in asked.plan:
-        places = (folder, folder.resolve().parent, Path.cwd())
-        file = asked.cell or cell_of_plan(read_summary(folder), folder, places, CELL)
-        table(folder, read_cell(file), asked)
+        summary, places = read_summary(folder), (folder, folder.resolve().parent, Path.cwd())
+        file, known = asked.cell or cell_of_plan(summary, folder, places, CELL), recorded_input(summary, "blade")
+        table(folder, read_cell(file, with_hash([place / known[0] for place in places], known[1]) if known else None), asked)
 
 
 if __name__ == "__main__":

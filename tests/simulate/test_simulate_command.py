@@ -152,6 +152,30 @@ def test_a_flange_that_moves_in_time_is_rehearsed(plan, run, tmp_path):
     assert "in balance at every instant" in pages[0] and "carries 5 kg" in pages[1] and "10 ms late" in pages[1]
 
 
+def test_lead_ins_and_setpoints_of_a_plan_are_followed(plan, run, tmp_path):
+    """A plan that calls its first half second of contact a lead-in and sets 16 N: outside of the pass, and 4 N less on the
+    spring, of which cover and arm give a tenth back."""
+    folder = tmp_path / "plan"
+    shutil.copytree(plan, folder)
+    shutil.copy(plan.parent / "cell.toml", tmp_path)
+    shutil.copy(plan.parent / "blade.stl", tmp_path)
+    table, begun = rows(folder / "plan.csv"), {}
+    for row in table:
+        first = begun.setdefault(row["line"], float(row["time_s"])) if row["contact"] == "1" else np.inf
+        lead = float(row["time_s"]) - first < 0.5
+        row |= {"phase": "travel" if row["contact"] == "0" else "lead_in" if lead else "pass", "setpoint_N": "16.0"}
+    with (folder / "plan.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, table[0])
+        writer.writeheader()
+        writer.writerows(table)
+    told = simulated(folder, "--out", tmp_path / "run", "--poses", 0, "--ladder", "none", "--no-air")
+    assert told.code == 0, told.err
+    before, now = (json.loads((out / "rehearsal.json").read_text()) for out in (run[0], tmp_path / "run"))
+    assert now["force"]["mean_N"] == pytest.approx(before["force"]["mean_N"] - 3.65, abs=0.15)
+    assert now["contact"]["outside_s"] == pytest.approx(before["contact"]["outside_s"] + 0.5, abs=0.15)
+    assert {row["setpoint_N"] for row in rows(tmp_path / "run" / "force.csv")} == {"16"}
+
+
 def test_the_believed_machine_grinds_as_planned(plan, tmp_path):
     """What the planner holds to 20 N gives 20 N on a machine of the same numbers that shares no code with it."""
     told = simulated(plan, "--out", tmp_path / "run", "--machine", "believed", "--poses", "0", "--ladder", "none", "--no-air")

@@ -24,7 +24,7 @@ from ocp.simulate.twin.tracker import TrackerCampaign, random_design, sealed_des
 from ocp.simulate.twin.truth import REPEATABILITY, Truth, draw_truth
 from robots.pose import Array
 
-STORE = "contact.pkl"
+STORE = "contact_2.pkl"  # the number goes on where the stored form changes: an older file is not read
 # What the makers leave, one sigma: relative stiffness of cover, blade and flange; N of the flange's setpoint and of the sensor's
 # zero; gain and zero (N) of the sensor's tangential axis.
 STIFF_SD, SETPOINT_SD, ZERO_SD, SHEAR_GAIN_SD, SHEAR_ZERO_SD = 0.01, 0.1, 0.02, 0.02, 0.05
