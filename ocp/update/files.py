@@ -52,14 +52,15 @@ class Updated:
     @cached_property
     def forecast(self) -> tuple[tuple[int, float, float], ...]:
         """The mean force N, with one sigma, that the program just run would press with on the next blades (1, 10, 30 ahead) if
-        nothing were planned anew."""
+        nothing were planned anew; 0 where it would lose contact."""
         found, solution = self.states[2], self.fit.solution
         period, slope = self.clocks[1] - self.clocks[0], mean_slope(solution, self.log, RADIUS)
         rows = []
         for blades in (1, 10, 30):
             later = carried_on(found, blades * period, grips=1)
             lost = later.values[later.names.index(RADIUS)] - found.values[found.names.index(RADIUS)]
-            rows.append((blades, self.latest["found_N"] + slope * float(lost), force_spread(solution, self.log, later)))
+            force = max(self.latest["found_N"] + slope * float(lost), 0.0)  # a wheel that is worn away does not pull
+            rows.append((blades, force, force_spread(solution, self.log, later)))
         return tuple(rows)
 
 

@@ -1,6 +1,7 @@
 """The report of `python -m ocp.update`: what moved since the last blade, what the next ones will see, how deep it ground."""
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from ocp.calibrate.report.pages import SHOWN, contact_sections
 from ocp.report.parts import Plot, Points, Table, made_from, table
@@ -78,8 +79,9 @@ def _moved(made: Updated) -> Section:
 def _ahead(made: Updated) -> Section:
     rows = [(f"{blades}", f"{force:.2f}", f"{sd:.2f}") for blades, force, sd in made.forecast]
     words = (
-        "Mean force of the program just run on blades to come, if nothing is planned anew. A plan with the cell of this update "
-        f"is for the next blade ({made.clocks[1] - made.clocks[0]:.0f} s on the wheel's clock after the middle of this one)."
+        "Mean force of the program just run on blades to come, if nothing is planned anew; 0: contact is lost. A plan with "
+        f"the cell of this update is for the next blade, {made.clocks[1] - made.clocks[0]:.0f} s on the wheel's clock after the "
+        "middle of this one."
     )
     parts: list[Part | str] = [words, table(("blades ahead", "force N", "one sigma N"), rows, text=(0,))]
     if len(made.history) > 1:
@@ -102,6 +104,8 @@ def _history(made: Updated) -> Draw:
         keys(left, [("expected", SOFT), ("found", CURVE)])
         right.errorbar(x, h["radius_um"], h["radius_sd_um"], fmt="none", ecolor=SOFT, lw=0.8)
         dots(right, x, h["radius_um"], CURVE)
+        for axes in (left, right):
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         dressed(left, x="update", y="force N")
         dressed(right, x="update", y="change of radius um")
 
