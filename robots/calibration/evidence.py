@@ -4,7 +4,7 @@ Not only near those it was fitted to: a payload, a campaign, half of a joint's r
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from robots.calibration.fit import Fit, fit_campaign
 from robots.calibration.layout import Choice
 from robots.calibration.solver import Campaign
 from robots.calibration.student_t import NU, consistency
-from robots.calibration.validation import FoldErrors, ReadingFold, again, folds, hold_out
+from robots.calibration.validation import GROSS, FoldErrors, ReadingFold, again, folds, hold_out
 from robots.robot import Robot
 
 LEAST_GAIN = 4.0  # of log density over all held-out readings; below it a term is not worth its name
@@ -32,17 +32,44 @@ class Term:
     accepted: bool
 
 
+Known = dict[tuple[Choice, bool, bytes], list[FoldErrors | None]]
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Readings that are left out in turn, near those that stay (regions and random parts) and far from them."""
+
+    near: list[ReadingFold]
+    far: list[ReadingFold]
+    known: Known = field(default_factory=dict)
+
+    def scores(self, fit: Fit, other: Fit, far: bool = False) -> list[FoldErrors | None]:
+        """The model of `other` on the readings of `fit`, each block predicted from the rest; the search begins where it stands.
+
+        Each is worked out once: a term that enters is the model of the next round, and there are no two fits of one choice.
+        """
+
+        def refit(left: Campaign, near: Fit) -> Fit:
+            return again(left, other)
+
+        key = other.choice, far, (fit.weight > GROSS).tobytes()
+        if key not in self.known:
+            self.known[key] = [hold_out(fit, block, refit) for block in (self.far if far else self.near)]
+        return self.known[key]
+
+
 def choose_terms(fit: Fit) -> tuple[Choice, list[Term]]:
     """Add to the model of `fit` the joints and payloads that predict held-out blocks better; all candidates are reported."""
     campaign = fit.campaign
     if len(campaign.readings) > READINGS:
         campaign = replace(campaign, readings=campaign.readings.thinned(READINGS))
         fit = fit_campaign(campaign, fit.choice, fit.priors, fit.noise, begin=fit.state)
-    blocks = [f for f in folds(campaign) if f.kind == "region"] + [f for f in folds(campaign, 1) if f.kind == "random"]
-    far = [f for f in folds(campaign) if f.kind in ("payload", "joint range", "campaign")]
+    every = list(folds(campaign))
+    near = [f for f in every if f.kind == "region"] + [f for f in folds(campaign, 1) if f.kind == "random"]
+    blocks = _Blocks(near, [f for f in every if f.kind in ("payload", "joint range", "campaign")])
     tried: list[Term] = []
     for _ in range(ROUNDS):
-        accepted, terms = _next_term(fit, blocks, far)
+        accepted, terms = _next_term(fit, blocks)
         tried = [t for t in tried if t.accepted] + terms
         if accepted is None:
             break
@@ -50,18 +77,18 @@ def choose_terms(fit: Fit) -> tuple[Choice, list[Term]]:
     return fit.choice, sorted(tried, key=lambda t: (not t.accepted, -t.gain))
 
 
-def _next_term(fit: Fit, blocks: list[ReadingFold], far: list[ReadingFold]) -> tuple[Fit | None, list[Term]]:
+def _next_term(fit: Fit, blocks: _Blocks) -> tuple[Fit | None, list[Term]]:
     """The fit with one term more, or None, and every candidate. The one that helps most where it is fitted is judged first on
     what was held out, and the others wait for the next round if it stands."""
-    base, found, accepted = _scores(fit, blocks, fit), list[Term](), None
+    found, accepted = list[Term](), None
     fits = [(name, fit_campaign(fit.campaign, c, fit.priors, fit.noise, begin=fit.state)) for name, c in _candidates(fit)]
     likely = [(_likelihood(other) - _likelihood(fit), name, other) for name, other in fits]
     for own, name, other in sorted(likely, key=lambda each: _wanted(fit.choice, each[2].choice) - each[0]):
         gain, sigma, good = min(own, 0.0), 0.0, False
         # What does not even help where it was fitted is not tried on what was held out.
         if own > LEAST_GAIN and accepted is None:
-            gain, sigma = _gain(base, _scores(fit, blocks, other))
-            good = bool(gain > _wanted(fit.choice, other.choice) and sigma > LEAST_SIGMA and _carries(fit, far, other))
+            gain, sigma = _gain(blocks.scores(fit, fit), blocks.scores(fit, other))
+            good = bool(gain > _wanted(fit.choice, other.choice) and sigma > LEAST_SIGMA and _carries(fit, blocks, other))
         found.append(Term(name, gain, sigma, good))
         accepted = other if good else accepted
     return accepted, found
@@ -87,9 +114,9 @@ def _wanted(choice: Choice, more: Choice) -> float:
     return LEAST_GAIN + MORE * (parameters - 1)
 
 
-def _carries(fit: Fit, far: list[ReadingFold], other: Fit) -> bool:
+def _carries(fit: Fit, blocks: _Blocks, other: Fit) -> bool:
     """Whether a term helps beyond where it was fitted too: a stand-in for something else does not (DIAGNOSIS, impostors)."""
-    pairs = zip(_scores(fit, far, fit), _scores(fit, far, other), strict=True)
+    pairs = zip(blocks.scores(fit, fit, far=True), blocks.scores(fit, other, far=True), strict=True)
     gains = [after.score.sum() - before.score.sum() for before, after in pairs if after is not None and before is not None]
     return not gains or (sum(gains) > 0 and min(gains) > -LEAST_GAIN)
 
@@ -102,15 +129,6 @@ def _likelihood(fit: Fit) -> float:
 def _bends(robot: Robot, j: int) -> bool:
     """Whether the cell gives the joint a stiffness at all, or gives none to any."""
     return bool(robot.stiffness[j - 1] > 0 or not (robot.stiffness > 0).any())
-
-
-def _scores(fit: Fit, blocks: list[ReadingFold], other: Fit) -> list[FoldErrors | None]:
-    """The model of `other` on the readings of `fit`, each block predicted from the rest; the search begins where it stands."""
-
-    def refit(left: Campaign, near: Fit) -> Fit:
-        return again(left, other)
-
-    return [hold_out(fit, block, refit) for block in blocks]
 
 
 def _gain(before: list[FoldErrors | None], after: list[FoldErrors | None]) -> tuple[float, float]:

@@ -63,15 +63,9 @@ class Prediction:
 
 def predict(robot: Robot, arm: Array, rows: RowInputs) -> Prediction:
     """Nest positions of `robot` with parameters arm (36,) in the order of `ARM_NAMES`, with all derivatives."""
-    n = len(rows.q)
-    mdh, c = np.broadcast_to(arm[:30], (n, 30)), arm[30:]
-    real = _postures(robot, arm, rows)
-    geometry = _rows(_geometry, (rows.nest_link, robot.sign.tobytes()), real, mdh, rows.nest)
-    point, R = geometry[:, :3], geometry[:, 3:12].reshape(n, 3, 3)
-    J = geometry[:, 12:].reshape(n, 6, 36)  # point, then spin, in q_real, mdh
-    key = (rows.load_link, *_masses(robot))
-    statics = _rows(_statics, key, real, mdh, rows.payload, rows.load, rows.load_place)
-    tau, T = statics[:, :6], statics[:, 6:].reshape(n, 6, 40)  # q_real, mdh, payload
+    n, c = len(rows.q), arm[30:]
+    point, R, J, tau, T = np.split(_rows(_with_derivatives, robot, arm, rows), [3, 12, 228, 234], axis=1)
+    R, J, T = R.reshape(n, 3, 3), J.reshape(n, 6, 36), T.reshape(n, 6, 40)  # J, T: rows in q_real and mdh, T in payload too
     # X = J_q (I - C tau_q)^-1, from the left: six right-hand sides instead of 46.
     bent = np.eye(6) - c[:, None] * T[..., :6]
     X = np.swapaxes(np.linalg.solve(np.swapaxes(bent, 1, 2), np.swapaxes(J[..., :6], 1, 2)), 1, 2)
@@ -83,26 +77,19 @@ def predict(robot: Robot, arm: Array, rows: RowInputs) -> Prediction:
 
 def predict_points(robot: Robot, arm: Array, rows: RowInputs) -> tuple[Array, Array]:
     """Points (n, 3) m and rotations (n, 3, 3) alone, as `predict` gives them."""
-    n = len(rows.q)
-    key = (rows.nest_link, robot.sign.tobytes())
-    out = _rows(_place, key, _postures(robot, arm, rows), np.broadcast_to(arm[:30], (n, 30)), rows.nest)
-    return out[:, :3], out[:, 3:].reshape(n, 3, 3)
+    out = _rows(_place, robot, arm, rows)
+    return out[:, :3], out[:, 3:].reshape(-1, 3, 3)
 
 
-def _postures(robot: Robot, arm: Array, rows: RowInputs) -> Array:
-    """Bent joints (n, 6) rad."""
-    if not arm[30:].any():
-        return rows.q
-    whole = np.broadcast_to(arm, (len(rows.q), 36))
-    return _rows(_bent, (rows.load_link, *_masses(robot)), rows.q, whole, rows.payload, rows.load, rows.load_place)
+def _rows(build: Callable[..., ca.Function], robot: Robot, arm: Array, rows: RowInputs) -> Array:
+    """One output row per reading of a function of `_Symbols`.
 
-
-def _rows(build: Callable[..., ca.Function], key: tuple[Any, ...], *arguments: Array) -> Array:
-    """One output row per input row of the function build(*key): arguments (n, k_i) -> (n, m).
-
-    CasADi reads and writes the arrays' own memory: its matrices would cost as much again as the evaluation.
+    CasADi reads and writes the arrays' own memory: its matrices would cost as much again as the evaluation. What a rigid joint
+    feels changes nothing and is left out.
     """
-    n = len(arguments[0])
+    n = len(rows.q)
+    key = (rows.nest_link, rows.load_link, tuple((arm[30:] != 0.0).tolist()), *_masses(robot))
+    arguments = (rows.q, np.broadcast_to(arm, (n, 36)), rows.payload, rows.load, rows.load_place, rows.nest)
     out = np.empty((n, build(*key).size1_out(0)))
     for start in range(0, n, _CHUNK):
         block = slice(start, min(start + _CHUNK, n))
@@ -130,33 +117,60 @@ def _table(mdh: ca.SX) -> ca.SX:
     return ca.reshape(mdh, 5, 6).T
 
 
-@lru_cache(maxsize=32)
-def _place(link: int, sign: bytes) -> ca.Function:
-    """(q_real, mdh, nest) -> point, row-major R."""
-    q, mdh, nest = ca.SX.sym("q", 6), ca.SX.sym("mdh", 30), ca.SX.sym("nest", 3)
-    frame = chain(q, _table(mdh), np.frombuffer(sign))[link]
-    R = frame[:3, :3]
-    return ca.Function("place", [q, mdh, nest], [ca.densify(ca.vertcat(frame[:3, 3] + R @ nest, ca.vec(R.T)))])
+class _Symbols:
+    """A reading's symbols, the arm that they bend, and what it carries."""
+
+    def __init__(self, load_link: int, bending: tuple[bool, ...], masses: tuple[bytes, ...]) -> None:
+        self.q, self.arm, self.payload = ca.SX.sym("q", 6), ca.SX.sym("arm", 36), ca.SX.sym("payload", 4)
+        self.load, self.place, self.nest = ca.SX.sym("load", 6), ca.SX.sym("place", 3), ca.SX.sym("nest", 3)
+        self.sign, self.mass, self.down = (np.frombuffer(masses[k]) for k in (0, 1, 3))
+        self.com, self.load_link, self.table = np.frombuffer(masses[2]).reshape(7, 3), load_link, _table(self.arm[:30])
+        self.real = deflected_joints(self.q, self.torques, self.arm[30:] * ca.DM(bending))
+        self.frames = chain(self.real, self.table, self.sign)
+
+    def torques(self, q: ca.SX) -> ca.SX:
+        """Torque (6) N m about each axis, positive along +q: weight, and a force and moment in base axes at a place of a link."""
+        weight = gravity_torques(q, self.table, self.sign, self.mass, self.com, self.payload[0], self.payload[1:], self.down)
+        frames, link, force = chain(q, self.table, self.sign), self.load_link, self.load[:3]
+        at = frames[link][:3, 3] + frames[link][:3, :3] @ self.place
+        pull = [ca.SX(0)] * 6
+        for j in range(link):
+            z, o = frames[j][:3, 2], frames[j][:3, 3]
+            pull[j] = self.sign[j] * ca.dot(z, ca.cross(at - o, force) + self.load[3:])
+        return weight + ca.vertcat(*pull)
+
+    def function(self, name: str, *parts: ca.SX) -> ca.Function:
+        """(q, arm, payload, load, place, nest) -> the parts below each other."""
+        given = [self.q, self.arm, self.payload, self.load, self.place, self.nest]
+        return ca.Function(name, given, [ca.cse(ca.densify(ca.vertcat(*parts)))])
 
 
 @lru_cache(maxsize=32)
-def _geometry(link: int, sign: bytes) -> ca.Function:
-    """(q_real, mdh, nest) -> point, R, then (6, 36) of the point and the spin in q_real and mdh; matrices row-major."""
-    q, mdh, nest = ca.SX.sym("q", 6), ca.SX.sym("mdh", 30), ca.SX.sym("nest", 3)
-    s = np.frombuffer(sign)
-    frames = chain(q, _table(mdh), s)
-    R = frames[link][:3, :3]
-    point = frames[link][:3, 3] + R @ nest
+def _place(nest_link: int, load_link: int, bending: tuple[bool, ...], *masses: bytes) -> ca.Function:
+    """Point, row-major R."""
+    s = _Symbols(load_link, bending, masses)
+    R = s.frames[nest_link][:3, :3]
+    return s.function("place", s.frames[nest_link][:3, 3] + R @ s.nest, ca.vec(R.T))
+
+
+@lru_cache(maxsize=32)
+def _with_derivatives(nest_link: int, load_link: int, bending: tuple[bool, ...], *masses: bytes) -> ca.Function:
+    """Point, R, then (6, 36) of the point and the spin in q_real and mdh, tau (6), and its derivative (6, 40) in q_real, mdh and
+    payload, zero for joints that do not bend; matrices row-major."""
+    s = _Symbols(load_link, bending, masses)
+    R = s.frames[nest_link][:3, :3]
+    point = s.frames[nest_link][:3, 3] + R @ s.nest
     columns = []
-    for m in _motions(q, _table(mdh), s, frames):
-        if m.joint >= link:
+    for m in _motions(s):
+        if m.joint >= nest_link:
             columns.append(ca.SX.zeros(6))
         elif m.turns:
             columns.append(ca.vertcat(ca.cross(m.axis, point - m.at), m.axis))
         else:
             columns.append(ca.vertcat(m.axis, 0, 0, 0))
-    J = ca.horzcat(*(s[i] * columns[5 * i] for i in range(6)), *columns)
-    return ca.Function("geometry", [q, mdh, nest], [ca.cse(ca.densify(ca.vertcat(point, ca.vec(R.T), ca.vec(J.T))))])
+    J = ca.horzcat(*(s.sign[i] * columns[5 * i] for i in range(6)), *columns)
+    felt = [bends * s.sign[j] * row for j, (bends, row) in enumerate(zip(bending, _derivatives_of_torque(s), strict=True))]
+    return s.function("with_derivatives", point, ca.vec(R.T), ca.vec(J.T), s.torques(s.real), *felt)
 
 
 @dataclass(frozen=True)
@@ -169,11 +183,11 @@ class _Motion:
     at: Any
 
 
-def _motions(q: Any, table: Any, sign: Array, frames: list[Any]) -> Iterator[_Motion]:
+def _motions(s: _Symbols) -> Iterator[_Motion]:
     """The 30 motions in the order of `MDH_NAMES`."""
     for i in range(6):
-        theta = sign[i] * q[i] + table[i, 0]
-        before, after = frames[i], frames[i + 1]
+        theta = s.sign[i] * s.real[i] + s.table[i, 0]
+        before, after = s.frames[i], s.frames[i + 1]
         x = ca.cos(theta) * before[:3, 0] + ca.sin(theta) * before[:3, 1]
         yield _Motion(i, True, before[:3, 2], before[:3, 3])
         yield _Motion(i, False, before[:3, 2], before[:3, 3])
@@ -182,53 +196,22 @@ def _motions(q: Any, table: Any, sign: Array, frames: list[Any]) -> Iterator[_Mo
         yield _Motion(i, True, after[:3, 1], after[:3, 3])
 
 
-def _torques(q: ca.SX, mdh: ca.SX, payload: ca.SX, load: ca.SX, place: ca.SX, link: int, masses: tuple[bytes, ...]) -> ca.SX:
-    """Torque (6) N m about each axis, positive along +q: weight, and a force and moment in base axes at a place of a link."""
-    sign, mass, com = np.frombuffer(masses[0]), np.frombuffer(masses[1]), np.frombuffer(masses[2]).reshape(7, 3)
-    weight = gravity_torques(q, _table(mdh), sign, mass, com, payload[0], payload[1:], np.frombuffer(masses[3]))
-    frames = chain(q, _table(mdh), sign)
-    at = frames[link][:3, 3] + frames[link][:3, :3] @ place
-    pull = []
-    for j in range(6):
-        z, o = frames[j][:3, 2], frames[j][:3, 3]
-        pull.append(sign[j] * ca.dot(z, ca.cross(at - o, load[:3]) + load[3:]) if j < link else ca.SX(0))
-    return weight + ca.vertcat(*pull)
-
-
-def _load_symbols() -> tuple[ca.SX, ca.SX, ca.SX]:
-    return ca.SX.sym("payload", 4), ca.SX.sym("load", 6), ca.SX.sym("place", 3)
-
-
-@lru_cache(maxsize=32)
-def _bent(link: int, *masses: bytes) -> ca.Function:
-    """(q, arm, payload, load, place) -> q_real."""
-    q, arm, (payload, load, place) = ca.SX.sym("q", 6), ca.SX.sym("arm", 36), _load_symbols()
-    real = deflected_joints(q, lambda x: _torques(x, arm[:30], payload, load, place, link, masses), arm[30:])
-    return ca.Function("bent", [q, arm, payload, load, place], [ca.cse(ca.densify(real))])
-
-
-@lru_cache(maxsize=32)
-def _statics(link: int, *masses: bytes) -> ca.Function:
-    """(q_real, mdh, payload, load, place) -> tau (6), its derivative (6, 40) in the first three, row-major."""
-    q, mdh, (payload, load, place) = ca.SX.sym("q", 6), ca.SX.sym("mdh", 30), _load_symbols()
-    tau = _torques(q, mdh, payload, load, place, link, masses)
-    sign, mass, com = np.frombuffer(masses[0]), np.frombuffer(masses[1]), np.frombuffer(masses[2]).reshape(7, 3)
-    frames = chain(q, _table(mdh), sign)
-    R, o = [f[:3, :3] for f in frames], [f[:3, 3] for f in frames]
+def _derivatives_of_torque(s: _Symbols) -> Iterator[ca.SX]:
+    """Of each axis (40): in q_real, mdh and payload, without the axis' sign."""
+    R, o = [f[:3, :3] for f in s.frames], [f[:3, 3] for f in s.frames]
     # Mass and first moment of what hangs on each axis.
-    total, moment = [payload[0]], [payload[0] * (o[6] + R[6] @ payload[1:])]
+    total, moment = [s.payload[0]], [s.payload[0] * (o[6] + R[6] @ s.payload[1:])]
     for i in range(6, 0, -1):
-        total.insert(0, total[0] + mass[i])
-        moment.insert(0, moment[0] + mass[i] * (o[i] + R[i] @ com[i]))
-    weight, force, at = ca.SX(GRAVITY * np.frombuffer(masses[3])), load[:3], o[link] + R[link] @ place
-    derivative: list[list[Any]] = [[] for _ in range(6)]
-    motions = list(_motions(q, _table(mdh), sign, frames))
-    for j, row in enumerate(derivative):
+        total.insert(0, total[0] + s.mass[i])
+        moment.insert(0, moment[0] + s.mass[i] * (o[i] + R[i] @ s.com[i]))
+    weight, force, link = ca.SX(GRAVITY * s.down), s.load[:3], s.load_link
+    at, motions = o[link] + R[link] @ s.place, list(_motions(s))
+    for j in range(6):
         z, lever, arm = R[j][:, 2], moment[j] - total[j] * o[j], at - o[j]
-        pull = float(j < link)
+        pull, row = float(j < link), list[Any]()
         # An axis that is turned with all it carries feels the forces turned the other way.
         turned = ca.cross(ca.cross(z, lever), weight)
-        turned += pull * (ca.cross(ca.cross(z, arm), force) + ca.cross(z, load[3:]))
+        turned += pull * (ca.cross(ca.cross(z, arm), force) + ca.cross(z, s.load[3:]))
         for m in motions:
             if m.joint < j:
                 row.append(ca.dot(m.axis, turned) if m.turns else 0)
@@ -238,8 +221,6 @@ def _statics(link: int, *masses: bytes) -> ca.Function:
             if pull and m.joint < link:
                 work += ca.dot(ca.cross(m.axis, at - m.at) if m.turns else m.axis, ca.cross(force, z))
             row.append(work)
-        hung = o[6] + R[6] @ payload[1:] - o[j]
-        row.extend([ca.dot(hung, ca.cross(weight, z)), *(payload[0] * ca.dot(R[6][:, k], ca.cross(weight, z)) for k in range(3))])
-    rows = [ca.vertcat(*(sign[i] * row[5 * i] for i in range(6)), *row) for row in derivative]
-    out = ca.vertcat(tau, *(sign[j] * row for j, row in enumerate(rows)))
-    return ca.Function("statics", [q, mdh, payload, load, place], [ca.cse(ca.densify(out))])
+        hung = o[6] + R[6] @ s.payload[1:] - o[j]
+        row += [ca.dot(hung, ca.cross(weight, z)), *(s.payload[0] * ca.dot(R[6][:, k], ca.cross(weight, z)) for k in range(3))]
+        yield ca.vertcat(*(s.sign[i] * row[5 * i] for i in range(6)), *row)

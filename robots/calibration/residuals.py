@@ -100,10 +100,13 @@ def _scatter(J: Array, blocks: list[tuple[Array, Array]], part: slice) -> None:
 
 
 def row_groups(readings: Readings, instrument: Instrument, state: State) -> list[tuple[Index, RowInputs]]:
-    """Readings that share the link of their nest and of their load: rows and the inputs of their predictions."""
+    """Readings that share the link of their nest and of their load: rows and the inputs of their predictions.
+
+    What is not pulled counts as pulled at the base, which no joint feels: a third less to work out.
+    """
     nests = instrument.nests or {}
     link = np.array([nests[name].link if name in nests else 6 for name in readings.targets])[readings.target]
-    loaded = np.where(np.abs(readings.load).max(axis=1) > 0, readings.load_link, 6)
+    loaded = np.where(np.abs(readings.load).max(axis=1) > 0, readings.load_link, 0)
     found = []
     for on, pulled in sorted({*zip(link.tolist(), loaded.tolist(), strict=True)}):
         rows = np.flatnonzero((link == on) & (loaded == pulled))

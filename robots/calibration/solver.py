@@ -20,7 +20,8 @@ from robots.tracker_readings import Hanging, Index, Instrument, Readings
 # Where residuals are large, the path to the minimum is a curved valley along which steps of a hundredth of a standard deviation
 # creep for dozens of turns: the weights stand once they have settled, and a fit that no longer lowers its misfit is done.
 VALLEY = Valley(over=3, still=0.01, close=0.01, tries=200, lost=5)
-RULE = Rule(steps=40, rest=1e-4, halvings=10, reweighted=8, valley=VALLEY)
+FOLLOWED = 8  # steps that begin with new weights and derivatives
+RULE = Rule(steps=40, rest=1e-4, halvings=10, reweighted=FOLLOWED, valley=VALLEY)
 OPEN_SHARE = 0.2  # of the largest part in an open direction; unknowns with less are not named
 JITTER = 1e-12  # precision of every unknown, lest a campaign that says nothing of one be singular
 RELINEARISE = 1e-5  # m or rad: smaller steps leave the Jacobian as it is (its change is below 1e-5 of itself)
@@ -54,7 +55,8 @@ class Campaign:
 @dataclass(frozen=True)
 class Solution:
     """A point of the search and where it ends: state and its offset (p,) from the prior's mean, residuals with derivatives,
-    whitener, squared distances (n,), weights (n,), spread, steps taken. stale: the derivatives are those of an earlier point."""
+    whitener, squared distances (n,), weights (n,), spread, steps taken. stale: the derivatives are those of an earlier point;
+    ahead: those of this point, where the next step will need them, and its whitener."""
 
     campaign: Campaign
     layout: Layout
@@ -68,6 +70,7 @@ class Solution:
     spread: float
     steps: int
     stale: bool
+    ahead: tuple[Linearised, Array] | None = None
 
     @staticmethod
     def at(campaign: Campaign, layout: Layout, state: State, offset: Array, noise: Noise) -> "Solution":
@@ -85,12 +88,12 @@ class Solution:
         """With the spread that the residuals show and the weights that follow; derivatives at this point."""
         linear, W, squared = self.linear, self.W, self.squared
         if self.stale:
-            linear, W = _linearised(self.campaign, self.layout, self.state, self.noise)
+            linear, W = self.ahead or _linearised(self.campaign, self.layout, self.state, self.noise)
             squared = _squared(W, linear.residual)
         k = linear.residual.shape[1]
         spread = max(spread_of(squared, k), LEAST_SPREAD)
         weight = weights(squared / spread**2, k)
-        return replace(self, linear=linear, W=W, squared=squared, weight=weight, spread=spread, stale=False)
+        return replace(self, linear=linear, W=W, squared=squared, weight=weight, spread=spread, stale=False, ahead=None)
 
     def residual(self) -> Array:
         """Whitened and weighted (n k,)."""
@@ -102,13 +105,17 @@ class Solution:
         return self.residual(), columns.reshape(-1, self.layout.size)
 
     def moved(self, change: Array) -> "Solution":
-        """The point after a step; after a small one the derivatives stay."""
+        """The point after a step; after a small one the derivatives stay, as they do where the weights stand.
+
+        Else they are worked out together with the residuals: most of the work is common to both.
+        """
         c, step = self.campaign, self.layout.scale * change
-        state = moved(self.layout, self.state, step)
-        residual = _paired(c, residuals(c.robot, c.readings, c.instrument, state))
+        state, steps, stale = moved(self.layout, self.state, step), self.steps + 1, bool(np.abs(step).max() > RELINEARISE)
+        ahead = _linearised(c, self.layout, state, self.noise) if stale and steps < FOLLOWED else None
+        residual = ahead[0].residual if ahead else _paired(c, residuals(c.robot, c.readings, c.instrument, state))
         linear, squared = replace(self.linear, residual=residual), _squared(self.W, residual)
         there = replace(self, state=state, offset=self.offset + step, linear=linear, squared=squared)
-        return replace(there, steps=self.steps + 1, stale=bool(np.abs(step).max() > RELINEARISE))
+        return replace(there, steps=steps, stale=stale, ahead=ahead)
 
     def joint_noise(self) -> Noise:
         """The joint noise that explains the residuals best."""
