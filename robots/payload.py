@@ -24,13 +24,13 @@ ROUNDING = 1.001
 
 def refuse_overload(file: str, robot: Robot, loads: Mapping[str, Hanging]) -> list[str]:
     """Notices of what could not be checked about payloads, by name. Raises BadInput, with the cell's `file`: one is too much."""
-    missing = set()
+    told = set[str]()
     for name, load in loads.items():
         if load.mass > 0.0:
             if reason := overload(robot, load):
                 raise BadInput(f"{file}, payloads.{name}: {reason}; hang less on the flange or choose a stronger robot")
-            missing |= _unchecked(robot, name, load)
-    return [f"payloads were not checked against {'; '.join(sorted(missing))}"] if missing else []
+            told |= _unchecked(robot, name, load)
+    return sorted(told)
 
 
 def overload(robot: Robot, load: Hanging) -> str:
@@ -89,19 +89,20 @@ def longest_levers(robot: Robot, com: Array) -> Array:
 
 
 def _unchecked(robot: Robot, name: str, load: Hanging) -> set[str]:
-    """What about a payload nothing known could judge."""
+    """What about a payload nothing known could judge, a sentence each."""
     rated: RatedPayload | None = robot.payload
     found = set()
     if rated is None:
-        found.add(f"a rated mass (the robot file of {robot.title} has no [payload])")
+        found.add(f"no payload was checked against a rated mass: the robot file of {robot.title} has no [payload]")
     elif rated.diagram is None:
         known = "mass and the torques of axes 4 to 6" if rated.com is None else "load and its centre"
-        at = f"{name} has {load.mass:g} kg {1e3 * np.linalg.norm(load.com):.0f} mm from the flange"
-        found.add(f"a load diagram ({at}; of {robot.title} only the rated {known} are known, ask its maker)")
+        at = f"{load.mass:g} kg, {1e3 * np.linalg.norm(load.com):.0f} mm from the flange"
+        what = f"payload '{name}' ({at}) was not checked against a load diagram"
+        found.add(f"{what}: of {robot.title} only the rated {known} are known, ask its maker")
     if rated is not None and rated.diagram is None and rated.com is not None and rated.inertia is None:
-        found.add(f"a rated inertia (that of {robot.title} is unknown)")
+        found.add(f"no payload was checked against a rated inertia: that of {robot.title} is unknown")
     if (rated is None or (rated.diagram is None and rated.com is None)) and not np.isfinite(robot.torque_max[3:]).all():
-        found.add(f"the torques of axes 4 to 6 (those of {robot.title} are unknown)")
+        found.add(f"no payload was checked against the torques of axes 4 to 6: those of {robot.title} are unknown")
     if not load.inertia.any():
-        found.add(f"its own inertia (payloads.{name}.inertia_kg_m2 is not given)")
+        found.add(f"payload '{name}' was taken as a point: its own inertia, payloads.{name}.inertia_kg_m2, is not given")
     return found

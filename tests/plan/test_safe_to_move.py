@@ -102,8 +102,9 @@ def test_25_kg_at_3_m_are_too_much_for_any_rated_centre_of_a_compact_load():
 
 
 def test_what_nothing_known_could_judge_is_said():
-    told = " ".join(refuse_overload("c", EXTRA, {"tool": hanging(25.0, (0, 0, 3))}))
-    assert "tool has 25 kg 3000 mm from the flange" in told and "payloads.tool.inertia_kg_m2 is not given" in told
+    diagram, own = refuse_overload("c", EXTRA, {"tool": hanging(25.0, (0, 0, 3))})
+    assert diagram.startswith("payload 'tool' (25 kg, 3000 mm from the flange) was not checked against a load diagram: ")
+    assert own == "payload 'tool' was taken as a point: its own inertia, payloads.tool.inertia_kg_m2, is not given"
     assert "has no [payload]" in " ".join(refuse_overload("c", replace(EXTRA, payload=None), {"tool": hanging(25.0)}))
     assert refuse_overload("c", rated(diagram=LINE), {"tool": hanging(25.0, inertia=(1, 1, 1))}) == []
     assert refuse_overload("c", EXTRA, {"bare": Hanging()}) == []
