@@ -169,9 +169,9 @@ def reserved(folder: Path, overwrite: bool, inputs: Iterable[Path] = (), grows: 
         raise BadInput("--out is empty or the working folder itself; give the name of a folder to write")
     output = Output(folder, overwrite, grows)
     name = sha256(os.fsencode(output.folder)).hexdigest()[:24]
+    file = processes.temporary() / f"grindplan-{name}.lock"
     try:
-        lock = FileLock(processes.temporary() / f"grindplan-{name}.lock", timeout=0)
-        lock.acquire()
+        lock = _locked(file)
     except Timeout:
         raise BadInput(f"{folder}: another run is writing there; wait for it, or give another --out") from None
     except OSError as error:
@@ -182,7 +182,35 @@ def reserved(folder: Path, overwrite: bool, inputs: Iterable[Path] = (), grows: 
         output.check()
         yield output
     finally:
+        _unlocked(lock, file)
+
+
+def _locked(file: Path) -> FileLock:
+    """A lock on `file`. Raises Timeout where another process or this one holds it.
+
+    Whoever held it last may have removed the file after it was opened here: such a lock holds a file without a name, which the
+    next process does not see, and is taken anew.
+    """
+    while True:
+        lock = FileLock(file, timeout=0)
+        lock.acquire()
+        if not hasattr(os, "fork"):  # files in use cannot be removed there
+            return lock
+        held = lock._context.lock_file_fd
+        assert held is not None
+        try:
+            if os.path.samestat(os.fstat(held), file.stat()):
+                return lock
+        except FileNotFoundError:
+            pass
         lock.release()
+
+
+def _unlocked(lock: FileLock, file: Path) -> None:
+    """Remove the locked file while it is still held, so that nobody else's is removed; then let go."""
+    if hasattr(os, "fork"):
+        file.unlink(missing_ok=True)
+    lock.release()
 
 
 def write_marker(folder: Path, foreign: Iterable[str] = ()) -> None:

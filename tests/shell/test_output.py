@@ -216,6 +216,62 @@ def test_a_second_run_into_the_same_folder_is_refused_and_the_lock_dies_with_its
     os.close(told)
 
 
+def test_a_run_leaves_no_lock_behind(tmp_path, monkeypatch):
+    monkeypatch.setattr(shell_output.processes, "temporary", lambda: tmp_path)
+    with whole_folder(tmp_path / "plan", overwrite=False):
+        assert len(list(tmp_path.glob("grindplan-*.lock"))) == 1
+    assert names(tmp_path) == ["plan"]
+
+
+def test_a_lock_whose_file_was_removed_meanwhile_is_taken_anew(tmp_path, monkeypatch):
+    """Another process removes its lock between our opening of the file and our lock on it: what we then hold nobody else sees."""
+    file, acquire, times = tmp_path / "x.lock", shell_output.FileLock.acquire, []
+
+    def late(lock, *arguments, **options):
+        taken = acquire(lock, *arguments, **options)
+        times.append(1)
+        if len(times) == 1:
+            file.unlink()
+        return taken
+
+    monkeypatch.setattr(shell_output.FileLock, "acquire", late)
+    lock = shell_output._locked(file)
+    assert len(times) == 2 and file.exists()
+    with pytest.raises(shell_output.Timeout):
+        shell_output._locked(file)
+    shell_output._unlocked(lock, file)
+    assert names(tmp_path) == []
+
+
+def test_of_two_processes_that_take_and_leave_a_folder_only_one_has_it(tmp_path, monkeypatch):
+    """400 times each: whoever is in makes a file that must not be there and removes it."""
+    monkeypatch.setattr(shell_output.processes, "temporary", lambda: tmp_path)
+
+    def turns():
+        had = 0
+        while had < 400:
+            try:
+                with reserved(tmp_path / "plan", False):
+                    os.close(os.open(tmp_path / "inside", os.O_CREAT | os.O_EXCL))
+                    os.unlink(tmp_path / "inside")
+                    had += 1
+            except BadInput:
+                continue
+
+    child = os.fork()
+    if child == 0:
+        try:
+            turns()
+        except BaseException:
+            os._exit(1)
+        os._exit(0)
+    try:
+        turns()
+    finally:
+        status = os.waitpid(child, 0)[1]
+    assert status == 0 and names(tmp_path) == []
+
+
 def test_a_full_disk_is_one_sentence_and_leaves_nothing(tmp_path):
     out = old_folder(tmp_path)
     with pytest.raises(BadInput, match="No space left on device"), whole_folder(out, True) as partial:
