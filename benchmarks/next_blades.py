@@ -35,7 +35,7 @@ from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.truth import Truth, draw_truth
 from ocp.update.history import History, history_of
 from ocp.update.interface import updated
-from ocp.update.removal import UNIT, Removal, work_at
+from ocp.update.removal import UNIT, MeasuredDepths, work_at
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -190,7 +190,7 @@ def main() -> None:
         if k % asked.every == 0:
             inside = np.concatenate([np.flatnonzero(log.run == run)[2:-2] for run in every])[::3]
             reading = depth[::3] + DEPTH_SD * rng.normal(size=len(inside))
-            removal = Removal(
+            removal = MeasuredDepths(
                 Path("removal.csv"), log.p[inside], reading, np.full(len(inside), DEPTH_SD), tuple(range(len(inside)))
             )
         setup, history = ForceSetup(model, (rows,), ()), history_of(cell.calibration, CELL)

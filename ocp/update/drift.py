@@ -89,8 +89,8 @@ def last_state(cell: Cell) -> Calibration:
     return replace(base, names=tuple(names), values=values, covariance=covariance)
 
 
-def carried_on(state: Calibration, seconds: float, grips: int) -> Calibration:
-    """The state `seconds` later on the wheel's clock, after so many new grips (eq. 1)."""
+def carried_on(state: Calibration, seconds: float, grips: int, stood: float = 0.0) -> Calibration:
+    """The state after `seconds` of the wheel's running time, so many new grips and a time s in which all stood (eq. 1)."""
     at = {name: i for i, name in enumerate(state.names)}
     F = np.eye(len(at))
     F[at[RADIUS], at[WEAR]] = -seconds
@@ -98,7 +98,7 @@ def carried_on(state: Calibration, seconds: float, grips: int) -> Calibration:
     for walk in WALKS:
         for i in (at[n] for n in walk.names if n in at):
             size = abs(state.values[i]) if walk.relative else 1.0
-            noise[i] = size**2 * (walk.hourly**2 * abs(seconds) / HOUR + walk.grip**2 * grips)
+            noise[i] = size**2 * (walk.hourly**2 * (abs(seconds) + stood) / HOUR + walk.grip**2 * grips)
     covariance = F @ state.covariance @ F.T + np.diag(noise)
     return replace(state, values=F @ state.values, covariance=0.5 * (covariance + covariance.T))
 

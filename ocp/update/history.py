@@ -1,6 +1,6 @@
 """What earlier updates left in a calibration: when they held, which logs they used, how the wheel wore."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,26 +19,27 @@ ENTRIES = (
 
 @dataclass(frozen=True)
 class History:
-    """ends: clock s where the last log ended, holds: clock s that the state is for, both None before the first update; logs:
-    SHA-256 of the logs used; columns: lists by name of ENTRIES."""
+    """ends: running time s of the wheel where the last log ended, holds: that which the state is for, both None before the first
+    update; offset s: running time over the logs' clock; logs: SHA-256 of the logs used; columns: lists by name of ENTRIES."""
 
     ends: float | None = None
     holds: float | None = None
+    offset: float = 0.0
     logs: tuple[str, ...] = ()
     columns: dict[str, tuple[float, ...]] = field(default_factory=lambda: dict.fromkeys(ENTRIES, ()))
 
     def __len__(self) -> int:
         return len(self.columns["clock_s"])
 
-    def grown(self, ends: float, holds: float, log: str, entry: dict[str, float]) -> "History":
-        """With one more update; the oldest goes where there are MOST."""
+    def grown(self, clock: tuple[float, float, float], log: str, entry: dict[str, float]) -> "History":
+        """With one more update (clock: ends, holds, offset); the oldest goes where there are MOST."""
         columns = {name: (*self.columns[name], float(entry[name]))[-MOST:] for name in ENTRIES}
-        return replace(self, ends=ends, holds=holds, logs=(*self.logs, log)[-MOST:], columns=columns)
+        return History(*clock, logs=(*self.logs, log)[-MOST:], columns=columns)
 
     def table(self) -> dict[str, Any]:
         """As a calibration's provenance holds it."""
         known = {name: [round(x, 9) for x in values] for name, values in self.columns.items()}
-        return {"ends_s": self.ends, "holds_s": self.holds, "logs": list(self.logs), "history": known}
+        return {"ends_s": self.ends, "holds_s": self.holds, "offset_s": self.offset, "logs": list(self.logs), "history": known}
 
 
 def history_of(calibration: Calibration | None, path: Path) -> History:
@@ -52,7 +53,7 @@ def history_of(calibration: Calibration | None, path: Path) -> History:
     read = {name: known.get(name) for name in ENTRIES}
     counts = {len(values) if isinstance(values, list) else -1 for values in read.values()}
     sound = len(counts) == 1 and min(counts) >= 1 and isinstance(logs, list) and all(isinstance(x, str) for x in logs)
-    clocks: list[Any] = [table.get("ends_s"), table.get("holds_s")]
+    clocks: list[Any] = [table.get(key) for key in ("ends_s", "holds_s", "offset_s")]
     numbers = [*clocks, *(x for values in read.values() if isinstance(values, list) for x in values)]
     if not sound or not all(is_number(x) for x in numbers) or any(x != x for x in clocks):
         raise BadInput(
@@ -61,7 +62,7 @@ def history_of(calibration: Calibration | None, path: Path) -> History:
         )
     whole = {name: tuple(float(x) for x in values) for name, values in read.items() if values is not None}
     assert isinstance(logs, list)
-    return History(float(clocks[0]), float(clocks[1]), tuple(logs), whole)
+    return History(float(clocks[0]), float(clocks[1]), float(clocks[2]), tuple(logs), whole)
 
 
 def is_number(value: Any) -> bool:

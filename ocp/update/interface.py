@@ -10,7 +10,7 @@ from ocp.calibrate.force.blade import CORRECTION
 from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.registration import ForceFit, fit_force
-from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, prepare_force
+from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.calibrate.interface import logged_cell
 from ocp.model.cell import Cell, files_of
 from ocp.model.theta import believed_theta
@@ -31,13 +31,22 @@ from ocp.update.drift import (
 )
 from ocp.update.files import Updated, UpdateResult, write_update
 from ocp.update.history import History, history_of, is_number
-from ocp.update.removal import UNIT, Preston, Removal, joined_preston, less_sure, on_blade, preston_from, read_removal, work_at
+from ocp.update.removal import (
+    UNIT,
+    MeasuredDepths,
+    Preston,
+    joined_preston,
+    less_sure,
+    on_blade,
+    preston_from,
+    read_removal,
+    work_at,
+)
+from ocp.update.running import running_time, usual_way
 from robots.calibration.store import Calibration
 from robots.errors import BadInput, Infeasible, shown
 
 PRESTON_SD = 0.3  # of a coefficient whose sigma the cell does not tell
-TURN_BACK = 1.0  # s by which a clock may run back between two logs before it counts as started anew
-RECENT = 6  # logs whose distance on the clock says when the next blade comes
 SAME_WEAR = 5e-6  # m over a log, by which another wear rate is worth another fit
 
 
@@ -92,63 +101,41 @@ def updated(
     history: History,
     mark: str,
     parts: tuple[str, ...] = (),
-    removal: Removal | None = None,
+    removal: MeasuredDepths | None = None,
 ) -> Updated:
     """One step of the filter; setup: of the log alone, of the cell without its calibration; mark: SHA-256 of the log.
 
     Raises Infeasible: the fit does not come to rest, log or removal cannot have come from the cell as last known.
     """
-    clock, spent, notices = _clock(cell, log, history)
-    touching = log.contact
-    now = float(clock[touching].mean())
+    holds = _state_holds(cell, log, history)
+    wheel = running_time(cell, log, history, holds)
+    clock, now = wheel.time, float(wheel.time[log.contact].mean())
     before = changed_state(last_state(cell), cell, parts)
-    expected = carried_on(before, now - _state_holds(cell, clock, history), grips=int(history.holds is None))
+    since = now - (float(clock.min()) if holds is None else holds)
+    expected = carried_on(before, since, int(history.holds is None), wheel.stood)
     fit, verdict = _fitted(cell, log, setup, expected, now - clock)
     if not verdict.possible:
         raise Infeasible(_impossible(log, fit, verdict, parts))
     found = fit.calibration(expected)
-    ahead = now + _until_next(clock, (*history.columns["clock_s"], now))
+    # The first one as if the next blade followed at once.
+    ahead = now + (usual_way((*history.columns["clock_s"], now)) or float(clock.max() + 0.5 * np.ptp(clock) - now))
     coming = carried_on(found, ahead - now, grips=1)
-    preston = _preston(cell, log, setup, fit, removal, spent, "belt" in parts)
+    preston = _preston(cell, log, setup, fit, removal, wheel.contact, "belt" in parts)
     entry = _entry(fit, log, clock, expected, found, preston)
-    grown_history = history.grown(float(clock.max()), ahead, mark, entry)
+    grown_history = history.grown((float(clock.max()), ahead, wheel.offset), mark, entry)
     coming = replace(coming, provenance=coming.provenance | {"update": grown_history.table()})
     return Updated(
-        cell, log, fit, verdict, parts, (now, ahead), (before, expected, found, coming), grown_history, preston, notices
+        cell, log, fit, verdict, parts, (now, ahead), (before, expected, found, coming), grown_history, preston, wheel.notices
     )
 
 
-def _clock(cell: Cell, log: ForceLog, history: History) -> tuple[np.ndarray, float, tuple[str, ...]]:
-    """The wheel's clock (n,) s of each row, seconds in contact since the last update, notices."""
-    known: LogConditions = log_conditions(cell, log, history.ends or 0.0)
-    clock, notices = known.clock, tuple[str, ...]()
-    in_contact = sum(float(np.ptp(log.time[(log.run == r) & log.contact])) for r in np.unique(log.run[log.contact]))
-    if log.clock is None or history.ends is None:
-        return clock, in_contact, notices
-    if clock.min() < history.ends - TURN_BACK:
-        notices = (
-            f"{log.path.name}: clock_s begins at {clock.min():.0f} s where the last update ended at {history.ends:.0f} s: it was "
-            "started anew, wear between the two logs is not known and counted as none",
-        )
-        return clock + history.ends - clock.min(), in_contact, notices
-    # Blades that were ground between the logs wear the belt as this one did.
-    return clock, in_contact * float((clock.max() - history.ends) / max(np.ptp(clock), 1e-9)), notices
-
-
-def _until_next(clock: np.ndarray, middles: tuple[float, ...]) -> float:
-    """Seconds from the middle of this blade to that of the next: as usual between the last logs, of the first one as if the next
-    blade followed at once."""
-    usual = np.diff(middles[-RECENT:])
-    return float(np.median(usual)) if len(usual) else float(clock.max() + 0.5 * np.ptp(clock) - middles[-1])
-
-
-def _state_holds(cell: Cell, clock: np.ndarray, history: History) -> float:
-    """Clock s that the state in the cell is for: as the last update forecast it, else the end of the calibration's force log
-    where that shows on this clock, else the beginning of this log."""
+def _state_holds(cell: Cell, log: ForceLog, history: History) -> float | None:
+    """Running time s that the state in the cell is for: as the last update forecast it, else the end of the calibration's force
+    log where this log's clock begins after it; None where nothing tells."""
     if history.holds is not None:
         return history.holds
     told = _force_figures(cell.calibration).get("clock_s")
-    return float(told) if told is not None and told <= clock.min() else float(clock.min())
+    return told if told is not None and log.clock is not None and told <= log.clock.min() else None
 
 
 def _force_figures(calibration: Calibration | None) -> dict[str, float]:
@@ -188,7 +175,7 @@ def _impossible(log: ForceLog, fit: ForceFit, verdict: Verdict, parts: tuple[str
 
 
 def _preston(
-    cell: Cell, log: ForceLog, setup: ForceSetup, fit: ForceFit, removal: Removal | None, spent: float, new_belt: bool
+    cell: Cell, log: ForceLog, setup: ForceSetup, fit: ForceFit, removal: MeasuredDepths | None, spent: float, new_belt: bool
 ) -> Preston | None:
     """The coefficient for the next blade; None where it was never known."""
     process = cell.process

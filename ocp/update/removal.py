@@ -38,7 +38,7 @@ STATION = 12e-3  # m between contacts that are solved along a run
 
 
 @dataclass(frozen=True)
-class Removal:
+class MeasuredDepths:
     """n depths measured on a blade: p (n, 3) m blade frame, depth (n,) m, sd (n,) m; line (n,) in the file."""
 
     path: Path
@@ -62,7 +62,7 @@ class Preston:
     measured: Array | None = None
 
 
-def read_removal(path: str | Path) -> Removal:
+def read_removal(path: str | Path) -> MeasuredDepths:
     """The rows of a removal.csv (FORMATS).
 
     Raises BadInput: as `read_csv_table`, a sigma that is not above zero, a depth below zero by more than GROWN sigmas.
@@ -75,10 +75,10 @@ def read_removal(path: str | Path) -> Removal:
     assert sd is not None
     if (bad := depth < -GROWN * sd).any():
         raise table.refuse(int(np.argmax(bad)), "removal_um", "is negative by more than its error; depths taken off are positive")
-    return Removal(table.path, 1e-3 * table.stack(PLACES), depth, sd, tuple(table.line))
+    return MeasuredDepths(table.path, 1e-3 * table.stack(PLACES), depth, sd, tuple(table.line))
 
 
-def on_blade(cell: Cell, removal: Removal) -> tuple[Array, Array]:
+def on_blade(cell: Cell, removal: MeasuredDepths) -> tuple[Array, Array]:
     """Feet and outward normals (n, 3) of the points on the blade. Raises BadInput: one is off the surface."""
     assert cell.workpiece.stl is not None
     blade, shape, _ = measured_blade(cell.workpiece.stl, cell.workpiece)
@@ -139,7 +139,7 @@ def _patches(cell: Cell, model: ForceModel, rows: ForceRows, way: Array, force: 
     return line_patches(way[chosen], contacts, headings)
 
 
-def preston_from(removal: Removal, h: Array) -> Preston:
+def preston_from(removal: MeasuredDepths, h: Array) -> Preston:
     """The coefficient by weighted least squares of depth on h (n,), points that were not ground left out.
 
     Raises Infeasible: no point was ground, or the depths do not differ from zero.

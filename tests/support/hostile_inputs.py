@@ -197,7 +197,7 @@ def _calibration() -> dict[str, bytes]:
         path = Path(folder) / "calibration.toml"
         reason = {"th1": "hidden in the base frame"}
         kept = {"residual_rms_mm": 0.0312, "rows": 150, "conditions": {"payloads": ["bare"], "temperature_C": 22.5}}
-        kept["update"] = History().grown(600.0, 900.0, "5f3a", dict.fromkeys(ENTRIES, 1.5)).table()
+        kept["update"] = History().grown((600.0, 900.0, 0.0), "5f3a", dict.fromkeys(ENTRIES, 1.5)).table()
         write_calibration(path, Calibration(ROBOT.name, names, factor[0], factor @ factor.T, kept, reason))
         return {file.name: file.read_bytes() for file in Path(folder).iterdir()}
 

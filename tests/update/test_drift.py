@@ -140,12 +140,34 @@ def test_changed_parts_are_as_doubtful_as_the_cell_says(world):
     assert sd["blade_y"] == pytest.approx(2e-5)
 
 
-def test_a_clock_started_anew_counts_no_wear_and_is_told(world, worn):
+def test_a_clock_started_anew_counts_no_wear_once_and_is_told(world, worn):
     truth, last = worn[-1]
     cell = replace(world.cell, calibration=last.states[3])
     log = world.ground(truth, 0.0, WEAR, np.random.default_rng(6))
     made = updated(cell, log, world.setup, history_of(cell.calibration, cell.path), "anew")
     assert "started anew" in made.notices[0] and made.history.ends > last.history.ends
+    x = truth.copy()
+    x[RADIUS] -= WEAR * BETWEEN
+    later = world.ground(x, BETWEEN, WEAR, np.random.default_rng(7))
+    cell = replace(cell, calibration=made.states[3])
+    again = updated(cell, later, world.setup, history_of(cell.calibration, cell.path), "later")
+    assert not again.notices  # the new clock goes on
+    assert again.latest["clock_s"] - made.latest["clock_s"] == pytest.approx(BETWEEN)
+
+
+def test_a_night_wears_no_wheel_but_leaves_the_place_in_doubt(world, worn):
+    """The controller's clock goes on over the weekend: 60 h at 1440 um an hour would be half of the wheel's radius."""
+    truth, last = worn[-1]
+    cell = replace(world.cell, calibration=last.states[3])
+    history = history_of(cell.calibration, cell.path)
+    x = truth.copy()
+    x[RADIUS] -= WEAR * BETWEEN
+    soon, late = (world.ground(x, 6 * BETWEEN + wait, WEAR, np.random.default_rng(8)) for wait in (0.0, 216_000.0))
+    soon, late = (updated(cell, log, world.setup, history, "monday") for log in (soon, late))
+    assert not soon.notices and "60.0 h later" in late.notices[0]
+    assert late.latest["radius_um"] == pytest.approx(soon.latest["radius_um"], abs=60.0)
+    assert late.latest["expected_sd_N"] > 1.5 * soon.latest["expected_sd_N"]
+    assert late.history.ends == pytest.approx(soon.history.ends) and late.history.offset == pytest.approx(-216_000.0, abs=1.0)
 
 
 def test_without_a_clock_contact_time_is_the_clock(world):
@@ -165,7 +187,7 @@ def test_a_history_that_was_edited_is_refused(world, told):
 def test_a_history_is_read_back_as_written(worn):
     last = worn[-1][1]
     read = history_of(last.states[3], last.cell.path)
-    assert (read.ends, read.holds, read.logs) == (last.history.ends, last.history.holds, last.history.logs)
+    assert (read.ends, read.holds, read.offset, read.logs) == (last.history.ends, last.history.holds, 0.0, last.history.logs)
     for name, values in last.history.columns.items():
         np.testing.assert_allclose(read.columns[name], values, atol=1e-8)
 

@@ -13,8 +13,8 @@ from ocp.update.removal import (
     DEPTH_MODEL,
     HOURLY,
     UNIT,
+    MeasuredDepths,
     Preston,
-    Removal,
     joined_preston,
     less_sure,
     preston_from,
@@ -27,9 +27,9 @@ from tests.support.wearing_cell import wearing_cell
 A, B = 5e-3, 3.5e-3
 
 
-def measured(depth: np.ndarray, sd: float = 1e-6) -> Removal:
+def measured(depth: np.ndarray, sd: float = 1e-6) -> MeasuredDepths:
     n = len(depth)
-    return Removal(Path("removal.csv"), np.zeros((n, 3)), depth, np.full(n, sd), tuple(range(2, n + 2)))
+    return MeasuredDepths(Path("removal.csv"), np.zeros((n, 3)), depth, np.full(n, sd), tuple(range(2, n + 2)))
 
 
 def ellipsoid(*_) -> LinePatches:
