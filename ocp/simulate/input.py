@@ -19,6 +19,7 @@ MOST_EFFECTS = 6
 MOST_LEVELS = 20  # setpoints and belt speeds: for each the whole plan is ground once more
 # Shares of the process force whose setpoints tell stiffness from place; of a rigid mount nearer together.
 LADDER, RIGID_LADDER = (0.6, 1.0, 1.4), (0.75, 1.0, 1.25)
+MOVING_HZ = 100.0  # 1/s: a mass of 2 kg on a stiff contact swings in 27 ms
 MODES = ("drawn", "believed", "sampled")
 # Effects that need what a run without a plan, without a flange, without joints.csv does not have.
 _ARM_ONLY = ("arm", "tracker")
@@ -59,6 +60,15 @@ def check_numbers(wanted: Wanted) -> None:
         raise BadInput("--joints needs a plan to drive; name the plan's folder")
     if (wanted.ladder or wanted.belts) and wanted.plan is None:
         raise BadInput("--ladder and --belt need a plan to grind; name the plan's folder")
+
+
+def check_rate(wanted: Wanted, cell: Cell) -> None:
+    """Raises BadInput: samples too far apart for a flange that moves between them."""
+    if wanted.plan is not None and cell.flange is not None and cell.flange.moves_in_time and wanted.hz < MOVING_HZ:
+        raise BadInput(
+            f"--hz {wanted.hz:g}: {cell.path} has a force flange that moves in time, which takes {MOVING_HZ:g} at least; "
+            "leave --hz out"
+        )
 
 
 def plan_folder(plan: Path) -> Path:

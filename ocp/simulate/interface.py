@@ -17,7 +17,17 @@ from ocp.effects.catalogue import key_range
 from ocp.model.cell import Cell, files_of, floor_notices, payloads_of, read_cell
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
-from ocp.simulate.input import Wanted, blade_file, campaign_plan, cell_file, check_numbers, in_words, plan_folder, planted_effects
+from ocp.simulate.input import (
+    Wanted,
+    blade_file,
+    campaign_plan,
+    cell_file,
+    check_numbers,
+    check_rate,
+    in_words,
+    plan_folder,
+    planted_effects,
+)
 from ocp.simulate.report import missed_parts_figures, rehearsal_headline, write_rehearsal_page
 from ocp.simulate.report_passes import WholePasses, contact_figures, flange_in_words
 from ocp.simulate.twin.arm import make_arm
@@ -97,6 +107,7 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
     with reserved(out, overwrite, [*files_of(file), *given]) as output:
         cell = read_cell(file, wanted.blade)
         refuse_left_out(cell.robot, "a rehearsal")
+        check_rate(wanted, cell)
         if other := blade_file(wanted, summary, cell.workpiece.stl):
             output.reads([other])
             cell = read_cell(file, other)

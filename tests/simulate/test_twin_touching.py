@@ -93,6 +93,14 @@ def test_windows_reach_from_the_air_to_the_air():
     assert (found.plan.line[found.run == 1] == 4).all()
 
 
+def test_stretches_of_one_line_share_what_lies_between_them():
+    run = np.repeat([-1, 0, -1, 1, -1], [40, 100, 61, 100, 40])
+    n = len(run)
+    track = Track(DT * np.arange(n), *(np.zeros((n, 6)),) * 3, *(np.zeros(n, int),) * 2, (("", 0),), ())
+    found = touch_windows(track, matched(run, np.where(run < 0, NEAR, GRINDING), np.full(n, 3)), np.array([0, 1]))
+    assert (found.index == np.arange(n)).all() and np.sum(found.run == 0) == 40 + 100 + 30
+
+
 def lane(force: Array, losses: Array) -> MovedLane:
     return MovedLane(force, 0 * force, force, 1.1 * force, (force > 0).astype(float), losses)
 

@@ -77,9 +77,14 @@ def touch_windows(track: Track, plan: Matched, runs: Index) -> TouchWindows:
     for k in runs:
         inside = np.flatnonzero(plan.run == k)
         a, b, line = int(inside[0]), int(inside[-1]), plan.line[inside[0]]
-        while a > 0 and plan.line[a - 1] == line and plan.run[a - 1] in (-1, k):
+        # Of what lies between two stretches of one line half belongs to each.
+        grinding = np.flatnonzero((plan.run >= 0) & (plan.line == line))
+        before, after = grinding[grinding < a], grinding[grinding > b]
+        first = (int(before[-1]) + a + 1) // 2 if len(before) else 0
+        final = (int(after[0]) + b + 1) // 2 - 1 if len(after) else last
+        while a > first and plan.line[a - 1] == line:
             a -= 1
-        while b < last and plan.line[b + 1] == line and plan.run[b + 1] in (-1, k):
+        while b < final and plan.line[b + 1] == line:
             b += 1
         for _ in range(round(BEFORE / step)):
             a -= int(a > 0 and plan.phase[a - 1] == AWAY)
