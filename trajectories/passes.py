@@ -28,7 +28,8 @@ class BladePath:
     in m, outward unit normals, unit feed directions; s (n,) m arc length from the start; curvature (n, 3): k_tt, k_bb,
     k_tb in 1/m with b = n x t, positive convex; extent (n, 4): distance in m along +t, -t, +b, -b over which the
     surface goes on before it turns by more than 60 deg or ends; thickness (n,) m along n; feed (n,) m/s and force
-    (n,) N as programmed; start m: where on the line as it was laid this piece of it begins, 0 of a whole line.
+    (n,) N as programmed; start m: where on the line as it was laid this piece of it begins, 0 of a whole line;
+    before, after m: how much of the asked line lies before its start and behind its end, where the wheel has no room.
     """
 
     line: int
@@ -43,6 +44,8 @@ class BladePath:
     feed: Array
     force: Array
     start: float = 0.0
+    before: float = 0.0
+    after: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -117,15 +120,15 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
                     f"The {name} side is ground up to where it turns into the {edge} edge, which is more "
                     f"than edge_margin_mm = {1e3 * options.edge_margin:g} away from it."
                 )
-        lines = _with_room(side, lay(side, window, options), around, options, notices)
+        lines, cuts = _with_room(side, lay(side, window, options), around, options, notices)
         waypoints += _count_waypoints(side, lines, options.step)
         if waypoints > MOST_WAYPOINTS:
             raise BadInput(
                 f"pass_spacing_mm = {1e3 * options.spacing:g} and step {1e3 * options.step:g} mm make {waypoints} waypoints on "
                 f"{len(paths) + len(lines)} lines, the limit is {MOST_WAYPOINTS}; lay fewer lines or take a longer step"
             )
-        for u, v in lines:
-            paths.append(_waypoints(shape, side, u, v, len(paths) + 1, options))
+        for (u, v), (before, after) in zip(lines, cuts, strict=True):
+            paths.append(replace(_waypoints(shape, side, u, v, len(paths) + 1, options), before=before, after=after))
     if not paths:
         raise BadInput(
             f"{blade.name}: a wheel of {1e3 * options.wheel_radius:g} mm radius touches block or platform on "
@@ -150,26 +153,27 @@ def ground_windows(blade: Blade, shape: AerofoilShape, options: PassOptions) -> 
 
 def _with_room(
     side: SideSurface, lines: list[tuple[Array, Array]], around: Array, options: PassOptions, notices: list[str]
-) -> list[tuple[Array, Array]]:
-    """The lines, cut back to where the wheel has room beside the points `around` it must not touch."""
+) -> tuple[list[tuple[Array, Array]], list[tuple[float, float]]]:
+    """The lines, cut back to where the wheel has room beside the points `around` it must not touch, and by how much at start and
+    end, m."""
     kept: list[tuple[Array, Array]] = []
-    shorter, longest = 0, 0.0
+    cuts: list[tuple[float, float]] = []
     for u, v in lines:
         room = free_stretch(side, around, u, v, options.wheel_radius, options.wheel_width)
         if room is None:
             continue
-        if room[0] is not u:
-            shorter += 1
-            for end in (0, -1):
-                cut = side.surface([u[end], room[0][end]], [v[end], room[1][end]])
-                longest = max(longest, float(np.linalg.norm(cut[1] - cut[0])))
+        ends = [side.surface([u[end], room[0][end]], [v[end], room[1][end]]) for end in (0, -1)]
+        before, after = (float(np.linalg.norm(cut[1] - cut[0])) for cut in ends)
         kept.append(room)
+        cuts.append((before, after))
+    shorter = sum(max(cut) > 0.0 for cut in cuts)
     if shorter or len(kept) < len(lines):
+        longest = max((max(cut) for cut in cuts), default=0.0)
         notices.append(
             f"On the {side.name} side {shorter} of {len(lines)} passes were cut back, by up to {1e3 * longest:.1f} mm, and "
             f"{len(lines) - len(kept)} left out, because the wheel would touch block or platform."
         )
-    return kept
+    return kept, cuts
 
 
 def reversed_path(path: BladePath) -> BladePath:
@@ -182,7 +186,9 @@ def stretch_of(path: BladePath, first: int, last: int) -> BladePath:
     """The piece of a path from waypoint `first` to `last`, both included, as a path of its own whose s begins at 0."""
     names = ("p", "n", "t", "curvature", "extent", "thickness", "feed", "force")
     cut = {name: getattr(path, name)[first : last + 1] for name in names}
-    return replace(path, s=path.s[first : last + 1] - path.s[first], start=path.start + float(path.s[first]), **cut)
+    return replace(
+        path, s=path.s[first : last + 1] - path.s[first], start=path.start + float(path.s[first]), before=0.0, after=0.0, **cut
+    )
 
 
 def _margins(blade: Blade, options: PassOptions) -> Margins:

@@ -102,6 +102,22 @@ class CollisionScene:
         values, _ = self.clearances(q + step * np.vstack([np.eye(6), -np.eye(6)]), in_contact)
         return (values[:6] - values[6:]) / (2 * step)
 
+    def off_wheel(self, T_base_blade: Array) -> Array:
+        """Distance minus BLADE_MARGIN (n,) m of blade and holder from the wheel at blade poses (n, 4, 4)."""
+        request, flange = coal.DistanceRequest(), flange_pose(self.cell, T_base_blade)
+        request.enable_signed_distance = True
+        (wheel,) = (body for body in self._bodies if body.name == "wheel")
+        carried = [body for body in self._bodies if body.name in ("blade", "holder")]
+        fixed = coal.Transform3s(wheel.placement[:3, :3], wheel.placement[:3, 3])
+        values = np.full(len(flange), np.inf)
+        for k, T in enumerate(flange):
+            for body in carried:
+                at = T @ body.placement
+                placed = coal.Transform3s(at[:3, :3], at[:3, 3])
+                gap = coal.distance(body.shape, placed, wheel.shape, fixed, request, coal.DistanceResult())
+                values[k] = min(values[k], gap - BLADE_MARGIN)
+        return values
+
     @staticmethod
     def _place(body: Body, frames: Array) -> coal.Transform3s:
         T = body.placement if body.frame == 7 else frames[body.frame] @ body.placement

@@ -1,11 +1,19 @@
 """What cannot be ground is cut out of its line, named and left out; the rest is planned."""
 
 import pickle
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from ocp.contact.wheel.law_fit import Domain, remembered_law
+from ocp.contact.wheel.signorini import LocalShape, solve_force
+from ocp.model.prepare import wheel_cover
+from ocp.plan.clearance import CollisionScene
+from ocp.plan.passes.optimise import PassWorker, refuse_ends
+from ocp.plan.passes.posture import contact_poses, impossible, seeds_of_stretches
 from ocp.plan.passes.stretches import (
     HALVINGS,
     MOST_CUTS,
@@ -18,13 +26,16 @@ from ocp.plan.passes.stretches import (
     joined,
     runs,
     ungrindable_notices,
+    whole_lines,
 )
-from ocp.plan.rules import LEAST_STRETCH, STRETCH_ROOM
+from ocp.plan.rules import LEAST_STRETCH, SEED_INDENTATION, STRETCH_ROOM
 from robots.errors import Infeasible
-from tests.support.example_pass import bar_pass
+from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
 from trajectories.passes import reversed_path, stretch_of
 
 N = 40
+# Corners of the round bar, as the collision scene takes them.
+BAR = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.04, 0.04) for z in (0.0, 0.1)])
 
 
 def line(length=0.078, number=1, shift=0.0):
@@ -147,6 +158,15 @@ def test_the_share_of_a_line_goes_by_the_strip_it_stands_for():
     assert ground_share([line(number=4)], [lost_at(4, 0.0, 0.0195)]) == pytest.approx(0.75)
 
 
+def test_what_a_line_was_cut_back_by_is_left_out_too():
+    """20 mm before a line of 78 mm where the wheel has no room beside the root."""
+    path = replace(line(), before=0.02)
+    (one,), (lost,) = whole_lines([path], [np.zeros((N, 3))])
+    assert one.path is path and (lost.start, lost.end) == (-0.02, 0.0) and "block" in lost.reason
+    assert ground_share([path], [lost]) == pytest.approx(78.0 / 98.0)
+    assert one.piece(3, 20).path.before == 0.0
+
+
 def test_left_out_as_a_user_reads_it():
     one = lost_at(7, 0.012, 0.0345)
     assert one.sentence() == ("Line 7 (concave), 12.0 to 34.5 mm, is left out: it is hollow; use a wheel at most 12 mm wide.")
@@ -156,3 +176,93 @@ def test_left_out_as_a_user_reads_it():
     }  # fmt: skip
     told = ungrindable_notices([lost_at(k, 0.0, 0.01 * k) for k in range(1, SHOWN + 3)])
     assert len(told) == SHOWN + 1 and told[-1].startswith("2 more stretches, 30 mm in all") and told[0].startswith("Line 3 ")
+
+
+# -- postures and ends ---------------------------------------------------------------------------------------------
+
+
+def hollow_path(middle):
+    """A pass on the round bar whose middle waypoints are as hollow as can be for the wheel of the tests."""
+    path = bar_pass()
+    curvature = path.curvature.copy()
+    curvature[middle, 1] = -1500.0
+    return replace(path, curvature=curvature)
+
+
+def test_a_line_that_is_too_hollow_in_its_middle_is_ground_on_both_sides_of_it():
+    cell = bundled_cell()
+    path, scene = hollow_path(slice(15, 25)), CollisionScene(cell, BAR)
+    whole = [LineStretch(path, np.zeros((N, 3)))]
+    pieces, seeds, (lost,) = seeds_of_stretches(cell, scene, LineLaw(), whole, False)
+    assert len(pieces) == len(seeds) == 2 and all(seeds)
+    step = path.s[1]
+    assert pieces[0].path.s[-1] == pytest.approx(14 * step, abs=2 * step) and lost.start == pieces[0].path.s[-1]
+    assert pieces[1].path.start == pytest.approx(25 * step, abs=2 * step) and lost.end == pytest.approx(pieces[1].path.start)
+    assert lost.start < 15 * step < 24 * step < lost.end
+    assert lost.reason.startswith("the blade is too hollow for a wheel 15 mm wide with 40 mm radius")
+    assert re.search(r"use a wheel at most \d+ mm wide", lost.would_do)
+    with pytest.raises(CannotGrind, match="too hollow for this wheel"):
+        seeds_of_stretches(cell, scene, LineLaw(), whole, True)
+
+
+def test_a_wheel_as_wide_as_is_told_does_bear():
+    """The remedy is put to the test on a direct contact: just as wide it bears, as wide as it was it does not."""
+    cell = bundled_cell()
+    wide = replace(cell, wheel=replace(cell.wheel, width=0.040))
+    law = remembered_law(wheel_cover(wide), Domain(np.array([[0.0, -k, 0.0] for k in (0.0, 4.0, 8.0)]), 0.01, 1e-3, 0.01, 20.0))
+    path = replace(bar_pass(), curvature=np.tile([0.0, -8.0, 0.0], (N, 1)))
+    where, reason, would_do = impossible(wide, CollisionScene(wide, BAR), law, path)
+    assert where.all() and "40 mm wide" in reason
+    width = 1e-3 * float(re.search(r"at most (\d+) mm wide", would_do)[1])
+    for wheel_width, bears in ((width, True), (0.040, False)):
+        cover = wheel_cover(replace(cell, wheel=replace(cell.wheel, width=wheel_width)))
+        turn = np.cos(0.95 * cell.process.turn_tolerance) ** 2
+        found = solve_force(cover, 20.0, LocalShape(1 / cell.wheel.radius, -8.0 * turn))
+        assert (found.indentation > SEED_INDENTATION) == bears
+
+
+def test_a_place_out_of_reach_says_by_how_much():
+    cell = bundled_cell()
+    far = replace(cell, wheel=replace(cell.wheel, centre=cell.wheel.centre + [2.0, 0.0, 0.0]))
+    where, reason, would_do = impossible(far, CollisionScene(far, BAR), LineLaw(), bar_pass())
+    assert where.all() and "mm beyond the robot's reach" in reason and "nearer" in would_do
+
+
+def test_ends_from_which_the_blade_cannot_be_lifted_are_cut_off():
+    """A plate stands up behind the last waypoints, in the hull of the blade: lifted off, it would still be in the wheel."""
+    cell, path = bundled_cell(), bar_pass()
+    poses = contact_poses(cell, path, np.arange(N), np.array(0.0), np.array(0.0), 1, cell.process.sigma)
+    solved = SimpleNamespace(T_base_blade=poses, arc=np.zeros(N))
+    one = SimpleNamespace(problem=SimpleNamespace(path=path), evaluation=solved)
+    refuse_ends(cell, CollisionScene(cell, BAR), one)
+    plate = np.array([[x, 0.075, 0.11] for x in (-0.01, 0.01)])
+    with pytest.raises(
+        CannotGrind, match=r"waypoint 40: lifted 20 mm off the wheel the blade would still be .* mm too near"
+    ) as told:
+        refuse_ends(cell, CollisionScene(cell, np.vstack([BAR, plate])), one)
+    bad = told.value.nodes(path.s)
+    assert bad[-1] and not bad[0] and (np.diff(bad.astype(int)) >= 0).all()
+
+
+def test_a_worker_cuts_solves_and_names_until_nothing_is_left_to_try(monkeypatch):
+    """The optimiser fails between 50 and 56 mm of every path that holds them."""
+    tried = []
+
+    def solve(self, path, seeds, compliance):
+        tried.append((path.start, path.start + path.s[-1]))
+        s = path.start + path.s
+        bad = (s > 0.050) & (s < 0.056)
+        if bad.any():
+            raise CannotGrind.of(path, bad, "it is hollow", "use another wheel")
+        return SimpleNamespace(problem=SimpleNamespace(path=path))
+
+    monkeypatch.setattr(PassWorker, "solve", solve)
+    monkeypatch.setattr("ocp.plan.passes.optimise.find_seeds", lambda *_: [["seed"]])
+    worker = object.__new__(PassWorker)
+    worker.ground, worker.scene = SimpleNamespace(cell=None, law=None), None
+    found = worker.solve_stretch(stretch(), ["seed"], whole=False)
+    assert [(p.problem.path.start, p.problem.path.start + p.problem.path.s[-1]) for p in found.passes] == tried[1:]
+    (lost,) = found.left_out
+    assert lost.start == tried[1][1] <= 0.050 and lost.end == tried[2][0] >= 0.056
+    with pytest.raises(CannotGrind, match="it is hollow"):
+        worker.solve_stretch(stretch(), ["seed"], whole=True)

@@ -29,7 +29,7 @@ from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, joined
-from ocp.plan.rules import DIRECT_TOLERANCE, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
+from ocp.plan.rules import DIRECT_TOLERANCE, LIFT_OFF, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
 from ocp.shell.cache import Entry, content_key, flattened, rebuilt, remember
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
@@ -43,6 +43,7 @@ THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over
 STATION_SPACING = 3e-3  # m between waypoints solved directly
 FALLBACKS = 4  # seeds tried before a pass is refused
 TURN_LIMITS = (1.0, 0.2, 0.02)  # of the turn tolerance, tried in turn while a turned wheel touches the blade elsewhere
+END_PROBE = 1e-3  # m between the waypoints at which it is looked whether the blade could be lifted off
 FILES = (".path", ".stl")  # where a file lies does not matter, what it says is in the key by value
 
 
@@ -130,7 +131,9 @@ class PassWorker:
                 problem = with_direction(problem, reversed_path(path))
             for limit in TURN_LIMITS:
                 try:
-                    return self._solve(replace(problem, turn_limit=limit * self.ground.cell.process.turn_tolerance))
+                    one = self._solve(replace(problem, turn_limit=limit * self.ground.cell.process.turn_tolerance))
+                    refuse_ends(self.ground.cell, self.scene, one)
+                    return one
                 except Infeasible as error:
                     turned = isinstance(error, CannotGrind) and seed.direction < 0
                     reasons.append(error.turned_round() if isinstance(error, CannotGrind) and turned else error)
@@ -213,6 +216,25 @@ def refuse_unsound(
         if abs(stroke[k]) > limit:
             reason = f"the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, {limit * 1e3:.2f} mm are usable"
             raise CannotGrind.of(path, np.abs(stroke) > limit, reason, "set force_N nearer to the flange's setpoint", k)
+
+
+def refuse_ends(cell: Cell, scene: CollisionScene, one: SolvedPass) -> None:
+    """Raises CannotGrind with what lies before the first and behind the last waypoint at which the blade can be lifted off the
+    wheel: there a pass could not be begun or ended."""
+    path, poses = one.problem.path, one.evaluation.T_base_blade.copy()
+    poses[:, :3, 3] += LIFT_OFF * cell.wheel.outward(one.evaluation.arc)
+    ends = scene.off_wheel(poses[[0, -1]])
+    if ends.min() >= 0:
+        return
+    # From one waypoint to the next the gap changes by less than the way between them.
+    index = np.unique(np.append(np.arange(0, len(poses), max(int(END_PROBE / np.diff(path.s).max()), 1)), len(poses) - 1))
+    free = index[scene.off_wheel(poses[index]) >= 0]
+    where = np.ones(len(poses), bool)
+    if len(free):
+        where[free[0] : free[-1] + 1] = False
+    reason = f"lifted {LIFT_OFF * 1e3:.0f} mm off the wheel the blade would still be {-ends.min() * 1e3:.1f} mm too near to it"
+    remedy = "use a smaller or narrower wheel, or larger margins beside block and shroud"
+    raise CannotGrind.of(path, where, reason, remedy, 0 if ends[0] < 0 else len(poses) - 1)
 
 
 def _other_wheel(cell: Cell, beside: SecondaryContact) -> str:

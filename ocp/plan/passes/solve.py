@@ -269,6 +269,8 @@ def refuse_violated(path: BladePath, violation: Array, full: bool, status: str) 
     name, unit, factor = ROWS[row]
     reason = f"{name} cannot be met, {stage[k, row] * factor:.3g} {unit} are missing (optimiser: {status})"
     where = stage.max(axis=1) > WORST_SHARE * stage.max()
+    if status == "Maximum_Iterations_Exceeded":  # it was still on its way: what is violated yet says nothing of the place
+        where[:] = False
     raise CannotGrind.of(path, where, reason, REMEDIES[row], k, _told(path, k, reason, REMEDIES[row]))
 
 

@@ -14,6 +14,8 @@ from trajectories.passes import BladePath, stretch_of
 
 Mask = NDArray[np.bool_]
 MOST_CUTS = 5  # of a line, one after the other: each costs the optimiser's time
+NO_ROOM = ("the wheel would touch block, platform or shroud", "use a smaller or narrower wheel, or a larger margin there")
+LEAST_TOLD = 1e-4  # m of a line
 SHOWN = 6  # notices of what is left out
 HALVINGS = 3  # where the place is not known; an eighth of a line is then given up
 
@@ -45,7 +47,7 @@ class CannotGrind(Infeasible):
         """At the nodes `where` (n,) of `path` (n nodes, in its direction of travel), `worst` of them named; none of them: the
         place is not known. `message`: the whole sentence, where it says more than reason and remedy."""
         k = int(np.argmax(where)) if worst is None else worst
-        named = f", waypoint {k + 1}" if where.any() else ""
+        named = f", waypoint {k + 1}" if where.any() else ""  # of the path in its direction of travel
         message = message or f"line {path.line} ({path.side}){named}: {reason}; {would_do}"
         told = {"reason": reason, "would_do": would_do, "waypoint": k, "at": path.s[where], "length": float(path.s[-1])}
         return CannotGrind(message, line=path.line, side=path.side, start=path.start, **told)
@@ -112,10 +114,15 @@ class LineStretch:
 
 
 def whole_lines(paths: list[BladePath], compliance: list[Array], whole: bool = False) -> tuple[list[LineStretch], list[LeftOut]]:
-    """Every line in one piece; lines that are too short for a pass are left out. Raises CannotGrind of such a line if the `whole`
-    of them is asked for."""
+    """Every line in one piece; lines that are too short for a pass are left out, and what no line was laid on for want of room.
+
+    Raises CannotGrind of a line too short if the `whole` of them is asked for.
+    """
     stretches, lost = [], []
     for path, give in zip(paths, compliance, strict=True):
+        for start, end in ((-path.before, 0.0), (float(path.s[-1]), float(path.s[-1]) + path.after)):
+            if end - start > LEAST_TOLD:
+                lost.append(LeftOut(path.line, path.side, start, end, *NO_ROOM))
         if path.s[-1] < LEAST_STRETCH:
             error = too_short(path)
             if whole:
@@ -199,8 +206,8 @@ def joined(lost: list[LeftOut]) -> list[LeftOut]:
 
 
 def ungrindable_notices(lost: list[LeftOut]) -> list[str]:
-    """A sentence for each of them, for the longest SHOWN of many."""
-    longest = sorted(lost, key=lambda one: -one.length)
+    """A sentence for each of them, for the longest SHOWN of many; want of room is told where the lines are laid."""
+    longest = sorted((one for one in lost if one.reason != NO_ROOM[0]), key=lambda one: -one.length)
     told = [one.sentence() for one in sorted(longest[:SHOWN], key=lambda o: (o.line, o.start))]
     more = longest[SHOWN:]
     if more:
@@ -210,17 +217,20 @@ def ungrindable_notices(lost: list[LeftOut]) -> list[str]:
 
 
 def ground_share(paths: list[BladePath], lost: list[LeftOut]) -> float:
-    """Share of the asked surface that is ground: every line stands for the strip up to half-way to its neighbours."""
+    """Share of the asked surface that is ground: every line stands for the strip up to half-way to its neighbours, which goes on
+    where the line was cut back."""
     area = missing = 0.0
     for path in paths:
         width = _strip(path, paths)
-        area += float(np.trapezoid(width, path.s))
+        s = np.concatenate([[path.s[0] - path.before], path.s, [path.s[-1] + path.after]])
+        width = np.concatenate([width[:1], width, width[-1:]])
+        area += float(np.trapezoid(width, s))
         for one in lost:
             if one.line == path.line:
-                a, b = (np.clip(end - path.start, path.s[0], path.s[-1]) for end in (one.start, one.end))
+                a, b = np.clip([one.start - path.start, one.end - path.start], s[0], s[-1])
                 within = np.linspace(a, b, 50)
-                missing += float(np.trapezoid(np.interp(within, path.s, width), within))
-    return 1.0 - missing / area
+                missing += float(np.trapezoid(np.interp(within, s, width), within))
+    return max(1.0 - missing / area, 0.0)
 
 
 def _strip(path: BladePath, paths: list[BladePath]) -> Array:

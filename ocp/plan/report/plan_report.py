@@ -25,6 +25,7 @@ from robots.rigid_body import inverse_dynamics
 from robots.robot import Robot
 
 FRAMES = 500  # of the animation
+LEFT_OUT_STEP = 1e-3  # m between points of a piece that is left out
 SAMPLE = 0.02  # s between samples of the drawn motion
 
 
@@ -182,12 +183,12 @@ def _pass(plan: Plan, place: int) -> PassReport:
 
 
 def _left_out(plan: Plan, lost: LeftOut) -> LeftOutReport:
-    """With the points of the laid line between its ends, the nearest two at least."""
+    """With points every millimetre along the laid line, and straight on where it was cut back."""
     path = next(one for one in plan.lines if one.line == lost.line)
-    first, last = np.searchsorted(path.s, [lost.start - path.start - 1e-9, lost.end - path.start - 1e-9])
-    first, last = min(first, len(path.s) - 2), min(max(last, first + 1), len(path.s) - 1)
-    kept = slice(first, last + 1)
-    return LeftOutReport(path.side, path.p[kept], path.n[kept], path.s[kept] - path.s[first], lost)
+    s = np.linspace(lost.start, lost.end, max(int(np.ceil(lost.length / LEFT_OUT_STEP)), 1) + 1)
+    beyond = s - np.clip(s, path.s[0], path.s[-1])
+    p, n, t = (np.column_stack([np.interp(s, path.s, column) for column in getattr(path, name).T]) for name in "pnt")
+    return LeftOutReport(path.side, p + beyond[:, None] * t, n, s - s[0], lost)
 
 
 def _motion(cell: Cell, motion: PlannedMotion, timeline: Timeline) -> MotionReport:
