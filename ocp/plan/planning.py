@@ -37,7 +37,7 @@ from trajectories.blade import Blade
 from trajectories.passes import BladePath
 from trajectories.program.program import KINDS
 
-FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is
+FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is and posture changes it
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         laid = lay_paths(cell, stl, options)
     contact = prepare_contact(cell, laid.blade, laid.paths, phases)
     _refuse_forces(laid.paths, contact.law.limits["force"], options)
-    weights = ObjectiveWeights(force_sd=FORCE_SD_WEIGHT if cell.calibration is not None else 0.0)
+    weights = objective_weights(cell)
     scene = CollisionScene(cell, laid.blade.vertices)
     ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
     compliance = [np.asarray(c) for c in contact.compliance.per_pass]
@@ -142,6 +142,15 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         lines=tuple(laid.paths),
         left_out=tuple(lost),
     )
+
+
+def objective_weights(cell: Cell) -> ObjectiveWeights:
+    """The standard deviation of the force is an aim only where it moves: on a rigid mount of a calibrated cell.
+
+    A force flange divides it by the ratio of the stiffnesses, in every posture alike (docs/optimal_control.md).
+    """
+    aims = cell.calibration is not None and cell.flange is None
+    return ObjectiveWeights(force_sd=FORCE_SD_WEIGHT if aims else 0.0)
 
 
 def reachable_motion(

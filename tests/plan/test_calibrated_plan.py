@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ocp.model.theta import NAMES, believed_theta
+from ocp.plan.planning import objective_weights
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration, write_calibration
 from robots.robot import load_robot
@@ -73,3 +74,9 @@ def test_a_calibration_of_the_wheel_alone_says_nothing_of_the_arm():
 def test_a_calibration_makes_the_force_surer(both):
     plain, calibrated = (b["force_sd_max_N"] for b in both)
     assert calibrated < 0.45 * plain
+
+
+def test_the_spread_of_the_force_is_an_aim_only_where_posture_moves_it():
+    cell = bundled_cell()
+    known = replace(cell, calibration=calibration())
+    assert [objective_weights(one).force_sd > 0 for one in (cell, known, replace(known, flange=None))] == [False, False, True]
