@@ -32,6 +32,8 @@ from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
 from ocp.model.cell import read_tracker_setup
+from robots.errors import BadInput
+from robots.kinematics import link_frames
 from tests.support.diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, record
 from tests.support.force_world import arm_posterior, write_log
 from tests.support.one_solid import one_solid
@@ -163,6 +165,26 @@ def test_the_table_says_what_shows_each_effect(made, tmp_path):
     assert f"the {len(log)} rows of planned.csv (10 recordings)" in told and "no column ft_N" in told and "0.3 N" in told
     without = {line.split()[0]: line for line in design_text(cell, None).splitlines() if line}
     assert "needs a force log (--log)" in without["wheel_wear"] and "needs" not in without["backlash"]
+
+
+@pytest.mark.parametrize(("down", "z_mm"), [((0, 0, -1), 600.0), ((0, 0, 1), -1500.0)])
+def test_proposed_postures_keep_above_the_floor(tmp_path, down, z_mm):
+    text = 'name = "c"\n[robot]\nmodel = "kr210_r2700_extra"\ngravity_direction = [{:g}, {:g}, {:g}]\n'.format(*down)
+    cell = tmp_path / "cell.toml"
+    cell.write_text(text)
+    up = -np.array(down, float)
+
+    def lowest(readings):
+        setup = read_tracker_setup(cell)
+        return (link_frames(setup.robot, readings.q)[:, 2:, :3, 3] @ up).min()
+
+    assert lowest(default_poses(read_tracker_setup(cell), 40, full=False)) < 1e-3 * z_mm  # or the floor is no floor
+    cell.write_text(f"{text}[floor]\nz_mm = {z_mm}\n")
+    told = default_poses(read_tracker_setup(cell), 40, full=False)
+    assert len(told.q) == 40 and lowest(told) > 1e-3 * z_mm
+    cell.write_text(f"{text}[floor]\nz_mm = 9000\n")
+    with pytest.raises(BadInput, match="no posture of the arm stands above floor.z_mm = 9000"):
+        default_poses(read_tracker_setup(cell), 40, full=False)
 
 
 def test_the_arm_of_a_plan_is_known_as_its_readings_leave_it(made):

@@ -14,9 +14,9 @@ from robots.calibration.layout import Choice, Priors, build_layout, nominal_stat
 from robots.calibration.noise import Noise, reading_covariance, whitener
 from robots.calibration.solver import Campaign
 from robots.calibration.store import Calibration
-from robots.kinematics import forward
+from robots.errors import BadInput
+from robots.kinematics import link_frames
 from robots.pose import Array
-from robots.robot import Robot
 from robots.tracker_readings import Readings
 
 PER_READING, SETTLING = 0.7, 3.0  # minutes: move, settle and measure one reading; to begin
@@ -186,7 +186,7 @@ def planned_channel(setup: TrackerSetup, readings: Readings) -> TrackerChannel:
 def default_poses(setup: TrackerSetup, count: int, full: bool, seed: int = 0) -> Readings:
     """Postures spread over the arm's ranges, flange above the floor. `full`: all payloads, nests and directions, a warm-up;
     else one payload and nest, every axis coming from below, at one temperature."""
-    q = _postures(setup.robot, count, seed)
+    q = _postures(setup, count, seed)
     rng = np.random.default_rng(seed)
     payloads, targets = tuple(setup.payloads) or ("",), tuple(setup.instrument.nests or {}) or ("",)
     n = len(q)
@@ -214,15 +214,23 @@ def default_poses(setup: TrackerSetup, count: int, full: bool, seed: int = 0) ->
     )
 
 
-def _postures(robot: Robot, count: int, seed: int) -> Array:
-    """Low-discrepancy postures in the middle of the ranges, flange above the floor."""
+def _postures(setup: TrackerSetup, count: int, seed: int) -> Array:
+    """Low-discrepancy postures in the middle of the ranges, flange above the base's plane; where the cell has a floor, all
+    joints from the third on above that. Raises BadInput: there are none."""
+    robot, floor = setup.robot, setup.tables.floor
     width = np.minimum(0.75 * (robot.q_max - robot.q_min), np.radians([180, 140, 200, 340, 230, 340]))
     middle = 0.5 * (robot.q_max + robot.q_min)
     from scipy.stats import qmc  # takes half a second, which a diagnosis that proposes no poses need not pay
 
-    unit = qmc.Halton(6, seed=seed).random(4 * count)
+    unit = qmc.Halton(6, seed=seed).random((4 if floor is None else 40) * count)
     q = middle + (unit - 0.5) * width
-    return q[forward(robot, q)[:, 2, 3] > LOW][:count]
+    places = link_frames(robot, q)[:, 2:, :3, 3]
+    free = places[:, -1, 2] > LOW
+    if floor is not None:
+        free &= (places @ -robot.gravity_direction).min(axis=1) > 1e-3 * floor.z_mm + LOW
+    if floor is not None and not free.any():
+        raise BadInput(f"{setup.path}: no posture of the arm stands above floor.z_mm = {floor.z_mm:g}; correct it")
+    return q[free][:count]
 
 
 def arm_expected(channel: TrackerChannel) -> Calibration:
