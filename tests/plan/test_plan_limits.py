@@ -312,7 +312,9 @@ def test_less_than_half_of_the_surface_is_refused():
         return refuse_mostly_left_out([path], [lost])
 
     assert judged(rules.LEAST_GROUND_SHARE + 1e-6) == pytest.approx(rules.LEAST_GROUND_SHARE, abs=1e-5)
-    with pytest.raises(Infeasible, match="only 50 % of the asked surface can be ground, 50 % are asked at least; .*it is hollow"):
+    with pytest.raises(
+        Infeasible, match="only 50.0 % of the asked surface can be ground, 50 % are asked at least; .*it is hollow"
+    ):
         judged(rules.LEAST_GROUND_SHARE - 1e-6)
 
 

@@ -43,6 +43,7 @@ THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over
 STATION_SPACING = 3e-3  # m between waypoints solved directly
 FALLBACKS = 4  # seeds tried before a pass is refused
 TURN_LIMITS = (1.0, 0.2, 0.02)  # of the turn tolerance, tried in turn while a turned wheel touches the blade elsewhere
+LIFT_RESERVE = 1e-3  # m; ways between passes are judged on the nominal arm, which stands about that far beside the bent one
 END_PROBE = 1e-3  # m between the waypoints at which it is looked whether the blade could be lifted off
 FILES = (".path", ".stl")  # where a file lies does not matter, what it says is in the key by value
 
@@ -223,12 +224,12 @@ def refuse_ends(cell: Cell, scene: CollisionScene, one: SolvedPass) -> None:
     wheel: there a pass could not be begun or ended."""
     path, poses = one.problem.path, one.evaluation.T_base_blade.copy()
     poses[:, :3, 3] += LIFT_OFF * cell.wheel.outward(one.evaluation.arc)
-    ends = scene.off_wheel(poses[[0, -1]])
+    ends = scene.off_wheel(poses[[0, -1]]) - LIFT_RESERVE
     if ends.min() >= 0:
         return
     # From one waypoint to the next the gap changes by less than the way between them.
     index = np.unique(np.append(np.arange(0, len(poses), max(int(END_PROBE / np.diff(path.s).max()), 1)), len(poses) - 1))
-    free = index[scene.off_wheel(poses[index]) >= 0]
+    free = index[scene.off_wheel(poses[index]) >= LIFT_RESERVE]
     where = np.ones(len(poses), bool)
     if len(free):
         where[free[0] : free[-1] + 1] = False

@@ -247,7 +247,7 @@ def refuse_mostly_left_out(paths: list[BladePath], lost: list[LeftOut]) -> float
     if share < LEAST_GROUND_SHARE:
         worst = max(lost, key=lambda one: one.length)
         raise Infeasible(
-            f"only {100 * share:.0f} % of the asked surface can be ground, {100 * LEAST_GROUND_SHARE:g} % are asked at least; "
+            f"only {100 * share:.1f} % of the asked surface can be ground, {100 * LEAST_GROUND_SHARE:g} % are asked at least; "
             f"{len(lost)} stretches are left out, the longest of them: {worst.clause()}"
         )
     return share
