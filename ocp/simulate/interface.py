@@ -68,6 +68,11 @@ class _Ground:
     travel: float  # s in which blade and wheel may touch in travel
     depth: GroundDepth
 
+    @property
+    def whole(self) -> WholePasses:
+        """What the page shows of the passes from the air to the air."""
+        return WholePasses(self.campaign.touched, self.depth, self.travel, flange_in_words(self.machine.cell))
+
 
 def plantable_effects() -> str:
     """What can be planted: name, joints, keys with their typical range and unit."""
@@ -211,8 +216,7 @@ def _write(
     words = MACHINES[wanted.machine].format(seed=wanted.seed)
     words = words if wanted.sealed or not truth.effects else f"{words}, {in_words(truth.effects)}"
     title = f"{ground.program.main.stem} on {cell.name}"
-    whole = WholePasses(ground.campaign.touched, ground.depth, ground.travel, flange_in_words(cell))
-    shown = ground.rehearsal, ground.missed, whole, ground.machine.blade
+    shown = ground.rehearsal, ground.missed, ground.whole, ground.machine.blade
     write_rehearsal_page(*shown, title, words, notices, out / "rehearsal.html")
     (out / "rehearsal.json").write_text(json.dumps(_json(wanted, truth, ground), indent=1) + "\n", encoding="utf-8")
     return rows
@@ -255,7 +259,8 @@ def _last_line(wanted: Wanted, out: Path, truth: Truth, ground: _Ground | None, 
     """What was seen, where it is written, what to do with it."""
     parts = []
     if ground is not None:
-        parts.append(rehearsal_headline(ground.rehearsal, MACHINES[wanted.machine].format(seed=wanted.seed)).sentence)
+        driven = MACHINES[wanted.machine].format(seed=wanted.seed)
+        parts.append(rehearsal_headline(ground.rehearsal, ground.whole, driven).sentence)
         worst = ground.rehearsal.worst[0]
         x, y, z = 1e3 * worst.p
         parts.append(

@@ -12,7 +12,7 @@ from ocp.report.plotting import Canvas, dressed, keys, panels
 from ocp.report.report import Report
 from ocp.report.section import Headline, Section
 from ocp.report.style import CURVE, RULE, SIDE_COLOURS, SOFT, TARGET
-from ocp.simulate.report_passes import FORCE_MAP, WholePasses, whole_pass_sections
+from ocp.simulate.report_passes import FORCE_MAP, WholePasses, ends_in_words, whole_pass_sections
 from ocp.simulate.twin.controller import MissedParts
 from ocp.simulate.twin.rehearsal import PARTS, WITHIN, Rehearsal
 from trajectories.blade import Blade
@@ -31,8 +31,9 @@ BLADE = "Blade from both sides, coloured by the force pressing on it; grey is no
 BROUGHT = "What each part of the cell brings to the force, over the whole program in its order; numbers are lines of the blade."
 
 
-def rehearsal_headline(rehearsal: Rehearsal, machine: str) -> Headline:
-    """Whether the program would grind as planned, in figures. `machine`: what it was run on, in words."""
+def rehearsal_headline(rehearsal: Rehearsal, whole: WholePasses, machine: str) -> Headline:
+    """Whether the program would grind as planned inside its passes, in figures, and what it does outside of them. `machine`: what
+    it was run on, in words."""
     f = rehearsal.figures
     good = f["within_1_N"] >= GOOD
     sentence = (
@@ -42,7 +43,7 @@ def rehearsal_headline(rehearsal: Rehearsal, machine: str) -> Headline:
     )
     if f["lost"] > 0:
         sentence += f" For {100 * f['lost']:.1f} % of the time the blade does not touch the wheel."
-    return Headline(good, "As planned." if good else "Not as planned.", sentence)
+    return Headline(good, "As planned." if good else "Not as planned.", f"{sentence} {ends_in_words(whole)}")
 
 
 def write_rehearsal_page(
@@ -56,9 +57,9 @@ def write_rehearsal_page(
     path: Path,
 ) -> None:
     """Write the page; equal rehearsals give equal bytes. Raises OSError where the file cannot be written."""
-    Report(KIND, title, rehearsal_headline(rehearsal, machine), notices, _sections(rehearsal, missed, whole, blade)).write_page(
-        path
-    )
+    Report(
+        KIND, title, rehearsal_headline(rehearsal, whole, machine), notices, _sections(rehearsal, missed, whole, blade)
+    ).write_page(path)
 
 
 def _sections(rehearsal: Rehearsal, missed: MissedParts | None, whole: WholePasses, blade: Blade) -> tuple[Section, ...]:

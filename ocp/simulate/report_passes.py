@@ -80,6 +80,16 @@ def contact_figures(t: Touching, travel: float) -> dict[str, Any]:
     return worst | {"contact_in_travel_s": travel, "passes": rows}
 
 
+def ends_in_words(whole: WholePasses) -> str:
+    """What entries and exits make of the depth, in one sentence for the head of the page."""
+    figures = whole.depth.figures(whole.depth.made)
+    outside, even = max(p.outside for p in touch_figures(whole.touched)), int(100 * (figures["all_within_10"] or 0.0))
+    return (
+        f"Outside of the passes the wheel grinds for up to {outside:.2f} s each; {even} % of the surface about the lines lies "
+        f"within 10 % of the wanted depth, the deepest place has {figures['most']:.2g} times that depth."
+    )
+
+
 def whole_pass_sections(whole: WholePasses, blade: Blade) -> tuple[Section, ...]:
     """Entry and exit; removal."""
     t, passes = whole.touched, touch_figures(whole.touched)
