@@ -8,12 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ocp.model.cell import read_cell
+from ocp.model.cell import read_cell, wheel_frame
+from ocp.model.theta import registered
 from ocp.simulate.twin.arm import arm_moments, make_arm
 from ocp.simulate.twin.collide import true_wheel
 from ocp.simulate.twin.kinds import EFFECT_KINDS
 from ocp.simulate.twin.planting import Planted, draw_effect, labels, parse_effect
+from ocp.simulate.twin.rehearsal import programmed_wheel
 from ocp.simulate.twin.truth import draw_truth
+from robots.calibration.store import Calibration
 from robots.errors import BadInput
 
 CELL = read_cell(Path(__file__).parents[2] / "ocp" / "data" / "cell.toml")
@@ -64,6 +67,17 @@ class Estimates:
     values = np.array([1e-3, 1.151, 5e-7, 2e-4, 1e-4, 26.0, 3e-4, 6000.0, 0.1, -3e-4])
     covariance = np.diag(np.array([1e-5, 2e-5, 1e-8, 1e-5, 1e-5, 0.1, 1e-5, 50.0, 0.01, 1e-5]) ** 2)
     standard_deviation = np.sqrt(np.diag(covariance))
+
+
+def test_the_wheel_of_a_program_is_the_one_that_the_updated_cell_has():
+    names, values = ("wheel_x", "wheel_z", "wheel_radius"), np.array([2e-4, -1e-4, -9e-4])
+    cell = replace(CELL, calibration=Calibration(ROBOT.name, names, values, np.diag(np.full(3, 1e-10))))
+    wheel, really = (
+        programmed_wheel(cell, wheel_frame(registered(cell)[0])),
+        true_wheel(cell, draw_truth(cell, 1, mode="believed")),
+    )
+    assert wheel.radius == pytest.approx(really.radius) and wheel.radius == pytest.approx(CELL.wheel.radius - 9e-4)
+    assert wheel.centre == pytest.approx(really.centre)
 
 
 def test_believed_means_as_calibrated_and_sampled_scatters_about_it():

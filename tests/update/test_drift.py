@@ -200,3 +200,16 @@ def test_the_rate_is_learnt_beside_a_stiffness_that_is_hardly_known(world):
     made = blades(replace(world, cell=cell), 3)
     sd = [one.latest["wear_sd_um_per_h"] for _, one in made]
     assert sd[-1] < 0.5 * sd[0] and made[-1][1].latest["wear_um_per_h"] == pytest.approx(3.6e9 * WEAR, rel=0.25)
+
+
+def test_a_rigid_mount_is_updated_too():
+    """60 N/mm: 5 um of wear are a third of a newton."""
+    rigid = wearing_cell(flange=False)
+    rng, truth = np.random.default_rng(9), force_prior(rigid.cell).mean.copy()
+    x = truth.copy()
+    x[RADIUS] -= 2e-5
+    log = rigid.ground(x, 300.0, 2e-8, rng)
+    made = updated(rigid.cell, log, rigid.setup, History(), "one")
+    assert not {"flange_stiffness", "flange_setpoint_offset"} & set(made.states[3].names)
+    assert made.latest["found_N"] == pytest.approx(made.latest["measured_N"], abs=0.1)
+    assert made.latest["found_sd_N"] < 0.1 * made.latest["expected_sd_N"]

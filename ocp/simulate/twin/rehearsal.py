@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ocp.model.cell import Cell
 from ocp.simulate.twin.collide import WheelBody, true_wheel
 from ocp.simulate.twin.contact import ContactMoments
 from ocp.simulate.twin.controller import Index
@@ -79,7 +80,7 @@ def rehearse(machine: VirtualMachine, plan: Matched, grinding: GroundPasses, too
     grinding = _planned(grinding, plan)
     m, force = grinding.moments, grinding.result.force
     cell, truth, i = machine.cell, machine.truth, grinding.index
-    believed = WheelBody(base[:3, 3] - cell.wheel.radius * base[:3, 2], base[:3, 1], cell.wheel.radius, cell.wheel.width)
+    believed = programmed_wheel(cell, base)
     really = true_wheel(cell, truth)
     T, held = m.T_base_flange @ tool, m.T_base_flange @ true_blade(cell, truth)
     steps = [plan.interference[i], overlap(believed, T, m.p), overlap(really, T, m.p), overlap(really, held, m.p)]
@@ -95,6 +96,14 @@ def _planned(grinding: GroundPasses, plan: Matched) -> GroundPasses:
     kept = np.flatnonzero(plan.planned[grinding.index])
     arrays = {name: getattr(grinding, name)[kept] for name in ("index", "q", "fn", "ft")}
     return replace(grinding, moments=grinding.moments.take(kept), result=grinding.result.take(kept), **arrays)
+
+
+def programmed_wheel(cell: Cell, base: Array) -> WheelBody:
+    """The wheel that the plan believed in: base (4, 4) touches it at arc zero, its radius is as the cell was updated."""
+    known = cell.calibration
+    worn = {} if known is None else dict(zip(known.names, known.values.tolist(), strict=True))
+    radius = cell.wheel.radius + worn.get("wheel_radius", 0.0)
+    return WheelBody(base[:3, 3] - radius * base[:3, 2], base[:3, 1], radius, cell.wheel.width)
 
 
 def overlap(wheel: WheelBody, T_base_blade: Array, p: Array) -> Array:
