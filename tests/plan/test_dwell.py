@@ -10,11 +10,12 @@ from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.model.prepare import wheel_cover
 from ocp.plan.paths import PlanOptions, lay_paths
-from ocp.plan.removal.dwell import EVEN
+from ocp.plan.removal.dwell import EVEN, LEAST_EVEN, even_spacing
 from ocp.plan.removal.footprint import planned_patches
 from ocp.plan.removal.result import SideRemoval, figures_of
 from ocp.plan.removal.surface import ContactRows, core_cells, work_done
 from ocp.plan.removal.wanted import programmed_work
+from tests.plan.test_footprint import B, ellipsoid
 from trajectories.passes import BladePath
 
 OPTIONS = PlanOptions(step=1e-3)
@@ -82,3 +83,21 @@ def test_the_depth_per_area_stays_when_more_lines_are_asked_for(cell):
     assert len(other.paths) >= len(one.paths)
     speed = [np.mean([1 / path.feed.mean() for path in laid.paths]) * len(laid.paths) for laid in (one, other)]
     assert speed[1] == pytest.approx(speed[0], rel=0.03)
+
+
+def test_a_flat_profile_asks_for_nearer_lines_than_a_parabola():
+    """Boxes of the wheel's width sum up to a line more or less between them; parabolas 0.6 half-widths apart are even."""
+    parabola = ellipsoid()
+    assert even_spacing(parabola) == pytest.approx(EVEN * parabola.half_axes[0, 1])
+    assert parabola.unevenness(0.58 * B).max() < 0.05 < parabola.unevenness(1.2 * B).max()
+    box = replace(parabola, share=np.where(np.abs(parabola.x) < 6e-3, parabola.share.max(axis=2, keepdims=True), 0.0))
+    assert box.half_axes[0, 1] == pytest.approx(6e-3, abs=4e-4)
+    assert box.unevenness(12e-3 / 3.5).max() == pytest.approx(0.5 / 3.5, rel=0.2)
+    assert even_spacing(box) == pytest.approx(LEAST_EVEN * box.half_axes[0, 1])
+
+
+def test_cells_beyond_the_outermost_lines_are_not_made_good_before_them(cell):
+    """Chordwise lines start where the wheel has room: the feed of the first is that of its neighbours."""
+    asked = replace(cell, process=replace(cell.process, passes="chordwise", root_margin=0.005, tip_margin=0.03))
+    feed = np.array([path.feed.mean() for path in lay_paths(asked, cell.workpiece.stl, replace(OPTIONS, step=3e-3)).paths])
+    assert feed[0] > 0.6 * np.median(feed) and feed[1] < 1.6 * np.median(feed)

@@ -16,13 +16,15 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.cell import Cell
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.footprint import LinePatches, planned_patches
-from ocp.plan.removal.surface import ContactRows, Mask, SideCells, pressures
+from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, pressures
 from ocp.plan.removal.wanted import Wanted, refuse_uncovered
 from ocp.plan.rules import FEEDS
 from robots.pose import Array
 from trajectories.passes import BladePath
 
-EVEN = 0.6  # of the patch's half-width between lines: even within 5 % (PHYSICS 6)
+EVEN, LEAST_EVEN = 0.6, 0.3  # of the patch's half-width between lines, at most and at least
+UNEVEN = 0.05  # of the mean depth, up or down, that lines may leave between them at the distance chosen and ...
+NARROWER = 0.85  # ... at distances down to this share of it: lines come nearer where the blade is narrower
 PROBE = 6e-3  # m, at most, between the lines on which the patch is looked at before lines are laid
 NODE = 4e-3  # m between places of a line where r is free; linear in between
 ROW = 1e-3  # m between the contacts that are summed
@@ -33,7 +35,7 @@ RANGE = (0.5, 2.0)  # of the r of evenly shared lines: no more is asked of an ar
 
 
 def probed_spacing(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> dict[str, tuple[Array, Array]]:
-    """`PassOptions.spread` from lines laid to look at, all of a side: EVEN of the smallest half-width along each.
+    """`PassOptions.spread` from lines laid to look at, all of a side.
 
     A line that is too hollow for the wheel asks for nothing.
     """
@@ -41,10 +43,26 @@ def probed_spacing(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> dic
     for side in dict.fromkeys(path.side for path in probes):
         lines = [planned_patches(cell, cover, path) for path in probes if path.side == side]
         shares = np.linspace(0.0, 1.0, len(lines)) if len(lines) > 1 else np.array([0.5])
-        found = [(share, EVEN * one.half_axes[:, 1].min()) for share, one in zip(shares, lines, strict=True) if one is not None]
+        found = [(share, even_spacing(one)) for share, one in zip(shares, lines, strict=True) if one is not None]
         if found:
             spread[side] = (np.array([share for share, _ in found]), np.array([spacing for _, spacing in found]))
     return spread
+
+
+def even_spacing(patches: LinePatches) -> float:
+    """The largest distance m of lines, from EVEN to LEAST_EVEN of the smallest half-width along the line, from which on their
+    sum is even; LEAST_EVEN where none is.
+
+    A parabolic profile is even at 0.6. A flat or hollow blade under a narrow wheel is pressed over the wheel's whole width: the
+    sum of such boxes steps by a line more or less.
+    """
+    share = np.arange(EVEN, LEAST_EVEN - 1e-9, -0.025)
+    spacing = share * patches.half_axes[:, 1].min()
+    even = np.array([patches.unevenness(one).max() <= UNEVEN for one in spacing])
+    for k in range(len(share)):
+        if even[(share <= share[k]) & (share >= NARROWER * share[k])].all():
+            return float(spacing[k])
+    return float(spacing[-1])
 
 
 @dataclass(frozen=True)
@@ -75,7 +93,7 @@ def with_feeds(
     refuse_uncovered(wanted, points, normals)
     if lines:
         weight = (
-            np.sqrt(area / area.mean()) / np.maximum(depth, SHALLOW * depth.mean()) * _passed(points, [paths[k] for k in lines])
+            np.sqrt(area / area.mean()) / np.maximum(depth, SHALLOW * depth.mean()) * _passed(flanks, [paths[k] for k in lines])
         )
         r = _solved(list(lines.values()), weight, depth)
         for k, line in lines.items():
@@ -85,10 +103,16 @@ def with_feeds(
     return [replace(path, feed=np.clip(path.feed, *FEEDS)) for path in timed], beyond
 
 
-def _passed(points: Array, paths: Sequence[BladePath]) -> Mask:
-    """Which points (m,) lie beside a line, not beyond its ends: others are not made good by grinding deeper before them."""
-    along = np.concatenate([np.r_[True, np.zeros(len(path.s) - 2, bool), True] for path in paths])
-    return ~along[cKDTree(np.vstack([path.p for path in paths])).query(points)[1]]
+def _passed(flanks: Sequence[SideCells], paths: Sequence[BladePath]) -> Mask:
+    """Which asked cells of the flanks lie beside a line and between two: what lies beyond the ends or the outermost line is not
+    made good by grinding deeper before it. Beside a line alone all count."""
+    ends = np.concatenate([np.r_[True, np.zeros(len(path.s) - 2, bool), True] for path in paths])
+    tree, found = cKDTree(np.vstack([path.p for path in paths])), []
+    for one in flanks:
+        beside = ~ends[tree.query(one.points[one.asked])[1]]
+        alone = sum(path.side == one.side for path in paths) < 2
+        found.append(beside & (alone | core_cells(one, paths, np.zeros(len(paths)))[one.asked]))
+    return np.concatenate(found)
 
 
 def _line(cell: Cell, path: BladePath, patches: LinePatches, tree: cKDTree, normals: Array) -> _Line:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 CELL = 4e-4  # m of the footprint's grid: a tenth of a usual half axis
 STATION_SPACING = 3e-3  # m between contacts solved; the patch varies smoothly in between
+PRESSED = 1e-2  # of the largest pressure of a profile; less is what interpolation leaves beside the patch
+ACROSS = 48  # places between two lines where their sum is looked at
 PROFILE_STEPS = 4  # points in each cell of a footprint where its profile is summed up
 
 
@@ -51,14 +53,25 @@ class LinePatches:
 
     @property
     def half_axes(self) -> Array:
-        """Half lengths (k, 2) m along t and b of the ellipsoid of pressure with the same second moments.
+        """Half lengths (k, 2) m along t and b of the ellipsoid of pressure with the same second moments, at most half of what is
+        pressed.
 
         Under it the depth across a line is a parabola of half-width b (docs/process.md, eq. 4).
         """
         area = (self.x[1] - self.x[0]) ** 2
         marginal = np.stack([self.share.sum(axis=2), self.share.sum(axis=1)], axis=1) * area
         mean = marginal @ self.x
-        return np.asarray(np.sqrt(MOMENT_TO_AXIS * (marginal @ self.x**2 - mean**2)))
+        cells = 1 + np.count_nonzero(marginal > PRESSED * marginal.max(axis=2, keepdims=True), axis=2)
+        pressed = cells * (self.x[1] - self.x[0])
+        return np.asarray(np.minimum(np.sqrt(MOMENT_TO_AXIS * (marginal @ self.x**2 - mean**2)), 0.5 * pressed))
+
+    def unevenness(self, spacing: float) -> Array:
+        """Half the range of the depth (k,) over its mean, across lines `spacing` m apart that are ground alike."""
+        lines = np.arange(-int(2 * self.x[-1] / spacing) - 1, int(2 * self.x[-1] / spacing) + 2)
+        between = np.linspace(0.0, spacing, ACROSS, endpoint=False)
+        place = (between[:, None] - spacing * lines)[None]
+        depth = np.array([np.interp(place[0], self.x, one, left=0.0, right=0.0).sum(axis=1) for one in self.share.sum(axis=1)])
+        return np.asarray(0.5 * np.ptp(depth, axis=1) / depth.mean(axis=1))
 
     def pressure(self, s: Array, along: Array, across: Array, force: Array) -> Array:
         """Pressure per newton (n,) 1/m^2 at places (n,) m along t and across along b of the contact at arc lengths s (n,) m.

@@ -65,7 +65,7 @@ def _cells(shape: AerofoilShape, name: str, window: Window | None, paths: Sequen
     return SideCells(name, points, normals, area, asked, along, across)
 
 
-def core_cells(cells: SideCells, paths: Sequence[BladePath], half_length: Sequence[float]) -> Mask:
+def core_cells(cells: SideCells, paths: Sequence[BladePath], half_length: Sequence[float] | Array) -> Mask:
     """Asked cells (i, j) between the outermost lines of the side and at least a patch's half-length m (one a path) inside both
     ends of the line nearest to them."""
     own = [k for k, path in enumerate(paths) if path.side == cells.side]
