@@ -28,8 +28,9 @@ class BladePath:
     in m, outward unit normals, unit feed directions; s (n,) m arc length from the start; curvature (n, 3): k_tt, k_bb,
     k_tb in 1/m with b = n x t, positive convex; extent (n, 4): distance in m along +t, -t, +b, -b over which the
     surface goes on before it turns by more than 60 deg or ends; thickness (n,) m along n; feed (n,) m/s and force
-    (n,) N as programmed; start m: where on the line as it was laid this piece of it begins, 0 of a whole line;
-    before, after m: how much of the asked line lies before its start and behind its end, where the wheel has no room.
+    (n,) N as programmed; start, rest m: how much of the line lies before this piece of it
+    in its direction, and behind it, 0 of a whole line; before, after m: how much of the asked line lies before its start
+    and behind its end, where the wheel has no room.
     """
 
     line: int
@@ -44,6 +45,7 @@ class BladePath:
     feed: Array
     force: Array
     start: float = 0.0
+    rest: float = 0.0
     before: float = 0.0
     after: float = 0.0
 
@@ -178,17 +180,17 @@ def _with_room(
 
 def reversed_path(path: BladePath) -> BladePath:
     """The same pass ground from its end to its start: t and b turn round, k_tb keeps its sign."""
-    back = {name: getattr(path, name)[::-1] for name in ("p", "n", "curvature", "thickness", "feed", "force")}
+    ends = {"start": path.rest, "rest": path.start, "before": path.after, "after": path.before}
+    back = ends | {name: getattr(path, name)[::-1] for name in ("p", "n", "curvature", "thickness", "feed", "force")}
     return replace(path, t=-path.t[::-1], s=path.s[-1] - path.s[::-1], extent=path.extent[::-1, [1, 0, 3, 2]], **back)
 
 
 def stretch_of(path: BladePath, first: int, last: int) -> BladePath:
     """The piece of a path from waypoint `first` to `last`, both included, as a path of its own whose s begins at 0."""
     names = ("p", "n", "t", "curvature", "extent", "thickness", "feed", "force")
-    cut = {name: getattr(path, name)[first : last + 1] for name in names}
-    return replace(
-        path, s=path.s[first : last + 1] - path.s[first], start=path.start + float(path.s[first]), before=0.0, after=0.0, **cut
-    )
+    cut = {name: getattr(path, name)[first : last + 1] for name in names} | {"before": 0.0, "after": 0.0}
+    start, rest = path.start + float(path.s[first]), path.rest + float(path.s[-1] - path.s[last])
+    return replace(path, s=path.s[first : last + 1] - path.s[first], start=start, rest=rest, **cut)
 
 
 def _margins(blade: Blade, options: PassOptions) -> Margins:

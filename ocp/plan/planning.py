@@ -20,6 +20,7 @@ from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import (
     CannotGrind,
     LeftOut,
+    as_driven,
     joined,
     refuse_mostly_left_out,
     ungrindable_notices,
@@ -34,7 +35,7 @@ from robots.errors import BadInput, Infeasible
 from robots.payload import refuse_overload
 from robots.robot import refuse_left_out
 from trajectories.blade import Blade
-from trajectories.passes import BladePath
+from trajectories.passes import BladePath, reversed_path
 from trajectories.program.program import KINDS
 
 FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is and posture changes it
@@ -112,6 +113,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     with phases.phase("timing", len(solved.passes)) as advance:
         motion, lost = reachable_motion(cell, scene, solved, options.whole, advance)
     refuse_mostly_left_out(laid.paths, lost)
+    lost = as_driven(lost, laid.paths, {p.problem.path.line for p in motion.passes if p.problem.seed.direction < 0})
     with phases.phase("removal"):
         removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted)
     inputs = [("cell", cell_file), ("blade", stl)]
@@ -168,7 +170,8 @@ def reachable_motion(
             if whole:
                 raise
             place = next(i for i, p in enumerate(passes) if (p.problem.path.line, p.problem.path.start) == error.whose)
-            path = passes.pop(place).problem.path
+            gone = passes.pop(place).problem
+            path = gone.path if gone.seed.direction > 0 else reversed_path(gone.path)
             lost.append(LeftOut(path.line, path.side, path.start, path.start + path.s[-1], error.reason, error.would_do))
     raise Infeasible(f"nothing of the blade can be ground: {lost[0].clause()}")
 

@@ -87,7 +87,8 @@ class Timeline:
     """Rows of plan.csv in SI; m points. nan where there is no contact.
 
     time (m,) s; segment (m,) index into PlannedMotion.segments; line (m,) of the blade, 0 on the way between passes; contact
-    (m,) bool; q, qd, qdd (m, 6); p, n, t (m, 3) blade frame; s (m,) m; feed (m,) m/s; force, force_sd (m,) N;
+    (m,) bool; q, qd, qdd (m, 6); p, n, t (m, 3) blade frame; s (m,) m along the pass, begin (m,) m: where on it its line
+    begins; feed (m,) m/s; force, force_sd (m,) N;
     interference (m,) m; limit_ratio (m,).
     """
 
@@ -102,6 +103,7 @@ class Timeline:
     n: Array
     t: Array
     s: Array
+    begin: Array
     feed: Array
     force: Array
     force_sd: Array
@@ -121,7 +123,7 @@ def _rows(motion: PlannedMotion, index: int, segment: MotionSegment, t: Array) -
     contact = segment.kind == "contact"
     vector, number = np.full((m, 3), np.nan), np.full(m, np.nan)
     values: dict[str, Array] = dict.fromkeys(("p", "n", "t"), vector)
-    values |= dict.fromkeys(("s", "feed", "force", "force_sd", "interference"), number)
+    values |= dict.fromkeys(("s", "begin", "feed", "force", "force_sd", "interference"), number)
     line = 0 if segment.kind == "travel" else motion.passes[segment.place].problem.path.line
     if contact:
         solved = motion.passes[segment.place]
@@ -133,7 +135,14 @@ def _rows(motion: PlannedMotion, index: int, segment: MotionSegment, t: Array) -
             values[name] = values[name] / np.linalg.norm(values[name], axis=1, keepdims=True)
         curves = np.column_stack([solved.solution.force, solved.evaluation.force_sd, solved.evaluation.delta])
         force, sd, delta = CubicSpline(stations, curves)(s).T
-        values |= {"s": s, "feed": trajectory.feed(t), "force": force, "force_sd": sd, "interference": delta}
+        values |= {
+            "s": s,
+            "begin": np.full(m, -path.start),
+            "feed": trajectory.feed(t),
+            "force": force,
+            "force_sd": sd,
+            "interference": delta,
+        }
     return Timeline(
         time=segment.start + t,
         segment=np.full(m, index),
@@ -163,7 +172,7 @@ def write_plan_csv(timeline: Timeline, path: Path, more: Sequence[Column] = ()) 
         *((f"p{a}_mm", timeline.p[:, i] * 1e3, 5) for i, a in enumerate("xyz")),
         *((f"n{a}", timeline.n[:, i], 8) for i, a in enumerate("xyz")),
         *((f"t{a}", timeline.t[:, i], 8) for i, a in enumerate("xyz")),
-        ("s_mm", timeline.s * 1e3, 4),
+        ("s_mm", (timeline.s - timeline.begin) * 1e3, 4),
         ("feed_mm_s", timeline.feed * 1e3, 4),
         ("fn_N", timeline.force, 5),
         ("fn_sd_N", timeline.force_sd, 5),

@@ -24,7 +24,7 @@ from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
 from ocp.plan.clearance import CollisionScene, SecondaryContact, find_secondary_contact
-from ocp.plan.passes.posture import Seed, find_seeds
+from ocp.plan.passes.posture import Seed, driven, find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
@@ -153,7 +153,9 @@ class PassWorker:
         while open_:
             one, starts = open_.pop(0)
             try:
-                starts = starts or find_seeds(self.ground.cell, self.scene, self.ground.law, [one.path])[0]
+                if not starts:
+                    ranked = find_seeds(self.ground.cell, self.scene, self.ground.law, [one.path])[0]
+                    starts = driven(one.path, ranked, seeds[0].direction)
                 found.append(self.solve(one.path, starts, one.compliance))
             except Infeasible as error:
                 if whole:

@@ -101,19 +101,41 @@ def seeds_of_stretches(
 
     Raises CannotGrind as `find_seeds` does if the `whole` of them is asked for.
     """
-    tried, options, lost, left = [], [], [], list(stretches)
+    tried: list[tuple[LineStretch, list[Seed]]] = []
+    lost, left = [], list(stretches)
     while left:
         one = left.pop(0)
         try:
-            options.append(seeds_of(cell, scene, law, one.path))
-            tried.append(one)
+            tried.append((one, seeds_of(cell, scene, law, one.path)))
         except CannotGrind as error:
             if whole:
                 raise
             pieces, gone = cut_out(one, error)
             lost += gone
             left = pieces + left
-    return tried, chained(cell, options) if options else [], lost
+    kept, options = [], []
+    for one, seeds in tried:
+        same = [other for other in tried if other[0].path.line == one.path.line]
+        longest = max(same, key=lambda other: other[0].path.s[-1])
+        direction = min(longest[1], key=lambda seed: seed.cost).direction
+        try:
+            options.append(seeds if len(same) == 1 else driven(one.path, seeds, direction))
+            kept.append(one)
+        except CannotGrind as error:
+            lost += cut_out(one, error)[1]
+    return kept, chained(cell, options) if options else [], lost
+
+
+def driven(path: BladePath, seeds: list[Seed], direction: int) -> list[Seed]:
+    """The seeds that drive a piece of a line in the `direction` of its other pieces: arc lengths along the line are one scale.
+
+    Raises CannotGrind where there is none.
+    """
+    found = [seed for seed in seeds if seed.direction == direction]
+    if not found:
+        reason = "it could be ground in the direction only that the rest of its line does not allow"
+        raise CannotGrind.of(path, np.ones(len(path.s), bool), reason, "move the wheel or the blade in its holder")
+    return found
 
 
 def chained(cell: Cell, options: list[list[Seed]]) -> list[list[Seed]]:

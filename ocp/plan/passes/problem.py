@@ -53,7 +53,7 @@ class PassProblem:
         p, n, c = self.path, len(self.path.s), cell.conditions
         if not cell.effects:
             return np.zeros((n, 0))
-        blocks: dict[str, Any] = {"s": p.s, "feed": p.feed, "line": float(p.line), "travel": float(self.seed.direction)}
+        blocks: dict[str, Any] = {"s": p.start + p.s, "feed": p.feed, "line": float(p.line), "travel": float(self.seed.direction)}
         blocks |= {"approach": np.zeros((n, 6)) if self.approach is None else self.approach, "speed": np.zeros((n, 6))}
         blocks |= {name: float(getattr(c, name)) for name in ("ground_before", "time", "clock", "warm", "wheel_warm")}
         blocks |= {"stroke_sign": 0.0, "belt": cell.wheel.belt_speed}

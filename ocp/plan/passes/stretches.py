@@ -71,7 +71,10 @@ class CannotGrind(Infeasible):
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A piece of a line that is not ground: from `start` to `end`, m along the line as it was laid; why, and what would do."""
+    """A piece of a line that is not ground: from `start` to `end`, m along the line as it was laid; why, and what would do.
+
+    turned: length m of a line that is driven from its far end, else 0.
+    """
 
     line: int
     side: str
@@ -79,6 +82,14 @@ class LeftOut:
     end: float
     reason: str
     would_do: str
+    turned: float = 0.0
+
+    @property
+    def ends_mm(self) -> tuple[float, float]:
+        """From and to, mm along the line in the direction in which it is driven, as `s_mm` of plan.csv."""
+        if self.turned:
+            return 1e3 * (self.turned - self.end), 1e3 * (self.turned - self.start)
+        return 1e3 * self.start, 1e3 * self.end
 
     @property
     def length(self) -> float:
@@ -87,12 +98,12 @@ class LeftOut:
 
     def document(self) -> dict[str, object]:
         """As plan.json has it."""
-        ends = {"from_mm": round(1e3 * self.start, 2), "to_mm": round(1e3 * self.end, 2)}
+        ends = {name: round(end, 2) for name, end in zip(("from_mm", "to_mm"), self.ends_mm, strict=True)}
         return {"line": self.line, "side": self.side, **ends, "reason": self.reason, "would_do": self.would_do}
 
     def clause(self) -> str:
         """Tell it to a user, without an end."""
-        ends = f"{self.start * 1e3:.1f} to {self.end * 1e3:.1f} mm"
+        ends = "{:.1f} to {:.1f} mm".format(*self.ends_mm)
         return f"line {self.line} ({self.side}), {ends}, is left out: {self.reason}; {self.would_do}".removesuffix("; ")
 
     def sentence(self) -> str:
@@ -152,7 +163,8 @@ def cut_out(stretch: LineStretch, error: Infeasible) -> tuple[list[LineStretch],
     known = isinstance(error, CannotGrind) and len(error.at) > 0
     if not known and stretch.cuts < HALVINGS and s[-1] >= 2 * LEAST_STRETCH:
         middle = int(np.argmin(np.abs(s - 0.5 * s[-1])))
-        return [stretch.piece(0, middle), stretch.piece(middle, len(s) - 1)], []
+        # A waypoint belongs to one of them: a place of a line has one arc length and one pass.
+        return [stretch.piece(0, middle), stretch.piece(middle + 1, len(s) - 1)], []
     bad = np.ones(len(s), bool)
     if isinstance(error, CannotGrind) and known and stretch.cuts < MOST_CUTS:
         at = s[error.nodes(s)]
@@ -203,6 +215,12 @@ def joined(lost: list[LeftOut]) -> list[LeftOut]:
         longest = max(longest, one.length)
         found[-1] = replace(named, start=last.start, end=max(last.end, one.end))
     return found
+
+
+def as_driven(lost: list[LeftOut], lines: list[BladePath], backwards: set[int]) -> list[LeftOut]:
+    """With the lines named in `backwards`, which are driven from their far end, measured from there."""
+    length = {path.line: float(path.s[-1]) for path in lines}
+    return [replace(one, turned=length[one.line]) if one.line in backwards else one for one in lost]
 
 
 def ungrindable_notices(lost: list[LeftOut]) -> list[str]:

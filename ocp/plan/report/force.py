@@ -56,10 +56,10 @@ def left_out_section(report: PlanReport) -> Section:
     """What of the lines is not ground: where, why, and what would do."""
     rows = []
     for one in (piece.lost for piece in report.left_out):
-        ends = (f"{one.start * 1e3:.1f}", f"{one.end * 1e3:.1f}")
+        ends = tuple(f"{end:.1f}" for end in one.ends_mm)
         rows.append((str(one.line), one.side, *ends, one.reason, one.would_do))
     names = ("line", "side", "from, mm", "to, mm", "why", "what would do")
-    words = "Distances run along the line as it was laid. The scene shows these stretches in red, the maps hatched."
+    words = "Distances run along the line as it is driven. The scene shows these stretches in red, the maps hatched."
     return Section("Left out", (words, table(names, rows, text=(1, 4, 5))))
 
 
