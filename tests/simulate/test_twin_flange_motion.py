@@ -68,6 +68,24 @@ def test_smooth_ramps_are_off_by_what_physics_says(seconds, off):
     assert np.abs(brought.force - balance(depth)).max() < 0.3 * worst
 
 
+def test_a_finer_step_gives_the_same_spike(monkeypatch):
+    touch = path(0.01 * (DT * np.arange(40) - 0.1) + FREE, stiff=60e3)
+    coarse = moved(touch, device())
+    monkeypatch.setattr("ocp.simulate.twin.contact.flange_motion.STEP", 3e-5)
+    assert moved(touch, device()).most.max() == pytest.approx(coarse.most.max(), rel=0.02)
+
+
+def test_rubber_never_pulls():
+    """The wheel is taken away faster than the cover follows: no force from then on, and the mass goes as its spring sends it."""
+    t = DT * np.arange(60)
+    gone = 0.1
+    found = moved(replace(path(SUNK - 0.5 * np.clip(t - gone, 0, 0.02)), start=0.0), device())
+    after = (t > gone + 2 * DT) & (t < gone + 6 * DT)
+    assert (found.mean >= 0).all() and (found.force >= 0).all() and (found.mean[after] == 0).all()
+    swing = np.sqrt(SPRING / 5.0)
+    assert found.stroke[after] == pytest.approx(FREE * (1 - np.cos(swing * (t[after] - gone - 5e-4))), abs=6e-5)
+
+
 def test_a_short_ramp_without_loss_bounces():
     assert moved(path(ramp(0.1)[0]), device(loss=0.0)).losses.sum() > 0
     assert moved(path(ramp(0.2)[0]), device()).losses.sum() == 0
