@@ -24,6 +24,7 @@ from ocp.diagnose.dataset import read_data_set, read_sealed_force, read_sealed_t
 from ocp.diagnose.foresee.design import read_planned_log
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.model.cell import cell_tables_for, files_of, read_cell, read_tracker_setup, wheel_frame
+from ocp.plan.removal.wanted import read_stock
 from ocp.simulate.twin.krl_text import read_program
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, read_plan_table, read_summary, recorded_input
 from ocp.simulate.twin.tracker import design_from_poses
@@ -132,6 +133,22 @@ def force_table(sealed: bool, n: int = 12) -> bytes:
 def removal_table(n: int = 12) -> bytes:
     places = {name: [round(3.0 + 0.7 * k, 3) for k in range(n)] for name in ("px_mm", "py_mm", "pz_mm")}
     return _table(places | {"removal_um": [round(20 + 0.1 * k, 2) for k in range(n)]} | _spread(n, sd_um=1.5))
+
+
+def stock_table(n: int = 12) -> bytes:
+    places = {name: [round(3.0 + 0.7 * k, 3) for k in range(n)] for name in ("px_mm", "py_mm", "pz_mm")}
+    return _table(places | {"depth_um": [round(20 + 0.1 * k, 2) for k in range(n)]})
+
+
+def stock_ply(binary: bool, n: int = 12) -> bytes:
+    """Vertices with a depth, and faces of which nothing is read."""
+    kind = "binary_little_endian" if binary else "ascii"
+    head = f"ply\nformat {kind} 1.0\nelement vertex {n}\n" + "".join(f"property float {c}\n" for c in ("x", "y", "z", "depth_um"))
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = np.array([[3 + k, 2.0, 0.5 * k, 20 + k] for k in range(n)], "<f4")
+    if binary:
+        return head.encode() + rows.tobytes() + b"\x03" + np.array([0, 1, 2], "<i4").tobytes()
+    return (head + "".join(" ".join(f"{v:g}" for v in row) + "\n" for row in rows) + "3 0 1 2\n").encode()
 
 
 def joint_table(n: int = 36) -> bytes:
@@ -373,6 +390,23 @@ READERS = (
         lambda: {"removal.csv": removal_table()},
         lambda folder: read_removal(folder / "removal.csv"),
         ("read_removal",),
+    ),
+    HostileReader(
+        "stock.csv",
+        "stock.csv",
+        lambda: {"stock.csv": stock_table()},
+        lambda folder: read_stock(folder / "stock.csv"),
+        ("read_stock",),
+    ),
+    *(
+        HostileReader(
+            f"stock.ply {'binary' if binary else 'text'}",
+            "stock.ply",
+            lambda binary=binary: {"stock.ply": stock_ply(binary)},  # type: ignore[misc]
+            lambda folder: read_stock(folder / "stock.ply"),
+            ("read_stock",),
+        )
+        for binary in (False, True)
     ),
     HostileReader(
         "joints.csv",

@@ -1,6 +1,7 @@
 """What is wanted to be taken off: an even depth, or that of a stock map; over the depth of the programmed force and feed."""
 
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
+from robots.bounds import MEGABYTE, read_whole
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array
@@ -19,6 +21,7 @@ COLUMNS = ("px_mm", "py_mm", "pz_mm", "depth_um")
 PROPERTIES = ("x", "y", "z", "depth_um")  # of a PLY's vertices
 OFF_BLADE = 0.2e-3  # m off the surface, FORMATS.md
 SUSPECT = 0.1e-3  # m off the plane of the nearest point of the cloud, from which on the mesh itself is asked
+MOST_PLY_BYTES = 300 * MEGABYTE  # as an STL
 MOST_UM = 2000.0  # a belt that takes off 2 mm mills
 NEIGHBOURS = 6  # points of the map that speak for a cell, weighed by 1/distance^2 (Shepard 1968)
 COVERED = 0.010  # m from a cell to the nearest point of the map on its wall, at most
@@ -87,7 +90,7 @@ def wanted_of(cell: Cell, blade: Blade, cloud: SurfaceCloud, stock: Path | None)
             f"{stock}: the cell gives neither process.preston_um_mm2_per_N_m nor process.removal_um, so no one knows what depth "
             "the programmed force and feed take off; add one of them"
         )
-    points, depth, places = _read_stock(stock)
+    points, depth, places = read_stock(stock)
     normals = _on_blade(stock, blade, cloud, points, places)
     return Wanted(1.0, made, points, normals, depth / unit, stock)
 
@@ -103,8 +106,8 @@ def refuse_uncovered(wanted: Wanted, points: Array, normals: Array) -> None:
         )
 
 
-def _read_stock(stock: Path) -> tuple[Array, Array, list[str]]:
-    """Points (k, 3) m, depths (k,) um, and what to call each point."""
+def read_stock(stock: Path) -> tuple[Array, Array, list[str]]:
+    """Points (k, 3) m, depths (k,) um, and what to call each point, of a stock map as CSV or PLY. Raises BadInput."""
     if stock.suffix.lower() == ".ply":
         values, places = _read_ply(stock)
     else:
@@ -124,17 +127,18 @@ def _read_stock(stock: Path) -> tuple[Array, Array, list[str]]:
 
 def _read_ply(stock: Path) -> tuple[Array, list[str]]:
     """x, y, z mm and depth_um (k, 4) of a PLY's vertices."""
+    content = read_whole(stock, MOST_PLY_BYTES, "a stock map as PLY")
     try:
-        with stock.open("rb") as file:
-            raw = trimesh.exchange.ply.load_ply(file)["metadata"]["_ply_raw"]["vertex"]["data"]
-        known = raw.dtype.names if isinstance(raw, np.ndarray) else tuple(raw)
+        raw = trimesh.exchange.ply.load_ply(BytesIO(content))["metadata"]["_ply_raw"]["vertex"]["data"]
+        known = (raw.dtype.names or ()) if isinstance(raw, np.ndarray) else tuple(raw)
+        missing = [name for name in PROPERTIES if name not in known]
+        columns = [np.asarray(raw[name], float).ravel() for name in PROPERTIES if name in known]
+        values = np.stack(columns, axis=1)
     except Exception as error:  # trimesh raises whatever its parser meets
         how = type(error).__name__
         raise BadInput(f"{stock}: this is no PLY file that can be read ({how}); write it anew or use CSV") from None
-    missing = [name for name in PROPERTIES if name not in (known or ())]
     if missing:
         raise BadInput(f"{stock}: its vertices lack {', '.join(missing)}; a stock map has {', '.join(PROPERTIES)} at each")
-    values = np.stack([np.asarray(raw[name], float).ravel() for name in PROPERTIES], axis=1)
     return values, [f"vertex {k + 1}" for k in range(len(values))]
 
 
