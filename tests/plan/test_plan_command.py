@@ -88,6 +88,17 @@ def test_the_folder_holds_programs_in_pairs_table_summary_and_reports(small):
     assert sorted(content["files"]) == sorted(f"{s}{end}" for s in sources for end in (".src", ".dat"))
 
 
+def test_the_summary_tells_what_it_promises_and_what_is_left_out(small):
+    """The bundled cell is not calibrated: moving is safe, the force amber."""
+    content = json.loads((small[0] / "plan" / "plan.json").read_text())
+    move, force = (content["grades"][name] for name in ("move", "force"))
+    assert move["grade"] == "green" and force["grade"] == "amber" and "calibrate: ocp.poses" in force["why"]
+    assert content["verdict"].startswith("It is safe to move (green): ") and "It may miss 20 N (amber): " in content["verdict"]
+    assert content["left_out"] == []
+    page = (small[0] / "plan" / "report.html").read_text(encoding="utf-8")
+    assert "How the force was verified" in page and "verdict doubtful" in page and ">Left out<" not in page
+
+
 def test_every_row_of_the_table_holds_force_and_limits(small):
     rows = table(small[0] / "plan")
     assert set(COLUMNS) <= set(rows)
