@@ -26,7 +26,7 @@ _ARM_ONLY = ("arm", "tracker")
 
 
 @dataclass(frozen=True)
-class Wanted:
+class AskedRun:
     """The command's arguments as they were given; see `ocp.simulate`."""
 
     plan: Path | None
@@ -48,7 +48,7 @@ class Wanted:
     clock: float = 0.0
 
 
-def check_numbers(wanted: Wanted) -> None:
+def check_numbers(wanted: AskedRun) -> None:
     """Raises BadInput: what needs no file to be seen wrong."""
     if wanted.machine not in MODES:
         raise BadInput(f"--machine '{wanted.machine}' is not one of {', '.join(MODES)}")
@@ -62,7 +62,7 @@ def check_numbers(wanted: Wanted) -> None:
         raise BadInput("--ladder and --belt need a plan to grind; name the plan's folder")
 
 
-def check_rate(wanted: Wanted, cell: Cell) -> None:
+def check_rate(wanted: AskedRun, cell: Cell) -> None:
     """Raises BadInput: samples too far apart for a flange that moves between them."""
     if wanted.plan is not None and cell.flange is not None and cell.flange.moves_in_time and wanted.hz < MOVING_HZ:
         raise BadInput(
@@ -80,7 +80,7 @@ def _near(plan: Path) -> tuple[Path, ...]:
     return plan_folder(plan), plan_folder(plan).resolve().parent, Path.cwd()
 
 
-def cell_file(wanted: Wanted, summary: dict[str, Any], bundled: Path) -> Path:
+def cell_file(wanted: AskedRun, summary: dict[str, Any], bundled: Path) -> Path:
     """The cell: the one given, else the plan's own by its hash, without a plan the bundled one. Raises BadInput."""
     if wanted.cell is not None:
         return wanted.cell
@@ -89,7 +89,7 @@ def cell_file(wanted: Wanted, summary: dict[str, Any], bundled: Path) -> Path:
     return cell_of_plan(summary, plan_folder(wanted.plan), _near(wanted.plan), bundled)
 
 
-def blade_file(wanted: Wanted, summary: dict[str, Any], own: Path | None) -> Path | None:
+def blade_file(wanted: AskedRun, summary: dict[str, Any], own: Path | None) -> Path | None:
     """A blade that replaces the cell's own: the one given, or, for a cell that was found, one near the plan by its hash."""
     known = recorded_input(summary, "blade")
     if wanted.blade is not None or wanted.cell is not None or known is None or wanted.plan is None:
@@ -99,7 +99,7 @@ def blade_file(wanted: Wanted, summary: dict[str, Any], own: Path | None) -> Pat
     return with_hash([place / known[0] for place in _near(wanted.plan)], known[1])
 
 
-def planted_effects(wanted: Wanted, cell: Cell) -> tuple[Planted, ...]:
+def planted_effects(wanted: AskedRun, cell: Cell) -> tuple[Planted, ...]:
     """What is planted: what was named, then what is drawn at random. Raises BadInput in one sentence."""
     found = [parse_effect(text) for text in wanted.effects]
     if wanted.random is not None:
@@ -123,7 +123,7 @@ def planted_effects(wanted: Wanted, cell: Cell) -> tuple[Planted, ...]:
     return tuple(found)
 
 
-def _drawn(wanted: Wanted, cell: Cell, count: int) -> list[Planted]:
+def _drawn(wanted: AskedRun, cell: Cell, count: int) -> list[Planted]:
     """Different effects at random, among those that this run can show."""
     rng = np.random.default_rng([wanted.seed, 0xEF])
     usable = [kind for _, kind in sorted(EFFECT_KINDS.items()) if _shows(kind, wanted, cell)]
@@ -132,13 +132,13 @@ def _drawn(wanted: Wanted, cell: Cell, count: int) -> list[Planted]:
     return [draw_effect(rng, usable[int(k)], targets=targets) for k in chosen]
 
 
-def _shows(kind: EffectKind, wanted: Wanted, cell: Cell) -> bool:
+def _shows(kind: EffectKind, wanted: AskedRun, cell: Cell) -> bool:
     if kind.part in _ARM_ONLY:
         return kind.part == "arm" or cell.tables.tracker is not None
     return wanted.plan is not None and (cell.flange is not None or not kind.name.startswith("flange_"))
 
 
-def campaign_plan(wanted: Wanted, cell: Cell) -> CampaignPlan:
+def campaign_plan(wanted: AskedRun, cell: Cell) -> CampaignPlan:
     """What is to be ground and logged. Raises BadInput: levels, speeds or rates out of range."""
     force, ladder = cell.process.force, wanted.ladder
     if ladder is None:

@@ -18,7 +18,7 @@ from ocp.model.cell import Cell, files_of, floor_notices, payloads_of, read_cell
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
 from ocp.simulate.input import (
-    Wanted,
+    AskedRun,
     blade_file,
     campaign_plan,
     cell_file,
@@ -101,7 +101,7 @@ class SimulationResult:
     line: str
 
 
-def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, phases: Phases) -> SimulationResult:
+def simulate_cell(wanted: AskedRun, bundled: Path, out: Path, overwrite: bool, phases: Phases) -> SimulationResult:
     """Do all of it and write the folder. Raises BadInput and Infeasible; then `out` is as it was."""
     check_numbers(wanted)
     folder = None if wanted.plan is None else plan_folder(wanted.plan)
@@ -120,7 +120,7 @@ def simulate_cell(wanted: Wanted, bundled: Path, out: Path, overwrite: bool, pha
 
 
 def _simulated(
-    wanted: Wanted,
+    wanted: AskedRun,
     cell: Cell,
     program: KrlProgram | None,
     folder: Path | None,
@@ -148,7 +148,7 @@ def _simulated(
     return SimulationResult(out, rehearsal, truth.effects, rows, readings, tuple(notices), line)
 
 
-def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder: Path, phases: Phases) -> _Ground:
+def _grind(wanted: AskedRun, cell: Cell, truth: Truth, program: KrlProgram, folder: Path, phases: Phases) -> _Ground:
     """Drive the program, refuse what would crash, run the campaign, judge its first run."""
     plan = campaign_plan(wanted, cell)
     if cell.workpiece.stl is None:
@@ -172,7 +172,7 @@ def _grind(wanted: Wanted, cell: Cell, truth: Truth, program: KrlProgram, folder
     return _Ground(folder, program, track, machine, campaign, rehearsal, missed, travel, depth)
 
 
-def _track(wanted: Wanted, cell: Cell, ground: _Ground | None) -> TrackerLog | None:
+def _track(wanted: AskedRun, cell: Cell, ground: _Ground | None) -> TrackerLog | None:
     """The tracker campaign; None where there is nothing to measure with or nothing is asked."""
     if wanted.poses == "0":
         nothing = "--poses 0 without a plan leaves nothing to do; name a plan's folder or ask for postures"
@@ -197,7 +197,7 @@ def _campaign_notices(cell: Cell, log: TrackerLog | None) -> list[str]:
 
 
 def _write(
-    wanted: Wanted, cell: Cell, truth: Truth, ground: _Ground | None, log: TrackerLog | None, out: Path, notices: list[str]
+    wanted: AskedRun, cell: Cell, truth: Truth, ground: _Ground | None, log: TrackerLog | None, out: Path, notices: list[str]
 ) -> int:
     """All files; the number of rows in force.csv."""
     copy_cell(cell, out)
@@ -222,7 +222,7 @@ def _write(
     return rows
 
 
-def _write_joints(path: Path, wanted: Wanted, ground: _Ground) -> None:
+def _write_joints(path: Path, wanted: AskedRun, ground: _Ground) -> None:
     """Encoders along the whole program, at the log's rate."""
     track, machine = ground.track, ground.machine
     index = np.arange(0, len(track.time), max(1, round(wanted.hz / wanted.log_hz)), dtype=np.int64)
@@ -231,7 +231,7 @@ def _write_joints(path: Path, wanted: Wanted, ground: _Ground) -> None:
     write_joint_log(path, joint_log(machine.arm, machine.truth, m, np.zeros(len(index)), track.time[index], rng))
 
 
-def _json(wanted: Wanted, truth: Truth, ground: _Ground) -> dict[str, Any]:
+def _json(wanted: AskedRun, truth: Truth, ground: _Ground) -> dict[str, Any]:
     """rehearsal.json: the figures, also line by line, and the worst places."""
     r = ground.rehearsal
     passes = [r.run == k for k in dict.fromkeys(r.run.tolist())]
@@ -255,7 +255,7 @@ def _json(wanted: Wanted, truth: Truth, ground: _Ground) -> dict[str, Any]:
     }
 
 
-def _last_line(wanted: Wanted, out: Path, truth: Truth, ground: _Ground | None, log: TrackerLog | None, rows: int) -> str:
+def _last_line(wanted: AskedRun, out: Path, truth: Truth, ground: _Ground | None, log: TrackerLog | None, rows: int) -> str:
     """What was seen, where it is written, what to do with it."""
     parts = []
     if ground is not None:
@@ -314,9 +314,9 @@ def simulate(
     seconds that the campaign's clock shows at the start. Raises BadInput: an argument or a file is not what it should be;
     Infeasible: the program would crash or cannot be driven.
     """
-    asked = dict(locals())  # by the names of `Wanted`
+    asked = dict(locals())  # by the names of `AskedRun`
     kept = {name: value for name, value in asked.items() if name not in ("out", "overwrite", "progress")}
     kept |= {name: None if kept[name] is None else Path(kept[name]) for name in ("plan", "cell", "blade")}
     kept |= {"effects": tuple(effects), "poses": str(poses), "belts": tuple(float(v) for v in belts)}
-    wanted = Wanted(**kept | {"ladder": None if ladder is None else tuple(float(v) for v in ladder)})
+    wanted = AskedRun(**kept | {"ladder": None if ladder is None else tuple(float(v) for v in ladder)})
     return simulate_cell(wanted, CELL, Path(out), overwrite, Phases(progress))

@@ -53,7 +53,7 @@ def before_and_after_section(c: TrackerCalibration) -> Section:
     return Section(title, (words, methods_table(c), methods, components))
 
 
-def left_out_section(c: TrackerCalibration) -> Section:
+def withheld_section(c: TrackerCalibration) -> Section:
     """Where whole parts of the readings were left out."""
     title = "Where it was not fitted"
     if not c.held_out:

@@ -13,7 +13,7 @@ from ocp.calibrate.force.assessment import pooled_blocks
 from ocp.calibrate.force.fit import FIT_NAMES
 from ocp.calibrate.force.registration import ForceFit
 from ocp.calibrate.report.advice import advice_section
-from ocp.calibrate.report.held_out import KINDS, before_and_after_section, left_out_section
+from ocp.calibrate.report.held_out import KINDS, before_and_after_section, withheld_section
 from ocp.calibrate.report.parameters import identifiability_section, parameters_section, tellable_parameters, terms_section
 from ocp.calibrate.report.residuals import noise_section, residuals_section
 from ocp.calibrate.report.view import ReadingsView, count_of, look_at, mm, named, present
@@ -38,7 +38,7 @@ def write_calibration_report(c: TrackerCalibration, folder: Path, hashes: dict[s
     title = f"{c.fit.campaign.robot.title} from {c.fit.campaign.readings.path.name}"
     sections = [
         before_and_after_section(c),
-        left_out_section(c),
+        withheld_section(c),
         residuals_section(c, view),
         parameters_section(c),
         identifiability_section(c, tellable),
