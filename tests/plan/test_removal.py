@@ -70,7 +70,8 @@ def test_lines_are_summed_and_judged():
         x = np.linspace(0.0, LENGTH, 121)
         p = np.column_stack([x, np.full(121, k * h), 0 * x])
         one = bar_pass(121)
-        paths.append(replace(one, p=p, n=np.tile([0.0, 0.0, 1.0], (121, 1)), t=np.tile([1.0, 0, 0], (121, 1)), s=x))
+        frame = {"n": np.tile([0.0, 0.0, 1.0], (121, 1)), "t": np.tile([1.0, 0, 0], (121, 1))}
+        paths.append(replace(one, line=k + 1, p=p, s=x, **frame))
     rows = together(*(line_rows(k * h, k) for k in range(lines)))
     points, normals = cells.points.reshape(-1, 3), cells.normals.reshape(-1, 3)
     work = work_done(points, normals, rows, [ellipsoid()] * lines).reshape(cells.area.shape)
@@ -103,3 +104,19 @@ def test_no_core_without_neighbours_and_no_share_of_nothing():
     assert figures.core_within_5 is None and figures.all_within_10 == 1.0
     assert figures.document()["contact_in_travel_s"] == 0.25 and figures.document()["core_within_10"] is None
     assert CELL < 5e-4
+
+
+def test_pieces_of_the_outermost_line_are_all_outermost():
+    """A line cut in two counts once: neither beyond the one nor beyond the other piece is core."""
+    h, cells = 0.58 * B, plane()[0]
+    paths = []
+    for line, (start, end) in enumerate([(0.0, 0.02), (0.03, LENGTH), (0.0, LENGTH), (0.0, LENGTH)]):
+        x = np.linspace(start, end, 121)
+        number = max(line - 1, 0)
+        p = np.column_stack([x, np.full(121, number * h), 0 * x])
+        frame = {"n": np.tile([0.0, 0.0, 1.0], (121, 1)), "t": np.tile([1.0, 0, 0], (121, 1))}
+        paths.append(replace(bar_pass(121), line=number + 1, p=p, s=x - start, **frame))
+    core = core_cells(cells, paths, [A] * 4)
+    x, y = cells.points[..., 0], cells.points[..., 1]
+    beside = core & ((x < 0.018) | (x > 0.032))
+    assert beside.any() and y[beside].min() > -5e-4 and y[beside].max() < 2 * h + 5e-4

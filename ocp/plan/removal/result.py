@@ -18,6 +18,7 @@ from robots.kinematics import forward
 from robots.pose import Array, apply
 
 SAME_SPEED = 1e-6  # s; half the step of the differences that give the blade's speed
+TRAVEL_ROW = 0.02  # s between rows of travel that are looked at
 COARSER = 2.0  # times as far apart as the optimiser's contacts: the patch varies less than the indentation
 LEAST_WANTED = 0.01  # of the programmed depth; a map that asks for less asks for nothing
 HALF = 0.5  # of the wanted depth, from which on a cell counts as ground
@@ -116,8 +117,10 @@ def contact_rows(cell: Cell, motion: PlannedMotion) -> tuple[ContactRows, float]
     """The rows of the motion in which wheel and blade touch, and how many seconds of them lie in travel."""
     times = []
     for segment in motion.segments:
-        feed = max(float(motion.passes[min(segment.place, len(motion.passes) - 1)].problem.path.feed.max()), 1e-3)
-        times.append(row_times(segment.trajectory.duration, feed if segment.kind != "travel" else 0.0))
+        if segment.kind == "travel":
+            times.append(np.linspace(0.0, segment.trajectory.duration, 2 + int(segment.trajectory.duration / TRAVEL_ROW)))
+        else:
+            times.append(row_times(segment.trajectory.duration, float(motion.passes[segment.place].problem.path.feed.max())))
     line = build_timeline(motion, times)
     seconds = np.concatenate([shares_of_time(t) for t in times])
     travel = np.array([segment.kind == "travel" for segment in motion.segments])[line.segment]

@@ -71,30 +71,32 @@ def core_cells(cells: SideCells, paths: Sequence[BladePath], half_length: Sequen
     own = [k for k, path in enumerate(paths) if path.side == cells.side]
     flat = cells.points.reshape(-1, 3)
     inside = np.zeros(len(flat), bool)
-    if len(own) < 2:
+    numbers = list(dict.fromkeys(paths[k].line for k in own))
+    if len(numbers) < 2:
         return inside.reshape(cells.asked.shape)
     found = [cKDTree(paths[k].p).query(flat) for k in own]
     nearest = np.argmin([distance for distance, _ in found], axis=0)
-    places = [np.mean(paths[k].p, axis=0) for k in own]
-    outer = _outermost(np.array(places))
+    outer = _outermost({line: np.vstack([paths[k].p for k in own if paths[k].line == line]).mean(axis=0) for line in numbers})
     for k, number in enumerate(own):
         path, mine = paths[number], np.flatnonzero(nearest == k)
         at = found[k][1][mine]
         kept = (path.s[at] >= half_length[number]) & (path.s[at] <= path.s[-1] - half_length[number])
-        if k in outer:
-            offset, neighbour = flat[mine] - path.p[at], outer[k] - path.p[at]
+        if path.line in outer:
+            offset, neighbour = flat[mine] - path.p[at], outer[path.line] - path.p[at]
             b = np.cross(path.n[at], path.t[at])
             kept &= np.sum(offset * b, axis=1) * np.sum(neighbour * b, axis=1) >= 0.0
         inside[mine] = kept
     return inside.reshape(cells.asked.shape) & cells.asked
 
 
-def _outermost(places: Array) -> dict[int, Array]:
-    """Which of the lines, by their middles (k, 3), have all others on one side; and the middle of their nearest neighbour."""
+def _outermost(middles: Mapping[int, Array]) -> dict[int, Array]:
+    """Which of the lines, by number with the middle (3,) of all their pieces, have all others on one side; with the middle of the
+    line next to them."""
+    numbers, places = list(middles), np.array(list(middles.values()))
     spread = places - places.mean(axis=0)
     order = np.argsort(spread @ np.linalg.svd(spread, full_matrices=False)[2][0])
-    ends = {int(order[0]): int(order[1]), int(order[-1]): int(order[-2])}
-    return {end: places[neighbour] for end, neighbour in ends.items()}
+    ends = {order[0]: order[1], order[-1]: order[-2]}
+    return {numbers[end]: places[neighbour] for end, neighbour in ends.items()}
 
 
 @dataclass(frozen=True)
