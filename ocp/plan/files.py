@@ -10,6 +10,7 @@ import numpy as np
 
 from ocp.plan.accuracy import accuracy_columns, accuracy_rows
 from ocp.plan.grades import Grades, grade_force, grade_move
+from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline, build_timeline, emitted_times, grinding_program, write_plan_csv, write_program
 from ocp.plan.readback import Readback, read_back
@@ -67,7 +68,7 @@ def write_plan(plan: Plan, output: Output, phases: Phases) -> PlanResult:
     output.reads(file for _, file in plan.inputs)
     out = output.named
     with output.whole() as folder:
-        written = _write_programs(plan, folder, phases)
+        plan, written = _verified(plan, folder, phases)
         with phases.phase("report"):
             summary = _summary(plan, written)
             grades = grades_of(plan, written.readback)
@@ -82,6 +83,19 @@ def write_plan(plan: Plan, output: Output, phases: Phases) -> PlanResult:
         f"Look at {out / 'report.html'} before anything moves."
     )
     return PlanResult(out, plan, written.readback, grades, line)
+
+
+def _verified(plan: Plan, folder: Path, phases: Phases) -> tuple[Plan, _Written]:
+    """The programs of the passes whose force reads back as planned; the others are left out. Raises as `write_plan`."""
+    while True:
+        try:
+            return plan, _write_programs(plan, folder, phases)
+        except CannotGrind as error:
+            if plan.whole:
+                raise
+            plan = plan.without(error)
+            for file in folder.iterdir():
+                file.unlink()
 
 
 def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:

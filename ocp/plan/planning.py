@@ -1,7 +1,8 @@
 """The main job as a function: cell and blade in, a verified motion out. Writing it is `ocp.plan.files`."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, floor_notices, read_cell
-from ocp.model.prepare import prepare_contact
+from ocp.model.prepare import ContactModel, prepare_contact
 from ocp.model.theta import Theta, registered
 from ocp.plan.accuracy import WorkingAccuracy, working_accuracy
 from ocp.plan.clearance import CollisionScene
@@ -27,7 +28,7 @@ from ocp.plan.passes.stretches import (
     whole_lines,
     without_places,
 )
-from ocp.plan.paths import PlanOptions, lay_paths
+from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
 from ocp.plan.removal.result import Removal, find_removal
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
@@ -62,6 +63,13 @@ class Plan:
     accuracy: tuple[WorkingAccuracy, ...]
     lines: tuple[BladePath, ...]
     left_out: tuple[LeftOut, ...]
+    whole: bool
+    again: Callable[[GroundLines], "Plan"]
+
+    def without(self, error: CannotGrind) -> "Plan":
+        """The plan of the other passes than those that `error` names. Raises Infeasible where too little remains."""
+        lost = [replace(one, turned=0.0) for one in self.left_out]
+        return self.again(left_out_too(GroundLines(self.motion.passes, lost), [error, *error.others]))
 
     @property
     def force_sd(self) -> float:
@@ -110,40 +118,78 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
         return GroundLines(found.passes, joined([*short, *lost, *found.left_out]))
 
     solved = remembered_passes(ground, laid.paths, compliance, solve, options.whole)
-    with phases.phase("timing", len(solved.passes)) as advance:
-        motion, lost = reachable_motion(cell, scene, solved, options.whole, advance)
+    notices = (*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices, *told)
+    job = Job(believed, ground, scene, laid, contact, options, phases, notices)
+    return planned_motion(job, solved)
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that a plan is made of before its passes are put in order; `believed`: the cell as its file has it."""
+
+    believed: Cell
+    ground: Ground
+    scene: CollisionScene
+    laid: LaidPaths
+    contact: ContactModel
+    options: PlanOptions
+    phases: Phases
+    notices: tuple[str, ...]
+
+    def inputs(self) -> tuple[tuple[str, Path], ...]:
+        """The files that the plan is made from, by their part."""
+        cell, options = self.believed, self.options
+        named = [("cell", cell.path), ("blade", cell.workpiece.stl)]
+        named += [("path", options.path), ("program", options.program), ("stock", options.stock)]
+        if cell.tables.robot.calibration is not None:
+            named.append(("calibration", cell.path.parent / cell.tables.robot.calibration))
+        return tuple((role, file) for role, file in named if file is not None)
+
+
+def planned_motion(job: Job, solved: GroundLines) -> Plan:
+    """The motion through the passes, what it takes off the blade and what is left out.
+
+    Raises Infeasible: no motion, or too little of the surface on it.
+    """
+    cell, laid, contact, whole = job.ground.cell, job.laid, job.contact, job.options.whole
+    with job.phases.phase("timing", len(solved.passes)) as advance:
+        motion, lost = reachable_motion(cell, job.scene, solved, whole, advance)
     refuse_mostly_left_out(laid.paths, lost)
     lost = as_driven(lost, laid.paths, {p.problem.path.line for p in motion.passes if p.problem.seed.direction < 0})
-    with phases.phase("removal"):
+    with job.phases.phase("removal"):
         removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted)
-    inputs = [("cell", cell_file), ("blade", stl)]
-    given = (("path", options.path), ("program", options.program), ("stock", options.stock))
-    inputs += [(role, file) for role, file in given if file is not None]
-    if cell.tables.robot.calibration is not None:
-        inputs.append(("calibration", cell.path.parent / cell.tables.robot.calibration))
+
     return Plan(
         cell=cell,
-        theta=theta,
+        theta=job.ground.theta,
         blade=laid.blade,
         motion=motion,
         cover=contact.cover,
         cloud=laid.cloud,
-        kind=options.kind,
-        name=options.name or stl.name,
-        inputs=tuple(inputs),
-        notices=(
-            *(cell.calibration.notices if cell.calibration is not None else ()),
-            *laid.notices,
-            *told,
-            *ungrindable_notices(lost),
-        ),
+        kind=job.options.kind,
+        name=job.options.name or Path(str(cell.workpiece.stl)).name,
+        inputs=job.inputs(),
+        notices=(*job.notices, *ungrindable_notices(lost)),
         wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
         removal=removal,
-        accuracy=tuple(working_accuracy(believed, cell, theta, contact.law, motion.passes)),
+        accuracy=tuple(working_accuracy(job.believed, cell, job.ground.theta, contact.law, motion.passes)),
         lines=tuple(laid.paths),
         left_out=tuple(lost),
+        whole=whole,
+        again=partial(planned_motion, job),
     )
+
+
+def left_out_too(ground: GroundLines, errors: list[CannotGrind]) -> GroundLines:
+    """Without the passes that the errors name."""
+    passes, lost = list(ground.passes), list(ground.left_out)
+    for error in errors:
+        place = next(i for i, p in enumerate(passes) if (p.problem.path.line, p.problem.path.start) == error.whose)
+        gone = passes.pop(place).problem
+        path = gone.path if gone.seed.direction > 0 else reversed_path(gone.path)
+        lost.append(LeftOut(path.line, path.side, path.start, path.start + path.s[-1], error.reason, error.would_do))
+    return GroundLines(passes, lost)
 
 
 def objective_weights(cell: Cell) -> ObjectiveWeights:
@@ -162,18 +208,14 @@ def reachable_motion(
 
     Raises Infeasible as `build_motion` does if the `whole` of them is asked for, or nothing remains.
     """
-    passes, lost = list(solved.passes), list(solved.left_out)
-    while passes:
+    while solved.passes:
         try:
-            return build_motion(cell, scene, passes, advance), joined(lost)
+            return build_motion(cell, scene, solved.passes, advance), joined(solved.left_out)
         except CannotGrind as error:
             if whole:
                 raise
-            place = next(i for i, p in enumerate(passes) if (p.problem.path.line, p.problem.path.start) == error.whose)
-            gone = passes.pop(place).problem
-            path = gone.path if gone.seed.direction > 0 else reversed_path(gone.path)
-            lost.append(LeftOut(path.line, path.side, path.start, path.start + path.s[-1], error.reason, error.would_do))
-    raise Infeasible(f"nothing of the blade can be ground: {lost[0].clause()}")
+            solved = left_out_too(solved, [error])
+    raise Infeasible(f"nothing of the blade can be ground: {solved.left_out[0].clause()}")
 
 
 def _refuse_options(cell_file: Path, cell: Cell, options: PlanOptions) -> None:

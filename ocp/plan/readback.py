@@ -10,6 +10,7 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
 from ocp.plan.motion import PlannedMotion
+from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.rules import BLOCK_TIME_TOLERANCE, FLANGE_FORCE_TOLERANCE, READ_BACK_LIMIT, RIGID_FORCE_TOLERANCE
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, verify_pass
 from ocp.shell.processes import cores, interrupts_held_back, workers
@@ -45,36 +46,46 @@ def read_back(
 ) -> Readback:
     """Read the program `main` and judge it.
 
-    Raises BadInput as the reader does, Infeasible where force, times or limits are not what was planned.
+    Raises BadInput as the reader does, CannotGrind of the passes whose force is not what was planned, Infeasible where times or
+    limits are not.
     """
     controller = cell.controller
     execution = dialect_named(controller.dialect).check(main, cell.robot, controller.absolute_accuracy)
     timed = all(s.times is not None or s.kind == "point" for s in execution.segments)
     driven, axis_error, time_error, ratio = (_timed if timed else _posed)(cell, motion, execution)
     passes, worst = [], 0.0
+    unheld: list[CannotGrind] = []
     tasks = [
         (one.problem.path, one.problem.compliance, *rows, one.problem.named_conditions(cell))
         for one, rows in zip(motion.passes, driven, strict=True)
     ]
     for one, checked in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks), strict=True):
-        worst = max(worst, force_error(cell, one.problem.path, checked))
+        try:
+            worst = max(worst, force_error(cell, one.problem.path, checked))
+        except CannotGrind as error:
+            unheld.append(error)
         passes.append(checked)
+    if unheld:
+        raise unheld[0].with_others(unheld[1:])
     return Readback(passes, worst, axis_error, time_error, ratio)
 
 
 def force_error(cell: Cell, path: BladePath, seen: VerifiedPass) -> float:
     """Largest difference N along a pass between the force read back and the one asked for.
 
-    Raises Infeasible where it is more than a program may be off by.
+    Raises CannotGrind where it is more than a program may be off by.
     """
     tolerance = RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
     off = np.abs(seen.force - np.interp(seen.s, path.s, path.force))
     k = int(np.argmax(off))
     if off[k] > tolerance:
-        raise Infeasible(
-            f"line {path.line} ({path.side}), {seen.s[k] * 1e3:.1f} mm along it: the force read back from the program is "
-            f"{seen.force[k]:.2f} N by the independent route, {off[k]:.2f} N off (at most {tolerance:g}); nothing is written"
+        reason = (
+            f"the force read back from the program is {seen.force[k]:.2f} N by the independent route, {off[k]:.2f} N off "
+            f"(at most {tolerance:g})"
         )
+        message = f"line {path.line} ({path.side}), {seen.s[k] * 1e3:.1f} mm along it: {reason}; nothing is written"
+        where = np.interp(path.s, seen.s, off) > tolerance
+        raise CannotGrind.of(path, where, reason, "use a shorter --step or a narrower wheel", message=message)
     return float(off[k])
 
 

@@ -12,7 +12,8 @@ from ocp.contact.wheel.law_fit import Domain, remembered_law
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import CollisionScene
-from ocp.plan.passes.optimise import PassWorker, refuse_ends
+from ocp.plan.files import _verified
+from ocp.plan.passes.optimise import GroundLines, PassWorker, refuse_ends
 from ocp.plan.passes.posture import contact_poses, impossible, seeds_of_stretches
 from ocp.plan.passes.stretches import (
     HALVINGS,
@@ -29,7 +30,10 @@ from ocp.plan.passes.stretches import (
     ungrindable_notices,
     whole_lines,
 )
+from ocp.plan.planning import left_out_too
+from ocp.plan.readback import force_error
 from ocp.plan.rules import LEAST_STRETCH, SEED_INDENTATION, STRETCH_ROOM
+from ocp.plan.second_route import VerifiedPass
 from robots.errors import Infeasible
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
 from trajectories.passes import reversed_path, stretch_of
@@ -275,3 +279,50 @@ def test_a_worker_cuts_solves_and_names_until_nothing_is_left_to_try(monkeypatch
         worker.solve_stretch(stretch(), [seed], whole=True)
     # All pieces of a line are driven one way, or are left out.
     assert worker.solve_stretch(stretch(), [SimpleNamespace(direction=-1)], whole=False).passes == []
+
+
+# -- what does not read back ---------------------------------------------------------------------------------------
+
+
+def test_a_pass_whose_force_does_not_read_back_is_left_out_and_the_rest_written_anew(monkeypatch, tmp_path):
+    def write(plan, folder, phases):
+        assert not list(folder.iterdir()), "nothing of the first program stays"
+        (folder / "program.src").write_text(plan.name)
+        if plan.name == "all":
+            raise error(line(), 0).with_others([error(line(number=2), 5)])
+        return "written"
+
+    monkeypatch.setattr("ocp.plan.files._write_programs", write)
+    told = []
+    rest = SimpleNamespace(name="rest", whole=False)
+    plan = SimpleNamespace(name="all", whole=False, without=lambda one: told.append(one) or rest)
+    assert _verified(plan, tmp_path, None) == (rest, "written")
+    assert [one.line for one in (told[0], *told[0].others)] == [1, 2]
+    (tmp_path / "program.src").unlink()
+    with pytest.raises(CannotGrind, match="it is hollow"):
+        _verified(SimpleNamespace(name="all", whole=True), tmp_path, None)
+
+
+def test_passes_that_are_named_go_and_are_told_along_the_line_as_it_was_laid():
+    piece = stretch_of(line(), 10, 39)
+    passes = [
+        SimpleNamespace(problem=SimpleNamespace(path=path, seed=SimpleNamespace(direction=way)))
+        for path, way in ((line(number=2), 1), (reversed_path(piece), -1))
+    ]
+    left = left_out_too(GroundLines(passes, []), [error(reversed_path(piece), 3)])
+    assert left.passes == passes[:1]
+    assert [(one.line, one.start, one.end) for one in left.left_out] == [(1, pytest.approx(0.020), pytest.approx(0.078))]
+
+
+def test_all_passes_that_do_not_read_back_are_named_at_once():
+    """Two of three passes are 0.3 N off: both are in the error, the third is not."""
+    cell, worst = bundled_cell(), []
+    for number, off in ((1, 0.0), (2, 0.3), (3, -0.3)):
+        path = replace(bar_pass(), line=number)
+        seen = VerifiedPass(path.s / path.feed, path.s, path.force + np.where(np.arange(N) > 30, off, 0.0), 0 * path.s)
+        try:
+            force_error(cell, path, seen)
+        except CannotGrind as one:
+            worst.append(one)
+    assert [one.whose for one in worst] == [(2, 0.0), (3, 0.0)]
+    assert worst[0].nodes(bar_pass().s).sum() == 9 and "0.30 N off (at most 0.2); nothing is written" in str(worst[0])

@@ -25,7 +25,7 @@ class CannotGrind(Infeasible):
 
     line, side, start: whose, and where on the line it begins, m; length m of the path that was tried, at (m,): arc lengths m on
     it, in its direction of travel, that cannot be ground (none: the place is not known); waypoint: 0-based, the one that the
-    sentence names; reason and would_do: two parts of a sentence.
+    sentence names; reason and would_do: two parts of a sentence; others: of other passes, told with this one.
     """
 
     def __init__(self, message: str, **told: Any) -> None:
@@ -39,6 +39,7 @@ class CannotGrind(Infeasible):
         self.waypoint: int = told.get("waypoint", 0)
         self.reason: str = told.get("reason", message)
         self.would_do: str = told.get("would_do", "")
+        self.others: list[CannotGrind] = told.get("others", [])
 
     @staticmethod
     def of(
@@ -51,6 +52,10 @@ class CannotGrind(Infeasible):
         message = message or f"line {path.line} ({path.side}){named}: {reason}; {would_do}"
         told = {"reason": reason, "would_do": would_do, "waypoint": k, "at": path.s[where], "length": float(path.s[-1])}
         return CannotGrind(message, line=path.line, side=path.side, start=path.start, **told)
+
+    def with_others(self, others: "list[CannotGrind]") -> "CannotGrind":
+        """The same, and others beside it."""
+        return CannotGrind(str(self), **(self.__dict__ | {"others": others}))
 
     @property
     def whose(self) -> tuple[int, float]:
