@@ -4,12 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from ocp.plan.removal.footprint import CELL
 from ocp.plan.removal.result import SideRemoval, figures_of
-from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, row_times, shares_of_time, work_done
+from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, flank_cells, row_times, shares_of_time, work_done
 from tests.plan.test_footprint import A, B, ellipsoid
+from tests.support import blade_samples
 from tests.support.example_pass import bar_pass
+from trajectories.blade import Blade, find_shape
+from trajectories.passes import PassOptions, passes
 
 FORCE, BELT, FEED, LENGTH = 20.0, 25.0, 0.04, 0.06
 
@@ -120,3 +124,24 @@ def test_pieces_of_the_outermost_line_are_all_outermost():
     x, y = cells.points[..., 0], cells.points[..., 1]
     beside = core & ((x < 0.018) | (x > 0.032))
     assert beside.any() and y[beside].min() > -5e-4 and y[beside].max() < 2 * h + 5e-4
+
+
+def test_a_path_off_the_flanks_has_no_shares():
+    """Round an edge nothing is mapped: the figures are empty, and none is made up."""
+    figures = figures_of([], 0.1)
+    assert figures.contact_in_travel_s == 0.1
+    assert all(value is None for name, value in figures.document().items() if name != "contact_in_travel_s")
+
+
+def test_what_is_asked_beside_a_path_made_elsewhere():
+    """A strip to both sides of the path, on the wall that it grinds alone."""
+    blade = Blade("sample", "", *blade_samples.blade_mesh(60, 20))
+    shape = find_shape(blade)
+    path = passes(blade, shape, PassOptions(side="convex", step=2e-3))[0][3]
+    flanks = flank_cells(shape, {}, [path], 3e-3)
+    assert [one.side for one in flanks] == ["convex"]
+    apart = cKDTree(path.p).query(flanks[0].points[flanks[0].asked])[0]
+    assert 2.5e-3 < apart.max() <= 3e-3
+    strip = flanks[0].area[flanks[0].asked].sum()
+    assert strip == pytest.approx(2 * 3e-3 * path.s[-1] + np.pi * 3e-3**2, rel=0.1)
+    assert flank_cells(shape, {}, [replace(path, n=-path.n)], 1e-3) == []

@@ -79,8 +79,11 @@ def with_feeds(
     """The paths with the feeds that together take off what is wanted on the asked cells of the flanks, and what of them is beyond
     what the programmed force and the feeds of `ocp.plan.rules.FEEDS` reach.
 
-    A path on which the wheel bears nowhere keeps its feed. Raises BadInput: a map of the wanted depth leaves asked surface out.
+    A path on which the wheel bears nowhere, or off the flanks, keeps its feed. Raises BadInput: a map of the wanted depth leaves
+    asked surface out.
     """
+    if not flanks:
+        return list(paths), []
     points, normals, area = (
         np.concatenate([getattr(one, name)[one.asked] for one in flanks]) for name in ("points", "normals", "area")
     )

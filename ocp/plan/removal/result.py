@@ -35,15 +35,15 @@ class SideRemoval:
 
 @dataclass(frozen=True)
 class Figures:
-    """`process` of plan.json (FORMATS.md): shares of the asked area (of the core's, None without a core), least and most depth
-    over what is wanted on the asked area, seconds of contact while travelling."""
+    """`process` of plan.json (FORMATS.md): shares of the asked area (of the core's), least and most depth over what is wanted on
+    the asked area, None without such an area; seconds of contact while travelling."""
 
-    ground_share: float
+    ground_share: float | None
     core_within_5: float | None
     core_within_10: float | None
-    all_within_10: float
-    least: float
-    most: float
+    all_within_10: float | None
+    least: float | None
+    most: float | None
     contact_in_travel_s: float
 
     def document(self) -> dict[str, float | None]:
@@ -145,6 +145,8 @@ def sliding_speed(cell: Cell, line: Timeline, rows: Mask) -> Array:
 def figures_of(sides: Sequence[SideRemoval], travelling: float) -> Figures:
     """The shares, every cell weighed by its area."""
     asked = [one.cells.asked & np.isfinite(one.relative) for one in sides]
+    if not any(mask.any() for mask in asked):
+        return Figures(None, None, None, None, None, None, travelling)
     depth, area, core = (
         np.concatenate([values[mask] for values, mask in zip(of, asked, strict=True)])
         for of in ([one.relative for one in sides], [one.cells.area for one in sides], [one.core for one in sides])
@@ -159,7 +161,7 @@ def figures_of(sides: Sequence[SideRemoval], travelling: float) -> Figures:
         ground_share=float(area[depth >= HALF].sum() / area.sum()),
         core_within_5=within(0.05, core),
         core_within_10=within(0.10, core),
-        all_within_10=within(0.10, whole) or 0.0,
+        all_within_10=within(0.10, whole),
         least=float(depth.min()),
         most=float(depth.max()),
         contact_in_travel_s=travelling,

@@ -40,9 +40,10 @@ class SideCells:
 
 def flank_cells(shape: AerofoilShape, windows: Mapping[str, Window], paths: Sequence[BladePath], strip: float) -> list[SideCells]:
     """The flanks that are ground, in cells of about GRID. Asked is what lies in the `windows` (by side); without any, what lies
-    within `strip` m of the `paths`."""
-    names = [name for name in shape.sides if name in windows or (not windows and any(path.side == name for path in paths))]
-    return [_cells(shape, name, windows.get(name), [path for path in paths if path.side == name], strip) for name in names]
+    within `strip` m of the `paths` and looks their way. A path round an edge may leave none."""
+    names = [name for name in shape.sides if name in windows or not windows]
+    found = [_cells(shape, name, windows.get(name), paths, strip) for name in names]
+    return [one for one in found if one.asked.any()]
 
 
 def _cells(shape: AerofoilShape, name: str, window: Window | None, paths: Sequence[BladePath], strip: float) -> SideCells:
@@ -59,7 +60,9 @@ def _cells(shape: AerofoilShape, name: str, window: Window | None, paths: Sequen
         asked = (u >= np.interp(v, window.v, window.u_lo)) & (u <= np.interp(v, window.v, window.u_hi))
         asked &= (v >= np.interp(u, window.u, window.v_lo)) & (v <= np.interp(u, window.u, window.v_hi))
     else:
-        asked = cKDTree(np.vstack([path.p for path in paths])).query(points)[0] <= strip
+        distance, nearest = cKDTree(np.vstack([path.p for path in paths])).query(points)
+        facing = np.sum(np.vstack([path.n for path in paths])[nearest] * normals, axis=2) > FACING
+        asked = (distance <= strip) & facing
     along = np.cumsum(np.linalg.norm(along_v, axis=2), axis=1) * v_step
     across = np.cumsum(np.linalg.norm(along_u, axis=2), axis=0) * u_step
     return SideCells(name, points, normals, area, asked, along, across)

@@ -34,13 +34,13 @@ def _facts(removal: Removal) -> list[tuple[str, str]]:
     figures = removal.figures
 
     def share(value: float | None) -> str:
-        return "no core" if value is None else f"{100 * value:.1f} %"
+        return "no such surface" if value is None else f"{100 * value:.1f} %"
 
     return [
         ("Asked surface with at least half of the wanted depth", share(figures.ground_share)),
         ("Core within 5 %, within 10 % of wanted", f"{share(figures.core_within_5)}, {share(figures.core_within_10)}"),
         ("All of the asked surface within 10 %", share(figures.all_within_10)),
-        ("Least and most depth over wanted", f"{figures.least:.2f}, {figures.most:.2f}"),
+        *([("Least and most depth over wanted", f"{figures.least:.2f}, {figures.most:.2f}")] if figures.most is not None else []),
         ("Contact while travelling", f"{figures.contact_in_travel_s:.3f} s"),
     ]
 
