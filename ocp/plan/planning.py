@@ -106,18 +106,20 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
     compliance = [np.asarray(c) for c in contact.compliance.per_pass]
 
+    # What is beyond reach is told with the depths of this run: it stays out of what is remembered.
+    whole, short = whole_lines(laid.paths, compliance, options.whole)
+    whole, deep = without_places(whole, laid.beyond, options.whole)
+    refuse_mostly_left_out(laid.paths, [*short, *deep])
+
     def solve() -> GroundLines:
-        stretches, short = whole_lines(laid.paths, compliance, options.whole)
-        stretches, lost = without_places(stretches, laid.beyond, options.whole)
-        short += lost
-        refuse_mostly_left_out(laid.paths, short)
         with phases.phase("postures"):
-            stretches, seeds, lost = seeds_of_stretches(cell, scene, contact.law, stretches, options.whole)
+            stretches, seeds, lost = seeds_of_stretches(cell, scene, contact.law, whole, options.whole)
         with phases.phase("optimal control", len(stretches)) as advance:
             found = solve_passes(ground, stretches, seeds, options.whole, advance)
-        return GroundLines(found.passes, joined([*short, *lost, *found.left_out]))
+        return GroundLines(found.passes, joined([*lost, *found.left_out]))
 
     solved = remembered_passes(ground, laid.paths, compliance, solve, options.whole)
+    solved = replace(solved, left_out=joined([*short, *deep, *solved.left_out]))
     notices = (*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices, *told)
     job = Job(believed, ground, scene, laid, contact, options, phases, notices)
     return planned_motion(job, solved)
