@@ -88,7 +88,7 @@ def test_the_name_list_is_complete_and_in_the_order_of_the_table():
     assert MDH_NAMES[:5] == ("th1", "d1", "a1", "al1", "be1") and len(MDH_NAMES) == 30
     assert COMPLIANCE_NAMES == ("c1", "c2", "c3", "c4", "c5", "c6")
     assert {"base_x", "base_c", "payload_com_z", "wheel_axis_v", "blade_c", "sensor_bias"} <= set(SYMBOLS)
-    assert len(SYMBOLS) == 30 + 6 + 6 + 4 + 5 + 6 + 5
+    assert len(SYMBOLS) == 30 + 6 + 6 + 4 + 5 + 2 + 6 + 5  # the 2: the wheel's radius and its wear
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,12 @@ ARM_SD = 1e-4  # m and rad: the posterior of a good tracker campaign, diagonal
 
 
 CHOICE = PlanOptions(step=2e-3, even=False)
+# Few lines far apart and as long as the blade: a log that tells the parameters apart.
+WIDE = {
+    "edge_margin_mm = 18.7": "edge_margin_mm = 3.0",
+    "root_margin_mm = 40.0": "root_margin_mm = 5.0",
+    "pass_spacing_mm = 6.0": "pass_spacing_mm = 25.0",
+}
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,7 @@ def arm_posterior(cell: Cell, sd: float = ARM_SD) -> Calibration:
 
 def make_world(folder: Path, rng: np.random.Generator, changes: dict[str, str] | None = None) -> World:
     """A cell of the bundled kind whose truth is drawn from the priors of its file and of `arm_posterior`."""
-    cell = read_cell(small_cell(folder, changes))
+    cell = read_cell(small_cell(folder, WIDE | (changes or {})))
     laid = lay_paths(cell, cell.workpiece.stl, CHOICE)
     names = [f"wheel_{a}" for a in "xyz"] + [f"blade_{a}" for a in "xyz"]
     injected = {name: 3e-4 * rng.normal() for name in names}
