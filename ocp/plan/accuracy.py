@@ -89,8 +89,6 @@ def accuracy_rows(accuracy: Sequence[WorkingAccuracy], solved: Sequence[SolvedPa
             for one, each in zip(accuracy, solved, strict=True)
         ]
     )
-    rows = [("Working error of an uncalibrated command", shift), ("One sigma of the working error that is left", sd)]
-    told = [
-        (f"{name}: normal, feed, lateral, rms", ", ".join(f"{v:.3f}" for v in values[[2, 0, 1]]), "mm") for name, values in rows
-    ]
-    return [*told, ("Force error that the first would make, rms", f"{100 * np.sqrt(np.mean(miss**2)):.1f}", "%")]
+    rows = [("Uncalibrated working error, rms", shift), ("One sigma of what is left of it", sd)]
+    told = [(name, "{:.3f} normal, {:.3f} feed, {:.3f} lateral".format(*values[[2, 0, 1]]), "mm") for name, values in rows]
+    return [*told, ("Force error that it would make, rms", f"{100 * np.sqrt(np.mean(miss**2)):.1f}", "%")]

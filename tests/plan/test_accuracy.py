@@ -99,5 +99,6 @@ def test_columns_and_figures_of_a_plan():
     assert columns["d_normal_mm"][[1, 3]] == pytest.approx(1e3 * accuracy.shift[[0, -1], 2])
     rows = accuracy_rows([accuracy], [one])  # type: ignore[list-item]
     rms = 1e3 * np.sqrt(np.mean(accuracy.shift**2, axis=0))
-    assert rows[0][1] == ", ".join(f"{v:.3f}" for v in rms[[2, 0, 1]]) and rows[0][2] == "mm"
+    told = zip(rms[[2, 0, 1]], ("normal", "feed", "lateral"), strict=True)
+    assert rows[0][1] == ", ".join(f"{v:.3f} {axis}" for v, axis in told) and rows[0][2] == "mm"
     assert float(rows[2][1]) > 1.0
