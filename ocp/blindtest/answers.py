@@ -25,7 +25,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ocp.blindtest.worlds.recipes import Recipe
-from ocp.blindtest.worlds.sealing import WITHHELD, Check, write_whole
+from ocp.blindtest.worlds.sealing import WITHHELD, Check
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
 from ocp.diagnose.engine.channel_system import Channel
@@ -33,6 +33,7 @@ from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.linearisation import stacked_columns
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect
+from ocp.shell.output import add_text_file
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
@@ -190,7 +191,9 @@ def make_answer(check: Check, recipe: Recipe) -> str:
     """Answer a world that has none yet; returns that it is answered, or what went wrong."""
     path = check.answer(recipe.name)
     if not path.is_file():
-        write_whole(path, json.dumps(answer_world(check.world(recipe.name))) + "\n")
+        add_text_file(
+            check.folder, path.relative_to(check.folder).as_posix(), json.dumps(answer_world(check.world(recipe.name))) + "\n"
+        )
     return str(json.loads(path.read_text(encoding="utf-8")).get("error") or "answered")
 
 

@@ -1,7 +1,7 @@
 """`ocp.api.blindtest`: worlds drawn and sealed, answered by the diagnosis without their labels, then judged."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +9,11 @@ from ocp.blindtest.figures import Figure, all_figures
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
 from ocp.blindtest.worlds.recipes import KINDS, SIGNALS, check_kinds, recipes
+from ocp.blindtest.worlds.sealing import CELL as CELL_FILE
 from ocp.blindtest.worlds.sealing import Check, write_cell
 from ocp.data import CELL
 from ocp.model.cell import files_of
-from ocp.shell.output import reserved
+from ocp.shell.output import files_added, reserved
 from ocp.shell.processes import cores
 from ocp.shell.progress import Phases, Progress
 from robots.errors import BadInput
@@ -66,7 +67,8 @@ def blindtest(
 def _judged(check: Check, cell: Path, again: bool, count: int, phases: Phases) -> BlindtestResult:
     resume(check)
     if not check.cell.is_file():
-        write_cell(cell, check.cell, check.signals)
+        with files_added(check.folder, last=CELL_FILE) as part:
+            write_cell(cell, replace(check, folder=part).cell, check.signals)
     if again:
         forget_answers(check)
     planned = recipes(check.worlds, check.kinds)

@@ -17,6 +17,7 @@ from ocp.report.plotting import Canvas, dressed, keys, panels
 from ocp.report.report import Report
 from ocp.report.section import Headline, Part, Section
 from ocp.report.style import AFTER, BAD, BEFORE, SOFT
+from ocp.shell.output import files_added
 
 KIND = "Blind check of the diagnosis"
 TITLE = "Sealed worlds of the virtual cell"
@@ -41,13 +42,14 @@ def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
     """Write the files into the check's folder. Raises OSError."""
     figures = figs.all_figures(rows)
     sections = _sections(check, rows, figures)
-    Report(KIND, TITLE, _headline(rows, figures), (), sections).write_page(check.folder / "report.html")
     lines = [
         {"figure": f.what, "sense": f.sense, "target": f.target, "met": f.met} | _plain(f.estimate) | {"oracle": _plain(f.oracle)}
         for f in figures
     ]
-    (check.folder / "table.json").write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
-    (check.folder / "table.md").write_text(_markdown(check, sections), encoding="utf-8")
+    with files_added(check.folder) as part:
+        Report(KIND, TITLE, _headline(rows, figures), (), sections).write_page(part / "report.html")
+        (part / "table.json").write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
+        (part / "table.md").write_text(_markdown(check, sections), encoding="utf-8")
 
 
 def blindtest_last_line(check: Check, rows: Sequence[Row]) -> str:

@@ -19,6 +19,7 @@ from ocp.blindtest.worlds.machines import effects_stream
 from ocp.blindtest.worlds.recipes import BINS, Recipe, pool_of, scaled, within_range
 from ocp.blindtest.worlds.sealing import Check, Label
 from ocp.shell.cache import sha256
+from ocp.shell.output import MARKER, add_text_file, files_added, remove_written
 from ocp.shell.processes import interrupts_held_back, nothing, workers
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.kinds import EffectKind
@@ -113,25 +114,26 @@ def resume(check: Check) -> None:
                 f"{check.folder}: holds a blind check with another {changed[0] if changed else 'plan'}; give the same options to "
                 "go on with it, another --out, or --overwrite"
             )
-    elif check.folder.is_dir() and any(check.folder.iterdir()):
+    elif check.folder.is_dir() and any(p.name != MARKER for p in check.folder.iterdir()):
         raise BadInput(f"{check.folder}: is not empty and holds no blind check; give another --out")
     else:
-        check.folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(check.fixed()) + "\n", encoding="utf-8")
+        add_text_file(check.folder, PLAN, json.dumps(check.fixed()) + "\n")
 
 
 def make_world(check: Check, recipe: Recipe) -> str:
     """Draw, write and seal a world that is not there yet; the hash of its label. Raises Infeasible of the drawing."""
-    folder, label = check.world(recipe.name), sealing.label_path(check, recipe)
+    label = sealing.label_path(check, recipe)
     if not label.is_file():
         machine = sealing.machine_of(check, recipe)
         view = None if recipe.target is None else exact_view(machine)
         effects, lam = ((), ()) if view is None else draw_effects(check.seed, recipe, view, check.signals)
-        sealing.write_world(folder, machine, effects)
         withheld = tuple(p.effect for p in effects) if recipe.kind == "left_out" else ()
-        if withheld:
-            (folder / sealing.WITHHELD).write_text("\n".join(withheld) + "\n", encoding="utf-8")
-        sealing.write_label(label, Label(recipe, effects, lam, withheld))
+        with files_added(check.folder, last=label.relative_to(check.folder).as_posix()) as part:
+            new = replace(check, folder=part)
+            sealing.write_world(new.world(recipe.name), machine, effects)
+            if withheld:
+                (new.world(recipe.name) / sealing.WITHHELD).write_text("\n".join(withheld) + "\n", encoding="utf-8")
+            sealing.write_label(sealing.label_path(new, recipe), Label(recipe, effects, lam, withheld))
     return sha256(label)
 
 
@@ -144,7 +146,7 @@ def make_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases)
     if broken:
         raise BadInput(f"{check.folder}: the label of world {broken[0]} is not what was sealed; begin anew with --overwrite")
     whole = dict(sorted({**before, **hashes}.items()))
-    (check.folder / sealing.SEAL).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+    add_text_file(check.folder, sealing.SEAL, json.dumps(whole, indent=1) + "\n")
 
 
 def answer_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases) -> None:
@@ -183,6 +185,6 @@ def _each(
 
 
 def forget_answers(check: Check) -> None:
-    """Remove all answers and scores: they are of an older diagnosis."""
-    for path in (*check.folder.glob("answers/*.json"), *check.folder.glob("scores/*.json")):
-        path.unlink()
+    """Remove all answers and scores: they are of an older diagnosis. Raises BadInput: one was changed, or put there, by hand."""
+    found = (*check.folder.glob("answers/*.json"), *check.folder.glob("scores/*.json"))
+    remove_written(check.folder, [path.relative_to(check.folder).as_posix() for path in found])

@@ -113,19 +113,27 @@ class Output:
 
     @contextmanager
     def grown(self) -> Iterator[Path]:
-        """The folder itself, emptied first where it is to be overwritten, for work that a later run goes on with.
-
-        The marker is written anew however the block ends; what somebody else put there before is never listed.
-        """
+        """The folder itself, emptied first where it is to be overwritten, for work that a later run goes on with; what is written
+        there goes through `files_added`, so that a run killed at any moment leaves every file listed."""
         if self.overwrite and not _empty(self.folder):
             self._refuse_losses()
-            shutil.rmtree(self.folder)
+            self._empty_out()
         self.folder.mkdir(parents=True, exist_ok=True)
-        foreign = {name for name in _names(self.folder) if _listed(self.folder).get(name) != _hash(self.folder / name)}
+        yield self.folder
+
+    def _empty_out(self) -> None:
+        """Take the folder away under the name of an unfinished one: killed while it is removed, the next run removes the rest."""
+        aside = Path(tempfile.mkdtemp(prefix=_prefix(self.folder, NEW), dir=self.folder.parent))
         try:
-            yield self.folder
-        finally:
-            write_marker(self.folder, foreign)
+            os.replace(self.folder, aside)
+        except OSError:  # a mount point
+            aside.rmdir()
+            raise
+        users = users_file(aside)  # written to between the last look and the renaming
+        if users is not None:
+            os.rename(aside, self.folder)
+            raise BadInput(f"{self.named}: --overwrite would delete {users}; give another --out, or move what is yours")
+        shutil.rmtree(aside)
 
     def _put(self, partial: Path) -> None:
         meanwhile = f"{self.named}: somebody else wrote there while this run worked, and that stays; give another --out"
@@ -185,14 +193,84 @@ def reserved(folder: Path, overwrite: bool, inputs: Iterable[Path] = (), grows: 
         _unlocked(lock, file)
 
 
-def _locked(file: Path) -> FileLock:
-    """A lock on `file`. Raises Timeout where another process or this one holds it.
+@contextmanager
+def files_added(folder: Path, last: str = "") -> Iterator[Path]:
+    """A temporary folder whose files go into `folder` when the block ends without an error, by one rename each.
+
+    The marker names them with their hashes before the first is renamed: whenever the run is killed, no file of its own stands
+    there unlisted, and none that is listed is anybody else's. Several processes may add to one folder.
+
+    Args:
+        folder: that of `Output.grown`, or one made here.
+        last: the file that says that the others are whole.
+
+    Raises BadInput where a file that this software did not write, or that was changed since, stands in the way of one.
+    """
+    folder = _resolved(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(prefix=_prefix(folder, NEW), dir=folder.parent))
+    processes.clear_if_killed(part)
+    try:
+        yield part
+        names = sorted(_names(part), key=lambda name: (name == last, name))
+        with _marker_held(folder):
+            listed = _listed(folder)
+            _refuse_changed(folder, listed, names)
+            _write_list(part, listed, {name: _hash(part / name) for name in names})
+            folder.mkdir(exist_ok=True)
+            for name in (MARKER, *names):
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(part / name, folder / name)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def add_text_file(folder: Path, name: str, text: str) -> None:
+    """One file of text by `files_added`."""
+    with files_added(folder) as part:
+        (part / name).parent.mkdir(parents=True, exist_ok=True)
+        (part / name).write_text(text, encoding="utf-8")
+
+
+def remove_written(folder: Path, names: Iterable[str]) -> None:
+    """Remove files of a folder that grows. Raises BadInput before any is removed where one is not as this software wrote it."""
+    names = sorted(names)
+    _refuse_changed(folder, _listed(folder), names)
+    for name in names:
+        (folder / name).unlink()
+
+
+def as_written(file: Path, folder: Path) -> bool:
+    """Whether a file of `folder` stands there and is as this software wrote it."""
+    return file.is_file() and _listed(folder).get(file.relative_to(folder).as_posix()) == _hash(file)
+
+
+def _refuse_changed(folder: Path, listed: dict[str, str], names: Iterable[str]) -> None:
+    for name in names:
+        file = folder / name
+        if (file.exists() or file.is_symlink()) and listed.get(name) != _hash(file):
+            raise BadInput(f"{file}: stands where this run writes and is not as this software wrote it; move it away")
+
+
+@contextmanager
+def _marker_held(folder: Path) -> Iterator[None]:
+    """The marker of a folder for this process alone; waits for others."""
+    file = processes.temporary() / f"grindplan-{sha256(os.fsencode(_resolved(folder))).hexdigest()[:24]}.marker.lock"
+    lock = _locked(file, wait=-1)
+    try:
+        yield
+    finally:
+        _unlocked(lock, file)
+
+
+def _locked(file: Path, wait: float = 0) -> FileLock:
+    """A lock on `file`, waited for so many seconds (-1: for ever). Raises Timeout where another process or this one holds it.
 
     Whoever held it last may have removed the file after it was opened here: such a lock holds a file without a name, which the
     next process does not see, and is taken anew.
     """
     while True:
-        lock = FileLock(file, timeout=0)
+        lock = FileLock(file, timeout=wait)
         lock.acquire()
         if not hasattr(os, "fork"):  # files in use cannot be removed there
             return lock
@@ -213,10 +291,15 @@ def _unlocked(lock: FileLock, file: Path) -> None:
     lock.release()
 
 
-def write_marker(folder: Path, foreign: Iterable[str] = ()) -> None:
-    """List a folder's files with their hashes in its marker, `foreign` ones apart. Raises OSError where it cannot be written."""
-    files = {name: _hash(folder / name) for name in sorted({*_names(folder)} - {*foreign})}
-    (folder / MARKER).write_text(json.dumps({"by": "grindplan", "sha256": files}, indent=1), encoding="utf-8")
+def write_marker(folder: Path) -> None:
+    """List a folder's files with their hashes in its marker. Raises OSError where it cannot be written."""
+    _write_list(folder, {name: _hash(folder / name) for name in _names(folder)})
+
+
+def _write_list(folder: Path, listed: dict[str, str], coming: dict[str, str] | None = None) -> None:
+    """coming: hashes of files about to be put in their place; what stands there till then may be listed with another."""
+    content = {"by": "grindplan", "sha256": listed} | ({"coming": coming} if coming else {})
+    (folder / MARKER).write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 def users_file(folder: Path) -> str | None:
@@ -235,10 +318,13 @@ def users_file(folder: Path) -> str | None:
 
 
 def _listed(folder: Path) -> dict[str, str]:
+    """Files of a folder's marker with their hashes; of a coming one that of before where that still stands there."""
     try:
-        return dict(json.loads((folder / MARKER).read_text(encoding="utf-8"))["sha256"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        told = json.loads((folder / MARKER).read_text(encoding="utf-8"))
+        listed, coming = dict(told["sha256"]), dict(told.get("coming", {}))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
+    return listed | {name: new for name, new in coming.items() if name not in listed or _hash(folder / name) != listed[name]}
 
 
 def _names(folder: Path) -> list[str]:

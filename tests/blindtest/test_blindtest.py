@@ -2,6 +2,9 @@
 
 import ast
 import json
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,13 +18,14 @@ from ocp.blindtest.oracle.oracle import detectabilities
 from ocp.blindtest.oracle.signatures import tracker_families
 from ocp.blindtest.oracle.tracker import TrackerView, point_covariance, scene_of, tracker_nuisance, tracker_view, tracker_whitener
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
-from ocp.blindtest.running import answer_all, make_all, resume, score_all
+from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
 from ocp.blindtest.scoring import score_path
 from ocp.blindtest.worlds import recipes
 from ocp.blindtest.worlds.machines import draw_tracker_machine
 from ocp.blindtest.worlds.outside_lists import ON_ARM
 from ocp.blindtest.worlds.recipes import KINDS, Recipe, scaled, within_range
 from ocp.blindtest.worlds.sealing import SEALED, Check, label_path, read_label, read_seal, write_cell
+from ocp.shell.output import add_text_file, reserved, users_file
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.planting import Planted, draw_effect, parse_effect
@@ -257,6 +261,41 @@ def test_a_check_with_other_options_is_not_gone_on_with(check):
     check.answer("00009").parent.mkdir(exist_ok=True)
     with pytest.raises(BadInput, match="no answer yet"):
         score_all(check, recipes.recipes(3, check.kinds), 1, Phases())
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_killed_check_leaves_no_file_that_is_not_listed(tmp_path, jobs):
+    out = tmp_path / "check"
+    command = [sys.executable, "-m", "ocp.blindtest", "--worlds", "3", "--kinds", "none", "--readings", "40", "--jobs", jobs]
+    with subprocess.Popen([*command, "--out", str(out)], cwd=ROOT, stderr=subprocess.PIPE) as run:
+        until = time.monotonic() + 120
+        while not list(out.glob("sealed/*.json")) and run.poll() is None and time.monotonic() < until:
+            time.sleep(0.002)
+        run.kill()
+        run.wait()
+        assert run.stderr is not None and run.stderr.read() == b""  # closed: the last of its processes is gone
+    assert list(out.glob("worlds/*/tracker.csv")) and users_file(out) is None
+    with reserved(out, overwrite=True, grows=True):
+        assert [p.name for p in tmp_path.iterdir()] == ["check"]
+    mine = out / "worlds" / "00001" / "notes.txt"
+    mine.write_text("mine")
+    with (
+        pytest.raises(BadInput, match=r"worlds/00001/notes\.txt, which this software did not write"),
+        reserved(out, True, grows=True),
+    ):
+        pass
+
+
+def test_answers_that_were_changed_by_hand_are_not_forgotten(tmp_path):
+    made = Check(tmp_path, 1, 1, ("none",))
+    add_text_file(tmp_path, "answers/00001.json", "{}")
+    add_text_file(tmp_path, "scores/00001.json", "{}")
+    made.answer("00002").write_text("mine")
+    with pytest.raises(BadInput, match=r"answers/00002\.json: stands where this run writes"):
+        forget_answers(made)
+    made.answer("00002").unlink()
+    forget_answers(made)
+    assert not made.answer("00001").exists() and not score_path(made, "00001").exists()
 
 
 def test_an_answer_that_fails_is_kept_as_wrong(tmp_path):

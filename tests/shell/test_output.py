@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from ocp.shell import output as shell_output
-from ocp.shell.output import MARKER, reserved, whole_folder, write_marker
+from ocp.shell.output import MARKER, add_text_file, as_written, files_added, remove_written, reserved, whole_folder, write_marker
 from robots.errors import BadInput, Infeasible
 
 
@@ -137,8 +137,8 @@ def kill_at(step):
 
         return step_of
 
-    if step == "replace":
-        os.replace = killing(os.replace)
+    if step.endswith("replace"):
+        os.replace = killing(os.replace, after=step.startswith("after"))
     elif step.startswith("rename"):
         shell_output._exchanged = lambda one, other: False
         os.rename = killing(os.rename, int(step[-1]))
@@ -345,17 +345,96 @@ def test_a_link_stays_and_its_folder_is_replaced(tmp_path):
 
 def test_a_folder_that_grows_lists_what_was_written_and_nothing_else(tmp_path):
     out = tmp_path / "check"
-    with pytest.raises(KeyboardInterrupt), reserved(out, False, grows=True) as output, output.grown() as folder:
-        (folder / "a.txt").write_text("world 1")
-        raise KeyboardInterrupt
-    with reserved(out, False, grows=True) as output, output.grown() as folder:
-        (folder / "b.txt").write_text("world 2")
+    for name in ("a.txt", "b.txt"):
+        with pytest.raises(KeyboardInterrupt), reserved(out, False, grows=True) as output, output.grown() as folder:
+            add_text_file(folder, f"deep/{name}", "world")
+            raise KeyboardInterrupt
     (out / "notes.txt").write_text("mine")
     with reserved(out, False, grows=True) as output, output.grown() as folder:
-        (folder / "c.txt").write_text("world 3")
-    with pytest.raises(BadInput, match=r"notes\.txt, which this software did not write"), reserved(out, True, grows=True):
-        pass
-    (out / "notes.txt").unlink()
+        add_text_file(folder, "c.txt", "world 3")
+        (out / "meanwhile.txt").write_text("mine too")
+    for name in ("meanwhile.txt", "notes.txt"):
+        with pytest.raises(BadInput, match=rf"{name}, which this software did not write"), reserved(out, True, grows=True):
+            pass
+        (out / name).unlink()
     with reserved(out, True, grows=True) as output, output.grown() as folder:
         assert names(folder) == []
-    assert names(out) == [MARKER]
+    assert names(tmp_path) == ["check"]
+
+
+def test_what_a_growing_folder_would_replace_or_remove_is_this_software_s_and_unchanged(tmp_path):
+    out = tmp_path / "check"
+    add_text_file(out, "a.txt", "world 1")
+    add_text_file(out, "a.txt", "world 1, anew")
+    assert (out / "a.txt").read_text() == "world 1, anew" and as_written(out / "a.txt", out)
+    (out / "b.txt").write_text("mine")
+    (out / "link").symlink_to(out / "a.txt")
+    for name in ("b.txt", "link"):
+        for attempt in (
+            lambda name=name: add_text_file(out, name, "world 2"),
+            lambda name=name: remove_written(out, ["a.txt", name]),
+        ):
+            with pytest.raises(BadInput, match=rf"{name}: stands where this run writes"):
+                attempt()
+    (out / "a.txt").write_text("changed")
+    with pytest.raises(BadInput, match=r"a\.txt: stands where this run writes"):
+        remove_written(out, ["a.txt"])
+    assert (out / "a.txt").read_text() == "changed" and not as_written(out / "a.txt", out) and names(tmp_path) == ["check"]
+
+
+@pytest.mark.parametrize("step", range(8))
+def test_a_growing_run_killed_at_any_step_leaves_every_file_listed(tmp_path, monkeypatch, step):
+    """Before and after the renames of the marker and of three files, one of which replaces what an earlier run wrote."""
+    out, killed = tmp_path / "check", os.fork()
+    if killed == 0:
+        add_text_file(out, "b.txt", "of an earlier run")
+        call, count = os.replace, [0]
+
+        def replace(*arguments):
+            if 2 * count[0] == step:
+                os.kill(os.getpid(), signal.SIGKILL)
+            call(*arguments)
+            if 2 * count[0] + 1 == step:
+                os.kill(os.getpid(), signal.SIGKILL)
+            count[0] += 1
+
+        os.replace = replace
+        with files_added(out, last="a.txt") as part:
+            for name in ("a.txt", "b.txt", "c.txt"):
+                (part / name).write_text("new")
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(killed, 0)[1]) == -signal.SIGKILL
+    assert (out / "a.txt").exists() == (step == 7) and shell_output.users_file(out) is None
+    with reserved(out, False, grows=True):
+        assert names(tmp_path) == ["check"]
+    add_text_file(out, "b.txt", "by the next run")
+    assert shell_output.users_file(out) is None
+    (out / "b.txt").write_text("mine")
+    with pytest.raises(BadInput, match=r"b\.txt, which was changed since it was written"):
+        check_output(out, True)
+
+
+@pytest.mark.parametrize("step", ["replace", "after replace", "rmtree"])
+def test_a_growing_folder_that_is_begun_anew_is_there_or_gone_when_the_run_is_killed(tmp_path, step):
+    out, killed = old_folder(tmp_path), os.fork()
+    if killed == 0:
+        kill_at(step)
+        with reserved(out, True, grows=True) as output, output.grown():
+            pass
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(killed, 0)[1]) == -signal.SIGKILL
+    assert is_untouched(out) if step == "replace" else not out.exists()
+    check_output(out, True)
+    assert names(tmp_path) == (["plan"] if step == "replace" else [])
+
+
+def test_several_processes_add_to_one_folder(tmp_path):
+    out, children = tmp_path / "check", []
+    for worker in range(3):
+        children.append(os.fork())
+        if children[-1] == 0:
+            for k in range(20):
+                add_text_file(out, f"worlds/{worker}{k}.txt", f"{k}")
+            os._exit(0)
+    assert [os.waitpid(child, 0)[1] for child in children] == [0, 0, 0]
+    assert len(names(out / "worlds")) == 60 and shell_output.users_file(out) is None and names(tmp_path) == ["check"]

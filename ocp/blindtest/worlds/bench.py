@@ -3,7 +3,6 @@
 Contact, arm and sensor are the virtual cell's (`ocp.simulate.twin`); solutions of the contact are kept in the check's folder.
 """
 
-import os
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,7 @@ from ocp.blindtest.worlds.lines import GroundLine, RunRows
 from ocp.blindtest.worlds.outside import GrindingInstants, moved_by
 from ocp.blindtest.worlds.recipes import OUTSIDE, of_arm
 from ocp.model.cell import Cell
+from ocp.shell.output import as_written, files_added
 from ocp.simulate.twin.arm import Moments, arm_moments, make_arm
 from ocp.simulate.twin.contact import ContactMoments, ContactResult
 from ocp.simulate.twin.contact.grinder import make_grinder
@@ -164,7 +164,7 @@ class Bench:
 def store_of(path: Path, make: Callable[[], Tables]) -> Tables:
     """Solutions of the contact kept in a file and in this process."""
     if path not in _STORES:
-        _STORES[path] = pickle.loads(path.read_bytes()) if path.is_file() else make()
+        _STORES[path] = pickle.loads(path.read_bytes()) if as_written(path, path.parent) else make()
     return _STORES[path]
 
 
@@ -172,10 +172,9 @@ def save_store(path: Path, tables: Tables, before: int) -> None:
     """Write the store where it grew, with what another process may have written meanwhile; whole or not at all."""
     if len(tables.nodes) < before + SAVED_FROM:
         return
-    if path.is_file():
+    if as_written(path, path.parent):
         other: Tables = pickle.loads(path.read_bytes())
         tables.nodes.update(other.nodes)
         tables.solid.update(other.solid)
-    part = path.with_suffix(f".{os.getpid()}.part")
-    part.write_bytes(pickle.dumps(tables))
-    part.replace(path)
+    with files_added(path.parent) as part:
+        (part / path.name).write_bytes(pickle.dumps(tables))

@@ -3,7 +3,6 @@ what was planted), and its labels, sealed with their hashes before any answer is
 """
 
 import json
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -146,14 +145,6 @@ def label_path(check: Check, recipe: Recipe) -> Path:
     return check.folder / SEALED / f"{recipe.name}.json"
 
 
-def write_whole(path: Path, text: str) -> None:
-    """A file that is there whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(f".{os.getpid()}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
-
-
 def write_label(path: Path, label: Label) -> None:
     """What was planted, as `read_label` opens it."""
     content = {
@@ -163,7 +154,8 @@ def write_label(path: Path, label: Label) -> None:
         "detectability": list(label.lam),
         "withheld": list(label.withheld),
     }
-    write_whole(path, json.dumps(content, indent=1) + "\n")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def read_label(check: Check, recipe: Recipe, seal: dict[str, str]) -> Label:
