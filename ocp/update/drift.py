@@ -119,7 +119,7 @@ def changed_state(state: Calibration, cell: Cell, parts: tuple[str, ...]) -> Cal
 @dataclass(frozen=True)
 class Verdict:
     """Whether a log can have come from the prior: chi-square of the directions that it sees, their number, the chance of more;
-    the parameters that would have carried_on, each by how many of its standard deviations, farthest first."""
+    the parameters that would have moved, each by how many of its standard deviations, farthest first."""
 
     statistic: float
     directions: int
@@ -132,7 +132,7 @@ class Verdict:
         return self.chance >= SURPRISE
 
     def sentence(self) -> str:
-        """What carried_on, in words."""
+        """What moved, in words."""
         name, size = self.moves[0]
         return f"{name} would have moved by {abs(size):.1f} of its standard deviations ({name} {DOES.get(name, 'is the arm')})"
 

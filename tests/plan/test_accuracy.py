@@ -96,7 +96,9 @@ def test_columns_and_figures_of_a_plan():
     columns = {name: values for name, values, _ in accuracy_columns([accuracy], motion, line)}  # type: ignore[arg-type]
     assert list(columns) == ["d_normal_mm", "d_feed_mm", "d_lateral_mm"]
     assert np.isnan(columns["d_normal_mm"][0])
-    assert columns["d_normal_mm"][[1, 3]] == pytest.approx(1e3 * accuracy.shift[[0, -1], 2])
+    for name, axis in (("normal", 2), ("feed", 0), ("lateral", 1)):  # D's axes are x along the feed, y lateral, z normal
+        assert columns[f"d_{name}_mm"][[1, 3]] == pytest.approx(1e3 * accuracy.shift[[0, -1], axis])
+    assert len({round(float(columns[name][1]), 4) for name in columns}) == 3
     rows = accuracy_rows([accuracy], [one])  # type: ignore[list-item]
     rms = 1e3 * np.sqrt(np.mean(accuracy.shift**2, axis=0))
     told = zip(rms[[2, 0, 1]], ("normal", "feed", "lateral"), strict=True)
