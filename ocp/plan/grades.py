@@ -78,10 +78,10 @@ def grade_force(cell: Cell, asked: float, sd: float, off: float) -> Grade:
     if off > FORCE_SHARE * asked:
         doubts.append("the two routes differ, look at the force section for where")
     preload = 0.0 if cell.flange is None else stop_preload(cell.flange)
-    if cell.flange is not None and preload > STOP_PRELOAD and cell.flange.setpoint_output is None:
+    if preload > STOP_PRELOAD:
         doubts.append(
             f"the flange bears on its stop until {preload:.1f} N, so wheel and blade meet as hard as without it and up to that "
-            "force is not held at touch; name its setpoint_output or soften its setpoint"
+            "force is not held at touch; soften its setpoint, which the program does not change"
         )
     if UNCERTAIN_FORCE * sd > asked:
         return Grade(RED, f"{found}: calibrate the cell before the blade touches the wheel; {'; '.join(doubts)}")

@@ -24,7 +24,7 @@ from ocp.data import CELL
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.plan import rules
 from ocp.plan.clearance import Clearance, CollisionScene
-from ocp.plan.grades import grade_force
+from ocp.plan.grades import grade_force, stop_preload
 from ocp.plan.motion import is_free
 from ocp.plan.passes import posture
 from ocp.plan.passes.optimise import TouchesElsewhere, refuse_unsound
@@ -41,6 +41,7 @@ from ocp.plan.removal.wanted import Wanted
 from ocp.plan.second_route import VerifiedPass
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
+from robots.gravity import GRAVITY
 from robots.kinematics import link_frames
 from tests.support import invented_motion
 from tests.support.block_blade import BLOCK, blade_before_wheel, joints_of
@@ -438,5 +439,9 @@ def test_a_flange_that_bears_on_its_stop_is_amber(cell):
     for more, grade in ((-1e-6, "green"), (1e-6, "amber")):
         flange = replace(cell.flange, setpoint=free + rules.STOP_PRELOAD + more)
         assert grade_force(replace(cell, flange=flange), 20.0, 0.1, 0.02).grade == grade
+    # Weight that is not compensated presses it against the stop: 5 kg are 49 N.
+    heavy = replace(cell.flange, setpoint=1.0, carried_mass=5.0, gravity_compensated=False)
+    assert stop_preload(heavy) == pytest.approx(1.0 + 5.0 * GRAVITY - free)
+    # An output that the program does not drive changes nothing.
     output = replace(flange, setpoint_output="ANOUT[1]")
-    assert grade_force(replace(cell, flange=output), 20.0, 0.1, 0.02).grade == "green"
+    assert grade_force(replace(cell, flange=output), 20.0, 0.1, 0.02).grade == "amber"
