@@ -1,17 +1,19 @@
 """What passes take off a surface: conservation, linearity, sums over lines, shares; on plane and bar with closed forms."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from ocp.plan.removal.footprint import CELL
-from ocp.plan.removal.result import SideRemoval, figures_of
+from ocp.plan.removal.result import SideRemoval, figures_of, rows_of_end, sliding_speed
 from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, flank_cells, row_times, shares_of_time, work_done
+from robots.kinematics import forward
 from tests.plan.test_footprint import A, B, ellipsoid
 from tests.support import blade_samples
-from tests.support.example_pass import bar_pass
+from tests.support.example_pass import bar_pass, bundled_cell
 from trajectories.blade import Blade, find_shape
 from trajectories.passes import PassOptions, passes
 
@@ -145,3 +147,36 @@ def test_what_is_asked_beside_a_path_made_elsewhere():
     strip = flanks[0].area[flanks[0].asked].sum()
     assert strip == pytest.approx(2 * 3e-3 * path.s[-1] + np.pi * 3e-3**2, rel=0.1)
     assert flank_cells(shape, {}, [replace(path, n=-path.n)], 1e-3) == []
+
+
+@pytest.mark.parametrize("kind", ["engage", "retreat"])
+def test_the_wheel_grinds_while_the_blade_comes_and_goes(kind):
+    """At 20 mm/s along the normal 20 N on 5 N/mm last 0.2 s; one point bears the time integral of the force, 2 N s."""
+    cell, path, n = bundled_cell(), bar_pass(), 40
+    solved = SimpleNamespace(
+        problem=SimpleNamespace(path=path),
+        solution=SimpleNamespace(force=path.force),
+        evaluation=SimpleNamespace(stiffness=np.full(n, 5e3)),
+    )
+    trajectory = SimpleNamespace(duration=1.0, stations=np.array([0.0, 0.02]), s=lambda t: 0.02 * t)
+    segment = SimpleNamespace(kind=kind, place=0, trajectory=trajectory)
+    rows, seconds = rows_of_end(cell, SimpleNamespace(passes=[solved]), segment)
+    assert seconds == pytest.approx(0.2, abs=0.003)
+    assert rows.force @ rows.slide == pytest.approx(2.0 * cell.wheel.belt_speed, rel=0.02)
+    assert (rows.p == path.p[0 if kind == "engage" else -1]).all() and len(rows.s) == len(rows.force)
+    assert (np.diff(rows.force) > 0).all() if kind == "engage" else (np.diff(rows.force) < 0).all()
+
+
+def test_the_belt_slides_against_the_moving_blade():
+    """Axis 1 alone turns: the blade's point moves with -qd z x p (KUKA counts axis 1 against z)."""
+    cell = bundled_cell()
+    q, qd = np.radians([3.0, -80.0, 95.0, 10.0, 50.0, 20.0]), np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    p = np.array([0.01, 0.02, 0.05])
+    line = SimpleNamespace(q=q[None], qd=qd[None], p=p[None])
+    at = (forward(cell.robot, q[None])[0] @ cell.workpiece.T_flange_blade @ np.append(p, 1.0))[:3]
+    _, radial, rho = cell.wheel.cylindrical(at[None])
+    belt = cell.wheel.belt_speed * np.cross(cell.wheel.axis, radial[0] / rho[0])
+    blade = -0.5 * np.cross([0.0, 0.0, 1.0], at)
+    found = sliding_speed(cell, line, np.array([True]))[0]
+    assert found == pytest.approx(np.linalg.norm(belt - blade), rel=1e-6)
+    assert abs(found - np.linalg.norm(belt + blade)) > 0.05

@@ -1,7 +1,7 @@
 """What a timed motion takes off the blade: the map over its surface, all lines summed, and the shares by which it is judged."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud, contact_stations
 from ocp.model.cell import Cell
-from ocp.plan.motion import PlannedMotion
+from ocp.plan.motion import MotionSegment, PlannedMotion
 from ocp.plan.programming import Column, Timeline, build_timeline
 from ocp.plan.removal.footprint import STATION_SPACING, LinePatches, contacts_along
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, row_times, shares_of_time, work_done
@@ -18,7 +18,7 @@ from robots.kinematics import forward
 from robots.pose import Array, apply
 
 SAME_SPEED = 1e-6  # s; half the step of the differences that give the blade's speed
-TRAVEL_ROW = 0.02  # s between rows of travel that are looked at
+END_ROW = 2e-3  # s between rows of engaging and retreating
 COARSER = 2.0  # times as far apart as the optimiser's contacts: the patch varies less than the indentation
 LEAST_WANTED = 0.01  # of the programmed depth; a map that asks for less asks for nothing
 HALF = 0.5  # of the wanted depth, from which on a cell counts as ground
@@ -36,7 +36,7 @@ class SideRemoval:
 @dataclass(frozen=True)
 class Figures:
     """`process` of plan.json (FORMATS.md): shares of the asked area (of the core's), least and most depth over what is wanted on
-    the asked area, None without such an area; seconds of contact while travelling."""
+    the asked area, None without such an area; seconds of contact outside of the passes, where plan.csv has no force."""
 
     ground_share: float | None
     core_within_5: float | None
@@ -114,21 +114,42 @@ def line_patches_of(cell: Cell, cover: Cover, cloud: SurfaceCloud, motion: Plann
 
 
 def contact_rows(cell: Cell, motion: PlannedMotion) -> tuple[ContactRows, float]:
-    """The rows of the motion in which wheel and blade touch, and how many seconds of them lie in travel."""
-    times = []
-    for segment in motion.segments:
-        if segment.kind == "travel":
-            times.append(np.linspace(0.0, segment.trajectory.duration, 2 + int(segment.trajectory.duration / TRAVEL_ROW)))
-        else:
-            times.append(row_times(segment.trajectory.duration, float(motion.passes[segment.place].problem.path.feed.max())))
-    line = build_timeline(motion, times)
-    seconds = np.concatenate([shares_of_time(t) for t in times])
-    travel = np.array([segment.kind == "travel" for segment in motion.segments])[line.segment]
-    place = np.array([segment.place for segment in motion.segments])[line.segment]
-    bears = np.asarray((line.contact > 0) & (np.nan_to_num(line.force) > 0.0))
+    """The rows of the motion in which wheel and blade touch, and how many seconds of them lie outside of the passes."""
+    passes = [segment for segment in motion.segments if segment.kind == "contact"]
+    times = [row_times(one.trajectory.duration, float(motion.passes[one.place].problem.path.feed.max())) for one in passes]
+    line = build_timeline(replace(motion, segments=passes), times)
+    place = np.array([one.place for one in passes])[line.segment]
+    bears = np.nan_to_num(line.force) > 0.0
     values = {name: getattr(line, name)[bears] for name in ("p", "n", "t", "s", "force")}
-    slide = seconds[bears] * sliding_speed(cell, line, bears)
-    return ContactRows(place=place[bears], slide=slide, **values), float(seconds[bears & travel].sum())
+    slide = np.concatenate([shares_of_time(t) for t in times])[bears] * sliding_speed(cell, line, bears)
+    grinding = ContactRows(place=place[bears], slide=slide, **values)
+    ends = [rows_of_end(cell, motion, one) for one in motion.segments if one.kind in ("engage", "retreat")]
+    parts = [grinding, *(rows for rows, _ in ends)]
+    joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(ContactRows)}
+    return ContactRows(**joined), float(sum(seconds for _, seconds in ends))
+
+
+def rows_of_end(cell: Cell, motion: PlannedMotion, segment: MotionSegment) -> tuple[ContactRows, float]:
+    """The rows of an engaging or a retreating in which wheel and blade still touch, and their seconds.
+
+    The blade moves along the normal of the pass's end alone: d off its place there the force is F - K d, K the stiffness of the
+    contact chain (docs/process.md, eq. 8), and the belt slides over one point.
+    """
+    one, engaging = motion.passes[segment.place], segment.kind == "engage"
+    path, k, trajectory = one.problem.path, 0 if engaging else -1, segment.trajectory
+    t = np.linspace(0.0, trajectory.duration, 2 + int(trajectory.duration / END_ROW))
+    off = trajectory.stations[-1] - trajectory.s(t) if engaging else trajectory.s(t)
+    force = np.maximum(one.solution.force[k] - one.evaluation.stiffness[k] * off, 0.0)
+    seconds, bears = shares_of_time(t), force > 0
+    count = int(bears.sum())
+    rows = ContactRows(
+        place=np.full(count, segment.place),
+        **{name: np.tile(getattr(path, name)[k], (count, 1)) for name in ("p", "n", "t")},
+        s=np.full(count, path.s[k]),
+        force=force[bears],
+        slide=seconds[bears] * abs(cell.wheel.belt_speed),
+    )
+    return rows, float(seconds[bears].sum())
 
 
 def sliding_speed(cell: Cell, line: Timeline, rows: Mask) -> Array:
