@@ -191,8 +191,8 @@ def plan_pages(report: PlanReport) -> Report:
     head = Headline(report.safe, words, report.verdict, doubtful=words != "Safe to use.")
     sections = (
         Section("Summary", (Facts(tuple(report.summary)),)),
-        *([left_out_section(report)] if report.left_out else []),
         scene_section(report),
+        *([left_out_section(report)] if report.left_out else []),
         force_section(report),
         axes_section(report),
         removal_section(report),

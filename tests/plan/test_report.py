@@ -22,6 +22,7 @@ from ocp.plan.passes.stretches import LeftOut
 from ocp.plan.report.plan_report import LeftOutReport, PlanReport
 from ocp.plan.report.quantities import QUANTITIES
 from ocp.plan.report.surface import paint_blade, pass_spacing
+from ocp.report.parts import Table
 from tests.support.report_example import example_report
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -257,6 +258,31 @@ def test_what_is_left_out_is_named_and_coloured(report):
     assert painted.left.any() and cKDTree(piece["p"]).query(middles[painted.left])[0].max() < pass_spacing(told.passes)
     grey = paint_blade(told.vertices, told.faces, told.passes, told.pass_spacing)
     assert not grey.left.any() and painted.waypoint.max() < sum(len(one.s) for one in told.passes)
+
+
+def test_what_many_lines_have_in_common_is_one_row_after_the_scene(report):
+    """Both ends of lines 3 to 5 (4 is driven from its far end), line 6 for another reason, line 7 again, 8 on the other side."""
+    lost = [LeftOut(k, "convex", 0.0, 0.004 + 0.001 * k, "no room", "a smaller wheel", 0.1 * (k == 4)) for k in (3, 4, 5, 7)]
+    lost += [LeftOut(k, "convex", 0.09, 0.1, "no room", "a smaller wheel", 0.1 * (k == 4)) for k in (3, 4, 5)]
+    lost += [
+        LeftOut(6, "convex", 0.0, 0.1, "too hollow", "a narrower wheel"),
+        LeftOut(8, "concave", 0.0, 0.01, "no room", "a smaller wheel"),
+    ]
+    at = {"p": np.zeros((0, 3)), "n": np.zeros((0, 3)), "s": np.zeros(0)}
+    told = plan_pages(replace(report, left_out=tuple(LeftOutReport(one.side, **at, lost=one) for one in lost)))
+    titles = [section.title for section in told.sections]
+    assert titles.index("Left out") > titles.index("Blade and cell")
+    rows = next(
+        part for section in told.sections if section.title == "Left out" for part in section.parts if isinstance(part, Table)
+    ).rows
+    assert [row[:6] for row in rows] == [
+        ("3 to 5", "convex", "0.0 .. 92.0", "7.0 .. 100.0", "24.0", "no room"),
+        ("3 to 5", "convex", "0.0 .. 90.0", "10.0 .. 100.0", "30.0", "no room"),
+        ("6", "convex", "0.0", "100.0", "100.0", "too hollow"),
+        ("7", "convex", "0.0", "11.0", "11.0", "no room"),
+        ("8", "concave", "0.0", "10.0", "10.0", "no room"),
+    ]
+    assert sum(float(row[4]) for row in rows) == pytest.approx(1e3 * sum(one.length for one in lost))
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 
 from ocp.plan.grades import SHARED
+from ocp.plan.passes.stretches import LeftOut
 from ocp.plan.report.plan_report import PassReport, PlanReport
 from ocp.report.parts import Facts, Plot, Table, table
 from ocp.report.plotting import Canvas, dressed, envelope, panels
@@ -55,12 +56,31 @@ def force_section(report: PlanReport) -> Section:
 def left_out_section(report: PlanReport) -> Section:
     """What of the lines is not ground: where, why, and what would do."""
     rows = []
-    for one in (piece.lost for piece in report.left_out):
-        ends = tuple(f"{end:.1f}" for end in one.ends_mm)
-        rows.append((str(one.line), one.side, *ends, one.reason, one.would_do))
-    names = ("line", "side", "from, mm", "to, mm", "why", "what would do")
-    words = "Distances run along the line as it is driven. The scene shows these stretches in red, the maps hatched."
-    return Section("Left out", (words, table(names, rows, text=(1, 4, 5))))
+    for group in _alike([piece.lost for piece in report.left_out]):
+        one, last = group[0], group[-1].line
+        ends = [_span(np.array(of), 1) for of in zip(*(lost.ends_mm for lost in group), strict=True)]
+        length = f"{1e3 * sum(lost.length for lost in group):.1f}"
+        line = str(one.line) if last == one.line else f"{one.line} to {last}"
+        rows.append((line, one.side, *ends, length, one.reason, one.would_do))
+    names = ("line", "side", "from, mm", "to, mm", "in all, mm", "why", "what would do")
+    words = (
+        "Distances run along the line as it is driven; several lines in one row have a piece each, from the least to the largest "
+        "distance, and in all. The scene shows these stretches in red, the maps hatched."
+    )
+    return Section("Left out", (words, table(names, rows, text=(0, 1, 5, 6))))
+
+
+def _alike(lost: Sequence[LeftOut]) -> list[list[LeftOut]]:
+    """Pieces of lines that follow one another, of one side, with the same reason and remedy: a piece a line in each group."""
+    groups: list[list[LeftOut]] = []
+    for one in sorted(lost, key=lambda piece: piece.line):
+        key = (one.line - 1, one.side, one.reason, one.would_do)
+        found = [group for group in groups if (group[-1].line, group[-1].side, group[-1].reason, group[-1].would_do) == key]
+        if found:
+            found[0].append(one)
+        else:
+            groups.append([one])
+    return groups
 
 
 def verification_section(report: PlanReport) -> Section:
