@@ -219,19 +219,33 @@ def test_report_of_sixteen_passes_stays_small(tmp_path):
     assert (tmp_path / "report.html").stat().st_size < 3_000_000
 
 
-def test_page_comes_alive_in_a_browser(tmp_path, report):
+def in_browser(folder: Path, report: PlanReport, view: str) -> "subprocess.CompletedProcess[bytes]":
+    """The page's elements after its script has run, on stdout."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:
         pytest.skip("no chromium: the page's script is not run here")
-    plan_pages(report).write_page(tmp_path / "report.html")
+    plan_pages(report).write_page(folder / "report.html")
     flags = "--headless --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --no-first-run"
     flags += " --disable-background-networking --disable-component-update --disable-sync"
-    address = f"file://{tmp_path}/report.html#view=cell&time=2.0&quantity=force_sd&waypoint=45"
-    shown = subprocess.run(
-        [browser, *flags.split(), f"--user-data-dir={tmp_path}/profile", "--virtual-time-budget=3000", "--dump-dom", address],
+    address = f"file://{folder}/report.html#{view}"
+    return subprocess.run(
+        [browser, *flags.split(), f"--user-data-dir={folder}/profile", "--virtual-time-budget=3000", "--dump-dom", address],
         capture_output=True,
         timeout=120,
     )
+
+
+def test_numbers_of_lines_do_not_cover_each_other(tmp_path):
+    shown = in_browser(tmp_path, example_report(lines=40, count=20, frames=50), "view=blade").stdout.decode()
+    labels = re.search(r'<div id="labels"[^>]*>(.*?)</div>', shown, re.S).group(1)
+    at = re.findall(r'<span style="left: ([\d.]+)px; top: ([\d.]+)px;">\d+</span>', labels)
+    across, down = (np.abs(np.subtract.outer(x, x)) for x in np.array(at, float).T)
+    far = (across > 8) | (down > 14)  # a label is about 15 px wide and high
+    assert 5 < len(at) < 40 and far[np.triu_indices(len(at), 1)].all()
+
+
+def test_page_comes_alive_in_a_browser(tmp_path, report):
+    shown = in_browser(tmp_path, report, "view=cell&time=2.0&quantity=force_sd&waypoint=45")
     told = " ".join(Page(shown.stdout.decode()).words)
     at = int(np.argmin(np.abs(report.motion.time - 2.0)))
     assert "2.00 s" in told, shown.stderr.decode()[-2000:]

@@ -85,9 +85,9 @@ function showHover(views) {
   box.style.top = clamp(at.y - box.offsetHeight / 2, 4, Math.max(canvas.clientHeight - box.offsetHeight - 4, 4)) + "px";
 }
 
-// Numbers of the lines at their starts, and which side is seen.
+// Numbers of the lines at their starts, and which side is seen. A number that would cover what is drawn before it is not shown.
 function showLabels(views) {
-  const made = [];
+  const made = [], captions = [];
   for (const view of state.view === "blade" ? views : []) {
     const towards = {};
     for (let j = 0; j + 1 < passes.first.length; j++) {
@@ -101,9 +101,15 @@ function showLabels(views) {
     const side = Object.keys(towards).reduce((a, b) => (towards[b] > towards[a] ? b : a));
     const caption = make("span", towards[side] > 0 ? side : "", "caption");
     [caption.style.left, caption.style.top] = [100 * (view.left + view.width / 2) + "%", "8px"];
-    made.push(caption);
+    captions.push(caption);
   }
-  element("labels").replaceChildren(...made);
+  element("labels").replaceChildren(...captions, ...made);
+  const shown = captions.map((one) => one.getBoundingClientRect());
+  const boxes = made.map((one) => one.getBoundingClientRect());
+  boxes.forEach((box, k) => {
+    const covers = shown.some((a) => a.left < box.right && box.left < a.right && a.top < box.bottom && box.top < a.bottom);
+    if (covers) made[k].remove(); else shown.push(box);
+  });
 }
 
 let waiting = false;
