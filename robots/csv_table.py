@@ -3,7 +3,7 @@
 import csv
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,12 @@ class CsvTable:
     def stack(self, columns: Sequence[str]) -> Array:
         """The named columns side by side, (n, len(columns))."""
         return np.stack([self.numbers[c] for c in columns], axis=1)
+
+    def take(self, rows: NDArray[np.int64]) -> "CsvTable":
+        """The table of some rows only."""
+        numbers = {c: v[rows] for c, v in self.numbers.items()}
+        words = {c: [v[i] for i in rows] for c, v in self.words.items()}
+        return replace(self, numbers=numbers, words=words, line=[self.line[i] for i in rows])
 
     def column(
         self, name: str, factor: float = 1.0, bad: Callable[[Array], NDArray[np.bool_]] | None = None, must: str = ""

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
-from robots.errors import BadInput
+from robots.errors import BadInput, shown
 from robots.pose import Array, rotations_in_order
 
 Index = NDArray[np.int64]
@@ -23,7 +23,14 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 ROTATION = "zyx_intrinsic"  # order in which they turn: R = Rz(rz) Ry(ry) Rx(rx)
 UNIT = 1e-2  # how far a quaternion's length may be from one
 SEVENTH = "q7_deg"
-COPIES = 0.2  # of the rows that repeat another in every number before the file is refused
+COPIES = (
+    0.2  # of the rows are copies: above, the file was put together wrongly, and which rows were measured is its owner's to say
+)
+# Digits that are coarser than this share of the instrument's noise let two readings of one pose agree by chance: noise s and last
+# digit r agree in one coordinate with probability r / (2 sqrt(pi) s), here in all three once in a thousand times.
+CHANCE = 0.35
+DECIMALS = 6  # of a millimetre that are looked for
+LISTED = 5  # copies that a notice lists
 APPROACH = tuple(f"approach{i}" for i in range(1, 7))
 WORDS = ("target", "payload", "session", "station")
 OPTIONAL = (
@@ -172,7 +179,7 @@ def read_readings(
         )
     notices = _notices(table, payloads)
     if not sealed:
-        table = _without_gaps(table, notices)
+        table = _without_copies(_without_gaps(table, notices), notices, 1e3 * instrument.range_noise)
     if not sealed and not (np.abs(table.stack(POINT)).max(axis=1) > 0).all():
         row = int(np.argmin(np.abs(table.stack(POINT)).max(axis=1) > 0))
         raise BadInput(f"{table.path}, line {table.line[row]}: the reading is 0, 0, 0, the tracker itself; remove the row")
@@ -186,8 +193,6 @@ def read_readings(
     station, stations = _words(table, "station")
     session, sessions = _words(table, "session")
     turn = _turns(table, mapping.rotation or instrument.rotation)
-    if not sealed:
-        _refuse_copies(table)
     turn_sd = table.column("sigma_rot_deg", np.pi / 180.0, lambda v: v <= 0, "above 0")
     return Readings(
         path=table.path,
@@ -243,9 +248,7 @@ def _without_gaps(table: CsvTable, notices: list[str]) -> CsvTable:
     if not len(keep):
         raise BadInput(f"{table.path}: no row has a point; fill in x_mm, y_mm, z_mm")
     notices.append(f"{table.path.name}: {gaps.sum()} rows without a point are passed over")
-    numbers = {c: v[keep] for c, v in table.numbers.items()}
-    words = {c: [v[i] for i in keep] for c, v in table.words.items()}
-    return replace(table, numbers=numbers, words=words, line=[table.line[i] for i in keep])
+    return table.take(keep)
 
 
 def _turns(table: CsvTable, order: str) -> Array | None:
@@ -272,20 +275,56 @@ def _turns(table: CsvTable, order: str) -> Array | None:
     return turns
 
 
-def _refuse_copies(table: CsvTable) -> None:
-    """Raises BadInput where many rows repeat another in every number: an instrument never does, and copies would count as repeats
-    without any scatter."""
-    rows = np.column_stack([table.numbers[c] for c in sorted(table.numbers)])
-    words = [table.labels(c)[0] for c in sorted(table.words)]
-    _, first, kind = np.unique(np.column_stack([np.nan_to_num(rows), *words]), axis=0, return_index=True, return_inverse=True)
+def _without_copies(table: CsvTable, notices: list[str], noise: float) -> CsvTable:
+    """The table with each reading once, which `notices` tell; noise: the instrument's, mm.
+
+    A copy has the axes, the point and the turn of another row to the last digit. A pose measured anew gives other digits, unless
+    the file rounds them away: then a copy is equal in all columns, and without times nobody can tell it from a pose measured
+    anew. Raises BadInput where copies differ in what hung where, and where they are many.
+    """
+    last = _last_digit(table.stack(POINT))
+    rounded = last > CHANCE * noise
+    told_apart = sorted(table.numbers) if rounded else [*AXES, *POINT, *(c for c in (*TURN, *QUATERNION) if c in table.numbers)]
+    words = [table.labels(c)[0] for c in sorted(table.words) if rounded]
+    rows = np.column_stack([np.nan_to_num(table.stack(told_apart)), *words])
+    _, first, kind = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     first = first[kind.ravel()]
     copies = np.flatnonzero(first != np.arange(len(table)))
+    if not len(copies):
+        return table
+    if not rounded:
+        _refuse_contradictions(table, first, copies)
+    pairs = [f"line {table.line[k]} repeats line {table.line[first[k]]}" for k in copies]
+    told = f"{pairs[0]} in axes and point to the last digit, as {len(copies)} of {len(table)} rows repeat another"
+    unsure = rounded and "time_s" not in table.numbers
+    anew = f" (the points have steps of {last:g} mm: if poses were measured anew, add the column time_s)" if unsure else ""
     if len(copies) > max(COPIES * len(table), 2):
-        row = int(copies[0])
-        raise BadInput(
-            f"{table.path}, line {table.line[row]}: repeats line {table.line[first[row]]} in every number, as {len(copies)} of "
-            f"{len(table)} rows repeat another; remove the copies"
-        )
+        raise BadInput(f"{table.path}, {told}; remove the copies{anew}")
+    more = f" ({', '.join(pairs[1:LISTED])}{', ..' if len(pairs) > LISTED else ''})" if len(pairs) > 1 else ""
+    notices.append(f"{table.path.name}, {told}{more}: no reading comes out so twice, each is used once, the first{anew}")
+    return table.take(np.flatnonzero(first == np.arange(len(table))))
+
+
+def _refuse_contradictions(table: CsvTable, first: Index, copies: Index) -> None:
+    """Raises BadInput where a copy tells another load, nest, payload, session or station than the row it repeats."""
+    for column in (*WORDS, *LOAD, "load_link", *PLACE):
+        values = np.array(table.words.get(column, table.numbers.get(column, np.zeros(len(table)))))
+        for k in copies[values[copies] != values[first[copies]]][:1]:
+            raise table.refuse(
+                int(k),
+                column,
+                f"but line {table.line[first[k]]}, with the same axes and the same point to the last digit, has "
+                f"{shown(str(values[first[k]]))}; remove the row that was not measured",
+            )
+
+
+def _last_digit(points: Array) -> float:
+    """The step mm in which all coordinates are given: a power of ten, at least 10^-DECIMALS."""
+    for decimals in range(DECIMALS):
+        scaled = points * 10.0**decimals
+        if (np.abs(scaled - np.round(scaled)) < 1e-9 * np.maximum(np.abs(scaled), 1.0)).all():
+            return float(10.0**-decimals)
+    return float(10.0**-DECIMALS)
 
 
 def _all(table: CsvTable, columns: tuple[str, ...]) -> bool:

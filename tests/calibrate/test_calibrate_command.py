@@ -130,7 +130,7 @@ def test_campaigns_that_cannot_tell_anything_are_refused(tmp_path):
     folder = folder_with_campaign(tmp_path)
     header, *rows = (folder / "tracker.csv").read_text().splitlines()
     (folder / "same.csv").write_text("\n".join([header, *[rows[0]] * 20]))
-    assert "line 3: repeats line 2 in every number" in refused(folder, "same.csv", "--cell", "cell.toml")
+    assert "line 3 repeats line 2 in axes and point to the last digit" in refused(folder, "same.csv", "--cell", "cell.toml")
     first, swept = rows[0].split(","), [header]
     for k, row in enumerate(rows):
         cells = row.split(",")

@@ -1,5 +1,6 @@
 """tracker.csv: columns in any order, absent ones told, malformed ones refused with line, column and value."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -135,10 +136,65 @@ def test_the_cell_states_the_order_of_turns(tmp_path):
     assert turn == pytest.approx(Rotation.from_euler("XYZ", [10, 20, 30], degrees=True).as_matrix())
 
 
-def test_a_seventh_axis_and_rows_that_stand_twice_are_refused(tmp_path):
+def test_a_seventh_axis_is_refused(tmp_path):
     with pytest.raises(BadInput, match="q7_deg: an arm of seven axes"):
         read(tmp_path, HEADER + ",q7_deg", ROW + ",0")
-    rows = [ROW.replace("1500", str(1400 + k)) for k in range(8)]
-    with pytest.raises(BadInput, match="line 10: repeats line 2 in every number, as 8 of 16 rows"):
-        read(tmp_path, HEADER, *rows, *rows)
-    assert len(read(tmp_path, HEADER, *rows, rows[0])) == 9
+
+
+FINE = [ROW.replace("1500", f"{1400 + k}.{k}23") for k in range(8)]
+
+
+@pytest.mark.parametrize(
+    ("added", "rest", "told"),
+    [
+        ("", ("",) * 3, r"line 10 repeats line 2 .*, as 3 of 18 rows .*\(line 11 repeats line 3, line 12 repeats line 4\)"),
+        (
+            ",time_s",
+            (",100", ",200", ",300"),
+            "as 3 of 18 rows",
+        ),  # pasted with other times: no tracker reads the same digits again
+        (SIGNS, (",0,0,0,0,0,0",) * 3, "as 3 of 18 rows"),  # as a mapping of steps has it where a row stands twice
+    ],
+)
+def test_a_few_copies_are_used_once_and_told(tmp_path, added, rest, told):
+    own = ",1,1,1,1,1,1" if added == SIGNS else ",{k}" if added else ""
+    whole = [row + own.format(k=k) for k, row in enumerate(FINE)]
+    more = [ROW.replace("1500", f"{1300 + k}.{k}51") + own.format(k=50 + k) for k in range(7)]
+    r = read(tmp_path, HEADER + added, *whole, *(row + end for row, end in zip(FINE, rest, strict=False)), *more)
+    assert len(r) == 15 and list(r.line) == [*range(2, 10), *range(13, 20)]
+    assert any(re.search(told, n) and "each is used once" in n for n in r.notices), r.notices
+
+
+def test_many_copies_are_refused_and_repeats_are_none(tmp_path):
+    with pytest.raises(
+        BadInput, match="line 10 repeats line 2 in axes and point to the last digit, as 8 of 16 rows.*remove the copies$"
+    ):
+        read(tmp_path, HEADER, *FINE, *FINE)
+    anew = [row.replace("23,", "24,") for row in FINE]  # 1 um further: measured anew
+    assert len(read(tmp_path, HEADER, *FINE, *anew)) == 16
+
+
+def test_digits_coarser_than_the_noise_make_repeats_equal_and_only_times_tell(tmp_path):
+    coarse = [ROW.replace("1500", f"{1400 + k}.{k}") for k in range(8)]
+    with pytest.raises(BadInput, match=r"8 of 16 rows.*steps of 0\.1 mm: if poses were measured anew, add the column time_s"):
+        read(tmp_path, HEADER, *coarse, *coarse)
+    timed = [f"{row},{k}" for k, row in enumerate(coarse)]
+    again = [f"{row},{100 + k}" for k, row in enumerate(coarse)]
+    r = read(tmp_path, HEADER + ",time_s", *timed, *again)
+    assert len(r) == 16 and not any("repeats" in n for n in r.notices)
+    with pytest.raises(BadInput, match="8 of 16 rows repeat another; remove the copies$"):
+        read(tmp_path, HEADER + ",time_s", *timed, *timed)
+    poor = replace(
+        INSTRUMENT, range_noise=1e-3
+    )  # which reads the same 0.1 mm in all coordinates less than once in a thousand times
+    with pytest.raises(BadInput, match="8 of 16 rows repeat another; remove the copies$"):
+        read(tmp_path, HEADER + ",time_s", *timed, *again, instrument=poor)
+
+
+@pytest.mark.parametrize(
+    ("other", "told"),
+    [(("T2", "T1"), "column target: T1 but line 2.* has T2"), (("weight", "bare"), "column payload: bare but line 2")],
+)
+def test_a_copy_that_tells_another_nest_or_load_is_refused(tmp_path, other, told):
+    with pytest.raises(BadInput, match="line 10, " + told):
+        read(tmp_path, HEADER, *FINE, FINE[0].replace(*other))
