@@ -29,6 +29,7 @@ from ocp.plan.passes.stretches import (
     without_places,
 )
 from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
+from ocp.plan.programming import program_setup
 from ocp.plan.removal.result import Removal, find_removal
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
@@ -37,7 +38,7 @@ from robots.payload import refuse_overload
 from robots.robot import refuse_left_out
 from trajectories.blade import Blade
 from trajectories.passes import BladePath, reversed_path
-from trajectories.program.program import KINDS
+from trajectories.program.program import KINDS, refuse_poses
 
 FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the force is and posture changes it
 
@@ -224,11 +225,7 @@ def _refuse_options(cell_file: Path, cell: Cell, options: PlanOptions) -> None:
     """Refuse what the command line asks for and nobody can plan, or what this cell's controller would correct twice."""
     if options.kind not in KINDS:
         raise BadInput(f"--kind '{options.kind}' is not axis, cartesian or lin")
-    if cell.controller.absolute_accuracy and options.kind != "axis":
-        raise BadInput(
-            f"{cell_file}: controller.absolute_accuracy is true and --kind is '{options.kind}': the controller would correct "
-            "the poses a second time; use --kind axis"
-        )
+    refuse_poses(program_setup(cell, cell.workpiece.payload, options.kind), f"{cell_file}: ")
     if options.path is not None and options.program is not None:
         raise BadInput("--path and --program both say where the path comes from; give one of them")
     if not LEAST_STEP <= options.step <= MOST_STEP:

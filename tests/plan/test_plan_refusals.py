@@ -110,6 +110,7 @@ def test_blades_of_the_data_folder(shared_data):
     assert "\n" not in str(refusal.value) and "self_intersecting.stl" in str(refusal.value)
 
 
+MODEL = 'model = "kr210_r2700_extra"'
 CELLS = {
     "an unknown key": ("radius_mm = 40.0", "radius_mm = 40.0\nspeed = 3", "wheel.speed"),
     "a missing key": ("width_mm = 15.0\n", "", "wheel.width_mm"),
@@ -124,6 +125,8 @@ CELLS = {
     "a blade that is not there": ('stl = "blade.stl"', 'stl = "shovel.stl"', "shovel.stl"),
     "no blade": ('stl = "blade.stl"\n', "", "no blade"),
     "two compensations": ("absolute_accuracy = false", "absolute_accuracy = true", "absolute_accuracy"),
+    "poses under a ceiling": (f"{MODEL}\n", f"{MODEL}\ngravity_direction = [0.0, 0.0, 1.0]\n", "robot.gravity_direction says"),
+    "poses on a wall": (f"{MODEL}\n", f"{MODEL}\ngravity_direction = [1.0, 0.0, 0.0]\n", "choose the axis program"),
 }
 
 
@@ -132,7 +135,7 @@ def test_a_faulty_cell_is_refused(tmp_path, monkeypatch, name):
     old, new, said = CELLS[name]
     cell = small_cell(tmp_path, {old: new})
     monkeypatch.chdir(tmp_path)
-    kind = ["--kind", "cartesian"] if "compensations" in name else []
+    kind = ["--kind", "cartesian"] if "compensations" in name or "poses" in name else []
     text = said_no(refused("--cell", str(cell), *STEP, *kind), tmp_path, tree(tmp_path))
     assert said in text
 

@@ -130,6 +130,26 @@ def test_compensated_poses_on_an_absolutely_accurate_controller_are_refused():
     program_files(replace(short("axis"), setup=setup("axis", absolute_accuracy=True)))
 
 
+@pytest.mark.parametrize("down", [(0, 0, 1), (1, 0, 0), (np.sin(0.02), 0, -np.cos(0.02))])
+def test_poses_in_a_world_that_a_hanging_base_turns_are_refused(down):
+    """BASE is read in the world; axes are not, and a base that the controller keeps was taught in its world."""
+    hung = replace(ROBOT, gravity_direction=np.array(down, float))
+    for kind in ("cartesian", "lin"):
+        with pytest.raises(BadInput, match=f"gravity_direction says that the base is not upright and the output is '{kind}'"):
+            program_files(replace(short("axis"), setup=replace(setup(kind), robot=hung)))
+    program_files(replace(short("cartesian"), setup=replace(setup("cartesian", base_on_controller=True), robot=hung)))
+    files = program_files(replace(short("axis"), setup=replace(setup("axis"), robot=hung)))
+    plain = program_files(short("axis"))
+    for name, data in files.items():
+        changed = [new for new, old in zip(data.splitlines(), plain[name].splitlines(), strict=True) if new != old]
+        assert len(changed) == name.endswith(".src") and all(b"do not jog in $BASE" in line for line in changed)
+
+
+def test_a_foundation_that_is_level_as_built_may_take_poses():
+    level = replace(ROBOT, gravity_direction=np.array([np.sin(0.01), 0.0, -np.cos(0.01)]))
+    assert program_files(replace(short("cartesian"), setup=replace(setup("cartesian"), robot=level)))
+
+
 def test_the_base_can_be_left_to_the_controller(tmp_path):
     program = example("cartesian", base_on_controller=True)
     text = program_files(program)["BLADE_1_01.src"].decode()

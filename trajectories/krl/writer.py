@@ -19,7 +19,8 @@ from trajectories.program.program import (
     SubProgram,
     TimedSpline,
     Wait,
-    refuse_double_compensation,
+    is_level,
+    refuse_poses,
 )
 
 HEADER = ("&ACCESS RVP", "&REL 1")
@@ -66,7 +67,7 @@ def refuse_unwritable(program: Program) -> None:
         raise BadInput(f"two programs share a name in {', '.join(names)}; names are compared without case")
     if setup.kind not in KINDS:
         raise BadInput(f"kind '{setup.kind}' is not one of {', '.join(KINDS)}")
-    refuse_double_compensation(setup)
+    refuse_poses(setup)
     for sub in program.subs:
         if sub.points > FILE_LIMITS.file_points:
             raise BadInput(f"{sub.name} has {sub.points} points and a file takes {FILE_LIMITS.file_points}; split the pass")
@@ -89,10 +90,12 @@ def _bytes(lines: list[str]) -> bytes:
 def _frames(setup: Setup) -> list[str]:
     """Frames and load with what they are, after BAS(#INITMOV,0), which resets them."""
     from_data = setup.base_on_controller and setup.kind != "axis"
+    told = f"in world, as in BASE_DATA[{setup.base_no}]"
+    if not is_level(setup.robot) and not from_data:
+        told = "in the robot's base, which $ROBROOT turns against the world: axes alone move here, do not jog in $BASE"
     return [
         f"; blade frame on the flange, as in TOOL_DATA[{setup.tool_no}]",
-        f"; wheel frame in world, as in BASE_DATA[{setup.base_no}]"
-        + (f": {frame_text(setup.T_base_wheel)}" if from_data else ""),
+        f"; wheel frame {told}" + (f": {frame_text(setup.T_base_wheel)}" if from_data else ""),
         *_setting(setup),
     ]
 

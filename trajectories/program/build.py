@@ -21,7 +21,7 @@ from trajectories.program.program import (
     Setup,
     SubProgram,
     TimedSpline,
-    refuse_double_compensation,
+    refuse_poses,
     split_blocks,
 )
 from trajectories.toppra_law import times_at
@@ -61,7 +61,7 @@ def build_program(
     (PHYSICS.md 4). `tolerance` of a leg and `deviation` as in `emit`; `taken` names on the controller. Raises BadInput (poses
     would be corrected twice; a leg of too many points) and Infeasible (a leg that cannot be emitted within the tolerance).
     """
-    refuse_double_compensation(setup)
+    refuse_poses(setup)
     groups, limits = [], dialect.limits
     for label, legs in zip(labels, passes, strict=True):
         try:

@@ -9,6 +9,7 @@ from robots.errors import BadInput
 from robots.pose import Array
 from robots.robot import Robot
 
+LEVEL = float(np.cos(np.radians(1.0)))  # a foundation is level to a fraction of a degree, and no controller is told of that
 KINDS = ("axis", "cartesian", "lin")  # timed axis splines, splines of poses, straight motions between poses
 
 
@@ -166,10 +167,23 @@ def split_blocks(blocks: Sequence[Block], most: int) -> list[list[Block]]:
     return groups
 
 
-def refuse_double_compensation(setup: Setup) -> None:
-    """Refuse (BadInput) programs of poses for a controller that corrects poses by itself."""
-    if setup.absolute_accuracy and setup.kind != "axis":
+def is_level(robot: Robot) -> bool:
+    """Whether the base stands upright as far as anybody would tell a controller, so that its world may be the robot's base."""
+    return bool(-robot.gravity_direction[2] > LEVEL)
+
+
+def refuse_poses(setup: Setup, where: str = "") -> None:
+    """Refuse (BadInput) programs of poses for a controller that corrects poses by itself, and for one whose world is not the
+    robot's base. `where` begins the sentence."""
+    if setup.kind == "axis":
+        return
+    if setup.absolute_accuracy:
         raise BadInput(
-            f"controller.absolute_accuracy is true and the output is '{setup.kind}': the controller would correct the "
+            f"{where}controller.absolute_accuracy is true and the output is '{setup.kind}': the controller would correct the "
             "poses a second time; choose the axis program, or a controller without absolute accuracy"
+        )
+    if not is_level(setup.robot) and not setup.base_on_controller:
+        raise BadInput(
+            f"{where}robot.gravity_direction says that the base is not upright and the output is '{setup.kind}': its base frame "
+            "would be read in the controller's world, which is turned against such a base; choose the axis program"
         )
