@@ -250,11 +250,14 @@ def left_out_notices(robot: Robot) -> list[str]:
     return [f"robot '{robot.name}' gives no {key}: {LEAVES[key]}" for key in robot.left_out]
 
 
-def refuse_left_out(robot: Robot, what: str) -> None:
-    """Raises BadInput where the robot file leaves out what a motion needs; what: who needs it."""
+def refuse_left_out(cell_file: Path, robot: Robot, what: str) -> None:
+    """Raises BadInput where the robot file that a cell names leaves out what a motion needs; what: who needs it."""
     missing = [key for key in robot.left_out if key in MOVES]
     if missing:
-        raise BadInput(f"robot '{robot.name}': {', '.join(missing)} left out of its file, and {what} needs it; add it there")
+        raise BadInput(
+            f"{cell_file}, robot.model: the file of robot '{robot.name}' leaves out {', '.join(missing)}, and {what} needs "
+            f"{'them' if len(missing) > 1 else 'it'}; add {'them' if len(missing) > 1 else 'it'} there"
+        )
 
 
 def _robot(tables: RobotTables) -> Robot:

@@ -90,7 +90,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     """
     believed = read_cell(cell_file, blade_file)
     cell, theta = registered(believed)
-    refuse_left_out(cell.robot, "a plan")
+    refuse_left_out(cell_file, cell.robot, "a plan")
     stl = cell.workpiece.stl
     if stl is None:
         raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")

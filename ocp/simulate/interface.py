@@ -111,7 +111,7 @@ def simulate_cell(wanted: AskedRun, bundled: Path, out: Path, overwrite: bool, p
     given = [Path(p) for p in (folder, wanted.blade, None if wanted.poses.isdigit() else wanted.poses) if p is not None]
     with reserved(out, overwrite, [*files_of(file), *given]) as output:
         cell = read_cell(file, wanted.blade)
-        refuse_left_out(cell.robot, "a rehearsal")
+        refuse_left_out(file, cell.robot, "the virtual cell")
         check_rate(wanted, cell)
         if other := blade_file(wanted, summary, cell.workpiece.stl):
             output.reads([other])

@@ -8,6 +8,7 @@ import pytest
 
 from robots.errors import BadInput
 from robots.robot import CATALOGUE, LEAVES, catalogue, left_out_notices, load_robot, refuse_left_out
+from tests.support.geometry_robot import write_geometry_robot
 
 EXTRA = CATALOGUE / "kr210_r2700_extra.toml"
 
@@ -106,17 +107,16 @@ def test_every_block_of_the_catalogue_names_its_source():
 
 
 def test_a_robot_file_for_geometry_alone(tmp_path):
-    text = (CATALOGUE / "ur5.toml").read_text()
-    text = re.sub(r"\n(acceleration_deg_s2|torque_Nm) = .*", "", text)
-    start, end = text.index("[stiffness]"), text.find("[[shape]]")
-    (tmp_path / "arm.toml").write_text(text[:start] + (text[end:] if end > 0 else ""))
+    write_geometry_robot(tmp_path / "arm.toml", "ur5")
     bare, whole = load_robot(tmp_path / "arm.toml"), load_robot("ur5")
     assert (bare.mdh == whole.mdh).all() and (bare.q_max == whole.q_max).all()
     assert not bare.link_mass.any() and not bare.stiffness.any() and np.isinf(bare.torque_max).all()
     assert {*bare.left_out} == {*LEAVES} - {"links.inertia_kg_m2"} and len(left_out_notices(bare)) == 4
-    with pytest.raises(BadInput, match="limits.acceleration_deg_s2, limits.torque_Nm, links left out .* a plan needs"):
-        refuse_left_out(bare, "a plan")
-    refuse_left_out(whole, "a plan")
+    with pytest.raises(
+        BadInput, match="c.toml, robot.model: .* leaves out limits.acceleration_deg_s2, limits.torque_Nm, links, and"
+    ):
+        refuse_left_out(tmp_path / "c.toml", bare, "a plan")
+    refuse_left_out(tmp_path / "c.toml", whole, "a plan")
     without = re.sub(r"\ninertia_kg_m2 = .*", "", (CATALOGUE / "ur5.toml").read_text())
     (tmp_path / "arm.toml").write_text(without)
     assert load_robot(tmp_path / "arm.toml").left_out == ("links.inertia_kg_m2",)

@@ -18,6 +18,7 @@ from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
 from ocp.shell.output import MARKER
 from ocp.simulate.__main__ import app
+from tests.support.geometry_robot import write_geometry_robot
 from tests.support.small_plan import STEP, Told, environment, planned, small_cell, tree
 
 COLUMNS = {
@@ -320,6 +321,21 @@ def test_a_folder_without_a_program_and_levels_out_of_range(plan, tmp_path):
     (full / "mine.txt").write_text("keep")
     one_sentence(simulated(plan, "--out", full), 2, "not empty")
     one_sentence(simulated(plan, "--out", plan.parent, "--overwrite"), 2, "an input of this run")
+
+
+@pytest.mark.parametrize("what", ["plan", "tracker alone"])
+def test_a_robot_file_for_geometry_alone_is_refused(what, plan, tmp_path):
+    """Its masses, torques and accelerations are what the virtual cell moves by."""
+    shutil.copytree(plan.parent, tmp_path / "cell")
+    cell = tmp_path / "cell" / "cell.toml"
+    write_geometry_robot(tmp_path / "cell" / "arm.toml", "kr210_r2700_extra")
+    cell.write_text(cell.read_text().replace('model = "kr210_r2700_extra"', 'model = "arm.toml"'))
+    before = tree(tmp_path)
+    asked = (tmp_path / "cell" / "plan",) if what == "plan" else ("--poses", "8")
+    told = simulated(*asked, "--cell", cell, "--out", tmp_path / "run")
+    missing = "limits.acceleration_deg_s2, limits.torque_Nm, links"
+    one_sentence(told, 2, f"leaves out {missing}, and the virtual cell needs them; add them there")
+    assert f"{cell}, robot.model: the file of robot 'kr210_r2700_extra'" in told.err and tree(tmp_path) == before
 
 
 CALLS = {
