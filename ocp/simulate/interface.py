@@ -36,7 +36,7 @@ from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_j
 from ocp.simulate.twin.ground_depth import GroundDepth, ground_depth
 from ocp.simulate.twin.kinds import EFFECT_KINDS
 from ocp.simulate.twin.krl_text import KrlProgram, read_program
-from ocp.simulate.twin.plan_knowledge import GRINDING, match, read_plan_table, read_summary, refuse_stranger
+from ocp.simulate.twin.plan_knowledge import GRINDING, match, read_plan_table, read_summary, refuse_other_times, refuse_stranger
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.rehearsal import Rehearsal, rehearse, statistics
 from ocp.simulate.twin.run import GrindingCampaign, VirtualMachine, arm_conditions, make_machine, refuse_crash, run_campaign
@@ -155,12 +155,15 @@ def _grind(wanted: AskedRun, cell: Cell, truth: Truth, program: KrlProgram, fold
         raise BadInput(f"{cell.path}: names no blade; give it with --blade")
     with phases.phase("controller"):
         track = drive(program, cell.robot, wanted.hz)
-        matched = match(track, read_plan_table(folder))
+        table = read_plan_table(folder)
+        matched = match(track, table)
     with phases.phase("machine"):
         blade = read_blade(cell.workpiece.stl, cell.workpiece.stl_unit)
         machine = make_machine(cell, truth, blade, wanted.seed)
     with phases.phase("collisions"):
         travel = refuse_crash(machine, track, matched)
+        if program.timed:
+            refuse_other_times(track, table)
     with phases.phase("grinding"):
         campaign = run_campaign(machine, track, matched, plan, wanted.hz)
     with phases.phase("judging"):

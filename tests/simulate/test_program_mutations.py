@@ -65,6 +65,14 @@ def longer(factor: float) -> Change:
     return change
 
 
+def backwards(text: str) -> str:
+    """The points of the second block from its last to its first."""
+    block = re.findall(r"PTP_SPLINE\r\n(?:.*\r\n)*?ENDSPLINE\r\n", text)[1]
+    points = re.findall(POINT, block, re.MULTILINE)
+    return text.replace(block, re.sub(POINT, lambda _: points.pop(), block, flags=re.MULTILINE))
+
+
+DETOUR = "PTP {A1 20,A2 -76,A3 104,A4 10,A5 -40,A6 20}"
 POINT, PART, END = r"^  SPTP \{.*\}\r\n", r"^  TIME_BLOCK PART=[\d.]+\r\n", r"^  TIME_BLOCK END=[\d.]+"
 MUTATIONS: dict[str, Change] = {
     # times
@@ -91,6 +99,12 @@ MUTATIONS: dict[str, Change] = {
         SUB, r"(PTP_SPLINE\r\n  SPTP \{)A1 ([-\d.]+),A2 ([-\d.]+)", r"\1A1 \3,A2 \2", 1
     ),
     "a whole block missing": put(SUB, r"; engage\r\n(.*\r\n)*?ENDSPLINE\r\n", ""),
+    "a detour by PTP": put(SUB, r"^; contact", DETOUR),
+    "a detour by PTP and back": put(
+        SUB,
+        r"^; contact\r\n((?:.*\r\n)*?)(PTP_SPLINE\r\n  S(PTP \{.*\}))",
+        r"\1PTP {A1 20,A2 -76,A3 104,A4 10,A5 -40,A6 20}\r\n\3\r\n\2",
+    ),
     "lost decimal point": put(SUB, r"(SPTP \{A1 \d+)\.", r"\1", 4),
     "lost decimal point of the first motion": put(SUB, r"(^PTP \{A1 \d+)\.", r"\1"),
     "an axis beyond its limit": put(SUB, r"A2 [-\d.]+", "A2 40.00000", 8),
@@ -130,6 +144,21 @@ MUTATIONS: dict[str, Change] = {
     "$ACC_AXIS above 100": put(SUB, r"(\$ACC_AXIS\[3\]=)30\b", r"\g<1>300"),
     "$OV_PRO": put(SUB, "^; contact", r"$OV_PRO=100"),
     "$ACT_BASE": put(SUB, "^; contact", r"$ACT_BASE=4"),
+    "a speed lost": put(SUB, r"^\$VEL_AXIS\[3\]=10\r\n", ""),
+    "an acceleration lost": put(SUB, r"^\$ACC_AXIS\[6\]=30\r\n", ""),
+    "speeds before the first motion lost": put(SUB, r"^(\$VEL_AXIS\[\d\]=10\r\n)+", ""),
+    "the first motion fast": put(SUB, r"(\$VEL_AXIS\[1\]=)10\b", r"\g<1>100"),
+    "speeds before a timed block lost": put(SUB, r"^(\$VEL_AXIS\[\d\]=100\r\n)+", ""),
+    "a timed block bounded by one axis": put(SUB, r"(\$ACC_AXIS\[2\]=)100\b", r"\g<1>60"),
+    "$IPO_MODE of one block": put(SUB, "#TCP", "#BASE", 1),
+    "$TOOL of one block": put(SUB, r"(^\$TOOL=\{X )", r"\g<1>1", 1),
+    "$BASE of one file": lambda files: files.update({SUB: files[SUB].replace(b"$BASE={X 1550", b"$BASE={X 1551")}),
+    "$LOAD of one block": put(SUB, r"(J \{X )", r"\g<1>9", 1),
+    "$LOAD turned": put(SUB, r"A 0\.0,B 0\.0", "A 0.0,B 90.0"),
+    "start-up again on the way": put(SUB, "^; contact", "BAS (#INITMOV,0 )"),
+    "a call with an argument": put(MAIN, r"BLADE_1_01 \( \)", "BLADE_1_01 (1)"),
+    "the interrupt not switched on": put(SUB, r"^ *INTERRUPT ON 3\r\n", ""),
+    "the interrupt not declared": put(SUB, r"^ *GLOBAL INTERRUPT.*\r\n", ""),
     # files
     ".dat missing": without(DATA),
     ".dat cut": cut(DATA, 0.6),
@@ -142,6 +171,8 @@ MUTATIONS: dict[str, Change] = {
     ".src missing": without(SECOND),
     ".src of another program": lambda files: files.update({SUB: files[SECOND]}),
     "END of the file missing": put(SUB, r"^END\r\n\Z", ""),
+    "no &ACCESS": put(SUB, r"^&ACCESS.*\r\n", ""),
+    "DEF for all": put(SUB, "^DEF ", "GLOBAL DEF "),
     "text after END": put(SUB, r"^END\r\n\Z", "END\r\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\r\n"),
     "a second DEF": put(SUB, "^; contact", "END\r\nDEF OTHER( )"),
     # characters
@@ -165,7 +196,13 @@ MUTATIONS: dict[str, Change] = {
     "an axis lost": put(SUB, r",A6 [-\d.]+", "", 5),
     "an axis twice": put(SUB, r"A6 ", "A5 ", 5),
     "an axis too many": put(SUB, r"(A6 [-\d.]+)\}", r"\1,E1 10.0}", 5),
+    "status of axes": put(SUB, r"(A6 [-\d.]+)\}", r"\1,S 2,T 2}", 5),
     # blocks
+    "a point approximated": put(SUB, r"(^  SPTP \{.*\})", r"\1 C_SPL", 3),
+    "a block's end approximated": put(SUB, "^ENDSPLINE", "ENDSPLINE C_SPL"),
+    "the first motion approximated": put(SUB, r"(^PTP \{.*\})", r"\1 C_PTP"),
+    "a block with a speed of its own": put(SUB, "^PTP_SPLINE", r"PTP_SPLINE WITH $VEL_AXIS[1]=5"),
+    "a block driven backwards": lambda files: files.update({SUB: backwards(files[SUB].decode()).encode()}),
     "ENDSPLINE lost": put(SUB, r"^ENDSPLINE\r\n", ""),
     "ENDSPLINE twice": put(SUB, r"^ENDSPLINE\r\n", "ENDSPLINE\r\nENDSPLINE\r\n"),
     "SPLINE for PTP_SPLINE": put(SUB, "^PTP_SPLINE", "SPLINE"),
@@ -183,6 +220,14 @@ HARMLESS: dict[str, Change] = {
     "a comment behind a point": put(SUB, r"(^  SPTP \{.*\})", r"\1 ; HALT", 3),
     "another comment line in the header": put(SUB, "^&COMMENT [^\r]*", "&COMMENT $OV_PRO=100"),
     "blanks": put(SUB, "^  SPTP", "      SPTP", 3),
+    # names and words without case, axes by their names
+    "a call in small letters": put(MAIN, r"BLADE_1_01 \( \)", "blade_1_01 ( ) ; HALT"),
+    "a block in small letters": put(SUB, "^PTP_SPLINE", "ptp_spline"),
+    "axes in another order": put(SUB, r"\{A1 ([-\d.]+),A2 ([-\d.]+)", r"{A2 \2,A1 \1", 6),
+    # nothing is approximated and no logic runs ahead: the advance is not used
+    "another advance": put(SUB, "^; contact", r"$ADVANCE=5"),
+    # nobody asks for the name
+    "a declaration": put(DATA, "^ENDDAT", r"DECL AXIS P1={A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\r\nENDDAT"),
     # a last printed digit is a tenth of what the emitted curve may miss the plan by
     "a last digit of an axis": put(SUB, r"(A6 [-\d.]*?)(\d)(\})", r"\g<1>5\3", 6),
 }

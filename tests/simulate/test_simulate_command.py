@@ -282,8 +282,9 @@ def test_a_program_that_drives_into_the_wheel_is_infeasible(plan, tmp_path):
     values = [float(part.split()[1]) for part in before[before.index("{") + 1 : before.index("}")].split(",")]
     values[1] += 4.0
     aggregate = "{" + ",".join(f"A{i + 1} {v:.5f}" for i, v in enumerate(values)) + "}"
-    back = before.replace("SPTP", "PTP").strip()  # the block after it begins where the plan has it
-    copy.write_bytes(copy.read_bytes().replace(b"LIN_AT", f"PTP {aggregate}\r\n{back}".encode()))
+    rows = [before, "  TIME_BLOCK START", f"  SPTP {aggregate}", "  TIME_BLOCK PART=4.00000", before, "  TIME_BLOCK PART=4.00000"]
+    there_and_back = "\r\n".join(["PTP_SPLINE", *rows, "  TIME_BLOCK END=8.00000", "ENDSPLINE"])
+    copy.write_bytes(copy.read_bytes().replace(b"LIN_AT", there_and_back.encode()))
     told = simulated(into, "--out", tmp_path / "run")
     one_sentence(told, 1, "on the virtual cell")
     assert "wheel" in told.err and "mm" in told.err and "BLADE_01.src" in told.err
@@ -321,6 +322,24 @@ def test_a_folder_without_a_program_and_levels_out_of_range(plan, tmp_path):
     (full / "mine.txt").write_text("keep")
     one_sentence(simulated(plan, "--out", full), 2, "not empty")
     one_sentence(simulated(plan, "--out", plan.parent, "--overwrite"), 2, "an input of this run")
+
+
+def test_a_program_that_takes_other_times_than_its_plan_is_refused(plan, tmp_path):
+    """Every block 2 % slower, its parts still summing to its end: a controller would drive it, and nobody planned it."""
+
+    def slowed(block: re.Match[str]) -> str:
+        parts = [round(1.02 * float(part), 5) for part in re.findall(r"PART=([\d.]+)", block[0])]
+        left = iter(parts)
+        text = re.sub(r"PART=[\d.]+", lambda _: f"PART={next(left):.5f}", block[0])
+        return re.sub(r"END=[\d.]+", f"END={sum(parts):.5f}", text)
+
+    shutil.copytree(plan.parent, tmp_path / "cell")
+    folder = tmp_path / "cell" / "plan"
+    for file in folder.glob("*.src"):
+        file.write_bytes(re.sub(r"PTP_SPLINE(?:.|\n)*?ENDSPLINE", slowed, file.read_bytes().decode()).encode())
+    told = simulated(folder, "--poses", "0", "--out", tmp_path / "run")
+    one_sentence(told, 2, "deg from where the plan has them; plan anew")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("what", ["plan", "tracker alone"])

@@ -16,7 +16,10 @@ POSE = frozenset("X Y Z A B C S T".split())
 LONGEST_WAIT = 3600.0  # s
 MOST_INPUTS = 8192  # of KSS 8
 ROUNDING = 1e-5  # s, what the printed parts of a block may miss its end by
+STOPS = 2  # declared and switched on
 STOP_INTERRUPT = re.compile(r"(GLOBAL)?INTERRUPTDECL3WHEN\$STOPMESS==TRUEDOIR_STOPM\(\)|INTERRUPTON3")
+AXIS_SHARES = SPEEDS[3:]
+SLOW = 30.0  # percent of an axis' speed and acceleration for the first motion of a file, which may begin anywhere
 MOVING = (syntax.MotionStatement, syntax.BlockStart, syntax.Call)
 ACTING = (*MOVING, syntax.Assignment, syntax.Interrupt, syntax.PauseStatement)  # declarations come before these
 
@@ -39,6 +42,7 @@ def check_module(module: syntax.Module, pauses: bool = False) -> None:
     else:
         _check_order(module)
         _check_blocks(module)
+        _check_speeds(module, pauses)
         _check_pauses(module, pauses)
 
 
@@ -94,7 +98,7 @@ def _check_names(module: syntax.Module) -> None:
 def _check_order(module: syntax.Module) -> None:
     """Declarations, then BAS(#INITMOV,0), then frames, then motion."""
     _check_names(module)
-    started, ready = False, False
+    started, ready, stops = False, False, 0
     frames: set[str] = set()
     for s in module.statements:
         if isinstance(s, syntax.Declaration):
@@ -104,12 +108,17 @@ def _check_order(module: syntax.Module) -> None:
         started |= isinstance(s, ACTING)
         if isinstance(s, syntax.Interrupt) and not STOP_INTERRUPT.fullmatch(s.text.upper().replace(" ", "")):
             raise _bad(module, s, "only the INI fold's interrupt 3 with IR_STOPM may stand here; another may call anything")
+        stops += isinstance(s, syntax.Interrupt)
         if isinstance(s, syntax.Other):
             raise _bad(module, s, f"{s.text[:30]} may not be used here")
         if isinstance(s, syntax.Call) and s.name.upper() == "BAS":
             if tuple(a.upper() for a in s.arguments) != ("#INITMOV", "0"):
                 raise _bad(module, s, "only BAS (#INITMOV,0 ) may be called")
-            ready, frames = True, set()
+            if ready:
+                raise _bad(module, s, "a second BAS (#INITMOV,0 ) sets frames and speeds back on the way; it stands once a file")
+            ready = True
+        elif isinstance(s, syntax.Call) and s.arguments:
+            raise _bad(module, s, f"{s.name} is called with arguments; passes take none")
         elif isinstance(s, syntax.Assignment):
             _check_assignment(module, s)
             if s.target in FRAMES and not ready:
@@ -117,9 +126,32 @@ def _check_order(module: syntax.Module) -> None:
             frames.add(s.target)
         elif isinstance(s, MOVING):
             missing = [f for f in FRAMES if f not in frames]
-            if not ready or missing:
-                what = "BAS (#INITMOV,0 )" if not ready else missing[0]
+            if not ready or missing or stops != STOPS:
+                what = "BAS (#INITMOV,0 )" if not ready else "the INI fold's interrupt" if stops != STOPS else missing[0]
                 raise _bad(module, s, f"the robot moves before {what} was set")
+
+
+def _check_speeds(module: syntax.Module, pauses: bool) -> None:
+    """The first motion is slow (of a measuring program as fast as its user asks for), timed blocks are bounded by the machine
+    alone and nothing between them goes untimed: what a program leaves open the controller takes from whatever ran before."""
+    shares: dict[str, float] = {}
+    first, timed = True, any(isinstance(s, syntax.BlockStart) and s.kind == "PTP_SPLINE" for s in module.statements)
+    for s in module.statements:
+        if isinstance(s, syntax.Assignment) and s.target in AXIS_SHARES and isinstance(s.value, syntax.Number):
+            shares[s.target] = s.value.value
+        elif isinstance(s, syntax.MotionStatement | syntax.BlockStart):
+            missing = [name for name in AXIS_SHARES if name not in shares]
+            if missing:
+                raise _bad(module, s, f"the robot moves before {missing[0]} was set; it would keep the speed of what ran before")
+            fastest = max(shares, key=lambda name: shares[name])
+            if first and not pauses and shares[fastest] > SLOW:
+                raise _bad(module, s, f"the first motion may begin anywhere, {fastest} = {shares[fastest]:g} is above {SLOW:g} %")
+            if not first and timed and isinstance(s, syntax.MotionStatement) and s.kind == "PTP":
+                raise _bad(module, s, "PTP leaves the timed way; only the first motion of a file goes untimed")
+            slowest = min(shares, key=lambda name: shares[name])
+            if isinstance(s, syntax.BlockStart) and s.kind == "PTP_SPLINE" and shares[slowest] < 100.0:
+                raise _bad(module, s, f"{slowest} = {shares[slowest]:g} bounds a timed block; 100 % leaves it its times")
+            first = False
 
 
 def _check_assignment(module: syntax.Module, s: syntax.Assignment) -> None:

@@ -91,7 +91,8 @@ def _statement(text: str, file: str, number: int, strict: bool) -> syntax.Statem
         return _block_start(line, strict)
     if word == "ENDSPLINE":
         line.take()
-        _approximation(line)
+        if not strict:
+            _approximation(line)
         line.finish()
         return syntax.BlockEnd(number)
     if word == "TIME_BLOCK":

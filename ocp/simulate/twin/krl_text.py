@@ -78,6 +78,11 @@ class KrlProgram:
     planned: bool = False
 
     @property
+    def timed(self) -> bool:
+        """Whether it is planned, and in time: every motion but the first of a file is a block with its times."""
+        return self.planned and any(step.kind == "TIMED" for step in self.motions)
+
+    @property
     def motions(self) -> list[DrivenMotion]:
         """The motions alone."""
         return [step for step in self.steps if isinstance(step, DrivenMotion)]
@@ -162,12 +167,17 @@ class _Controller:
     planned: bool = False
     points: int = 0
     calls: int = 0
-    whole: dict[str, float] = field(default_factory=dict)
+    untimed: str = ""  # file and line of a PTP that is not the first motion of a file
+    same: dict[str, str] = field(default_factory=dict)  # of a planned program: what every file and block sets alike
     since: set[str] = field(default_factory=set)  # what this file has done: START-UP, frames and load set after it, MOVED
 
 
 WHOLE = {"$ACT_TOOL": 128, "$ACT_BASE": 128, "$ADVANCE": 5}  # whole numbers, their largest
-SETUP = ("BAS(#INITMOV,0)", "$TOOL", "$BASE", "$IPO_MODE", "$LOAD")  # before the first motion of every planned file
+SHARES = tuple(f"${what}_AXIS[{i}]" for what in ("VEL", "ACC") for i in range(1, 7))
+STOP = ("INTERRUPT DECL 3", "INTERRUPT ON 3")
+# Before the first motion of every planned file.
+SETUP = ("BAS(#INITMOV,0)", *STOP, "$TOOL", "$BASE", "$IPO_MODE", "$LOAD", *SHARES)
+MOST_AT_FIRST = 0.3  # of an axis' speed and acceleration, of a motion that may begin anywhere
 
 
 def read_program(place: Path, name: str | None = None, planned: bool = False) -> KrlProgram:
@@ -182,6 +192,8 @@ def read_program(place: Path, name: str | None = None, planned: bool = False) ->
     c = _Controller(planned=planned)
     _run(c, main, files, 0)
     program = KrlProgram(main, tuple(c.steps), planned)
+    if program.timed and c.untimed:
+        raise BadInput(f"{c.untimed}: PTP leaves the way that is planned in time; write the program anew")
     if not program.motions:
         raise BadInput(f"{main}: moves nothing; give a folder that ocp.plan wrote")
     return program
@@ -243,7 +255,10 @@ def _run(c: _Controller, source: Path, files: dict[str, Path], depth: int) -> No
     statements = _statements(source, c.planned)
     body = [(i, s) for i, s in statements if not s.startswith("&")]
     stem = source.stem.upper()
-    if not body or not re.match(rf"^(GLOBAL\s+)?DEF\s+{re.escape(stem)}\s*\(\s*\)$", body[0][1]):
+    if c.planned and not (statements and statements[0][1].startswith("&ACCESS")):
+        raise BadInput(f"{source}, line 1: a controller's file begins with &ACCESS; write the program anew")
+    scope = "" if c.planned else r"(GLOBAL\s+)?"
+    if not body or not re.match(rf"^{scope}DEF\s+{re.escape(stem)}\s*\(\s*\)$", body[0][1]):
         at = body[0][0] if body else 1
         raise BadInput(
             f"{source}, line {at}: does not begin with DEF {stem}( ); the controller takes module and file by one name"
@@ -301,10 +316,12 @@ def _statement(c: _Controller, source: Path, line: int, text: str) -> None:
     elif text == "HALT" or re.match(r"^WAIT\s", text):
         c.steps.append(_pause(c, where, text))
     elif _START_UP.match(text):
-        c.frames, c.since = ProgramFrames(np.eye(4), np.eye(4)), {SETUP[0]}
+        c.frames, c.since = ProgramFrames(np.eye(4), np.eye(4)), {SETUP[0], *c.since.intersection(STOP)}
     elif c.planned and text.startswith("$OUT"):
         raise BadInput(f"{where}: '{shown(text, 60)}' switches something, which no planned program does; take it out")
-    elif not _IDLE.match(text):
+    elif _IDLE.match(text):
+        c.since |= {word for word in STOP if word in " ".join(text.split())}
+    else:
         found = _ASSIGNMENT.match(text)
         if not found or not _assign(c, where, *found.groups()):
             raise BadInput(f"{where}: '{shown(text, 60)}' is not understood by the virtual controller; it might move the robot")
@@ -324,7 +341,11 @@ def _pause(c: _Controller, where: str, text: str) -> ProgramPause:
 
 def _assign(c: _Controller, where: str, name: str, index: str | None, value: str) -> bool:
     """An assignment to what motion depends on; False where the name is none of it."""
-    c.since.add(name)
+    c.since.add(f"{name}[{index}]" if index else name)
+    if c.planned and name in (*SETUP, *WHOLE) and (before := c.same.setdefault(name, value)) != value:
+        raise BadInput(
+            f"{where}: {name} = {shown(value, 60)} was {shown(before, 60)} before; one blade and one wheel are planned"
+        )
     tables = {"TOOL_DATA": c.tools, "BASE_DATA": c.bases}
     if name in tables and index:
         tables[name][int(index)] = frame_of(where, value)
@@ -343,8 +364,6 @@ def _assign(c: _Controller, where: str, name: str, index: str | None, value: str
         number, most = krl_number(where, value), WHOLE[name]
         if number != int(number) or not 0 <= number <= most or (c.planned and number == 0):
             raise BadInput(f"{where}: {name} = {number:g} is no number from 1 to {most}")
-        if c.planned and c.whole.setdefault(name, number) != number:
-            raise BadInput(f"{where}: {name} = {number:g} was {c.whole[name]:g} before; one blade and one wheel are planned")
     elif name == "$LOAD" and not index:
         c.frames = replace(c.frames, load=_load(where, value))
     elif name == "$IPO_MODE" and value in ("#TCP", "#BASE"):
@@ -390,8 +409,9 @@ def _target(c: _Controller, where: str, line: int, text: str, blend: bool) -> Ta
             raise BadInput(f"{where}: position {shown(text)} is declared nowhere with values; write them out")
         text = c.named[text]
     values = aggregate(where, text)
-    if c.planned and any(letter.startswith("E") for letter in values):
-        raise BadInput(f"{where}: the position has an external axis; none is planned, and none is driven here")
+    if c.planned and "A1" in values and len(values) > len(AXIS_LETTERS):
+        odd = next(letter for letter in values if letter not in AXIS_LETTERS)
+        raise BadInput(f"{where}: {odd} does not belong to six axes; none is planned, and none is driven here")
     if set(AXIS_LETTERS) <= set(values):
         return Target(np.radians([values[a] for a in AXIS_LETTERS]), None, None, None, blend, line)
     if set(POSE_LETTERS) <= set(values):
@@ -411,6 +431,14 @@ def _motion(
         raise BadInput(f"{source}, line {line}: the robot moves before {missing[0]} stands; write the program anew")
     if c.planned and "MOVED" not in c.since and (kind != "PTP" or targets[0].q is None):
         raise BadInput(f"{source}, line {line}: the first motion of a file must be a PTP to full axes, it may be selected alone")
+    if c.planned and "MOVED" not in c.since and max(c.axis_speed.max(), c.axis_acceleration.max()) > MOST_AT_FIRST:
+        raise BadInput(
+            f"{source}, line {line}: the first motion may begin anywhere and is faster than {MOST_AT_FIRST:.0%}; slow it"
+        )
+    if c.planned and kind == "TIMED" and min(c.axis_speed.min(), c.axis_acceleration.min()) < 1.0:
+        raise BadInput(f"{source}, line {line}: $VEL_AXIS or $ACC_AXIS below 100 bounds this timed block; write the program anew")
+    if kind == "PTP" and "MOVED" in c.since:
+        c.untimed = c.untimed or f"{source}, line {line}"
     c.since.add("MOVED")
     return DrivenMotion(
         kind, targets, c.frames, c.speed, c.acceleration, c.axis_speed, c.axis_acceleration, source.name, line, times
@@ -445,7 +473,8 @@ def _timed(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]
         where = f"{source}, line {at}"
         point, timing = _POINT.match(text), _TIME_BLOCK.match(text)
         ready = started or not (c.planned and targets)
-        if point and point.group(1) == "SPTP" and ready and end is None and len(parts) == max(0, len(targets) - 1):
+        exact = point and not (c.planned and point.group(3))
+        if point and exact and point.group(1) == "SPTP" and ready and end is None and len(parts) == max(0, len(targets) - 1):
             targets.append(_target(c, where, at, point.group(2), False))
         elif timing and timing.group(1) == "START" and len(targets) == 1 and not (parts or started):
             started = True

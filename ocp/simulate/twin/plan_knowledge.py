@@ -35,6 +35,7 @@ LONGEST_PLAN = 4 * 3600.0  # s; a blade takes some minutes, and the plan is laid
 FINE = 0.002  # s between the plan's points that are looked at
 ORDER = 2e-3  # rad that the whole program's time counts for when postures repeat
 FAR = np.radians(0.05)  # rad; a posture farther from the plan than this is not the plan's
+IN_TIME = np.radians(0.01)  # rad; of a timed program at the plan's times: samples every 4 ms miss a bend by a tenth of that
 PASS = "pass"  # of the column `phase`, where a plan has it: the line itself
 AWAY, NEAR, GRINDING = 0, 1, 2  # travel; engage and retreat; the planned contact
 
@@ -122,6 +123,18 @@ def read_summary(folder: Path) -> dict[str, Any]:
         if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
             raise BadInput(f"{path}: inputs sha256 = {shown(repr(digest))} is no hash of a file; write the plan anew")
     return found
+
+
+def refuse_other_times(track: Track, plan: PlanTable) -> None:
+    """Refuse (BadInput) a program of timed blocks whose axes are elsewhere than the plan's at the plan's times."""
+    driven = np.stack([np.interp(plan.time, track.time, column) for column in track.q.T], axis=1)
+    off = np.abs(driven - plan.q).max(axis=1)
+    k = int(np.argmax(off))
+    if off[k] > IN_TIME:
+        raise BadInput(
+            f"{plan.path}: at {plan.time[k]:.2f} s the axes of the program beside it are {np.degrees(off[k]):.2f} deg from where "
+            "the plan has them; plan anew"
+        )
 
 
 def match(track: Track, plan: PlanTable) -> Matched:
