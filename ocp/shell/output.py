@@ -25,6 +25,7 @@ from robots.errors import BadInput
 LONGEST_NAME = 200  # bytes; file systems take 255, the temporary neighbour needs some
 MARKER = ".written.json"
 """Name of the list of files, with their SHA-256, that a written folder holds."""
+DIGITS = 64  # of a hash: of what is no regular file there is none, and no list can have it
 OLD, NEW = "replaced", "unfinished"  # what stands beside a folder while it is written
 
 
@@ -39,7 +40,8 @@ class Output:
 
     def reads(self, files: Iterable[Path]) -> None:
         """Tell that the run reads these files or folders. Raises BadInput where one lies in the folder or is the folder."""
-        self._inputs |= {_resolved(file) for file in files}
+        for file in files:
+            self._inputs |= {_resolved(file), _resolved(file.parent) / file.name}  # what a link leads to, and the link itself
         for file in sorted(self._inputs):
             if self.folder == file or self.folder in file.parents:
                 what = "is itself" if self.folder == file else f"holds {file.relative_to(self.folder)},"
@@ -321,10 +323,14 @@ def _listed(folder: Path) -> dict[str, str]:
     """Files of a folder's marker with their hashes; of a coming one that of before where that still stands there."""
     try:
         told = json.loads((folder / MARKER).read_text(encoding="utf-8"))
-        listed, coming = dict(told["sha256"]), dict(told.get("coming", {}))
+        listed, coming = _hashes(told["sha256"]), _hashes(told.get("coming", {}))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
     return listed | {name: new for name, new in coming.items() if name not in listed or _hash(folder / name) != listed[name]}
+
+
+def _hashes(listed: dict[str, object]) -> dict[str, str]:
+    return {name: value for name, value in listed.items() if isinstance(value, str) and len(value) == DIGITS}
 
 
 def _names(folder: Path) -> list[str]:

@@ -42,7 +42,10 @@ def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "cell.toml").write_text(text)
     (tmp_path / "run").mkdir()
     shutil.copy(tmp_path / "cell.toml", tmp_path / "run" / "cell.toml")
-    for folder in ("blades", "robots", "measured", "logs", "old", "paths", "run"):
+    (tmp_path / "linked").mkdir()
+    (tmp_path / "linked" / "cell.toml").symlink_to("../cell.toml")
+    (tmp_path / "linked" / "force.csv").symlink_to("../logs/force.csv")
+    for folder in ("linked", "blades", "robots", "measured", "logs", "old", "paths", "run"):
         write_marker(tmp_path / folder)
     return tmp_path
 
@@ -64,6 +67,8 @@ CASES = [
     (update, ["logs/force.csv", "--cell", "cell.toml", "--removal", "paths/removal.csv", "--out", "paths"], "paths"),
     (update, ["logs/force.csv", "--cell", "cell.toml", "--out", "blades"], "blades"),
     (diagnose, ["run", "--out", "run"], "run"),
+    (poses, ["--cell", "linked/cell.toml", "--out", "linked"], "linked"),
+    (update, ["linked/force.csv", "--cell", "cell.toml", "--out", "linked"], "linked"),
     (experiments, ["--cell", "cell.toml", "--robots", "1", "--out", "robots"], "robots"),
 ]
 

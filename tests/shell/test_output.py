@@ -1,9 +1,11 @@
 """Output folders appear whole or not at all, whatever happens in between."""
 
+import json
 import os
 import re
 import shutil
 import signal
+from hashlib import sha256
 
 import pytest
 
@@ -148,14 +150,22 @@ def kill_at(step):
         shell_output._exchanged = killing(shell_output._exchanged, after=step.startswith("after"))
 
 
+HASHES = {name: sha256(text).hexdigest() for name, text in (("a.txt", b"old"), ("deep/b.txt", b"old too"))}
+FORGED = json.dumps({"sha256": HASHES | {"deep/link": "no regular file"}})
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
         (lambda out: (out / "deep" / "notes.txt").write_text("mine"), "deep/notes.txt, which this software did not write"),
         (lambda out: (out / "deep" / "b.txt").write_text("an afternoon of readings"), "deep/b.txt, which was changed"),
         (lambda out: (out / "deep" / "link").symlink_to(out), "deep/link, which this software did not write"),
+        (
+            lambda out: ((out / "deep" / "link").symlink_to(out), (out / MARKER).write_text(FORGED)),
+            "deep/link, which this software did not write",
+        ),
         (lambda out: (out / MARKER).unlink(), "a.txt, and no .written.json tells"),
-        (lambda out: (out / MARKER).write_text('{"sha256": {"a.txt": 1}}'), "a.txt, which was changed"),
+        (lambda out: (out / MARKER).write_text('{"sha256": {"a.txt": 1}}'), "a.txt, which this software did not write"),
         (lambda out: (out / MARKER).write_text('{"sha256": 3}'), "a.txt, which this software did not write"),
         (lambda out: (out / MARKER).write_text("\0"), "a.txt, which this software did not write"),
     ],
