@@ -19,11 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from robots.bounds import MEGABYTE, read_whole
+
 Part = NDArray[np.generic] | str | int | float | bool | None
 Entry = dict[str, NDArray[np.generic]]
 Kind = TypeVar("Kind")
 
 SUFFIX = ".kept"
+MOST_ENTRY = 1000 * MEGABYTE  # a plan's largest has some MB
 DIGEST = 32  # bytes of SHA-256 before the archive
 VARIABLE = "GRINDPLAN_CACHE"  # environment: another folder; empty = keep nothing
 
@@ -85,7 +88,7 @@ def remember(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
 def _read(path: Path) -> Entry | None:
     """Return an entry, or None where there is none or any byte of it is not as it was written."""
     try:
-        content = path.read_bytes()
+        content = read_whole(path, MOST_ENTRY, "a kept result")
         if hashlib.sha256(content[DIGEST:]).digest() != content[:DIGEST]:
             return None
         with np.load(io.BytesIO(content[DIGEST:]), allow_pickle=False) as archive:

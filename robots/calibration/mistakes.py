@@ -19,6 +19,7 @@ from robots.pose import ROTATION_ORDERS, Array, rotations_in_order
 from robots.robot import Robot, catalogue, load_robot
 from robots.tracker_readings import Index, Readings
 
+MEDIAN_TURN = 3.0  # standard deviations of each axis: their length has its median at 1.54, about another reading's at twice that
 TURNS_FIT = np.radians(1.0)  # an uncalibrated arm's hand is off by a tenth of it
 FITS = 15e-3  # m; an uncalibrated arm with roughly placed nests stays below
 NEST_SHARE = 5.0  # nests farther off than this many of their sds speak for another robot
@@ -183,7 +184,7 @@ def _refuse_turns(campaign: Campaign, where: str) -> None:
     if campaign.readings.turn is None:
         return
     readings = campaign.readings.take(np.flatnonzero(campaign.readings.turned))
-    c = replace(campaign, readings=replace(readings, turn=None))
+    c = replace(campaign, readings=replace(campaign.readings, turn=None))
     state = located(c, nominal_state(c.robot, c.readings, c.payloads, c.instrument, Choice(joints=())))
     unturned = replace(readings, turn=np.tile(np.eye(3), (len(readings), 1, 1)))
     frames = replace(state, turns=np.tile(np.eye(3), (len(readings.targets), 1, 1)))
@@ -199,11 +200,15 @@ def _refuse_turns(campaign: Campaign, where: str) -> None:
             f"{where}: the orientations scatter by {np.degrees(plain):.3g} deg (median) as seen from the flange, while the "
             f"points fit, and by {np.degrees(best):.2g} deg {text}, or leave them out"
         )
-    if plain > TURNS_FIT:
+    stated = 0.0 if readings.sigma_turn is None else float(np.nanmedian(readings.sigma_turn))
+    if plain > max(TURNS_FIT, MEDIAN_TURN * stated):
+        columns, orders, form = "qw, qx, qy, qz", "", "the target"
+        if readings.angles is not None:
+            columns, orders, form = "rx, ry, rz", ", in every order of their turns", "them in degrees as R = Rz(rz) Ry(ry) Rx(rx)"
         raise BadInput(
-            f"{where}: the orientations rx, ry, rz scatter by {np.degrees(plain):.1f} deg (median) as seen from the "
-            "flange, while the points fit, in every order of their turns; write them in degrees as R = Rz(rz) Ry(ry) Rx(rx) in "
-            "the tracker's frame, or leave them out"
+            f"{where}: the orientations {columns} scatter by {np.degrees(plain):.1f} deg (median) as seen from the flange, while "
+            f"the points fit{orders}; write {form} in the tracker's frame, leave them out, or state sigma_rot_deg where they "
+            "really are that poor"
         )
 
 
@@ -225,6 +230,9 @@ def _conventions(readings: Readings) -> Iterator[tuple[str, Rotation]]:
         Rotation.from_matrix(readings.turn).inv(),
     )
     if readings.angles is None:
+        given = Rotation.from_matrix(readings.turn).as_quat()  # x, y, z, w, where the columns are w, x, y, z
+        last = Rotation.from_quat(np.roll(given, 1, axis=1))
+        yield "with the columns read as x, y, z and the scalar last: name the last one qw", last
         return
     for unit, angles in (("", readings.angles), (" and the angles in degrees, not radians", np.degrees(readings.angles))):
         for order in ROTATION_ORDERS:

@@ -118,9 +118,32 @@ def test_orientations_in_another_convention_are_told_and_sound_ones_pass(order):
     assert np.allclose(rotations_in_order(angles, named), turn)
 
 
+def test_quaternions_with_the_scalar_last_are_told():
+    sound, turn = sixfold()
+    given = np.roll(Rotation.from_matrix(turn).as_quat(), -1, axis=1)  # x, y, z, w in the columns qw, qx, qy, qz
+    with pytest.raises(BadInput, match="the columns read as x, y, z and the scalar last"):
+        refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=Rotation.from_quat(given).as_matrix())))
+
+
+def test_poor_orientations_pass_where_they_are_stated_to_be():
+    sound, turn = sixfold()
+    off = Rotation.from_rotvec(np.random.default_rng(0).normal(0, np.radians(1.0), (40, 3))).as_matrix()
+    poor = replace(sound.readings, turn=turn @ off)
+    with pytest.raises(BadInput, match="qw, qx, qy, qz scatter by 1.5 deg.* or state sigma_rot_deg"):
+        refuse_mistakes(replace(sound, readings=poor))
+    refuse_mistakes(replace(sound, readings=replace(poor, sigma_turn=np.full(40, np.radians(1.0)))))
+
+
+def test_one_orientation_alone_is_compared_with_nothing():
+    sound, turn = sixfold()
+    refuse_mistakes(
+        replace(sound, readings=replace(sound.readings, turn=np.where(np.arange(40)[:, None, None] > 0, np.nan, turn)))
+    )
+
+
 def test_orientations_turned_about_or_of_no_order_are_told():
     sound, turn = sixfold()
     with pytest.raises(BadInput, match="not the tracker in the target's"):
         refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=np.swapaxes(turn, 1, 2))))
-    with pytest.raises(BadInput, match="in every order of their turns"):
+    with pytest.raises(BadInput, match="qw, qx, qy, qz scatter by"):
         refuse_mistakes(replace(sound, readings=replace(sound.readings, turn=turn[::-1])))

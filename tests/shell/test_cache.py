@@ -1,6 +1,7 @@
 """Kept results: keys tell contents apart, damaged entries are computed anew, processes do not disturb each other."""
 
 import io
+import os
 import subprocess
 import sys
 from hashlib import sha256
@@ -126,3 +127,24 @@ def test_parallel_writers_leave_one_whole_entry(folder):
     running = [subprocess.Popen([sys.executable, "-c", code], cwd=root) for _ in range(3)]
     assert [process.wait(timeout=60) for process in running] == [0, 0, 0]
     assert sorted(f.suffix for f in folder.iterdir()) == [".kept"] * 60
+
+
+@pytest.mark.parametrize("other", ["pipe", "device", "folder", "loop", "endless"])
+def test_an_entry_that_is_no_file_of_some_size_is_computed_anew(folder, other):
+    """A pipe would be waited for, a device read without end."""
+    value = {"a": np.arange(3.0)}
+    cache.remember("kind", "key", lambda: value)
+    (entry,) = folder.iterdir()
+    entry.unlink()
+    if other == "pipe":
+        os.mkfifo(entry)
+    elif other == "folder":
+        entry.mkdir()
+    elif other == "endless":
+        with entry.open("wb") as file:
+            file.truncate(1 << 40)
+    else:
+        entry.symlink_to("/dev/zero" if other == "device" else entry)
+    code = "from ocp.shell import cache; import numpy as np; print(cache.remember('kind', 'key', lambda: {'a': np.ones(1)})['a'])"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert told.stdout == "[1.]\n", told.stderr

@@ -146,6 +146,22 @@ def test_faults_that_are_mended(tmp_path, sample):
         assert len(blade.faces) == len(faces)
 
 
+@pytest.mark.parametrize("copies", [2, 3])
+def test_a_surface_that_stands_there_several_times_is_read_once(tmp_path, sample, copies):
+    vertices, faces = sample
+    again = [np.roll(faces, k, axis=1) for k in range(copies)]  # the same winding, begun at another corner
+    blade = read_blade(write(tmp_path, vertices, np.concatenate(again)))
+    assert blade.notices == (f"{(copies - 1) * len(faces)} repeated facets were removed.",)
+    assert volume(blade.vertices, blade.faces) == pytest.approx(volume(*sample), rel=1e-6)
+
+
+def test_a_surface_with_its_own_inside_is_refused_for_what_it_is(tmp_path, sample):
+    vertices, faces = sample
+    text = refusal(write(tmp_path, vertices, np.concatenate([faces, faces[:, ::-1]])))
+    n = 2 * len(faces)
+    assert f"{n} facets leave 0 ({n} repeated facets were removed), which is no solid body" in text
+
+
 def test_a_facet_whose_corners_lie_on_a_line_is_mended_closed(tmp_path, sample):
     vertices, faces = sample
     a, b, c = faces[500]

@@ -55,17 +55,13 @@ def drop_useless(vertices: Array, faces: IntArray, notices: list[str]) -> IntArr
     if not keep.all():
         notices.append(f"{int((~keep).sum())} facets without area were removed.")
     faces = faces[keep]
-    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    if (counts > 1).any():
-        # A facet and its copy count once; a facet and its mirror image enclose nothing and both go.
-        ordered = np.sort(faces, axis=1)
-        odd = {tuple(row) for row in ordered[first[counts % 2 == 1]].tolist()}
-        seen: set[tuple[int, ...]] = set()
-        chosen = []
-        for k, row in enumerate(map(tuple, ordered.tolist())):
-            if row in odd and row not in seen:
-                seen.add(row)
-                chosen.append(k)
+    # A facet and its copies count once; a facet and its mirror image enclose nothing and both go.
+    order = np.argsort(faces, axis=1)
+    winding = np.where((order[:, 1] - order[:, 0]) % 3 == 1, 1, -1)
+    same = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)[1].ravel()
+    left = np.flatnonzero(winding * np.bincount(same, weights=winding, minlength=1)[same] > 0)
+    chosen = np.sort(left[np.unique(same[left], return_index=True)[1]])
+    if len(chosen) < len(faces):
         notices.append(f"{len(faces) - len(chosen)} repeated facets were removed.")
         faces = faces[chosen]
     return _flip_slivers(vertices, faces, notices)

@@ -40,7 +40,8 @@ def read_blade(path: str | Path, unit: str = "mm") -> Blade:
     faces = drop_useless(vertices, faces, notices)
     vertices, faces = merge_close(vertices, faces, notices)
     if len(faces) < 4:
-        raise BadInput(f"{name}: has {len(faces)} facets with area, which is no solid body; export it again.")
+        why = f" ({' '.join(notices)[:-1]})" if notices else ""
+        raise BadInput(f"{name}: {len(corners)} facets leave {len(faces)}{why}, which is no solid body; export it again.")
     faces = keep_main_body(name, vertices, faces, notices)
     faces = unify_winding(name, vertices, faces, notices)
     faces = close_holes(name, vertices, faces, notices)
