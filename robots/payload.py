@@ -37,7 +37,7 @@ def overload(robot: Robot, load: Hanging) -> str:
     """Why a payload is too much for the robot, with figures; empty where nothing that is known speaks against it."""
     rated = robot.payload
     if rated is not None and load.mass > rated.mass:
-        return f"mass_kg = {load.mass:g} is above the {rated.mass:g} kg that {robot.title} carries"
+        return f"mass_kg = {load.mass:.10g} is above the {rated.mass:g} kg that {robot.title} carries"
     if rated is not None and rated.diagram is not None:
         return _beyond_diagram(robot, rated.diagram, load)
     lever = longest_levers(robot, load.com)

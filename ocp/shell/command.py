@@ -57,10 +57,7 @@ def _called(app: typer.Typer) -> int:
 def run(job: Callable[[], str], not_solved: str = "no safe plan") -> int:
     """Run a command's job; print its last line, or the one sentence why not. Returns the exit code."""
     try:
-        print(job())  # noqa: T201  the plain last line is the command's answer
-        return OK
-    except BrokenPipeError:  # nobody reads the last line; the work is done
-        return OK
+        return _told(job())
     except (Exception, KeyboardInterrupt) as error:
         if was_told() or isinstance(error, KeyboardInterrupt):  # some library may have put its own error in the interrupt's place
             return _refuse("interrupted, nothing written", INTERRUPTED)
@@ -74,6 +71,17 @@ def run(job: Callable[[], str], not_solved: str = "no safe plan") -> int:
         if isinstance(error, MemoryError):
             return _refuse(f"{not_solved}, nothing written: memory does not suffice; take a smaller input", NOT_SOLVED)
         raise
+
+
+def _told(line: str) -> int:
+    """Print the plain last line, the command's answer. The work is done, whether or not anybody can read of it."""
+    try:
+        print(line, flush=True)  # noqa: T201
+    except BrokenPipeError:  # nobody wants to
+        pass
+    except OSError as error:
+        tell_notices([f"all is written, but this line could not be ({error.strerror}): {line}"])
+    return OK
 
 
 class Result(Protocol):
@@ -97,7 +105,10 @@ def answer(result: Result) -> str:
 def tell_notices(notices: Iterable[str]) -> None:
     """What the user should know of a result that stands, on stderr, one line each."""
     for notice in notices:
-        print(f"note: {_plain(notice)}", file=sys.stderr)  # noqa: T201
+        try:
+            print(f"note: {_plain(notice)}", file=sys.stderr)  # noqa: T201
+        except OSError:  # a full disk takes no notice, and the result stands
+            pass
 
 
 def _plain(text: str) -> str:

@@ -75,6 +75,7 @@ def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
     """
     if not hasattr(os, "fork"):
         return work()
+    _occupy_streams()
     global _temporary
     try:
         _temporary = tempfile.gettempdir()
@@ -117,8 +118,7 @@ def _watched(work: Callable[[], int], scratch: str) -> tuple[int, list[str], boo
 
     handlers = {signal.SIGINT: ask, signal.SIGTERM: ask, signal.SIGTSTP: pause}
     before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-    sys.stdout.flush()
-    sys.stderr.flush()
+    _flush()
     child = os.fork()
     if child == 0:
         os.close(from_child)
@@ -163,12 +163,26 @@ def _child(work: Callable[[], int], to_parent: int, alive: int, scratch: str, as
     except BaseException:
         sys.excepthook(*sys.exc_info())
     finally:
-        for stream in (sys.stdout, sys.stderr):
-            try:
-                stream.flush()
-            except OSError:  # nobody reads any more
-                pass
+        _flush()
         os._exit(code)
+
+
+def _occupy_streams() -> None:
+    """Where a command is started with its input, output or errors closed, nothing that it opens may take their numbers."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+
+
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:  # closed from the start
+                stream.flush()
+        except OSError:  # nobody reads any more
+            pass
 
 
 def _tell(_signal: int, _frame: FrameType | None) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from ocp.shell.output import MARKER
 from tests.support.house import ROOT
 
 COMMAND = """
@@ -210,6 +211,21 @@ def test_nobody_listening_is_no_fault(script, tmp_path):
         assert process.stderr.read() == ""
     assert process.wait(timeout=20) == 0
     assert (tmp_path / "out" / "b.txt").exists()
+
+
+@pytest.mark.parametrize("streams", ["<&- >&-", "2>&-", "<&- >&- 2>&-", ">/dev/full", ">/dev/full 2>/dev/full"])
+def test_a_result_stands_whether_or_not_it_can_be_told(script, tmp_path, streams):
+    """Closed from the start, as a service manager does, or full."""
+    out = tmp_path / "out"
+    line = f"exec '{sys.executable}' '{script}' finish '{out}' {streams}"
+    told = subprocess.run(
+        ["sh", "-c", line], env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=60
+    )
+    assert told.returncode == 0, told.stderr
+    assert sorted(p.name for p in out.iterdir()) == [MARKER, "a.txt", "b.txt"]
+    assert (out / "a.txt").read_text() == "half" and (out / "b.txt").read_text() == "whole"
+    full = "note: all is written, but this line could not be (No space left on device): done\n"
+    assert told.stderr == (full if streams == ">/dev/full" else "")
 
 
 def test_no_place_for_temporary_files_is_one_sentence(script, tmp_path):
