@@ -48,7 +48,7 @@ def judged(cell: Cell, laid: LaidPaths) -> Figures:
     for one in laid.flanks:
         work = work_done(one.points.reshape(-1, 3), one.normals.reshape(-1, 3), rows, patches).reshape(one.area.shape)
         sides.append(SideRemoval(one, core_cells(one, paths, half), work / programmed_work(cell)))
-    return figures_of(sides, 0.0)
+    return figures_of(sides)
 
 
 def main(blades: list[Path]) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -30,7 +31,8 @@ class BladePath:
     surface goes on before it turns by more than 60 deg or ends; thickness (n,) m along n; feed (n,) m/s and force
     (n,) N as programmed; start, rest m: how much of the line lies before this piece of it
     in its direction, and behind it, 0 of a whole line; before, after m: how much of the asked line lies before its start
-    and behind its end, where the wheel has no room.
+    and behind its end, where the wheel has no room; room_before, room_after m: how far beyond either end the wheel may bear
+    while it engages and lifts off.
     """
 
     line: int
@@ -48,6 +50,8 @@ class BladePath:
     rest: float = 0.0
     before: float = 0.0
     after: float = 0.0
+    room_before: float = 0.0
+    room_after: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,7 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
         raise BadInput(f"pass_spacing_mm = {1e3 * options.spacing:g} and step {1e3 * options.step:g} mm must be above 0.")
     paths: list[BladePath] = []
     notices: list[str] = []
+    margin = min(options.root_margin, options.tip_margin) if options.direction == "spanwise" else options.edge_margin
     waypoints = 0
     around = obstacles(blade, shape) if options.wheel_radius > 0.0 else np.zeros((0, 3))
     for name, window in ground_windows(blade, shape, options).items():
@@ -130,7 +135,9 @@ def passes(blade: Blade, shape: AerofoilShape, options: PassOptions) -> tuple[li
                 f"{len(paths) + len(lines)} lines, the limit is {MOST_WAYPOINTS}; lay fewer lines or take a longer step"
             )
         for (u, v), (before, after) in zip(lines, cuts, strict=True):
-            paths.append(replace(_waypoints(shape, side, u, v, len(paths) + 1, options), before=before, after=after))
+            path = _waypoints(shape, side, u, v, len(paths) + 1, options)
+            room = [margin * (cut == 0.0) for cut in (before, after)]
+            paths.append(replace(path, before=before, after=after, room_before=room[0], room_after=room[1]))
     if not paths:
         raise BadInput(
             f"{blade.name}: a wheel of {1e3 * options.wheel_radius:g} mm radius touches block or platform on "
@@ -180,15 +187,18 @@ def _with_room(
 
 def reversed_path(path: BladePath) -> BladePath:
     """The same pass ground from its end to its start: t and b turn round, k_tb keeps its sign."""
-    ends = {"start": path.rest, "rest": path.start, "before": path.after, "after": path.before}
-    back = ends | {name: getattr(path, name)[::-1] for name in ("p", "n", "curvature", "thickness", "feed", "force")}
-    return replace(path, t=-path.t[::-1], s=path.s[-1] - path.s[::-1], extent=path.extent[::-1, [1, 0, 3, 2]], **back)
+    ends: dict[str, Any] = {"start": path.rest, "rest": path.start, "before": path.after, "after": path.before}
+    ends |= {"room_before": path.room_after, "room_after": path.room_before}
+    back: dict[str, Any] = {name: getattr(path, name)[::-1] for name in ("p", "n", "curvature", "thickness", "feed", "force")}
+    extent = path.extent[::-1, [1, 0, 3, 2]]
+    return replace(path, t=-path.t[::-1], s=path.s[-1] - path.s[::-1], extent=extent, **ends, **back)
 
 
 def stretch_of(path: BladePath, first: int, last: int) -> BladePath:
     """The piece of a path from waypoint `first` to `last`, both included, as a path of its own whose s begins at 0."""
     names = ("p", "n", "t", "curvature", "extent", "thickness", "feed", "force")
-    cut = {name: getattr(path, name)[first : last + 1] for name in names} | {"before": 0.0, "after": 0.0}
+    cut: dict[str, Any] = {name: getattr(path, name)[first : last + 1] for name in names} | {"before": 0.0, "after": 0.0}
+    cut |= {"room_before": path.room_before * (first == 0), "room_after": path.room_after * (last == len(path.s) - 1)}
     start, rest = path.start + float(path.s[first]), path.rest + float(path.s[-1] - path.s[last])
     return replace(path, s=path.s[first : last + 1] - path.s[first], start=start, rest=rest, **cut)
 

@@ -24,7 +24,7 @@ NEAR = 1e-3  # waypoints closer than this part of the mean spacing are one waypo
 
 @dataclass(frozen=True)
 class _Path:
-    """A cleaned path: q(s), stations (n,), feed bound (n,) or None, indices kept, limits, name for messages."""
+    """A cleaned path: q(s), stations (n,), feed bound (n,) or None, indices kept, limits, name, no slope at its ends."""
 
     q: CubicSpline
     s: Array
@@ -32,6 +32,7 @@ class _Path:
     kept: Array
     limits: Limits
     label: str
+    at_rest: bool
 
 
 @dataclass(frozen=True)
@@ -44,15 +45,22 @@ class _Tightening:
 
 
 def time_contact_path(
-    q: Array, s: Array, feed: Array | float | None, limits: Limits, window: float = WINDOW, label: str = "pass"
+    q: Array,
+    s: Array,
+    feed: Array | float | None,
+    limits: Limits,
+    window: float = WINDOW,
+    label: str = "pass",
+    at_rest: bool = False,
 ) -> JointTrajectory:
     """Time the joints q (n, 6) rad at stations s (n,) m with feed at most `feed` m/s, from rest to rest.
 
-    `feed`: scalar, (n,) or None (no bound). Raises BadInput where this is no path (NaN, s that runs back, a
+    `feed`: scalar, (n,) or None (no bound). `at_rest`: the path itself begins and ends without a slope.
+    Raises BadInput where this is no path (NaN, s that runs back, a
     jump of the joints at one station) and Infeasible where an axis leaves its range or cannot hold a posture
     at rest; `label` names the pass in messages.
     """
-    path = _cleaned(q, s, feed, limits, label)
+    path = _cleaned(q, s, feed, limits, label, at_rest)
     _check_range_and_rest(path)
     tightening = _Tightening(np.linspace(0.0, path.s[-1], 2 * len(path.s) + 1), *np.ones((2, 2 * len(path.s) + 1)))
     cells = int(np.clip(2 * len(path.s), 200, 8000))
@@ -79,7 +87,7 @@ def time_joint_move(start: Array, goal: Array, limits: Limits, window: float = W
     return time_contact_path(start + k[:, None] * (goal - start), k * length, None, limits, window, label)
 
 
-def _cleaned(q: Array, s: Array, feed: Array | float | None, limits: Limits, label: str) -> _Path:
+def _cleaned(q: Array, s: Array, feed: Array | float | None, limits: Limits, label: str, at_rest: bool = False) -> _Path:
     q, s = np.asarray(q, float), np.asarray(s, float)
     if q.ndim != 2 or s.shape != q.shape[:1] or len(s) < 2:
         raise BadInput(f"{label}: expected joints (n, 6) at n >= 2 stations, got {q.shape} at {s.shape}")
@@ -106,7 +114,8 @@ def _cleaned(q: Array, s: Array, feed: Array | float | None, limits: Limits, lab
     kept[-1] = len(s) - 1  # of near-duplicates at the end the goal itself is kept
     index = np.array(kept)
     stations = s[index] - s[index[0]]
-    return _Path(CubicSpline(stations, q[index]), stations, None if bound is None else bound[index], index, limits, label)
+    curve = CubicSpline(stations, q[index], bc_type="clamped" if at_rest else "not-a-knot")
+    return _Path(curve, stations, None if bound is None else bound[index], index, limits, label, at_rest)
 
 
 def _check_range_and_rest(path: _Path) -> None:
@@ -157,9 +166,9 @@ def _fastest(path: _Path, cells: int, tightening: _Tightening, window: float) ->
         coarse = _rows(path, np.linspace(0.0, path.s[-1], 101), tightening)
         accel = 1.0 / np.maximum(np.abs(coarse.a).max(axis=1), 1e-9)
         scale = min(float(np.median(np.sqrt(coarse.x_max))), float(np.sqrt(path.s[-1] * np.median(accel))))
-        ramp = scale**2 / (2.0 * min(accel[0], accel[-1]))
+        ramp = 0.0 if path.at_rest else scale**2 / (2.0 * min(accel[0], accel[-1]))
         rows = _rows(path, graded_grid(path.s, int(factor * cells), ramp), tightening)
-        x = squared_speeds(rows, scale, both_ends)
+        x = squared_speeds(rows, scale, both_ends, path.at_rest)
         if np.all(np.isfinite(x)) and np.all(x[1:-1] > 0):
             return time_law(rows.grid, x, window)
     where = path.s[-1] * float(np.argmin(np.isfinite(x))) / len(x)

@@ -43,9 +43,9 @@ def _toppra() -> tuple[Any, Any, Any, Any]:
     return TOPPRA, LinearConstraint, canlinear_colloc_to_interpolate, AbstractGeometricPath
 
 
-def squared_speeds(rows: PathRows, scale: float, at_both_ends: bool = True) -> Array:
-    """Largest admissible x = (ds/dt)^2 at the grid points, rest to rest, (n,) m^2/s^2; NaN where the solver
-    failed.
+def squared_speeds(rows: PathRows, scale: float, at_both_ends: bool = True, moving: bool = False) -> Array:
+    """Largest admissible x = (ds/dt)^2 at the grid points, (n,) m^2/s^2; NaN where the solver failed. From rest to rest, or
+    `moving` along the path as fast as it may at both ends, where the path itself rests.
 
     `scale` [m/s] is a typical speed: toppra's absolute tolerances expect numbers near 1. `at_both_ends` asks
     that the acceleration of an interval fits the rows at both of its ends (otherwise at its start alone).
@@ -72,7 +72,8 @@ def squared_speeds(rows: PathRows, scale: float, at_both_ends: bool = True) -> A
         path_interval = np.array([grid[0], grid[-1]])
 
     solver = TOPPRA([Rows()], Interval(), gridpoints=grid, solver_wrapper="seidel")
-    _, speed, _ = solver.compute_parameterization(0.0, 0.0)
+    ends = [float(np.sqrt(x)) / scale if moving else 0.0 for x in rows.x_max[[0, -1]]]
+    _, speed, _ = solver.compute_parameterization(*ends)
     if speed is None:
         return np.full(len(grid), np.nan)
     return np.asarray(speed, float) ** 2 * scale**2

@@ -100,7 +100,8 @@ def _spread(paths: list[BladePath]) -> list[int]:
 
 
 def compensated(course: Course, calibration: Calibration | None, which: list[int]) -> list[SolvedPass]:
-    """Joints that hold the process force on passes `which`, as the planner finds them with this calibration.
+    """Joints that hold the process force on passes `which`, as the planner finds them with this calibration, where the full force
+    bears.
 
     The planner's preference for postures of less uncertain force is left out: it takes 4 s of building for every calibration.
     A calibrated stiffness scales forces of the wheel's law and of the cover exactly, so that neither is made anew.
@@ -111,7 +112,8 @@ def compensated(course: Course, calibration: Calibration | None, which: list[int
     law = replace(course.law, geometry=replace(course.law.geometry, modulus=cell.wheel.cover_modulus))
     stiffer = cell.workpiece.youngs_modulus / course.cell.workpiece.youngs_modulus
     worker = PassWorker(Ground(cell, theta, ObjectiveWeights(), law, softer, course.blade.vertices, course.cloud))
-    return [worker.solve(course.paths[k], course.seeds[k], course.compliance[k] / stiffer) for k in which]
+    solved = (worker.solve(course.paths[k], course.seeds[k], course.compliance[k] / stiffer) for k in which)
+    return [one.grinding() for one in solved]
 
 
 def working_points(solved: list[SolvedPass]) -> list[Array]:

@@ -21,6 +21,7 @@ from robots.kinematics import chain
 # Columns of the waypoint data w handed to every function of the model.
 WAYPOINT = ("p", "n", "t", "curvature", "blade_compliance", "indentation_correction")
 WAYPOINT_SIZE = {"p": 3, "n": 3, "t": 3, "curvature": 3, "blade_compliance": 3, "indentation_correction": 1}
+STOP_SOFTNESS = 0.1  # N about a stop of the flange in which its stroke bends over
 N_WAYPOINT = sum(WAYPOINT_SIZE.values())
 
 
@@ -208,7 +209,8 @@ def _relative_curvature(radius: ca.SX, k: ca.SX, n: ca.SX, t: ca.SX, belt: ca.SX
 
 
 def _flange_stroke(cell: Cell, F: ca.SX, n: ca.SX, T_base_flange: ca.SX, par: dict[str, ca.SX]) -> ca.SX:
-    """What the force-setting flange gives along the normal: F (n.a) = setpoint + k stroke (+ carried weight)."""
+    """What the force-setting flange gives along the normal: F (n.a) = setpoint + k stroke (+ carried weight), between its stops,
+    where it is rigid (PHYSICS 6)."""
     flange = cell.flange
     if flange is None:
         return ca.SX(0)
@@ -217,7 +219,15 @@ def _flange_stroke(cell: Cell, F: ca.SX, n: ca.SX, T_base_flange: ca.SX, par: di
     along_gravity = ca.dot(ca.SX(cell.robot.gravity_direction), direction)
     weight = ca.SX(0) if flange.gravity_compensated else flange.carried_mass * GRAVITY * along_gravity
     setpoint = flange.setpoint + par["flange_setpoint_offset"]
-    return (F * along - setpoint - weight) / par["flange_stiffness"] * along
+    x, soft = (F * along - setpoint - weight) / par["flange_stiffness"], STOP_SOFTNESS / flange.stiffness
+    x = _at_least(x + 0.5 * flange.stroke, soft) - 0.5 * flange.stroke
+    return (0.5 * flange.stroke - _at_least(0.5 * flange.stroke - x, soft)) * along
+
+
+def _at_least(v: ca.SX, soft: float) -> ca.SX:
+    """max(v, 0), twice continuously differentiable, exact where |v| > soft."""
+    u = v / soft + 1
+    return ca.if_else(u > 2, v, ca.if_else(u < 0, 0, soft * u**3 * (4 - u) / 16))
 
 
 def _push_axis(cell: Cell, n: ca.SX, R_flange: ca.SX) -> ca.SX:

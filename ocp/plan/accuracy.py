@@ -43,7 +43,7 @@ def working_accuracy(nominal: Cell, cell: Cell, theta: Theta, law: WheelLaw, sol
     unknown = ca.vertcat(model.theta, model.q)
     slope = ca.Function("slope", [model.q, model.F, model.w, model.theta], [ca.vec(ca.jacobian(place, unknown))])
     found = []
-    for one in solved:
+    for one in (whole.touching() for whole in solved):
         path, q = one.problem.path, one.solution.q
         frame = make_transform(np.stack([path.t, np.cross(path.n, path.t), path.n], axis=-1), path.p)
         believed = invert(wheel_frame(nominal)) @ forward(nominal.robot, q) @ nominal.workpiece.T_flange_blade @ frame
@@ -73,8 +73,8 @@ def accuracy_columns(accuracy: Sequence[WorkingAccuracy], motion: PlannedMotion,
     shift = np.full((len(line.time), 3), np.nan)
     for k, (one, solved) in enumerate(zip(accuracy, motion.passes, strict=True)):
         rows = np.flatnonzero(line.contact & (place == k))
-        at = np.clip(line.s[rows], 0.0, solved.problem.path.s[-1])
-        shift[rows] = PchipInterpolator(solved.problem.path.s, one.shift)(at)
+        s = solved.touching().problem.path.s
+        shift[rows] = PchipInterpolator(s, one.shift)(np.clip(line.s[rows], s[0], s[-1]))
     return [(f"d_{name}_mm", 1e3 * shift[:, axis], 5) for name, axis in (("normal", 2), ("feed", 0), ("lateral", 1))]
 
 
@@ -86,7 +86,7 @@ def accuracy_rows(accuracy: Sequence[WorkingAccuracy], solved: Sequence[SolvedPa
     miss = np.concatenate(
         [
             one.shift[:, 2] * each.evaluation.stiffness / each.problem.path.force
-            for one, each in zip(accuracy, solved, strict=True)
+            for one, each in zip(accuracy, (whole.touching() for whole in solved), strict=True)
         ]
     )
     rows = [("Uncalibrated working error, rms", shift), ("One sigma of what is left of it", sd)]

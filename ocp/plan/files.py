@@ -104,11 +104,9 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
         program = grinding_program(cell, plan.motion, plan.kind, plan.name)
         files = write_program(cell, program, folder)
         timeline = build_timeline(plan.motion, emitted_times(plan.motion, program))
-        write_plan_csv(
-            timeline,
-            folder / "plan.csv",
-            [*plan.removal.columns(timeline), *accuracy_columns(plan.accuracy, plan.motion, timeline)],
-        )
+        setpoint = cell.flange.setpoint if cell.flange is not None else np.nan
+        more = [*plan.removal.columns(timeline), *accuracy_columns(plan.accuracy, plan.motion, timeline)]
+        write_plan_csv(timeline, folder / "plan.csv", setpoint, more)
     with phases.phase("reading back"):
         values = plan.theta.values
         believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
@@ -119,12 +117,13 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
 def grades_of(plan: Plan, readback: Readback) -> Grades:
     """The two grades of a written plan."""
     goal, asked = _asked(plan)
-    return Grades(grade_move(readback), grade_force(plan.cell, goal, plan.force_sd, readback.force_error), asked)
+    poses = plan.kind != "axis"
+    return Grades(grade_move(readback), grade_force(plan.cell, goal, plan.force_sd, readback.force_error, poses), asked)
 
 
 def _asked(plan: Plan) -> tuple[float, str]:
     """Largest force that the paths ask for, N, and all of them in words."""
-    force = np.concatenate([p.problem.path.force for p in plan.motion.passes])
+    force = np.concatenate([p.problem.path.force * p.problem.way.peak for p in plan.motion.passes])
     low, high = float(force.min()), float(force.max())
     return high, f"{high:g} N" if high - low < 1e-9 else f"the {low:g} to {high:g} N asked for"
 
@@ -132,24 +131,35 @@ def _asked(plan: Plan) -> tuple[float, str]:
 def _summary(plan: Plan, written: _Written) -> list[tuple[str, str]]:
     """What it is, and its value with its unit."""
     motion, back, goal = plan.motion, written.readback, _asked(plan)[0]
-    contact = [s for s in motion.segments if s.kind == "contact"]
-    force = np.concatenate([p.force for p in back.passes])
-    sd = np.concatenate([p.evaluation.force_sd for p in motion.passes])
-    stiffness = np.concatenate([p.evaluation.stiffness for p in motion.passes])
-    compliance = np.concatenate([p.problem.compliance[:, 0] for p in motion.passes])
+    ways, passes = [s for s in motion.segments if s.kind == "pass"], [p.grinding() for p in motion.passes]
+    force = np.concatenate(
+        [
+            found.force[(found.s >= one.problem.path.s[0]) & (found.s <= one.problem.path.s[-1])]
+            for found, one in zip(back.passes, passes, strict=True)
+        ]
+    )
+    sd = np.concatenate([p.evaluation.force_sd for p in passes])
+    stiffness = np.concatenate([p.evaluation.stiffness for p in passes])
+    compliance = np.concatenate([p.problem.compliance[:, 0] for p in passes])
+    contact = sum(
+        float(np.ptp(written.timeline.time[written.timeline.contact & (written.timeline.segment == i)]))
+        for i, s in enumerate(motion.segments)
+        if s.kind == "pass"
+    )
     deflection = " to ".join(f"{c * goal * 1e3:.4f}" for c in (compliance.min(), compliance.max()))
     worst = [max(getattr(s.trajectory.worst, name) for s in motion.segments) for name in ("velocity", "acceleration", "torque")]
-    feed = max(s.trajectory.worst.feed for s in contact)
+    feed = max(s.trajectory.worst.feed for s in ways)
     rows = [
         ("Passes, waypoints", f"{len(motion.passes)}, {plan.waypoints}", ""),
         ("Force asked for", _asked(plan)[1], ""),
         ("Force by the independent route", f"{force.min():.3f} to {force.max():.3f}", "N"),
         ("Largest difference to the force asked for", f"{back.force_error:.4f}", "N"),
+        ("Contact in the air by the independent route", f"{back.touching_in_air:.3f}", "s"),
         ("Standard deviation of the force", f"{sd.min():.2f} to {sd.max():.2f}", "N"),
         ("Stiffness of the contact chain", f"{stiffness.min() / 1e3:.2f} to {stiffness.max() / 1e3:.2f}", "N/mm"),
         ("Blade deflection under the force", deflection, "mm"),
         ("Axes read back against the plan", f"{np.degrees(back.axis_error):.6f}", "deg"),
-        ("Duration, of it in contact", f"{motion.duration:.1f}, {sum(s.trajectory.duration for s in contact):.1f}", "s"),
+        ("Duration, of it in contact", f"{motion.duration:.1f}, {contact:.1f}", "s"),
         ("Largest use of speed, acceleration, torque limits", ", ".join(f"{w:.3f}" for w in worst), ""),
         ("Largest feed over the one asked for", f"{feed:.3f}", ""),
         ("Table of the wheel, largest held-out error", f"{plan.wheel_error * 1e6:.1f}", "um"),
@@ -175,7 +185,7 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], g
             for p in plan.motion.passes
             for path in [p.problem.path]
         ],
-        "process": plan.removal.figures.document(),
+        "process": plan.removal.figures.document() | {"contact_in_travel_s": round(written.readback.touching_in_air, 4)},
         "left_out": [one.document() for one in plan.left_out],
         "files": written.files,
         "inputs": [{"role": role, "name": p.name, "sha256": sha256(p)} for role, p in plan.inputs],

@@ -67,10 +67,15 @@ def grade_move(readback: Readback) -> Grade:
     )
 
 
-def grade_force(cell: Cell, asked: float, sd: float, off: float) -> Grade:
+def grade_force(cell: Cell, asked: float, sd: float, off: float, poses: bool = False) -> Grade:
     """How far the force on the real cell may be from `asked` N: its standard deviation N, and by how much the program read
-    back is off by the independent route, N."""
+    back is off by the independent route, N; `poses`: the program is one of poses, whose blocks begin and end at rest."""
     doubts = []
+    if poses:
+        doubts.append(
+            "a program of poses rests under the full force where every pass begins and ends, which grinds too deep there; "
+            "use --kind axis"
+        )
     spread = f"one standard deviation on the real cell is up to {sd:.2g} N"
     found = f"read back it is within {off:.2g} N by the independent route, {spread}"
     if sd > FORCE_SHARE * asked:

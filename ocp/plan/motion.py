@@ -1,7 +1,7 @@
-"""The whole motion: order of the passes, travel, engage, contact, retreat, each timed and checked at 1 ms.
+"""The whole motion: order of the passes, travel between them, each timed and checked at 1 ms.
 
-Moves off contact are made here: engaging along the contact normal, and the way from one pass to the next. Joints in contact come
-from plan/passes.
+The way from one pass to the next is made here. The ways of the passes, from rest in the air to rest in the air, come from
+plan/passes with the speed profile that they were planned for.
 """
 
 import itertools
@@ -15,25 +15,28 @@ from ocp.model.cell import Cell
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.optimise import SolvedPass
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.rules import COLLISION_STEP, ENGAGE_SPEED, HOME_LIFT, LIFT_OFF, LIMIT_SHARE
+from ocp.plan.rules import COLLISION_STEP, FEED_TOLERANCE, HOME_LIFT, LIMIT_SHARE
 from robots.errors import Infeasible
 from robots.kinematics import forward, jacobian
 from robots.pose import Array
 from robots.rigid_body import inverse_dynamics
-from trajectories.joint_trajectory import JointTrajectory, Limits
+from trajectories.joint_trajectory import JointTrajectory, Limits, sample_times
 from trajectories.timing import time_contact_path, time_joint_move
+from trajectories.toppra_law import times_at
 
-ENGAGE_POINTS = 11
+PASS_WINDOW = 0.01  # s, running mean of a pass's time law: its rate is smooth already
 
 
 @dataclass(frozen=True)
 class MotionSegment:
-    """A timed piece of the program: `kind` is travel, engage, contact or retreat; `place` the pass in driving order."""
+    """A timed piece of the program: `kind` is travel or pass; `place` the pass in driving order; `stops`: times s since its start
+    of a pass' full force, and of its end."""
 
     kind: str
     place: int
     trajectory: JointTrajectory
     start: float
+    stops: tuple[float, ...] = ()
 
     @property
     def end(self) -> float:
@@ -53,9 +56,9 @@ class PlannedMotion:
         """Seconds from the first posture to the last."""
         return self.segments[-1].end
 
-    def contact(self, place: int) -> MotionSegment:
-        """The grinding segment of the pass at `place`."""
-        return next(s for s in self.segments if s.kind == "contact" and s.place == place)
+    def way(self, place: int) -> MotionSegment:
+        """The segment of the pass at `place`, from air to air."""
+        return next(s for s in self.segments if s.kind == "pass" and s.place == place)
 
 
 def build_motion(
@@ -67,16 +70,15 @@ def build_motion(
     """
     payload = cell.workpiece.payload
     limits = Limits.of(cell.robot, partial(inverse_dynamics, cell.robot, payload.mass, payload.com), LIMIT_SHARE)
-    ends = [(_clear(cell, p, 0), _clear(cell, p, -1)) for p in solved]
-    order = _order(cell, [(a[-1], b[-1]) for a, b in ends])
-    passes, ends = [solved[i] for i in order], [ends[i] for i in order]
+    order = _order(cell, [(p.solution.q[0], p.solution.q[-1]) for p in solved])
+    passes = [solved[i] for i in order]
     home = lifted(cell, passes[0].solution.q[0], _normal(cell, passes[0], 0), np.array([HOME_LIFT]))[0]
     segments: list[MotionSegment] = []
     time = 0.0
 
-    def add(kind: str, place: int, trajectory: JointTrajectory) -> None:
+    def add(kind: str, place: int, trajectory: JointTrajectory, stops: tuple[float, ...] = ()) -> None:
         nonlocal time
-        segments.append(MotionSegment(kind, place, trajectory, time))
+        segments.append(MotionSegment(kind, place, trajectory, time, stops))
         time += trajectory.duration
 
     def go(place: int, start: tuple[Array, Array], goal: tuple[Array, Array], label: str) -> None:
@@ -90,15 +92,13 @@ def build_motion(
                 add("travel", place, time_joint_move(a, b, limits, label=label))
 
     where = at_home = (home, _normal(cell, passes[0], 0))
-    for place, (one, (inward, outward)) in enumerate(zip(passes, ends, strict=True)):
+    for place, one in enumerate(passes):
         name = f"line {one.problem.path.line} ({one.problem.path.side})"
-        go(place, where, (inward[-1], _normal(cell, one, 0)), f"{name}, approach")
-        distance = np.linspace(0.0, LIFT_OFF, ENGAGE_POINTS)
-        add("engage", place, time_contact_path(inward[::-1], distance, ENGAGE_SPEED, limits, label=f"{name}, engage"))
-        path = one.problem.path
-        add("contact", place, time_contact_path(one.solution.q, path.s, path.feed, limits, label=name))
-        add("retreat", place, time_contact_path(outward, distance, ENGAGE_SPEED, limits, label=f"{name}, retreat"))
-        where = (outward[-1], _normal(cell, one, -1))
+        go(place, where, (one.solution.q[0], _normal(cell, one, 0)), f"{name}, approach")
+        timed, feed = _timed(one, limits, name), float(one.problem.path.feed.mean())
+        begin, end = times_at(timed.law, feed * one.problem.way.edges[2:4])
+        add("pass", place, timed, (float(begin), float(end)))
+        where = (one.solution.q[-1], _normal(cell, one, -1))
         advance()
     go(len(passes), where, at_home, "way home")
     return PlannedMotion(passes, segments)
@@ -116,16 +116,24 @@ def _normal(cell: Cell, solved: SolvedPass, k: int) -> Array:
     return cell.wheel.outward(solved.evaluation.arc[k])
 
 
-def _clear(cell: Cell, solved: SolvedPass, k: int) -> Array:
-    """Joints (ENGAGE_POINTS, 6) from contact waypoint k straight off the wheel by LIFT_OFF."""
-    q = solved.solution.q[k]
-    path = solved.problem.path
-    try:
-        off = lifted(cell, q, _normal(cell, solved, k), np.linspace(0.0, LIFT_OFF, ENGAGE_POINTS)[1:])
-    except Infeasible as error:
-        message, where = f"line {path.line} ({path.side}): {error}", np.ones(len(path.s), bool)
-        raise CannotGrind.of(path, where, str(error), "move the wheel or the blade in its holder", k, message) from None
-    return np.vstack([q, off])
+def _timed(one: SolvedPass, limits: Limits, name: str) -> JointTrajectory:
+    """The way of a pass at the rate it was planned for; its parameter is nominal time times the line's mean feed, m.
+
+    Raises CannotGrind where that rate is not met in contact.
+    """
+    path, course = one.problem.path, one.problem.way
+    feed = float(path.feed.mean())
+    stations, bound = course.at * feed, one.solution.rate * feed
+    trajectory = time_contact_path(one.solution.q, stations, bound, limits, PASS_WINDOW, name, at_rest=True)
+    t = sample_times(trajectory)
+    nominal = trajectory.s(t) / feed
+    on = (nominal > course.edges[1]) & (nominal < course.edges[4])
+    met = (trajectory.feed(t) / np.interp(nominal, course.at, one.solution.rate * feed))[on]
+    if met.min() < 1 - FEED_TOLERANCE:
+        k = int(np.argmin(np.abs(course.at - nominal[on][int(np.argmin(met))])))
+        reason = f"the arm reaches {100 * met.min():.1f} % of the planned feed (at least {100 - 100 * FEED_TOLERANCE:g})"
+        raise CannotGrind.of(path, np.ones(len(path.s), bool), reason, "lower the feed", k)
+    return trajectory
 
 
 def _order(cell: Cell, ends: list[tuple[Array, Array]]) -> list[int]:
@@ -221,7 +229,7 @@ def is_free(scene: CollisionScene, points: Array) -> bool:
 def travel(cell: Cell, scene: CollisionScene, start: tuple[Array, Array], goal: tuple[Array, Array]) -> Array:
     """Via points (k, 6), ends included, of a free way between two clear poses.
 
-    `start` and `goal` are (contact joints lifted by LIFT_OFF, outward wheel radial (3,)) of the passes. Straight first,
+    `start` and `goal` are (joints at rest in the air, outward wheel radial (3,)) of the passes. Straight first,
     then by retreat points farther out, then by a search. Raises Infeasible where nothing is found.
     """
     (qa, na), (qb, nb) = start, goal

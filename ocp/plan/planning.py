@@ -30,6 +30,7 @@ from ocp.plan.passes.stretches import (
 )
 from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
 from ocp.plan.programming import program_setup
+from ocp.plan.removal.dwell import even_feeds
 from ocp.plan.removal.result import Removal, find_removal
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
@@ -74,8 +75,8 @@ class Plan:
 
     @property
     def force_sd(self) -> float:
-        """Largest standard deviation of the force on the real cell, N."""
-        return max(float(p.evaluation.force_sd.max()) for p in self.motion.passes)
+        """Largest standard deviation of the force on the real cell, N, where all of it is asked for."""
+        return max(float(p.grinding().evaluation.force_sd.max()) for p in self.motion.passes)
 
     @property
     def waypoints(self) -> int:
@@ -112,14 +113,17 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     whole, deep = without_places(whole, laid.beyond, options.whole)
     refuse_mostly_left_out(laid.paths, [*short, *deep])
 
+    fitted = options.even if options.path is None and options.program is None else options.stock is not None
+    feeds = partial(even_feeds, cell, laid.flanks, laid.wanted) if fitted else None
+
     def solve() -> GroundLines:
         with phases.phase("postures"):
             stretches, seeds, lost = seeds_of_stretches(cell, scene, contact.law, whole, options.whole)
         with phases.phase("optimal control", len(stretches)) as advance:
-            found = solve_passes(ground, stretches, seeds, options.whole, advance)
+            found = solve_passes(ground, stretches, seeds, options.whole, feeds, advance)
         return GroundLines(found.passes, joined([*lost, *found.left_out]))
 
-    solved = remembered_passes(ground, laid.paths, compliance, solve, options.whole)
+    solved = remembered_passes(ground, laid.paths, compliance, solve, options.whole, fitted)
     solved = replace(solved, left_out=joined([*short, *deep, *solved.left_out]))
     notices = (*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices, *told)
     job = Job(believed, ground, scene, laid, contact, options, phases, notices)

@@ -8,7 +8,6 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ocp.model.cell import Cell, wheel_frame
 from ocp.plan.motion import MotionSegment, PlannedMotion
@@ -21,6 +20,7 @@ from trajectories.joint_trajectory import sample_times
 from trajectories.program.build import Leg, build_program
 from trajectories.program.program import Program, Setup, TimedSpline
 
+PHASES = ("travel", "lead_in", "pass", "lead_out")
 TABLE_STEP = 0.025  # s between rows of plan.csv where the program itself is not timed
 
 
@@ -41,7 +41,7 @@ def grinding_program(cell: Cell, motion: PlannedMotion, kind: str, name: str) ->
     fine = float(np.clip(EMITTED_FORCE_ERROR / stiffness, *EMITTED_TOLERANCE))
 
     def tolerance(leg: Leg) -> float:
-        return fine if leg.kind == "contact" else EMITTED_AIR_TOLERANCE
+        return fine if leg.kind == "pass" else EMITTED_AIR_TOLERANCE
 
     dialect = dialect_named(cell.controller.dialect)
     setup = program_setup(cell, cell.workpiece.payload, kind)
@@ -87,8 +87,8 @@ class Timeline:
     """Rows of plan.csv in SI; m points. nan where there is no contact.
 
     time (m,) s; segment (m,) index into PlannedMotion.segments; line (m,) of the blade, 0 on the way between passes; contact
-    (m,) bool; q, qd, qdd (m, 6); p, n, t (m, 3) blade frame; s (m,) m along the pass, begin (m,) m: where on it its line
-    begins; feed (m,) m/s; force, force_sd (m,) N;
+    (m,) bool, by the model; phase (m,) index into PHASES; q, qd, qdd (m, 6); p, n, t (m, 3) blade frame; s (m,) m along the
+    pass, begin (m,) m: where on it s_mm is zero; feed (m,) m/s; force, force_sd (m,) N;
     interference (m,) m; limit_ratio (m,).
     """
 
@@ -96,6 +96,7 @@ class Timeline:
     segment: Array
     line: Array
     contact: Array
+    phase: Array
     q: Array
     qd: Array
     qdd: Array
@@ -120,34 +121,27 @@ def build_timeline(motion: PlannedMotion, times: list[Array]) -> Timeline:
 def _rows(motion: PlannedMotion, index: int, segment: MotionSegment, t: Array) -> Timeline:
     trajectory = segment.trajectory
     m = len(t)
-    contact = segment.kind == "contact"
+    contact, phase, line = np.zeros(m, bool), np.zeros(m, int), 0
     vector, number = np.full((m, 3), np.nan), np.full(m, np.nan)
-    values: dict[str, Array] = dict.fromkeys(("p", "n", "t"), vector)
-    values |= dict.fromkeys(("s", "begin", "feed", "force", "force_sd", "interference"), number)
-    line = 0 if segment.kind == "travel" else motion.passes[segment.place].problem.path.line
-    if contact:
+    values: dict[str, Array] = {name: vector.copy() for name in ("p", "n", "t")}
+    values |= {name: number.copy() for name in ("s", "begin", "feed", "force", "force_sd", "interference")}
+    if segment.kind == "pass":
         solved = motion.passes[segment.place]
-        path, s = solved.problem.path, trajectory.s(t)
-        stations = path.s
-        for name in ("p", "n", "t"):
-            values[name] = np.asarray(CubicSpline(stations, getattr(path, name))(s))
-        for name in ("n", "t"):
-            values[name] = values[name] / np.linalg.norm(values[name], axis=1, keepdims=True)
-        curves = np.column_stack([solved.solution.force, solved.evaluation.force_sd, solved.evaluation.delta])
-        force, sd, delta = CubicSpline(stations, curves)(s).T
-        values |= {
-            "s": s,
-            "begin": np.full(m, -path.start),
-            "feed": trajectory.feed(t),
-            "force": force,
-            "force_sd": sd,
-            "interference": delta,
-        }
+        way, line = solved.problem.way, solved.problem.path.line
+        nominal = trajectory.s(t) / float(solved.problem.path.feed.mean())
+        phase = way.phase_at(nominal) % len(PHASES)
+        contact = phase > 0
+        seen = solved.at(nominal[contact])
+        rate = trajectory.feed(t[contact]) / float(solved.problem.path.feed.mean())
+        values["feed"][contact] = seen.pop("speed") * rate
+        for name, value in seen.items():
+            values[name][contact] = value
     return Timeline(
         time=segment.start + t,
         segment=np.full(m, index),
         line=np.full(m, line),
-        contact=np.full(m, contact),
+        contact=contact,
+        phase=phase,
         q=trajectory.q(t),
         qd=trajectory.qd(t),
         qdd=trajectory.qdd(t),
@@ -159,8 +153,9 @@ def _rows(motion: PlannedMotion, index: int, segment: MotionSegment, t: Array) -
 Column = tuple[str, Array, int]  # name, values (m,) in the unit of the name, digits after the point
 
 
-def write_plan_csv(timeline: Timeline, path: Path, more: Sequence[Column] = ()) -> None:
-    """Write plan.csv as FORMATS.md asks, `more` columns last; cells without meaning off contact stay empty."""
+def write_plan_csv(timeline: Timeline, path: Path, setpoint: float = np.nan, more: Sequence[Column] = ()) -> None:
+    """Write plan.csv as FORMATS.md asks, `more` columns last; cells without meaning off contact stay empty. `setpoint` N of the
+    force flange, nan without one."""
     degrees = 180 / np.pi
     columns: list[Column] = [
         ("time_s", timeline.time, 6),
@@ -178,10 +173,12 @@ def write_plan_csv(timeline: Timeline, path: Path, more: Sequence[Column] = ()) 
         ("fn_sd_N", timeline.force_sd, 5),
         ("interference_mm", timeline.interference * 1e3, 6),
         ("limit_ratio", timeline.limit_ratio, 6),
+        ("setpoint_N", np.full(len(timeline.time), setpoint), 4),
         *more,
     ]
     texts = [[_cell(v, digits) for v in values] for _, values, digits in columns]
-    lines = [",".join(name for name, _, _ in columns), *(",".join(row) for row in zip(*texts, strict=True))]
+    texts.append([PHASES[k] for k in timeline.phase])
+    lines = [",".join([*(name for name, _, _ in columns), "phase"]), *(",".join(row) for row in zip(*texts, strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
 
 

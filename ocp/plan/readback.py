@@ -5,14 +5,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell
-from ocp.plan.motion import PlannedMotion
+from ocp.plan.motion import MotionSegment, PlannedMotion
+from ocp.plan.passes.optimise import LEAST_DIRECT, SolvedPass
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.rules import BLOCK_TIME_TOLERANCE, FLANGE_FORCE_TOLERANCE, READ_BACK_LIMIT, RIGID_FORCE_TOLERANCE
-from ocp.plan.second_route import BelievedRobot, VerifiedPass, verify_pass
+from ocp.plan.rules import BLOCK_TIME_TOLERANCE, FLANGE_FORCE_TOLERANCE, GAP_TOLERANCE, READ_BACK_LIMIT, RIGID_FORCE_TOLERANCE
+from ocp.plan.second_route import BelievedRobot, VerifiedPass, gaps, verify_pass
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.inverse import inverse_branches
@@ -31,7 +33,8 @@ class Readback:
     """What the text says: force by the second route per pass in driving order; largest differences to the plan.
 
     force_error N against the programmed force; axis_error rad and time_error s against the planned motion; limit_ratio
-    of the re-interpolated axes at 1 ms (nan for programs whose timing is the controller's).
+    of the re-interpolated axes at 1 ms (nan for programs whose timing is the controller's); touching_in_air s: contact of blade
+    and wheel where none is planned.
     """
 
     passes: list[VerifiedPass]
@@ -39,6 +42,7 @@ class Readback:
     axis_error: float
     time_error: float
     limit_ratio: float
+    touching_in_air: float
 
 
 def read_back(
@@ -53,21 +57,51 @@ def read_back(
     execution = dialect_named(controller.dialect).check(main, cell.robot, controller.absolute_accuracy)
     timed = all(s.times is not None or s.kind == "point" for s in execution.segments)
     driven, axis_error, time_error, ratio = (_timed if timed else _posed)(cell, motion, execution)
-    passes, worst = [], 0.0
+    passes, worst, in_air, tasks = [], 0.0, 0.0, []
     unheld: list[CannotGrind] = []
-    tasks = [
-        (one.problem.path, one.problem.compliance, *rows, one.problem.named_conditions(cell))
-        for one, rows in zip(motion.passes, driven, strict=True)
-    ]
-    for one, checked in zip(motion.passes, _verified(cell, believed, cover, cloud, tasks), strict=True):
+    for one, rows in zip(motion.passes, driven, strict=True):
+        in_air += _touching_in_air(cell, believed, one, *rows)
+        tasks.append(_bearing(cell, one, *rows))
+    for (path, *_), checked in zip(tasks, _verified(cell, believed, cover, cloud, tasks), strict=True):
         try:
-            worst = max(worst, force_error(cell, one.problem.path, checked))
+            worst = max(worst, force_error(cell, path, checked))
         except CannotGrind as error:
             unheld.append(error)
         passes.append(checked)
     if unheld:
         raise unheld[0].with_others(unheld[1:])
-    return Readback(passes, worst, axis_error, time_error, ratio)
+    return Readback(passes, worst, axis_error, time_error, ratio, in_air)
+
+
+def _bearing(cell: Cell, one: SolvedPass, t: Array, q: Array, nominal: Array) -> tuple[Any, ...]:
+    """The task of `verify_pass` for the rows of a pass (times t, joints q, nominal times) that bear LEAST_DIRECT of its force:
+    with the force that is planned there."""
+    bears = one.solution.force >= LEAST_DIRECT * one.problem.path.force
+    part = one.part(bears)
+    first, last = part.problem.way.at[[0, -1]]
+    rows = (nominal >= first) & (nominal <= last)
+    planned, conditions = one.at(nominal[rows]), part.problem.named_conditions(cell)
+    return part.problem.path, part.problem.compliance, t[rows], q[rows], planned["s"], conditions, planned["force"]
+
+
+def _touching_in_air(cell: Cell, believed: BelievedRobot, one: SolvedPass, t: Array, q: Array, nominal: Array) -> float:
+    """Seconds in which blade and wheel touch on the way through the air, before the force is planned to rise and after it fell.
+
+    Raises CannotGrind where the plan has a gap of more than GAP_TOLERANCE there.
+    """
+    way, path, seconds = one.problem.way, one.problem.path, 0.0
+    for end, rows in ((0, nominal < way.edges[1]), (-1, nominal > way.edges[4])):
+        if not rows.any():
+            continue
+        named = one.problem.named_conditions(cell)
+        conditions = {name: PchipInterpolator(way.at, value)(nominal[rows]) for name, value in named.items()}
+        touching = -gaps(cell, believed, path, end, one.problem.compliance[end], q[rows], conditions)
+        early = touching[way.gap_at(nominal[rows]) > GAP_TOLERANCE].max(initial=-np.inf)
+        if early >= 0:
+            reason = f"blade and wheel would touch in the air, {early * 1e3:.2f} mm deep, by the independent route"
+            raise CannotGrind.of(path, np.ones(len(path.s), bool), reason, "move the wheel or the blade in its holder")
+        seconds += float((touching > 0).sum()) * float(np.median(np.diff(t)))
+    return seconds
 
 
 def force_error(cell: Cell, path: BladePath, seen: VerifiedPass) -> float:
@@ -76,7 +110,7 @@ def force_error(cell: Cell, path: BladePath, seen: VerifiedPass) -> float:
     Raises CannotGrind where it is more than a program may be off by.
     """
     tolerance = RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
-    off = np.abs(seen.force - np.interp(seen.s, path.s, path.force))
+    off = np.abs(seen.force - seen.planned)
     k = int(np.argmax(off))
     if off[k] > tolerance:
         reason = (
@@ -115,7 +149,12 @@ def _verified(
         return [future.result() for future in futures]
 
 
-Driven = list[tuple[Array, Array, Array]]
+Driven = list[tuple[Array, Array, Array]]  # times s, joints, nominal times s of every pass
+
+
+def _nominal(motion: PlannedMotion, segment: MotionSegment, t: Array) -> Array:
+    """Nominal time (m,) s of a pass at times t (m,) s since its start."""
+    return np.asarray(segment.trajectory.s(t) / float(motion.passes[segment.place].problem.path.feed.mean()))
 
 
 def _timed(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Driven, float, float, float]:
@@ -133,8 +172,8 @@ def _timed(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Dri
         axis_error = max(axis_error, float(np.abs(q - segment.trajectory.q(t)).max()))
         use = np.abs(program.qd(start + t[:-1]) / cell.robot.qd_max), np.abs(program.qdd(start + t[:-1]) / cell.robot.qdd_max)
         ratio = max(ratio, float(use[0].max()), float(use[1].max()))
-        if segment.kind == "contact":
-            driven.append((t, q, segment.trajectory.s(t)))
+        if segment.kind == "pass":
+            driven.append((t, q, _nominal(motion, segment, t)))
     if time_error > BLOCK_TIME_TOLERANCE:
         raise Infeasible(f"a block of the program lasts {time_error * 1e3:.2f} ms longer or shorter than planned (at most 1)")
     if ratio > READ_BACK_LIMIT:
@@ -157,28 +196,26 @@ def _posed(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Dri
             blocks.append(np.vstack([blocks[-1][-1:], s.poses]))
         elif s.poses is not None:
             blocks.append(s.poses)
-    planned = [s for s in motion.segments if s.kind != "travel"]
-    if len(blocks) != len(planned):
-        raise Infeasible(f"the program read back has {len(blocks)} pose blocks, {len(planned)} were planned")
+    planned = [s for s in motion.segments if s.kind == "pass"]
+    if len(blocks) != 3 * len(planned):
+        raise Infeasible(f"the program read back has {len(blocks)} pose blocks, {3 * len(planned)} were planned")
     frames = next(s.frames for s in execution.segments if s.poses is not None)
     if frames.tool is None or frames.base is None:
         raise Infeasible("the program read back does not set its tool and base frames")
     driven: Driven = []
     axis_error = 0.0
-    for segment, poses in zip(planned, blocks, strict=True):
-        if segment.kind != "contact":
-            continue
+    for segment, poses in zip(planned, blocks[1::3], strict=True):
         curve, length = pose_spline(poses)
         chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
-        s_knots = np.linspace(0.0, segment.trajectory.stations[-1], len(poses))
+        first, last = segment.trajectory.s(np.array(segment.stops))
         u = np.linspace(0.0, length, max(int(np.ceil(length / POSE_STEP)) * 4, 8))
-        along = np.interp(u, chord, s_knots)
+        along = np.interp(u, chord, np.linspace(first, last, len(poses)))
         t = np.interp(along, segment.trajectory.stations, segment.trajectory.times)
         expected = segment.trajectory.path(along)
         T = frames.base @ invert(curve(u)) @ invert(frames.tool)
         q = _axes(cell, T, expected)
         axis_error = max(axis_error, float(np.abs(q - expected).max()))
-        driven.append((t, q, along))
+        driven.append((t, q, along / float(motion.passes[segment.place].problem.path.feed.mean())))
     return driven, axis_error, 0.0, float("nan")
 
 

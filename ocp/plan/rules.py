@@ -40,6 +40,10 @@ LIMIT_SHARE = 0.9
 """[-] Of an axis' limits of speed, acceleration and torque that the timed motion may use. Guards: the controller does not slow
 down or stop. Reason: judgement; rigid-body torques leave friction out."""
 
+FEED_TOLERANCE = 0.01
+"""[-] Of the planned feed, by which the timed motion may fall short of it in contact. Guards: depth goes with force over feed.
+Reason: a twentieth of what the removal may be off by."""
+
 READ_BACK_LIMIT = 1.0
 """[-] Of an axis' limits of speed and acceleration that the program's text, interpolated anew, may use. Guards: points that
 were rounded or thinned out do not ask for more than the arm has. Reason: the limit itself."""
@@ -59,6 +63,15 @@ error does not reach the program. Reason: a seventh of FLANGE_FORCE_TOLERANCE. I
 SECONDARY_CONTACT_TOLERANCE = 1e-4
 """[m] By how much more than planned a point of the blade may lie in the wheel's cover elsewhere. Guards: contact beside the
 planned one. Reason: a cover of 15 mm and 12 MPa gives 0.3 mm under 20 N; a third of that elsewhere is not noise."""
+
+PEAK_FORCE = 1.25
+"""[-] Of the programmed force, what may be planned where a pass begins or ends. Guards: the blade. Reason: the mission's 25 N at
+20 N."""
+
+GAP_TOLERANCE = 5e-5
+"""[m] Planned gap between blade and wheel in the air, from which on the independent route must see one too. Guards: nothing
+touches before its ramp begins. Reason: a hundredth of the flange's way under the force; at less the blade closes at TOUCH_SPEED.
+It refuses nothing by itself."""
 
 STROKE_RESERVE = 1e-3
 """[m] Of the force flange's stroke that is left at both ends. Guards: at its stop the flange sets no force. Reason: three times
@@ -120,8 +133,19 @@ LIFT_OFF = 0.020
 """[m] Off the wheel where a pass begins to be engaged and ends to be left, straight along the normal. Guards: moves between
 passes stay clear of the wheel. Reason: six times BLADE_MARGIN."""
 
-ENGAGE_SPEED = 0.02
-"""[m/s] Of engaging and retreating. Guards: the blade meets the wheel gently. Reason: KRL.md, low speed."""
+APPROACH_SPEED = 0.05
+"""[m/s] Along the normal, at most, between LIFT_OFF and touch. Guards: who stands there. Reason: a fifth of what T1 allows."""
+
+TOUCH_SPEED = 4e-3
+"""[m/s] At which the blade closes at touch, and leaves. Guards: the blade; the spike of a touch is speed times the root of
+stiffness and mass, 2 N for 5 kg and 60 N/mm. Reason: PHYSICS 6; at most 5 mm/s are asked."""
+
+LEAST_RAMP = 0.2
+"""[s] Over which the force rises and falls at least. Guards: the force follows. Reason: PHYSICS 6, 5 N off in 0.2 s."""
+
+CARRIED_FORCE = 1.0
+"""[N] That moving what the flange carries may add or take while the force rises. Guards: as LEAST_RAMP. Reason: a twentieth of
+the force; the ramp lasts longer for it, 0.3 s with 5 kg."""
 
 HOME_LIFT = 0.15
 """[m] Off the first contact where a program begins and ends. Guards: whoever stands there; the first move can be watched.

@@ -28,6 +28,7 @@ from trajectories.passes import BladePath
 FIXED_POINT_STEPS = 4
 DIFFERENCE = 1e-6  # rad, central differences of the contact point
 STATION_SPACING = 2.8e-3  # m between contacts solved; not the planner's stations
+FORCE_SPACING = 1.0  # N between contacts solved where the planned force changes
 FORCE_STEPS = 4  # Newton steps on the force at a station, until one is below the next line
 FORCE_STEP_ENOUGH = 0.1  # N; the law is so smooth that what is left after it is below 1e-3 N
 
@@ -58,12 +59,13 @@ def believed_robot(cell: Cell, mdh: Array, compliance: Array, payload_mass: floa
 
 @dataclass(frozen=True)
 class VerifiedPass:
-    """Force (m,) N along a pass at times (m,) s, arc length s (m,) m; interference (m,) m."""
+    """Force (m,) N along a pass at times (m,) s, arc length s (m,) m, and the one that was planned; interference (m,) m."""
 
     time: Array
     s: Array
     force: Array
     delta: Array
+    planned: Array
 
 
 def verify_pass(
@@ -77,10 +79,12 @@ def verify_pass(
     q: Array,
     s: Array,
     conditions: Mapping[str, Array] | None = None,
+    planned: Array | None = None,
 ) -> VerifiedPass:
     """Force along a pass whose joints q (m, 6) at `time` (m,) were read back; the contact is planned at arc length s (m,).
 
-    `compliance` (n, 3) m/N is the blade's in (n, t, b) at the waypoints of `path`; `conditions`: what the cell's effects
+    `compliance` (n, 3) m/N is the blade's in (n, t, b) at the waypoints of `path`; `planned` (m,) N: the force that is
+    meant there, by default the path's; `conditions`: what the cell's effects
     depend on there, by name, (n, k) each (`ocp.effects.engine.symbolic.CONDITIONS`).
     """
     on_path = {name: CubicSpline(path.s, getattr(path, name))(s) for name in ("p", "n", "t")}
@@ -101,7 +105,9 @@ def verify_pass(
     delta = wheel.radius - rho
 
     at = np.searchsorted(s, np.clip(path.s[contact_stations(path.s, STATION_SPACING)], s[0], s[-1]))
-    at = np.unique(np.clip(at, 0, len(s) - 1))
+    planned = np.interp(s, path.s, path.force) if planned is None else planned
+    changed = np.cumsum(np.abs(np.diff(planned, prepend=planned[0])))
+    at = np.unique(np.clip(np.append(at, np.flatnonzero(np.diff(np.floor(changed / FORCE_SPACING)))), 0, len(s) - 1))
     needed, slope = [], []
     for k in at:
         waypoint = int(np.argmin(np.abs(path.s - s[k])))
@@ -111,13 +117,36 @@ def verify_pass(
         sample = ContactSample(cell, on_path["p"][k], n[k], t[k], T[k], e[k], float(lateral[k]), base, here)
         blade = compliance[waypoint]
         linear = [_linear_compliance(cell, believed, q_real[k], sample, blade, mu) for mu in (wheel.friction, 1.0, 0.0)]
-        F, rate = _equilibrium(cell, cover, shape, sample, delta[k], float(path.force[waypoint]), linear)
-        slope.append(1.0 / rate)
-        needed.append(delta[k] - (F - path.force[waypoint]) * rate)
-    # What overlap the programmed force needs varies smoothly; the overlap itself is judged at every millisecond.
+        F, rate = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear)
+        slope.append(rate)
+        needed.append(delta[k] - F * rate)
+    # Where the chain's tangent meets no force varies smoothly, whatever the force; the overlap is judged at every millisecond.
     overlap, rise = PchipInterpolator(s[at], np.column_stack([needed, slope]))(s).T
-    force = np.interp(s, path.s, path.force) + rise * (delta - overlap)
-    return VerifiedPass(time, s, np.maximum(force, 0.0), delta)
+    force = (delta - overlap) / rise
+    return VerifiedPass(time, s, np.maximum(force, 0.0), delta, planned)
+
+
+def gaps(
+    cell: Cell, believed: BelievedRobot, path: BladePath, at: int, compliance: Array, q: Array, conditions: Mapping[str, Array]
+) -> Array:
+    """How far (m,) m the wheel is from where it would touch the blade's waypoint `at` of `path` at commanded joints q (m, 6): the
+    flange stands out free. compliance (3,) m/N of the blade there; `conditions` of the effects, by name, (m, k) each."""
+    seen, wheel = dict(conditions), cell.wheel
+    q_real, T_flange = _postures(cell, believed, q, seen)
+    T, p, n, t = T_flange @ cell.workpiece.T_flange_blade, path.p[at], path.n[at], path.t[at]
+    lateral, radial, rho = wheel.cylindrical(apply(T, p))
+    left = rho - wheel.radius
+    for k, pose in enumerate(T):
+        R, e = pose[:3, :3], radial[k] / rho[k]
+        push, (preload, give, half) = _flange(cell, pose, R @ n)
+        out = -min(preload * give, half) * push
+        left[k] += out
+        if cell.effects:
+            base = _local_shape(cell, path, at, R @ n, R @ t, e, lateral[k])
+            sample = ContactSample(cell, p, n, t, pose, e, float(lateral[k]), base, {name: v[k] for name, v in seen.items()})
+            rigid = _linear_compliance(cell, believed, q_real[k], sample, compliance, wheel.friction)
+            left[k] -= sample.overlap(0.0, (out, 0.0, 0.0, 0.0), (push**2 * give, 0.0, *rigid), 0.0)
+    return np.asarray(left)
 
 
 def _postures(cell: Cell, believed: BelievedRobot, q: Array, seen: dict[str, Array]) -> tuple[Array, Array]:
@@ -222,8 +251,10 @@ def _equilibrium(
     push, stroke = _flange(cell, sample.T, sample.T[:3, :3] @ sample.n)
     for _ in range(FORCE_STEPS):
         contact = solve_force(cover, F, shape)
-        parts = ((F * push - stroke[0]) * stroke[1] * push, contact.indentation, *(F * linear[0]))
-        slopes = (push**2 * stroke[1], 1.0 / contact.stiffness, *linear[0])
+        free = (F * push - stroke[0]) * stroke[1]
+        x = float(np.clip(free, -stroke[2], stroke[2]))  # at its stops the flange is rigid
+        parts = (x * push, contact.indentation, *(F * linear[0]))
+        slopes = (push**2 * stroke[1] * (x == free), 1.0 / contact.stiffness, *linear[0])
         more = sample.overlap(F, parts, slopes, F * float(np.sum(linear[1] - linear[2]))) if cell.effects else 0.0
         step = (delta + more - sum(parts)) / sum(slopes)
         F = max(F + step, 0.05 * F)
@@ -267,11 +298,11 @@ def _linear_compliance(cell: Cell, believed: BelievedRobot, q: Array, at: Contac
     return np.array([float(held) + 1.0 / cell.workpiece.clamp_stiffness, joints])
 
 
-def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[float, float]]:
-    """Share of the normal force along the flange's axis, and (preload N, compliance m/N) of its stroke."""
+def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[float, float, float]]:
+    """Share of the normal force along the flange's axis, and (preload N, compliance m/N, half length m) of its stroke."""
     flange = cell.flange
     if flange is None:
-        return 0.0, (0.0, 0.0)
+        return 0.0, (0.0, 0.0, 0.0)
     direction = n
     if flange.axis is not None:
         R_flange = T_base_blade[:3, :3] @ cell.workpiece.T_flange_blade[:3, :3].T
@@ -280,4 +311,4 @@ def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[flo
     weight = (
         0.0 if flange.gravity_compensated else flange.carried_mass * GRAVITY * float(cell.robot.gravity_direction @ direction)
     )
-    return float(direction @ n), (flange.setpoint + weight, 1.0 / flange.stiffness)
+    return float(direction @ n), (flange.setpoint + weight, 1.0 / flange.stiffness, 0.5 * flange.stroke)

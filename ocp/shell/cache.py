@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,8 +169,9 @@ def rebuilt(kind: type[Kind], entry: Entry, prefix: str = "") -> Kind:
     values: dict[str, Any] = {}
     for f in fields(kind):  # type: ignore[arg-type]
         name, hint = f"{prefix}.{f.name}", hints[f.name]
-        if is_dataclass(hint):
-            values[f.name] = rebuilt(hint, entry, name)  # type: ignore[arg-type]
+        made = next((h for h in (hint, *get_args(hint)) if is_dataclass(h)), None)
+        if made is not None and (made is hint or any(key.startswith(f"{name}.") for key in entry)):
+            values[f.name] = rebuilt(made, entry, name)  # type: ignore[arg-type]
         elif name in entry or (f.default is MISSING and f.default_factory is MISSING):
             array = entry[name]
             values[f.name] = hint(array.item()) if hint in (int, float, str, bool) else array

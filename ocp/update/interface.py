@@ -26,6 +26,7 @@ from ocp.update.drift import (
     changed_state,
     force_spread,
     last_state,
+    pressed_in_full,
     unmodelled_force,
     verdict_on,
 )
@@ -194,16 +195,16 @@ def _entry(
     fit: ForceFit, log: ForceLog, clock: np.ndarray, expected: Calibration, found: Calibration, preston: Preston | None
 ) -> dict[str, float]:
     """This update's row of the history."""
-    solution, touching = fit.solution, log.contact
+    solution, full = fit.solution, pressed_in_full(log)
     at = found.names.index(RADIUS), found.names.index(WEAR)
     sd = found.standard_deviation
     told = (np.nan, np.nan) if preston is None else (preston.value / UNIT, preston.sd / UNIT)
     return {
-        "clock_s": float(clock[touching].mean()),
-        "measured_N": float(log.fn[touching].mean() - solution.x[BIAS]),
-        "expected_N": float(solution.before[touching].mean() - solution.prior.mean[BIAS]),
+        "clock_s": float(clock[log.contact].mean()),
+        "measured_N": float(log.fn[full].mean() - solution.x[BIAS]),
+        "expected_N": float(solution.before[full].mean() - solution.prior.mean[BIAS]),
         "expected_sd_N": force_spread(solution, log, expected),
-        "found_N": float(solution.reading[touching].mean() - solution.x[BIAS]),
+        "found_N": float(solution.reading[full].mean() - solution.x[BIAS]),
         "found_sd_N": force_spread(solution, log, found),
         "radius_um": 1e6 * float(found.values[at[0]]),
         "radius_sd_um": 1e6 * float(sd[at[0]]),

@@ -277,10 +277,10 @@ def test_a_killed_check_leaves_no_file_that_is_not_listed(tmp_path, jobs):
     assert list(out.glob("worlds/*/tracker.csv")) and users_file(out) is None
     with reserved(out, overwrite=True, grows=True):
         assert [p.name for p in tmp_path.iterdir()] == ["check"]
-    mine = out / "worlds" / "00001" / "notes.txt"
+    mine = next(out.glob("worlds/*/tracker.csv")).with_name("notes.txt")
     mine.write_text("mine")
     with (
-        pytest.raises(BadInput, match=r"worlds/00001/notes\.txt, which this software did not write"),
+        pytest.raises(BadInput, match=rf"worlds/{mine.parent.name}/notes\.txt, which this software did not write"),
         reserved(out, True, grows=True),
     ):
         pass

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ocp.model.cell import ForceFlange
-from ocp.model.force_balance import build_model
+from ocp.model.force_balance import STOP_SOFTNESS, build_model
 from ocp.model.theta import NAMES, UNMODELLED_JOINTS, believed_theta
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
@@ -161,8 +161,8 @@ def test_stage_derivatives_equal_differences():
     s = solver()
     stage = build_stage(s.cell, s.model, ObjectiveWeights(force_sd=1.0), s.theta)
     pass_problem = problem()
-    par = np.concatenate([pass_problem.waypoints[3], 0.1 * np.arange(14), [1.0, 1.0]])
-    z = np.append(Q + 0.01, 20.0)
+    par = np.concatenate([pass_problem.waypoints[3], 0.1 * np.arange(14), [20.0, 1e-4, 1.0, 8.0, 9.0, 1.0, 1.0]])
+    z = np.concatenate([Q + 0.01, [0.9, 1.1]])
     theta, lam = s.theta.values, np.linspace(-1, 1, N_ROWS)
     h = 1e-6
 
@@ -170,7 +170,7 @@ def test_stage_derivatives_equal_differences():
         f, g = stage.value(z, par, theta)
         return float(f), np.asarray(g).ravel()
 
-    shifts = h * np.eye(7)
+    shifts = h * np.eye(8)
     f_z = np.array([(both(z + d)[0] - both(z - d)[0]) / (2 * h) for d in shifts])
     g_z = np.array([(both(z + d)[1] - both(z - d)[1]) / (2 * h) for d in shifts]).T
     assert np.asarray(stage.gradient(z, par, theta)).ravel() == pytest.approx(f_z, rel=1e-5, abs=1e-5)
@@ -237,3 +237,33 @@ def test_a_calibration_replaces_what_it_names_and_nothing_else():
     at = [NAMES.index(name) for name in names]
     assert np.array_equal(theta[at], values)
     assert np.array_equal(np.delete(theta, at), np.delete(nominal, at))
+
+
+@pytest.mark.parametrize(("stop", "sign"), [(45.0 + 5600.0 * 4e-3, 1.0), (45.0 - 5600.0 * 4e-3, -1.0)])
+def test_the_flange_bends_over_smoothly_at_its_stops_and_is_exact_elsewhere(stop, sign):
+    flange = ForceFlange(45.0, 5600.0, 8e-3, 5.0, True, None)
+    cell = replace(bundled_cell(), flange=flange)
+    model = build_model(cell, LineLaw())
+    x = model.parts[0]
+    known = [model.q, model.F, model.w, model.theta]
+    f = ca.Function("stroke", known, [x, ca.jacobian(x, model.F), ca.hessian(x, model.F)[0]])
+    w, theta = problem().waypoints[0], believed_theta(cell).values
+
+    def at(force, order=0):
+        return np.array([float(f(Q, v, w, theta)[order]) for v in np.atleast_1d(force)])
+
+    away = np.concatenate([np.linspace(2.0, 90.0, 45), stop + STOP_SOFTNESS * np.array([-1.001, 1.001])])
+    away = away[np.abs(away - stop) > STOP_SOFTNESS]
+    away = away[np.abs(away - (90.0 - stop)) > STOP_SOFTNESS]  # the other stop
+    assert at(away) == pytest.approx(np.clip((away - 45.0) / 5600.0, -4e-3, 4e-3), abs=1e-15)
+    assert at(away, 1) == pytest.approx(np.where(np.abs(away - 45.0) < 22.4, 1 / 5600.0, 0.0), abs=1e-15)
+    near, h = stop + STOP_SOFTNESS * np.linspace(-1.2, 1.2, 97), 1e-5
+    assert at(near, 1) == pytest.approx((at(near + h) - at(near - h)) / (2 * h), abs=1e-8)
+    assert at(near, 2) == pytest.approx((at(near + h, 1) - at(near - h, 1)) / (2 * h), abs=1e-6)
+    for order, most in ((0, 0.1), (1, 0.1), (2, 0.2)):  # steps over the join of what varies over all of it: no jump
+        values = at(near, order)
+        assert np.abs(np.diff(values)).max() < most * max(np.ptp(values), 1e-12)
+    assert (np.diff(at(near)) >= -1e-18).all()
+    # A stop that has been reached is soft by what it lets pass: less than the softness times the compliance.
+    hard = np.clip((near - 45.0) / 5600.0, -4e-3, 4e-3)
+    assert np.abs(at(near) - hard).max() < 0.25 * STOP_SOFTNESS / 5600.0 and (sign * (hard - at(near)) >= -1e-15).all()

@@ -8,9 +8,10 @@ import pytest
 
 from ocp.model.theta import NAMES, Theta, registered
 from ocp.plan.accuracy import accuracy_columns, accuracy_rows, working_accuracy
+from ocp.plan.passes.optimise import SolvedPass
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
-from ocp.plan.passes.solve import PassSolver
+from ocp.plan.passes.solve import PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from robots.calibration.store import Calibration
 from robots.kinematics import forward
@@ -25,7 +26,8 @@ def solved_on(cell, theta):
     path = bar_pass()
     problem = PassProblem.start(path, Seed(1, 0, 0.0, 0.0, Q[:4], np.linspace(0, 1, 4), 0.0), np.zeros((40, 3)))
     seen = PassSolver(cell, LineLaw(), theta, ObjectiveWeights()).evaluate(problem, Q, path.force)
-    return SimpleNamespace(problem=problem, solution=SimpleNamespace(q=Q, force=path.force), evaluation=seen)
+    ones = np.ones(40)
+    return SolvedPass(problem, PassSolution(Q, ones, ones, path.force, 0, 0.0), seen)
 
 
 def unbent():

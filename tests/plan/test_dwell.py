@@ -9,13 +9,15 @@ from scipy.spatial import cKDTree
 from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.model.prepare import wheel_cover
+from ocp.plan.passes.course import Engagement, air_to_air, lengthened
 from ocp.plan.paths import PlanOptions, lay_paths
-from ocp.plan.removal.dwell import EVEN, LEAST_EVEN, even_spacing
+from ocp.plan.removal.dwell import EVEN, LEAST_EVEN, DrivenLine, even_feeds, even_spacing
 from ocp.plan.removal.footprint import planned_patches
 from ocp.plan.removal.result import SideRemoval, figures_of
-from ocp.plan.removal.surface import ContactRows, core_cells, work_done
-from ocp.plan.removal.wanted import programmed_work
-from tests.plan.test_footprint import B, ellipsoid
+from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, work_done
+from ocp.plan.removal.wanted import Wanted, programmed_work
+from tests.plan.test_footprint import A, B, ellipsoid
+from tests.support.example_pass import bar_pass, bundled_cell
 from trajectories.passes import BladePath
 
 OPTIONS = PlanOptions(step=1e-3)
@@ -49,7 +51,7 @@ def judged(cell, laid):
         work = work_done(one.points.reshape(-1, 3), one.normals.reshape(-1, 3), rows, patches).reshape(one.area.shape)
         asked = laid.wanted.at(one.points.reshape(-1, 3), one.normals.reshape(-1, 3)).reshape(one.area.shape)
         sides.append(SideRemoval(one, core_cells(one, laid.paths, half), work / programmed_work(cell) / asked))
-    return figures_of(sides, 0.0), patches
+    return figures_of(sides), patches
 
 
 def test_lines_and_feeds_make_the_surface_even(cell):
@@ -88,7 +90,7 @@ def test_the_depth_per_area_stays_when_more_lines_are_asked_for(cell):
 def test_a_flat_profile_asks_for_nearer_lines_than_a_parabola():
     """Boxes of the wheel's width sum up to a line more or less between them; parabolas 0.6 half-widths apart are even."""
     parabola = ellipsoid()
-    assert even_spacing(parabola) == pytest.approx(EVEN * parabola.half_axes[0, 1])
+    assert even_spacing(parabola) == pytest.approx(0.5 * parabola.half_axes[0, 1])
     assert parabola.unevenness(0.58 * B).max() < 0.05 < parabola.unevenness(1.2 * B).max()
     box = replace(parabola, share=np.where(np.abs(parabola.x) < 6e-3, parabola.share.max(axis=2, keepdims=True), 0.0))
     assert box.half_axes[0, 1] == pytest.approx(6e-3, abs=4e-4)
@@ -101,3 +103,103 @@ def test_cells_beyond_the_outermost_lines_are_not_made_good_before_them(cell):
     asked = replace(cell, process=replace(cell.process, passes="chordwise", root_margin=0.005, tip_margin=0.03))
     feed = np.array([path.feed.mean() for path in lay_paths(asked, cell.workpiece.stl, replace(OPTIONS, step=3e-3)).paths])
     assert feed[0] > 0.6 * np.median(feed) and feed[1] < 1.6 * np.median(feed)
+
+
+# -- feeds of lines whose force rises and falls at their ends ------------------------------------------------------
+
+APART, LINES, LENGTH = 0.55 * B, 15, 0.06
+
+
+def on_a_plane(k: int, feed: float = 0.04, length: float = LENGTH) -> BladePath:
+    """One of parallel lines along x, APART in y, on a plane that looks up."""
+    path, n = bar_pass(n=61, length=length, feed=feed), 61
+    p = np.column_stack([path.s, np.full(n, APART * k), np.zeros(n)])
+    up, ahead = np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile([1.0, 0.0, 0.0], (n, 1))
+    return replace(path, line=k + 1, p=p, n=up, t=ahead, curvature=np.zeros((n, 3)), room_before=A, room_after=A)
+
+
+def plane_cells() -> SideCells:
+    x, y = np.meshgrid(np.arange(0.0, LENGTH, 7e-4), np.arange(0.0, APART * (LINES - 1), 7e-4), indexing="ij")
+    points, up = np.stack([x, y, 0 * x], axis=-1), np.tile([0.0, 0.0, 1.0], (*x.shape, 1))
+    return SideCells("convex", points, up, np.full(x.shape, 7e-4**2), np.ones(x.shape, bool), x, y)
+
+
+def led(path: BladePath, room: float = 0.003) -> DrivenLine:
+    """With ramps of 0.3 s, in which 6 mm are driven: more than a patch's half-length."""
+    return DrivenLine(path, ellipsoid(), Engagement(0.3, 4e-3, 0.02, 0.76, 4900.0, 20.0), (room, room))
+
+
+def ground_by(lines: list[DrivenLine], points: np.ndarray) -> np.ndarray:
+    """Preston's integral in time, step by step, with Hertz's ellipsoids in closed form: N/m^2 s at points (m, 3)."""
+    total, dt = np.zeros(len(points)), 2e-3
+    for line in lines:
+        longer = lengthened(line.path, *line.room)
+        course = air_to_air(longer, line.entry, 0.02)
+        for t in np.arange(course.edges[1] + 0.5 * dt, course.edges[4], dt):
+            force = 20.0 * float(course.share_at(np.array(t)))
+            a, b = np.array([A, B]) * np.cbrt(force / 20.0)
+            off = points[:, :2] - [float(course.arc_at(np.array(t))), line.path.p[0, 1]]
+            round_ = np.maximum(1 - (off[:, 0] / a) ** 2 - (off[:, 1] / b) ** 2, 0.0)
+            total += force * 1.5 / (np.pi * a * b) * np.sqrt(round_) * dt
+    return total
+
+
+def inside_the_lines() -> np.ndarray:
+    """Places (k, 26, 3) on lines and between, a patch's half-axes inside the outermost and inside their ends."""
+    x, y = np.meshgrid(np.linspace(A, LENGTH - A, 26), APART * np.arange(2.0, LINES - 2.9, 0.25))
+    return np.stack([x, y, 0 * x], axis=-1)
+
+
+def test_feeds_make_lines_with_ramps_even_in_the_core():
+    """Lines 0.55 half-widths apart that are ground alike are even within 2 %; what the fit adds inside is for the rim."""
+    cell, at = bundled_cell(), inside_the_lines()
+    lines = [led(on_a_plane(k), 0.0) for k in range(LINES)]  # their margins have no room
+    process = cell.process
+    wanted = process.force / (process.feed * process.pass_spacing)  # of the programmed pass, N s/m^2
+
+    def depth(feeds):
+        made = [replace(line, path=replace(line.path, feed=feed)) for line, feed in zip(lines, feeds, strict=True)]
+        return ground_by(made, at.reshape(-1, 3)).reshape(at.shape[:2]) / wanted
+
+    alike = depth([np.full(61, process.feed * process.pass_spacing / APART)] * LINES).mean(axis=0)
+    assert (
+        alike[[0, -1]].max() < 0.98 * alike[13] and np.ptp(alike) > 0.02
+    )  # as they are, lines are shallow where the patch is small
+    feeds = even_feeds(cell, [plane_cells()], Wanted(), lines)
+    made = depth(feeds)
+    assert np.abs(made - 1).max() < 0.065 and np.std(made) < 0.025
+    assert np.abs(made.mean(axis=0) - 1).max() < 0.02 and np.ptp(made.mean(axis=0)) < 0.03
+    slowness = np.mean([1 / feed for feed in feeds], axis=0)
+    assert slowness[[0, -1]].min() > 1.2 * slowness[30]
+
+
+def test_lines_that_cannot_be_looked_at_are_kept_as_they_are():
+    cell, lines = bundled_cell(), [led(on_a_plane(k)) for k in range(LINES)]
+    holed = [None if k == 4 else line for k, line in enumerate(lines)]
+    feeds = even_feeds(cell, [plane_cells()], Wanted(), holed)
+    assert feeds[4] is None and all(feed is not None for k, feed in enumerate(feeds) if k != 4)
+    whole = even_feeds(cell, [plane_cells()], Wanted(), lines)
+    assert feeds[3][30] < 0.9 * whole[3][30]  # its neighbours make good what it does not take
+    assert even_feeds(cell, [plane_cells()], Wanted(), [None, None]) == [None, None]
+    assert even_feeds(cell, [], Wanted(), lines) == [None] * LINES
+
+
+@pytest.mark.parametrize(("length", "room"), [(0.06, 0.0), (0.06, 0.003), (0.012, 0.004)])
+def test_rows_of_a_line_add_up_to_the_way_that_is_driven(length, room):
+    line = led(on_a_plane(3, length=length), room)
+    rows = line.rows()
+    reach = room  # whole waypoints
+    assert rows.slide.sum() == pytest.approx(length + 2 * reach, rel=1e-3) and (rows.slide > 0).all()
+    assert (rows.force > 0).all() and rows.force.max() <= 20.0 * (1 + 1e-12)
+    assert (rows.s > -reach).all() and (rows.s < length + reach).all()
+    assert rows.p == pytest.approx(np.column_stack([rows.s, np.full(len(rows.s), 3 * APART), 0 * rows.s]), abs=1e-9)
+    # Force over feed is one number, so that work over way is that of a line pressed in full all along.
+    seconds = (rows.force * rows.slide).sum() / (20.0 * rows.slide.sum())
+    share = air_to_air(lengthened(line.path, room, room), line.entry, 0.02)
+    assert seconds == pytest.approx(np.trapezoid(share.share**2, share.at) / np.trapezoid(share.share, share.at), rel=2e-3)
+
+
+def test_a_line_too_short_for_its_ramps_is_driven_alone():
+    rows = led(on_a_plane(0, length=0.004), 0.0)
+    rows = replace(rows, entry=replace(rows.entry, ramp=0.1)).rows()  # 2 mm of it: nothing is left between ramps
+    assert rows.slide.sum() == pytest.approx(0.004) and (rows.force == 20.0).all()

@@ -16,7 +16,7 @@ def ellipsoid(a: float = A, b: float = B) -> LinePatches:
     fine = (x[:, None] + CELL * (np.arange(8) - 3.5) / 8).ravel()
     share = np.sqrt(np.maximum(1 - (fine[:, None] / a) ** 2 - (fine[None, :] / b) ** 2, 0.0))
     share = share.reshape(len(x), 8, len(x), 8).mean(axis=(1, 3))
-    return LinePatches(np.array([0.0]), x, share[None] / (share.sum() * CELL**2), np.array([20.0]))
+    return LinePatches(np.array([0.0]), x, share[None] / (share.sum() * CELL**2), np.array([20.0]), np.array([3e-4]))
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,9 @@ def test_a_patch_grows_with_the_cube_root_of_its_force():
 
 def test_footprints_between_stations_are_blended():
     one, other = ellipsoid(), ellipsoid(3e-3, 2e-3)
-    patches = LinePatches(np.array([0.0, 0.01]), one.x, np.concatenate([one.share, other.share]), np.array([20.0, 20.0]))
+    patches = LinePatches(
+        np.array([0.0, 0.01]), one.x, np.concatenate([one.share, other.share]), np.array([20.0, 20.0]), np.full(2, 3e-4)
+    )
     zero, at = np.zeros(3), np.array([0.0, 0.005, 0.01])
     middle = patches.pressure(at, zero, zero, np.full(3, 20.0))
     assert middle[1] == pytest.approx(0.5 * (middle[0] + middle[2]))

@@ -244,6 +244,7 @@ def test_ends_from_which_the_blade_cannot_be_lifted_are_cut_off():
     poses = contact_poses(cell, path, np.arange(N), np.array(0.0), np.array(0.0), 1, cell.process.sigma)
     solved = SimpleNamespace(T_base_blade=poses, arc=np.zeros(N))
     one = SimpleNamespace(problem=SimpleNamespace(path=path), evaluation=solved)
+    one.touching = lambda: one
     refuse_ends(cell, CollisionScene(cell, BAR), one)
     plate = np.array([[x, 0.075, 0.11] for x in (-0.01, 0.01)])
     with pytest.raises(
@@ -319,7 +320,9 @@ def test_all_passes_that_do_not_read_back_are_named_at_once():
     cell, worst = bundled_cell(), []
     for number, off in ((1, 0.0), (2, 0.3), (3, -0.3)):
         path = replace(bar_pass(), line=number)
-        seen = VerifiedPass(path.s / path.feed, path.s, path.force + np.where(np.arange(N) > 30, off, 0.0), 0 * path.s)
+        seen = VerifiedPass(
+            path.s / path.feed, path.s, path.force + np.where(np.arange(N) > 30, off, 0.0), 0 * path.s, path.force
+        )
         try:
             force_error(cell, path, seen)
         except CannotGrind as one:

@@ -9,11 +9,13 @@ import pytest
 
 from ocp.model.theta import Theta, believed_theta
 from ocp.plan.clearance import CollisionScene
+from ocp.plan.passes.course import steady
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
+from ocp.plan.passes.smoothness import axis_rows, quadratic_form
 from ocp.plan.passes.solve import PassSolver
-from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, ObjectiveWeights
-from ocp.plan.passes.transcription import transcribe
+from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, N_Z, ObjectiveWeights
+from ocp.plan.passes.transcription import N_DYNAMIC, N_MOTION, REACH, transcribe
 from ocp.plan.rules import SPEED_SHARE
 from robots.errors import Infeasible
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
@@ -45,10 +47,14 @@ def test_assembled_derivatives_equal_casadis_own(full, force_sd):
     solver = PassSolver(cell, LineLaw(), solver.theta, ObjectiveWeights(force_sd=force_sd))
     n = 12
     program = transcribe(solver.stage, n, full)
-    x = np.column_stack([problem.seed.q[0] + 1e-3 * np.arange(6 * n).reshape(n, 6), np.full(n, 20.0)]).ravel()
-    p = program.pack(*solver._parameters(problem, n))
+    wave = 1 + 0.1 * np.cos(np.arange(2 * n)).reshape(n, 2)
+    x = np.column_stack([problem.seed.q[0] + 1e-3 * np.arange(6 * n).reshape(n, 6), wave]).ravel()
+    motion = axis_rows(cell, problem.way, x.reshape(n, 8)[:, :6], n) if full else None
+    p = program.pack(
+        solver._parameters(problem, n), solver.theta.values, *quadratic_form(cell, problem, solver.weights, n), motion
+    )
     nlp = program.solver.get_function("nlp_f"), program.solver.get_function("nlp_g")
-    X, P = ca.MX.sym("x", 7 * n), ca.MX.sym("p", len(p))
+    X, P = ca.MX.sym("x", 8 * n), ca.MX.sym("p", len(p))
     f, g = nlp[0](X, P), nlp[1](X, P)
     lam = ca.MX.sym("lam", g.shape[0])
     own = ca.Function("own", [X, P, lam], [ca.gradient(f, X), ca.jacobian(g, X), ca.hessian(f + ca.dot(lam, g), X)[0]])
@@ -65,9 +71,9 @@ def test_hessian_and_jacobian_stay_banded():
     _, solver, _ = ready()
     program = transcribe(solver.stage, 64, True)
     rows = program.solver.get_function("nlp_jac_g").sparsity_out(1)
-    assert rows.nnz() <= 64 * (N_ROWS * 7) + 63 * 12
-    assert program.solver.get_function("nlp_hess_l").sparsity_out(0).bw_upper() <= 14
-    assert N_PARAMETERS * 64 + Theta.size + 6 * 125 == program.solver.size1_in("p")
+    assert rows.nnz() <= 64 * (N_ROWS * N_Z + N_DYNAMIC * 3 * N_Z)
+    assert program.solver.get_function("nlp_hess_l").sparsity_out(0).bw_upper() <= N_Z * REACH
+    assert N_PARAMETERS * 64 + Theta.size + program.pattern.nnz + 64 * (N_Z + N_MOTION) == program.solver.size1_in("p")
 
 
 def test_a_pass_holds_its_force_inside_every_tolerance():
@@ -91,7 +97,7 @@ def test_the_solution_does_not_depend_on_padding():
     exact = PassSolver(solver.cell, LineLaw(), solver.theta, ObjectiveWeights())
     exact._programs[(64, False)] = transcribe(exact.stage, 40, False)
     b = exact.solve(problem)
-    assert a.q == pytest.approx(b.q, abs=1e-6)
+    assert a.q == pytest.approx(b.q, abs=1e-4)  # where the freedoms are held by their boxes the optimum is flat
 
 
 def test_a_force_programmed_per_waypoint_is_met():
@@ -126,8 +132,9 @@ def test_a_hidden_constraint_is_named_with_its_amount():
 
 def test_a_feed_beyond_the_axes_is_refused_with_the_axis():
     _, solver, problem = ready()
-    fast = replace(problem, path=replace(problem.path, feed=np.full(40, 40.0)))
-    with pytest.raises(Infeasible, match=r"axis \d would have to move .* deg more per step|cannot be met"):
+    path = replace(problem.path, feed=np.full(40, 40.0))
+    fast = replace(problem, path=path, course=steady(path))
+    with pytest.raises(Infeasible, match=r"the (speed|acceleration|torque) of axis \d cannot be kept|cannot be met"):
         solver.solve(fast)
 
 

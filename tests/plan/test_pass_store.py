@@ -27,7 +27,7 @@ def solved_pass() -> SolvedPass:
     shapes = {"parts": (N, 4), "tilt": (N, 2), "curvature": (N, 3), "T_base_blade": (N, 4, 4)}
     names = Evaluation.__dataclass_fields__
     evaluation = Evaluation(**{name: RANDOM.normal(size=shapes.get(name, (N,))) for name in names})
-    solution = PassSolution(RANDOM.normal(size=(N, 6)), np.full(N, 20.0), 12, 3.5)
+    solution = PassSolution(RANDOM.normal(size=(N, 6)), np.ones(N), np.ones(N), np.full(N, 20.0), 12, 3.5)
     return SolvedPass(problem, solution, evaluation)
 
 

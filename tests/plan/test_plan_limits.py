@@ -6,7 +6,9 @@ others judge the result.
 - SINGULARITY_SHARE on wrist and elbow, as AXIS_MARGIN, are bounds that the optimiser cannot leave.
 - HOLDER_RADIUS, HOLDER_SHARE, FLOOR_BELOW_WHEEL, WHEEL_ROOM are shapes; the margins judge them.
 - UPRIGHT says which planes are there (tests/plan/test_safe_to_move.py).
-- COLLISION_STEP says how densely moves are looked at; LIFT_OFF, HOME_LIFT and ENGAGE_SPEED say how moves are laid.
+- COLLISION_STEP says how densely moves are looked at; LIFT_OFF, HOME_LIFT and APPROACH_SPEED say how moves are laid.
+- TOUCH_SPEED, LEAST_RAMP and CARRIED_FORCE say how a pass begins and ends; PEAK_FORCE is a bound that the optimiser cannot leave.
+- GAP_TOLERANCE says from where on the second route has to see a gap.
 - EMITTED_FORCE_ERROR, EMITTED_TOLERANCE and EMITTED_AIR_TOLERANCE say how points are thinned out; the text is read back.
 """
 
@@ -25,6 +27,7 @@ from ocp.model.blade_gap import SurfaceCloud
 from ocp.plan import rules
 from ocp.plan.clearance import Clearance, CollisionScene
 from ocp.plan.grades import grade_force, stop_preload
+from ocp.plan.motion import _timed as _timed_pass
 from ocp.plan.motion import is_free
 from ocp.plan.passes import posture
 from ocp.plan.passes.optimise import TouchesElsewhere, refuse_unsound
@@ -33,6 +36,7 @@ from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.solve import PassSolver, refuse_violated
 from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, ROWS
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, refuse_mostly_left_out, whole_lines
+from ocp.plan.passes.transcription import N_DYNAMIC
 from ocp.plan.paths import PlanOptions
 from ocp.plan.planning import make_plan
 from ocp.plan.readback import _timed, force_error
@@ -169,12 +173,12 @@ def problem():
 
 
 def judge(solver, value, row=None, axis=None):
-    """Put a pass to the test whose rows are all met but for `row` (or the step of `axis`) of waypoint 18, which is `value`."""
+    """Put a pass to the test whose rows are all met but for `row` (or the speed of `axis`) of waypoint 18, which is `value`."""
     one, full = problem(), axis is not None
     low, high = solver._row_bounds(one, 40, full)
     g = np.clip(0.0, low, high)
     rows = N_ROWS if full else N_PLAIN_ROWS
-    g[17 * rows + row if axis is None else rows * 40 + 6 * 17 + axis] = value
+    g[17 * rows + row if axis is None else rows * 40 + N_DYNAMIC * 17 + axis] = value
     refuse_violated(one.path, np.maximum(low - g, g - high), full, "Solve_Succeeded")
 
 
@@ -196,20 +200,18 @@ def test_the_wheel_has_to_bear_at_the_planned_point(solver):
 
 
 def test_an_axis_may_not_use_all_of_its_speed(cell, solver):
-    step = rules.SPEED_SHARE * problem().seconds[17] * cell.robot.qd_max[3]
-    judge(solver, step - 1e-4, axis=3)
-    with pytest.raises(Infeasible, match=r"axis 4 would have to move 0\.006 deg more per step"):
-        judge(solver, step + 1e-4, axis=3)
-    turning = np.tile(READY, (40, 1))
-    turning[18:, 3] += step
-    for more, broken in ((-1e-6, False), (1e-6, True)):
-        moved = turning.copy()
-        moved[18:, 3] += more
-        assert solver._breaks_lazy_rows(problem(), moved) is broken
+    speed = rules.SPEED_SHARE * cell.robot.qd_max[3]
+    judge(solver, speed - 1e-4, axis=3)
+    with pytest.raises(Infeasible, match=r"the speed of axis 4 cannot be kept within its limit"):
+        judge(solver, speed + 1e-4, axis=3)
+    at = problem().way.at[:, None]
+    for more, broken in ((-1e-4, False), (1e-4, True)):
+        turning = READY + at * np.array([0.0, 0.0, 0.0, speed + more, 0.0, 0.0])
+        assert solver._breaks_lazy_rows(problem(), SimpleNamespace(q=turning, rate=np.ones(40))) is broken
 
 
 def test_the_optimiser_stays_off_the_ends_of_axes_and_singularities(cell, solver):
-    low, high = (bound.reshape(40, 7)[:, :6] for bound in solver._bounds(problem(), 40))
+    low, high = (bound.reshape(40, 8)[:, :6] for bound in solver._bounds(problem(), 40))
     assert (low >= cell.robot.q_min + rules.AXIS_MARGIN).all() and (high <= cell.robot.q_max - rules.AXIS_MARGIN).all()
     assert low[0, 4] == rules.SINGULARITY_SHARE * rules.WRIST_MARGIN
     assert low[0, 2] == pytest.approx(stretched(cell, rules.SINGULARITY_SHARE * rules.ELBOW_MARGIN)[2])
@@ -274,12 +276,11 @@ def test_contact_beside_the_planned_one_is_refused(cell):
                 put_to_test(cell, points=point, T=T, curvature=curvature)
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_flange_near_the_end_of_its_stroke_is_refused(cell, side):
+def test_a_flange_near_its_pressed_stop_is_refused(cell):
     end = 0.5 * cell.flange.stroke - rules.STROKE_RESERVE
-    put_to_test(cell, stroke=side * (end - 1e-9))
+    put_to_test(cell, stroke=end - 1e-9)
     with pytest.raises(Infeasible, match="the force flange would stand .* mm are usable"):
-        put_to_test(cell, stroke=side * (end + 1e-9))
+        put_to_test(cell, stroke=end + 1e-9)
 
 
 # -- what is left out ----------------------------------------------------------------------------------------------
@@ -319,6 +320,24 @@ def test_less_than_half_of_the_surface_is_refused():
         judged(rules.LEAST_GROUND_SHARE - 1e-6)
 
 
+def test_a_pass_may_fall_short_of_its_feed_by_a_little():
+    """The axis that turns fastest in contact is allowed just so much speed."""
+    motion = invented_motion.motion()
+    one, trajectory = motion.passes[0], motion.way(0).trajectory
+    t = np.linspace(0.0, trajectory.duration, 2000)
+    nominal = trajectory.s(t) / float(one.problem.path.feed.mean())
+    on = (nominal > one.problem.way.edges[2]) & (nominal < one.problem.way.edges[3])
+    for more in (0.004, -0.004):
+        qd = np.abs(trajectory.qd(t[on])).max(axis=0) * (1 - rules.FEED_TOLERANCE + more) / (rules.LIMIT_SHARE * RESERVE)
+        robot = invented_motion.cell().robot
+        limits = replace(trajectory.limits, qd=np.where(np.arange(6) == 5, qd, robot.qd_max), margin=rules.LIMIT_SHARE)
+        if more > 0:
+            assert _timed_pass(one, limits, "line 3").duration > trajectory.duration
+        else:
+            with pytest.raises(CannotGrind, match=r"the arm reaches 98\.\d % of the planned feed \(at least 99\)"):
+                _timed_pass(one, limits, "line 3")
+
+
 # -- timing and the program read back ------------------------------------------------------------------------------
 
 
@@ -343,7 +362,7 @@ def test_a_force_that_is_off_is_refused(cell, flange):
 
     def read(off):
         force = path.force + np.where(np.arange(40) == 11, off, 0.0)
-        return force_error(one, path, VerifiedPass(path.s / path.feed, path.s, force, 0.0 * path.s))
+        return force_error(one, path, VerifiedPass(path.s / path.feed, path.s, force, 0.0 * path.s, path.force))
 
     for sign in (-1.0, 1.0):
         assert read(sign * (tolerance - 1e-9)) == pytest.approx(tolerance)
@@ -432,6 +451,7 @@ def test_a_force_that_is_not_known_to_a_twentieth_is_amber(cell):
         assert grade_force(cell, 20.0, sd - 1e-9, off - 1e-9).grade == "green"
     assert grade_force(cell, 20.0, limit + 1e-9, 0.02).grade == "amber"
     assert grade_force(cell, 20.0, 0.1, limit + 1e-9).grade == "amber"
+    assert grade_force(cell, 20.0, 0.1, 0.02, poses=True).grade == "amber"
 
 
 def test_a_flange_that_bears_on_its_stop_is_amber(cell):

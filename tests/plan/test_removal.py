@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from ocp.plan.removal.footprint import CELL
-from ocp.plan.removal.result import SideRemoval, figures_of, rows_of_end, sliding_speed
+from ocp.plan.removal.result import SideRemoval, figures_of, sliding_speed
 from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, flank_cells, row_times, shares_of_time, work_done
 from robots.kinematics import forward
 from tests.plan.test_footprint import A, B, ellipsoid
@@ -86,7 +86,7 @@ def test_lines_are_summed_and_judged():
     y = cells.points[..., 1]
     assert np.ptp(y[core]) == pytest.approx((lines - 1) * h, abs=1.2e-3)
     asked = cells.asked & (y > 0) & (y < (lines - 1) * h)
-    figures = figures_of([SideRemoval(replace(cells, asked=asked), core & asked, relative)], 0.0)
+    figures = figures_of([SideRemoval(replace(cells, asked=asked), core & asked, relative)])
     inner = core & (y > h) & (y < (lines - 2) * h)
     assert np.abs(relative[inner] - 1).max() < 0.05
     assert figures.core_within_10 is not None and figures.core_within_10 > 0.85
@@ -106,9 +106,9 @@ def test_no_core_without_neighbours_and_no_share_of_nothing():
     cells = plane(2e-3)[0]
     assert not core_cells(cells, [bar_pass()], [A]).any()
     relative = np.ones(cells.area.shape)
-    figures = figures_of([SideRemoval(cells, np.zeros(relative.shape, bool), relative)], 0.25)
+    figures = figures_of([SideRemoval(cells, np.zeros(relative.shape, bool), relative)])
     assert figures.core_within_5 is None and figures.all_within_10 == 1.0
-    assert figures.document()["contact_in_travel_s"] == 0.25 and figures.document()["core_within_10"] is None
+    assert figures.document()["core_within_10"] is None
     assert CELL < 5e-4
 
 
@@ -130,9 +130,7 @@ def test_pieces_of_the_outermost_line_are_all_outermost():
 
 def test_a_path_off_the_flanks_has_no_shares():
     """Round an edge nothing is mapped: the figures are empty, and none is made up."""
-    figures = figures_of([], 0.1)
-    assert figures.contact_in_travel_s == 0.1
-    assert all(value is None for name, value in figures.document().items() if name != "contact_in_travel_s")
+    assert all(value is None for value in figures_of([]).document().values())
 
 
 def test_what_is_asked_beside_a_path_made_elsewhere():
@@ -147,24 +145,6 @@ def test_what_is_asked_beside_a_path_made_elsewhere():
     strip = flanks[0].area[flanks[0].asked].sum()
     assert strip == pytest.approx(2 * 3e-3 * path.s[-1] + np.pi * 3e-3**2, rel=0.1)
     assert flank_cells(shape, {}, [replace(path, n=-path.n)], 1e-3) == []
-
-
-@pytest.mark.parametrize("kind", ["engage", "retreat"])
-def test_the_wheel_grinds_while_the_blade_comes_and_goes(kind):
-    """At 20 mm/s along the normal 20 N on 5 N/mm last 0.2 s; one point bears the time integral of the force, 2 N s."""
-    cell, path, n = bundled_cell(), bar_pass(), 40
-    solved = SimpleNamespace(
-        problem=SimpleNamespace(path=path),
-        solution=SimpleNamespace(force=path.force),
-        evaluation=SimpleNamespace(stiffness=np.full(n, 5e3)),
-    )
-    trajectory = SimpleNamespace(duration=1.0, stations=np.array([0.0, 0.02]), s=lambda t: 0.02 * t)
-    segment = SimpleNamespace(kind=kind, place=0, trajectory=trajectory)
-    rows, seconds = rows_of_end(cell, SimpleNamespace(passes=[solved]), segment)
-    assert seconds == pytest.approx(0.2, abs=0.003)
-    assert rows.force @ rows.slide == pytest.approx(2.0 * cell.wheel.belt_speed, rel=0.02)
-    assert (rows.p == path.p[0 if kind == "engage" else -1]).all() and len(rows.s) == len(rows.force)
-    assert (np.diff(rows.force) > 0).all() if kind == "engage" else (np.diff(rows.force) < 0).all()
 
 
 def test_the_belt_slides_against_the_moving_blade():

@@ -60,12 +60,12 @@ def test_the_programmed_depth_is_prestons(cell, laid):
 
 
 def test_an_even_depth_in_micrometres_sets_the_feed(cell, laid):
-    """Half of the depth at twice the feed; without Preston's coefficient the programmed feed is believed to make it."""
-    half = replace(cell, process=replace(cell.process, removal=0.5e-6 * laid.wanted.programmed_um))
-    faster = lay_paths(half, cell.workpiece.stl, OPTIONS)
-    for one, other in zip(laid.paths, faster.paths, strict=True):
-        assert other.feed == pytest.approx(2 * one.feed, rel=1e-3)
-    unknown = replace(cell, process=replace(half.process, preston=None))
+    """Twice the depth at half the feed; without Preston's coefficient the programmed feed is believed to make it."""
+    deep = replace(cell, process=replace(cell.process, removal=2e-6 * laid.wanted.programmed_um))
+    slower = lay_paths(deep, cell.workpiece.stl, OPTIONS)
+    for one, other in zip(laid.paths, slower.paths, strict=True):
+        assert other.feed == pytest.approx(0.5 * one.feed, rel=1e-3)
+    unknown = replace(cell, process=replace(deep.process, preston=None))
     wanted = wanted_of(unknown, laid.blade, laid.cloud, None)
     assert (wanted.even, wanted.programmed_um) == (1.0, None)
 

@@ -158,11 +158,14 @@ def test_weight_on_the_flange_falls_where_gravity_points(tmp_path):
     push = push * np.sign(push @ n)
     weight = cell.flange.carried_mass * GRAVITY * down @ push
     assert abs(weight) > 1.0
-    share, (preload, _) = _flange(cell, T @ cell.workpiece.T_flange_blade, n)
+    share, (preload, *_) = _flange(cell, T @ cell.workpiece.T_flange_blade, n)
     assert share == pytest.approx(push @ n) and preload == pytest.approx(cell.flange.setpoint + weight)
     par = {"flange_setpoint_offset": ca.SX(0), "flange_stiffness": ca.SX(cell.flange.stiffness)}
-    stroke = ca.evalf(_flange_stroke(cell, ca.SX(30.0), ca.SX(n), ca.SX(T), par))
-    assert float(stroke) == pytest.approx((30.0 * share - preload) / cell.flange.stiffness * share, rel=1e-9)
+    for reach in (0.1, cell.flange.stroke):  # the longer one keeps off its stops under that weight
+        held = replace(cell, flange=replace(cell.flange, stroke=reach))
+        stroke = ca.evalf(_flange_stroke(held, ca.SX(30.0), ca.SX(n), ca.SX(T), par))
+        free = (30.0 * share - preload) / cell.flange.stiffness
+        assert float(stroke) == pytest.approx(np.clip(free, -0.5 * reach, 0.5 * reach) * share, rel=1e-9)
     seen = SimpleNamespace(T_base_flange=T[None], setpoint=np.array([np.nan]))
     mount = make_mount(draw_truth(cell, 1, mode="believed"), cell, seen, np.array([0]), n[None])
     assert mount.preload[0] == pytest.approx(preload, rel=1e-3)

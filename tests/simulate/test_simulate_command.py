@@ -16,8 +16,10 @@ from typer.testing import CliRunner
 
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
+from ocp.model.cell import read_cell
 from ocp.shell.output import MARKER
 from ocp.simulate.__main__ import app
+from robots.kinematics import forward
 from tests.support.geometry_robot import write_geometry_robot
 from tests.support.small_plan import STEP, Told, environment, planned, small_cell, tree
 
@@ -124,7 +126,8 @@ def test_the_figures_told_are_those_of_the_force(run):
     assert f"the deepest place has {content['removal']['machine']['most']:.2g} times that depth" in told.out
     log = read_force_log(out / "force.csv")
     first = (log.setpoint == 20.0) & (log.ground_before == 0) & log.contact
-    assert abs(np.mean(log.fn[first]) - force["mean_N"]) < 1.0
+    first &= log.feed > 0.95 * log.feed[first].max()  # not on the ramps
+    assert abs(np.median(log.fn[first]) - force["mean_N"]) < 0.5
     worst = content["worst"][0]
     parts = worst["parts_N"]
     assert sum(parts.values()) == pytest.approx(worst["force_N"] - force["goal_N"], abs=0.05)
@@ -156,17 +159,21 @@ def test_a_flange_that_moves_in_time_is_rehearsed(plan, run, tmp_path):
 
 
 def test_lead_ins_and_setpoints_of_a_plan_are_followed(plan, run, tmp_path):
-    """A plan that calls its first half second of contact a lead-in and sets 16 N: outside of the pass, and 4 N less on the
-    spring, of which cover and arm give a tenth back."""
+    """A plan that calls the first half of every pass a lead-in and sets 19 N: outside of the pass, and 1 N less on the spring, of
+    which cover and arm give a tenth back."""
     folder = tmp_path / "plan"
     shutil.copytree(plan, folder)
     shutil.copy(plan.parent / "cell.toml", tmp_path)
     shutil.copy(plan.parent / "blade.stl", tmp_path)
-    table, begun = rows(folder / "plan.csv"), {}
+    table, times = rows(folder / "plan.csv"), {}
     for row in table:
-        first = begun.setdefault(row["line"], float(row["time_s"])) if row["contact"] == "1" else np.inf
-        lead = float(row["time_s"]) - first < 0.5
-        row |= {"phase": "travel" if row["contact"] == "0" else "lead_in" if lead else "pass", "setpoint_N": "16.0"}
+        if row["phase"] == "pass":
+            times.setdefault(row["line"], []).append(float(row["time_s"]))
+    middle = {line: np.mean([of[0], of[-1]]) for line, of in times.items()}
+    for row in table:
+        if row["phase"] == "pass" and float(row["time_s"]) < middle[row["line"]]:
+            row["phase"] = "lead_in"
+        row["setpoint_N"] = "19.0"
     with (folder / "plan.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, table[0])
         writer.writeheader()
@@ -174,9 +181,10 @@ def test_lead_ins_and_setpoints_of_a_plan_are_followed(plan, run, tmp_path):
     told = simulated(folder, "--out", tmp_path / "run", "--poses", 0, "--ladder", "none", "--no-air")
     assert told.code == 0, told.err
     before, now = (json.loads((out / "rehearsal.json").read_text()) for out in (run[0], tmp_path / "run"))
-    assert now["force"]["mean_N"] == pytest.approx(before["force"]["mean_N"] - 3.65, abs=0.15)
-    assert now["contact"]["outside_s"] == pytest.approx(before["contact"]["outside_s"] + 0.5, abs=0.15)
-    assert {row["setpoint_N"] for row in rows(tmp_path / "run" / "force.csv")} == {"16"}
+    assert now["force"]["mean_N"] == pytest.approx(before["force"]["mean_N"] - 0.91, abs=0.08)
+    more = max(now["contact"]["passes"][i]["outside_s"] - before["contact"]["passes"][i]["outside_s"] for i in range(len(times)))
+    assert more == pytest.approx(max(0.5 * (of[-1] - of[0]) for of in times.values()), abs=0.1)
+    assert {row["setpoint_N"] for row in rows(tmp_path / "run" / "force.csv")} == {"19"}
 
 
 def test_the_believed_machine_grinds_as_planned(plan, tmp_path):
@@ -216,7 +224,7 @@ def test_what_is_sealed_is_not_told(plan, tmp_path):
         assert not any(label["effect"].encode() in p.read_bytes() for p in openly)
     assert "fn_N" not in rows(out / "sealed_force.csv")[0] and "x_mm" not in rows(out / "sealed_tracker.csv")[0]
     truth = rows(out / "labels" / "sealed_force_truth.csv")
-    assert len(truth) == len(rows(out / "sealed_force.csv")) and float(truth[5]["fn_N"]) > 10
+    assert len(truth) == len(rows(out / "sealed_force.csv")) and float(truth[12]["fn_N"]) > 10
     assert len(rows(out / "labels" / "sealed_tracker_truth.csv")) == len(rows(out / "sealed_tracker.csv"))
     assert len(read_force_log(out / "sealed_force.csv", sealed=True)) == len(truth)
 
@@ -272,18 +280,30 @@ def changed_program(plan: Path, folder: Path, old: str, new: str) -> Path:
 
 
 def test_a_program_that_drives_into_the_wheel_is_infeasible(plan, tmp_path):
-    """The way in goes on for a hand's breadth beyond the wheel's surface."""
+    """The axis that brings the blade nearest to the wheel goes on from 20 mm off it until it is 60 mm inside."""
     text = (plan / "BLADE_01.src").read_bytes().decode()
-    line = next(row for row in text.splitlines() if row.startswith("; contact"))
+    line = next(row for row in text.splitlines() if row.startswith("; pass"))
     into = changed_program(plan, tmp_path, line, "; into the wheel\r\nLIN_AT\r\n" + line)
     copy = into / "BLADE_01.src"
-    # Axis 2 leans 4 deg forward from where the blade first touches: about 100 mm at the wheel.
     before = [row for row in text[: text.index(line)].splitlines() if "SPTP" in row][-1]
-    values = [float(part.split()[1]) for part in before[before.index("{") + 1 : before.index("}")].split(",")]
-    values[1] += 4.0
+    values = np.array([float(part.split()[1]) for part in before[before.index("{") + 1 : before.index("}")].split(",")])
+    touch, cell = next(row for row in rows(plan / "plan.csv") if row["contact"] == "1"), read_cell(plan.parent / "cell.toml")
+    nudged = np.radians(values + np.vstack([np.zeros(6), np.eye(6)]))
+    p = np.append([1e-3 * float(touch[f"p{a}_mm"]) for a in "xyz"], 1.0)
+    away = cell.wheel.cylindrical((forward(cell.robot, nudged) @ cell.workpiece.T_flange_blade @ p)[:, :3])[2]
+    slope = away[1:] - away[0]
+    axis = int(np.argmax(np.abs(slope)))
+    values[axis] -= 0.08 / slope[axis]
     aggregate = "{" + ",".join(f"A{i + 1} {v:.5f}" for i, v in enumerate(values)) + "}"
-    rows = [before, "  TIME_BLOCK START", f"  SPTP {aggregate}", "  TIME_BLOCK PART=4.00000", before, "  TIME_BLOCK PART=4.00000"]
-    there_and_back = "\r\n".join(["PTP_SPLINE", *rows, "  TIME_BLOCK END=8.00000", "ENDSPLINE"])
+    block = [
+        before,
+        "  TIME_BLOCK START",
+        f"  SPTP {aggregate}",
+        "  TIME_BLOCK PART=4.00000",
+        before,
+        "  TIME_BLOCK PART=4.00000",
+    ]
+    there_and_back = "\r\n".join(["PTP_SPLINE", *block, "  TIME_BLOCK END=8.00000", "ENDSPLINE"])
     copy.write_bytes(copy.read_bytes().replace(b"LIN_AT", there_and_back.encode()))
     told = simulated(into, "--out", tmp_path / "run")
     one_sentence(told, 1, "on the virtual cell")

@@ -7,7 +7,7 @@ import pytest
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.model.theta import registered
-from ocp.update.drift import SURPRISE, carried_on, changed_state, last_state
+from ocp.update.drift import SURPRISE, carried_on, changed_state, last_state, pressed_in_full
 from ocp.update.files import Updated
 from ocp.update.history import History, history_of
 from ocp.update.interface import updated
@@ -213,3 +213,20 @@ def test_a_rigid_mount_is_updated_too():
     assert not {"flange_stiffness", "flange_setpoint_offset"} & set(made.states[3].names)
     assert made.latest["found_N"] == pytest.approx(made.latest["measured_N"], abs=0.1)
     assert made.latest["found_sd_N"] < 0.1 * made.latest["expected_sd_N"]
+
+
+def test_rows_are_pressed_in_full_at_nine_tenths_of_their_own_runs_feed(world):
+    """Two runs at different feeds, each with ramps at its ends and rows in the air, which may be as fast as they like."""
+    log = world.log
+    run, k = log.run, np.tile(np.arange(40), 4)
+    usual = np.array([0.02, 0.08, 0.04, 0.04])[run]
+    share = np.clip(np.minimum(k - 3, 36 - k) / 5.0, 0.0, 1.0)
+    feed = usual * share
+    contact = share > 0
+    feed[k < 2] = 0.2  # a move through the air
+    told = replace(log, feed=feed, contact=contact)
+    assert (pressed_in_full(told) == (contact & (share >= 0.9))).all() and pressed_in_full(told).sum() == 4 * 24
+    assert (contact & ~pressed_in_full(told)).any() and (told.contact == contact).all()  # the log itself is left alone
+    edge = replace(told, feed=usual * np.where(k == 20, 0.899, np.where(k == 21, 0.901, 1.0)), contact=np.ones(160, bool))
+    assert np.flatnonzero(~pressed_in_full(edge)).tolist() == [20, 60, 100, 140]
+    assert (pressed_in_full(replace(told, feed=None)) == contact).all()

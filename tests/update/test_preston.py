@@ -22,7 +22,7 @@ from ocp.update.removal import (
     work_at,
 )
 from robots.errors import BadInput, Infeasible
-from tests.support.wearing_cell import wearing_cell
+from tests.support.wearing_cell import NOISE, wearing_cell
 
 A, B = 5e-3, 3.5e-3
 
@@ -35,7 +35,7 @@ def measured(depth: np.ndarray, sd: float = 1e-6) -> MeasuredDepths:
 def ellipsoid(*_) -> LinePatches:
     x = CELL * np.arange(-20, 21)
     share = np.sqrt(np.maximum(1 - (x[:, None] / A) ** 2 - (x[None, :] / B) ** 2, 0.0))
-    return LinePatches(np.array([0.0]), x, share[None] / (share.sum() * CELL**2), np.array([20.0]))
+    return LinePatches(np.array([0.0]), x, share[None] / (share.sum() * CELL**2), np.array([20.0]), np.array([3e-4]))
 
 
 def straight_line():
@@ -52,7 +52,8 @@ def straight_line():
         t=np.tile([0.0, 0.0, 1.0], (n, 1)),
     )
     rows = world.rows.take(np.zeros(n, np.int64))
-    solution = solve_force_log(world.model, rows, replace(log, fn=np.full(n, 20.0)), force_prior(world.cell))
+    read = 20.0 + NOISE * np.random.default_rng(1).normal(size=n)
+    solution = solve_force_log(world.model, rows, replace(log, fn=read), force_prior(world.cell))
     flat = replace(solution, reading=np.full(n, 20.0), x=np.append(solution.x[:-1], 0.0))
     return world, rows, log, flat, feed
 

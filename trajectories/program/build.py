@@ -1,6 +1,7 @@
 """Timed joint trajectories -> a program: one sub-program a pass, with as many points as the controller needs."""
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -31,11 +32,15 @@ LINE_TIME = 0.025  # s, at least, between the poses of a program of lines: the c
 
 
 class Leg(Protocol):
-    """A timed piece of a pass; `kind` is travel, engage, contact or retreat."""
+    """A timed piece of a program; `kind` is travel or what it is for."""
 
     @property
     def kind(self) -> str:
         """What it is for."""
+
+    @property
+    def stops(self) -> tuple[float, ...]:
+        """Times s at which a program of poses, whose blocks have one speed each, begins another block."""
 
     @property
     def trajectory(self) -> JointTrajectory:
@@ -94,20 +99,23 @@ def _blocks(
         elif leg.kind == "travel":
             blocks.append(PointMotion(leg.trajectory.q(leg.trajectory.duration)))
         else:
-            blocks.append(_pose_block(leg.trajectory, setup, limits.block_points, forward))
+            times = [0.0, *leg.stops, leg.trajectory.duration]
+            blocks += [_pose_block(leg.trajectory, part, setup, limits.block_points, forward) for part in pairwise(times)]
     return blocks
 
 
 def _pose_block(
-    trajectory: JointTrajectory, setup: Setup, most: int, forward: Callable[[Array], Array]
+    trajectory: JointTrajectory, part: tuple[float, float], setup: Setup, most: int, forward: Callable[[Array], Array]
 ) -> PoseSpline | PoseLines:
-    """Poses P = (FLANGE TOOL)^-1 BASE at equal stations, and the speed of P at which the planned feed is driven."""
-    length = float(trajectory.stations[-1])
+    """Poses P = (FLANGE TOOL)^-1 BASE at equal stations from the first time of `part` to its second, and the speed of P at which
+    the planned feed is driven."""
+    first, last = (float(s) for s in trajectory.s(np.array(part)))
+    length = last - first
     n = np.ceil(length / SPACING)
     if setup.kind == "lin":
-        n = min(n, np.floor(trajectory.duration / LINE_TIME))
+        n = min(n, np.floor((part[1] - part[0]) / LINE_TIME))
     n = int(np.clip(n, 2, most - 1))
-    times = times_at(trajectory.law, np.linspace(0.0, length, n + 1))
+    times = times_at(trajectory.law, np.linspace(first, last, n + 1))
     q = trajectory.q(times)
     P = invert(forward(q) @ setup.T_flange_blade) @ setup.T_base_wheel
     # Only where the wheel touches at the origin of the base frame is the speed of P the feed itself: the ratio is taken along.

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ocp.contact.wheel.law_fit import FORCE_RANGE
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
@@ -40,6 +41,7 @@ UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
+SLOW = 0.5  # of a run's largest feed, below which a row with little force is one of touch or lift
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,25 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
         notices=(*ignored, *blind),
         **{name: table.numbers.get(column) for name, column in PLAIN.items()},
     )
+
+
+def without_ends(log: ForceLog, process_force: float) -> ForceLog:
+    """The log without the rows in which blade and wheel meet and part: less force than the wheel's table knows, at less than
+    SLOW of the largest feed of their run. There the model's law is a guess, and it would be taken for an offset of the sensor."""
+    if log.feed is None:
+        return log
+    least = FORCE_RANGE[0] * process_force
+    ends = log.contact & (log.fn < least)
+    for run in np.unique(log.run[ends]):
+        mine = log.run == run
+        ends[mine] &= log.feed[mine] < SLOW * log.feed[mine & log.contact].max()
+    if not ends.any():
+        return log
+    told = (
+        f"{log.path.name}: {ends.sum()} rows in which blade and wheel meet and part, below {least:.3g} N, were left out: what "
+        "the wheel gives there is not known well enough"
+    )
+    return replace(log.take(~ends), notices=(*log.notices, told))
 
 
 def _check_vectors(table: CsvTable, n: Array, t: Array) -> None:

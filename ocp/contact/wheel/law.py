@@ -10,6 +10,7 @@ of strips with an exponential law.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,6 +23,7 @@ STRIPS_A_LENGTH, LEAST_STRIPS, MOST_STRIPS = 2.4, 15, 53
 # Strips crowd a little towards the edges of the wheel, where hollow blades bear: y + CROWDING sin(pi y) / pi.
 CROWDING = 0.3
 N_FEATURES = 5
+TOUCH = 0.05  # of the decay where the force bends over, what is left of it without force: the lowest strip alone bears
 
 
 @dataclass(frozen=True)
@@ -133,12 +135,15 @@ class WheelLaw:
     error: float
 
     def indentation(self, F: ca.SX, kxx: ca.SX, kyy: ca.SX, kxy: ca.SX, lateral: ca.SX, tilt_x: ca.SX, tilt_y: ca.SX) -> ca.SX:
-        """Interference d (m) at the planned point under `F` > 0 N; arguments scalar, as in docs/architecture.md.
+        """Interference d (m) at the planned point under `F` >= 0 N; arguments scalar, as in docs/architecture.md.
 
         Exact derivatives, smooth for kxx above its limit; below it kxx is bent to stay positive so that an optimiser
-        may pass through.
+        may pass through. Below the least force of the table the baseline goes on down to the lowest gap under the wheel's width,
+        where it touches first, and the correction fades as Hertz's law does.
         """
-        g = self.geometry
+        g, least = self.geometry, 0.5 * self.limits["force"][0]  # it bends over below the table
+        u = F / least
+        asked, F = F, ca.if_else(u < 2, least * (1 + ca.fmax(u, 0) ** 3 * (4 - u) / 16), F)
         floor = 0.5 * self.limits["kxx"][0]
         kxx = ca.if_else(kxx > floor, kxx, floor * ca.exp(ca.fmin(kxx, floor) / floor - 1))
         shear = kxy / kxx
@@ -149,19 +154,27 @@ class WheelLaw:
         across = kxx * (1 + shear**2)
         p = self.decay * ca.exp((2 * ca.log(F / g.modulus) + ca.log(across)) / 3)
 
-        places, weights = strips(self.count)
         a, b = slope * (0.5 * g.width) / p, 0.5 * ridge * (0.5 * g.width) ** 2 / p
-        # Any reference level gives the same sums; this one keeps every exponent in range. Its derivative cancels.
-        reference = 0.5 * (b - ca.sqrt(b**2 + 1) - ca.sqrt(a**2 + 1))
-        share = [w * ca.exp(reference - (a * y + b * y**2)) for w, y in zip(weights, places, strict=True)]
-        total = sum(share)
-        level = ca.log(total) - reference
-        mean = sum(s * y for s, y in zip(share, places, strict=True)) / total
-        square = sum(s * y**2 for s, y in zip(share, places, strict=True)) / total
+        full, mean, square = self._strip_load(a, b)
+        bears = ca.if_else(u < 2, _hertz(asked, least) / _hertz(F, least), 1)
+        less = TOUCH + (1 - TOUCH) * bears
+        level, _, _ = self._strip_load(a / less, b / less)
         energy = a * mean + b * square
         stiff = ca.log(F / (g.modulus * across * g.width**3))
-        features = [stiff, level + energy, mean**2, square - mean**2, shear**2 / (1 + shear**2)]
-        return offset + p * (self._correction(features) - level)
+        features = [stiff, full + energy, mean**2, square - mean**2, shear**2 / (1 + shear**2)]
+        return offset + p * (bears * self._correction(features) - less * level)
+
+    def _strip_load(self, a: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Of strips with gaps a y + b y^2 in decays: log of the mean of exp(-gap); mean and mean square of the load's place."""
+        places, weights = strips(self.count)
+        # Any reference level gives the same sums; the lowest gap keeps every exponent in range. Its derivative cancels.
+        steep = ca.fabs(a)
+        reference = ca.if_else(2 * b > steep, -(a**2) / (ca.fmax(4 * b, 2 * steep) + 1e-9), b - steep)
+        share = [w * ca.exp(reference - (a * y + b * y**2)) for w, y in zip(weights, places, strict=True)]
+        total = sum(share)
+        mean = sum(s * y for s, y in zip(share, places, strict=True)) / total
+        square = sum(s * y**2 for s, y in zip(share, places, strict=True)) / total
+        return ca.log(total) - reference, mean, square
 
     def _correction(self, features: list[ca.SX]) -> ca.SX:
         """The polynomial in Chebyshev products, factored variable by variable."""
@@ -178,15 +191,24 @@ class WheelLaw:
         """`indentation` in NumPy for arrays (n,) that broadcast, m."""
         F, *shape = (np.atleast_1d(a) for a in np.broadcast_arrays(F, kxx, kyy, kxy, lateral, tilt_x, tilt_y))
         reduced = reduce_shape(*shape)
-        g = self.geometry
-        p = self.decay * force_scale(F, reduced.across, g.modulus)
-        base, features = all_features(F, reduced, p, g.modulus, g.width, self.count)
+        g, least = self.geometry, 0.5 * self.limits["force"][0]  # it bends over below the table
+        within = np.where(F < 2 * least, least * (1 + (F / least) ** 3 * (4 - F / least) / 16), F)
+        p = self.decay * force_scale(within, reduced.across, g.modulus)
+        _, features = all_features(within, reduced, p, g.modulus, g.width, self.count)
         correction = chebyshev_products(self._unit(features), self.terms) @ self.coefficients
-        return reduced.offset + base + p * correction
+        bears = _hertz(F, least) / _hertz(within, least)
+        base, _ = strip_baseline(p * (TOUCH + (1 - TOUCH) * bears), reduced.ridge, reduced.slope, g.width, self.count)
+        return reduced.offset + base + bears * p * correction
 
     def _unit(self, features: Array) -> Array:
         """Features scaled to -1..1 over the sampled ranges."""
         return (2 * features - self.low - self.high) / (self.high - self.low)
+
+
+def _hertz(F: Any, least: float) -> Any:
+    """(F + e)^(2/3) - e^(2/3), e a hundredth of `least`: Hertz's law without its infinite slope at F = 0."""
+    e = 0.01 * least
+    return (F + e) ** (2 / 3) - e ** (2 / 3)
 
 
 def _nested(terms: Array, coefficients: Array, powers: list[list[ca.SX]], variable: int) -> ca.SX:

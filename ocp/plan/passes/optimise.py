@@ -7,12 +7,15 @@ gives way to the next.
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 import ocp
 import robots
@@ -24,11 +27,14 @@ from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
 from ocp.plan.clearance import CollisionScene, SecondaryContact, find_secondary_contact
+from ocp.plan.passes.course import entry_of
 from ocp.plan.passes.posture import Seed, driven, find_seeds
-from ocp.plan.passes.problem import PassProblem, with_direction
+from ocp.plan.passes.problem import PassProblem, air_to_air_problem, lead_room, with_direction
 from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, joined
+from ocp.plan.removal.dwell import DrivenLine
+from ocp.plan.removal.footprint import contacts_along
 from ocp.plan.rules import DIRECT_TOLERANCE, LIFT_OFF, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
 from ocp.shell.cache import Entry, content_key, flattened, rebuilt, remember
 from ocp.shell.processes import cores, interrupts_held_back, workers
@@ -37,15 +43,22 @@ from robots.pose import Array
 from trajectories.passes import BladePath, reversed_path
 
 CORRECTIONS = 4
+LEAST_DIRECT = 0.2  # of the programmed force: with less the contact is not solved directly
 SIGN_TOLERANCE = 0.1  # of an axis' sign of motion between the program and its solution
 CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
 THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over that, below the tolerance
 STATION_SPACING = 3e-3  # m between waypoints solved directly
+LOOKED_AT = 6e-3  # m between contacts on which feeds and removal are planned
 FALLBACKS = 4  # seeds tried before a pass is refused
-TURN_LIMITS = (1.0, 0.2, 0.02)  # of the turn tolerance, tried in turn while a turned wheel touches the blade elsewhere
+ATTEMPTS = ((True, 1.0), (False, 1.0), (False, 0.2), (False, 0.02))
+"""Whether a pass is led in and out beyond the line, and of the turn tolerance: tried in turn, the latter while a turned wheel
+touches the blade elsewhere."""
 LIFT_RESERVE = 1e-3  # m; ways between passes are judged on the nominal arm, which stands about that far beside the bent one
 END_PROBE = 1e-3  # m between the waypoints at which it is looked whether the blade could be lifted off
 FILES = (".path", ".stl")  # where a file lies does not matter, what it says is in the key by value
+
+
+Feeds = Callable[[Sequence[DrivenLine | None]], Sequence[Array | None]]
 
 
 class TouchesElsewhere(CannotGrind):
@@ -66,16 +79,17 @@ class Ground:
     cloud: SurfaceCloud
 
 
-def solve_directly(ground: Ground, problem: PassProblem, solved: Evaluation) -> Array:
+def solve_directly(ground: Ground, problem: PassProblem, force: Array, solved: Evaluation) -> Array:
     """The indentation correction (n,) m that makes the model's wheel indentation that of the contact solved directly, under the
-    programmed force on the blade's real surface, at the postures of `solved`.
+    `force` (n,) N on the blade's real surface, at the postures of `solved`.
 
     The indentation varies smoothly along a pass, other than the local curvature that the table goes by: it is solved at some
-    waypoints. Raises Infeasible of the contact solver, with the waypoint.
+    nodes; where the force is small the correction goes with it. Raises Infeasible of the contact solver, with the node.
     """
     wheel, path = ground.cell.wheel, problem.path
+    bearing = np.flatnonzero(force >= LEAST_DIRECT * path.force)
     along = -wheel.travel * ground.cell.process.sigma  # zero turn: the blade moves with the belt or against it
-    index = contact_stations(path.s, STATION_SPACING)
+    index = bearing[contact_stations(path.s[bearing], STATION_SPACING)]
     indentation = []
     for k in index:
         kxx, kyy, kxy = (float(c) for c in solved.curvature[k])
@@ -84,12 +98,14 @@ def solve_directly(ground: Ground, problem: PassProblem, solved: Evaluation) -> 
         base = LocalShape(kxx, kyy, kxy, float(solved.lateral[k]), tilt_x, tilt_y, heading=heading)
         shape = surface_shape(wheel, ground.cloud, base, solved.T_base_blade[k], path.p[k])
         try:
-            indentation.append(solve_force(ground.cover, float(path.force[k]), shape).indentation)
+            indentation.append(solve_force(ground.cover, float(force[k]), shape).indentation)
         except Infeasible as error:
             here = np.abs(path.s - path.s[k]) <= 0.5 * STATION_SPACING
             raise CannotGrind.of(path, here, str(error), "use a narrower wheel or larger margins", int(k)) from None
-    wanted = PchipInterpolator(path.s[index], indentation)(path.s)
-    return np.asarray(problem.indentation_correction + wanted - solved.parts[:, 1])
+    more = PchipInterpolator(path.s[index], np.array(indentation) - solved.parts[index, 1])
+    inside = np.clip(np.arange(len(force)), index[0], index[-1])
+    better = problem.indentation_correction + more(path.s)
+    return np.asarray(better[inside] * np.where(inside == np.arange(len(force)), 1.0, force / force[inside]))
 
 
 @dataclass(frozen=True)
@@ -99,6 +115,43 @@ class SolvedPass:
     problem: PassProblem
     solution: PassSolution
     evaluation: Evaluation
+
+    def at(self, nominal: Array) -> dict[str, Array]:
+        """What is planned at nominal times (m,) s in contact: p, n, t (m, 3); arc length s m, and where s_mm is zero;
+        speed m/s of the contact at the nominal rate; force, force_sd N; interference m."""
+        way, path = self.problem.way, self.problem.path
+        on = slice(way.touching.start - (way.share[0] == 0), way.touching.stop + (way.share[-1] == 0))
+        curves = np.column_stack([path.p, path.n, path.t, self.solution.rate, self.solution.ratio, self.evaluation.force_sd])
+        curves = np.column_stack([curves, self.evaluation.delta, path.force, path.feed])[on]
+        found = CubicSpline(way.at[on], curves)(nominal)
+        p, n, t = (found[:, 3 * i : 3 * i + 3] for i in range(3))
+        rate, ratio, sd, delta, force, feed = found[:, 9:].T
+        share = way.share_at(nominal)
+        n, t = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (n, t))
+        s, begin = way.arc_at(nominal), np.tile(way.arc_at(way.edges[2:3]) - path.start, len(nominal))
+        planned = {"p": p, "n": n, "t": t, "s": s, "begin": begin, "speed": share * feed, "force": force * share * rate * ratio}
+        return planned | {"force_sd": sd, "interference": delta}
+
+    def grinding(self) -> "SolvedPass":
+        """The pass proper alone: the nodes under its full force."""
+        return self.part(self.problem.way.grinding > 0)
+
+    def touching(self) -> "SolvedPass":
+        """The pass from touch to lift: the nodes that bear force."""
+        return self.part(self.problem.way.share > 0)
+
+    def part(self, keep: NDArray[np.bool_]) -> "SolvedPass":
+        """Some of the nodes (n,) alone, all arrays cut to them."""
+        n = len(keep)
+
+        def cut(thing: Any) -> Any:
+            arrays = {f.name: getattr(thing, f.name) for f in fields(thing)}
+            return replace(
+                thing, **{k: v[keep] for k, v in arrays.items() if isinstance(v, np.ndarray) and len(v) == n and k != "edges"}
+            )
+
+        problem = replace(cut(self.problem), path=cut(self.problem.path), course=cut(self.problem.way), depth=None)
+        return SolvedPass(problem, cut(self.solution), cut(self.evaluation))
 
 
 @dataclass(frozen=True)
@@ -127,18 +180,17 @@ class PassWorker:
         """The first seed that gives a sound pass. Raises Infeasible with the first seed's reason where none does."""
         reasons: list[Infeasible] = []
         for seed in seeds[:FALLBACKS]:
-            problem = PassProblem.start(path, seed, compliance)
-            if seed.direction < 0:
-                problem = with_direction(problem, reversed_path(path))
-            for limit in TURN_LIMITS:
+            problem = _from_seed(path, seed, compliance)
+            for led, limit in ATTEMPTS if path.room_before or path.room_after else ATTEMPTS[1:]:
                 try:
-                    one = self._solve(replace(problem, turn_limit=limit * self.ground.cell.process.turn_tolerance))
+                    whole = self._whole_way(problem, self._driven(problem), led)
+                    one = self._solve(replace(whole, turn_limit=limit * self.ground.cell.process.turn_tolerance))
                     refuse_ends(self.ground.cell, self.scene, one)
                     return one
                 except Infeasible as error:
                     turned = isinstance(error, CannotGrind) and seed.direction < 0
                     reasons.append(error.turned_round() if isinstance(error, CannotGrind) and turned else error)
-                    if not isinstance(error, TouchesElsewhere):
+                    if not led and not isinstance(error, TouchesElsewhere):
                         break
         # What takes the least of the line away.
         raise min(reasons, key=lambda e: e.nodes(path.s).sum() if isinstance(e, CannotGrind) and len(e.at) else len(path.s))
@@ -165,13 +217,39 @@ class PassWorker:
                 open_ += [(piece, []) for piece in pieces]
         return GroundLines(found, lost)
 
+    def look(self, stretch: LineStretch, seed: Seed) -> DrivenLine | None:
+        """A piece of a line at the postures of a seed, not optimised yet; None where that is not possible: the optimiser tells
+        why."""
+        with suppress(Infeasible):
+            return self._driven(_from_seed(stretch.path, seed, stretch.compliance))
+        return None
+
+    def _driven(self, line: PassProblem) -> DrivenLine:
+        """The line of a problem whose nodes are its waypoints. Raises CannotGrind where the wheel bears nowhere on it."""
+        cell, path = self.ground.cell, line.path
+        q = self.solver.seed_joints(line)
+        index = contact_stations(path.s, LOOKED_AT).astype(np.int64)
+        seen = self.solver.evaluate(line, q, path.force)
+        patches = contacts_along(cell, self.ground.cover, self.ground.cloud, path, seen, index, passed_over=True)
+        bearing = self.solver.evaluate(line, q, 0.5 * path.force).stiffness
+        entry = entry_of(cell, float(path.force.mean()), float(bearing.max()))
+        if patches is None:
+            reason = "the wheel bears nowhere on it"
+            raise CannotGrind.of(path, np.ones(len(path.s), bool), reason, "use a narrower wheel or larger margins")
+        return DrivenLine(path, patches, entry, lead_room(path, patches, cell.process.edge_force))
+
+    def _whole_way(self, line: PassProblem, driven: DrivenLine, led: bool) -> PassProblem:
+        """The way from air to air over a line; `led`: with what leads in to it and out of it."""
+        step = float(np.median(np.diff(line.path.s)))
+        return air_to_air_problem(line, driven.entry, driven.patches, step, driven.room if led else (0.0, 0.0))
+
     def _solve(self, problem: PassProblem) -> SolvedPass:
         start: PassSolution | None = None
         problem = self.solver.with_approach(problem)
         for _ in range(CORRECTIONS):
             solution = self.solver.solve(problem, start)
             solved = self.solver.evaluate(problem, solution.q, solution.force)
-            better = solve_directly(self.ground, problem, solved)
+            better = solve_directly(self.ground, problem, solution.force, solved)
             off = np.abs((better - problem.indentation_correction) * solved.stiffness).max()
             blocked = self._with_clearances(problem, solution.q)
             turned = self.solver.with_approach(problem, solution.q)
@@ -214,16 +292,18 @@ def refuse_unsound(
         error = CannotGrind.of(path, where, reason, f"use {_other_wheel(cell, beside)}, or larger margins", beside.index)
         raise TouchesElsewhere(str(error), **vars(error))
     if cell.flange is not None:
+        # FORMATS, additions: 1 mm inside the pressed stop; a pass also 0.3 mm off where the flange stands free.
         stroke, limit = solved.parts[:, 0], 0.5 * cell.flange.stroke - STROKE_RESERVE
-        k = int(np.argmax(np.abs(stroke)))
-        if abs(stroke[k]) > limit:
+        k = int(np.argmax(stroke))
+        if stroke[k] > limit:
             reason = f"the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, {limit * 1e3:.2f} mm are usable"
-            raise CannotGrind.of(path, np.abs(stroke) > limit, reason, "set force_N nearer to the flange's setpoint", k)
+            raise CannotGrind.of(path, stroke > limit, reason, "set force_N nearer to the flange's setpoint", k)
 
 
 def refuse_ends(cell: Cell, scene: CollisionScene, one: SolvedPass) -> None:
     """Raises CannotGrind with what lies before the first and behind the last waypoint at which the blade can be lifted off the
     wheel: there a pass could not be begun or ended."""
+    one = one.touching()
     path, poses = one.problem.path, one.evaluation.T_base_blade.copy()
     poses[:, :3, 3] += LIFT_OFF * cell.wheel.outward(one.evaluation.arc)
     ends = scene.off_wheel(poses[[0, -1]]) - LIFT_RESERVE
@@ -248,6 +328,12 @@ def _other_wheel(cell: Cell, beside: SecondaryContact) -> str:
     return "a smaller or narrower wheel"
 
 
+def _from_seed(path: BladePath, seed: Seed, compliance: Array) -> PassProblem:
+    """The pass along the line in the seed's direction."""
+    problem = PassProblem.start(path, seed, compliance)
+    return problem if seed.direction > 0 else with_direction(problem, reversed_path(path))
+
+
 def _turns_differ(one: PassProblem, other: PassProblem) -> bool:
     """Do the signs of the axes' motion differ by more than a tenth anywhere?"""
     if one.approach is None or other.approach is None:
@@ -263,6 +349,11 @@ def _start_worker(ground: Ground) -> None:
     _worker = PassWorker(ground)
 
 
+def _look_in_worker(stretch: LineStretch, seed: Seed) -> DrivenLine | None:
+    assert _worker is not None
+    return _worker.look(stretch, seed)
+
+
 def _solve_in_worker(stretch: LineStretch, seeds: list[Seed], whole: bool) -> GroundLines:
     assert _worker is not None
     return _worker.solve_stretch(stretch, seeds, whole)
@@ -273,33 +364,54 @@ def solve_passes(
     stretches: list[LineStretch],
     seeds: list[list[Seed]],
     whole: bool = True,
+    feeds: Feeds | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> GroundLines:
     """Solve every pass, in worker processes where there are several cores; what cannot be ground is left out.
 
+    `feeds`: the feeds of all lines, from what they are at the postures of their seeds; without, they are driven as they are.
     Raises Infeasible of the first pass (in order) that has no sound solution if the `whole` of all of them is asked for.
     """
-    tasks = [(stretch, starts, whole) for stretch, starts in zip(stretches, seeds, strict=True)]
-    jobs = min(cores(), len(tasks))
-    solved = []
+    jobs = min(cores(), len(stretches))
+    starts = [options[0] for options in seeds]
     if jobs <= 1:
         worker = PassWorker(ground)
-        for task in tasks:
-            solved.append(worker.solve_stretch(*task))
+        if feeds is not None:
+            looked = [worker.look(*task) for task in zip(stretches, starts, strict=True)]
+            stretches = _at_feeds(stretches, starts, feeds(looked))
+        solved = []
+        for stretch, options in zip(stretches, seeds, strict=True):
+            solved.append(worker.solve_stretch(stretch, options, whole))
             advance()
         return GroundLines.together(solved)
     with workers(jobs, _start_worker, ground) as pool:
+        if feeds is not None:
+            stretches = _at_feeds(stretches, starts, feeds(list(pool.map(_look_in_worker, stretches, starts))))
         with interrupts_held_back():
-            futures = [pool.submit(_solve_in_worker, *task) for task in tasks]
+            futures = [pool.submit(_solve_in_worker, *task, whole) for task in zip(stretches, seeds, strict=True)]
         for future in futures:
             future.add_done_callback(lambda _: advance())
         return GroundLines.together([future.result() for future in futures])
 
 
+def _at_feeds(stretches: list[LineStretch], seeds: list[Seed], feeds: Sequence[Array | None]) -> list[LineStretch]:
+    """The pieces at other feeds, given in the directions of their seeds."""
+    return [
+        one if feed is None else replace(one, path=replace(one.path, feed=feed[:: seed.direction]))
+        for one, seed, feed in zip(stretches, seeds, feeds, strict=True)
+    ]
+
+
 def remembered_passes(
-    ground: Ground, paths: list[BladePath], compliance: list[Array], solve: Callable[[], GroundLines], whole: bool = True
+    ground: Ground,
+    paths: list[BladePath],
+    compliance: list[Array],
+    solve: Callable[[], GroundLines],
+    whole: bool = True,
+    even: bool = False,
 ) -> GroundLines:
-    """What can be ground of `paths` on `ground` with the blade's compliance: kept ones, else those of `solve`."""
+    """What can be ground of `paths` on `ground` with the blade's compliance: kept ones, else those of `solve`; `even`: at feeds
+    that follow from those of the paths."""
     content = flattened((ground, paths, compliance))
     parts = [part for name, array in sorted(content.items()) if not name.endswith(FILES) for part in (name, array)]
 
@@ -307,7 +419,7 @@ def remembered_passes(
         found = solve()
         return flattened({"passes": found.passes, "left_out": found.left_out, "count": [len(found.passes), len(found.left_out)]})
 
-    entry = remember("passes", content_key(code_hash(), whole, *parts), counted)
+    entry = remember("passes", content_key(code_hash(), whole, even, *parts), counted)
     passes = [rebuilt(SolvedPass, entry, f".passes.{i}") for i in range(int(entry[".count.0"]))]
     return GroundLines(passes, [rebuilt(LeftOut, entry, f".left_out.{i}") for i in range(int(entry[".count.1"]))])
 

@@ -1,14 +1,17 @@
-"""A pass as the optimiser takes it: waypoints with all they know, in the direction of travel."""
+"""A pass as the optimiser takes it: nodes with all they know, in the direction of travel."""
 
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.cell import Cell
+from ocp.plan.passes.course import Engagement, PassCourse, air_to_air, lengthened, path_at, steady
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.stage import N_CLEARANCE
+from ocp.plan.removal.footprint import LinePatches, line_footprint
 from robots.pose import Array
 from trajectories.passes import BladePath
 
@@ -18,10 +21,14 @@ STILL = 1e-3  # rad/m; an axis that turns less per metre of the pass keeps the s
 
 @dataclass(frozen=True)
 class PassProblem:
-    """A pass in its direction of travel with all that its waypoints know: blade compliance (n, 3) m/N in (n, t, b),
-    indentation_correction (n,) m of the wheel's table, clearances (n, N_CLEARANCE, 7): rows a.q >= b; turn_limit
-    rad narrows the cell's turn tolerance where a turned wheel would touch the blade elsewhere; approach (n, 6): signs of the
-    axes' motion for effects that depend on them."""
+    """A pass in its direction of travel with all that its n nodes know.
+
+    path: the line there; compliance (n, 3) m/N of the blade in (n, t, b); indentation_correction (n,) m of the wheel's table;
+    clearances (n, N_CLEARANCE, 7): rows a.q >= b; turn_limit rad narrows the cell's turn tolerance where a turned wheel would
+    touch the blade elsewhere; approach (n, 6): signs of the axes' motion for effects that depend on them; course: the way over
+    the line; where the removal is planned depth (m, m): what r at the m nodes in contact takes off at each of them, and lean
+    (n, 2): `ocp.plan.passes.stage.STAGE`.
+    """
 
     path: BladePath
     seed: Seed
@@ -30,6 +37,9 @@ class PassProblem:
     clearances: Array
     turn_limit: float = np.inf
     approach: Array | None = None
+    course: PassCourse | None = None
+    depth: Array | None = None
+    lean: Array | None = None
 
     @staticmethod
     def start(path: BladePath, seed: Seed, compliance: Array) -> "PassProblem":
@@ -37,7 +47,7 @@ class PassProblem:
         n = len(path.s)
         clearances = np.zeros((n, N_CLEARANCE, 7))
         clearances[..., 6] = -1.0
-        return PassProblem(path, seed, compliance, np.zeros(n), clearances)
+        return PassProblem(path, seed, compliance, np.zeros(n), clearances, course=steady(path))
 
     @property
     def waypoints(self) -> Array:
@@ -67,14 +77,48 @@ class PassProblem:
 
     @property
     def seconds(self) -> Array:
-        """Time between neighbouring waypoints at the programmed feed, (n-1,) s."""
-        return np.asarray(np.diff(self.path.s) / (0.5 * (self.path.feed[1:] + self.path.feed[:-1])))
+        """Nominal time between neighbouring nodes, (n-1,) s."""
+        return np.diff(self.way.at)
+
+    @property
+    def way(self) -> PassCourse:
+        """The course over the line: `course`, or the pass alone at its programmed feed."""
+        return self.course or steady(self.path)
+
+
+def air_to_air_problem(
+    line: PassProblem, entry: Engagement, patches: LinePatches, step: float, room: tuple[float, float]
+) -> PassProblem:
+    """The whole way of a `line` whose nodes are its waypoints, `patches` its footprints; nodes about `step` m apart in the pass.
+    It begins and ends `room` m beyond the line.
+
+    Raises Infeasible where the line is too short.
+    """
+    path = lengthened(line.path, *room)
+    course = air_to_air(path, entry, step / float(path.feed.mean()))
+    compliance = CubicSpline(line.path.s, line.compliance)(np.clip(course.s, 0.0, line.path.s[-1]))
+    start = PassProblem.start(path_at(path, course.s), line.seed, compliance)
+    depth = line_footprint(course.s[course.touching], patches).toarray()
+    # Tilted by a, a patch of half-axis b that is pressed in by d at its middle bears a b / d more at one end, less at the other.
+    slope = patches.half_axes / patches.indentation[:, None] / 3**0.5
+    lean = np.column_stack([np.interp(course.s, patches.at, one) * course.share for one in slope.T])
+    return replace(start, course=course, depth=depth, lean=lean, turn_limit=line.turn_limit)
+
+
+def lead_room(path: BladePath, patches: LinePatches, edge_force: float) -> tuple[float, float]:
+    """How far (m) before and behind its ends a line is begun and ended: a patch's half-length, which makes its ends as deep as
+    its middle, where the margin has that room, and no nearer to an end of the surface than a patch under `edge_force` N."""
+    reach = patches.half_axes[:, 0]
+    share = float(np.cbrt(min(edge_force / path.force.mean(), 1.0)))
+    ends = ((path.room_before, path.extent[0, 1], reach[0]), (path.room_after, path.extent[-1, 0], reach[-1]))
+    before, after = (max(min(half, room, extent - half * share), 0.0) for room, extent, half in ends)
+    return before, after
 
 
 def with_direction(problem: PassProblem, reversed_path: BladePath) -> PassProblem:
     """The same pass run the other way: compliance along t and b change sign with the contact frame."""
     flip = np.array([1.0, -1.0, -1.0])
-    return replace(problem, path=reversed_path, compliance=problem.compliance[::-1] * flip)
+    return replace(problem, path=reversed_path, compliance=problem.compliance[::-1] * flip, course=steady(reversed_path))
 
 
 def approach_signs(q: Array, s: Array) -> Array:

@@ -11,6 +11,7 @@ from ocp.model.force_balance import Model, build_model
 from ocp.model.theta import Theta
 from ocp.plan.passes.posture import joints_near, poses_along, turned_curvature, wrist_radius
 from ocp.plan.passes.problem import PassProblem, approach_signs
+from ocp.plan.passes.smoothness import axis_rows, axis_use, node_times, quadratic_form
 from ocp.plan.passes.stage import (
     N_CLEARANCE,
     N_PLAIN_ROWS,
@@ -23,11 +24,12 @@ from ocp.plan.passes.stage import (
     force_variance,
 )
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.passes.transcription import Transcription, transcribe
+from ocp.plan.passes.transcription import N_DYNAMIC, Transcription, transcribe
 from ocp.plan.rules import (
     AXIS_MARGIN,
     ELBOW_MARGIN,
     LEAST_INDENTATION,
+    PEAK_FORCE,
     SHOULDER_MARGIN,
     SINGULARITY_SHARE,
     SPEED_SHARE,
@@ -39,6 +41,10 @@ from trajectories.passes import BladePath
 
 PAD = 32  # programs are built for multiples of this many waypoints and shared by passes of similar length
 AIM_STEPS = 2  # each leaves a thousandth of the miss
+RELINEARISED = 4  # solutions with axis limits, each with the torque linear about the one before
+LEAST_RATE = 0.05  # of the nominal one
+RATIO_RANGE = (0.7, 1.3)  # of force over feed over its programmed value
+FULL_BEARING = 0.5  # of the force, from which on the wheel has to overlap the planned point
 FEASIBLE = 1e-5  # largest scaled violation of a row that counts as solved (0.01 um, 1e-5 rad)
 WORST_SHARE = 0.1  # of the worst violation: where a row is broken by more, the pass is at fault and not the way to it
 REMEDIES = (
@@ -57,9 +63,12 @@ REMEDIES = (
 
 @dataclass(frozen=True)
 class PassSolution:
-    """Joints (n, 6) and force (n,) of a pass, how Ipopt got there, and its multipliers for a start close by."""
+    """Joints (n, 6), rate of the path parameter (n,), force over feed (n,), each over its nominal one, and force (n,) N of a
+    pass, how Ipopt got there, and its multipliers for a start close by."""
 
     q: Array
+    rate: Array
+    ratio: Array
     force: Array
     iterations: int
     objective: float
@@ -127,7 +136,7 @@ class PassSolver:
         joints = self.seed_joints(problem) if q is None else q
         n = len(joints)
         real = self._link_motion.map(n)(joints.T, self._waypoints(problem).T, np.tile(self.theta.values[:, None], n))
-        return replace(problem, approach=approach_signs(np.asarray(real).T, problem.path.s))
+        return replace(problem, approach=approach_signs(np.asarray(real).T, problem.way.at * float(problem.path.feed.mean())))
 
     def program(self, n: int, full: bool = False) -> Transcription:
         """The nonlinear program for n waypoints, padded."""
@@ -141,41 +150,60 @@ class PassSolver:
 
         Raises Infeasible naming waypoint, constraint and amount.
         """
-        solution = self._solve(problem, start, full=False)
-        if self._breaks_lazy_rows(problem, solution.q):
+        try:
+            solution = self._solve(problem, start, full=False)
+        except CannotGrind:
+            if start is None:
+                raise
+            # Multipliers of a problem that is not so close after all lead astray.
+            solution = self._solve(problem, replace(start, multipliers=None), full=False)
+        for _ in range(RELINEARISED):
+            if not self._breaks_lazy_rows(problem, solution):
+                return solution
             solution = self._solve(problem, replace(solution, multipliers=None), full=True)
         return solution
 
     def seed_joints(self, problem: PassProblem) -> Array:
         """Joints (n, 6) that lie on the wheel as the seed does, with about the overlap that the force needs."""
-        path = problem.path
+        path, course, force = problem.path, problem.way, self.nominal_force(problem)
         kxx, kyy, kxy = turned_curvature(path.curvature, np.array(problem.seed.turn), self.cell.wheel.radius)
         zero = np.zeros(len(path.s))
-        overlap = self.law.evaluate(path.force, np.maximum(kxx, self.limits["kxx"][0]), kyy, kxy, zero, zero, zero)
+        overlap = self.law.evaluate(force, np.maximum(kxx, self.limits["kxx"][0]), kyy, kxy, zero, zero, zero) - course.gap
+        if self.cell.flange is not None and course.entry is not None:
+            half = 0.5 * self.cell.flange.stroke
+            overlap = overlap + np.clip((force - self.cell.flange.setpoint) / self.cell.flange.stiffness, -half, half)
         goal = poses_along(self.cell, path, problem.seed, overlap + problem.indentation_correction, self.sigma)
         commanded = goal
         # The real arm sags by millimetres, a twentieth of a small wheel's arc: aim off by what it misses.
         for _ in range(AIM_STEPS):
             q = joints_near(self.cell, path, problem.seed, commanded)
-            real = self.evaluate(problem, q, path.force).T_base_blade
+            real = self.evaluate(problem, q, force).T_base_blade
             commanded = goal @ invert(real) @ commanded
         return joints_near(self.cell, path, problem.seed, commanded)
 
-    def _breaks_lazy_rows(self, problem: PassProblem, q: Array) -> bool:
-        """Does a solution without the rows of clearance and speed break one of them?"""
+    @staticmethod
+    def nominal_force(problem: PassProblem) -> Array:
+        """Force (n,) N at the nodes at nominal rate and ratio."""
+        return np.asarray(problem.path.force * problem.way.share)
+
+    def _breaks_lazy_rows(self, problem: PassProblem, solution: PassSolution) -> bool:
+        """Does a solution without the rows of clearance and axis limits break one of them?"""
+        q = solution.q
         rows = np.einsum("kij,kj->ki", problem.clearances[..., :6], q) - problem.clearances[..., 6]
-        seconds = problem.seconds[:, None]
-        return bool(rows.min() < 0 or (np.abs(np.diff(q, axis=0)) > SPEED_SHARE * seconds * self.cell.robot.qd_max).any())
+        return bool(rows.min() < 0 or axis_use(self.cell, problem.way, q, solution.rate).max() > SPEED_SHARE + FEASIBLE)
 
     def _solve(self, problem: PassProblem, start: PassSolution | None, full: bool) -> PassSolution:
         path = problem.path
         n = len(path.s)
         program = self.program(n, full)
         q0 = self.seed_joints(problem) if start is None else start.q
-        x0 = np.column_stack([_padded(q0, program.n), _padded(path.force, program.n)])
+        fresh = np.ones((n, 2)) if start is None else np.column_stack([start.rate, start.ratio])
+        x0 = _padded(np.column_stack([q0, fresh]), program.n)
         lbx, ubx = self._bounds(problem, program.n)
         lbg, ubg = self._row_bounds(problem, program.n, full)
-        p = Transcription.pack(*self._parameters(problem, program.n))
+        Q, c = quadratic_form(self.cell, problem, self.weights, program.n)
+        limits = axis_rows(self.cell, problem.way, q0, program.n) if full else None
+        p = program.pack(self._parameters(problem, program.n), self.theta.values, Q, c, limits)
         x0 = np.clip(x0.ravel(), lbx, ubx)
         data = {"x0": x0, "lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg, "p": p}
         solver = program.solver
@@ -191,7 +219,8 @@ class PassSolver:
         if not (solved and np.isfinite(x).all()):
             raise Infeasible(f"line {path.line} ({path.side}): the optimiser stopped with {stats['return_status']}")
         multipliers = np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_g"]).ravel()
-        return PassSolution(x[:, :6], x[:, 6], int(stats["iter_count"]), float(result["f"]), multipliers)
+        force = self.nominal_force(problem) * x[:, 6] * x[:, 7]
+        return PassSolution(x[:, :6], x[:, 6], x[:, 7], force, int(stats["iter_count"]), float(result["f"]), multipliers)
 
     def _bounds(self, problem: PassProblem, n: int) -> tuple[Array, Array]:
         """Bounds of the variables: axis limits with margin, the seed's side of wrist and elbow, the force."""
@@ -203,8 +232,15 @@ class PassSolver:
                 low[axis] = max(low[axis], singular + SINGULARITY_SHARE * margin)
             else:
                 high[axis] = min(high[axis], singular - SINGULARITY_SHARE * margin)
-        force = _padded(problem.path.force, n)[:, None]
-        return (np.hstack([np.tile(low, (n, 1)), force]).ravel(), np.hstack([np.tile(high, (n, 1)), force]).ravel())
+        bound = np.tile(low, (n, 1)), np.tile(high, (n, 1))
+        free = _padded(np.column_stack([np.ones(len(problem.path.s)), problem.way.share > 0]), n) * (
+            problem.way.entry is not None
+        )
+        rate, ratio = (
+            np.where(free.T > 0, [[LEAST_RATE], [RATIO_RANGE[0]]], 1.0),
+            np.where(free.T > 0, [[1.0], [RATIO_RANGE[1]]], 1.0),
+        )
+        return np.hstack([bound[0], rate.T]).ravel(), np.hstack([bound[1], ratio.T]).ravel()
 
     def _row_bounds(self, problem: PassProblem, n: int, full: bool) -> tuple[Array, Array]:
         """Bounds of the rows in the order of `ocp.plan.passes.stage.ROWS`, then of the joint steps."""
@@ -221,50 +257,52 @@ class PassSolver:
         low[3], high[3] = -turn, turn
         low[6] = SINGULARITY_SHARE * SHOULDER_MARGIN
         low[7], high[7] = self.limits.get("kxx", (0.0, np.inf))
-        low[8] = 1e3 * LEAST_INDENTATION
-        low[9:] = 0.0
+        low[10:] = 0.0
+        each = np.tile(low, (n, 1)), np.tile(high, (n, 1))
+        bearing, force = _padded(problem.way.share, n) > FULL_BEARING, _padded(problem.path.force, n)
+        each[0][:, 8] = np.where(bearing, 1e3 * LEAST_INDENTATION, -np.inf)
+        each[1][:, 9] = PEAK_FORCE * force
         if not full:
-            return np.tile(low[:N_PLAIN_ROWS], n), np.tile(high[:N_PLAIN_ROWS], n)
-        step = np.full((n - 1, 6), np.inf)
-        step[: len(problem.path.s) - 1] = SPEED_SHARE * problem.seconds[:, None] * self.cell.robot.qd_max
-        return np.concatenate([np.tile(low, n), -step.ravel()]), np.concatenate([np.tile(high, n), step.ravel()])
+            return each[0][:, :N_PLAIN_ROWS].ravel(), each[1][:, :N_PLAIN_ROWS].ravel()
+        use = np.tile(SPEED_SHARE * np.concatenate([self.cell.robot.qd_max, self.cell.robot.qdd_max, np.ones(6)]), n)
+        return np.concatenate([each[0].ravel(), -use]), np.concatenate([each[1].ravel(), use])
 
-    def _parameters(self, problem: PassProblem, n: int) -> tuple[Array, Array, Array, Array]:
-        """Stage parameters, theta and the weights of first and second differences."""
-        path, robot = problem.path, self.cell.robot
+    def _parameters(self, problem: PassProblem, n: int) -> Array:
+        """Parameters of the stages (n, Stage.n_parameters)."""
+        path, course = problem.path, problem.way
         count = len(path.s)
         sign = 1.0 if wrist_radius(self.cell, problem.seed.q[0]) > 0 else -1.0
-        par = np.column_stack(
-            [self._waypoints(problem), problem.clearances.reshape(count, -1), np.full(count, sign), np.full(count, 1.0 / count)]
-        )
+        own = [
+            self.nominal_force(problem),
+            course.gap,
+            course.grinding,
+            np.zeros((count, 2)) if problem.lean is None else problem.lean,
+            np.full(count, sign),
+            node_times(course) / np.ptp(course.at),
+        ]
+        par = np.column_stack([self._waypoints(problem), problem.clearances.reshape(count, -1), *own])
         assert par.shape[1] == self.stage.n_parameters
-        seconds = problem.seconds
-        first, second = np.zeros((n - 1, 6)), np.zeros((n - 2, 6))
-        first[: count - 1] = self.weights.speed / count / (seconds[:, None] * robot.qd_max) ** 2
-        second[: count - 2] = self.weights.acceleration / count / (seconds[1:, None] ** 2 * robot.qdd_max) ** 2
-        return _padded(par, n), self.theta.values, first, second
+        return _padded(par, n)
 
 
 def refuse_violated(path: BladePath, violation: Array, full: bool, status: str) -> None:
     """Raises CannotGrind with the worst row of a pass as a sentence, if `violation` of any is more than FEASIBLE.
 
-    violation: of the rows of `ocp.plan.passes.stage.ROWS` at all waypoints, padded ones included, then (`full`) of the joint
-    steps between them; `status` of the optimiser.
+    violation: of the rows of `ocp.plan.passes.stage.ROWS` at all nodes, padded ones included, then (`full`) of the axis limits;
+    `status` of the optimiser.
     """
     rows = N_ROWS if full else N_PLAIN_ROWS
     if violation.max() <= FEASIBLE:
         return
-    n = (len(violation) + 6 * full) // (rows + 6 * full)
+    n = len(violation) // (rows + N_DYNAMIC * full)
     stage = violation[: rows * n].reshape(n, rows)[: len(path.s)]
-    steps = violation[rows * n :].reshape(-1, 6)
+    limits = violation[rows * n :].reshape(-1, N_DYNAMIC)
     k, row = (int(i) for i in np.unravel_index(int(np.argmax(stage)), stage.shape))
-    if full and steps.max() > stage.max():
-        k, axis = (int(i) for i in np.unravel_index(int(np.argmax(steps)), steps.shape))
-        where = np.append(steps.max(axis=1) > WORST_SHARE * steps.max(), False)[: len(path.s)]
-        reason = (
-            f"axis {axis + 1} would have to move {np.degrees(steps[k, axis]):.3f} deg more per step than its speed allows at the "
-            "programmed feed"
-        )
+    if full and limits.max() > stage.max():
+        k, row = (int(i) for i in np.unravel_index(int(np.argmax(limits)), limits.shape))
+        where = limits.max(axis=1)[: len(path.s)] > WORST_SHARE * limits.max()
+        what = ("speed", "acceleration", "torque")[row // 6]
+        reason = f"the {what} of axis {row % 6 + 1} cannot be kept within its limit (optimiser: {status})"
         raise CannotGrind.of(path, where, reason, "lower the feed", k, _told(path, k, reason, "lower the feed"))
     name, unit, factor = ROWS[row]
     reason = f"{name} cannot be met, {stage[k, row] * factor:.3g} {unit} are missing (optimiser: {status})"

@@ -1,7 +1,9 @@
 """What one waypoint contributes to the optimal control problem, with exact dense derivatives built once.
 
-A stage's variables are z = (q1..q6 rad, F N). Everything about a waypoint that is not a variable travels in one
-parameter vector, so that one compiled function serves all waypoints of all passes.
+A stage's variables are z = (q1..q6 rad, w, r): joints, rate of the path parameter over its nominal one, and force over feed, each
+over its programmed value. The force is F = force x share x w x r, so that nothing is divided by a feed that is zero at touch.
+Everything about a waypoint that is not a variable travels in one parameter vector, so that one compiled function serves all
+waypoints of all passes.
 """
 
 from dataclasses import dataclass
@@ -14,7 +16,7 @@ from ocp.model.cell import Cell
 from ocp.model.force_balance import N_WAYPOINT, Model
 from ocp.model.theta import Theta, covariance_root
 
-N_Z = 7
+N_Z = 8
 # Linear clearance rows a.q >= b that collision checks may add at a waypoint.
 N_CLEARANCE = 2
 # Rows of a stage's constraints, in order, with the unit in which users read a violation and its factor from SI.
@@ -28,6 +30,7 @@ ROWS: tuple[tuple[str, str, float], ...] = (
     ("distance of the wrist from axis 1 (overhead singularity)", "mm", 1e3),
     ("relative curvature along the belt", "1/m", 1.0),
     ("overlap of the wheel at the planned point (it bears beside it on a hollow blade)", "mm", 1.0),
+    ("contact force", "N", 1.0),
     *((("clearance", "mm", 1e3),) * N_CLEARANCE),
 )
 N_ROWS = len(ROWS)
@@ -36,15 +39,19 @@ N_PLAIN_ROWS = N_ROWS - N_CLEARANCE  # without the clearances
 
 @dataclass(frozen=True)
 class ObjectiveWeights:
-    """Weights of the objective, each against its own tolerance or limit, so that 1 means equally undesirable."""
+    """Weights of the objective, each of a mean over the way's time; 1 means equally undesirable.
 
-    turn: float = 0.3
-    lateral: float = 0.3
-    arc: float = 0.1
-    tilt: float = 3.0
-    wrist: float = 0.05  # times 1/sin^2 of axis 5: conditioning of the wrist
-    speed: float = 1.0  # mean square of axis speed over its limit at the programmed feed
+    The freedoms are held by their boxes; what pulls them to the middle only makes the optimum unique.
+    """
+
+    removal: float = 100.0  # square of (depth over what is wanted - 1), along the line and across the patch
+    force: float = 1000.0  # square of (force over the programmed one - 1) in the pass
+    time: float = 1.0  # nominal time over time
+    middle: float = 1e-2  # squares of arc, lateral, turn and tilt over half their ranges
+    speed: float = 1.0  # square of axis speed over its limit
     acceleration: float = 1.0  # the same for acceleration
+    even_rate: float = 1.0  # square of the change of w within CHANGE_TIME
+    even_ratio: float = 3.0  # the same for r
     force_sd: float = 0.0  # times the variance of the predicted force over (5 % of the process force)^2
 
 
@@ -61,6 +68,7 @@ class Stage:
     rows: ca.SX
     parameters: ca.SX
     spread: ca.SX | None
+    z: ca.SX
 
     @cached_property
     def value(self) -> ca.Function:
@@ -69,26 +77,26 @@ class Stage:
 
     @cached_property
     def gradient(self) -> ca.Function:
-        """(z, par, theta) -> gradient of the objective (7)."""
-        return self._function("stage_gradient", [ca.densify(ca.gradient(self.objective, self._z))])
+        """(z, par, theta) -> gradient of the objective (8)."""
+        return self._function("stage_gradient", [ca.densify(ca.gradient(self.objective, self.z))])
 
     @cached_property
     def jacobian(self) -> ca.Function:
-        """(z, par, theta) -> Jacobian of the rows (N_ROWS, 7)."""
-        return self._function("stage_jacobian", [ca.densify(ca.jacobian(self.rows, self._z))])
+        """(z, par, theta) -> Jacobian of the rows (N_ROWS, 8)."""
+        return self._function("stage_jacobian", [ca.densify(ca.jacobian(self.rows, self.z))])
 
     @cached_property
     def hessian(self) -> ca.Function:
-        """(z, par, theta, lam_f, lam_rows) -> dense Hessian (7, 7) of lam_f objective + lam . rows."""
+        """(z, par, theta, lam_f, lam_rows) -> dense Hessian (8, 8) of lam_f objective + lam . rows."""
         lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", N_ROWS)
-        H = ca.hessian(lam_f * self.objective + ca.dot(lam, self.rows), self._z)[0]
+        H = ca.hessian(lam_f * self.objective + ca.dot(lam, self.rows), self.z)[0]
         return self._function("stage_hessian", [ca.densify(H)], [lam_f, lam])
 
     @cached_property
     def spread_terms(self) -> tuple[ca.Function, ca.Function, ca.Function]:
-        """(z, par, theta) -> variance term, its gradient (7), its Hessian (7, 7)."""
+        """(z, par, theta) -> variance term, its gradient (8), its Hessian (8, 8)."""
         assert self.spread is not None
-        H, g = ca.hessian(self.spread, self._z)
+        H, g = ca.hessian(self.spread, self.z)
         return (
             self._function("spread", [self.spread]),
             self._function("spread_gradient", [ca.densify(g)]),
@@ -105,44 +113,50 @@ class Stage:
         """Numbers of the model's theta."""
         return int(self.model.theta.numel())
 
-    @property
-    def _z(self) -> ca.SX:
-        return ca.vertcat(self.model.q, self.model.F)
-
     def _function(self, name: str, outputs: list[ca.SX], more: list[ca.SX] | None = None) -> ca.Function:
-        return ca.Function(name, [self._z, self.parameters, self.model.theta, *(more or [])], outputs, {"cse": True})
+        return ca.Function(name, [self.z, self.parameters, self.model.theta, *(more or [])], outputs, {"cse": True})
 
 
-N_PARAMETERS = N_WAYPOINT + 7 * N_CLEARANCE + 2  # waypoint, clearances (a, b), sign of the shoulder, stage weight
+# What a stage knows beside its waypoint and its clearances.
+STAGE = ("force", "gap", "holds", "lean_along", "lean_across", "shoulder_sign", "weight")
+N_PARAMETERS = N_WAYPOINT + 7 * N_CLEARANCE + len(STAGE)
 
 
 def build_stage(cell: Cell, model: Model, weights: ObjectiveWeights, theta: Theta) -> Stage:
     """Objective and constraint rows of one waypoint.
 
-    The values of `theta` are folded in before differentiating: planning holds them, and a third of the instructions go.
+    Its own parameters (STAGE): `force` N at nominal rate, zero in the air; `gap` m there; `holds` 1 where the force is that of
+    the pass; `lean_along`, `lean_across`: by what share of its mean a tilt of 1 along and across the feed makes the pressure
+    uneven, root of the mean square over the patch; sign of the shoulder; `weight`, its share of the way's time. The values of
+    `theta` are folded in before
+    differentiating: planning holds them, and a third of the instructions go.
     """
-    clearance = ca.SX.sym("clearance", 7 * N_CLEARANCE)
-    shoulder_sign, stage_weight = ca.SX.sym("shoulder_sign"), ca.SX.sym("stage_weight")
-    parameters = ca.vertcat(model.w, clearance, shoulder_sign, stage_weight)
+    clearance, own = ca.SX.sym("clearance", 7 * N_CLEARANCE), ca.SX.sym("own", len(STAGE))
+    parameters = ca.vertcat(model.w, clearance, own)
+    force, gap, holds, along, across, shoulder_sign, stage_weight = ca.vertsplit(own)
+    rate, ratio = ca.SX.sym("rate"), ca.SX.sym("ratio")
+    F = force * rate * ratio
     process, wheel = cell.process, cell.wheel
     slots = [ca.dot(clearance[7 * i : 7 * i + 6], model.q) - clearance[7 * i + 6] for i in range(N_CLEARANCE)]
     posture = [model.arc, model.lateral, model.turn, model.tilt, shoulder_sign * model.shoulder, model.curvature[0]]
-    rows = ca.vertcat(1e3 * model.residual, *posture, 1e3 * model.parts[1], *slots)
+    rows = ca.vertcat(1e3 * (model.residual + gap), *posture, 1e3 * model.parts[1], F, *slots)
     arc_mid, arc_half = 0.5 * (wheel.arc[0] + wheel.arc[1]), 0.5 * (wheel.arc[1] - wheel.arc[0])
-    objective = (
-        weights.turn * (model.turn / max(process.turn_tolerance, 1e-3)) ** 2
-        + weights.lateral * (model.lateral / max(process.lateral_tolerance, 1e-4)) ** 2
-        + weights.arc * ((model.arc - arc_mid) / arc_half) ** 2
-        + weights.tilt * ca.sumsqr(model.tilt) / max(process.tilt_tolerance, 1e-3) ** 2
-        + weights.wrist / ca.sin(model.q[4]) ** 2
+    middle = (
+        (model.turn / max(process.turn_tolerance, 1e-3)) ** 2
+        + (model.lateral / max(process.lateral_tolerance, 1e-4)) ** 2
+        + ((model.arc - arc_mid) / arc_half) ** 2
+        + ca.sumsqr(model.tilt) / max(process.tilt_tolerance, 1e-3) ** 2
     )
+    objective = weights.middle * middle + weights.force * holds * (rate * ratio - 1) ** 2 + weights.time / rate
+    objective += weights.removal * ((along * model.tilt[0]) ** 2 + (across * model.tilt[1]) ** 2)
     spread = None
     if weights.force_sd > 0:
         variance = force_variance(model, theta)
         spread = stage_weight * weights.force_sd * variance / (0.05 * process.force) ** 2
-        spread = ca.substitute(spread, model.theta, ca.DM(theta.values))
-    folded, rows = ca.substitute([stage_weight * objective, rows], [model.theta], [ca.SX(ca.DM(theta.values))])
-    return Stage(model, folded, rows, parameters, spread)
+        spread = ca.substitute([spread], [model.theta, model.F], [ca.DM(theta.values), F])[0]
+    known = [ca.SX(ca.DM(theta.values)), F]
+    folded, rows = ca.substitute([stage_weight * objective, rows], [model.theta, model.F], known)
+    return Stage(model, folded, rows, parameters, spread, ca.vertcat(model.q, rate, ratio))
 
 
 def force_variance(model: Model, theta: Theta) -> ca.SX:

@@ -1,14 +1,16 @@
-"""A grinding pass as a nonlinear program: all waypoints at once, derivatives assembled from one stage's.
+"""A grinding pass as a nonlinear program: all nodes at once, derivatives assembled from one stage's.
 
-Variables x = (z_0, .., z_{N-1}), z = (q, F). Rows: the stages' rows, then the axis speeds between neighbours, which are
-linear. The Jacobian is block diagonal plus two diagonals, the Hessian block diagonal plus a constant band: both are
-assembled by mapping one stage function, so that building costs the same for 10 and for 1000 waypoints.
+Variables x = (z_0, .., z_{N-1}), z = (q, w, r). The objective is the stages' and one quadratic form of x that holds what
+couples nodes: smoothness of joints, rate and ratio, and the removal, linear in r. Rows: the stages' rows, then (`full`) speed,
+acceleration and gear torque of the axes, each over what may be used of it. All derivatives are blocks of mapped functions, so
+that building costs the same for 10 and for 1000 nodes.
 
-Speed and clearance rows rarely bind and cost a third of the linear algebra: the caller leaves them out first and asks
+Limits of the axes and clearances rarely bind and cost a third of the linear algebra: the caller leaves them out first and asks
 for them (`full`) where the solution breaks one.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -16,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, N_Z, Stage
+from robots.pose import Array
 
 SPREAD_STEP = 8  # waypoints between two evaluations of the variance term
 IPOPT = {
@@ -26,7 +29,8 @@ IPOPT = {
     "constr_viol_tol": 1e-6,  # mm of the force balance: a nanometre
     "acceptable_tol": 1e-5,
     "acceptable_constr_viol_tol": 1e-6,
-    "mu_strategy": "adaptive",
+    "mu_strategy": "monotone",
+    "mu_init": 1e-3,
     "bound_push": 1e-4,  # the start is a good one: leave it where it is
     "bound_frac": 1e-4,
     "linear_solver": "mumps",
@@ -44,9 +48,15 @@ WARM = {
 }
 
 
+REACH = 40  # nodes over which the removal couples values of r
+COUPLED = 2  # nodes over which smoothness couples everything else
+N_DYNAMIC = 18  # rows of axis limits at a node: speed, acceleration, torque of six axes
+N_MOTION = 48  # numbers that they know of a node: `_limits_of_a_node`
+
+
 @dataclass(frozen=True)
 class Transcription:
-    """The nonlinear program of `n` waypoints: `solver(x0, lbx, ubx, lbg, ubg, p)`, `pack` builds p.
+    """The nonlinear program of `n` nodes: `solver(x0, lbx, ubx, lbg, ubg, p)`, `pack` builds p.
 
     `again` starts from the primal and dual solution of a neighbouring problem.
     """
@@ -55,36 +65,41 @@ class Transcription:
     solver: ca.Function
     again: ca.Function
     rows: ca.Function
+    pattern: sp.csc_matrix
 
-    @staticmethod
-    def pack(par: np.ndarray, theta: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Parameter vector: stages (n, Stage.n_parameters), theta (m,), weights of differences (n-1, 6) and (n-2, 6)."""
-        return np.concatenate([par.ravel(), theta, first.ravel(), second.ravel()])
+    def pack(self, par: Array, theta: Array, Q: sp.spmatrix, c: Array, motion: Array | None = None) -> Array:
+        """Parameter vector: stages (n, Stage.n_parameters), theta (m,), the quadratic form x'Qx/2 + c'x, and with the rows of
+        axis limits what those know (n, N_MOTION)."""
+        inside = sp.csc_matrix(self.pattern.multiply(Q) + 1e-300 * self.pattern)
+        inside.sort_indices()
+        tail = [] if motion is None else [motion.ravel()]
+        return np.concatenate([par.ravel(), theta, inside.data, c, *tail])
 
 
 def transcribe(stage: Stage, n: int, full: bool) -> Transcription:
-    """Build the program for `n` >= 3 waypoints; `full` with the rows of clearance and axis speed."""
-    n_par, n_theta = stage.n_parameters, stage.n_theta
-    x, p = ca.MX.sym("x", N_Z * n), ca.MX.sym("p", n * n_par + n_theta + 6 * (2 * n - 3))
+    """Build the program for `n` >= 3 nodes; `full` with the rows of clearance and axis limits."""
+    n_par, n_theta, n_x = stage.n_parameters, stage.n_theta, N_Z * n
+    pattern = _coupling(n)
+    edges = np.cumsum([0, n * n_par, n_theta, pattern.nnz, n_x, full * n * N_MOTION]).tolist()
+    x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", edges[-1])
     rows = N_ROWS if full else N_PLAIN_ROWS
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", rows * n + full * 6 * (n - 1))
-    edges = np.cumsum([0, n * n_par, n_theta, 6 * (n - 1), 6 * (n - 2)]).tolist()
-    par, theta, first, second = ca.vertsplit(p, edges)
-    D1, D2 = _differences(n)
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", (rows + full * N_DYNAMIC) * n)
+    par, theta, nonzeros, c, motion = ca.vertsplit(p, edges)
+    Q = ca.sparsity_cast(nonzeros, _sparsity(pattern))
     z = ca.reshape(x, N_Z, n)
     common = (z, ca.reshape(par, n_par, n), ca.repmat(theta, 1, n))
 
     f_stage, g_stage = stage.value.map(n)(*common)
-    f = ca.sum2(f_stage) + ca.dot(first, (D1 @ x) ** 2) + ca.dot(second, (D2 @ x) ** 2)
+    Qx = Q @ x
+    f = ca.sum2(f_stage) + 0.5 * ca.dot(x, Qx) + ca.dot(c, x)
     g = ca.vec(g_stage[:rows, :])
-    f_x = ca.vec(stage.gradient.map(n)(*common)) + 2 * D1.T @ (first * (D1 @ x)) + 2 * D2.T @ (second * (D2 @ x))
+    f_x = ca.vec(stage.gradient.map(n)(*common)) + Qx + c
     g_x = ca.sparsity_cast(stage.jacobian.map(n)(*common)[:rows, :], _blocks(rows, n))
-    if full:
-        g, g_x = ca.vertcat(g, D1 @ x), ca.vertcat(g_x, D1)
     lam_rows = ca.vertcat(ca.reshape(lam_g[: rows * n], rows, n), ca.MX.zeros(N_ROWS - rows, n))
-    H_z = stage.hessian.map(n)(*common, ca.repmat(lam_f, 1, n), lam_rows)
-    H = ca.sparsity_cast(H_z, _blocks(N_Z, n))
-    H += 2 * lam_f * (D1.T @ _scaled(D1, first) + D2.T @ _scaled(D2, second))
+    H = ca.sparsity_cast(stage.hessian.map(n)(*common, ca.repmat(lam_f, 1, n), lam_rows), _blocks(N_Z, n)) + lam_f * Q
+    if full:
+        dynamic = _axis_limits(n, z, ca.reshape(motion, N_MOTION, n), ca.reshape(lam_g[rows * n :], N_DYNAMIC, n))
+        g, g_x, H = ca.vertcat(g, dynamic[0]), ca.vertcat(g_x, dynamic[1]), H + dynamic[2]
     if stage.spread is not None:
         f, f_x, H = _with_spread(stage, n, common, lam_f, f, f_x, H)
     H = ca.triu(H)
@@ -102,7 +117,79 @@ def transcribe(stage: Stage, n: int, full: bool) -> Transcription:
     solver = ca.nlpsol("pass", "ipopt", problem, options)
     warm: dict[str, Any] = options | {"ipopt": IPOPT | WARM}
     again = ca.nlpsol("again", "ipopt", problem, warm)
-    return Transcription(n, solver, again, ca.Function("rows", [x, p], [g]))
+    return Transcription(n, solver, again, ca.Function("rows", [x, p], [g]), pattern)
+
+
+def _coupling(n: int) -> sp.csc_matrix:
+    """Pattern of the quadratic form: every variable with itself up to COUPLED nodes away, r up to REACH nodes away."""
+    near, far = (sp.diags([np.ones(n)] * (2 * k + 1), range(-k, k + 1), shape=(n, n)) for k in (COUPLED, min(REACH, n - 1)))
+    last = sp.diags([*np.zeros(N_Z - 1), 1.0])
+    pattern = sp.csc_matrix(sp.kron(near, sp.diags([*np.ones(N_Z - 1), 0.0])) + sp.kron(far, last))
+    pattern.eliminate_zeros()
+    pattern.sort_indices()
+    return pattern
+
+
+def _sparsity(pattern: sp.csc_matrix) -> ca.Sparsity:
+    rows, columns = (int(n) for n in pattern.shape)
+    return ca.Sparsity(rows, columns, pattern.indptr.tolist(), pattern.indices.tolist())
+
+
+def _axis_limits(n: int, z: ca.MX, motion: ca.MX, lam: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """Rows of axis limits at all nodes (N_DYNAMIC n), their Jacobian and their part of the Hessian: blocks of a node with the
+    ones before and after it."""
+    value, jacobian, hessian = _limits_of_a_node()
+    columns = [z[:, [0, *range(n - 1)]], z, z[:, [*range(1, n), n - 1]]]
+    shifts = (-1, 0, 1)
+    g = ca.vec(value.map(n)(*columns, motion))
+    g_x, H = ca.MX(N_DYNAMIC * n, N_Z * n), ca.MX(N_Z * n, N_Z * n)
+    blocks = jacobian.map(n)(*columns, motion)
+    for shift, block in zip(shifts, blocks, strict=True):
+        g_x = g_x + _placed(block, N_DYNAMIC, n, 0, shift)
+    parts = iter(hessian.map(n)(*columns, motion, lam))
+    for one in shifts:
+        for other in shifts:
+            H = H + _placed(next(parts), N_Z, n, one, other)
+    return g, g_x, H
+
+
+def _placed(blocks: ca.MX, rows: int, n: int, down: int, right: int) -> ca.MX:
+    """Mapped blocks (rows, N_Z n), that of node k in block row k + `down` and block column k + `right`; those that would fall
+    outside belong to the ends, whose rows know nothing of a node beyond: they are zero and left out."""
+    kept = [k for k in range(n) if 0 <= k + down < n and 0 <= k + right < n]
+    columns = [N_Z * k + i for k in kept for i in range(N_Z)]
+    row = [rows * (k + down) + i for k in kept for _ in range(N_Z) for i in range(rows)]
+    column = [N_Z * (k + right) + i for k in kept for i in range(N_Z) for _ in range(rows)]
+    return ca.sparsity_cast(ca.vec(blocks[:, columns]), ca.Sparsity.triplet(rows * n, N_Z * n, row, column))
+
+
+@cache
+def _limits_of_a_node() -> tuple[ca.Function, ca.Function, ca.Function]:
+    """Speed rad/s, acceleration rad/s^2 and torque over its limit (18 in all) from z before, at and after a node; derivatives in
+    all three.
+
+    motion (48): weights (3) of the first and (3) of the second derivative by the path parameter; torque over its limit: its
+    slope (6, 6) in the acceleration, by columns, and what it is without (6).
+    """
+    z = [ca.SX.sym(name, N_Z) for name in ("before", "at", "after")]
+    m, lam = ca.SX.sym("motion", N_MOTION), ca.SX.sym("lam", N_DYNAMIC)
+    first, second, torque = m[:3], m[3:6], ca.reshape(m[6:42], 6, 6)
+    q1 = sum(first[i] * z[i][:6] for i in range(3))
+    q2 = sum(second[i] * z[i][:6] for i in range(3))
+    square1 = sum(first[i] * z[i][6] ** 2 for i in range(3))
+    qd = q1 * z[1][6]
+    qdd = q2 * z[1][6] ** 2 + 0.5 * q1 * square1
+    rows = ca.vertcat(qd, qdd, torque @ qdd + m[42:48])
+    J = [ca.densify(ca.jacobian(rows, one)) for one in z]
+    gradient = ca.gradient(ca.dot(lam, rows), ca.vertcat(*z))
+    H = ca.jacobian(gradient, ca.vertcat(*z))
+    parts = [ca.densify(H[N_Z * i : N_Z * (i + 1), N_Z * j : N_Z * (j + 1)]) for i in range(3) for j in range(3)]
+    arguments = [*z, m]
+    return (
+        ca.Function("limits", arguments, [rows]),
+        ca.Function("limits_jacobian", arguments, J),
+        ca.Function("limits_hessian", [*arguments, lam], parts),
+    )
 
 
 def _with_spread(
@@ -120,19 +207,6 @@ def _with_spread(
     return f, f_x, H + SPREAD_STEP * lam_f * ca.sparsity_cast(hessian(*picked), where)
 
 
-def _differences(n: int) -> tuple[ca.DM, ca.DM]:
-    """First and second differences of the joints, (6(n-1), 7n) and (6(n-2), 7n)."""
-    joints = sp.eye(6, N_Z)
-    one = sp.diags([-np.ones(n - 1), np.ones(n - 1)], [0, 1], shape=(n - 1, n))
-    two = sp.diags([np.ones(n - 2), -2 * np.ones(n - 2), np.ones(n - 2)], [0, 1, 2], shape=(n - 2, n))
-    return ca.DM(sp.csc_matrix(sp.kron(one, joints))), ca.DM(sp.csc_matrix(sp.kron(two, joints)))
-
-
 def _blocks(rows: int, n: int) -> ca.Sparsity:
-    """Block-diagonal pattern of n dense (rows, 7) blocks; its nonzeros run as those of the mapped (rows, 7 n)."""
+    """Block-diagonal pattern of n dense (rows, N_Z) blocks; its nonzeros run as those of the mapped (rows, N_Z n)."""
     return ca.diagcat(*[ca.Sparsity.dense(rows, N_Z)] * n)
-
-
-def _scaled(D: ca.DM, weight: ca.MX) -> ca.MX:
-    """diag(weight) D without leaving sparse storage."""
-    return ca.mtimes(ca.diag(weight), ca.MX(D))

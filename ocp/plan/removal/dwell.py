@@ -14,22 +14,26 @@ from scipy.spatial import cKDTree
 
 from ocp.contact.wheel.cover import Cover
 from ocp.model.cell import Cell
+from ocp.plan.passes.course import Engagement, air_to_air, lengthened, path_at, steady
+from ocp.plan.passes.smoothness import node_times
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.footprint import LinePatches, planned_patches
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, pressures
 from ocp.plan.removal.wanted import Wanted, refuse_uncovered
 from ocp.plan.rules import FEEDS
+from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath
 
 EVEN, LEAST_EVEN = 0.6, 0.3  # of the patch's half-width between lines, at most and at least
-UNEVEN = 0.05  # of the mean depth, up or down, that lines may leave between them at the distance chosen and ...
+UNEVEN = 0.03  # of the mean depth, up or down, that lines may leave between them at the distance chosen and ...
 NARROWER = 0.85  # ... at distances down to this share of it: lines come nearer where the blade is narrower
 PROBE = 6e-3  # m, at most, between the lines on which the patch is looked at before lines are laid
 NODE = 4e-3  # m between places of a line where r is free; linear in between
 ROW = 1e-3  # m between the contacts that are summed
-KEPT = 1.0  # weight of keeping to the r of evenly shared lines, against the miss of a cell
-SMOOTH = 1.0  # weight of the second difference of r along a line, against the same
+ROUNDS = 3  # fits of the feeds, each with the ramps of the one before
+KEPT = 0.3  # weight of keeping to the r of evenly shared lines, against the miss of a cell
+SMOOTH = 0.3  # weight of the second difference of r along a line, against the same
 SHALLOW = 0.2  # of the mean wanted depth, below which a miss counts as there: misses are counted over what is wanted
 RANGE = (0.5, 2.0)  # of the r of evenly shared lines: no more is asked of an arm
 
@@ -73,6 +77,49 @@ class _Line:
     nodes: Array
 
 
+@dataclass(frozen=True)
+class DrivenLine:
+    """A line as it will be driven, in its direction of travel: its path, footprints at its postures, how contact begins and
+    ends on it, and how far (m) before and behind the line."""
+
+    path: BladePath
+    patches: LinePatches
+    entry: Engagement
+    room: tuple[float, float]
+
+    def rows(self) -> ContactRows:
+        """Contact from touch to lift; `slide` (n,) is the way m that each row stands for."""
+        path = lengthened(self.path, *self.room)
+        try:
+            course = air_to_air(path, self.entry, ROW / float(path.feed.mean()))
+        except Infeasible:  # a line too short for its ramps is left out later, by name
+            course = steady(self.path)
+        on = course.share > 0
+        at, way = path_at(path, course.s[on]), (node_times(course) * course.speed)[on]
+        return ContactRows(np.zeros(len(at.s), int), at.p, at.n, at.t, at.s, at.force * course.share[on], way)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The asked cells of the flanks: as a tree, normals (m, 3), the wanted depth (m,), the weight (m,) of a miss before it is
+    known where lines lie."""
+
+    tree: cKDTree
+    normals: Array
+    depth: Array
+    weight: Array
+
+    @staticmethod
+    def of(flanks: Sequence[SideCells], wanted: Wanted) -> "_Asked":
+        points, normals, area = (
+            np.concatenate([getattr(one, name)[one.asked] for one in flanks]) for name in ("points", "normals", "area")
+        )
+        depth = wanted.at(points, normals)
+        refuse_uncovered(wanted, points, normals)
+        weight = np.sqrt(area / area.mean()) / np.maximum(depth, SHALLOW * depth.mean())
+        return _Asked(cKDTree(points), normals, depth, weight)
+
+
 def with_feeds(
     cell: Cell, cover: Cover, paths: Sequence[BladePath], flanks: Sequence[SideCells], wanted: Wanted
 ) -> tuple[list[BladePath], list[CannotGrind]]:
@@ -84,26 +131,37 @@ def with_feeds(
     """
     if not flanks:
         return list(paths), []
-    points, normals, area = (
-        np.concatenate([getattr(one, name)[one.asked] for one in flanks]) for name in ("points", "normals", "area")
-    )
-    tree, timed, lines = cKDTree(points), list(paths), {}
+    asked, timed, lines = _Asked.of(flanks, wanted), list(paths), {}
     for k, path in enumerate(paths):
         patches = planned_patches(cell, cover, path)
         if patches is not None:
-            lines[k] = _line(cell, path, patches, tree, normals)
-    depth = wanted.at(points, normals)
-    refuse_uncovered(wanted, points, normals)
+            lines[k] = _line(cell, path, straight_on(path, patches), patches, asked)
     if lines:
-        weight = (
-            np.sqrt(area / area.mean()) / np.maximum(depth, SHALLOW * depth.mean()) * _passed(flanks, [paths[k] for k in lines])
-        )
-        r = _solved(list(lines.values()), weight, depth)
-        for k, line in lines.items():
-            own, r = r[: len(line.nodes)], r[len(line.nodes) :]
+        r = _solved(list(lines.values()), asked.weight * _passed(flanks, [paths[k] for k in lines]), asked.depth)
+        for (k, line), own in zip(lines.items(), r, strict=True):
             timed[k] = replace(paths[k], feed=cell.process.feed / np.interp(paths[k].s, line.nodes, own))
     beyond = [error for path in timed if (error := beyond_reach(cell, path, wanted)) is not None]
     return [replace(path, feed=np.clip(path.feed, *FEEDS)) for path in timed], beyond
+
+
+def even_feeds(cell: Cell, flanks: Sequence[SideCells], wanted: Wanted, lines: Sequence[DrivenLine | None]) -> list[Array | None]:
+    """Feeds (n,) m/s at the waypoints of the lines that together take off what is wanted, with the footprints at their postures
+    and the force that rises and falls at their ends; None keeps a line as it is, without a part in the sum.
+
+    What leads in and out lasts the same time at any feed, so it covers another way: the fit is made ROUNDS times.
+    """
+    known = {k: line for k, line in enumerate(lines) if line is not None}
+    if not known or not flanks:
+        return [None] * len(lines)
+    asked = _Asked.of(flanks, wanted)
+    weight = asked.weight * _passed(flanks, [line.path for line in known.values()])
+    for _ in range(ROUNDS):
+        added = {k: _line(cell, line.path, line.rows(), line.patches, asked) for k, line in known.items()}
+        r = _solved(list(added.values()), weight, asked.depth)
+        for (k, line), own in zip(known.items(), r, strict=True):
+            feed = np.clip(cell.process.feed / np.interp(line.path.s, added[k].nodes, own), *FEEDS)
+            known[k] = replace(line, path=replace(line.path, feed=feed))
+    return [known[k].path.feed if k in known else None for k in range(len(lines))]
 
 
 def _passed(flanks: Sequence[SideCells], paths: Sequence[BladePath]) -> Mask:
@@ -118,28 +176,36 @@ def _passed(flanks: Sequence[SideCells], paths: Sequence[BladePath]) -> Mask:
     return np.concatenate(found)
 
 
-def _line(cell: Cell, path: BladePath, patches: LinePatches, tree: cKDTree, normals: Array) -> _Line:
-    """A line with what leads in to it and out of it, which goes on straight at the r of its ends for a patch's half-length."""
-    length, beyond, process = float(path.s[-1]), float(patches.half_axes[:, 0].max()), cell.process
+def straight_on(path: BladePath, patches: LinePatches) -> ContactRows:
+    """Contact on a line of which the ends are not known yet: what leads in to it and out of it goes on straight for a patch's
+    half-length, under the full force. As `DrivenLine.rows`."""
+    length, beyond = float(path.s[-1]), float(patches.half_axes[:, 0].max())
     s = np.linspace(-beyond, length + beyond, int(np.ceil((length + 2 * beyond) / ROW)) + 1)
     inside = np.clip(s, 0.0, length)
     p, n, t = (np.column_stack([np.interp(inside, path.s, of[:, i]) for i in range(3)]) for of in (path.p, path.n, path.t))
     n, t = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (n, t))
-    force, zero = np.interp(inside, path.s, path.force), np.zeros(len(s))
-    rows = ContactRows(zero.astype(int), p + (s - inside)[:, None] * t, n, t, inside, force, zero)
-    row, index, pressure = pressures(tree, normals, rows, patches)
-    share = pressure * (force / process.force)[row] * (s[1] - s[0]) * process.pass_spacing
-    depth = csr_matrix((share, (index, row)), shape=(len(normals), len(s)))
+    force = np.interp(inside, path.s, path.force)
+    return ContactRows(np.zeros(len(s), int), p + (s - inside)[:, None] * t, n, t, inside, force, np.full(len(s), s[1] - s[0]))
+
+
+def _line(cell: Cell, path: BladePath, rows: ContactRows, patches: LinePatches, asked: _Asked) -> _Line:
+    """A line with what leads in to it and out of it, there at the r of its ends; under r = 1 force goes with feed, so that every
+    row takes what the path's force takes on the way that it stands for."""
+    length, process = float(path.s[-1]), cell.process
+    row, index, pressure = pressures(asked.tree, asked.normals, rows, patches)
+    inside = np.clip(rows.s, 0.0, length)
+    share = np.interp(inside, path.s, path.force) / process.force * rows.slide * process.pass_spacing
+    depth = csr_matrix((pressure * share[row], (index, row)), shape=(len(asked.normals), len(rows.s)))
     nodes = np.linspace(0.0, length, max(int(np.ceil(length / NODE)), 2) + 1)
     place = inside / nodes[1]
-    below, k = np.minimum(place.astype(int), len(nodes) - 2), np.arange(len(s))
+    below, k = np.minimum(place.astype(int), len(nodes) - 2), np.arange(len(rows.s))
     weight = place - below
-    hats = csr_matrix((np.r_[1.0 - weight, weight], (np.r_[k, k], np.r_[below, below + 1])), shape=(len(s), len(nodes)))
+    hats = csr_matrix((np.r_[1.0 - weight, weight], (np.r_[k, k], np.r_[below, below + 1])), shape=(len(k), len(nodes)))
     return _Line(csr_matrix(depth @ hats), nodes)
 
 
-def _solved(lines: Sequence[_Line], weight: Array, wanted: Array) -> Array:
-    """r of all nodes, line after line, that brings the cells (weighed, m) nearest to `wanted` (m,), near that of evenly shared
+def _solved(lines: Sequence[_Line], weight: Array, wanted: Array) -> list[Array]:
+    """r at the nodes of every line that brings the cells (weighed, m) nearest to `wanted` (m,), near that of evenly shared
     lines: the wanted depth over the depth under r = 1, both averaged over what a node reaches."""
     depth = hstack([line.depth for line in lines]).tocsr()
     reached = depth.T @ diags_array(weight**2)
@@ -149,7 +215,8 @@ def _solved(lines: Sequence[_Line], weight: Array, wanted: Array) -> Array:
     kept, smooth, count = np.sqrt(KEPT), np.sqrt(SMOOTH), len(usual)
     rows = vstack([diags_array(weight) @ depth @ diags_array(usual), kept * eye_array(count), smooth * block_diag(bends)])
     goal = np.concatenate([weight * wanted, np.full(count, kept), np.zeros(sum(one.shape[0] for one in bends))])
-    return np.asarray(usual * lsq_linear(rows.tocsr(), goal, RANGE, lsq_solver="lsmr", tol=1e-6).x)
+    r = usual * lsq_linear(rows.tocsr(), goal, RANGE, lsq_solver="lsmr", tol=1e-6).x
+    return np.split(r, np.cumsum([len(one.nodes) for one in lines])[:-1])
 
 
 def beyond_reach(cell: Cell, path: BladePath, wanted: Wanted) -> CannotGrind | None:

@@ -43,13 +43,14 @@ class LinePatches:
 
     at (k,) m arc length, rising; x (m,) m, even, symmetric about 0: middles of the cells along t and along b alike; share
     (k, m, m) 1/m^2, indexed [station, along t, along b]: pressure per newton, its integral over the cells is 1; force (k,) N at
-    which it was solved.
+    which it was solved; indentation (k,) m there.
     """
 
     at: Array
     x: Array
     share: Array
     force: Array
+    indentation: Array
 
     @property
     def half_axes(self) -> Array:
@@ -89,12 +90,21 @@ class LinePatches:
 
 
 def contacts_along(
-    cell: Cell, cover: Cover, cloud: SurfaceCloud, path: BladePath, seen: "Evaluation", index: NDArray[np.int64]
-) -> LinePatches:
+    cell: Cell,
+    cover: Cover,
+    cloud: SurfaceCloud,
+    path: BladePath,
+    seen: "Evaluation",
+    index: NDArray[np.int64],
+    passed_over: bool = False,
+) -> LinePatches | None:
     """Footprints at the waypoints `index` of a pass, on the blade's real surface, at the postures of `seen` and under the
-    programmed force. Raises Infeasible of the contact solver, with the waypoint."""
+    programmed force.
+
+    Raises Infeasible of the contact solver, with the waypoint; `passed_over`: such waypoints are, None where all of them are.
+    """
     along = -cell.wheel.travel * cell.process.sigma  # zero turn: the blade moves with the belt or against it
-    contacts, headings = [], []
+    at, contacts, headings = [], [], []
     for k in index:
         kxx, kyy, kxy = (float(c) for c in seen.curvature[k])
         tilt_x, tilt_y = (float(c) for c in seen.tilt[k])
@@ -104,9 +114,12 @@ def contacts_along(
         try:
             contacts.append(solve_force(cover, float(path.force[k]), shape))
         except Infeasible as error:
+            if passed_over:
+                continue
             raise Infeasible(f"line {path.line} ({path.side}), waypoint {k + 1}: {error}") from None
         headings.append(heading)
-    return line_patches(path.s[index], contacts, headings)
+        at.append(path.s[k])
+    return line_patches(np.array(at), contacts, headings) if at else None
 
 
 def planned_patches(cell: Cell, cover: Cover, path: BladePath) -> LinePatches | None:
@@ -139,7 +152,8 @@ def line_patches(at: Array, contacts: Sequence[Contact], headings: Sequence[tupl
         share = RegularGridInterpolator(grid, contact.pressure, bounds_error=False, fill_value=0.0)(place)
         shares.append(share / (share.sum() * CELL**2))
     force = np.array([contact.force for contact in contacts], float)
-    return LinePatches(np.asarray(at, float), np.asarray(x, float), np.array(shares, float), force)
+    indentation = np.array([contact.indentation for contact in contacts], float)
+    return LinePatches(np.asarray(at, float), np.asarray(x, float), np.array(shares, float), force, indentation)
 
 
 def _reach(contact: Contact) -> float:

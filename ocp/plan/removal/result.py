@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud, contact_stations
 from ocp.model.cell import Cell
-from ocp.plan.motion import MotionSegment, PlannedMotion
+from ocp.plan.motion import PlannedMotion
 from ocp.plan.programming import Column, Timeline, build_timeline
 from ocp.plan.removal.footprint import STATION_SPACING, LinePatches, contacts_along
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, row_times, shares_of_time, work_done
@@ -36,7 +36,7 @@ class SideRemoval:
 @dataclass(frozen=True)
 class Figures:
     """`process` of plan.json (FORMATS.md): shares of the asked area (of the core's), least and most depth over what is wanted on
-    the asked area, None without such an area; seconds of contact outside of the passes, where plan.csv has no force."""
+    the asked area, None without such an area."""
 
     ground_share: float | None
     core_within_5: float | None
@@ -44,7 +44,6 @@ class Figures:
     all_within_10: float | None
     least: float | None
     most: float | None
-    contact_in_travel_s: float
 
     def document(self) -> dict[str, float | None]:
         """Rounded to what they are worth."""
@@ -91,8 +90,8 @@ def find_removal(
     Raises Infeasible of the contact solver.
     """
     patches = [line_patches_of(cell, cover, cloud, motion, place) for place in range(len(motion.passes))]
-    rows, travelling = contact_rows(cell, motion)
-    paths = [one.problem.path for one in motion.passes]
+    rows = contact_rows(cell, motion)
+    paths = [one.touching().problem.path for one in motion.passes]
     points = np.vstack([*(one.points.reshape(-1, 3) for one in flanks), *(path.p for path in paths)])
     normals = np.vstack([*(one.normals.reshape(-1, 3) for one in flanks), *(path.n for path in paths)])
     depth, asked = work_done(points, normals, rows, patches) / programmed_work(cell), wanted.at(points, normals)
@@ -103,53 +102,27 @@ def find_removal(
         count = one.area.size
         sides.append(SideRemoval(one, core_cells(one, paths, half), relative[first : first + count].reshape(one.area.shape)))
         first += count
-    return Removal(tuple(sides), figures_of(sides, travelling), wanted, points, depth, relative)
+    return Removal(tuple(sides), figures_of(sides), wanted, points, depth, relative)
 
 
 def line_patches_of(cell: Cell, cover: Cover, cloud: SurfaceCloud, motion: PlannedMotion, place: int) -> LinePatches:
     """Footprints of the pass at `place` at its solved postures."""
-    one = motion.passes[place]
+    one = motion.passes[place].touching()
     index = contact_stations(one.problem.path.s, COARSER * STATION_SPACING).astype(np.int64)
-    return contacts_along(cell, cover, cloud, one.problem.path, one.evaluation, index)
+    patches = contacts_along(cell, cover, cloud, one.problem.path, one.evaluation, index)
+    assert patches is not None
+    return patches
 
 
-def contact_rows(cell: Cell, motion: PlannedMotion) -> tuple[ContactRows, float]:
-    """The rows of the motion in which wheel and blade touch, and how many seconds of them lie outside of the passes."""
-    passes = [segment for segment in motion.segments if segment.kind == "contact"]
-    times = [row_times(one.trajectory.duration, float(motion.passes[one.place].problem.path.feed.max())) for one in passes]
-    line = build_timeline(replace(motion, segments=passes), times)
-    place = np.array([one.place for one in passes])[line.segment]
+def contact_rows(cell: Cell, motion: PlannedMotion) -> ContactRows:
+    """The rows of the motion in which wheel and blade touch: of every pass from touch to lift."""
+    ways = [segment for segment in motion.segments if segment.kind == "pass"]
+    times = [row_times(one.trajectory.duration, float(motion.passes[one.place].problem.path.feed.max())) for one in ways]
+    line = build_timeline(replace(motion, segments=ways), times)
     bears = np.nan_to_num(line.force) > 0.0
     values = {name: getattr(line, name)[bears] for name in ("p", "n", "t", "s", "force")}
     slide = np.concatenate([shares_of_time(t) for t in times])[bears] * sliding_speed(cell, line, bears)
-    grinding = ContactRows(place=place[bears], slide=slide, **values)
-    ends = [rows_of_end(cell, motion, one) for one in motion.segments if one.kind in ("engage", "retreat")]
-    parts = [grinding, *(rows for rows, _ in ends)]
-    joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(ContactRows)}
-    return ContactRows(**joined), float(sum(seconds for _, seconds in ends))
-
-
-def rows_of_end(cell: Cell, motion: PlannedMotion, segment: MotionSegment) -> tuple[ContactRows, float]:
-    """The rows of an engaging or a retreating in which wheel and blade still touch, and their seconds.
-
-    The blade moves along the normal of the pass's end alone: d off its place there the force is F - K d, K the stiffness of the
-    contact chain (docs/process.md, eq. 8), and the belt slides over one point.
-    """
-    one, engaging = motion.passes[segment.place], segment.kind == "engage"
-    path, k, trajectory = one.problem.path, 0 if engaging else -1, segment.trajectory
-    t = np.linspace(0.0, trajectory.duration, 2 + int(trajectory.duration / END_ROW))
-    off = trajectory.stations[-1] - trajectory.s(t) if engaging else trajectory.s(t)
-    force = np.maximum(one.solution.force[k] - one.evaluation.stiffness[k] * off, 0.0)
-    seconds, bears = shares_of_time(t), force > 0
-    count = int(bears.sum())
-    rows = ContactRows(
-        place=np.full(count, segment.place),
-        **{name: np.tile(getattr(path, name)[k], (count, 1)) for name in ("p", "n", "t")},
-        s=np.full(count, path.s[k]),
-        force=force[bears],
-        slide=seconds[bears] * abs(cell.wheel.belt_speed),
-    )
-    return rows, float(seconds[bears].sum())
+    return ContactRows(place=np.array([one.place for one in ways])[line.segment][bears], slide=slide, **values)
 
 
 def sliding_speed(cell: Cell, line: Timeline, rows: Mask) -> Array:
@@ -163,11 +136,11 @@ def sliding_speed(cell: Cell, line: Timeline, rows: Mask) -> Array:
     return np.asarray(np.linalg.norm(belt - blade, axis=1))
 
 
-def figures_of(sides: Sequence[SideRemoval], travelling: float) -> Figures:
+def figures_of(sides: Sequence[SideRemoval]) -> Figures:
     """The shares, every cell weighed by its area."""
     asked = [one.cells.asked & np.isfinite(one.relative) for one in sides]
     if not any(mask.any() for mask in asked):
-        return Figures(None, None, None, None, None, None, travelling)
+        return Figures(None, None, None, None, None, None)
     depth, area, core = (
         np.concatenate([values[mask] for values, mask in zip(of, asked, strict=True)])
         for of in ([one.relative for one in sides], [one.cells.area for one in sides], [one.core for one in sides])
@@ -185,5 +158,4 @@ def figures_of(sides: Sequence[SideRemoval], travelling: float) -> Figures:
         all_within_10=within(0.10, whole),
         least=float(depth.min()),
         most=float(depth.max()),
-        contact_in_travel_s=travelling,
     )

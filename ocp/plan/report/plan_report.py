@@ -162,13 +162,10 @@ def build_report(plan: Plan, timeline: Timeline, grades: Grades, summary: Sequen
 
 
 def _pass(plan: Plan, place: int) -> PassReport:
-    motion = plan.motion
-    solved, trajectory = motion.passes[place], motion.contact(place).trajectory
-    path, seen = solved.problem.path, solved.evaluation
-
-    def at_waypoints(values: Array) -> Array:
-        return np.interp(path.s, trajectory.stations, values)
-
+    whole, trajectory = plan.motion.passes[place], plan.motion.way(place).trajectory
+    solved = whole.touching()
+    path, seen, way, feed = solved.problem.path, solved.evaluation, solved.problem.way, float(whole.problem.path.feed.mean())
+    times = np.interp(way.at * feed, trajectory.stations, trajectory.times)
     return PassReport(
         **{name: getattr(path, name) for name in ("line", "side", "p", "n", "t", "s")},
         **{name: getattr(seen, name) for name in ("force_sd", "arc", "lateral", "turn")},
@@ -176,9 +173,9 @@ def _pass(plan: Plan, place: int) -> PassReport:
         interference=seen.delta,
         compliance_nn=solved.problem.compliance[:, 0],
         removal=plan.removal.at(path.p),
-        limit_ratio=at_waypoints(trajectory.limit_ratio(trajectory.times)),
+        limit_ratio=trajectory.limit_ratio(times),
         tilt=np.arctan(seen.tilt),
-        feed=at_waypoints(trajectory.feed(trajectory.times)),
+        feed=way.speed * trajectory.feed(times) / feed,
     )
 
 

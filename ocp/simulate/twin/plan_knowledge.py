@@ -37,7 +37,7 @@ ORDER = 2e-3  # rad that the whole program's time counts for when postures repea
 FAR = np.radians(0.05)  # rad; a posture farther from the plan than this is not the plan's
 IN_TIME = np.radians(0.01)  # rad; of a timed program at the plan's times: samples every 4 ms miss a bend by a tenth of that
 PASS = "pass"  # of the column `phase`, where a plan has it: the line itself
-AWAY, NEAR, GRINDING = 0, 1, 2  # travel; engage and retreat; the planned contact
+AWAY, NEAR, GRINDING = 0, 1, 2  # travel between passes; approach and lift of a pass; planned contact, from touch to lift
 
 
 @dataclass(frozen=True)

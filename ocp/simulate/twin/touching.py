@@ -1,8 +1,8 @@
 """Every pass from the air to the air: where blade and wheel may touch outside of the planned contact, the force there in balance
 or in time, and its figures.
 
-A window is a pass with the approach and the retreat that the plan counts to it and some travel before and after. Where the plan
-names no contact point, the pass's first or last one stands: there the wheel touches first and last.
+A window is the way of a pass, approach and lift included, and some travel before and after. Where the plan names no contact
+point, the one of touch or of lift stands: there the wheel touches first and last.
 """
 
 from dataclasses import dataclass, replace
@@ -22,14 +22,14 @@ from ocp.simulate.twin.path_motion import flange
 from ocp.simulate.twin.plan_knowledge import AWAY, Matched
 from robots.pose import Array
 
-BEFORE, AFTER = 1.0, 0.2  # s of travel before a pass's approach, in which the flange comes to rest, and after its retreat
+BEFORE, AFTER = 1.0, 0.2  # s of travel before a pass's approach, in which the flange comes to rest, and after its lift
 HELD = ("p", "n", "t", "s", "feed", "force")  # columns of the plan that outside of its contact stand as at its ends
 
 
 @dataclass(frozen=True)
 class TouchWindows:
     """Samples of the windows of some passes, one after the other: `index` (n,) into the track, `run` (n,) the pass, `planned`
-    (n,) whether the plan grinds there, `plan`: what it says there, held at a pass's ends."""
+    (n,) whether that is the pass itself, neither led in nor out, `plan`: what it says there, held at a pass's ends."""
 
     index: Index
     run: Index
@@ -58,8 +58,9 @@ class Touching:
 
 @dataclass(frozen=True)
 class TouchFigures:
-    """One pass: line of the blade; peak N anywhere in its window; seconds of contact outside of the planned contact; losses of
-    contact between first and last touch and the seconds they took; the most N above and below what is planned where it grinds."""
+    """One pass: line of the blade; peak N anywhere in its window; seconds of contact outside of the pass itself, lead-ins and
+    lead-outs among them; losses of contact between first and last touch and the seconds they took; the most N above and below
+    what is planned in the pass itself."""
 
     line: int
     peak: float
