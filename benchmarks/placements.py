@@ -62,7 +62,7 @@ def main() -> None:
     cell = read_cell(CELL)
     cell = replace(cell, process=replace(cell.process, pass_spacing=0.02))
     assert cell.workpiece.stl is not None
-    laid = lay_paths(cell, cell.workpiece.stl, PlanOptions(step=2e-3))
+    laid = lay_paths(cell, cell.workpiece.stl, PlanOptions(step=2e-3, even=False))
     contact = prepare_contact(cell, laid.blade, laid.paths, Phases())
     rng = np.random.default_rng(arguments.seed)
     planned = 0

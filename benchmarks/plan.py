@@ -1,8 +1,8 @@
-"""Every number of docs/performance.md: `python benchmarks/plan.py [phases|scaling|peers] [--quick]`, default all three.
+"""Every number of docs/performance.md: `python benchmarks/plan.py [phases|scaling] [--quick]`, default both.
 
 phases: one plan with an empty cache and once more with a full one. scaling: the nonlinear program from 1000 to 30 000
-waypoints on the same passes. peers: one pass by the product, by CasADi's Opti as a tutorial would write it, and by
-inverse kinematics with a correction of the overlap. The machine need not be quiet: compare rows of one run.
+waypoints on the same passes, at rest under force at both ends (no lead-ins). The machine need not be quiet: compare rows of one
+run. Other ways to make a pass: `control_table.py`.
 """
 
 import os
@@ -21,7 +21,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from plan_peers import HEADER, METHODS, row
 from scipy.interpolate import CubicSpline
 
 from ocp.contact.blade import compliance as blade
@@ -178,7 +177,7 @@ def pass_parts(job: Job, count: int) -> None:
     with (
         timed(seconds, "NLP solve", PassSolver, "solve"),
         timed(seconds, "direct contact", optimise, "solve_directly"),
-        timed(seconds, "touching elsewhere", optimise, "find_gouge"),
+        timed(seconds, "touching elsewhere", optimise, "find_secondary_contact"),
     ):
         for i in chosen:
             worker.solve(job.paths[i], job.seeds[i], job.compliance[i])
@@ -249,27 +248,11 @@ def scaling(cell_file: Path, stl: Path, quick: bool) -> None:
         )
 
 
-# -- peers ----------------------------------------------------------------------------------------------------------
-
-
-def peers(cell_file: Path, stl: Path, quick: bool) -> None:
-    """One pass by every method, each in a process of its own."""
-    job = prepared(cell_file, stl)
-    i = len(job.paths) - 1
-    for step in (STEPS[0],) if quick else (STEPS[0], STEP):
-        problem = resampled(job, cell_file, stl, step)[i]
-        print(f"line {problem.path.line} ({problem.path.side}), {len(problem.path.s)} waypoints")
-        print(f"{HEADER}{'peak MB':>9}")
-        for name in METHODS:
-            text, memory = apart(measured, row, job.ground, problem, name)
-            print(f"{text}{memory:9.0f}", flush=True)
-
-
-TABLES = {"phases": phases, "scaling": scaling, "peers": peers}
+TABLES = {"phases": phases, "scaling": scaling}
 
 
 def main(
-    tables: Annotated[list[str] | None, typer.Argument(help="phases, scaling, peers; default all")] = None,
+    tables: Annotated[list[str] | None, typer.Argument(help="phases, scaling; default both")] = None,
     cell: Annotated[Path, typer.Option(help="cell file")] = CELL,
     stl: Annotated[Path, typer.Option("--blade", help="the blade's STL")] = BLADE,
     quick: Annotated[bool, typer.Option(help="fewer passes and refinements")] = False,

@@ -26,7 +26,7 @@ Q = np.radians([0.5, -82.0, 101.0, -2.0, 80.0, -84.0])
 
 def problem(cell=None):
     path = bar_pass()
-    seed = Seed(1, 0, 0.0, 0.0, np.tile(Q, (4, 1)), np.linspace(0, 1, 4), 0.0)
+    seed = Seed(1, 0, np.zeros(4), 0.0, np.tile(Q, (4, 1)), np.linspace(0, 1, 4), 0.0)
     return PassProblem.start(path, seed, np.tile(GIVE, (len(path.s), 1)))
 
 

@@ -33,7 +33,7 @@ def test_folded_corrections_leave_the_prediction_unchanged():
     cell = replace(bundled_cell(), calibration=calibration)
     q = np.radians([0.5, -82.0, 101.0, -2.0, 80.0, -84.0]) + np.zeros((40, 6))
     path = bar_pass()
-    problem = PassProblem.start(path, Seed(1, 0, 0.0, 0.0, q[:4], np.linspace(0, 1, 4), 0.0), np.zeros((40, 3)))
+    problem = PassProblem.start(path, Seed(1, 0, np.zeros(4), 0.0, q[:4], np.linspace(0, 1, 4), 0.0), np.zeros((40, 3)))
     carried = PassSolver(cell, LineLaw(), believed_theta(cell), ObjectiveWeights()).evaluate(problem, q, path.force)
     folded_cell, theta = registered(cell)
     folded = PassSolver(folded_cell, LineLaw(), theta, ObjectiveWeights()).evaluate(problem, q, path.force)

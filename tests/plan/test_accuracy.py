@@ -24,7 +24,7 @@ Q = np.radians([0.5, -82.0, 101.0, -2.0, 80.0, -84.0]) + np.linspace(0, 0.05, 40
 def solved_on(cell, theta):
     """Joints Q on the bar, as a solved pass of that cell; nothing is optimised."""
     path = bar_pass()
-    problem = PassProblem.start(path, Seed(1, 0, 0.0, 0.0, Q[:4], np.linspace(0, 1, 4), 0.0), np.zeros((40, 3)))
+    problem = PassProblem.start(path, Seed(1, 0, np.zeros(4), 0.0, Q[:4], np.linspace(0, 1, 4), 0.0), np.zeros((40, 3)))
     seen = PassSolver(cell, LineLaw(), theta, ObjectiveWeights()).evaluate(problem, Q, path.force)
     ones = np.ones(40)
     return SolvedPass(problem, PassSolution(Q, ones, ones, path.force, 0, 0.0), seen)

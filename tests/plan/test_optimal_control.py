@@ -9,6 +9,7 @@ import pytest
 
 from ocp.model.theta import Theta, believed_theta
 from ocp.plan.clearance import CollisionScene
+from ocp.plan.passes import posture
 from ocp.plan.passes.course import steady
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
@@ -146,6 +147,38 @@ def test_seeds_choose_the_direction_in_which_the_blade_moves_with_the_belt():
     backward = find_seeds(cell, CollisionScene(cell, BAR), LineLaw(), [reversed_path(path)])[0][0]
     assert forward.direction == -backward.direction
     assert forward.cost == pytest.approx(backward.cost, rel=1e-3)
+
+
+def girth_pass(feed, n=40, radius=0.04, half=0.45):
+    """Round the bar: over its +y side, half rad to either side."""
+    angle = np.linspace(-half, half, n)
+    n_, t = (
+        np.column_stack([np.sin(angle), np.cos(angle), 0 * angle]),
+        np.column_stack([np.cos(angle), -np.sin(angle), 0 * angle]),
+    )
+    path = replace(bar_pass(n), p=radius * n_ + [0, 0, 0.06], n=n_, t=t, s=radius * (angle + half), feed=np.full(n, feed))
+    return replace(path, curvature=np.tile([1 / radius, 0.0, 0.0], (n, 1)))
+
+
+def test_a_seed_rolls_over_the_arc_where_a_held_one_would_be_too_fast(monkeypatch):
+    cell, solver = setting()
+    path, scene = girth_pass(0.16), CollisionScene(cell, BAR)
+    seed = find_seeds(cell, scene, LineLaw(), [path])[0][0]
+    low, high = cell.wheel.arc
+    assert np.ptp(seed.arc) > 0.6 * (high - low) and low < seed.arc.min() and seed.arc.max() < high
+    speed = np.abs(np.diff(seed.q, axis=0)) / (np.diff(seed.at) * path.s[-1] / 0.16)[:, None] / cell.robot.qd_max
+    assert speed.max() < 0.5
+    problem = PassProblem.start(path, seed, np.tile([2e-6, 0, 0], (40, 1)))
+    problem = with_direction(problem, reversed_path(path)) if seed.direction < 0 else problem
+    q = solver.seed_joints(problem)
+    seen = solver.evaluate(problem, q, path.force)
+    assert np.interp(seed.at, path.s / path.s[-1], seen.arc) == pytest.approx(seed.arc, abs=2e-3)
+    assert np.abs(np.vstack([seen.turn - seed.turn, 1e2 * seen.lateral, seen.tilt.T])).max() < 2e-3
+    assert np.abs(solver.solve(problem).force - path.force).max() < 1e-3
+    nothing = posture._Ways(np.zeros((0, 8, 7)), np.zeros(0), np.zeros((0, 8, 7, 6)), np.zeros((0, 8), bool))
+    monkeypatch.setattr(posture, "_rolled", lambda *_: nothing)
+    with pytest.raises(Infeasible, match=r"an axis would need 1\d\d % of its speed"):
+        find_seeds(cell, scene, LineLaw(), [path])
 
 
 def test_an_unreachable_wheel_is_refused_with_the_reason():

@@ -22,7 +22,7 @@ RANDOM = np.random.default_rng(5)
 
 
 def solved_pass() -> SolvedPass:
-    seed = Seed(-1, 3, 0.1, -0.2, RANDOM.normal(size=(7, 6)), np.linspace(0, 1, 7), 2.5)
+    seed = Seed(-1, 3, RANDOM.normal(size=7), -0.2, RANDOM.normal(size=(7, 6)), np.linspace(0, 1, 7), 2.5)
     problem = replace(PassProblem.start(bar_pass(), seed, RANDOM.normal(size=(N, 3))), turn_limit=0.1)
     shapes = {"parts": (N, 4), "tilt": (N, 2), "curvature": (N, 3), "T_base_blade": (N, 4, 4)}
     names = Evaluation.__dataclass_fields__

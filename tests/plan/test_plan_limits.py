@@ -168,7 +168,7 @@ def solver(cell):
 
 
 def problem():
-    seed = Seed(1, 0, 0.0, 0.0, np.tile(READY, (7, 1)), np.linspace(0, 1, 7), 0.0)
+    seed = Seed(1, 0, np.zeros(7), 0.0, np.tile(READY, (7, 1)), np.linspace(0, 1, 7), 0.0)
     return PassProblem.start(bar_pass(), seed, np.zeros((40, 3)))
 
 

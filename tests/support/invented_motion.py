@@ -21,7 +21,7 @@ from trajectories.timing import time_contact_path, time_joint_move
 from trajectories.toppra_law import times_at
 
 FEED = 0.04  # m/s, of the lines
-SEED = Seed(1, 0, 0.0, 0.0, np.zeros((2, 6)), np.array([0.0, 1.0]), 0.0)
+SEED = Seed(1, 0, np.zeros(2), 0.0, np.zeros((2, 6)), np.array([0.0, 1.0]), 0.0)
 
 
 @cache

@@ -1,16 +1,16 @@
 """Where the optimiser starts: branch, direction of travel, place on the wheel and turn, found over the whole grid.
 
 For every pass all inverse-kinematic branches and axis turns are tried on a grid of wheel arc, turn about the normal and
-direction of travel; the best per family (direction, branch, turns) compete in a shortest path over the passes, so that
-neither a pass nor the travel between passes depends on luck.
+direction of travel, the arc held or rolled along (the shortest path through stations x arcs); the best per family (direction,
+branch, turns) compete in a shortest path over the passes, so that neither a pass nor the travel between passes depends on luck.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from ocp.contact.wheel.law import WheelLaw
 from ocp.model.cell import Cell
@@ -26,15 +26,18 @@ Mask = NDArray[np.bool_]
 
 STATIONS = 7  # along a pass; between them a pass turns little
 TRAVEL_WEIGHT = 0.5  # cost of a second of travel between passes
+ROLLED_ARCS = 9  # places on the arc between which a seed may roll
+ARC_WEIGHT, WRIST_WEIGHT, SPEED_WEIGHT = 0.3, 0.1, 3.0  # of a seed's cost
 
 
 @dataclass(frozen=True)
 class Seed:
-    """Start of a pass: travel direction +1 or -1, joints (STATIONS, 6) at stations (fractions of the pass), cost."""
+    """Start of a pass: travel direction +1 or -1, place on the arc (STATIONS,) rad and joints (STATIONS, 6) at stations
+    (fractions of the pass), turn rad, cost."""
 
     direction: int
     branch: int
-    arc: float
+    arc: Array
     turn: float
     q: Array
     at: Array
@@ -46,16 +49,21 @@ def contact_poses(cell: Cell, path: BladePath, index: Index, arc: Array, turn: A
 
     `arc`, `turn` (...) rad; touching, without overlap, in the middle of the wheel's width. docs/architecture.md.
     """
+    return _laid_on(cell, path, index, arc[..., None], turn[..., None], direction, sigma)
+
+
+def _laid_on(cell: Cell, path: BladePath, index: Index, arc: Array, turn: Array, direction: int, sigma: int) -> Array:
+    """The same with places on the arc and turns (..., len(index) or 1) of every waypoint."""
     wheel = cell.wheel
     e = wheel.outward(arc)
     belt = np.cross(np.broadcast_to(wheel.axis, e.shape), e)
     heading = np.cos(turn)[..., None] * belt + np.sin(turn)[..., None] * wheel.axis
     t = -sigma * wheel.travel * heading
-    base = np.stack([t, np.cross(-e, t), -e], axis=-1)[..., None, :, :]
+    base = np.stack([t, np.cross(-e, t), -e], axis=-1)
     n, feed = path.n[index], direction * path.t[index]
     local = np.stack([feed, np.cross(n, feed), n], axis=-1)
     R = base @ np.swapaxes(local, -1, -2)
-    contact = (wheel.centre + wheel.radius * e)[..., None, :]
+    contact = wheel.centre + wheel.radius * e
     return make_transform(R, contact - (R @ path.p[index][..., None])[..., 0])
 
 
@@ -65,9 +73,15 @@ def poses_along(cell: Cell, path: BladePath, seed: Seed, overlap: Array, sigma: 
     `overlap` (n,) m of the undeformed bodies.
     """
     n = len(path.s)
-    T = contact_poses(cell, path, np.arange(n), np.array(seed.arc), np.array(seed.turn), 1, sigma)
+    arc = PchipInterpolator(seed.at, seed.arc)(_fraction(path))
+    T = _laid_on(cell, path, np.arange(n), arc, np.array([seed.turn]), 1, sigma)
     T[:, :3, 3] += overlap[:, None] * np.einsum("kij,kj->ki", T[:, :3, :3], path.n)
     return T
+
+
+def _fraction(path: BladePath) -> Array:
+    """Where on a seed the nodes (n,) stand, 0 to 1: what leads in and out beyond the line takes part."""
+    return np.asarray((path.s - path.s[0]) / (path.s[-1] - path.s[0]))
 
 
 def joints_near(cell: Cell, path: BladePath, seed: Seed, T_base_blade: Array) -> Array:
@@ -81,7 +95,7 @@ def joints_near(cell: Cell, path: BladePath, seed: Seed, T_base_blade: Array) ->
         k = int(np.argmax(out))
         message = f"line {path.line} ({path.side}): waypoint {k + 1} is beyond the robot's reach"
         raise CannotGrind.of(path, out, "it is beyond the robot's reach", NEARER, k, message)
-    near = CubicSpline(seed.at, seed.q)(path.s / path.s[-1])
+    near = CubicSpline(seed.at, seed.q)(_fraction(path))
     return np.asarray(near + (q[:, seed.branch] - near + np.pi) % (2 * np.pi) - np.pi)
 
 
@@ -166,25 +180,17 @@ def _travel(cell: Cell, before: list[Seed], after: list[Seed]) -> Array:
 
 def seeds_of(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) -> list[Seed]:
     """The best collision-free seed of every family of a pass. Raises CannotGrind where it has none."""
-    sigma = cell.process.sigma
     index = np.unique(np.linspace(0, len(path.s) - 1, STATIONS).round().astype(int))
     low, high = cell.wheel.arc
-    arcs, turns = _grid(cell)
     found: list[Seed] = []
     reasons: list[tuple[float, str]] = []
-    turns = turns[_bears(cell, law, path, index, turns, reasons)]
-    arc, turn = (grid.ravel() for grid in np.meshgrid(arcs, turns, indexing="ij"))
-    for direction in (1, -1) if len(turns) else ():
+    turns = _grid(cell)[1]
+    bears = _bears(cell, law, path, index, turns, reasons)
+    for direction in (1, -1) if bears.any() else ():
         order = index[::direction]
-        T = flange_pose(cell, contact_poses(cell, path, order, arc, turn, direction, sigma))
-        q, reachable = inverse_branches(cell.robot, T.reshape(-1, 4, 4))
-        q = q.reshape(len(arc), len(order), 8, 6).transpose(0, 2, 1, 3)
-        ok = np.asarray(reachable.reshape(len(arc), len(order), 8).all(axis=1))
-        if not ok.any():
-            excess = reach_excess(cell.robot, T.reshape(-1, 4, 4)).reshape(len(arc), -1).max(axis=1).min()
-            reasons.append((0.0, f"the blade would have to be held {excess * 1e3:.0f} mm beyond the robot's reach"))
-        q = np.unwrap(np.where(np.isfinite(q), q, 0.0), axis=2)
-        found += _families(cell, path, order, direction, arc, turn, q, ok, reasons)
+        held = _held(cell, path, order, direction, turns[bears], reasons)
+        rolled = _rolled(cell, path, order, direction, turns[bears][::2])
+        found += _families(cell, path, order, direction, held.with_(rolled), reasons)
     free: dict[tuple[int, ...], Seed] = {}
     blocked = ""
     for seed in sorted(found, key=lambda s: s.cost):
@@ -347,22 +353,78 @@ def _family(seed: Seed) -> tuple[int, ...]:
     return (seed.direction, seed.branch, *np.floor(seed.q[0][[0, 3, 5]] / np.pi + 0.5).astype(int).tolist())
 
 
+@dataclass(frozen=True)
+class _Ways:
+    """Ways of the wheel over a pass: places on the arc (m, 8, stations) rad, turn (m,) rad, joints (m, 8, stations, 6) without
+    jumps on each of the 8 branches, ok (m, 8) where they are reached at all."""
+
+    arc: Array
+    turn: Array
+    q: Array
+    ok: Mask
+
+    def with_(self, other: "_Ways") -> "_Ways":
+        """Both, one after the other."""
+        return _Ways(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
+
+
+def _held(cell: Cell, path: BladePath, order: Index, direction: int, turns: Array, reasons: list[tuple[float, str]]) -> _Ways:
+    """One place on the arc all along; notes how far the blade is beyond reach."""
+    arc, turn = (grid.ravel() for grid in np.meshgrid(_grid(cell)[0], turns, indexing="ij"))
+    T = flange_pose(cell, contact_poses(cell, path, order, arc, turn, direction, cell.process.sigma))
+    q, reachable = inverse_branches(cell.robot, T.reshape(-1, 4, 4))
+    q = q.reshape(len(arc), len(order), 8, 6).transpose(0, 2, 1, 3)
+    ok = np.asarray(reachable.reshape(len(arc), len(order), 8).all(axis=1))
+    if not ok.any():
+        excess = reach_excess(cell.robot, T.reshape(-1, 4, 4)).reshape(len(arc), -1).max(axis=1).min()
+        reasons.append((0.0, f"the blade would have to be held {excess * 1e3:.0f} mm beyond the robot's reach"))
+    places = np.broadcast_to(arc[:, None, None], q.shape[:3])
+    return _Ways(places, turn, np.unwrap(np.where(np.isfinite(q), q, 0.0), axis=2), ok)
+
+
+def _rolled(cell: Cell, path: BladePath, order: Index, direction: int, turns: Array) -> _Ways:
+    """The way over the arc on which the axes are calmest, for every turn and branch: the shortest path through stations x arcs,
+    its steps within the axes' speed."""
+    robot, wheel = cell.robot, cell.wheel
+    middle, half = np.mean(wheel.arc), 0.5 * np.ptp(wheel.arc)
+    arcs = middle + half * np.linspace(-0.95, 0.95, ROLLED_ARCS)
+    arc, turn = (grid.ravel() for grid in np.meshgrid(arcs, turns, indexing="ij"))
+    T = flange_pose(cell, contact_poses(cell, path, order, arc, turn, direction, cell.process.sigma))
+    q, reachable = inverse_branches(robot, T.reshape(-1, 4, 4))
+    shape = len(arcs), len(turns), len(order), 8
+    q, k = np.where(np.isfinite(q), q, 0.0).reshape(*shape, 6), len(order)
+    q, sound = q.transpose(2, 1, 3, 0, 4), (reachable.reshape(shape) & _sound(cell, q)).transpose(2, 1, 3, 0)  # stations first
+    node = (
+        WRIST_WEIGHT / np.maximum(np.abs(np.sin(q[..., 4])), 1e-3) ** 2 + ARC_WEIGHT * ((arcs - middle) / (2 * half)) ** 2
+    ) / k
+    node = np.where(sound, node, np.inf)
+    seconds = np.abs(np.diff(path.s[order])) / path.feed.mean()
+    total, back = node[0], []
+    for i in range(1, k):
+        turned = (q[i][..., None, :, :] - q[i - 1][..., :, None, :] + np.pi) % (2 * np.pi) - np.pi
+        speed = (np.abs(turned) / seconds[i - 1] / robot.qd_max).max(axis=-1)
+        step = np.where(speed < SEED_SPEED_SHARE, SPEED_WEIGHT * speed**2 / (k - 1), np.inf)
+        through = total[..., None] + step
+        back.append(np.argmin(through, axis=-2))
+        total = through.min(axis=-2) + node[i]
+    place = [np.argmin(total, axis=-1)]
+    for pointers in reversed(back):
+        place.append(np.take_along_axis(pointers, place[-1][..., None], axis=-1)[..., 0])
+    chosen = np.array(place[::-1])  # (stations, turns, 8)
+    way = np.take_along_axis(q, chosen[..., None, None], axis=3)[:, :, :, 0]
+    ok = np.isfinite(total.min(axis=-1))
+    return _Ways(arcs[chosen].transpose(1, 2, 0), turns, np.unwrap(way.transpose(1, 2, 0, 3), axis=2), ok)
+
+
 def _families(
-    cell: Cell,
-    path: BladePath,
-    order: Array,
-    direction: int,
-    arc: Array,
-    turn: Array,
-    q: Array,
-    ok: Mask,
-    reasons: list[tuple[float, str]],
+    cell: Cell, path: BladePath, order: Index, direction: int, ways: _Ways, reasons: list[tuple[float, str]]
 ) -> list[Seed]:
-    """Seeds within limits from unwrapped branch paths q (grid, 8, stations, 6); notes why others fall."""
-    robot = cell.robot
+    """Seeds within limits from ways over the pass; notes why others fall."""
+    robot, q, ok, turn = cell.robot, ways.q, ways.ok, ways.turn
     at = path.s[order] / path.s[-1]
     at = at if direction == 1 else 1.0 - at
     seconds = np.diff(at) * path.s[-1] / path.feed.mean()
+    aside = ((ways.arc - np.mean(cell.wheel.arc)) / np.ptp(cell.wheel.arc)) ** 2
     seeds = []
     for a, b, c in product((-1, 0, 1), repeat=3):  # whole turns of axes 1, 4, 6
         moved = q + 2 * np.pi * np.array([a, 0, 0, b, 0, c])
@@ -378,15 +440,15 @@ def _families(
         _note(reasons, ok, over, inside, wrist, speed, shoulder)
         cost = (
             (turn / max(cell.process.turn_tolerance, 1e-3))[:, None] ** 2
-            + 0.3 * ((arc - np.mean(cell.wheel.arc)) / np.ptp(cell.wheel.arc))[:, None] ** 2
-            + 0.1 / np.maximum(wrist, 1e-3) ** 2
-            + 3.0 * speed**2
+            + ARC_WEIGHT * aside.mean(axis=2)
+            + WRIST_WEIGHT / np.maximum(wrist, 1e-3) ** 2
+            + SPEED_WEIGHT * speed**2
             + 0.02 * ((moved[..., [3, 5]] / np.pi) ** 2).max(axis=(2, 3))
             + 0.5 * (np.abs(2 * moved - robot.q_min - robot.q_max) / (robot.q_max - robot.q_min)).max(axis=(2, 3)) ** 4
             + 0.5 * (wrist_radius(cell, q) < 0).any(axis=2)  # reaching over its own axis 1, as no one would teach it
         )
         for g, b in np.argwhere(inside & sound):
-            seeds.append(Seed(direction, int(b), float(arc[g]), float(turn[g]), moved[g, b], at, float(cost[g, b])))
+            seeds.append(Seed(direction, int(b), ways.arc[g, b], float(turn[g]), moved[g, b], at, float(cost[g, b])))
     return seeds
 
 
