@@ -101,7 +101,8 @@ def seeds(cell, q, feed_share=0.0):
     along[..., 0] += feed_share * cell.robot.qd_max[0] * seconds
     reasons: list[tuple[float, str]] = []
     only = np.arange(8)[None] == 0
-    found = posture._families(cell, path, index, 1, np.zeros(1), np.zeros(1), along, only, reasons)
+    ways = posture._Ways(np.zeros(along.shape[:3]), np.zeros(1), along, only)
+    found = posture._families(cell, path, index, 1, ways, reasons)
     return found, " ".join(text for _, text in reasons)
 
 
