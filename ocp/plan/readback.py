@@ -13,7 +13,14 @@ from ocp.model.cell import Cell
 from ocp.plan.motion import MotionSegment, PlannedMotion
 from ocp.plan.passes.optimise import LEAST_DIRECT, SolvedPass
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.rules import BLOCK_TIME_TOLERANCE, FLANGE_FORCE_TOLERANCE, GAP_TOLERANCE, READ_BACK_LIMIT, RIGID_FORCE_TOLERANCE
+from ocp.plan.rules import (
+    BLOCK_TIME_TOLERANCE,
+    EMITTED_TOLERANCE,
+    FLANGE_FORCE_TOLERANCE,
+    GAP_TOLERANCE,
+    READ_BACK_LIMIT,
+    RIGID_FORCE_TOLERANCE,
+)
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, gaps, verify_pass
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
@@ -85,7 +92,8 @@ def _bearing(cell: Cell, one: SolvedPass, t: Array, q: Array, nominal: Array) ->
 
 
 def _touching_in_air(cell: Cell, believed: BelievedRobot, one: SolvedPass, t: Array, q: Array, nominal: Array) -> float:
-    """Seconds in which blade and wheel touch on the way through the air, before the force is planned to rise and after it fell.
+    """Seconds in which blade and wheel touch on the way through the air, before the force is planned to rise and after it fell,
+    deeper than the text is rounded.
 
     Raises CannotGrind where the plan has a gap of more than GAP_TOLERANCE there.
     """
@@ -100,7 +108,7 @@ def _touching_in_air(cell: Cell, believed: BelievedRobot, one: SolvedPass, t: Ar
         if early >= 0:
             reason = f"blade and wheel would touch in the air, {early * 1e3:.2f} mm deep, by the independent route"
             raise CannotGrind.of(path, np.ones(len(path.s), bool), reason, "move the wheel or the blade in its holder")
-        seconds += float((touching > 0).sum()) * float(np.median(np.diff(t)))
+        seconds += float((touching > EMITTED_TOLERANCE[1]).sum()) * float(np.median(np.diff(t)))
     return seconds
 
 

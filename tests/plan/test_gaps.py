@@ -141,8 +141,8 @@ def test_the_planned_way_touches_where_it_should(rigid):
 
 
 def test_seconds_of_an_early_touch_are_counted_at_both_ends(rigid):
-    """20 um too near at 4 mm/s: 5 ms before touch and 5 ms after lift, less than a gap of GAP_TOLERANCE."""
-    one, *rows = on_the_way(rigid, 20e-6)
+    """40 um too near at 4 mm/s: 20 um deep 5 ms before touch and 5 ms after lift, less than a gap of GAP_TOLERANCE."""
+    one, *rows = on_the_way(rigid, 40e-6)
     assert one.problem.way.entry.closing == pytest.approx(4e-3)
     seconds = _touching_in_air(rigid, arm(rigid), one, *rows)
     assert seconds == pytest.approx(0.010, abs=2.1e-3)

@@ -250,6 +250,7 @@ def _curve(depth: Array, slopes: Array, v: Array) -> Array:
     return np.asarray(value + np.maximum(v - V[-1], 0.0) * slopes[:, -1])
 
 
+FAR_APART = 1.0  # m
 BESIDE_TOUCH = 1e-3  # m before touch from which on the contact's curve is worked out
 PAUSE = 0.5  # s without a row in contact after which the cover and the flange have forgotten
 
@@ -291,12 +292,14 @@ class Grinder:
         return ContactResult(force, mu * force, overlap, stroke, indentation)
 
     def depth(self, c: ContactMoments) -> Array:
-        """Overlap (n,) m of the undeformed bodies along the wheel's direction into the blade, stroke 0; below zero: apart."""
-        moved = lagging(self.truth, c)
-        radius = self.cell.wheel.radius + bodies.radius_change(self.truth, self.cell, c)
+        """Overlap (n,) m of the undeformed bodies along the wheel's direction into the blade, stroke 0; below zero: apart, by
+        FAR_APART where the place does not lie before the wheel."""
+        moved, wheel = lagging(self.truth, c), self.cell.wheel
+        radius = wheel.radius + bodies.radius_change(self.truth, self.cell, c)
         T = bodies.blade_poses(self.truth, self.cell, moved)
         at = postures(T, moved.p, moved.n, moved.t, *bodies.wheel_frames(self.truth, self.cell, moved), radius)
-        return at.depth + bodies.surface_change(self.truth, moved)
+        before = (at.depth < radius) & (np.abs(at.shape[:, 0]) < 0.5 * radius) & (np.abs(at.shape[:, 1]) < wheel.width)
+        return np.where(before, at.depth + bodies.surface_change(self.truth, moved), -FAR_APART)
 
     def in_reach(self, c: ContactMoments) -> ContactMoments:
         """`c` with contact where the flange, wherever in its stroke it stands, may bring blade and wheel together."""
