@@ -117,8 +117,8 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
 def grades_of(plan: Plan, readback: Readback) -> Grades:
     """The two grades of a written plan."""
     goal, asked = _asked(plan)
-    poses = plan.kind != "axis"
-    return Grades(grade_move(readback), grade_force(plan.cell, goal, plan.force_sd, readback.force_error, poses), asked)
+    force = grade_force(plan.cell, goal, plan.force_sd, readback.force_error, readback.blends)
+    return Grades(grade_move(readback), force, asked)
 
 
 def _asked(plan: Plan) -> tuple[float, str]:

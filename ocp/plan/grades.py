@@ -9,8 +9,15 @@ import numpy as np
 
 from ocp.model.cell import Cell, ForceFlange
 from ocp.model.theta import BLOCKS
-from ocp.plan.readback import Readback
-from ocp.plan.rules import FORCE_SHARE, STOP_PRELOAD, UNCERTAIN_FORCE
+from ocp.plan.readback import BlendError, Readback
+from ocp.plan.rules import (
+    FLANGE_FORCE_TOLERANCE,
+    FORCE_SHARE,
+    LEAST_STRETCH,
+    RIGID_FORCE_TOLERANCE,
+    STOP_PRELOAD,
+    UNCERTAIN_FORCE,
+)
 from robots.gravity import GRAVITY
 
 GREEN, AMBER, RED = "green", "amber", "red"
@@ -62,19 +69,21 @@ def grade_move(readback: Readback) -> Grade:
         )
     return Grade(
         AMBER,
-        f"the text read back is the planned way within {np.degrees(readback.axis_error):.1g} deg; {kept}; speeds are the "
-        "controller's own and were not checked, use --kind axis or run it at reduced speed first",
+        f"the text read back is the planned way within {np.degrees(readback.axis_error):.1g} deg; {kept}; speeds between its "
+        "points are the controller's own and were not checked, use --kind axis or run it at reduced speed first",
     )
 
 
-def grade_force(cell: Cell, asked: float, sd: float, off: float, poses: bool = False) -> Grade:
+def grade_force(cell: Cell, asked: float, sd: float, off: float, blends: BlendError | None = None) -> Grade:
     """How far the force on the real cell may be from `asked` N: its standard deviation N, and by how much the program read
-    back is off by the independent route, N; `poses`: the program is one of poses, whose blocks begin and end at rest."""
+    back is off by the independent route, N; `blends`: of a program of straight motions, what blending them costs."""
     doubts = []
-    if poses:
+    most = RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
+    if blends is not None and (blends.force > most or blends.dose > FORCE_SHARE):
         doubts.append(
-            "a program of poses rests under the full force where every pass begins and ends, which grinds too deep there; "
-            "use --kind axis"
+            f"straight motions that blend are off by up to {blends.force:.2g} N on the ramps of a pass and by up to "
+            f"{100 * blends.dose:.2g} % in force over feed along {LEAST_STRETCH * 1e3:g} mm of a line (at most {most:g} N and "
+            f"{100 * FORCE_SHARE:g} %), as read back: lower the feed, or use --kind cartesian or axis"
         )
     spread = f"one standard deviation on the real cell is up to {sd:.2g} N"
     found = f"read back it is within {off:.2g} N by the independent route, {spread}"

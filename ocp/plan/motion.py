@@ -22,21 +22,18 @@ from robots.pose import Array
 from robots.rigid_body import inverse_dynamics
 from trajectories.joint_trajectory import JointTrajectory, Limits, sample_times
 from trajectories.timing import time_contact_path, time_joint_move
-from trajectories.toppra_law import times_at
 
 PASS_WINDOW = 0.01  # s, running mean of a pass's time law: its rate is smooth already
 
 
 @dataclass(frozen=True)
 class MotionSegment:
-    """A timed piece of the program: `kind` is travel or pass; `place` the pass in driving order; `stops`: times s since its start
-    of a pass' full force, and of its end."""
+    """A timed piece of the program: `kind` is travel or pass; `place` the pass in driving order."""
 
     kind: str
     place: int
     trajectory: JointTrajectory
     start: float
-    stops: tuple[float, ...] = ()
 
     @property
     def end(self) -> float:
@@ -76,9 +73,9 @@ def build_motion(
     segments: list[MotionSegment] = []
     time = 0.0
 
-    def add(kind: str, place: int, trajectory: JointTrajectory, stops: tuple[float, ...] = ()) -> None:
+    def add(kind: str, place: int, trajectory: JointTrajectory) -> None:
         nonlocal time
-        segments.append(MotionSegment(kind, place, trajectory, time, stops))
+        segments.append(MotionSegment(kind, place, trajectory, time))
         time += trajectory.duration
 
     def go(place: int, start: tuple[Array, Array], goal: tuple[Array, Array], label: str) -> None:
@@ -95,9 +92,7 @@ def build_motion(
     for place, one in enumerate(passes):
         name = f"line {one.problem.path.line} ({one.problem.path.side})"
         go(place, where, (one.solution.q[0], _normal(cell, one, 0)), f"{name}, approach")
-        timed, feed = _timed(one, limits, name), float(one.problem.path.feed.mean())
-        begin, end = times_at(timed.law, feed * one.problem.way.edges[2:4])
-        add("pass", place, timed, (float(begin), float(end)))
+        add("pass", place, _timed(one, limits, name))
         where = (one.solution.q[-1], _normal(cell, one, -1))
         advance()
     go(len(passes), where, at_home, "way home")

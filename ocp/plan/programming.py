@@ -18,7 +18,7 @@ from robots.tracker_readings import Hanging
 from trajectories.dialects import dialect_named
 from trajectories.joint_trajectory import sample_times
 from trajectories.program.build import Leg, build_program
-from trajectories.program.program import Program, Setup, TimedSpline
+from trajectories.program.program import PoseSpline, Program, Setup, TimedSpline
 
 PHASES = ("travel", "lead_in", "pass", "lead_out")
 TABLE_STEP = 0.025  # s between rows of plan.csv where the program itself is not timed
@@ -69,7 +69,7 @@ def write_program(cell: Cell, program: Program, folder: Path) -> list[Path]:
 
 def emitted_times(motion: PlannedMotion, program: Program) -> list[Array]:
     """Times of the emitted points of every segment, s since its start; a regular table for programs without times."""
-    splines = [b for sub in program.subs for b in sub.blocks if isinstance(b, TimedSpline)]
+    splines = [b for sub in program.subs for b in sub.blocks if isinstance(b, TimedSpline | PoseSpline)]
     if len(splines) == len(motion.segments):
         return [np.minimum(b.t, s.trajectory.duration) for b, s in zip(splines, motion.segments, strict=True)]
     return [sample_times(s.trajectory, TABLE_STEP) for s in motion.segments]

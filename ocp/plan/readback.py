@@ -18,21 +18,32 @@ from ocp.plan.rules import (
     EMITTED_TOLERANCE,
     FLANGE_FORCE_TOLERANCE,
     GAP_TOLERANCE,
+    LEAST_STRETCH,
     READ_BACK_LIMIT,
     RIGID_FORCE_TOLERANCE,
 )
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, gaps, verify_pass
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
-from robots.inverse import inverse_branches
-from robots.pose import Array, invert
+from robots.pose import Array
 from trajectories.dialects import dialect_named
-from trajectories.joint_trajectory import SAMPLE
+from trajectories.joint_trajectory import SAMPLE, JointTrajectory
 from trajectories.passes import BladePath
-from trajectories.program.execution import Execution
-from trajectories.program.interpolation import pose_spline, reinterpolate
+from trajectories.program.driven import axes_along, drive_lines, programmed_poses, reinterpolate
+from trajectories.program.execution import Execution, ProgramSegment
+from trajectories.toppra_law import times_at
 
-POSE_STEP = 2e-3  # m between poses of a Cartesian program at which its axes are found
+STRAY = np.radians(0.05)  # rad between a straight motion read back and the plan; a larger one is another motion
+PROJECTIONS = 4  # Newton steps to the planned instant whose posture is nearest
+
+
+@dataclass(frozen=True)
+class BlendError:
+    """What the blending of straight motions costs by the model of this reader, at most over all passes: force N off the planned
+    one on the ramps, and as a share the integral of force over time along any LEAST_STRETCH of a line."""
+
+    force: float
+    dose: float
 
 
 @dataclass(frozen=True)
@@ -41,7 +52,8 @@ class Readback:
 
     force_error N against the programmed force; axis_error rad and time_error s against the planned motion; limit_ratio
     of the re-interpolated axes at 1 ms (nan for programs whose timing is the controller's); touching_in_air s: contact of blade
-    and wheel where none is planned.
+    and wheel where none is planned; blends: of programs of straight motions, whose force is held against the plan in the passes
+    alone.
     """
 
     passes: list[VerifiedPass]
@@ -50,6 +62,7 @@ class Readback:
     time_error: float
     limit_ratio: float
     touching_in_air: float
+    blends: BlendError | None = None
 
 
 def read_back(
@@ -63,21 +76,27 @@ def read_back(
     controller = cell.controller
     execution = dialect_named(controller.dialect).check(main, cell.robot, controller.absolute_accuracy)
     timed = all(s.times is not None or s.kind == "point" for s in execution.segments)
-    driven, axis_error, time_error, ratio = (_timed if timed else _posed)(cell, motion, execution)
+    driven, axis_error, time_error, ratio = (_timed if timed else _chained)(cell, motion, execution)
+    blends = None if timed else BlendError(0.0, 0.0)
     passes, worst, in_air, tasks = [], 0.0, 0.0, []
     unheld: list[CannotGrind] = []
     for one, rows in zip(motion.passes, driven, strict=True):
         in_air += _touching_in_air(cell, believed, one, *rows)
         tasks.append(_bearing(cell, one, *rows))
-    for (path, *_), checked in zip(tasks, _verified(cell, believed, cover, cloud, tasks), strict=True):
+    found = _verified(cell, believed, cover, cloud, tasks)
+    for place, ((path, *_), checked) in enumerate(zip(tasks, found, strict=True)):
+        held = checked
+        if blends is not None:
+            held, off = _apart(motion, place, driven[place], checked)
+            blends = BlendError(max(blends.force, off.force), max(blends.dose, off.dose))
         try:
-            worst = max(worst, force_error(cell, path, checked))
+            worst = max(worst, force_error(cell, path, held))
         except CannotGrind as error:
             unheld.append(error)
         passes.append(checked)
     if unheld:
         raise unheld[0].with_others(unheld[1:])
-    return Readback(passes, worst, axis_error, time_error, ratio, in_air)
+    return Readback(passes, worst, axis_error, time_error, ratio, in_air, blends)
 
 
 def _bearing(cell: Cell, one: SolvedPass, t: Array, q: Array, nominal: Array) -> tuple[Any, ...]:
@@ -166,8 +185,8 @@ def _nominal(motion: PlannedMotion, segment: MotionSegment, t: Array) -> Array:
 
 
 def _timed(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Driven, float, float, float]:
-    """Axis programs: the pieces of the text are the segments of the motion, one to one."""
-    program = reinterpolate(execution, cell.robot.qd_max, cell.robot.qdd_max)
+    """Programs of timed blocks: the pieces of the text are the segments of the motion, one to one."""
+    program = reinterpolate(execution, cell.robot)
     if len(program.pieces) != len(motion.segments):
         raise Infeasible(f"the program read back has {len(program.pieces)} timed blocks, {len(motion.segments)} were planned")
     ends = np.append(program.starts[1:], program.duration)
@@ -189,47 +208,74 @@ def _timed(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Dri
     return driven, axis_error, time_error, ratio
 
 
-def _posed(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Driven, float, float, float]:
-    """Pose programs: the controller's nominal kinematics turn the curve through the poses into axes."""
-    blocks: list[Array] = []
-    before: tuple[str, float | None] = ("", None)
+def _chained(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[Driven, float, float, float]:
+    """Programs of straight motions that blend: one chain a pass, from air to air.
+
+    Raises Infeasible where the robot would rest between, or goes elsewhere than planned.
+    """
+    chains: list[list[ProgramSegment]] = []
+    begins: list[Array] = []
+    where, on = np.zeros(6), False
     for s in execution.segments:
-        follows = s.kind == "line" and before == ("line", s.speed)
-        starts_where_ended = s.kind == "line" and before[0] == "line"
-        before = (s.kind, s.speed)
-        # Straight motions do not write the pose where the robot stands; a new speed begins a new block.
-        if s.poses is not None and follows:
-            blocks[-1] = np.vstack([blocks[-1], s.poses])
-        elif s.poses is not None and starts_where_ended:
-            blocks.append(np.vstack([blocks[-1][-1:], s.poses]))
-        elif s.poses is not None:
-            blocks.append(s.poses)
+        if s.kind == "line" and not on:
+            chains.append([])
+            begins.append(where)
+        if s.kind == "line":
+            chains[-1].append(s)
+        elif s.q is not None:
+            where = s.q[-1]
+        on = s.blended
     planned = [s for s in motion.segments if s.kind == "pass"]
-    if len(blocks) != 3 * len(planned):
-        raise Infeasible(f"the program read back has {len(blocks)} pose blocks, {3 * len(planned)} were planned")
-    frames = next(s.frames for s in execution.segments if s.poses is not None)
-    if frames.tool is None or frames.base is None:
-        raise Infeasible("the program read back does not set its tool and base frames")
+    if len(chains) != len(planned):
+        raise Infeasible(
+            f"the program read back has {len(chains)} chains of straight motions, {len(planned)} were planned: the robot would "
+            "rest between"
+        )
     driven: Driven = []
-    axis_error = 0.0
-    for segment, poses in zip(planned, blocks[1::3], strict=True):
-        curve, length = pose_spline(poses)
-        chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
-        first, last = segment.trajectory.s(np.array(segment.stops))
-        u = np.linspace(0.0, length, max(int(np.ceil(length / POSE_STEP)) * 4, 8))
-        along = np.interp(u, chord, np.linspace(first, last, len(poses)))
-        t = np.interp(along, segment.trajectory.stations, segment.trajectory.times)
-        expected = segment.trajectory.path(along)
-        T = frames.base @ invert(curve(u)) @ invert(frames.tool)
-        q = _axes(cell, T, expected)
-        axis_error = max(axis_error, float(np.abs(q - expected).max()))
-        driven.append((t, q, along / float(motion.passes[segment.place].problem.path.feed.mean())))
-    return driven, axis_error, 0.0, float("nan")
+    axis_error = time_error = 0.0
+    for segment, chain, begin in zip(planned, chains, begins, strict=True):
+        frames, way = chain[0].frames, segment.trajectory
+        if frames.tool is None or frames.base is None:
+            raise Infeasible("the program read back does not set its tool and base frames")
+        lines = drive_lines(chain, programmed_poses(frames, cell.robot, begin[None])[0])
+        q = axes_along(cell.robot, frames, lines.poses, begin)
+        at = _nearest(way, q)
+        off = np.abs(q - way.q(at)).max(axis=1)
+        ends = max(float(np.abs(q[k] - way.q(end)).max()) for k, end in ((0, 0.0), (-1, way.duration)))
+        if not max(float(off.max()), ends) <= STRAY:
+            raise Infeasible(f"{chain[0].place()}: the straight motions read back leave the plan; nothing is written")
+        axis_error, time_error = max(axis_error, float(off.max())), max(time_error, abs(lines.times[-1] - way.duration))
+        driven.append((lines.times, q, _nominal(motion, segment, at)))
+    return driven, axis_error, time_error, float("nan")
 
 
-def _axes(cell: Cell, T: Array, near: Array) -> Array:
-    """Axes (m, 6) of nominal flange poses (m, 4, 4): the branch and turn next to `near` (m, 6)."""
-    q, _ = inverse_branches(cell.robot, T)
-    q = near[:, None] + (q - near[:, None] + np.pi) % (2 * np.pi) - np.pi
-    best = np.nanargmin(np.abs(q - near[:, None]).max(axis=-1), axis=1)
-    return np.asarray(q[np.arange(len(q)), best])
+def _nearest(way: JointTrajectory, q: Array) -> Array:
+    """When (m,) s the planned motion is nearest to postures q (m, 6) that follow it in order."""
+    times = np.append(np.arange(0.0, way.duration, SAMPLE), way.duration)
+    planned = way.q(times)
+    at = times[np.array([int(np.argmin(np.abs(planned - one).max(axis=1))) for one in q])]
+    for _ in range(PROJECTIONS):
+        speed = way.qd(at)
+        step = np.einsum("ij,ij->i", q - way.q(at), speed) / np.maximum(np.einsum("ij,ij->i", speed, speed), 1e-9)
+        at = np.clip(at + np.clip(step, -SAMPLE, SAMPLE), 0.0, way.duration)
+    return np.asarray(np.maximum.accumulate(at))
+
+
+def _apart(
+    motion: PlannedMotion, place: int, rows: tuple[Array, Array, Array], checked: VerifiedPass
+) -> tuple[VerifiedPass, BlendError]:
+    """Of a pass of straight motions what was verified under its full force, and how far the ramps beside are off."""
+    one, (t, _, nominal) = motion.passes[place], rows
+    at = np.interp(checked.time, t, nominal)
+    _, _, begin, end, *_ = one.problem.way.edges
+    full = (at >= begin) & (at <= end)
+    off = np.abs(checked.force - checked.planned)[~full].max(initial=0.0)
+    when = times_at(motion.way(place).trajectory.law, at * float(one.problem.path.feed.mean()))
+    first, last = checked.s[0], checked.s[-1]
+    begins = np.linspace(first, max(first, last - LEAST_STRETCH), 200)
+    doses = []
+    for force, clock in ((checked.force, checked.time), (checked.planned, when)):
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(clock))])
+        doses.append(np.interp(np.minimum(begins + LEAST_STRETCH, last), checked.s, total) - np.interp(begins, checked.s, total))
+    dose = float(np.abs(doses[0] / doses[1] - 1.0).max())
+    return VerifiedPass(**{name: value[full] for name, value in vars(checked).items()}), BlendError(float(off), dose)

@@ -39,7 +39,7 @@ from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out
 from ocp.plan.passes.transcription import N_DYNAMIC
 from ocp.plan.paths import PlanOptions
 from ocp.plan.planning import make_plan
-from ocp.plan.readback import _timed, force_error
+from ocp.plan.readback import BlendError, _timed, force_error
 from ocp.plan.removal.dwell import beyond_reach
 from ocp.plan.removal.wanted import Wanted
 from ocp.plan.second_route import VerifiedPass
@@ -53,7 +53,7 @@ from tests.support.example_pass import bar_pass, bundled_cell
 from tests.support.house import ROOT
 from tests.support.round_bar import CONTACT, RADIUS, buried, on_wheel
 from trajectories.joint_trajectory import Limits
-from trajectories.program.interpolation import reinterpolate
+from trajectories.program.driven import reinterpolate
 from trajectories.timing import RESERVE, time_joint_move
 
 NAMES = [name for name in vars(rules) if name.isupper()]
@@ -402,7 +402,7 @@ class Longer:
 
 def test_a_block_that_lasts_longer_than_planned_is_refused(cell, execution):
     motion = invented_motion.motion()
-    written = reinterpolate(execution, cell.robot.qd_max, cell.robot.qdd_max).starts[1]
+    written = reinterpolate(execution, cell.robot).starts[1]
 
     def planned(off):
         first = replace(motion.segments[0], trajectory=Longer(motion.segments[0].trajectory, written + off))
@@ -452,7 +452,14 @@ def test_a_force_that_is_not_known_to_a_twentieth_is_amber(cell):
         assert grade_force(cell, 20.0, sd - 1e-9, off - 1e-9).grade == "green"
     assert grade_force(cell, 20.0, limit + 1e-9, 0.02).grade == "amber"
     assert grade_force(cell, 20.0, 0.1, limit + 1e-9).grade == "amber"
-    assert grade_force(cell, 20.0, 0.1, 0.02, poses=True).grade == "amber"
+
+
+def test_straight_motions_that_blend_are_amber_beyond_the_limits_of_force_and_depth(cell):
+    force, dose = rules.FLANGE_FORCE_TOLERANCE, rules.FORCE_SHARE
+    assert grade_force(cell, 20.0, 0.1, 0.02, BlendError(force, dose)).grade == "green"
+    for more in (BlendError(force + 1e-6, dose), BlendError(force, dose + 1e-6)):
+        found = grade_force(cell, 20.0, 0.1, 0.02, more)
+        assert found.grade == "amber" and "up to 0.2 N on the ramps of a pass and by up to 5 % in force over feed" in found.why
 
 
 def test_a_flange_that_bears_on_its_stop_is_amber(cell):

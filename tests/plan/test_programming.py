@@ -10,13 +10,19 @@ import pytest
 
 from ocp.plan.motion import PlannedMotion
 from ocp.plan.programming import build_timeline, emitted_times, grinding_program, wheel_frame, write_plan_csv, write_program
-from ocp.plan.readback import _timed
+from ocp.plan.readback import _apart, _chained, _timed
+from ocp.plan.second_route import VerifiedPass
+from ocp.simulate.twin.controller import drive
+from ocp.simulate.twin.krl_text import read_program
 from robots.errors import BadInput, Infeasible
+from robots.kinematics import forward
+from robots.pose import apply
 from tests.support.example_pass import bar_pass
 from tests.support.invented_motion import cell, checked, motion, written
 from tests.support.toy_dialect import TOY
 from trajectories.dialects import DIALECTS
 from trajectories.krl.interpreter import execute
+from trajectories.program.driven import axes_along, path_peaks, pose_curve, reinterpolate
 
 
 def test_segments_follow_one_another_without_a_gap():
@@ -185,6 +191,118 @@ def test_a_program_timed_for_a_stronger_machine_is_refused(tmp_path):
     weak = replace(cell(), robot=replace(cell().robot, qdd_max=0.5 * cell().robot.qdd_max))
     with pytest.raises(Infeasible, match="of an axis limit"):
         _timed(weak, motion(), checked(main))
+
+
+# -- programs of poses ----------------------------------------------------------------------------------------------
+
+
+def ends(execution):
+    """Posture (6,) at the end of every block of a program: a timed one, a chain of lines that blend, a move to a point."""
+    found, where = [], None
+    for k, s in enumerate(execution.segments):
+        if s.q is not None:
+            where = s.q[-1]
+        elif s.blended:
+            assert execution.segments[k + 1].kind == "line", "a chain goes on"
+            continue
+        else:
+            where = axes_along(cell().robot, s.frames, s.poses[-1:], where)[0]
+        found.append(where)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("kind", ["axis", "cartesian", "lin"])
+def test_no_block_ends_while_wheel_and_blade_touch(kind, tmp_path):
+    """Where a block ends the robot rests: a dwell under force grinds a notch."""
+    found = ends(checked(written(tmp_path, kind)[1]))
+    rows = build_timeline(motion(), [np.linspace(0, s.trajectory.duration, 4000) for s in motion().segments])
+    off = np.abs(found[:, None] - rows.q[None]).max(axis=2)
+    nearest = off.argmin(axis=1)
+    assert off[np.arange(len(found)), nearest].max() < np.radians(0.01)
+    assert rows.contact.any() and not rows.contact[nearest].any()
+    passes = [s for s in motion().segments if s.kind == "pass"]
+    for one in passes:  # both ends of every pass are among them
+        for t in (0.0, one.trajectory.duration):
+            assert np.abs(found - one.trajectory.q(t)).max(axis=1).min() < np.radians(2e-3)
+
+
+def test_poses_drive_what_axes_drive_by_both_readers(tmp_path):
+    """In mm, N and ms: what is emitted may miss the plan by 0.05 N and 20 um, in time by what is printed."""
+    point, stiffness = cell().workpiece.T_flange_blade[:3, 3], 5000.0
+    seen, lasts, grid = {}, {}, np.arange(0.0, motion().duration, 2e-3)
+    for kind in ("axis", "cartesian"):
+        (tmp_path / kind).mkdir()
+        main = written(tmp_path / kind, kind)[1]
+        product = reinterpolate(checked(main), cell().robot)
+        track = drive(read_program(tmp_path / kind, planned=True), cell().robot, 500.0)
+        assert track.notices == ()
+        lasts[kind] = (product.duration, track.duration)
+        twin = np.stack([np.interp(grid, track.time, q) for q in track.q.T], axis=1)
+        seen[kind] = [apply(forward(cell().robot, q), point) for q in (product.q(grid), twin)]
+    planned = np.concatenate([s.trajectory.q(grid[(grid >= s.start) & (grid < s.end)] - s.start) for s in motion().segments])
+    planned = apply(forward(cell().robot, planned), point)
+    assert np.ptp([*lasts["axis"], *lasts["cartesian"], motion().duration]) < 1e-3
+    on = np.concatenate([np.full(((grid >= s.start) & (grid < s.end)).sum(), s.kind == "pass") for s in motion().segments])
+    for reader in (0, 1):
+        apart = np.linalg.norm(seen["axis"][reader] - seen["cartesian"][reader], axis=1)
+        assert apart[on].max() < 2e-5 and stiffness * apart[on].max() < 0.1
+        assert np.linalg.norm(seen["cartesian"][reader] - planned, axis=1)[on].max() < 2e-5
+
+
+def test_what_the_bounds_of_a_pose_block_leave(tmp_path):
+    """Twice what its times ask for, so that they do not bind, and no more than that."""
+    for segment in checked(written(tmp_path, "cartesian")[1]).segments:
+        if segment.word == "SPLINE":
+            t = np.arange(0.0, segment.times[-1], 1e-3)
+            peaks = path_peaks(pose_curve(segment.poses, segment.times)(t))
+            for name in ("speed", "acceleration", "turn_speed", "turn_acceleration"):
+                assert getattr(segment.bounds, name) == pytest.approx(2 * getattr(peaks, name), rel=0.05), name
+
+
+def shorter_chain(main):
+    """One line of the first chain no longer blends."""
+    file = main.with_name(f"{main.stem}_01.src")
+    text = file.read_bytes()
+    lines = [m.end() for m in re.finditer(rb"\} C_VEL", text)]
+    k = lines[len(lines) // 2]
+    file.write_bytes(text[: k - 6] + text[k:])
+
+
+def test_a_chain_of_lines_that_rests_on_its_way_is_refused(tmp_path):
+    _, main = written(tmp_path, "lin")
+    assert len(_chained(cell(), motion(), checked(main))[0]) == 2
+    shorter_chain(main)
+    with pytest.raises(Infeasible, match="3 chains of straight motions, 2 were planned: the robot would rest between"):
+        _chained(cell(), motion(), checked(main))
+
+
+def verified(driven, place):
+    """What a verification of the rows of a pass in contact would say if every force were the planned one."""
+    one, (t, _, nominal) = motion().passes[place], driven[place]
+    on = (nominal > one.problem.way.edges[1] + 0.02) & (nominal < one.problem.way.edges[4] - 0.02)
+    planned = one.at(nominal[on])
+    return VerifiedPass(t[on], planned["s"], planned["force"], planned["interference"], planned["force"])
+
+
+def test_lines_that_blend_are_on_the_plan_and_their_depth_is_measured(tmp_path):
+    """By the read-back's own model of blending; the virtual controller's takes as long. Half the speed is twice the depth."""
+    _, main = written(tmp_path, "lin")
+    driven, axis_error, time_error, _ = _chained(cell(), motion(), checked(main))
+    assert axis_error < np.radians(5e-3) and time_error < 0.1
+    track = drive(read_program(tmp_path, planned=True), cell().robot, 1000.0)
+    lasting = [np.ptp(track.time[track.motion == k]) for k in range(len(track.places))]
+    for t, _, _ in driven:  # the virtual controller's axes take their time to change speed
+        assert any(t[-1] - 5e-3 < seconds < 1.03 * t[-1] for seconds in lasting)
+    held, blends = _apart(motion(), 0, driven[0], verified(driven, 0))
+    assert blends.force == 0.0 and 0.0 < blends.dose < 0.04
+    assert held.planned.min() == pytest.approx(20.0, abs=1e-6) and len(held.s) < len(verified(driven, 0).s)
+    file = main.with_name(f"{main.stem}_01.src")
+    speeds = list(re.finditer(r"\$VEL\.CP=([\d.]+)", text := file.read_bytes().decode()))
+    for found in reversed(speeds[len(speeds) // 2 : len(speeds) // 2 + 10]):
+        text = f"{text[: found.start(1)]}{0.5 * float(found[1]):.5f}{text[found.end(1) :]}"
+    file.write_bytes(text.encode())
+    driven = _chained(cell(), motion(), checked(main))[0]
+    assert _apart(motion(), 0, driven[0], verified(driven, 0))[1].dose == pytest.approx(1.0, abs=0.1)
 
 
 # -- a second dialect ----------------------------------------------------------------------------------------------

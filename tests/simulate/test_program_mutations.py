@@ -14,6 +14,7 @@ from ocp.simulate.twin.krl_text import read_program
 from robots.errors import BadInput, Infeasible
 from tests.support.krl_example import ROBOT, example
 from trajectories.krl.checks import check_program
+from trajectories.krl.dialect import KRL
 from trajectories.krl.writer import program_files
 
 MAIN, SUB, DATA = "BLADE_1.src", "BLADE_1_01.src", "BLADE_1_01.dat"
@@ -56,11 +57,15 @@ def without(file: str) -> Change:
 
 
 def longer(factor: float) -> Change:
-    """The times of the contact block times a factor, parts and end alike."""
+    """The times of all blocks times a factor; the parts still sum to the end."""
+
+    def times(block: re.Match[str]) -> str:
+        parts = [round(factor * float(text), 5) for text in re.findall(r"PART=([\d.]+)", block[0])]
+        new = iter([*parts, sum(parts)])
+        return re.sub(r"(PART|END)=[\d.]+", lambda m: f"{m[1]}={next(new):.5f}", block[0])
 
     def change(files: Files) -> None:
-        text = files[SUB].decode()
-        files[SUB] = re.sub(r"(PART|END)=([\d.]+)", lambda m: f"{m[1]}={factor * float(m[2]):.5f}", text).encode()
+        files[SUB] = re.sub(r"TIME_BLOCK START(.*\r\n)*?ENDSPLINE", times, files[SUB].decode()).encode()
 
     return change
 
@@ -214,6 +219,86 @@ MUTATIONS: dict[str, Change] = {
     "start-up of another kind": put(SUB, "#INITMOV,0", "#TOOL,3"),
     "nothing called": both(put(MAIN, r"BLADE_1_01 \( \)\r\n", ""), put(MAIN, r"BLADE_1_02 \( \)\r\n", "")),
 }
+SPL = r"^  SPL \{.*\}\r\n"  # the first block of poses leads in, the second grinds
+
+
+def lost(file: str, pattern: str) -> Change:
+    """Every place where the pattern stands taken out."""
+
+    def change(files: Files) -> None:
+        text = re.sub(pattern, "", files[file].decode(), flags=re.MULTILINE).encode()
+        assert text != files[file]
+        files[file] = text
+
+    return change
+
+
+def untimed(text: str) -> str:
+    """Blocks of poses without their times, as programs were written before."""
+    return re.sub(
+        r"^SPLINE\r\n(?:.*\r\n)*?ENDSPLINE", lambda m: re.sub(r"  TIME_BLOCK.*\r\n", "", m[0]), text, flags=re.MULTILINE
+    )
+
+
+PATH = ("$VEL.CP", "$ACC.CP", "$VEL.ORI1", "$VEL.ORI2", "$ACC.ORI1", "$ACC.ORI2")
+AXIAL = "SPTP {A1 20,A2 -76,A3 104,A4 10,A5 -40,A6 20}"
+ON_POSES: dict[str, Change] = {
+    # times
+    "END three times shorter than the axes can": longer(1 / 6),
+    "END alone shorter": put(SUB, END, "  TIME_BLOCK END=0.10000", 2),
+    "END longer than the parts": put(SUB, r"^  TIME_BLOCK END=", "  TIME_BLOCK END=9", 2),
+    "END nothing": put(SUB, END, "  TIME_BLOCK END=0.0", 2),
+    "START missing": put(SUB, r"^  TIME_BLOCK START\r\n", "", 2),
+    "START twice": put(SUB, r"^  TIME_BLOCK START\r\n", "  TIME_BLOCK START\r\n  TIME_BLOCK START\r\n", 2),
+    "END missing": put(SUB, END + "\r\n", "", 2),
+    "a part missing": put(SUB, f"({SPL})({PART})", r"\1", 30),
+    "a part negative": put(SUB, f"({SPL}  TIME_BLOCK PART=)", r"\1-", 30),
+    "a point missing": put(SUB, SPL, "", 30),
+    "two points exchanged with their parts lost": put(SUB, f"({SPL})({PART})({SPL})", r"\3\2\1", 9),
+    "no times at all": lambda files: files.update({SUB: untimed(files[SUB].decode()).encode()}),
+    # where a block begins, and what its points are
+    "first pose far off": put(SUB, r"(^SPLINE\r\n  SPL \{X -?)(\d)", r"\g<1>9\2", 1),
+    "first pose 10 mm off": put(SUB, r"(^SPLINE\r\n  SPL \{X -?)(\d)", r"\g<1>1\2", 1),
+    "a whole block missing": put(SUB, r"; engage\r\n(.*\r\n)*?ENDSPLINE\r\n", ""),
+    "the block after begins elsewhere": put(SUB, r"(^PTP_SPLINE\r\n  SPTP \{A1 )(-?\d)", r"\g<1>9\2", 0),
+    "a lost decimal point": put(SUB, r"(^  SPL \{X -?\d+)\.", r"\1", 12),
+    "a pose out of reach": put(SUB, r"(^  SPL \{X )-?[\d.]+", r"\g<1>9000.0000", 12),
+    "SPTP among SPL": put(SUB, "^  SPL ", "  SPTP ", 12),
+    "axes among poses": put(SUB, r"^  SPL \{.*\}", "  " + AXIAL, 12),
+    "axes called SPL": put(SUB, r"^  SPL \{.*\}", "  SPL" + AXIAL[4:], 12),
+    "SPL among SPTP": put(SUB, "^  SPTP ", "  SPL ", 5),
+    "SLIN among SPL": put(SUB, "^  SPL ", "  SLIN ", 12),
+    "PTP_SPLINE for SPLINE": put(SUB, "^SPLINE", "PTP_SPLINE", 1),
+    "SPLINE for PTP_SPLINE": put(SUB, "^PTP_SPLINE", "SPLINE"),
+    "an angle lost": put(SUB, r"(^  SPL \{.*),C [-\d.]+", r"\1", 12),
+    "an axis in a pose": put(SUB, r"(^  SPL \{X)", r"  SPL {A1 3.0,X", 12),
+    "a pose approximated": put(SUB, r"(^  SPL \{.*\})", r"\1 C_SPL", 12),
+    "HALT inside a block": put(SUB, SPL, "  HALT\r\n", 12),
+    "a speed in a block": put(SUB, SPL, "  $VEL.CP=0.1\r\n", 12),
+    "a detour by PTP": put(SUB, r"^; contact", DETOUR),
+    "a detour by LIN": put(SUB, r"^; contact", "LIN {X 10,Y 200,Z -600,A 90,B 0,C 100,S 6,T 18}"),
+    # what bounds the path
+    **{f"{name} not set": lost(SUB, rf"^{re.escape(name)}=.*\r\n") for name in PATH},
+    **{f"{name} below the block's": put(SUB, rf"({re.escape(name)}=)[\d.]+", r"\g<1>0.005", 1) for name in PATH},
+    "$VEL.CP of a plane": put(SUB, r"(\$VEL\.CP=)", r"\g<1>200", 1),
+    "axes held back": put(SUB, r"(\$ACC_AXIS\[2\]=)100\b", r"\g<1>60"),
+    "$IPO_MODE of one block": put(SUB, "#TCP", "#BASE", 2),
+    "$BASE of one block": put(SUB, r"(^\$BASE=\{X )", r"\g<1>1", 2),
+}
+ON_LINES: dict[str, Change] = {
+    "a wait in a chain": put(SUB, r"(C_VEL\r\n)", r"\1WAIT SEC 1.0\r\n", 5),
+    "frames in a chain": put(SUB, r"(^\$TOOL=.*\r\n)((?:.*\r\n)*?LIN.*C_VEL\r\n)", r"\1\2\1", 2),
+    "the advance in a chain": put(SUB, r"(C_VEL\r\n)", r"\1$ADVANCE=1\r\n", 5),
+    "an acceleration in a chain": put(SUB, r"(C_VEL\r\n)", r"\1$ACC.CP=1.0\r\n", 5),
+    "a PTP in a chain": put(SUB, r"(C_VEL\r\n)", rf"\1{DETOUR}\r\n", 5),
+    "a chain that blends into another kind": put(SUB, r"(^LIN \{.*\})\r\n; contact", r"\1 C_VEL\r\nHALT"),
+    "a chain that blends into nothing": put(SUB, r"(^LIN \{.*\})\r\nEND", r"\1 C_VEL\r\nEND"),
+    "no advance": put(SUB, r"\$ADVANCE=3", r"$ADVANCE=0", 1),
+    **{f"{name} not set": lost(SUB, rf"^{re.escape(name)}=.*\r\n") for name in PATH},
+    "$VEL.CP of a plane": put(SUB, r"(\$VEL\.CP=)", r"\g<1>200", 4),
+    "$VEL.CP negative": put(SUB, r"(\$VEL\.CP=)", r"\g<1>-", 4),
+    "a pose out of reach": put(SUB, r"(^LIN \{X )-?[\d.]+", r"\g<1>9000.0000", 5),
+}
 HARMLESS: dict[str, Change] = {
     # comments and remarks do not move; more blanks are no other statement
     "a comment that looks like a statement": put(SUB, "^; contact", "; PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}"),
@@ -233,9 +318,12 @@ HARMLESS: dict[str, Change] = {
 }
 
 
+TABLES = {"axis": MUTATIONS, "cartesian": ON_POSES, "lin": ON_LINES}
+
+
 @pytest.fixture(scope="module")
-def fresh() -> Files:
-    return program_files(example("axis", 2))
+def fresh() -> dict[str, Files]:
+    return {kind: program_files(example(kind, 2)) for kind in TABLES}
 
 
 def changed(fresh: Files, change: Change, folder: Path) -> Path:
@@ -250,9 +338,9 @@ def driven(folder: Path) -> object:
     return drive(read_program(folder / MAIN, planned=True), ROBOT)
 
 
-@pytest.mark.parametrize("name", MUTATIONS)
-def test_both_readers_refuse(name, fresh, tmp_path):
-    folder = changed(fresh, MUTATIONS[name], tmp_path)
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind, table in TABLES.items() for name in table])
+def test_both_readers_refuse(kind, name, fresh, tmp_path):
+    folder = changed(fresh[kind], TABLES[kind][name], tmp_path)
     for reader in (lambda: check_program(folder / MAIN, ROBOT), lambda: driven(folder)):
         with pytest.raises((BadInput, Infeasible)) as refusal:
             reader()
@@ -261,8 +349,31 @@ def test_both_readers_refuse(name, fresh, tmp_path):
         assert re.search(r"BLADE_1(_0\d)?\.(src|dat)", said) or name == "nothing called", said
 
 
-@pytest.mark.parametrize("name", HARMLESS)
-def test_what_changes_no_motion_passes(name, fresh, tmp_path):
-    folder = changed(fresh, HARMLESS[name], tmp_path)
+@pytest.mark.parametrize("kind", TABLES)
+def test_the_program_as_written_passes_both(kind, fresh, tmp_path):
+    folder = changed(fresh[kind], lambda files: None, tmp_path)
     assert check_program(folder / MAIN, ROBOT).segments
     driven(folder)
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_what_changes_no_motion_passes(name, fresh, tmp_path):
+    folder = changed(fresh["axis"], HARMLESS[name], tmp_path)
+    assert check_program(folder / MAIN, ROBOT).segments
+    driven(folder)
+
+
+def test_a_comment_in_a_chain_of_lines_passes(fresh, tmp_path):
+    folder = changed(fresh["lin"], put(SUB, r"(C_VEL\r\n)", r"\1; $TOOL lies\r\n", 5), tmp_path)
+    assert check_program(folder / MAIN, ROBOT).segments
+    driven(folder)
+
+
+def test_foreign_programs_of_poses_without_times_go_on_to_be_read_and_driven(fresh, tmp_path):
+    """As old.src of a new plan, and on the virtual cell: neither asks of others what it asks of a plan."""
+    folder = changed(fresh["cartesian"], both(ON_POSES["no times at all"]), tmp_path)
+    blocks = [s for s in KRL.read(folder / MAIN).segments if s.word == "SPLINE" and s.file == SUB]
+    assert len(blocks) == 3 and all(s.times is None and s.speed > 0 for s in blocks)
+    track = drive(read_program(folder / MAIN), ROBOT)
+    places = {motion.file: motion for motion in read_program(folder / MAIN).motions if motion.kind == "SPLINE"}
+    assert set(places) == {SUB, SECOND} and places[SUB].times is None and track.duration > 5.0

@@ -37,7 +37,7 @@ from trajectories.blade import read_blade
 from trajectories.krl.interpreter import execute
 from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
 from trajectories.program import program as krl
-from trajectories.program.interpolation import reinterpolate
+from trajectories.program.driven import reinterpolate
 
 MICROMETRE = 1e-6
 
@@ -93,7 +93,7 @@ def same_as_the_product(folder: Path, main: Path) -> None:
 def test_timed_programs_are_driven_within_a_micrometre_of_the_products_interpolation(tmp_path):
     folder = written("axis", tmp_path, 2)
     track = drive(read_program(folder), ROBOT, 250.0)
-    motion = reinterpolate(execute(folder / "BLADE_1.src"), ROBOT.qd_max, ROBOT.qdd_max, 0.1)
+    motion = reinterpolate(execute(folder / "BLADE_1.src"), ROBOT)
     blocks = [m for m in read_program(folder).motions if m.kind == "TIMED"]
     # Only the way back to the start of the second pass is not timed by the program, so the first pass is compared.
     first = sum(float(m.times[-1]) for m in blocks[: len(blocks) // 2])
@@ -195,18 +195,22 @@ def test_pauses_and_approach_signs(tmp_path):
 
 
 REFUSED = [
-    ("$VEL.CP=0.04000", "$OV_PRO=50", "line 40: '$OV_PRO=50' is not understood"),
-    ("$VEL.CP=0.04000", "CIRC {X 1,Y 2,Z 3,A 0,B 0,C 0},{X 1,Y 2,Z 3,A 0,B 0,C 0}", "line 40"),
-    ("$VEL.CP=0.04000", "IF $IN[1] THEN", "line 40"),
-    ("$VEL.CP=0.04000", "LIN_REL {Z 10}", "line 40"),
+    ("$VEL.CP=0.04000", "$OV_PRO=50", "line 52: '$OV_PRO=50' is not understood"),
+    ("$VEL.CP=0.04000", "CIRC {X 1,Y 2,Z 3,A 0,B 0,C 0},{X 1,Y 2,Z 3,A 0,B 0,C 0}", "line 52"),
+    ("$VEL.CP=0.04000", "IF $IN[1] THEN", "line 52"),
+    ("$VEL.CP=0.04000", "LIN_REL {Z 10}", "line 52"),
     ("$VEL.CP=0.04000", "$VEL.CP=FAST", "'FAST' is no number"),
     ("$VEL.CP=0.04000", "$VEL.CP=-1", "must be above 0"),
     ("$VEL.CP=0.04000", "$BASE=BASE_DATA[3]", "set nowhere"),
-    ("$VEL.CP=0.04000", "MISSING ( )", "line 40"),
+    ("$VEL.CP=0.04000", "MISSING ( )", "line 52"),
     ("$VEL.CP=0.04000", "LIN XP7", "XP7 is declared nowhere"),
-    ("  SPL {X 1.0000", "  SPTP {X 1.0000", "line 44"),
+    ("  SPL {X 1.0000", "  SPTP {X 1.0000", "line 61"),
     ("ENDSPLINE", "; gone", "has no ENDSPLINE"),
-    ("Y 0.0000,Z 0.0000,A 0.00000,B 0.00000,C 0.00000,S 2,T 2}\r\n  SPL {X 1", "S 2,T 2}\r\n  SPL {X 1", "incomplete"),
+    (
+        "Y 0.0000,Z 0.0000,A 0.00000,B 0.00000,C 0.00000,S 2,T 2}\r\n  TIME_BLOCK START",
+        "S 2,T 2}\r\n  TIME_BLOCK START",
+        "incomplete",
+    ),
     ("DEF GOLD_01( )", "DEF GOLD_02( )", "line 4"),
     ("\r\nEND", "\r\n", "without END"),
 ]

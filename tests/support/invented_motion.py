@@ -18,7 +18,6 @@ from tests.support.example_pass import bar_pass, bundled_cell
 from trajectories.joint_trajectory import Limits
 from trajectories.krl.checks import check_program
 from trajectories.timing import time_contact_path, time_joint_move
-from trajectories.toppra_law import times_at
 
 FEED = 0.04  # m/s, of the lines
 SEED = Seed(1, 0, np.zeros(2), 0.0, np.zeros((2, 6)), np.array([0.0, 1.0]), 0.0)
@@ -41,9 +40,9 @@ def motion() -> PlannedMotion:
     k, out = course.s[:, None] / 0.05, course.gap[:, None] / 0.02
     passes, segments, time = [], [], 0.0
 
-    def add(kind, place, trajectory, stops=()):
+    def add(kind, place, trajectory):
         nonlocal time
-        segments.append(MotionSegment(kind, place, trajectory, time, stops))
+        segments.append(MotionSegment(kind, place, trajectory, time))
         time += trajectory.duration
 
     home = start + 2 * away
@@ -52,8 +51,7 @@ def motion() -> PlannedMotion:
         q = start + shift + k * np.radians([1.5, -1.0, 2.0, 1.0, -1.5, 4.0]) + np.radians(0.2) * np.sin(3 * k) + out * away
         add("travel", place, time_joint_move(where, q[0], limits))
         timed = time_contact_path(q, course.at * FEED, np.full(len(q), FEED), limits, PASS_WINDOW, at_rest=True)
-        begin, end = times_at(timed.law, FEED * course.edges[2:4])
-        add("pass", place, timed, (float(begin), float(end)))
+        add("pass", place, timed)
         where = q[-1]
         path, n = replace(path_at(line, course.s), line=3 + place), len(q)
         evaluation = SimpleNamespace(force_sd=2.0 + 10 * path.s, delta=1e-4 + 1e-3 * path.s, stiffness=np.full(n, 5000.0))

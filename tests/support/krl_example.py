@@ -25,7 +25,6 @@ LIMITS = Limits(ROBOT.qd_max, ROBOT.qdd_max, ROBOT.q_min, ROBOT.q_max)
 class Leg:
     kind: str
     trajectory: JointTrajectory
-    stops: tuple[float, ...] = ()
 
 
 def elementary_forward(q: Array) -> Array:

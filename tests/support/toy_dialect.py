@@ -94,7 +94,7 @@ def _run(source: Path) -> Execution:
             timed = word == "END"
             q, t = np.radians(table[:, -6:]), table[:, 0] if timed else None
             kind, name = ("axis spline", "CURVE") if timed else ("point", "GOTO")
-            segments.append(ProgramSegment(kind, name, source.name, lines, q, None, t, Frames(**frames, external_tcp=True), None))
+            segments.append(ProgramSegment(kind, name, source.name, lines, q, None, t, Frames(**frames, external_tcp=True)))
         elif word != "DONE":
             raise BadInput(f"{source.name}, line {number}: '{word}' is no word of TOY")
     return Execution(source, tuple(segments), tuple(stops))

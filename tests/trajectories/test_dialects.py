@@ -14,7 +14,7 @@ from tests.support.toy_dialect import TOY
 from trajectories.dialects import DIALECTS, dialect_named
 from trajectories.krl.dialect import KRL
 from trajectories.program.build import build_program
-from trajectories.program.interpolation import reinterpolate
+from trajectories.program.driven import reinterpolate
 from trajectories.program.old_program import contact_frames_from_program
 from trajectories.program.program import PointMotion, Program, SubProgram, Wait
 
@@ -34,7 +34,7 @@ def test_a_program_is_written_checked_and_drives_the_plan(dialect, tmp_path):
     execution = dialect.check(files[0], ROBOT)
     assert execution.source == files[0] and [s.kind for s in execution.segments] == (["point"] + ["axis spline"] * 4) * 2
     np.testing.assert_allclose(execution.segments[0].frames.tool, T_FLANGE_BLADE, atol=1e-6)
-    motion = reinterpolate(execution, ROBOT.qd_max, ROBOT.qdd_max)
+    motion = reinterpolate(execution, ROBOT)
     assert len(motion.pieces) == 4 + 1 + 4
     for start, leg in zip(motion.starts, legs(), strict=False):
         t = np.arange(0, leg.trajectory.duration, 1e-3)

@@ -9,7 +9,7 @@ import pytest
 from robots.errors import BadInput, Infeasible
 from robots.kinematics import forward
 from robots.pose import invert
-from tests.support.krl_example import GOLDEN, LIMITS, ROBOT, Leg, contact_poses, elementary_forward, example, legs, setup, write
+from tests.support.krl_example import GOLDEN, LIMITS, ROBOT, Leg, elementary_forward, example, legs, setup, write
 from trajectories.krl.checks import check_program, check_status_turn
 from trajectories.krl.dialect import KRL
 from trajectories.krl.interpreter import execute
@@ -17,7 +17,17 @@ from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
 from trajectories.krl.values import FILE_LIMITS, fixed
 from trajectories.krl.writer import program_files
 from trajectories.program.build import build_program
-from trajectories.program.program import Comment, PointMotion, PoseSpline, Program, SubProgram, TimedSpline, split_blocks
+from trajectories.program.execution import PathBounds
+from trajectories.program.program import (
+    Comment,
+    PointMotion,
+    PoseLines,
+    PoseSpline,
+    Program,
+    SubProgram,
+    TimedSpline,
+    split_blocks,
+)
 from trajectories.timing import time_contact_path
 
 ARM = ArmLengths.of(ROBOT.mdh)
@@ -28,12 +38,14 @@ def short(kind):
     q = np.radians([[0, -90, 90, 0, 10, 0], [1, -89.5, 90.25, 0, 11, -1e-9], [2, -89, 90.5, 0, 12, 3.5]])
     P = np.array([np.eye(4)] * 3)
     P[:, 0, 3] = [0.0, 0.001, 0.002]
-    block = TimedSpline(q, np.array([0.0, 1 / 30, 2 / 30])) if kind == "axis" else PoseSpline(P, q, 0.04)
-    blocks = (PointMotion(q[0]), Comment("contact; $OV_PRO=100\r\nHALT"), block)
+    t, bounds = np.array([0.0, 1 / 30, 2 / 30]), PathBounds(0.04, 1.0, np.radians(30.0), np.radians(200.0))
+    lines = PoseLines(P, q, np.array([0.03, 0.04]), bounds)
+    made = {"axis": TimedSpline(q, t), "cartesian": PoseSpline(P, q, t, bounds), "lin": lines}
+    blocks = (PointMotion(q[0]), Comment("contact; $OV_PRO=100\r\nHALT"), made[kind])
     return Program("GOLD", setup(kind), (SubProgram("GOLD_01", blocks, "line 1"),), ("made by a test",))
 
 
-@pytest.mark.parametrize("kind", ["axis", "cartesian"])
+@pytest.mark.parametrize("kind", ["axis", "cartesian", "lin"])
 def test_the_text_is_the_golden_text(kind):
     for name, data in program_files(short(kind)).items():
         assert data == (GOLDEN / f"{kind}_{name}").read_bytes(), name
@@ -80,22 +92,24 @@ def test_poses_lead_back_to_the_planned_axes_through_the_nominal_arm(kind, tmp_p
     """FLANGE = BASE P^-1 TOOL^-1 for every printed P, against the arm written as elementary motions."""
     contact = legs()[2].trajectory
     execution = check_program(write(example(kind), tmp_path), ROBOT)
-    n = int(contact.stations[-1] / 1e-3) + 1
+    planned = contact.q(np.linspace(0.0, contact.duration, 20001))
+    blocks = [s.poses for s in execution.segments if s.poses is not None]
     if kind == "cartesian":
-        poses = next(s.poses for s in execution.segments if s.poses is not None and len(s.poses) == n)
+        assert [s.word for s in execution.segments] == ["PTP", "PTP_SPLINE", "SPLINE", "SPLINE", "SPLINE"]
+        segment = execution.segments[3]
+        poses, planned = segment.poses, contact.q(segment.times)
+        assert segment.times[-1] == pytest.approx(contact.duration, abs=1e-5)
     else:
-        lines = [s for s in execution.segments if s.word == "LIN"]
-        poses = np.concatenate([s.poses for s in lines])
-        first = int(np.argmin(np.linalg.norm(poses[:, :3, 3] - contact_poses(contact.q(0.0))[0, :3, 3], axis=1)))
-        poses = poses[first : first + n]
+        poses = np.concatenate(blocks)
+        last = [k for k, s in enumerate(s for s in execution.segments if s.poses is not None) if not s.blended]
+        assert len(last) == 3 and last[-1] == len(poses) - 1  # engage, contact, retreat: one chain each
+        poses = poses[last[0] + 1 : last[1] + 1]
     flange = setup().T_base_wheel @ invert(poses) @ invert(setup().T_flange_blade)
-    q_near = contact.q(np.linspace(0, contact.duration, 20001))
-    planned = elementary_forward(q_near[::10])
-    for T in flange[:: max(1, len(flange) // 10)]:
-        distance = np.linalg.norm(planned[:, :3, 3] - T[:3, 3], axis=1)
-        assert distance.min() < 5e-5
-    feed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum()
-    assert feed > 0.01
+    there = elementary_forward(planned)
+    for k, T in enumerate(flange):
+        nearest = k if kind == "cartesian" else int(np.argmin(np.linalg.norm(there[:, :3, 3] - T[:3, 3], axis=1)))
+        assert np.linalg.norm(there[nearest, :3, 3] - T[:3, 3]) < (1e-6 if kind == "cartesian" else 3e-6)
+        assert np.abs(there[nearest, :3, :3] - T[:3, :3]).max() < (1e-6 if kind == "cartesian" else 1e-5)
 
 
 def test_status_and_turn_follow_the_axes(tmp_path):

@@ -8,10 +8,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 
 from robots.errors import BadInput
-from robots.pose import Array, invert
+from robots.pose import Array
 from robots.robot import Robot
 from trajectories.krl import syntax
 from trajectories.krl.checks_structure import FRAMES, check_module, check_pair
@@ -19,12 +20,15 @@ from trajectories.krl.interpreter import KrlExecution, KrlSegment, execute
 from trajectories.krl.names import LONGEST, is_legal
 from trajectories.krl.reader import read_module
 from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
+from trajectories.program.driven import block_axes, path_peaks, programmed_poses
 
 EXPONENT = re.compile(r"(?<![\w.$])\d+\.?\d*[eE][+-]?\d+")
 NEGATIVE_ZERO = re.compile(r"-\s*0+(?:\.0*)?(?![\d.])")
 BEYOND = 1.02  # share of an axis' speed or acceleration: the curve between printed points is the controller's own
 LONG_LINE = 140  # characters, what the controller's editor takes (M)
 SAME = np.radians(1e-4)  # rad: two printed postures closer than this are one
+SAME_POSED = np.radians(1e-3)  # rad: the same where one of them comes from a printed pose, near a wrist singularity
+FINE = 1e-3  # s between the poses at which the bounds of a path are looked at
 
 
 def check_program(
@@ -66,40 +70,49 @@ def _check_segments(segments: tuple[KrlSegment, ...], robot: Robot | None, absol
     if not segments:
         raise BadInput("the program moves nothing; it calls no pass")
     where: Array | None = None
+    same = SAME
     for segment in segments:
-        if segment.q is not None:
-            if robot is not None:
-                _check_range(segment, robot.q_min, robot.q_max)
-            if segment.word == "PTP_SPLINE" and where is not None and np.abs(segment.q[0] - where).max() > SAME:
-                off = np.degrees(np.abs(segment.q[0] - where).max())
+        if segment.poses is not None:
+            _check_poses(segment, robot, absolute_accuracy, where)
+        if segment.q is not None and robot is not None:
+            _check_range(segment, segment.q, robot, np.arange(len(segment.lines)))
+        begin, end = (None, None) if segment.q is None else (segment.q[0], segment.q[-1])
+        known = segment.frames.tool is not None and segment.frames.base is not None
+        curve: BSpline | None = None
+        if segment.times is not None and robot is not None and (segment.q is not None or known):
+            curve = block_axes(segment, robot, where)
+            begin, end = np.asarray(curve(0.0)), np.asarray(curve(segment.times[-1]))
+        if segment.times is not None and begin is not None and where is not None:
+            off, most = float(np.abs(begin - where).max()), same if segment.poses is None else SAME_POSED
+            if off > most:
                 raise BadInput(
-                    f"{segment.place()}: the block begins {off:.4f} deg off where the robot stands; that way is not timed"
+                    f"{segment.place()}: the block begins {np.degrees(off):.4f} deg off where the robot stands; that way is not "
+                    "timed"
                 )
-            if robot is not None and segment.times is not None:
-                _check_times(segment, robot)
-            where = segment.q[-1]
-            continue
-        if absolute_accuracy:
-            raise BadInput(f"{segment.place()}: poses on an absolutely accurate controller compensate twice")
-        if not segment.frames.external_tcp:
-            raise BadInput(f"{segment.place()}: poses need $IPO_MODE=#TCP, the blade is on the robot")
-        if segment.speed is None:
-            raise BadInput(f"{segment.place()}: $VEL.CP is not set before the path motion")
-        if robot is not None and where is not None and segment.word == "SPLINE":
-            check_status_turn(segment, where[None], ArmLengths.of(robot.mdh))
-        if robot is not None:
-            _check_reach(segment, robot)
-        changes = np.flatnonzero(np.diff(segment.status))
-        if len(changes):
-            raise BadInput(f"{segment.place(changes[0] + 1)}: S changes inside a block; the branch would jump")
-        where = None
+        if curve is not None and robot is not None:
+            _check_times(segment, curve, robot)
+        where, same = end, SAME if segment.poses is None else SAME_POSED
 
 
-def _check_times(segment: KrlSegment, robot: Robot) -> None:
-    """Refuse a timed block that asks for more than the axes do: the controller would take its own time there."""
-    assert segment.q is not None and segment.times is not None
-    rest = [(1, np.zeros(6)), (2, np.zeros(6))]
-    curve = make_interp_spline(segment.times, segment.q, k=5, bc_type=(rest, rest))
+def _check_poses(segment: KrlSegment, robot: Robot | None, absolute_accuracy: bool, where: Array | None) -> None:
+    """Refuse poses that the controller would correct, that are not those of the held blade, of another branch than where the
+    robot stands, out of reach or of two branches."""
+    if absolute_accuracy:
+        raise BadInput(f"{segment.place()}: poses on an absolutely accurate controller compensate twice")
+    if not segment.frames.external_tcp:
+        raise BadInput(f"{segment.place()}: poses need $IPO_MODE=#TCP, the blade is on the robot")
+    if robot is not None and where is not None and segment.word == "SPLINE":
+        check_status_turn(segment, where[None], ArmLengths.of(robot.mdh))
+    if robot is not None:
+        _check_reach(segment, robot)
+    changes = np.flatnonzero(np.diff(segment.status))
+    if len(changes):
+        raise BadInput(f"{segment.place(changes[0] + 1)}: S changes inside a block; the branch would jump")
+
+
+def _check_times(segment: KrlSegment, curve: BSpline, robot: Robot) -> None:
+    """Refuse a timed block that asks for more than the axes do, or its own bounds let: the controller would take its own time."""
+    assert segment.times is not None
     at = np.linspace(0.0, segment.times[-1], 8 * len(segment.times))
     for order, what, most in ((1, "speed", robot.qd_max), (2, "acceleration", robot.qdd_max)):
         share = np.abs(curve(at, nu=order)) / most
@@ -110,6 +123,17 @@ def _check_times(segment: KrlSegment, robot: Robot) -> None:
                 f"{segment.place(i)}: axis {j + 1} needs {100 * share[k, j]:.0f} % of its {what}; the controller would "
                 "stretch the time of the block"
             )
+    if segment.poses is None:
+        return
+    _check_range(segment, curve(at), robot, np.searchsorted(segment.times, at, side="right") - 1)
+    fine = np.arange(0.0, segment.times[-1], FINE)
+    peaks = path_peaks(programmed_poses(segment.frames, robot, curve(fine)), FINE)
+    for name, given in vars(segment.bounds).items():
+        if (peak := getattr(peaks, name)) > given:
+            raise BadInput(
+                f"{segment.place()}: the {name.replace('_', ' ')} of the path is up to {peak:.4g} (SI) and is bounded to "
+                f"{given:.4g}; the controller would stretch the time of the block"
+            )
 
 
 def _check_reach(segment: KrlSegment, robot: Robot) -> None:
@@ -117,7 +141,7 @@ def _check_reach(segment: KrlSegment, robot: Robot) -> None:
     assert segment.poses is not None
     if segment.frames.tool is None or segment.frames.base is None:
         return
-    flange = segment.frames.base @ invert(segment.poses) @ invert(segment.frames.tool)
+    flange = segment.frames.flange(segment.poses)
     far, reach = np.linalg.norm(flange[:, :3, 3], axis=1), float(np.abs(robot.mdh[:, 1:3]).sum())
     if far.max() > reach:
         i = int(np.argmax(far))
@@ -126,14 +150,14 @@ def _check_reach(segment: KrlSegment, robot: Robot) -> None:
         )
 
 
-def _check_range(segment: KrlSegment, low: Array, high: Array) -> None:
-    assert segment.q is not None
-    outside = np.maximum(segment.q - high, low - segment.q)
+def _check_range(segment: KrlSegment, q: Array, robot: Robot, points: NDArray[np.intp]) -> None:
+    """Refuse axes q (m, 6) outside their range; `points` (m,): where in the text each stands."""
+    outside = np.maximum(q - robot.q_max, robot.q_min - q)
     if outside.max() > 1e-9:
         i, j = np.unravel_index(np.argmax(outside), outside.shape)
         raise BadInput(
-            f"{segment.place(int(i))}: axis {j + 1} at {np.degrees(segment.q[i, j]):.3f} deg is outside "
-            f"{np.degrees(low[j]):.1f}..{np.degrees(high[j]):.1f} deg"
+            f"{segment.place(points[i])}: axis {j + 1} at {np.degrees(q[i, j]):.3f} deg is outside "
+            f"{np.degrees(robot.q_min[j]):.1f}..{np.degrees(robot.q_max[j]):.1f} deg"
         )
 
 

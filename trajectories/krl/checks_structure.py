@@ -5,12 +5,17 @@ from pathlib import Path
 
 from robots.errors import BadInput
 from trajectories.krl import syntax
+from trajectories.krl.interpreter import PATH
 
 MOST_POINTS = 2000  # of a file, KRL.md
 FRAMES = ("$TOOL", "$BASE", "$IPO_MODE", "$LOAD")
 NUMBERS = {"$ACT_TOOL": (1, 128), "$ACT_BASE": (1, 128), "$ADVANCE": (1, 5)}  # whole, least and most
-SPEEDS = ("$VEL.CP", "$ACC.CP", "$APO.CVEL", *(f"${k}_AXIS[{i}]" for k in ("VEL", "ACC") for i in range(1, 7)))
-ALLOWED = {"PTP_SPLINE": ("SPTP",), "SPLINE": ("SPL", "SLIN"), "": ("PTP", "LIN")}
+AXIS_SHARES = tuple(f"${k}_AXIS[{i}]" for k in ("VEL", "ACC") for i in range(1, 7))
+# What a speed is at most: percent, or m/s, m/s^2, deg/s and deg/s^2 of the machine data (M).
+SPEEDS = dict.fromkeys(("$APO.CVEL", *AXIS_SHARES), 100.0) | dict(
+    zip(PATH, (3.0, 10.0, 400.0, 400.0, 1000.0, 1000.0), strict=True)
+)
+ALLOWED = {"PTP_SPLINE": ("SPTP",), "SPLINE": ("SPL",), "": ("PTP", "LIN")}
 AXES = frozenset(f"A{i}" for i in range(1, 7))
 POSE = frozenset("X Y Z A B C S T".split())
 LONGEST_WAIT = 3600.0  # s
@@ -18,7 +23,6 @@ MOST_INPUTS = 8192  # of KSS 8
 ROUNDING = 1e-5  # s, what the printed parts of a block may miss its end by
 STOPS = 2  # declared and switched on
 STOP_INTERRUPT = re.compile(r"(GLOBAL)?INTERRUPTDECL3WHEN\$STOPMESS==TRUEDOIR_STOPM\(\)|INTERRUPTON3")
-AXIS_SHARES = SPEEDS[3:]
 SLOW = 30.0  # percent of an axis' speed and acceleration for the first motion of a file, which may begin anywhere
 MOVING = (syntax.MotionStatement, syntax.BlockStart, syntax.Call)
 ACTING = (*MOVING, syntax.Assignment, syntax.Interrupt, syntax.PauseStatement)  # declarations come before these
@@ -43,6 +47,7 @@ def check_module(module: syntax.Module, pauses: bool = False) -> None:
         _check_order(module)
         _check_blocks(module)
         _check_speeds(module, pauses)
+        _check_chains(module)
         _check_pauses(module, pauses)
 
 
@@ -134,24 +139,40 @@ def _check_order(module: syntax.Module) -> None:
 def _check_speeds(module: syntax.Module, pauses: bool) -> None:
     """The first motion is slow (of a measuring program as fast as its user asks for), timed blocks are bounded by the machine
     alone and nothing between them goes untimed: what a program leaves open the controller takes from whatever ran before."""
-    shares: dict[str, float] = {}
-    first, timed = True, any(isinstance(s, syntax.BlockStart) and s.kind == "PTP_SPLINE" for s in module.statements)
+    known: dict[str, float] = {}
+    first, timed = True, any(isinstance(s, syntax.BlockStart) for s in module.statements)
     for s in module.statements:
-        if isinstance(s, syntax.Assignment) and s.target in AXIS_SHARES and isinstance(s.value, syntax.Number):
-            shares[s.target] = s.value.value
+        if isinstance(s, syntax.Assignment) and s.target in (*AXIS_SHARES, *PATH) and isinstance(s.value, syntax.Number):
+            known[s.target] = s.value.value
         elif isinstance(s, syntax.MotionStatement | syntax.BlockStart):
-            missing = [name for name in AXIS_SHARES if name not in shares]
+            needed = AXIS_SHARES + (PATH if s.kind in ("LIN", "SPLINE") else ())
+            missing = [name for name in needed if name not in known]
             if missing:
                 raise _bad(module, s, f"the robot moves before {missing[0]} was set; it would keep the speed of what ran before")
-            fastest = max(shares, key=lambda name: shares[name])
-            if first and not pauses and shares[fastest] > SLOW:
-                raise _bad(module, s, f"the first motion may begin anywhere, {fastest} = {shares[fastest]:g} is above {SLOW:g} %")
-            if not first and timed and isinstance(s, syntax.MotionStatement) and s.kind == "PTP":
-                raise _bad(module, s, "PTP leaves the timed way; only the first motion of a file goes untimed")
-            slowest = min(shares, key=lambda name: shares[name])
-            if isinstance(s, syntax.BlockStart) and s.kind == "PTP_SPLINE" and shares[slowest] < 100.0:
-                raise _bad(module, s, f"{slowest} = {shares[slowest]:g} bounds a timed block; 100 % leaves it its times")
+            fastest = max(AXIS_SHARES, key=lambda name: known[name])
+            if first and not pauses and known[fastest] > SLOW:
+                raise _bad(module, s, f"the first motion may begin anywhere, {fastest} = {known[fastest]:g} is above {SLOW:g} %")
+            if not first and timed and isinstance(s, syntax.MotionStatement) and s.kind in ("PTP", "LIN"):
+                raise _bad(module, s, f"{s.kind} leaves the timed way; only the first motion of a file goes untimed")
+            slowest = min(AXIS_SHARES, key=lambda name: known[name])
+            if isinstance(s, syntax.BlockStart) and known[slowest] < 100.0:
+                raise _bad(module, s, f"{slowest} = {known[slowest]:g} bounds a timed block; 100 % leaves it its times")
             first = False
+
+
+def _check_chains(module: syntax.Module) -> None:
+    """A motion that blends goes over into another straight one, with nothing but its speed between: all else would stop the
+    robot there, or lets the advance run out."""
+    before: syntax.MotionStatement | None = None
+    for s in module.statements:
+        line = s if isinstance(s, syntax.MotionStatement) and s.kind == "LIN" else None
+        speed = isinstance(s, syntax.Assignment) and s.target == "$VEL.CP"
+        if before and not (line or speed or isinstance(s, syntax.Remark)):
+            raise _bad(
+                module, s, f"this stands where the LIN of line {before.line} blends into the next; the robot would stop there"
+            )
+        if isinstance(s, syntax.MotionStatement):
+            before = line if line and line.approximation else None
 
 
 def _check_assignment(module: syntax.Module, s: syntax.Assignment) -> None:
@@ -168,7 +189,7 @@ def _check_assignment(module: syntax.Module, s: syntax.Assignment) -> None:
     if s.target not in SPEEDS:
         raise _bad(module, s, f"{s.target} may not be assigned by a grinding program")
     value = s.value.value if isinstance(s.value, syntax.Number) else -1.0
-    top = 3.0 if s.target == "$VEL.CP" else 100.0
+    top = SPEEDS[s.target]
     if not 0 < value <= top:
         raise _bad(module, s, f"{s.target} must be a number above 0 and at most {top:g}")
 
@@ -250,14 +271,12 @@ def _check_motion(module: syntax.Module, s: syntax.MotionStatement, block: synta
 
 
 def _check_times(module: syntax.Module, block: syntax.BlockStart, inside: Inside, end: syntax.BlockEnd) -> None:
-    """SPTP, START, then (SPTP, PART) pairs, then END whose seconds are the sum of the parts."""
+    """A point, START, then pairs of point and PART, then END whose seconds are the sum of the parts."""
     times = [s for s in inside if isinstance(s, syntax.TimeBlock)]
     if not any(isinstance(s, syntax.MotionStatement) for s in inside):
         raise _bad(module, block, f"{block.kind} has no points")
     if not times:
-        if block.kind == "PTP_SPLINE":
-            raise _bad(module, block, "the block has no TIME_BLOCK; its timing would be the controller's own")
-        return
+        raise _bad(module, block, "the block has no TIME_BLOCK; its timing would be the controller's own")
     _check_sequence(module, inside, end)
     parts = [s for s in times if s.what == "PART" and s.value]
     for s in parts:

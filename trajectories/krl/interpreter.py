@@ -10,7 +10,7 @@ from robots.errors import BadInput
 from robots.pose import Array, transform_from_xyzabc
 from trajectories.krl import syntax
 from trajectories.krl.reader import read_module
-from trajectories.program.execution import Execution, Frames, MotionKind, ProgramSegment
+from trajectories.program.execution import Execution, Frames, MotionKind, PathBounds, ProgramSegment
 
 AXES = tuple(f"A{i}" for i in range(1, 7))
 POSE = ("X", "Y", "Z", "A", "B", "C")
@@ -23,6 +23,7 @@ KINDS: dict[str, MotionKind] = {
 }
 
 
+PATH = ("$VEL.CP", "$ACC.CP", "$VEL.ORI1", "$VEL.ORI2", "$ACC.ORI1", "$ACC.ORI2")  # what bounds a motion along poses
 BITS = re.compile(r"'[Bb][01]{1,31}'")
 MOST_CALLS = 10_000  # a program of a whole blade calls some hundred
 
@@ -73,7 +74,7 @@ class _Runner:
         self.modules: dict[Path, syntax.Module] = {}
         self.calls = 0
         self.frames = Frames()
-        self.speed: float | None = None
+        self.path: dict[str, float] = {}
         self.stored: dict[str, syntax.Value] = {}
 
     def run(self, path: Path, callers: tuple[str, ...]) -> None:
@@ -168,8 +169,8 @@ class _Runner:
             self.frames = replace(self.frames, **{which: T, f"{which}_no": number})  # type: ignore[arg-type]
         elif target == "$IPO_MODE" and isinstance(value, syntax.Word):
             self.frames = replace(self.frames, external_tcp=value.text.upper() == "#TCP")
-        elif target == "$VEL.CP" and isinstance(value, syntax.Number):
-            self.speed = value.value
+        elif target in PATH and isinstance(value, syntax.Number):
+            self.path[target] = value.value
         elif target == "FDAT_ACT" and isinstance(value, syntax.Word) and value.text.upper() in names:
             self._inline_frames(names[value.text.upper()].value)
         elif target.startswith(("TOOL_DATA[", "BASE_DATA[")) or isinstance(value, syntax.Aggregate):
@@ -209,7 +210,13 @@ class _Runner:
         lines = np.array([m.line for m, _ in points])
         numbers = np.array([v for v in values if v is not None])
         q, poses = (numbers, None) if axial else (None, numbers)
-        return KrlSegment(KINDS[word], word, file, lines, q, poses, times, self.frames, self.speed, status, turn)
+        kept = (KINDS[word], word, file, lines, q, poses, times, self.frames, status, turn)
+        return KrlSegment(*kept, bounds=self._bounds(), blended=bool(points[-1][0].approximation))
+
+    def _bounds(self) -> PathBounds:
+        cp, turns = ([self.path.get(f"${word}.{part}", np.inf) for word in ("VEL", "ACC")] for part in ("CP", "ORI1"))
+        other = [self.path.get(f"${word}.ORI2", np.inf) for word in ("VEL", "ACC")]
+        return PathBounds(*cp, *(float(np.radians(min(pair))) for pair in zip(turns, other, strict=True)))
 
     def _position(self, motion: syntax.MotionStatement, names: dict[str, syntax.Declaration], where: str) -> syntax.Aggregate:
         target: syntax.Value | None = motion.target

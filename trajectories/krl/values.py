@@ -6,10 +6,20 @@ import unicodedata
 import numpy as np
 
 from robots.pose import Array, abc_from_rotation
+from trajectories.program.execution import PathBounds
 from trajectories.program.program import FileLimits
 
-# 2000 points of a file and 12 ms of the interpolation cycle: KRL.md, the latter (M); what is printed: 10 us, 1e-5 deg.
-FILE_LIMITS = FileLimits(file_points=2000, block_points=1900, cycle=0.012, time_unit=1e-5, angle_decimals=5)
+# 2000 points of a file and 12 ms of the interpolation cycle: KRL.md, the latter (M); what is printed: 10 us, 1e-5 deg, 1e-4 mm;
+# of paths what the machine data usually hold: $VEL_MA and $ACC_MA (M).
+FILE_LIMITS = FileLimits(
+    file_points=2000,
+    block_points=1900,
+    cycle=0.012,
+    time_unit=1e-5,
+    angle_decimals=5,
+    length_decimals=4,
+    path=PathBounds(3.0, 10.0, float(np.radians(400.0)), float(np.radians(1000.0))),
+)
 
 
 def fixed(value: float, decimals: int) -> str:
@@ -22,8 +32,8 @@ def frame_text(T: Array) -> str:
     """A transform (4, 4) as {X .. mm, .., C .. deg}."""
     xyz = T[:3, 3] * 1e3
     abc = np.degrees(abc_from_rotation(T[:3, :3]))
-    parts = [f"{c} {fixed(v, 4)}" for c, v in zip("XYZ", xyz, strict=True)]
-    return "{" + ",".join(parts + [f"{c} {fixed(v, 5)}" for c, v in zip("ABC", abc, strict=True)]) + "}"
+    parts = [f"{c} {fixed(v, FILE_LIMITS.length_decimals)}" for c, v in zip("XYZ", xyz, strict=True)]
+    return "{" + ",".join(parts + [f"{c} {fixed(v, FILE_LIMITS.angle_decimals)}" for c, v in zip("ABC", abc, strict=True)]) + "}"
 
 
 def axes_text(q: Array) -> str:

@@ -5,8 +5,9 @@ import numpy as np
 from robots.errors import BadInput
 from trajectories.krl.names import is_legal
 from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
-from trajectories.krl.time_block import timed_spline
+from trajectories.krl.time_block import time_block
 from trajectories.krl.values import FILE_LIMITS, axes_text, comment_text, fixed, frame_text
+from trajectories.program.execution import PathBounds
 from trajectories.program.program import (
     KINDS,
     Block,
@@ -139,7 +140,7 @@ def _sub(sub: SubProgram, setup: Setup) -> list[str]:
             lines.append(f"PTP {axes_text(block.q)}")
         else:
             lines += _setting(setup)
-            lines += timed_spline(block) if isinstance(block, TimedSpline) else _poses(block, setup)
+            lines += _timed(block, setup) if isinstance(block, TimedSpline | PoseSpline) else _lines(block, setup)
     return lines
 
 
@@ -152,19 +153,41 @@ def _stop(block: Wait) -> str:
 def _axis_speeds(block: Block) -> list[str]:
     if isinstance(block, PointMotion):
         speed, acceleration = block.speed_percent, block.acceleration_percent
-    elif isinstance(block, TimedSpline):
-        # programmed axis speeds bound a timed block as well: full, so that only the machine's limits do
+    elif isinstance(block, TimedSpline | PoseSpline):
+        # programmed axis speeds bound a timed block as well: full, so that only the machine's limits do; poses too
         speed, acceleration = 100, 100
     else:
         return []
     return [f"$VEL_AXIS[{i}]={speed:d}" for i in range(1, 7)] + [f"$ACC_AXIS[{i}]={acceleration:d}" for i in range(1, 7)]
 
 
+def _timed(block: TimedSpline | PoseSpline, setup: Setup) -> list[str]:
+    if isinstance(block, TimedSpline):
+        return time_block("PTP_SPLINE", "SPTP", [axes_text(q) for q in block.q], block.t)
+    speed = f"$VEL.CP={fixed(block.bounds.speed, 5)}"
+    return [speed, *_bounds(block.bounds), *time_block("SPLINE", "SPL", _poses(block, setup), block.t)]
+
+
+def _bounds(bounds: PathBounds) -> list[str]:
+    """Acceleration along a path, speeds and accelerations of its turns: swivel and rotation alike."""
+    turns = (("VEL", bounds.turn_speed), ("ACC", bounds.turn_acceleration))
+    found = [f"${word}.ORI{i}={fixed(float(np.degrees(value)), 3)}" for word, value in turns for i in (1, 2)]
+    return [f"$ACC.CP={fixed(bounds.acceleration, 3)}", *found]
+
+
 def _poses(block: PoseSpline | PoseLines, setup: Setup) -> list[str]:
     q = np.radians(np.round(np.degrees(block.q), 5))  # a sign that is not printed decides no bit
     S, T = status_of(q, ArmLengths.of(setup.robot.mdh)), turn_of(q)
-    points = [f"{frame_text(P)[:-1]},S {s},T {t}}}" for P, s, t in zip(block.poses, S, T, strict=True)]
-    lines = [f"$VEL.CP={fixed(block.feed, 5)}", f"$ACC.CP={fixed(block.acceleration, 3)}"]
-    if isinstance(block, PoseSpline):
-        return [*lines, "SPLINE", *(f"  SPL {p}" for p in points), "ENDSPLINE"]
-    return [*lines, f"$ADVANCE={ADVANCE}", "$APO.CVEL=100", *(f"LIN {p} C_VEL" for p in points[1:-1]), f"LIN {points[-1]}"]
+    return [f"{frame_text(P)[:-1]},S {s},T {t}}}" for P, s, t in zip(block.poses, S, T, strict=True)]
+
+
+def _lines(block: PoseLines, setup: Setup) -> list[str]:
+    """Straight motions with the speed of each before it, which stops no advance."""
+    lines = [*_bounds(block.bounds), f"$ADVANCE={ADVANCE}", "$APO.CVEL=100"]
+    points, before = _poses(block, setup)[1:], ""
+    for k, (point, speed) in enumerate(zip(points, block.speeds, strict=True)):
+        if (text := f"$VEL.CP={fixed(float(speed), 5)}") != before:
+            lines.append(text)
+        before = text
+        lines.append(f"LIN {point}" + (" C_VEL" if k < len(points) - 1 else ""))
+    return lines

@@ -1,16 +1,17 @@
 """Timed joint trajectories -> a program: one sub-program a pass, with as many points as the controller needs."""
 
 from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array, invert
-from trajectories.joint_trajectory import JointTrajectory
+from trajectories.joint_trajectory import SAMPLE, JointTrajectory
 from trajectories.program.dialect import Dialect
-from trajectories.program.interpolation import Deviation, emit, largest_axis_difference
+from trajectories.program.driven import path_peaks
+from trajectories.program.execution import Frames, PathBounds
+from trajectories.program.interpolation import Deviation, LaidPoses, emit, largest_axis_difference
 from trajectories.program.program import (
     Block,
     Comment,
@@ -25,10 +26,11 @@ from trajectories.program.program import (
     refuse_poses,
     split_blocks,
 )
-from trajectories.toppra_law import times_at
 
-SPACING = 1e-3  # m between the poses of a Cartesian program
-LINE_TIME = 0.025  # s, at least, between the poses of a program of lines: the controller plans and blends each one (M)
+ROOM = 2.0  # of what a block of poses asks for: its bounds, so that nothing but its times rules it
+LINE_ROOM = 4.0  # the same of the acceleration between straight motions of one speed each, which change it in steps
+LINE_TIME = 0.025  # s, at least, between the poses of straight motions: the controller plans and blends each one (M)
+LINE_WAY = 5e-5  # m, at least, between them: a thousandth of it is what printing rounds
 
 
 class Leg(Protocol):
@@ -37,10 +39,6 @@ class Leg(Protocol):
     @property
     def kind(self) -> str:
         """What it is for."""
-
-    @property
-    def stops(self) -> tuple[float, ...]:
-        """Times s at which a program of poses, whose blocks have one speed each, begins another block."""
 
     @property
     def trajectory(self) -> JointTrajectory:
@@ -90,36 +88,58 @@ def _blocks(
     tolerance: Callable[[Leg], float],
     deviation: Deviation,
 ) -> list[Block]:
+    frames = Frames(setup.T_flange_blade, setup.T_base_wheel, external_tcp=True)
+
+    def posed(q: Array) -> Array:
+        # P = (FLANGE TOOL)^-1 BASE: the robot holds the workpiece
+        return np.asarray(invert(forward(q) @ setup.T_flange_blade) @ setup.T_base_wheel)
+
+    laid = LaidPoses(limits, frames, setup.robot, posed)
     blocks: list[Block] = [PointMotion(legs[0].trajectory.q(0.0))]
     for leg in legs:
         blocks.append(Comment(leg.kind))
-        if setup.kind == "axis":
-            emission = emit(leg.trajectory, limits, tolerance(leg), deviation)
-            blocks.append(TimedSpline(emission.q, emission.times))
-        elif leg.kind == "travel":
-            blocks.append(PointMotion(leg.trajectory.q(leg.trajectory.duration)))
+        way = leg.trajectory
+        if setup.kind == "lin":
+            blocks.append(PointMotion(way.q(way.duration)) if leg.kind == "travel" else _lines(way, laid))
+        elif setup.kind == "axis" or leg.kind == "travel":
+            emission = emit(way, limits, tolerance(leg), deviation)
+            blocks.append(TimedSpline(emission.points, emission.times))
         else:
-            times = [0.0, *leg.stops, leg.trajectory.duration]
-            blocks += [_pose_block(leg.trajectory, part, setup, limits.block_points, forward) for part in pairwise(times)]
+            emission = emit(way, limits, tolerance(leg), deviation, laid=laid)
+            t = emission.times
+            blocks.append(PoseSpline(emission.points, way.q(t), t, _bounds(way, laid, ROOM)))
     return blocks
 
 
-def _pose_block(
-    trajectory: JointTrajectory, part: tuple[float, float], setup: Setup, most: int, forward: Callable[[Array], Array]
-) -> PoseSpline | PoseLines:
-    """Poses P = (FLANGE TOOL)^-1 BASE at equal stations from the first time of `part` to its second, and the speed of P at which
-    the planned feed is driven."""
-    first, last = (float(s) for s in trajectory.s(np.array(part)))
-    length = last - first
-    n = np.ceil(length / SPACING)
-    if setup.kind == "lin":
-        n = min(n, np.floor((part[1] - part[0]) / LINE_TIME))
-    n = int(np.clip(n, 2, most - 1))
-    times = times_at(trajectory.law, np.linspace(first, last, n + 1))
-    q = trajectory.q(times)
-    P = invert(forward(q) @ setup.T_flange_blade) @ setup.T_base_wheel
-    # Only where the wheel touches at the origin of the base frame is the speed of P the feed itself: the ratio is taken along.
-    chord = np.linalg.norm(np.diff(P[:, :3, 3], axis=0), axis=1)
-    feed = float(np.median(chord / np.diff(times)))
-    block = PoseSpline if setup.kind == "cartesian" else PoseLines
-    return block(P, q, max(feed, 1e-4))
+def _bounds(trajectory: JointTrajectory, laid: LaidPoses, room: float) -> PathBounds:
+    """Bounds that leave a path of poses `room` times its speeds and accelerations, where the controller has that much.
+
+    Raises Infeasible where it has not even what is asked for.
+    """
+    peaks = path_peaks(laid.posed(trajectory.q(np.arange(0.0, trajectory.duration, SAMPLE))))
+    found = []
+    for name, most in vars(laid.limits.path).items():
+        peak = getattr(peaks, name)
+        if peak > most:
+            raise Infeasible(
+                f"its poses need {peak:.3g} of {name.replace('_', ' ')} (SI) and a controller gives a path {most:.3g}; choose "
+                "the axis program"
+            )
+        found.append(min(room * peak, most))
+    return PathBounds(*found)
+
+
+def _lines(trajectory: JointTrajectory, laid: LaidPoses) -> PoseLines:
+    """Poses at least LINE_TIME and LINE_WAY apart, and the speed on the way to each that takes the planned time."""
+    t = np.append(np.arange(0.0, trajectory.duration - 0.5 * SAMPLE, SAMPLE), trajectory.duration)
+    p = laid.posed(trajectory.q(t))[:, :3, 3]
+    kept, last = [0], len(t) - 1
+    for k in range(1, last):
+        if t[k] - t[kept[-1]] > LINE_TIME - 1e-9 and np.linalg.norm(p[k] - p[kept[-1]]) > LINE_WAY:
+            kept.append(k)
+    while len(kept) > 1 and (t[last] - t[kept[-1]] < LINE_TIME or np.linalg.norm(p[last] - p[kept[-1]]) < LINE_WAY):
+        kept.pop()
+    q = trajectory.q(t[[*kept, last]])
+    poses = laid.points(q)
+    ways = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    return PoseLines(poses, q, ways / np.diff(t[[*kept, last]]), _bounds(trajectory, laid, LINE_ROOM))

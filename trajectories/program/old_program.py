@@ -1,7 +1,7 @@
 """A path taken from an existing program, through the nominal kinematics."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,7 +80,5 @@ def _flange(segment: ProgramSegment, forward: Callable[[Array], Array], tool: Ar
             f"{segment.file}: tool {own.tool_no} and base {own.base_no} are not in the program; the cell's blade and wheel "
             "frames are taken"
         )
-    T, B = tool if own.tool is None else own.tool, base if own.base is None else own.base
-    if own.external_tcp:  # P is the pose of the base seen from the tool
-        return np.asarray(B @ invert(segment.poses) @ invert(T))
-    return np.asarray(B @ segment.poses @ invert(T))
+    known = replace(own, tool=tool if own.tool is None else own.tool, base=base if own.base is None else own.base)
+    return known.flange(segment.poses)

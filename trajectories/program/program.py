@@ -8,6 +8,7 @@ import numpy as np
 from robots.errors import BadInput
 from robots.pose import Array
 from robots.robot import Robot
+from trajectories.program.execution import UNBOUNDED, PathBounds
 
 LEVEL = float(np.cos(np.radians(1.0)))  # a foundation is level to a fraction of a degree, and no controller is told of that
 KINDS = ("axis", "cartesian", "lin")  # timed axis splines, splines of poses, straight motions between poses
@@ -18,7 +19,8 @@ class FileLimits:
     """What the files of a language hold and how finely they are printed.
 
     Most points of a file and of one block (a margin below it); the controller's interpolation cycle s, below which points
-    say nothing; the last printed digit of a time, s, and the decimals of an angle in degrees.
+    say nothing; the last printed digit of a time, s, and the decimals of an angle in degrees; of poses the decimals of a length
+    in millimetres, and the largest bounds that a path may be given.
     """
 
     file_points: int
@@ -26,6 +28,8 @@ class FileLimits:
     cycle: float
     time_unit: float
     angle_decimals: int
+    length_decimals: int = 4
+    path: PathBounds = UNBOUNDED
 
 
 @dataclass(frozen=True)
@@ -54,26 +58,30 @@ class TimedSpline:
 
 @dataclass(frozen=True)
 class PoseSpline:
-    """A spline through poses P (n, 4, 4) of the base frame in the tool frame (the robot holds the workpiece).
+    """A spline through poses P (n, 4, 4) of the base frame in the tool frame (the robot holds the workpiece) at times t (n,) s
+    from 0.
 
-    The first pose is where the robot stands; q (n, 6) rad are the axes behind the poses, which tell the arm's branch; `feed`
-    m/s is the speed of the origin of the base frame, `acceleration` m/s^2 what leads up to it.
+    The first pose is where the robot stands; q (n, 6) rad are the axes behind the poses, which tell the arm's branch; `bounds`
+    of the origin of the base frame are above what the times ask for, so that these alone rule.
     """
 
     poses: Array
     q: Array
-    feed: float
-    acceleration: float = 1.0
+    t: Array
+    bounds: PathBounds
 
 
 @dataclass(frozen=True)
 class PoseLines:
-    """Straight motions from pose to pose, blended into each other except at the last; fields as `PoseSpline`."""
+    """Straight motions from pose to pose, blended into each other except at the last; poses and q as `PoseSpline`.
+
+    `speeds` (n - 1,) m/s of the origin of the base frame on the way to each pose but the first; `bounds` of the rest.
+    """
 
     poses: Array
     q: Array
-    feed: float
-    acceleration: float = 1.0
+    speeds: Array
+    bounds: PathBounds
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,22 @@ smooth matters here; the maker's own is not published.
 """
 
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 
 from ocp.simulate.twin.krl_text import DrivenMotion, KrlProgram, ProgramPause
-from ocp.simulate.twin.path_motion import drive_path, flange, flange_poses, inverse_by_status, solve_posture
+from ocp.simulate.twin.path_motion import (
+    bounds_of_path,
+    drive_path,
+    flange,
+    flange_poses,
+    inverse_by_status,
+    rest_to_rest,
+    solve_posture,
+    timed_curve,
+)
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
 from robots.robot import Robot
@@ -60,6 +68,7 @@ class _Piece:
     duration: float
     curve: Callable[..., Array]
     rows: tuple[Array, Index]
+    notice: str = ""
 
 
 def drive(program: KrlProgram, robot: Robot, hz: float = HZ) -> Track:
@@ -90,6 +99,7 @@ def drive(program: KrlProgram, robot: Robot, hz: float = HZ) -> Track:
     if not pieces:
         raise BadInput(f"{program.main}: the robot never leaves its first posture")
     track = _sampled(robot, pieces, clock, hz)
+    track = replace(track, notices=(*track.notices, *(piece.notice for piece in pieces if piece.notice)))
     if program.planned and track.notices:
         raise BadInput(track.notices[0])
     return track
@@ -126,31 +136,47 @@ def _end(robot: Robot, first: DrivenMotion) -> Array:
 
 def _pieces(robot: Robot, chain: list[DrivenMotion], where: Array | None, clock: float, planned: bool) -> list[_Piece]:
     first = chain[0]
+    if first.kind in ("LIN", "SPLINE") and where is None:
+        raise BadInput(f"{first.file}, line {first.line}: the first motion must be a PTP to full axes")
+    if first.times is not None:
+        return _timed_pieces(robot, first, where, clock, planned)
     if first.kind in ("LIN", "SPLINE"):
-        if where is None:
-            raise BadInput(f"{first.file}, line {first.line}: the first motion must be a PTP to full axes")
-        path = drive_path(robot, chain, where)
+        path = drive_path(robot, chain, np.asarray(where))
         return [] if path is None else [_Piece((first.file, first.line), clock, *path)]
-    targets = first.targets
-    if first.kind == "PTP":
-        goal = targets[0].q if targets[0].q is not None else _posed(robot, first, where)
-        piece = None if where is None else _point_to_point(robot, first, where, goal, clock)
-        return [] if piece is None else [piece]
+    goal = first.targets[0].q if first.targets[0].q is not None else _posed(robot, first, where)
+    piece = None if where is None else _point_to_point(robot, first, where, goal, clock)
+    return [] if piece is None else [piece]
+
+
+def _timed_pieces(robot: Robot, first: DrivenMotion, where: Array | None, clock: float, planned: bool) -> list[_Piece]:
+    """A timed block of axes or poses, and the way to where it begins, which only a program that is not planned may leave open."""
     assert first.times is not None
-    q = np.array([t.q for t in targets])
-    _within(robot, q, [(first.file, t.line) for t in targets])
-    found = []
-    if where is not None and (before := _point_to_point(robot, first, where, q[0], clock)) is not None:
+    targets, place = first.targets, (first.file, first.line)
+    if first.kind == "TIMED":
+        q = np.array([t.q for t in targets])
+        _within(robot, q, [(first.file, t.line) for t in targets])
+        curve, notice = rest_to_rest(first.times, q), ""
+    else:
+        curve, notice = timed_curve(robot, first, first.times, np.asarray(where)), bounds_of_path(first)
+    begin, found = np.asarray(curve(0.0)), []
+    if where is not None and (off := np.abs(begin - where).max()) >= STOOD:
         if planned:
-            off = np.degrees(np.abs(q[0] - where).max())
             raise BadInput(
-                f"{first.file}, line {targets[0].line}: the block begins {off:.4f} deg off where the robot stands; nobody "
-                "planned that way, write the program anew"
+                f"{first.file}, line {targets[0].line}: the block begins {np.degrees(off):.4f} deg off where the robot stands; "
+                "nobody planned that way, write the program anew"
             )
-        found.append(before)
-        clock += before.duration
-    times, rows = first.times, np.array([t.line for t in targets])
-    return [*found, _Piece((first.file, first.line), clock, float(times[-1]), _rest_to_rest(times, q), (times, rows))]
+        there = first.kind == "TIMED"
+        before = _point_to_point(robot, first, where, begin, clock) if there else _to_pose(robot, first, where, clock)
+        found = [] if before is None else [before]
+        clock += sum(piece.duration for piece in found)
+    rows = (first.times, np.array([t.line for t in targets]))
+    return [*found, _Piece(place, clock, float(first.times[-1]), curve, rows, notice)]
+
+
+def _to_pose(robot: Robot, block: DrivenMotion, where: Array, clock: float) -> _Piece | None:
+    """The way to the first pose of a block of poses, which its times do not rule."""
+    path = drive_path(robot, [replace(block, targets=block.targets[:1], times=None)], where)
+    return None if path is None else _Piece((block.file, block.line), clock, *path)
 
 
 def _posed(robot: Robot, motion: DrivenMotion, where: Array | None) -> Array:
@@ -174,14 +200,8 @@ def _point_to_point(robot: Robot, motion: DrivenMotion, start: Array, goal: Arra
         return None
     speed, acceleration = motion.axis_speed * robot.qd_max, motion.axis_acceleration * robot.qdd_max
     T = max(float((1.875 * way / speed).max()), float(np.sqrt(5.7735 * way / acceleration).max()))
-    curve = _rest_to_rest(np.array([0.0, T]), np.array([start, goal]))
+    curve = rest_to_rest(np.array([0.0, T]), np.array([start, goal]))
     return _Piece((motion.file, motion.line), clock, T, curve, (np.zeros(1), np.array([motion.line])))
-
-
-def _rest_to_rest(t: Array, q: Array) -> Callable[..., Array]:
-    """Fifth-order curve, four times smooth, through q (m, 6) at t (m,), without speed and acceleration at its ends."""
-    still = [(1, np.zeros(6)), (2, np.zeros(6))]
-    return make_interp_spline(t, q, k=5, bc_type=(still, still))
 
 
 def _within(robot: Robot, q: Array, places: list[tuple[str, int]]) -> None:
@@ -261,19 +281,20 @@ def missed_parts(program: KrlProgram, robot: Robot, places: Container[tuple[str,
 
     Only END is exact on a real controller (KRL.md). The points are met, at other times than planned.
     """
-    rng, found = np.random.default_rng(0), []
-    for motion in program.motions:
-        if motion.times is None or (motion.file, motion.line) not in places:
+    rng, found, where = np.random.default_rng(0), [], np.zeros(6)
+    timed = {k for k, m in enumerate(program.motions) if m.times is not None and (m.file, m.line) in places}
+    for k, motion in enumerate(program.motions[: max(timed, default=-1) + 1]):
+        begin, where = where, _stands(robot, motion, where)
+        if motion.times is None or k not in timed:
             continue
-        q, t = np.array([target.q for target in motion.targets]), motion.times
-        planned = _rest_to_rest(t, q)
+        t, planned = motion.times, _curve(robot, motion, motion.times, begin)
         fine = np.interp(np.arange(0.0, len(t) - 1, 0.25), np.arange(len(t)), t)
         T = flange(robot, planned(fine))[:, :3, 3]
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(T, axis=0), axis=1))])
         for _ in range(PART_DRAWS):
             parts = np.diff(t) * (1.0 + PART_ERROR * rng.uniform(-1.0, 1.0, len(t) - 1))
             late = np.concatenate([[0.0], np.cumsum(parts)]) * (t[-1] / parts.sum())
-            driven = _rest_to_rest(late, q)
+            driven = _curve(robot, motion, late, begin)
             lag = np.abs(driven(fine) - planned(fine)).max()
             # The same share of the same part: what is left is off the way, not behind on it.
             same = np.interp(fine, t, late)
@@ -282,3 +303,21 @@ def missed_parts(program: KrlProgram, robot: Robot, places: Container[tuple[str,
             speed = np.abs(t[-1] / parts.sum() * parts / np.diff(t) - 1.0).max()
             found.append((lag, along, aside, speed))
     return MissedParts(PART_ERROR, *np.array(found).max(axis=0).tolist()) if found else None
+
+
+def _curve(robot: Robot, motion: DrivenMotion, times: Array, begin: Array) -> Callable[..., Array]:
+    """Joints over time of a block whose points are met at `times` (m,) s, from near `begin` (6,)."""
+    if motion.kind == "TIMED":
+        return rest_to_rest(times, np.array([target.q for target in motion.targets]))
+    return timed_curve(robot, motion, times, begin)
+
+
+def _stands(robot: Robot, motion: DrivenMotion, where: Array) -> Array:
+    """The posture at the end of a motion from `where` (6,)."""
+    target = motion.targets[-1]
+    if target.q is not None:
+        return target.q
+    if motion.kind == "PTP":
+        return _posed(robot, motion, where)
+    assert target.pose is not None
+    return np.asarray(solve_posture(robot, flange_poses(motion.frames, target.pose[None]), where[None])[0][0])

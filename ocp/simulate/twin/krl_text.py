@@ -45,20 +45,25 @@ class Target:
 class DrivenMotion:
     """One motion: PTP, LIN, a SPLINE of poses or a TIMED spline of axes through `targets`.
 
-    times (m,) s of the targets of a timed block; speed m/s, acceleration m/s^2 of path motions; axis_speed, axis_acceleration
-    (6,) shares of the axes' own; `file`, `line` where it begins.
+    times (m,) s of the targets of a timed block, a SPLINE or TIMED; path: speed m/s, acceleration m/s^2, and of turns rad/s and
+    rad/s^2, which bound a motion along poses; axis_speed, axis_acceleration (6,) shares of the axes' own; `file`, `line` where it
+    begins.
     """
 
     kind: str
     targets: tuple[Target, ...]
     frames: ProgramFrames
-    speed: float
-    acceleration: float
+    path: tuple[float, float, float, float]
     axis_speed: Array
     axis_acceleration: Array
     file: str
     line: int
     times: Array | None = None
+
+    @property
+    def speed(self) -> float:
+        """m/s along poses."""
+        return self.path[0]
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,7 @@ class KrlProgram:
     @property
     def timed(self) -> bool:
         """Whether it is planned, and in time: every motion but the first of a file is a block with its times."""
-        return self.planned and any(step.kind == "TIMED" for step in self.motions)
+        return self.planned and any(step.times is not None for step in self.motions)
 
     @property
     def motions(self) -> list[DrivenMotion]:
@@ -151,6 +156,10 @@ _START_UP = re.compile(r"^BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)$")
 _LOAD = re.compile(r"^\{\s*M\s+(\S+?)\s*,\s*CM\s*(\{[^{}]*\})\s*,\s*J\s*\{([^{}]*)\}\s*\}$")
 
 
+# What bounds a motion along poses until a program sets it, m/s, m/s^2, deg/s, deg/s^2: as it usually is (M).
+AS_USUAL = {"$VEL.CP": 2.0, "$ACC.CP": 2.0, "$VEL.ORI1": 200.0, "$VEL.ORI2": 200.0, "$ACC.ORI1": 100.0, "$ACC.ORI2": 100.0}
+
+
 @dataclass
 class _Controller:
     """Registers of the controller while it goes through the program."""
@@ -159,8 +168,7 @@ class _Controller:
     tools: dict[int, Array] = field(default_factory=dict)
     bases: dict[int, Array] = field(default_factory=dict)
     named: dict[str, str] = field(default_factory=dict)
-    speed: float = 2.0
-    acceleration: float = 2.0
+    path: dict[str, float] = field(default_factory=lambda: dict(AS_USUAL))
     axis_speed: Array = field(default_factory=lambda: np.ones(6))
     axis_acceleration: Array = field(default_factory=lambda: np.ones(6))
     steps: list[DrivenMotion | ProgramPause] = field(default_factory=list)
@@ -193,7 +201,7 @@ def read_program(place: Path, name: str | None = None, planned: bool = False) ->
     _run(c, main, files, 0)
     program = KrlProgram(main, tuple(c.steps), planned)
     if program.timed and c.untimed:
-        raise BadInput(f"{c.untimed}: PTP leaves the way that is planned in time; write the program anew")
+        raise BadInput(f"{c.untimed}: this motion leaves the way that is planned in time; write the program anew")
     if not program.motions:
         raise BadInput(f"{main}: moves nothing; give a folder that ocp.plan wrote")
     return program
@@ -267,6 +275,7 @@ def _run(c: _Controller, source: Path, files: dict[str, Path], depth: int) -> No
         raise BadInput(f"{source}, line {body[-1][0]}: the file ends without END; it was cut off or holds more than one program")
     rest, outer, c.since = iter(body[1:-1]), c.since, set()
     for line, text in rest:
+        _refuse_stop(c, f"{source}, line {line}", text)
         if text in ("SPLINE", "PTP_SPLINE"):
             block: list[tuple[int, str]] = []
             for at, inner in rest:
@@ -275,14 +284,22 @@ def _run(c: _Controller, source: Path, files: dict[str, Path], depth: int) -> No
                 block.append((at, inner))
             else:
                 raise BadInput(f"{source}, line {line}: {text} has no ENDSPLINE; the block must end")
-            c.steps.append((_timed if text == "PTP_SPLINE" else _spline)(c, source, line, block))
+            c.steps.append(_block(c, source, line, text, block))
         elif (found := _CALL.match(text)) and found.group(1) in files:
             _run(c, files[found.group(1)], files, depth + 1)
         elif text == "RETURN" and not c.planned:
             break
         else:
             _statement(c, source, line, text)
+    _refuse_stop(c, f"{source}, line {body[-1][0]}", "END")
     c.since = outer
+
+
+def _refuse_stop(c: _Controller, where: str, text: str) -> None:
+    """Refuse what a planned motion cannot blend into: only a LIN and the speed of it go on without a stop."""
+    last = c.steps[-1] if c.steps else None
+    if c.planned and isinstance(last, DrivenMotion) and last.targets[-1].blend and not re.match(r"(LIN\s|\$VEL\.CP\s*=)", text):
+        raise BadInput(f"{where}: '{shown(text, 60)}' stands where a motion blends into the next; the robot would stop there")
 
 
 def _data(c: _Controller, path: Path) -> None:
@@ -368,8 +385,8 @@ def _assign(c: _Controller, where: str, name: str, index: str | None, value: str
         c.frames = replace(c.frames, load=_load(where, value))
     elif name == "$IPO_MODE" and value in ("#TCP", "#BASE"):
         c.frames = replace(c.frames, held=value == "#TCP")
-    elif name in ("$VEL.CP", "$ACC.CP") and not index:
-        setattr(c, "speed" if name == "$VEL.CP" else "acceleration", _positive(where, name, value, 100.0))
+    elif name in AS_USUAL and not index:
+        c.path[name] = _positive(where, name, value, 1000.0 if "ORI" in name else 100.0)
     elif name in ("$VEL_AXIS", "$ACC_AXIS") and index and 1 <= int(index) <= 6:
         register = "axis_speed" if name == "$VEL_AXIS" else "axis_acceleration"
         shares = getattr(c, register).copy()  # motions before keep what they had
@@ -435,14 +452,17 @@ def _motion(
         raise BadInput(
             f"{source}, line {line}: the first motion may begin anywhere and is faster than {MOST_AT_FIRST:.0%}; slow it"
         )
-    if c.planned and kind == "TIMED" and min(c.axis_speed.min(), c.axis_acceleration.min()) < 1.0:
+    unset = [name for name in AS_USUAL if name not in c.since]
+    if c.planned and kind in ("LIN", "SPLINE") and unset:
+        raise BadInput(f"{source}, line {line}: {unset[0]} is not set before this motion; what ran before would bound it")
+    if c.planned and times is not None and min(c.axis_speed.min(), c.axis_acceleration.min()) < 1.0:
         raise BadInput(f"{source}, line {line}: $VEL_AXIS or $ACC_AXIS below 100 bounds this timed block; write the program anew")
-    if kind == "PTP" and "MOVED" in c.since:
+    if kind in ("PTP", "LIN") and "MOVED" in c.since:
         c.untimed = c.untimed or f"{source}, line {line}"
     c.since.add("MOVED")
-    return DrivenMotion(
-        kind, targets, c.frames, c.speed, c.acceleration, c.axis_speed, c.axis_acceleration, source.name, line, times
-    )
+    turn, spin = (float(np.radians(min(c.path[f"${word}.ORI{i}"] for i in (1, 2)))) for word in ("VEL", "ACC"))
+    path = (c.path["$VEL.CP"], c.path["$ACC.CP"], turn, spin)
+    return DrivenMotion(kind, targets, c.frames, path, c.axis_speed, c.axis_acceleration, source.name, line, times)
 
 
 def _spline(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]) -> DrivenMotion:
@@ -463,8 +483,20 @@ def _spline(c: _Controller, source: Path, line: int, block: list[tuple[int, str]
     return _motion(c, "SPLINE", tuple(targets), source, line)
 
 
-def _timed(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]) -> DrivenMotion:
-    """PTP_SPLINE .. ENDSPLINE of axes inside one time block; PARTs are proportions of END."""
+def _block(c: _Controller, source: Path, line: int, kind: str, block: list[tuple[int, str]]) -> DrivenMotion:
+    """A spline block: PTP_SPLINE of axes inside one time block, SPLINE of poses with one or, where it is not planned, without."""
+    if kind == "SPLINE" and not c.planned and not any(text.startswith("TIME_BLOCK") for _, text in block):
+        return _spline(c, source, line, block)
+    targets, times = _timed(c, source, line, kind, block)
+    axes = kind == "PTP_SPLINE"
+    if any((target.q is None) == axes for target in targets):
+        raise BadInput(f"{source}, line {line}: {kind} goes through {'axes' if axes else 'poses'} alone; this one does not")
+    return _motion(c, "TIMED" if axes else kind, targets, source, line, times)
+
+
+def _timed(c: _Controller, source: Path, line: int, kind: str, block: list[tuple[int, str]]) -> tuple[tuple[Target, ...], Array]:
+    """Targets and times of what stands between PTP_SPLINE or SPLINE and ENDSPLINE; PARTs are proportions of END."""
+    word = "SPTP" if kind == "PTP_SPLINE" else "SPL"
     targets: list[Target] = []
     parts: list[float] = []
     end: float | None = None
@@ -474,7 +506,7 @@ def _timed(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]
         point, timing = _POINT.match(text), _TIME_BLOCK.match(text)
         ready = started or not (c.planned and targets)
         exact = point and not (c.planned and point.group(3))
-        if point and exact and point.group(1) == "SPTP" and ready and end is None and len(parts) == max(0, len(targets) - 1):
+        if point and exact and point.group(1) == word and ready and end is None and len(parts) == max(0, len(targets) - 1):
             targets.append(_target(c, where, at, point.group(2), False))
         elif timing and timing.group(1) == "START" and len(targets) == 1 and not (parts or started):
             started = True
@@ -486,11 +518,8 @@ def _timed(c: _Controller, source: Path, line: int, block: list[tuple[int, str]]
                 raise BadInput(f"{where}: END is {end:.5f} s and the parts sum to {sum(parts):.5f} s; write the program anew")
         else:
             raise BadInput(
-                f"{where}: '{shown(text)}' is not understood here; a timed block is SPTP, START, then SPTP and PART by turns, END"
+                f"{where}: '{shown(text)}' is not understood here; a timed block is {word}, START, {word} and PART by turns, END"
             )
     if end is None:
-        raise BadInput(f"{source}, line {line}: the PTP_SPLINE has no complete TIME_BLOCK; only timed blocks can be driven here")
-    if any(target.q is None for target in targets):
-        raise BadInput(f"{source}, line {line}: a timed block goes through axes, A1 to A6, here it holds a pose")
-    times = np.concatenate([[0.0], np.cumsum(parts)]) * (end / sum(parts))
-    return _motion(c, "TIMED", tuple(targets), source, line, times)
+        raise BadInput(f"{source}, line {line}: the {kind} has no complete TIME_BLOCK; only timed blocks can be driven here")
+    return tuple(targets), np.concatenate([[0.0], np.cumsum(parts)]) * (end / sum(parts))

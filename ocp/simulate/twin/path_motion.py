@@ -1,5 +1,6 @@
-"""LIN and SPLINE motions: a path of poses, the axes that follow it, and the speed that the axes allow; and for it the
-controller's own kinematics: the nominal arm forward, its Jacobian, an inverse by Newton steps, status and turn.
+"""LIN and SPLINE motions: a path of poses, the axes that follow it, and the speed that the axes allow, or the times that the
+program gives; and for it the controller's own kinematics: the nominal arm forward, its Jacobian, an inverse by Newton steps,
+status and turn.
 
 A controller knows the design numbers only. Everything is written from the MD-H table of the robot (docs/robot.md):
 A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i), theta_i = sign_i q_i + offset_i.
@@ -14,7 +15,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ocp.simulate.twin.krl_text import DrivenMotion, ProgramFrames
@@ -121,7 +122,7 @@ def inverse_by_status(robot: Robot, goal: Array, status: int, turn: int | None) 
     return None
 
 
-TURN_SPEED = np.radians(200.0)  # rad/s, $VEL.ORI1 as it usually is (M): turns without way take their time by it
+FINE = 4e-3  # s between the poses of a timed block for which axes are worked out
 STEP = 2.5e-4  # m along the path between the poses for which axes are worked out
 SAME = 1e-7  # m; points nearer than this are one
 DrivenPath = tuple[float, Callable[..., Array], tuple[Array, NDArray[np.int64]]]
@@ -139,6 +140,29 @@ def programmed(frames: ProgramFrames, T: Array) -> Array:
     return invert(tool) if frames.held else tool
 
 
+def rest_to_rest(t: Array, q: Array) -> BSpline:
+    """Fifth-order curve, four times smooth, through q (m, k) at t (m,), without speed and acceleration at its ends."""
+    still = [(order, np.zeros(q.shape[1])) for order in (1, 2)]
+    return make_interp_spline(t, q, k=5, bc_type=(still, still))
+
+
+@dataclass(frozen=True)
+class _Chart:
+    """Poses as vectors (n, 6): place m, turn from the pose `middle` rad."""
+
+    middle: Rotation
+
+    @staticmethod
+    def of(P: Array) -> "_Chart":
+        return _Chart(Rotation.from_matrix(P[len(P) // 2, :3, :3]))
+
+    def flat(self, P: Array) -> Array:
+        return np.hstack([P[:, :3, 3], (self.middle.inv() * Rotation.from_matrix(P[:, :3, :3])).as_rotvec()])
+
+    def poses(self, flat: Array) -> Array:
+        return make_transform((self.middle * Rotation.from_rotvec(flat[:, 3:])).as_matrix(), flat[:, :3])
+
+
 def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> DrivenPath | None:
     """A SPLINE, or LINs that blend into one another, from the joints `start` (6,): its duration s, q(t, nu), and when it passes
     which line of the program; None where it goes nowhere.
@@ -146,33 +170,31 @@ def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> DrivenP
     Raises Infeasible: a pose out of reach.
     """
     first = chain[0]
-    targets = [t for motion in chain for t in motion.targets]
+    targets = [(motion, t) for motion in chain for t in motion.targets]
     begin = programmed(first.frames, flange(robot, start))[0]
-    goals = [programmed(first.frames, flange(robot, np.asarray(t.q)))[0] if t.pose is None else t.pose for t in targets]
+    goals = [programmed(first.frames, flange(robot, np.asarray(t.q)))[0] if t.pose is None else t.pose for _, t in targets]
     P = np.array([begin, *goals])
-    lines = np.array([first.line, *(t.line for t in targets)])
-    middle = Rotation.from_matrix(P[len(P) // 2, :3, :3])
-    turn = (middle.inv() * Rotation.from_matrix(P[:, :3, :3])).as_rotvec()
-    points = np.hstack([P[:, :3, 3], turn])
-    way = _ways(points, first.speed)
-    keep = np.concatenate([[True], way > SAME])
-    points, lines = points[keep], lines[keep]
+    lines = np.array([first.line, *(t.line for _, t in targets)])
+    chart = _Chart.of(P)
+    points, paths = chart.flat(P), np.array([motion.path for motion, _ in targets])
+    keep = np.concatenate([[True], _ways(points, paths) > SAME])
+    points, lines, paths = points[keep], lines[keep], paths[keep[1:]]
     if len(points) < 2:
         return None
-    u = np.concatenate([[0.0], np.cumsum(_ways(points, first.speed))])
+    u = np.concatenate([[0.0], np.cumsum(_ways(points, paths))])
     # Fifth order, or what the number of points allows.
     order = 5 if len(u) > 5 else 3 if len(u) > 3 else 1
     curve = make_interp_spline(u, points, k=order) if first.kind == "SPLINE" else _rounded(u, points)
-    grid = np.linspace(0.0, u[-1], max(8, int(np.ceil(u[-1] / STEP))) + 1)
-    at = curve(grid)
-    poses = make_transform((middle * Rotation.from_rotvec(at[:, 3:])).as_matrix(), at[:, :3])
-    q, left = follow(robot, flange_poses(first.frames, poses), start)
+    even = np.linspace(0.0, u[-1], max(8, int(np.ceil(u[-1] / STEP))) + 1)
+    grid = even if first.kind == "SPLINE" else _with_sides(even, u, paths)
+    q, left = follow(robot, flange_poses(first.frames, chart.poses(curve(grid))), start)
     if left.max() > 1e-7:
         k = int(np.argmax(left))
         line = int(lines[min(int(np.searchsorted(u, grid[k])), len(lines) - 1)])
         raise Infeasible(f"{first.file}, line {line}: the arm {robot.name} cannot follow the path to this pose")
     joints = CubicSpline(grid, q)
-    law = _timing(robot, grid, joints, first)
+    side = np.clip(np.searchsorted(u, 0.5 * (grid[1:] + grid[:-1])) - 1, 0, len(paths) - 1)
+    law = _timing(robot, grid, joints, paths[side])
 
     def evaluate(time: Array, nu: int = 0) -> Array:
         u, v, a = law.at(np.asarray(time, float))
@@ -184,19 +206,75 @@ def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> DrivenP
     return float(law.time[-1]), evaluate, (np.interp(u, grid, law.time), lines)
 
 
-def _ways(points: Array, speed: float) -> Array:
-    """Length of the way from point to point; a turn counts by the time it takes at `TURN_SPEED`."""
+def timed_curve(robot: Robot, motion: DrivenMotion, times: Array, start: Array) -> BSpline:
+    """The joints over time along the poses of a SPLINE at `times` (m,) s, from near `start` (6,), at rest at both ends.
+
+    Raises Infeasible: a pose out of reach.
+    """
+    P = np.array([t.pose for t in motion.targets])
+    chart = _Chart.of(P)
+    fine = np.linspace(0.0, times[-1], max(int(np.ceil(times[-1] / FINE)), 8) + 1)
+    poses = chart.poses(rest_to_rest(times, chart.flat(P))(fine))
+    q, left = follow(robot, flange_poses(motion.frames, poses), start)
+    if left.max() > 1e-7:
+        k = min(int(np.searchsorted(times, fine[int(np.argmax(left))])), len(times) - 1)
+        raise Infeasible(
+            f"{motion.file}, line {motion.targets[k].line}: the arm {robot.name} cannot follow the path to this pose"
+        )
+    return rest_to_rest(fine, q)
+
+
+BOUNDED = ("$VEL.CP", "$ACC.CP", "$VEL.ORI1 or 2", "$ACC.ORI1 or 2")
+
+
+def bounds_of_path(motion: DrivenMotion) -> str:
+    """In a sentence, which bound of the path a timed SPLINE meets before its times; empty where none."""
+    assert motion.times is not None
+    P = np.array([t.pose for t in motion.targets])
+    chart = _Chart.of(P)
+    curve = rest_to_rest(motion.times, chart.flat(P))
+    fine = np.linspace(0.0, motion.times[-1], 4 * len(P))
+    R = Rotation.from_matrix(chart.poses(curve(fine))[:, :3, :3])
+    turn = (R[:-1].inv() * R[1:]).as_rotvec() / np.diff(fine)[:, None]
+    spin = np.diff(turn, axis=0) / np.diff(fine)[1:, None]
+    needs = (curve(fine, nu=1)[:, :3], curve(fine, nu=2)[:, :3], turn, spin)
+    for name, need, given in zip(BOUNDED, needs, motion.path, strict=True):
+        if (most := float(np.linalg.norm(need, axis=1).max())) > given:
+            return (
+                f"{motion.file}, line {motion.line}: {name} lets {given:.4g} and this block needs {most:.4g} (m and rad); a "
+                "controller would stretch the time there, and what was planned is not what it drives"
+            )
+    return ""
+
+
+def _ways(points: Array, paths: Array) -> Array:
+    """Length of the way to each point but the first; a turn counts by the time that it takes."""
     step = np.diff(points, axis=0)
-    return np.maximum(np.linalg.norm(step[:, :3], axis=1), np.linalg.norm(step[:, 3:], axis=1) * speed / TURN_SPEED)
+    return np.maximum(np.linalg.norm(step[:, :3], axis=1), np.linalg.norm(step[:, 3:], axis=1) * paths[:, 0] / paths[:, 2])
+
+
+def _with_sides(even: Array, u: Array, paths: Array) -> Array:
+    """Stations with the corners u (n,) of a polygon, some on each of its sides, and where a change of speed begins or ends."""
+    share = np.linspace(0.0, 1.0, 5)[:-1]
+    inside = (u[:-1, None] + share * np.diff(u)[:, None]).ravel()
+    speed, gain = np.concatenate([[0.0], paths[:, 0], [0.0]]), np.append(paths[:1, 1], paths[:, 1])
+    changes = u + 0.5 * np.diff(speed**2) / gain  # rising on the side behind the corner, falling on that before it
+    grid = np.unique(np.clip(np.concatenate([even, u[-1:], inside, changes]), u[0], u[-1]))
+    return np.asarray(grid[np.append(True, np.diff(grid) > 1e-9)])
 
 
 def _rounded(u: Array, points: Array) -> Callable[[Array], Array]:
-    """A polygon whose corners are rounded by parabolas that begin at the middles of its sides, as blends do at most."""
-    if len(u) < 3:
-        return make_interp_spline(u, points, k=1)
-    middles = 0.5 * (u[1:] + u[:-1])
-    knots = np.concatenate([[u[0]] * 3, middles[1:-1], [u[-1]] * 3])
-    return BSpline(knots, points, 2)
+    """A polygon whose corners are parabolas: from half the shorter side before a corner to as far behind it, as blends do at
+    most. Between them it is straight, and speed along it is speed along u."""
+    side = np.diff(u)
+    reach = 0.5 * np.minimum(side[1:], side[:-1])
+    knots = np.concatenate([[u[0]], np.column_stack([u[1:-1] - reach, u[1:-1] + reach]).ravel(), [u[-1]]])
+    along = np.diff(points, axis=0) / side[:, None]
+    # The slope is that of a side at both ends of it and linear between, where a corner is.
+    slopes = np.repeat(along, 2, axis=0)
+    way = np.vstack([points[:1], points[:1] + np.cumsum(0.5 * (slopes[1:] + slopes[:-1]) * np.diff(knots)[:, None], axis=0)])
+    keep = np.append(np.diff(knots) > 0, True)
+    return CubicHermiteSpline(knots[keep], way[keep], slopes[keep])
 
 
 @dataclass(frozen=True)
@@ -215,20 +293,23 @@ class _Law:
         return self.station[k] + since * (self.speed[k] + 0.5 * a * since), self.speed[k] + a * since, a
 
 
-def _timing(robot: Robot, u: Array, joints: CubicSpline, motion: DrivenMotion) -> _Law:
-    """As fast as $VEL.CP and $ACC.CP say and the axes allow, from rest to rest over the stations u (n,) m.
+def _timing(robot: Robot, u: Array, joints: CubicSpline, paths: Array) -> _Law:
+    """As fast as the paths (n - 1, 4) say of each interval and the axes allow, from rest to rest over the stations u (n,) m.
 
     With q' and q'' along the path an axis has the speed q' v and the acceleration q'' v^2 + q' a; each term gets half the limit.
     """
     slope, bend = (np.maximum(np.abs(joints(u, order)), 1e-12) for order in (1, 2))
-    limit = np.minimum(motion.speed, SHARE * (robot.qd_max / slope).min(axis=1))
+    speed, gain = paths[:, 0], paths[:, 1]
+    asked = np.minimum(np.append(speed, speed[-1]), np.append(speed[0], speed))  # where it changes the slower one
+    limit = np.minimum(asked, SHARE * (robot.qd_max / slope).min(axis=1))
     v2 = np.minimum(limit**2, 0.5 * (robot.qdd_max / bend).min(axis=1))
-    a = np.minimum(motion.acceleration, 0.5 * (robot.qdd_max / slope).min(axis=1))
+    axes = 0.5 * (robot.qdd_max / slope).min(axis=1)
+    a = np.minimum(gain, np.minimum(axes[1:], axes[:-1]))
     step = np.diff(u)
     v2[0] = v2[-1] = 0.0
     for k in range(1, len(u)):
-        v2[k] = min(v2[k], v2[k - 1] + 2 * min(a[k - 1], a[k]) * step[k - 1])
+        v2[k] = min(v2[k], v2[k - 1] + 2 * a[k - 1] * step[k - 1])
     for k in range(len(u) - 2, -1, -1):
-        v2[k] = min(v2[k], v2[k + 1] + 2 * min(a[k + 1], a[k]) * step[k])
+        v2[k] = min(v2[k], v2[k + 1] + 2 * a[k] * step[k])
     v = np.sqrt(v2)
     return _Law(np.concatenate([[0.0], np.cumsum(2 * step / np.maximum(v[1:] + v[:-1], 1e-9))]), u, v)
