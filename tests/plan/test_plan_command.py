@@ -167,8 +167,11 @@ def test_a_blade_named_like_a_statement_gives_a_harmless_cartesian_program(small
     for file in programs:
         assert re.fullmatch(r"[A-Z][A-Z0-9_]{0,23}\.(src|dat)", file.name)
         for line in file.read_text(encoding="ascii").splitlines():
-            assert "$OV_PRO" not in line and "=100" not in line and "x()" not in line.lower()
-    assert any("SPLINE" in p.read_text() and "#TCP" in p.read_text() for p in programs)
+            own = re.fullmatch(r"\$(VEL|ACC)_AXIS\[\d\]=100", line)
+            assert "$OV_PRO" not in line and ("=100" not in line or own) and "x()" not in line.lower()
+    passes = [text for p in programs if "; pass" in (text := p.read_text())]
+    assert passes and all(len(re.findall(r"(?m)^SPLINE$", text)) == 1 and "#TCP" in text for text in passes)
+    assert not re.search(r"(?m)^PTP (?!\{A1)|^LIN ", "".join(passes)) and "It is safe to move (green)" in told.out
     assert "<script>x" not in (tmp_path / "plan" / "report.html").read_text(encoding="utf-8")
 
 
@@ -191,6 +194,8 @@ def test_classic_lines_replace_an_old_folder_only_when_asked(small, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["blade.stl", "cell.toml", "plan"]
     text = "".join(p.read_text() for p in (tmp_path / "plan").glob("*_0*.src"))
     assert re.search(r"(?m)^ *LIN ", text) and "C_VEL" in text and "SPLINE" not in text
+    rests = len(re.findall(r"(?m)^LIN (?!.*C_VEL)", text))
+    assert rests == len(re.findall("(?m)^; pass$", text)) > 0 and "rests" not in told.out and "blend" not in told.out
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_any_work(tmp_path):
