@@ -69,19 +69,8 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
     p = p_real + R_real @ waypoint["p"]
     n, t = R_real @ waypoint["n"], R_real @ waypoint["t"]
 
-    centre = cell.wheel.centre + par["wheel_centre"]
-    axis = _tilted_axis(cell.wheel.axis, par["wheel_axis"])
-    v = p - centre
-    lateral = ca.dot(v, axis)
-    radial = v - lateral * axis
-    rho = ca.norm_2(radial)
-    e = radial / rho
-    belt = ca.cross(axis, e)
     radius = cell.wheel.radius + par["wheel_radius"]
-    delta = radius - rho
-
-    start = cell.wheel.contact_direction
-    arc = ca.atan2(ca.dot(ca.cross(ca.SX(start), e), axis), ca.dot(ca.SX(start), e))
+    axis, e, belt, lateral, delta, arc = _on_wheel(cell, par, p, radius)
     heading = -sigma * cell.wheel.travel * t
     turn = ca.atan2(ca.dot(heading, axis), ca.dot(heading, belt))
     tilt = -ca.vertcat(ca.dot(n, belt), ca.dot(n, axis)) / ca.dot(n, e)
@@ -191,6 +180,18 @@ def _small_rotation(r: ca.SX) -> ca.SX:
     """Rotation of the small rotation vector r (3) rad to second order: registration errors are below 1e-2 rad."""
     S = ca.skew(r)
     return ca.SX.eye(3) + S + 0.5 * S @ S
+
+
+def _on_wheel(cell: Cell, par: dict[str, ca.SX], p: ca.SX, radius: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Where a point p (3) m lies on the wheel: axis; outward, and where the belt goes; lateral, overlap m; arc rad."""
+    axis, start = _tilted_axis(cell.wheel.axis, par["wheel_axis"]), ca.SX(cell.wheel.contact_direction)
+    v = p - (cell.wheel.centre + par["wheel_centre"])
+    lateral = ca.dot(v, axis)
+    radial = v - lateral * axis
+    rho = ca.norm_2(radial)
+    e = radial / rho
+    arc = ca.atan2(ca.dot(ca.cross(start, e), axis), ca.dot(start, e))
+    return axis, e, ca.cross(axis, e), lateral, radius - rho, arc
 
 
 def _tilted_axis(axis: np.ndarray, uv: ca.SX) -> ca.SX:

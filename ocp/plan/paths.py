@@ -17,7 +17,7 @@ from ocp.model.cell import Cell, wheel_frame
 from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import enclosed
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.removal.dwell import PROBE, feeds_told, probed_spacing, with_feeds
+from ocp.plan.removal.dwell import PROBE, probed_spacing, with_feeds
 from ocp.plan.removal.surface import SideCells, flank_cells
 from ocp.plan.removal.wanted import Wanted, wanted_of
 from ocp.plan.rules import WHEEL_ROOM
@@ -51,6 +51,16 @@ class PlanOptions:
     even: bool = True
     whole: bool = False
     stock: Path | None = None
+
+    @property
+    def laid(self) -> bool:
+        """Whether lines are laid at distances chosen here."""
+        return self.even and self.path is None and self.program is None
+
+    @property
+    def fitted(self) -> bool:
+        """Whether feeds are chosen so that all lines together take off what is wanted."""
+        return self.laid or (self.stock is not None and (self.path is not None or self.program is not None))
 
 
 @dataclass(frozen=True)
@@ -87,14 +97,13 @@ def lay_paths(cell: Cell, stl: Path, options: PlanOptions) -> LaidPaths:
     beyond: list[CannotGrind] = []
     if options.stock is not None:
         paths, beyond = with_feeds(cell, wheel_cover(cell), paths, flanks, wanted)
-        notices.append(feeds_told(cell, paths, wanted))
     return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
 
 
 def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCloud, options: PlanOptions) -> LaidPaths:
     """Lines as near to each other as the patch's width asks for, each at the feed that makes their sum what is wanted."""
     wanted = wanted_of(cell, blade, cloud, options.stock)
-    chosen, told = _pass_options(cell, options.step), []
+    chosen = _pass_options(cell, options.step)
     beyond: list[CannotGrind] = []
     if options.even:
         cover = wheel_cover(cell)
@@ -104,8 +113,7 @@ def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCl
     flanks = flank_cells(shape, ground_windows(blade, shape, chosen), paths, 0.0)
     if options.even:
         paths, beyond = with_feeds(cell, cover, paths, flanks, wanted)
-        told.append(feeds_told(cell, paths, wanted))
-    return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices, *told))
+    return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
 
 
 def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:

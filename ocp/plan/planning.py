@@ -30,7 +30,7 @@ from ocp.plan.passes.stretches import (
 )
 from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
 from ocp.plan.programming import program_setup
-from ocp.plan.removal.dwell import even_feeds
+from ocp.plan.removal.dwell import even_feeds, feeds_told
 from ocp.plan.removal.result import Removal, find_removal
 from ocp.plan.rules import LEAST_STEP, MOST_STEP
 from ocp.shell.progress import Phases
@@ -113,8 +113,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     whole, deep = without_places(whole, laid.beyond, options.whole)
     refuse_mostly_left_out(laid.paths, [*short, *deep])
 
-    fitted = options.even if options.path is None and options.program is None else options.stock is not None
-    feeds = partial(even_feeds, cell, laid.flanks, laid.wanted) if fitted else None
+    feeds = partial(even_feeds, cell, laid.flanks, laid.wanted) if options.fitted else None
 
     def solve() -> GroundLines:
         with phases.phase("postures"):
@@ -123,7 +122,7 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
             found = solve_passes(ground, stretches, seeds, options.whole, feeds, advance)
         return GroundLines(found.passes, joined([*lost, *found.left_out]))
 
-    solved = remembered_passes(ground, laid.paths, compliance, solve, options.whole, fitted)
+    solved = remembered_passes(ground, laid.paths, compliance, solve, options.whole, options.fitted)
     solved = replace(solved, left_out=joined([*short, *deep, *solved.left_out]))
     notices = (*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices, *told)
     job = Job(believed, ground, scene, laid, contact, options, phases, notices)
@@ -165,6 +164,9 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
     lost = as_driven(lost, laid.paths, {p.problem.path.line for p in motion.passes if p.problem.seed.direction < 0})
     with job.phases.phase("removal"):
         removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted)
+    told = []
+    if job.options.fitted:
+        told = [feeds_told(cell, [p.problem.path for p in motion.passes], laid.wanted, job.options.laid)]
 
     return Plan(
         cell=cell,
@@ -176,7 +178,7 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
         kind=job.options.kind,
         name=job.options.name or Path(str(cell.workpiece.stl)).name,
         inputs=job.inputs(),
-        notices=(*job.notices, *ungrindable_notices(lost)),
+        notices=(*job.notices, *told, *ungrindable_notices(lost)),
         wheel_error=contact.law.error,
         compliance_error=float(np.max(contact.compliance.interpolation_error)),
         removal=removal,

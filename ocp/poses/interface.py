@@ -53,21 +53,6 @@ def choose_poses(
     rad: one sigma before the calibration; joint_noise rad: repeatability of an axis, one sigma. Raises BadInput: an argument or
     the cell is not what it should be; Infeasible: too few postures are free and seen.
     """
-    if criterion not in CRITERIA:
-        raise BadInput(f"--criterion '{criterion}' is not one of {', '.join(CRITERIA)}")
-    _refuse_outside(
-        ("--approach", float(np.degrees(approach)), 0.1, 20.0, "deg"),
-        ("--speed", speed, 1, 100, "percent"),
-        ("--wait", wait, 0.1, 3600.0, "s"),
-        ("--input", wait_input, 1, 8192, ""),
-        ("--acceptance", None if acceptance is None else float(np.degrees(acceptance)), 1.0, 180.0, "deg"),
-        ("--prior-mm", 1e3 * length_sd, 1e-3, 100.0, "mm"),
-        ("--prior-mrad", 1e3 * angle_sd, 1e-3, 100.0, "mrad"),
-        ("--joint-noise", 1e6 * joint_noise, 0.1, 1000.0, "urad"),
-        ("--seed", seed, 0, 2**32, ""),
-    )
-    if wait is not None and wait_input is not None:
-        raise BadInput("--wait and --input exclude each other; give one of them")
     options = PoseOptions(
         count=count,
         criterion=criterion,
@@ -83,9 +68,30 @@ def choose_poses(
         priors=Priors(length=length_sd, angle=angle_sd),
         noise=Noise(joint_noise),
     )
+    _refuse_options(options)
     phases, inputs = Phases(progress), [Path(cell)]
     with reserved(Path(out), overwrite, files_of(Path(cell))) as output:
         return write_poses(make_poses(Path(cell), options, phases), output, phases, inputs)
+
+
+def _refuse_options(options: PoseOptions) -> None:
+    """Refuse (BadInput) what nobody can want, by the name that it has on the command line."""
+    if options.criterion not in CRITERIA:
+        raise BadInput(f"--criterion '{options.criterion}' is not one of {', '.join(CRITERIA)}")
+    wait, number, turned = options.pausing.seconds, options.pausing.input, options.acceptance
+    _refuse_outside(
+        ("--approach", float(np.degrees(options.approach)), 0.1, 20.0, "deg"),
+        ("--speed", options.speed, 1, 100, "percent"),
+        ("--wait", wait, 0.1, 3600.0, "s"),
+        ("--input", number, 1, 8192, ""),
+        ("--acceptance", None if turned is None else float(np.degrees(turned)), 1.0, 180.0, "deg"),
+        ("--prior-mm", 1e3 * options.priors.length, 1e-3, 100.0, "mm"),
+        ("--prior-mrad", 1e3 * options.priors.angle, 1e-3, 100.0, "mrad"),
+        ("--joint-noise", 1e6 * options.noise.joints, 0.1, 1000.0, "urad"),
+        ("--seed", options.seed, 0, 2**32, ""),
+    )
+    if wait is not None and number is not None:
+        raise BadInput("--wait and --input exclude each other; give one of them")
 
 
 def _refuse_outside(*limits: tuple[str, float | None, float, float, str]) -> None:

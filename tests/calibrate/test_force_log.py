@@ -5,7 +5,8 @@ import csv
 import numpy as np
 import pytest
 
-from ocp.calibrate.force.log import BLIND, read_force_log
+from ocp.calibrate.force.log import BLIND, read_force_log, without_ends
+from ocp.contact.wheel.law_fit import FORCE_RANGE
 from robots.errors import BadInput
 
 NEEDED = ["run", "time_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
@@ -152,3 +153,22 @@ def test_files_that_are_no_table_are_refused(tmp_path):
     path.write_text(",".join([*NEEDED, "fn_N"]) + "\n1,2,3\n")
     with pytest.raises(BadInput, match="line 2: 3 values where the header names 18 columns"):
         read_force_log(path)
+
+
+def test_rows_of_touch_and_lift_are_left_out_and_told(tmp_path):
+    """Little force while the contact hardly moves; at full feed little force is a finding, and what is off contact stays."""
+    forces = [0.0, 3.0, 9.0, 20.0, 20.0, 3.0, 20.0, 9.0, 3.0, 0.0]
+    feeds = [0.0, 5.0, 15.0, 40.0, 40.0, 40.0, 40.0, 15.0, 5.0, 0.0]
+    table = [
+        {**ROW, "time_s": 0.01 * k, "fn_N": f, "feed_mm_s": v, "contact": int(f > 0)}
+        for k, (f, v) in enumerate(zip(forces, feeds, strict=True))
+    ]
+    least = FORCE_RANGE[0] * 20.0
+    kept = without_ends(read(tmp_path, table), 20.0)
+    gone = [k for k in range(10) if 0 < forces[k] < least and feeds[k] < 20.0]
+    assert len(gone) >= 2 and [round(100 * t) for t in kept.time] == [k for k in range(10) if k not in gone]
+    assert f"{len(gone)} rows in which blade and wheel meet and part, below {least:.3g} N, were left out" in kept.notices[-1]
+    slow = [{**row, "feed_mm_s": 5.0} for row in table]  # a run that is slow throughout has no ends to tell
+    assert without_ends(read(tmp_path, slow), 20.0).notices == read(tmp_path, slow).notices
+    blind = [{name: value for name, value in row.items() if name != "feed_mm_s"} for row in table]
+    assert len(without_ends(read(tmp_path, blind), 20.0)) == 10

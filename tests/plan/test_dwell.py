@@ -10,12 +10,16 @@ from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.model.prepare import wheel_cover
 from ocp.plan.passes.course import Engagement, air_to_air, lengthened
+from ocp.plan.passes.optimise import _at_feeds
+from ocp.plan.passes.posture import Seed
+from ocp.plan.passes.stretches import LineStretch
 from ocp.plan.paths import PlanOptions, lay_paths
-from ocp.plan.removal.dwell import EVEN, LEAST_EVEN, DrivenLine, even_feeds, even_spacing
+from ocp.plan.removal.dwell import EVEN, LEAST_EVEN, DrivenLine, even_feeds, even_spacing, feeds_told, programmable
 from ocp.plan.removal.footprint import planned_patches
 from ocp.plan.removal.result import SideRemoval, figures_of
 from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, work_done
 from ocp.plan.removal.wanted import Wanted, programmed_work
+from ocp.plan.rules import FEEDS, LEAST_RAMP
 from tests.plan.test_footprint import A, B, ellipsoid
 from tests.support.example_pass import bar_pass, bundled_cell
 from trajectories.passes import BladePath
@@ -203,3 +207,31 @@ def test_a_line_too_short_for_its_ramps_is_driven_alone():
     rows = led(on_a_plane(0, length=0.004), 0.0)
     rows = replace(rows, entry=replace(rows.entry, ramp=0.1)).rows()  # 2 mm of it: nothing is left between ramps
     assert rows.slide.sum() == pytest.approx(0.004) and (rows.force == 20.0).all()
+
+
+def test_feeds_come_back_in_the_direction_of_the_line():
+    """A seed that travels backward sees the line turned round, and tells its feeds so."""
+    path = bar_pass()
+    line, rising = LineStretch(path, np.zeros((len(path.s), 3))), np.linspace(0.03, 0.06, len(path.s))
+    seeds = [Seed(d, 0, np.zeros(7), 0.0, np.zeros((7, 6)), np.linspace(0, 1, 7), 0.0) for d in (1, -1, 1)]
+    onward, back, kept = _at_feeds([line] * 3, seeds, [rising, rising, None])
+    assert (onward.path.feed == rising).all() and (back.path.feed == rising[::-1]).all() and kept is line
+
+
+def test_the_feed_that_can_be_driven_is_that_between_the_ramps():
+    """A short line never comes to its programmed feed: what it comes to is what is judged."""
+    path = bar_pass()
+    least, most = programmable(path)
+    assert least == FEEDS[0] and most >= FEEDS[1]
+    for feed in (0.35, 0.5, 0.9):
+        fast = replace(path, feed=np.full(len(path.s), feed))
+        entry = Engagement(LEAST_RAMP, 4e-3, 0.02, 0.5, 2e4, 20.0)  # the shortest ramp that a cell may have
+        peak = air_to_air(fast, entry, 1e-3).peak if feed < 0.5 else 0.0
+        assert programmable(fast)[1] > FEEDS[1] and peak * feed < FEEDS[1]
+
+
+def test_lines_at_an_end_of_what_can_be_driven_are_named(cell):
+    slow = replace(bar_pass(), feed=np.full(40, FEEDS[0]), line=7)
+    told = feeds_told(cell, [bar_pass(), slow], Wanted(), laid=True)
+    assert "2 lines lie at most" in told and "feeds of lines 7 are at an end" in told and "feeds are 2 to" in told
+    assert "lie at most" not in feeds_told(cell, [bar_pass()], Wanted(), laid=False)

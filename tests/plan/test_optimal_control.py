@@ -13,11 +13,11 @@ from ocp.plan.passes import posture
 from ocp.plan.passes.course import steady
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
-from ocp.plan.passes.smoothness import axis_rows, quadratic_form
+from ocp.plan.passes.smoothness import axis_rows, axis_use, quadratic_form
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, N_Z, ObjectiveWeights
-from ocp.plan.passes.transcription import N_DYNAMIC, N_MOTION, REACH, transcribe
-from ocp.plan.rules import SPEED_SHARE
+from ocp.plan.passes.transcription import AROUND, N_DYNAMIC, N_MOTION, REACH, transcribe
+from ocp.plan.rules import JERK_TIME, SPEED_SHARE
 from robots.errors import Infeasible
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
 from trajectories.passes import reversed_path
@@ -68,11 +68,41 @@ def test_assembled_derivatives_equal_casadis_own(full, force_sd):
     assert np.triu(assembled) == pytest.approx(np.triu(hessian), rel=1e-8, abs=1e-9 * scale)
 
 
+def test_speed_acceleration_and_jerk_are_those_of_the_motion_in_time():
+    """Along a cubic in a time that runs unevenly against the path parameter: derivatives by parabolas, to the order of a step."""
+    cell, _, problem = ready(bar_pass(n=200))
+    at, robot = problem.way.at, cell.robot
+    time = at + 0.05 * at**2 / at[-1]  # rate = d at / d time
+    rate, q = 1 / (1 + 0.1 * at / at[-1]), problem.seed.q[0] + np.outer(time - 1.0, 1e-2 * np.arange(1, 7)) ** 3
+    use = axis_use(cell, problem.way, q, rate)
+    slope, inner = 1e-2 * np.arange(1, 7), slice(3, -3)
+    for part, known, limit in (
+        (0, np.outer((time - 1.0) ** 2, 3 * slope**3), robot.qd_max),
+        (1, np.outer(time - 1.0, 6 * slope**3), robot.qdd_max),
+        (3, np.outer(np.ones(200), 6 * slope**3), robot.qdd_max / JERK_TIME),
+    ):
+        assert use[inner, 6 * part : 6 * part + 6] == pytest.approx(np.abs(known / limit)[inner], rel=0.02, abs=1e-8)
+
+
+def test_a_jolt_of_the_seed_is_driven_within_the_limit_of_jerk(monkeypatch):
+    """With a limit that the way without it breaks, the rows of axis limits keep it."""
+    monkeypatch.setattr("ocp.plan.passes.solve.JERK_TIME", 1.0)
+    monkeypatch.setattr("ocp.plan.passes.smoothness.JERK_TIME", 1.0)
+    cell, solver, problem = ready()
+    free = solver._solve(problem, None, full=False)
+    jerk = axis_use(cell, problem.way, free.q, free.rate)[:, 18:].max()
+    for module in ("solve", "smoothness"):
+        monkeypatch.setattr(f"ocp.plan.passes.{module}.JERK_TIME", SPEED_SHARE / (0.9 * jerk))  # nine tenths of what it takes
+    kept = solver.solve(problem)
+    assert axis_use(cell, problem.way, free.q, free.rate)[:, 18:].max() > SPEED_SHARE
+    assert axis_use(cell, problem.way, kept.q, kept.rate)[:, 18:].max() <= SPEED_SHARE + 1e-5
+
+
 def test_hessian_and_jacobian_stay_banded():
     _, solver, _ = ready()
     program = transcribe(solver.stage, 64, True)
     rows = program.solver.get_function("nlp_jac_g").sparsity_out(1)
-    assert rows.nnz() <= 64 * (N_ROWS * N_Z + N_DYNAMIC * 3 * N_Z)
+    assert rows.nnz() <= 64 * (N_ROWS * N_Z + N_DYNAMIC * len(AROUND) * N_Z)
     assert program.solver.get_function("nlp_hess_l").sparsity_out(0).bw_upper() <= N_Z * REACH
     assert N_PARAMETERS * 64 + Theta.size + program.pattern.nnz + 64 * (N_Z + N_MOTION) == program.solver.size1_in("p")
 

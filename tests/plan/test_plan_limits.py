@@ -33,6 +33,7 @@ from ocp.plan.passes import posture
 from ocp.plan.passes.optimise import TouchesElsewhere, refuse_unsound
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
+from ocp.plan.passes.smoothness import axis_use
 from ocp.plan.passes.solve import PassSolver, refuse_violated
 from ocp.plan.passes.stage import N_PLAIN_ROWS, N_ROWS, ROWS
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, refuse_mostly_left_out, whole_lines
@@ -209,6 +210,19 @@ def test_an_axis_may_not_use_all_of_its_speed(cell, solver):
     for more, broken in ((-1e-4, False), (1e-4, True)):
         turning = READY + at * np.array([0.0, 0.0, 0.0, speed + more, 0.0, 0.0])
         assert solver._breaks_lazy_rows(problem(), SimpleNamespace(q=turning, rate=np.ones(40))) is broken
+
+
+def test_an_axis_builds_up_its_acceleration_in_its_time(cell, solver):
+    jerk = rules.SPEED_SHARE * cell.robot.qdd_max[1] / rules.JERK_TIME
+    judge(solver, jerk - 1e-3, axis=19)
+    with pytest.raises(Infeasible, match=r"the jerk of axis 2 cannot be kept within its limit"):
+        judge(solver, jerk + 1e-3, axis=19)
+    at = problem().way.at
+    swing = np.outer(np.sin(4 * np.pi * at / at[-1]) ** 4, np.eye(6)[1])  # no acceleration at its ends
+    most = axis_use(cell, problem().way, READY + 1e-3 * swing, np.ones(40))[:, 19].max()
+    for share, broken in ((rules.SPEED_SHARE - 1e-4, False), (rules.SPEED_SHARE + 1e-4, True)):
+        there = READY + 1e-3 * share / most * swing
+        assert solver._breaks_lazy_rows(problem(), SimpleNamespace(q=there, rate=np.ones(40))) is broken
 
 
 def test_the_optimiser_stays_off_the_ends_of_axes_and_singularities(cell, solver):

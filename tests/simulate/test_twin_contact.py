@@ -12,6 +12,7 @@ from ocp.contact.blade.elasticity import Material
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import read_cell
 from ocp.model.prepare import wheel_cover
+from ocp.simulate.twin.contact.grinder import FAR_APART
 from ocp.simulate.twin.contact.rubber import cover_section, make_rubber, press
 from ocp.simulate.twin.contact.surface import gap, near, postures, wheel_on_blade
 from ocp.simulate.twin.contact.table import LATTICE, LEVELS, SolvedStations, depth_curves, place_stations
@@ -232,6 +233,19 @@ def test_bodies_apart_carry_nothing(bench):
     assert (rigid.force(moments(rigid.cell, s, 2e-5)).force > 0).all()
     lost = rigid.force(moments(rigid.cell, s, np.where(s > 0.01, -1e-4, 5e-4)))
     assert ((lost.force > 0) == (s <= 0.01)).all()
+
+
+def test_a_place_that_is_not_before_the_wheel_is_far_apart(bench):
+    """Through the wheel the place lies behind its axis, where "inside its radius" is no overlap; beside it nothing is pressed."""
+    grinder = bench.grinder()
+    overlap = grinder.depth(moments(bench.cell, np.arange(0, 0.02, 4e-4), 5e-4))
+    assert overlap == pytest.approx(np.full(50, 5e-4), abs=2e-5)
+    aside, through = moments(bench.cell, np.arange(0, 0.02, 4e-4), 5e-4), moments(bench.cell, np.arange(0, 0.02, 4e-4), 5e-4)
+    wheel = bench.cell.wheel
+    aside.T_base_flange[:, :3, 3] += 1.5 * wheel.width * wheel.axis
+    through.T_base_flange[:, :3, 3] -= 1.5 * wheel.radius * wheel.contact_direction
+    for moved in (aside, through):
+        assert (grinder.depth(moved) == -FAR_APART).all()
 
 
 def test_an_air_run_has_no_force(bench):

@@ -131,7 +131,7 @@ def air_to_air(path: BladePath, entry: Engagement, step: float) -> PassCourse:
     length = np.diff(path.s) / (0.5 * (path.feed[1:] + path.feed[:-1]))
     driven = np.concatenate([[0.0], np.cumsum(length)])  # s at the programmed feed
     ramp_way = entry.ramp * float(rise(np.array(1.0), entry.slope, -1))
-    peak = min(1.0, 0.5 * LONGEST_RAMPS * driven[-1] / ramp_way)
+    peak = peak_share(float(driven[-1]), ramp_way)
     full = (driven[-1] - 2.0 * peak * ramp_way) / peak
     if full < 2.0 * step or peak < LEAST_PEAK:
         raise Infeasible(f"line {path.line} ({path.side}): {path.s[-1] * 1e3:.1f} mm are too short to engage and to lift off")
@@ -158,6 +158,12 @@ def air_to_air(path: BladePath, entry: Engagement, step: float) -> PassCourse:
     course = PassCourse(at, s, blank, blank, blank, ((at > edges[2] - 1e-9) & (at < edges[3] + 1e-9)) * 1.0, edges, peak, entry)
     share = course.share_at(at)
     return replace(course, share=share, speed=share * np.interp(s, path.s, path.feed), gap=course.gap_at(at))
+
+
+def peak_share(seconds: float, ramp: float) -> float:
+    """The share of the programmed force and feed that a line of `seconds` at that feed is driven with, when each of its ramps
+    covers what takes `ramp` seconds there."""
+    return min(1.0, 0.5 * LONGEST_RAMPS * seconds / ramp)
 
 
 def lengthened(path: BladePath, before: float, after: float) -> BladePath:

@@ -8,6 +8,7 @@ from ocp.plan.passes.course import PassCourse
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.stage import N_Z, ObjectiveWeights
 from ocp.plan.passes.transcription import N_MOTION, REACH
+from ocp.plan.rules import JERK_TIME
 from robots.pose import Array
 from robots.rigid_body import inverse_dynamics
 
@@ -96,11 +97,14 @@ def motion_of(course: PassCourse, q: Array, rate: Array) -> tuple[Array, Array]:
 
 
 def axis_use(cell: Cell, course: PassCourse, q: Array, rate: Array) -> Array:
-    """Speed, acceleration and gear torque (n, 18) of the six axes at the nodes over their limits."""
+    """Speed, acceleration, gear torque and jerk up to the next node (n, 24) of the six axes at the nodes over their limits."""
     qd, qdd = motion_of(course, q, rate)
     payload, robot = cell.workpiece.payload, cell.robot
     torque = inverse_dynamics(robot, payload.mass, payload.com, q, qd, qdd)
-    return np.abs(np.hstack([qd / robot.qd_max, qdd / robot.qdd_max, torque / robot.torque_max]))
+    jerk = np.zeros_like(qdd)
+    jerk[:-1] = np.diff(qdd, axis=0) * (0.5 * (rate[1:] + rate[:-1]) / np.diff(course.at))[:, None]
+    limits = (robot.qd_max, robot.qdd_max, robot.torque_max, robot.qdd_max / JERK_TIME)
+    return np.abs(np.hstack([use / limit for use, limit in zip((qd, qdd, torque, jerk), limits, strict=True)]))
 
 
 def axis_rows(cell: Cell, course: PassCourse, q: Array, n: int) -> Array:
@@ -123,4 +127,6 @@ def axis_rows(cell: Cell, course: PassCourse, q: Array, n: int) -> Array:
             rows[inner, column + i] = np.asarray(D[inner, inner + i - 1]).ravel()
     rows[:count, 6:42] = inertia.reshape(count, 36)
     rows[:count, 42:48] = torque(qd, still)
+    rows[: count - 1, 48:54] = rows[1:count, :6]
+    rows[: count - 1, 54] = 1.0 / np.diff(course.at)
     return rows

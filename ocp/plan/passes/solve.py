@@ -28,6 +28,7 @@ from ocp.plan.passes.transcription import N_DYNAMIC, Transcription, transcribe
 from ocp.plan.rules import (
     AXIS_MARGIN,
     ELBOW_MARGIN,
+    JERK_TIME,
     LEAST_INDENTATION,
     PEAK_FORCE,
     SHOULDER_MARGIN,
@@ -264,7 +265,9 @@ class PassSolver:
         each[1][:, 9] = PEAK_FORCE * force
         if not full:
             return each[0][:, :N_PLAIN_ROWS].ravel(), each[1][:, :N_PLAIN_ROWS].ravel()
-        use = np.tile(SPEED_SHARE * np.concatenate([self.cell.robot.qd_max, self.cell.robot.qdd_max, np.ones(6)]), n)
+        robot = self.cell.robot
+        limits = np.concatenate([robot.qd_max, robot.qdd_max, np.ones(6), robot.qdd_max / JERK_TIME])
+        use = np.tile(SPEED_SHARE * limits, n)
         return np.concatenate([each[0].ravel(), -use]), np.concatenate([each[1].ravel(), use])
 
     def _parameters(self, problem: PassProblem, n: int) -> Array:
@@ -301,7 +304,7 @@ def refuse_violated(path: BladePath, violation: Array, full: bool, status: str) 
     if full and limits.max() > stage.max():
         k, row = (int(i) for i in np.unravel_index(int(np.argmax(limits)), limits.shape))
         where = limits.max(axis=1)[: len(path.s)] > WORST_SHARE * limits.max()
-        what = ("speed", "acceleration", "torque")[row // 6]
+        what = ("speed", "acceleration", "torque", "jerk")[row // 6]
         reason = f"the {what} of axis {row % 6 + 1} cannot be kept within its limit (optimiser: {status})"
         raise CannotGrind.of(path, where, reason, "lower the feed", k, _told(path, k, reason, "lower the feed"))
     name, unit, factor = ROWS[row]

@@ -2,8 +2,8 @@
 
 Variables x = (z_0, .., z_{N-1}), z = (q, w, r). The objective is the stages' and one quadratic form of x that holds what
 couples nodes: smoothness of joints, rate and ratio, and the removal, linear in r. Rows: the stages' rows, then (`full`) speed,
-acceleration and gear torque of the axes, each over what may be used of it. All derivatives are blocks of mapped functions, so
-that building costs the same for 10 and for 1000 nodes.
+acceleration, gear torque and jerk of the axes, each over what may be used of it. All derivatives are blocks of mapped functions,
+so that building costs the same for 10 and for 1000 nodes.
 
 Limits of the axes and clearances rarely bind and cost a third of the linear algebra: the caller leaves them out first and asks
 for them (`full`) where the solution breaks one.
@@ -50,8 +50,9 @@ WARM = {
 
 REACH = 40  # nodes over which the removal couples values of r
 COUPLED = 2  # nodes over which smoothness couples everything else
-N_DYNAMIC = 18  # rows of axis limits at a node: speed, acceleration, torque of six axes
-N_MOTION = 48  # numbers that they know of a node: `_limits_of_a_node`
+N_DYNAMIC = 24  # rows of axis limits at a node: speed, acceleration, torque, jerk of six axes
+N_MOTION = 55  # numbers that they know of a node: `_limits_of_a_node`
+AROUND = (-1, 0, 1, 2)  # nodes that they reach, from their own
 
 
 @dataclass(frozen=True)
@@ -136,19 +137,18 @@ def _sparsity(pattern: sp.csc_matrix) -> ca.Sparsity:
 
 
 def _axis_limits(n: int, z: ca.MX, motion: ca.MX, lam: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Rows of axis limits at all nodes (N_DYNAMIC n), their Jacobian and their part of the Hessian: blocks of a node with the
-    ones before and after it."""
+    """Rows of axis limits at all nodes (N_DYNAMIC n), their Jacobian and their part of the Hessian: blocks of a node with those
+    AROUND it."""
     value, jacobian, hessian = _limits_of_a_node()
-    columns = [z[:, [0, *range(n - 1)]], z, z[:, [*range(1, n), n - 1]]]
-    shifts = (-1, 0, 1)
+    columns = [z[:, np.clip(np.arange(n) + shift, 0, n - 1).tolist()] for shift in AROUND]
     g = ca.vec(value.map(n)(*columns, motion))
     g_x, H = ca.MX(N_DYNAMIC * n, N_Z * n), ca.MX(N_Z * n, N_Z * n)
     blocks = jacobian.map(n)(*columns, motion)
-    for shift, block in zip(shifts, blocks, strict=True):
+    for shift, block in zip(AROUND, blocks, strict=True):
         g_x = g_x + _placed(block, N_DYNAMIC, n, 0, shift)
     parts = iter(hessian.map(n)(*columns, motion, lam))
-    for one in shifts:
-        for other in shifts:
+    for one in AROUND:
+        for other in AROUND:
             H = H + _placed(next(parts), N_Z, n, one, other)
     return g, g_x, H
 
@@ -165,25 +165,29 @@ def _placed(blocks: ca.MX, rows: int, n: int, down: int, right: int) -> ca.MX:
 
 @cache
 def _limits_of_a_node() -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Speed rad/s, acceleration rad/s^2 and torque over its limit (18 in all) from z before, at and after a node; derivatives in
-    all three.
+    """Speed rad/s, acceleration rad/s^2, torque over its limit and jerk rad/s^3 up to the next node (24 in all) from z at the
+    nodes AROUND one; derivatives in all four.
 
-    motion (48): weights (3) of the first and (3) of the second derivative by the path parameter; torque over its limit: its
-    slope (6, 6) in the acceleration, by columns, and what it is without (6).
+    motion (55): weights (3) of the first and (3) of the second derivative by the path parameter; torque over its limit: its
+    slope (6, 6) in the acceleration, by columns, and what it is without (6); the six weights of the next node; one over the
+    nominal time up to it.
     """
-    z = [ca.SX.sym(name, N_Z) for name in ("before", "at", "after")]
+    z = [ca.SX.sym(f"z{k}", N_Z) for k in range(len(AROUND))]
     m, lam = ca.SX.sym("motion", N_MOTION), ca.SX.sym("lam", N_DYNAMIC)
-    first, second, torque = m[:3], m[3:6], ca.reshape(m[6:42], 6, 6)
-    q1 = sum(first[i] * z[i][:6] for i in range(3))
-    q2 = sum(second[i] * z[i][:6] for i in range(3))
-    square1 = sum(first[i] * z[i][6] ** 2 for i in range(3))
-    qd = q1 * z[1][6]
-    qdd = q2 * z[1][6] ** 2 + 0.5 * q1 * square1
-    rows = ca.vertcat(qd, qdd, torque @ qdd + m[42:48])
+
+    def motion(weights: ca.SX, at: list[ca.SX]) -> tuple[ca.SX, ca.SX]:
+        q1, q2 = (sum(weights[3 * order + i] * at[i][:6] for i in range(3)) for order in (0, 1))
+        square1 = sum(weights[i] * at[i][6] ** 2 for i in range(3))
+        return q1 * at[1][6], q2 * at[1][6] ** 2 + 0.5 * q1 * square1
+
+    qd, qdd = motion(m[:6], z[:3])
+    jerk = (motion(m[48:54], z[1:])[1] - qdd) * m[54] * 0.5 * (z[1][6] + z[2][6])
+    rows = ca.vertcat(qd, qdd, ca.reshape(m[6:42], 6, 6) @ qdd + m[42:48], jerk)
     J = [ca.densify(ca.jacobian(rows, one)) for one in z]
     gradient = ca.gradient(ca.dot(lam, rows), ca.vertcat(*z))
     H = ca.jacobian(gradient, ca.vertcat(*z))
-    parts = [ca.densify(H[N_Z * i : N_Z * (i + 1), N_Z * j : N_Z * (j + 1)]) for i in range(3) for j in range(3)]
+    blocks = [slice(N_Z * k, N_Z * (k + 1)) for k in range(len(AROUND))]
+    parts = [ca.densify(H[one, other]) for one in blocks for other in blocks]
     arguments = [*z, m]
     return (
         ca.Function("limits", arguments, [rows]),

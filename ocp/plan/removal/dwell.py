@@ -14,13 +14,13 @@ from scipy.spatial import cKDTree
 
 from ocp.contact.wheel.cover import Cover
 from ocp.model.cell import Cell
-from ocp.plan.passes.course import Engagement, air_to_air, lengthened, path_at, steady
+from ocp.plan.passes.course import Engagement, air_to_air, lengthened, path_at, peak_share, steady
 from ocp.plan.passes.smoothness import node_times
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.footprint import LinePatches, planned_patches
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, pressures
 from ocp.plan.removal.wanted import Wanted, refuse_uncovered
-from ocp.plan.rules import FEEDS
+from ocp.plan.rules import FEEDS, LEAST_RAMP
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath
@@ -141,7 +141,7 @@ def with_feeds(
         for (k, line), own in zip(lines.items(), r, strict=True):
             timed[k] = replace(paths[k], feed=cell.process.feed / np.interp(paths[k].s, line.nodes, own))
     beyond = [error for path in timed if (error := beyond_reach(cell, path, wanted)) is not None]
-    return [replace(path, feed=np.clip(path.feed, *FEEDS)) for path in timed], beyond
+    return [replace(path, feed=np.clip(path.feed, *programmable(path))) for path in timed], beyond
 
 
 def even_feeds(cell: Cell, flanks: Sequence[SideCells], wanted: Wanted, lines: Sequence[DrivenLine | None]) -> list[Array | None]:
@@ -159,8 +159,8 @@ def even_feeds(cell: Cell, flanks: Sequence[SideCells], wanted: Wanted, lines: S
         added = {k: _line(cell, line.path, line.rows(), line.patches, asked) for k, line in known.items()}
         r = _solved(list(added.values()), weight, asked.depth)
         for (k, line), own in zip(known.items(), r, strict=True):
-            feed = np.clip(cell.process.feed / np.interp(line.path.s, added[k].nodes, own), *FEEDS)
-            known[k] = replace(line, path=replace(line.path, feed=feed))
+            timed = replace(line.path, feed=cell.process.feed / np.interp(line.path.s, added[k].nodes, own))
+            known[k] = replace(line, path=replace(timed, feed=np.clip(timed.feed, *programmable(timed))))
     return [known[k].path.feed if k in known else None for k in range(len(lines))]
 
 
@@ -219,17 +219,25 @@ def _solved(lines: Sequence[_Line], weight: Array, wanted: Array) -> list[Array]
     return np.split(r, np.cumsum([len(one.nodes) for one in lines])[:-1])
 
 
+def programmable(path: BladePath) -> tuple[float, float]:
+    """The least and the largest feed m/s that a line may be programmed with: those of FEEDS; on a short line force and feed rise
+    together to a share of the programmed ones only."""
+    seconds = float(np.sum(np.diff(path.s) / (0.5 * (path.feed[1:] + path.feed[:-1]))))
+    return FEEDS[0], FEEDS[1] / peak_share(seconds, 0.5 * LEAST_RAMP)
+
+
 def beyond_reach(cell: Cell, path: BladePath, wanted: Wanted) -> CannotGrind | None:
-    """Where a line's feed is outside FEEDS, why, and what would do; None where it is not."""
-    beyond = (path.feed < FEEDS[0]) | (path.feed > FEEDS[1])
+    """Where a line's feed is more or less than `programmable`, why, and what would do; None where it is not."""
+    least, most = programmable(path)
+    beyond = (path.feed < least) | (path.feed > most)
     if not beyond.any():
         return None
     k = int(np.argmax(np.where(beyond, np.abs(np.log(path.feed / cell.process.feed)), -1.0)))
-    depth, slow = wanted.at(path.p[k : k + 1], path.n[k : k + 1])[0], path.feed[k] < FEEDS[0]
+    depth, slow = wanted.at(path.p[k : k + 1], path.n[k : k + 1])[0], path.feed[k] < least
     unit = "times the programmed depth" if wanted.programmed_um is None else "um"
     reason = (
         f"{depth * (wanted.programmed_um or 1.0):.3g} {unit} are wanted, which takes a feed of {1e3 * path.feed[k]:.3g} mm/s at "
-        f"{path.force[k]:g} N, and {1e3 * FEEDS[0]:g} to {1e3 * FEEDS[1]:g} can be driven"
+        f"{path.force[k]:g} N, and {1e3 * least:.3g} to {1e3 * most:.3g} can be driven"
     )
     remedy = (
         "grind it more than once, or with a larger process.force_N"
@@ -239,11 +247,20 @@ def beyond_reach(cell: Cell, path: BladePath, wanted: Wanted) -> CannotGrind | N
     return CannotGrind.of(path, beyond, reason, remedy, k)
 
 
-def feeds_told(cell: Cell, paths: Sequence[BladePath], wanted: Wanted) -> str:
-    """A sentence on how many lines there are, and how fast they are ground."""
+def feeds_told(cell: Cell, paths: Sequence[BladePath], wanted: Wanted, laid: bool) -> str:
+    """A sentence on how many lines there are, how fast they are ground, and which of them at the end of what can be driven;
+    `laid`: at distances chosen here."""
     feed = np.concatenate([path.feed for path in paths])
-    return (
-        f"{len(paths)} lines lie at most {EVEN:g} of the contact's half-width apart, so that their sum is smooth; their feeds "
-        f"are {1e3 * feed.min():.0f} to {1e3 * feed.max():.0f} mm/s, which together make {wanted.told()} process.feed_mm_s = "
-        f"{1e3 * cell.process.feed:g} at process.pass_spacing_mm = {1e3 * cell.process.pass_spacing:g}."
+    number, ends = len({path.line for path in paths}), [(path, *programmable(path)) for path in paths]
+    held = sorted({path.line for path, least, most in ends if path.feed.min() <= least or path.feed.max() >= most})
+    what = f"lie at most {EVEN:g} of the contact's half-width apart, so that their sum is smooth; their" if laid else "have"
+    told = (
+        f"{number} lines {what} feeds {'are ' if laid else 'of '}{1e3 * feed.min():.0f} to {1e3 * feed.max():.0f} mm/s, which "
+        f"together make {wanted.told()} process.feed_mm_s = {1e3 * cell.process.feed:g} at process.pass_spacing_mm = "
+        f"{1e3 * cell.process.pass_spacing:g}."
     )
+    if held:
+        told += (
+            f" The feeds of lines {', '.join(map(str, held))} are at an end of what can be driven: the map shows what it costs."
+        )
+    return told
