@@ -46,6 +46,8 @@ def _called(app: typer.Typer) -> int:
     except (typer.Abort, KeyboardInterrupt):
         return _refuse("interrupted, nothing written", INTERRUPTED)
     except Exception as error:
+        if was_told():  # a library that was being loaded put its own error in the interrupt's place
+            return _refuse("interrupted, nothing written", INTERRUPTED)
         # Usage errors have this method in every release of typer; where their class lives changes.
         message = getattr(error, "format_message", None)
         if message is None:

@@ -82,6 +82,9 @@ def finish():
 
 @app.command()
 def command(what: str, out: Path):
+    if what == "loaded":  # what a command imports before its job begins, and what the interrupt leaves half loaded
+        masked()
+
     def job():
         with reserved(out, True) as output, output.whole() as folder:
             (folder / "a.txt").write_text("half")
@@ -130,7 +133,10 @@ def processes(session: int) -> list[int]:
     return found
 
 
-WAYS = [("polite", "parent"), ("swallow", "parent"), ("deaf", "group"), ("masked", "parent"), ("spawned", "group")]
+WAYS = [
+    *((what, "parent") for what in ("polite", "swallow", "masked", "loaded")),
+    *((what, "group") for what in ("deaf", "spawned")),
+]
 
 
 @pytest.mark.parametrize(("what", "told"), WAYS)
