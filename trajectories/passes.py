@@ -32,7 +32,7 @@ class BladePath:
     (n,) N as programmed; start, rest m: how much of the line lies before this piece of it
     in its direction, and behind it, 0 of a whole line; before, after m: how much of the asked line lies before its start
     and behind its end, where the wheel has no room; room_before, room_after m: how far beyond either end the wheel may bear
-    while it engages and lifts off.
+    while it engages and lifts off; turn rad about the normal, signed, by which the wheel is to stand askew, 0: as it comes.
     """
 
     line: int
@@ -52,6 +52,7 @@ class BladePath:
     after: float = 0.0
     room_before: float = 0.0
     room_after: float = 0.0
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ocp.model.cell import Cell, wheel_frame
 from ocp.model.prepare import wheel_cover
 from ocp.plan.clearance import enclosed
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.removal.dwell import PROBE, probed_spacing, with_feeds
+from ocp.plan.removal.dwell import PROBE, askew, probed_lines, with_feeds
 from ocp.plan.removal.surface import SideCells, flank_cells
 from ocp.plan.removal.wanted import Wanted, wanted_of
 from ocp.plan.rules import WHEEL_ROOM
@@ -105,11 +105,14 @@ def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCl
     wanted = wanted_of(cell, blade, cloud, options.stock)
     chosen = _pass_options(cell, options.step)
     beyond: list[CannotGrind] = []
+    looked: list[BladePath] = []
     if options.even:
         cover = wheel_cover(cell)
         look = replace(chosen, spacing=min(chosen.spacing, PROBE), step=PROBE, wheel_radius=0.0)
-        chosen = replace(chosen, spread=probed_spacing(cell, cover, passes(blade, shape, look)[0]))
+        spread, looked = probed_lines(cell, cover, passes(blade, shape, look)[0])
+        chosen = replace(chosen, spread=spread)
     paths, notices = passes(blade, shape, chosen)
+    paths = askew(paths, looked)
     flanks = flank_cells(shape, ground_windows(blade, shape, chosen), paths, 0.0)
     if options.even:
         paths, beyond = with_feeds(cell, cover, paths, flanks, wanted)

@@ -28,6 +28,7 @@ STATIONS = 7  # along a pass; between them a pass turns little
 TRAVEL_WEIGHT = 0.5  # cost of a second of travel between passes
 ROLLED_ARCS = 9  # places on the arc between which a seed may roll
 ARC_WEIGHT, WRIST_WEIGHT, SPEED_WEIGHT = 0.3, 0.1, 3.0  # of a seed's cost
+UNTURNED_WEIGHT = 8.0  # of what is missing in it of the turn that a path asks for
 
 
 @dataclass(frozen=True)
@@ -424,6 +425,7 @@ def _families(
     at = path.s[order] / path.s[-1]
     at = at if direction == 1 else 1.0 - at
     seconds = np.diff(at) * path.s[-1] / path.feed.mean()
+    short = np.maximum(np.abs(path.turn) - np.sign(path.turn) * turn, 0.0)
     aside = ((ways.arc - np.mean(cell.wheel.arc)) / np.ptp(cell.wheel.arc)) ** 2
     seeds = []
     for a, b, c in product((-1, 0, 1), repeat=3):  # whole turns of axes 1, 4, 6
@@ -439,7 +441,7 @@ def _families(
         )
         _note(reasons, ok, over, inside, wrist, speed, shoulder)
         cost = (
-            (turn / max(cell.process.turn_tolerance, 1e-3))[:, None] ** 2
+            ((turn**2 + UNTURNED_WEIGHT * short**2) / max(cell.process.turn_tolerance, 1e-3) ** 2)[:, None]
             + ARC_WEIGHT * aside.mean(axis=2)
             + WRIST_WEIGHT / np.maximum(wrist, 1e-3) ** 2
             + SPEED_WEIGHT * speed**2

@@ -45,6 +45,7 @@ AIM_STEPS = 2  # each leaves a thousandth of the miss
 RELINEARISED = 4  # solutions with axis limits, each with the torque linear about the one before
 LEAST_RATE = 0.05  # of the nominal one
 RATIO_RANGE = (0.7, 1.3)  # of force over feed over its programmed value
+TURN_KEPT = 0.9  # of the turn that a line is to be ground with
 FULL_BEARING = 0.5  # of the force, from which on the wheel has to overlap the planned point
 FEASIBLE = 1e-5  # largest scaled violation of a row that counts as solved (0.01 um, 1e-5 rad)
 WORST_SHARE = 0.1  # of the worst violation: where a row is broken by more, the pass is at fault and not the way to it
@@ -255,7 +256,11 @@ class PassSolver:
             limit = self.limits.get(name, (-np.inf, np.inf))
             low[row], high[row] = max(-half, limit[0]), min(half, limit[1])
         turn = min(process.turn_tolerance, problem.turn_limit)
-        low[3], high[3] = -turn, turn
+        # What the seed has of the turn that the line is to be ground with is kept.
+        sign = np.sign(problem.path.turn)
+        asked = TURN_KEPT * min(abs(problem.path.turn), sign * problem.seed.turn)
+        kept = asked if 0 < asked < turn else -turn
+        low[3], high[3] = (kept, turn) if sign > 0 else (-turn, -kept)
         low[6] = SINGULARITY_SHARE * SHOULDER_MARGIN
         low[7], high[7] = self.limits.get("kxx", (0.0, np.inf))
         low[10:] = 0.0

@@ -28,29 +28,59 @@ from trajectories.passes import BladePath
 EVEN, LEAST_EVEN = 0.6, 0.3  # of the patch's half-width between lines, at most and at least
 UNEVEN = 0.03  # of the mean depth, up or down, that lines may leave between them at the distance chosen and ...
 NARROWER = 0.85  # ... at distances down to this share of it: lines come nearer where the blade is narrower
+ASKEW = np.array([0.0, 0.25, 0.475, 0.7, 0.95])  # of the turn tolerance, which a wheel is turned to even out its edges
 PROBE = 6e-3  # m, at most, between the lines on which the patch is looked at before lines are laid
 NODE = 4e-3  # m between places of a line where r is free; linear in between
 ROW = 1e-3  # m between the contacts that are summed
 ROUNDS = 3  # fits of the feeds, each with the ramps of the one before
-KEPT = 0.3  # weight of keeping to the r of evenly shared lines, against the miss of a cell
-SMOOTH = 0.3  # weight of the second difference of r along a line, against the same
+KEPT = 0.05  # weight of keeping to the r of evenly shared lines, against the miss of a cell
+SMOOTH = 1.0  # weight of the second difference of r along a line, against the same
 SHALLOW = 0.2  # of the mean wanted depth, below which a miss counts as there: misses are counted over what is wanted
 RANGE = (0.5, 2.0)  # of the r of evenly shared lines: no more is asked of an arm
 
 
-def probed_spacing(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> dict[str, tuple[Array, Array]]:
-    """`PassOptions.spread` from lines laid to look at, all of a side.
+def probed_lines(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> tuple[dict[str, tuple[Array, Array]], list[BladePath]]:
+    """`PassOptions.spread` from lines laid to look at, all of a side, and those lines with the turn at which each may lie
+    farthest from the next.
 
-    A line that is too hollow for the wheel asks for nothing.
+    A wheel that stands askew presses the ends of its width on slanting lines: what sums up to steps beside each other under a
+    straight wheel runs out over the patch's length. All lines of a side are turned the same way. A line that is too hollow for
+    the wheel asks for nothing.
     """
-    spread = {}
+    spread, looked = {}, []
     for side in dict.fromkeys(path.side for path in probes):
-        lines = [planned_patches(cell, cover, path) for path in probes if path.side == side]
+        lines = [path for path in probes if path.side == side]
+        ways = [[_farthest(cell, cover, path, sign) for path in lines] for sign in (1.0, -1.0)]
+        best = max(ways, key=lambda way: sum(found[0] for found in way if found is not None))
         shares = np.linspace(0.0, 1.0, len(lines)) if len(lines) > 1 else np.array([0.5])
-        found = [(share, even_spacing(one)) for share, one in zip(shares, lines, strict=True) if one is not None]
-        if found:
-            spread[side] = (np.array([share for share, _ in found]), np.array([spacing for _, spacing in found]))
-    return spread
+        known = [(share, *found) for share, found in zip(shares, best, strict=True) if found is not None]
+        if known:
+            spread[side] = (np.array([share for share, _, _ in known]), np.array([spacing for _, spacing, _ in known]))
+        looked += [replace(path, turn=found[1]) for path, found in zip(lines, best, strict=True) if found is not None]
+    return spread, looked
+
+
+def _farthest(cell: Cell, cover: Cover, path: BladePath, sign: float) -> tuple[float, float] | None:
+    """The largest even distance m of lines that are like a path, at turns of one sign, and the least turn that has it."""
+    found: list[tuple[float, float]] = []
+    for turn in sign * cell.process.turn_tolerance * ASKEW:
+        patches = planned_patches(cell, cover, replace(path, turn=turn))
+        if patches is None:
+            continue
+        found.append((even_spacing(patches), float(turn)))
+        if found[-1][0] >= EVEN * patches.half_axes[:, 1].min() * (1 - 1e-9):
+            break
+    return max(found, key=lambda one: (round(one[0], 5), -abs(one[1]))) if found else None
+
+
+def askew(paths: Sequence[BladePath], looked: Sequence[BladePath]) -> list[BladePath]:
+    """The paths with the turns of those lines looked at that they lie next to."""
+    turned = []
+    for path in paths:
+        near = [one for one in looked if one.side == path.side]
+        far = [np.linalg.norm(one.p - path.p[len(path.p) // 2], axis=1).min() for one in near]
+        turned.append(replace(path, turn=near[int(np.argmin(far))].turn) if near else path)
+    return turned
 
 
 def even_spacing(patches: LinePatches) -> float:

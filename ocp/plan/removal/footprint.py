@@ -23,6 +23,7 @@ from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.signorini import MOMENT_TO_AXIS, Contact, LocalShape, solve_force
 from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
 from ocp.model.cell import Cell
+from ocp.plan.passes.posture import turned_curvature
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath
@@ -123,16 +124,18 @@ def contacts_along(
 
 
 def planned_patches(cell: Cell, cover: Cover, path: BladePath) -> LinePatches | None:
-    """Footprints along a pass before its postures are known: the middle of the wheel, no turn, no tilt, the local quadratic.
+    """Footprints along a pass before its postures are known: the middle of the wheel, the path's turn, no tilt, the local
+    quadratic.
 
     Stations that are too hollow for the wheel are passed over (the optimiser tells of them); None where all of them are.
     """
-    heading = (-cell.wheel.travel * cell.process.sigma, 0.0)
+    along = -cell.wheel.travel * cell.process.sigma
+    heading = (along * float(np.cos(path.turn)), along * float(np.sin(path.turn)))
+    curvature = np.transpose(turned_curvature(path.curvature, np.array(path.turn), cell.wheel.radius))
     at, contacts = [], []
     for k in contact_stations(path.s, 2.0 * STATION_SPACING):
-        k_tt, k_bb, k_tb = (float(c) for c in path.curvature[k])
-        # The blade's frame is seen from its far side (n = -z), so its k_tb changes sign; docs/model.md, eq. 4.
-        shape = LocalShape(k_tt + 1 / cell.wheel.radius, k_bb, -k_tb, extent=path.extent[k], heading=heading)
+        kxx, kyy, kxy = (float(c) for c in curvature[k])
+        shape = LocalShape(kxx, kyy, kxy, extent=path.extent[k], heading=heading)
         with suppress(Infeasible):
             contacts.append(solve_force(cover, float(path.force[k]), shape))
             at.append(path.s[k])
