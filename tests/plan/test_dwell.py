@@ -14,7 +14,18 @@ from ocp.plan.passes.optimise import _at_feeds
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.stretches import LineStretch
 from ocp.plan.paths import PlanOptions, lay_paths
-from ocp.plan.removal.dwell import EVEN, LEAST_EVEN, DrivenLine, even_feeds, even_spacing, feeds_told, programmable
+from ocp.plan.removal.dwell import (
+    EVEN,
+    LEAST_EVEN,
+    UNEVEN,
+    DrivenLine,
+    askew,
+    even_feeds,
+    even_spacing,
+    feeds_told,
+    probed_lines,
+    programmable,
+)
 from ocp.plan.removal.footprint import planned_patches
 from ocp.plan.removal.result import SideRemoval, figures_of
 from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, work_done
@@ -22,7 +33,8 @@ from ocp.plan.removal.wanted import Wanted, programmed_work
 from ocp.plan.rules import FEEDS, LEAST_RAMP
 from tests.plan.test_footprint import A, B, ellipsoid
 from tests.support.example_pass import bar_pass, bundled_cell
-from trajectories.passes import BladePath
+from trajectories.blade import find_shape, read_blade
+from trajectories.passes import BladePath, PassOptions, passes
 
 OPTIONS = PlanOptions(step=1e-3)
 
@@ -61,12 +73,13 @@ def judged(cell, laid):
 def test_lines_and_feeds_make_the_surface_even(cell):
     laid = lay_paths(cell, cell.workpiece.stl, OPTIONS)
     figures, patches = judged(cell, laid)
-    assert figures.core_within_5 > 0.88 and figures.core_within_10 > 0.985
-    assert figures.all_within_10 > 0.9 and figures.most < 1.15 and figures.ground_share > 0.96
+    assert figures.core_within_5 > 0.93 and figures.core_within_10 > 0.99
+    assert figures.all_within_10 > 0.91 and figures.most < 1.1 and figures.ground_share > 0.96
     for one, other, patch in zip(laid.paths, laid.paths[1:], patches, strict=False):
         apart = cKDTree(other.p).query(one.p)[0].max()
         assert apart < 1.08 * EVEN * max(patch.half_axes[:, 1].min(), planned_next(cell, other))
-    assert all(np.abs(np.diff(path.feed)).max() < 2e-3 for path in laid.paths)  # m/s from waypoint to waypoint
+    steps = [np.abs(np.diff(path.feed)).max() for path in laid.paths]  # m/s from waypoint to waypoint
+    assert max(steps) < 8e-3 and np.median(steps) < 2e-3
     assert all((path.force == cell.process.force).all() for path in laid.paths)
 
 
@@ -100,6 +113,32 @@ def test_a_flat_profile_asks_for_nearer_lines_than_a_parabola():
     assert box.half_axes[0, 1] == pytest.approx(6e-3, abs=4e-4)
     assert box.unevenness(12e-3 / 3.5).max() == pytest.approx(0.5 / 3.5, rel=0.2)
     assert even_spacing(box) == pytest.approx(LEAST_EVEN * box.half_axes[0, 1])
+
+
+def test_a_wheel_that_stands_askew_makes_flat_lines_even(cell):
+    """Straight, a flat blade gets steps however near its lines lie; turned, the edges run out over the patch's length."""
+    cover, flat = wheel_cover(cell), on_a_plane(0)
+    straight = planned_patches(cell, cover, flat)
+    spread, looked = probed_lines(cell, cover, [flat, replace(on_a_plane(1), side="concave")])
+    assert [one.side for one in looked] == ["convex", "concave"] and 0.2 < abs(looked[0].turn) <= cell.process.turn_tolerance
+    asked = spread["convex"][1][0]
+    assert asked > 1.5 * even_spacing(straight)
+    assert planned_patches(cell, cover, looked[0]).unevenness(asked).max() <= UNEVEN < straight.unevenness(asked).max()
+
+
+def test_round_lines_are_not_turned_and_those_of_a_side_all_one_way(cell):
+    look = PassOptions(spacing=6e-3, step=6e-3, clamp_normal=(0.0, 0.0, 1.0), clamp_offset=0.01)
+    blade = read_blade(cell.workpiece.stl)
+    shape = find_shape(blade, cell.workpiece.aerofoil)
+    _, looked = probed_lines(cell, wheel_cover(cell), passes(blade, shape, look)[0])
+    for side in ("convex", "concave"):
+        turns = np.array([one.turn for one in looked if one.side == side])
+        assert np.ptp(np.sign(turns[turns != 0])) == 0
+    laid = lay_paths(cell, cell.workpiece.stl, OPTIONS).paths
+    again = askew([replace(path, turn=0.0) for path in laid], looked)
+    assert all(path.turn in {one.turn for one in looked if one.side == path.side} for path in again)
+    round_ = replace(bar_pass(radius=0.012), side="convex")
+    assert [one.turn for one in probed_lines(cell, wheel_cover(cell), [round_])[1]] == [0.0]
 
 
 def test_cells_beyond_the_outermost_lines_are_not_made_good_before_them(cell):
@@ -171,8 +210,8 @@ def test_feeds_make_lines_with_ramps_even_in_the_core():
     )  # as they are, lines are shallow where the patch is small
     feeds = even_feeds(cell, [plane_cells()], Wanted(), lines)
     made = depth(feeds)
-    assert np.abs(made - 1).max() < 0.065 and np.std(made) < 0.025
-    assert np.abs(made.mean(axis=0) - 1).max() < 0.02 and np.ptp(made.mean(axis=0)) < 0.03
+    assert np.abs(made - 1).max() < 0.08 and np.std(made) < 0.025 and np.mean(np.abs(made - 1) < 0.05) > 0.98
+    assert np.abs(made.mean(axis=0) - 1).max() < 0.025 and np.ptp(made.mean(axis=0)) < 0.04
     slowness = np.mean([1 / feed for feed in feeds], axis=0)
     assert slowness[[0, -1]].min() > 1.2 * slowness[30]
 

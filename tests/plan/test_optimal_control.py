@@ -7,6 +7,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from ocp.contact.wheel.signorini import LocalShape, solve_force
+from ocp.model.prepare import wheel_cover
 from ocp.model.theta import Theta, believed_theta
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes import posture
@@ -14,9 +16,10 @@ from ocp.plan.passes.course import steady
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.smoothness import axis_rows, axis_use, quadratic_form
-from ocp.plan.passes.solve import PassSolver
+from ocp.plan.passes.solve import TURN_KEPT, PassSolver
 from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, N_Z, ObjectiveWeights
 from ocp.plan.passes.transcription import AROUND, N_DYNAMIC, N_MOTION, REACH, transcribe
+from ocp.plan.removal.footprint import CELL, line_patches, planned_patches
 from ocp.plan.rules import JERK_TIME, SPEED_SHARE
 from robots.errors import Infeasible
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
@@ -216,3 +219,58 @@ def test_an_unreachable_wheel_is_refused_with_the_reason():
     away = replace(cell, wheel=replace(cell.wheel, centre=np.array([4.0, 0.0, 0.9])))
     with pytest.raises(Infeasible, match="reach"):
         find_seeds(away, CollisionScene(away, BAR), LineLaw(), [bar_pass()])
+
+
+# -- a wheel that stands askew -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turn", [0.3, -0.3])
+def test_a_line_that_asks_for_a_turn_is_ground_with_it(turn):
+    _, solver, straight = ready()
+    _, _, problem = ready(replace(bar_pass(), turn=turn))
+    assert np.sign(problem.seed.turn) == np.sign(turn) and abs(problem.seed.turn) > 0.2
+    for one, asked in ((problem, True), (straight, False)):
+        solution = solver.solve(one)
+        seen = solver.evaluate(one, solution.q, solution.force)
+        least = TURN_KEPT * min(abs(turn), abs(problem.seed.turn))
+        assert ((np.sign(turn) * seen.turn).min() >= least - 1e-6) == asked
+
+
+def test_a_turn_that_its_seed_has_not_is_not_asked_for():
+    cell, solver, problem = ready()
+    rows = lambda one: tuple(bound.reshape(40, -1)[0, 3] for bound in solver._row_bounds(one, 40, False))  # noqa: E731
+    tolerance = cell.process.turn_tolerance
+    askew = replace(problem, path=replace(problem.path, turn=0.3))
+    for seed, limit, low, high in (
+        (0.4, np.inf, TURN_KEPT * 0.3, tolerance),
+        (0.2, np.inf, TURN_KEPT * 0.2, tolerance),
+        (-0.2, np.inf, -tolerance, tolerance),
+        (0.4, 0.1, -0.1, 0.1),  # where a turned wheel touches the blade elsewhere
+    ):
+        one = replace(askew, seed=replace(problem.seed, turn=seed), turn_limit=limit)
+        assert rows(one) == pytest.approx((low, high))
+        turned = replace(one, path=replace(one.path, turn=-0.3), seed=replace(one.seed, turn=-seed))
+        assert rows(turned) == pytest.approx((-high, -low))
+
+
+def test_the_patch_planned_at_a_turn_is_that_of_a_posture_with_it():
+    """`planned_patches` knows no posture; here the same twisted blade at the turn and curvatures of joints."""
+    cell, solver, _ = ready()
+    cover = wheel_cover(cell)
+
+    def moments(patches, k):
+        t, b = np.meshgrid(patches.x, patches.x, indexing="ij")
+        return [float((patches.share[k] * one).sum() * CELL**2) for one in (t * t, b * b, t * b)]
+
+    for turn in (0.35, -0.35):
+        _, _, problem = ready(replace(bar_pass(), turn=turn))
+        path = replace(problem.path, curvature=np.tile([3.0, 25.0, 12.0], (40, 1)), turn=problem.seed.turn)
+        there = replace(problem, path=path)
+        seen = solver.evaluate(there, solver.seed_joints(there), path.force)
+        along = -cell.wheel.travel * cell.process.sigma
+        heading = (along * float(np.cos(seen.turn[20])), along * float(np.sin(seen.turn[20])))
+        shape = LocalShape(*map(float, seen.curvature[20]), extent=path.extent[20], heading=heading)
+        direct = line_patches(np.zeros(1), [solve_force(cover, 20.0, shape)], [heading])
+        planned = planned_patches(cell, cover, path)
+        assert seen.turn[20] == pytest.approx(path.turn, abs=0.03)
+        assert moments(planned, len(planned.at) // 2) == pytest.approx(moments(direct, 0), rel=0.05)

@@ -11,6 +11,7 @@ from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.plan.passes.stretches import whole_lines, without_places
 from ocp.plan.paths import PlanOptions, lay_paths
+from ocp.plan.removal.dwell import feeds_told
 from ocp.plan.removal.wanted import programmed_work, wanted_of
 from robots.errors import BadInput, Infeasible
 from tests.plan.test_dwell import judged
@@ -89,7 +90,7 @@ def test_a_stock_map_is_taken_off(cell, laid, tmp_path, kind):
     assert np.mean(slower) < 0.75 * np.mean(even)  # the tip is deeper
     figures, _ = judged(cell, mapped)
     assert figures.core_within_10 is not None and figures.core_within_10 > 0.95
-    assert "stock map" in mapped.notices[-1]
+    assert "stock map" in feeds_told(cell, mapped.paths, mapped.wanted, laid=True)
 
 
 def test_a_map_of_removal_um_needs_no_preston(cell, laid, tmp_path):

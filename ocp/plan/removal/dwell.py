@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ocp.contact.wheel.cover import Cover
 from ocp.model.cell import Cell
-from ocp.plan.passes.course import Engagement, air_to_air, lengthened, path_at, peak_share, steady
+from ocp.plan.passes.course import LEAST_PEAK, Engagement, air_to_air, lengthened, path_at, peak_share, steady
 from ocp.plan.passes.smoothness import node_times
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.footprint import LinePatches, planned_patches
@@ -29,6 +29,7 @@ EVEN, LEAST_EVEN = 0.6, 0.3  # of the patch's half-width between lines, at most 
 UNEVEN = 0.03  # of the mean depth, up or down, that lines may leave between them at the distance chosen and ...
 NARROWER = 0.85  # ... at distances down to this share of it: lines come nearer where the blade is narrower
 ASKEW = np.array([0.0, 0.25, 0.475, 0.7, 0.95])  # of the turn tolerance, which a wheel is turned to even out its edges
+NEARLY = 0.97  # of the largest distance of lines, for which a wheel is not turned any farther
 PROBE = 6e-3  # m, at most, between the lines on which the patch is looked at before lines are laid
 NODE = 4e-3  # m between places of a line where r is free; linear in between
 ROW = 1e-3  # m between the contacts that are summed
@@ -61,7 +62,7 @@ def probed_lines(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> tuple
 
 
 def _farthest(cell: Cell, cover: Cover, path: BladePath, sign: float) -> tuple[float, float] | None:
-    """The largest even distance m of lines that are like a path, at turns of one sign, and the least turn that has it."""
+    """The even distance m of lines that are like a path, and the turn: the least of one sign that has nearly the largest."""
     found: list[tuple[float, float]] = []
     for turn in sign * cell.process.turn_tolerance * ASKEW:
         patches = planned_patches(cell, cover, replace(path, turn=turn))
@@ -70,7 +71,8 @@ def _farthest(cell: Cell, cover: Cover, path: BladePath, sign: float) -> tuple[f
         found.append((even_spacing(patches), float(turn)))
         if found[-1][0] >= EVEN * patches.half_axes[:, 1].min() * (1 - 1e-9):
             break
-    return max(found, key=lambda one: (round(one[0], 5), -abs(one[1]))) if found else None
+    largest = max((spacing for spacing, _ in found), default=0.0)
+    return next((one for one in found if one[0] >= NEARLY * largest), None)
 
 
 def askew(paths: Sequence[BladePath], looked: Sequence[BladePath]) -> list[BladePath]:
@@ -253,7 +255,7 @@ def programmable(path: BladePath) -> tuple[float, float]:
     """The least and the largest feed m/s that a line may be programmed with: those of FEEDS; on a short line force and feed rise
     together to a share of the programmed ones only."""
     seconds = float(np.sum(np.diff(path.s) / (0.5 * (path.feed[1:] + path.feed[:-1]))))
-    return FEEDS[0], FEEDS[1] / peak_share(seconds, 0.5 * LEAST_RAMP)
+    return FEEDS[0], FEEDS[1] / max(peak_share(seconds, 0.5 * LEAST_RAMP), LEAST_PEAK)
 
 
 def beyond_reach(cell: Cell, path: BladePath, wanted: Wanted) -> CannotGrind | None:
