@@ -30,6 +30,7 @@ UNEVEN = 0.03  # of the mean depth, up or down, that lines may leave between the
 NARROWER = 0.85  # ... at distances down to this share of it: lines come nearer where the blade is narrower
 ASKEW = np.array([0.0, 0.25, 0.475, 0.7, 0.95])  # of the turn tolerance, which a wheel is turned to even out its edges
 NEARLY = 0.97  # of the largest distance of lines, for which a wheel is not turned any farther
+STEPS = 0.06  # of the mean depth, up or down, at EVEN: more has other reasons than the roundness of a patch
 PROBE = 6e-3  # m, at most, between the lines on which the patch is looked at before lines are laid
 NODE = 4e-3  # m between places of a line where r is free; linear in between
 ROW = 1e-3  # m between the contacts that are summed
@@ -62,15 +63,15 @@ def probed_lines(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> tuple
 
 
 def _farthest(cell: Cell, cover: Cover, path: BladePath, sign: float) -> tuple[float, float] | None:
-    """The even distance m of lines that are like a path, and the turn: the least of one sign that has nearly the largest."""
+    """The even distance m of lines that are like a path, and the turn: none where their sum has no steps without, else the least
+    of one sign that has nearly the largest distance."""
     found: list[tuple[float, float]] = []
     for turn in sign * cell.process.turn_tolerance * ASKEW:
         patches = planned_patches(cell, cover, replace(path, turn=turn))
-        if patches is None:
-            continue
-        found.append((even_spacing(patches), float(turn)))
-        if found[-1][0] >= EVEN * patches.half_axes[:, 1].min() * (1 - 1e-9):
-            break
+        if patches is not None:
+            found.append((even_spacing(patches), float(turn)))
+            if turn == 0.0 and patches.unevenness(EVEN * float(patches.half_axes[:, 1].min())).max() <= STEPS:
+                break
     largest = max((spacing for spacing, _ in found), default=0.0)
     return next((one for one in found if one[0] >= NEARLY * largest), None)
 
