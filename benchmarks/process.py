@@ -2,7 +2,8 @@
 
 Bundled cell; the bundled blade, twisted.stl and rotor37.stl, spanwise and chordwise. Every line is summed at its feed and force,
 going on straight for a patch's half-length at both ends as a lead-in at the same F/v would, on the patch of the wheel's middle.
-First as `pass_spacing_mm` has them, then as they are laid. docs/process.md has the table.
+First as `pass_spacing_mm` has them, then as they are laid. Last, what a turn of the wheel does to the sum of lines that are like
+the middle one of twisted.stl's concave side. docs/process.md has the tables.
 """
 
 import sys
@@ -76,5 +77,21 @@ def main(blades: list[Path]) -> None:
                 )
 
 
+def askew(blade: Path) -> None:
+    """Print the unevenness, up or down, of lines alike at distances and turns."""
+    cell, spacings = read_cell(CELL, blade), 1e-3 * np.array([2.0, 2.5, 3.0, 3.5, 4.0])
+    lines = [path for path in lay_paths(cell, blade, PlanOptions(step=1e-3, even=False)).paths if path.side == "concave"]
+    line = lines[len(lines) // 2]
+    print(f"\n| {blade.stem} line {line.line}, turn deg | b mm | " + " | ".join(f"h {1e3 * h:g} mm" for h in spacings) + " |")
+    print("|---|---" + len(spacings) * "|---" + "|")
+    for turn in np.radians([0.0, 10.0, 20.0, 28.0]):
+        patches = planned_patches(cell, wheel_cover(cell), replace(line, turn=float(turn)))
+        assert patches is not None
+        k = len(patches.at) // 2
+        told = (f"{100 * patches.unevenness(h)[k]:.1f} %" for h in spacings)
+        print(f"| {np.degrees(turn):.0f} | {1e3 * patches.half_axes[k, 1]:.1f} | {' | '.join(told)} |")
+
+
 if __name__ == "__main__":
     main([Path(name) for name in sys.argv[1:]] or [BLADE, BLADES / "twisted.stl", BLADES / "rotor37.stl"])
+    askew(BLADES / "twisted.stl")

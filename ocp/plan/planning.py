@@ -166,7 +166,7 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
         removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted)
     told = []
     if job.options.fitted:
-        told = [feeds_told(cell, [p.problem.path for p in motion.passes], laid.wanted, job.options.laid)]
+        told = [feeds_told(cell, [p.grinding().problem.path for p in motion.passes], laid.wanted, job.options.laid)]
 
     return Plan(
         cell=cell,
