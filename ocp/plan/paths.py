@@ -199,7 +199,9 @@ def paths_from_program(
     p, n, t = (np.vstack(part) for part in zip(*(r[:3] for r in rows), strict=True))
     line = np.repeat(list(touching), [len(r[0]) for r in rows])
     nearest = [found[k] for found, r in zip(touching.values(), rows, strict=True) for k in r[3]]
-    feed, force = np.array([one.feed for one in nearest]), np.full(len(p), cell.process.force)
+    # One feed a pass: where a program begins and ends to grind it is slower, with less force than is planned here.
+    feeds = [np.median([cell.process.feed if np.isnan(one.feed) else one.feed for one in found]) for found in touching.values()]
+    feed, force = np.repeat(feeds, [len(r[0]) for r in rows]), np.full(len(p), cell.process.force)
     places = [one.place for one in nearest]
     paths, more = paths_from_points(blade, shape, line, p, n, t, feed, force, source.name, places)
     return paths, [*notes, told, *more]
@@ -207,7 +209,7 @@ def paths_from_program(
 
 @dataclass(frozen=True)
 class _OldContact:
-    """Contact point and outward normal (3,) in the blade frame; where the program has it; its feed m/s."""
+    """Contact point and outward normal (3,) in the blade frame; where the program has it; its feed m/s, nan where untold."""
 
     p: Array
     n: Array
@@ -218,10 +220,10 @@ class _OldContact:
 def _touching(cell: Cell, cloud: SurfaceCloud, one: OldPass) -> list[_OldContact]:
     """The contacts of one path motion, those that are crowded left out."""
     contacts: list[_OldContact] = []
-    for T, line in zip(one.flange @ cell.workpiece.T_flange_blade, one.lines, strict=True):
+    for T, line, feed in zip(one.flange @ cell.workpiece.T_flange_blade, one.lines, one.feed, strict=True):
         found = _contact(cell, cloud, T)
         if found is not None and not (contacts and np.linalg.norm(found[0] - contacts[-1].p) < LEAST_SPACING):
-            contacts.append(_OldContact(*found, f"{one.file}, line {line}", one.feed or cell.process.feed))
+            contacts.append(_OldContact(*found, f"{one.file}, line {line}", float(feed)))
     return contacts
 
 

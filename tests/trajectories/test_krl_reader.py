@@ -103,7 +103,21 @@ def test_frames_that_the_program_sets_count_for_its_own_poses(tmp_path):
     passes, notices = old_passes(tmp_path / "x.src")
     assert np.allclose(passes[0].flange, elementary_forward(Q), atol=1e-7)
     assert np.allclose(passes[0].frames, contact_poses(Q), atol=1e-7)
-    assert passes[0].feed == 0.05 and not notices
+    assert (passes[0].feed == 0.05).all() and not notices
+
+
+@pytest.mark.parametrize("kind", ["cartesian", "lin"])
+def test_our_own_programs_of_poses_tell_the_speed_of_every_line_and_no_feed_of_blocks_with_times(kind, tmp_path):
+    """$VEL.CP of a timed block is a bound, twice what is driven."""
+    (tmp_path / kind).mkdir()
+    passes, notices = old_passes(write(example(kind), tmp_path / kind))
+    one = passes[-1] if kind == "lin" else passes[-2]
+    assert not notices and len(one.feed) == len(one.lines) > 30
+    if kind == "cartesian":
+        assert np.isnan(one.feed).all()
+    else:
+        ways = np.linalg.norm(np.diff(one.frames[:, :3, 3], axis=0), axis=1)
+        assert one.feed.max() > 5 * one.feed.min() and np.median(ways / one.feed[1:]) == pytest.approx(0.025, abs=1e-3)
 
 
 def test_our_own_axis_program_can_be_the_old_one(tmp_path):

@@ -15,14 +15,14 @@ class OldPass:
     """Points of one uninterrupted path motion of an old program.
 
     `frames` (n, 4, 4): pose of the wheel frame in the blade frame, P = (FLANGE TOOL)^-1 BASE with the cell's frames;
-    `flange` (n, 4, 4) nominal poses in the base; `q` (n, 6) rad where the program gives axes; `feed` m/s or None;
-    `file` and `lines` (n,) where the points stand.
+    `flange` (n, 4, 4) nominal poses in the base; `q` (n, 6) rad where the program gives axes; `feed` (n,) m/s toward each point,
+    nan where the program does not tell (a block with times has bounds, not a feed); `file` and `lines` (n,) where they stand.
     """
 
     frames: Array
     flange: Array
     q: Array | None
-    feed: float | None
+    feed: Array
     file: str
     lines: Array
 
@@ -67,7 +67,9 @@ def _pass(
     q = np.concatenate([s.q for s in group if s.q is not None]) if all(s.q is not None for s in group) else None
     frames = invert(flange @ tool) @ base
     lines = np.concatenate([s.lines for s in group])
-    return OldPass(frames, flange, q, group[0].speed, group[0].file, lines)
+    told = [s.speed if s.times is None and s.speed is not None else np.nan for s in group]
+    feed = np.repeat(np.array(told, float), [len(s.lines) for s in group])
+    return OldPass(frames, flange, q, feed, group[0].file, lines)
 
 
 def _flange(segment: ProgramSegment, forward: Callable[[Array], Array], tool: Array, base: Array, notices: list[str]) -> Array:

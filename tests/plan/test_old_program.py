@@ -1,0 +1,33 @@
+"""The path of an old program: which feed its passes are given."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ocp.plan import paths
+from tests.support.invented_motion import cell
+from trajectories.program.old_program import OldPass
+
+
+@pytest.mark.parametrize(
+    ("told", "feed"),
+    [
+        (np.full(20, 0.05), 0.05),
+        (np.r_[0.001, 0.01, 0.03, np.full(15, 0.06), 0.02, 0.004], 0.06),  # a chain whose ends are driven slowly
+        (np.full(20, np.nan), 0.04),  # blocks with times: the cell's own
+    ],
+)
+def test_a_pass_has_the_feed_of_most_of_its_points(told, feed, monkeypatch):
+    """Not that of its first motion, which may be a way through the air or the slow begin of a ramp."""
+    n = len(told)
+    old = OldPass(np.tile(np.eye(4), (n, 1, 1)), np.tile(np.eye(4), (n, 1, 1)), None, told, "old.src", np.arange(n))
+    along = iter(np.linspace(0.0, 0.05, n))
+    found = {}
+    monkeypatch.setattr(paths, "dialect_named", lambda name: SimpleNamespace(read=lambda source: None))
+    monkeypatch.setattr(paths, "contact_frames_from_program", lambda *_: ((old,), ()))
+    monkeypatch.setattr(paths, "_contact", lambda *_: (np.array([next(along), 0.0, 0.0]), np.array([0.0, 0.0, 1.0])))
+    monkeypatch.setattr(paths, "paths_from_points", lambda *given: found.update(feed=given[6]) or ([], []))
+    paths.paths_from_program(cell(), None, None, None, Path("old.src"), 1e-3)
+    assert cell().process.feed == 0.04 and len(found["feed"]) > 40 and (found["feed"] == feed).all()
