@@ -165,6 +165,9 @@ def _summary(plan: Plan, written: _Written) -> list[tuple[str, str]]:
         ("Table of the wheel, largest held-out error", f"{plan.wheel_error * 1e6:.1f}", "um"),
         ("Blade compliance, estimated error", f"{100 * plan.compliance_error:.2f}", "%"),
     ]
+    if back.blends is not None:
+        off = f"{back.blends.force:.2f} N, {100 * back.blends.dose:.1f}"
+        rows.append(("Lines that blend: force off on ramps, force over feed off along 5 mm", off, "%"))
     rows += accuracy_rows(plan.accuracy, motion.passes)
     return [(label, f"{value} {unit}".strip()) for label, value, unit in rows]
 

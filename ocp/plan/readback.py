@@ -29,7 +29,7 @@ from robots.pose import Array
 from trajectories.dialects import dialect_named
 from trajectories.joint_trajectory import SAMPLE, JointTrajectory
 from trajectories.passes import BladePath
-from trajectories.program.driven import axes_along, drive_lines, programmed_poses, reinterpolate
+from trajectories.program.driven import axes_along, axis_gains, drive_lines, programmed_poses, reinterpolate
 from trajectories.program.execution import Execution, ProgramSegment
 from trajectories.toppra_law import times_at
 
@@ -237,7 +237,11 @@ def _chained(cell: Cell, motion: PlannedMotion, execution: Execution) -> tuple[D
         frames, way = chain[0].frames, segment.trajectory
         if frames.tool is None or frames.base is None:
             raise Infeasible("the program read back does not set its tool and base frames")
-        lines = drive_lines(chain, programmed_poses(frames, cell.robot, begin[None])[0])
+        poses = np.concatenate(
+            [programmed_poses(frames, cell.robot, begin[None]), *(s.poses for s in chain if s.poses is not None)]
+        )
+        gains = axis_gains(cell.robot, poses, axes_along(cell.robot, frames, poses, begin))
+        lines = drive_lines(chain, poses[0], gains)
         q = axes_along(cell.robot, frames, lines.poses, begin)
         at = _nearest(way, q)
         off = np.abs(q - way.q(at)).max(axis=1)

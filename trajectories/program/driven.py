@@ -20,6 +20,7 @@ from trajectories.joint_trajectory import SAMPLE
 from trajectories.program.execution import Execution, Frames, PathBounds, ProgramSegment
 
 POSE_STEP = 2e-3  # s between the poses of a timed block for which axes are worked out; the curve is then good to 1e-9 rad
+AXIS_PART = 0.5  # of an axis' acceleration for changes of speed along a path; the rest is for its bends
 STOOD = np.radians(1e-3)  # rad; nearer than this the robot stands where it is sent: poses are printed that well
 
 
@@ -168,8 +169,16 @@ class DrivenLines:
     corners: Array
 
 
-def drive_lines(chain: Sequence[ProgramSegment], begin: Array) -> DrivenLines:
-    """Straight motions from the pose `begin` (4, 4) through one pose each to a stop, sampled every SAMPLE.
+def axis_gains(robot: Robot, poses: Array, q: Array) -> Array:
+    """Acceleration (n - 1,) m/s^2 along the sides between poses (n, 4, 4), axes q (n, 6), that takes AXIS_PART of an axis'."""
+    ways = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    turned = np.maximum(np.abs(np.diff(q, axis=0)), 1e-12)
+    return np.asarray(AXIS_PART * ways * (robot.qdd_max / turned).min(axis=1))
+
+
+def drive_lines(chain: Sequence[ProgramSegment], begin: Array, gains: Array | None = None) -> DrivenLines:
+    """Straight motions from the pose `begin` (4, 4) through one pose each to a stop, sampled every SAMPLE. `gains` (n,) m/s^2:
+    what the axes leave of the acceleration on each way.
 
     Corners are rounded by parabolas that begin half the shorter side before them, as blending does at most. On each side the
     speed is at most its own and changes at most by the acceleration in force: it falls before a slower side and rises on a
@@ -178,7 +187,8 @@ def drive_lines(chain: Sequence[ProgramSegment], begin: Array) -> DrivenLines:
     poses = np.concatenate([begin[None], *(s.poses for s in chain if s.poses is not None)])
     ways = np.maximum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1), 1e-9)
     u = np.concatenate([[0.0], np.cumsum(ways)])
-    at, v = _speeds(u, *(np.array([getattr(s.bounds, name) for s in chain]) for name in ("speed", "acceleration")))
+    most, gain = (np.array([getattr(s.bounds, name) for s in chain]) for name in ("speed", "acceleration"))
+    at, v = _speeds(u, most, gain if gains is None else np.minimum(gain, gains))
     when = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(at) / (v[1:] + v[:-1]))])
     times = np.append(np.arange(0.0, when[-1], SAMPLE), when[-1])
     i = np.clip(np.searchsorted(when, times, side="right") - 1, 0, len(when) - 2)
