@@ -183,18 +183,30 @@ def _refuse_order(plan: PlanTable, segment: int, run: Index, k: int) -> None:
 
 
 def _dense(plan: PlanTable) -> PlanTable:
-    """The plan's legs at FINE steps, joints by cubic splines; contact columns are left to `_at`."""
+    """The plan's legs at FINE steps, joints by cubic splines, without gaps: what lies between the last row of a leg and the first
+    of the next is of the one that does not grind, or the first. Contact columns are left to `_at`."""
     parts = []
     for segment in np.unique(plan.segment):
-        rows = _leg(plan, segment)
+        rows = _between(plan, _leg(plan, segment))
         t = plan.time[rows]
         fine = np.append(np.arange(t[0], t[-1], FINE), t[-1])
         q = CubicSpline(t, plan.q[rows])(fine) if len(t) > 3 else np.stack([np.interp(fine, t, c) for c in plan.q[rows].T], 1)
-        same = (np.full(len(fine), value) for value in (plan.line[rows[0]], plan.phase[rows[0]], segment))
+        own = int(np.argmax(plan.segment == segment))
+        same = (np.full(len(fine), value) for value in (plan.line[own], plan.phase[own], segment))
         nearest = rows[np.argmin(np.abs(np.subtract.outer(fine, t)), axis=1)]
         parts.append((fine, q, *same, plan.planned[nearest], np.interp(fine, t, plan.setpoint[rows])))
     time, q, line, phase, segments, planned, setpoint = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return PlanTable(plan.path, time, q, line, phase, np.empty((len(time), 0)), segments, planned, setpoint)
+
+
+def _between(plan: PlanTable, rows: Index) -> Index:
+    """The rows of a leg with those of its neighbours between which and itself the time is its own."""
+    first, last, grinds = rows[0], rows[-1], plan.phase == GRINDING
+    if grinds[first]:
+        return rows
+    before = [first - 1] if first > 0 and grinds[first - 1] and plan.time[first] > plan.time[first - 1] + 1e-9 else []
+    after = [last + 1] if last + 1 < len(plan.time) and plan.time[last + 1] > plan.time[last] + 1e-9 else []
+    return np.concatenate([before, rows, after]).astype(np.int64)
 
 
 def _leg(plan: PlanTable, segment: int) -> Index:
