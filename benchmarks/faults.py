@@ -1,4 +1,4 @@
-"""Ctrl-C at random moments of every command, and what is left: `python benchmarks/faults.py [RUNS] [SEED]`.
+"""Ctrl-C at random moments of every command, and what is left: `python benchmarks/faults.py [RUNS] [SEED] [COMMAND]`.
 
 Each command runs RUNS times on small inputs; SIGINT comes at a moment drawn between its start and its usual end, for every third
 run twice. Counted: exit code 130 within two seconds (or 0 where it had ended), the folder whole or absent, nothing beside it, no
@@ -108,12 +108,19 @@ def interrupted(module: str, arguments: list[str], folder: Path, after: float, t
 
 
 def main() -> int:
-    runs, seed = (int(a) for a in (*sys.argv[1:], *("20", "1")[len(sys.argv) - 1 :]))
+    runs, seed, only = (*sys.argv[1:4], *("20", "1", "ocp.")[len(sys.argv) - 1 :])
+    return tried(int(runs), int(seed), only)
+
+
+def tried(runs: int, seed: int, only: str) -> int:
+    """Try the commands whose name begins with `only`; print the table, return the exit code."""
     rng, faults = np.random.default_rng(seed), 0
     print(HEAD.format(seed=seed, runs=runs))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for module, arguments in commands(folder).items():
+            if not module.startswith(only):
+                continue
             for _ in range(2):  # once to fill the cache
                 usual = run(module, folder, *arguments, "--out", "out/result", "--overwrite")
             subprocess.run(["rm", "-rf", str(folder / "out")], check=True)

@@ -2,8 +2,8 @@
 the plan would take.
 
 Preston's law with the belt's speed the same everywhere (a blade at 0.2 m/s changes 20 m/s by 1 %): depth goes with the time
-integral of the pressure. The patch is the table's: a half-ellipsoid with the second moments of the solved pressure, growing with
-the cube root of the force as a Hertz contact does.
+integral of the pressure. The pressure is the table's, solved near the process force; about its centre the patch grows with the
+cube root of the force as a Hertz contact does.
 """
 
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from ocp.model.cell import Process
@@ -88,28 +89,31 @@ def _pieces(blade: Blade) -> tuple[Array, Array, Array]:
 def _laid(p: Array, n: Array, patches: ContactPatches, force: Array, dt: float, process_force: float) -> Array:
     """Time integral (m,) N s/m^2 of the pressure on pieces p, n."""
     depth, tree = np.zeros(len(p)), cKDTree(p)
-    step = np.linalg.norm(np.diff(patches.middle, axis=0), axis=1)
+    step = np.linalg.norm(np.diff(patches.origin, axis=0), axis=1)
     together = int(np.clip(STRIDE / max(float(np.nanmedian(step)), 1e-9), 1, 8))
     # The middle instant of each few carries what they all press; between windows nothing does.
     starts = np.arange(0, len(force), together)
     middle, count = np.minimum(starts + together // 2, len(force) - 1), np.diff(starts, append=len(force))
     carried, dt = np.zeros(len(force)), dt * together
     carried[middle] = np.add.reduceat(force, starts) / count
-    rows = np.flatnonzero((carried > 0) & np.isfinite(patches.axes[:, 0]))
-    force = carried
+    rows = np.flatnonzero((carried > 0) & (patches.which >= 0))
+    cell = np.array([patches.x[1] - patches.x[0], patches.y[1] - patches.y[0]])
+    first = np.array([patches.x[0], patches.y[0]])
     for part in np.array_split(rows, len(rows) // CHUNK + 1):
         if not len(part):
             continue
-        axes = patches.axes[part] * np.cbrt(force[part] / process_force)[:, None]
-        found = tree.query_ball_point(patches.middle[part], axes.max(axis=1))
+        which, size = patches.which[part], np.cbrt(carried[part] / process_force)
+        frame = np.stack([patches.along[part], patches.across[part]], axis=1)
+        centre = patches.centre[which]
+        found = tree.query_ball_point(patches.origin[part] + np.einsum("ki,kij->kj", centre, frame), patches.reach * size)
         count = np.array([len(k) for k in found])
         piece, k = np.concatenate([np.array(f, np.int64) for f in found]), np.repeat(np.arange(len(part)), count)
-        way = p[piece] - patches.middle[part][k]
-        u, v = (np.sum(way * axis[part][k], axis=1) / axes[k, i] for i, axis in enumerate((patches.along, patches.across)))
-        inside = 1.0 - u**2 - v**2
-        kept = (inside > 0) & (np.sum(n[piece] * patches.normal[part][k], axis=1) > FACING)
-        peak = 1.5 * force[part] / (np.pi * axes.prod(axis=1))
-        depth += np.bincount(piece[kept], peak[k[kept]] * np.sqrt(inside[kept]) * dt, len(p))
+        kept = np.sum(n[piece] * patches.normal[part][k], axis=1) > FACING
+        piece, k = piece[kept], k[kept]
+        way = np.einsum("kij,kj->ki", frame[k], p[piece] - patches.origin[part][k])
+        place = (centre[k] + (way - centre[k]) / size[k, None] - first) / cell
+        share = map_coordinates(patches.share, [which[k], *place.T], order=1, mode="grid-constant")
+        depth += np.bincount(piece, carried[part][k] * share / (cell.prod() * size[k] ** 2) * dt, len(p))
     return depth
 
 

@@ -11,8 +11,10 @@ happens to it.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ocp.model.cell import Cell, ForceFlange
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Index
@@ -257,14 +259,39 @@ PAUSE = 0.5  # s without a row in contact after which the cover and the flange h
 
 @dataclass(frozen=True)
 class ContactPatches:
-    """Pressure on the blade near the process force at n instants, blade frame: middle (n, 3) m, outward normal, unit vectors
-    along the belt and across, semi-axes (n, 2) m of its ellipse along these; nan where nothing is near."""
+    """Pressure on the blade near the process force at n instants, blade frame: origin (n, 3) m of the wheel's grid there, outward
+    normal, unit vectors along the belt and across; share (k, nx, ny): of the force on the grid's cells x (nx,), y (ny,) m;
+    which (n,) of them, -1 where nothing is near."""
 
-    middle: Array
+    origin: Array
     normal: Array
     along: Array
     across: Array
-    axes: Array
+    share: NDArray[np.float32]
+    which: Index
+    x: Array
+    y: Array
+
+    @cached_property
+    def centre(self) -> Array:
+        """Centres of the pressure (k, 2) m on the grid."""
+        return np.column_stack([self.share.sum(axis=2) @ self.x, self.share.sum(axis=1) @ self.y])
+
+    @cached_property
+    def axes(self) -> Array:
+        """Semi-axes (n, 2) m, along the belt and across, of half-ellipsoids with the second moments of the pressure."""
+        off = [v[None] - self.centre[:, i : i + 1] for i, v in enumerate((self.x, self.y))]
+        second = [np.sum(self.share.sum(axis=2 - i) * off[i] ** 2, axis=1) for i in range(2)]
+        size = np.array([self.x[1] - self.x[0], self.y[1] - self.y[0]])
+        axes = np.sqrt(5 * (np.column_stack(second) + size**2 / 12))
+        return np.where(self.which[:, None] >= 0, axes[self.which], np.nan)
+
+    @property
+    def reach(self) -> float:
+        """The largest distance m from its centre at which there is pressure."""
+        loaded = self.share > 0
+        far = np.hypot(self.x[None, :, None] - self.centre[:, :1, None], self.y - self.centre[:, 1:, None])
+        return float(np.where(loaded, far, 0.0).max(initial=0.0) + np.hypot(self.x[1] - self.x[0], self.y[1] - self.y[0]))
 
 
 @dataclass(frozen=True)
@@ -313,12 +340,14 @@ class Grinder:
         centre, axis = (v[rows] for v in bodies.wheel_frames(self.truth, self.cell, moved))
         T, p, n, t = bodies.blade_poses(self.truth, self.cell, moved)[rows], moved.p[rows], moved.n[rows], moved.t[rows]
         at = postures(T, p, n, t, centre, axis, radius)
-        patch = contact_patches(self.tables, place_stations(c, rows, moved.s[rows]), at.shape)
+        share, index, place = contact_patches(self.tables, place_stations(c, rows, moved.s[rows]), at.shape)
         x, y = (np.einsum("kji,kj->ki", T[:, :3, :3], v) for v in (at.x, axis))
-        found = ContactPatches(*(np.full((len(c.s), k), np.nan) for k in (3, 3, 3, 3, 2)))
-        found.normal[rows], found.along[rows], found.across[rows], found.axes[rows] = n, x, y, patch[:, 2:]
-        found.middle[rows] = p + patch[:, :1] * x + patch[:, 1:2] * y
-        return found
+        origin, normal, along, across = (np.full((len(c.s), 3), np.nan) for _ in range(4))
+        normal[rows], along[rows], across[rows] = n, x, y
+        origin[rows] = p - place[:, :1] * x - place[:, 1:] * y
+        which, there, grid = np.full(len(c.s), -1), np.sum(share, axis=(1, 2)) > 0, self.tables.rubber.grid
+        which[rows] = np.where(there[index], index, -1)
+        return ContactPatches(origin, normal, along, across, share, which, grid.x, grid.y)
 
     def closing(self, c: ContactMoments, driven: Array, still: ContactResult) -> list[ClosingPath]:
         """The motion of every run of `c`, as `in_reach` gives it. driven (n, 3): acceleration m/s^2, base axes, of what

@@ -36,7 +36,7 @@ ABSENT = 1.0  # m of depth to touch where there is no blade: never reached
 
 
 OTHERS = [0, 2, 3]  # of the lattice's coordinates, those along which the pressure's moments are derivatives
-Node = tuple[Array, Array, Array, Array, float, Array]  # value, slope, bend, mixed, crowding, patch of one row of `Curves`
+Node = tuple[Array, Array, Array, Array, float, NDArray[np.float32]]  # one row of `Curves`
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,8 @@ class Curves:
     """Depth m of k nodes at the loads, and how it changes off the lattice point.
 
     value (k, levels); slope (k, levels, 4) in the lattice's coordinates; bend (k, levels, 2): second derivatives along and
-    across, 1/m; mixed (k, levels, 3): of across with OTHERS; crowding (k,): 0 on a flat, 1 at an edge (belt_tension); patch
-    (k, 4) m: centre of the pressure near the process force from the planned point, along the belt and across, and the semi-axes
-    of the ellipse whose half-ellipsoid of pressure has its second moments.
+    across, 1/m; mixed (k, levels, 3): of across with OTHERS; crowding (k,): 0 on a flat, 1 at an edge (belt_tension); share
+    (k, nx, ny): of the force, on the cells of the rubber's grid, near the process force; zero where there is no blade.
     """
 
     value: Array
@@ -54,7 +53,7 @@ class Curves:
     bend: Array
     mixed: Array
     crowding: Array
-    patch: Array
+    share: NDArray[np.float32]
 
     def at(self, index: NDArray[np.int64], off: Array) -> Array:
         """Depth (n, levels) of nodes (n,) at postures `off` (n, 4) from their lattice point."""
@@ -158,19 +157,8 @@ class Tables:
         bend[:, 0] = 2 * (beside[-1] - value[PROCESS] - slope[PROCESS, 0] * ALONG_STEP) / ALONG_STEP**2
         if not (np.concatenate([value, beside, down, up]) < 0.5 * ABSENT).all():
             slope[:], bend[:], mixed[:] = 0.0, 0.0, 0.0
-        return value, slope, bend, mixed, crowding, self._patch(forces[:, :, PROCESS - 1], shape)
-
-    def _patch(self, forces: Array, shape: Array) -> Array:
-        """`Curves.patch` (4,) of cell forces (nx, ny) at a posture; nan where there is no blade."""
-        grid, total = self.rubber.grid, forces.sum()
-        if total <= 0:
-            return np.full(4, np.nan)
-        share = np.array([forces.sum(axis=1) @ grid.x, forces.sum(axis=0) @ grid.y]) / total
-        x, y = grid.x - share[0], grid.y - share[1]
-        second = np.array([forces.sum(axis=1) @ x**2, forces.sum(axis=0) @ y**2]) / total
-        # A half-ellipsoid over the semi-axis a has the second moment a^2 / 5; every cell spreads its force.
-        axes = np.sqrt(5 * (second + np.array([grid.dx, grid.dy]) ** 2 / 12))
-        return np.concatenate([share + np.array([shape[0], -shape[1]]), axes])
+        pressed = forces[:, :, PROCESS - 1]
+        return value, slope, bend, mixed, crowding, (pressed / max(pressed.sum(), 1e-30)).astype(np.float32)
 
     def _moments(self, forces: Array, across: float, levels: Array) -> Array:
         """Derivatives (LEVELS, 3) of the depth in along, tilt, turn: how the moments of the pressure grow with the load. `forces`
@@ -316,16 +304,17 @@ def _line(s: Array, frames: Array) -> tuple[Array, Array]:
     return wanted, path(wanted)
 
 
-def contact_patches(tables: Tables, stations: SolvedStations, shape: Array) -> Array:
-    """`Curves.patch` (n, 4) m of the nearer station and lattice point of every instant, moved along the belt."""
+def contact_patches(tables: Tables, stations: SolvedStations, shape: Array) -> tuple[NDArray[np.float32], Index, Array]:
+    """`Curves.share` of the nearer stations and lattice points (k, nx, ny), which of them each instant has (n,), and where its
+    planned point lies on their grid, along the belt and across (n, 2) m."""
     lattice = np.rint(shape / LATTICE).astype(np.int64)
     side = np.where(stations.share < 0.5, stations.left, stations.right)
     nodes, index = np.unique(np.concatenate([side[:, None], lattice], axis=1), axis=0, return_inverse=True)
     at = nodes[:, 0]
-    patch = tables.curves(stations.p[at], stations.n[at], stations.t[at], nodes[:, 1:]).patch[np.asarray(index).ravel()]
+    share = tables.curves(stations.p[at], stations.n[at], stations.t[at], nodes[:, 1:]).share
     # Along the belt the pressure goes with the wheel, across with the blade's own curvature.
-    patch[:, 0] += shape[:, 0] - lattice[:, 0] * LATTICE[0]
-    return np.asarray(patch)
+    place = np.column_stack([-shape[:, 0], lattice[:, 1] * LATTICE[1]])
+    return share, np.asarray(index, np.int64).ravel(), place
 
 
 def depth_curves(tables: Tables, stations: SolvedStations, shape: Array) -> tuple[Array, Array]:
