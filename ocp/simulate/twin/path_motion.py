@@ -25,6 +25,7 @@ from robots.robot import Robot
 
 STEPS = 40  # Newton steps at most; from a neighbouring posture three are enough
 CLOSE = 1e-10  # m and rad, where Newton's steps end
+REACHED = 1e-7  # m and rad, from which on a pose counts as out of reach
 REACH = 0.3  # rad, longest step of an axis
 
 
@@ -82,13 +83,16 @@ def solve_posture(robot: Robot, goal: Array, guess: Array) -> tuple[Array, Array
 
 
 def follow(robot: Robot, goal: Array, start: Array, coarse: int = 24) -> tuple[Array, Array]:
-    """Joints along a path of poses (n, 4, 4) that begins near `start` (6,): no jump of branch. As `solve`."""
+    """Joints along a path of poses (n, 4, 4) that begins near `start` (6,): no jump of branch. As `solve_posture`; from the first
+    pose on that is out of reach, of every `coarse`-th, nothing is looked for any more and `left` is infinite."""
     knots = np.unique(np.append(np.arange(0, len(goal), coarse), len(goal) - 1))
     found = np.empty((len(knots), 6))
     q = start
     for k, index in enumerate(knots):
-        q = solve_posture(robot, goal[index : index + 1], q[None])[0][0]
-        found[k] = q
+        there, left = solve_posture(robot, goal[index : index + 1], q[None])
+        if left[0] > REACHED:
+            return np.zeros((len(goal), 6)), np.where(np.arange(len(goal)) < index, 0.0, np.inf)
+        q = found[k] = there[0]
     at = np.arange(len(goal))
     guess = np.stack([np.interp(at, knots, found[:, j]) for j in range(6)], axis=1)
     return solve_posture(robot, goal, guess)
@@ -110,7 +114,7 @@ def inverse_by_status(robot: Robot, goal: Array, status: int, turn: int | None) 
     seeds = [np.array(s) for s in product(*(np.radians(a) for a in axes))]
     found, left = solve_posture(robot, np.broadcast_to(goal, (len(seeds), 4, 4)), np.array(seeds))
     whole = 2 * np.pi
-    for q in found[left < 1e-7]:
+    for q in found[left < REACHED]:
         q = (q + np.pi) % whole - np.pi
         turns = [
             [v for v in (x, x - whole, x + whole) if lo <= v <= hi] for x, lo, hi in zip(q, robot.q_min, robot.q_max, strict=True)
@@ -188,7 +192,7 @@ def drive_path(robot: Robot, chain: list[DrivenMotion], start: Array) -> DrivenP
     even = np.linspace(0.0, u[-1], max(8, int(np.ceil(u[-1] / STEP))) + 1)
     grid = even if first.kind == "SPLINE" else _with_sides(even, u, paths)
     q, left = follow(robot, flange_poses(first.frames, chart.poses(curve(grid))), start)
-    if left.max() > 1e-7:
+    if left.max() > REACHED:
         k = int(np.argmax(left))
         line = int(lines[min(int(np.searchsorted(u, grid[k])), len(lines) - 1)])
         raise Infeasible(f"{first.file}, line {line}: the arm {robot.name} cannot follow the path to this pose")
@@ -216,7 +220,7 @@ def timed_curve(robot: Robot, motion: DrivenMotion, times: Array, start: Array) 
     fine = np.linspace(0.0, times[-1], max(int(np.ceil(times[-1] / FINE)), 8) + 1)
     poses = chart.poses(rest_to_rest(times, chart.flat(P))(fine))
     q, left = follow(robot, flange_poses(motion.frames, poses), start)
-    if left.max() > 1e-7:
+    if left.max() > REACHED:
         k = min(int(np.searchsorted(times, fine[int(np.argmax(left))])), len(times) - 1)
         raise Infeasible(
             f"{motion.file}, line {motion.targets[k].line}: the arm {robot.name} cannot follow the path to this pose"
