@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
@@ -27,10 +28,8 @@ from ocp.model.cell import Cell, read_cell
 from ocp.plan.passes.optimise import SolvedPass
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import make_arm
-from ocp.simulate.twin.contact.grinder import make_grinder
-from ocp.simulate.twin.contact.rubber import press
+from ocp.simulate.twin.contact.grinder import ContactPatches, make_grinder
 from ocp.simulate.twin.contact.sensor import read_sensor
-from ocp.simulate.twin.contact.table import make_tables
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.truth import Truth, draw_truth
 from ocp.update.history import History, history_of
@@ -58,6 +57,14 @@ class Blade:
     worst_depth: float
 
 
+@dataclass(frozen=True)
+class Pressed:
+    """True force (n,) N of a pass, and its pressure per newton under the planned point along the feed (n,) 1/m."""
+
+    force: Array
+    under: Array
+
+
 def drifted(truth: Truth, k: int, rng: np.random.Generator) -> tuple[Truth, float]:
     """The machine at the beginning of blade k, and Preston's coefficient 1/Pa then: the wheel is worn, the hall warms and cools,
     the blade sits in its holder twice as loosely as the update believes, pressure and sensor wander, the belt dulls."""
@@ -78,8 +85,8 @@ def drifted(truth: Truth, k: int, rng: np.random.Generator) -> tuple[Truth, floa
     return moved, PRESTON * float(np.exp(-DULLING * k * CONTACT / 3600.0) * (1 + 0.01 * rng.normal()))
 
 
-def ground(course: Course, truth: Truth, arm, solved: list[SolvedPass], begin: float, rng) -> tuple[list, list[Array]]:
-    """The blade's passes: moments of contact with readings, and true forces, pass by pass; then one in the air."""
+def ground(course: Course, truth: Truth, arm, solved: list[SolvedPass], begin: float, rng) -> tuple[list, list[Pressed]]:
+    """The blade's passes: moments of contact with readings, and what truly presses, pass by pass; then one in the air."""
     machine = VirtualRobot(truth, arm, make_grinder(course.cell, truth, course.blade))
     rungs = [*(Rung(one, course.cell.process.force) for one in solved), Rung(solved[0], course.cell.process.force, contact=False)]
     parts, true = [], []
@@ -89,8 +96,9 @@ def ground(course: Course, truth: Truth, arm, solved: list[SolvedPass], begin: f
         result = machine.grinder.force(replace(asked, clock_s=at))
         reading, _ = read_sensor(truth, result, asked, rng)
         parts.append((rung, replace(asked, clock_s=begin + at), reading))
-        true.append(result.force)
-    return parts, true[:-1]
+        if rung.contact:
+            true.append(Pressed(result.force, under_the_point(machine.grinder.patches(asked), asked.t)))
+    return parts, true
 
 
 def logged(course: Course, parts: list) -> tuple[ForceLog, ForceRows]:
@@ -119,24 +127,27 @@ def logged(course: Course, parts: list) -> tuple[ForceLog, ForceRows]:
     return log, ForceRows(q, waypoint, joined("setpoint"), np.sign(joined("belt")), contact)
 
 
-def made_depth(course: Course, solved: list[SolvedPass], forces: list[Array], preston: float, faster: float) -> Array:
+def under_the_point(patches: ContactPatches, t: Array) -> Array:
+    """The pressure per newton under the planned points (n,), integrated along the feed directions t (n, 3): 1/m."""
+    cell = np.array([patches.x[1] - patches.x[0], patches.y[1] - patches.y[0]])
+    way = np.arange(-patches.reach, patches.reach, 0.25 * cell.min())
+    heading = np.stack([np.sum(t * axis, axis=1) for axis in (patches.along, patches.across)], axis=1)
+    place = (patches.planned[:, None] + way[:, None] * heading[:, None] - [patches.x[0], patches.y[0]]) / cell
+    which = np.broadcast_to(patches.which[:, None], place.shape[:2])
+    share = map_coordinates(patches.share, [which, place[..., 0], place[..., 1]], order=1, mode="grid-constant")
+    return np.asarray(share.sum(axis=1) * (way[1] - way[0]) / cell.prod())
+
+
+def made_depth(course: Course, solved: list[SolvedPass], pressed: list[Pressed], preston: float, faster: float) -> Array:
     """True depth (n,) m under the waypoints, ends left out, at feeds `faster` times the paths': Preston's law on the pressure of
-    the virtual cell's own rubber, on the blade's curvature in the middle of the wheel."""
-    rubber, wheel, out = make_tables(course.cell, course.blade).rubber, course.cell.wheel, []
-    grid = rubber.grid
-    for one, force in zip(solved, forces, strict=True):
-        path = one.problem.path
-        k_tt, k_bb = path.curvature[2:-2, 0], path.curvature[2:-2, 1]
-        gap = 0.5 * ((k_tt + 1 / wheel.radius) * grid.x[:, None, None] ** 2 + k_bb * grid.y[None, :, None] ** 2)
-        gap[:, np.abs(grid.y) > wheel.width / 2] = np.inf
-        cells = press(rubber, gap, force[2:-2] / wheel.cover_modulus).forces
-        middle = cells[:, np.argsort(np.abs(grid.y))[:2]].sum(axis=(0, 1)) / 2 / cells.sum(axis=(0, 1)) / grid.dy
-        out.append(preston * wheel.belt_speed / (faster * path.feed[2:-2]) * force[2:-2] * middle)
-    return np.concatenate(out)
+    the virtual cell's own contact."""
+    parts = zip(solved, pressed, strict=True)
+    depth = [preston * course.cell.wheel.belt_speed / (faster * a.problem.path.feed) * b.force * b.under for a, b in parts]
+    return np.concatenate([one[2:-2] for one in depth])
 
 
-def judged(forces: list[Array], depth: Array, wanted: Array) -> Blade:
-    force, off = np.concatenate([one[2:-2] for one in forces]), depth / wanted - 1.0
+def judged(pressed: list[Pressed], depth: Array, wanted: Array) -> Blade:
+    force, off = np.concatenate([one.force[2:-2] for one in pressed]), depth / wanted - 1.0
     return Blade(float(force.mean()), float(force.min()), float(force.max()), float(off.mean()), float(np.abs(off).max()))
 
 
@@ -169,22 +180,25 @@ def main() -> None:
     truth, arm, calibration, rng = start(course, asked.seed)
     cell, model = replace(course.cell, calibration=calibration), ForceModel(replace(course.cell, calibration=None), course.law)
     first = solved = compensated(course, calibration, every)
-    known, first_feed, h, kept, left = PRESTON, 1.0, None, [], []
+    known, first_feed, kept, left = 0.7 * PRESTON, 1.0, [], []  # before the first measurement the coefficient is a guess
     said: list[str] = []
     for k in range(asked.blades):
         now, preston = drifted(truth, k, np.random.default_rng([asked.seed, 17, k]))
         parts, forces = ground(course, now, arm, solved, k * PERIOD, rng)
         _, old_forces = ground(course, now, arm, first, k * PERIOD, np.random.default_rng(k))
         log, rows = logged(course, parts)
-        if h is None:  # before the first blade the coefficient is a guess; its feed follows from it
-            work = updated(cell, log, ForceSetup(model, (rows,), ()), History(), "0")
-            h = expected_work(course, cell, log, rows, work.fit.solution)
-            first_feed = feed = known * 0.7 * h.mean() / DEPTH
+        # The planner's footprints at the postures that are ground give the feed, with the coefficient as known.
+        history = history_of(cell.calibration, CELL) if k else History()
+        work = updated(cell, log, ForceSetup(model, (rows,), ()), history, f"footprints {k}")
+        h = expected_work(course, cell, log, rows, work.fit.solution)
+        feed = known * h.mean() / DEPTH
+        if k == 0:
+            first_h = h
         depth = made_depth(course, solved, forces, preston, feed)
         old_depth = made_depth(course, first, old_forces, preston, first_feed)
         if k:  # the first blade finds the coefficient, it does not use it
             kept.append(judged(forces, depth, DEPTH * h / h.mean()))
-            left.append(judged(old_forces, old_depth, DEPTH * h / h.mean()))
+            left.append(judged(old_forces, old_depth, DEPTH * first_h / first_h.mean()))
         slower = replace(log, feed=None, time=log.time / feed)
         removal = None
         if k % asked.every == 0:
@@ -202,8 +216,8 @@ def main() -> None:
         assert made.preston is not None
         process = replace(cell.process, preston=made.preston.value, preston_sd=made.preston.sd)
         cell = replace(cell, calibration=made.states[3], process=process)
-        feed = made.preston.value * h.mean() / DEPTH
-        first_feed = feed if k == 0 else first_feed
+        known = made.preston.value
+        first_feed = known * first_h.mean() / DEPTH if k == 0 else first_feed
         solved = compensated(course, cell.calibration, every)
         latest = made.latest
         print(

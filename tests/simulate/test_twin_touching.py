@@ -136,7 +136,7 @@ def line_of(n: int, x: float = 0.0, force: float = 20.0, twice: float = 1.0) -> 
     x, y = 2.5e-4 * np.arange(-24, 25), 2.5e-4 * np.arange(-20, 21)
     share = np.sqrt(np.maximum(1 - (x[:, None] / 5e-3) ** 2 - (y / 4e-3) ** 2, 0.0))[None]
     frame = (ones * [0.0, 1, 0], ones * [0.0, 0, 1], ones * [1.0, 0, 0])
-    patches = ContactPatches(p, *frame, (share / share.sum()).astype(np.float32), np.zeros(n, int), x, y)
+    patches = ContactPatches(p, *frame, np.zeros((n, 2)), (share / share.sum()).astype(np.float32), np.zeros(n, int), x, y)
     of = windows(n, slice(0, n))
     plan = replace(of.plan, p=p, s=z - z[0], force=np.full(n, force))
     pressed = np.full(n, force * twice)

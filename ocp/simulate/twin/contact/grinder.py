@@ -261,12 +261,13 @@ PAUSE = 0.5  # s without a row in contact after which the cover and the flange h
 class ContactPatches:
     """Pressure on the blade near the process force at n instants, blade frame: origin (n, 3) m of the wheel's grid there, outward
     normal, unit vectors along the belt and across; share (k, nx, ny): of the force on the grid's cells x (nx,), y (ny,) m;
-    which (n,) of them, -1 where nothing is near."""
+    planned (n, 2) m: where the planned point lies on it; which (n,) of the shares, -1 where nothing is near."""
 
     origin: Array
     normal: Array
     along: Array
     across: Array
+    planned: Array
     share: NDArray[np.float32]
     which: Index
     x: Array
@@ -345,9 +346,11 @@ class Grinder:
         origin, normal, along, across = (np.full((len(c.s), 3), np.nan) for _ in range(4))
         normal[rows], along[rows], across[rows] = n, x, y
         origin[rows] = p - place[:, :1] * x - place[:, 1:] * y
+        planned = np.full((len(c.s), 2), np.nan)
+        planned[rows] = place
         which, there, grid = np.full(len(c.s), -1), np.sum(share, axis=(1, 2)) > 0, self.tables.rubber.grid
         which[rows] = np.where(there[index], index, -1)
-        return ContactPatches(origin, normal, along, across, share, which, grid.x, grid.y)
+        return ContactPatches(origin, normal, along, across, planned, share, which, grid.x, grid.y)
 
     def closing(self, c: ContactMoments, driven: Array, still: ContactResult) -> list[ClosingPath]:
         """The motion of every run of `c`, as `in_reach` gives it. driven (n, 3): acceleration m/s^2, base axes, of what
