@@ -28,7 +28,7 @@ from trajectories.passes import BladePath
 EVEN, LEAST_EVEN = 0.6, 0.3  # of the patch's half-width between lines, at most and at least
 UNEVEN = 0.03  # of the mean depth, up or down, that lines may leave between them at the distance chosen and ...
 NARROWER = 0.85  # ... at distances down to this share of it: lines come nearer where the blade is narrower
-ASKEW = np.array([0.0, 0.25, 0.475, 0.7, 0.95])  # of the turn tolerance, which a wheel is turned to even out its edges
+ASKEW = np.array([0.25, 0.475, 0.7, 0.95])  # of the turn tolerance, which a wheel is turned to even out its edges
 NEARLY = 0.97  # of the largest distance of lines, for which a wheel is not turned any farther
 STEPS = 0.06  # of the mean depth, up or down, at EVEN: more has other reasons than the roundness of a patch
 PROBE = 6e-3  # m, at most, between the lines on which the patch is looked at before lines are laid
@@ -52,7 +52,8 @@ def probed_lines(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> tuple
     spread, looked = {}, []
     for side in dict.fromkeys(path.side for path in probes):
         lines = [path for path in probes if path.side == side]
-        ways = [[_farthest(cell, cover, path, sign) for path in lines] for sign in (1.0, -1.0)]
+        straight = [planned_patches(cell, cover, path) for path in lines]
+        ways = [[_farthest(cell, cover, *line, sign) for line in zip(lines, straight, strict=True)] for sign in (1.0, -1.0)]
         best = max(ways, key=lambda way: sum(found[0] for found in way if found is not None))
         shares = np.linspace(0.0, 1.0, len(lines)) if len(lines) > 1 else np.array([0.5])
         known = [(share, *found) for share, found in zip(shares, best, strict=True) if found is not None]
@@ -62,16 +63,16 @@ def probed_lines(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> tuple
     return spread, looked
 
 
-def _farthest(cell: Cell, cover: Cover, path: BladePath, sign: float) -> tuple[float, float] | None:
-    """The even distance m of lines that are like a path, and the turn: none where their sum has no steps without, else the least
-    of one sign that has nearly the largest distance."""
-    found: list[tuple[float, float]] = []
+def _farthest(cell: Cell, cover: Cover, path: BladePath, straight: LinePatches | None, sign: float) -> tuple[float, float] | None:
+    """The even distance m of lines that are like a path with its `straight` footprints, and the turn: none where their sum has
+    no steps without, else the least of one sign that has nearly the largest distance."""
+    found = [] if straight is None else [(even_spacing(straight), 0.0)]
+    if straight is not None and straight.unevenness(EVEN * float(straight.half_axes[:, 1].min())).max() <= STEPS:
+        return found[0]
     for turn in sign * cell.process.turn_tolerance * ASKEW:
-        patches = planned_patches(cell, cover, replace(path, turn=turn))
+        patches = planned_patches(cell, cover, replace(path, turn=float(turn)))
         if patches is not None:
             found.append((even_spacing(patches), float(turn)))
-            if turn == 0.0 and patches.unevenness(EVEN * float(patches.half_axes[:, 1].min())).max() <= STEPS:
-                break
     largest = max((spacing for spacing, _ in found), default=0.0)
     return next((one for one in found if one[0] >= NEARLY * largest), None)
 
