@@ -36,10 +36,10 @@ SPEED_SHARE = 0.8
 """[-] Of an axis' speed limit that a pass may use at its programmed feed. Guards: the feed is held. Reason: timing may use
 LIMIT_SHARE, and a spline through the waypoints is faster between them."""
 
-JERK_TIME = 0.05
-"""[s] In which an axis may reach its largest acceleration: jerk is at most that acceleration over this time. Guards: the arm is
-not struck, and blade and wheel do not swing against each other. Reason: half a period of 10 Hz, about where an arm of this size
-swings first; no robot file has a jerk of its maker."""
+JERK_TIME = 0.012
+"""[s] In which an axis may reach its largest acceleration: jerk is at most that acceleration over this time. Guards: set points
+do not jump from one of the controller's cycles to the next. Reason: a KR C4 interpolates every 12 ms; no robot file has a jerk
+of its maker."""
 
 LIMIT_SHARE = 0.9
 """[-] Of an axis' limits of speed, acceleration and torque that the timed motion may use. Guards: the controller does not slow

@@ -15,7 +15,7 @@ from ocp.plan.passes import posture
 from ocp.plan.passes.course import steady
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import PassProblem, with_direction
-from ocp.plan.passes.smoothness import axis_rows, axis_use, quadratic_form
+from ocp.plan.passes.smoothness import axis_rows, axis_use, between_bends, derivative_weights, quadratic_form
 from ocp.plan.passes.solve import TURN_KEPT, PassSolver
 from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, N_Z, ObjectiveWeights
 from ocp.plan.passes.transcription import AROUND, N_DYNAMIC, N_MOTION, REACH, transcribe
@@ -85,6 +85,13 @@ def test_speed_acceleration_and_jerk_are_those_of_the_motion_in_time():
         (3, np.outer(np.ones(200), 6 * slope**3), robot.qdd_max / JERK_TIME),
     ):
         assert use[inner, 6 * part : 6 * part + 6] == pytest.approx(np.abs(known / limit)[inner], rel=0.02, abs=1e-8)
+
+
+def test_the_jerk_of_a_cubic_is_that_of_a_cubic_where_nodes_stand_ten_times_closer():
+    at = np.concatenate([np.arange(0.0, 0.7, 0.07), 0.7 + 0.007 * np.arange(20), 0.9 + 0.02 * np.arange(20)])
+    _, D2 = derivative_weights(at)
+    bend = D2 @ (at - 0.3) ** 3
+    assert (np.diff(bend) / between_bends(at))[1:-1] == pytest.approx(6.0)
 
 
 def test_a_jolt_of_the_seed_is_driven_within_the_limit_of_jerk(monkeypatch):

@@ -30,6 +30,7 @@ from ocp.plan.grades import grade_force, stop_preload
 from ocp.plan.motion import _timed as _timed_pass
 from ocp.plan.motion import is_free
 from ocp.plan.passes import posture
+from ocp.plan.passes.course import steady
 from ocp.plan.passes.optimise import TouchesElsewhere, refuse_unsound
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
@@ -217,12 +218,13 @@ def test_an_axis_builds_up_its_acceleration_in_its_time(cell, solver):
     judge(solver, jerk - 1e-3, axis=19)
     with pytest.raises(Infeasible, match=r"the jerk of axis 2 cannot be kept within its limit"):
         judge(solver, jerk + 1e-3, axis=19)
-    at = problem().way.at
-    swing = np.outer(np.sin(4 * np.pi * at / at[-1]) ** 4, np.eye(6)[1])  # no acceleration at its ends
-    most = axis_use(cell, problem().way, READY + 1e-3 * swing, np.ones(40))[:, 19].max()
+    fast = bar_pass(feed=0.4)
+    one = replace(problem(), path=fast, course=steady(fast))
+    swing = np.outer(np.sin(4 * np.pi * one.way.at / one.way.at[-1]) ** 4, np.eye(6)[1])  # no acceleration at its ends
+    most = axis_use(cell, one.way, READY + 1e-3 * swing, np.ones(40))[:, 19].max()
     for share, broken in ((rules.SPEED_SHARE - 1e-4, False), (rules.SPEED_SHARE + 1e-4, True)):
         there = READY + 1e-3 * share / most * swing
-        assert solver._breaks_lazy_rows(problem(), SimpleNamespace(q=there, rate=np.ones(40))) is broken
+        assert solver._breaks_lazy_rows(one, SimpleNamespace(q=there, rate=np.ones(40))) is broken
 
 
 def test_the_optimiser_stays_off_the_ends_of_axes_and_singularities(cell, solver):

@@ -33,6 +33,12 @@ def derivative_weights(at: Array) -> tuple[sp.csr_matrix, sp.csr_matrix]:
     return made[0], made[1]
 
 
+def between_bends(at: Array) -> Array:
+    """Parameter (n-1,) between the places of which neighbouring nodes `at` (n,) have the second derivative: a parabola through
+    three nodes has that of their mean, however unevenly they lie."""
+    return np.diff(np.concatenate([at[:1], (at[:-2] + at[1:-1] + at[2:]) / 3.0, at[-1:]]))
+
+
 def quadratic_form(cell: Cell, problem: PassProblem, weights: ObjectiveWeights, n: int) -> tuple[sp.csc_matrix, Array]:
     """Q (N_Z n, N_Z n) and c (N_Z n,) of x'Qx/2 + c'x: smoothness of joints, rate and ratio; removal against what is wanted.
 
@@ -102,7 +108,7 @@ def axis_use(cell: Cell, course: PassCourse, q: Array, rate: Array) -> Array:
     payload, robot = cell.workpiece.payload, cell.robot
     torque = inverse_dynamics(robot, payload.mass, payload.com, q, qd, qdd)
     jerk = np.zeros_like(qdd)
-    jerk[:-1] = np.diff(qdd, axis=0) * (0.5 * (rate[1:] + rate[:-1]) / np.diff(course.at))[:, None]
+    jerk[:-1] = np.diff(qdd, axis=0) * (0.5 * (rate[1:] + rate[:-1]) / between_bends(course.at))[:, None]
     limits = (robot.qd_max, robot.qdd_max, robot.torque_max, robot.qdd_max / JERK_TIME)
     return np.abs(np.hstack([use / limit for use, limit in zip((qd, qdd, torque, jerk), limits, strict=True)]))
 
@@ -128,5 +134,5 @@ def axis_rows(cell: Cell, course: PassCourse, q: Array, n: int) -> Array:
     rows[:count, 6:42] = inertia.reshape(count, 36)
     rows[:count, 42:48] = torque(qd, still)
     rows[: count - 1, 48:54] = rows[1:count, :6]
-    rows[: count - 1, 54] = 1.0 / np.diff(course.at)
+    rows[: count - 1, 54] = 1.0 / between_bends(course.at)
     return rows

@@ -170,7 +170,7 @@ def _limits_of_a_node() -> tuple[ca.Function, ca.Function, ca.Function]:
 
     motion (55): weights (3) of the first and (3) of the second derivative by the path parameter; torque over its limit: its
     slope (6, 6) in the acceleration, by columns, and what it is without (6); the six weights of the next node; one over the
-    nominal time up to it.
+    nominal time between the two places of which both have the second derivative.
     """
     z = [ca.SX.sym(f"z{k}", N_Z) for k in range(len(AROUND))]
     m, lam = ca.SX.sym("motion", N_MOTION), ca.SX.sym("lam", N_DYNAMIC)
