@@ -293,6 +293,7 @@ ON_LINES: dict[str, Change] = {
     "a PTP in a chain": put(SUB, r"(C_VEL\r\n)", rf"\1{DETOUR}\r\n", 5),
     "a chain that blends into another kind": put(SUB, r"(^LIN \{.*\})\r\n; contact", r"\1 C_VEL\r\nHALT"),
     "a chain that blends into nothing": put(SUB, r"(^LIN \{.*\})\r\nEND", r"\1 C_VEL\r\nEND"),
+    "a motion that does not blend": put(SUB, r"C_VEL\r\n", "\r\n", 5),
     "no advance": put(SUB, r"\$ADVANCE=3", r"$ADVANCE=0", 1),
     **{f"{name} not set": lost(SUB, rf"^{re.escape(name)}=.*\r\n") for name in PATH},
     "$VEL.CP of a plane": put(SUB, r"(\$VEL\.CP=)", r"\g<1>200", 4),

@@ -162,8 +162,9 @@ def _check_speeds(module: syntax.Module, pauses: bool) -> None:
 
 def _check_chains(module: syntax.Module) -> None:
     """A motion that blends goes over into another straight one, with nothing but its speed between: all else would stop the
-    robot there, or lets the advance run out."""
+    robot there, or lets the advance run out. One that does not blend ends its chain."""
     before: syntax.MotionStatement | None = None
+    ended: syntax.MotionStatement | None = None
     for s in module.statements:
         line = s if isinstance(s, syntax.MotionStatement) and s.kind == "LIN" else None
         speed = isinstance(s, syntax.Assignment) and s.target == "$VEL.CP"
@@ -171,8 +172,13 @@ def _check_chains(module: syntax.Module) -> None:
             raise _bad(
                 module, s, f"this stands where the LIN of line {before.line} blends into the next; the robot would stop there"
             )
+        if line and ended:
+            raise _bad(module, s, f"the LIN of line {ended.line} does not blend into this one; the robot would stop on the blade")
         if isinstance(s, syntax.MotionStatement):
             before = line if line and line.approximation else None
+            ended = line if line and not line.approximation else None
+        elif not (speed or isinstance(s, syntax.Remark)):
+            ended = None
 
 
 def _check_assignment(module: syntax.Module, s: syntax.Assignment) -> None:

@@ -177,6 +177,7 @@ class _Controller:
     calls: int = 0
     untimed: str = ""  # file and line of a PTP that is not the first motion of a file
     same: dict[str, str] = field(default_factory=dict)  # of a planned program: what every file and block sets alike
+    apart: bool = True  # whether anything but a path's speed was set since the last motion
     since: set[str] = field(default_factory=set)  # what this file has done: START-UP, frames and load set after it, MOVED
 
 
@@ -327,6 +328,10 @@ def _statement(c: _Controller, source: Path, line: int, text: str) -> None:
         kind = "PTP" if word in ("PTP", "SPTP") else "LIN"
         if kind == "PTP" and target.blend:
             raise BadInput(f"{where}: a PTP that blends into the next motion is not driven here; let it come to rest")
+        last = c.steps[-1] if c.steps else None
+        rested = isinstance(last, DrivenMotion) and last.kind == "LIN" and not last.targets[-1].blend
+        if c.planned and kind == "LIN" and rested and not c.apart:
+            raise BadInput(f"{where}: the LIN before does not blend into this one; the robot would stop on the blade")
         c.steps.append(_motion(c, kind, (target,), source, line))
     elif found := _DECLARED.match(text):
         c.named[found.group(2)] = found.group(3)
@@ -359,6 +364,7 @@ def _pause(c: _Controller, where: str, text: str) -> ProgramPause:
 def _assign(c: _Controller, where: str, name: str, index: str | None, value: str) -> bool:
     """An assignment to what motion depends on; False where the name is none of it."""
     c.since.add(f"{name}[{index}]" if index else name)
+    c.apart |= name != "$VEL.CP"
     if c.planned and name in (*SETUP, *WHOLE) and (before := c.same.setdefault(name, value)) != value:
         raise BadInput(
             f"{where}: {name} = {shown(value, 60)} was {shown(before, 60)} before; one blade and one wheel are planned"
@@ -460,6 +466,7 @@ def _motion(
     if kind in ("PTP", "LIN") and "MOVED" in c.since:
         c.untimed = c.untimed or f"{source}, line {line}"
     c.since.add("MOVED")
+    c.apart = False
     turn, spin = (float(np.radians(min(c.path[f"${word}.ORI{i}"] for i in (1, 2)))) for word in ("VEL", "ACC"))
     path = (c.path["$VEL.CP"], c.path["$ACC.CP"], turn, spin)
     return DrivenMotion(kind, targets, c.frames, path, c.axis_speed, c.axis_acceleration, source.name, line, times)
