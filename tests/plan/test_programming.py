@@ -259,19 +259,26 @@ def test_what_the_bounds_of_a_pose_block_leave(tmp_path):
                 assert getattr(segment.bounds, name) == pytest.approx(2 * getattr(peaks, name), rel=0.05), name
 
 
-def shorter_chain(main):
-    """One line of the first chain no longer blends."""
+def resting_chain(main, between=b""):
+    """One line of the first chain no longer blends; what may stand between it and the next."""
     file = main.with_name(f"{main.stem}_01.src")
     text = file.read_bytes()
-    lines = [m.end() for m in re.finditer(rb"\} C_VEL", text)]
+    lines = [m.end() for m in re.finditer(rb"\} C_VEL\r\n", text)]
     k = lines[len(lines) // 2]
-    file.write_bytes(text[: k - 6] + text[k:])
+    file.write_bytes(text[: k - 8] + b"\r\n" + between + text[k:])
 
 
-def test_a_chain_of_lines_that_rests_on_its_way_is_refused(tmp_path):
+def test_a_line_that_rests_before_the_next_is_refused(tmp_path):
+    _, main = written(tmp_path, "lin")
+    resting_chain(main)
+    with pytest.raises(BadInput, match="does not blend into this one; the robot would stop on the blade"):
+        checked(main)
+
+
+def test_a_chain_of_lines_that_something_parts_is_refused(tmp_path):
     _, main = written(tmp_path, "lin")
     assert len(_chained(cell(), motion(), checked(main))[0]) == 2
-    shorter_chain(main)
+    resting_chain(main, b"$ACC.CP=1.0\r\n")
     with pytest.raises(Infeasible, match="3 chains of straight motions, 2 were planned: the robot would rest between"):
         _chained(cell(), motion(), checked(main))
 
