@@ -411,9 +411,22 @@ RELEARNED_WIDTH = 0.15
 """[-] Of the logarithm of a learned prior's width, below which it stays. Guards: refits for nothing. Reason: a width from some
 twenty numbers is known to 15 %."""
 
-LINK_MASS_SD = 0.01
-"""[-] Of a link's mass. Guards: payloads and springs that weight tells apart. Reason: makers' masses hold to about a percent
-(DIAGNOSIS)."""
+LINK_MASS_SD = 0.04
+"""[-] Of a link's mass. Guards: payloads and springs that weight tells apart. Reason: catalogue masses are off by 3 to 5 %
+(DIAGNOSIS, Second method)."""
+
+LINK_CENTRE_SD = 0.01
+"""[m] Of each coordinate of a link's centre of mass. Guards: as LINK_MASS_SD. Reason: catalogue centres are off by 1 cm
+(DIAGNOSIS, Second method)."""
+
+WEIGHTS_TRUST = 2.0
+"""[-] Directions that the widths of LINK_MASS_SD, LINK_CENTRE_SD and PAYLOAD_MASS_SD are worth against what the readings show of
+a machine's weights (inverse chi-square prior of their common scale). Guards: promises of machines whose weights are known better.
+Reason: none is known; a scale known to a factor of two."""
+
+PAYLOAD_MASS_SD = 0.006
+"""[-] Of a payload's mass. Guards: payload_mass against what a scale does not tell. Reason: payloads are as stated to 1 %, evenly
+(DIAGNOSIS, Second method)."""
 
 SPRINGS_WITHIN = (0.5, 2.0)
 """[-] Of the believed springs: torques bend the joints through springs kept between these. Guards: a balancer that the fitted

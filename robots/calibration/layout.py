@@ -41,13 +41,14 @@ class Choice:
 @dataclass(frozen=True)
 class State:
     """Values of everything: arm (36,), payloads (k, 4), nests (m, 3) m with their turns (m, 3, 3), stations (s, 4, 4) tracker
-    from base."""
+    from base; links (w,): what the links' weights differ by from the catalogue, of fits that have such unknowns."""
 
     arm: Array
     payloads: Array
     nests: Array
     turns: Array
     stations: Array
+    links: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class Layout:
     payload: Array = field(repr=False)  # (k, 4)
     nest: Array = field(repr=False)  # (m, 6) place and turn
     station: Array = field(repr=False)  # (s, 6) shift and turn
+    links: Array = field(default_factory=lambda: np.zeros(0, int), repr=False)  # (w,), of whoever adds them
 
     @property
     def size(self) -> int:
@@ -160,6 +162,7 @@ def offset_between(layout: Layout, start: State, state: State) -> Array:
         (layout.arm, state.arm - start.arm),
         (layout.payload, state.payloads - start.payloads),
         (layout.nest[:, :3], state.nests - start.nests),
+        (layout.links, state.links - start.links),
     ):
         offset[columns[columns >= 0]] = change[columns >= 0]
     return offset
@@ -182,4 +185,5 @@ def moved(layout: Layout, state: State, dx: Array) -> State:
         nests=state.nests + nest[:, :3],
         turns=state.turns @ Rotation.from_rotvec(nest[:, 3:]).as_matrix(),
         stations=stations,
+        links=state.links + part(layout.links),
     )

@@ -8,7 +8,7 @@ import numpy as np
 from ocp.diagnose.force.prior import posterior_of
 from ocp.diagnose.foresee.separation import ProposedMeasurement
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.refit import Task, TrackerFit, linearise_with
+from ocp.diagnose.tracker.refit import Task, TrackerFit, linearise_with, with_weights
 from ocp.model.cell import TrackerSetup
 from robots.calibration.layout import Choice, Priors, build_layout, nominal_state
 from robots.calibration.noise import Noise, reading_covariance, whitener
@@ -169,11 +169,11 @@ def planned_channel(setup: TrackerSetup, readings: Readings) -> TrackerChannel:
     """The channel that the believed arm would make of planned readings."""
     campaign = Campaign(setup.robot, replace(readings, turn=None, sigma_turn=None), setup.payloads, setup.instrument)
     choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
-    layout = build_layout(setup.robot, campaign.readings, setup.instrument, choice, Priors())
+    layout = with_weights(build_layout(setup.robot, campaign.readings, setup.instrument, choice, Priors()), campaign)
     start = nominal_state(setup.robot, campaign.readings, setup.payloads, setup.instrument, choice)
     stations = start.stations.copy()
     stations[:, :3, 3] = -TRACKER_AT
-    start = replace(start, stations=stations)
+    start = replace(start, stations=stations, links=np.zeros(len(layout.links)))
     task = Task(campaign, layout, start, setup.tables.reference_temperature_C, None)
     linear, extra = linearise_with(task, start, ())
     n = len(readings)

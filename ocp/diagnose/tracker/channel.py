@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant, effects_key, scan_key
-from ocp.diagnose.rules import LEAST_CHANGES, LINK_MASS_SD
+from ocp.diagnose.rules import LEAST_CHANGES
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
-from ocp.diagnose.tracker.motion import LINKS, PlacedReadings, displaced, mass_columns, motion
+from ocp.diagnose.tracker.motion import PlacedReadings, displaced, motion
 from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, placed_readings, refit, relearned, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
@@ -61,19 +61,13 @@ class TrackerChannel:
         """Whitened about the current fit."""
         n = len(self.readings)
         layout, linear = self.task.layout, self.fit.linear
-        J = np.concatenate([linear.J, self.masses], axis=2)
         return System(
             residual=np.einsum("nij,nj->ni", self.fit.W, linear.residual).ravel(),
-            nuisance=(self.fit.W @ J).reshape(3 * n, -1),
-            prior_sd=np.append(layout.prior_sd, np.full(len(LINKS), LINK_MASS_SD)),
-            offset=np.append(np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0), np.zeros(len(LINKS))),
+            nuisance=(self.fit.W @ linear.J).reshape(3 * n, -1),
+            prior_sd=layout.prior_sd,
+            offset=np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0),
             reading=np.repeat(np.arange(n), 3),
         )
-
-    @cached_property
-    def masses(self) -> Array:
-        """What link masses other than believed do to the readings (n, 3, 5) m, to first order."""
-        return mass_columns(self.seen, self.fit.linear.d_joints)
 
     @cached_property
     def background(self) -> Background:

@@ -1,7 +1,7 @@
 """What effects do to tracker readings: shifts of the joint angles, and displacements of the reflectors that come on top."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,12 +11,14 @@ from ocp.effects.effect import Active, Effect, Scanned
 from ocp.effects.engine.evaluate import ArmRows, TrackerRows, arm_columns, arm_rows, tracker_columns
 from robots.calibration.layout import State
 from robots.calibration.residuals import row_groups
-from robots.gravity import GRAVITY, weight_torques
+from robots.gravity import GRAVITY
+from robots.kinematics import link_frames
 from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Index, Instrument, Readings
 
 LINKS = (2, 3, 4, 5, 6)  # the base and link 1 turn about the vertical only
+AXES = "xyz"
 Motion = tuple[Array | None, Array | None]
 
 
@@ -174,19 +176,28 @@ def together(active: Sequence[Active], seen: PlacedReadings) -> tuple[list[Array
     return parts, whole[:, :6], whole[:, 6:]
 
 
-def mass_columns(seen: PlacedReadings, d_joints: Array) -> Array:
-    """Displacement (n, 3, 5) m per unit of relative mass of links 2 to 6; d_joints (n, 3, 6) m/rad.
+def weighed_links(robot: Robot) -> list[tuple[str, int, int]]:
+    """What of the links' weights is not as the catalogue says: name, link, and -1 for its relative mass or the axis (0..2) of its
+    frame along which its centre lies elsewhere."""
+    heavy = [link for link in LINKS if robot.link_mass[link] > 0]
+    return [(f"link{i}_{'mass' if k < 0 else AXES[k]}", i, k) for i in heavy for k in range(-1, 3)]
 
-    Nobody knows a robot's links to better than a percent, and springs are fitted to the sag under all weight together. Where the
-    links are heavier than believed, a payload that is known well bends the arm less than these springs say: it looks lighter, or
-    a link looks as if it bent. A link of mass (1 + m) times the believed one moves joint j by m c_j tau_j, tau_j its own share of
-    the load torque (PHYSICS 2.5).
+
+def link_torques(robot: Robot, q: Array) -> Array:
+    """Load torque (n, 6, w) N m, positive along +q, per unit of relative mass and per metre of every centre (`weighed_links`), at
+    postures q (n, 6) rad.
+
+    A catalogue's masses and centres are those of a drawing. Springs are fitted to the sag under all weight together: where the
+    links are heavier than believed, a payload that is known well bends the arm less than these springs say; it looks lighter, or
+    a link looks as if it bent. A weight G m at p turns joint j by c_j of its torque z_j . ((p - o_j) x down) G m (PHYSICS 2.5).
     """
-    springs = np.clip(seen.state.arm[30:], 0.0, None)
-    found = []
-    for link in LINKS:
-        alone = np.zeros_like(seen.robot.link_mass)
-        alone[link] = seen.robot.link_mass[link]
-        tau = weight_torques(replace(seen.robot, link_mass=alone), seen.readings.q)
-        found.append(np.einsum("nij,nj->ni", d_joints, springs * tau))
-    return np.stack(found, axis=2)
+    frames = link_frames(robot, q)[:, :, :3]
+    out = np.zeros((len(q), 6, len(weighed_links(robot))))
+    for at, (_, link, axis) in enumerate(weighed_links(robot)):
+        mass, frame = robot.link_mass[link], frames[:, link]
+        whole = frame[:, :, :3] @ robot.link_com[link] + frame[:, :, 3] if axis < 0 else frame[:, :, axis]
+        for j in range(link):
+            lever = whole - frames[:, j, :, 3] if axis < 0 else whole
+            turning = np.sum(frames[:, j, :, 2] * np.cross(lever, robot.gravity_direction), axis=1)
+            out[:, j, at] = robot.sign[j] * GRAVITY * mass * turning
+    return out

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import expit
 
 from ocp.diagnose import rules
-from ocp.diagnose.tracker.motion import PlacedReadings, together
+from ocp.diagnose.tracker.motion import PlacedReadings, link_torques, together, weighed_links
 from ocp.effects.effect import Active, coefficients, prior_sds, with_coefficients
 from robots.calibration.fit import Fit, fit_campaign, learned_priors, learned_width
 from robots.calibration.layout import (
@@ -140,12 +140,11 @@ def linearise_with(task: Task, state: State, active: tuple[Active, ...]) -> tupl
     """Residuals about state and effects, and the effects' columns (n, 3, m)."""
     c = task.campaign
     n = len(c.readings)
-    whole = (*task.believed, *active)
-    if not whole:
-        return linearise(c.robot, c.readings, c.instrument, task.layout, state), np.zeros((n, 3, 0))
-    parts, shift, displacement = together(whole, placed_readings(task, state))
-    turned = replace(c.readings, q=c.readings.q + shift)
+    parts, shift, displacement = _moved(task, state, (*task.believed, *active))
+    sag = link_sag(task, state)
+    turned = replace(c.readings, q=c.readings.q + shift + sag @ state.links)
     linear = linearise(c.robot, turned, c.instrument, task.layout, state)
+    linear.J[:, :3, task.layout.links] = linear.d_joints @ sag
     linear = replace(linear, residual=linear.residual - displacement, point=linear.point + displacement)
     columns = [linear.d_joints @ p[:, :6] + p[:, 6:] for p in parts[len(task.believed) :]]
     extra = np.concatenate(columns, axis=2) if active else np.zeros((n, 3, 0))
@@ -155,11 +154,47 @@ def linearise_with(task: Task, state: State, active: tuple[Active, ...]) -> tupl
 def points_with(task: Task, state: State, active: tuple[Active, ...]) -> Array:
     """Predicted reflectors (n, 3) m alone, as `linearise_with` gives them."""
     c = task.campaign
-    whole = (*task.believed, *active)
-    if not whole:
-        return points(c.robot, c.readings, c.instrument, state)
-    _, shift, displacement = together(whole, placed_readings(task, state))
-    return points(c.robot, replace(c.readings, q=c.readings.q + shift), c.instrument, state) + displacement
+    _, shift, displacement = _moved(task, state, (*task.believed, *active))
+    turned = replace(c.readings, q=c.readings.q + shift + link_sag(task, state) @ state.links)
+    return points(c.robot, turned, c.instrument, state) + displacement
+
+
+def _moved(task: Task, state: State, whole: tuple[Active, ...]) -> tuple[list[Array], Array, Array]:
+    """`together` of the task's readings; nothing where there are no effects."""
+    n = len(task.campaign.readings)
+    return together(whole, placed_readings(task, state)) if whole else ([], np.zeros((n, 6)), np.zeros((n, 3)))
+
+
+def link_sag(task: Task, state: State) -> Array:
+    """By how much the joints bend (n, 6, w) rad per unit of what the links' weights are off, to first order."""
+    c = task.campaign
+    if not len(task.layout.links):
+        return np.zeros((len(c.readings), 6, 0))
+    return np.asarray(np.clip(state.arm[30:], 0.0, None)[:, None] * link_torques(c.robot, c.readings.q))
+
+
+def with_weights(layout: Layout, campaign: Campaign) -> Layout:
+    """The layout with what of the weights is known only so well (`rules`): masses and centres of the links, masses of the
+    payloads, those that were never hung too."""
+    robot, r = campaign.robot, campaign.readings
+    listed = weighed_links(robot)
+    sds = [rules.LINK_MASS_SD if axis < 0 else rules.LINK_CENTRE_SD for _, _, axis in listed]
+    names = [name for name, _, _ in listed]
+    payload = layout.payload.copy()
+    for k, name in enumerate(r.payloads):
+        hung = campaign.payloads.get(name)
+        if hung is not None and hung.mass > 0:
+            payload[k, 0] = layout.size + len(names)
+            names.append(f"{name}:mass")
+            sds.append(rules.PAYLOAD_MASS_SD * hung.mass)
+    return replace(
+        layout,
+        names=(*layout.names, *names),
+        prior_sd=np.append(layout.prior_sd, sds),
+        scale=np.append(layout.scale, sds),
+        payload=payload,
+        links=np.asarray(layout.size + np.arange(len(listed)), int),
+    )
 
 
 def placed_readings(task: Task, state: State, point: Array | None = None) -> PlacedReadings:
@@ -265,14 +300,18 @@ def believed_baseline(
         others = ()
     priors = replace(learned_priors(first), compliance=rules.BELIEVED_SPRING_SD)
     choice = Choice(joints=(*believed, *others))
-    layout = build_layout(c.robot, c.readings, c.instrument, choice, priors)
-    nominal = nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice)
+    layout = with_weights(build_layout(c.robot, c.readings, c.instrument, choice, priors), c)
+    none = np.zeros(len(layout.links))
+    nominal = replace(nominal_state(c.robot, c.readings, c.payloads, c.instrument, choice), links=none)
+    first = replace(first, state=replace(first.state, links=none))
     d_joints = linearise(c.robot, c.readings, c.instrument, layout, first.state).d_joints
     good = first.weight > GROSS  # an outlier among few repeats would pass for their drift
     repeats = repeat_scatter(c.readings.take(good), c.instrument, d_joints[good])
     start = replace(nominal, stations=first.state.stations)
     task = Task(real, layout, start, reference, repeats, believed_effects)
-    return task, refit(task, first.state, offset_between(layout, start, first.state), (), Noise(first.noise.joints))
+    fit = refit(task, first.state, offset_between(layout, start, first.state), (), Noise(first.noise.joints))
+    known = relearned(task, fit)
+    return known, fit if known is task else refit(known, fit.state, fit.offset, (), fit.noise)
 
 
 def without_effects(campaign: Campaign, state: State, effects: Sequence[Active], reference: float) -> Campaign:
@@ -305,7 +344,8 @@ def _normal(off: float, sd: float) -> float:
 
 def relearned(task: Task, fit: TrackerFit) -> Task:
     """The task with the geometry's prior as wide as the deviations now found (MacKay 1992, eq. 2.20): an effect that is named
-    has left the geometry. The same task where the widths hardly change."""
+    has left the geometry; and weights believed the better the less the readings ask of them, at most as wide as `rules` says.
+    The same task where the widths hardly change."""
     layout = task.layout
     sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     prior, scale = layout.prior_sd.copy(), layout.scale.copy()
@@ -317,5 +357,14 @@ def relearned(task: Task, fit: TrackerFit) -> Task:
         width = learned_width(fit.offset[columns], sd[columns], before)
         if abs(np.log(width / before)) > rules.RELEARNED_WIDTH:
             prior[columns] = scale[columns] = width
+            changed = True
+    weights = np.append(layout.links, layout.payload[layout.payload >= 0]).astype(int)
+    if len(weights):
+        usual, before = scale[weights], prior[weights]
+        seen = float(np.sum(1.0 - (sd[weights] / before) ** 2))
+        squares = float(np.sum((fit.offset[weights] / usual) ** 2))
+        width = min(1.0, float(np.sqrt((squares + rules.WEIGHTS_TRUST) / (seen + rules.WEIGHTS_TRUST))))
+        if abs(np.log(width * usual[0] / before[0])) > rules.RELEARNED_WIDTH:
+            prior[weights] = width * usual
             changed = True
     return replace(task, layout=replace(layout, prior_sd=prior, scale=scale)) if changed else task

@@ -1,0 +1,344 @@
+"""Diagnosis of machines by another hand: names, false names, promises and what came, before and after a change of the engine.
+
+    PYTHONPATH=. python benchmarks/other_hand.py OUT [--worlds 80] [--seed 1] [--rows NAME] [--before OUT/NAME.json]
+
+Answered are the labelled tracker worlds of ../shared/data/worlds and fresh worlds of a seed (1 to 99: for development). A fresh
+machine has what DIAGNOSIS.md ("Second method") and FORMATS.md say of other hands and the catalogue of a maker does not: masses of
+links off by 4 %, their centres by 1 cm, payloads by 1 %, springs by 20 %, every gear's ripple of three to five orders (10 to 30
+urad together) and up to 10 urad of play, readings whose noise has Student's tails (4 degrees of freedom) beside 1 % gross ones.
+Of every third machine the last third of the readings, and all sealed ones, come from a second stand of the tracker.
+Worlds stay in OUT and are drawn once; a row for each answer is written to OUT/NAME.json. `--before`: the same figures of an
+earlier run beside, with the 95 % interval of the difference over the same worlds (bootstrap).
+"""
+
+import argparse
+import csv
+import json
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ocp.blindtest.answers import FAULTS
+from ocp.blindtest.oracle.tracker import (
+    TrackerView,
+    exact_whitener,
+    point_covariance,
+    scene_of,
+    tracker_nuisance,
+    weight_compliance,
+    white_points,
+)
+from ocp.blindtest.running import draw_effects
+from ocp.blindtest.scoring import decided_names, declared_classes, first_right, matched
+from ocp.blindtest.worlds.machines import TrackerMachine
+from ocp.blindtest.worlds.outside import ArmInstants, OutsideArm, by_name, joint_index, outside, size
+from ocp.blindtest.worlds.recipes import BINS, OUTSIDE, SEVERAL, STRANGE, Recipe
+from ocp.blindtest.worlds.sealing import write_cell
+from ocp.data import CELL
+from ocp.diagnose.answering import answer_of, predict_sealed
+from ocp.diagnose.document import document_of
+from ocp.effects.catalogue import library
+from ocp.model.cell import Cell, read_cell
+from ocp.shell.progress import Phases
+from ocp.simulate.twin.arm import make_arm
+from ocp.simulate.twin.kinds import PHASE, Key
+from ocp.simulate.twin.planting import Planted, labels
+from ocp.simulate.twin.tracker import TrackerLog, instrument, random_design, sealed_design, tracker_world, true_points
+from ocp.simulate.twin.truth import Truth, draw_truth
+from robots.errors import BadInput, Infeasible
+from robots.pose import Array, apply, invert
+
+SHARED = Path(__file__).parents[1].parent / "shared" / "data" / "worlds"
+MASS, CENTRE, PAYLOAD, SPRING = 0.04, 0.01, 0.01, 0.2  # relative, m, relative, relative: one sigma
+RIPPLE, LINES, ORDERS, PLAY = (1e-5, 3e-5), (3, 5), (3, 150), 1e-5  # rad of all lines together, how many, waves a turn, rad
+TAILS = 4  # degrees of freedom of the readings' noise
+READINGS = (90, 150, 250)
+MIXTURE = ("none", "single", "single", "none", "pair", "outside", "single", "none", "single", "outside")
+WORSE = 0.02
+ORDER = Key("order", "", 1.0, 300.0, False)
+
+
+def _line(p: Planted, at: ArmInstants) -> Array:
+    return np.asarray(np.cos(p.number("order") * at.q[:, joint_index(p)] + p.number("phase_rad")))
+
+
+LINE = by_name(outside("line", "angle", _line, tuple(range(1, 7)), size("rad", "rad", 1e-6, 3e-5, False), ORDER, PHASE))
+
+
+@dataclass(frozen=True, eq=False)
+class OtherMachine(TrackerMachine):
+    """A machine by another hand: `cell` has the masses where they are; believed: the cell that is written; lines: ripple."""
+
+    believed: Cell
+    lines: tuple[Planted, ...]
+
+    def arm(self, truth: Truth, targets: tuple[str, ...]) -> OutsideArm:
+        """Its arm with what is planted outside the catalogue, and the ripple."""
+        made = make_arm(self.cell, truth)
+        arm = OutsideArm(made.robot, truth, made.hardware, made.reference_C)
+        arm.cell, arm.targets, arm.known = self.cell, targets, OUTSIDE | LINE
+        return arm
+
+    def with_effects(self, effects: Any) -> Truth:
+        """With the ripple of its gears."""
+        return replace(self.truth, effects=(*effects, *self.lines))
+
+    def points(self, effects: Any, sealed: bool = False) -> Array:
+        """As the tracker would read them from its first stand without noise."""
+        campaign, truth = self.sealed if sealed else self.campaign, self.with_effects(effects)
+        return true_points(truth, self.cell, self.arm(truth, campaign.targets), campaign.moments, campaign.targets)
+
+
+def drawn_machine(path: Path, seed: int, index: int) -> OtherMachine:
+    """The machine of world `index`."""
+    rng = np.random.default_rng([seed, index, 1])
+    believed = read_cell(path)
+    robot = believed.robot
+    truth = draw_truth(believed, int(rng.integers(2**31)), weight_bends="believed")
+    lines = []
+    for joint in range(1, 7):
+        count = int(rng.integers(LINES[0], LINES[1] + 1))
+        each = rng.uniform(*RIPPLE) * np.sqrt(rng.dirichlet(np.ones(count)))
+        for k, amplitude in zip(rng.choice(np.arange(*ORDERS), count, replace=False), each, strict=True):
+            values = {"rad": float(amplitude), "order": float(k), "phase_rad": float(rng.uniform(0, 2 * np.pi))}
+            lines.append(Planted("line", joint, values))
+    truth = replace(
+        truth,
+        mass_scale=1 + MASS * np.clip(rng.normal(size=7), -2.5, 2.5),
+        stiffness=robot.stiffness / (1 + SPRING * np.clip(rng.normal(size=6), -2.5, 2.5)),
+        payloads={name: (mass * (1 + PAYLOAD * rng.normal()), com) for name, (mass, com) in truth.payloads.items()},
+        ripple=np.zeros((6, 3)),
+        play=rng.uniform(0, PLAY, 6),
+    )
+    cell = replace(believed, robot=replace(robot, link_com=robot.link_com + CENTRE * rng.normal(size=robot.link_com.shape)))
+    campaign = random_design(cell, rng, READINGS[index % len(READINGS)], warm_up=float(rng.uniform(2.0, 12.0)))
+    return OtherMachine(cell, truth, campaign, sealed_design(cell, rng, 90), believed, tuple(lines))
+
+
+def view_of(machine: OtherMachine) -> TrackerView:
+    """What an oracle sees who knows what machines of this kind are drawn with."""
+    scene = scene_of(machine)
+    A, sd = tracker_nuisance(scene)
+    sd[-13:-6], sd[-19:-13], sd[-6:] = MASS, SPRING, PLAY / np.sqrt(3.0)
+    compliance, moments, extra = weight_compliance(machine.truth), machine.campaign.moments, []
+    for link in range(2, 7):
+        for axis in range(3):
+            com = machine.cell.robot.link_com.copy()
+            com[link, axis] += CENTRE
+            other = replace(machine.cell, robot=replace(machine.cell.robot, link_com=com))
+            extra.append(make_arm(other, machine.truth).settled(moments).load_torque[:, :6] - scene.tau)
+    for name, (mass, com) in machine.truth.payloads.items():
+        heavier = machine.truth.payloads | {name: (mass * (1 + PAYLOAD), com)}
+        settled = make_arm(machine.cell, replace(machine.truth, payloads=heavier)).settled(moments)
+        extra.append(settled.load_torque[:, :6] - scene.tau)
+    more = np.stack([np.einsum("nij,nj->ni", scene.D, tau * compliance) for tau in extra], axis=2)
+    ripple = np.array([sum(p.number("rad") ** 2 for p in machine.lines if p.joint == j) / 2 for j in range(1, 7)])
+    S = point_covariance(replace(scene, truth=replace(scene.truth, play=np.zeros(6))))
+    S = S + (scene.D * ripple) @ np.swapaxes(scene.D, 1, 2)
+    W = np.linalg.inv(np.linalg.cholesky(S))
+    columns = np.concatenate([white_points(W, A) * sd, white_points(W, more)], axis=1)
+    return TrackerView(machine, scene, exact_whitener(partial(white_points, W), columns))
+
+
+def written(out: Path, seed: int, index: int) -> Path:
+    """Folder of fresh world `index`, drawn where it is not there."""
+    folder = out / "worlds" / f"{seed:02d}_{index:03d}"
+    if (folder / "labels" / "labels.json").is_file():
+        return folder
+    machine = drawn_machine(out / "cell.toml", seed, index)
+    kind = MIXTURE[index % len(MIXTURE)]
+    turn = sum(MIXTURE[k % len(MIXTURE)] == kind for k in range(index))
+    target = {"pair": SEVERAL, "outside": STRANGE}.get(kind, BINS[1 + turn % 3])
+    effects: tuple[Planted, ...] = ()
+    lam: tuple[float, ...] = ()
+    if kind != "none":
+        effects, lam = draw_effects(seed, Recipe(index, kind, turn, target), view_of(machine), "tracker")
+    truth = machine.with_effects(effects)
+    arm = machine.arm(truth, machine.campaign.targets)
+    tracker_world(folder, machine.believed, truth, TrackerLog(machine.campaign, machine.sealed), arm)
+    rng = np.random.default_rng([seed, index, 2])
+    exact = true_points(truth, machine.cell, arm, machine.campaign.moments, machine.campaign.targets, rng)
+    truths = machine.points(effects, sealed=True)
+    late, after = np.zeros(len(exact), bool), np.zeros(len(truths), bool)
+    if index % 3 == 2:  # the tracker is carried elsewhere
+        moved = drawn_machine(out / "cell.toml", seed + 500, index).truth.T_tracker_base @ invert(truth.T_tracker_base)
+        late, after = np.arange(len(exact)) >= 2 * len(exact) // 3, ~after
+        exact, truths = np.where(late[:, None], apply(moved, exact), exact), apply(moved, truths)
+    noise = instrument(machine.cell, 0.0, exact, rng) - exact
+    gross = instrument(machine.cell, truth.outliers, exact, np.random.default_rng([seed, index, 3])) - exact
+    wild = np.linalg.norm(gross, axis=1) > 3e-4
+    read = exact + np.where(wild[:, None], gross, noise * np.sqrt(TAILS / rng.chisquare(TAILS, (len(exact), 1))))
+    (folder / "labels").mkdir(exist_ok=True)
+    sealed = folder / "sealed_tracker.csv"
+    _rewritten(folder / "tracker.csv", folder / "tracker.csv", read, late)
+    _rewritten(sealed, folder / "labels" / "sealed_tracker_truth.csv", truths, after)
+    _rewritten(sealed, sealed, None, after)
+    told = {"seed": seed, "labels": labels(effects), "detectability": [{"lam": v} for v in lam]}
+    (folder / "labels" / "labels.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    return folder
+
+
+def _rewritten(source: Path, path: Path, points: Array | None, late: Array) -> None:
+    """A table again with these points m (None: none) and stands of the tracker."""
+    with source.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    for k, row in enumerate(rows):
+        row |= {"station": "S2" if late[k] else "S1"}
+        row |= {} if points is None else {f"{c}_mm": f"{1e3 * v:.4f}" for c, v in zip("xyz", points[k], strict=True)}
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def judged(folder: Path) -> dict[str, Any]:
+    """The row of a world: what was planted, said, promised and came."""
+    told = json.loads((folder / "labels" / "labels.json").read_text(encoding="utf-8"))
+    planted = [(one["effect"], one.get("joint") or 0) for one in told["labels"]]
+    lam = [d["lam"] for d in told["detectability"]][: len(planted)]
+    row: dict[str, Any] = {"world": folder.name, "planted": planted, "lam": lam}
+    row["outside"] = any(n not in library() for n, _ in planted)
+    begin = time.process_time()
+    try:
+        answer = answer_of(folder, Phases())
+        sealed = predict_sealed(answer)["tracker"]
+    except FAULTS as error:
+        return row | {"error": str(error)}
+    document = document_of(answer).model_dump(mode="json", by_alias=True)
+    with (folder / "labels" / "sealed_tracker_truth.csv").open(encoding="utf-8") as file:
+        truth = 1e-3 * np.array([[float(r[f"{c}_mm"]) for c in "xyz"] for r in csv.DictReader(file)])
+    before, after = (float(np.sqrt(np.mean(np.sum((p - truth) ** 2, axis=1)))) for p in (sealed.baseline, sealed.corrected))
+    z = (sealed.corrected - truth) / sealed.sigma
+    groups, named = declared_classes(document), decided_names(document)
+    said = [(r["effect"], r["joint"] or 0) for r in document["ranking"]]
+    return row | {
+        "error": None,
+        "verdict": document["verdict"],
+        "p_none": document["p_none"],
+        "p_unknown": document["p_unknown"],
+        "said": [[*n, r["probability"]] for n, r in zip(said, document["ranking"], strict=True)][:4],
+        "named": named,
+        "first": first_right(planted, said, groups, 1),
+        "set": [matched(planted, named, groups), len(named), len(planted)],
+        "promised": document["gap"]["tracker"]["shrinkage"],
+        "before": before,
+        "after": after,
+        "came": 1.0 - after / before,
+        "z2": float(np.mean(z**2)),
+        "because": list(answer.diagnosis.unknown_reasons),
+        "seconds": time.process_time() - begin,
+    }
+
+
+Rows = list[dict[str, Any]]
+
+
+def _share(rows: Rows, what: Any) -> float:
+    return float(np.mean([float(what(r)) for r in rows])) if rows else float("nan")
+
+
+def _median(values: list[float]) -> float:
+    return float(np.median(values)) if values else float("nan")
+
+
+def _f1(rows: Rows, effects: int) -> float:
+    sets = np.array([r["set"] for r in rows if len(r["planted"]) == effects and min(r["lam"]) >= 50])
+    return float(2 * sets[:, 0].sum() / max(sets[:, 1:].sum(), 1)) if len(sets) else float("nan")
+
+
+def unexplained(row: dict[str, Any]) -> bool:
+    """Whether the answer says that something else is there."""
+    return row["verdict"] in ("unexplained", "partly")
+
+
+def figures(every: Rows) -> dict[str, float]:
+    """All figures of rows; an answer that failed is no name."""
+    fine = [r for r in every if r["error"] is None]
+    known = [r for r in fine if r["planted"] and not r["outside"]]
+    strong, weak = ([r for r in known if low <= max(r["lam"]) < high] for low, high in ((50, np.inf), (30, 50)))
+    told = [r for r in fine if r["promised"] is not None and abs(r["came"]) > 1e-6]
+    return {
+        "first name right, lambda >= 50": _share(strong, lambda r: r["first"]),
+        "first name right, 30 to 50": _share(weak, lambda r: r["first"]),
+        "singles F1, lambda >= 50": _f1(known, 1),
+        "pairs F1, each >= 50": _f1(known, 2),
+        "accused, nothing planted": _share([r for r in fine if not r["planted"]], lambda r: bool(r["named"])),
+        "told, outside the catalogue": _share([r for r in fine if r["outside"]], unexplained),
+        "told, in the catalogue": _share([r for r in fine if not r["outside"]], unexplained),
+        "shrinkage that came, lambda >= 50": _median([r["came"] for r in strong]),
+        "promised less came, median": _median([r["promised"]["predicted"] - r["came"] for r in told]),
+        "promised interval covers": _share(
+            told, lambda r: r["promised"]["low"] <= r["came"] + 5e-3 <= r["promised"]["high"] + 1e-2
+        ),
+        "made worse by over 2 %": _share(fine, lambda r: r["came"] < -WORSE),
+        "worst": min((r["came"] for r in fine), default=float("nan")),
+        "rms z of predictions": float(np.sqrt(_median([r["z2"] for r in fine]))),
+        "failed": 1.0 - len(fine) / max(len(every), 1),
+        "seconds of processor, median": _median([r["seconds"] for r in fine]),
+    }
+
+
+def report(rows: Rows, before: Rows | None) -> None:
+    """The table, with the difference over the same worlds where there are earlier rows."""
+    if before is None:
+        for name, value in figures(rows).items():
+            print(f"{name:36s} {value:8.3f}")
+        return
+    earlier = {r["world"]: r for r in before}
+    rows = [r for r in rows if r["world"] in earlier]
+    old = [earlier[r["world"]] for r in rows]
+    picks = np.random.default_rng(0).integers(len(rows), size=(400, len(rows)))
+    drawn = [(figures([rows[k] for k in p]), figures([old[k] for k in p])) for p in picks]
+    for name, value in figures(rows).items():
+        low, high = np.nanquantile([new[name] - was[name] for new, was in drawn], [0.025, 0.975])
+        print(f"{name:36s} {figures(old)[name]:8.3f} -> {value:8.3f}   ({low:+.3f} .. {high:+.3f})")
+
+
+def line_of(r: dict[str, Any]) -> str:
+    """What is printed of a world."""
+    head = f"{r['world']:16s} " + " ".join(f"{n}:{j}({v:.0f})" for (n, j), v in zip(r["planted"], r["lam"], strict=True))
+    if r["error"] is not None:
+        return f"{head} | FAILED {r['error']}"
+    said = " ".join(f"{n}:{j} {p:.2f}" for n, j, p in r["said"][:3] if p > 0.1)
+    promised = "-" if r["promised"] is None else f"{r['promised']['predicted']:.2f} [{r['promised']['low']:.2f}]"
+    came = f"{promised} came {r['came']:.2f} of {1e6 * r['before']:.0f} um, z {r['z2'] ** 0.5:.1f}"
+    return f"{head} | {r['verdict']} u {r['p_unknown']:.2f} {said} | {came}"
+
+
+def main() -> None:
+    """Draw what is missing, answer, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--worlds", type=int, default=80)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rows", default="rows")
+    parser.add_argument("--before", type=Path)
+    parser.add_argument("--only", choices=("shared", "fresh"))
+    asked = parser.parse_args()
+    asked.out.mkdir(parents=True, exist_ok=True)
+    if not (asked.out / "cell.toml").is_file():
+        write_cell(Path(CELL), asked.out / "cell.toml")
+    folders = [] if asked.only == "fresh" else sorted(p for p in SHARED.iterdir() if (p / "sealed_tracker.csv").is_file())
+    for index in range(asked.worlds if asked.only != "shared" else 0):
+        try:
+            folders.append(written(asked.out, asked.seed, index))
+        except (Infeasible, BadInput) as error:
+            print(f"world {index}: {error}")
+    rows = []
+    for folder in folders:
+        rows.append(judged(folder))
+        print(line_of(rows[-1]), flush=True)
+    (asked.out / f"{asked.rows}.json").write_text(json.dumps(rows), encoding="utf-8")
+    for title, fresh in (("labelled worlds", False), ("fresh worlds", True)):
+        part = [r for r in rows if r["world"][0].isdigit() is fresh]
+        if part:
+            print(f"\n{title} ({len(part)})")
+            report(part, json.loads(asked.before.read_text(encoding="utf-8")) if asked.before else None)
+
+
+if __name__ == "__main__":
+    main()
