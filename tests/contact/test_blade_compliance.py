@@ -178,6 +178,19 @@ def test_passes_are_interpolated_and_kept(tmp_path, monkeypatch):
     np.testing.assert_array_equal(blade_compliance(*arguments).per_pass[0], result.per_pass[0])
 
 
+def test_the_same_solid_is_factorised_once(tmp_path, monkeypatch):
+    monkeypatch.setenv(cache.VARIABLE, str(tmp_path))
+    vertices, faces = wedge()
+    stiffer = Material(2 * TITANIUM.youngs_modulus, TITANIUM.poisson_ratio, TITANIUM.density)
+    held, moved = HeldBlade(vertices, faces, UP, 0.01, TITANIUM), HeldBlade(vertices, faces, UP, 0.015, TITANIUM)
+    first = clamped_blade(held, 9e-3)
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "factorise", None)
+        assert clamped_blade(HeldBlade(vertices.copy(), faces, UP, 0.01, TITANIUM), 9e-3) is first
+    others = [(moved, 9e-3), (HeldBlade(vertices, faces, UP, 0.01, stiffer), 9e-3), (held, 8e-3)]
+    assert all(clamped_blade(*other) is not first for other in others) and len(module._latest) == 1
+
+
 def test_interpolation_meets_its_tolerance_with_few_solves():
     s = [np.linspace(0.0, 0.08, 400), np.linspace(0.0, 0.05, 300), np.array([0.0]), np.array([0.0, 1e-3])]
     x = np.concatenate(s)

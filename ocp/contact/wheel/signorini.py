@@ -18,6 +18,7 @@ from robots.pose import Array
 Mask = NDArray[np.bool_]
 MAX_PIVOTS = 300
 PATIENCE = 6  # block exchanges without progress before single exchanges take over (Judice and Pires 1994)
+GUESS_SHARE = 0.35  # of the force, see `_first_guess`
 FORCE_ROUNDING = 1e-12  # of the mean cell force; what counts as pull or overlap
 MOMENT_TO_AXIS = 5.0  # mean x^2 = a^2 / 5 under Hertz's ellipsoid of pressure (Johnson 1985, section 4.2)
 
@@ -87,19 +88,25 @@ def solve_contact(cover: Cover, gap: Array, force: float) -> Contact:
 
 
 def _first_guess(cover: Cover, gap: Array, force: float) -> Mask:
-    """Cells below the level at which a Winkler bed of the cover's stiffness carries the force."""
+    """Cells below the level at which a Winkler bed of the cover's stiffness carries `GUESS_SHARE` of the force.
+
+    A cover gives beside its load too, so it is touched less wide than a bed: on half the area on a half-space (Hertz). With all
+    of the force the guess has 1.8 times the cells of the solution; a third of it takes the fewest exchanges, and small ones.
+    """
     g = np.sort(gap[np.isfinite(gap)])
     geometry = cover.geometry
     bed = geometry.modulus / geometry.cover_thickness * cover.dx * cover.dy.mean()
     carried = bed * (g * np.arange(1, len(g) + 1) - np.cumsum(g))
-    count = max(int(np.searchsorted(carried, force)), 1)
+    count = max(int(np.searchsorted(carried, GUESS_SHARE * force)), 1)
     return gap <= g[count - 1]
 
 
 def _equilibrium(cover: Cover, gap: Array, active: Mask, force: float) -> tuple[Array, Array, float]:
     """Forces on the active cells that close the gap there, their rise per metre of indentation, and the indentation."""
     i, m = np.nonzero(active)
-    C = cover.kernel[i[:, None], i[None, :], np.abs(m[:, None] - m[None, :])]
+    rows, _, lags = cover.kernel.shape
+    places = (rows * lags * i)[:, None] + (lags * i)[None, :] + np.abs(m[:, None] - m[None, :])
+    C = cover.kernel.ravel().take(places)  # kernel[i, i, lag], in half the time of three indices
     factor = cho_factor(C, lower=True, overwrite_a=True, check_finite=False)
     solution = cho_solve(factor, np.column_stack([gap[active], np.ones(len(i))]), check_finite=False)
     resting, rise = solution.T
