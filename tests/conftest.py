@@ -1,12 +1,46 @@
+import gc
+import json
 import os
+import shutil
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 import ocp  # noqa: F401  one BLAS thread, before NumPy is first imported: two would fight on the core of each process
 
+gc.set_threshold(50_000, 20, 20)  # as in a command: a tenth of the suite's time went by looking through what lives to the end
+# The longest files, longest first: two processes then end together, with short ones.
+LONGEST = (
+    "plan/test_calibrated_plan.py",
+    "experiments/test_experiments.py",
+    "diagnose/test_diagnosis_force.py",
+    "calibrate/test_force_fit.py",
+    "plan/test_plan_command.py",
+    "simulate/test_simulate_command.py",
+    "api/test_examples.py",
+    "plan/test_report.py",
+    "plan/test_wanted.py",
+    "diagnose/test_diagnosis_force_waves.py",
+    "plan/test_effects_plan.py",
+    "update/test_update_command.py",
+    "diagnose/test_diagnosis_force_worlds.py",
+    "calibrate/test_calibrate_command.py",
+    "contact/test_signorini.py",
+)
+TESTS = Path(__file__).resolve().parent
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.option.loadscopereorder = False  # xdist would put the files with the fewest tests last, and those are the longest
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    places = {TESTS / name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
 
 
 @pytest.fixture(scope="session")
@@ -43,3 +77,30 @@ def every_core() -> Iterator[None]:
     os.sched_setaffinity(0, range(os.cpu_count() or 1))
     yield
     os.sched_setaffinity(0, before)
+
+
+@pytest.fixture(scope="session")
+def small_plan_once(own_cache: None):
+    """Folder with cell, blade and plan of the small cell, and what the command said: made once for all processes of a run, with
+    helpers as on a user's machine. Nobody writes in it."""
+    from tests.support.small_plan import STEP, Told, planned, small_cell
+
+    base = Path(os.environ["GRINDPLAN_CACHE"]).parent
+    base.mkdir(parents=True, exist_ok=True)
+    folder, said = base / "small-plan", base / "small-plan.json"
+    with FileLock(base / "small-plan.lock"):
+        if not said.exists():
+            small_cell(folder)
+            before = os.sched_getaffinity(0)
+            os.sched_setaffinity(0, range(os.cpu_count() or 1))
+            said.write_text(json.dumps(asdict(planned(folder, "--cell", "cell.toml", *STEP))))
+            os.sched_setaffinity(0, before)
+    return folder, Told(**json.loads(said.read_text()))
+
+
+@pytest.fixture(scope="module")
+def small_plan_copy(small_plan_once, tmp_path_factory: pytest.TempPathFactory):
+    """A copy of the small plan's folder, for one file of tests, and what the command said."""
+    folder = tmp_path_factory.mktemp("small") / "cell"
+    shutil.copytree(small_plan_once[0], folder)
+    return folder, small_plan_once[1]

@@ -1,4 +1,4 @@
-"""What a plan rests on: the wheel's cover and law, the blade's compliance; the two are made side by side and cached."""
+"""What a plan rests on: the wheel's cover and law, the blade's compliance; side by side where there are two cores, and cached."""
 
 from concurrent.futures import Future
 from contextlib import ExitStack
@@ -13,7 +13,7 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.law_fit import Domain, remembered_law
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import Cell
-from ocp.shell.processes import interrupts_held_back, nothing, workers
+from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
 from ocp.shell.progress import Phases
 from robots.pose import Array
 from trajectories.blade import Blade
@@ -43,7 +43,7 @@ def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Ph
     task = (held, paths, axes)
     with ExitStack() as stack:
         waiting: Future[Compliance] | None = None
-        if not compliance_kept(*task):
+        if cores() > 1 and not compliance_kept(*task):
             pool = stack.enter_context(workers(1, nothing))
             with interrupts_held_back():
                 waiting = pool.submit(blade_compliance, *task)

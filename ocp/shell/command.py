@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
-from ocp.shell.processes import INTERRUPTED, supervised, was_told
+from ocp.shell.processes import INTERRUPTED, collect_seldom, supervised, was_told
 from ocp.shell.progress import Progress
 from robots.errors import BadInput, Infeasible
 
@@ -39,6 +39,7 @@ def main(app: typer.Typer) -> None:
 
 
 def _called(app: typer.Typer) -> int:
+    collect_seldom()
     try:
         # An interrupt during the imports comes back as a number, as an error or as itself, depending on the release.
         if app(standalone_mode=False) == INTERRUPTED:

@@ -7,6 +7,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import ocp.effects
 from ocp.effects.catalogue import OWN_EFFECTS
 from tests.support.house import ROOT
 from tests.support.small_plan import small_cell
@@ -60,7 +61,8 @@ def test_a_measurement_is_judged_before_it_is_made(tmp_path):
 
 
 def test_an_effect_of_ones_own_is_found(tmp_path, monkeypatch):
-    monkeypatch.setenv(OWN_EFFECTS, "")  # put back afterwards
+    monkeypatch.setenv(OWN_EFFECTS, "")  # put back afterwards, and the catalogue without the example's effect
+    monkeypatch.setattr(ocp.effects, "__path__", list(ocp.effects.__path__))
     result = example(6).main(tmp_path, poses=50)
     assert str(result.answer.diagnosis.ranking[0].name) == "bent_scale:3"
 

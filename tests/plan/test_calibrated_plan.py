@@ -44,15 +44,13 @@ def figures(folder) -> dict:
 
 
 @pytest.fixture(scope="module")
-def both(tmp_path_factory):
-    plain, calibrated = (tmp_path_factory.mktemp(name) for name in ("plain", "calibrated"))
-    small_cell(plain)
-    small_cell(calibrated, {'model = "kr210_r2700_extra"': 'model = "kr210_r2700_extra"\ncalibration = "calibration.toml"'})
-    write_calibration(calibrated / "calibration.toml", calibration())
-    for folder in (plain, calibrated):
-        told = planned(folder, "--cell", "cell.toml", *STEP)
-        assert told.code == 0, told.err
-    return figures(plain), figures(calibrated)
+def both(small_plan_once, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("calibrated")
+    small_cell(folder, {'model = "kr210_r2700_extra"': 'model = "kr210_r2700_extra"\ncalibration = "calibration.toml"'})
+    write_calibration(folder / "calibration.toml", calibration())
+    plain, told = small_plan_once[1], planned(folder, "--cell", "cell.toml", *STEP)
+    assert (plain.code, told.code) == (0, 0), told.err
+    return figures(small_plan_once[0]), figures(folder)
 
 
 def test_the_independent_route_sees_the_programmed_force_on_the_calibrated_cell(both):

@@ -29,11 +29,9 @@ INJECTED = "x(); $OV_PRO=100 ;.stl"
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory, every_core):
+def small(small_plan_copy, every_core):
     """Folder in which the small plan was made, and what the command said."""
-    folder = tmp_path_factory.mktemp("small")
-    small_cell(folder)
-    return folder, planned(folder, "--cell", "cell.toml", *STEP)
+    return small_plan_copy
 
 
 def table(plan: Path) -> dict[str, list[str]]:

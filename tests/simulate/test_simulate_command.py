@@ -21,7 +21,7 @@ from ocp.shell.output import MARKER
 from ocp.simulate.__main__ import app
 from robots.kinematics import forward
 from tests.support.geometry_robot import write_geometry_robot
-from tests.support.small_plan import STEP, Told, environment, planned, small_cell, tree
+from tests.support.small_plan import Told, environment, small_cell, tree
 
 COLUMNS = {
     "s_mm",
@@ -56,11 +56,9 @@ def one_sentence(told: Told, code: int, says: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory) -> Path:
+def plan(small_plan_copy) -> Path:
     """A plan of a few passes, with its cell beside it."""
-    folder = tmp_path_factory.mktemp("cell")
-    small_cell(folder)
-    told = planned(folder, "--cell", "cell.toml", "--out", "plan", *STEP)
+    folder, told = small_plan_copy
     assert told.code == 0, told.err
     return folder / "plan"
 
