@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from ocp.calibrate.force.fit import BIAS
 from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.calibrate.force.rows import ForceSetup
@@ -25,7 +26,9 @@ from ocp.data import CELL
 from ocp.experiments.grinding import Course, Rung, VirtualRobot, compensated, contact_moments, lay_course, registered_by_ladder
 from ocp.experiments.trial import measured_positions
 from ocp.model.cell import Cell, read_cell
+from ocp.model.prepare import wheel_cover
 from ocp.plan.passes.optimise import SolvedPass
+from ocp.plan.paths import surface_cloud
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.contact.grinder import ContactPatches, make_grinder
@@ -34,10 +37,12 @@ from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.truth import Truth, draw_truth
 from ocp.update.history import History, history_of
 from ocp.update.interface import updated
-from ocp.update.removal import UNIT, MeasuredDepths, work_at
+from ocp.update.pattern import GroundLog
+from ocp.update.removal import UNIT, MeasuredDepths
 from robots.calibration.store import Calibration
 from robots.errors import Infeasible
 from robots.pose import Array
+from trajectories.blade import find_shape
 
 PERIOD, CONTACT = 240.0, 70.0  # s of a blade on the wheel's clock, s of it in contact (thirty lines)
 WEAR = 1.5e-7  # m/s of the wheel's clock, the middle of the catalogue's range; a fresh belt loses half as much again
@@ -165,8 +170,10 @@ def start(course: Course, seed: int) -> tuple[Truth, object, Calibration, np.ran
 def expected_work(course: Course, cell: Cell, log: ForceLog, rows: ForceRows, solution) -> Array:
     """The planner's h under the waypoints (Pa m, ends left out) at 20 N and the paths' feeds."""
     inside = np.concatenate([np.flatnonzero(log.run == k)[2:-2] for k in range(len(course.paths))])
-    even = replace(solution, reading=np.full(len(log), cell.process.force), x=np.append(solution.x[:-1], 0.0))
-    return work_at(cell, ForceModel(course.cell, course.law), rows, log, even, log.p[inside], log.n[inside])
+    shape = find_shape(course.blade, cell.workpiece.aerofoil)
+    model, even = ForceModel(course.cell, course.law), np.full(len(log), cell.process.force)
+    ground = GroundLog(model, rows, log, even, wheel_cover(course.cell), surface_cloud(shape, course.blade))
+    return ground.work(solution.x[:BIAS], log.p[inside], log.n[inside])
 
 
 def main() -> None:

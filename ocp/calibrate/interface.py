@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.calibrate.files import CalibrationResult, tracker_calibration, write_tracker_calibration
-from ocp.calibrate.force.log import ForceLog, read_force_log, without_ends
+from ocp.calibrate.force.log import ForceLog, read_force_log, without_ramps
 from ocp.calibrate.force.registration import fit_force
 from ocp.calibrate.report.pages import contact_sections
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
@@ -72,7 +72,7 @@ def _calibrated(
     calibration, extra = tracker_calibration(made, inputs), list[Section]()
     if ground is not None:
         with phases.phase("contact"):
-            fit = fit_force(*ground, calibration)
+            fit = fit_force(ground[0], without_ramps(ground[1]), calibration)
         calibration, extra = fit.calibration(calibration), contact_sections(fit)
     return write_tracker_calibration(made, calibration, extra, output, phases, inputs)
 
@@ -105,4 +105,4 @@ def logged_cell(cell_file: Path, force: Path, mapping: ColumnMapping = OURS) -> 
             f"{force}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
             "correct the cell's setpoint_N"
         )
-    return cell, without_ends(log, cell.process.force)
+    return cell, log

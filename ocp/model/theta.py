@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from ocp.model.cell import Cell
+from ocp.model.cell import Cell, Wheel
 from robots.calibration.parameters import SYMBOLS
 from robots.pose import Array, make_transform
 
@@ -43,8 +43,8 @@ BLADE_STIFFNESS_SD = 0.05  # relative
 FLANGE_STIFFNESS_SD = 0.05  # relative
 FLANGE_SETPOINT_SD = 0.2  # N
 # Blocks that `registered` folds into the cell.
-FOLDED: tuple[str, ...] = ("wheel_centre", "wheel_axis", "wheel_radius", "blade_shift", "blade_rotation")
-FOLDED += ("flange_setpoint_offset", "cover_stiffness_scale", "blade_stiffness_scale")
+WHEEL: tuple[str, ...] = ("wheel_centre", "wheel_axis", "wheel_radius", "cover_stiffness_scale")
+FOLDED = (*WHEEL, "blade_shift", "blade_rotation", "flange_setpoint_offset", "blade_stiffness_scale")
 RANK = 1e-12  # of the largest eigenvalue of a correlation; less is rounding, no freedom
 
 
@@ -140,18 +140,7 @@ def registered(cell: Cell) -> tuple[Cell, Theta]:
     """
     theta = believed_theta(cell)
     value = {block: theta.values[[NAMES.index(name) for name in names]] for block, names in BLOCKS.items()}
-    wheel, piece = cell.wheel, cell.workpiece
-    u, v = axis_directions(wheel.axis)
-    axis = _unit(wheel.axis - value["wheel_axis"][0] * v + value["wheel_axis"][1] * u)
-    toward = _unit(wheel.contact_direction - axis * (axis @ wheel.contact_direction))
-    wheel = replace(
-        wheel,
-        centre=wheel.centre + value["wheel_centre"],
-        axis=axis,
-        contact_direction=toward,
-        radius=wheel.radius + float(value["wheel_radius"][0]),
-        cover_modulus=wheel.cover_modulus * (1 + float(value["cover_stiffness_scale"][0])),
-    )
+    wheel, piece = wheel_at(cell.wheel, theta.values), cell.workpiece
     R = Rotation.from_rotvec(value["blade_rotation"]).as_matrix() @ piece.T_flange_blade[:3, :3]
     piece = replace(
         piece,
@@ -168,6 +157,21 @@ def registered(cell: Cell) -> tuple[Cell, Theta]:
     values = theta.values.copy()
     values[[NAMES.index(name) for block in FOLDED for name in BLOCKS[block]]] = 0.0
     return replace(cell, wheel=wheel, workpiece=piece, flange=flange), with_effects(cell, replace(theta, values=values))
+
+
+def wheel_at(wheel: Wheel, values: Array) -> Wheel:
+    """The wheel moved, turned, worn and softened by the parameters' values (m,), from where a cell has it."""
+    value = {block: values[[NAMES.index(name) for name in BLOCKS[block]]] for block in WHEEL}
+    u, v = axis_directions(wheel.axis)
+    axis = _unit(wheel.axis - value["wheel_axis"][0] * v + value["wheel_axis"][1] * u)
+    return replace(
+        wheel,
+        centre=wheel.centre + value["wheel_centre"],
+        axis=axis,
+        contact_direction=_unit(wheel.contact_direction - axis * (axis @ wheel.contact_direction)),
+        radius=wheel.radius + float(value["wheel_radius"][0]),
+        cover_modulus=wheel.cover_modulus * (1 + float(value["cover_stiffness_scale"][0])),
+    )
 
 
 def axis_directions(axis: Array) -> tuple[Array, Array]:

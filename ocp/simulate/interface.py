@@ -32,8 +32,8 @@ from ocp.simulate.report import missed_parts_figures, rehearsal_headline, write_
 from ocp.simulate.report_passes import WholePasses, contact_figures, flange_in_words
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.controller import MissedParts, Track, drive, missed_parts
-from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_joint_log, write_labels
-from ocp.simulate.twin.ground_depth import GroundDepth, ground_depth
+from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_joint_log, write_labels, write_removal
+from ocp.simulate.twin.ground_depth import INSTRUMENT, GroundDepth, ground_depth, measured_depth
 from ocp.simulate.twin.kinds import EFFECT_KINDS
 from ocp.simulate.twin.krl_text import KrlProgram, read_program
 from ocp.simulate.twin.plan_knowledge import GRINDING, match, read_plan_table, read_summary, refuse_other_times, refuse_stranger
@@ -214,6 +214,10 @@ def _write(
         return 0
     shutil.copyfile(ground.folder / "plan.csv", out / "plan.csv")
     rows = write_force(out, ground.campaign.recorded, ground.campaign.sealed)
+    process = cell.process
+    metres = truth.preston * abs(cell.wheel.belt_speed) * process.force / (process.feed * process.pass_spacing)
+    places, removal = measured_depth(ground.depth, metres, np.random.default_rng([wanted.seed, 0x31]))
+    write_removal(out, places, removal, INSTRUMENT)
     if wanted.joints:
         _write_joints(out / "joints.csv", wanted, ground)
     words = MACHINES[wanted.machine].format(seed=wanted.seed)

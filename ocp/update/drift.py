@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from ocp.calibrate.force.assessment import DOES
 from ocp.calibrate.force.fit import BIAS, BIAS_SD, FIT_NAMES, ForceSolution, force_prior, offset_columns
-from ocp.calibrate.force.log import Flags, ForceLog
+from ocp.calibrate.force.log import ForceLog
 from ocp.calibrate.force.model import ForceModel, ForceRows, PlacedRows
 from ocp.model.cell import Cell
 from ocp.model.theta import BLOCKS, believed_theta
@@ -25,7 +25,6 @@ from robots.pose import Array
 
 RADIUS, WEAR = "wheel_radius", "wheel_wear"
 HOUR = 3600.0
-FULL_FEED = 0.9  # of a run's largest feed, from which on a row is pressed in full
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,10 @@ def last_state(cell: Cell) -> Calibration:
 
 
 def carried_on(state: Calibration, seconds: float, grips: int, stood: float = 0.0) -> Calibration:
-    """The state after `seconds` of the wheel's running time, so many new grips and a time s in which all stood (eq. 1)."""
+    """The state after `seconds` of the wheel's running time, so many new grips and a time s in which all stood (eq. 1).
+
+    A wheel does not grow: a rate that the logs put below zero is carried on as none.
+    """
     at = {name: i for i, name in enumerate(state.names)}
     F = np.eye(len(at))
     F[at[RADIUS], at[WEAR]] = -seconds
@@ -101,7 +103,9 @@ def carried_on(state: Calibration, seconds: float, grips: int, stood: float = 0.
             size = abs(state.values[i]) if walk.relative else 1.0
             noise[i] = size**2 * (walk.hourly**2 * (abs(seconds) + stood) / HOUR + walk.grip**2 * grips)
     covariance = F @ state.covariance @ F.T + np.diag(noise)
-    return replace(state, values=F @ state.values, covariance=0.5 * (covariance + covariance.T))
+    values = state.values.copy()
+    values[at[RADIUS]] -= seconds * max(values[at[WEAR]], 0.0)
+    return replace(state, values=values, covariance=0.5 * (covariance + covariance.T))
 
 
 def changed_state(state: Calibration, cell: Cell, parts: tuple[str, ...]) -> Calibration:
@@ -178,21 +182,9 @@ def mean_slope(solution: ForceSolution, log: ForceLog, name: str) -> float:
     return float(solution.jacobian[log.contact, FIT_NAMES.index(name)].mean())
 
 
-def pressed_in_full(log: ForceLog) -> Flags:
-    """The rows in contact (n,) of a log that are driven at FULL_FEED of their run's largest feed: where blade and wheel meet and
-    part, force and feed rise and fall together, and a mean over such rows tells of no pass."""
-    if log.feed is None:
-        return log.contact
-    full = log.contact.copy()
-    for run in np.unique(log.run[full]):
-        mine = log.contact & (log.run == run)
-        full[mine] = log.feed[mine] >= FULL_FEED * log.feed[mine].max()
-    return full
-
-
 def force_spread(solution: ForceSolution, log: ForceLog, state: Calibration) -> float:
-    """One sigma N of the mean force of the rows that are pressed in full when the parameters are known as in `state`."""
-    J: Array = solution.jacobian[pressed_in_full(log), :BIAS].mean(axis=0)
+    """One sigma N of the mean force of the rows in contact when the parameters are known as in `state`."""
+    J: Array = solution.jacobian[log.contact, :BIAS].mean(axis=0)
     at = [FIT_NAMES.index(n) for n in state.names if n in FIT_NAMES[:BIAS]]
     inside = [i for i, n in enumerate(state.names) if n in FIT_NAMES[:BIAS]]
     variance = float(J[at] @ state.covariance[np.ix_(inside, inside)] @ J[at])

@@ -15,6 +15,7 @@ from ocp.shell.output import Output
 from ocp.shell.progress import Phases
 from ocp.update.drift import RADIUS, WEAR, Verdict, carried_on, force_spread, mean_slope
 from ocp.update.history import History
+from ocp.update.pattern_fit import PatternFit
 from ocp.update.removal import UNIT, Preston
 from robots.calibration.store import Calibration, write_calibration
 from robots.toml_files import toml_text
@@ -24,7 +25,8 @@ from robots.toml_files import toml_text
 class Updated:
     """One step: the fit of the log and the verdict on it; parts that the user said were changed; clocks s of the log's middle and
     of the next blade's; the state as handed in, as expected for the log, as found, as forecast for the next blade (what is
-    written); history; Preston's coefficient for the next blade, None where unknown; notices."""
+    written); history; Preston's coefficient for the next blade, None where unknown; what measured depths told, None without;
+    notices."""
 
     cell: Cell
     log: ForceLog
@@ -35,6 +37,7 @@ class Updated:
     states: tuple[Calibration, Calibration, Calibration, Calibration]
     history: History
     preston: Preston | None
+    pattern: PatternFit | None
     notices: tuple[str, ...]
 
     @property

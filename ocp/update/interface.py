@@ -8,7 +8,7 @@ import numpy as np
 
 from ocp.calibrate.force.blade import CORRECTION
 from ocp.calibrate.force.fit import BIAS
-from ocp.calibrate.force.log import ForceLog
+from ocp.calibrate.force.log import ForceLog, steady_rows, without_ramps
 from ocp.calibrate.force.registration import ForceFit, fit_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.calibrate.interface import logged_cell
@@ -26,23 +26,13 @@ from ocp.update.drift import (
     changed_state,
     force_spread,
     last_state,
-    pressed_in_full,
     unmodelled_force,
     verdict_on,
 )
 from ocp.update.files import Updated, UpdateResult, write_update
 from ocp.update.history import History, history_of, is_number
-from ocp.update.removal import (
-    UNIT,
-    MeasuredDepths,
-    Preston,
-    joined_preston,
-    less_sure,
-    on_blade,
-    preston_from,
-    read_removal,
-    work_at,
-)
+from ocp.update.pattern_fit import fit_pattern, ground_log
+from ocp.update.removal import UNIT, MeasuredDepths, Preston, joined_preston, less_sure, on_blade, read_removal
 from ocp.update.running import running_time, usual_way
 from robots.calibration.store import Calibration
 from robots.errors import BadInput, Infeasible, shown
@@ -114,19 +104,35 @@ def updated(
     before = changed_state(last_state(cell), cell, parts)
     since = now - (float(clock.min()) if holds is None else holds)
     expected = carried_on(before, since, int(history.holds is None), wheel.stood)
-    fit, verdict = _fitted(cell, log, setup, expected, now - clock)
+    kept = steady_rows(log)
+    still = replace(setup, rows=(setup.rows[0].take(kept),))
+    fit, verdict = _fitted(cell, without_ramps(log), still, expected, (now - clock)[kept])
     if not verdict.possible:
         raise Infeasible(_impossible(log, fit, verdict, parts))
     found = fit.calibration(expected)
+    preston, told = _known_preston(cell, wheel.contact, "belt" in parts), None
+    if removal is not None:
+        ground = ground_log(cell, setup.model, setup.rows[0], log, kept, fit.solution)
+        told = fit_pattern(ground, found, fit.solution.x[:BIAS], removal, *on_blade(cell, removal))
+        found, preston = told.calibration, joined_preston(preston, told.preston)
     # The first one as if the next blade followed at once.
     ahead = now + (usual_way((*history.columns["clock_s"], now)) or float(clock.max() + 0.5 * np.ptp(clock) - now))
     coming = carried_on(found, ahead - now, grips=1)
-    preston = _preston(cell, log, setup, fit, removal, wheel.contact, "belt" in parts)
-    entry = _entry(fit, log, clock, expected, found, preston)
+    entry = _entry(fit, clock[kept], expected, found, preston)
     grown_history = history.grown((float(clock.max()), ahead, wheel.offset), mark, entry)
     coming = replace(coming, provenance=coming.provenance | {"update": grown_history.table()})
     return Updated(
-        cell, log, fit, verdict, parts, (now, ahead), (before, expected, found, coming), grown_history, preston, wheel.notices
+        cell,
+        fit.log,
+        fit,
+        verdict,
+        parts,
+        (now, ahead),
+        (before, expected, found, coming),
+        grown_history,
+        preston,
+        told,
+        wheel.notices,
     )
 
 
@@ -175,27 +181,21 @@ def _impossible(log: ForceLog, fit: ForceFit, verdict: Verdict, parts: tuple[str
     )
 
 
-def _preston(
-    cell: Cell, log: ForceLog, setup: ForceSetup, fit: ForceFit, removal: MeasuredDepths | None, spent: float, new_belt: bool
-) -> Preston | None:
-    """The coefficient for the next blade; None where it was never known."""
+def _known_preston(cell: Cell, spent: float, new_belt: bool) -> Preston | None:
+    """The coefficient as it was known before this blade, less sure since; None where it never was."""
     process = cell.process
-    known = None
-    if process.preston is not None:
-        sd = PRESTON_SD * process.preston if process.preston_sd is None else process.preston_sd
-        known = less_sure(Preston(process.preston, sd), spent, new_belt)
-    if removal is None:
-        return known
-    p, n = on_blade(cell, removal)
-    h = work_at(cell, setup.model, setup.rows[0], log, fit.solution, p, n)
-    return joined_preston(known, preston_from(removal, h))
+    if process.preston is None:
+        return None
+    sd = PRESTON_SD * process.preston if process.preston_sd is None else process.preston_sd
+    return less_sure(Preston(process.preston, sd), spent, new_belt)
 
 
 def _entry(
-    fit: ForceFit, log: ForceLog, clock: np.ndarray, expected: Calibration, found: Calibration, preston: Preston | None
+    fit: ForceFit, clock: np.ndarray, expected: Calibration, found: Calibration, preston: Preston | None
 ) -> dict[str, float]:
     """This update's row of the history."""
-    solution, full = fit.solution, pressed_in_full(log)
+    solution, log = fit.solution, fit.log
+    full = log.contact
     at = found.names.index(RADIUS), found.names.index(WEAR)
     sd = found.standard_deviation
     told = (np.nan, np.nan) if preston is None else (preston.value / UNIT, preston.sd / UNIT)

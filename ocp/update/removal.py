@@ -1,25 +1,17 @@
-"""Preston's coefficient from depths measured on a ground blade, and how it is less_sure where none are measured.
+"""Depths measured on a ground blade, Preston's coefficient from them, and how it is less sure where none are measured.
 
-    depth(x) = k_p h(x),   h(x) = sum over rows in contact of  F V phi(x - p) dt                                          (1)
-
-with phi the pressure per newton of the contact solution at a row (ocp.plan.removal.footprint), V the belt's speed against the
-moving blade and dt the row's time (Preston 1927). What h leaves open (a footprint is right to some per cent) is DEPTH_MODEL.
+depth = k_p h, with h of what ground (ocp.update.pattern). What h leaves open (a footprint is right to some per cent) is
+DEPTH_MODEL.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from ocp.calibrate.force.fit import BIAS, ForceSolution
-from ocp.calibrate.force.log import Flags, ForceLog
-from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
+from ocp.calibrate.force.log import Flags
 from ocp.calibrate.force.rows import measured_blade
-from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.cell import Cell
-from ocp.model.prepare import wheel_cover
-from ocp.plan.removal.footprint import LinePatches, line_patches
-from ocp.plan.removal.surface import ContactRows, shares_of_time, work_done
 from robots.csv_table import read_csv_table
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
@@ -34,7 +26,6 @@ HOURLY = 0.2  # of the coefficient, one sigma per root of an hour in contact: a 
 CERTAIN = 3.0  # sigmas from zero below which no coefficient is written
 APART = 4.0  # sigmas from which two coefficients are not the same
 NEW_BELT = 0.5  # of the coefficient, one sigma, after another belt was put on
-STATION = 12e-3  # m between contacts that are solved along a run
 
 
 @dataclass(frozen=True)
@@ -47,11 +38,21 @@ class MeasuredDepths:
     sd: Array
     line: tuple[int, ...]
 
+    def take(self, rows: Flags) -> "MeasuredDepths":
+        """The depths of a mask (n,)."""
+        return MeasuredDepths(
+            self.path,
+            self.p[rows],
+            self.depth[rows],
+            self.sd[rows],
+            tuple(line for line, kept in zip(self.line, rows, strict=True) if kept),
+        )
+
 
 @dataclass(frozen=True)
 class Preston:
     """Preston's coefficient 1/Pa and its one sigma; of a measurement: points used, points that were not ground, the scatter of
-    one depth over what was stated, and depths as expected (n,) m beside those measured."""
+    one depth over what was stated, and depths as expected (l,) m beside those measured; which of all n points these are (n,)."""
 
     value: float
     sd: float
@@ -60,6 +61,7 @@ class Preston:
     scatter: float = 1.0
     expected: Array | None = None
     measured: Array | None = None
+    used: Flags = field(default_factory=lambda: np.zeros(0, bool))
 
 
 def read_removal(path: str | Path) -> MeasuredDepths:
@@ -94,51 +96,6 @@ def on_blade(cell: Cell, removal: MeasuredDepths) -> tuple[Array, Array]:
     return foot, normal
 
 
-def work_at(cell: Cell, model: ForceModel, rows: ForceRows, log: ForceLog, solution: ForceSolution, p: Array, n: Array) -> Array:
-    """h (m,) Pa m of eq. 1 at points p (m, 3) m with normals n (m, 3): depth over Preston's coefficient.
-
-    Raises Infeasible of the contact solver.
-    """
-    belt = np.full(len(log), cell.wheel.belt_speed) if log.belt is None else log.belt
-    force = np.maximum(solution.reading - solution.x[BIAS], 0.0)
-    parts, patches = [], list[LinePatches]()
-    for run in np.unique(log.run[log.contact]):
-        at = np.flatnonzero((log.run == run) & log.contact & (force > 0))
-        if len(at) < 2:
-            continue
-        time, way = log.time[at], np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(log.p[at], axis=0), axis=1))])
-        feed = np.gradient(way, time) if np.all(np.diff(time) > 0) else np.zeros(len(at))
-        # At zero turn the blade runs with the belt, or against it.
-        slide = np.abs(np.abs(belt[at]) - cell.process.sigma * feed) * shares_of_time(time)
-        place = np.full(len(at), len(patches), np.int64)
-        parts.append(ContactRows(place, log.p[at], log.n[at], log.t[at], way, force[at], slide))
-        patches.append(_patches(cell, model, rows.take(at), way, force[at], solution.x[:BIAS]))
-    if not parts:
-        return np.zeros(len(p))
-    whole = ContactRows(*(np.concatenate([getattr(part, name) for part in parts]) for name in ContactRows.__dataclass_fields__))
-    return work_done(p, n, whole, patches)
-
-
-def _patches(cell: Cell, model: ForceModel, rows: ForceRows, way: Array, force: Array, theta: Array) -> LinePatches:
-    """Footprints along a run, at stations STATION apart, under the force there."""
-    chosen = np.unique(np.abs(way[:, None] - np.arange(0.0, way[-1] + STATION, STATION)).argmin(axis=0))
-    part, F = rows.take(chosen), np.maximum(force[chosen], model.least_force)
-    state = model.evaluate("state", PlacedRows.of(model.cell, part, theta), F)
-    cover, wheel = wheel_cover(cell), cell.wheel
-    contacts, headings = [], []
-    for k in range(len(chosen)):
-        lateral, tilt_x, tilt_y, kxx, kyy, kxy = (
-            float(v) for name in ("lateral", "tilt", "curvature") for v in state[k, STATE[name]]
-        )
-        T = state[k, STATE["T"]].reshape(4, 4)
-        t, v = T[:3, :3] @ part.waypoint[k, 6:9], T[:3, :3] @ part.waypoint[k, :3] + T[:3, 3] - wheel.centre
-        e = v - wheel.axis * (v @ wheel.axis)
-        along = np.cross(wheel.axis, e / np.linalg.norm(e))
-        headings.append((float(t @ along), float(t @ wheel.axis)))
-        contacts.append(solve_force(cover, float(F[k]), LocalShape(kxx, kyy, kxy, lateral, tilt_x, tilt_y, heading=headings[-1])))
-    return line_patches(way[chosen], contacts, headings)
-
-
 def preston_from(removal: MeasuredDepths, h: Array) -> Preston:
     """The coefficient by weighted least squares of depth on h (n,), points that were not ground left out.
 
@@ -161,7 +118,7 @@ def preston_from(removal: MeasuredDepths, h: Array) -> Preston:
             f"{removal.path}: depths do not differ from zero (coefficient {k / UNIT:.3g} +- {sd_k / UNIT:.2g} um mm2/(N m)); "
             "measure more points or deeper cuts"
         )
-    return Preston(k, sd_k, int(used.sum()), int((~used).sum()), scatter, k * x, y)
+    return Preston(k, sd_k, int(used.sum()), int((~used).sum()), scatter, k * x, y, used)
 
 
 def less_sure(known: Preston, contact_seconds: float, new_belt: bool) -> Preston:
@@ -184,4 +141,4 @@ def joined_preston(known: Preston | None, found: Preston) -> Preston:
     weight = known.sd**2 / spread**2
     value = known.value + weight * (found.value - known.value)
     sd = known.sd * found.sd / spread
-    return Preston(value, sd, found.points, found.left_out, found.scatter, found.expected, found.measured)
+    return replace(found, value=value, sd=sd)

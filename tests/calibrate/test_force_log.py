@@ -5,8 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from ocp.calibrate.force.log import BLIND, read_force_log, without_ends
-from ocp.contact.wheel.law_fit import FORCE_RANGE
+from ocp.calibrate.force.log import BLIND, read_force_log, without_ramps
 from robots.errors import BadInput
 
 NEEDED = ["run", "time_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
@@ -155,20 +154,28 @@ def test_files_that_are_no_table_are_refused(tmp_path):
         read_force_log(path)
 
 
+def ramped(feeds, **columns):
+    return [{**ROW, "time_s": 0.05 * k, "feed_mm_s": v, "contact": int(v > 0), **columns} for k, v in enumerate(feeds)]
+
+
 def test_rows_of_touch_and_lift_are_left_out_and_told(tmp_path):
-    """Little force while the contact hardly moves; at full feed little force is a finding, and what is off contact stays."""
-    forces = [0.0, 3.0, 9.0, 20.0, 20.0, 3.0, 20.0, 9.0, 3.0, 0.0]
-    feeds = [0.0, 5.0, 15.0, 40.0, 40.0, 40.0, 40.0, 15.0, 5.0, 0.0]
-    table = [
-        {**ROW, "time_s": 0.01 * k, "fn_N": f, "feed_mm_s": v, "contact": int(f > 0)}
-        for k, (f, v) in enumerate(zip(forces, feeds, strict=True))
-    ]
-    least = FORCE_RANGE[0] * 20.0
-    kept = without_ends(read(tmp_path, table), 20.0)
-    gone = [k for k in range(10) if 0 < forces[k] < least and feeds[k] < 20.0]
-    assert len(gone) >= 2 and [round(100 * t) for t in kept.time] == [k for k in range(10) if k not in gone]
-    assert f"{len(gone)} rows in which blade and wheel meet and part, below {least:.3g} N, were left out" in kept.notices[-1]
-    slow = [{**row, "feed_mm_s": 5.0} for row in table]  # a run that is slow throughout has no ends to tell
-    assert without_ends(read(tmp_path, slow), 20.0).notices == read(tmp_path, slow).notices
-    blind = [{name: value for name, value in row.items() if name != "feed_mm_s"} for row in table]
-    assert len(without_ends(read(tmp_path, blind), 20.0)) == 10
+    """From either end until three quarters of the usual largest feed, and 0.08 s more; a pause inside a pass is a finding."""
+    feeds = [0.0, 5.0, 20.0, 31.0, 40.0, 40.0, 40.0, 10.0, 40.0, 40.0, 40.0, 40.0, 28.0, 9.0, 0.0]
+    kept = without_ramps(read(tmp_path, ramped(feeds)))
+    assert [round(t / 0.05) for t in kept.time] == [0, 5, 6, 7, 8, 9, 14]
+    assert kept.notices[-1].startswith("force.csv: 8 rows in which blade and wheel meet and part were left out")
+    slow = read(tmp_path, ramped([5.0] * 8))  # as slow throughout, or already in full feed at its ends: nothing to leave out
+    assert without_ramps(slow) is slow
+
+
+def test_without_a_feed_the_points_tell_it(tmp_path):
+    way = np.cumsum([0.0, 0.1, 0.4, 0.7, 1.6, 1.6, 1.6, 1.6, 1.6, 1.6, 1.6, 0.6, 0.1])
+    table = [{**ROW, "time_s": 0.05 * k, "pz_mm": s} for k, s in enumerate(way)]
+    assert [round(t / 0.05) for t in without_ramps(read(tmp_path, table)).time] == [6, 7]
+    still = [{**row, "time_s": 0.0} for row in table]
+    assert len(without_ramps(read(tmp_path, still))) == len(still)
+
+
+def test_a_log_of_nothing_but_touch_and_lift_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="column feed_mm_s: no run keeps its feed for longer than wheel and blade take"):
+        without_ramps(read(tmp_path, ramped([5.0, 20.0, 40.0, 20.0, 5.0])))

@@ -126,6 +126,16 @@ def test_a_wheel_that_stands_askew_makes_flat_lines_even(cell):
     assert planned_patches(cell, cover, looked[0]).unevenness(asked).max() <= UNEVEN < straight.unevenness(asked).max()
 
 
+def test_a_line_that_begins_on_the_outline_of_its_wall_is_judged_by_the_rest(cell):
+    """Right on the outline the wall ends to all sides, and a contact there is one cell of the grid or none."""
+    wheel = replace(cell.wheel, radius=40.0313355e-3, cover_modulus=2.5391418e6)
+    worn, flat = replace(cell, wheel=wheel), on_a_plane(0)
+    extent = flat.extent.copy()
+    extent[0] = 1.4e-7
+    patches = planned_patches(worn, wheel_cover(worn), replace(flat, extent=extent))
+    assert patches.at[0] > flat.s[0] and patches.half_axes[:, 1].min() > 3e-3
+
+
 def test_round_lines_are_not_turned_and_those_of_a_side_all_one_way(cell):
     look = PassOptions(spacing=6e-3, step=6e-3, clamp_normal=(0.0, 0.0, 1.0), clamp_offset=0.01)
     blade = read_blade(cell.workpiece.stl)

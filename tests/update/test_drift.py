@@ -7,7 +7,7 @@ import pytest
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.model.theta import registered
-from ocp.update.drift import SURPRISE, carried_on, changed_state, last_state, pressed_in_full
+from ocp.update.drift import SURPRISE, carried_on, changed_state, last_state
 from ocp.update.files import Updated
 from ocp.update.history import History, history_of
 from ocp.update.interface import updated
@@ -215,18 +215,12 @@ def test_a_rigid_mount_is_updated_too():
     assert made.latest["found_sd_N"] < 0.1 * made.latest["expected_sd_N"]
 
 
-def test_rows_are_pressed_in_full_at_nine_tenths_of_their_own_runs_feed(world):
-    """Two runs at different feeds, each with ramps at its ends and rows in the air, which may be as fast as they like."""
-    log = world.log
-    run, k = log.run, np.tile(np.arange(40), 4)
-    usual = np.array([0.02, 0.08, 0.04, 0.04])[run]
-    share = np.clip(np.minimum(k - 3, 36 - k) / 5.0, 0.0, 1.0)
-    feed = usual * share
-    contact = share > 0
-    feed[k < 2] = 0.2  # a move through the air
-    told = replace(log, feed=feed, contact=contact)
-    assert (pressed_in_full(told) == (contact & (share >= 0.9))).all() and pressed_in_full(told).sum() == 4 * 24
-    assert (contact & ~pressed_in_full(told)).any() and (told.contact == contact).all()  # the log itself is left alone
-    edge = replace(told, feed=usual * np.where(k == 20, 0.899, np.where(k == 21, 0.901, 1.0)), contact=np.ones(160, bool))
-    assert np.flatnonzero(~pressed_in_full(edge)).tolist() == [20, 60, 100, 140]
-    assert (pressed_in_full(replace(told, feed=None)) == contact).all()
+def test_a_wheel_does_not_grow(world):
+    """A rate below zero is noise of a log: nothing is planned for a wheel that grows."""
+    state = last_state(world.cell)
+    at = state.names.index("wheel_wear")
+    grown = replace(state, values=np.where(np.arange(len(state.names)) == at, -6e-7, state.values))
+    radius = state.names.index(FIT_NAMES[RADIUS])
+    assert carried_on(grown, 3600.0, 0).values[radius] == grown.values[radius]
+    worn = replace(state, values=np.where(np.arange(len(state.names)) == at, 6e-7, state.values))
+    assert carried_on(worn, 3600.0, 0).values[radius] == pytest.approx(worn.values[radius] - 2.16e-3)

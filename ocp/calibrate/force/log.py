@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.contact.wheel.law_fit import FORCE_RANGE
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
@@ -41,7 +40,8 @@ UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
-SLOW = 0.5  # of a run's largest feed, below which a row with little force is one of touch or lift
+STEADY = 0.75  # of a run's usual largest feed, up to which wheel and blade meet
+SETTLING = 0.08  # s after that: three time constants and the delay of a flange of 10 Hz and 10 ms
 
 
 @dataclass(frozen=True)
@@ -143,23 +143,45 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
     )
 
 
-def without_ends(log: ForceLog, process_force: float) -> ForceLog:
-    """The log without the rows in which blade and wheel meet and part: less force than the wheel's table knows, at less than
-    SLOW of the largest feed of their run. There the model's law is a guess, and it would be taken for an offset of the sensor."""
-    if log.feed is None:
+def steady_rows(log: ForceLog) -> Flags:
+    """The rows (n,) of a log but those in contact where wheel and blade meet and part: from either end of a run until STEADY of
+    its usual largest feed is reached, and SETTLING more. There the flange moves, and its mass, friction and late pressure make
+    another force than the balance at rest that calibrations rest on."""
+    kept = np.ones(len(log), bool)
+    for run in np.unique(log.run[log.contact]):
+        at = np.flatnonzero((log.run == run) & log.contact)
+        feed, time = _feed(log, at), log.time[at]
+        fast = np.flatnonzero(feed >= STEADY * np.percentile(feed, 90))
+        begin, end = time[fast[0]] + SETTLING * (fast[0] > 0), time[fast[-1]] - SETTLING * (fast[-1] < len(at) - 1)
+        kept[at] = (time >= begin) & (time <= end)
+    return kept
+
+
+def _feed(log: ForceLog, at: Index) -> Array:
+    """Feed m/s at rows of one run, by their points where the log does not tell it; even where their times do not rise."""
+    if log.feed is not None:
+        return log.feed[at]
+    if len(at) < 2 or np.any(np.diff(log.time[at]) <= 0):
+        return np.ones(len(at))
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(log.p[at], axis=0), axis=1))])
+    return np.asarray(np.gradient(way, log.time[at]))
+
+
+def without_ramps(log: ForceLog) -> ForceLog:
+    """The log without the rows that `steady_rows` leaves out. Raises BadInput: none in contact is left."""
+    kept = steady_rows(log)
+    if kept.all():
         return log
-    least = FORCE_RANGE[0] * process_force
-    ends = log.contact & (log.fn < least)
-    for run in np.unique(log.run[ends]):
-        mine = log.run == run
-        ends[mine] &= log.feed[mine] < SLOW * log.feed[mine & log.contact].max()
-    if not ends.any():
-        return log
+    if not (kept & log.contact).any():
+        raise BadInput(
+            f"{log.path}, column feed_mm_s: no run keeps its feed for longer than wheel and blade take to meet and part; log "
+            "longer passes, or more rows a second"
+        )
     told = (
-        f"{log.path.name}: {ends.sum()} rows in which blade and wheel meet and part, below {least:.3g} N, were left out: what "
-        "the wheel gives there is not known well enough"
+        f"{log.path.name}: {int((~kept).sum())} rows in which blade and wheel meet and part were left out: "
+        "the flange moves there, and what it then gives is not its balance at rest"
     )
-    return replace(log.take(~ends), notices=(*log.notices, told))
+    return replace(log.take(kept), notices=(*log.notices, told))
 
 
 def _check_vectors(table: CsvTable, n: Array, t: Array) -> None:

@@ -127,13 +127,16 @@ def planned_patches(cell: Cell, cover: Cover, path: BladePath) -> LinePatches | 
     """Footprints along a pass before its postures are known: the middle of the wheel, the path's turn, no tilt, the local
     quadratic.
 
-    Stations that are too hollow for the wheel are passed over (the optimiser tells of them); None where all of them are.
+    Stations that are too hollow for the wheel are passed over (the optimiser tells of them), and those on the outline of the
+    wall, where a fillet goes on that the local quadratic does not have; None where all of them are.
     """
     along = -cell.wheel.travel * cell.process.sigma
     heading = (along * float(np.cos(path.turn)), along * float(np.sin(path.turn)))
     curvature = np.transpose(turned_curvature(path.curvature, np.array(path.turn), cell.wheel.radius))
     at, contacts = [], []
     for k in contact_stations(path.s, 2.0 * STATION_SPACING):
+        if path.extent[k].max() < CELL:
+            continue
         kxx, kyy, kxy = (float(c) for c in curvature[k])
         shape = LocalShape(kxx, kyy, kxy, extent=path.extent[k], heading=heading)
         with suppress(Infeasible):

@@ -25,6 +25,7 @@ STRIDE = 5e-4  # m of way whose instants are laid down as one
 FACING = 0.3  # least cosine between a piece's normal and the contact's to be ground with it
 CHUNK = 2000  # instants laid down at once
 GROUND = 0.5  # share of what is wanted from which on a place counts as ground
+POINTS, INSTRUMENT = 600, 1e-6  # places where depth is measured, and one sigma m: a coordinate machine before and after
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,15 @@ class GroundDepth:
             "least": float(depth[self.asked].min()),
             "most": float(depth.max()),
         }
+
+
+def measured_depth(depth: GroundDepth, metres: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Places (k, 3) m all over the surface that is asked for, at most POINTS, and the depth (k,) m that an instrument reads
+    there; metres: what a depth of 1 is."""
+    asked = np.flatnonzero(depth.asked)
+    share = depth.area[asked] / depth.area[asked].sum()
+    at = np.sort(rng.choice(asked, min(POINTS, len(asked)), replace=False, p=share))
+    return depth.p[at], metres * depth.made[at] + INSTRUMENT * rng.normal(size=len(at))
 
 
 def ground_depth(blade: Blade, patches: ContactPatches, t: Touching, process: Process) -> GroundDepth:

@@ -19,6 +19,9 @@ from robots.errors import BadInput
 from robots.pose import Array, make_transform
 
 SENSOR_SIGMA = 0.3  # N, one sigma of a force reading
+USUAL_PRESTON = (
+    1e-11  # 1/Pa, of a cell that tells none: 17 um at 20 N, 20 m/s of belt, 40 mm/s of feed and 6 mm from line to line
+)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,7 +34,8 @@ class Truth:
     order, phase; play (6,) half width rad; repeatability rad. T_tracker_base; nests: places (3,) m in their links' frames,
     nest_turns: rotation vectors of 6D targets. wheel_shift m and wheel_axis_turn (rotation vector) in base axes; blade_shift m
     and blade_turn (rotation vector) in flange axes, wheel_radius m, on top of the cell's. cover_scale, blade_scale,
-    flange_scale: factors on stiffness, 1 = as in the cell; flange_offset N. sensor N; outliers: share of gross tracker readings.
+    flange_scale: factors on stiffness, 1 = as in the cell; flange_offset N. preston 1/Pa: depth that a pressure grinds per way
+    of belt. sensor N; outliers: share of gross tracker readings.
     """
 
     seed: int
@@ -57,6 +61,7 @@ class Truth:
     flange_offset: float
     sensor_bias: float
     wheel_radius: float = 0.0
+    preston: float = USUAL_PRESTON
     sensor_sigma: float = SENSOR_SIGMA
     outliers: float = 0.0
     effects: tuple[Planted, ...]
@@ -109,6 +114,7 @@ def believed_truth(
         flange_scale=known.get("flange_stiffness", stiffness) / stiffness,
         flange_offset=known.get("flange_setpoint_offset", 0.0),
         sensor_bias=known.get("sensor_bias", 0.0),
+        preston=cell.process.preston or USUAL_PRESTON,
         effects=effects,
     )
 
@@ -164,12 +170,27 @@ PLACEMENT = (1.9e-4, 1.9e-4)  # m, rad of every link's frame
 STIFFNESS, MASS_SD = 0.2, 0.01  # relative: evenly within this, one sigma
 COVER_SD, BLADE_SD, FLANGE_SD, FLANGE_OFFSET_SD = 0.10, 0.05, 0.05, 0.2  # relative, relative, relative, N
 SENSOR_BIAS_SD = 0.2  # N
+PRESTON_SD = 0.2  # relative: belts of one grit, new and worn
 # What no calibration finds: gear ripple and play of good gears, drawn evenly up to these; rad (PHYSICS 2.6: a real robot ends
 # at 0.03-0.09 mm).
 RIPPLE, PLAY, REPEATABILITY = 1.5e-5, 1.0e-5, 1.0e-5
 RIPPLE_ORDERS = (3, 120)
 OUTLIERS = 0.01  # share of readings
-_PARTS = ("placement", "stiffness", "mass", "ripple", "play", "tracker", "nests", "wheel", "blade", "factors", "sensor", "sample")
+_PARTS = (
+    "placement",
+    "stiffness",
+    "mass",
+    "ripple",
+    "play",
+    "tracker",
+    "nests",
+    "wheel",
+    "blade",
+    "factors",
+    "sensor",
+    "sample",
+    "belt",
+)
 
 
 def draw_truth(
@@ -217,6 +238,7 @@ def draw_truth(
         **dict(zip(("cover_scale", "blade_scale", "flange_scale"), factor.tolist(), strict=True)),
         flange_offset=float(size * _normal(rng["factors"], 1)[0] * FLANGE_OFFSET_SD),
         sensor_bias=float(size * _normal(rng["sensor"], 1)[0] * SENSOR_BIAS_SD),
+        preston=(cell.process.preston or USUAL_PRESTON) * float(1 + size * _normal(rng["belt"], 1)[0] * PRESTON_SD),
         outliers=OUTLIERS,
     )
 

@@ -1,0 +1,167 @@
+"""What lines leave on a blade, point by point, and how it goes with everything that the force model knows.
+
+    depth(x) = k_p h(x; theta),   h(x; theta) = sum over rows in contact of  F V phi(x - p; theta) dt                     (1)
+
+with phi the pressure per newton of the contact solution at a row (ocp.plan.removal.footprint), F the force that pressed, V the
+belt's speed against the moving blade and dt the row's time (Preston 1927). A blade that sits aside or turned in its holder is
+pressed as hard, but elsewhere, and through a softer cover over more of it. At a row theta acts on phi by the place along the
+wheel's axis, the two tilts and the cover's modulus E, so that
+
+    dh/dtheta = sum over rows of  F V dt  sum over c  dphi/dc  dc/dtheta,    c = lateral, tilt along, tilt across, log E. (2)
+
+A contact under F through a cover of modulus a E is that under F / a through one of modulus E, all pressures times a: phi is the
+same.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from ocp.calibrate.force.log import ForceLog, Index
+from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
+from ocp.contact.wheel.cover import Cover
+from ocp.contact.wheel.signorini import Contact, LocalShape, solve_force
+from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
+from ocp.model.cell import Wheel
+from ocp.model.theta import NAMES, wheel_at
+from ocp.plan.removal.footprint import LinePatches, line_patches
+from ocp.plan.removal.surface import ContactRows, pressures, shares_of_time
+from robots.pose import Array
+
+STATION = 12e-3  # m between contacts that are solved along a run
+STEP = 5e-4  # m between the instants that rows are parted into; at 25 rows a second they lie as far apart as a patch is long
+ROW = np.r_[STATE["lateral"], STATE["tilt"]]  # columns of the state that a footprint goes with
+SHAPE = ("lateral", "tilt_x", "tilt_y")  # the same in a contact's shape
+# What derivatives of a contact are taken over: lateral m, tilts, log of the modulus. About a cell of its patch.
+MOVES = (2e-4, 1e-3, 1e-3, 0.1)
+COVER = NAMES.index("cover_stiffness_scale")
+DIFFERENCE = 0.1  # of a parameter's sigma, over which the state's derivatives are taken
+
+
+@dataclass(frozen=True)
+class RunFootprints:
+    """One run in contact: its moments; footprints as they are, and with one thing after the other moved by MOVES; the logged rows
+    (j,) at which its contacts are solved, their place `way` (j,) m along it."""
+
+    moments: ContactRows
+    patches: LinePatches
+    moved: tuple[LinePatches, ...]
+    stations: Index
+    way: Array
+
+
+@dataclass(frozen=True)
+class GroundLog:
+    """What ground a blade: model and rows of a log, force (n,) N that pressed, the wheel's cover as the model's cell has it, the
+    blade's surface."""
+
+    model: ForceModel
+    rows: ForceRows
+    log: ForceLog
+    force: Array
+    cover: Cover
+    cloud: SurfaceCloud
+
+    def work(self, theta: Array, p: Array, n: Array) -> Array:
+        """h (m,) Pa m of eq. 1 at points p (m, 3) m with normals n (m, 3). Raises Infeasible of the contact solver."""
+        tree, total = cKDTree(p), np.zeros(len(p))
+        for run in self._runs(theta, derivatives=False):
+            row, point, pressure = pressures(tree, n, run.moments, run.patches)
+            total += np.bincount(point, pressure * (run.moments.force * run.moments.slide)[row], minlength=len(p))
+        return total
+
+    def pattern(self, theta: Array, sd: Array, p: Array, n: Array) -> tuple[Array, Array]:
+        """h (m,) of `work` and its derivatives (m, k) in theta (k,), zero where sd (k,) is. Raises as `work`."""
+        tree, work, slopes = cKDTree(p), np.zeros(len(p)), np.zeros((len(p), len(theta)))
+        for run in self._runs(theta, derivatives=True):
+            moments = run.moments
+            weight = moments.force * moments.slide
+            row, point, pressure = pressures(tree, n, moments, run.patches)
+            work += np.bincount(point, pressure * weight[row], minlength=len(p))
+            by = self._state_by(run, theta, sd)
+            for c, (one, step) in enumerate(zip(run.moved, MOVES, strict=True)):
+                change = (pressures(tree, n, moments, one)[2] - pressure) * weight[row] / step
+                at = np.array([np.interp(moments.s, run.way, column) for column in by[:, c].T])
+                slopes += csr_matrix((change, (point, row)), shape=(len(p), len(moments.s))) @ at.T
+        return work, slopes
+
+    def _runs(self, theta: Array, derivatives: bool) -> list[RunFootprints]:
+        found = []
+        for number in np.unique(self.log.run[self.log.contact]):
+            at = np.flatnonzero((self.log.run == number) & self.log.contact & (self.force > 0))
+            if len(at) > 1:
+                found.append(self._run(at, theta, derivatives))
+        return found
+
+    def _run(self, at: Index, theta: Array, derivatives: bool) -> RunFootprints:
+        way = _way(self.log, at)
+        chosen = np.asarray(contact_stations(way, STATION))
+        part, F = self.rows.take(at[chosen]), np.maximum(self.force[at[chosen]], self.model.least_force)
+        state = self.model.evaluate("state", PlacedRows.of(self.model.cell, part, theta), F)
+        solved: list[list[Contact]] = [[] for _ in range(1 + len(MOVES) * derivatives)]
+        headings, wheel = [], wheel_at(self.model.cell.wheel, theta)
+        for k in range(len(chosen)):
+            T = state[k, STATE["T"]].reshape(4, 4)
+            headings.append(_heading(wheel, T, part.waypoint[k]))
+            (kxx, kyy, kxy), (lateral, *tilt) = state[k, STATE["curvature"]].tolist(), state[k, ROW].tolist()
+            base = LocalShape(kxx, kyy, kxy, lateral, tilt[0], tilt[1], heading=headings[-1])
+            shape = surface_shape(wheel, self.cloud, base, T, part.waypoint[k, :3])
+            moved = [replace(shape, **{name: getattr(shape, name) + step}) for name, step in zip(SHAPE, MOVES, strict=False)]
+            force = F[k] / (1.0 + theta[COVER])
+            shapes, forces = (shape, *moved, shape), (*[force] * (1 + len(moved)), force / np.exp(MOVES[-1]))
+            for contacts, one, under in zip(solved, shapes, forces, strict=False):
+                contacts.append(solve_force(self.cover, float(under), one))
+        # Together, so that all lie on one grid.
+        every = line_patches(np.tile(way[chosen], len(solved)), [c for one in solved for c in one], headings * len(solved))
+        patches = [
+            LinePatches(way[chosen], every.x, every.share[i : i + len(chosen)], F, every.indentation[i : i + len(chosen)])
+            for i in range(0, len(every.at), len(chosen))
+        ]
+        return RunFootprints(self._moments(at).of(0), patches[0], tuple(patches[1:]), at[chosen], way[chosen])
+
+    def _moments(self, at: Index) -> ContactRows:
+        """The rows `at` of a run, parted into instants STEP apart."""
+        log, cell, count = self.log, self.model.cell, len(at)
+        way = _way(log, at)
+        feed = np.gradient(way, log.time[at]) if np.all(np.diff(log.time[at]) > 0) else np.zeros(count)
+        parts = np.maximum(np.ceil(np.diff(way) / STEP).astype(int), 1)
+        fine = np.concatenate([*(k + np.arange(c) / c for k, c in enumerate(parts)), [count - 1.0]])
+
+        def between(values: Array) -> Array:
+            columns = values.reshape(count, -1).T
+            found = np.array([np.interp(fine, np.arange(count), one) for one in columns]).T
+            return found.reshape(len(fine), *values.shape[1:])
+
+        belt = np.full(count, cell.wheel.belt_speed) if log.belt is None else log.belt[at]
+        # At zero turn the blade runs with the belt, or against it.
+        speed = np.abs(np.abs(between(belt)) - cell.process.sigma * between(feed))
+        slide = speed * shares_of_time(between(log.time[at]))
+        frame = (between(log.p[at]), between(log.n[at]), between(log.t[at]))
+        return ContactRows(np.zeros(len(fine), np.int64), *frame, between(way), between(self.force[at]), slide)
+
+    def _state_by(self, run: RunFootprints, theta: Array, sd: Array) -> Array:
+        """Derivatives (j, 4, k) of what MOVES moves at a run's stations, under the force there."""
+        part, F = self.rows.take(run.stations), np.maximum(self.force[run.stations], self.model.least_force)
+        out = np.zeros((len(part), len(MOVES), len(theta)))
+        out[:, -1, COVER] = 1.0 / (1.0 + theta[COVER])
+        here = self.model.evaluate("state", PlacedRows.of(self.model.cell, part, theta), F)[:, ROW]
+        for k in np.flatnonzero(sd > 0):
+            there = theta.copy()
+            there[k] += DIFFERENCE * sd[k]
+            moved = self.model.evaluate("state", PlacedRows.of(self.model.cell, part, there), F)[:, ROW]
+            out[:, : len(ROW), k] = (moved - here) / (DIFFERENCE * sd[k])
+        return out
+
+
+def _way(log: ForceLog, at: Index) -> Array:
+    """Way (k,) m along the points of a run's rows."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(log.p[at], axis=0), axis=1))])
+
+
+def _heading(wheel: Wheel, T: Array, waypoint: Array) -> tuple[float, float]:
+    """The feed's direction in the wheel's contact frame at a waypoint (16,) of a blade at T (4, 4)."""
+    t, v = T[:3, :3] @ waypoint[6:9], T[:3, :3] @ waypoint[:3] + T[:3, 3] - wheel.centre
+    e = v - wheel.axis * (v @ wheel.axis)
+    return float(t @ np.cross(wheel.axis, e / np.linalg.norm(e))), float(t @ wheel.axis)
