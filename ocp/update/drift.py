@@ -3,7 +3,7 @@
 State: what the force model knows (wheel, blade, flange, arm, sensor) and the wear rate v of the wheel's radius R. Over dt on the
 wheel's clock, and for a blade that is gripped anew,
 
-    R <- R - v dt,   all else stays;     P <- F P F^T + dt Q + G                                                           (1)
+    R <- R - max(v, 0) dt,   all else stays;     P <- F P F^T + dt Q + G                                                   (1)
 
 The fit of a log then has the moved state as its prior, and v follows R by their correlation: a Kalman filter whose measurement
 is the fit of `ocp.calibrate.force`. docs/update.md has the sources of Q and G.

@@ -123,6 +123,9 @@ def last_line(made: Updated, out: Path) -> str:
     if made.preston is not None:
         how = f"from {made.preston.points} depths" if made.preston.points else "not measured this time"
         preston = f"Preston's coefficient {made.preston.value / UNIT:.3g} +- {made.preston.sd / UNIT:.2g} um mm2/(N m), {how}. "
+    if made.pattern is not None:
+        before, after = made.pattern.scatter
+        preston += f"Depths are met {after:.2f} times as far as stated, {before:.2f} before they placed the blade. "
     return (
         f"{out}: {made.fit.figures.rows} readings of {made.log.path.name}, {latest['found_N']:.2f} +- "
         f"{latest['found_sd_N']:.2f} N on average where {latest['expected_N']:.2f} +- {latest['expected_sd_N']:.2f} N were "

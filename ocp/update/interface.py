@@ -51,8 +51,9 @@ def update(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> UpdateResult:
-    """Bring `cell` up to date from the force log `force` (force.csv) of the blade that was last ground with it, and Preston's
-    coefficient from depths measured on that blade, `removal` (removal.csv); write cell, calibration and report into `out`.
+    """Bring `cell` up to date from the force log `force` (force.csv) of the blade that was last ground with it, and from depths
+    measured on that blade, `removal` (removal.csv): where it sits, the cover, Preston's coefficient. Write cell, calibration and
+    report into `out`.
 
     changed: what was changed since the last update, of wheel, blade (its holder), flange, belt, sensor: known as at first again.
     Raises BadInput: an argument or a file is not what it should be; Infeasible: the log cannot be of this cell as it was last

@@ -127,6 +127,8 @@ def _removal(made: Updated) -> list[Section]:
         f" {p.points} depths of this blade, {p.left_out} more lay where the log did not grind. They scatter {p.scatter:.2f} "
         f"times as far as stated (with {100 * DEPTH_MODEL:.0f} % for the footprint's shape)."
     )
+    if made.pattern is not None:
+        words += f" With the blade where the force log has it, {made.pattern.scatter[0]:.2f} times: they say where it sits."
     expected, measured = p.expected, p.measured
 
     def draw(canvas: Canvas) -> None:
