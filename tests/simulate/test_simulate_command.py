@@ -19,6 +19,8 @@ from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.shell.output import MARKER
 from ocp.simulate.__main__ import app
+from ocp.simulate.twin.truth import draw_truth
+from ocp.update.removal import on_blade, read_removal
 from robots.kinematics import forward
 from tests.support.geometry_robot import write_geometry_robot
 from tests.support.small_plan import Told, environment, small_cell, tree
@@ -86,6 +88,7 @@ def test_a_run_writes_a_data_set_that_the_product_reads(run):
         "tracker.csv",
         "force.csv",
         "joints.csv",
+        "removal.csv",
         "plan.csv",
         "rehearsal.html",
         "rehearsal.json",
@@ -102,6 +105,14 @@ def test_a_run_writes_a_data_set_that_the_product_reads(run):
     assert 5.0 < level[1] - level[0] < 9.0 and 5.0 < level[2] - level[1] < 9.0
     assert len(rows(out / "tracker.csv")) == 24
     assert json.loads((out / "labels" / "labels.json").read_text())["labels"] == []
+    removal = read_removal(out / "removal.csv")
+    cell = read_cell(out / "cell.toml")
+    on_blade(cell, removal)  # refuses what lies beside the surface
+    process, speed = cell.process, cell.wheel.belt_speed
+    even = draw_truth(cell, 0).preston * speed * process.force / (process.feed * process.pass_spacing)
+    made = json.loads((out / "rehearsal.json").read_text())["removal"]["machine"]
+    assert len(removal.depth) > 100 and (removal.sd == 1e-6).all()
+    assert removal.depth.max() < even * made["most"] + 5e-6 and removal.depth.min() > even * made["least"] - 5e-6
     joints = rows(out / "joints.csv")
     assert {"q1_deg", "link6_deg", "tau2_Nm"} <= set(joints[0])
 
