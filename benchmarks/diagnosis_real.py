@@ -26,8 +26,8 @@ from ocp.diagnose.engine.selection import SelectedEffects, select_on_held_out
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.verdict.answer import SCALE
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.remaining import SCALE
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.shell.progress import Phases

@@ -48,7 +48,7 @@ def alike(a: Name, b: Name, groups: Sequence[set[Name]]) -> bool:
 def decided_names(document: dict[str, Any]) -> list[Name]:
     """What the answer decides for: the effects of its best explanation, none where having no effect is more probable."""
     best = max(document["explanations"], key=lambda e: e["probability"], default=None)
-    if best is None or document["p_none"] >= max(best["probability"], document["p_unknown"]):
+    if best is None or document["p_none"] >= best["probability"]:
         return []
     return [(e["effect"], e["joint"] or 0) for e in best["effects"]]
 

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from ocp.diagnose.corrected import write_corrected_cell
 from ocp.diagnose.dataset import TRACKER, DataSet, blinds, read_data_set, read_sealed_force, read_sealed_tracker
 from ocp.diagnose.document import document_of, json_text
-from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed
+from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed, effects_key
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
@@ -30,7 +30,7 @@ from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
-from ocp.diagnose.verdict.answer import Answer
+from ocp.diagnose.verdict.answer import Answer, promised
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
@@ -89,14 +89,12 @@ def _stated(data: DataSet) -> bool:
     return data.setup.tables.robot.stiffness_Nm_per_rad is not None
 
 
-def averaged(parts: Sequence[tuple[float, Sealed]]) -> Sealed:
-    """Corrected predictions of several alternatives by their probabilities, sigma with what they differ by; the baseline is
-    that of the first."""
+def beside_others(written: Sealed, parts: Sequence[tuple[float, Sealed]]) -> Sealed:
+    """Predictions of what is written, sigma with what several alternatives, by their probabilities, differ from it."""
     total = sum(p for p, _ in parts)
-    corrected = sum(p * s.corrected for p, s in parts) / total
-    variance = sum(p * (s.sigma**2 + (s.corrected - corrected) ** 2) for p, s in parts) / total
+    variance = sum(p * (s.sigma**2 + (s.corrected - written.corrected) ** 2) for p, s in parts) / total
     lacking = tuple(dict.fromkeys(name for _, s in parts for name in s.lacking))
-    return Sealed(parts[0][1].baseline, np.asarray(corrected), np.sqrt(variance), lacking)
+    return replace(written, sigma=np.sqrt(variance), lacking=lacking)
 
 
 def write_predictions(path: Path, signal: str, sealed: Sealed) -> None:
@@ -131,7 +129,7 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
     notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
-    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds))
+    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), promised(found, gaps))
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:
@@ -152,8 +150,8 @@ def grouped(blind: Sequence[str]) -> list[str]:
 
 
 def predict_sealed(answer: Answer) -> dict[str, Sealed]:
-    """Blind predictions by signal, the named effects in the corrected ones, averaged over what else they may be. Raises BadInput:
-    sealed conditions malformed."""
+    """Blind predictions by signal, the effects that are written in the corrected ones, what else may be true in their sigma.
+    Raises BadInput: sealed conditions malformed."""
     found: dict[str, Sealed] = {}
     data, told = answer.data, answer.diagnosis.alternatives or (Alternative(1.0, answer.diagnosis.active),)
     for signal in data.sealed:
@@ -168,8 +166,17 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
             except Infeasible:  # an alternative with which the model comes to no rest predicts nothing
                 if k == 0:
                     raise
-        found[signal] = averaged(made)
+        same = effects_key(told[0].active) == effects_key(answer.written)
+        found[signal] = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
     return found
+
+
+def written_channels(answer: Answer) -> tuple[Channel, ...]:
+    """The channels with the effects that are written, and no others."""
+    d = answer.diagnosis
+    if effects_key(answer.written) == effects_key(d.active):
+        return d.channels
+    return tuple(c.with_active(answer.written) if answer.written else c for c in d.baseline)
 
 
 def left_out(sealed: dict[str, Sealed]) -> list[str]:
@@ -222,7 +229,7 @@ def _written(folder: Path, output: Output, phases: Phases, columns: Path | None)
                 (made / "diagnosis.json").write_text(json_text(document_of(answer)), encoding="utf-8")
                 for signal, told in sealed.items():
                     write_predictions(made / f"predictions_{signal}.csv", signal, told)
-                write_corrected_cell(made, out, answer.data, answer.diagnosis.channels, answer.diagnosis.active)
+                write_corrected_cell(made, out, answer.data, written_channels(answer), answer.written)
             with phases.phase("report"):
                 (made / "report.html").write_bytes(page())
     return DiagnosisResult(out, answer, sealed, last_line(answer, out))
@@ -231,13 +238,21 @@ def _written(folder: Path, output: Output, phases: Phases, columns: Path | None)
 def last_line(answer: Answer, out: Path) -> str:
     """What was found, and where it stands."""
     head = diagnosis_headline(answer)
-    safe = {
+    safe = "The believed cell stays as it is: what these effects promise may be nothing, or harm"
+    if answer.written or not answer.diagnosis.active:
+        safe = _safe(answer, out)
+    return f"{out}: {head.verdict} {head.sentence.rstrip('.')}. {safe}; {out / 'report.html'} shows why."
+
+
+def _safe(answer: Answer, out: Path) -> str:
+    """What may be relied on."""
+    return {
         "explained": f"{out / 'corrected_cell.toml'} plans with it",
         "ambiguous": f"{out / 'corrected_cell.toml'} holds the likeliest; measure what the report asks for before relying on it",
+        "partly": f"{out / 'corrected_cell.toml'} holds what is known",
         "unexplained": "Do not rely on the believed cell there",
         "no_gap": "The believed cell stands",
     }[answer.diagnosis.verdict]
-    return f"{out}: {head.verdict} {head.sentence.rstrip('.')}. {safe}; {out / 'report.html'} shows why."
 
 
 Page = Callable[[], bytes]

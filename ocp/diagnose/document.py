@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from ocp.diagnose.engine.findings import Diagnosis, Experiment, Name, Ranked
+from ocp.diagnose.engine.findings import Diagnosis, Experiment, Location, Name, Ranked
 from ocp.diagnose.rules import LEAST_BUDGET, LISTED, MOST_BUDGET, MOST_LISTED
 from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 
@@ -21,7 +21,7 @@ def rounded(value: float, digits: int = 6) -> float:
 Share = Annotated[float, Field(ge=0.0, le=1.0), AfterValidator(partial(round, ndigits=6))]
 Number = Annotated[float, Field(allow_inf_nan=False), AfterValidator(rounded)]
 Minutes = Annotated[float, Field(allow_inf_nan=False), AfterValidator(partial(rounded, digits=3))]
-Verdict = Literal["explained", "ambiguous", "unexplained", "no_gap"]
+Verdict = Literal["explained", "partly", "ambiguous", "unexplained", "no_gap"]
 Subsystem = Literal[
     "joint", "link", "base", "payload", "tool", "tracker", "target", "wheel", "blade", "flange", "sensor", "timing"
 ]
@@ -118,6 +118,15 @@ class GapJson(JsonObject):
     extrapolation: list[ExtrapolationJson]
 
 
+class RemainingJson(JsonObject):
+    """What remains of a signal's gap after the names: rms above the instrument's noise in its unit, the probability of its being
+    noise, and where it lies (null: nowhere that can be told)."""
+
+    above_noise: Number
+    p_value: Share
+    location: LocationJson | None
+
+
 class ExperimentJson(JsonObject):
     """A measurement that would tell apart what these data do not."""
 
@@ -130,7 +139,7 @@ class ExperimentJson(JsonObject):
 class Document(JsonObject):
     """The whole of diagnosis.json."""
 
-    schema_: Literal[1] = Field(1, alias="schema")
+    schema_: Literal[2] = Field(2, alias="schema")
     dataset: str
     verdict: Verdict
     p_none: Share
@@ -140,14 +149,16 @@ class Document(JsonObject):
     indistinguishable: list[list[str]]
     location: LocationJson
     gap: dict[Literal["tracker", "force", "joint"], GapJson]
+    remaining: dict[Literal["tracker", "force", "joint"], RemainingJson]
+    patch: None = None
     blind_spots: list[str]
     next_experiment: list[ExperimentJson]
 
     @model_validator(mode="after")
     def _sums_to_one(self) -> Self:
-        total = self.p_none + self.p_unknown + sum(e.probability for e in self.explanations)
+        total = self.p_none + sum(e.probability for e in self.explanations)
         if abs(total - 1.0) > SUM_TOLERANCE:
-            raise ValueError(f"explanations, p_none and p_unknown sum to {total}")
+            raise ValueError(f"explanations and p_none sum to {total}")
         return self
 
 
@@ -166,6 +177,7 @@ def document_of(answer: Answer) -> Document:
         "indistinguishable": [[str(name) for name in group] for group in d.classes],
         "location": _location(d),
         "gap": {gap.name: _gap(gap) for gap in answer.gaps},
+        "remaining": {gap.name: _remaining(gap, d.remainder) for gap in answer.gaps},
         "blind_spots": answer.blind,
         "next_experiment": [_experiment(e) for e in answer.next],
     }
@@ -173,14 +185,14 @@ def document_of(answer: Answer) -> Document:
 
 
 def _probabilities(d: Diagnosis) -> dict[str, Any]:
-    """p_none, p_unknown and explanations, rounded so that they still sum to one."""
+    """p_unknown; p_none and explanations, rounded so that they still sum to one."""
     kept = [e for k, e in enumerate(d.explanations) if k == 0 or e.probability >= LISTED]
-    shares = np.array([d.p_none, d.p_unknown, *(e.probability for e in kept)], float)
+    shares = np.array([d.p_none, *(e.probability for e in kept)], float)
     whole = np.round(np.maximum(shares, 0.0) / max(shares.sum(), 1e-300), 6)
     whole[int(np.argmax(whole))] += 1.0 - whole.sum()
-    none, unknown, *each = np.round(whole, 6)
+    none, *each = np.round(whole, 6)
     explained = [{"effects": [_named(n) for n in e.names], "probability": p} for e, p in zip(kept, each, strict=True)]
-    return {"p_none": none, "p_unknown": unknown, "explanations": explained}
+    return {"p_none": none, "p_unknown": d.p_unknown, "explanations": explained}
 
 
 def _named(name: Name) -> dict[str, Any]:
@@ -208,6 +220,12 @@ def _location(d: Diagnosis) -> dict[str, Any]:
     at = empty if d.location is None else asdict(d.location)
     listed = [b for k, b in enumerate(d.budget) if k < LEAST_BUDGET or b.share > 0][:MOST_BUDGET]
     return at | {"joint": at["joint"] or None, "budget": listed}
+
+
+def _remaining(gap: SignalGap, at: Location | None) -> dict[str, Any]:
+    there = at if at is not None and at.signal == gap.name else None
+    where = None if there is None else asdict(there) | {"joint": there.joint or None, "budget": []}
+    return {"above_noise": gap.remaining.above_noise, "p_value": gap.remaining.p_value, "location": where}
 
 
 def _gap(gap: SignalGap) -> dict[str, Any]:

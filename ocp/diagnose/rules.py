@@ -198,13 +198,6 @@ FORMATS.md."""
 EXPLAINED = 0.8
 """[-] Probability of an explanation from which the verdict is 'explained', else 'ambiguous'. Reason: FORMATS.md."""
 
-SURE_BESIDE_UNKNOWN = 12.0
-"""[ln] That a name must gain beside an unknown effect to be believed in full. Guards: names that fill what a kernel follows
-only so well. Reason: a kernel leaves a part of a strong effect; no reason known for twelve."""
-
-NAME_BESIDE_UNKNOWN = 0.5
-"""[-] What else the marginal probability of such a name is worth. Reason: as likely the unknown effect's as its own."""
-
 SUSPECT = 0.75
 """[-] Share of a doubted explanation's probability that goes to 'none of these'. Guards: the verdict where values,
 cancelling terms or folds speak against a name. Reason: leaves a doubted name below LEADS however probable it was, and not
@@ -276,10 +269,6 @@ FOLLOWED_FORCE = 0.15
 
 MOST_FOLLOWED = 5
 """[sets] Alternatives beside the accepted one. Reason: time."""
-
-RIGHT_BESIDE_UNKNOWN = 0.5
-"""[-] Probability that a name beside an effect outside the catalogue is right where nobody measured. Reason: as
-NAME_BESIDE_UNKNOWN."""
 
 INTERVAL = 0.9
 """[-] Of the shrinkage's interval. Reason: FORMATS.md."""

@@ -67,9 +67,14 @@ def test_the_play_is_named_with_its_joint_and_size(played):
 def test_the_file_is_what_the_formats_page_asks_for(played):
     raw = json.loads((played[1] / "diagnosis.json").read_text())
     keys = ["schema", "dataset", "verdict", "p_none", "p_unknown", "ranking", "explanations", "indistinguishable", "location"]
-    assert list(raw) == [*keys, "gap", "blind_spots", "next_experiment"]
+    assert list(raw) == [*keys, "gap", "remaining", "patch", "blind_spots", "next_experiment"]
+    assert (
+        raw["schema"] == 2
+        and raw["patch"] is None
+        and list(raw["remaining"]["tracker"]) == ["above_noise", "p_value", "location"]
+    )
     assert raw["dataset"] == "played"
-    assert abs(raw["p_none"] + raw["p_unknown"] + sum(e["probability"] for e in raw["explanations"]) - 1) < 1e-9
+    assert abs(raw["p_none"] + sum(e["probability"] for e in raw["explanations"]) - 1) < 1e-9
 
 
 def test_blind_predictions_stand_in_order_and_shrink_as_promised(played):
@@ -245,7 +250,7 @@ def test_what_remains_is_asked_for_and_nothing_else(played):
 
     def diagnosis(*explanations):
         empty = ((),) * 7
-        return Diagnosis(explanations, (first,), (first.active,), 0.0, 0.0, (), None, *empty, (), (channel,), (channel,))
+        return Diagnosis(explanations, (first,), (first.active,), 0.0, 0.0, (), None, None, *empty, (), (channel,), (channel,))
 
     found = next_experiments(diagnosis(Explanation((WINDUP,), 0.6, 9.0), Explanation((PLAYED,), 0.4, 8.6)), library())
     assert found and all(e.tells_apart == ("friction_windup:3", "backlash:3") and 0.6 < e.expected <= 1.0 for e in found)

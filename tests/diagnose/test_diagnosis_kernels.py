@@ -54,10 +54,11 @@ JOINTS = {
 def test_what_a_joint_does_outside_the_catalogue_is_placed(name):
     shift, joint, conditions = JOINTS[name]
     d = diagnose_channels([channel(world(11, shift)[0])], LIBRARY, Options(folds=False))
-    assert d.verdict == "unexplained" and d.location is not None
-    assert d.location.joint == joint
+    at = d.location if d.verdict == "unexplained" else d.remainder  # a name may follow a part of it
+    assert d.verdict in ("unexplained", "partly") and at is not None
+    assert at.joint == joint
     slow = {"time": "temperature"}  # a warm-up in the course of time: the two go together
-    told = {slow.get(c, c) for c in d.location.depends_on}
+    told = {slow.get(c, c) for c in at.depends_on}
     assert conditions <= told
 
 
@@ -184,7 +185,7 @@ def test_a_set_that_only_brings_the_registration_back_is_doubted(taken, doubted)
     assert [a.effect.name for a in d.active] == ([] if doubted else ["true"])
     assert any("registration" in why for why in d.unknown_reasons) == doubted
     assert (d.ranking[0].probability < 0.3) == doubted and d.ranking[0].name == Name("true")
-    assert sum(e.probability for e in d.explanations) + d.p_none + d.p_unknown == pytest.approx(1.0, abs=1e-3)
+    assert sum(e.probability for e in d.explanations) + d.p_none == pytest.approx(1.0, abs=1e-3)
     # Where another channel sees the effect too its readings decide; an effect of the arm is itself why the arm is elsewhere.
     one = Active(known["true"], 0, np.ones(1), {}, np.eye(1))
     there = replace(made, active=(one,))
@@ -210,8 +211,8 @@ def test_an_impostor_is_barred_and_what_is_true_is_found_instead():
     d = diagnose_channels([made], known, Options(where=False, prior_effects=0.5))
     assert [n for n, _ in d.impostors] == [Name("false")] and "late" in d.unknown_reasons[0]
     assert [a.effect.name for a in d.active] == ["true"]
-    assert d.p_unknown >= SUSPECT * (1 - d.p_none) * 0.99
-    assert sum(e.probability for e in d.explanations) + d.p_none + d.p_unknown == pytest.approx(1.0, abs=1e-3)
+    assert d.verdict == "partly" and d.p_unknown >= SUSPECT  # what the impostor fitted beyond the true one is there all the same
+    assert sum(e.probability for e in d.explanations) + d.p_none == pytest.approx(1.0, abs=1e-3)
 
 
 def test_an_effect_of_the_told_size_is_named_nine_times_of_ten():

@@ -104,7 +104,7 @@ def test_recovers_a_nest_that_moved():
 
     # In the tracker's frame a nest of a turning flange does not move so; a tilted base or a drift would not pick one nest.
     d = diagnosed(world(5, None, moved)[0])
-    assert d.p_none < 0.01
+    assert d.verdict != "no_gap" and max(1.0 - d.p_none, d.p_unknown) > 0.99
     assert d.location is not None and (d.location.subsystem in ("target", "tracker") or d.p_unknown > 0.5)
 
 

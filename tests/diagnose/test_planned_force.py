@@ -264,7 +264,7 @@ def test_recordings_come_after_the_log_as_they_are_described(made):
 def diagnosis(channel: ForceChannel, first: Ranked, *rivals: str) -> Diagnosis:
     empty = ((),) * 7
     names = tuple((first.name, Name(r)) for r in rivals)
-    told = Diagnosis((), (first,), (first.active,), 0.0, 0.0, (), None, *empty, (), (channel,), (channel,))
+    told = Diagnosis((), (first,), (first.active,), 0.0, 0.0, (), None, None, *empty, (), (channel,), (channel,))
     return replace(told, classes=tuple(tuple(sorted(n)) for n in names))
 
 
@@ -299,7 +299,7 @@ def test_what_a_log_leaves_unseen_is_asked_for(made):
     one_level = foreseen_force(channel, log, channel.problem.scene.rows.take(rows), (EFFECTS["wheel_law"],))
     seen = tuple(Screened(Name(n), 0.0, 1, 1, 1.0, 3.0 if n == "wheel_law" else 0.1, 1.0) for n in EFFECTS)
     empty = ((),) * 4
-    d = Diagnosis((), (), (), 1.0, 0.0, (), None, *empty, seen, (), (), (), (one_level,), (one_level,))
+    d = Diagnosis((), (), (), 1.0, 0.0, (), None, None, *empty, seen, (), (), (), (one_level,), (one_level,))
     assert [p.first.name.effect for p in unseen(d, one_level, EFFECTS)] == ["wheel_law"]
     found = next_experiments(replace(d, screened=seen), EFFECTS)
     assert found and found[0].do.startswith("force ladder") and found[0].tells_apart == ("wheel_law", "none")

@@ -38,7 +38,7 @@ ELSEWHERE = {
         "STEP",
     },
     "foresee/planned_tracker.py": {"PER_READING", "SETTLING", "PULL", "WARM", "WARMED", "DURATION", "TRACKER_AT", "LOW"},
-    "verdict/answer.py": {"SCALE"},
+    "verdict/remaining.py": {"SCALE"},
     "document.py": {"SUM_TOLERANCE"},
     "verdict/shrinkage.py": {"SI"},
     "verdict/location.py": {"ORDERS"},

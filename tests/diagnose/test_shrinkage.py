@@ -1,18 +1,21 @@
 """The promise of shrinkage: on numbers alone, and against arms in NumPy that know none of the diagnosis' models."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ocp.diagnose.answering import averaged
+from ocp.diagnose.answering import beside_others
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
-from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.tracker.background import background
+from ocp.diagnose.verdict.answer import SignalGap, promised
 from ocp.diagnose.verdict.diagnosis import screened
-from ocp.diagnose.verdict.shrinkage import Anticipated, NewReadings, from_model
+from ocp.diagnose.verdict.remaining import Remaining, remaining
+from ocp.diagnose.verdict.shrinkage import Anticipated, NewReadings, Shrinkage, from_model
 from ocp.effects.effect import Active
 from robots.gravity import GRAVITY
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, column, diagnosed, world
@@ -54,9 +57,8 @@ def test_what_the_effects_move_and_what_remains_make_the_promise():
 
 def test_doubt_about_the_name_is_in_the_promise():
     sure, unsure = from_model(new(24.0), [], 1.0), from_model(new(24.0, doubt=0.3), [], 1.0)
-    # A fifth of the effect's move stays where the name is right; where it is wrong the correction hurts.
-    assert unsure.predicted < sure.predicted - 0.1 and unsure.low < -0.2
-    assert unsure.low >= -1.0
+    # What is written is the name: right it does all it can, wrong it hurts, and the interval knows.
+    assert unsure.predicted < sure.predicted + 0.01 and unsure.low == -1.0
 
 
 def test_folds_that_are_no_worse_than_chance_take_nothing_away():
@@ -120,12 +122,40 @@ def test_promises_are_kept():
     assert np.median([p.high - p.low for p, _ in found]) < 0.45
 
 
-def test_alternatives_are_averaged_with_what_they_differ_by():
-    told = averaged(
-        [(p, Sealed(np.zeros((2, 3)), np.full((2, 3), x), np.full((2, 3), s))) for p, x, s in ((0.6, 1.0, 0.1), (0.2, 0.0, 0.3))]
-    )
-    assert np.allclose(told.corrected, 0.75)
-    assert np.allclose(told.sigma**2, 0.75 * (0.01 + 0.0625) + 0.25 * (0.09 + 0.5625))
+def test_what_else_may_be_true_is_in_the_sigma_of_what_is_written():
+    parts = [
+        (p, Sealed(np.zeros((2, 3)), np.full((2, 3), x), np.full((2, 3), s))) for p, x, s in ((0.6, 1.0, 0.1), (0.2, 0.0, 0.3))
+    ]
+    told = beside_others(parts[0][1], parts)
+    assert np.allclose(told.corrected, 1.0)
+    assert np.allclose(told.sigma**2, 0.75 * 0.01 + 0.25 * (0.09 + 1.0))
+
+
+def gap_of(low: float | None, shows: tuple[str, ...]) -> SignalGap:
+    """A gap with this low end of its promise, whose signal shows some effects."""
+    corrected = SimpleNamespace(variants=lambda effect, joint, scans: [1] if effect.name in shows else [])
+    promise = None if low is None else Shrinkage(low + 0.3, low, low + 0.6)
+    return SignalGap("x", "mm", 1.0, np.ones(3), np.ones(3), promise, (), Remaining(0.0, 1.0), corrected, corrected)
+
+
+def test_only_what_is_promised_above_zero_is_written():
+    backlash, drift = (Active(LIBRARY[n], 0, np.ones(1), {}, np.eye(1)) for n in ("backlash", "sensor_drift"))
+    found = SimpleNamespace(active=(backlash, drift))
+    assert promised(found, [gap_of(0.1, ("backlash",)), gap_of(-0.1, ("sensor_drift",))]) == (backlash,)
+    assert promised(found, [gap_of(0.1, ("backlash", "sensor_drift")), gap_of(-0.1, ("sensor_drift",))]) == (backlash,)
+    assert promised(found, [gap_of(None, ("backlash", "sensor_drift"))]) == ()
+
+
+def test_what_remains_is_told_from_noise():
+    """After the names: noise alone is noise; a wave that nobody named is not, and its size is told."""
+
+    def left(shift):
+        d = diagnosed(world(3, shift)[0], where=True)
+        return remaining(d.channels[0], d.left_over)
+
+    assert left(None).p_value > 0.01 and left(None).above_noise == 0.0
+    wave = left(lambda r: column(3, 6e-5 * np.cos(1.5 * r.q[:, 1])))
+    assert wave.p_value < 1e-3 and wave.above_noise > 1e-5
 
 
 def test_a_payload_that_may_be_all_payloads_is_not_staked_on_one():
@@ -165,3 +195,18 @@ def test_the_class_of_a_name_too_weak_to_be_accepted():
     d = diagnosed(readings)
     names = {n for group in d.classes for n in group}
     assert {Name("backlash", 1), Name("friction_windup", 1)} <= names
+
+
+@pytest.mark.parametrize(
+    "none, unknown, best, verdict",
+    [
+        (0.9, 0.1, 0.1, "no_gap"),
+        (0.9, 0.9, 0.1, "unexplained"),
+        (0.1, 0.9, 0.9, "partly"),
+        (0.1, 0.1, 0.9, "explained"),
+        (0.1, 0.1, 0.7, "ambiguous"),
+    ],
+)
+def test_the_verdict_follows_from_two_questions(none, unknown, best, verdict):
+    told = SimpleNamespace(p_none=none, p_unknown=unknown, explanations=(Explanation((Name("x"),), best, 1.0),))
+    assert Diagnosis.verdict.fget(told) == verdict

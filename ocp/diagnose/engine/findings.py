@@ -150,12 +150,13 @@ class Experiment:
 class Diagnosis:
     """All findings.
 
-    explanations by probability; these, p_none and p_unknown sum to 1. ranking by marginal probability. active: the accepted
-    effects with values and covariance (of the best explanation; empty for none). classes: names that these data cannot tell
-    apart. kernels, spectrum: of the baseline's gap; left_over: kernel tests after the accepted effects. impostors: accepted
-    terms that hurt where the data are extrapolated, with the fold that says so. unknown_reasons: what speaks for an effect
-    outside the catalogue. baseline, channels: before and after the accepted effects. held_out: by channel name. alternatives:
-    what predictions average over, `active` first; empty: `active` alone.
+    explanations by probability; these and p_none sum to 1; p_unknown: something outside the catalogue is there, beside names or
+    without. ranking by marginal probability. active: the accepted effects with values and covariance (of the best explanation;
+    empty for none). location: of the named effects, else of what is unknown; remainder: of what the names leave. classes: names
+    that these data cannot tell apart. kernels, spectrum: of the baseline's gap; left_over: kernel tests after the accepted
+    effects. impostors: accepted terms that hurt where the data are extrapolated, with the fold that says so. unknown_reasons:
+    what speaks against names. baseline, channels: before and after the accepted effects. held_out: by channel name.
+    alternatives: what may be true, with probabilities, `active` first; empty: `active` alone.
     """
 
     explanations: tuple[Explanation, ...]
@@ -165,6 +166,7 @@ class Diagnosis:
     p_unknown: float
     classes: tuple[tuple[Name, ...], ...]
     location: Location | None
+    remainder: Location | None
     budget: tuple[BudgetLine, ...]
     kernels: tuple[KernelTest, ...]
     left_over: tuple[KernelTest, ...]
@@ -180,9 +182,9 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """explained, ambiguous, unexplained or no_gap, as FORMATS.md defines it."""
+        """explained, partly, ambiguous, unexplained or no_gap, as FORMATS.md defines it."""
+        if self.p_unknown > LEADS:
+            return "unexplained" if self.p_none > LEADS else "partly"
         if self.p_none > LEADS:
             return "no_gap"
-        if self.p_unknown > LEADS:
-            return "unexplained"
         return "explained" if self.explanations and self.explanations[0].probability >= EXPLAINED else "ambiguous"

@@ -19,7 +19,7 @@ from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
 from ocp.diagnose.force.prediction import LogScene, predict_anew
-from ocp.diagnose.rules import BETWEEN_RUNS, FOLLOWED_FORCE, LATER_FORCE, NO_GAP, RECORDING_WEIGHT, RUN_SD
+from ocp.diagnose.rules import BETWEEN_RUNS, LATER_FORCE, NO_GAP, RECORDING_WEIGHT, RUN_SD
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
@@ -40,14 +40,12 @@ class LaterGrinding:
     errors: Array
     covariance: Array
     probability: Array
-    weight: Array
     share: Array
     run: Index
 
 
 def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequence[Alternative] = ()) -> LaterGrinding:
-    """The log's recordings under later conditions; others: alternatives, the accepted one (which `after` is) first; those below
-    the probability `FOLLOWED_FORCE` may be true, but no correction follows them."""
+    """The log's recordings under later conditions; others: alternatives, the accepted one (which `after` is) first."""
     followed = [(m, o.probability) for o in others if (m := _with(before, after, o.active)) is not None] or [(after, 1.0)]
     models, p = [m for m, _ in followed], np.array([one for _, one in followed])
     rows = np.unique(np.linspace(0, len(after.log) - 1, min(len(after.log), ROWS)).astype(np.int64))
@@ -63,14 +61,13 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
         found = [predict_anew(there, m.fit.at.x, m.fit.active) for m in models]
         moved.append(np.stack([(made.fn - old)[touching] for made in found]))
         errors.append(linear_normal(models[0].problem, there, found[0])[touching])
-    weight = np.where((p >= FOLLOWED_FORCE) | (np.arange(len(p)) == 0), p, 0.0)
     share = np.array([BETWEEN_RUNS, *((1.0 - BETWEEN_RUNS) / len(later) for _ in later)])
     run = np.unique(known.run[rows][touching], return_inverse=True)[1].astype(np.int64)
     # Of the unknowns that go on: the nuisance and the effects' coefficients, not what single recordings were off by.
     fit, (r, o) = models[0].fit, models[0].problem.sizes
     keep = np.r_[np.arange(r), np.arange(r + o, len(fit.z))]
     covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
-    return LaterGrinding(np.stack(moved), np.stack(errors), covariance, p / p.sum(), weight / weight.sum(), share, run)
+    return LaterGrinding(np.stack(moved), np.stack(errors), covariance, p / p.sum(), share, run)
 
 
 def after_log(known: LogConditions, share: float, changing: bool = False) -> LogConditions:
@@ -135,7 +132,7 @@ def from_grinding(new: LaterGrinding, noise: float, seed: int = 0) -> Shrinkage 
     for k, moved in enumerate(new.moved):
         at = when == k
         off, planted = errors[at] @ new.errors[k].T + own[at], moved[true[at]]
-        after[at] = np.sum(rows[at] * (new.weight @ moved - planted + off) ** 2, axis=1)
+        after[at] = np.sum(rows[at] * (moved[0] - planted + off) ** 2, axis=1)
         before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
     if np.median(before) <= NO_GAP**2 * noise:
         return None

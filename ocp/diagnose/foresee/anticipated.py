@@ -18,7 +18,8 @@ from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import points_with
-from ocp.diagnose.verdict.answer import SCALE, SignalGap
+from ocp.diagnose.verdict.answer import SignalGap
+from ocp.diagnose.verdict.remaining import SCALE, Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
     NONE,
     Anticipated,
@@ -48,7 +49,9 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel) -> SignalG
         (h.fold.name, realised(h.before, h.after, h.noise) if diagnosis.active else None) for h in held if h.fold.extrapolates
     )
     shrinkage = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)))
-    return SignalGap(before.name, before.unit, after.noise_floor, sizes[0], sizes[1], shrinkage, told, before, after)
+    left = remaining(after, diagnosis.left_over)
+    left = Remaining(scale * left.above_noise, left.p_value)
+    return SignalGap(before.name, before.unit, after.noise_floor, sizes[0], sizes[1], shrinkage, told, left, before, after)
 
 
 def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float) -> Shrinkage | None:

@@ -11,7 +11,8 @@ from ocp.diagnose.engine.findings import BudgetLine, SpectrumPeak
 from ocp.diagnose.report.verdict_sentence import SHORT, condition_words
 from ocp.diagnose.rules import OUTLIER_WEIGHT
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.verdict.answer import SCALE, Answer, SignalGap
+from ocp.diagnose.verdict.answer import Answer, SignalGap
+from ocp.diagnose.verdict.remaining import SCALE
 from ocp.report.parts import Plot
 from ocp.report.plotting import Canvas, dots, dressed, panels, reach
 from ocp.report.section import Part, Section

@@ -1,5 +1,6 @@
 """The whole answer to a data set, as the command writes it and the report shows it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,17 +8,17 @@ import numpy as np
 from ocp.diagnose.dataset import DataSet
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Diagnosis, Experiment
+from ocp.diagnose.verdict.remaining import Remaining
 from ocp.diagnose.verdict.shrinkage import Shrinkage
+from ocp.effects.effect import Active
 from robots.pose import Array
-
-SCALE = {"mm": 1e3, "N": 1.0, "arcsec": float(np.degrees(1.0) * 3600.0)}
-"""Units in which a gap is told, per SI unit."""
 
 
 @dataclass(frozen=True)
 class SignalGap:
     """The gap of one signal: channel before and after, sizes (n,) of the readings' errors in `unit`, outliers apart, noise
-    floor; shrinkage to expect on new data, and by what was withheld (None: no gap there to speak of)."""
+    floor; shrinkage to expect on new data, and by what was withheld (None: no gap there to speak of); remaining: rms in `unit`
+    above the instrument's noise after the effects, and the probability that noise alone leaves as much."""
 
     name: str
     unit: str
@@ -26,13 +27,15 @@ class SignalGap:
     after: Array
     shrinkage: Shrinkage | None
     extrapolation: tuple[tuple[str, float | None], ...]
+    remaining: Remaining
     baseline: Channel
     corrected: Channel
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Diagnosis of a data set with the gap of every signal, what to measure next, what cannot be seen, seconds by phase."""
+    """Diagnosis of a data set with the gap of every signal, what to measure next, what cannot be seen, seconds by phase; written:
+    named effects that the corrected cell holds."""
 
     data: DataSet
     diagnosis: Diagnosis
@@ -41,6 +44,19 @@ class Answer:
     blind: tuple[str, ...]
     notices: tuple[str, ...]
     seconds: dict[str, float]
+    written: tuple[Active, ...] = ()
+
+
+def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, ...]:
+    """Named effects that do no harm: every signal which shows one, and has a gap to speak of, promises with the low end of its
+    interval above zero that the gap shrinks; one at least does."""
+    found = []
+    for one in diagnosis.active:
+        shown = [g.shrinkage for g in gaps if g.corrected.variants(one.effect, one.joint, [one.scanned])]
+        told = [promise.low > 0.0 for promise in shown if promise is not None]
+        if told and all(told):
+            found.append(one)
+    return tuple(found)
 
 
 def figures(sizes: Array) -> dict[str, float]:

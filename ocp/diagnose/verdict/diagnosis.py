@@ -68,14 +68,17 @@ def _thinned(channel: Channel, most: int) -> Channel:
 
 
 def _unmasked(found: Diagnosis, earlier: Sequence[tuple[Name, str]], reasons: Sequence[str], enough: bool) -> Diagnosis:
-    """Findings without the impostors that earlier rounds showed: what they fitted so well is there all the same, and most of the
-    probability goes to 'none of these' unless what is left is `enough`, as good without them."""
+    """Findings without the impostors that earlier rounds showed: what they fitted so well is there all the same, unless what is
+    left is `enough`, as good without them."""
     impostors = tuple(dict(earlier).items())
-    share = 0.0 if found.impostors or enough else rules.SUSPECT  # the last round has moved its own
-    moved = share * (1.0 - found.p_none - found.p_unknown)
-    explanations = tuple(replace(e, probability=(1.0 - share) * e.probability) for e in found.explanations)
+    unknown = found.p_unknown if found.impostors or enough else suspected_unknown(found.p_unknown)  # the last round's is in it
     whys = tuple(dict.fromkeys((*reasons, *found.unknown_reasons)))
-    return replace(found, explanations=explanations, p_unknown=found.p_unknown + moved, impostors=impostors, unknown_reasons=whys)
+    return replace(found, p_unknown=unknown, impostors=impostors, unknown_reasons=whys)
+
+
+def suspected_unknown(p_unknown: float) -> float:
+    """Probability of something outside the catalogue where a name was shown to stand for something else (`SUSPECT`)."""
+    return 1.0 - (1.0 - p_unknown) * (1.0 - rules.SUSPECT)
 
 
 def findings(
@@ -101,7 +104,8 @@ def findings(
     classes = classes_of(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
     judgement = judged(baseline, problem, channels, active, signatures, options.folds, refused)
     doubts, hurting = [*failed, *judgement.doubts], [(n, f"hurts where {f} is left out") for n, f in judgement.impostors]
-    probability, p_unknown = doubted(found, best, bool(doubts or judgement.hurt), judgement.relieved)
+    rejected = bool(failed or judgement.hurt or judgement.relieved)
+    probability, p_none, p_unknown = doubted(found, best, rejected, judgement.relieved)
     if judgement.relieved:
         ranked = tuple(replace(r, probability=(1.0 - rules.SUSPECT) * r.probability) for r in ranked)
     nothing, all_of_it = given(problem.pool, ()), problem.taken(search.sets[search.best()[0]])
@@ -111,10 +115,11 @@ def findings(
         explanations=explanations(probability, found, classes),
         ranking=ranked,
         active=judgement.remaining,
-        p_none=found.p_none,
+        p_none=p_none,
         p_unknown=p_unknown,
         classes=classes,
-        location=place(problem, found, active, signatures, p_unknown, tests),
+        location=place(problem, found, active, signatures, tests),
+        remainder=place(problem, found, (), (), after) if p_unknown > rules.LEADS else of_tests(after),
         budget=tuple(budget(problem, tests, all_of_it)),
         kernels=tuple(tests),
         left_over=tuple(after),
@@ -127,21 +132,14 @@ def findings(
         channels=judgement.channels,
         held_out=judgement.held_out,
         alternatives=alternatives(
-            problem, search, found, ExplanationWeights(probability, found.p_none, p_unknown), (weighed, best), judgement.remaining
+            problem, search, found, ExplanationWeights(probability, p_none), (weighed, best), judgement.remaining
         ),
     )
 
 
 def leader(search: Search, found: Posterior) -> tuple[Weighed, Names]:
-    """The set whose effects are accepted and its explanation: the best of those that lead (none, none of these with whatever is
-    named beside the unknown, or the most probable explanation)."""
+    """The set whose effects are accepted and its explanation: none, or the most probable one."""
     names = max(found.probability, key=lambda n: found.probability[n], default=())
-    if found.p_unknown > rules.LEADS:
-        keys = [k for k in search.sets if search.kernel[list(k)].any()]
-        best = search.sets[max(keys, key=lambda k: search.sets[k].log)]
-        families = search.pool.families
-        sure = tuple(m for m in best.members if found.gain.get(families[m.family].name, np.inf) > rules.SURE_BESIDE_UNKNOWN)
-        return replace(best, members=sure), ()
     if not names or found.p_none >= found.probability[names]:
         return Weighed(0.0, ()), ()
     return search.sets[found.best[names]], names
@@ -203,12 +201,14 @@ def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) 
     return merged([(name, *twins(problem, weighed, member, signature(problem, weighed, ranked[0].active)))])
 
 
-def doubted(found: Posterior, best: Names, suspect: bool, every: bool = False) -> tuple[dict[Names, float], float]:
-    """Probabilities of explanations and p_unknown, with what speaks against the best one (or against `every` one) moved over."""
-    if not suspect or not best:
-        return dict(found.probability), found.p_unknown
+def doubted(found: Posterior, best: Names, rejected: bool, every: bool = False) -> tuple[dict[Names, float], float, float]:
+    """Probabilities of explanations, p_none and p_unknown; where a left-out condition (or the registration, `every` one) rejects
+    the best one, most of it is none of its names, and something else is there."""
+    if not rejected or not best:
+        return dict(found.probability), found.p_none, found.p_unknown
     moved = {n: rules.SUSPECT * p if every or n == best else 0.0 for n, p in found.probability.items()}
-    return {n: p - moved[n] for n, p in found.probability.items()}, found.p_unknown + sum(moved.values())
+    kept = {n: p - moved[n] for n, p in found.probability.items()}
+    return kept, found.p_none + sum(moved.values()), suspected_unknown(found.p_unknown)
 
 
 def explanations(
@@ -238,18 +238,13 @@ def ranking(problem: Linearisation, search: Search, found: Posterior) -> tuple[R
 
 
 def place(
-    problem: Linearisation,
-    found: Posterior,
-    active: Sequence[Active],
-    signatures: Sequence[Array],
-    p_unknown: float,
-    tests: list[KernelTest],
+    problem: Linearisation, found: Posterior, active: Sequence[Active], signatures: Sequence[Array], tests: list[KernelTest]
 ) -> Location | None:
     """Of the largest named effect, else of the kernel that best stands for an unknown one, else of the tests."""
-    if active and p_unknown < rules.LEADS:
+    if active:
         k = int(np.argmax([d @ d for d in signatures]))
         return of_effect(problem, active[k].effect, active[k].joint, signatures[k])
-    if found.where and found.p_unknown > found.p_none:
+    if found.where and found.p_unknown > rules.LEADS:
         joints = defaultdict[int, float](float)
         for name, p in found.where.items():
             joints[name.joint] += p

@@ -31,10 +31,10 @@ Names = tuple[Name, ...]
 
 @dataclass(frozen=True)
 class Posterior:
-    """Probability and log weight (best of its sets) by explanation (names from the library); p_none; p_unknown: sets that need a
-    kernel; where: kernels' shares of p_unknown by name; marginal by name (beside a kernel only half, unless sure); gain: best
-    log weight with a name less best without it and without what stands for it in the background; best: the key of the best set
-    of every explanation."""
+    """Probability and log weight (best of its sets) by explanation (names from the library, kernels summed out); p_none: no name
+    is in; p_unknown: a kernel is in, with names or without; where: kernels' shares of p_unknown by name; marginal by name; gain:
+    best log weight with a name less best without it and without what stands for it in the background; best: the key of the best
+    set of every explanation."""
 
     probability: dict[Names, float]
     log: dict[Names, float]
@@ -47,14 +47,14 @@ class Posterior:
 
 
 def posterior(problem: Linearisation, search: Search) -> Posterior:
-    """Background lines are summed over: they explain without being named."""
+    """Background lines and kernels are summed over: they explain without being named."""
     keys = list(search.sets)
     log = np.array([search.sets[k].log for k in keys])
     share = np.exp(log - log.max())
     share /= share.sum()
     families = problem.pool.families
     probability = defaultdict[Names, float](float)
-    where, marginal, beside_strange = (defaultdict[Name, float](float) for _ in range(3))
+    where, marginal = (defaultdict[Name, float](float) for _ in range(2))
     best: dict[Names, Key] = {}
     weight: dict[Names, float] = {}
     p_none = p_unknown = 0.0
@@ -63,21 +63,19 @@ def posterior(problem: Linearisation, search: Search) -> Posterior:
         named = tuple(sorted(families[f].name for f in key if families[f].effect is not None))
         strange = [families[f].name for f in key if families[f].effect is None and not families[f].background]
         for name in named:
-            (beside_strange if strange else marginal)[name] += float(p)
+            marginal[name] += float(p)
             with_name[name] = max(with_name.get(name, -np.inf), float(w))
-        if strange:
-            p_unknown += float(p)
-            where[strange[0]] += float(p)
-        elif not named:
+        p_unknown += float(p) if strange else 0.0
+        for name in strange:
+            where[name] += float(p)
+        if not named:
             p_none += float(p)
-        else:
-            probability[named] += float(p)
-            if named not in best or w > weight[named]:
-                best[named], weight[named] = key, float(w)
+            continue
+        probability[named] += float(p)
+        if named not in best or w > weight[named]:
+            best[named], weight[named] = key, float(w)
     gain = {name: w - max(_without(name, problem, search), 0.0) for name, w in with_name.items()}
-    for name, p in beside_strange.items():
-        marginal[name] += p * (1.0 if gain[name] > rules.SURE_BESIDE_UNKNOWN else rules.NAME_BESIDE_UNKNOWN)
-    return Posterior(probability, weight, p_none, p_unknown, where, marginal, gain, best)
+    return Posterior(probability, weight, min(p_none, 1.0), min(p_unknown, 1.0), where, marginal, gain, best)
 
 
 def _without(name: Name, problem: Linearisation, search: Search) -> float:
@@ -155,11 +153,10 @@ def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:
 
 @dataclass(frozen=True)
 class ExplanationWeights:
-    """Probabilities of explanations by their names, of none, and of none of these."""
+    """Probabilities of explanations by their names, and of none."""
 
     explanations: Mapping[Names, float]
     none: float
-    unknown: float
 
 
 def alternatives(
@@ -178,13 +175,7 @@ def alternatives(
     listed: list[Alternative] = []
     if not active:
         return (Alternative(1.0, ()),)
-    if names:
-        whole = weights.explanations.get(names, 0.0)
-        listed += _variants(problem, weighed, active, whole)
-        listed.append(Alternative(weights.unknown, ()))
-    else:  # what is sure beside an effect outside the catalogue, which it may still imitate in part
-        listed += _variants(problem, weighed, active, rules.RIGHT_BESIDE_UNKNOWN * weights.unknown)
-        listed.append(Alternative((1.0 - rules.RIGHT_BESIDE_UNKNOWN) * weights.unknown, ()))
+    listed += _variants(problem, weighed, active, weights.explanations.get(names, 0.0))
     listed.append(Alternative(weights.none, ()))
     for other, p in sorted(weights.explanations.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED + 1]:
         if other != names and p >= rules.FOLLOWED:

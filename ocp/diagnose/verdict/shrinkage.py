@@ -83,8 +83,7 @@ def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: in
         off = (errors @ g.errors.reshape(3 * n, -1).T).reshape(-1, n, 3)
         rows = share[:, None] * rng.dirichlet(np.ones(n), DRAWS)  # postures drawn anew (Rubin 1981, the Bayesian bootstrap)
         joints = lasting @ g.joints.T
-        expected = np.tensordot(new.probability, g.moved, 1)
-        after += np.sum(rows * (np.sum((expected - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
+        after += np.sum(rows * (np.sum((g.moved[0] - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
         before += np.sum(rows * (np.sum((off - g.moved[true]) ** 2, axis=2) + joints), axis=1)
     each = [np.einsum("nij,jk,nik->n", g.errors, new.covariance, g.errors, optimize=True).mean() for g in new.groups]
     rest = _unexplained(held, float(np.mean(each)), rng)  # their mean: what the parameters' errors leave, m^2
