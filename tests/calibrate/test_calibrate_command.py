@@ -1,7 +1,6 @@
 """`python -m ocp.calibrate` as a user meets it: what it writes, what it refuses, and that the planner takes it."""
 
 import csv
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp.calibrate.__main__ import app
 from ocp.model.cell import read_cell
 from ocp.model.theta import NAMES, believed_theta
 from robots.calibration.store import read_calibration
 from robots.tracker_readings import Readings
 from tests.support.simulated_campaign import campaign_readings, measured, random_truth
-from tests.support.small_plan import ROOT, TEXT, tree
+from tests.support.small_plan import TEXT, Told, called, environment, tree
 
 
 def write_readings(path: Path, readings: Readings, sealed: bool = False) -> None:
@@ -42,23 +42,23 @@ def folder_with_campaign(folder: Path, n: int = 45) -> Path:
     return folder
 
 
-def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "ocp.calibrate", *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=280)
+def run(folder: Path, *arguments: str) -> Told:
+    return called(app, folder, *arguments)
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
     folder = folder_with_campaign(tmp_path_factory.mktemp("campaign"))
-    return folder, run(folder, "tracker.csv", "--cell", "cell.toml")
+    command = [sys.executable, "-m", "ocp.calibrate", "tracker.csv", "--cell", "cell.toml"]
+    told = subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=280)
+    return folder, Told(told.returncode, told.stdout, told.stderr)
 
 
 def test_the_last_line_says_what_came_out(done):
     folder, told = done
-    assert told.returncode == 0, told.stderr
-    assert told.stdout.count("\n") == 1 and told.stdout.startswith("calibration: 45 readings by method full")
-    assert all(line.startswith("note: ") for line in told.stderr.splitlines())
+    assert told.code == 0, told.err
+    assert told.out.count("\n") == 1 and told.out.startswith("calibration: 45 readings by method full")
+    assert all(line.startswith("note: ") for line in told.err.splitlines())
     names = {p.name for p in (folder / "calibration").iterdir()}
     assert names == {
         ".written.json",
@@ -94,16 +94,16 @@ def test_blind_predictions_are_near_the_truth_in_the_order_of_the_file(done):
 def test_equal_inputs_give_equal_bytes(done):
     folder = done[0]
     told = run(folder, "tracker.csv", "--cell", "cell.toml", "--out", "again")
-    assert told.returncode == 0, told.stderr
+    assert told.code == 0, told.err
     assert tree(folder / "again") == tree(folder / "calibration")
 
 
 def refused(folder: Path, *arguments: str) -> str:
     before = tree(folder)
     told = run(folder, *arguments)
-    assert told.returncode == 2 and told.stdout == "" and tree(folder) == before, told
-    assert told.stderr.count("\n") == 1 and told.stderr.startswith("refused: "), told.stderr
-    return told.stderr
+    assert told.code == 2 and told.out == "" and tree(folder) == before, told
+    assert told.err.count("\n") == 1 and told.err.startswith("refused: "), told.err
+    return told.err
 
 
 def test_bad_input_is_one_sentence_and_nothing_is_written(tmp_path):
@@ -122,7 +122,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(tmp_path):
 def test_a_method_that_gains_nothing_is_written_and_says_so(tmp_path):
     folder = folder_with_campaign(tmp_path)
     told = run(folder, "tracker.csv", "--cell", "cell.toml", "--method", "relative-literal")
-    assert told.returncode == 0 and "Nothing gained" in told.stdout, told
+    assert told.code == 0 and "Nothing gained" in told.out, told
     assert (folder / "calibration" / "predictions_tracker.csv").is_file()
 
 

@@ -15,6 +15,7 @@ from ocp.effects.cell_effects import effect_of
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.cell import Cell, RunConditions, read_cell
 from ocp.model.theta import believed_theta, with_effects
+from ocp.plan.__main__ import app
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.posture import find_seeds
 from ocp.plan.passes.problem import WINDOW, PassProblem, approach_signs, with_direction
@@ -24,7 +25,7 @@ from ocp.plan.second_route import BelievedRobot, moved_arm
 from robots.reference_kinematics import elementary_forward
 from tests.plan.test_optimal_control import BAR
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
-from tests.support.small_plan import STEP, planned, refused, small_cell
+from tests.support.small_plan import STEP, called, refused, small_cell
 from trajectories.passes import reversed_path
 
 ARM = (
@@ -206,7 +207,7 @@ def test_the_command_plans_a_corrected_cell_and_its_text_holds_the_force(tmp_pat
         '[[effects]]\neffect = "wheel_wear"\nm_per_s = 2e-7\n[conditions]\nclock_s = 900\ntemperature_C = 27.0\n'
     )
     file.write_text(text)
-    told = planned(tmp_path, "--cell", "cell.toml", *STEP)
+    told = called(app, tmp_path, "--cell", "cell.toml", *STEP)
     assert told.code == 0, told.err
     summary = json.loads((tmp_path / "plan" / "plan.json").read_text())
     assert summary["status"] == "safe" and summary["force_error_N"] < 0.1

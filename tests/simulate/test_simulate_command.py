@@ -1,8 +1,6 @@
 """`python -m ocp.simulate` as a user starts it: a small plan on virtual cells, what it writes, what it refuses."""
 
-import contextlib
 import csv
-import io
 import json
 import re
 import shutil
@@ -12,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import CELL
@@ -23,7 +20,7 @@ from ocp.simulate.twin.truth import draw_truth
 from ocp.update.removal import on_blade, read_removal
 from robots.kinematics import forward
 from tests.support.geometry_robot import write_geometry_robot
-from tests.support.small_plan import Told, environment, small_cell, tree
+from tests.support.small_plan import Told, called, environment, small_cell, tree
 
 COLUMNS = {
     "s_mm",
@@ -43,12 +40,7 @@ COLUMNS = {
 
 def simulated(*arguments: str) -> Told:
     """The command in this process: meshes and wheels that one run solved serve the next."""
-    err = io.StringIO()
-    with contextlib.redirect_stderr(err):
-        result = CliRunner().invoke(app, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return Told(result.exit_code, result.stdout, result.stderr or err.getvalue())
+    return called(app, Path.cwd(), *arguments)
 
 
 def one_sentence(told: Told, code: int, says: str) -> None:

@@ -10,6 +10,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import typer
 from typer.testing import CliRunner
 
 from ocp.data import BLADE, CELL
@@ -74,14 +75,19 @@ def planned(folder: Path, *arguments: str) -> Told:
     return Told(process.returncode, out, err)
 
 
-def refused(*arguments: str) -> Told:
-    """Run the command in this process: for what is refused before any work is done."""
+def called(app: typer.Typer, folder: Path, *arguments: object) -> Told:
+    """Run a command in this process, in `folder`: nothing is imported anew, and what one run solved serves the next."""
     err = io.StringIO()
-    with contextlib.redirect_stderr(err):
-        result = CliRunner().invoke(app, [*arguments])
+    with contextlib.chdir(folder), contextlib.redirect_stderr(err):
+        result = CliRunner().invoke(app, [str(a) for a in arguments])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return Told(result.exit_code, result.stdout, result.stderr or err.getvalue())
+
+
+def refused(*arguments: str) -> Told:
+    """The planning command in this process and folder: for what is refused before any work is done."""
+    return called(app, Path.cwd(), *arguments)
 
 
 def tree(folder: Path) -> dict[str, bytes]:

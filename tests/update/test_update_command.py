@@ -1,7 +1,6 @@
 """`python -m ocp.update` as a user meets it: what it writes, that other commands read it, what it refuses."""
 
 import csv
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,12 +14,13 @@ from ocp.calibrate.force.fit import FIT_NAMES
 from ocp.model.cell import read_cell
 from ocp.model.theta import believed_theta, registered
 from ocp.plan.paths import PlanOptions, lay_paths
+from ocp.update.__main__ import app
 from robots.calibration.store import read_calibration, write_calibration
 from robots.errors import BadInput
 from robots.pose import make_transform
 from tests.support.all_postures import inverse_all
 from tests.support.force_world import HEADER, arm_posterior, correlated, write_log
-from tests.support.small_plan import ROOT, small_cell, tree
+from tests.support.small_plan import called, environment, small_cell, tree
 
 OVERLAP = 0.55e-3  # m that brings about 20 N on this wheel
 STATED = ("[robot]\n", '[robot]\ncalibration = "calibration.toml"\n')
@@ -73,10 +73,8 @@ def done(tmp_path_factory):
 
 
 def told(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-    return subprocess.run(
-        [sys.executable, "-m", "ocp.update", *arguments], cwd=folder, env=environment, capture_output=True, text=True, timeout=280
-    )
+    command = [sys.executable, "-m", "ocp.update", *arguments]
+    return subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=280)
 
 
 def test_the_folder_holds_cell_calibration_and_report(done):
@@ -148,9 +146,9 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(done, tmp_path):
         ((str(spoilt(tmp_path, done, "force.csv", "fn_N", "fm_N")), "--cell", cell), "fn_N"),
     ]
     for arguments, said in cases:
-        answer = told(tmp_path, *arguments)
-        assert answer.returncode == 2 and answer.stdout == "", (arguments, answer.stderr)
-        assert said in answer.stderr and answer.stderr.count("\n") == 1, answer.stderr
+        answer = called(app, tmp_path, *arguments)
+        assert answer.code == 2 and answer.out == "", (arguments, answer.err)
+        assert said in answer.err and answer.err.count("\n") == 1, answer.err
         assert not (tmp_path / "update").exists()
 
 
@@ -165,9 +163,9 @@ def test_a_log_that_cannot_be_of_this_cell_is_said(done, tmp_path):
         writer = csv.DictWriter(out, rows[0])
         writer.writeheader()
         writer.writerows(rows)
-    answer = told(tmp_path, "off.csv", "--cell", str(done.folder / "second" / "cell.toml"))
-    assert answer.returncode == 1 and answer.stderr.startswith("not updated, nothing written"), answer.stderr
-    assert "cannot have come from the cell as last known" in answer.stderr and not (tmp_path / "update").exists()
+    answer = called(app, tmp_path, "off.csv", "--cell", done.folder / "second" / "cell.toml")
+    assert answer.code == 1 and answer.err.startswith("not updated, nothing written"), answer.err
+    assert "cannot have come from the cell as last known" in answer.err and not (tmp_path / "update").exists()
     told_so = told(tmp_path, "off.csv", "--cell", str(done.folder / "second" / "cell.toml"), "--changed", "wheel")
     assert told_so.returncode == 0, told_so.stderr
     assert told_so.stdout.startswith("update: ") and told_so.stdout.count("\n") == 1

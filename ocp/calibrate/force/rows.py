@@ -25,7 +25,7 @@ from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, Workpiece
 from ocp.model.prepare import typical_patch, wheel_cover
 from ocp.plan.paths import surface_cloud
-from ocp.shell.processes import interrupts_held_back, nothing, workers
+from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
 from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array
@@ -222,8 +222,8 @@ def _cuts(logs: Sequence[ForceLog]) -> NDArray[np.int64]:
 
 
 def _side_by_side(task: StationsTask, law: Callable[[], WheelLaw]) -> tuple[WheelLaw, Stations]:
-    """The wheel's law and the blade's stations, in two processes unless the stations are on disk."""
-    if task.known:
+    """The wheel's law and the blade's stations, in two processes unless the stations are on disk or there is one core."""
+    if task.known or cores() == 1:
         return law(), task.solve()
     with workers(1, nothing) as pool:
         with interrupts_held_back():
