@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from ocp.data import BLADE
+from ocp.plan.__main__ import app
 from ocp.shell.output import MARKER, write_marker
 from robots.robot import load_robot
 from tests.support import small_plan
-from tests.support.small_plan import STEP, planned, refused, small_cell, tree
+from tests.support.small_plan import STEP, called, planned, refused, small_cell, tree
 from trajectories.krl.checks import check_program
 
 COLUMNS = (
@@ -29,7 +30,7 @@ INJECTED = "x(); $OV_PRO=100 ;.stl"
 
 
 @pytest.fixture(scope="module")
-def small(small_plan_copy, every_core):
+def small(small_plan_copy):
     """Folder in which the small plan was made, and what the command said."""
     return small_plan_copy
 
@@ -158,7 +159,7 @@ def test_a_second_run_writes_the_same_bytes(small):
 def test_a_blade_named_like_a_statement_gives_a_harmless_cartesian_program(small, tmp_path):
     cell = small_cell(tmp_path, blade=False)
     shutil.copy(BLADE, tmp_path / INJECTED)
-    told = planned(tmp_path, INJECTED, "--cell", cell.name, *STEP, "--kind", "cartesian")
+    told = called(app, tmp_path, INJECTED, "--cell", cell.name, *STEP, "--kind", "cartesian")
     assert told.code == 0, told.err
     checked(tmp_path / "plan")
     programs = [p for p in (tmp_path / "plan").iterdir() if p.suffix in (".src", ".dat")]
@@ -185,7 +186,7 @@ def test_classic_lines_replace_an_old_folder_only_when_asked(small, tmp_path):
     (tmp_path / "plan" / "notes.txt").write_text("mine")
     assert "notes.txt" in one_sentence(refused("--cell", str(cell), "--out", str(tmp_path / "plan"), "--overwrite"), 2)
     (tmp_path / "plan" / "notes.txt").unlink()
-    told = planned(tmp_path, "--cell", cell.name, *STEP, "--kind", "lin", "--overwrite")
+    told = called(app, tmp_path, "--cell", cell.name, *STEP, "--kind", "lin", "--overwrite")
     assert told.code == 0, told.err
     checked(tmp_path / "plan")
     assert not (tmp_path / "plan" / "old.txt").exists()
@@ -232,7 +233,7 @@ def workers(session: int) -> list[str]:
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
 @pytest.mark.parametrize("moment", ["while workers are at it", "while the folder is written"])
-def test_an_interrupt_leaves_nothing_behind(small, tmp_path, moment):
+def test_an_interrupt_leaves_nothing_behind(small, tmp_path, moment, every_core):
     cell = small_cell(tmp_path)
     process = small_plan.started(tmp_path, "--cell", cell.name, *STEP)
     end = time.monotonic() + 120

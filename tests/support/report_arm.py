@@ -92,8 +92,8 @@ def _joints(poses: Array, q: Array) -> Array:
     q = np.broadcast_to(q, (len(poses), 6)).copy()
 
     def error(q: Array) -> Array:
-        delta = poses @ invert(elementary_arm(q)[..., 6, :, :])
-        R, p = delta[..., :3, :3], poses[..., :3, 3] - elementary_arm(q)[..., 6, :3, 3]
+        flange = elementary_arm(q)[..., 6, :, :]
+        R, p = (poses @ invert(flange))[..., :3, :3], poses[..., :3, 3] - flange[..., :3, 3]
         turn = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
         return np.concatenate([p, turn / 2], axis=-1)
 
@@ -103,6 +103,8 @@ def _joints(poses: Array, q: Array) -> Array:
         damped = np.swapaxes(jacobian, -1, -2) @ jacobian + 1e-5 * np.eye(6)
         step = np.linalg.solve(damped, (np.swapaxes(jacobian, -1, -2) @ base[..., None]))[..., 0]
         q -= np.clip(step, -0.2, 0.2)
+        if np.abs(step).max() < 1e-9:
+            break
     return q
 
 
