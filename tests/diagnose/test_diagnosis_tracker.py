@@ -7,6 +7,7 @@ import pytest
 
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.rules import QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import tracker_folds
 from ocp.diagnose.tracker.motion import link_torques, weighed_links
@@ -126,6 +127,15 @@ def test_weights_that_no_catalogue_knows_are_neither_named_nor_left():
     sealed = c.predict(new, ())
     off = (sealed.baseline - points(new)) / sealed.sigma
     assert np.sqrt(np.mean(off**2)) < 1.0
+
+
+@pytest.mark.parametrize("quiet, named", [(QUIET, True), (2.0, False)])
+def test_a_small_ripple_stands_out_where_all_other_gears_are_quiet(quiet, named, monkeypatch):
+    """18 urad, below the usual range, in one gear; for any gear's ripple where the others were not asked."""
+    monkeypatch.setattr("ocp.diagnose.engine.linearisation.QUIET", quiet)
+    readings, _ = world(21, lambda r: column(2, 1.8e-5 * np.cos(52 * r.q[:, 1] + 0.5)), n=250)
+    found = diagnosed(readings, where=False)
+    assert ({Name(*a.key) for a in found.active} == {Name("gear_harmonic", 2)}) == named, found.ranking[:2]
 
 
 def test_torques_of_weights_are_those_of_other_links():

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -11,9 +12,21 @@ from ocp.diagnose.engine.channel_system import Channel, scan_key
 from ocp.diagnose.engine.evidence import SIZES, Rival, Stack, coefficients_given, size_grid, stack
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
-from ocp.diagnose.rules import BACKGROUND_PLAY, BACKGROUND_RIPPLE, BROKEN_ORDER_ODDS, PLAY_ODDS, RIPPLE_ODDS, SEEN_LAMBDA
+from ocp.diagnose.rules import BACKGROUND_PLAY, BACKGROUND_RIPPLE, BROKEN_ORDER_ODDS, PLAY_ODDS, QUIET, RIPPLE_ODDS, SEEN_LAMBDA
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
+
+Ripples = tuple[Array, Array]
+"""Sizes (s,) rad of a gear's ripple, and posterior (6, s) of that of each joint from what the other joints show."""
+
+
+@runtime_checkable
+class Geared(Protocol):
+    """A channel that shows the ripple of all gears."""
+
+    @property
+    def ripples(self) -> Ripples:
+        """About the current fit."""
 
 
 def names_of(library: Mapping[str, Effect], options: Options) -> list[tuple[Effect, int]]:
@@ -63,8 +76,11 @@ def play(found: Sequence[Candidate], stack: Stack) -> list[Family]:
     return [Family(Name("~play"), None, ({},), projected, np.ones(m), BACKGROUND_PLAY, positive, odds, background=True)]
 
 
-def library_families(found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]]) -> list[Family]:
-    """Families with projected columns; ripples of many orders with a twin each that stays in the background. active: effects
+def library_families(
+    found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]], ripples: Ripples | None = None
+) -> list[Family]:
+    """Families with projected columns; ripples of many orders with a twin each that stays in the background, of the size that the
+    other gears show (`ripples`). active: effects
     that the channels hold, candidates whether or not the noise of that fit still lets their usual size be seen: what was
     accepted must be weighed, and may be dropped."""
     families = []
@@ -83,10 +99,21 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options,
         family = Family(name, c.effect, scans, seen * scale, scale, sizes, positive_of(c.effect), odds, among=c.among)
         families.append(family)
         if has_twin(c.effect, c.joint, scans):
-            small = np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(c.effect, scans))
+            small = usual_ripple(c, ripples)
             twin, odds = Name(f"~{c.effect.name}", c.joint), float(np.log(RIPPLE_ODDS))
             families.append(replace(family, name=twin, effect=None, sizes=small, log_odds=odds, background=True))
     return families + play(found, stack)
+
+
+def usual_ripple(c: Candidate, ripples: Ripples | None) -> Array:
+    """Sizes (T,) as shares of the upper end of what a gear may have without being named: what is usual, unless the other gears of
+    this machine are surely (`QUIET`) below it. Where they are, one that is not stands out."""
+    usual = np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(c.effect, c.scans))
+    if ripples is None:
+        return usual
+    sizes, weight = ripples
+    at = int(np.searchsorted(np.cumsum(weight[c.joint - 1]), QUIET))
+    return np.minimum(usual, max(sizes[min(at, len(sizes) - 1)], sizes[1]) / c.effect.prior_sd[0])
 
 
 def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | None:
@@ -202,7 +229,9 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
     back = np.concatenate([put_back([c], c.active) for c in channels])
     found = candidates(channels, library, options)
     stacked = stack(tuple(channels), back)
-    families = library_families(found, stacked, options, {a.key for c in channels for a in c.active})
+    held = {a.key for c in channels for a in c.active}
+    ripples = next((c.ripples for c in channels if isinstance(c, Geared)), None)
+    families = library_families(found, stacked, options, held, ripples)
     families += kernel_families(channels, stacked, options)
     return Linearisation(tuple(channels), stacked, make_pool(stacked.y, stacked.freedom, families))
 

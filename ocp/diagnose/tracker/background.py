@@ -31,9 +31,11 @@ _SHARES = (np.arange(200) + 0.5) / 200
 
 @dataclass(frozen=True)
 class Background:
-    """Lasting joint errors: draws (k, 6) of each joint's mean square rad^2 from the posterior."""
+    """Lasting joint errors: draws (k, 6) of each joint's mean square rad^2 from the posterior; others (6, s): posterior of the
+    ripple's size on `BACKGROUND_SIZES` that the other five joints show, what is believed of one before it is looked at."""
 
     draws: Array
+    others: Array
 
     @property
     def mean(self) -> Array:
@@ -55,8 +57,9 @@ def background(task: Task, fit: TrackerFit, seed: int = 0) -> Background:
         mean, draws = _play(play, y / _scale(y, projection), rng)
         found += draws**2
         y = y - _scale(y, projection) * (play @ mean)
-    found += 0.5 * _ripple(task.campaign.readings.q[rows], columns, projection, y, rng)
-    return Background(found + _other(task, fit, found, np.sum(D**2, axis=(0, 1)), rng)[:, None])
+    squares, others = _ripple(task.campaign.readings.q[rows], columns, projection, y, rng)
+    found += 0.5 * squares
+    return Background(found + _other(task, fit, found, np.sum(D**2, axis=(0, 1)), rng)[:, None], others)
 
 
 def _projected(task: Task, fit: TrackerFit, rows: Index) -> tuple[Array, Array, Projection]:
@@ -108,12 +111,12 @@ class _Line:
     G: Array
 
 
-def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.random.Generator) -> Array:
-    """Draws (k, 6) of squared amplitudes rad^2, one wave a joint."""
+def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Draws (k, 6) of squared amplitudes rad^2, one wave a joint; posterior (6, s) of their size from the other joints."""
     scale = _scale(y, projection)
     y = y / scale
     lines = [_line(q[:, j], columns[:, j], projection, scale) for j in range(6)]
-    log, draws = [0.0], [np.zeros((DRAWS, 6))]
+    log, draws = [np.zeros(6)], [np.zeros((DRAWS, 6))]
     for size in BACKGROUND_SIZES[1:]:
         means = np.zeros((6, len(y)))
         squares = np.zeros((DRAWS, 6))
@@ -126,8 +129,10 @@ def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.
                     squares[:, j] = _amplitudes(weight, centre, V, rng)
         draws.append(squares)
         log.append(_evidence(lines, means, y, size))
-    pick = rng.choice(len(BACKGROUND_SIZES), DRAWS, p=_weights(np.array(log)))
-    return np.asarray(np.array(draws)[pick, np.arange(DRAWS)])
+    each = np.array(log)
+    pick = rng.choice(len(BACKGROUND_SIZES), DRAWS, p=_weights(each.sum(axis=1)))
+    others = np.array([_weights(each.sum(axis=1) - each[:, j]) for j in range(6)])
+    return np.asarray(np.array(draws)[pick, np.arange(DRAWS)]), others
 
 
 def _line(q: Array, column: Array, projection: Projection, scale: float) -> _Line:
@@ -151,14 +156,13 @@ def _wave(line: _Line, y: Array, size: float) -> tuple[float, Array, Array, Arra
     return total - float(np.log(len(ORDERS))), np.exp(log - total), mean, V
 
 
-def _evidence(lines: list[_Line], means: Array, y: Array, size: float) -> float:
-    """Log evidence of all six waves over none, one joint after the other, the largest first."""
-    total, rest = 0.0, y
+def _evidence(lines: list[_Line], means: Array, y: Array, size: float) -> Array:
+    """Log evidence (6,) of the six waves over none, one joint after the other, the largest first."""
+    found, rest = np.zeros(len(lines)), y
     for j in np.argsort(-(means**2).sum(axis=1)):
-        log, weight, centre, _ = _wave(lines[j], rest, size)
-        total += log
+        found[j], weight, centre, _ = _wave(lines[j], rest, size)
         rest = rest - lines[j].X @ (weight * centre).ravel()
-    return total
+    return found
 
 
 def _amplitudes(weight: Array, mean: Array, V: Array, rng: np.random.Generator) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant, effects_key, scan_key
-from ocp.diagnose.rules import LEAST_CHANGES
+from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
 from ocp.diagnose.tracker.motion import PlacedReadings, displaced, motion
@@ -73,6 +73,11 @@ class TrackerChannel:
     def background(self) -> Background:
         """What of the joint noise comes back, play and ripple too small to name."""
         return background(self.task, self.fit)
+
+    @property
+    def ripples(self) -> tuple[Array, Array]:
+        """Sizes (s,) rad of a gear's ripple, and what of them (6, s) the other joints show of each."""
+        return BACKGROUND_SIZES, self.background.others
 
     @property
     def noise_floor(self) -> float:
