@@ -170,7 +170,7 @@ PLACEMENT = (1.9e-4, 1.9e-4)  # m, rad of every link's frame
 STIFFNESS, MASS_SD = 0.2, 0.01  # relative: evenly within this, one sigma
 COVER_SD, BLADE_SD, FLANGE_SD, FLANGE_OFFSET_SD = 0.10, 0.05, 0.05, 0.2  # relative, relative, relative, N
 SENSOR_BIAS_SD = 0.2  # N
-PRESTON_SD = 0.2  # relative: belts of one grit, new and worn
+PRESTON_SD = 0.2  # relative, where the cell tells no sd: belts of one grit, new and worn
 # What no calibration finds: gear ripple and play of good gears, drawn evenly up to these; rad (PHYSICS 2.6: a real robot ends
 # at 0.03-0.09 mm).
 RIPPLE, PLAY, REPEATABILITY = 1.5e-5, 1.0e-5, 1.0e-5
@@ -218,6 +218,8 @@ def draw_truth(
     piece, wheel = cell.workpiece, cell.wheel
     unit, axis = _normal(rng["wheel"], 6) * size, wheel.axis
     held = _normal(rng["blade"], 6) * size
+    belt = cell.process.preston or USUAL_PRESTON
+    belt_sd = PRESTON_SD * belt if cell.process.preston_sd is None else cell.process.preston_sd
     factor = np.maximum(1 + size * _normal(rng["factors"], 3) * [COVER_SD, BLADE_SD, FLANGE_SD], 0.3)
     ripple = rng["ripple"].uniform(0, 1, (6, 3)) * [RIPPLE * size, 1.0, 2 * np.pi]
     ripple[:, 1] = rng["ripple"].integers(*RIPPLE_ORDERS, 6)
@@ -238,7 +240,7 @@ def draw_truth(
         **dict(zip(("cover_scale", "blade_scale", "flange_scale"), factor.tolist(), strict=True)),
         flange_offset=float(size * _normal(rng["factors"], 1)[0] * FLANGE_OFFSET_SD),
         sensor_bias=float(size * _normal(rng["sensor"], 1)[0] * SENSOR_BIAS_SD),
-        preston=(cell.process.preston or USUAL_PRESTON) * float(1 + size * _normal(rng["belt"], 1)[0] * PRESTON_SD),
+        preston=max(belt + size * float(_normal(rng["belt"], 1)[0]) * belt_sd, 0.1 * belt),
         outliers=OUTLIERS,
     )
 
