@@ -14,7 +14,7 @@ from ocp.model.cell import read_cell
 from ocp.model.prepare import wheel_cover
 from ocp.simulate.twin.contact.grinder import FAR_APART
 from ocp.simulate.twin.contact.rubber import cover_section, make_rubber, press
-from ocp.simulate.twin.contact.surface import gap, near, postures, wheel_on_blade
+from ocp.simulate.twin.contact.surface import facets, gap, near, postures, wheel_on_blade
 from ocp.simulate.twin.contact.table import LATTICE, LEVELS, SolvedStations, depth_curves, place_stations
 from ocp.simulate.twin.contact.wheel_and_blade import solid_compliance
 from tests.support.small_plan import small_cell
@@ -44,6 +44,41 @@ def paraboloid(rubber, kxx: float, kyy: float) -> Array:
     grid = rubber.grid
     mean = grid.dx**2 / 12, grid.dy**2 / 12  # of x^2 over a cell
     return 0.5 * (kxx * (grid.x[:, None] ** 2 + mean[0]) + kyy * (grid.y[None, :] ** 2 + mean[1]))
+
+
+def tessellated(size: float) -> Blade:
+    """A cap of a ball of 60 mm about -z, looking up, in triangles of about `size` m."""
+    at = np.arange(-0.02, 0.02 + size / 2, size)
+    x, y = (v.ravel() for v in np.meshgrid(at, at, indexing="ij"))
+    k = np.arange(len(x)).reshape(len(at), len(at))
+    a, b, c, d = k[:-1, :-1].ravel(), k[1:, :-1].ravel(), k[1:, 1:].ravel(), k[:-1, 1:].ravel()
+    return Blade(
+        "cap",
+        "",
+        np.column_stack([x, y, np.sqrt(0.06**2 - x**2 - y**2)]),
+        np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])]),
+    )
+
+
+def test_triangles_are_chords_of_a_smooth_blade():
+    """A wheel on a ball: closed form; plain triangles would lie 2 mm * 2 mm / (8 R) = 8 um low between corners."""
+    cells, radius = np.arange(-0.006, 0.0061, 4e-4), 0.04
+    frame = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])  # rows x, axis, e: the wheel stands over the ball
+    found = gap(facets(tessellated(2e-3)), frame, np.array([0, 0, 0.06 + radius]), radius, cells, cells, 4e-4, 4e-4)
+    sine, cosine = np.sin(cells / radius)[:, None], np.cos(cells / radius)[:, None]
+    far = 0.06 + radius  # middle of the ball from the wheel's axis; the ray's first meeting with it
+    true = far * cosine - np.sqrt(0.06**2 - cells[None] ** 2 - (far * sine) ** 2) - radius
+    assert np.abs(found - true).max() < 1e-6
+    corner = facets(replace(tessellated(2e-3), vertices=tessellated(2e-3).vertices * [1, 1, 0] + [0, 0, 0.06]))
+    assert not corner.bulge.any()  # a plane stays one
+
+
+def test_an_edge_stays_an_edge():
+    """The faces of a box meet at right angles: nothing bulges."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]) * 0.01
+    sides = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    faces = np.array([part for a, b, c, d in sides for part in ((a, b, c), (a, c, d))])
+    assert np.abs(facets(Blade("box", "", corners, faces)).bulge).max() < 1e-15
 
 
 @pytest.mark.parametrize("ratio", [0.999, 0.5])

@@ -7,6 +7,15 @@ p + along x - (R - depth) e - across axis  (docs/virtual_grinding.md, eq. 1).
 Rays leave the axis at right angles through sample points of the unrolled wheel (x = radius times angle, y along the axis) and
 meet the triangles exactly; rasterising their outline on (x, y) says which may be met. Where no triangle is met that looks
 at the wheel, the blade has ended.
+
+The blade is smooth, its triangles are chords of it: kinks of a centiradian, every other millimetre, would mark the pressure of a
+rubber by a tenth. Between corners a, b whose normals differ by theta the surface bulges by theta L u v / 2 over its chord of
+length L (a circle, to second order), and over a triangle with barycentric l_i by
+
+    sum over edges of  l_a l_b (n_b - n_a)(x_b - x_a) / 2                                                                 (2)
+
+with normals that the triangles about a corner make, weighted by their angle there (Thuermer and Wuethrich 1998, J. Graphics Tools
+3, 43). Edges sharper than CREASE stay what they are.
 """
 
 from dataclasses import dataclass
@@ -63,15 +72,18 @@ def wheel_on_blade(p: Array, n: Array, t: Array, shape: Array, radius: float) ->
 FACING = 0.2  # smallest cosine between a triangle's outward normal and the wheel for the wheel to touch it
 DEEPEST = 4e-3  # m below the wheel's surface: what is deeper belongs to the other side of the blade
 SUBSAMPLES = 2  # samples across a cell in each direction, at Gauss points: cell means of quadratics are exact
+CREASE = np.radians(30.0)  # between triangles, from which on an edge is one of the blade and no chord's
 EDGE = 1e-6  # of an edge's length: how far outside it a sample counts, so that no crack opens between neighbours
 
 
 @dataclass(frozen=True)
 class Facets:
-    """Triangles of a blade: corners (m, 3, 3) m, outward unit normals (m, 3), a ball around each: middle (m, 3), radius (m,)."""
+    """Triangles of a blade: corners (m, 3, 3) m, outward unit normals (m, 3), a ball around each: middle (m, 3), radius (m,);
+    bulge (m, 3) m: the factor of l_a l_b in eq. 2, of the edges from each corner to the next."""
 
     corners: Array
     normals: Array
+    bulge: Array
     middle: Array
     radius: Array
 
@@ -82,16 +94,35 @@ def facets(blade: Blade) -> Facets:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(normals, axis=1)
     kept = size > 0
-    corners = corners[kept]
+    corners, normals = corners[kept], normals[kept] / size[kept, None]
     middle = corners.mean(axis=1)
     radius = np.linalg.norm(corners - middle[:, None, :], axis=2).max(axis=1)
-    return Facets(corners, normals[kept] / size[kept, None], middle, radius)
+    return Facets(corners, normals, _bulge(corners, normals, blade.faces[kept]), middle, radius)
+
+
+def _bulge(corners: Array, normals: Array, faces: NDArray[np.int64]) -> Array:
+    """`Facets.bulge` (m, 3)."""
+    ahead, behind = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    lengths = np.linalg.norm(ahead, axis=2) * np.linalg.norm(behind, axis=2)
+    angle = np.arccos(np.clip(np.sum(ahead * behind, axis=2) / lengths, -1.0, 1.0)).ravel()
+    # All pairs of triangles that meet in a corner.
+    order = np.argsort(faces.ravel(), kind="stable")
+    count = np.unique(faces, return_counts=True)[1]
+    start = np.repeat(np.cumsum(count) - count, count)
+    times = np.repeat(count, count)
+    one = np.repeat(order, times)
+    other = order[np.repeat(start, times) + np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)]
+    like = np.sum(normals[one // 3] * normals[other // 3], axis=1) > np.cos(CREASE)
+    weight = np.where(like, angle[other], 0.0)
+    smooth = np.column_stack([np.bincount(one, weight * normals[other // 3, k]) for k in range(3)])
+    smooth = (smooth / np.linalg.norm(smooth, axis=1, keepdims=True)).reshape(corners.shape)
+    return np.asarray(0.5 * np.sum((np.roll(smooth, -1, axis=1) - smooth) * ahead, axis=2))
 
 
 def near(surface: Facets, p: Array, reach: float) -> Facets:
     """The triangles that come within `reach` m of p."""
     kept = np.sum((surface.middle - p) ** 2, axis=1) < (surface.radius + reach) ** 2
-    return Facets(surface.corners[kept], surface.normals[kept], surface.middle[kept], surface.radius[kept])
+    return Facets(*(values[kept] for values in vars(surface).values()))
 
 
 def samples(cells: Array, size: float) -> Array:
@@ -109,7 +140,7 @@ def gap(surface: Facets, frame: Array, middle: Array, radius: float, x: Array, y
     looking = surface.normals @ frame[2] < -FACING
     corners = (surface.corners[looking] - middle) @ frame.T
     normals = surface.normals[looking] @ frame.T
-    height = _heights(corners, normals, radius, xs, ys)
+    height = _heights(corners, normals, surface.bulge[looking], radius, xs, ys)
     cells = height.reshape(len(x), SUBSAMPLES, len(y), SUBSAMPLES).transpose(0, 2, 1, 3).reshape(len(x), len(y), -1)
     there = np.isfinite(cells)
     number = there.sum(axis=2)
@@ -117,7 +148,7 @@ def gap(surface: Facets, frame: Array, middle: Array, radius: float, x: Array, y
     return np.where(2 * number > cells.shape[2], mean, np.inf)
 
 
-def _heights(corners: Array, normals: Array, radius: float, xs: Array, ys: Array) -> Array:
+def _heights(corners: Array, normals: Array, bulge: Array, radius: float, xs: Array, ys: Array) -> Array:
     """Height (len(xs), len(ys)) of the lowest triangle met, inf where none is; corners (m, 3, 3) about the wheel's middle."""
     angle = np.arctan2(corners[..., 0], corners[..., 2])
     u, v = radius * angle, corners[..., 1]
@@ -135,14 +166,21 @@ def _heights(corners: Array, normals: Array, radius: float, xs: Array, ys: Array
     down = normals[triangle, 0] * sine[i] + normals[triangle, 2] * cosine[i]
     reach = (facing[triangle] - normals[triangle, 1] * ys[j]) / np.where(down < -FACING, down, np.inf)
     kept = (down < -FACING) & (reach - radius > -DEEPEST)
+    inside = np.zeros((len(triangle), 0))  # barycentric coordinates of the corners before the edges
     for a in range(3):
-        triangle, i, j, reach = triangle[kept], i[kept], j[kept], reach[kept]
+        triangle, i, j, reach, down, inside = (v[kept] for v in (triangle, i, j, reach, down, inside))
         edge = corners[:, (a + 1) % 3] - corners[:, a]
         inward = np.cross(normals, edge)
-        least = np.sum(inward * corners[:, a], axis=1) - EDGE * np.sum(edge**2, axis=1)
+        border = np.sum(inward * corners[:, a], axis=1)
         across, place = inward[triangle], reach * sine[i]
-        kept = across[:, 0] * place + across[:, 1] * ys[j] + across[:, 2] * reach * cosine[i] > least[triangle]
-    i, j, height = i[kept], j[kept], reach[kept] - radius
+        over = across[:, 0] * place + across[:, 1] * ys[j] + across[:, 2] * reach * cosine[i] - border[triangle]
+        tall = np.sum(inward * corners[:, (a + 2) % 3], axis=1) - border
+        kept = over > -EDGE * np.sum(edge**2, axis=1)[triangle]
+        inside = np.column_stack([inside, over / tall[triangle]])
+    triangle, i, j, inside = triangle[kept], i[kept], j[kept], inside[kept]
+    first, second, third = inside[:, 1], inside[:, 2], inside[:, 0]
+    out = np.sum(bulge[triangle] * np.column_stack([first * second, second * third, third * first]), axis=1)
+    height = reach[kept] - radius + out / down[kept]
     lowest = np.full((len(xs), len(ys)), np.inf)
     np.minimum.at(lowest, (i, j), height)
     return lowest

@@ -28,7 +28,7 @@ LATTICE = np.array([2e-3, 1e-3, 1e-2, 2e-2])  # m along, m across, rad tilt, rad
 PROCESS = 4  # level nearest to the process force
 ALONG_STEP = 1e-3  # m for the second derivative along the belt, at PROCESS
 REACH = 1.5  # half-lengths of the largest patch that the window shows
-BATCH = 6  # nodes solved side by side
+BATCH, TOGETHER = 6, 80  # nodes, and single contacts, solved side by side
 PATCH = (1.05, 1.3)  # semi-axes of the patch on the blade's solid, along the feed and across, in those of a Hertz patch
 EDGE_ZONE = 6e-3  # m from the blade's edge inside which it crowds the contact
 SHARP = 50.0  # 1/m: curvature, a radius of 20 mm, at which the blade crowds the contact by half
@@ -36,7 +36,7 @@ ABSENT = 1.0  # m of depth to touch where there is no blade: never reached
 
 
 OTHERS = [0, 2, 3]  # of the lattice's coordinates, those along which the pressure's moments are derivatives
-Node = tuple[Array, Array, Array, Array, float, NDArray[np.float32]]  # one row of `Curves`
+Node = tuple[Array, Array, Array, Array, float]  # one row of `Curves`
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,7 @@ class Curves:
     """Depth m of k nodes at the loads, and how it changes off the lattice point.
 
     value (k, levels); slope (k, levels, 4) in the lattice's coordinates; bend (k, levels, 2): second derivatives along and
-    across, 1/m; mixed (k, levels, 3): of across with OTHERS; crowding (k,): 0 on a flat, 1 at an edge (belt_tension); share
-    (k, nx, ny): of the force, on the cells of the rubber's grid, near the process force; zero where there is no blade.
+    across, 1/m; mixed (k, levels, 3): of across with OTHERS; crowding (k,): 0 on a flat, 1 at an edge (belt_tension).
     """
 
     value: Array
@@ -53,7 +52,6 @@ class Curves:
     bend: Array
     mixed: Array
     crowding: Array
-    share: NDArray[np.float32]
 
     def at(self, index: NDArray[np.int64], off: Array) -> Array:
         """Depth (n, levels) of nodes (n,) at postures `off` (n, 4) from their lattice point."""
@@ -90,6 +88,23 @@ class Tables:
             for k, node in zip(part, self._solve(p[part], n[part], t[part], lattice[part] * LATTICE), strict=True):
                 self.nodes[keys[k]] = node
         return Curves(*(np.array(part) for part in zip(*(self.nodes[key] for key in keys), strict=True)))
+
+    def shares(self, p: Array, n: Array, t: Array, shape: Array) -> NDArray[np.float32]:
+        """Share of the force on the cells of the rubber's grid near the process force (k, nx, ny), at contacts (k, 3) in postures
+        (k, 4) as they are, not on the lattice: on a flat blade a few milliradians move the pressure by millimetres. Zero where
+        there is no blade."""
+        grid, parts = self.rubber.grid, []
+        reach = np.hypot(grid.x[-1], 0.5 * self.rubber.width) + grid.dy
+        for some in np.array_split(np.arange(len(p)), len(p) // TOGETHER + 1):
+            gaps = []
+            for k in some:
+                around = near(self.surface, p[k], reach + np.abs(shape[k, :2]).sum())
+                gaps.append((self._gap(around, p[k], n[k], t[k], shape[k], grid.y), LEVELS[PROCESS]))
+            if gaps:
+                forces = self._press(gaps)[1]
+                parts.append((forces / np.maximum(forces.sum(axis=(0, 1)), 1e-30)).astype(np.float32))
+        empty = np.zeros((len(grid.x), len(grid.y), 0), np.float32)
+        return np.ascontiguousarray(np.concatenate([empty, *parts], axis=2).transpose(2, 0, 1))
 
     def _solve(self, p: Array, n: Array, t: Array, shape: Array) -> list[Node]:
         """Value, slope, bend and crowding of nodes (k, 3), (k, 4)."""
@@ -157,8 +172,7 @@ class Tables:
         bend[:, 0] = 2 * (beside[-1] - value[PROCESS] - slope[PROCESS, 0] * ALONG_STEP) / ALONG_STEP**2
         if not (np.concatenate([value, beside, down, up]) < 0.5 * ABSENT).all():
             slope[:], bend[:], mixed[:] = 0.0, 0.0, 0.0
-        pressed = forces[:, :, PROCESS - 1]
-        return value, slope, bend, mixed, crowding, (pressed / max(pressed.sum(), 1e-30)).astype(np.float32)
+        return value, slope, bend, mixed, crowding
 
     def _moments(self, forces: Array, across: float, levels: Array) -> Array:
         """Derivatives (LEVELS, 3) of the depth in along, tilt, turn: how the moments of the pressure grow with the load. `forces`
@@ -305,16 +319,21 @@ def _line(s: Array, frames: Array) -> tuple[Array, Array]:
 
 
 def contact_patches(tables: Tables, stations: SolvedStations, shape: Array) -> tuple[NDArray[np.float32], Index, Array]:
-    """`Curves.share` of the nearer stations and lattice points (k, nx, ny), which of them each instant has (n,), and where its
-    planned point lies on their grid, along the belt and across (n, 2) m."""
+    """`Tables.shares` of the nearer stations (k, nx, ny), each in the posture of the instant that is nearest to it; which of them
+    each instant has (n,), and where its planned point lies on their grid, along the belt and across (n, 2) m. A station that is
+    passed in different postures counts as several, told apart by the lattice."""
     lattice = np.rint(shape / LATTICE).astype(np.int64)
     side = np.where(stations.share < 0.5, stations.left, stations.right)
-    nodes, index = np.unique(np.concatenate([side[:, None], lattice], axis=1), axis=0, return_inverse=True)
-    at = nodes[:, 0]
-    share = tables.curves(stations.p[at], stations.n[at], stations.t[at], nodes[:, 1:]).share
+    away = np.minimum(stations.share, 1.0 - stations.share)
+    order = np.argsort(away, kind="stable")
+    nodes = np.concatenate([side[:, None], lattice], axis=1)
+    _, first, inside = np.unique(nodes[order], axis=0, return_index=True, return_inverse=True)
+    nearest, index = order[first], np.empty(len(shape), np.int64)
+    index[order] = np.asarray(inside).ravel()
+    at = side[nearest]
+    share = tables.shares(stations.p[at], stations.n[at], stations.t[at], shape[nearest])
     # Along the belt the pressure goes with the wheel, across with the blade's own curvature.
-    place = np.column_stack([-shape[:, 0], lattice[:, 1] * LATTICE[1]])
-    return share, np.asarray(index, np.int64).ravel(), place
+    return share, index, np.column_stack([-shape[:, 0], shape[nearest, 1][index]])
 
 
 def depth_curves(tables: Tables, stations: SolvedStations, shape: Array) -> tuple[Array, Array]:
