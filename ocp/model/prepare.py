@@ -1,5 +1,6 @@
 """What a plan rests on: the wheel's cover and law, the blade's compliance; side by side where there are two cores, and cached."""
 
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -29,8 +30,10 @@ class ContactModel:
     compliance: Compliance
 
 
-def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Phases) -> ContactModel:
-    """Everything that gives way between blade and wheel.
+def prepare_contact(
+    cell: Cell, blade: Blade, paths: list[BladePath], phases: Phases, meanwhile: Callable[[WheelLaw], None] | None = None
+) -> ContactModel:
+    """Everything that gives way between blade and wheel; `meanwhile` is done while the blade is meshed in another process.
 
     Raises BadInput (the blade cannot be meshed or clamped), Infeasible (the blade is too hollow for the wheel).
     """
@@ -52,6 +55,8 @@ def prepare_contact(cell: Cell, blade: Blade, paths: list[BladePath], phases: Ph
             process, lateral = cell.process, min(cell.process.lateral_tolerance, 0.5 * cell.wheel.width)
             domain = Domain(curvature, process.turn_tolerance, lateral, float(np.tan(process.tilt_tolerance)), process.force)
             law = remembered_law(cover, domain)
+        if waiting is not None and meanwhile is not None:
+            meanwhile(law)
         with phases.phase("blade"):
             compliance = blade_compliance(*task) if waiting is None else waiting.result()
     return ContactModel(cover, law, compliance)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.contact.wheel.cover import Cover
+from ocp.contact.wheel.law import WheelLaw
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, floor_notices, read_cell
 from ocp.model.prepare import ContactModel, prepare_contact
@@ -15,7 +16,7 @@ from ocp.model.theta import Theta, registered
 from ocp.plan.accuracy import WorkingAccuracy, working_accuracy
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.motion import PlannedMotion, build_motion
-from ocp.plan.passes.optimise import Ground, GroundLines, remembered_passes, solve_passes
+from ocp.plan.passes.optimise import Ground, GroundLines, compile_model, remembered_passes, solve_passes
 from ocp.plan.passes.posture import seeds_of_stretches
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import (
@@ -101,9 +102,14 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     )
     with phases.phase("passes"):
         laid = lay_paths(cell, stl, options)
-    contact = prepare_contact(cell, laid.blade, laid.paths, phases)
-    _refuse_forces(laid.paths, contact.law.limits["force"], options)
     weights = objective_weights(cell)
+
+    def compiled(law: WheelLaw) -> None:
+        with phases.phase("machine code"):
+            compile_model(cell, law, theta, weights, laid.paths)
+
+    contact = prepare_contact(cell, laid.blade, laid.paths, phases, compiled)
+    _refuse_forces(laid.paths, contact.law.limits["force"], options)
     scene = CollisionScene(cell, laid.blade.vertices)
     ground = Ground(cell, theta, weights, contact.law, contact.cover, laid.blade.vertices, laid.cloud)
     compliance = [np.asarray(c) for c in contact.compliance.per_pass]

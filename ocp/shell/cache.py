@@ -98,21 +98,26 @@ def _read(path: Path) -> Entry | None:
 
 
 def _write(path: Path, entry: Entry) -> None:
-    """Write an entry and its checksum under a passing name beside its place, then rename it."""
-    passing = None
+    """Write an entry behind its checksum, where the folder can be written."""
     archive = io.BytesIO()
     np.savez(archive, allow_pickle=False, **entry)
-    content = archive.getbuffer()
+    content = archive.getvalue()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
-            passing = file.name
-            file.write(hashlib.sha256(content).digest())
-            file.write(content)
-        os.replace(passing, path)
-        passing = None
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        put_whole(path, hashlib.sha256(content).digest(), content)
     except OSError:
         pass
+
+
+def put_whole(path: Path, *parts: bytes) -> None:
+    """Write a file under a passing name beside its place, then rename it: others see a whole file or none. Raises OSError."""
+    passing = None
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+            passing = file.name
+            file.writelines(parts)
+        os.replace(passing, path)
+        passing = None
     finally:
         if passing is not None:
             Path(passing).unlink(missing_ok=True)

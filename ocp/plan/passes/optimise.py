@@ -37,6 +37,7 @@ from ocp.plan.removal.dwell import DrivenLine
 from ocp.plan.removal.footprint import contacts_along
 from ocp.plan.rules import DIRECT_TOLERANCE, LIFT_OFF, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
 from ocp.shell.cache import Entry, content_key, flattened, rebuilt, remember
+from ocp.shell.native import left_uncompiled
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -44,6 +45,7 @@ from trajectories.passes import BladePath, reversed_path
 
 CORRECTIONS = 4
 LEAST_DIRECT = 0.2  # of the programmed force: with less the contact is not solved directly
+WORTH_COMPILING = 1000  # waypoints: solving them by machine code saves what compiling takes
 SIGN_TOLERANCE = 0.1  # of an axis' sign of motion between the program and its solution
 CLEARANCE_BAND = 0.010  # m; waypoints closer than this to a margin get a clearance row
 THINNING = 4  # one point in four, 1.6 mm apart: a wheel is 0.03 mm flatter over that, below the tolerance
@@ -372,6 +374,7 @@ def solve_passes(
     `feeds`: the feeds of all lines, from what they are at the postures of their seeds; without, they are driven as they are.
     Raises Infeasible of the first pass (in order) that has no sound solution if the `whole` of all of them is asked for.
     """
+    compile_model(ground.cell, ground.law, ground.theta, ground.weights, [one.path for one in stretches])
     jobs = min(cores(), len(stretches))
     starts = [options[0] for options in seeds]
     if jobs <= 1:
@@ -392,6 +395,14 @@ def solve_passes(
         for future in futures:
             future.add_done_callback(lambda _: advance())
         return GroundLines.together([future.result() for future in futures])
+
+
+def compile_model(cell: Cell, law: WheelLaw, theta: Theta, weights: ObjectiveWeights, paths: Sequence[BladePath]) -> None:
+    """Have machine code made of what the passes over `paths` evaluate, where that is quicker than to do without."""
+    if sum(len(path.s) for path in paths) >= WORTH_COMPILING:
+        PassSolver(cell, law, theta, weights).compile()
+    else:
+        left_uncompiled(f"machine code is made for {WORTH_COMPILING} waypoints and more")
 
 
 def _at_feeds(stretches: list[LineStretch], seeds: list[Seed], feeds: Sequence[Array | None]) -> list[LineStretch]:

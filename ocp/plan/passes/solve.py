@@ -36,6 +36,7 @@ from ocp.plan.rules import (
     SPEED_SHARE,
     WRIST_MARGIN,
 )
+from ocp.shell.native import ColumnFunction, compile_together
 from robots.errors import Infeasible
 from robots.pose import Array, invert
 from trajectories.passes import BladePath
@@ -113,9 +114,13 @@ class PassSolver:
         slope = ca.jacobian(m.residual, m.F)
         known = [m.delta, m.residual, m.parts, m.arc, m.lateral, m.turn, m.tilt, m.curvature]
         outputs = [*known, ca.sqrt(force_variance(m, theta)), -1 / slope, ca.vec(m.T_base_blade.T)]
-        self._evaluate = ca.Function("evaluate", [m.q, m.F, m.w, m.theta], outputs, {"cse": True})
+        self._evaluate = ColumnFunction(ca.Function("evaluate", [m.q, m.F, m.w, m.theta], outputs, {"cse": True}))
         self._link_motion = ca.Function("link_motion", [m.q, m.w, m.theta], [m.q_real], {"cse": True})
         self._by_approach = any("approach" in e.active.effect.needs for e in cell.effects)
+
+    def compile(self) -> None:
+        """Have machine code made of what a pass evaluates, where there is none yet."""
+        compile_together([*self.stage.functions, self._evaluate])
 
     def evaluate(self, problem: PassProblem, q: Array, force: Array) -> Evaluation:
         """The model at joints q (n, 6) and forces (n,)."""

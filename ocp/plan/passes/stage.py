@@ -15,6 +15,7 @@ import numpy as np
 from ocp.model.cell import Cell
 from ocp.model.force_balance import N_WAYPOINT, Model
 from ocp.model.theta import Theta, covariance_root
+from ocp.shell.native import ColumnFunction
 
 N_Z = 8
 # Linear clearance rows a.q >= b that collision checks may add at a waypoint.
@@ -71,29 +72,29 @@ class Stage:
     z: ca.SX
 
     @cached_property
-    def value(self) -> ca.Function:
+    def value(self) -> ColumnFunction:
         """(z, par, theta) -> objective, rows (N_ROWS)."""
         return self._function("stage", [self.objective, self.rows])
 
     @cached_property
-    def gradient(self) -> ca.Function:
+    def gradient(self) -> ColumnFunction:
         """(z, par, theta) -> gradient of the objective (8)."""
         return self._function("stage_gradient", [ca.densify(ca.gradient(self.objective, self.z))])
 
     @cached_property
-    def jacobian(self) -> ca.Function:
+    def jacobian(self) -> ColumnFunction:
         """(z, par, theta) -> Jacobian of the rows (N_ROWS, 8)."""
         return self._function("stage_jacobian", [ca.densify(ca.jacobian(self.rows, self.z))])
 
     @cached_property
-    def hessian(self) -> ca.Function:
+    def hessian(self) -> ColumnFunction:
         """(z, par, theta, lam_f, lam_rows) -> dense Hessian (8, 8) of lam_f objective + lam . rows."""
         lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", N_ROWS)
         H = ca.hessian(lam_f * self.objective + ca.dot(lam, self.rows), self.z)[0]
         return self._function("stage_hessian", [ca.densify(H)], [lam_f, lam])
 
     @cached_property
-    def spread_terms(self) -> tuple[ca.Function, ca.Function, ca.Function]:
+    def spread_terms(self) -> tuple[ColumnFunction, ColumnFunction, ColumnFunction]:
         """(z, par, theta) -> variance term, its gradient (8), its Hessian (8, 8)."""
         assert self.spread is not None
         H, g = ca.hessian(self.spread, self.z)
@@ -102,6 +103,12 @@ class Stage:
             self._function("spread_gradient", [ca.densify(g)]),
             self._function("spread_hessian", [ca.densify(H)]),
         )
+
+    @property
+    def functions(self) -> list[ColumnFunction]:
+        """All that the nonlinear program evaluates of a stage."""
+        spread = [] if self.spread is None else self.spread_terms
+        return [self.hessian, self.jacobian, self.value, self.gradient, *spread]
 
     @property
     def n_parameters(self) -> int:
@@ -113,8 +120,9 @@ class Stage:
         """Numbers of the model's theta."""
         return int(self.model.theta.numel())
 
-    def _function(self, name: str, outputs: list[ca.SX], more: list[ca.SX] | None = None) -> ca.Function:
-        return ca.Function(name, [self.z, self.parameters, self.model.theta, *(more or [])], outputs, {"cse": True})
+    def _function(self, name: str, outputs: list[ca.SX], more: list[ca.SX] | None = None) -> ColumnFunction:
+        given = [self.z, self.parameters, self.model.theta, *(more or [])]
+        return ColumnFunction(ca.Function(name, given, outputs, {"cse": True}))
 
 
 # What a stage knows beside its waypoint and its clearances.

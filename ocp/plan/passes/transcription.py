@@ -109,6 +109,9 @@ def transcribe(stage: Stage, n: int, full: bool) -> Transcription:
         "ipopt": IPOPT,
         "print_time": False,
         "error_on_fail": False,
+        # No derivative by parameters: nobody asks, and machine code has none but those of the stage.
+        "calc_lam_p": False,
+        "no_nlp_grad": True,
         "show_eval_warnings": False,  # Ipopt shortens a step that leaves the domain of the wheel law
         "grad_f": ca.Function("grad_f", [x, p], [f, f_x], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("jac_g", [x, p], [g, g_x], ["x", "p"], ["g", "jac_g_x"]),

@@ -1,0 +1,284 @@
+"""CasADi functions as machine code: compiled once, kept, loaded from then on; without a compiler the same bits, more slowly.
+
+CasADi's virtual machine goes through a function instruction by instruction; the same instructions as C take a tenth of the time.
+The numbers in a function (dimensions of a robot, coefficients of a table) become an argument, so that functions of one form share
+a library: it is compiled once for a kind of cell. A library is taken only if at `COMPARED` points it gives the virtual machine's
+very bits.
+
+Loading a library is running it. The folder of libraries is this user's alone and nobody else can put another in its place; each
+library is as its checksum says. Otherwise none is loaded.
+"""
+
+import hashlib
+import importlib.util
+import json
+import os
+import platform
+import re
+import shutil
+import stat
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib.metadata import version
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from ocp.shell.cache import cache_folder, content_key, put_whole
+from ocp.shell.processes import cores
+from robots.bounds import MEGABYTE, read_whole
+from robots.pose import Array
+
+FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared", "-w")  # as fast as -O3 here; a*b+c in two roundings
+COLUMNS = 32  # evaluated in one call of a library
+COMPARED = 100  # points at which a library gives the bits of the virtual machine
+MOST_SECONDS = 300  # for one function; the largest takes 6
+MOST_LIBRARY = 100 * MEGABYTE
+LITERAL = re.compile(r"^(  a\d+=)(-?\d+\.\d*(?:e[+-]\d+)?);$", re.MULTILINE)  # as CasADi writes a constant into a variable
+_told: dict[str, str] = {}  # function -> what evaluates it
+
+
+class _Unusable(Exception):
+    """Why a function is not taken as machine code."""
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler's command, and what tells it from others."""
+
+    command: tuple[str, ...]
+    version: str
+
+
+@cache
+def c_compiler() -> Compiler | None:
+    """The machine's own `cc`, else the one of the wheel `ziglang`, else None."""
+    own = shutil.which("cc")
+    if own is not None:
+        asked = subprocess.run([own, "--version"], capture_output=True, text=True, check=False)
+        if asked.returncode == 0 and asked.stdout.strip():
+            return Compiler((own,), asked.stdout.splitlines()[0])
+    if importlib.util.find_spec("ziglang") is not None:
+        # Its own default is this very processor.
+        return Compiler((sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"), f"ziglang {version('ziglang')}")
+    return None
+
+
+def evaluated_by() -> str:
+    """In words, what evaluates the model's functions in this process."""
+    reasons = sorted({reason for reason in _told.values() if reason})
+    compiler = c_compiler()
+    if not _told:
+        return "nothing was left to solve"
+    if reasons or compiler is None:
+        return f"{'in part ' * ('' in _told.values())}CasADi's virtual machine: {'; '.join(reasons)}"
+    return f"machine code ({compiler.version}, {' '.join(FLAGS[:2])})"
+
+
+def left_uncompiled(reason: str) -> None:
+    """Tell why nothing is compiled."""
+    _told["all"] = reason
+
+
+class ColumnFunction:
+    """A CasADi function of vectors, evaluated for many columns at once: by machine code where there is some."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self.function = function
+        self.name: str = function.name()
+
+    def __call__(self, *arguments: ca.MX) -> ca.MX:
+        """One column, by the virtual machine."""
+        return self.function(*arguments)
+
+    def n_instructions(self) -> int:
+        """Instructions for one column."""
+        return int(self.function.n_instructions())
+
+    def map(self, n: int) -> ca.Function:
+        """The function of n columns, with the outputs of all of them side by side; the same bits either way."""
+        return self.function.map(n) if self.library is None else self.mapped(self.library, n)
+
+    def mapped(self, library: ca.Function, n: int) -> ca.Function:
+        """`map` by a library, in calls of COLUMNS columns each; the last is filled up with copies of the last column."""
+        blocks = -(-n // COLUMNS)
+        given = [ca.MX.sym(f"i{k}", self.function.size1_in(k), n) for k in range(self.function.n_in())]
+        filled = [ca.horzcat(one, ca.repmat(one[:, -1], 1, blocks * COLUMNS - n)) for one in given]
+        many = library if blocks == 1 else library.map(self.name, "serial", blocks, [len(given)], [], {})
+        out = many.call([*filled, ca.MX(ca.DM(self.source[1]))])
+        cut = [one[:, : n * self.function.size2_out(k)] for k, one in enumerate(out)]
+        return ca.Function(f"{self.name}_{n}", given, cut)
+
+    @cached_property
+    def source(self) -> tuple[str, Array]:
+        """C of COLUMNS columns whose last argument holds the numbers, and these numbers."""
+        f = self.function
+        count = max(sum(f.instruction_id(k) == ca.OP_CONST for k in range(f.n_instructions())), 1)
+        given = f.sx_in()
+        lifted = ca.Function(f"{self.name}_column", [*given, ca.SX.sym("numbers", count)], f.call(given))
+        generator = ca.CodeGenerator(f"{self.name}.c")
+        generator.add(lifted.map(self.name, "serial", COLUMNS, [len(given)], [], {}))
+        numbers: list[float] = []
+
+        def argument(found: re.Match[str]) -> str:
+            numbers.append(float(found[2]))
+            return f"{found[1]}arg[{len(given)}][{len(numbers) - 1}];"
+
+        text = LITERAL.sub(argument, generator.dump())
+        return text, np.array(numbers + [0.0] * (count - len(numbers)))
+
+    @cached_property
+    def library(self) -> ca.Function | None:
+        """The machine code as a function of COLUMNS columns and the numbers; None where there is none or it must not be used."""
+        try:
+            path = self.place()
+            refused = _verdict(path)
+            if refused is None:
+                raise _Unusable(_told.get(self.name) or "not compiled yet")
+            if refused:
+                raise _Unusable(refused)
+            found = self.opened(path)
+        except _Unusable as error:
+            _told[self.name] = str(error)
+            return None
+        _told[self.name] = ""
+        return found
+
+    def place(self) -> Path:
+        """Where the library is kept, or would be. Raises _Unusable where none can be."""
+        compiler = c_compiler()
+        if compiler is None:
+            raise _Unusable("there is no C compiler; install cc, or pip install '.[fast]'")
+        made = (*compiler.command, compiler.version, *FLAGS, platform.machine(), sys.platform, version("casadi"))
+        return private_folder() / f"{self.name}-{content_key('native 1', self.source[0], *made)}.so"
+
+    def absent(self) -> bool:
+        """Whether the library could be there and is not."""
+        try:
+            return _verdict(self.place()) is None
+        except _Unusable:
+            return False
+
+    def opened(self, path: Path) -> ca.Function:
+        """The function in a library. Raises _Unusable where it cannot be loaded."""
+        try:
+            return ca.external(self.name, str(path))
+        except RuntimeError:
+            raise _Unusable(f"no library can be loaded from {path.parent}; is it mounted noexec?") from None
+
+    def keep(self, content: bytes) -> None:
+        """Keep a compiled library, with whether it gives the virtual machine's bits. Raises _Unusable."""
+        path = self.place()
+        try:
+            put_whole(path, content)
+            record = {"sha256": hashlib.sha256(content).hexdigest(), "refused": self.difference(self.opened(path))}
+            put_whole(_record(path), json.dumps(record).encode())
+        except OSError as error:
+            raise _Unusable(f"{path.parent} cannot be written ({error.strerror})") from None
+
+    def difference(self, library: ca.Function) -> str:
+        """What tells a library's numbers from the virtual machine's at COMPARED points; empty where nothing does."""
+        rng = np.random.default_rng(0)
+        low = np.where(np.arange(COMPARED) % 2, -1.0, 0.05)  # half of the points where every number is positive
+        points = [rng.uniform(low, 1.0, (self.function.size1_in(k), COMPARED)) for k in range(self.function.n_in())]
+        ours, theirs = (
+            np.concatenate([np.asarray(one).ravel() for one in f.call(points)])
+            for f in (self.mapped(library, COMPARED), self.function.map(COMPARED))
+        )
+        if np.isfinite(theirs).mean() < 0.5:
+            return f"{self.name} has no value at most points of the comparison"
+        same = (ours.view(np.int64) == theirs.view(np.int64)) | (np.isnan(ours) & np.isnan(theirs))
+        return "" if same.all() else f"{self.name} as machine code differs in {np.sum(~same)} of {len(same)} numbers"
+
+
+def compile_together(functions: Sequence[ColumnFunction]) -> None:
+    """Compile what is not kept yet, side by side; what cannot be compiled the virtual machine does.
+
+    The smallest goes first: where that cannot be compiled or loaded, the large ones are not tried.
+    """
+    missing = sorted((one for one in functions if one.library is None and one.absent()), key=ColumnFunction.n_instructions)
+    for together in (missing[:1], missing[:0:-1]):
+        with ThreadPoolExecutor(cores()) as pool:  # threads only wait: CasADi's own objects are for one at a time
+            waiting = [(one, pool.submit(_compiled, one.source[0])) for one in together]
+        for one, content in waiting:
+            try:
+                one.keep(content.result())
+                del one.library
+                one.library  # noqa: B018  loaded now
+            except _Unusable as error:
+                _told.update((other.name, str(error)) for other in (missing if one is missing[0] else [one]))
+        if waiting and missing[0].library is None:
+            return
+
+
+def private_folder() -> Path:
+    """The folder of libraries: this user's alone, in folders where nobody else can put another in its place.
+
+    Raises _Unusable where it is not, or cannot be made.
+    """
+    kept = cache_folder()
+    if kept is None:
+        raise _Unusable("nothing is kept (GRINDPLAN_CACHE is empty)")
+    if not hasattr(os, "geteuid"):
+        raise _Unusable("on this system nothing tells whose a folder is")
+    folder = kept.resolve() / "native"
+    try:
+        kept.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        for one in (folder, *folder.parents):
+            _refuse_shared(one, alone=one is folder)
+    except OSError as error:
+        raise _Unusable(f"{error.filename}: {error.strerror}") from None
+    return folder
+
+
+def _refuse_shared(folder: Path, alone: bool) -> None:
+    """Raises _Unusable where others can put something into `folder`, or, `alone`, look into it. Raises OSError."""
+    status, me = folder.lstat(), os.geteuid()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid not in ({me} if alone else {0, me}):
+        raise _Unusable(f"{folder} is not a folder of this user")
+    mode = stat.S_IMODE(status.st_mode)
+    sticky = bool(mode & stat.S_ISVTX)  # as /tmp: what is in it can be replaced by its owner only
+    if mode & (0o077 if alone else 0o022) and (alone or not sticky):
+        raise _Unusable(f"{folder} is open to others (mode {mode:04o}); chmod {'700' if alone else 'go-w'} it")
+
+
+def _compiled(source: str) -> bytes:
+    """A library of C. Raises _Unusable with the compiler's first word."""
+    compiler = c_compiler()
+    assert compiler is not None
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(scratch)
+        (work / "function.c").write_text(source, encoding="utf-8")
+        command = [*compiler.command, *FLAGS, "function.c", "-o", "function.so", "-lm"]
+        environment = os.environ | {"ZIG_GLOBAL_CACHE_DIR": str(private_folder() / "zig"), "ZIG_LOCAL_CACHE_DIR": scratch}
+        try:
+            done = subprocess.run(
+                command, cwd=work, env=environment, capture_output=True, text=True, timeout=MOST_SECONDS, check=False
+            )
+            if done.returncode == 0:
+                return (work / "function.so").read_bytes()
+            said = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[0]
+        except (OSError, subprocess.TimeoutExpired) as error:
+            said = str(error)
+    raise _Unusable(f"{compiler.version} failed: {said}")
+
+
+def _record(library: Path) -> Path:
+    return library.with_suffix(".json")
+
+
+def _verdict(library: Path) -> str | None:
+    """Why a kept library must not be used, empty where it may; None where there is none, or not as it was written."""
+    try:
+        record = json.loads(read_whole(_record(library), MEGABYTE, "a record of a library"))
+        content = read_whole(library, MOST_LIBRARY, "a library")
+        return str(record["refused"]) if record["sha256"] == hashlib.sha256(content).hexdigest() else None
+    except Exception:  # whatever is wrong with either file: it is made anew
+        return None
