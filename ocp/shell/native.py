@@ -40,7 +40,12 @@ COLUMNS = 32  # evaluated in one call of a library
 COMPARED = 100  # points at which a library gives the bits of the virtual machine
 MOST_SECONDS = 300  # for one function; the largest takes 6
 MOST_LIBRARY = 100 * MEGABYTE
-LITERAL = re.compile(r"^(  a\d+=)(-?\d+\.\d*(?:e[+-]\d+)?);$", re.MULTILINE)  # as CasADi writes a constant into a variable
+# Lines of the C that CasADi writes: a number put into a variable, anything else put into one, a result, variables declared.
+LITERAL = re.compile(r"^  (a\d+)=(-?\d+\.\d*(?:e[+-]\d+)?);$")
+ASSIGNED = re.compile(r"^  (a\d+)=(.*);$")
+RESULT = re.compile(r"^  if \(res\[")
+DECLARED = re.compile(r"^  casadi_real a\d+")
+VARIABLE = re.compile(r"\ba\d+\b")
 _told: dict[str, str] = {}  # function -> what evaluates it
 
 
@@ -117,21 +122,13 @@ class ColumnFunction:
 
     @cached_property
     def source(self) -> tuple[str, Array]:
-        """C of COLUMNS columns whose last argument holds the numbers, and these numbers."""
-        f = self.function
-        count = max(sum(f.instruction_id(k) == ca.OP_CONST for k in range(f.n_instructions())), 1)
-        given = f.sx_in()
-        lifted = ca.Function(f"{self.name}_column", [*given, ca.SX.sym("numbers", count)], f.call(given))
+        """C of COLUMNS columns with an argument more, the numbers; and these numbers in the order of their uses."""
         generator = ca.CodeGenerator(f"{self.name}.c")
-        generator.add(lifted.map(self.name, "serial", COLUMNS, [len(given)], [], {}))
-        numbers: list[float] = []
-
-        def argument(found: re.Match[str]) -> str:
-            numbers.append(float(found[2]))
-            return f"{found[1]}arg[{len(given)}][{len(numbers) - 1}];"
-
-        text = LITERAL.sub(argument, generator.dump())
-        return text, np.array(numbers + [0.0] * (count - len(numbers)))
+        generator.add(ca.Function("column", self.function.sx_in(), self.function.call(self.function.sx_in())))
+        lines, numbers = _lifted(generator.dump().splitlines())
+        f = self.function
+        given, results = [f.size_in(k) for k in range(f.n_in())], [f.size_out(k) for k in range(f.n_out())]
+        return "\n".join([*lines, _looped(self.name, given, results, len(numbers))]), np.array(numbers)
 
     @cached_property
     def library(self) -> ca.Function | None:
@@ -215,6 +212,80 @@ def compile_together(functions: Sequence[ColumnFunction]) -> None:
                 _told.update((other.name, str(error)) for other in (missing if one is missing[0] else [one]))
         if waiting and missing[0].library is None:
             return
+
+
+def _lifted(lines: list[str]) -> tuple[list[str], list[float]]:
+    """CasADi's C of a function `column` with its numbers taken from `number[]`, one for each use, and these numbers.
+
+    CasADi keeps a number that occurs twice in one variable, and uses variables again. Each result gets a variable of its own, so
+    that the text does not depend on which numbers happen to be equal. Raises _Unusable where CasADi writes otherwise.
+    """
+    out: list[str] = []
+    numbers: list[float] = []
+    held: dict[str, str | float] = {}
+    count = 0
+
+    def operand(found: re.Match[str]) -> str:
+        value = held.get(found[0], "unknown")
+        if isinstance(value, str):
+            return value
+        numbers.append(value)
+        return f"number[{len(numbers) - 1}]"
+
+    for line in lines:
+        literal, assigned = LITERAL.match(line), ASSIGNED.match(line)
+        if literal:
+            held[literal[1]] = float(literal[2])
+        elif assigned:
+            expression = VARIABLE.sub(operand, assigned[2])
+            count += 1
+            held[assigned[1]] = f"v{count}"
+            out.append(f"  const casadi_real v{count}={expression};")
+        elif RESULT.match(line):
+            out.append(VARIABLE.sub(operand, line))
+        elif not DECLARED.match(line):
+            out.append(
+                line.replace("int mem) {", "const casadi_real* number) {") if line.startswith("static int casadi_f0(") else line
+            )
+    ends = [k for k, line in enumerate(out) if line.startswith("CASADI_SYMBOL_EXPORT int column(")]
+    if not ends:
+        raise _Unusable("this CasADi writes C of another form")
+    return out[: ends[0]], numbers
+
+
+def _looped(name: str, given: list[tuple[int, int]], results: list[tuple[int, int]], numbers: int) -> str:
+    """C of `name`, which CasADi loads: `column` for COLUMNS columns; arguments and results are dense and side by side."""
+
+    def patterns(of: str, sizes: list[tuple[int, int]]) -> str:
+        dense = ", ".join(f"{{{rows}, {columns}, 1}}" for rows, columns in sizes)
+        return (
+            f"CASADI_SYMBOL_EXPORT casadi_int {name}_n_{of}(void) {{ return {len(sizes)}; }}\n"
+            f"CASADI_SYMBOL_EXPORT const casadi_int* {name}_sparsity_{of}(casadi_int i) {{\n"
+            f"  static const casadi_int dense[{len(sizes)}][3] = {{{dense}}};\n  return dense[i];\n}}"
+        )
+
+    def step(pointer: str, whole: str, k: int, size: tuple[int, int]) -> str:
+        return f"    {pointer}[{k}] = {whole}[{k}] ? {whole}[{k}] + {size[0] * size[1]} * i : 0;"
+
+    wide = [[(rows, COLUMNS * columns) for rows, columns in sizes] for sizes in (given, results)]
+    return "\n".join(
+        [
+            patterns("in", [*wide[0], (numbers, 1)]),
+            patterns("out", wide[1]),
+            f"CASADI_SYMBOL_EXPORT int {name}",
+            "(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {",
+            f"  const casadi_real* from[{len(given)}];",
+            f"  casadi_real* to[{len(results)}];",
+            f"  for (casadi_int i = 0; i < {COLUMNS}; ++i) {{",
+            *(step("from", "arg", k, size) for k, size in enumerate(given)),
+            *(step("to", "res", k, size) for k, size in enumerate(results)),
+            f"    if (casadi_f0(from, to, iw, w, arg[{len(given)}])) return 1;",
+            "  }",
+            "  return 0;",
+            "}",
+            "",
+        ]
+    )
 
 
 def private_folder() -> Path:

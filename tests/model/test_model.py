@@ -267,3 +267,27 @@ def test_the_flange_bends_over_smoothly_at_its_stops_and_is_exact_elsewhere(stop
     # A stop that has been reached is soft by what it lets pass: less than the softness times the compliance.
     hard = np.clip((near - 45.0) / 5600.0, -4e-3, 4e-3)
     assert np.abs(at(near) - hard).max() < 0.25 * STOP_SOFTNESS / 5600.0 and (sign * (hard - at(near)) >= -1e-15).all()
+
+
+@pytest.mark.parametrize("moved", ["wheel", "blade", "calibration"])
+def test_functions_of_a_moved_cell_have_the_source_that_is_compiled(moved):
+    """Moved from a place that is not zero, or calibrated once more, the same machine code serves, also where numbers become equal
+    that were not."""
+    s, theta = solver(), believed_theta(solver().cell)
+    theta = replace(theta, values=theta.values + 1e-5 * np.arange(1, len(theta.values) + 1))
+    wheel, piece = s.cell.wheel, s.cell.workpiece
+    cells, thetas = [s.cell, s.cell], [theta, theta]
+    if moved == "wheel":
+        cells[1] = replace(s.cell, wheel=replace(wheel, centre=wheel.centre[[0, 1, 0]]))
+    elif moved == "blade":
+        cells[1] = replace(
+            s.cell, workpiece=replace(piece, T_flange_blade=piece.T_flange_blade + 1e-3 * np.outer([0, 0, 1, 0], [0, 0, 0, 1]))
+        )
+    else:
+        thetas[1] = replace(theta, values=2 * theta.values)
+    before, after = (
+        build_stage(c, build_model(c, LineLaw()), ObjectiveWeights(), t).jacobian.source
+        for c, t in zip(cells, thetas, strict=True)
+    )
+    assert before[0] == after[0]
+    assert not np.array_equal(before[1], after[1])

@@ -72,9 +72,8 @@ def quadratic_form(cell: Cell, problem: PassProblem, weights: ObjectiveWeights, 
         part, c_r = _removal(problem, weights.removal)
         Q = Q + sp.kron(part, sp.diags([0.0] * 7 + [1.0]))
         c[7 : N_Z * count : N_Z] = c_r
-    whole = sp.lil_matrix((N_Z * n, N_Z * n))
-    whole[: N_Z * count, : N_Z * count] = Q
-    return sp.csc_matrix(whole), c
+    inside = Q.tocoo()
+    return sp.csc_matrix((inside.data, (inside.row, inside.col)), shape=(N_Z * n, N_Z * n)), c
 
 
 def _removal(problem: PassProblem, weight: float) -> tuple[sp.csr_matrix, Array]:
