@@ -96,7 +96,18 @@ class ColumnFunction:
 
     def __init__(self, function: ca.Function) -> None:
         self.function = function
-        self.name: str = function.name()
+
+    def __reduce__(self) -> tuple[type["ColumnFunction"], tuple[ca.Function]]:
+        """For another process, which loads the library itself."""
+        return ColumnFunction, (self.function,)
+
+    def name(self) -> str:
+        """As CasADi's functions tell theirs."""
+        return str(self.function.name())
+
+    def size1_out(self, k: int) -> int:
+        """Rows of a result."""
+        return int(self.function.size1_out(k))
 
     def __call__(self, *arguments: ca.MX) -> ca.MX:
         """One column, by the virtual machine."""
@@ -115,20 +126,20 @@ class ColumnFunction:
         blocks = -(-n // COLUMNS)
         given = [ca.MX.sym(f"i{k}", self.function.size1_in(k), n) for k in range(self.function.n_in())]
         filled = [ca.horzcat(one, ca.repmat(one[:, -1], 1, blocks * COLUMNS - n)) for one in given]
-        many = library if blocks == 1 else library.map(self.name, "serial", blocks, [len(given)], [], {})
+        many = library if blocks == 1 else library.map(self.name(), "serial", blocks, [len(given)], [], {})
         out = many.call([*filled, ca.MX(ca.DM(self.source[1]))])
         cut = [one[:, : n * self.function.size2_out(k)] for k, one in enumerate(out)]
-        return ca.Function(f"{self.name}_{n}", given, cut)
+        return ca.Function(f"{self.name()}_{n}", given, cut)
 
     @cached_property
     def source(self) -> tuple[str, Array]:
         """C of COLUMNS columns with an argument more, the numbers; and these numbers in the order of their uses."""
-        generator = ca.CodeGenerator(f"{self.name}.c")
+        generator = ca.CodeGenerator(f"{self.name()}.c")
         generator.add(ca.Function("column", self.function.sx_in(), self.function.call(self.function.sx_in())))
         lines, numbers = _lifted(generator.dump().splitlines())
         f = self.function
         given, results = [f.size_in(k) for k in range(f.n_in())], [f.size_out(k) for k in range(f.n_out())]
-        return "\n".join([*lines, _looped(self.name, given, results, len(numbers))]), np.array(numbers)
+        return "\n".join([*lines, _looped(self.name(), given, results, len(numbers))]), np.array(numbers)
 
     @cached_property
     def library(self) -> ca.Function | None:
@@ -137,14 +148,14 @@ class ColumnFunction:
             path = self.place()
             refused = _verdict(path)
             if refused is None:
-                raise _Unusable(_told.get(self.name) or "not compiled yet")
+                raise _Unusable(_told.get(self.name()) or "not compiled yet")
             if refused:
                 raise _Unusable(refused)
             found = self.opened(path)
         except _Unusable as error:
-            _told[self.name] = str(error)
+            _told[self.name()] = str(error)
             return None
-        _told[self.name] = ""
+        _told[self.name()] = ""
         return found
 
     def place(self) -> Path:
@@ -153,7 +164,7 @@ class ColumnFunction:
         if compiler is None:
             raise _Unusable("there is no C compiler; install cc, or pip install '.[fast]'")
         made = (*compiler.command, compiler.version, *FLAGS, platform.machine(), sys.platform, version("casadi"))
-        return private_folder() / f"{self.name}-{content_key('native 1', self.source[0], *made)}.so"
+        return private_folder() / f"{self.name()}-{content_key('native 1', self.source[0], *made)}.so"
 
     def absent(self) -> bool:
         """Whether the library could be there and is not."""
@@ -165,7 +176,7 @@ class ColumnFunction:
     def opened(self, path: Path) -> ca.Function:
         """The function in a library. Raises _Unusable where it cannot be loaded."""
         try:
-            return ca.external(self.name, str(path))
+            return ca.external(self.name(), str(path))
         except RuntimeError:
             raise _Unusable(f"no library can be loaded from {path.parent}; is it mounted noexec?") from None
 
@@ -189,9 +200,9 @@ class ColumnFunction:
             for f in (self.mapped(library, COMPARED), self.function.map(COMPARED))
         )
         if np.isfinite(theirs).mean() < 0.5:
-            return f"{self.name} has no value at most points of the comparison"
+            return f"{self.name()} has no value at most points of the comparison"
         same = (ours.view(np.int64) == theirs.view(np.int64)) | (np.isnan(ours) & np.isnan(theirs))
-        return "" if same.all() else f"{self.name} as machine code differs in {np.sum(~same)} of {len(same)} numbers"
+        return "" if same.all() else f"{self.name()} as machine code differs in {np.sum(~same)} of {len(same)} numbers"
 
 
 def compile_together(functions: Sequence[ColumnFunction]) -> None:
@@ -209,7 +220,7 @@ def compile_together(functions: Sequence[ColumnFunction]) -> None:
                 del one.library
                 one.library  # noqa: B018  loaded now
             except _Unusable as error:
-                _told.update((other.name, str(error)) for other in (missing if one is missing[0] else [one]))
+                _told.update((other.name(), str(error)) for other in (missing if one is missing[0] else [one]))
         if waiting and missing[0].library is None:
             return
 

@@ -1,6 +1,7 @@
 """Registration from grinding logs: data come from the verification's route, never from the model that is fitted."""
 
 import csv
+import shutil
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from ocp.model.cell import read_cell
 from ocp.model.theta import registered
 from ocp.report.parts import Plot, Table
 from ocp.report.plotting import WIDTH, Canvas
+from ocp.shell import native
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput
 from tests.support.force_world import HEADER, Run, World, arm_posterior, campaign, correlated, make_world, write_log
@@ -127,6 +129,21 @@ def test_derivatives_are_those_of_the_force(recorded):
         step[i] = 1e-3 * sd[i]
         difference = (reading_of(model, rows, x + step)[1] - reading_of(model, rows, x - step)[1]) / 2e-3
         np.testing.assert_allclose(J[:, i] * sd[i], difference, rtol=2e-3, atol=1e-6, err_msg=FIT_NAMES[i])
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no cc on this machine")
+def test_forces_by_machine_code_have_the_same_bits(recorded, tmp_path, monkeypatch):
+    """As of a log that is worth compiling; without optimisation, which takes a tenth of the time."""
+    monkeypatch.setenv("GRINDPLAN_CACHE", str(tmp_path))
+    monkeypatch.setattr("ocp.calibrate.force.model.WORTH_COMPILING", 0)
+    monkeypatch.setattr(native, "FLAGS", ("-O0", *native.FLAGS[1:]))
+    monkeypatch.setattr(native, "_told", {})
+    model, rows, x = recorded.setup.model, recorded.setup.rows[0].take(slice(0, None, 11)), recorded.fit.solution.x
+    other = ForceModel(model.cell, model.law)
+    F, reading = reading_of(model, rows, x)
+    assert np.array_equal(reading_of(other, rows, x)[1], reading)
+    assert np.array_equal(reading_jacobian(other, rows, x, F), reading_jacobian(model, rows, x, F))
+    assert native.evaluated_by().startswith("machine code")
 
 
 def test_setpoint_and_belt_hold_row_by_row(recorded):

@@ -19,10 +19,12 @@ from ocp.effects.engine.compiled import RowLayout, run_rows
 from ocp.model.cell import Cell
 from ocp.model.force_balance import build_model
 from ocp.model.theta import NAMES, Theta
+from ocp.shell.native import ColumnFunction, compile_together
 from robots.pose import Array
 
 SETPOINT = NAMES.index("flange_setpoint_offset")
 STEPS = 15  # Newton steps in F; six do, and where effects turn the balance over no number does
+WORTH_COMPILING = 3000  # rows of a log: its fit by machine code saves what compiling takes
 FORCE_TOLERANCE = 1e-5  # N; a Newton step of this size leaves some 1e-10 N
 # Share of the wheel law's lowest force below which the balance is continued along its tangent: the law's polynomial in
 # log F is not meant to be followed to zero.
@@ -97,10 +99,10 @@ class ForceModel:
         return LEAST_FORCE * self.law.limits["force"][0]
 
     @cached_property
-    def _functions(self) -> dict[int, dict[str, ca.Function]]:
+    def _functions(self) -> dict[int, dict[str, ColumnFunction]]:
         return {}
 
-    def _built(self, belt: int) -> dict[str, ca.Function]:
+    def _built(self, belt: int) -> dict[str, ColumnFunction]:
         friction: Any = ca.SX.sym("mu")  # a symbol in the place of a number: the parts' derivative in it is wanted
         wheel = replace(self.cell.wheel, belt_speed=float(belt), friction=friction)
         model = build_model(replace(self.cell, wheel=wheel), self.law)
@@ -111,7 +113,7 @@ class ForceModel:
         outputs = {"state": ca.vertcat(*state), "derivative": by.T}
         arguments = [model.q, model.F, model.w, model.theta]
         known = {name: ca.substitute(ca.densify(o), friction, self.cell.wheel.friction) for name, o in outputs.items()}
-        return {name: ca.Function(name, arguments, [o], {"cse": True}) for name, o in known.items()}
+        return {name: ColumnFunction(ca.Function(f"force_{name}", arguments, [o], {"cse": True})) for name, o in known.items()}
 
     def evaluate(self, kind: str, rows: PlacedRows, F: Array) -> Array:
         """Numbers (n, k) at forces F (n,) N: "state" (columns `STATE`: residual m and its slope in F m/N, overlap m, the four
@@ -124,6 +126,8 @@ class ForceModel:
                 continue
             if belt not in self._functions:
                 self._functions[belt] = self._built(belt)
+                if len(at) >= WORTH_COMPILING:
+                    compile_together(list(self._functions[belt].values()))
             base = rows.base
             values = run_rows(self._functions[belt][kind], base.q[at], F[at, None], base.waypoint[at], rows.theta[at])
             if not out.size:

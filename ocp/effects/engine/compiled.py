@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.effects.effect import Effect, Scanned
+from ocp.shell.native import ColumnFunction
 from robots.pose import Array
 
 _CHUNK = 1 << 11  # calls of one mapped function: building one for more takes longer than it saves
@@ -138,7 +139,7 @@ def _mapped_rows(made: _Compiled, rows: Array, values: Array) -> Array:
     return out
 
 
-def _run(function: ca.Function, out: Array, *arguments: Array) -> None:
+def _run(function: ca.Function | ColumnFunction, out: Array, *arguments: Array) -> None:
     """function of rows, written into `out`, through the arrays' own memory."""
     for start in range(0, len(out), _CHUNK):
         block = slice(start, min(start + _CHUNK, len(out)))
@@ -153,11 +154,11 @@ def _run(function: ca.Function, out: Array, *arguments: Array) -> None:
 
 
 @lru_cache(maxsize=1024)
-def _mapped(name: str, function: ca.Function, count: int) -> ca.Function:
+def _mapped(name: str, function: ca.Function | ColumnFunction, count: int) -> ca.Function:
     return function.map(count)
 
 
-def run_rows(function: ca.Function, *arguments: Array) -> Array:
+def run_rows(function: ca.Function | ColumnFunction, *arguments: Array) -> Array:
     """One output row per input row: arguments (n, k_i) -> (n, m)."""
     out = np.empty((len(arguments[0]), function.size1_out(0)))
     _run(function, out, *arguments)
