@@ -40,6 +40,10 @@ RIPPLE_ODDS = 0.04
 """[-] Prior odds of a ripple of that size in one joint. Guards: the smaller, the sooner an effect just above it is named,
 and the more machines without one are accused. Reason: of 150 virtual machines with such a background none is accused."""
 
+LINES_A_GEAR = 3
+"""[lines] Of ripple that a gear may have in the background. Guards: the name of one line against standing for the second.
+Reason: every gear has ripple of several orders (DIAGNOSIS, Second method)."""
+
 PLAY_ODDS = 0.09
 """[-] Prior odds of a good machine's play. Guards and Reason: as RIPPLE_ODDS."""
 
@@ -118,11 +122,15 @@ are found."""
 EXACT_SINGLES, EXACT_PAIRS = 20, 24
 """[sets] Of one and of two that are weighed exactly. Reason: as PAIR_FIRSTS."""
 
+MOST_TELLING = 10
+"""[variants] Of a family that are weighed in sets: the most telling alone, and beside what is accepted. Reason: time; a ripple's
+eleventh order carries no weight beside the first three lines."""
+
 GROWN = 4
 """[families] Tried to be added to a set, or put in a member's place. Reason: as PAIR_FIRSTS."""
 
-MOST_BACKGROUND = 4
-"""[families] Of the background in one set. Reason: as PAIR_FIRSTS; no reason known for four rather than six."""
+MOST_BACKGROUND = 12
+"""[families] Of the background in one set. Reason: two lines in each of six gears."""
 
 BACKGROUND_GAIN = 0.5
 """[ln] That a family of the background must gain to be looked at. Reason: less makes no set likelier than it was."""
@@ -274,6 +282,9 @@ FOLLOWED_FORCE = 0.15
 
 MOST_FOLLOWED = 5
 """[sets] Alternatives beside the accepted one. Reason: time."""
+
+MOST_PATCHES = 3
+"""[patches] For one gap. Reason: time; what a third does not hold is no plain function of one or two conditions."""
 
 INTERVAL = 0.9
 """[-] Of the shrinkage's interval. Reason: FORMATS.md."""

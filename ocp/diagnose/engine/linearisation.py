@@ -7,12 +7,22 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ocp.diagnose.engine.beam import CandidatePool, Family, Given, Key, Member, Weighed, given, make_pool
+from ocp.diagnose.engine.beam import CandidatePool, Family, Given, Key, Member, Weighed, given, make_pool, most_telling
 from ocp.diagnose.engine.channel_system import Channel, scan_key
 from ocp.diagnose.engine.evidence import SIZES, Rival, Stack, coefficients_given, size_grid, stack
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
-from ocp.diagnose.rules import BACKGROUND_PLAY, BACKGROUND_RIPPLE, BROKEN_ORDER_ODDS, PLAY_ODDS, QUIET, RIPPLE_ODDS, SEEN_LAMBDA
+from ocp.diagnose.rules import (
+    BACKGROUND_PLAY,
+    BACKGROUND_RIPPLE,
+    BROKEN_ORDER_ODDS,
+    LEADS,
+    LINES_A_GEAR,
+    PLAY_ODDS,
+    QUIET,
+    RIPPLE_ODDS,
+    SEEN_LAMBDA,
+)
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
 
@@ -76,13 +86,9 @@ def play(found: Sequence[Candidate], stack: Stack) -> list[Family]:
     return [Family(Name("~play"), None, ({},), projected, np.ones(m), BACKGROUND_PLAY, positive, odds, background=True)]
 
 
-def library_families(
-    found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]], ripples: Ripples | None = None
-) -> list[Family]:
-    """Families with projected columns; ripples of many orders with a twin each that stays in the background, of the size that the
-    other gears show (`ripples`). active: effects
-    that the channels hold, candidates whether or not the noise of that fit still lets their usual size be seen: what was
-    accepted must be weighed, and may be dropped."""
+def library_families(found: Sequence[Candidate], stack: Stack, options: Options, active: Set[tuple[str, int]]) -> list[Family]:
+    """Families with projected columns. active: effects that the channels hold, candidates whether or not the noise of that fit
+    still lets their usual size be seen: what was accepted must be weighed, and may be dropped."""
     families = []
     kinds = len({c.effect.name for c in found})
     for c in found:
@@ -96,24 +102,42 @@ def library_families(
         odds = log_odds(c.effect, kinds, options) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
         seen, scale = projected if visible.all() else projected[:, visible], np.asarray(c.effect.prior_sd, float)
         name, sizes = Name(c.effect.name, c.joint), size_grid(ratio_of(c.effect, scans))
-        family = Family(name, c.effect, scans, seen * scale, scale, sizes, positive_of(c.effect), odds, among=c.among)
-        families.append(family)
-        if has_twin(c.effect, c.joint, scans):
-            small = usual_ripple(c, ripples)
-            twin, odds = Name(f"~{c.effect.name}", c.joint), float(np.log(RIPPLE_ODDS))
-            families.append(replace(family, name=twin, effect=None, sizes=small, log_odds=odds, background=True))
-    return families + play(found, stack)
+        families.append(Family(name, c.effect, scans, seen * scale, scale, sizes, positive_of(c.effect), odds, among=c.among))
+    return families
 
 
-def usual_ripple(c: Candidate, ripples: Ripples | None) -> Array:
-    """Sizes (T,) as shares of the upper end of what a gear may have without being named: what is usual, unless the other gears of
-    this machine are surely (`QUIET`) below it. Where they are, one that is not stands out."""
-    usual = np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(c.effect, c.scans))
+def ripple_families(families: Sequence[Family], ripples: Ripples | None) -> list[Family]:
+    """Of ripples of many orders LINES_A_GEAR twins each that stay in the background, of the size that the other gears show
+    (`ripples`): a gear has several lines, and the name of one is not to stand for another."""
+    found = []
+    for f in families:
+        if f.effect is None or not has_twin(f.effect, f.name.joint, f.scans, f.among):
+            continue
+        sizes, share = usual_ripple(f, ripples)
+        odds = float(np.log(share * len(f.scans) / max(f.among, len(f.scans))))
+        for k in range(1, LINES_A_GEAR + 1):
+            name = Name(k * "~" + f.name.effect, f.name.joint)
+            found.append(replace(f, name=name, effect=None, sizes=sizes, log_odds=odds, background=True))
+    return found
+
+
+def usual_ripple(f: Family, ripples: Ripples | None) -> tuple[Array, float]:
+    """What a gear may have without being named: sizes (T,) as shares of the upper end, and prior odds. What is usual, unless the
+    other gears of this machine are surely (`QUIET`) below it: where they are, one that is not stands out. Where they are above
+    it more likely than not, the line of this gear is one of theirs."""
+    assert f.effect is not None
+    usual = np.full(SIZES, BACKGROUND_RIPPLE * ratio_of(f.effect, f.scans))
     if ripples is None:
-        return usual
-    sizes, weight = ripples
-    at = int(np.searchsorted(np.cumsum(weight[c.joint - 1]), QUIET))
-    return np.minimum(usual, max(sizes[min(at, len(sizes) - 1)], sizes[1]) / c.effect.prior_sd[0])
+        return usual, RIPPLE_ODDS
+    sizes, weight = ripples[0] / f.scale[0], np.cumsum(ripples[1][f.name.joint - 1])
+
+    def quantile(share: float) -> float:
+        return float(sizes[min(int(np.searchsorted(weight, share)), len(sizes) - 1)])
+
+    if quantile(LEADS) > usual[0]:
+        parts = [quantile((k + 0.5) / SIZES) for k in range(SIZES)]
+        return np.maximum(parts, usual), float(1.0 - weight[0])
+    return np.minimum(usual, max(quantile(QUIET), sizes[1])), RIPPLE_ODDS
 
 
 def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | None:
@@ -125,9 +149,9 @@ def rival_of(effect: Effect, joint: int, scans: Sequence[Scanned]) -> Rival | No
     return None
 
 
-def has_twin(effect: Effect, joint: int, scans: Sequence[Scanned]) -> bool:
+def has_twin(effect: Effect, joint: int, scans: Sequence[Scanned], among: int = 0) -> bool:
     """Whether every machine has a little of it: ripples of many orders."""
-    return len(scans) > 1 and joint > 0 and "amplitude_rad" in {p.key for p in effect.parameters}
+    return max(len(scans), among) > 1 and joint > 0 and "amplitude_rad" in {p.key for p in effect.parameters}
 
 
 def log_odds(effect: Effect, kinds: int, options: Options) -> float:
@@ -231,9 +255,20 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
     stacked = stack(tuple(channels), back)
     held = {a.key for c in channels for a in c.active}
     ripples = next((c.ripples for c in channels if isinstance(c, Geared)), None)
-    families = library_families(found, stacked, options, held, ripples)
-    families += kernel_families(channels, stacked, options)
+    families = library_families(found, stacked, options, held) + kernel_families(channels, stacked, options)
+    whole = make_pool(stacked.y, stacked.freedom, families)
+    there = _held(families, [a for c in channels for a in c.active])
+    families = most_telling(whole, [(), there] if there else [()])
+    families += ripple_families(families, ripples) + play(found, stacked)
     return Linearisation(tuple(channels), stacked, make_pool(stacked.y, stacked.freedom, families))
+
+
+def _held(families: Sequence[Family], active: Sequence[Active]) -> list[Member]:
+    """Active effects as members of a set, at their scanned values."""
+    at = {a.key: scan_key(a.scanned) for a in active}
+    found = [(i, at[f.name.effect, f.name.joint], f.scans) for i, f in enumerate(families) if (f.name.effect, f.name.joint) in at]
+    rows = [(i, [scan_key(s) for s in scans], key) for i, key, scans in found]
+    return [Member(i, keys.index(key), 1.0) for i, keys, key in rows if key in keys]
 
 
 def kernel_families(channels: Sequence[Channel], stacked: Stack, options: Options) -> list[Family]:
