@@ -41,6 +41,7 @@ from ocp.blindtest.worlds.sealing import write_cell
 from ocp.data import CELL
 from ocp.diagnose.answering import answer_of, predict_sealed
 from ocp.diagnose.document import document_of
+from ocp.diagnose.engine.channel_system import Sealed
 from ocp.effects.catalogue import library
 from ocp.model.cell import Cell, read_cell
 from ocp.shell.progress import Phases
@@ -229,9 +230,21 @@ def judged(folder: Path) -> dict[str, Any]:
         "after": after,
         "came": 1.0 - after / before,
         "z2": float(np.mean(z**2)),
+        "patch": _patch(document, sealed, truth, before),
         "because": list(answer.diagnosis.unknown_reasons),
         "seconds": time.process_time() - begin,
     }
+
+
+def _patch(document: dict[str, Any], sealed: Sealed, truth: Array, before: float) -> dict[str, Any] | None:
+    """What a patch is, promised, and came with it; its rms z."""
+    if document["patch"] is None or sealed.patched is None or sealed.patched_sigma is None:
+        return None
+    off = sealed.patched - truth
+    after = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    told: dict[str, Any] = document["patch"]["tracker"]
+    z2, inside = float(np.mean((off / sealed.patched_sigma) ** 2)), None if sealed.inside is None else float(sealed.inside.mean())
+    return {"promised": told["shrinkage"], "formula": told["formula"], "came": 1.0 - after / before, "z2": z2, "inside": inside}
 
 
 Rows = list[dict[str, Any]]
@@ -260,6 +273,7 @@ def figures(every: Rows) -> dict[str, float]:
     fine = [r for r in every if r["error"] is None]
     known = [r for r in fine if r["planted"] and not r["outside"]]
     strong, weak = ([r for r in known if low <= max(r["lam"]) < high] for low, high in ((50, np.inf), (30, 50)))
+    patches = [r["patch"] for r in fine if r.get("patch") is not None]
     told = [r for r in fine if r["promised"] is not None and abs(r["came"]) > 1e-6]
     return {
         "first name right, lambda >= 50": _share(strong, lambda r: r["first"]),
@@ -276,6 +290,12 @@ def figures(every: Rows) -> dict[str, float]:
         ),
         "made worse by over 2 %": _share(fine, lambda r: r["came"] < -WORSE),
         "worst": min((r["came"] for r in fine), default=float("nan")),
+        "patched, outside the catalogue": _share([r for r in fine if r["outside"]], lambda r: r.get("patch") is not None),
+        "patched, in the catalogue": _share([r for r in fine if not r["outside"]], lambda r: r.get("patch") is not None),
+        "shrinkage that came with it, median": _median([p["came"] for p in patches]),
+        "promised with it less came, median": _median([p["promised"]["predicted"] - p["came"] for p in patches]),
+        "its interval covers": _share(patches, lambda p: p["promised"]["low"] <= p["came"] <= p["promised"]["high"]),
+        "made worse by it by over 2 %": _share(patches, lambda p: p["came"] < -WORSE),
         "rms z of predictions": float(np.sqrt(_median([r["z2"] for r in fine]))),
         "failed": 1.0 - len(fine) / max(len(every), 1),
         "seconds of processor, median": _median([r["seconds"] for r in fine]),
@@ -306,6 +326,11 @@ def line_of(r: dict[str, Any]) -> str:
     said = " ".join(f"{n}:{j} {p:.2f}" for n, j, p in r["said"][:3] if p > 0.1)
     promised = "-" if r["promised"] is None else f"{r['promised']['predicted']:.2f} [{r['promised']['low']:.2f}]"
     came = f"{promised} came {r['came']:.2f} of {1e6 * r['before']:.0f} um, z {r['z2'] ** 0.5:.1f}"
+    if r["patch"] is not None:
+        p = r["patch"]
+        came += (
+            f" | patch {p['promised']['predicted']:.2f} [{p['promised']['low']:.2f}] came {p['came']:.2f}, z {p['z2'] ** 0.5:.1f}"
+        )
     return f"{head} | {r['verdict']} u {r['p_unknown']:.2f} {said} | {came}"
 
 

@@ -26,12 +26,14 @@ from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Seale
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
+from ocp.diagnose.foresee.patched import patched, with_patch
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.answer import Answer, promised
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.patching import SIGNAL
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
 from ocp.model.cell import files_of
@@ -43,6 +45,7 @@ from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
+from robots.tracker_readings import Readings
 
 
 def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
@@ -98,15 +101,19 @@ def beside_others(written: Sealed, parts: Sequence[tuple[float, Sealed]]) -> Sea
 
 
 def write_predictions(path: Path, signal: str, sealed: Sealed) -> None:
-    """Of a signal, x, y, z in mm or fn in N: the baseline, the corrected model and its one sigma; sealed holds SI. A tangential
+    """Of a signal, x, y, z in mm or fn in N: the baseline, the corrected model and its one sigma, the same two with the patch
+    (the corrected ones where there is none), whether all that the patch varies with was measured; sealed holds SI. A tangential
     column of a force channel is left out."""
     columns, factor = PREDICTED[signal]
     kinds = {"baseline": sealed.baseline, "corrected": sealed.corrected, "sigma": sealed.sigma}
+    kinds["patched"] = sealed.corrected if sealed.patched is None else sealed.patched
+    kinds["patched_sigma"] = sealed.sigma if sealed.patched_sigma is None else sealed.patched_sigma
+    inside = np.ones(len(sealed.sigma), bool) if sealed.inside is None else sealed.inside
     rows = factor * np.hstack([np.asarray(values).reshape(len(values), -1)[:, : len(columns)] for values in kinds.values()])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([f"{kind}_{c}" for kind in kinds for c in columns])
-        writer.writerows([f"{v:.5f}" for v in row] for row in rows)
+        writer.writerow([*(f"{kind}_{c}" for kind in kinds for c in columns), "inside"])
+        writer.writerows([*(f"{v:.5f}" for v in row), int(there)] for row, there in zip(rows, inside, strict=True))
 
 
 PREDICTED = {"tracker": (("x_mm", "y_mm", "z_mm"), 1e3), "force": (("fn_N",), 1.0)}
@@ -129,7 +136,11 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     told = [n for channel in channels for n in getattr(getattr(channel, "problem", None), "notices", ())]
     blind = tuple(dict.fromkeys((*(n for n in told if blinds(n)), *data.blind, *grouped(found.blind))))
     notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
-    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), promised(found, gaps))
+    written = promised(found, gaps)
+    with phases.phase("patch"):
+        named = next((g.shrinkage for g in gaps if g.name == SIGNAL), None)
+        patch = patched(found, written, named)
+    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), written, patch)
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:
@@ -168,12 +179,16 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
                     raise
         same = effects_key(told[0].active) == effects_key(answer.written)
         found[signal] = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
+        if signal == SIGNAL and answer.patch is not None and isinstance(sealed, Readings):
+            found[signal] = with_patch(found[signal], answer.patch, sealed)
     return found
 
 
 def written_channels(answer: Answer) -> tuple[Channel, ...]:
     """The channels with the effects that are written, and no others."""
     d = answer.diagnosis
+    if answer.patch is not None:
+        return tuple(answer.patch.channel if c.name == SIGNAL else c for c in d.channels)
     if effects_key(answer.written) == effects_key(d.active):
         return d.channels
     return tuple(c.with_active(answer.written) if answer.written else c for c in d.baseline)
@@ -229,7 +244,7 @@ def _written(folder: Path, output: Output, phases: Phases, columns: Path | None)
                 (made / "diagnosis.json").write_text(json_text(document_of(answer)), encoding="utf-8")
                 for signal, told in sealed.items():
                     write_predictions(made / f"predictions_{signal}.csv", signal, told)
-                write_corrected_cell(made, out, answer.data, written_channels(answer), answer.written)
+                write_corrected_cell(made, out, answer.data, written_channels(answer), answer)
             with phases.phase("report"):
                 (made / "report.html").write_bytes(page())
     return DiagnosisResult(out, answer, sealed, last_line(answer, out))
@@ -239,13 +254,16 @@ def last_line(answer: Answer, out: Path) -> str:
     """What was found, and where it stands."""
     head = diagnosis_headline(answer)
     safe = "The believed cell stays as it is: what these effects promise may be nothing, or harm"
-    if answer.written or not answer.diagnosis.active:
+    if answer.corrections or not answer.diagnosis.active:
         safe = _safe(answer, out)
     return f"{out}: {head.verdict} {head.sentence.rstrip('.')}. {safe}; {out / 'report.html'} shows why."
 
 
 def _safe(answer: Answer, out: Path) -> str:
     """What may be relied on."""
+    if answer.patch is not None:
+        told = "what is known, and a patch for the rest" if answer.written else "a patch for it"
+        return f"{out / 'corrected_cell.toml'} holds {told}, which explains nothing and fades outside what was measured"
     return {
         "explained": f"{out / 'corrected_cell.toml'} plans with it",
         "ambiguous": f"{out / 'corrected_cell.toml'} holds the likeliest; measure what the report asks for before relying on it",

@@ -16,8 +16,12 @@ from ocp.calibrate.tracker import as_calibration
 from ocp.diagnose.dataset import CELL, DataSet
 from ocp.diagnose.engine.channel_system import Channel, scan_key
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.verdict.answer import Answer
+from ocp.diagnose.verdict.patching import formula_of, is_patch
+from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active
+from ocp.effects.patch import patch_table
 from ocp.model.cell import cell_tables_for
 from robots.calibration.store import Calibration, write_calibration
 from robots.pose import Array
@@ -26,11 +30,12 @@ from robots.toml_files import toml_text
 CALIBRATION = "calibration.toml"
 
 
-def write_corrected_cell(folder: Path, out: Path, data: DataSet, channels: Sequence[Channel], active: Sequence[Active]) -> None:
+def write_corrected_cell(folder: Path, out: Path, data: DataSet, channels: Sequence[Channel], answer: Answer) -> None:
     """Write corrected_cell.toml and its calibration into `folder`, which will stand at `out`."""
     source = data.folder / CELL
     tables = cell_tables_for(source, out, data.cell.workpiece.stl if data.cell is not None else None)
     tables.pop("effects", None)
+    tables.pop("patches", None)
     robot = tables["robot"]
     calibration = calibration_of(channels, data)
     if calibration is not None:
@@ -42,12 +47,23 @@ def write_corrected_cell(folder: Path, out: Path, data: DataSet, channels: Seque
             if file.is_file():
                 shutil.copyfile(file, folder / file.name)
         robot["calibration"] = believed.name
-    if active:
+    if answer.corrections:
         tables["conditions"] = conditions_at_the_end(data)
-    if total := summed(data.believed, active):
-        tables["effects"] = [table_of(one) for one in total]
+    total = summed(data.believed, answer.written)
+    if named := [table_of(one) for one in total if not is_patch(one.effect)]:
+        tables["effects"] = named
+    patches = [patch_table(one, formula_of(one), "believed") for one in total if is_patch(one.effect)]
+    if answer.patch is not None:
+        patches += [patch_table(one, formula_of(one), promise_words(answer.patch.shrinkage)) for one in answer.patch.patches]
+    if patches:
+        tables["patches"] = patches
     text = f"# {source.name} with what ocp.diagnose found\n" + toml_text(tables)
     (folder / "corrected_cell.toml").write_text(text, encoding="utf-8")
+
+
+def promise_words(told: Shrinkage) -> str:
+    """A promise as a cell tells it."""
+    return f"{100 * told.predicted:.0f} % of the gap ({100 * told.low:.0f} to {100 * told.high:.0f} %), with the effects"
 
 
 def summed(believed: Sequence[Active], found: Sequence[Active]) -> list[Active]:

@@ -12,7 +12,6 @@ from ocp.diagnose.joints.channel import seen_by_encoder
 from ocp.diagnose.joints.log import JointLog, read_joint_log
 from ocp.diagnose.rules import FORCE_UNIT_FACTOR, LEAST_READINGS
 from ocp.diagnose.tracker.channel import shown_in
-from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active
 from ocp.model.cell import Cell, TrackerSetup, files_of, read_cell, read_tracker_setup
 from ocp.model.cell_schema import CellTables
@@ -51,7 +50,7 @@ class DataSet:
     @property
     def believed(self) -> tuple[Active, ...]:
         """Effects that the cell believes."""
-        return tuple(effect_of(table.model_dump()).active for table in self.setup.tables.effects)
+        return tuple(one.active for one in self.setup.tables.believed)
 
     def believed_by(self, signal: str) -> tuple[Active, ...]:
         """Believed effects that a signal's baseline has: it shows them, and its file says what they depend on."""
@@ -130,6 +129,7 @@ def read_sealed_force(data: DataSet) -> ForceLog:
 def _believed(tables: CellTables) -> list[str]:
     """What it means that a cell has effects."""
     names = [f"{t.effect} of joint {t.joint}" if t.joint else t.effect for t in tables.effects]
+    names += [f"a patch over {t.where}" for t in tables.patches]
     if not names:
         return []
     return [f"{CELL} believes {', '.join(names)}: in the baseline, and what is named of it comes on top"]

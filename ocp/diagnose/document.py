@@ -10,7 +10,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from ocp.diagnose.engine.findings import Diagnosis, Experiment, Location, Name, Ranked
 from ocp.diagnose.rules import LEAST_BUDGET, LISTED, MOST_BUDGET, MOST_LISTED
-from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
+from ocp.diagnose.verdict.answer import Answer, Patched, SignalGap, figures
+from ocp.diagnose.verdict.patching import formula_of
 
 
 def rounded(value: float, digits: int = 6) -> float:
@@ -136,6 +137,14 @@ class ExperimentJson(JsonObject):
     expected_probability: Share
 
 
+class PatchJson(JsonObject):
+    """What a patch is in words, what names and patch promise together, where each condition that it varies with was measured."""
+
+    shrinkage: ShrinkageJson
+    formula: str
+    range: dict[str, tuple[Number, Number]]
+
+
 class Document(JsonObject):
     """The whole of diagnosis.json."""
 
@@ -150,7 +159,7 @@ class Document(JsonObject):
     location: LocationJson
     gap: dict[Literal["tracker", "force", "joint"], GapJson]
     remaining: dict[Literal["tracker", "force", "joint"], RemainingJson]
-    patch: None = None
+    patch: dict[Literal["tracker"], PatchJson] | None = None
     blind_spots: list[str]
     next_experiment: list[ExperimentJson]
 
@@ -178,6 +187,7 @@ def document_of(answer: Answer) -> Document:
         "location": _location(d),
         "gap": {gap.name: _gap(gap) for gap in answer.gaps},
         "remaining": {gap.name: _remaining(gap, d.remainder) for gap in answer.gaps},
+        "patch": None if answer.patch is None else {answer.patch.channel.name: _patch(answer.patch)},
         "blind_spots": answer.blind,
         "next_experiment": [_experiment(e) for e in answer.next],
     }
@@ -232,6 +242,12 @@ def _gap(gap: SignalGap) -> dict[str, Any]:
     told = {"unit": gap.unit, "noise_floor": gap.noise_floor, "shrinkage": gap.shrinkage}
     told |= {"before": figures(gap.before), "after": figures(gap.after)}
     return told | {"extrapolation": [{"withheld": name, "shrinkage": value} for name, value in gap.extrapolation]}
+
+
+def _patch(patch: Patched) -> dict[str, Any]:
+    formula = "; ".join(formula_of(one) for one in patch.patches)
+    measured = {name: (low, high) for one in patch.patches for name, low, high in one.scanned["range"]}
+    return {"shrinkage": patch.shrinkage, "formula": formula, "range": measured}
 
 
 def _experiment(e: Experiment) -> dict[str, Any]:

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from ocp.effects.catalogue import library
-from ocp.effects.effect import Active, Effect, Parameter
+from ocp.effects.effect import Active, Effect, Parameter, effect_named
+from ocp.effects.patch import patch_of
 from robots.errors import shown
 from robots.pose import Array
 
@@ -37,7 +38,7 @@ class CellEffect:
     @property
     def active(self) -> Active:
         """With the effect of the library."""
-        return Active(library()[self.name], self.joint, self.a, self.scanned, self.covariance)
+        return Active(effect_named(self.name), self.joint, self.a, self.scanned, self.covariance)
 
 
 def effect_of(table: Mapping[str, Any]) -> CellEffect:
@@ -64,6 +65,12 @@ def effect_of(table: Mapping[str, Any]) -> CellEffect:
                 f"effect '{effect.name}' has sd.{shown(key)}, which is no value of this table that can have one; remove it"
             )
     return CellEffect(effect.name, joint, np.asarray(a, float), dict(scanned), _covariance(effect, values, sd))
+
+
+def patch_effect_of(table: Mapping[str, Any]) -> CellEffect:
+    """The patch that a `[[patches]]` table describes, as an effect of the cell. Raises ValueError, a sentence."""
+    one = patch_of(table)
+    return CellEffect(one.effect.name, one.joint, one.a, dict(one.scanned), one.covariance)
 
 
 def table_of(active: Active) -> dict[str, Any]:

@@ -124,7 +124,7 @@ class Effect:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Effects travel between processes by name: their hooks are no data."""
-        return _named, (self.name,)
+        return effect_named, (self.name,)
 
     def __post_init__(self) -> None:
         assert len(self.prior_sd) == len(self.coefficients), f"{self.name}: one prior_sd a coefficient"
@@ -152,10 +152,12 @@ class Effect:
         return self.joints or (0,)
 
 
-def _named(name: str) -> Effect:
+def effect_named(name: str) -> Effect:
+    """An effect of the library, or a patch, by its name."""
     from ocp.effects.catalogue import library  # not at the top: the library imports the effects, and they this module
+    from ocp.effects.patch import PATCH, patch_effect
 
-    return library()[name]
+    return patch_effect(name) if name.startswith(PATCH) else library()[name]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.effects.cell_effects import CellEffect, effect_of
+from ocp.effects.cell_effects import CellEffect
 from ocp.model.cell_schema import (
     CellTables,
     ConditionsTable,
@@ -231,7 +231,7 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
         process=Process(**_si(tables.process)),
         controller=Controller(**tables.controller.model_dump()),
         tables=tables,
-        effects=tuple(effect_of(table.model_dump()) for table in tables.effects),
+        effects=tables.believed,
         conditions=_conditions(tables.conditions, tables.reference_temperature_C),
     )
     _refuse_sunken_wheel(cell)

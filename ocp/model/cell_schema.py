@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from ocp.effects.cell_effects import effect_of
+from ocp.effects.cell_effects import CellEffect, effect_of, patch_effect_of
+from ocp.effects.patch import MOST_FEATURES
 from robots.bounds import (
     AngleSpread,
     AngleVector,
@@ -273,6 +274,27 @@ class EffectTable(TomlTable):
         return self
 
 
+class PatchTable(TomlTable):
+    """`[[patches]]`: a correction that has no name, as a diagnosis writes it (`ocp.effects.patch`)."""
+
+    signal: Literal["tracker"]
+    where: Label
+    kernel: Label
+    joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
+    features: Annotated[tuple[str, ...], Field(min_length=1, max_length=MOST_FEATURES)]
+    weights: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    range: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    about: tuple[float, float, float] | None = None
+    formula: str = ""
+    promise: str = ""
+
+    @model_validator(mode="after")
+    def _whole(self) -> "PatchTable":
+        patch_effect_of(self.model_dump())
+        return self
+
+
 class ConditionsTable(TomlTable):
     """`[conditions]`: what the cell's effects depend on, as it will be when the plan runs."""
 
@@ -299,7 +321,14 @@ class CellTables(TomlTable):
     process: ProcessTable = ProcessTable()
     tracker: TrackerTable | None = None
     effects: Annotated[tuple[EffectTable, ...], Field(max_length=MOST_EFFECTS)] = ()
+    patches: Annotated[tuple[PatchTable, ...], Field(max_length=MOST_EFFECTS)] = ()
     conditions: ConditionsTable = ConditionsTable()
+
+    @property
+    def believed(self) -> tuple[CellEffect, ...]:
+        """Effects and patches of the cell."""
+        named = (effect_of(table.model_dump()) for table in self.effects)
+        return (*named, *(patch_effect_of(table.model_dump()) for table in self.patches))
 
     @model_validator(mode="after")
     def _payload_known(self) -> "CellTables":

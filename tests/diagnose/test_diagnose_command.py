@@ -80,7 +80,8 @@ def test_the_file_is_what_the_formats_page_asks_for(played):
 def test_blind_predictions_stand_in_order_and_shrink_as_promised(played):
     _, out, truth, _, document = played
     found = rows(out / "predictions_tracker.csv")
-    assert list(found[0]) == [f"{kind}_{c}_mm" for kind in ("baseline", "corrected", "sigma") for c in "xyz"]
+    kinds = ("baseline", "corrected", "sigma", "patched", "patched_sigma")
+    assert list(found[0]) == [*(f"{kind}_{c}_mm" for kind in kinds for c in "xyz"), "inside"]
     assert len(found) == len(truth)
     points = {k: np.array([[row[f"{k}_{c}_mm"] for c in "xyz"] for row in found]) for k in ("baseline", "corrected", "sigma")}
     before, after = (rms(points[k] - 1e3 * truth) for k in ("baseline", "corrected"))

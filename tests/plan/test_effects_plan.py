@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ocp.calibrate.force.model import ForceModel, ForceRows
-from ocp.effects.cell_effects import effect_of
+from ocp.effects.cell_effects import effect_of, patch_effect_of
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.cell import Cell, RunConditions, read_cell
 from ocp.model.theta import believed_theta, with_effects
@@ -22,6 +22,7 @@ from ocp.plan.passes.problem import WINDOW, PassProblem, approach_signs, with_di
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.second_route import BelievedRobot, moved_arm
+from robots.errors import BadInput
 from robots.reference_kinematics import elementary_forward
 from tests.plan.test_optimal_control import BAR
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
@@ -44,12 +45,31 @@ ARM = (
     {"effect": "link_thermal", "per_K": 1e-5},
     {"effect": "base_tilt", "rad": [1e-4, -5e-5, 8e-5], "at_s": 100.0},
     {"effect": "gear_harmonic", "joint": 2, "order": 40, "amplitude_rad": 1e-4, "phase_rad": 0.4},
+    {
+        "kernel": "joint",
+        "where": "q3 x q2",
+        "joint": 3,
+        "features": ["cos 2 q3 * sin 1 q2", "approach3"],
+        "weights": [2e-4, 5e-5],
+        "covariance": [[1e-12, 0.0], [0.0, 1e-12]],
+        "range": {"q2": [-3.0, 1.0], "q3": [-1.0, 3.0]},
+    },
+    {
+        "kernel": "axis still",
+        "where": "moment1",
+        "joint": 1,
+        "features": ["power 1 mx1"],
+        "weights": [5e-5, -8e-5],
+        "covariance": [[1e-12, 0.0], [0.0, 1e-12]],
+        "range": {"mx1": [-9e3, 9e3]},
+    },
 )
 WEAR = {"effect": "wheel_wear", "m_per_s": 1e-7, "sd": {"m_per_s": 1e-8}}
 
 
 def cell_with(*tables: dict, **conditions: float) -> Cell:
-    return replace(bundled_cell(), effects=tuple(effect_of(t) for t in tables), conditions=RunConditions(**conditions))
+    made = tuple(patch_effect_of(t) if "kernel" in t else effect_of(t) for t in tables)
+    return replace(bundled_cell(), effects=made, conditions=RunConditions(**conditions))
 
 
 def solver_of(cell: Cell) -> PassSolver:
@@ -200,11 +220,23 @@ def test_a_faulty_table_is_refused_in_a_sentence(case, tmp_path):
     assert sentence in said and f"line {text.count(chr(10)) + 1}: effects[0]" in said
 
 
+def test_a_faulty_patch_is_refused_in_a_sentence(tmp_path):
+    file = small_cell(tmp_path, blade=False)
+    text = file.read_text().rstrip() + "\n"
+    table = 'signal = "tracker"\nwhere = "q3"\nkernel = "joint"\nfeatures = ["wave 1 q3"]\nweights = [1e-4]\ncovariance = [[0.0]]'
+    file.write_text(f"{text}[[patches]]\n{table}\n")
+    with pytest.raises(BadInput, match=rf"line {text.count(chr(10)) + 1}: patches\[0\]: .*needs a joint"):
+        read_cell(file)
+
+
 def test_the_command_plans_a_corrected_cell_and_its_text_holds_the_force(tmp_path):
     file = small_cell(tmp_path)
     text = file.read_text() + (
         '\n[[effects]]\neffect = "backlash"\njoint = 2\nhalf_width_rad = 1e-4\nsd = { half_width_rad = 2e-6 }\n'
-        '[[effects]]\neffect = "wheel_wear"\nm_per_s = 2e-7\n[conditions]\nclock_s = 900\ntemperature_C = 27.0\n'
+        '[[effects]]\neffect = "wheel_wear"\nm_per_s = 2e-7\n'
+        '[[patches]]\nsignal = "tracker"\nwhere = "q3"\nkernel = "joint"\njoint = 3\nfeatures = ["wave 1 q3", "wave 2 q3"]\n'
+        "weights = [2e-4, -1e-4]\ncovariance = [[1e-11, 0.0], [0.0, 1e-11]]\nrange = { q3 = [-0.5, 2.5] }\n"
+        "[conditions]\nclock_s = 900\ntemperature_C = 27.0\n"
     )
     file.write_text(text)
     told = called(app, tmp_path, "--cell", "cell.toml", *STEP)
@@ -212,4 +244,8 @@ def test_the_command_plans_a_corrected_cell_and_its_text_holds_the_force(tmp_pat
     summary = json.loads((tmp_path / "plan" / "plan.json").read_text())
     assert summary["status"] == "safe" and summary["force_error_N"] < 0.1
     cell = read_cell(Path(file))
-    assert [e.name for e in cell.effects] == ["backlash", "wheel_wear"] and cell.conditions.clock == 900.0
+    assert [e.name for e in cell.effects] == [
+        "backlash",
+        "wheel_wear",
+        "patch joint|q3|2|0.0002",
+    ] and cell.conditions.clock == 900.0

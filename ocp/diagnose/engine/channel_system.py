@@ -179,12 +179,16 @@ def drifts(active: Sequence[Active], change: Array, covariance: Array) -> dict[t
 class Sealed:
     """Predictions (r, k) SI for readings nobody has seen: believed cell refitted, corrected by the named effects, and one
     sigma of the corrected one for the noise-free value. lacking: named effects that are left out of the correction, because the
-    conditions do not say what they depend on; their usual size is in sigma."""
+    conditions do not say what they depend on; their usual size is in sigma. patched, patched_sigma: the same with a patch (None:
+    there is none); inside (r,): whether all it varies with lies in its measured range."""
 
     baseline: Array
     corrected: Array
     sigma: Array
     lacking: tuple[str, ...] = ()
+    patched: Array | None = None
+    patched_sigma: Array | None = None
+    inside: NDArray[np.bool_] | None = None
 
 
 class Channel(Protocol):

@@ -156,7 +156,8 @@ class Diagnosis:
     that these data cannot tell apart. kernels, spectrum: of the baseline's gap; left_over: kernel tests after the accepted
     effects. impostors: accepted terms that hurt where the data are extrapolated, with the fold that says so. unknown_reasons:
     what speaks against names. baseline, channels: before and after the accepted effects. held_out: by channel name.
-    alternatives: what may be true, with probabilities, `active` first; empty: `active` alone.
+    alternatives: what may be true, with probabilities, `active` first; empty: `active` alone. patches: what may stand for
+    something outside the catalogue, not yet fitted, with its share of p_unknown, the likeliest first.
     """
 
     explanations: tuple[Explanation, ...]
@@ -179,6 +180,7 @@ class Diagnosis:
     channels: tuple[Channel, ...]
     held_out: dict[str, tuple[HeldOut, ...]] = field(default_factory=dict)
     alternatives: tuple[Alternative, ...] = ()
+    patches: tuple[Alternative, ...] = ()
 
     @property
     def verdict(self) -> str:

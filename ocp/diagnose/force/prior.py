@@ -23,7 +23,6 @@ from ocp.calibrate.force.log import AIR_SHARE, Flags, ForceLog
 from ocp.diagnose import rules
 from ocp.diagnose.tracker.channel import TrackerChannel, shown_in
 from ocp.diagnose.tracker.refit import without_effects
-from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active
 from ocp.model.cell import Cell, read_tracker_setup
 from ocp.model.theta import NAMES, covariance_root
@@ -90,7 +89,7 @@ def arm_from_tracker(tracker: Path, cell_file: Path, mapping: ColumnMapping = OU
     campaign = Campaign(setup.robot, readings, setup.payloads, setup.instrument)
     choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
     first = fit_campaign(campaign, choice)
-    believed = shown_in([effect_of(table.model_dump()).active for table in setup.tables.effects], readings)
+    believed = shown_in([one.active for one in setup.tables.believed], readings)
     if believed:  # what the cell believes is not geometry
         campaign = without_effects(campaign, first.state, believed, setup.tables.reference_temperature_C)
         first = fit_campaign(campaign, choice)

@@ -8,7 +8,8 @@ from typing import Any
 
 from ocp.calibrate.report.view import listed
 from ocp.diagnose.engine.findings import Location, Name
-from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
+from ocp.diagnose.verdict.answer import Answer, Patched, SignalGap, figures
+from ocp.diagnose.verdict.patching import formula_of
 from ocp.diagnose.verdict.shrinkage import NONE
 from ocp.effects.catalogue import library
 from ocp.report.section import Headline
@@ -100,12 +101,22 @@ def diagnosis_headline(answer: Answer) -> Headline:
     named = [f"{effect_words(Name(*a.key))}: {values_words(a.parameters, a.deviations)}" for a in d.active]
     facts = [("Where", _where(answer)), ("What", "; ".join(named) or "no effect is named"), ("How sure", _how_sure(answer))]
     facts.append(("How much better", _better(answer)))
+    if answer.patch is not None:
+        facts.append(("Patch", _patch(answer.patch)))
     if answer.next:
         first = answer.next[0]
         facts.append(("What next", f"{_capital(first.do)} ({first.minutes:.0f} min). It tells {_apart(first.tells_apart)}."))
     if answer.blind:
         facts.append(("Not seen", "; ".join(answer.blind[:3]) + ("; …" if len(answer.blind) > 3 else "")))
     return Headline(verdict in ("explained", "no_gap"), VERDICTS[verdict], verdict_sentence(answer), tuple(facts))
+
+
+def _patch(patch: Patched) -> str:
+    """What is corrected without a name, and what that promises."""
+    s = patch.shrinkage
+    told = f"{100 * s.predicted:.0f} % ({100 * s.low:.0f} to {100 * s.high:.0f} %) of the tracker gap should be gone on new data"
+    what = "; ".join(formula_of(one) for one in patch.patches)
+    return f"With what has no name corrected as well, {told}. It explains nothing, and fades outside what was measured: {what}"
 
 
 def verdict_sentence(answer: Answer) -> str:

@@ -7,7 +7,9 @@ import numpy as np
 
 from ocp.diagnose.dataset import DataSet
 from ocp.diagnose.engine.channel_system import Channel
-from ocp.diagnose.engine.findings import Diagnosis, Experiment
+from ocp.diagnose.engine.findings import Alternative, Diagnosis, Experiment
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.verdict.patching import is_patch
 from ocp.diagnose.verdict.remaining import Remaining
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.effect import Active
@@ -33,9 +35,24 @@ class SignalGap:
 
 
 @dataclass(frozen=True)
+class Patched:
+    """The tracker's channel with the written names and the patches; shrinkage that both promise together; others: what may stand
+    in the patches' place, with probabilities."""
+
+    channel: TrackerChannel
+    shrinkage: Shrinkage
+    others: tuple[Alternative, ...]
+
+    @property
+    def patches(self) -> tuple[Active, ...]:
+        """With values and covariance."""
+        return tuple(a for a in self.channel.active if is_patch(a.effect))
+
+
+@dataclass(frozen=True)
 class Answer:
     """Diagnosis of a data set with the gap of every signal, what to measure next, what cannot be seen, seconds by phase; written:
-    named effects that the corrected cell holds."""
+    named effects that the corrected cell holds; patch: of what has no name, where it is written too."""
 
     data: DataSet
     diagnosis: Diagnosis
@@ -45,6 +62,12 @@ class Answer:
     notices: tuple[str, ...]
     seconds: dict[str, float]
     written: tuple[Active, ...] = ()
+    patch: Patched | None = None
+
+    @property
+    def corrections(self) -> tuple[Active, ...]:
+        """All that the corrected cell holds: names, and the patch."""
+        return self.written if self.patch is None else (*self.written, *self.patch.patches)
 
 
 def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, ...]:

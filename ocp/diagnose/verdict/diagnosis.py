@@ -20,6 +20,7 @@ from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
 from ocp.diagnose.verdict.doubts import judged, refitted
 from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_kernel, of_tests, spectra
+from ocp.diagnose.verdict.patching import patches_of
 from ocp.diagnose.verdict.probabilities import (
     ExplanationWeights,
     Names,
@@ -134,6 +135,7 @@ def findings(
         alternatives=alternatives(
             problem, search, found, ExplanationWeights(probability, p_none), (weighed, best), judgement.remaining
         ),
+        patches=patches_of(problem, search, found.where) if found.p_unknown > rules.LEADS else (),
     )
 
 

@@ -97,7 +97,7 @@ def _compiled(hook: Hook, fixed: tuple[tuple[str, Any], ...], symbolic: tuple[st
     out = ca.vertcat(*(ca.vec(expression.T) for expression in found.values()))
     used = np.flatnonzero(np.asarray(ca.which_depends(out, row, 1, False), bool)) if out.nnz() else np.empty(0, np.int64)
     inputs = [ca.vertcat(*(row[int(i)] for i in used)) if len(used) else ca.SX.sym("none", 0), free]
-    function = ca.Function(f"{hook.effect.name}_{hook.kind}", inputs, [ca.cse(out)])
+    function = ca.Function(f"{hook.effect.name.split()[0]}_{hook.kind}", inputs, [ca.cse(out)])
     return _Compiled(function, used, tuple(found), *shape)
 
 

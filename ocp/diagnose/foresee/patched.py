@@ -1,0 +1,95 @@
+"""The patch of what has no name: fitted beside the written names, promised like an effect, predicted with its fading.
+
+New conditions may lie beyond what was measured. There the patch is gone and what it stands for is not: in the promise the truth
+goes on as it was at the edge of the range, in a prediction's sigma it is as wide as the prior of the patch's features.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ocp.diagnose.engine.channel_system import Sealed
+from ocp.diagnose.engine.findings import Alternative, Diagnosis, Options
+from ocp.diagnose.foresee.anticipated import active_columns, anticipated
+from ocp.diagnose.foresee.planned_tracker import channel_about
+from ocp.diagnose.rules import LEADS
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.tracker.motion import displaced, motion
+from ocp.diagnose.verdict.answer import Patched
+from ocp.diagnose.verdict.doubts import errors_of_folds
+from ocp.diagnose.verdict.patching import SIGNAL, conditions_by_name, is_patch, unfaded, with_further
+from ocp.diagnose.verdict.remaining import SCALE
+from ocp.diagnose.verdict.shrinkage import Shrinkage, estimation_variance, from_folds, from_model
+from ocp.effects.effect import Active
+from ocp.effects.patch import lengths_outside
+from robots.calibration.residuals import points
+from robots.errors import Infeasible
+from robots.pose import Array
+from robots.tracker_readings import Readings
+
+
+def patched(diagnosis: Diagnosis, written: Sequence[Active], named: Shrinkage | None) -> Patched | None:
+    """The patch that does no harm and promises more than the written names alone (`named`: what they promise); None: there is
+    nothing unknown, nothing that a patch can hold, or the low end of its promise is not above zero."""
+    before = next((c for c in diagnosis.baseline if isinstance(c, TrackerChannel)), None)
+    if before is None or not diagnosis.patches or diagnosis.p_unknown <= LEADS:
+        return None
+    try:
+        after = with_further(before.with_active((*written, *diagnosis.patches[0].active)), Options())
+        others = _others(diagnosis, tuple(written), after)
+        promise = _promised(before, after, others)
+    except Infeasible:
+        return None
+    less = named.predicted if written and named is not None else 0.0
+    if promise is None or promise.low <= 0.0 or promise.predicted <= less:
+        return None
+    return Patched(after, promise, others[1:])
+
+
+def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: TrackerChannel) -> tuple[Alternative, ...]:
+    """What may be true: the patches as they stand beyond the range as well, other kernels in their place, the names alone. The
+    first is what is written: as patches fade, it is true nowhere."""
+    total = sum(one.probability for one in diagnosis.patches)
+    shares = [diagnosis.p_unknown * one.probability / total for one in diagnosis.patches]
+    rest = [Alternative(p, unfaded((*written, *one.active))) for p, one in zip(shares[1:], diagnosis.patches[1:], strict=True)]
+    first = Alternative(shares[0], unfaded(after.active))
+    return (Alternative(0.0, after.active), first, *rest, Alternative(1.0 - diagnosis.p_unknown, written))
+
+
+def _promised(before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative]) -> Shrinkage | None:
+    held = errors_of_folds([after], after.active)[SIGNAL]
+    if after.restless(1.0):
+        return from_folds(held, estimation_variance(after, active_columns(after)))
+    return from_model(anticipated(before, after, others), held, (after.noise_floor / SCALE[after.unit]) ** 2)
+
+
+def beyond(channel: TrackerChannel, patches: Sequence[Active], sealed: Readings) -> tuple[Array, NDArray[np.bool_]]:
+    """Variance (n, 3) m^2 of what the patches leave open where they fade, and whether (n,) every condition of theirs lies in its
+    measured range; `sealed`: conditions."""
+    c = channel.task.campaign
+    new = replace(sealed, turn=None, sigma_turn=None)
+    about = channel_about(channel, replace(new, point=points(c.robot, new, c.instrument, channel.fit.state)))
+    open_, inside = np.zeros((len(sealed), 3)), np.full(len(sealed), True)
+    for one in unfaded(patches):
+        middle = one.scanned.get("about", (0.0,))[0]
+        d = lengths_outside(one, conditions_by_name(about.conditions, channel.task.reference, middle))
+        columns = displaced(motion(one.effect, one.joint, [one.scanned], about.seen), about.fit.linear.d_joints)[0]
+        usual = np.sum((columns * np.asarray(one.effect.prior_sd)) ** 2, axis=2)
+        open_ += (1.0 - np.exp(-(d**2)))[:, None] * usual
+        inside &= np.asarray(d == 0.0)
+    return open_, inside
+
+
+def with_patch(told: Sealed, found: Patched, sealed: Readings) -> Sealed:
+    """Predictions with those of the patch beside them; sigma holds what may stand in its place, and what it leaves open."""
+    main = found.channel.predict(sealed, found.channel.active)
+    variance = main.sigma**2
+    for one in found.others:
+        other = told.corrected if not any(is_patch(a.effect) for a in one.active) else None
+        if other is None:
+            other = found.channel.predict(sealed, one.active).corrected
+        variance = variance + one.probability * (other - main.corrected) ** 2
+    open_, inside = beyond(found.channel, found.patches, sealed)
+    return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance + open_), inside=inside)

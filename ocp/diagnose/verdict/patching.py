@@ -1,0 +1,224 @@
+"""A patch for what has no name: the kernels that stand for it as a correction, with what it promises and where it holds.
+
+What stands for something outside the catalogue is a sum of a kernel's features (`ocp.diagnose.engine.kernels`). As a patch
+(`ocp.effects.patch`) it is fitted with geometry and names like any effect, judged on new conditions like one, and written only
+where the low end of its promise is above zero. Beyond the measured range it fades; what it may be there is in sigma, as wide as
+the prior of its features.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ocp.diagnose import rules
+from ocp.diagnose.engine.beam import Search, given, make_pool, scan
+from ocp.diagnose.engine.channel_system import ReadingConditions
+from ocp.diagnose.engine.evidence import stack
+from ocp.diagnose.engine.findings import Alternative, Name, Options
+from ocp.diagnose.engine.kernels import LOADED, MOTOR_WAVES, ORDERS_OF_TWO, RIPPLES
+from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.effects.effect import Active, Effect
+from ocp.effects.patch import ON_BEAM, PATCH, make_patch
+from robots.pose import Array
+
+SIGNAL = "tracker"
+TOLD, MOST_TERMS = 0.9, 4  # of a formula: share of its squares, terms
+
+
+def waves_over(name: str, count: int) -> list[str]:
+    """Smooth features over a condition's range."""
+    return [f"wave {k} {name}" for k in range(1, count + 1)]
+
+
+def turns_of(name: str, order: float, by: str = "") -> list[str]:
+    """Cosine and sine of an angle, times a factor."""
+    return [f"{by} * {form} {order:.10g} {name}" if by else f"{form} {order:.10g} {name}" for form in ("cos", "sin")]
+
+
+def times(first: Sequence[str], second: Sequence[str]) -> list[str]:
+    """Each of the first times each of the second."""
+    return [f"{a} * {b}" for a in first for b in second]
+
+
+def payload_features(c: ReadingConditions) -> list[str]:
+    """Indicators of all payloads that were measured but the commonest."""
+    if c.payload is None:
+        return []
+    kinds, counts = np.unique(c.payload, return_counts=True)
+    return [f"is {c.payloads[k]}" for k in np.delete(kinds, np.argmax(counts))]
+
+
+def of_joint(where: str, j: int, variant: int, c: ReadingConditions) -> list[str] | None:
+    """Features of a turn of joint j by what it varies with, as `ocp.diagnose.engine.kernels` has them; None where a moving arm
+    has no such condition."""
+    q, tau, sign = f"q{j}", f"tau{j}", f"approach{j}"
+    one, _, other = where.partition(" x ")
+    stem = one.rstrip("123456")
+    if other == "wait" or stem == "step":
+        return None
+    if stem == "approach":
+        if other:
+            return [f"{sign} * power {k} {tau}" for k in (1, 2, 3)]
+        return [sign, *turns_of(q, variant + 1, sign)]
+    if stem in ("ripple", "motor"):
+        ratios = c.gear_ratio[j - 1] if c.gear_ratio is not None else ()
+        orders = RIPPLES if stem == "ripple" else np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel()
+        return turns_of(q, float(orders[variant]))
+    if stem == "tau":
+        return turns_of(q, float(LOADED[variant]), f"power 1 {tau}") if other else waves_over(tau, 3)
+    if stem == "q":
+        if other:
+            a, b = ORDERS_OF_TWO[variant]
+            return times(turns_of(q, a), turns_of(other, b))
+        return waves_over(one, 7 if one == q else 3)
+    if stem == "payload":
+        return times(payload_features(c), turns_of(q, 1)) if other else payload_features(c)
+    slow = "warm" if stem == "temperature" else "time"
+    if not other:
+        return waves_over(slow, 3)
+    return times(waves_over(slow, 2), turns_of(q, 1) if other == q else [f"power {k} {tau}" for k in (1, 2)])
+
+
+def of_axis(where: str, j: int, c: ReadingConditions) -> list[str]:
+    """Features of a tilt of the axis of joint j."""
+    stem = where.rstrip("123456")
+    if stem == "q":
+        return waves_over(f"q{j}", 5)
+    if stem == "moment":
+        return [f"power 1 mx{j}", f"power 1 my{j}"]
+    return payload_features(c) if stem == "payload" else waves_over("warm" if stem == "temperature" else "time", 2)
+
+
+def conditions_by_name(c: ReadingConditions, reference: float, middle: float = 0.0) -> dict[str, Array]:
+    """Conditions (n,) of readings as patches call them; reference temperature deg C, middle azimuth rad."""
+    found = {f"q{j + 1}": c.q[:, j] for j in range(6)}
+    if c.tau is not None:
+        found |= {f"tau{j + 1}": c.tau[:, j] for j in range(6)}
+    if c.moments is not None:
+        found |= {f"m{axis}{j + 1}": c.moments[:, j, k] for j in range(6) for k, axis in enumerate("xy")}
+    found |= {} if c.temperature is None else {"warm": c.temperature - reference}
+    found |= {} if c.time is None else {"time": c.time}
+    if c.point is not None:
+        turned = np.arctan2(c.point[:, 1], c.point[:, 0]) - middle
+        flat = np.linalg.norm(c.point[:, :2], axis=1)
+        found |= {"range": np.linalg.norm(c.point, axis=1), "azimuth": np.arctan2(np.sin(turned), np.cos(turned))}
+        found |= {"elevation": np.arctan2(c.point[:, 2], flat)}
+    return found
+
+
+def as_patch(name: Name, variant: int, size: float, channel: TrackerChannel) -> Active | None:
+    """A kernel as a patch of zero weights, prior sd `size` of its coefficients; None where no patch can hold it."""
+    signal, where, source = name.effect.removeprefix("?").split("/")
+    if signal != SIGNAL:
+        return None
+    c, more = channel.conditions, {}
+    middle = 0.0
+    if source == "joint":
+        features = of_joint(where, name.joint, variant, c)
+    elif source == "axis":
+        features, source = of_axis(where, name.joint, c), f"axis {('still', 'turning')[variant]}"
+    elif source == "frame":
+        features = waves_over({"temperature": "warm"}.get(where, where), 3) if where in ("time", "temperature") else None
+    elif where == "sight" or c.point is None:
+        features = None
+    else:
+        flat = np.linalg.norm(c.point[:, :2], axis=1)
+        turned = np.arctan2(c.point[:, 1], c.point[:, 0])
+        middle = float(np.arctan2(np.sin(turned).mean(), np.cos(turned).mean()))
+        more["about"] = (middle, float(flat.mean()), float(np.linalg.norm(c.point, axis=1).mean()))
+        features, source = waves_over(where, 4), ON_BEAM[variant]
+    if not features:
+        return None
+    measured = conditions_by_name(c, channel.task.reference, middle)
+    limits = {n: (float(v.min()), float(v.max())) for n, v in measured.items()}
+    return make_patch(source, where, name.joint, features, limits, size, **more)
+
+
+def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, float]) -> tuple[Alternative, ...]:
+    """What may stand for something outside the catalogue, unfitted, with its share of the probability, the likeliest first;
+    where: kernels by name with theirs. Empty where the likeliest can be no patch."""
+    channel = next((c for c in problem.channels if isinstance(c, TrackerChannel)), None)
+    found: list[Alternative] = []
+    for name in sorted(where, key=lambda n: -where[n])[: rules.MOST_FOLLOWED]:
+        f = problem.index[name]
+        best = max((k for k in search.sets if f in k), key=lambda k: search.sets[k].log)
+        member = next(m for m in search.sets[best].members if m.family == f)
+        family = problem.pool.families[f]
+        variant = int(family.scans[member.variant]["kernel"])
+        patch = None if channel is None else as_patch(name, variant, member.size * float(family.scale[0]), channel)
+        if patch is None and not found:
+            return ()
+        if patch is not None and where[name] >= rules.FOLLOWED * sum(where.values()):
+            found.append(Alternative(where[name], (patch,)))
+    return tuple(found)
+
+
+def with_further(channel: TrackerChannel, options: Options) -> TrackerChannel:
+    """A channel whose patch leaves something with further patches, as long as a kernel gains more than it costs."""
+    for _ in range(rules.MOST_PATCHES - 1):
+        stacked = stack((channel,), np.zeros(len(channel.system.residual)))
+        families = kernel_families((channel,), stacked, options)
+        pool = make_pool(stacked.y, stacked.freedom, families)
+        told = scan(pool, given(pool, ()))
+        value = told.log + np.array([f.log_odds for f in families])
+        k = int(np.argmax(value))
+        variant, size = int(told.variant[k]), float(told.size[k]) * float(families[k].scale[0])
+        patch = as_patch(families[k].name, variant, size, channel) if value[k] > rules.BACKGROUND_GAIN else None
+        if patch is None or patch.key in {a.key for a in channel.active}:
+            break
+        channel = channel.with_active((*channel.active, patch))
+    return channel
+
+
+def is_patch(effect: Effect) -> bool:
+    """Whether an effect is a patch."""
+    return effect.name.startswith(PATCH)
+
+
+def unfaded(active: Sequence[Active]) -> tuple[Active, ...]:
+    """The same effects with patches that stay beyond what was measured as they are at its edge."""
+    return tuple(replace(a, scanned={**a.scanned, "stays": True}) if is_patch(a.effect) else a for a in active)
+
+
+HINTS = {
+    "joint ripple": "a ripple of the gear with a broken number of waves a turn",
+    "joint motor": "an error of the motor's encoder or its coupling",
+    "joint approach": "play that differs over the turn",
+    "joint approach tau": "play or friction that grows with the load",
+    "joint tau": "a spring that is not linear",
+    "joint tau ripple": "teeth that give with the load",
+    "joint payload": "something that the payload brings with it",
+    "joint temperature": "warmth of the drive",
+    "joint time": "something that settles or creeps",
+    "axis q": "an axis that tilts as it turns: a bearing, or what it stands on",
+    "axis moment": "an axis that tilts under weight: its bearing gives",
+    "axis temperature": "an axis that tilts with warmth",
+    "beam range": "the instrument's own scale",
+    "beam azimuth": "the instrument's own circle",
+    "beam elevation": "the instrument's own circle",
+}
+
+
+def hint_of(patch: Active) -> str:
+    """What such a dependence may come from, in words."""
+    source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
+    conditions = [part.rstrip("123456") for part in where.split(" x ")]
+    for kept in (conditions, conditions[:1]):
+        if hint := HINTS.get(" ".join([source.split()[0], *kept])):
+            return hint
+    return "not known"
+
+
+def formula_of(patch: Active) -> str:
+    """The hint, and the largest terms of a fitted patch, urad or um: those that together hold nine tenths of its squares."""
+    unit = "urad" if patch.joint else "um"
+    features, a = patch.scanned["features"], 1e6 * np.asarray(patch.a, float)
+    names = [*features] * (len(a) // len(features))
+    order = np.argsort(-np.abs(a))
+    enough = int(np.searchsorted(np.cumsum(a[order] ** 2), TOLD * float(a @ a))) + 1
+    source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
+    what = f"{source} of joint {patch.joint}" if patch.joint and source != "joint" else f"{source} {patch.joint or ''}".strip()
+    terms = " ".join(f"{a[k]:+.3g} {names[k]}" for k in order[: min(enough, MOST_TERMS)])
+    return f"{what} over {where} (perhaps {hint_of(patch)}): {terms}{' ..' if enough > MOST_TERMS else ''} {unit}"

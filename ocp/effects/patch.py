@@ -1,0 +1,285 @@
+"""A patch: what an effect outside the catalogue does to the arm or the tracker, as a fitted sum of plain features.
+
+A patch explains nothing. It holds where it was measured: with x a feature's conditions, held at the nearest measured ones (but
+for what is linear in them), and d(c) the distance of condition c from its measured range in the features' length,
+
+    change = w sum_k a_k f_k(x),      w = exp(-1/2 sum_c d(c)^2)                                                      (1)
+
+so that it fades out beyond. The length is that over which the finest feature of c changes: 1 / k rad of a wave of k per turn; of
+the range that c covers a kth (at most SOFT) for k half waves over it, and for its kth power. It enters as a turn of one joint
+(source "joint"), as a tilt of its axis about the two directions across it that stand still in the link before or turn with the
+joint ("axis still", "axis turning"), as a displacement of the tracker's frame ("frame") or of its readings along, aside and above
+the beam ("beam along", ..). Features are products of factors, written as "approach3 * cos 2 q3":
+
+    cos k c, sin k c     of an angle c        wave k c     cos(pi k x) / (1 + (k / 4)^2), x = 0..1 over c's range
+    power p c            of c over its largest size        c alone: c itself        is NAME: 1 where that payload hangs
+
+Conditions: q1..q6 rad; approach1..6; tau1..6 N m load torque; mx1..6, my1..6 N m moment of all weight beyond an axis about x and
+y of the link before it; warm K above the cell's reference temperature; time s; range m, azimuth rad (from the middle of what was
+measured), elevation rad of a reflector seen from the tracker.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.effects.context import ArmContext, TrackerContext
+from ocp.effects.effect import Active, Effect, Scanned
+from ocp.effects.forms import at_joint
+from robots.errors import shown
+from robots.gravity import GRAVITY
+from robots.pose import Array
+
+PATCH = "patch "  # effects of this name are made, not listed
+ON_ARM = ("joint", "axis still", "axis turning")
+ON_BEAM = ("beam along", "beam aside", "beam above")
+SOURCES = (*ON_ARM, "frame", *ON_BEAM)
+SOFT = 4.0  # wave number at which a smooth function's prior has fallen to half
+GONE = 5.0  # lengths from which a patch is not there
+MOST_FEATURES = 64
+COLUMNS = {"approach": "approach", "warm": "temperature_C", "time": "time_s", "is": "payload"}
+_OF_JOINTS = ("approach", "tau", "mx", "my", "q")
+_ALONE = ("warm", "time", "range", "azimuth", "elevation")
+_NUMBERED = ("cos", "sin", "wave", "power")
+
+Condition = Callable[[str], Any]
+Factor = tuple[str, float, str]  # form, number, condition or name
+
+
+def feature_factors(feature: str) -> list[Factor]:
+    """Factors of a feature. Raises ValueError, a sentence."""
+    found: list[Factor] = []
+    for text in feature.split(" * "):
+        word, _, rest = text.strip().partition(" ")
+        if word == "is" and rest:
+            found.append(("is", 1.0, rest))
+            continue
+        number, _, name = rest.partition(" ")
+        try:
+            one = (word, float(number), name) if word in _NUMBERED else ("itself", 1.0, text.strip())
+        except ValueError:
+            one = ("", 0.0, "")
+        if not known_condition(one[2]) or not 0.0 < one[1] <= 1e4 or (one[0] == "power" and one[1] not in (1.0, 2.0, 3.0)):
+            raise ValueError(f"feature '{shown(feature)}' is none; write e.g. 'cos 2 q3', 'approach3 * cos 1 q3' or 'is bare'")
+        found.append(one)
+    return found
+
+
+def known_condition(name: str) -> bool:
+    """Whether features may vary with it."""
+    return name in _ALONE or any(name == f"{one}{j}" for one in _OF_JOINTS for j in range(1, 7))
+
+
+def conditions_of(features: Sequence[str]) -> tuple[str, ...]:
+    """What features vary with between limits, each once: approach signs and names of payloads have none."""
+    names = [name for feature in features for form, _, name in feature_factors(feature) if form != "is"]
+    return tuple(dict.fromkeys(n for n in names if not n.startswith("approach")))
+
+
+def span(measured: tuple[float, float]) -> float:
+    """Length of a measured range, one where it has none."""
+    return measured[1] - measured[0] or 1.0
+
+
+def lengths(scanned: Scanned) -> dict[str, float]:
+    """Length of each condition that has a range, over which the finest feature of it changes."""
+    found = {name: span((low, high)) for name, low, high in scanned["range"]}
+    for form, number, name in (factor for feature in scanned["features"] for factor in feature_factors(feature)):
+        if name in found:
+            whole = next(span((low, high)) for n, low, high in scanned["range"] if n == name)
+            found[name] = min(found[name], 1.0 / number if form in ("cos", "sin") else whole / min(number, SOFT))
+    return found
+
+
+def _limits(scanned: Scanned) -> dict[str, tuple[float, float]]:
+    return {name: (low, high) for name, low, high in scanned["range"]}
+
+
+def _value(factor: Factor, x: Condition, limits: Mapping[str, tuple[float, float]]) -> Any:
+    """A factor at the nearest measured condition."""
+    form, number, name = factor
+    if form == "is" or name not in limits:
+        return x(f"is {name}" if form == "is" else name)
+    low, high = limits[name]
+    if (form, number) == ("power", 1.0):
+        return x(name) / (max(abs(low), abs(high)) or 1.0)
+    at = ca.fmin(ca.fmax(x(name), low), high)
+    if form in ("cos", "sin"):
+        return getattr(ca, form)(number * at)
+    if form == "wave":
+        return ca.cos(np.pi * number * (at - low) / span((low, high))) / (1.0 + (number / SOFT) ** 2)
+    return (at / (max(abs(low), abs(high)) or 1.0)) ** number if form == "power" else at
+
+
+def _features(x: Condition, scanned: Scanned) -> list[Any]:
+    """All features with their fading (eq. 1)."""
+    limits, faded, length = _limits(scanned), 0.0, lengths(scanned)
+    for name, (low, high) in limits.items():
+        off = ca.fmax(ca.fmax(x(name) - high, low - x(name)), 0.0) / length[name]
+        faded = faded + off**2
+    fades = limits and not scanned.get("stays")
+    weight = ca.exp(-0.5 * ca.fmin(faded, GONE**2)) if fades else 1.0
+    found = []
+    for feature in scanned["features"]:
+        product = weight
+        for factor in feature_factors(feature):
+            product = product * _value(factor, x, limits)
+        found.append(product)
+    return found
+
+
+def conditions_of_arm(x: ArmContext) -> Condition:
+    """Conditions by name at an instant of the arm."""
+
+    def value(name: str) -> Any:
+        if name.startswith("is "):
+            return x.is_payload(name[3:])
+        if name in ("warm", "time"):
+            return getattr(x, name)
+        kind, j = name[:-1], int(name[-1])
+        return moment(x, j)[kind == "my"] if kind in ("mx", "my") else getattr(x, kind)[j - 1]
+
+    return value
+
+
+def moment(x: ArmContext, joint: int) -> tuple[Any, Any]:
+    """Moments N m of all weight beyond an axis about x and y of the link before it."""
+    before, total = x.frames[joint - 1], ca.SX.zeros(3)
+    weights = [(i, x.link_mass[i], ca.SX(x.link_com[i])) for i in range(joint, 7)] + [(6, x.payload[0], x.payload[1:4])]
+    for link, mass, com in weights:
+        lever = x.frames[link][:3, 3] + x.frames[link][:3, :3] @ com - before[:3, 3]
+        total += mass * GRAVITY * ca.cross(lever, ca.SX(x.down))
+    return ca.dot(total, before[:3, 0]), ca.dot(total, before[:3, 1])
+
+
+def _tilts(x: ArmContext, joint: int, scanned: Scanned) -> dict[int, ca.SX]:
+    """Small turns about the two directions across an axis, every direction with every feature."""
+    before, turned = x.frames[joint - 1], x.frames[joint][:3, 0]
+    about = [before[:3, 0], before[:3, 1]]
+    if scanned["source"] == "axis turning":
+        z = before[:3, 2]
+        across = turned - ca.dot(turned, z) * z
+        across = across / ca.norm_2(across)
+        about = [across, ca.cross(z, across)]
+    columns = [ca.vertcat(ca.SX.zeros(3), direction * f) for direction in about for f in _features(conditions_of_arm(x), scanned)]
+    return {joint - 1: ca.horzcat(*columns)}
+
+
+def _reading(x: TrackerContext, joint: int, scanned: Scanned) -> ca.SX:
+    """Displacements of a reading in the tracker's frame."""
+    flat, distance = ca.norm_2(x.point[:2]), ca.norm_2(x.point)
+    middle, mean_flat, mean_distance = scanned.get("about", (0.0, 1.0, 1.0))
+    turned = ca.atan2(x.point[1], x.point[0]) - middle
+    seen = {
+        "range": distance,
+        "azimuth": ca.atan2(ca.sin(turned), ca.cos(turned)),
+        "elevation": ca.atan2(x.point[2], flat),
+        "time": x.time,
+        "warm": x.warm,
+    }
+    features = _features(lambda name: seen[name], scanned)
+    if scanned["source"] == "frame":
+        return ca.horzcat(*(ca.SX.eye(3)[:, i] * f for i in range(3) for f in features))
+    along = x.point / distance
+    aside = ca.vertcat(-x.point[1], x.point[0], 0.0) / flat
+    above = ca.cross(along, aside) * distance / mean_distance
+    direction = dict(zip(ON_BEAM, (along, aside * flat / mean_flat, above), strict=True))[scanned["source"]]
+    return ca.horzcat(*(direction * f for f in features))
+
+
+@lru_cache
+def patch_effect(name: str) -> Effect:
+    """The effect of a patch by its name, 'patch SOURCE|WHERE|coefficients|prior': so that it travels between processes."""
+    source, where, count, size = name.removeprefix(PATCH).split("|")
+    kinds = {word for word in COLUMNS if word in where.split() or any(part.startswith(word) for part in where.split())}
+    names = tuple(f"a{k + 1}" for k in range(int(count)))
+    hooks: dict[str, Any] = {"reading": _reading}
+    if source == "joint":
+        hooks = {"joint": lambda x, j, scanned: at_joint(j, *_features(conditions_of_arm(x), scanned))}
+    elif source in ON_ARM:
+        hooks = {"twist": _tilts}
+    return Effect(
+        name=name,
+        title=f"patch over {where}",
+        subsystem="joint" if source in ON_ARM else "tracker",
+        physics="A correction that explains nothing (docs/diagnosis.md, Patch).",
+        parameters=(),
+        coefficients=names,
+        prior_sd=(float(size),) * len(names),
+        values=lambda a, scanned: dict(zip(names, np.asarray(a, float).tolist(), strict=True)),
+        coefficients_of=lambda values: (np.array([values[n] for n in names], float), {}),
+        needs=tuple(COLUMNS[word] for word in sorted(kinds)),
+        **hooks,
+    )
+
+
+def make_patch(
+    source: str,
+    where: str,
+    joint: int,
+    features: Sequence[str],
+    measured: Mapping[str, tuple[float, float]],
+    size: float,
+    **more: Any,
+) -> Active:
+    """A patch of zero weights with prior sd `size` (rad or m) each; measured: ranges of what the features vary with; about: of a
+    beam's patch, azimuth rad, distance over ground and distance m that were measured on average."""
+    count = len(features) * {"frame": 3, "axis still": 2, "axis turning": 2}.get(source, 1)
+    scanned = {"source": source, "features": tuple(features), **more}
+    scanned["range"] = tuple((n, float(measured[n][0]), float(measured[n][1])) for n in conditions_of(features))
+    effect = patch_effect(f"{PATCH}{source}|{where}|{count}|{size:.3g}")
+    return Active(effect, joint, np.zeros(count), scanned, np.eye(count) * size**2)
+
+
+def patch_table(patch: Active, formula: str, promise: str, signal: str = "tracker") -> dict[str, Any]:
+    """The `[[patches]]` table of a fitted patch."""
+    source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
+    table: dict[str, Any] = {"signal": signal, "where": where, "kernel": source}
+    if patch.joint:
+        table["joint"] = patch.joint
+    table |= {"features": list(patch.scanned["features"]), "weights": [float(v) for v in patch.a]}
+    table["covariance"] = [[float(v) for v in row] for row in patch.covariance]
+    table["range"] = {name: [low, high] for name, low, high in patch.scanned["range"]}
+    table |= {"about": list(patch.scanned["about"])} if "about" in patch.scanned else {}
+    return table | {"formula": formula, "promise": promise}
+
+
+def patch_of(table: Mapping[str, Any]) -> Active:
+    """The patch of a `[[patches]]` table. Raises ValueError, a sentence."""
+    source, joint = table["kernel"], table.get("joint") or 0
+    if source not in SOURCES:
+        raise ValueError(f"kernel '{shown(source)}' is none; known are {', '.join(SOURCES)}")
+    if (source in ON_ARM) != bool(joint):
+        raise ValueError(f"a patch of kernel '{source}' {'needs a joint' if source in ON_ARM else 'belongs to no joint'}")
+    names, measured = conditions_of(table["features"]), table["range"]
+    for name in names:
+        if name not in measured or len(measured[name]) != 2 or measured[name][0] > measured[name][1]:
+            raise ValueError(f"range.{name} of a patch is missing or not [lowest, highest]")
+    if source not in ON_ARM and not set(names) <= set(_ALONE):
+        raise ValueError(f"a patch of kernel '{source}' varies with {', '.join(_ALONE)} alone")
+    if source in ON_ARM and set(names) & set(_ALONE[2:]):
+        raise ValueError(f"a patch of kernel '{source}' does not vary with where the tracker stands")
+    more = {"about": tuple(table["about"])} if table.get("about") else {}
+    a, covariance = np.asarray(table["weights"], float), np.asarray(table["covariance"], float)
+    size = float(np.sqrt(np.max(np.diag(covariance)))) if covariance.ndim == 2 and covariance.size else 0.0
+    made = make_patch(
+        source, table["where"], joint, table["features"], measured, max(size, float(np.abs(a).max(initial=0.0)), 1e-9), **more
+    )
+    if a.shape != made.a.shape or covariance.shape != (len(a), len(a)):
+        raise ValueError(f"a patch of {len(made.a)} features needs as many weights, and a covariance of as many rows and columns")
+    if not (np.isfinite(a).all() and np.isfinite(covariance).all() and np.allclose(covariance, covariance.T)):
+        raise ValueError("weights and covariance of a patch are finite numbers, the covariance symmetric")
+    return Active(made.effect, joint, a, made.scanned, covariance)
+
+
+def lengths_outside(patch: Active, conditions: Mapping[str, Array]) -> Array:
+    """Distance (n,) of conditions (n,) from the measured ones, in the lengths of eq. 1; zero inside."""
+    total, length = np.zeros(1), lengths(patch.scanned)
+    for name, low, high in patch.scanned["range"]:
+        values = conditions[name]
+        off = np.maximum(np.maximum(values - high, low - values), 0.0) / length[name]
+        total = total + off**2
+    return np.sqrt(total)

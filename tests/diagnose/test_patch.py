@@ -1,0 +1,134 @@
+"""A patch of what has no name: the features of the kernels as one formula, what comes of it on new postures, where it holds."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.kernels import kernels
+from ocp.diagnose.foresee.patched import patched, with_patch
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.tracker.motion import displaced, motion
+from ocp.diagnose.tracker.refit import believed_baseline
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.patching import as_patch, conditions_by_name
+from ocp.effects.cell_effects import patch_effect_of
+from ocp.effects.patch import feature_factors, lengths_outside, make_patch, patch_of, patch_table
+from robots.calibration.solver import Campaign
+from tests.diagnose.test_diagnosis_kernels import JOINTS
+from tests.diagnose.test_diagnosis_tracker import LIBRARY, ROBOT, channel, world
+from tests.support.simulated_campaign import INSTRUMENT, PAYLOADS, campaign_readings
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return channel(world(11)[0])
+
+
+def test_a_patch_is_its_kernel(clean):
+    """Every kernel of joint 2, of beam and frame that a patch can hold moves the readings as the patch's columns do."""
+    seen = set()
+    for kernel in kernels(clean.conditions):
+        if kernel.joint not in (0, 2) or (kernel.where, kernel.source) in seen or "payload" in kernel.where:
+            continue
+        seen.add((kernel.where, kernel.source))
+        variant = kernel.changes.shape[2] - 1
+        one = as_patch(Name(f"?tracker/{kernel.where}/{kernel.source}", kernel.joint), variant, 1e-4, clean)
+        if one is None:
+            continue
+        columns = displaced(motion(one.effect, one.joint, [one.scanned], clean.seen), clean.fit.linear.d_joints)[0]
+        scale = np.linalg.norm(kernel.changes[:, :, variant], axis=(0, 1)) / np.linalg.norm(columns, axis=(0, 1))
+        # Torques are the fit's at the bent posture here, the believed arm's there; a moment's two components have a scale each.
+        np.testing.assert_allclose(columns * scale, kernel.changes[:, :, variant], atol=0.02 * np.abs(kernel.changes).max())
+        assert kernel.source == "axis" or np.allclose(scale, 1.0, rtol=0.02)
+    assert len(seen) > 25
+
+
+def new_readings(seed, points):
+    """Conditions on new postures within the campaign's hours, and where their reflectors are."""
+    rng = np.random.default_rng(seed)
+    new = campaign_readings(rng, 100)
+    time = np.sort(rng.uniform(500.0, 7000.0, 100))
+    new = replace(new, time=time, temperature=22.0 + 6.0 * (1 - np.exp(-time / 3000.0)))
+    return new, points(new)
+
+
+def rms(off):
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def test_a_patch_brings_most_of_what_the_exact_signature_would(clean):
+    """Joint 3 follows joint 2 by a formula of the test's own: with the patch new postures are met nearly as well as by the same
+    arm without the effect."""
+    readings, points = world(11, JOINTS["coupled"][0])
+    d = diagnose_channels([channel(readings)], LIBRARY, Options(folds=False))
+    found = patched(d, (), None)
+    assert found is not None and found.shrinkage.low > 0.0
+    new, truth = new_readings(5, points)
+    told = with_patch(found.channel.predict(new, ()), found, new)
+    before = rms(told.baseline - truth)
+    exact = rms(clean.predict(new, ()).baseline - world(11)[1](new)) / before
+    came = 1.0 - rms(told.patched - truth) / before
+    assert came > 0.75 * (1.0 - exact) and exact < 0.6
+    assert found.shrinkage.low - 0.05 < came < found.shrinkage.high + 0.1
+    z = (told.patched - truth)[told.inside] / told.patched_sigma[told.inside]
+    assert told.inside.mean() > 0.8 and 0.5 < float(np.sqrt(np.mean(z**2))) < 1.6
+    campaign = Campaign(ROBOT, readings, PAYLOADS, INSTRUMENT)
+    believed = TrackerChannel(*believed_baseline(campaign, (2, 3), 22.0, believed_effects=found.patches))
+    assert diagnose_channels([believed], LIBRARY, Options(folds=False)).verdict == "no_gap"
+
+
+def test_nothing_planted_no_patch(clean):
+    d = diagnose_channels([clean], LIBRARY, Options(folds=False))
+    assert d.verdict == "no_gap" and not d.patches and patched(d, (), None) is None
+
+
+def example():
+    one = make_patch("joint", "q2 x q4", 3, ["cos 2 q2 * sin 1 q4", "wave 3 q4"], {"q2": (-1.0, 0.5), "q4": (-2.0, 2.0)}, 1e-4)
+    return replace(one, a=np.array([3e-5, -1e-5]), covariance=np.diag([1e-12, 4e-12]))
+
+
+def test_a_patch_fades_where_nothing_was_measured(clean):
+    """Inside it is there whole; a length of its finest feature beyond, e^-1/2 of it is left; far out nothing."""
+    one = example()
+    q = {"q2": np.array([0.2, 1.0, 9.0]), "q4": np.array([0.0, 0.0, 0.0])}
+    np.testing.assert_allclose(lengths_outside(one, q), [0.0, 1.0, 17.0])
+    far = replace(clean.readings, q=np.where(np.arange(6) == 1, clean.readings.q + 9.0, clean.readings.q))
+    about = replace(clean, task=replace(clean.task, campaign=replace(clean.task.campaign, readings=far)))
+    shift, _ = motion(one.effect, one.joint, [one.scanned], about.seen)
+    assert np.abs(shift).max() < 1e-4
+    inside = conditions_by_name(clean.conditions, 22.0)
+    assert (lengths_outside(one, inside) == 0).any()
+
+
+def test_a_patch_survives_a_cell_and_a_process():
+    one = example()
+    table = patch_table(one, "in words", "20 %")
+    back, effect = patch_of(table), patch_effect_of(table)
+    np.testing.assert_allclose(back.a, one.a)
+    np.testing.assert_allclose(effect.active.covariance, one.covariance)
+    assert back.scanned == one.scanned
+    assert pickle.loads(pickle.dumps(one)).effect is one.effect
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"features": ["cos q2"]}, "feature 'cos q2'"),
+        ({"features": ["tan 1 q2"]}, "feature 'tan 1 q2'"),
+        ({"range": {"q2": [0.0, 1.0]}}, "range.q4"),
+        ({"kernel": "hinge"}, "kernel 'hinge'"),
+        ({"joint": None}, "needs a joint"),
+        ({"weights": [1.0]}, "as many weights"),
+    ],
+)
+def test_a_table_that_is_no_patch_is_refused(change, words):
+    with pytest.raises(ValueError, match=words):
+        patch_of(patch_table(example(), "", "") | change)
+
+
+def test_features_are_read_as_written():
+    assert feature_factors("approach3 * cos 2.5 q3") == [("itself", 1.0, "approach3"), ("cos", 2.5, "q3")]
+    assert feature_factors("is heavy load") == [("is", 1.0, "heavy load")]
