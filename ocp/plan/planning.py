@@ -170,9 +170,9 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
     lost = as_driven(lost, laid.paths, {p.problem.path.line for p in motion.passes if p.problem.seed.direction < 0})
     with job.phases.phase("removal"):
         removal = find_removal(cell, motion, contact.cover, laid.cloud, laid.flanks, laid.wanted)
-    told = []
+    told = removal.beside_told()
     if job.options.fitted:
-        told = [feeds_told(cell, [p.grinding().problem.path for p in motion.passes], laid.wanted, job.options.laid)]
+        told.insert(0, feeds_told(cell, [p.grinding().problem.path for p in motion.passes], laid.wanted, job.options.laid))
 
     return Plan(
         cell=cell,

@@ -26,6 +26,7 @@ NAMES = {
     "core_median": "median depth of the core",
     "least": "least depth",
     "most": "most depth",
+    "most_beside": "most depth beside the asked surface",
 }
 DEPTHS = 0.5, 1.5  # range of the map's colours
 ENTRY = (
@@ -86,7 +87,7 @@ def ends_in_words(whole: WholePasses) -> str:
     outside, even = max(p.outside for p in touch_figures(whole.touched)), int(100 * (figures["all_within_10"] or 0.0))
     return (
         f"Outside of the passes the wheel grinds for up to {outside:.2f} s each; {even} % of the surface about the lines lies "
-        f"within 10 % of the wanted depth, the deepest place has {figures['most']:.2g} times that depth."
+        f"within 10 % of the wanted depth, its deepest place has {figures['most']:.2g} times that depth."
     )
 
 
@@ -127,7 +128,8 @@ def _depth_table(depth: GroundDepth) -> Table:
     plan, made = depth.figures(depth.planned), depth.figures(depth.made)
 
     def told(name: str, value: float | None) -> str:
-        return "none" if value is None else f"{value:.2f}" if name in ("core_median", "least", "most") else f"{100 * value:.0f} %"
+        whole = name in ("core_median", "least", "most", "most_beside")
+        return "none" if value is None else f"{value:.2f}" if whole else f"{100 * value:.0f} %"
 
     rows = [(words, told(name, plan[name]), told(name, made[name])) for name, words in NAMES.items()]
     return table(("what", "plan's forces", "this machine"), rows, text=(0,))

@@ -8,8 +8,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from ocp.plan.removal.footprint import CELL
-from ocp.plan.removal.result import SideRemoval, figures_of, sliding_speed
+from ocp.plan.removal.result import Removal, SideRemoval, figures_of, sliding_speed
 from ocp.plan.removal.surface import ContactRows, SideCells, core_cells, flank_cells, row_times, shares_of_time, work_done
+from ocp.plan.removal.wanted import Wanted
 from robots.kinematics import forward
 from tests.plan.test_footprint import A, B, ellipsoid
 from tests.support import blade_samples
@@ -108,6 +109,12 @@ def test_no_core_without_neighbours_and_no_share_of_nothing():
     relative = np.ones(cells.area.shape)
     figures = figures_of([SideRemoval(cells, np.zeros(relative.shape, bool), relative)])
     assert figures.core_within_5 is None and figures.all_within_10 == 1.0
+    assert figures.most == figures.most_beside == 1.0
+    deep = figures_of([SideRemoval(cells, np.zeros(relative.shape, bool), np.where(cells.asked, 1.0, 1.6))])
+    assert deep.most == 1.0 and deep.most_beside == 1.6
+    nothing = np.zeros((0, 3))
+    told = [Removal((), one, Wanted(), nothing, nothing, nothing).beside_told() for one in (figures, deep)]
+    assert told[0] == [] and "1.60 times" in told[1][0] and "edge_margin_mm" in told[1][0]
     assert figures.document()["core_within_10"] is None
     assert CELL < 5e-4
 

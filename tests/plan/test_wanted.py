@@ -185,7 +185,8 @@ def test_the_command_takes_a_stock_map_off_and_says_how_much(tmp_path, laid):
     assert {"cell", "blade", "stock"} <= {one["role"] for one in content["inputs"]}
     assert content["left_out"] and all("um are wanted" in one["reason"] for one in content["left_out"])
     assert set(content["process"]) == {
-        *("ground_share", "core_within_5", "core_within_10", "all_within_10", "least", "most", "contact_in_travel_s")
+        *("ground_share", "core_within_5", "core_within_10", "all_within_10"),
+        *("least", "most", "most_beside", "contact_in_travel_s"),
     }
     with (tmp_path / "plan" / "plan.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["contact"] == "1"]

@@ -124,7 +124,7 @@ def test_the_figures_told_are_those_of_the_force(run):
     assert f"{force['mean_N']:.2f} N on average" in told.out
     assert force["min_N"] < force["mean_N"] < force["max_N"]
     assert f"grinds for up to {content['contact']['outside_s']:.2f} s each" in told.out
-    assert f"the deepest place has {content['removal']['machine']['most']:.2g} times that depth" in told.out
+    assert f"its deepest place has {content['removal']['machine']['most']:.2g} times that depth" in told.out
     log = read_force_log(out / "force.csv")
     first = (log.setpoint == 20.0) & (log.ground_before == 0) & log.contact
     first &= log.feed > 0.95 * log.feed[first].max()  # not on the ramps

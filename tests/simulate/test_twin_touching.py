@@ -174,6 +174,7 @@ def test_a_wheel_that_stands_still_grinds_deeper_and_lost_contact_less():
     change = found.made / np.maximum(found.planned, 1e-9)
     assert change[end].min() > 1.2 and change[gap].max() < 0.7
     figures = found.figures(found.made)
-    assert figures["most"] == found.made.max() and figures["core_within_5"] is None
+    assert figures["most"] == found.made[found.asked].max() and figures["most_beside"] == found.made[~found.asked].max()
+    assert figures["core_within_5"] is None
     place = np.array([[0.0, 0.01, -0.029]])
     assert found.at(place, np.array([[0.0, 1, 0]]))[0] > 0.9 > found.at(place - [0, 0.002, 0], np.array([[0.0, -1, 0]]))[0] == 0

@@ -16,6 +16,7 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.cell import Cell
 from ocp.plan.passes.course import LEAST_PEAK, Engagement, air_to_air, lengthened, path_at, peak_share, steady
 from ocp.plan.passes.smoothness import node_times
+from ocp.plan.passes.solve import TURN_KEPT
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.removal.footprint import LinePatches, planned_patches
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, pressures
@@ -46,35 +47,35 @@ def probed_lines(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> tuple
     farthest from the next.
 
     A wheel that stands askew presses the ends of its width on slanting lines: what sums up to steps beside each other under a
-    straight wheel runs out over the patch's length. All lines of a side are turned the same way. A line that is too hollow for
-    the wheel asks for nothing.
+    straight wheel runs out over the patch's length. All lines of a side are turned alike: a patch's shape goes with its turn, and
+    a line between others of another shape leaves a stripe. A line that is too hollow for the wheel asks for nothing.
     """
     spread, looked = {}, []
     for side in dict.fromkeys(path.side for path in probes):
         lines = [path for path in probes if path.side == side]
         straight = [planned_patches(cell, cover, path) for path in lines]
-        ways = [[_farthest(cell, cover, *line, sign) for line in zip(lines, straight, strict=True)] for sign in (1.0, -1.0)]
-        best = max(ways, key=lambda way: sum(found[0] for found in way if found is not None))
         shares = np.linspace(0.0, 1.0, len(lines)) if len(lines) > 1 else np.array([0.5])
-        known = [(share, *found) for share, found in zip(shares, best, strict=True) if found is not None]
+        known = [(*one, patches) for *one, patches in zip(shares, lines, straight, strict=True) if patches is not None]
         if known:
-            spread[side] = (np.array([share for share, _, _ in known]), np.array([spacing for _, spacing, _ in known]))
-        looked += [replace(path, turn=found[1]) for path, found in zip(lines, best, strict=True) if found is not None]
+            turn, spacing = _turned(cell, cover, [(path, patches) for _, path, patches in known])
+            spread[side] = (np.array([share for share, _, _ in known]), spacing)
+            looked += [replace(path, turn=turn) for _, path, _ in known]
     return spread, looked
 
 
-def _farthest(cell: Cell, cover: Cover, path: BladePath, straight: LinePatches | None, sign: float) -> tuple[float, float] | None:
-    """The even distance m of lines that are like a path with its `straight` footprints, and the turn: none where their sum has
-    no steps without, else the least of one sign that has nearly the largest distance."""
-    found = [] if straight is None else [(even_spacing(straight), 0.0)]
-    if straight is not None and straight.unevenness(EVEN * float(straight.half_axes[:, 1].min())).max() <= STEPS:
-        return found[0]
-    for turn in sign * cell.process.turn_tolerance * ASKEW:
-        patches = planned_patches(cell, cover, replace(path, turn=float(turn)))
-        if patches is not None:
-            found.append((even_spacing(patches), float(turn)))
-    largest = max((spacing for spacing, _ in found), default=0.0)
-    return next((one for one in found if one[0] >= NEARLY * largest), None)
+def _turned(cell: Cell, cover: Cover, lines: Sequence[tuple[BladePath, LinePatches]]) -> tuple[float, Array]:
+    """The turn for a side's lines, each with its footprints under a wheel that stands straight, and the even distance m beside
+    each: none where sums of most have no steps without, else the least at which distances are nearly the largest, judged at the
+    part of it that the optimiser keeps to."""
+    ways = [(0.0, np.array([even_spacing(straight) for _, straight in lines]))]
+    if np.median([own.unevenness(EVEN * float(own.half_axes[:, 1].min())).max() for _, own in lines]) <= STEPS:
+        return ways[0]
+    for turn in np.outer(cell.process.turn_tolerance * ASKEW, (1.0, -1.0)).ravel():
+        patches = [planned_patches(cell, cover, replace(path, turn=TURN_KEPT * float(turn))) for path, _ in lines]
+        spacing = [least if own is None else even_spacing(own) for own, least in zip(patches, ways[0][1], strict=True)]
+        ways.append((float(turn), np.array(spacing)))
+    largest = max(spacing.sum() for _, spacing in ways)
+    return next(way for way in ways if way[1].sum() >= NEARLY * largest)
 
 
 def askew(paths: Sequence[BladePath], looked: Sequence[BladePath]) -> list[BladePath]:

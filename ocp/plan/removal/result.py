@@ -21,6 +21,7 @@ SAME_SPEED = 1e-6  # s; half the step of the differences that give the blade's s
 END_ROW = 2e-3  # s between rows of engaging and retreating
 COARSER = 2.0  # times as far apart as the optimiser's contacts: the patch varies less than the indentation
 LEAST_WANTED = 0.01  # of the programmed depth; a map that asks for less asks for nothing
+DEEP = 1.25  # times what is wanted, from which on the surface beside what was asked for is told of
 HALF = 0.5  # of the wanted depth, from which on a cell counts as ground
 
 
@@ -36,7 +37,7 @@ class SideRemoval:
 @dataclass(frozen=True)
 class Figures:
     """`process` of plan.json (FORMATS.md): shares of the asked area (of the core's), least and most depth over what is wanted on
-    the asked area, None without such an area."""
+    the asked area, most beside it; None without such an area."""
 
     ground_share: float | None
     core_within_5: float | None
@@ -44,6 +45,7 @@ class Figures:
     all_within_10: float | None
     least: float | None
     most: float | None
+    most_beside: float | None
 
     def document(self) -> dict[str, float | None]:
         """Rounded to what they are worth."""
@@ -72,6 +74,16 @@ class Removal:
         found = np.full(len(points), np.nan)
         found[known] = values[cKDTree(self.points).query(points[known])[1]]
         return found
+
+    def beside_told(self) -> list[str]:
+        """A sentence where much more is taken off the margins than was asked for beside them."""
+        most = self.figures.most_beside
+        if most is None or most < DEEP:
+            return []
+        told = f"beside the asked surface, on its margins, up to {most:.2f} times the wanted depth is taken off, where the"
+        return [
+            f"{told} wheel's width hangs over an edge of the blade: a larger process.edge_margin_mm keeps it away from there."
+        ]
 
     def columns(self, line: Timeline) -> list[Column]:
         """What plan.csv says of it at every row of contact."""
@@ -140,7 +152,7 @@ def figures_of(sides: Sequence[SideRemoval]) -> Figures:
     """The shares, every cell weighed by its area."""
     asked = [one.cells.asked & np.isfinite(one.relative) for one in sides]
     if not any(mask.any() for mask in asked):
-        return Figures(None, None, None, None, None, None)
+        return Figures(None, None, None, None, None, None, None)
     depth, area, core = (
         np.concatenate([values[mask] for values, mask in zip(of, asked, strict=True)])
         for of in ([one.relative for one in sides], [one.cells.area for one in sides], [one.core for one in sides])
@@ -151,6 +163,7 @@ def figures_of(sides: Sequence[SideRemoval]) -> Figures:
         return float(area[mask & (np.abs(depth - 1.0) <= part)].sum() / total) if total > 0 else None
 
     whole = np.ones(len(depth), bool)
+    beside = np.concatenate([one.relative[~mask & np.isfinite(one.relative)] for one, mask in zip(sides, asked, strict=True)])
     return Figures(
         ground_share=float(area[depth >= HALF].sum() / area.sum()),
         core_within_5=within(0.05, core),
@@ -158,4 +171,5 @@ def figures_of(sides: Sequence[SideRemoval]) -> Figures:
         all_within_10=within(0.10, whole),
         least=float(depth.min()),
         most=float(depth.max()),
+        most_beside=float(beside.max()) if beside.size else None,
     )

@@ -41,6 +41,7 @@ def _facts(removal: Removal) -> list[tuple[str, str]]:
         ("Core within 5 %, within 10 % of wanted", f"{share(figures.core_within_5)}, {share(figures.core_within_10)}"),
         ("All of the asked surface within 10 %", share(figures.all_within_10)),
         *([("Least and most depth over wanted", f"{figures.least:.2f}, {figures.most:.2f}")] if figures.most is not None else []),
+        *([("Most beside the asked surface", f"{figures.most_beside:.2f}")] if figures.most_beside is not None else []),
     ]
 
 

@@ -49,7 +49,8 @@ class GroundDepth:
         return np.asarray(self.made[near[np.arange(len(p)), np.argmax(same, axis=1)]])
 
     def figures(self, depth: Array) -> dict[str, float | None]:
-        """Shares of area and extremes of a depth (m,), by the names of plan.json; None where there is no core."""
+        """Shares of area and extremes of a depth (m,), by the names of plan.json; None where there is no core, or
+        nothing beside what is asked."""
 
         def share(where: NDArray[np.bool_], good: NDArray[np.bool_]) -> float | None:
             return float(self.area[where & good].sum() / self.area[where].sum()) if where.any() else None
@@ -62,7 +63,8 @@ class GroundDepth:
             "all_within_10": share(self.asked, off <= 0.10),
             "core_median": float(np.median(depth[self.core])) if self.core.any() else None,
             "least": float(depth[self.asked].min()),
-            "most": float(depth.max()),
+            "most": float(depth[self.asked].max()),
+            "most_beside": float(depth[~self.asked].max()) if not self.asked.all() else None,
         }
 
 
