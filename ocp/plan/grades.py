@@ -9,15 +9,9 @@ import numpy as np
 
 from ocp.model.cell import Cell, ForceFlange
 from ocp.model.theta import BLOCKS
+from ocp.plan.programming import force_tolerance
 from ocp.plan.readback import BlendError, Readback
-from ocp.plan.rules import (
-    FLANGE_FORCE_TOLERANCE,
-    FORCE_SHARE,
-    LEAST_STRETCH,
-    RIGID_FORCE_TOLERANCE,
-    STOP_PRELOAD,
-    UNCERTAIN_FORCE,
-)
+from ocp.plan.rules import FORCE_SHARE, LEAST_STRETCH, STOP_PRELOAD, UNCERTAIN_FORCE
 from robots.gravity import GRAVITY
 
 GREEN, AMBER, RED = "green", "amber", "red"
@@ -78,7 +72,7 @@ def grade_force(cell: Cell, asked: float, sd: float, off: float, blends: BlendEr
     """How far the force on the real cell may be from `asked` N: its standard deviation N, and by how much the program read
     back is off by the independent route, N; `blends`: of a program of straight motions, what blending them costs."""
     doubts = []
-    most = RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
+    most = force_tolerance(cell)
     if blends is not None and (blends.force > most or blends.dose > FORCE_SHARE):
         doubts.append(
             f"straight motions that blend are off by up to {blends.force:.2g} N on the ramps of a pass and by up to "

@@ -11,7 +11,13 @@ import numpy as np
 
 from ocp.model.cell import Cell, wheel_frame
 from ocp.plan.motion import MotionSegment, PlannedMotion
-from ocp.plan.rules import EMITTED_AIR_TOLERANCE, EMITTED_FORCE_ERROR, EMITTED_TOLERANCE
+from ocp.plan.rules import (
+    EMITTED_AIR_TOLERANCE,
+    EMITTED_FORCE_SHARE,
+    EMITTED_TOLERANCE,
+    FLANGE_FORCE_TOLERANCE,
+    RIGID_FORCE_TOLERANCE,
+)
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from robots.tracker_readings import Hanging
@@ -37,15 +43,26 @@ def grinding_program(cell: Cell, motion: PlannedMotion, kind: str, name: str) ->
         difference = apply(forward(cell.robot, planned), point) - apply(forward(cell.robot, driven), point)
         return np.asarray(np.linalg.norm(difference, axis=1))
 
-    stiffness = max(float(p.evaluation.stiffness.max()) for p in motion.passes)
-    fine = float(np.clip(EMITTED_FORCE_ERROR / stiffness, *EMITTED_TOLERANCE))
+    allowed = EMITTED_FORCE_SHARE * force_tolerance(cell)
+    ways = {id(one): motion.passes[one.place] for one in motion.segments if one.kind == "pass"}
 
-    def tolerance(leg: Leg) -> float:
-        return fine if leg.kind == "pass" else EMITTED_AIR_TOLERANCE
+    def tolerance(leg: Leg, t: Array) -> Array:
+        if id(leg) not in ways:
+            return np.full(len(t), EMITTED_AIR_TOLERANCE)
+        solved = ways[id(leg)]
+        way, nominal = solved.problem.way, leg.trajectory.s(t) / float(solved.problem.path.feed.mean())
+        bears = way.share > 0
+        stiffness = np.interp(nominal, way.at[bears], solved.evaluation.stiffness[bears])
+        return np.asarray(np.clip(allowed / stiffness, *EMITTED_TOLERANCE))
 
     dialect = dialect_named(cell.controller.dialect)
     setup = program_setup(cell, cell.workpiece.payload, kind)
     return build_program(dialect, name, setup, groups, labels, lambda q: forward(cell.robot, q), tolerance, moved)
+
+
+def force_tolerance(cell: Cell) -> float:
+    """N that the program read back may be off by, with the cell's flange or without one."""
+    return RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
 
 
 def program_setup(cell: Cell, load: Hanging, kind: str = "axis") -> Setup:

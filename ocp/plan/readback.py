@@ -13,15 +13,8 @@ from ocp.model.cell import Cell
 from ocp.plan.motion import MotionSegment, PlannedMotion
 from ocp.plan.passes.optimise import LEAST_DIRECT, SolvedPass
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.rules import (
-    BLOCK_TIME_TOLERANCE,
-    EMITTED_TOLERANCE,
-    FLANGE_FORCE_TOLERANCE,
-    GAP_TOLERANCE,
-    LEAST_STRETCH,
-    READ_BACK_LIMIT,
-    RIGID_FORCE_TOLERANCE,
-)
+from ocp.plan.programming import force_tolerance
+from ocp.plan.rules import BLOCK_TIME_TOLERANCE, EMITTED_TOLERANCE, GAP_TOLERANCE, LEAST_STRETCH, READ_BACK_LIMIT
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, gaps, verify_pass
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
@@ -136,7 +129,7 @@ def force_error(cell: Cell, path: BladePath, seen: VerifiedPass) -> float:
 
     Raises CannotGrind where it is more than a program may be off by.
     """
-    tolerance = RIGID_FORCE_TOLERANCE if cell.flange is None else FLANGE_FORCE_TOLERANCE
+    tolerance = force_tolerance(cell)
     off = np.abs(seen.force - seen.planned)
     k = int(np.argmax(off))
     if off[k] > tolerance:

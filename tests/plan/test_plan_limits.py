@@ -9,7 +9,7 @@ others judge the result.
 - COLLISION_STEP says how densely moves are looked at; LIFT_OFF, HOME_LIFT and APPROACH_SPEED say how moves are laid.
 - TOUCH_SPEED, LEAST_RAMP and CARRIED_FORCE say how a pass begins and ends; PEAK_FORCE is a bound that the optimiser cannot leave.
 - GAP_TOLERANCE says from where on the second route has to see a gap.
-- EMITTED_FORCE_ERROR, EMITTED_TOLERANCE and EMITTED_AIR_TOLERANCE say how points are thinned out; the text is read back.
+- EMITTED_FORCE_SHARE, EMITTED_TOLERANCE and EMITTED_AIR_TOLERANCE say how points are thinned out; the text is read back.
 """
 
 import ast

@@ -14,6 +14,10 @@ from trajectories.program.execution import Frames, PathBounds, ProgramSegment
 from trajectories.program.interpolation import emit
 
 
+def everywhere(most):
+    return lambda t: np.full(len(t), most)
+
+
 def test_the_spline_meets_points_rests_at_the_ends_and_is_exact_for_a_quintic():
     t = np.linspace(0, 2, 9)
     x = t / 2
@@ -27,9 +31,9 @@ def test_the_spline_meets_points_rests_at_the_ends_and_is_exact_for_a_quintic():
 
 def test_deviation_falls_with_the_step_and_emission_keeps_the_tolerance():
     contact = legs()[2].trajectory
-    deviations = [emit(contact, FILE_LIMITS, 1.0, step=h).deviation for h in (0.1, 0.05, 0.025)]
+    deviations = [emit(contact, FILE_LIMITS, everywhere(1.0), step=h).deviation for h in (0.1, 0.05, 0.025)]
     assert deviations[0] > 3 * deviations[1] > 9 * deviations[2]
-    coarse = emit(contact, FILE_LIMITS, 2e-5, step=0.1)
+    coarse = emit(contact, FILE_LIMITS, everywhere(2e-5), step=0.1)
     assert coarse.deviation <= 2e-5
     assert np.diff(coarse.times).min() >= 0.012
     t = np.arange(0, contact.duration, 0.37e-3)
@@ -43,7 +47,7 @@ def test_a_measure_of_the_caller_is_bounded():
     def millimetres(planned, driven):
         return 1e3 * np.linalg.norm((contact_poses(planned) - contact_poses(driven))[:, :3, 3], axis=1)
 
-    assert emit(contact, FILE_LIMITS, 0.02, millimetres, step=0.05).deviation <= 0.02
+    assert emit(contact, FILE_LIMITS, everywhere(0.02), millimetres, step=0.05).deviation <= 0.02
 
 
 def test_the_program_read_back_drives_the_plan(tmp_path):

@@ -199,4 +199,6 @@ def test_a_pass_that_cannot_be_emitted_is_named():
     q = np.radians([5.0, -70, 100, 10, -40, 20]) + np.random.default_rng(0).normal(size=(300, 6)) * 1e-3
     rough = Leg("contact", time_contact_path(q, np.linspace(0, 0.3, 300), None, LIMITS, window=0.0))
     with pytest.raises(Infeasible, match="line 7: the emitted program leaves the plan by"):
-        build_program(KRL, "x", setup(), [[rough]], ["line 7"], elementary_forward, tolerance=lambda leg: 1e-7)
+        build_program(
+            KRL, "x", setup(), [[rough]], ["line 7"], elementary_forward, tolerance=lambda leg, t: np.full(len(t), 1e-7)
+        )

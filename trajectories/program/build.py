@@ -1,6 +1,7 @@
 """Timed joint trajectories -> a program: one sub-program a pass, with as many points as the controller needs."""
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -52,7 +53,7 @@ def build_program(
     passes: Sequence[Sequence[Leg]],
     labels: Sequence[str],
     forward: Callable[[Array], Array],
-    tolerance: Callable[[Leg], float] = lambda leg: 2e-5,
+    tolerance: Callable[[Leg, Array], Array] = lambda leg, t: np.full(len(t), 2e-5),
     deviation: Deviation = largest_axis_difference,
     comments: Iterable[str] = (),
     taken: Iterable[str] = (),
@@ -61,8 +62,9 @@ def build_program(
 
     `dialect` says how it may be named and what its files hold; `labels` say per pass what it does; `forward` gives the nominal
     flange poses (n, 4, 4) of joints (n, 6): programs of poses are written through the controller's own, nominal kinematics
-    (PHYSICS.md 4). `tolerance` of a leg and `deviation` as in `emit`; `taken` names on the controller. Raises BadInput (poses
-    would be corrected twice; a leg of too many points) and Infeasible (a leg that cannot be emitted within the tolerance).
+    (PHYSICS.md 4). `tolerance` of a leg at times (n,) s and `deviation` as in `emit`; `taken` names on the controller. Raises
+    BadInput (poses would be corrected twice; a leg of too many points) and Infeasible (a leg that cannot be emitted within the
+    tolerance).
     """
     refuse_poses(setup)
     groups, limits = [], dialect.limits
@@ -85,7 +87,7 @@ def _blocks(
     setup: Setup,
     limits: FileLimits,
     forward: Callable[[Array], Array],
-    tolerance: Callable[[Leg], float],
+    tolerance: Callable[[Leg, Array], Array],
     deviation: Deviation,
 ) -> list[Block]:
     frames = Frames(setup.T_flange_blade, setup.T_base_wheel, external_tcp=True)
@@ -102,10 +104,10 @@ def _blocks(
         if setup.kind == "lin":
             blocks.append(PointMotion(way.q(way.duration)) if leg.kind == "travel" else _lines(way, laid))
         elif setup.kind == "axis" or leg.kind == "travel":
-            emission = emit(way, limits, tolerance(leg), deviation)
+            emission = emit(way, limits, partial(tolerance, leg), deviation)
             blocks.append(TimedSpline(emission.points, emission.times))
         else:
-            emission = emit(way, limits, tolerance(leg), deviation, laid=laid)
+            emission = emit(way, limits, partial(tolerance, leg), deviation, laid=laid)
             t = emission.times
             blocks.append(PoseSpline(emission.points, way.q(t), t, _bounds(way, laid, ROOM)))
     return blocks

@@ -91,36 +91,37 @@ def largest_axis_difference(planned: Array, driven: Array) -> Array:
 def emit(
     trajectory: JointTrajectory,
     limits: FileLimits,
-    tolerance: float = 2e-5,
+    tolerance: Callable[[Array], Array] = lambda t: np.full(len(t), 2e-5),
     deviation: Deviation = largest_axis_difference,
     step: float = STEP,
     laid: Laying | None = None,
 ) -> Emission:
     """Emission points such that the curve through the printed points stays within `tolerance` of the plan at 1 ms.
 
-    `deviation(q_planned, q_driven)` (n, 6), (n, 6) -> (n,) has the unit of `tolerance` (rad; or mm or N if the caller
-    measures so); `laid`: what the points are (None: axes). Starts with equal steps, halves those whose neighbourhood deviates,
-    never below the cycle of `limits`. Raises Infeasible, which names time and deviation, where that is not enough.
+    `tolerance(t)` (n,) -> (n,) at times s. `deviation(q_planned, q_driven)` (n, 6), (n, 6) -> (n,) has its unit (rad; or mm or N
+    if the caller measures so); `laid`: what the points are (None: axes). Starts with equal steps, halves those whose
+    neighbourhood deviates, never below the cycle of `limits`. Raises Infeasible, which names time and deviation, where that is
+    not enough.
     """
     unit, most, laid = limits.time_unit, limits.block_points, laid or LaidAxes(limits)
     end = np.ceil(trajectory.duration / unit - 1e-6) * unit
     n = int(np.clip(np.ceil(end / step), 2, most - 1))
     times = np.rint(np.linspace(0.0, end, n + 1) / unit) * unit
     fine = np.arange(0.0, end, SAMPLE)
-    planned = trajectory.q(fine)
+    planned, allowed = trajectory.q(fine), tolerance(fine)
     while True:
         points = laid.points(trajectory.q(times))
         error = deviation(planned, laid.axes(points, times, fine, planned))
-        worst = int(np.argmax(error))
-        if error[worst] <= tolerance:
-            return Emission(times, points, float(error[worst]))
-        cell = np.clip(np.searchsorted(times, fine[error > tolerance], side="right") - 1, 0, len(times) - 2)
+        worst = int(np.argmax(error / allowed))
+        if error[worst] <= allowed[worst]:
+            return Emission(times, points, float(error.max()))
+        cell = np.clip(np.searchsorted(times, fine[error > allowed], side="right") - 1, 0, len(times) - 2)
         near = np.unique(np.clip(np.concatenate([cell - 1, cell, cell + 1]), 0, len(times) - 2))
         near = near[np.diff(times)[near] >= 2 * limits.cycle]
         if len(near) == 0 or len(times) + len(near) > most:
             raise Infeasible(
-                f"the emitted program leaves the plan by {error[worst]:.3g} (allowed {tolerance:.3g}) at {fine[worst]:.3f} s "
-                f"with {len(times)} points; drive slower there, smooth the path or allow more"
+                f"the emitted program leaves the plan by {error[worst]:.3g} (allowed {allowed[worst]:.3g}) at {fine[worst]:.3f} s"
+                f" with {len(times)} points; drive slower there, smooth the path or allow more"
             )
         middle = np.rint(0.5 * (times[near] + times[near + 1]) / unit) * unit
         times = np.sort(np.concatenate([times, middle]))
