@@ -37,7 +37,9 @@ from ocp.plan.passes.problem import PassProblem, with_direction
 from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import PlanOptions, lay_paths
-from ocp.plan.planning import Plan, make_plan
+from ocp.plan.planning import make_plan
+from ocp.shell.native import evaluated_by
+from ocp.shell.output import reserved
 from ocp.shell.progress import Phases
 from robots.pose import Array
 from trajectories.passes import BladePath, reversed_path
@@ -109,17 +111,12 @@ def peak_MB() -> tuple[float, float]:
 
 def one_plan(cell_file: Path, stl: Path, out: Path) -> tuple[dict[str, float], float, int, tuple[float, float, float]]:
     """Seconds a phase, seconds in all, waypoints, processor seconds and memory of one plan written to `out`."""
-    phases, made = Phases(), []
-
-    def make() -> Plan:
-        made.append(make_plan(cell_file, stl, PlanOptions(step=STEP), phases))
-        return made[0]
-
-    start = time.perf_counter()
-    write_plan(make, out, True, phases)
+    phases, start = Phases(), time.perf_counter()
+    with reserved(out, True, [cell_file, stl]) as output:
+        made = write_plan(make_plan(cell_file, stl, PlanOptions(step=STEP), phases), output, phases)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     processor = sum(u.ru_utime + u.ru_stime for u in used)
-    return phases.seconds, time.perf_counter() - start, made[0].waypoints, (processor, *peak_MB())
+    return phases.seconds, time.perf_counter() - start, made.plan.waypoints, (processor, *peak_MB())
 
 
 def phases(cell_file: Path, stl: Path, quick: bool) -> None:
@@ -170,10 +167,13 @@ def pass_parts(job: Job, count: int) -> None:
     seconds: dict[str, float] = {}
     start = time.perf_counter()
     worker = PassWorker(job.ground)
+    worker.solver.compile()
+    seconds["compiling or loading"] = time.perf_counter() - start
+    print(f"the model's functions by {evaluated_by()}")
     chosen = np.unique(np.linspace(0, len(job.paths) - 1, count).round().astype(int))
     for length in {len(job.paths[i].s) for i in chosen}:
         worker.solver.program(length)
-    seconds["NLP build"] = time.perf_counter() - start
+    seconds["NLP build"] = time.perf_counter() - start - sum(seconds.values())
     with (
         timed(seconds, "NLP solve", PassSolver, "solve"),
         timed(seconds, "direct contact", optimise, "solve_directly"),

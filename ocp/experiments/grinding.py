@@ -6,6 +6,7 @@ are `ocp.simulate.twin`'s; the fit of the ladder is that of `ocp.calibrate --for
 """
 
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,8 @@ from robots.pose import Array
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
 
+WORTH_COMPILING = 12  # compensations in one process, a robot's: the next robots' will be as many
+_compensations = count()
 STEP = 4e-3  # m between waypoints: forces vary slowly along a pass, docs/experiments.md
 POINTS = 20  # working points, PHYSICS 5
 MOUNTS = ("flange", "rigid")
@@ -112,6 +115,8 @@ def compensated(course: Course, calibration: Calibration | None, which: list[int
     law = replace(course.law, geometry=replace(course.law.geometry, modulus=cell.wheel.cover_modulus))
     stiffer = cell.workpiece.youngs_modulus / course.cell.workpiece.youngs_modulus
     worker = PassWorker(Ground(cell, theta, ObjectiveWeights(), law, softer, course.blade.vertices, course.cloud))
+    if next(_compensations) >= WORTH_COMPILING:
+        worker.solver.compile()
     solved = (worker.solve(course.paths[k], course.seeds[k], course.compliance[k] / stiffer) for k in which)
     return [one.grinding() for one in solved]
 

@@ -40,11 +40,10 @@ COLUMNS = 32  # evaluated in one call of a library
 COMPARED = 100  # points at which a library gives the bits of the virtual machine
 MOST_SECONDS = 300  # for one function; the largest takes 6
 MOST_LIBRARY = 100 * MEGABYTE
-# Lines of the C that CasADi writes: a number put into a variable, anything else put into one, a result, variables declared.
-LITERAL = re.compile(r"^  (a\d+)=(-?\d+\.\d*(?:e[+-]\d+)?);$")
+# Of the C that CasADi writes: something put into a variable, that it is a number, a result, a variable.
 ASSIGNED = re.compile(r"^  (a\d+)=(.*);$")
+LITERAL = re.compile(r"-?\d+\.\d*(e[+-]\d+)?$")
 RESULT = re.compile(r"^  if \(res\[")
-DECLARED = re.compile(r"^  casadi_real a\d+")
 VARIABLE = re.compile(r"\ba\d+\b")
 _told: dict[str, str] = {}  # function -> what evaluates it
 
@@ -244,20 +243,20 @@ def _lifted(lines: list[str]) -> tuple[list[str], list[float]]:
         return f"number[{len(numbers) - 1}]"
 
     for line in lines:
-        literal, assigned = LITERAL.match(line), ASSIGNED.match(line)
-        if literal:
-            held[literal[1]] = float(literal[2])
-        elif assigned:
-            expression = VARIABLE.sub(operand, assigned[2])
+        assigned = ASSIGNED.match(line)
+        if assigned is None:
+            if not line.startswith("  casadi_real a"):  # what declares them
+                out.append(VARIABLE.sub(operand, line) if RESULT.match(line) else line)
+        elif LITERAL.match(assigned[2]):
+            held[assigned[1]] = float(assigned[2])
+        else:
             count += 1
+            out.append(f"  const casadi_real v{count}={VARIABLE.sub(operand, assigned[2])};")
             held[assigned[1]] = f"v{count}"
-            out.append(f"  const casadi_real v{count}={expression};")
-        elif RESULT.match(line):
-            out.append(VARIABLE.sub(operand, line))
-        elif not DECLARED.match(line):
-            out.append(
-                line.replace("int mem) {", "const casadi_real* number) {") if line.startswith("static int casadi_f0(") else line
-            )
+    out = [
+        line.replace("int mem) {", "const casadi_real* number) {") if line.startswith("static int casadi_f0(") else line
+        for line in out
+    ]
     ends = [k for k, line in enumerate(out) if line.startswith("CASADI_SYMBOL_EXPORT int column(")]
     if not ends:
         raise _Unusable("this CasADi writes C of another form")
