@@ -7,7 +7,7 @@ import pytest
 
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.engine.findings import Name, Options
-from ocp.diagnose.rules import QUIET
+from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import tracker_folds
 from ocp.diagnose.tracker.motion import link_torques, weighed_links
@@ -136,6 +136,21 @@ def test_a_small_ripple_stands_out_where_all_other_gears_are_quiet(quiet, named,
     readings, _ = world(21, lambda r: column(2, 1.8e-5 * np.cos(52 * r.q[:, 1] + 0.5)), n=250)
     found = diagnosed(readings, where=False)
     assert ({Name(*a.key) for a in found.active} == {Name("gear_harmonic", 2)}) == named, found.ranking[:2]
+
+
+def loud(r):
+    """Three lines of 17 urad in every gear."""
+    rng = np.random.default_rng(8)
+    orders, phases = rng.integers(20, 150, (6, 3)), rng.uniform(0.0, 6.28, (6, 3))
+    return sum(column(j + 1, 1.7e-5 * np.cos(orders[j, k] * r.q[:, j] + phases[j, k])) for j in range(6) for k in range(3))
+
+
+@pytest.mark.parametrize("lines, named", [(LINES_A_GEAR, False), (1, True)])
+def test_the_ripple_of_a_gear_among_loud_ones_is_no_effect(lines, named, monkeypatch):
+    """With one line a gear in the background the names of others are its second and third."""
+    monkeypatch.setattr("ocp.diagnose.engine.linearisation.LINES_A_GEAR", lines)
+    found = diagnosed(world(22, loud)[0], where=False)
+    assert bool(found.active) == named, found.ranking[:3]
 
 
 def test_torques_of_weights_are_those_of_other_links():

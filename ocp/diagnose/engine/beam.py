@@ -388,7 +388,7 @@ class Search:
             self.add(key)
 
     def _around(self, key: Key) -> None:
-        """Add a family, drop one, put another in a member's place."""
+        """Add a family, drop one, put another in a name's or a kernel's place."""
         here = self.sets[key]
         for f in self._promising(here, key):
             self.add(key | {f}, here.members)
@@ -396,7 +396,7 @@ class Search:
             rest = key - {out}
             near = tuple(m for m in here.members if m.family != out)
             self.add(rest, near)
-            if rest in self.sets:
+            if rest in self.sets and not self.background[out]:
                 for f in self._promising(self.sets[rest], rest):
                     self.add(rest | {f}, near)
 
