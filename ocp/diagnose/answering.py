@@ -14,13 +14,22 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ocp.diagnose.corrected import write_corrected_cell
-from ocp.diagnose.dataset import TRACKER, DataSet, blinds, read_data_set, read_sealed_force, read_sealed_tracker
+from ocp.diagnose.dataset import (
+    SEALED,
+    TRACKER,
+    DataSet,
+    blinds,
+    read_data_set,
+    read_sealed_force,
+    read_sealed_joints,
+    read_sealed_tracker,
+)
 from ocp.diagnose.document import document_of, json_text
 from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed, effects_key
 from ocp.diagnose.engine.findings import Alternative
@@ -100,11 +109,21 @@ def beside_others(written: Sealed, parts: Sequence[tuple[float, Sealed]]) -> Sea
     return replace(written, sigma=np.sqrt(variance), lacking=lacking)
 
 
-def write_predictions(path: Path, signal: str, sealed: Sealed) -> None:
-    """Of a signal, x, y, z in mm or fn in N: the baseline, the corrected model and its one sigma, the same two with the patch
-    (the corrected ones where there is none), whether all that the patch varies with was measured; sealed holds SI. A tangential
-    column of a force channel is left out."""
-    columns, factor = PREDICTED[signal]
+def columns_predicted(answer: Answer, signal: str) -> tuple[tuple[str, ...], float]:
+    """Columns of a signal's predictions, and their unit per SI unit."""
+    if signal in PREDICTED:
+        return PREDICTED[signal]
+    from ocp.diagnose.joints.channel import JointChannel
+
+    channel = next(c for c in answer.diagnosis.channels if isinstance(c, JointChannel))
+    return tuple(f"link{j}_deg" for j in channel.problem.noise), float(np.degrees(1.0))
+
+
+def write_predictions(path: Path, predicted: tuple[tuple[str, ...], float], sealed: Sealed) -> None:
+    """Of a signal, x, y, z in mm, fn in N or link sides in degrees: the baseline, the corrected model and its one sigma, the
+    same two with the patch (the corrected ones where there is none), whether all that the patch, or a log of link encoders,
+    varies with was measured; sealed holds SI. A tangential column of a force channel is left out."""
+    columns, factor = predicted
     kinds = {"baseline": sealed.baseline, "corrected": sealed.corrected, "sigma": sealed.sigma}
     kinds["patched"] = sealed.corrected if sealed.patched is None else sealed.patched
     kinds["patched_sigma"] = sealed.sigma if sealed.patched_sigma is None else sealed.patched_sigma
@@ -117,6 +136,11 @@ def write_predictions(path: Path, signal: str, sealed: Sealed) -> None:
 
 
 PREDICTED = {"tracker": (("x_mm", "y_mm", "z_mm"), 1e3), "force": (("fn_N",), 1.0)}
+READERS: dict[str, Callable[[DataSet], Any]] = {
+    "tracker": read_sealed_tracker,
+    "force": read_sealed_force,
+    "joint": read_sealed_joints,
+}
 _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
 NEVER = frozenset({"speed"})  # no column of readings at rest
 
@@ -167,7 +191,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
     data, told = answer.data, answer.diagnosis.alternatives or (Alternative(1.0, answer.diagnosis.active),)
     for signal in data.sealed:
         channel = next(c for c in answer.diagnosis.channels if c.name == signal)
-        sealed = read_sealed_tracker(data) if signal == "tracker" else read_sealed_force(data)
+        sealed = READERS[signal](data)
         least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
         kept = [told[0], *(a for a in told[1:] if a.probability >= least)]
         made = []
@@ -197,7 +221,7 @@ def written_channels(answer: Answer) -> tuple[Channel, ...]:
 def left_out(sealed: dict[str, Sealed]) -> list[str]:
     """Sentences on effects that are not in the predictions of sealed conditions."""
     return [
-        f"sealed_{signal}.csv lacks a column that {', '.join(told.lacking)} depends on: not in the corrected predictions, its "
+        f"{SEALED[signal]} lacks a column that {', '.join(told.lacking)} depends on: not in the corrected predictions, its "
         "usual size is in their sigma"
         for signal, told in sealed.items()
         if told.lacking
@@ -243,7 +267,8 @@ def _written(folder: Path, output: Output, phases: Phases, columns: Path | None)
             with phases.phase("writing"):
                 (made / "diagnosis.json").write_text(json_text(document_of(answer)), encoding="utf-8")
                 for signal, told in sealed.items():
-                    write_predictions(made / f"predictions_{signal}.csv", signal, told)
+                    name = SEALED[signal].replace("sealed", "predictions")
+                    write_predictions(made / name, columns_predicted(answer, signal), told)
                 write_corrected_cell(made, out, answer.data, written_channels(answer), answer)
             with phases.phase("report"):
                 (made / "report.html").write_bytes(page())

@@ -22,7 +22,7 @@ from robots.robot import left_out_notices
 from robots.tracker_readings import BLIND, Hanging, Readings, read_readings
 
 CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
-SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv"}
+SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv", "joint": "sealed_joints.csv"}
 MEASURED = (TRACKER, FORCE, JOINTS)
 
 
@@ -119,6 +119,11 @@ def read_sealed_tracker(data: DataSet) -> Readings:
     assert data.readings is not None
     sealed = read_readings(data.sealed["tracker"], data.setup.payloads, data.setup.instrument, True, data.mapping)
     return as_in(sealed, data.readings)
+
+
+def read_sealed_joints(data: DataSet) -> JointLog:
+    """Conditions of sealed_joints.csv. Raises BadInput as the reader."""
+    return read_joint_log(data.sealed["joint"], data.mapping, sealed=True)
 
 
 def read_sealed_force(data: DataSet) -> ForceLog:

@@ -1,10 +1,12 @@
 """Link-side encoders: the log's reader, its noise, delays and springs; shrinkage and experiments on numbers alone."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ocp.diagnose.answering import answer_of, columns_predicted, predict_sealed, write_predictions
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.channel_system import Fold, HeldOut
 from ocp.diagnose.engine.findings import Name
@@ -15,9 +17,10 @@ from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.shrinkage import from_folds, realised
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
+from ocp.shell.progress import Phases
 from robots.errors import BadInput
 from robots.robot import load_robot
-from tests.support.diagnosis_folder import joint_columns, write_csv
+from tests.support.diagnosis_folder import joint_columns, write_csv, write_joint_folder
 from tests.support.published_campaigns import write_recordings
 from tests.support.simulated_campaign import EXTRA, PAYLOADS
 
@@ -138,3 +141,26 @@ def test_two_recordings_with_a_zero_set_anew_give_the_lag_that_each_alone_gives(
     best = diagnose_channels([channel], library()).ranking[0]
     assert best.name == Name("channel_delay", 0) and best.probability > 0.99
     assert 2.845e-3 < best.active.a[0] < 2.885e-3
+
+
+def test_sealed_recordings_of_link_sides_are_predicted_blind(tmp_path):
+    """Every row of another motion, with the delay and the load's sign that were learnt; what lies outside is flagged."""
+    write_joint_folder(tmp_path / "run", 3, delay=4e-3, sign=-1.0)
+    other = joint_columns(8, delay=4e-3, sign=-1.0)
+    truth = {name: other.pop(name) for name in ("link1_deg", "link2_deg", "link3_deg")}
+    other["q1_deg"] += 80.0 * np.clip((other["time_s"] - 9.0) / 3.0, 0.0, 1.0) ** 2
+    write_csv(tmp_path / "run" / "sealed_joints.csv", other)
+    answer = answer_of(tmp_path / "run", Phases())
+    file = tmp_path / "predictions_joints.csv"
+    write_predictions(file, columns_predicted(answer, "joint"), predict_sealed(answer)["joint"])
+    with file.open() as lines:
+        rows = list(csv.DictReader(lines))
+    kinds = ("baseline", "corrected", "sigma", "patched", "patched_sigma")
+    assert list(rows[0]) == [*(f"{kind}_link{j}_deg" for kind in kinds for j in (1, 2, 3)), "inside"]
+    told = {k: np.array([[float(r[f"{k}_{name}"]) for name in truth] for r in rows]) for k in kinds}
+    off = {k: (told[k] - np.stack(list(truth.values()), axis=1))[10:890] for k in ("baseline", "corrected")}
+    off = {k: v - v.mean(axis=0) for k, v in off.items()}  # a new recording's zeros are free
+    assert np.sqrt(np.mean(off["corrected"] ** 2)) < 0.1 * np.sqrt(np.mean(off["baseline"] ** 2))
+    inside = np.array([r["inside"] == "1" for r in rows])
+    assert inside[:900].mean() > 0.6 and inside[-50:].mean() < 0.5
+    assert told["sigma"][~inside, 0].mean() > 3.0 * told["sigma"][inside, 0].mean()

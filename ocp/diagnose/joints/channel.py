@@ -415,11 +415,11 @@ class JointChannel:
         return HeldOut(fold, float(before.mean()), float(after.mean()), float(noise.mean()), before, after, noise, excused)
 
     def predict(self, sealed: JointLog, active: tuple[Active, ...]) -> Sealed:
-        """Link angles (r, m) rad of the m joints of this channel at the instants of a log without link side, thinned as all
-        logs are."""
+        """Link angles (r, m) rad of the m joints of this channel at the instants of a log without link side; inside: where the
+        angle and the speed of each of them lie in the range of this channel's log."""
         bare, other = self.with_active(()), self.with_active(active)
         joints = np.array(list(self.problem.noise))
-        signals = signals_of(replace(sealed, link=sealed.q), self.problem.robot, self.problem.payload)
+        signals = signals_of(sealed, self.problem.robot, self.problem.payload, self.problem.signals)
         n = len(signals.log)
         arm = encoder_rows(signals, self.problem.robot, self.problem.payload)
         row, joint = np.repeat(np.arange(n), len(joints)), np.tile(joints, n)
@@ -430,7 +430,19 @@ class JointChannel:
         baseline = motor + (columns @ (place @ bare.theta) + shift_of(there, ())).reshape(n, -1)
         corrected = motor + (columns @ (place @ other.theta) + shift_of(there, other.active)).reshape(n, -1)
         noise = np.array([np.hypot(self.problem.noise[int(j)].quick, self.problem.noise[int(j)].slow) for j in joints])
-        return Sealed(baseline, corrected, np.hypot(noise, self._anew(joints, signals.log)))
+        # Where nobody measured, what the effects change is not known better than by its own size.
+        inside = self._inside(joints, signals)
+        unsure = np.where(inside[:, None], 0.0, np.abs(corrected - baseline))
+        sigma = np.sqrt(noise**2 + self._anew(joints, signals.log) ** 2 + unsure**2)
+        return Sealed(baseline, corrected, sigma, inside=inside)
+
+    def _inside(self, joints: Index, signals: Signals) -> NDArray[np.bool_]:
+        """Rows (n,) in which angle and speed of all joints lie where this channel's log has them."""
+        found, own = np.full(len(signals.log), True), self.problem.signals
+        for values, known in ((signals.log.q, own.log.q), (signals.qd, own.qd)):
+            there, here = values[:, joints - 1], known[:, joints - 1]
+            found &= ((there >= here.min(axis=0)) & (there <= here.max(axis=0))).all(axis=1)
+        return found
 
     def _anew(self, joints: Index, log: JointLog) -> Array:
         """One sigma (n, m) rad of the zeros of `joints` in a log: what known runs differ by, where a run is none of them."""

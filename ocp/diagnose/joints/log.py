@@ -55,18 +55,21 @@ class JointLog:
         return replace(self, **{name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)})
 
 
-def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS) -> JointLog:
-    """The rows of a joints.csv; mapping: how a table made by others becomes one of ours.
+def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS, sealed: bool = False) -> JointLog:
+    """The rows of a joints.csv; mapping: how a table made by others becomes one of ours; sealed: conditions to predict, whose
+    link sides are nobody's business.
 
     Raises BadInput: as `read_csv_table`; no link column; times that do not grow inside a run; a link side that has another
     unit or counts the other way; too few rows; no joint with a link side that moved.
     """
     table = read_csv_table(path, ("run", "time_s", *AXES), (*LINK, *TORQUE, *SPEED), ("run",), (*LINK, *TORQUE, *SPEED), mapping)
-    if not any(c in table.numbers for c in LINK):
+    if not sealed and not any(c in table.numbers for c in LINK):
         raise BadInput(f"{table.path}: none of the columns link1_deg .. link6_deg is there; the link side is what is compared")
     run, runs = table.labels("run")
     table.check_order("time_s", run, runs, strictly=True)
     q, link = np.radians(table.stack(AXES)), np.radians(_columns(table, LINK))
+    if sealed:
+        link = np.full_like(q, np.nan)
     _check_link(table, q, link)
     log = JointLog(
         path=table.path,
@@ -79,6 +82,8 @@ def read_joint_log(path: str | Path, mapping: ColumnMapping = OURS) -> JointLog:
         qd=np.radians(_columns(table, SPEED)) if any(c in table.numbers for c in SPEED) else None,
         row=np.array(table.line),
     )
+    if sealed:
+        return log
     if not log.joints:
         raise BadInput(
             f"{table.path}: no joint has {FEW} rows with a link side and moved by more than {np.degrees(MOVED):g} deg; "

@@ -8,7 +8,7 @@ from the gap under diagnosis, which would hide in the wander. A link-side encode
 its accuracy class: so much of what springs, friction and a delay leave belongs to the wander too.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ class Signals:
 
     log: those rows; qd, qdd (n, 6) rad/s, rad/s^2 of the motor side; direction (n, 6) sign of the last motion; tau (n, 6) N m
     load torque, positive along +q (the motor's with the other sign); measured (6,) whether it was recorded or is the believed
-    arm's weight; splines[run][j]: motor angle in time.
+    arm's weight; splines[run][j]: motor angle in time; sign: of the recorded torques (`load_sign`).
     """
 
     log: JointLog
@@ -43,6 +43,7 @@ class Signals:
     tau: Array
     measured: NDArray[np.bool_]
     splines: tuple[tuple[CubicSpline, ...], ...]
+    sign: float = 1.0
 
     def moving(self, joint: int) -> NDArray[np.bool_]:
         """Rows (n,) in which a joint moves; all where it mostly rests. Stick friction hides what load a joint at rest has."""
@@ -78,16 +79,16 @@ class Signals:
         return out
 
 
-def signals_of(log: JointLog, robot: Robot, payload: Hanging) -> Signals:
+def signals_of(log: JointLog, robot: Robot, payload: Hanging, like: Signals | None = None) -> Signals:
     """Signals of a log, thinned to `MOST` readings. The sign of the recorded torques is the one with which the joints give way
-    (`load_sign`)."""
+    (`load_sign`); `like`: the log without a link side that takes it from there."""
     splines, qd, qdd, direction = _motion(log)
     measured = np.asarray(np.isfinite(log.tau).any(axis=0))
     tau = np.where(measured, -_smoothed(log, _filled(log)), weight_torques(robot, log.q, payload.mass, payload.com))
     rows = _kept(log)
     thin = Signals(log.take(rows), qd[rows], qdd[rows], direction[rows], tau[rows], measured, splines)
-    turned = np.where(thin.measured, load_sign(thin) * thin.tau, thin.tau)
-    return Signals(thin.log, thin.qd, thin.qdd, thin.direction, turned, measured, splines)
+    sign = load_sign(thin) if like is None else like.sign
+    return replace(thin, tau=np.where(thin.measured, sign * thin.tau, thin.tau), sign=sign)
 
 
 def load_sign(signals: Signals) -> float:
