@@ -24,7 +24,7 @@ from ocp.effects.patch import ON_BEAM, PATCH, make_patch
 from robots.pose import Array
 
 SIGNAL = "tracker"
-TOLD, MOST_TERMS = 0.9, 4  # of a formula: share of its squares, terms
+MOST_TERMS = 4  # of a formula that are told
 
 
 def waves_over(name: str, count: int) -> list[str]:
@@ -212,13 +212,12 @@ def hint_of(patch: Active) -> str:
 
 
 def formula_of(patch: Active) -> str:
-    """The hint, and the largest terms of a fitted patch, urad or um: those that together hold nine tenths of its squares."""
+    """The hint, and the largest terms of a fitted patch, urad or um."""
     unit = "urad" if patch.joint else "um"
     features, a = patch.scanned["features"], 1e6 * np.asarray(patch.a, float)
     names = [*features] * (len(a) // len(features))
     order = np.argsort(-np.abs(a))
-    enough = int(np.searchsorted(np.cumsum(a[order] ** 2), TOLD * float(a @ a))) + 1
     source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
     what = f"{source} of joint {patch.joint}" if patch.joint and source != "joint" else f"{source} {patch.joint or ''}".strip()
-    terms = " ".join(f"{a[k]:+.3g} {names[k]}" for k in order[: min(enough, MOST_TERMS)])
-    return f"{what} over {where} (perhaps {hint_of(patch)}): {terms}{' ..' if enough > MOST_TERMS else ''} {unit}"
+    terms = " ".join(f"{a[k]:+.3g} {names[k]}" for k in order[:MOST_TERMS])
+    return f"{what} over {where} (perhaps {hint_of(patch)}): {terms}{' ..' if len(a) > MOST_TERMS else ''} {unit}"
