@@ -24,7 +24,7 @@ from ocp.plan.passes.stage import (
     force_variance,
 )
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.passes.transcription import N_DYNAMIC, Transcription, transcribe
+from ocp.plan.passes.transcription import IPOPT, N_DYNAMIC, Transcription, transcribe
 from ocp.plan.rules import (
     AXIS_MARGIN,
     ELBOW_MARGIN,
@@ -222,7 +222,9 @@ class PassSolver:
         x = np.asarray(result["x"]).reshape(program.n, N_Z)[:n]
         g = np.asarray(result["g"]).ravel()
         refuse_violated(path, np.maximum(lbg - g, g - ubg), full, stats["return_status"])
-        solved = stats["success"] or stats["return_status"] == "Maximum_Iterations_Exceeded"
+        # At an optimum whose complementarity rounding hides, Ipopt looks for a better one until it gives up.
+        there = stats["return_status"] == "Restoration_Failed" and stats["iterations"]["inf_du"][-1] <= IPOPT["acceptable_tol"]
+        solved = stats["success"] or there or stats["return_status"] == "Maximum_Iterations_Exceeded"
         if not (solved and np.isfinite(x).all()):
             raise Infeasible(f"line {path.line} ({path.side}): the optimiser stopped with {stats['return_status']}")
         multipliers = np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_g"]).ravel()

@@ -33,6 +33,7 @@ IPOPT = {
     "mu_init": 1e-3,
     "bound_push": 1e-4,  # the start is a good one: leave it where it is
     "bound_frac": 1e-4,
+    "least_square_init_duals": "yes",  # those of the rows alone make the Hessian indefinite: a quarter more iterations
     "linear_solver": "mumps",
     "fixed_variable_treatment": "make_parameter",
 }
