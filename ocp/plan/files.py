@@ -25,7 +25,6 @@ from ocp.report.parts import Facts, made_from
 from ocp.report.report import Report
 from ocp.report.section import Headline, Section
 from ocp.shell.cache import sha256
-from ocp.shell.native import evaluated_by
 from ocp.shell.output import Output
 from ocp.shell.progress import Phases
 from trajectories.dialects import dialect_named
@@ -180,7 +179,7 @@ def _write_json(plan: Plan, written: _Written, summary: list[tuple[str, str]], g
         "status": "safe",
         "verdict": grades.sentences(),
         "grades": grades.document(),
-        "summary": dict(summary) | {"Functions of the model": evaluated_by()},
+        "summary": dict(summary) | {"Functions of the model": plan.evaluated_by},
         "force_error_N": written.readback.force_error,
         "force_sd_max_N": plan.force_sd,
         "duration_s": plan.motion.duration,

@@ -48,7 +48,7 @@ FORCE_SD_WEIGHT = 1.0  # of the objective where a calibration tells how sure the
 @dataclass(frozen=True)
 class Plan:
     """A motion that holds the force, with all that the files and the report need; `lines` as they were laid, and what of them is
-    left out."""
+    left out; in words, what `evaluated_by`."""
 
     cell: Cell
     theta: Theta
@@ -67,12 +67,13 @@ class Plan:
     lines: tuple[BladePath, ...]
     left_out: tuple[LeftOut, ...]
     whole: bool
+    evaluated_by: str
     again: Callable[[GroundLines], "Plan"]
 
     def without(self, error: CannotGrind) -> "Plan":
         """The plan of the other passes than those that `error` names. Raises Infeasible where too little remains."""
         lost = [replace(one, turned=0.0) for one in self.left_out]
-        return self.again(left_out_too(GroundLines(self.motion.passes, lost), [error, *error.others]))
+        return self.again(left_out_too(GroundLines(self.motion.passes, lost, self.evaluated_by), [error, *error.others]))
 
     @property
     def force_sd(self) -> float:
@@ -192,6 +193,7 @@ def planned_motion(job: Job, solved: GroundLines) -> Plan:
         lines=tuple(laid.paths),
         left_out=tuple(lost),
         whole=whole,
+        evaluated_by=solved.by,
         again=partial(planned_motion, job),
     )
 
@@ -204,7 +206,7 @@ def left_out_too(ground: GroundLines, errors: list[CannotGrind]) -> GroundLines:
         gone = passes.pop(place).problem
         path = gone.path if gone.seed.direction > 0 else reversed_path(gone.path)
         lost.append(LeftOut(path.line, path.side, path.start, path.start + path.s[-1], error.reason, error.would_do))
-    return GroundLines(passes, lost)
+    return GroundLines(passes, lost, ground.by)
 
 
 def objective_weights(cell: Cell) -> ObjectiveWeights:

@@ -45,7 +45,8 @@ ASSIGNED = re.compile(r"^  (a\d+)=(.*);$")
 LITERAL = re.compile(r"-?\d+\.\d*(e[+-]\d+)?$")
 RESULT = re.compile(r"^  if \(res\[")
 VARIABLE = re.compile(r"\ba\d+\b")
-_told: dict[str, str] = {}  # function -> what evaluates it
+_UNCOMPILED = "all functions"
+_told: dict[str, str] = {}  # function -> why the virtual machine evaluates it, empty where machine code does
 
 
 class _Unusable(Exception):
@@ -78,8 +79,8 @@ def evaluated_by() -> str:
     """In words, what evaluates the model's functions in this process."""
     reasons = sorted({reason for reason in _told.values() if reason})
     compiler = c_compiler()
-    if not _told:
-        return "nothing was left to solve"
+    if _UNCOMPILED in _told:
+        return f"CasADi's virtual machine: {_told[_UNCOMPILED]}"
     if reasons or compiler is None:
         return f"{'in part ' * ('' in _told.values())}CasADi's virtual machine: {'; '.join(reasons)}"
     return f"machine code ({compiler.version}, {' '.join(FLAGS[:2])})"
@@ -87,7 +88,7 @@ def evaluated_by() -> str:
 
 def left_uncompiled(reason: str) -> None:
     """Tell why nothing is compiled."""
-    _told["all"] = reason
+    _told[_UNCOMPILED] = reason
 
 
 class ColumnFunction:
@@ -209,6 +210,7 @@ def compile_together(functions: Sequence[ColumnFunction]) -> None:
 
     The smallest goes first: where that cannot be compiled or loaded, the large ones are not tried.
     """
+    _told.pop(_UNCOMPILED, None)
     missing = sorted((one for one in functions if one.library is None and one.absent()), key=ColumnFunction.n_instructions)
     for together in (missing[:1], missing[:0:-1]):
         with ThreadPoolExecutor(cores()) as pool:  # threads only wait: CasADi's own objects are for one at a time

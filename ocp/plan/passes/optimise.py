@@ -37,7 +37,7 @@ from ocp.plan.removal.dwell import DrivenLine
 from ocp.plan.removal.footprint import contacts_along
 from ocp.plan.rules import DIRECT_TOLERANCE, LIFT_OFF, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
 from ocp.shell.cache import Entry, content_key, flattened, rebuilt, remember
-from ocp.shell.native import left_uncompiled
+from ocp.shell.native import evaluated_by, left_uncompiled
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -158,10 +158,11 @@ class SolvedPass:
 
 @dataclass(frozen=True)
 class GroundLines:
-    """Passes that hold their force, and what of their lines is left out."""
+    """Passes that hold their force, what of their lines is left out, and in words what evaluated the model for them."""
 
     passes: list[SolvedPass]
     left_out: list[LeftOut]
+    by: str = ""
 
     @staticmethod
     def together(parts: Sequence["GroundLines"]) -> "GroundLines":
@@ -428,11 +429,13 @@ def remembered_passes(
 
     def counted() -> Entry:
         found = solve()
-        return flattened({"passes": found.passes, "left_out": found.left_out, "count": [len(found.passes), len(found.left_out)]})
+        counts = [len(found.passes), len(found.left_out)]
+        return flattened({"passes": found.passes, "left_out": found.left_out, "count": counts, "by": evaluated_by()})
 
     entry = remember("passes", content_key(code_hash(), whole, even, *parts), counted)
     passes = [rebuilt(SolvedPass, entry, f".passes.{i}") for i in range(int(entry[".count.0"]))]
-    return GroundLines(passes, [rebuilt(LeftOut, entry, f".left_out.{i}") for i in range(int(entry[".count.1"]))])
+    lost = [rebuilt(LeftOut, entry, f".left_out.{i}") for i in range(int(entry[".count.1"]))]
+    return GroundLines(passes, lost, str(entry[".by"]))
 
 
 @cache
