@@ -17,8 +17,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ocp.diagnose.engine.evidence import Projection, project
-from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND, OTHER_LASTS
-from ocp.diagnose.tracker.refit import Task, TrackerFit
+from ocp.diagnose.rules import BACKGROUND_SIZES, LINES_A_GEAR, NO_BACKGROUND, OTHER_LASTS
+from ocp.diagnose.tracker.refit import Task, TrackerFit, usual_noise
 from robots.pose import Array
 from robots.tracker_readings import Index
 
@@ -57,9 +57,11 @@ def background(task: Task, fit: TrackerFit, seed: int = 0) -> Background:
         mean, draws = _play(play, y / _scale(y, projection), rng)
         found += draws**2
         y = y - _scale(y, projection) * (play @ mean)
-    squares, others = _ripple(task.campaign.readings.q[rows], columns, projection, y, rng)
+    squares, sizes, others = _ripple(task.campaign.readings.q[rows], columns, projection, y, rng)
     found += 0.5 * squares
-    return Background(found + _other(task, fit, found, np.sum(D**2, axis=(0, 1)), rng)[:, None], others)
+    levers = np.sum(D**2, axis=(0, 1))
+    found += _unseen(task, fit, found, levers, sizes, rng)[:, None]
+    return Background(found + _other(task, fit, found, levers, rng)[:, None], others)
 
 
 def _projected(task: Task, fit: TrackerFit, rows: Index) -> tuple[Array, Array, Projection]:
@@ -111,8 +113,18 @@ class _Line:
     G: Array
 
 
-def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Draws (k, 6) of squared amplitudes rad^2, one wave a joint; posterior (6, s) of their size from the other joints."""
+def _unseen(task: Task, fit: TrackerFit, found: Array, levers: Array, sizes: Array, rng: np.random.Generator) -> Array:
+    """Draws (k,) rad^2 of a gear's other lines: of the population's sizes (k,) rad, as far as the joint noise has room for them
+    beside what was `found` (k, 6) and the repeatability, which the residual was not asked for."""
+    usual, sd = usual_noise(task.repeats)
+    repeats = usual * np.exp(sd * rng.normal(size=len(sizes)))
+    room = fit.noise.joints**2 - found @ levers / levers.sum() - repeats**2
+    return np.asarray(np.clip(room, 0.0, (LINES_A_GEAR - 1) * sizes**2))
+
+
+def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Draws (k, 6) of squared amplitudes rad^2, one wave a joint, and (k,) of their size rad; posterior (6, s) of it from the
+    other joints."""
     scale = _scale(y, projection)
     y = y / scale
     lines = [_line(q[:, j], columns[:, j], projection, scale) for j in range(6)]
@@ -132,7 +144,7 @@ def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.
     each = np.array(log)
     pick = rng.choice(len(BACKGROUND_SIZES), DRAWS, p=_weights(each.sum(axis=1)))
     others = np.array([_weights(each.sum(axis=1) - each[:, j]) for j in range(6)])
-    return np.asarray(np.array(draws)[pick, np.arange(DRAWS)]), others
+    return np.asarray(np.array(draws)[pick, np.arange(DRAWS)]), BACKGROUND_SIZES[pick], others
 
 
 def _line(q: Array, column: Array, projection: Projection, scale: float) -> _Line:
