@@ -40,6 +40,7 @@ SOURCES = (*ON_ARM, "frame", *ON_BEAM)
 SOFT = 4.0  # wave number at which a smooth function's prior has fallen to half
 GONE = 5.0  # lengths from which a patch is not there
 MOST_FEATURES = 64
+MOST_WEIGHT = 0.1  # rad or m
 COLUMNS = {"approach": "approach", "warm": "temperature_C", "time": "time_s", "is": "payload"}
 _OF_JOINTS = ("approach", "tau", "mx", "my", "q")
 _ALONE = ("warm", "time", "range", "azimuth", "elevation")
@@ -249,30 +250,43 @@ def patch_table(patch: Active, formula: str, promise: str, signal: str = "tracke
 
 def patch_of(table: Mapping[str, Any]) -> Active:
     """The patch of a `[[patches]]` table. Raises ValueError, a sentence."""
-    source, joint = table["kernel"], table.get("joint") or 0
+    source, joint, where = table["kernel"], table.get("joint") or 0, table["where"]
     if source not in SOURCES:
         raise ValueError(f"kernel '{shown(source)}' is none; known are {', '.join(SOURCES)}")
     if (source in ON_ARM) != bool(joint):
         raise ValueError(f"a patch of kernel '{source}' {'needs a joint' if source in ON_ARM else 'belongs to no joint'}")
-    names, measured = conditions_of(table["features"]), table["range"]
-    for name in names:
-        if name not in measured or len(measured[name]) != 2 or measured[name][0] > measured[name][1]:
-            raise ValueError(f"range.{name} of a patch is missing or not [lowest, highest]")
-    if source not in ON_ARM and not set(names) <= set(_ALONE):
-        raise ValueError(f"a patch of kernel '{source}' varies with {', '.join(_ALONE)} alone")
-    if source in ON_ARM and set(names) & set(_ALONE[2:]):
-        raise ValueError(f"a patch of kernel '{source}' does not vary with where the tracker stands")
+    if "|" in where:
+        raise ValueError(f"where = '{shown(where)}' of a patch holds a bar; name its conditions")
+    _check_conditions(source, table["features"], table["range"])
+    a, rows = table["weights"], table["covariance"]
+    if not all(len(row) == len(a) for row in rows) or len(rows) != len(a):
+        raise ValueError(f"a patch of {len(a)} weights needs a covariance of as many rows and columns")
+    a, covariance = np.asarray(a, float), np.asarray(rows, float).reshape(len(a), len(a))
+    variance = np.diag(covariance)
+    if not (np.isfinite(covariance).all() and np.allclose(covariance, covariance.T) and (variance >= 0).all()):
+        raise ValueError("the covariance of a patch is symmetric, of finite numbers, with no negative variance")
+    if not (np.abs(a) <= MOST_WEIGHT).all() or (variance > MOST_WEIGHT**2).any():
+        raise ValueError(f"weights of a patch and their deviations are at most {MOST_WEIGHT:g} rad or m; are they in SI units?")
+    size = max(float(np.sqrt(variance.max(initial=0.0))), float(np.abs(a).max(initial=0.0)), 1e-9)
     more = {"about": tuple(table["about"])} if table.get("about") else {}
-    a, covariance = np.asarray(table["weights"], float), np.asarray(table["covariance"], float)
-    size = float(np.sqrt(np.max(np.diag(covariance)))) if covariance.ndim == 2 and covariance.size else 0.0
-    made = make_patch(
-        source, table["where"], joint, table["features"], measured, max(size, float(np.abs(a).max(initial=0.0)), 1e-9), **more
-    )
-    if a.shape != made.a.shape or covariance.shape != (len(a), len(a)):
-        raise ValueError(f"a patch of {len(made.a)} features needs as many weights, and a covariance of as many rows and columns")
-    if not (np.isfinite(a).all() and np.isfinite(covariance).all() and np.allclose(covariance, covariance.T)):
-        raise ValueError("weights and covariance of a patch are finite numbers, the covariance symmetric")
+    made = make_patch(source, where, joint, table["features"], table["range"], size, **more)
+    if len(a) != len(made.a) or not np.isfinite(more.get("about", (0.0,))).all():
+        raise ValueError(f"a patch of these features needs {len(made.a)} weights, and finite numbers in about")
     return Active(made.effect, joint, a, made.scanned, covariance)
+
+
+def _check_conditions(source: str, features: Sequence[str], measured: Mapping[str, Sequence[float]]) -> None:
+    """Raises ValueError, a sentence: a condition that the kernel does not see, or without its range."""
+    used = {name for feature in features for form, _, name in feature_factors(feature) if form != "is"}
+    hung = any(form == "is" for feature in features for form, _, _ in feature_factors(feature))
+    if source not in ON_ARM and (hung or not used <= set(_ALONE)):
+        raise ValueError(f"a patch of kernel '{source}' varies with {', '.join(_ALONE)} alone")
+    if source in ON_ARM and used & set(_ALONE[2:]):
+        raise ValueError(f"a patch of kernel '{source}' does not vary with where the tracker stands")
+    for name in conditions_of(features):
+        low, high = measured.get(name, (np.nan, np.nan))
+        if not (np.isfinite(low) and np.isfinite(high) and low <= high):
+            raise ValueError(f"range.{name} of a patch is missing or not [lowest, highest]")
 
 
 def lengths_outside(patch: Active, conditions: Mapping[str, Array]) -> Array:

@@ -121,7 +121,14 @@ def test_a_patch_survives_a_cell_and_a_process():
         ({"range": {"q2": [0.0, 1.0]}}, "range.q4"),
         ({"kernel": "hinge"}, "kernel 'hinge'"),
         ({"joint": None}, "needs a joint"),
-        ({"weights": [1.0]}, "as many weights"),
+        ({"weights": [1e-4]}, "as many rows and columns"),
+        ({"weights": [1e-4], "covariance": [[0.0]]}, "needs 2 weights"),
+        ({"weights": [30.0, 10.0]}, "SI units"),
+        ({"covariance": [[float("nan"), 0.0], [0.0, 0.0]]}, "finite numbers"),
+        ({"range": {"q2": [float("nan"), 1.0], "q4": [0.0, 1.0]}}, "range.q2"),
+        ({"features": ["wave 1 range", "wave 2 range"]}, "where the tracker stands"),
+        ({"where": "q2|q4"}, "holds a bar"),
+        ({"kernel": "frame", "joint": None, "features": ["approach1"]}, "alone"),
     ],
 )
 def test_a_table_that_is_no_patch_is_refused(change, words):

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from ocp.calibrate.force.log import read_force_log
 from ocp.data import BLADE, CELL
-from ocp.diagnose.dataset import read_data_set, read_sealed_force, read_sealed_tracker
+from ocp.diagnose.dataset import read_data_set, read_sealed_force, read_sealed_joints, read_sealed_tracker
 from ocp.diagnose.foresee.design import read_planned_log
 from ocp.diagnose.joints.log import read_joint_log
 from ocp.model.cell import cell_tables_for, files_of, read_cell, read_tracker_setup, wheel_frame
@@ -285,7 +285,7 @@ def _read_summary(folder: Path) -> None:
 
 def _read_data(folder: Path) -> None:
     data = read_data_set(folder)
-    for signal, sealed in (("tracker", read_sealed_tracker), ("force", read_sealed_force)):
+    for signal, sealed in (("tracker", read_sealed_tracker), ("force", read_sealed_force), ("joint", read_sealed_joints)):
         if signal in data.sealed:
             sealed(data)
 
@@ -474,9 +474,10 @@ READERS = (
             "force.csv": force_table(False),
             "sealed_force.csv": force_table(True),
             "joints.csv": joint_table(),
+            "sealed_joints.csv": joint_table(),
         },
         _read_data,
-        ("read_data_set", "read_sealed_tracker", "read_sealed_force"),
+        ("read_data_set", "read_sealed_tracker", "read_sealed_force", "read_sealed_joints"),
     ),
 )
 
