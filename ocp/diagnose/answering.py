@@ -322,7 +322,8 @@ def lean(answer: Answer) -> Answer:
     """An answer with no more of its channels than the report shows."""
     gaps = tuple(replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected)) for gap in answer.gaps)
     before, after = tuple(g.baseline for g in gaps), tuple(g.corrected for g in gaps)
-    return replace(answer, gaps=gaps, diagnosis=replace(answer.diagnosis, baseline=before, channels=after))
+    patch = None if answer.patch is None else replace(answer.patch, channel=replace(answer.patch.channel, store={}))
+    return replace(answer, gaps=gaps, diagnosis=replace(answer.diagnosis, baseline=before, channels=after), patch=patch)
 
 
 def _shown(channel: Channel) -> Channel:
