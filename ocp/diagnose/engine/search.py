@@ -16,7 +16,7 @@ What nobody counts needs no effect: a nest that moves before the last few readin
 a small step once the noise has fallen with the names accepted before it. So where several readings are set aside, all are
 counted once more, what then explains them best is fitted beside what was accepted, and the fit decides
 (`outliers_rechecked`): readings with one cause in common are rather that than each of them one of the two in a hundred that
-are grossly wrong.
+are grossly wrong. Without it other_hand_11 (springs that stiffen, lambda 3458) has no name (docs/diagnosis.md, Measured).
 """
 
 from collections import Counter
