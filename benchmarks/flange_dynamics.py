@@ -5,7 +5,7 @@
 FOLDER is what `python -m ocp.plan` writes. The first row of a plan is its flange in balance at every instant. One line a machine:
 highest force anywhere; most above and below the plan inside passes; seconds of contact outside of them a pass; losses of contact
 in all; share of the core's area within 5 and 10 % of the wanted depth, of all asked within 10 %; the core's median, least
-and most depth.
+and most depth, and the most beside what is asked.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from ocp.simulate.twin.touching import Touching, carried_acceleration, in_time, 
 from ocp.simulate.twin.truth import draw_truth
 from trajectories.blade import read_blade
 
-HEAD = "   kg     N |  peak   over  under | outside s  losses | core 5  core 10  all 10  median  least  most"
+HEAD = "   kg     N |  peak   over  under | outside s  losses | core 5  core 10  all 10  median  least  most  beside"
 
 
 def row(machine: VirtualMachine, patches: ContactPatches, t: Touching, mass: str, friction: str) -> str:
@@ -40,7 +40,7 @@ def row(machine: VirtualMachine, patches: ContactPatches, t: Touching, mass: str
     peak, over, under = (max(getattr(p, name) for p in passes) for name in ("peak", "over", "under"))
     outside, losses = np.mean([p.outside for p in passes]), sum(p.losses for p in passes)
     forces = f"{peak:5.1f} {over:6.1f} {under:6.1f} | {outside:9.2f} {losses:7d}"
-    extremes = f"{of['core_median'] or np.nan:6.2f} {of['least']:6.2f} {of['most']:5.2f}"
+    extremes = f"{of['core_median'] or np.nan:6.2f} {of['least']:6.2f} {of['most']:5.2f}  {of['most_beside'] or np.nan:5.2f}"
     depths = f"{shares}  {100 * (of['all_within_10'] or 0.0):5.1f}%  {extremes}"
     return f"{mass:>5} {friction:>5} | {forces} | {depths}"
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ocp.model.cell import Cell
-from ocp.plan.rules import APPROACH_SPEED, CARRIED_FORCE, LEAST_RAMP, LIFT_OFF, TOUCH_SPEED
+from ocp.plan.rules import APPROACH_SPEED, CARRIED_FORCE, CREEP, LEAST_RAMP, LIFT_OFF, TOUCH_SPEED
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath
@@ -63,7 +63,7 @@ def entry_of(cell: Cell, force: float, stiffness: float) -> Engagement:
     mass = cell.flange.carried_mass if cell.flange is not None else 0.0
     peak = 10 / np.sqrt(3)  # of the second derivative of a rise without slope at its ends
     ramp = max(LEAST_RAMP, float(np.sqrt(peak * mass * force / stiffness / CARRIED_FORCE)))
-    return Engagement(ramp, TOUCH_SPEED, LIFT_OFF, 1.9 * LIFT_OFF / APPROACH_SPEED, stiffness, force)
+    return Engagement(ramp, TOUCH_SPEED, LIFT_OFF, 1.9 * LIFT_OFF / APPROACH_SPEED + CREEP, stiffness, force)
 
 
 @dataclass(frozen=True)
@@ -104,10 +104,11 @@ class PassCourse:
         """Gap (m,) m at nominal times t (m,)."""
         if self.entry is None:
             return np.zeros_like(t)
-        one = self.entry
-        outside = np.maximum(self.edges[1] - t, t - self.edges[4]) / one.approach
+        one, rest = self.entry, self.entry.approach - CREEP
+        outside = np.maximum(np.maximum(self.edges[1] - t, t - self.edges[4]), 0.0)
         closing = self.peak * one.closing  # less where the force's share is less: the blade goes on without a jump of speed
-        return one.far * rise(outside, closing * one.approach / one.far)
+        beyond = one.far - closing * CREEP
+        return closing * np.minimum(outside, CREEP) + beyond * rise((outside - CREEP) / rest, closing * rest / beyond)
 
     def phase_at(self, t: Array) -> NDArray[np.int64]:
         """The phase (m,) at nominal times: 0 travel, 1 lead-in, 2 pass, 3 lead-out, 4 travel."""
