@@ -7,7 +7,8 @@ others judge the result.
 - HOLDER_RADIUS, HOLDER_SHARE, FLOOR_BELOW_WHEEL, WHEEL_ROOM are shapes; the margins judge them.
 - UPRIGHT says which planes are there (tests/plan/test_safe_to_move.py).
 - COLLISION_STEP says how densely moves are looked at; LIFT_OFF, HOME_LIFT and APPROACH_SPEED say how moves are laid.
-- TOUCH_SPEED, LEAST_RAMP and CARRIED_FORCE say how a pass begins and ends; PEAK_FORCE is a bound that the optimiser cannot leave.
+- TOUCH_SPEED, CREEP, LEAST_RAMP and CARRIED_FORCE say how a pass begins and ends; PEAK_FORCE is a bound that the optimiser
+  cannot leave.
 - GAP_TOLERANCE says from where on the second route has to see a gap.
 - EMITTED_FORCE_SHARE, EMITTED_TOLERANCE and EMITTED_AIR_TOLERANCE say how points are thinned out; the text is read back.
 """
