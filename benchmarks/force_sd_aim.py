@@ -1,7 +1,7 @@
 """`python benchmarks/force_sd_aim.py`: what it brings to aim at a small standard deviation of the force.
 
 Plans a few lines of the bundled blade on its cell with a made-up calibration (2e-5 m and rad of every parameter of the arm), on a
-rigid mount and on the force flange, with the aim and without; prints the table of docs/optimal_control.md.
+rigid mount and on the force flange, with the aim and without; prints a table; what follows from it: docs/optimal_control.md.
 """
 
 import sys
