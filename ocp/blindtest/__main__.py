@@ -7,13 +7,13 @@ from typing import Annotated
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import answer, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, run, shown_progress
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = command_line()
 ALL = "single,none,none_background,pair,triple,outside,left_out"
 
 
-@app.command()
+@command(app, "python -m ocp.blindtest --worlds 95 --seed 101 --out blindtest")
 def _blindtest(
     worlds: Annotated[int, typer.Option(help="how many worlds; more than before goes on where the last run ended")] = 95,
     kinds: Annotated[str, typer.Option(help="kinds of worlds, with commas; all by default")] = ALL,

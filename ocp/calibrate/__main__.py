@@ -6,12 +6,12 @@ from typing import Annotated
 
 import typer
 
-from ocp.shell.command import answer, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, run, shown_progress
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = command_line()
 
 
-@app.command()
+@command(app, "python -m ocp.calibrate tracker.csv --cell cell.toml --force force.csv")
 def _calibrate(
     tracker: Annotated[Path, typer.Argument(help="laser-tracker readings, tracker.csv")],
     cell: Annotated[Path, typer.Option(help="the cell file")],

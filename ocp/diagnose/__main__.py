@@ -6,21 +6,12 @@ from typing import Annotated
 
 import typer
 
-from ocp.shell.command import answer, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, run, shown_progress
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-
-
-def _catalogue() -> str | None:
-    """The effects as the end of the help; read only for those who ask, it is slow."""
-    if "--help" not in sys.argv:
-        return None
-    from ocp.effects.catalogue import titles
-
-    return "Effects that are looked for:\n\n" + "\n\n".join(titles())
+app = command_line()
 
 
-@app.command(epilog=_catalogue())
+@command(app, "python -m ocp.diagnose run --out diagnosis")
 def _diagnose(
     folder: Annotated[Path | None, typer.Argument(help="data set: cell.toml with tracker.csv, force.csv, joints.csv")] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("diagnosis"),

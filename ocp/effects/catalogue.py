@@ -84,11 +84,6 @@ def effect_list() -> str:
     return "\n".join(f"{name:<{width}}  {signals:<22}  {keys}" for name, signals, keys in rows)
 
 
-def titles() -> list[str]:
-    """'name: what it is' of every effect."""
-    return [f"{name}: {effect.title.format(joint='j')}" for name, effect in library().items()]
-
-
 def key_range(key: str, low: float, high: float, either_sign: bool, length: int = 1, unit: str = "1") -> str:
     """A key with its usual range: 'rad (3) +-5e-06..0.0002 rad'; the key alone where it holds a name."""
     if high == 0:

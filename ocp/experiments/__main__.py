@@ -7,15 +7,15 @@ from typing import Annotated
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import main, run, shown_progress
+from ocp.shell.command import command, command_line, main, run, shown_progress
 from robots.errors import BadInput
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = command_line()
 
 
-@app.command()
+@command(app, "python -m ocp.experiments --robots 30 --out experiments")
 def _experiments(
-    cell: Annotated[Path, typer.Option(help="the cell file")] = CELL,
+    cell: Annotated[Path, typer.Option(help="the cell file", show_default="the bundled one")] = CELL,
     robots: Annotated[int, typer.Option(help="how many virtual robots")] = 30,
     seed: Annotated[int, typer.Option(help="number of the first robot")] = 0,
     poses: Annotated[int, typer.Option(help="readings of each calibration")] = 40,

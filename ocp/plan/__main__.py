@@ -7,15 +7,15 @@ from typing import Annotated
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import answer, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, run, shown_progress
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = command_line()
 
 
-@app.command()
+@command(app, "python -m ocp.plan blade.stl --cell cell.toml --out plan")
 def _plan(
     blade: Annotated[Path | None, typer.Argument(help="the blade's STL; without it the cell's own")] = None,
-    cell: Annotated[Path, typer.Option(help="the cell file")] = CELL,
+    cell: Annotated[Path, typer.Option(help="the cell file", show_default="the bundled one")] = CELL,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("plan"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
     path: Annotated[Path | None, typer.Option(help="contact points made elsewhere, path.csv")] = None,

@@ -8,15 +8,15 @@ import numpy as np
 import typer
 
 from ocp.data import CELL
-from ocp.shell.command import answer, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, run, shown_progress
 from robots.errors import BadInput
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = command_line()
 
 
-@app.command()
+@command(app, "python -m ocp.poses --cell cell.toml -n 40 --payload bare --payload weight")
 def _poses(
-    cell: Annotated[Path, typer.Option(help="the cell file")] = CELL,
+    cell: Annotated[Path, typer.Option(help="the cell file", show_default="the bundled one")] = CELL,
     count: Annotated[int, typer.Option("-n", help="how many poses; each is read twice, approached from either side")] = 40,
     criterion: Annotated[str, typer.Option(help="zone (accuracy at the wheel), or O1 to O5 of the literature")] = "zone",
     payload: Annotated[list[str] | None, typer.Option(help="a payload to hang on; repeat for more")] = None,

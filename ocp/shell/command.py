@@ -1,9 +1,16 @@
-"""What every command line shares: progress, the plain last line, exit codes."""
+"""What every command line shares: progress, the plain last line, exit codes, and the three options that say how to tell."""
 
+import functools
+import inspect
+import json
 import sys
+import time
+import webbrowser
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Protocol
 
 import typer
 from rich.console import Console
@@ -15,12 +22,81 @@ from ocp.shell.progress import Progress
 from robots.errors import BadInput, Infeasible
 
 OK, NOT_SOLVED, BAD_INPUT = 0, 1, 2
+PAGES = ("report.html", "rehearsal.html", "cell.html", "index.html")  # what a written folder may have to look at
+
+
+@dataclass
+class _Telling:
+    """How this run of a command tells what it made, as its options ask, and what there is to tell."""
+
+    opened: bool = False
+    as_json: bool = False
+    verbose: bool = False
+    folder: Path | None = None
+    notices: list[str] = field(default_factory=list)
+
+    @property
+    def page(self) -> Path | None:
+        """The page of the written folder, None where there is none."""
+        pages = [] if self.folder is None else [self.folder / name for name in PAGES]
+        return next((page for page in pages if page.is_file()), None)
+
+
+_telling = _Telling()
+_OPTIONS: dict[str, Any] = {
+    "opened": Annotated[bool, typer.Option("--open", help="open the page that was written")],
+    "as_json": Annotated[bool, typer.Option("--json", help="the last line as JSON: exit code, line, folder, page, notices")],
+    "verbose": Annotated[bool, typer.Option("--verbose", "-v", help="tell every phase with its seconds")],
+}
+
+
+def command_line(help: str | None = None, completion: bool = False) -> typer.Typer:
+    """A command line without commands: plain help, a line an option where the terminal is wide enough; completion: with the
+    options that install it in a shell."""
+    return typer.Typer(
+        add_completion=completion,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        help=help,
+        context_settings={"max_content_width": 120},
+    )
+
+
+def command(app: typer.Typer, *example: str, name: str | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator that makes a function a command of `app`: its own options, then those that all commands have; example: a line
+    of the shell, or several, shown below the help."""
+
+    def decorated(function: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(function, eval_str=True)
+        for key, parameter in signature.parameters.items():
+            for option in getattr(parameter.annotation, "__metadata__", ()):
+                if parameter.default is False and not option.param_decls:
+                    option.param_decls = (f"--{key.replace('_', '-')}",)  # no --no-overwrite
+        kind = inspect.Parameter.KEYWORD_ONLY
+        more = [inspect.Parameter(key, kind, default=False, annotation=hint) for key, hint in _OPTIONS.items()]
+
+        @functools.wraps(function)
+        def called(**given: Any) -> None:
+            global _telling
+            _telling = _Telling(**{key: given.pop(key) for key in _OPTIONS})
+            function(**given)
+
+        parameters = [p.replace(kind=kind) for p in signature.parameters.values()] + more
+        called.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        called.__annotations__ = {p.name: p.annotation for p in parameters}
+        app.command(name, epilog="Example: " + "; ".join(example))(called)
+        return function
+
+    return decorated
 
 
 @contextmanager
 def shown_progress() -> Iterator[Progress]:
-    """Draws bars of phases on stderr when that is a terminal, nothing otherwise."""
+    """Draws bars of phases on stderr when that is a terminal, nothing otherwise; with --verbose a line a phase."""
     console = Console(stderr=True)
+    if _telling.verbose:
+        yield _phase_lines()
+        return
     columns = (SpinnerColumn(), TextColumn("{task.description:<14}"), BarColumn(), TimeElapsedColumn())
     with Bars(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks: dict[str, TaskID] = {}
@@ -33,16 +109,29 @@ def shown_progress() -> Iterator[Progress]:
         yield show
 
 
-def main(app: typer.Typer) -> None:
-    """Run a command line; what is wrong with the arguments is one sentence too, and an interrupt ends it at once."""
-    sys.exit(supervised(lambda: _called(app), lambda sentence: print(sentence, file=sys.stderr)))  # noqa: T201
+def _phase_lines() -> Progress:
+    """Tells a phase at its beginning, with what it has to do, and the seconds since the first one."""
+    began = time.monotonic()
+
+    def show(name: str, done: int, total: int | None) -> None:
+        if done == 0:
+            steps = "" if total is None else f", {total} steps"
+            print(f"{time.monotonic() - began:8.1f} s  {name}{steps}", file=sys.stderr)  # noqa: T201
+
+    return show
 
 
-def _called(app: typer.Typer) -> int:
+def main(app: typer.Typer, name: str | None = None) -> None:
+    """Run a command line; what is wrong with the arguments is one sentence too, and an interrupt ends it at once. name: as which
+    its help names it."""
+    sys.exit(supervised(lambda: _called(app, name), lambda sentence: print(sentence, file=sys.stderr)))  # noqa: T201
+
+
+def _called(app: typer.Typer, name: str | None) -> int:
     collect_seldom()
     try:
         # An interrupt during the imports comes back as a number, as an error or as itself, depending on the release.
-        if app(standalone_mode=False) == INTERRUPTED:
+        if app(standalone_mode=False, prog_name=name) == INTERRUPTED:
             return _refuse("interrupted, nothing written", INTERRUPTED)
     except (typer.Abort, KeyboardInterrupt):
         return _refuse("interrupted, nothing written", INTERRUPTED)
@@ -79,16 +168,28 @@ def run(job: Callable[[], str], not_solved: str = "no safe plan") -> int:
 def _told(line: str) -> int:
     """Print the plain last line, the command's answer. The work is done, whether or not anybody can read of it."""
     try:
-        print(line, flush=True)  # noqa: T201
+        print(_as_json(OK, line) if _telling.as_json else line, flush=True)  # noqa: T201
     except BrokenPipeError:  # nobody wants to
         pass
     except OSError as error:
         tell_notices([f"all is written, but this line could not be ({error.strerror}): {line}"])
+    if _telling.opened and _telling.page is not None:
+        webbrowser.open(_telling.page.resolve().as_uri())
     return OK
 
 
+def _as_json(code: int, line: str) -> str:
+    """What a program that called the command wants to know, on one line."""
+    told = {"exit": code, "line": line, "folder": _telling.folder, "page": _telling.page, "notices": _telling.notices}
+    return json.dumps(told, default=str)
+
+
 class Result(Protocol):
-    """What a command's function returns: the one line that says what was written, and what the user should know of it."""
+    """What a command's function returns: its folder, the one line that says what was written, and what the user should know."""
+
+    @property
+    def folder(self) -> Path:
+        """Where it was written."""
 
     @property
     def line(self) -> str:
@@ -101,6 +202,8 @@ class Result(Protocol):
 
 def answer(result: Result) -> str:
     """The last line of a command; its notices go to stderr."""
+    _telling.folder = result.folder
+    _telling.notices += map(_plain, result.notices)
     tell_notices(result.notices)
     return result.line
 
@@ -121,4 +224,6 @@ def _plain(text: str) -> str:
 
 def _refuse(sentence: str, code: int) -> int:
     print(_plain(sentence), file=sys.stderr)  # noqa: T201  one sentence, DESIGN "Manners"
+    if _telling.as_json:
+        print(_as_json(code, _plain(sentence)))  # noqa: T201
     return code

@@ -6,12 +6,12 @@ from typing import Annotated
 
 import typer
 
-from ocp.shell.command import answer, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, run, shown_progress
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = command_line()
 
 
-@app.command()
+@command(app, "python -m ocp.simulate plan --seed 3 --effect backlash:5=2e-4")
 def _simulate(
     plan: Annotated[Path | None, typer.Argument(help="folder that ocp.plan wrote; without it only the tracker campaign")] = None,
     cell: Annotated[Path | None, typer.Option(help="the cell file; without it the one the plan was made with")] = None,
@@ -34,7 +34,7 @@ def _simulate(
     hz: Annotated[float, typer.Option(help="control rate in 1/s")] = 250.0,
     log_hz: Annotated[float, typer.Option(help="rows of force.csv a second")] = 25.0,
     clock: Annotated[float, typer.Option(help="seconds that the campaign's clock shows at the start: wear, drift, steps")] = 0.0,
-    list_effects: Annotated[bool, typer.Option("--list-effects", help="print what can be planted")] = False,
+    list_effects: Annotated[bool, typer.Option(help="print what can be planted")] = False,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("run"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:

@@ -6,12 +6,12 @@ from typing import Annotated
 
 import typer
 
-from ocp.shell.command import answer, main, run, shown_progress
+from ocp.shell.command import answer, command, command_line, main, run, shown_progress
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = command_line()
 
 
-@app.command()
+@command(app, "python -m ocp.update force.csv --cell cell.toml --removal removal.csv")
 def _update(
     force: Annotated[Path, typer.Argument(help="force log of the last blade, force.csv")],
     cell: Annotated[Path, typer.Option(help="the cell file that the blade was ground with")],

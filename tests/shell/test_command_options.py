@@ -1,0 +1,72 @@
+"""The options that every command has: the last line as JSON, the page opened, phases told."""
+
+import json
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+from typer.testing import CliRunner
+
+from ocp.shell.command import answer, command, command_line, run, shown_progress
+from ocp.shell.progress import Phases
+from robots.errors import BadInput
+
+
+@dataclass(frozen=True)
+class Made:
+    folder: Path
+    line: str = "made: all is well"
+    notices: tuple[str, ...] = ("one tooth is worn",)
+
+
+def app_writing(folder: Path, fault: str = "") -> typer.Typer:
+    app = command_line()
+
+    @command(app, "make it")
+    def make(overwrite: bool = False) -> None:
+        def job() -> str:
+            if fault:
+                raise BadInput(fault)
+            with shown_progress() as progress, Phases(progress).phase("milling", 3):
+                return answer(Made(folder))
+
+        raise typer.Exit(run(job))
+
+    return app
+
+
+def test_without_options_a_command_says_its_line_and_its_notices(tmp_path):
+    told = CliRunner().invoke(app_writing(tmp_path), [])
+    assert (told.exit_code, told.stdout, told.stderr) == (0, "made: all is well\n", "note: one tooth is worn\n")
+
+
+def test_json_tells_what_was_written_where(tmp_path):
+    (tmp_path / "report.html").write_text("<p>well</p>")
+    told = json.loads(CliRunner().invoke(app_writing(tmp_path), ["--json"]).stdout)
+    page = str(tmp_path / "report.html")
+    notices = ["one tooth is worn"]
+    assert told == {"exit": 0, "line": "made: all is well", "folder": str(tmp_path), "page": page, "notices": notices}
+
+
+def test_json_tells_a_refusal_too(tmp_path):
+    told = CliRunner().invoke(app_writing(tmp_path, "cell.toml: no wheel; add it"), ["--json"])
+    assert told.exit_code == 2 and told.stderr == "refused: cell.toml: no wheel; add it\n"
+    assert json.loads(told.stdout)["exit"] == 2 and json.loads(told.stdout)["folder"] is None
+
+
+def test_open_shows_the_page_and_nothing_where_there_is_none(tmp_path, monkeypatch):
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    CliRunner().invoke(app_writing(tmp_path), ["--open"])
+    assert opened == []
+    (tmp_path / "rehearsal.html").write_text("<p>well</p>")
+    CliRunner().invoke(app_writing(tmp_path), [])
+    assert opened == []
+    CliRunner().invoke(app_writing(tmp_path), ["--open"])
+    assert opened == [(tmp_path / "rehearsal.html").as_uri()]
+
+
+def test_verbose_tells_a_phase_when_it_begins(tmp_path):
+    told = CliRunner().invoke(app_writing(tmp_path), ["-v"])
+    assert told.stderr.splitlines()[0].split() == ["0.0", "s", "milling,", "3", "steps"]
