@@ -1,6 +1,6 @@
 """The section "What to measure next": plain rules over what the readings lack, the most useful first.
 
-docs/calibration_report.md lists them.
+docs/calibrate.md lists them.
 """
 
 import numpy as np
