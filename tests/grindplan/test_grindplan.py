@@ -18,11 +18,17 @@ def test_every_room_that_has_a_command_is_a_word_of_it():
     assert set(COMMANDS) == rooms
 
 
-@pytest.mark.parametrize("words", [[name] for name in COMMANDS], ids=lambda words: words[0])
+def leaves():
+    """Every command as its words: one, or a room's and one of its commands."""
+    for name, command in typer.main.get_command(whole()).commands.items():
+        yield from [(name, inner) for inner in getattr(command, "commands", ())] or [(name,)]
+
+
+@pytest.mark.parametrize("words", list(leaves()), ids=" ".join)
 def test_the_help_of_a_command_fits_a_screen_and_shows_an_example(words):
     told = CliRunner().invoke(whole(), [*words, "--help"], env={"COLUMNS": "120"})
     assert told.exit_code == 0 and len(told.output.splitlines()) <= 45
-    assert re.search(rf"Example: python -m ocp\.{words[0]} ", told.output)
+    assert re.search(rf"Example: python -m ocp\.{' '.join(words)} ", told.output)
     assert {"--open", "--json", "--verbose"} <= set(re.findall(r"--[\w-]+", told.output))
     assert len(re.findall(r"--no-\w+", told.output)) <= 1
 
