@@ -195,8 +195,8 @@ def _last_row(path: Path, T: Array, name: str) -> Array:
     rest = rot_z(-theta) @ R
     if abs(rest[0, 1]) > SAME:
         raise BadInput(
-            f"{path}: link '{shown(name)}' stands beside axis 6 and turned so that no MD-H row reaches it; name the flange itself "
-            "with --flange"
+            f"{path}: link '{shown(name)}' stands beside axis 6 and turned so that no MD-H row reaches it; name the flange "
+            "itself with --flange"
         )
     return np.array([theta, d, a, *_twist(rest)])
 

@@ -39,7 +39,7 @@ def new_robot(name: str, *, out: str | Path = "robot", overwrite: bool = False) 
 def import_robot(
     urdf: str | Path, *, out: str | Path = "robot", flange: str | None = None, name: str | None = None, overwrite: bool = False
 ) -> RobotResult:
-    """Write the robot file of a URDF into `out`; flange: the link that the tool is screwed to, name: the robot's, else the URDF's.
+    """Write the robot file of a URDF into `out`; flange: link that the tool is screwed to; name: the robot's.
 
     Raises BadInput as `read_urdf`, and a name that no file may have.
     """
