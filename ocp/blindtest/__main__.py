@@ -20,6 +20,7 @@ def _blindtest(
     signals: Annotated[str, typer.Option(help="what is measured: tracker, force or both")] = "tracker",
     seed: Annotated[int, typer.Option(help="everything is drawn from it")] = 1,
     jobs: Annotated[int, typer.Option(help="processes; 0: one for each core")] = 0,
+    scheduler: Annotated[str | None, typer.Option(help="tcp://..: a Dask cluster does it instead")] = None,
     out: Annotated[Path, typer.Option(help="folder of worlds, answers, scores and report")] = Path("blindtest"),
     cell: Annotated[Path | None, typer.Option(help="the cell whose machines are drawn; the bundled one")] = None,
     readings: Annotated[int, typer.Option(help="readings of a campaign")] = 150,

@@ -33,7 +33,7 @@ from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.linearisation import stacked_columns
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Effect
-from ocp.shell.output import add_text_file
+from ocp.shell.executor import named_below
 from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
@@ -187,14 +187,14 @@ FAULTS = (BadInput, Infeasible, ArithmeticError, ValueError, TypeError, LookupEr
 """What makes a world an error of the answer, counted as wrong, instead of ending the check."""
 
 
-def make_answer(check: Check, recipe: Recipe) -> str:
-    """Answer a world that has none yet; returns that it is answered, or what went wrong."""
+def make_answer(check: Check, recipe: Recipe) -> None:
+    """Answer a world from its folder; what went wrong is an answer too."""
+    answer = answer_world(check.world(recipe.name))
+    if answer["error"]:
+        answer["error"] = named_below(check.folder, answer["error"])
     path = check.answer(recipe.name)
-    if not path.is_file():
-        add_text_file(
-            check.folder, path.relative_to(check.folder).as_posix(), json.dumps(answer_world(check.world(recipe.name))) + "\n"
-        )
-    return str(json.loads(path.read_text(encoding="utf-8")).get("error") or "answered")
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(answer) + "\n", encoding="utf-8")
 
 
 def answer_world(folder: Path) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from ocp.blindtest.worlds.sealing import CELL as CELL_FILE
 from ocp.blindtest.worlds.sealing import Check, write_cell
 from ocp.data import CELL
 from ocp.model.cell import files_of
+from ocp.shell.executor import Hands
 from ocp.shell.output import files_added, reserved
 from ocp.shell.processes import cores
 from ocp.shell.progress import Phases, Progress
@@ -39,6 +40,7 @@ def blindtest(
     signals: str = "tracker",
     seed: int = 1,
     jobs: int = 0,
+    scheduler: str | None = None,
     cell: str | Path = CELL,
     readings: int = 150,
     again: bool = False,
@@ -49,8 +51,9 @@ def blindtest(
     report stand in the folder `out`, where a later call with the same arguments goes on.
 
     worlds: how many; kinds of worlds; signals: tracker, force or both; seed: everything is drawn from it; jobs: processes (0:
-    one for each core); cell: whose machines are drawn; readings of a campaign; again: answer all worlds anew; overwrite: begin
-    anew, with new worlds. Raises BadInput: an argument is not what it should be, or `out` holds something else.
+    one for each core); scheduler: address of a Dask scheduler whose workers do it instead; cell: whose machines are drawn;
+    readings of a campaign; again: answer all worlds anew; overwrite: begin anew, with new worlds. Raises BadInput: an argument
+    is not what it should be, or `out` holds something else.
     """
     folder = Path(out)
     if signals not in SIGNALS:
@@ -61,10 +64,10 @@ def blindtest(
             raise BadInput(f"{name} {value} must lie between {low} and {high}")
     check = Check(folder, seed, worlds, check_kinds(",".join(kinds), signals), readings, signals=signals)
     with reserved(folder, overwrite, files_of(cell), grows=True) as output, output.grown():
-        return _judged(check, Path(cell), again, jobs or cores(), Phases(progress))
+        return _judged(check, Path(cell), again, Hands(jobs or cores(), scheduler), Phases(progress))
 
 
-def _judged(check: Check, cell: Path, again: bool, count: int, phases: Phases) -> BlindtestResult:
+def _judged(check: Check, cell: Path, again: bool, hands: Hands, phases: Phases) -> BlindtestResult:
     resume(check)
     if not check.cell.is_file():
         with files_added(check.folder, last=CELL_FILE) as part:
@@ -72,9 +75,9 @@ def _judged(check: Check, cell: Path, again: bool, count: int, phases: Phases) -
     if again:
         forget_answers(check)
     planned = recipes(check.worlds, check.kinds)
-    make_all(check, planned, count, phases)
-    answer_all(check, planned, count, phases)
-    rows = score_all(check, planned, count, phases)
+    make_all(check, planned, hands, phases)
+    answer_all(check, planned, hands, phases)
+    rows = score_all(check, planned, hands, phases)
     with phases.phase("report"):
         write_blindtest_report(check, rows)
     return BlindtestResult(check.folder, tuple(rows), tuple(all_figures(rows)), blindtest_last_line(check, rows))

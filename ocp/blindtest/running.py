@@ -1,26 +1,28 @@
-"""The steps of a blind check in worker processes: make and seal all worlds, answer them, open the labels and score.
+"""The steps of a blind check, on many cores: make and seal all worlds, answer them, open the labels and score.
 
 The effects of a world are drawn, then brought to the detectability that its recipe asks for, all before anything is sealed.
 """
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ocp.blindtest.answers import make_answer
 from ocp.blindtest.oracle.oracle import ExactView, detectabilities, exact_view
-from ocp.blindtest.scoring import make_score
+from ocp.blindtest.scoring import make_score, score_path
 from ocp.blindtest.worlds import sealing
 from ocp.blindtest.worlds.machines import effects_stream
 from ocp.blindtest.worlds.recipes import BINS, Recipe, pool_of, scaled, within_range
 from ocp.blindtest.worlds.sealing import Check, Label
+from ocp.model.cell import files_of
 from ocp.shell.cache import sha256
+from ocp.shell.executor import Hands, carried_out, errand, files_under, lay
 from ocp.shell.output import MARKER, add_text_file, files_added, remove_written
-from ocp.shell.processes import interrupts_held_back, nothing, workers
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.kinds import EffectKind
 from ocp.simulate.twin.planting import Planted, draw_effect
@@ -120,27 +122,24 @@ def resume(check: Check) -> None:
         add_text_file(check.folder, PLAN, json.dumps(check.fixed()) + "\n")
 
 
-def make_world(check: Check, recipe: Recipe) -> str:
-    """Draw, write and seal a world that is not there yet; the hash of its label. Raises Infeasible of the drawing."""
-    label = sealing.label_path(check, recipe)
-    if not label.is_file():
-        machine = sealing.machine_of(check, recipe)
-        view = None if recipe.target is None else exact_view(machine)
-        effects, lam = ((), ()) if view is None else draw_effects(check.seed, recipe, view, check.signals)
-        withheld = tuple(p.effect for p in effects) if recipe.kind == "left_out" else ()
-        with files_added(check.folder, last=label.relative_to(check.folder).as_posix()) as part:
-            new = replace(check, folder=part)
-            sealing.write_world(new.world(recipe.name), machine, effects)
-            if withheld:
-                (new.world(recipe.name) / sealing.WITHHELD).write_text("\n".join(withheld) + "\n", encoding="utf-8")
-            sealing.write_label(sealing.label_path(new, recipe), Label(recipe, effects, lam, withheld))
-    return sha256(label)
+def make_world(check: Check, recipe: Recipe) -> None:
+    """Draw and write a world and its label. Raises Infeasible of the drawing."""
+    machine = sealing.machine_of(check, recipe)
+    view = None if recipe.target is None else exact_view(machine)
+    effects, lam = ((), ()) if view is None else draw_effects(check.seed, recipe, view, check.signals)
+    withheld = tuple(p.effect for p in effects) if recipe.kind == "left_out" else ()
+    sealing.write_world(check.world(recipe.name), machine, effects)
+    if withheld:
+        (check.world(recipe.name) / sealing.WITHHELD).write_text("\n".join(withheld) + "\n", encoding="utf-8")
+    sealing.write_label(sealing.label_path(check, recipe), Label(recipe, effects, lam, withheld))
 
 
-def make_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases) -> None:
+def make_all(check: Check, recipes: Sequence[Recipe], hands: Hands, phases: Phases) -> None:
     """Draw, write and seal every world; hashes of labels that were sealed before must not have changed."""
+    step = _Step(make_world, partial(sealing.label_path, check), lambda _: _cell_files(check))
     with phases.phase("worlds", len(recipes)) as advance:
-        hashes = {r.name: h for r, h in _each(jobs, make_world, [(check, r) for r in recipes], advance)}
+        _each(check, step, recipes, _missing(step, recipes), hands, advance)
+    hashes = {r.name: sha256(sealing.label_path(check, r)) for r in recipes}
     before = sealing.read_seal(check)
     broken = [name for name, h in before.items() if hashes.get(name, h) != h]
     if broken:
@@ -149,39 +148,72 @@ def make_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases)
     add_text_file(check.folder, sealing.SEAL, json.dumps(whole, indent=1) + "\n")
 
 
-def answer_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases) -> None:
-    """Answer every world that has no answer yet."""
+def answer_all(check: Check, recipes: Sequence[Recipe], hands: Hands, phases: Phases) -> None:
+    """Answer every world that has no answer yet, where its folder stands and nothing else of the check."""
+    step = _Step(make_answer, lambda r: check.answer(r.name), lambda r: [check.world(r.name)])
     with phases.phase("answers", len(recipes)) as advance:
-        for _ in _each(jobs, make_answer, [(check, r) for r in recipes], advance):
-            pass
+        _each(check, step, recipes, _missing(step, recipes), hands, advance)
 
 
-def score_all(check: Check, recipes: Sequence[Recipe], jobs: int, phases: Phases) -> list[dict[str, Any]]:
-    """Rows of all worlds. Raises BadInput: an answer is missing, or a label is not the sealed one."""
+def score_all(check: Check, recipes: Sequence[Recipe], hands: Hands, phases: Phases) -> list[dict[str, Any]]:
+    """Rows of all worlds; those are scored whose answer is newer than their score, or that have none. Raises BadInput: an answer
+    is missing, or a label is not the sealed one."""
     missing = [r.name for r in recipes if not check.answer(r.name).is_file()]
     if missing:
         raise BadInput(f"{check.folder}: world {missing[0]} has no answer yet; labels stay closed until all are written")
-    seal = sealing.read_seal(check)
+
+    def reads(r: Recipe) -> list[Path]:
+        sealed = check.folder / sealing.SEAL, sealing.label_path(check, r)
+        return [*_cell_files(check), *sealed, check.world(r.name), check.answer(r.name)]
+
+    def stale(r: Recipe) -> bool:
+        return step.result(r).stat().st_mtime < check.answer(r.name).stat().st_mtime
+
+    step = _Step(make_score, lambda r: score_path(check, r.name), reads)
+    absent = _missing(step, recipes)
     with phases.phase("scores", len(recipes)) as advance:
-        rows = {r.index: row for r, row in _each(jobs, make_score, [(check, r, seal) for r in recipes], advance)}
-    return [rows[r.index] for r in recipes]
+        _each(check, step, recipes, [r for r in recipes if r in absent or stale(r)], hands, advance)
+    return [json.loads(step.result(r).read_text(encoding="utf-8")) for r in recipes]
+
+
+@dataclass(frozen=True)
+class _Step:
+    """What is done of a world: `work(check, recipe)`, the file that says that it is done, and the files and folders that it
+    reads; all of them lie in the check's folder, which is another one where the work is done."""
+
+    work: Callable[[Check, Recipe], Any]
+    result: Callable[[Recipe], Path]
+    reads: Callable[[Recipe], Sequence[Path]]
+
+
+def _missing(step: _Step, recipes: Sequence[Recipe]) -> list[Recipe]:
+    return [r for r in recipes if not step.result(r).is_file()]
 
 
 def _each(
-    jobs: int, work: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], advance: Callable[[], None]
-) -> Iterator[tuple[Recipe, Any]]:
-    """Recipe and result of every call as they come."""
-    if jobs == 1:
-        for one in arguments:
-            yield one[1], work(*one)
-            advance()
-        return
-    with workers(jobs, nothing) as pool:
-        with interrupts_held_back():
-            waiting = {pool.submit(work, *one): one[1] for one in arguments}
-        for done in as_completed(waiting):
-            yield waiting[done], done.result()
-            advance()
+    check: Check, step: _Step, recipes: Sequence[Recipe], todo: Sequence[Recipe], hands: Hands, advance: Callable[[], None]
+) -> None:
+    """Do a step of the worlds `todo`; the others' is done."""
+    for _ in range(len(recipes) - len(todo)):
+        advance()
+
+    def below(path: Path) -> str:
+        return path.relative_to(check.folder).as_posix()
+
+    tasks = ((_there, files_under(check.folder, *map(below, step.reads(r))), step.work, check, r) for r in todo)
+    for place, done in carried_out(errand, tasks, hands):
+        _, files = done.result()
+        with files_added(check.folder, last=below(step.result(todo[place]))) as part:
+            lay(files, part)
+        advance()
+
+
+def _there(folder: Path, work: Callable[[Check, Recipe], Any], check: Check, recipe: Recipe) -> None:
+    work(replace(check, folder=folder), recipe)
+
+
+def _cell_files(check: Check) -> list[Path]:
+    return [file for file in files_of(check.cell) if check.folder in file.parents]
 
 
 def forget_answers(check: Check) -> None:

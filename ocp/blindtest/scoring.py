@@ -19,13 +19,12 @@ from ocp.blindtest.oracle import oracle
 from ocp.blindtest.oracle.oracle import Name, name_of
 from ocp.blindtest.worlds.machines import BlindMachine, GrindingMachine, TrackerMachine, has_background
 from ocp.blindtest.worlds.recipes import OUTSIDE, Recipe, of_arm
-from ocp.blindtest.worlds.sealing import Check, Label, machine_of, read_label, write_world
+from ocp.blindtest.worlds.sealing import Check, Label, machine_of, read_label, read_seal, write_world
 from ocp.calibrate.force.log import read_force_log
 from ocp.diagnose.answering import channels_of
 from ocp.diagnose.dataset import read_data_set, read_sealed_tracker
 from ocp.diagnose.force.channel import predict_believed
 from ocp.model.cell import read_cell
-from ocp.shell.output import add_text_file
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.planting import Planted
 from robots.pose import Array
@@ -176,14 +175,13 @@ def score_path(check: Check, name: str) -> Path:
     return check.folder / SCORES / f"{name}.json"
 
 
-def make_score(check: Check, recipe: Recipe, seal: dict[str, str]) -> dict[str, Any]:
-    """Score a world whose answer is newer than its score, or that has none."""
-    path, answer = score_path(check, recipe.name), check.answer(recipe.name)
-    if not path.is_file() or path.stat().st_mtime < answer.stat().st_mtime:
-        label = read_label(check, recipe, seal)
-        row = scored(check, label, json.loads(answer.read_text(encoding="utf-8")))
-        add_text_file(check.folder, path.relative_to(check.folder).as_posix(), json.dumps(row) + "\n")
-    return dict(json.loads(path.read_text(encoding="utf-8")))
+def make_score(check: Check, recipe: Recipe) -> None:
+    """Score a world that is answered. Raises BadInput: its label is not the sealed one."""
+    label = read_label(check, recipe, read_seal(check))
+    row = scored(check, label, json.loads(check.answer(recipe.name).read_text(encoding="utf-8")))
+    path = score_path(check, recipe.name)
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(row) + "\n", encoding="utf-8")
 
 
 def scored(check: Check, label: Label, answer: dict[str, Any]) -> dict[str, Any]:

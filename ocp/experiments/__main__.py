@@ -21,6 +21,7 @@ def _experiments(
     poses: Annotated[int, typer.Option(help="readings of each calibration")] = 40,
     mount: Annotated[str, typer.Option(help="flange, rigid or both")] = "both",
     jobs: Annotated[int, typer.Option(help="processes; 0: as many as there are cores")] = 0,
+    scheduler: Annotated[str | None, typer.Option(help="tcp://..: a Dask cluster does it instead")] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("experiments"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
@@ -29,6 +30,7 @@ def _experiments(
     from ocp.experiments.report import last_line, write_experiments
     from ocp.experiments.trial import run_trials, trials_json
     from ocp.model.cell import files_of, read_cell  # heavy imports only once the arguments stand
+    from ocp.shell.executor import Hands
     from ocp.shell.output import reserved
     from ocp.shell.processes import cores
     from ocp.shell.progress import Phases
@@ -49,7 +51,7 @@ def _experiments(
         with reserved(out, overwrite, files_of(cell)) as output:
             believed = read_cell(cell)
             with shown_progress() as progress:
-                trials = run_trials(believed, mounts, seeds, poses, jobs or cores(), Phases(progress))
+                trials = run_trials(believed, mounts, seeds, poses, Hands(jobs or cores(), scheduler), Phases(progress))
             options: dict[str, object] = {"cell": believed.name, "robots": robots, "seed": seed, "poses": poses, "mounts": mounts}
             with output.whole() as folder:
                 (folder / "experiments.json").write_text(trials_json(trials, options))

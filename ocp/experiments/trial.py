@@ -1,4 +1,4 @@
-"""Virtual robots through the experiments, side by side in worker processes: positions by each method, force after each step.
+"""Virtual robots through the experiments, on many cores: positions by each method, force after each step.
 
 Each robot that is done is kept, so that a broken run goes on where it stopped.
 """
@@ -18,7 +18,7 @@ from ocp.experiments.grinding import Course, VirtualRobot, compensated, lay_cour
 from ocp.model.cell import Cell
 from ocp.plan.passes.optimise import FILES, SolvedPass, code_hash
 from ocp.shell.cache import content_key, flattened, keep, recall
-from ocp.shell.processes import interrupts_held_back, workers
+from ocp.shell.executor import Hands, carried_out
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact.grinder import make_grinder
@@ -127,7 +127,7 @@ def run_trial(courses: dict[str, Course], nominal: dict[str, list[SolvedPass]], 
     return Trial(seed, errors, force, read, failed)
 
 
-def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: int, jobs: int, phases: Phases) -> list[Trial]:
+def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: int, hands: Hands, phases: Phases) -> list[Trial]:
     """The trials of `seeds`, in their order; those kept from before are not run again.
 
     Raises BadInput and Infeasible where the cell cannot be ground at all.
@@ -148,15 +148,9 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
             keep("experiment", keys[trial.seed], {"trial": np.array(_as_json(trial))})
             advance()
 
-        if jobs <= 1 or len(missing) <= 1:
-            for seed in missing:
-                finish(run_trial(courses, nominal, poses, seed))
-        else:
-            with workers(min(jobs, len(missing)), _start_worker, courses, nominal, poses) as pool:
-                with interrupts_held_back():
-                    futures = [pool.submit(_trial_in_worker, seed) for seed in missing]
-                for future in futures:
-                    finish(future.result())
+        hands = replace(hands, jobs=min(hands.jobs, len(missing)))
+        for _, future in carried_out(_trial_in_worker, [(s,) for s in missing], hands, _start_worker, (courses, nominal, poses)):
+            finish(future.result())
     return [done[seed] for seed in seeds]
 
 

@@ -431,10 +431,12 @@ def read_tracker_setup(path: str | Path) -> TrackerSetup:
 
 
 def files_of(path: str | Path) -> list[Path]:
-    """The cell file and the files it names that are there: blade, robot, calibration."""
+    """The cell file and the files it names that are there: robot, calibration and its covariance, blade."""
     path = Path(path)
     tables = read_toml(path, CellTables)
-    named = [tables.robot.model, tables.robot.calibration, tables.workpiece.stl if tables.workpiece else None]
+    calibration = tables.robot.calibration
+    covariance = None if calibration is None else str(Path(calibration).with_suffix(".npz"))
+    named = [tables.robot.model, calibration, covariance, tables.workpiece.stl if tables.workpiece else None]
     return [path, *(path.parent / name for name in named if name is not None and (path.parent / name).is_file())]
 
 

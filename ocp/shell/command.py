@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
-from ocp.shell.processes import INTERRUPTED, collect_seldom, supervised, was_told
+from ocp.shell.processes import INTERRUPTED, collect_seldom, supervised, was_told, what_stands
 from ocp.shell.progress import Progress
 from robots.errors import BadInput, Infeasible
 
@@ -152,17 +152,25 @@ def run(job: Callable[[], str], not_solved: str = "no safe plan") -> int:
         return _told(job())
     except (Exception, KeyboardInterrupt) as error:
         if was_told() or isinstance(error, KeyboardInterrupt):  # some library may have put its own error in the interrupt's place
-            return _refuse("interrupted, nothing written", INTERRUPTED)
-        if isinstance(error, BadInput):
-            return _refuse(f"refused: {error}", BAD_INPUT)
-        if isinstance(error, Infeasible):
-            return _refuse(f"{not_solved}, nothing written: {error}", NOT_SOLVED)
-        if isinstance(error, OSError):
-            where = f"{error.filename}: " if error.filename else ""
-            return _refuse(f"refused: {where}{error.strerror or error}; free space or permission is wanting there", BAD_INPUT)
-        if isinstance(error, MemoryError):
-            return _refuse(f"{not_solved}, nothing written: memory does not suffice; take a smaller input", NOT_SOLVED)
-        raise
+            return _refuse(f"interrupted, {what_stands()}", INTERRUPTED)
+        refused = refusal(error, not_solved)
+        if refused is None:
+            raise
+        return _refuse(*refused)
+
+
+def refusal(error: Exception, not_solved: str = "no safe plan") -> tuple[str, int] | None:
+    """The sentence that tells of an error, and the exit code; None where the error is this software's own."""
+    if isinstance(error, BadInput):
+        return f"refused: {error}", BAD_INPUT
+    if isinstance(error, Infeasible):
+        return f"{not_solved}, nothing written: {error}", NOT_SOLVED
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"refused: {where}{error.strerror or error}; free space or permission is wanting there", BAD_INPUT
+    if isinstance(error, MemoryError):
+        return f"{not_solved}, nothing written: memory does not suffice; take a smaller input", NOT_SOLVED
+    return None
 
 
 def _told(line: str) -> int:

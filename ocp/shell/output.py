@@ -121,6 +121,7 @@ class Output:
             self._refuse_losses()
             self._empty_out()
         self.folder.mkdir(parents=True, exist_ok=True)
+        processes.keeps_what_is_done()
         yield self.folder
 
     def _empty_out(self) -> None:

@@ -33,6 +33,9 @@ MOMENT = 1.2  # s, for a child that was asked to end
 _temporary: str | None = None
 _told = threading.Event()
 _to_parent: int | None = None
+_cores: int | None = None  # that this process was given, where it is one of several
+_grows = False
+_GROWS = b"\1"  # among the folders that a child tells of
 
 
 def collect_seldom() -> None:
@@ -72,6 +75,20 @@ def finish_undisturbed() -> None:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
+def keeps_what_is_done() -> None:
+    """Say that what this command has written so far stays when it is interrupted, and the next run goes on from there."""
+    global _grows
+    _grows = True
+    if _to_parent is not None:
+        os.write(_to_parent, _GROWS + b"\0")
+
+
+def what_stands(grows: bool | None = None) -> str:
+    """What an interrupted command leaves, in words for its last sentence; `grows`: as its process told."""
+    kept = "what is done is kept, the same command goes on from there"
+    return kept if (_grows if grows is None else grows) else "nothing written"
+
+
 def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
     """Run `work` so that SIGINT and SIGTERM end it within two seconds, a second one at once.
 
@@ -99,12 +116,14 @@ def supervised(work: Callable[[], int], told: Callable[[str], None]) -> int:
     code = os.waitstatus_to_exitcode(status)
     if code >= 0:
         return code
+    stands = what_stands(os.fsdecode(_GROWS) in unfinished)
     for folder in unfinished:
-        shutil.rmtree(folder, ignore_errors=True)
+        if folder != os.fsdecode(_GROWS):
+            shutil.rmtree(folder, ignore_errors=True)
     if asked:
-        told("interrupted, nothing written")
+        told(f"interrupted, {stands}")
         return INTERRUPTED
-    told(f"ended by the system (signal {-code}, often want of memory), nothing written; try again, or with a smaller input")
+    told(f"ended by the system (signal {-code}, often want of memory), {stands}; try again, or with a smaller input")
     return 1
 
 
@@ -232,15 +251,15 @@ def _ended(child: int, from_child: int, asked: list[float]) -> tuple[int, bytes]
 
 
 @contextmanager
-def workers(jobs: int, start: Callable[..., None], *state: Any) -> Iterator[Executor]:
-    """A pool of `jobs` processes, each of which has called `start(*state)`.
+def workers(jobs: int, start: Callable[..., None], *state: Any, share: int = 1) -> Iterator[Executor]:
+    """A pool of `jobs` processes, each of which has called `start(*state)` and may use `share` cores itself.
 
     The state travels by file: a worker that dies while starting would otherwise block its parent on a full pipe. Where
-    the block ends with an error or an interrupt, the workers are ended at once.
+    the block ends with an error or an interrupt, the workers are ended at once; their temporary files go with the pool.
     """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "state.pickle"
-        file.write_bytes(pickle.dumps((start, state)))
+        file.write_bytes(pickle.dumps((str(temporary()), share, start, state)))
         pool = ProcessPoolExecutor(jobs, get_context("spawn"), _start, (str(file),))
         try:
             yield pool
@@ -255,7 +274,10 @@ def workers(jobs: int, start: Callable[..., None], *state: Any) -> Iterator[Exec
 def _start(file: str) -> None:
     collect_seldom()
     threading.Thread(target=_end_with_spawner, daemon=True).start()
-    start, state = pickle.loads(Path(file).read_bytes())
+    global _temporary
+    tempfile.tempdir = str(Path(file).parent)
+    _temporary, share, start, state = pickle.loads(Path(file).read_bytes())
+    keep_to(share)
     start(*state)
     # Ended early, a worker still removes the temporary files of what it was doing.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
@@ -291,8 +313,16 @@ def interrupts_held_back() -> Iterator[None]:
         sys.modules["__main__"] = script
 
 
+def keep_to(share: int) -> None:
+    """Have `cores` return `share` in this process: it is one of several."""
+    global _cores
+    _cores = share
+
+
 def cores() -> int:
-    """Processes worth starting: cores that this process may use, at most eight."""
+    """Processes worth starting: cores that this process may use, at most eight; in a worker those that it was given."""
+    if _cores is not None:
+        return _cores
     return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 

@@ -86,6 +86,9 @@ def command(what: str, out: Path):
         masked()
 
     def job():
+        if what.startswith("grown-"):
+            with reserved(out, False, grows=True) as output, output.grown():
+                globals()[what.removeprefix("grown-")]()
         with reserved(out, True) as output, output.whole() as folder:
             (folder / "a.txt").write_text("half")
             globals()[what]()
@@ -151,6 +154,15 @@ def test_an_interrupt_ends_a_command_and_leaves_nothing(script, tmp_path, what, 
     assert text == "interrupted, nothing written\n"
     assert processes(process.pid) == []
     assert not out.exists() and list((tmp_path / "tmp").glob("*/*")) == [] and not list(out.parent.glob(".*"))
+
+
+@pytest.mark.parametrize("what", ["grown-polite", "grown-deaf"])
+def test_an_interrupted_command_whose_folder_grows_says_that_what_is_done_is_kept(script, tmp_path, what):
+    process = started(script, what, tmp_path / "out")
+    assert process.stdout.readline() == "busy\n"
+    os.kill(process.pid, signal.SIGINT)
+    text = process.communicate(timeout=20)[1]
+    assert process.returncode == 130 and text == "interrupted, what is done is kept, the same command goes on from there\n"
 
 
 def test_nothing_of_the_users_goes_with_a_command_killed_while_folders_are_exchanged(script, tmp_path):

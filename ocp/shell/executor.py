@@ -1,0 +1,285 @@
+"""Many tasks on many cores: processes of this machine, or the workers of a Dask cluster; and work whose files travel with it.
+
+`carried_out` is the one way in which a command spreads tasks that know nothing of each other. An `errand` is a task with files:
+what it reads comes with it and what it writes goes back, so that it may be done on a machine that shares no disk with this one.
+"""
+
+import os
+import pickle
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Protocol
+
+from ocp.shell.processes import cores, interrupts_held_back, keep_to, nothing, workers
+from robots.errors import BadInput, Infeasible
+
+CONNECT = 10  # s, for a scheduler to answer and to have a worker
+AHEAD = 2  # tasks a thread of the cluster that are on their way
+Files = dict[str, bytes]
+"""Contents of files by their names relative to a folder."""
+Start = Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Hands:
+    """Who works on tasks: `jobs` processes of this machine, or the workers of a Dask `scheduler` (its address)."""
+
+    jobs: int
+    scheduler: str | None = None
+
+
+class WorkerEnded(Infeasible):
+    """The process that worked on a task was ended by the system, each time."""
+
+
+class _Crew(Protocol):
+    """Where tasks are worked on; `tries` of one whose process is lost."""
+
+    tries: int
+
+    def room(self, flying: int) -> bool:
+        """Whether one more than `flying` tasks can be taken."""
+
+    def submit(self, work: Callable[..., Any], task: tuple[Any, ...]) -> "Future[Any]":
+        """Have a task worked on."""
+
+    def done(self, future: "Future[Any]") -> bool:
+        """Told of a task that has ended; whether its process was lost. Raises Infeasible where all processes are."""
+
+
+def carried_out(
+    work: Callable[..., Any],
+    tasks: Iterable[tuple[Any, ...]],
+    hands: Hands,
+    start: Start = nothing,
+    state: tuple[Any, ...] = (),
+    apart: bool = False,
+) -> Iterator[tuple[int, "Future[Any]"]]:
+    """`work(*task)` of every task: its place and its future, finished, as they end.
+
+    Only as many tasks are taken as can be worked on, so that the inputs of a thousand need no more memory than those of ten. A
+    process that the system ends takes its own task with it and no other; the task is tried once more, then its future raises
+    WorkerEnded.
+
+    Args:
+        work: a function of this software's, found by its name where the task is done.
+        tasks: its arguments.
+        hands: where it is done; one job is done in this process itself unless it is to be `apart`.
+        start, state: `start(*state)` is called once in every process before its first task.
+
+    Raises BadInput: no scheduler answers there.
+    """
+    with _crew(hands, start, state, apart) as crew:
+        waiting, again = iter(enumerate(tasks)), deque[tuple[int, tuple[Any, ...], int]]()
+        flying: dict[Future[Any], tuple[int, tuple[Any, ...], int]] = {}
+        while True:
+            while crew.room(len(flying)):
+                one = again.popleft() if again else next(((*found, 1) for found in waiting), None)
+                if one is None:
+                    break
+                flying[crew.submit(work, one[1])] = one
+            if not flying:
+                return
+            for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                place, task, tries = flying.pop(future)
+                if not crew.done(future):
+                    yield place, future
+                elif tries < crew.tries:
+                    again.append((place, task, tries + 1))
+                else:
+                    yield place, _given_up()
+
+
+def _given_up() -> "Future[Any]":
+    future: Future[Any] = Future()
+    future.set_exception(WorkerEnded("the system ended the process that worked on it, again and again, often for want of memory"))
+    return future
+
+
+def _crew(hands: Hands, start: Start, state: tuple[Any, ...], apart: bool) -> AbstractContextManager[_Crew]:
+    if hands.scheduler is not None:
+        return _cluster(hands.scheduler, start, state)
+    return _processes(hands.jobs, start, state) if apart or hands.jobs > 1 else _here(start, state)
+
+
+class _Here:
+    """This process itself."""
+
+    tries = 1
+
+    def room(self, flying: int) -> bool:
+        return flying == 0
+
+    def submit(self, work: Callable[..., Any], task: tuple[Any, ...]) -> "Future[Any]":
+        future: Future[Any] = Future()
+        try:
+            future.set_result(work(*task))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def done(self, _future: "Future[Any]") -> bool:
+        return False
+
+
+@contextmanager
+def _here(start: Start, state: tuple[Any, ...]) -> Iterator[_Crew]:
+    start(*state)
+    yield _Here()
+
+
+class _Processes:
+    """Pools of one process each: one that is ended breaks its own pool only, and it is known what it was working on."""
+
+    tries = 2
+
+    def __init__(self, jobs: int, make: Callable[[], AbstractContextManager[Executor]]) -> None:
+        self._jobs, self._make = jobs, make
+        self._idle: list[tuple[ExitStack, Executor]] = []
+        self.busy: dict[Future[Any], tuple[ExitStack, Executor]] = {}
+
+    def room(self, flying: int) -> bool:
+        return flying < self._jobs
+
+    def submit(self, work: Callable[..., Any], task: tuple[Any, ...]) -> "Future[Any]":
+        if not self._idle:
+            stack = ExitStack()
+            self._idle.append((stack, stack.enter_context(self._make())))
+        stack, pool = self._idle.pop()
+        with interrupts_held_back():
+            future = pool.submit(work, *task)
+        self.busy[future] = stack, pool
+        return future
+
+    def done(self, future: "Future[Any]") -> bool:
+        stack, pool = self.busy.pop(future)
+        lost = isinstance(future.exception(), BrokenProcessPool)
+        if lost:
+            stack.close()
+        else:
+            self._idle.append((stack, pool))
+        return lost
+
+    def __enter__(self) -> "_Processes":
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        for stack, _ in (*self._idle, *self.busy.values()):
+            stack.__exit__(*error)
+
+
+def _processes(jobs: int, start: Start, state: tuple[Any, ...]) -> AbstractContextManager[_Crew]:
+    share = max(1, cores() // jobs)
+    return _Processes(jobs, lambda: workers(1, start, *state, share=share))
+
+
+class _Cluster:
+    """The workers of a Dask scheduler. What they need beside the task itself travels once to each; a task whose worker is lost is
+    given to another one by the scheduler, thrice as it comes."""
+
+    tries = 1
+
+    def __init__(self, client: Any, start: Start, state: tuple[Any, ...]) -> None:
+        self._client = client
+        self._executor = client.get_executor(pure=False)
+        bundle = pickle.dumps((start, state))
+        # As a task's result it comes into being anew where the worker that held it is lost.
+        self._bundle = client.submit(bytes, bundle, pure=False)
+        self._name = sha256(bundle).hexdigest()
+
+    def room(self, flying: int) -> bool:
+        return flying < AHEAD * max(sum(self._client.nthreads().values()), 1)
+
+    def submit(self, work: Callable[..., Any], task: tuple[Any, ...]) -> "Future[Any]":
+        future: Future[Any] = self._executor.submit(_on_worker, self._name, self._bundle, work, task)
+        return future
+
+    def done(self, future: "Future[Any]") -> bool:
+        from distributed import KilledWorker
+
+        try:
+            return isinstance(future.exception(), KilledWorker)
+        except CancelledError:
+            raise Infeasible("the Dask scheduler is gone; what is done is kept, the same command goes on from there") from None
+
+
+@contextmanager
+def _cluster(address: str, start: Start, state: tuple[Any, ...]) -> Iterator[_Crew]:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise BadInput("--scheduler needs the package distributed: pip install 'grindplan[cluster]'") from None
+    try:
+        client = Client(address, timeout=CONNECT, set_as_default=False)
+        client.wait_for_workers(1, timeout=CONNECT)
+    except (OSError, ValueError) as error:
+        reason = " ".join(str(error).split())[:120] or "no answer"
+        raise BadInput(
+            f"--scheduler {address}: no Dask scheduler with a worker answers there within {CONNECT} s ({reason}); start dask "
+            "scheduler, and dask worker where this software is installed"
+        ) from None
+    with client:
+        yield _Cluster(client, start, state)
+
+
+_one_at_a_time = threading.Lock()  # a worker of several threads: what this software keeps in a process is for one task
+_started = ""
+
+
+def _on_worker(name: str, bundle: bytes, work: Callable[..., Any], task: tuple[Any, ...]) -> Any:
+    """A task on a Dask worker; `name` of the state that it needs, called only where another stood before."""
+    global _started
+    with _one_at_a_time:
+        keep_to(1)
+        if _started != name:
+            start, state = pickle.loads(bundle)
+            start(*state)
+            _started = name
+        return work(*task)
+
+
+def files_under(folder: Path, *names: str) -> Files:
+    """The files of those names in a folder, or in folders of those names below it; without names all of it. A name that is not
+    there is left out."""
+    found: Files = {}
+    for place in [folder / name for name in names] or [folder]:
+        for file in [place] if place.is_file() else sorted(place.rglob("*")):
+            if file.is_file():
+                found[file.relative_to(folder).as_posix()] = file.read_bytes()
+    return found
+
+
+def lay(files: Mapping[str, bytes], folder: Path) -> None:
+    """Write files into a folder."""
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def named_below(folder: Path, sentence: str) -> str:
+    """A sentence with the files below `folder` named relative to it."""
+    return sentence.replace(f"{folder}{os.sep}", "")
+
+
+def errand(work: Callable[..., Any], files: Files, *arguments: Any) -> tuple[Any, Files]:
+    """What `work(folder, *arguments)` returns and the files that it adds, in a temporary folder that holds `files`.
+
+    Raises what `work` does; sentences for the user name files relative to that folder.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        lay(files, folder)
+        try:
+            result = work(folder, *arguments)
+        except (BadInput, Infeasible) as error:
+            error.args = tuple(named_below(folder, str(part)) for part in error.args)
+            raise
+        return result, {name: content for name, content in files_under(folder).items() if files.get(name) != content}

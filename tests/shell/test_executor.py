@@ -1,0 +1,107 @@
+"""Tasks on many cores: in this process, in processes that the system ends, and on a Dask cluster that loses a worker."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from ocp.shell import executor
+from ocp.shell.executor import Hands, WorkerEnded, carried_out, errand, files_under
+from robots.errors import BadInput
+from tests.support.hand_work import added, called, doubled, give, killed, killed_once, waited
+from tests.support.house import ROOT
+
+
+def test_one_job_works_in_this_process_and_two_in_others_with_what_they_were_given(every_core):
+    here = {place: f.result() for place, f in carried_out(added, [(k,) for k in range(3)], Hands(1), give, (10,))}
+    give(0)
+    assert [here[k][0] for k in range(3)] == [10, 11, 12] and {one[2] for one in here.values()} == {os.getpid()}
+    apart = {place: f.result() for place, f in carried_out(added, [(k,) for k in range(5)], Hands(2), give, (10,))}
+    assert [apart[k][0] for k in range(5)] == [10, 11, 12, 13, 14]
+    assert os.getpid() not in {one[2] for one in apart.values()} and {one[1] for one in apart.values()} == {os.cpu_count() // 2}
+
+
+def test_no_more_tasks_are_taken_than_are_worked_on():
+    taken = []
+    done = carried_out(added, ((taken.append(k) or k,) for k in range(100)), Hands(1))
+    for _ in range(3):
+        next(done)
+    assert len(taken) == 3
+
+
+def test_a_process_that_is_ended_takes_its_own_task_with_it_once(tmp_path):
+    trace = str(tmp_path / "trace")
+    tasks = [(killed_once, trace), (killed,), *[(added, k, 0.05) for k in range(4)]]
+    found = {place: f for place, f in carried_out(called, tasks, Hands(2))}
+    assert found[0].result() == "done" and [found[k].result()[0] for k in range(2, 6)] == [0, 1, 2, 3]
+    with pytest.raises(WorkerEnded, match="want of memory"):
+        found[1].result()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_files_of_an_errand_come_with_it_and_go_back(tmp_path, jobs):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.txt").write_text("abc")
+    (tmp_path / "other.txt").write_text("stays")
+    tasks = [(doubled, files_under(tmp_path, "in", "nowhere"), name) for name in ("in/a.txt", "in/b.txt")]
+    found = {place: f for place, f in carried_out(errand, tasks, Hands(jobs))}
+    assert found[0].result() == (3, {"out/twice.txt": b"abcabc"})
+    with pytest.raises(BadInput, match=r"^in/b\.txt: is not there"):
+        found[1].result()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a Dask scheduler of this machine with two workers, processes of their own in folders of their own."""
+    pytest.importorskip("distributed", reason="pip install '.[cluster]'")
+    folder = tmp_path_factory.mktemp("cluster")
+    file = folder / "scheduler.json"
+    common = ("--scheduler-file", str(file), "--no-dashboard")
+    place = {"cwd": folder, "env": os.environ | {"PYTHONPATH": str(ROOT)}, "stderr": subprocess.DEVNULL}
+    scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0")
+    worker = ("distributed.cli.dask_worker", "--no-nanny", "--nthreads", "1", "--local-directory", str(folder))
+    running = [subprocess.Popen([sys.executable, "-m", *command, *common], **place) for command in (scheduler, worker, worker)]
+    try:
+        until = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < until:
+            time.sleep(0.05)
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+
+
+def test_a_cluster_that_loses_a_worker_does_every_task(cluster, tmp_path):
+    trace = tmp_path / "trace"
+    tasks = [(waited, str(trace), 60.0), *[(added, k) for k in range(6)]]
+    found = {}
+    for place, future in carried_out(called, tasks, Hands(1, cluster), give, (10,)):
+        found[place] = future.result()
+        if len(found) == 1:
+            while not trace.exists():
+                time.sleep(0.02)
+            lost = int(trace.read_text().split()[0])
+            os.kill(lost, signal.SIGKILL)
+    assert found.pop(0) == 2 and [found[k + 1][:2] for k in range(6)] == [(10 + k, 1) for k in range(6)]
+    first, second = map(int, trace.read_text().split())
+    assert first == lost and second != lost and second in {one[2] for one in found.values()}
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
+def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch, address):
+    pytest.importorskip("distributed", reason="pip install '.[cluster]'")
+    monkeypatch.setattr(executor, "CONNECT", 1)
+    with pytest.raises(BadInput, match=rf"^--scheduler {address}: no Dask scheduler with a worker answers"):
+        next(carried_out(added, [(1,)], Hands(1, address)))
+
+
+def test_a_missing_package_is_one_sentence(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(BadInput, match="needs the package distributed: pip install"):
+        next(carried_out(added, [(1,)], Hands(1, "tcp://127.0.0.1:9")))
