@@ -15,7 +15,7 @@ from ocp.simulate.twin.kinds import EFFECT_KINDS, EffectKind, Key
 from robots.errors import BadInput, shown
 
 Value = float | tuple[float, ...] | str
-LISTED = "docs/virtual_arm.md and docs/virtual_grinding.md list all"
+LISTED = "`python -m ocp.simulate --list-effects` lists all"
 
 LONGEST_EFFECT = 200  # characters of an effect as it is written
 UNUSUAL = 1e4  # times the usual size: beyond, a unit is wrong
