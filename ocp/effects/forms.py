@@ -86,6 +86,20 @@ def wave(*parameters: Parameter, scanned: Sequence[str] = (), usual: Mapping[str
     return _form(whole, ("cos", "sin"), (size.high, size.high), values, coefficients_of)
 
 
+def follows(size: Parameter, among: tuple[int, ...]) -> Form:
+    """A joint of `among` that turns with another one of them: `size` times the angle of source_joint."""
+
+    def sources(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+        return [{"source_joint": i} for i in among if i != joint]
+
+    source = Parameter("source_joint", "1", among[0], among[-1], signed=False)
+    return proportional(size, source, scanned=("source_joint",)) | {
+        "joints": among,
+        "scan": sources,
+        "joint": lambda x, j, scanned: at_joint(j, x.q[int(scanned["source_joint"]) - 1]),
+    }
+
+
 def share(size: Parameter) -> Form:
     """A factor 1 + x that divides: the coefficient a = x / (1 + x) enters linearly."""
     return _form(

@@ -135,6 +135,11 @@ def test_the_noise_is_the_virtual_tracker_s(machine, scene):
         "gravity_compensator:2=2e4,lever_link1_m=0.2,lever_arm_m=0.2",
         "gear_1x:2=1e-4",
         "tracker_scale=5e-6",
+        "joint_coupling:3=2e-4,source_joint=2",
+        "load_backlash:3=1e-4,torque_Nm=63.9",
+        "tool_flex=5e-8",
+        "air_scale=-1e-6",
+        "azimuth_harmonic=2e-5,order=2,phase_rad=1",
     ],
 )
 def test_exact_signatures_hold_what_the_machine_does(machine, scene, text, library):

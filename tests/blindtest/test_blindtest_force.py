@@ -126,6 +126,8 @@ def test_noise_has_the_covariance_that_is_believed(machine):
         "joint_thermal:2=2e-6",
         "wrist_coupling:5=5e-4,source_joint=6",
         "base_tilt=0/1e-5/0,at_s=30",
+        "joint_coupling:3=5e-5,source_joint=1",
+        "tool_flex=1e-7",
         "gear_harmonic:2=2e-5,order=60,phase_rad=1",
     ],
 )

@@ -34,6 +34,11 @@ CATALOGUE = {
     "friction_windup": "base_rad per_Nm",
     "encoder_scale": "scale",
     "wrist_coupling": "ratio source_joint",
+    "joint_coupling": "ratio_rad source_joint",
+    "load_backlash": "half_width_rad torque_Nm",
+    "tool_flex": "m_per_N",
+    "air_scale": "per_K",
+    "azimuth_harmonic": "order rad phase_rad",
     "link_thermal": "per_K",
     "joint_thermal": "rad_per_K",
     "base_tilt": "rad at_s",
@@ -130,12 +135,14 @@ def test_arm_effects_move_reflectors_as_an_elementary_arm_does(name, joint):
     where = TrackerRows(seen, T_TRACKER @ p.R, POSES.nest, tuple(NESTS), POSES.time, POSES.warm)
     columns = columns + tracker_columns(one.effect, joint, [one.scanned], where)[0] @ one.a
     size = np.abs(moved).max()
-    assert size > 3e-8 or (joint == 1 and name in ("joint_compliance", "joint_stiffening"))  # nothing loads joint 1
+    assert size > 3e-8 or (
+        joint == 1 and name in ("joint_compliance", "joint_stiffening", "load_backlash")
+    )  # nothing loads joint 1
     # First order in the effect; tilted or grown arms also carry their weight a little elsewhere.
     assert np.abs(columns - moved).max() < 0.01 * size + 2e-9, name
 
 
-@pytest.mark.parametrize("name", ["backlash", "gravity_compensator", "payload_com", "link_bending", "base_tilt"])
+@pytest.mark.parametrize("name", ["backlash", "gravity_compensator", "payload_com", "link_bending", "base_tilt", "tool_flex"])
 def test_a_large_effect_is_predicted_by_shifting_the_joints(name):
     one = some(name, library()[name].places[0], size=0.1 if name == "gravity_compensator" else 1.0)
     arm, inputs, rows, p = believed()

@@ -48,6 +48,7 @@ def samples(seed=0):
         "lever": rng.uniform(0.01, 0.08, N),
         "push_axis": unit(N),
         "clamp_deflection": np.full(N, 2e-6),
+        "belt_direction": unit(N),
     }
 
 
@@ -81,6 +82,10 @@ def expected(name, v, x):
         give[name] = -1.0 * after * np.einsum("ni,nij,j->n", x["e"], x["R_flange"], v["m"])
     if name == "wheel_frame_shift":
         give[name] = after * (x["e"] @ v["m"])
+    if name == "tool_flex":  # in the flange's own axes: x and y give, z does not
+        felt = x["e"] + 0.35 * sign[:, None] * x["belt_direction"]
+        own = [np.einsum("nij,ni->nj", x["R_flange"], direction)[:, :2] for direction in (x["e"], felt)]
+        give[name] = -v["m_per_N"] * F * np.sum(own[0] * own[1], axis=1)
     if name == "tangential_force":
         give[name] = -v["dmu"] * x["friction_deflection"]
     if name == "wheel_temperature":

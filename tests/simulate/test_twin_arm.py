@@ -188,6 +188,8 @@ JOINT_EFFECTS = {
     "gear_harmonic:3=1e-4,order=37,phase_rad=0.5": lambda: wave(3, 1e-4, 37, 0.5),
     "motor_harmonic:5=1e-4,order=2,phase_rad=0.3": lambda: wave(5, 1e-4, 2 * 209.667, 0.3),
     "backlash:1=2e-4": lambda: one(1, 2e-4 * SIGN[:, 0]),
+    "load_backlash:3=2e-4,torque_Nm=50": lambda: one(3, 2e-4 * np.tanh(TAU[:, 2] / 50.0)),
+    "joint_coupling:3=2e-4,source_joint=2": lambda: one(3, 2e-4 * Q[:, 1]),
     "friction_windup:3=5e-5,per_Nm=1e-7": lambda: one(3, (5e-5 + 1e-7 * np.abs(TAU[:, 2])) * SIGN[:, 2]),
     "encoder_scale:4=-2e-4": lambda: one(4, -2e-4 * Q[:, 3]),
     "wrist_coupling:6=1e-4,source_joint=5": lambda: one(6, 1e-4 * Q[:, 4]),
@@ -259,8 +261,36 @@ def test_warm_links_are_longer_and_a_tilted_base_turns_everything():
     assert np.abs(flange_shift("base_tilt=1e-4/-2e-4/5e-5,at_s=6000")).max() == 0.0
 
 
+def test_a_tool_flexes_across_the_flange_under_weight_and_contact():
+    give, T = 1e-7, elementary_forward(ROBOT, Q + GIVE * TAU)
+    across = T[:, :3, :3] * [1.0, 1.0, 0.0] @ np.swapaxes(T[:, :3, :3], 1, 2)
+    assert flange_shift(f"tool_flex={give}") == pytest.approx(give * across @ [0, 0, -MASS * GRAVITY], abs=2e-7)
+    m = arm_moments(Q, "weight", T0, load=[0, 30.0, 0, 0, 0, 0])
+    arm, stiff = (make_arm(CELL, believed(*e)) for e in ((f"tool_flex={give}",), ()))
+    pulled = arm.links(m)[:, 6, :3, 3] - stiff.links(m)[:, 6, :3, 3]
+    assert pulled == pytest.approx(give * across @ [0, 30.0, -MASS * GRAVITY], abs=2e-7)
+    soft = arm.compliance(m)[:, :3, :3] - stiff.compliance(m)[:, :3, :3]
+    assert soft == pytest.approx(give * across, abs=1e-3 * give)
+
+
+def test_play_that_the_load_takes_up_gives_under_a_further_load():
+    """The slope of the law is the compliance, also where the torque is within tau0."""
+    arms = [make_arm(CELL, believed(*e)) for e in (("load_backlash:5=2e-4,torque_Nm=400",), ())]
+    m = arm_moments(Q[:8], "weight", T0)
+    pushed = replace(m, load=np.tile([2.0, 0, 0, 0, 0, 0], (8, 1)))
+    moved = [arm.flange(pushed)[:, :3, 3] - arm.flange(m)[:, :3, 3] for arm in arms]
+    give = [arm.compliance(m)[:, :3, 0] for arm in arms]
+    assert moved[0] - moved[1] == pytest.approx(2.0 * (give[0] - give[1]), abs=0.02 * np.abs(moved[0] - moved[1]).max())
+    assert np.abs(give[0] - give[1]).max() > 1e-8
+
+
 def test_every_effect_of_the_arm_is_tested_here():
-    tested = {name.split(":")[0].split("=")[0] for name in JOINT_EFFECTS} | {"link_bending", "link_thermal", "base_tilt"}
+    tested = {name.split(":")[0].split("=")[0] for name in JOINT_EFFECTS} | {
+        "link_bending",
+        "link_thermal",
+        "base_tilt",
+        "tool_flex",
+    }
     assert tested == {kind.name for kind in ARM_KINDS if kind.part == "arm"}
 
 

@@ -125,6 +125,8 @@ def test_repeatability_is_drawn_once_a_visit():
         ("base_tilt=1e-4", "3 are needed"),
         ("gear_harmonic:2=1e-4,order=2.5", "whole number"),
         ("wrist_coupling:4=1e-3,source_joint=4", "the joint itself"),
+        ("wrist_coupling:4=1e-3,source_joint=2", "no such joint; give another of 4, 5, 6"),
+        ("joint_coupling:4=1e-3,source_joint=7", "no such joint"),
     ],
 )
 def test_what_cannot_be_planted_is_told_in_one_sentence(text, said):

@@ -112,6 +112,13 @@ def test_the_frame_drifts_and_scales_as_the_catalogue_says(cell):
     assert drifted - plain == pytest.approx(hours * (shift + np.cross(turn, plain)), abs=3e-8)
     _, scaled = points_with(cell, design, "tracker_scale=-7e-6")
     assert scaled - plain == pytest.approx(-7e-6 * plain, abs=1e-12)
+    warm = design.moments.temperature_C[:, None] - cell.tables.reference_temperature_C
+    assert points_with(cell, design, "air_scale=9e-7")[1] - plain == pytest.approx(9e-7 * warm * plain, abs=1e-12)
+    _, turned = points_with(cell, design, "azimuth_harmonic=2e-5,order=3,phase_rad=0.5")
+    azimuth = np.arctan2(plain[:, 1], plain[:, 0])
+    found = (np.arctan2(turned[:, 1], turned[:, 0]) - azimuth + np.pi) % (2 * np.pi) - np.pi
+    assert found == pytest.approx(2e-5 * np.cos(3 * azimuth + 0.5), abs=1e-12) and np.ptp(found) > 2e-5
+    assert turned[:, 2] == pytest.approx(plain[:, 2]) and np.hypot(*turned.T[:2]) == pytest.approx(np.hypot(*plain.T[:2]))
 
 
 def test_one_nest_moves_from_its_time_on(cell):

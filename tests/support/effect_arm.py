@@ -79,6 +79,9 @@ def _reflector(poses, i, effect, j, v, payload, nest):
         robot = replace(EXTRA, mdh=mdh)
     frames = elementary_frames(robot, settled(q, mass, com, torque))[0]
     p = frames[6, :3, :3] @ NESTS[nest].place + frames[6, :3, 3]
+    if effect == "tool_flex":  # in the tool's own axes: x and y give, z does not
+        pull = frames[6, :3, :3].T @ [0, 0, -hung.mass * GRAVITY]
+        p = p + frames[6, :3, :3] @ (v["m_per_N"] * pull * [1, 1, 0])
     if effect == "link_bending":
         p = _bent_link(bent, tau, frames, p, j, v, hung)
     if effect == "base_tilt":
@@ -89,6 +92,11 @@ def _reflector(poses, i, effect, j, v, payload, nest):
     seen = T_TRACKER @ p + AT
     if effect == "tracker_scale":
         seen = seen * (1 + v["scale"])
+    if effect == "air_scale":
+        seen = seen * (1 + v["per_K"] * poses.warm[i])
+    if effect == "azimuth_harmonic":
+        turn = v["rad"] * np.cos(v["order"] * np.arctan2(seen[1], seen[0]) + v["phase_rad"])
+        seen = Rotation.from_rotvec([0, 0, turn]).as_matrix() @ seen
     if effect == "tracker_drift":
         hours = poses.time[i] / 3600
         seen = seen + hours * np.asarray(v["m_per_h"]) + np.cross(hours * np.asarray(v["rad_per_h"]), seen)
@@ -121,6 +129,8 @@ def _joint_shift(poses, i, effect, j, v, tau):
         "gear_2x": lambda: v["amplitude_rad"] * np.cos(2 * q + v["phase_rad"]),
         "gear_harmonic": lambda: v["amplitude_rad"] * np.cos(v["order"] * q + v["phase_rad"]),
         "motor_harmonic": lambda: v["amplitude_rad"] * np.cos(v["order"] * v["gear_ratio"] * q + v["phase_rad"]),
+        "joint_coupling": lambda: v["ratio_rad"] * poses.q[i, v["source_joint"] - 1],
+        "load_backlash": lambda: v["half_width_rad"] * np.tanh(load / v["torque_Nm"]),
         "wrist_coupling": lambda: v["ratio"] * poses.q[i, v["source_joint"] - 1],
         "channel_delay": lambda: -v["s"] * (poses.speed[i] if j < 0 else poses.speed[i, j]),
     }

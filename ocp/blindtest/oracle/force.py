@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from ocp.blindtest.oracle import tracker
-from ocp.blindtest.oracle.tracker import GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
+from ocp.blindtest.oracle.tracker import FEW, GEAR_ORDERS, MOTOR_ORDERS, ExactWhitener, exact_whitener
 from ocp.blindtest.worlds import machines
 from ocp.blindtest.worlds.lines import RunRows
 from ocp.blindtest.worlds.machines import GrindingMachine
@@ -207,7 +207,7 @@ class ForceView:
         runs = sum(r.contact for r in self.machine.rows.runs)
         span = float(np.ptp(self.machine.bare.q[:, (joint or 1) - 1]))
         orders = max(2, min(GEAR_ORDERS, round(GEAR_ORDERS * span)))
-        counts = {"gear_harmonic": orders, "motor_harmonic": MOTOR_ORDERS, "belt_splice": SPLICES}
+        counts = {"gear_harmonic": orders, "motor_harmonic": MOTOR_ORDERS, "belt_splice": SPLICES} | FEW
         counts |= {
             "wheel_relaxation": RELAXATIONS,
             "clamp_slip": 2 * runs,

@@ -27,6 +27,8 @@ from robots.tracker_readings import Index
 ORDERS = np.arange(3, 301)
 LEVERS = ((0.1, 0.1), (0.1, 0.3), (0.3, 0.1), (0.2, 0.2), (0.15, 0.6), (0.6, 0.15), (0.4, 0.4), (0.25, 0.4), (0.6, 0.6))  # m
 RATES = np.linspace(5.0, 15.0, 200)  # 1/s of a belt's splice
+ROUNDS = np.arange(1, 13)  # orders of a tracker's azimuth circle
+TAKEN_UP = np.geomspace(0.003, 0.1, 6)  # of a joint's rated torque: loads that take up its play
 TAUS = np.geomspace(0.05, 30.0, 8)  # s of a cover that relaxes
 # Small sizes for differences of the virtual cell, in units of the first key.
 STEPS = {
@@ -44,6 +46,7 @@ STEPS = {
     "flange_gravity": 0.05,
     "link_thermal": 1e-6,
     "payload_mass": 0.5,
+    "tool_flex": 1e-8,
 }
 
 
@@ -103,12 +106,16 @@ def _of_joints(
             waves = [at(j, np.cos(k * x), np.sin(k * x)) for k in ks]
             yield _family(effect, np.concatenate(waves, axis=2), j + 1, repeat=2)
         yield _family("backlash", at(j, s), j + 1)
+        if j + 1 in BENDING:
+            taken = [at(j, np.tanh(t / (share * robot.torque_max[j]))) for share in TAKEN_UP]
+            yield _family("load_backlash", np.concatenate(taken, axis=2), j + 1)
         yield _family("friction_windup", at(j, s, np.abs(t) * s), j + 1, keys=2)
         yield _family("encoder_scale", at(j, x), j + 1)
         yield _family("joint_thermal", at(j, warmth), j + 1)
-        if j >= 3:
-            others = [i for i in (3, 4, 5) if i != j]
-            yield _family("wrist_coupling", np.concatenate([at(j, q[:, i]) for i in others], axis=2), j + 1)
+        for effect, among in (("joint_coupling", range(6)), ("wrist_coupling", range(3, 6))):
+            others = [at(j, q[:, i]) for i in among if i != j]
+            if j in among:
+                yield _family(effect, np.concatenate(others, axis=2), j + 1)
 
 
 def tracker_families(machine: TrackerMachine, scene: TrackerScene) -> list[ExactFamily]:
@@ -131,6 +138,7 @@ def _of_torques(machine: TrackerMachine) -> Iterator[ExactFamily]:
     shifts = [change("payload_com", 0.01, shift_m=tuple(0.01 * np.eye(3)[i])) for i in range(3)]
     yield _family("payload_com", np.concatenate(shifts, axis=3), repeat=3)
     yield _family("link_thermal", change("link_thermal", 1e-5))
+    yield _family("tool_flex", change("tool_flex", 1e-8))
 
 
 def _of_places(scene: TrackerScene) -> Iterator[ExactFamily]:
@@ -145,6 +153,11 @@ def _of_places(scene: TrackerScene) -> Iterator[ExactFamily]:
     drift = hours * np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -cross_matrices(scene.point)], axis=2)
     yield _family("tracker_drift", drift[:, :, None], keys=2, repeat=3)
     yield _family("tracker_scale", scene.point[:, :, None, None])
+    yield _family("air_scale", (scene.point * scene.warmth[:, None])[:, :, None, None])
+    level = scene.point[:, [1, 0, 2]] * [-1.0, 1.0, 0.0]
+    angle = ROUNDS[:, None, None] * np.arctan2(scene.point[:, 1], scene.point[:, 0])[:, None]
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * level[..., None]
+    yield _family("azimuth_harmonic", np.moveaxis(waves, 0, 2), repeat=2)
     turned = scene.turn @ scene.links[np.arange(n), scene.carrier, :3, :3]
     label = np.array(scene.campaign.targets)
     moved = []

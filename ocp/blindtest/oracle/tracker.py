@@ -25,6 +25,7 @@ GROSS = 40.0  # squared white distance of three coordinates: a gross reading, wh
 MASS_STEP = 0.01  # relative
 # Instants that can be told apart, orders, nests: how many members of a scanned family are looked at.
 GEAR_ORDERS, MOTOR_ORDERS = 298, 2
+FEW = {"azimuth_harmonic": 12, "joint_coupling": 5, "load_backlash": 4}  # variants of others that are scanned
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,5 +242,5 @@ def cross_matrices(v: Array) -> Array:
 def variants(effect: str, scene: TrackerScene) -> int:
     """How many members of a scanned family are looked at: orders, instants, nests; 1 for effects of one form."""
     nests = len(set(scene.campaign.targets))
-    counts = {"gear_harmonic": GEAR_ORDERS, "motor_harmonic": MOTOR_ORDERS}
+    counts = {"gear_harmonic": GEAR_ORDERS, "motor_harmonic": MOTOR_ORDERS} | FEW
     return (counts | {"base_tilt": len(scene), "target_shift": nests * len(scene)}).get(effect, 1)

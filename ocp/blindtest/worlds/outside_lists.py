@@ -69,16 +69,21 @@ def _warm_torsion(p: Planted, at: ArmInstants) -> Array:
     return np.asarray(at.warmth[:, None] * along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
-def _azimuth(p: Planted, at: ArmInstants) -> Array:
-    """The circle of the azimuth encoder sits off centre: once per turn of the head."""
-    azimuth = np.arctan2(at.point[:, 1], at.point[:, 0])
-    return np.cos(azimuth + p.number("phase_rad"))[:, None] * np.array([0.0, 0.0, 1.0])
+def _down(at: ArmInstants) -> Array:
+    """Level unit vectors (n, 3) square to the beam: a turn about them bends it down."""
+    level = np.stack([at.point[:, 1], -at.point[:, 0], np.zeros(len(at.q))], axis=1)
+    return np.asarray(level / np.linalg.norm(level, axis=1, keepdims=True))
+
+
+def _elevation(p: Planted, at: ArmInstants) -> Array:
+    """The circle of the elevation encoder sits off centre: once per turn of the mirror."""
+    elevation = np.arctan2(at.point[:, 2], np.hypot(at.point[:, 0], at.point[:, 1]))
+    return np.asarray(np.cos(elevation + p.number("phase_rad"))[:, None] * _down(at))
 
 
 def _beam_bending(p: Planted, at: ArmInstants) -> Array:
     """Air that is warmer at the top bends the beam down, by an angle that grows with the distance."""
-    level = np.stack([at.point[:, 1], -at.point[:, 0], np.zeros(len(at.q))], axis=1)
-    return np.asarray(level / np.linalg.norm(level, axis=1, keepdims=True) * np.linalg.norm(at.point, axis=1, keepdims=True))
+    return np.asarray(_down(at) * np.linalg.norm(at.point, axis=1, keepdims=True))
 
 
 ON_ARM: dict[str, Outside] = by_name(
@@ -90,7 +95,7 @@ ON_ARM: dict[str, Outside] = by_name(
     outside("settling", "angle", _settling, (1, 2, 3), size("rad", "rad", 3e-5, 3e-4)),
     outside("creep_under_load", "angle", _creep, (2, 3), size("rad_per_Nm", "rad/(N m)", 3e-8, 3e-7)),
     outside("warm_torsion", "link", _warm_torsion, (2, 3, 4), size("rad_per_K", "rad/K", 2e-6, 2e-5)),
-    outside("azimuth_eccentricity", "frame", _azimuth, (), size("rad", "rad", 3e-6, 5e-5, False), PHASE),
+    outside("elevation_eccentricity", "frame", _elevation, (), size("rad", "rad", 3e-6, 5e-5, False), PHASE),
     outside("beam_bending", "frame", _beam_bending, (), size("rad_per_m", "rad/m", 1e-6, 1e-5)),
 )
 

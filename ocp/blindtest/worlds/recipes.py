@@ -103,10 +103,25 @@ def bin_words(k: int) -> str:
 
 SIGNALS = ("tracker", "force", "both")
 # Keys that say where, when or how fast an effect acts; all others are sizes, and readings are linear in them to first order.
-SHAPES = ("phase_rad", "order", "source_joint", "target", "at_s", "lever_link1_m", "lever_arm_m", "hz", "tau", "leak")
+SHAPES = (
+    "phase_rad",
+    "order",
+    "source_joint",
+    "target",
+    "at_s",
+    "lever_link1_m",
+    "lever_arm_m",
+    "hz",
+    "tau",
+    "leak",
+    "torque_Nm",
+)
 PLANTABLE = tuple(kind for kind in ARM_KINDS if kind.name != "channel_delay")  # a tracker's reading at rest has no delay
 # Of the arm's effects those that move a force log which was taught on the machine, and are no matter of registration.
-IN_LOG = ("backlash", "friction_windup", "joint_thermal", "link_thermal", "base_tilt", "wrist_coupling", "joint_compliance")
+IN_LOG = frozenset(
+    "backlash load_backlash friction_windup joint_thermal link_thermal base_tilt wrist_coupling joint_coupling joint_compliance "
+    "tool_flex".split()
+)
 OUTSIDE: dict[str, Outside] = {**ON_ARM, **ON_GRINDING, **LATE}
 """Every effect outside the catalogue, of both lists."""
 _OF_ARM = frozenset(kind.name for kind in ARM_KINDS)

@@ -7,7 +7,7 @@ a base that tilts.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,6 +74,7 @@ _LAWS: dict[str, Callable[[Planted, int, AxisState], Array]] = {
     "friction_windup": lambda p, j, s: p.number("base_rad") * s.sign[:, j],
     "encoder_scale": lambda p, j, s: p.number("scale") * s.q[:, j],
     "wrist_coupling": lambda p, j, s: p.number("ratio") * s.q[:, int(p.number("source_joint")) - 1],
+    "joint_coupling": lambda p, j, s: p.number("ratio_rad") * s.q[:, int(p.number("source_joint")) - 1],
     "joint_thermal": lambda p, j, s: p.number("rad_per_K") * s.warmth,
 }
 
@@ -99,9 +100,10 @@ def hardware(robot: Robot, truth: Truth) -> Hardware:
     balancer = machine.Balancer(float(springs.sum()), levers[0]) if levers else None
     grows, bending = bool(truth.planted("link_thermal")), own * truth.bends + extra
     design = machine.ArmDesign(robot, truth.mdh, truth.placement, truth.mass_scale, bending, bendings, balancer, grows=grows)
+    play, taken = _by_joint(truth, "load_backlash", "half_width_rad"), _by_joint(truth, "load_backlash", "torque_Nm")
     none = np.zeros(2 * len(bendings))  # two hinges a link
     contact = np.array([*(own + extra), *(0.5 * b.compliance for b in bendings for _ in range(2))])
-    return Hardware(design, machine.Laws(np.array([*cubic, *none]), np.array([*windup, *none])), contact)
+    return Hardware(design, machine.Laws(np.array([*cubic, *none]), np.array([*windup, *none]), play, taken), contact)
 
 
 def _by_joint(truth: Truth, effect: str, key: str) -> Array:
@@ -118,6 +120,12 @@ def hung(truth: Truth, name: str) -> tuple[float, Array]:
     more = truth.total("payload_mass", "kg") if mass > 0 else 0.0
     shift = sum((planted.vector("shift_m") for planted in truth.planted("payload_com")), np.zeros(3))
     return max(mass + more, 0.0), com + shift
+
+
+def tool_give(truth: Truth, links: Array) -> Array:
+    """Shift m per newton (n, 3, 3) of what is on the flange: a beam along the flange's axis gives across it."""
+    axis = links[:, 6, :3, 2]
+    return truth.total("tool_flex", "m_per_N") * (np.eye(3) - axis[:, :, None] * axis[:, None])
 
 
 def growth(truth: Truth, warmth: Array) -> Array:
@@ -211,9 +219,21 @@ class VirtualArm:
             result = machine.equilibria(self._machine(m.payload), self.hardware.laws, at)
         else:
             result = self._by_payload(m.payload, at)
+        if self.truth.planted("tool_flex"):
+            result = replace(result, links=self._flexed(m, result.links))
         if rng is None:
             self._last = (m, result)
         return result
+
+    def _flexed(self, m: Moments, links: Array) -> Array:
+        """Links whose flange has moved as the tool does under the payload's weight and what pulls at the flange."""
+        names = (m.payload,) * len(m) if isinstance(m.payload, str) else m.payload
+        mass = {name: hung(self.truth, name)[0] for name in set(names)}
+        force = np.array([mass[name] for name in names])[:, None] * (machine.GRAVITY * self.robot.gravity_direction)
+        force = force + m.load[:, :3] * (m.load_link == 6)[:, None]
+        moved = links.copy()
+        moved[:, 6, :3, 3] += np.einsum("nij,nj->ni", tool_give(self.truth, links), force)
+        return moved
 
     def flange(self, m: Moments, rng: np.random.Generator | None = None) -> Array:
         """T_base_flange (n, 4, 4), the true pose in static equilibrium; with rng repeatability is in it."""
@@ -230,8 +250,10 @@ class VirtualArm:
 
     def compliance_at(self, s: Settled) -> Array:
         """`compliance` of equilibria that are at hand, those with repeatability too."""
-        c = self.hardware.contact_compliance - 3 * self.hardware.laws.cubic * s.load_torque**2
-        return np.asarray((s.jacobian * c[:, None, :]) @ np.swapaxes(s.jacobian, 1, 2))
+        c = self.hardware.contact_compliance + self.hardware.laws.slope(s.load_torque)
+        found = np.asarray((s.jacobian * c[:, None, :]) @ np.swapaxes(s.jacobian, 1, 2))
+        found[:, :3, :3] += tool_give(self.truth, s.links)
+        return found
 
     def _machine(self, payload: str) -> ArmModel:
         if payload not in self.machines:

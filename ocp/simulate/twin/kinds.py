@@ -46,6 +46,7 @@ ALL = (1, 2, 3, 4, 5, 6)
 BENDING = (2, 3, 4, 5, 6)  # joint 1 stands upright: nothing hangs on its spring
 # c3 tau^2 / c is the share at the joint's rated torque; 1 / (k tau^2) of a KR 210 is the unit of c3 (PHYSICS 2.1, 2.5).
 _CUBIC = (9.4e-15, 4.6e-15, 1.45e-14, 4.2e-13, 1.74e-12, 4.9e-12)
+_RATED = (7290.0, 8100.0, 5291.0, 2182.0, 1282.0, 825.0)  # N m at the link side, KR 210 (PHYSICS 2.1)
 # While a step of a campaign happens, s: inside a campaign of three hours, away from its ends.
 LATE_STEP = Key("at_s", "s", 1000.0, 8000.0, uniform=True)
 # While a step of a grinding campaign happens, s on its clock: inside a campaign of twenty minutes, away from its ends.
@@ -88,6 +89,8 @@ ARM_KINDS: tuple[EffectKind, ...] = (
     _arm("motor_harmonic", ALL, Key("amplitude_rad", "rad", 2e-5, 2e-4), _MOTOR_ORDER, PHASE),
     # b s, s the approach's sign
     _arm("backlash", ALL, Key("half_width_rad", "rad", 2e-5, 8e-4)),
+    # b tanh(tau / tau0)
+    _arm("load_backlash", BENDING, Key("half_width_rad", "rad", 2e-5, 8e-4), Key("torque_Nm", "N m", 0.003, 0.1, scale=_RATED)),
     # (b0 + h |tau|) s
     _arm("friction_windup", ALL, Key("base_rad", "rad", 2e-5, 2e-4), Key("per_Nm", "rad/(N m)", 2e-8, 1e-7)),
     # e q
@@ -99,6 +102,11 @@ ARM_KINDS: tuple[EffectKind, ...] = (
         Key("ratio", "1", 1e-4, 3e-3, True),
         Key("source_joint", "1", 4, 6, default=4.0, integer=True),
     ),
+    _arm(
+        "joint_coupling", ALL, Key("ratio_rad", "1", 1e-5, 4e-4, True), Key("source_joint", "1", 1, 6, default=2.0, integer=True)
+    ),
+    # what is on the flange gives across the flange's axis, under the payload's weight and the contact
+    _arm("tool_flex", (), Key("m_per_N", "m/N", 1e-8, 1e-6)),
     # lengths of all links times 1 + alpha (T - T0)
     _arm("link_thermal", (), Key("per_K", "1/K", 4e-6, 2.5e-5)),
     # g (T - T0)
@@ -114,6 +122,10 @@ ARM_KINDS: tuple[EffectKind, ...] = (
     ),
     # readings times 1 + scale
     _kind("tracker_scale", "tracker", Key("scale", "1", 1e-6, 1e-5, True)),
+    # readings times 1 + per_K (T - T0)
+    _kind("air_scale", "tracker", Key("per_K", "1/K", 1e-7, 2e-6, True)),
+    # readings turn about the head's z axis by rad cos(order azimuth + phase)
+    _kind("azimuth_harmonic", "tracker", Key("rad", "rad", 3e-6, 5e-5), Key("order", "1", 1, 12, integer=True), PHASE),
     # one nest moves, in its link's frame, at a time
     _kind("target_shift", "tracker", Key("shift_m", "m", 5e-5, 4e-4, True, length=3), Key("target", "name", 0, 0), LATE_STEP),
     # one recorded channel behind the others (joints.csv, force.csv)

@@ -9,9 +9,10 @@ hinges inside a link bend it; a spatial tendon can pull between link 1 and the u
 At rest the engine's generalised force on a spring hinge is r = passive - bias + applied, `passive` holding the spring's own
 -k x and the tendon's pull, `bias` gravity. The torque that loads the spring is tau = r + k x, and its law gives the next x:
 
-    x <- c tau - c3 tau^3 + h |tau| s                                                                                     (1)
+    x <- c tau - c3 tau^3 + h |tau| s + b tanh(tau / tau0)                                                                (1)
 
-with hardening c3 and windup h in the direction s of approach. A step gains the factor |c dtau/dx|, 2e-3 for this arm.
+with hardening c3, windup h in the direction s of approach, and play b that the load takes up over tau0. A step gains the factor
+|c dtau/dx|, 2e-3 for this arm.
 """
 
 from collections.abc import Sequence
@@ -209,15 +210,34 @@ MOST_STEPS = 60
 
 @dataclass(frozen=True)
 class Laws:
-    """What springs do beyond their stiffness: hardening c3 (ns,) rad/(N m)^3, windup h (ns,) rad/(N m)."""
+    """What springs do beyond their stiffness: hardening c3 (ns,) rad/(N m)^3, windup h (ns,) rad/(N m); of the joints' springs
+    play b (6,) rad that the load takes up over tau0 (6,) N m."""
 
     cubic: Array
     windup: Array
+    play: Array
+    taken_up: Array
 
     @property
     def plain(self) -> bool:
         """Whether all springs are linear."""
-        return not (self.cubic.any() or self.windup.any())
+        return not (self.cubic.any() or self.windup.any() or self.play.any())
+
+    def beyond(self, tau: Array, sign: Array) -> Array:
+        """Turn (ns,) rad beside c tau at torques tau (ns,) N m, approached along sign (6,)."""
+        turn = -self.cubic * tau**3
+        turn[:6] += self.windup[:6] * np.abs(tau[:6]) * sign + self.play * np.tanh(self._filled(tau[:6]))
+        return np.asarray(turn)
+
+    def slope(self, tau: Array) -> Array:
+        """Compliance (n, ns) rad/(N m) beside c of a further load on torques tau (n, ns); windup holds."""
+        more = -3 * self.cubic * tau**2
+        per = np.divide(self.play, self.taken_up, out=np.zeros(6), where=self.taken_up > 0)
+        more[:, :6] += per * (1 - np.tanh(self._filled(tau[:, :6])) ** 2)
+        return np.asarray(more)
+
+    def _filled(self, tau: Array) -> Array:
+        return np.divide(tau, self.taken_up, out=np.zeros_like(tau), where=self.taken_up > 0)
 
 
 @dataclass(frozen=True)
@@ -306,8 +326,7 @@ def _equilibrium(machine: ArmModel, laws: Laws, at: Situations, k: int, x: Array
         tau = force[springs] + stiffness * x
         new = c * tau
         if not laws.plain:
-            new -= laws.cubic * tau**3
-            new[:6] += laws.windup[:6] * np.abs(tau[:6]) * at.sign[k]
+            new += laws.beyond(tau, at.sign[k])
         off = float(np.abs(new - x).max())
         # The next step would be smaller by the same factor as this one was.
         if off < ACCURACY or off * off < ACCURACY * before:

@@ -59,10 +59,8 @@ def parse_effect(text: str) -> Planted:
     joint = _joint(text, kind, number.strip() if colon else None)
     given = _given(text, kind, tail)
     values = {key.name: _read(text, key, given[key.name]) if key.name in given else middle(key, joint) for key in kind.keys}
-    if joint is not None and values.get("source_joint") == joint:
-        if "source_joint" in given:
-            raise BadInput(f"effect '{text}': source_joint {joint} is the joint itself; give another of 4, 5, 6")
-        values["source_joint"] = 5.0 if joint == 4 else 4.0
+    if "source_joint" in values:
+        values["source_joint"] = _source(text, kind, joint, values["source_joint"], "source_joint" in given)
     return Planted(kind.name, joint, values)
 
 
@@ -89,6 +87,15 @@ def _joint(text: str, kind: EffectKind, number: str | None) -> int | None:
     if not re.fullmatch(r"\d{1,3}", number, re.ASCII) or int(number) not in kind.joints:
         raise BadInput(f"effect '{text}': {kind.name} is not of joint '{number}'; choose from {allowed}")
     return int(number)
+
+
+def _source(text: str, kind: EffectKind, joint: int | None, source: Value, given: bool) -> float:
+    """The joint that another one follows; one that is not given is not the joint itself."""
+    others = [float(i) for i in kind.joints if i != joint]
+    if given and source not in others:
+        own = "the joint itself" if source == joint else "no such joint"
+        raise BadInput(f"effect '{text}': source_joint {source:g} is {own}; give another of {', '.join(map(str, kind.joints))}")
+    return float(source) if isinstance(source, float) and source in others else others[0]
 
 
 def _given(text: str, kind: EffectKind, tail: str) -> dict[str, str]:

@@ -43,7 +43,7 @@ def true_points(
     """Reflectors (n, 3) m in the tracker's frame, planted effects included and noise not; names: the nest of each instant.
 
     With rng the joints repeat as well as they do. Tracker effects: a nest that moves at a time, a frame that drifts and
-    turns about the head with time, a scale.
+    turns about the head with time, an azimuth circle, a scale that may go with the temperature.
     """
     links = arm.links(m, rng)
     nest = np.array([truth.nests[name] for name in names]).reshape(-1, 3)
@@ -57,7 +57,13 @@ def true_points(
     for planted in truth.planted("tracker_drift"):
         turn = Rotation.from_rotvec(hours * planted.vector("rad_per_h"))
         points = turn.apply(points) + hours * planted.vector("m_per_h")
-    return np.asarray(points * (1 + truth.total("tracker_scale", "scale")))
+    for planted in truth.planted("azimuth_harmonic"):
+        azimuth = np.arctan2(points[:, 1], points[:, 0])
+        turned = planted.number("rad") * np.cos(planted.number("order") * azimuth + planted.number("phase_rad"))
+        points = Rotation.from_rotvec(turned[:, None] * [0.0, 0.0, 1.0]).apply(points)
+    warmth = m.temperature_C - cell.tables.reference_temperature_C
+    scale = truth.total("tracker_scale", "scale") + truth.total("air_scale", "per_K") * warmth
+    return np.asarray(points * (1 + scale)[:, None])
 
 
 def measure(truth: Truth, cell: Cell, arm: VirtualArm, m: Moments, names: Sequence[str], rng: np.random.Generator) -> Array:

@@ -1,0 +1,20 @@
+"""The tracker's ranges grow with the air's temperature.
+
+A warmer hall thins the air: its refractive index falls by 0.93e-6 per kelvin (Ciddor 1996, Applied Optics 35, 1566), and an
+interferometer whose own weather station stands elsewhere reads (1 + per_K (T - T0)) times the distance from its head, T the
+temperature of the readings, T0 the cell's reference; either sign, as it leaves the compensation out or makes it twice. It differs
+from link_thermal, ten times as large per kelvin, by what it scales: the way from the tracker, not the arm.
+"""
+
+from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import proportional
+
+EFFECT = Effect(
+    name="air_scale",
+    title="scale of the tracker with the air's temperature",
+    subsystem="tracker",
+    physics=__doc__,
+    needs=("temperature_C",),
+    reading=lambda x, j, scanned: x.warm * x.point,
+    **proportional(Parameter("per_K", "1/K", 1e-7, 2e-6)),
+)

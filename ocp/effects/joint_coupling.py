@@ -1,0 +1,17 @@
+"""A joint turns with another one: their drives, cables or their controller couple them.
+
+Shared shafts, belts that run over a neighbour's axis, a hose pack that pulls two axes and compensations with a wrong ratio leave
+dq_j = ratio_rad q_i, rad per rad of the axis i = source_joint, any but j itself (FORMATS, additions). wrist_coupling is the case
+of the wrist's hollow shafts, larger and among joints 4 to 6; there both say the same and are one class.
+"""
+
+from ocp.effects.effect import Effect, Parameter
+from ocp.effects.forms import follows
+
+EFFECT = Effect(
+    name="joint_coupling",
+    title="joint {joint} turns with another axis",
+    subsystem="joint",
+    physics=__doc__,
+    **follows(Parameter("ratio_rad", "1", 1e-5, 4e-4), among=(1, 2, 3, 4, 5, 6)),
+)

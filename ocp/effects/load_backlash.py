@@ -1,0 +1,38 @@
+"""Play of a gear that its load takes up: the link lies on the side to which gravity pulls it.
+
+dq = b tanh(tau / tau0), half_width_rad = b, torque_Nm = tau0 (FORMATS, additions), tau positive along +q. Where weight closes the
+gap the side follows the sign of the torque, not of the last motion (`backlash`): the link jumps by 2 b where the torque passes
+zero, over the tau0 that friction of the unloaded gear withstands, tried from 0.3 to 10 % of the joint's rated torque. A load that
+never changes its sign hides it in the joint's zero; a small tau0 beside steady motions is what backlash looks like on joints that
+are approached from below alone. Joint 1 of an upright robot carries no weight and does not show it.
+"""
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from ocp.effects.effect import Effect, Parameter, Scanned, Surroundings
+from ocp.effects.forms import at_joint, proportional, rated_torque
+
+SHARES = (0.003, 0.01, 0.03, 0.1)  # of the rated torque: a factor of three changes tanh by less than a tenth of its square
+
+
+def _torques(joint: int, seen: Surroundings) -> Sequence[Scanned]:
+    return [{"torque_Nm": share * rated_torque(joint, seen)} for share in SHARES]
+
+
+EFFECT = Effect(
+    name="load_backlash",
+    title="backlash of joint {joint} on the side of its load",
+    subsystem="joint",
+    physics=__doc__,
+    joints=(1, 2, 3, 4, 5, 6),
+    scan=_torques,
+    symbolic=("torque_Nm",),
+    joint=lambda x, j, scanned: at_joint(j, ca.tanh(x.tau[j - 1] / scanned["torque_Nm"])),
+    **proportional(
+        Parameter("half_width_rad", "rad", 2e-5, 8e-4, signed=False),
+        Parameter("torque_Nm", "N m", 3.0, 300.0, signed=False),
+        scanned=("torque_Nm",),
+    ),
+)
