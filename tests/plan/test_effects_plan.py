@@ -43,6 +43,9 @@ ARM = (
     {"effect": "payload_mass", "kg": 8.0, "payload": "grinder"},
     {"effect": "link_bending", "joint": 2, "rad_per_Nm": 5e-8},
     {"effect": "link_thermal", "per_K": 1e-5},
+    {"effect": "load_backlash", "joint": 3, "half_width_rad": 1e-4, "torque_Nm": 40.0},
+    {"effect": "joint_coupling", "joint": 3, "ratio_rad": 1e-4, "source_joint": 2},
+    {"effect": "tool_flex", "m_per_N": 2e-7},
     {"effect": "base_tilt", "rad": [1e-4, -5e-5, 8e-5], "at_s": 100.0},
     {"effect": "gear_harmonic", "joint": 2, "order": 40, "amplitude_rad": 1e-4, "phase_rad": 0.4},
     {

@@ -56,12 +56,12 @@ BY_SIGNAL = {
         Lever(
             "creep: every joint over its range at 1 deg/s and back, so that inertia and delay vanish",
             10.0,
-            "channel_delay backlash gear_1x gear_2x gear_harmonic motor_harmonic encoder_scale",
+            "channel_delay backlash load_backlash gear_1x gear_2x gear_harmonic motor_harmonic encoder_scale joint_coupling",
         ),
         Lever(
             "the same motion with a known payload",
             12.0,
-            "joint_compliance joint_stiffening gravity_compensator friction_windup payload_mass",
+            "joint_compliance joint_stiffening gravity_compensator friction_windup load_backlash payload_mass",
         ),
     ),
 }
