@@ -74,9 +74,9 @@ class ContactContext:
     ground_before; warm, wheel_warm K above the reference; travel: sign of the motion along the pass (+1 with increasing s);
     stroke_sign: sign of the flange's stroke rate (+1: it is pressed in); radius m, friction of the cell; normal_stiffness N/m: dF
     per m of overlap; friction_deflection m: by how much more the parts give way per unit of the friction coefficient; lever m:
-    height of the contact over the clamp's plane; push_axis (3): direction in which the flange pushes the blade, base frame;
-    clamp_deflection m: how much of the parts is the clamp's stiffness; line of the blade; down (3,): unit direction of gravity in
-    the base frame.
+    height of the contact over the clamp's plane; joint_give (6) N m^2: by how many m the contact gives per rad/(N m) of each
+    joint; push_axis (3): direction in which the flange pushes the blade, base frame; clamp_deflection m: how much of the
+    parts is the clamp's stiffness; line of the blade; down (3,): unit direction of gravity in the base frame.
     """
 
     F: ca.SX
@@ -112,6 +112,7 @@ class ContactContext:
     normal_stiffness: ca.SX
     friction_deflection: ca.SX
     lever: ca.SX
+    joint_give: ca.SX
     push_axis: ca.SX
     clamp_deflection: ca.SX
     line: ca.SX

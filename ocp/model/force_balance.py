@@ -52,6 +52,7 @@ class Model:
     T_base_blade: ca.SX
     q_real: ca.SX
     extra: ca.SX
+    joint_give: ca.SX
 
 
 def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = False) -> Model:
@@ -83,14 +84,17 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
         F / (1 + par["cover_stiffness_scale"]), curvature[0], curvature[1], curvature[2], lateral, tilt[0], tilt[1]
     )
     d_blade = F * _blade_compliance(cell, waypoint["blade_compliance"], n, t, force_direction, par)
-    d_robot = F * _robot_compliance(frames, p, e, force_direction, par["c"])
+    joint_give = F * _joint_give(frames, p, e, force_direction)
+    d_robot = ca.dot(par["c"], joint_give)
     parts = ca.vertcat(x_flange, d_wheel, d_blade, d_robot)
     extra = ca.SX(0)
     if effects.on_contact:
         seen = {"lateral": lateral, "tilt": tilt, "arc": arc, "turn": turn, "curvature": curvature, "axis": axis, "e": e}
         seen |= {name: waypoint[name] for name in ("p", "n", "t")} | {"belt_direction": belt, "n_base": n, "R_blade": R_real}
+        seen |= {"joint_give": joint_give}
         extra = _extra(cell, effects, friction, F, parts, T_base_flange[:3, :3], seen)
-        parts, extra = ca.substitute([parts, extra], [friction], [ca.SX(cell.wheel.friction)])
+        whole = ca.substitute([parts, extra, joint_give], [friction], [ca.SX(cell.wheel.friction)])
+        parts, extra, joint_give = whole
     return Model(
         q=q,
         F=F,
@@ -108,6 +112,7 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
         T_base_blade=ca.vertcat(ca.horzcat(R_real, p_real), ca.DM([[0, 0, 0, 1]])),
         q_real=q_real,
         extra=extra,
+        joint_give=joint_give,
     )
 
 
@@ -250,14 +255,11 @@ def _blade_compliance(cell: Cell, c: ca.SX, n: ca.SX, t: ca.SX, f: ca.SX, par: d
     return total / (1 + par["blade_stiffness_scale"]) + 1 / cell.workpiece.clamp_stiffness
 
 
-def _robot_compliance(frames: list[ca.SX], p: ca.SX, e: ca.SX, f: ca.SX, compliance: ca.SX) -> ca.SX:
-    """Displacement of the contact along e per newton: e^T J K^-1 J^T f (PHYSICS 3.1). The joints' signs cancel."""
-    total = ca.SX(0)
-    for j in range(6):
-        z, o = frames[j][:3, 2], frames[j][:3, 3]
-        lever = ca.cross(z, p - o)
-        total += compliance[j] * ca.dot(lever, e) * ca.dot(lever, f)
-    return total
+def _joint_give(frames: list[ca.SX], p: ca.SX, e: ca.SX, f: ca.SX) -> ca.SX:
+    """Displacement of the contact along e per newton and per rad/(N m) of each joint (6) m^2: the parts of e^T J K^-1 J^T f
+    (PHYSICS 3.1). The joints' signs cancel."""
+    levers = [ca.cross(frame[:3, 2], p - frame[:3, 3]) for frame in frames[:6]]
+    return ca.vertcat(*(ca.dot(lever, e) * ca.dot(lever, f) for lever in levers))
 
 
 def _shoulder(cell: Cell, q: ca.SX) -> ca.SX:

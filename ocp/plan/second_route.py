@@ -145,7 +145,7 @@ def gaps(
             base = _local_shape(cell, path, at, R @ n, R @ t, e, lateral[k])
             sample = ContactSample(cell, p, n, t, pose, e, float(lateral[k]), base, {name: v[k] for name, v in seen.items()})
             rigid = _linear_compliance(cell, believed, q_real[k], sample, compliance, wheel.friction)
-            left[k] -= sample.overlap(0.0, (out, 0.0, 0.0, 0.0), (push**2 * give, 0.0, *rigid), 0.0)
+            left[k] -= sample.overlap(0.0, (out, 0.0, 0.0, 0.0), (push**2 * give, 0.0, *rigid[:2]), 0.0, 0.0 * rigid[2:])
     return np.asarray(left)
 
 
@@ -215,9 +215,11 @@ class ContactSample:
     shape: LocalShape
     seen: Mapping[str, Array]
 
-    def overlap(self, F: float, parts: Sequence[float], slopes: Sequence[float], friction_deflection: float) -> float:
+    def overlap(
+        self, F: float, parts: Sequence[float], slopes: Sequence[float], friction_deflection: float, joint_give: Array
+    ) -> float:
         """Overlap m that the cell's effects add at the force F N; parts m and slopes m/N of flange, wheel, blade, robot;
-        friction_deflection m: by how much more the parts give way per unit of friction."""
+        friction_deflection m: by how much more the parts give way per unit of friction; joint_give (6) of `ContactContext`."""
         cell, wheel, R = self.cell, self.cell.wheel, self.T[:3, :3]
         clamp, start = cell.workpiece, cell.wheel.contact_direction
         R_flange, normal = R @ clamp.T_flange_blade[:3, :3].T, R @ self.n
@@ -230,7 +232,15 @@ class ContactSample:
         blocks: dict[str, Any] = {name: value for name, value in self.seen.items() if name not in ("approach", "speed")}
         blocks |= {"F": F, "parts": np.array(parts), "slopes": np.array(slopes), "normal_stiffness": 1.0 / sum(slopes)}
         blocks |= {"friction_deflection": friction_deflection, "clamp_deflection": F / clamp.clamp_stiffness}
-        blocks |= {"p": self.p, "n": self.n, "t": self.t, "e": self.e, "axis": wheel.axis, "lateral": self.lateral}
+        blocks |= {
+            "joint_give": joint_give,
+            "p": self.p,
+            "n": self.n,
+            "t": self.t,
+            "e": self.e,
+            "axis": wheel.axis,
+            "lateral": self.lateral,
+        }
         blocks |= {"belt_direction": belt, "n_base": normal, "push_axis": push}
         blocks |= {"R_flange": R_flange.reshape(1, 9), "R_blade": R.reshape(1, 9)}
         blocks |= {"curvature": np.array([self.shape.kxx, self.shape.kyy, self.shape.kxy])}
@@ -246,16 +256,18 @@ class ContactSample:
 def _equilibrium(
     cell: Cell, cover: Cover, shape: SurfaceShape, sample: ContactSample, delta: float, F: float, linear: list[Array]
 ) -> tuple[float, float]:
-    """Force N at an overlap delta m, by Newton from F, and m/N of the whole chain; linear: m/N of blade and joints with the
+    """Force N at an overlap delta m, by Newton from F, and m/N of the whole chain; linear: `_linear_compliance` with the
     cell's friction, with 1 and with 0."""
     push, stroke = _flange(cell, sample.T, sample.T[:3, :3] @ sample.n)
+    rigid, give = np.split(linear[0], [2])
+    rubbed = float(np.sum(linear[1][:2] - linear[2][:2]))
     for _ in range(FORCE_STEPS):
         contact = solve_force(cover, F, shape)
         free = (F * push - stroke[0]) * stroke[1]
         x = float(np.clip(free, -stroke[2], stroke[2]))  # at its stops the flange is rigid
-        parts = (x * push, contact.indentation, *(F * linear[0]))
-        slopes = (push**2 * stroke[1] * (x == free), 1.0 / contact.stiffness, *linear[0])
-        more = sample.overlap(F, parts, slopes, F * float(np.sum(linear[1] - linear[2]))) if cell.effects else 0.0
+        parts = (x * push, contact.indentation, *(F * rigid))
+        slopes = (push**2 * stroke[1] * (x == free), 1.0 / contact.stiffness, *rigid)
+        more = sample.overlap(F, parts, slopes, F * rubbed, F * give) if cell.effects else 0.0
         step = (delta + more - sum(parts)) / sum(slopes)
         F = max(F + step, 0.05 * F)
         if abs(step) < FORCE_STEP_ENOUGH:
@@ -282,7 +294,8 @@ def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Arr
 
 
 def _linear_compliance(cell: Cell, believed: BelievedRobot, q: Array, at: ContactSample, blade: Array, friction: float) -> Array:
-    """Displacement of the contact per newton from the blade with its fixture, and from joints (PHYSICS 3.1), (2,) m/N.
+    """Displacement of the contact per newton (8,): m/N from the blade with its fixture, and from joints (PHYSICS 3.1); m^2 from
+    each joint per rad/(N m) of its compliance.
 
     blade (3,) m/N: its compliance c_nn, c_nt, c_nb there.
     """
@@ -294,8 +307,8 @@ def _linear_compliance(cell: Cell, believed: BelievedRobot, q: Array, at: Contac
     T = elementary_forward(believed.robot, nudged) @ cell.workpiece.T_flange_blade
     points = apply(T, at.p)
     J = ((points[:6] - points[6:]) / (2 * DIFFERENCE)).T
-    joints = float((e @ J) @ (believed.compliance * (J.T @ f)))
-    return np.array([float(held) + 1.0 / cell.workpiece.clamp_stiffness, joints])
+    give = (e @ J) * (J.T @ f)
+    return np.array([float(held) + 1.0 / cell.workpiece.clamp_stiffness, believed.compliance @ give, *give])
 
 
 def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[float, float, float]]:

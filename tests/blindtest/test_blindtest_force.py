@@ -128,6 +128,9 @@ def test_noise_has_the_covariance_that_is_believed(machine):
         "base_tilt=0/1e-5/0,at_s=30",
         "joint_coupling:3=5e-5,source_joint=1",
         "tool_flex=1e-7",
+        "load_backlash:3=5e-5,torque_Nm=63.9",
+        "joint_compliance:1=1e-6",
+        "joint_compliance:3=5e-7",
         "gear_harmonic:2=2e-5,order=60,phase_rad=1",
     ],
 )

@@ -49,6 +49,7 @@ def samples(seed=0):
         "push_axis": unit(N),
         "clamp_deflection": np.full(N, 2e-6),
         "belt_direction": unit(N),
+        "joint_give": rng.uniform(0, 80, (N, 6)),
     }
 
 
@@ -82,6 +83,8 @@ def expected(name, v, x):
         give[name] = -1.0 * after * np.einsum("ni,nij,j->n", x["e"], x["R_flange"], v["m"])
     if name == "wheel_frame_shift":
         give[name] = after * (x["e"] @ v["m"])
+    if name == "joint_compliance":
+        give[name] = -v["rad_per_Nm"] * x["joint_give"][:, 0]
     if name == "tool_flex":  # in the flange's own axes: x and y give, z does not
         felt = x["e"] + 0.35 * sign[:, None] * x["belt_direction"]
         own = [np.einsum("nij,ni->nj", x["R_flange"], direction)[:, :2] for direction in (x["e"], felt)]

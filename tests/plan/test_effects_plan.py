@@ -14,7 +14,7 @@ from ocp.calibrate.force.model import ForceModel, ForceRows
 from ocp.effects.cell_effects import effect_of, patch_effect_of
 from ocp.effects.engine.symbolic import CONDITIONS
 from ocp.model.cell import Cell, RunConditions, read_cell
-from ocp.model.theta import believed_theta, with_effects
+from ocp.model.theta import NAMES, believed_theta, with_effects
 from ocp.plan.__main__ import app
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.posture import find_seeds
@@ -145,6 +145,20 @@ def test_overlap_and_push_of_effects_shift_the_balance_by_what_they_are():
     soft = solver_of(cell_with({"effect": "flange_stiffness", "scale": -0.2})).evaluate(at, q, at.path.force + 3.0)
     plain_up = solver.evaluate(at, q, at.path.force + 3.0)
     assert soft.residual - plain_up.residual == pytest.approx(plain_up.parts[:, 0] * (1 - 1 / 0.8), abs=1e-9)
+
+
+@pytest.mark.parametrize("joint", [3, 5])
+def test_the_contact_bends_a_joint_beside_its_load(joint):
+    """By 3 N more as much as in a cell whose robot has that joint softer; what weight does there cancels."""
+    at, (solver, q) = problem(), plain()
+    theta = believed_theta(solver.cell)
+    softer = replace(theta, values=theta.values + 1e-6 * (np.array(NAMES) == f"c{joint}"))
+    soft = solver_of(cell_with({"effect": "joint_compliance", "joint": joint, "rad_per_Nm": 1e-6}))
+    solvers = (solver, soft, PassSolver(solver.cell, LineLaw(), softer, ObjectiveWeights()))
+    force = at.path.force
+    plain_more, more, wanted = (s.evaluate(at, q, force + 3.0).residual - s.evaluate(at, q, force).residual for s in solvers)
+    assert more - plain_more == pytest.approx(wanted - plain_more, rel=0.02)
+    assert np.abs(more - plain_more).min() > 1e-7
 
 
 def test_the_sd_of_an_effect_enters_that_of_the_force():

@@ -175,8 +175,9 @@ def force_families(machine: GrindingMachine, s: ForceSlopes, orders_too: bool) -
     warmth = machine.hall(machine.rows) - machine.bench.cell.tables.reference_temperature_C
     robot, q = machine.bench.cell.robot, machine.bare.q
     joints = _of_joints(robot, lambda j, f: s.joint[..., j] * f, q, s.approach, s.torque, warmth, orders)
-    stiff = (f for f in joints if f.effect != "joint_stiffening")  # planted only where a tracker measures too
-    return _seen([*_of_wheel(machine, s), *_of_frames(machine, s), *_of_sensor(machine), *_differences(machine), *stiff])
+    # Of what bends under the contact too differences tell; joint_stiffening is planted only where a tracker measures too.
+    turned = (f for f in joints if f.effect not in ("joint_stiffening", "joint_compliance"))
+    return _seen([*_of_wheel(machine, s), *_of_frames(machine, s), *_of_sensor(machine), *_differences(machine), *turned])
 
 
 Read = Callable[[Sequence[Planted]], Array]
@@ -192,8 +193,8 @@ def _differences(machine: GrindingMachine) -> Iterator[ExactFamily]:
     change = partial(_change, machine.forces, machine.bare.both)
     for effect, size in STEPS.items():
         yield _family(effect, change(effect, size))
-    for joint in (2, 3):
-        yield _family("link_bending", change("link_bending", 1e-8, joint), joint)
+    for effect, joints, size in (("link_bending", (2, 3), 1e-8), ("joint_compliance", range(1, 7), 1e-7)):
+        yield from (_family(effect, change(effect, size, joint), joint) for joint in joints)
     relaxed = [change("wheel_relaxation", 0.02, tau=float(tau)) for tau in TAUS]
     yield _family("wheel_relaxation", np.concatenate(relaxed, axis=2))
     soft = change("wheel_temperature", -5e-4, radius_per_K=0.0)

@@ -33,7 +33,7 @@ PROBE = 0.05  # N; over which the change of the extra interference with the forc
 # Columns of what `ForceModel.evaluate` gives as "state".
 STATE = RowLayout.of(
     "residual 1, slope 1, overlap 1, parts 4, slopes 4, arc 1, lateral 1, turn 1, tilt 2, curvature 3, T 16, "
-    "friction_deflection 1"
+    "joint_give 6, friction_deflection 1"
 ).places
 
 # Extra interference (k,) m of some rows (their indices), at their forces (k,) N and the state's columns there.
@@ -107,7 +107,15 @@ class ForceModel:
         wheel = replace(self.cell.wheel, belt_speed=float(belt), friction=friction)
         model = build_model(replace(self.cell, wheel=wheel), self.law)
         slope, slopes = ca.jacobian(model.residual, model.F), ca.jacobian(model.parts, model.F)
-        place = [model.arc, model.lateral, model.turn, model.tilt, model.curvature, ca.vec(model.T_base_blade.T)]
+        place = [
+            model.arc,
+            model.lateral,
+            model.turn,
+            model.tilt,
+            model.curvature,
+            ca.vec(model.T_base_blade.T),
+            model.joint_give,
+        ]
         state = [model.residual, slope, model.delta, model.parts, slopes, *place, ca.jacobian(ca.sum1(model.parts), friction)]
         by = ca.horzcat(slope, ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
         outputs = {"state": ca.vertcat(*state), "derivative": by.T}
@@ -117,8 +125,9 @@ class ForceModel:
 
     def evaluate(self, kind: str, rows: PlacedRows, F: Array) -> Array:
         """Numbers (n, k) at forces F (n,) N: "state" (columns `STATE`: residual m and its slope in F m/N, overlap m, the four
-        parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, the
-        parts' derivative in the friction m) or "derivative" (of the residual in F, theta (m) and q (6)). No rows: (0, 0)."""
+        parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, give of
+        the joints N m^2, the parts' derivative in the friction m) or "derivative" (of the residual in F, theta (m) and q (6)). No
+        rows: (0, 0)."""
         out: Array = np.empty((0, 0))
         for belt in (-1, 0, 1):
             at = np.flatnonzero(rows.base.belt == belt)

@@ -79,7 +79,7 @@ def samples_of(
     own = _blade_turn(theta[:, _AT["blade_rotation"]]) @ cell.workpiece.T_flange_blade[:3, :3]
     flange = R @ own.transpose(0, 2, 1)
     n_base = np.einsum("kij,kj->ki", R, w[:, 3:6])
-    of_state = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_deflection")
+    of_state = ("arc", "lateral", "turn", "tilt", "curvature", "parts", "slopes", "friction_deflection", "joint_give")
     of_log = ("s", "setpoint", "feed", "belt", "time", "clock", "ground_before", "warm", "wheel_warm", "travel")
     blocks: dict[str, Any] = {name: state[:, STATE[name]] for name in of_state} | {name: getattr(c, name) for name in of_log}
     blocks |= {"F": F, "p": w[:, :3], "n": w[:, 3:6], "t": w[:, 6:9], "e": e, "n_base": n_base, "axis": axis, "line": c.line}

@@ -35,7 +35,15 @@ from robots.pose import Array
 M = Theta.size
 Both = tuple[Array, Array]  # of fn and ft, N
 TOLERANCE = 2e-4  # N: a step of Newton below this leaves less than 1e-7 N
-ZEROED = ("parts", "slopes", "normal_stiffness", "friction_deflection", "clamp_deflection", "F")  # of rows in the air
+ZEROED = (
+    "parts",
+    "slopes",
+    "normal_stiffness",
+    "friction_deflection",
+    "joint_give",
+    "clamp_deflection",
+    "F",
+)  # of rows in the air
 
 
 @dataclass(frozen=True)
