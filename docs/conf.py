@@ -10,6 +10,7 @@ from docutils.parsers.rst import Directive
 from sphinx.application import Sphinx
 from typer.main import get_command
 
+from ocp.effects.catalogue import with_table
 from ocp.grindplan.__main__ import whole
 
 project = "grindplan"
@@ -55,6 +56,13 @@ class Commands(Directive):
         return list(_sections(get_command(whole()), project))
 
 
+def _with_all_physics(app: Sphinx, name: str, text: list[str]) -> None:
+    """The catalogue's table with the whole of what every effect says of itself."""
+    if name == "effects":
+        text[0] = with_table(text[0], whole=True)
+
+
 def setup(app: Sphinx) -> None:
-    """Adds the directive."""
+    """Adds the directive and the hook."""
     app.add_directive("commands", Commands)
+    app.connect("source-read", _with_all_physics)

@@ -6,6 +6,7 @@
 import importlib
 import os
 import pkgutil
+import re
 import sys
 from collections.abc import Iterable
 from functools import cache
@@ -53,24 +54,27 @@ def forget_library() -> None:
     _library.cache_clear()
 
 
-def effects_table() -> str:
-    """Markdown: what every effect is, its keys with usual ranges, where it enters the model, and its physics."""
+def effects_table(whole: bool = False) -> str:
+    """Markdown: what every effect is, its keys with usual ranges, where it enters the model, and its physics: the first sentence,
+    or all with its source."""
     lines = ["| effect | keys, usual range | enters by | what it is |", "|---|---|---|---|"]
     for effect in library().values():
         ranges = [key_range(p.key, p.low, p.high, p.signed and p.low >= 0, p.length, p.unit) for p in effect.parameters]
         hooks = ", ".join(h for h in HOOKS if getattr(effect, h) is not None)
         needs = f" (needs {', '.join(effect.needs)})" if effect.needs else ""
-        physics = effect.physics.partition("\n\n")[2] or effect.physics  # below a docstring's first line
+        physics = " ".join((effect.physics.partition("\n\n")[2] or effect.physics).split())  # below a docstring's first line
+        first = re.split(r"(?<=[^A-Z]\.)\s(?=[A-Z])", physics)[0]
+        told = physics if whole else re.sub(r" \((DIAGNOSIS|FORMATS|PHYSICS)[^)]*\)", "", first)
         joints = joint_range(effect.joints, least_run=3, between=", ")
         joints = (f" {joints}" if joints else "") + (" or common" if 0 in effect.joints else "")
-        lines.append(f"| {effect.name}{joints} | {'; '.join(ranges)} | {hooks}{needs} | {' '.join(physics.split())} |")
+        lines.append(f"| {effect.name}{joints} | {'; '.join(ranges)} | {hooks}{needs} | {told} |")
     return "\n".join(line.replace("|tau|", "abs(tau)").replace("|b - a|", "abs(b - a)") for line in lines)
 
 
-def with_table(page: str) -> str:
-    """`page` with its table made anew. Raises ValueError where the marks of the table are missing."""
+def with_table(page: str, whole: bool = False) -> str:
+    """`page` with its table made anew, `whole` as the site has it. Raises ValueError where the marks of the table are missing."""
     before, rest = page.split(BEGIN)
-    return f"{before}{BEGIN}\n{effects_table()}\n{END}{rest.split(END)[1]}"
+    return f"{before}{BEGIN}\n{effects_table(whole)}\n{END}{rest.split(END)[1]}"
 
 
 def effect_list() -> str:

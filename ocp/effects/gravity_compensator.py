@@ -1,6 +1,6 @@
 """The spring that balances the upper arm, which the believed cell leaves out.
 
-A KR 210 carries a hydropneumatic balancer on axis 2 that the paper and the believed cell ignore (PHYSICS 2.5). A spring of rate
+A KR 210 carries a hydropneumatic balancer on axis 2 that the paper and the believed cell ignore (PHYSICS 2.5): a spring of rate
 k between a point of link 1 and one of the upper arm, at lever_link1_m and lever_arm_m from axis 2, pulls toward the upright
 arm: torque = -k (1 - L0 / L) a b sin(phi), L its length at the angle phi from where it is shortest, L0 = free_length times the
 least length |b - a|: 1 just unloaded there, less preloaded. The torque acts through the joint's own compliance, so a robot
