@@ -2,7 +2,7 @@
 
 import re
 
-from tests.support.house import ROOT
+from tests.support.house import ROOT, with_table
 
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
@@ -25,3 +25,8 @@ def test_every_page_stands_in_the_index():
     listed = [line for toc in re.findall(r"```\{toctree\}\n(.*?)```", index, re.DOTALL) for line in toc.split() if line[0] != ":"]
     names = [str(page.relative_to(DOCS).with_suffix("")) for page in PAGES]
     assert sorted(name for name in listed if name in names) == sorted(set(names) - {"index"})
+
+
+def test_the_table_of_rooms_is_the_sources():
+    page = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    assert with_table(page) == page, "run: python -m tests.support.house docs/architecture.md"

@@ -98,11 +98,11 @@ def described(room: str) -> tuple[str, str]:
 
 def table() -> str:
     used, floor = uses(), floors()
-    lines = ["| floor | room | what lives there, and what does not | uses |", "|---|---|---|---|"]
+    lines = ["| floor | room | what lives there | uses |", "|---|---|---|---|"]
     for room in sorted(declared().rooms, key=lambda r: -floor[r]):
         others = ", ".join(other for other in declared().rooms if other in used[room])
-        first, rest = described(room)
-        lines.append(f"| {floor[room]} | `{room}` | {first} {rest} | {others} |")
+        told = described(room)[0].replace("|", "\\|")
+        lines.append(f"| {floor[room]} | `{room}` | {told} | {others} |")
     return "\n".join(lines)
 
 
