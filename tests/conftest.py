@@ -2,6 +2,9 @@ import gc
 import json
 import os
 import shutil
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -104,3 +107,25 @@ def small_plan_copy(small_plan_once, tmp_path_factory: pytest.TempPathFactory):
     folder = tmp_path_factory.mktemp("small") / "cell"
     shutil.copytree(small_plan_once[0], folder)
     return folder, small_plan_once[1]
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a Dask scheduler of this machine with two workers, processes of their own in folders of their own."""
+    pytest.importorskip("distributed", reason="pip install '.[cluster]'")
+    folder = tmp_path_factory.mktemp("cluster")
+    file = folder / "scheduler.json"
+    common = ("--scheduler-file", str(file), "--no-dashboard")
+    place = {"cwd": folder, "env": os.environ | {"PYTHONPATH": str(TESTS.parent)}, "stderr": subprocess.DEVNULL}
+    scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0")
+    worker = ("distributed.cli.dask_worker", "--no-nanny", "--nthreads", "1", "--local-directory", str(folder))
+    running = [subprocess.Popen([sys.executable, "-m", *command, *common], **place) for command in (scheduler, worker, worker)]
+    try:
+        until = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < until:
+            time.sleep(0.05)
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()

@@ -1,4 +1,4 @@
-"""The Python interface: plan, choose_poses, calibrate, simulate, diagnose, judge_measurement, update, blindtest.
+"""The Python interface: plan, plan_night, choose_poses, calibrate, simulate, diagnose, judge_measurement, update, blindtest.
 
 Here: the functions that the commands call, under one roof, with what they return. Not here: anything of a command line, and
 anything that is not in the rooms of these names. Lengths are metres, angles radians, forces newtons; `progress` is called
@@ -12,6 +12,7 @@ from ocp.diagnose.answering import DiagnosisResult
 from ocp.diagnose.interface import diagnose, judge_measurement
 from ocp.plan.files import PlanResult
 from ocp.plan.interface import plan
+from ocp.plan.night import NightResult, plan_night
 from ocp.poses.files import PosesResult
 from ocp.poses.interface import choose_poses
 from ocp.shell.progress import Progress
@@ -26,6 +27,7 @@ __all__ = [
     "CalibrationResult",
     "DiagnosisResult",
     "Infeasible",
+    "NightResult",
     "PlanResult",
     "PosesResult",
     "Progress",
@@ -37,6 +39,7 @@ __all__ = [
     "diagnose",
     "judge_measurement",
     "plan",
+    "plan_night",
     "simulate",
     "update",
 ]

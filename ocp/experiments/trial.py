@@ -16,8 +16,8 @@ from ocp.calibrate.files import tracker_calibration
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
 from ocp.experiments.grinding import Course, VirtualRobot, compensated, lay_course, registered_by_ladder, working_forces
 from ocp.model.cell import Cell
-from ocp.plan.passes.optimise import FILES, SolvedPass, code_hash
-from ocp.shell.cache import content_key, flattened, keep, recall
+from ocp.plan.passes.optimise import FILES, SolvedPass
+from ocp.shell.cache import code_hash, content_key, flattened, keep, recall
 from ocp.shell.executor import Hands, carried_out
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import VirtualArm, make_arm

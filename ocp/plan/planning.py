@@ -91,16 +91,10 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
 
     Raises BadInput (exit code 2) and Infeasible (exit code 1) of every part, one sentence each.
     """
-    believed = read_cell(cell_file, blade_file)
+    believed, told = cell_to_plan(cell_file, blade_file, options)
     cell, theta = registered(believed)
-    refuse_left_out(cell_file, cell.robot, "a plan")
     stl = cell.workpiece.stl
-    if stl is None:
-        raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")
-    _refuse_options(cell_file, cell, options)
-    told = floor_notices(cell) + refuse_overload(
-        str(cell_file), cell.robot, {cell.workpiece.payload_name: cell.workpiece.payload}
-    )
+    assert stl is not None
     with phases.phase("passes"):
         laid = lay_paths(cell, stl, options)
     weights = objective_weights(cell)
@@ -134,6 +128,18 @@ def make_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions, ph
     notices = (*(cell.calibration.notices if cell.calibration is not None else ()), *laid.notices, *told)
     job = Job(believed, ground, scene, laid, contact, options, phases, notices)
     return planned_motion(job, solved)
+
+
+def cell_to_plan(cell_file: Path, blade_file: Path | None, options: PlanOptions) -> tuple[Cell, list[str]]:
+    """The cell as its file has it, and what could not be checked of it. Raises BadInput: it, or what is asked for, cannot be
+    planned whatever the blade is."""
+    cell = read_cell(cell_file, blade_file)
+    refuse_left_out(cell_file, cell.robot, "a plan")
+    if cell.workpiece.stl is None:
+        raise BadInput(f"{cell_file}: no blade; name it on the command line or as workpiece.stl")
+    _refuse_options(cell_file, cell, options)
+    hanging = {cell.workpiece.payload_name: cell.workpiece.payload}
+    return cell, floor_notices(cell) + refuse_overload(str(cell_file), cell.robot, hanging)
 
 
 @dataclass(frozen=True)

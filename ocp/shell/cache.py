@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -139,6 +140,17 @@ def keep(kind: str, key: str, entry: Entry) -> None:
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, hexadecimal. Raises OSError where it cannot be read."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@cache
+def code_hash() -> str:
+    """Hash of the sources and the data of the three packages: so many of them shape a pass that any change counts."""
+    digest = hashlib.sha256()
+    for package in ("ocp", "robots", "trajectories"):
+        for file in sorted((Path(__file__).parents[2] / package).rglob("*")):
+            if file.suffix in (".py", ".toml"):
+                digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def flattened(value: Any, prefix: str = "") -> Entry:

@@ -33,6 +33,7 @@ class _Telling:
     as_json: bool = False
     verbose: bool = False
     folder: Path | None = None
+    code: int = OK
     notices: list[str] = field(default_factory=list)
 
     @property
@@ -176,14 +177,14 @@ def refusal(error: Exception, not_solved: str = "no safe plan") -> tuple[str, in
 def _told(line: str) -> int:
     """Print the plain last line, the command's answer. The work is done, whether or not anybody can read of it."""
     try:
-        print(_as_json(OK, line) if _telling.as_json else line, flush=True)  # noqa: T201
+        print(_as_json(_telling.code, line) if _telling.as_json else line, flush=True)  # noqa: T201
     except BrokenPipeError:  # nobody wants to
         pass
     except OSError as error:
         tell_notices([f"all is written, but this line could not be ({error.strerror}): {line}"])
     if _telling.opened and _telling.page is not None:
         webbrowser.open(_telling.page.resolve().as_uri())
-    return OK
+    return _telling.code
 
 
 def _as_json(code: int, line: str) -> str:
@@ -208,9 +209,9 @@ class Result(Protocol):
         """One sentence each."""
 
 
-def answer(result: Result) -> str:
-    """The last line of a command; its notices go to stderr."""
-    _telling.folder = result.folder
+def answer(result: Result, code: int = OK) -> str:
+    """The last line of a command, which ends with `code`; its notices go to stderr."""
+    _telling.folder, _telling.code = result.folder, code
     _telling.notices += map(_plain, result.notices)
     tell_notices(result.notices)
     return result.line

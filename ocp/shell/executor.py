@@ -6,6 +6,7 @@ what it reads comes with it and what it writes goes back, so that it may be done
 
 import os
 import pickle
+import platform
 import tempfile
 import threading
 from collections import deque
@@ -18,11 +19,13 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Protocol
 
+from ocp.shell.cache import code_hash
 from ocp.shell.processes import cores, interrupts_held_back, keep_to, nothing, workers
 from robots.errors import BadInput, Infeasible
 
 CONNECT = 10  # s, for a scheduler to answer and to have a worker
 AHEAD = 2  # tasks a thread of the cluster that are on their way
+OTHER_VERSION = "{} runs another version of this software, or has none; install there what runs here, and start it again"
 Files = dict[str, bytes]
 """Contents of files by their names relative to a folder."""
 Start = Callable[..., None]
@@ -193,22 +196,25 @@ class _Cluster:
         bundle = pickle.dumps((start, state))
         # As a task's result it comes into being anew where the worker that held it is lost.
         self._bundle = client.submit(bytes, bundle, pure=False)
-        self._name = sha256(bundle).hexdigest()
+        self._name, self._code = sha256(bundle).hexdigest(), code_hash()
 
     def room(self, flying: int) -> bool:
         return flying < AHEAD * max(sum(self._client.nthreads().values()), 1)
 
     def submit(self, work: Callable[..., Any], task: tuple[Any, ...]) -> "Future[Any]":
-        future: Future[Any] = self._executor.submit(_on_worker, self._name, self._bundle, work, task)
+        future: Future[Any] = self._executor.submit(_on_worker, self._code, self._name, self._bundle, work, task)
         return future
 
     def done(self, future: "Future[Any]") -> bool:
         from distributed import KilledWorker
 
         try:
-            return isinstance(future.exception(), KilledWorker)
+            error = future.exception()
         except CancelledError:
             raise Infeasible("the Dask scheduler is gone; what is done is kept, the same command goes on from there") from None
+        if isinstance(error, ImportError) or (isinstance(error, RuntimeError) and "deserialization" in str(error)):
+            raise BadInput(OTHER_VERSION.format("the Dask scheduler or a worker of it"))
+        return isinstance(error, KilledWorker)
 
 
 @contextmanager
@@ -234,9 +240,11 @@ _one_at_a_time = threading.Lock()  # a worker of several threads: what this soft
 _started = ""
 
 
-def _on_worker(name: str, bundle: bytes, work: Callable[..., Any], task: tuple[Any, ...]) -> Any:
-    """A task on a Dask worker; `name` of the state that it needs, called only where another stood before."""
+def _on_worker(code: str, name: str, bundle: bytes, work: Callable[..., Any], task: tuple[Any, ...]) -> Any:
+    """A task on a Dask worker; `name` of the state that it needs, started only where another stood before."""
     global _started
+    if code != code_hash():
+        raise BadInput(OTHER_VERSION.format(f"the worker on {platform.node()}"))
     with _one_at_a_time:
         keep_to(1)
         if _started != name:

@@ -1,12 +1,9 @@
 """Tasks on many cores: in this process, in processes that the system ends, and on a Dask cluster that loses a worker."""
 
-import json
 import os
 import signal
-import subprocess
 import sys
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -14,7 +11,6 @@ from ocp.shell import executor
 from ocp.shell.executor import Hands, WorkerEnded, carried_out, errand, files_under
 from robots.errors import BadInput
 from tests.support.hand_work import added, called, doubled, give, killed, killed_once, waited
-from tests.support.house import ROOT
 
 
 def test_one_job_works_in_this_process_and_two_in_others_with_what_they_were_given(every_core):
@@ -53,28 +49,6 @@ def test_files_of_an_errand_come_with_it_and_go_back(tmp_path, jobs):
     assert found[0].result() == (3, {"out/twice.txt": b"abcabc"})
     with pytest.raises(BadInput, match=r"^in/b\.txt: is not there"):
         found[1].result()
-
-
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Address of a Dask scheduler of this machine with two workers, processes of their own in folders of their own."""
-    pytest.importorskip("distributed", reason="pip install '.[cluster]'")
-    folder = tmp_path_factory.mktemp("cluster")
-    file = folder / "scheduler.json"
-    common = ("--scheduler-file", str(file), "--no-dashboard")
-    place = {"cwd": folder, "env": os.environ | {"PYTHONPATH": str(ROOT)}, "stderr": subprocess.DEVNULL}
-    scheduler = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0")
-    worker = ("distributed.cli.dask_worker", "--no-nanny", "--nthreads", "1", "--local-directory", str(folder))
-    running = [subprocess.Popen([sys.executable, "-m", *command, *common], **place) for command in (scheduler, worker, worker)]
-    try:
-        until = time.monotonic() + 60
-        while not file.exists() and time.monotonic() < until:
-            time.sleep(0.05)
-        yield json.loads(file.read_text())["address"]
-    finally:
-        for process in running:
-            process.kill()
-            process.wait()
 
 
 def test_a_cluster_that_loses_a_worker_does_every_task(cluster, tmp_path):

@@ -5,21 +5,15 @@ correction, and solved again; then collisions and contact elsewhere on the blade
 gives way to the next.
 """
 
-import hashlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-import ocp
-import robots
-import trajectories
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.contact.wheel.signorini import LocalShape, solve_force
@@ -36,7 +30,7 @@ from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out
 from ocp.plan.removal.dwell import DrivenLine
 from ocp.plan.removal.footprint import contacts_along
 from ocp.plan.rules import DIRECT_TOLERANCE, LIFT_OFF, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
-from ocp.shell.cache import Entry, content_key, flattened, rebuilt, remember
+from ocp.shell.cache import Entry, code_hash, content_key, flattened, rebuilt, remember
 from ocp.shell.native import evaluated_by, left_uncompiled
 from ocp.shell.processes import cores, interrupts_held_back, workers
 from robots.errors import Infeasible
@@ -436,14 +430,3 @@ def remembered_passes(
     passes = [rebuilt(SolvedPass, entry, f".passes.{i}") for i in range(int(entry[".count.0"]))]
     lost = [rebuilt(LeftOut, entry, f".left_out.{i}") for i in range(int(entry[".count.1"]))]
     return GroundLines(passes, lost, str(entry[".by"]))
-
-
-@cache
-def code_hash() -> str:
-    """Hash of the sources and the data of the three packages: so many of them shape a pass that any change counts."""
-    digest = hashlib.sha256()
-    for package in (ocp, robots, trajectories):
-        for file in sorted(Path(str(package.__file__)).parent.rglob("*")):
-            if file.suffix in (".py", ".toml"):
-                digest.update(file.read_bytes())
-    return digest.hexdigest()
