@@ -19,7 +19,7 @@ from ocp.plan.report.surface import cluster_vertices, paint_blade, pass_spacing,
 from robots.pose import Array, apply, invert, make_transform, rotation_from_abc
 from tests.support.report_example import example_report, synthetic_blade
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "ocp" / "plan" / "report" / "viewer"
+SCRIPTS = Path(__file__).resolve().parents[2] / "ocp" / "report" / "scene"
 
 
 @pytest.fixture(scope="module")

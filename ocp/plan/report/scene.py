@@ -1,30 +1,25 @@
-"""The section "Blade and cell": the scene that can be turned and played on the page, a still picture of the blade on paper.
+"""The section "Blade and cell": the scene that can be turned and played on the page, a still picture of the blade on paper."""
 
-The page's script gets one JSON object with the large arrays as base64 of little-endian numbers, made safe to stand inside a
-<script> element whatever a user's file is called.
-"""
-
-import base64
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import ArrayLike
 
+from ocp.model.cell import Wheel
 from ocp.plan.report.force import PANEL
 from ocp.plan.report.plan_report import PlanReport
 from ocp.plan.report.quantities import QUANTITIES, colour_range, values_along
 from ocp.plan.report.surface import PaintedBlade, draw_blade, paint_blade, pass_spacing
 from ocp.report.parts import Plot
 from ocp.report.plotting import Canvas
+from ocp.report.scene_kit import encode, encode_index, scene_script, scene_style, script_json
 from ocp.report.section import Section
 from ocp.report.style import COLOUR_MAP, LEFT_OUT, NOT_GROUND, VIRIDIS
+from robots.robot import Robot
 
 _VIEWER = Path(__file__).parent / "viewer"
-_SCRIPTS = ("math.js", "mesh.js", "scene.js", "orbit.js", "viewer.js", "page.js")
 LEFT_OUT_KEY = '<span class="swatch left"></span><span>left out</span>'
 MAX_SAMPLES = 2000
 """Motion samples shipped for the readout: one per pixel of a wide screen."""
@@ -32,7 +27,6 @@ MAX_SAMPLES = 2000
 
 def scene_section(report: PlanReport) -> Section:
     """Blade, passes, arm and wheel in three dimensions."""
-    script = "\n".join((_VIEWER / name).read_text(encoding="utf-8") for name in _SCRIPTS)
     lost = [one for one in report.left_out if len(one.s)]
     painted = paint_blade(report.vertices, report.faces, report.passes, report.pass_spacing, lost)
     item = QUANTITIES[0]
@@ -46,8 +40,8 @@ def scene_section(report: PlanReport) -> Section:
     return Section(
         "Blade and cell",
         (SceneView("blade", caption, 2.6, still, report, painted),),
-        style=(_VIEWER / "viewer.css").read_text(encoding="utf-8"),
-        script=f'(function () {{\n"use strict";\n{script}}})();\n',
+        style=scene_style(),
+        script=scene_script([_VIEWER / "viewer.js", _VIEWER / "page.js"]),
     )
 
 
@@ -75,21 +69,6 @@ class SceneView(Plot):
             left_out=Markup(LEFT_OUT_KEY if self.painted.left.any() else ""),
             payload=Markup(script_json(page_payload(self.report, self.painted))),
         )
-
-
-def encode(array: ArrayLike, dtype: str = "<f4") -> dict[str, Any]:
-    """Array as {"dtype", "shape", "data"}: numbers little-endian in row order, base64."""
-    packed = np.ascontiguousarray(array, dtype=dtype)
-    return {"dtype": dtype, "shape": list(packed.shape), "data": base64.b64encode(packed.tobytes()).decode("ascii")}
-
-
-def script_json(payload: Any) -> str:
-    """JSON that cannot end the <script> element or open a comment in it: < > & are escaped.
-
-    Infinities and nan are not JSON: ValueError. In arrays they travel as bits.
-    """
-    text = json.dumps(payload, ensure_ascii=True, allow_nan=False, sort_keys=True, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def page_payload(report: PlanReport, painted: PaintedBlade) -> dict[str, Any]:
@@ -124,12 +103,12 @@ def page_payload(report: PlanReport, painted: PaintedBlade) -> dict[str, Any]:
 
 
 def _blade(painted: PaintedBlade) -> dict[str, Any]:
-    index = "<u2" if max(len(painted.vertices), int(painted.waypoint.max()) + 1) < 2**16 else "<u4"
+    count = max(len(painted.vertices), int(painted.waypoint.max()) + 1)
     return {
         "vertices": encode(painted.vertices),
-        "faces": encode(painted.faces[~painted.left], index),
-        "left": encode(painted.faces[painted.left], index),
-        "waypoint": encode(painted.waypoint, index),
+        "faces": encode_index(painted.faces[~painted.left], count),
+        "left": encode_index(painted.faces[painted.left], count),
+        "waypoint": encode_index(painted.waypoint, count),
         "weight": encode(np.round(255 * painted.weight), "<u1"),
     }
 
@@ -166,15 +145,25 @@ def _cell(report: PlanReport) -> dict[str, Any]:
         "links": encode(animation.T_base_link[:, :, :3, :]),
         "blade": encode((animation.T_base_link[:, -1] @ animation.T_flange_blade)[:, :3, :]),
         "bladeInFlange": encode(animation.T_flange_blade[:3]),
-        "capsules": [
-            {"link": int(link), "p0": [float(x) for x in p0], "p1": [float(x) for x in p1], "radius": float(radius)}
-            for link, p0, p1, radius in report.robot.link_shapes
-        ],
-        "wheel": {
-            "centre": wheel.centre.tolist(),
-            "axis": wheel.axis.tolist(),
-            "direction": wheel.contact_direction.tolist(),
-            "radius": wheel.radius,
-            "width": wheel.width,
-        },
+        "capsules": arm_drawn(report.robot),
+        "wheel": wheel_drawn(wheel),
+    }
+
+
+def arm_drawn(robot: Robot) -> list[dict[str, Any]]:
+    """Capsules of an arm, each in its link's frame."""
+    return [
+        {"link": int(link), "p0": [float(x) for x in p0], "p1": [float(x) for x in p1], "radius": float(radius)}
+        for link, p0, p1, radius in robot.link_shapes
+    ]
+
+
+def wheel_drawn(wheel: Wheel) -> dict[str, Any]:
+    """A wheel in the base frame."""
+    return {
+        "centre": wheel.centre.tolist(),
+        "axis": wheel.axis.tolist(),
+        "direction": wheel.contact_direction.tolist(),
+        "radius": wheel.radius,
+        "width": wheel.width,
     }
