@@ -173,8 +173,9 @@ LEAVES = {
     "links": "what the arm's own weight bends is not seen, and nothing is planned or rehearsed",
     "links.inertia_kg_m2": "torques of motion are not known, so nothing is planned or rehearsed",
     "stiffness": "the joints are taken as rigid until readings say otherwise",
+    "shape": "no collision of the arm is seen, so nothing is planned or rehearsed",
 }
-MOVES = ("limits.acceleration_deg_s2", "limits.torque_Nm", "links", "links.inertia_kg_m2")
+MOVES = ("limits.acceleration_deg_s2", "limits.torque_Nm", "links", "links.inertia_kg_m2", "shape")
 CATALOGUE = Path(__file__).parent / "catalogue"
 
 # Link index 0..6, end points (3,) m in the link's frame, radius m.
@@ -265,7 +266,14 @@ def _robot(tables: RobotTables) -> Robot:
     links = [] if tables.links is None else [getattr(tables.links, name) for name in LinksTable.model_fields if name != "source"]
     unknown, none = np.full(6, np.inf), np.zeros((7, 3))
     accelerations, torques = limits.acceleration_deg_s2, limits.torque_Nm
-    given = (accelerations, torques, tables.links, all(link.inertia_kg_m2 for link in links) or None, tables.stiffness)
+    given = (
+        accelerations,
+        torques,
+        tables.links,
+        all(link.inertia_kg_m2 for link in links) or None,
+        tables.stiffness,
+        tables.shape or None,
+    )
     rows = [
         np.radians(geometry.theta_deg),
         np.array(geometry.d_mm) * 1e-3,

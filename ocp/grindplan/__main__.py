@@ -9,6 +9,7 @@ from ocp.shell.command import command_line, main
 
 NAME = "grindplan"
 COMMANDS = {
+    "cell": "a new cell file, what is wrong or unmeasured in it, its page",
     "robot": "a robot file from a data sheet or a URDF",
     "plan": "a verified robot program that holds the force on a blade",
     "simulate": "a plan rehearsed on a virtual cell",

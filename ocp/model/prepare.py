@@ -51,15 +51,20 @@ def prepare_contact(
             with interrupts_held_back():
                 waiting = pool.submit(blade_compliance, *task)
         with phases.phase("wheel table"):
-            # Over what the blade and the cell's tolerances ask for.
-            process, lateral = cell.process, min(cell.process.lateral_tolerance, 0.5 * cell.wheel.width)
-            domain = Domain(curvature, process.turn_tolerance, lateral, float(np.tan(process.tilt_tolerance)), process.force)
-            law = remembered_law(cover, domain)
+            law = wheel_law(cell, cover, paths)
         if waiting is not None and meanwhile is not None:
             meanwhile(law)
         with phases.phase("blade"):
             compliance = blade_compliance(*task) if waiting is None else waiting.result()
     return ContactModel(cover, law, compliance)
+
+
+def wheel_law(cell: Cell, cover: Cover, paths: list[BladePath]) -> WheelLaw:
+    """The wheel's law over what the blade and the cell's tolerances ask for. Raises Infeasible: the blade is too hollow."""
+    process, lateral = cell.process, min(cell.process.lateral_tolerance, 0.5 * cell.wheel.width)
+    curvature = np.vstack([path.curvature for path in paths])
+    domain = Domain(curvature, process.turn_tolerance, lateral, float(np.tan(process.tilt_tolerance)), process.force)
+    return remembered_law(cover, domain)
 
 
 def wheel_cover(cell: Cell, coarser: float = 1.0) -> Cover:

@@ -106,12 +106,22 @@ def test_every_block_of_the_catalogue_names_its_source():
         assert load_robot(name).sources.count("\n") >= 3
 
 
+def test_an_arm_without_shapes_does_not_move(tmp_path):
+    """Nothing would keep it off wheel, blade and floor."""
+    text = (CATALOGUE / "kr210_r2700_extra.toml").read_text()
+    (tmp_path / "arm.toml").write_text(text[: text.index("[[shape]]")])
+    robot = load_robot(tmp_path / "arm.toml")
+    assert robot.left_out == ("shape",)
+    with pytest.raises(BadInput, match="leaves out shape, and a plan needs it"):
+        refuse_left_out(tmp_path / "c.toml", robot, "a plan")
+
+
 def test_a_robot_file_for_geometry_alone(tmp_path):
     write_geometry_robot(tmp_path / "arm.toml", "ur5")
     bare, whole = load_robot(tmp_path / "arm.toml"), load_robot("ur5")
     assert (bare.mdh == whole.mdh).all() and (bare.q_max == whole.q_max).all()
     assert not bare.link_mass.any() and not bare.stiffness.any() and np.isinf(bare.torque_max).all()
-    assert {*bare.left_out} == {*LEAVES} - {"links.inertia_kg_m2"} and len(left_out_notices(bare)) == 4
+    assert {*bare.left_out} == {*LEAVES} - {"links.inertia_kg_m2", "shape"} and len(left_out_notices(bare)) == 4
     with pytest.raises(
         BadInput, match="c.toml, robot.model: .* leaves out limits.acceleration_deg_s2, limits.torque_Nm, links, and"
     ):

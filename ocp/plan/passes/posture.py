@@ -185,7 +185,7 @@ def seeds_of(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) 
     low, high = cell.wheel.arc
     found: list[Seed] = []
     reasons: list[tuple[float, str]] = []
-    turns = _grid(cell)[1]
+    turns = posture_grid(cell)[1]
     bears = _bears(cell, law, path, index, turns, reasons)
     for direction in (1, -1) if bears.any() else ():
         order = index[::direction]
@@ -225,7 +225,7 @@ def impossible(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath
     """Waypoints (n,) at which no posture on the wheel is sound whatever its neighbours do, looked at every PROBE m; why, and what
     would do. Of several reasons the most frequent one, with its waypoints alone; none of them: ("", "")."""
     index = np.unique(np.linspace(0, len(path.s) - 1, max(int(path.s[-1] / PROBE), 2)).round().astype(int))
-    arcs, turns = _grid(cell)
+    arcs, turns = posture_grid(cell)
     bears = _bearing(cell, law, path, index, turns)
     arc, turn = (grid.ravel() for grid in np.meshgrid(arcs, turns, indexing="ij"))
     on = np.tile(bears, (len(arcs), 1))  # (grid, stations)
@@ -238,7 +238,7 @@ def impossible(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath
         over = reach_excess(cell.robot, T.reshape(-1, 4, 4)).reshape(on.shape)
         excess = np.minimum(excess, np.where(on, over, np.inf).min(axis=0))
         reached = reachable & on[..., None]
-        sound = reached & _sound(cell, np.where(reached[..., None], q, 0.0))
+        sound = reached & keeps_ranges(cell, np.where(reached[..., None], q, 0.0))
         for k in map(int, np.flatnonzero(kind != "hollow")):
             if kind[k] == "free" or not reached[:, k].any():
                 continue
@@ -272,12 +272,12 @@ def impossible(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath
     return kind[nearest] == worst, *texts[worst]()
 
 
-def _grid(cell: Cell) -> tuple[Array, Array]:
+def posture_grid(cell: Cell) -> tuple[Array, Array]:
     """Places on the wheel's arc and turns, rad, from which seeds are taken."""
     return np.linspace(*cell.wheel.arc, 7)[1:-1], cell.process.turn_tolerance * np.linspace(-0.95, 0.95, 9)
 
 
-def _sound(cell: Cell, q: Array) -> Mask:
+def keeps_ranges(cell: Cell, q: Array) -> Mask:
     """Which of joints q (..., 6), each axis at any whole turn, keep range and singularities off by the margins."""
     robot = cell.robot
     low, high = robot.q_min + AXIS_MARGIN, robot.q_max - AXIS_MARGIN
@@ -292,7 +292,7 @@ def _hollow(cell: Cell, law: WheelLaw, path: BladePath, index: Index) -> tuple[s
 
     Shapes scale: a wheel s times as wide bears on a hollow 1/s^2 times as curved, as its edges then lie as deep.
     """
-    wheel, turns = cell.wheel, _grid(cell)[1]
+    wheel, turns = cell.wheel, posture_grid(cell)[1]
     reason = f"the blade is too hollow for a wheel {wheel.width * 1e3:.0f} mm wide with {wheel.radius * 1e3:.0f} mm radius"
     kxx, kyy, _ = turned_curvature(path.curvature[index], turns[:, None], wheel.radius)
     remedies = []
@@ -371,7 +371,7 @@ class _Ways:
 
 def _held(cell: Cell, path: BladePath, order: Index, direction: int, turns: Array, reasons: list[tuple[float, str]]) -> _Ways:
     """One place on the arc all along; notes how far the blade is beyond reach."""
-    arc, turn = (grid.ravel() for grid in np.meshgrid(_grid(cell)[0], turns, indexing="ij"))
+    arc, turn = (grid.ravel() for grid in np.meshgrid(posture_grid(cell)[0], turns, indexing="ij"))
     T = flange_pose(cell, contact_poses(cell, path, order, arc, turn, direction, cell.process.sigma))
     q, reachable = inverse_branches(cell.robot, T.reshape(-1, 4, 4))
     q = q.reshape(len(arc), len(order), 8, 6).transpose(0, 2, 1, 3)
@@ -394,7 +394,10 @@ def _rolled(cell: Cell, path: BladePath, order: Index, direction: int, turns: Ar
     q, reachable = inverse_branches(robot, T.reshape(-1, 4, 4))
     shape = len(arcs), len(turns), len(order), 8
     q, k = np.where(np.isfinite(q), q, 0.0).reshape(*shape, 6), len(order)
-    q, sound = q.transpose(2, 1, 3, 0, 4), (reachable.reshape(shape) & _sound(cell, q)).transpose(2, 1, 3, 0)  # stations first
+    q, sound = (
+        q.transpose(2, 1, 3, 0, 4),
+        (reachable.reshape(shape) & keeps_ranges(cell, q)).transpose(2, 1, 3, 0),
+    )  # stations first
     node = (
         WRIST_WEIGHT / np.maximum(np.abs(np.sin(q[..., 4])), 1e-3) ** 2 + ARC_WEIGHT * ((arcs - middle) / (2 * half)) ** 2
     ) / k

@@ -1,0 +1,253 @@
+"""What is wrong, doubtful or not measured yet in a cell file and in the files it names.
+
+A mistake is something with which nothing can be ground, or with which the robot may not be run. A doubt is a number that is
+allowed and hardly meant. What is not measured yet is believed with the spread that the cell or its default says.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ocp.cell.new import planned_family
+from ocp.model.cell import Cell, TrackerSetup, payloads_of, read_cell, read_tracker_setup
+from ocp.model.cell_schema import CellTables, LinkTarget
+from ocp.model.prepare import wheel_cover, wheel_law
+from ocp.plan.clearance import CollisionScene
+from ocp.plan.passes.posture import Seed, seeds_of_stretches
+from ocp.plan.passes.stretches import LEAST_GROUND_SHARE, NO_ROOM, LeftOut, ground_share, joined, whole_lines
+from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
+from ocp.shell.progress import Phases
+from robots.payload import overload
+from robots.pose import Array, apply, invert
+from robots.robot import MOVES, Robot, left_out_notices
+from robots.tracker_readings import Hanging
+from trajectories.blade import Blade
+from trajectories.blade.mesh import volume
+
+STEP = 2e-3  # m between waypoints that reach is looked at with
+METRES = 10.0  # mm: a place of a wheel this near to the base's origin is written in metres
+QUARTERS = 1e-3  # of a right angle in radians: angles this near to it, not zero, are written in radians
+NESTS = 3  # reflectors on the last link that place the flange
+FAR = 0.5  # m between a payload's centre and the blade that it holds
+GROUND = 0.999  # of the asked surface: what is less is told
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A mistake, doubt, unmeasured number or thing to know: the key it is about, and a sentence that says what to do."""
+
+    kind: str
+    key: str
+    text: str
+
+    def sentence(self) -> str:
+        """As it is told: kind, key, text."""
+        return f"{self.kind}: {self.key}: {self.text}"
+
+
+MISTAKE, DOUBT, UNMEASURED, KNOWN = "mistake", "doubt", "not measured yet", "to know"
+
+
+@dataclass(frozen=True)
+class Grindable:
+    """What a cell can grind of its blade: the cell, the laid lines, seeds of postures along each stretch, what is left out and
+    why, and the share of the asked surface that is left."""
+
+    cell: Cell
+    laid: LaidPaths
+    seeds: list[list[Seed]]
+    left_out: list[LeftOut]
+    share: float
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A cell file that was read with all it names: its setup, findings, and what can be ground (None: nothing could be tried)."""
+
+    path: Path
+    setup: TrackerSetup
+    findings: tuple[Finding, ...]
+    grindable: Grindable | None
+
+    def of(self, kind: str) -> list[Finding]:
+        """Findings of one kind."""
+        return [f for f in self.findings if f.kind == kind]
+
+
+def examine(path: Path, phases: Phases) -> Examined:
+    """Read a cell file and all it names, and look at it as an engineer would before the first run.
+
+    Raises BadInput: a file that cannot be read, a key that is unknown or out of range, a blade that is none.
+    """
+    with phases.phase("reading"):
+        setup = read_tracker_setup(path)
+        tables = setup.tables
+        found = findings_of_tables(tables, setup.robot)
+    if tables.workpiece is None or tables.wheel is None:
+        lacking = "workpiece" if tables.workpiece is None else "wheel"
+        what = f"the table [{lacking}] is missing; without it the cell serves poses, calibration and diagnosis of the arm alone"
+        return Examined(path, setup, (*found, Finding(UNMEASURED, lacking, what)), None)
+    cell = read_cell(path)
+    found += _unmeasured(tables)
+    if cell.workpiece.stl is None:
+        return Examined(path, setup, (*found, Finding(DOUBT, "workpiece.stl", "names no blade; name one, or hand it in")), None)
+    if planned_family(cell.robot) is None:
+        why = "axes 2 and 3 are not parallel or the wrist's axes do not meet, so no program can be planned with this arm"
+        return Examined(path, setup, (*found, Finding(DOUBT, "robot.model", why)), None)
+    grindable = _grindable(cell, phases)
+    found += findings_of_frames(cell, grindable.laid.blade)
+    found += _reach_findings(grindable)
+    return Examined(path, setup, tuple(found), grindable)
+
+
+def findings_of_tables(tables: CellTables, robot: Robot) -> list[Finding]:
+    """What the file itself shows: the robot, units, loads, the tracker."""
+    found = [*_robot_findings(tables, robot), *_unit_findings(tables), *_load_findings(robot, tables)]
+    return [*found, *_tracker_findings(tables)]
+
+
+def _grindable(cell: Cell, phases: Phases) -> Grindable:
+    """Lines as a plan lays them, `pass_spacing` apart, and the postures with which they can be ground."""
+    assert cell.workpiece.stl is not None
+    with phases.phase("lines"):
+        laid = lay_paths(cell, cell.workpiece.stl, PlanOptions(even=False, step=STEP))
+    with phases.phase("wheel"):
+        law = wheel_law(cell, wheel_cover(cell), laid.paths)
+    with phases.phase("postures"):
+        rigid = [np.zeros((len(path.s), 3)) for path in laid.paths]
+        whole, short = whole_lines(laid.paths, rigid)
+        scene = CollisionScene(cell, laid.blade.vertices)
+        _, seeds, lost = seeds_of_stretches(cell, scene, law, whole, False)
+    lost = joined([*short, *lost])
+    return Grindable(cell, laid, seeds, lost, ground_share(laid.paths, lost))
+
+
+def _reach_findings(found: Grindable) -> Iterator[Finding]:
+    """Whether the blade can be ground at all, and what of it cannot: beside its own platform a wheel has no room in any cell."""
+    for beside in (True, False):
+        lost = [one for one in found.left_out if (one.reason == NO_ROOM[0]) == beside]
+        share = ground_share(found.laid.paths, lost)
+        if share >= GROUND:
+            continue
+        worst = max(lost, key=lambda one: one.length)
+        told = f"{100 * (1 - share):.1f} % of the asked surface is left out; the longest of it: {worst.clause()}"
+        kind = MISTAKE if share < LEAST_GROUND_SHARE else KNOWN if beside else DOUBT
+        yield Finding(kind, "wheel.radius_mm" if beside else "wheel.centre_mm", told)
+
+
+def _robot_findings(tables: CellTables, robot: Robot) -> Iterator[Finding]:
+    if "example numbers" in robot.sources:
+        text = "the robot file still holds the template's example numbers; replace them by the data sheet's, and its source"
+        yield Finding(MISTAKE, "robot.model", text)
+    if tables.robot.calibration is None:
+        text = "the arm is believed as its data sheet draws it, about a millimetre off; calibrate it with a laser tracker"
+        yield Finding(UNMEASURED, "robot.calibration", text)
+    if tables.robot.stiffness_Nm_per_rad is None and tables.robot.calibration is None:
+        text = "springs of the joints are a catalogue's order of magnitude; the same campaign with a payload measures them"
+        yield Finding(UNMEASURED, "robot.stiffness_Nm_per_rad", text)
+    for key, notice in zip(robot.left_out, left_out_notices(robot), strict=True):
+        yield Finding(DOUBT if key in MOVES else UNMEASURED, "robot.model", notice)
+
+
+def _unit_findings(tables: CellTables) -> Iterator[Finding]:
+    """Numbers that look like metres or radians."""
+    places = {} if tables.wheel is None else {"wheel.centre_mm": tables.wheel.centre_mm}
+    for key, place in places.items():
+        size = max(map(abs, place))
+        if 0 < size < METRES:
+            yield Finding(DOUBT, key, f"{list(place)} lies inside the robot's foot: metres? millimetres are asked for")
+    turns = {} if tables.workpiece is None else {"workpiece.abc_deg": tables.workpiece.abc_deg}
+    for key, turn in turns.items():
+        quarters = np.array(turn) / (0.5 * np.pi)
+        if any(0.5 < abs(v) < 4.5 and abs(v - round(v)) < QUARTERS for v in quarters):
+            yield Finding(DOUBT, key, f"{list(turn)} looks like radians; degrees are asked for")
+    if tables.workpiece is not None and 0 < max(map(abs, tables.workpiece.xyz_mm)) < 1.0:
+        yield Finding(
+            DOUBT, "workpiece.xyz_mm", f"{list(tables.workpiece.xyz_mm)} is next to nothing: metres? millimetres are asked for"
+        )
+
+
+def _load_findings(robot: Robot, tables: CellTables) -> Iterator[Finding]:
+    """Payloads that the arm cannot carry, and a holder whose centre nobody gave."""
+    for name, load in payloads_of(tables).items():
+        reason = overload(robot, load) if load.mass > 0 else ""
+        if reason:
+            yield Finding(MISTAKE, f"payloads.{name}", f"{reason}; hang less on the flange or choose a stronger robot")
+        if load.mass > 0 and "com_mm" not in tables.payloads[name].model_fields_set:
+            yield Finding(UNMEASURED, f"payloads.{name}.com_mm", "taken in the flange's face; take it from the drawing")
+
+
+def _tracker_findings(tables: CellTables) -> Iterator[Finding]:
+    if tables.tracker is None:
+        yield Finding(
+            UNMEASURED, "tracker", "no tracker is described; add [tracker] with its reflector nests to calibrate the arm"
+        )
+        return
+    placed = [t for t in tables.tracker.targets.values() if not isinstance(t, LinkTarget) or t.link == 6]
+    if len(placed) < NESTS:
+        text = f"{len(placed)} nests on the last link; with fewer than {NESTS} a calibration cannot tell how the flange is turned"
+        yield Finding(DOUBT, "tracker.targets", text)
+    far = [name for name, t in tables.tracker.targets.items() if max(map(abs, getattr(t, "xyz_mm", t))) > 2000]
+    if far:
+        yield Finding(
+            DOUBT, f"tracker.targets.{far[0]}", "stands more than 2 m from its link's frame; is it given in the base frame?"
+        )
+
+
+def _unmeasured(tables: CellTables) -> Iterator[Finding]:
+    """Numbers whose spread nobody gave, and tables that are absent."""
+    assert tables.workpiece is not None and tables.wheel is not None
+    given = {"workpiece": tables.workpiece.model_fields_set, "wheel": tables.wheel.model_fields_set}
+    for table, key, spread in (
+        ("workpiece", "xyz_mm", "xyz_sd_mm"),
+        ("workpiece", "abc_deg", "abc_sd_deg"),
+        ("wheel", "centre_mm", "centre_sd_mm"),
+        ("wheel", "axis", "axis_sd_deg"),
+    ):
+        if spread not in given[table]:
+            default = getattr(getattr(tables, table), spread)
+            text = f"measure it and say how well as {spread}; until then one sigma of {default:g} is believed"
+            yield Finding(UNMEASURED, f"{table}.{key}", text)
+    if tables.floor is None:
+        yield Finding(UNMEASURED, "floor.z_mm", "no floor is given; only the plane that the base stands on is kept free")
+    flange = tables.force_flange
+    if flange is not None and not {"bandwidth_hz", "delay_ms", "friction_N"} & flange.model_fields_set:
+        yield Finding(UNMEASURED, "force_flange.bandwidth_hz", "the flange is taken to set its force at once; step it and log")
+    if tables.process.preston_um_mm2_per_N_m is None:
+        yield Finding(UNMEASURED, "process.preston_um_mm2_per_N_m", "depths are relative until removal of one blade is measured")
+
+
+def findings_of_frames(cell: Cell, blade: Blade) -> Iterator[Finding]:
+    """Frames and sides that look swapped."""
+    piece, wheel = cell.workpiece, cell.wheel
+    placed = apply(piece.T_flange_blade, blade.vertices)
+    inverse = apply(invert(piece.T_flange_blade), blade.vertices)
+    if placed[:, 2].max() < 0:
+        swapped = "; the inverse lies before it: is this the flange in the blade's frame?" if inverse[:, 2].min() > 0 else ""
+        yield Finding(DOUBT, "workpiece.xyz_mm", f"the whole blade lies behind the flange's face{swapped}")
+    held = blade.vertices @ piece.clamp_normal < piece.clamp_offset
+    if not held.any() or held.all():
+        what = "nothing" if not held.any() else "all"
+        yield Finding(
+            MISTAKE, "workpiece.clamp_offset_mm", f"the clamp holds {what} of the blade; move its plane, or turn clamp_side"
+        )
+    elif np.linalg.norm(placed[held], axis=1).mean() > np.linalg.norm(placed[~held], axis=1).mean():
+        text = "the held end stands farther from the flange than the free one; is the side of the clamp, or the blade, turned?"
+        yield Finding(DOUBT, "workpiece.clamp_normal", text)
+    shoulder = cell.robot.mdh[0, 1] * cell.up
+    if wheel.contact_direction @ (shoulder - wheel.centre) < 0 and np.linalg.norm(wheel.centre) > 0:
+        yield Finding(DOUBT, "wheel.contact_direction", "points away from the robot, which would have to reach round the wheel")
+    yield from _weight_findings(piece.payload, piece.payload_name, blade, piece.density, placed)
+
+
+def _weight_findings(load: Hanging, name: str, blade: Blade, density: float, placed: Array) -> Iterator[Finding]:
+    mass = density * abs(volume(blade.vertices, blade.faces))
+    if load.mass < mass:
+        text = f"{load.mass:g} kg with the blade, which alone has {mass:.2f} kg; weigh holder and blade"
+        yield Finding(DOUBT, f"payloads.{name}" if name else "workpiece.payload", text)
+    away = float(np.linalg.norm(placed - load.com, axis=1).min())
+    if load.mass > 0 and away > FAR:
+        text = f"its centre stands {1e3 * away:.0f} mm from the nearest part of the blade; is one of them in another frame?"
+        yield Finding(DOUBT, f"payloads.{name}.com_mm", text)

@@ -1,0 +1,68 @@
+"""Slips that a cell file may hold are found by kind and key; the bundled cell has none."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ocp.cell.examination import DOUBT, MISTAKE, UNMEASURED, findings_of_frames, findings_of_tables
+from ocp.data import CELL
+from ocp.model.cell import read_cell, read_tracker_setup
+from trajectories.blade import read_blade
+
+
+def changed(tmp_path, *changes):
+    text = CELL.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    file = tmp_path / "cell.toml"
+    file.write_text(text.replace('stl = "blade.stl"', f'stl = "{CELL.parent / "blade.stl"}"'))
+    return file
+
+
+@cache
+def blade():
+    return read_blade(CELL.parent / "blade.stl")
+
+
+def found(file):
+    setup, cell = read_tracker_setup(file), read_cell(file)
+    return [*findings_of_tables(setup.tables, setup.robot), *findings_of_frames(cell, blade())]
+
+
+def test_the_bundled_cell_has_neither_mistakes_nor_doubts():
+    assert {f.kind for f in found(CELL)} == {UNMEASURED}
+
+
+SLIPS = {
+    "metres": (("[1700, 0, 900]", "[1.7, 0, 0.9]"), DOUBT, "wheel.centre_mm", "metres?"),
+    "holder in metres": (("xyz_mm = [0, 0, 200]", "xyz_mm = [0, 0, 0.2]"), DOUBT, "workpiece.xyz_mm", "metres?"),
+    "radians": (("abc_deg = [0, 0, 0]", "abc_deg = [1.5708, 0, 0]"), DOUBT, "workpiece.abc_deg", "radians"),
+    "too heavy": (("mass_kg = 90.0", "mass_kg = 300.0"), MISTAKE, "payloads.weight", "above the 210 kg"),
+    "no centre": (("com_mm = [0, 20, 200]", ""), UNMEASURED, "payloads.weight.com_mm", "drawing"),
+    "blade not weighed": (("mass_kg = 25.0", "mass_kg = 0.01"), DOUBT, "payloads.grinder", "weigh holder and blade"),
+    "load elsewhere": (("com_mm = [10, 0, 160]", "com_mm = [900, 0, 160]"), DOUBT, "payloads.grinder.com_mm", "another frame"),
+    "two nests": (("T3 = [20, 170, 330]", ""), DOUBT, "tracker.targets", "2 nests"),
+    "nest in the base": (("T3 = [20, 170, 330]", "T3 = [2020, 170, 330]"), DOUBT, "tracker.targets.T3", "base frame"),
+    "away": (("contact_direction = [-1, 0, 0]", "contact_direction = [1, 0, 0]"), DOUBT, "wheel.contact_direction", "away"),
+    "inverse": (("xyz_mm = [0, 0, 200]", "xyz_mm = [0, 0, -200]"), DOUBT, "workpiece.xyz_mm", "inverse lies before it"),
+    "clamp holds nothing": (("clamp_to_mm = 10.0", "clamp_to_mm = -10.0"), MISTAKE, "workpiece.clamp_offset_mm", "holds nothing"),
+    "clamp holds all": (("clamp_to_mm = 10.0", "clamp_to_mm = 500.0"), MISTAKE, "workpiece.clamp_offset_mm", "holds all"),
+    "clamp at the tip": (('clamp_side = "below"', 'clamp_side = "above"'), DOUBT, "workpiece.clamp_normal", "turned?"),
+}
+
+
+@pytest.mark.parametrize("name", SLIPS)
+def test_a_slip_is_found_where_it_stands(tmp_path, name):
+    change, kind, key, words = SLIPS[name]
+    before = {(f.kind, f.key) for f in found(CELL)}
+    new = [f for f in found(changed(tmp_path, change)) if (f.kind, f.key) not in before]
+    assert (new[0].kind, new[0].key) == (kind, key) and words in new[0].text
+    assert len(new) == (2 if name == "inverse" else 1)  # a blade behind the flange has its free end nearer too
+
+
+def test_what_is_measured_is_asked_for_no_longer(tmp_path):
+    file = changed(tmp_path, ("friction = 0.35", "friction = 0.35\ncentre_sd_mm = 0.1"))
+    keys = {f.key for f in findings_of_tables(read_tracker_setup(file).tables, read_cell(file).robot)}
+    assert np.all([k not in keys for k in ("wheel.centre_mm",)])
