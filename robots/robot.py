@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from robots.bounds import Angle, Label, Margin, Mass, Moment, MomentOfInertia, Place, PlaceVector, Size, Spring
 from robots.errors import BadInput, shown
 from robots.pose import Array
-from robots.toml_files import TomlTable, read_toml
+from robots.toml_files import SchemaVersion, TomlTable, read_toml
 
 # Of an axis: deg/s, deg/s^2, N m, motor turns a turn; from a creeping giant to a pick-and-place arm, with room.
 Rate = Annotated[float, Field(ge=1e-2, le=1e7, allow_inf_nan=False, strict=True)]
@@ -30,23 +30,36 @@ class GeometryTable(TomlTable):
     """`[geometry]`: A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i), theta_i = sign_i q_i + offset_i."""
 
     source: str
+    """Where the numbers are from."""
     sign: tuple[Sign, Sign, Sign, Sign, Sign, Sign]
+    """-1 where the controller counts an axis against the right hand about z of the frame before."""
     theta_deg: SixAngles
+    """Offsets of the axes."""
     d_mm: SixPlaces
+    """Along z of the frame before."""
     a_mm: SixPlaces
+    """Along x."""
     alpha_deg: SixAngles
+    """Twist about x."""
     beta_deg: SixAngles = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Twist about y, of axes that are nearly parallel."""
 
 
 class LimitsTable(TomlTable):
     """`[limits]`, in the controller's axis signs; accelerations and torques may be left out."""
 
     source: str
+    """Where the numbers are from."""
     q_min_deg: SixAngles
+    """Least angle of each axis, controller's signs."""
     q_max_deg: SixAngles
+    """Largest angle."""
     speed_deg_s: SixRates
+    """Largest speed."""
     acceleration_deg_s2: SixRates | None = None
+    """Largest acceleration; without it nothing is planned or rehearsed."""
     torque_Nm: SixRates | None = None
+    """Largest torque at the link side of the gear; without it nothing is planned or rehearsed."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "LimitsTable":
@@ -63,23 +76,30 @@ class GearsTable(TomlTable):
     """`[gears]`, optional: motor turns per turn of the axis."""
 
     source: str
+    """Where the numbers are from."""
     ratio: SixRates
+    """Motor turns per turn of the axis."""
 
 
 class StiffnessTable(TomlTable):
     """`[stiffness]`: joint stiffness about the axis, 0 = rigid."""
 
     source: str
+    """Where the numbers are from."""
     joint_Nm_per_rad: SixSprings
+    """Spring of each joint about its axis, 0 = rigid."""
 
 
 class LinkTable(TomlTable):
     """One link in its MD-H frame (link i after joint i; the base in the base frame); its inertia may be left out."""
 
     mass_kg: Mass
+    """Mass of the link."""
     com_mm: PlaceVector
+    """Its centre, in the frame after its joint."""
     # xx, yy, zz, xy, xz, yz about the centre of mass
     inertia_kg_m2: tuple[Moment, Moment, Moment, Moment, Moment, Moment] | None = None
+    """Xx, yy, zz, xy, xz, yz about the centre; without it nothing is planned or rehearsed."""
 
     @model_validator(mode="after")
     def _physical(self) -> "LinkTable":
@@ -101,22 +121,34 @@ class LinksTable(TomlTable):
     """`[links]`: base and links 1 to 6."""
 
     source: str
+    """Where the numbers are from."""
     base: LinkTable
+    """The base, in the base frame."""
     link1: LinkTable
+    """Link after joint 1."""
     link2: LinkTable
+    """Link after joint 2."""
     link3: LinkTable
+    """Link after joint 3."""
     link4: LinkTable
+    """Link after joint 4."""
     link5: LinkTable
+    """Link after joint 5."""
     link6: LinkTable
+    """Link after joint 6, flange."""
 
 
 class CapsuleTable(TomlTable):
     """`[[shape]]`: a capsule of a link for collision checks, in the link's MD-H frame; 0 is the base."""
 
     link: Annotated[int, Field(ge=0, le=6)]
+    """Link that it moves with, 0 the base."""
     from_mm: PlaceVector
+    """One end, in the link's frame."""
     to_mm: PlaceVector
+    """The other end."""
     radius_mm: Size
+    """Radius about the line between them."""
 
 
 class RatedPayloadTable(TomlTable):
@@ -124,10 +156,15 @@ class RatedPayloadTable(TomlTable):
     payload's centre at a distance from the flange's centre which mass is allowed."""
 
     source: str
+    """Where the numbers are from."""
     rated_kg: Annotated[Mass, Field(gt=0)]
+    """Mass that the maker lets hang on the flange."""
     com_mm_at_rated: PlaceVector | None = None
+    """Its centre there, flange frame."""
     inertia_kg_m2: tuple[MomentOfInertia, MomentOfInertia, MomentOfInertia] | None = None  # about that centre
+    """Inertia about that centre that is allowed."""
     diagram: Annotated[tuple[tuple[Margin, Mass], ...], Field(min_length=2, max_length=1000)] | None = None
+    """[distance of a payload's centre from the flange's in mm, kg allowed there], distances growing."""
 
     @model_validator(mode="after")
     def _falling(self) -> "RatedPayloadTable":
@@ -145,15 +182,26 @@ class RatedPayloadTable(TomlTable):
 class RobotTables(TomlTable):
     """The whole file."""
 
+    version: SchemaVersion = 1
+    """Version of this format; 1 is the only one."""
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,100}$")]
+    """Name that cells and calibrations give."""
     title: Label
+    """Name that reports give."""
     geometry: GeometryTable
+    """MD-H chain: A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i), theta_i = sign_i q_i + theta_deg_i."""
     limits: LimitsTable
+    """What each axis may do, controller's signs."""
     gears: GearsTable | None = None
+    """Gear ratios."""
     stiffness: StiffnessTable | None = None
+    """Springs of the joints."""
     links: LinksTable | None = None
+    """Masses; without them nothing is planned or rehearsed."""
     payload: RatedPayloadTable | None = None
+    """What may hang on the flange."""
     shape: Annotated[tuple[CapsuleTable, ...], Field(max_length=MOST_SHAPES)] = ()
+    """Capsules round the links for collision checks; without them nothing is planned or rehearsed."""
 
 
 def read_robot_tables(path: Path) -> RobotTables:

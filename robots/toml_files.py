@@ -5,9 +5,9 @@ import math
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from robots.bounds import MEGABYTE, read_whole
 from robots.errors import BadInput, shown
@@ -26,7 +26,23 @@ _DOTTED = re.compile(r"(?<![\w\-\"'])(?:[\w\-\"']++[ \t]*+\.[ \t]*+){20}")
 class TomlTable(BaseModel):
     """A table of a schema: unknown keys are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+def _this_schema(value: Any) -> Any:
+    if isinstance(value, int) and value > SCHEMA:
+        raise ValueError(f"{value} is of a later release, this one reads {SCHEMA}; install that release, or write {SCHEMA}")
+    return value
+
+
+SCHEMA = 1  # of cell and robot files; an older one, once there is one, is read or refused with what to change
+SchemaVersion = Annotated[Literal[1], BeforeValidator(_this_schema), Field(alias="schema")]
+
+
+def json_schema(table: type[BaseModel], title: str) -> str:
+    """The JSON Schema of a file, by which an editor completes and checks it: name it in the first line, `#:schema FILE`."""
+    schema = table.model_json_schema(by_alias=True)
+    return json.dumps(schema | {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title}, indent=1) + "\n"
 
 
 def read_toml(path: Path, schema: type[Schema], what: str = "cell") -> Schema:
@@ -154,7 +170,7 @@ def _known_keys(schema: type[BaseModel], keys: list[str]) -> str:
         for option in (field.annotation, *getattr(field.annotation, "__args__", ())):
             if isinstance(option, type) and issubclass(option, BaseModel):
                 schema = option
-    return ", ".join(schema.model_fields)
+    return ", ".join(field.alias or key for key, field in schema.model_fields.items())
 
 
 def toml_text(document: dict[str, Any]) -> str:

@@ -9,13 +9,15 @@ from ocp.cell.examination import DOUBT, KNOWN, MISTAKE, UNMEASURED, Examined, ex
 from ocp.cell.new import held_upright, new_cell_text, placed_wheel, planned_family
 from ocp.data import CELL
 from ocp.model.cell import files_of, read_cell, read_tracker_setup
+from ocp.model.cell_schema import CellTables
 from ocp.shell.cache import sha256
 from ocp.shell.output import whole_folder
 from ocp.shell.progress import Phases, Progress
 from robots.robot import left_out_notices, load_robot
+from robots.toml_files import json_schema
 from trajectories.blade import find_shape, read_blade
 
-FILE = "cell.toml"
+FILE, SCHEMA_FILE = "cell.toml", "cell.schema.json"
 ORDER = (MISTAKE, DOUBT, UNMEASURED, KNOWN)
 
 
@@ -52,6 +54,7 @@ def new_cell(robot: str, *, blade: str | Path | None = None, out: str | Path = "
         if planned:
             shutil.copyfile(stl, folder / stl.name)
         file = folder / FILE
+        (folder / SCHEMA_FILE).write_text(json_schema(CellTables, FILE), encoding="utf-8")
         file.write_text(new_cell_text(out.name, model, arm, held, stl.name), encoding="utf-8")
         if planned:
             centre = placed_wheel(file, folder / stl.name)

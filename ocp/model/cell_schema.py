@@ -32,7 +32,7 @@ from robots.bounds import (
 )
 from robots.errors import shown
 from robots.pose import ROTATION_ORDERS
-from robots.toml_files import TomlTable
+from robots.toml_files import SchemaVersion, TomlTable
 
 # um mm^2 / (N m): steel on felt takes some 0.01, a coarse belt on titanium some 10, a file on chalk less than 1e6.
 Preston = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False, strict=True)]
@@ -45,10 +45,16 @@ class RobotTable(TomlTable):
     """`[robot]`."""
 
     model: FileName
+    """Name in the catalogue, or path of a robot file from the cell's folder."""
     calibration: FileName | None = None
+    """File that `ocp.calibrate` or `ocp.update` wrote for this robot, calibration.toml."""
     stiffness_Nm_per_rad: tuple[Spring, Spring, Spring, Spring, Spring, Spring] | None = None
+    """Springs of the six joints about their axes, 0 = rigid; without it the robot file's."""
     compliant_joints: Annotated[tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...], Field(max_length=6)] = (2, 3)
+    """Joints whose springs a calibration fits."""
     gravity_direction: Direction = (0.0, 0.0, -1.0)  # base frame; of any length
+    """Direction of gravity in the base frame, of any length: [0, 0, 1] under a ceiling, [1, 0, 0] on a wall whose x axis points
+    down."""
 
     @model_validator(mode="after")
     def _mounted(self) -> "RobotTable":
@@ -62,51 +68,78 @@ class FloorTable(TomlTable):
     higher than the floor, or hangs."""
 
     z_mm: Place
+    """Height of the floor above the origin of the robot's base, along the vertical whatever the mounting."""
 
 
 class PayloadTable(TomlTable):
     """`[payloads.NAME]`."""
 
     mass_kg: Mass
+    """Mass of what hangs on the flange."""
     com_mm: OffsetVector = (0.0, 0.0, 0.0)
+    """Its centre of mass, flange frame."""
     inertia_kg_m2: tuple[MomentOfInertia, MomentOfInertia, MomentOfInertia] = (0.0, 0.0, 0.0)
+    """Its moments of inertia about that centre, axes of the flange."""
 
 
 class ControllerTable(TomlTable):
     """`[controller]`."""
 
     dialect: Literal["krl"] = "krl"
+    """Language of the programs."""
     tool_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
+    """Number of TOOL_DATA that holds the blade's frame."""
     base_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
+    """Number of BASE_DATA that holds the wheel's frame."""
     absolute_accuracy: bool = False
+    """Whether the controller corrects Cartesian targets itself."""
 
 
 class WorkpieceTable(TomlTable):
     """`[workpiece]`."""
 
     payload: Label | None = None
+    """Name of what hangs on the flange while grinding, of [payloads]; without it the first."""
     stl: FileName | None = None
+    """The blade's STL, path from the cell's folder."""
     stl_unit: Literal["mm", "m", "in"] = "mm"
+    """Unit of its numbers."""
     xyz_mm: OffsetVector
+    """Origin of the blade's frame on the flange."""
     abc_deg: AngleVector = (0.0, 0.0, 0.0)
+    """Its turn there, KUKA's A, B, C about z, y, x."""
     xyz_sd_mm: Spread = 0.3
+    """One sigma of that place, each direction."""
     abc_sd_deg: AngleSpread = 0.05
+    """One sigma of that turn, each angle."""
     # From rubber to diamond (1220 GPa).
     youngs_modulus_GPa: Annotated[float, Field(ge=1e-3, le=2000, strict=True)] = 114.0
+    """Young's modulus of the blade, from rubber to diamond."""
     # Beyond these bulk or shear modulus vanishes, and the stiffness matrix with it.
     poisson_ratio: Annotated[float, Field(ge=-0.95, le=0.495, strict=True)] = 0.34
+    """Poisson's ratio; nearer to 0.5 the bulk stiffness has no number."""
     # From cork to osmium (22 590).
     density_kg_m3: Annotated[float, Field(ge=10, le=3e4, strict=True)] = 4430.0
+    """Density, from cork to osmium."""
     clamp_axis: Literal["x", "y", "z"] | None = None
+    """Axis of the blade's frame across the clamp plane, with clamp_to_mm."""
     clamp_to_mm: Place | None = None
+    """Where that plane stands along clamp_axis."""
     clamp_side: Literal["below", "above"] = "below"
+    """Which side of the plane is held."""
     clamp_normal: Direction | None = None
+    """Direction across the clamp plane, blade frame, instead of clamp_axis; with clamp_offset_mm."""
     clamp_offset_mm: Number | None = None
+    """The plane is normal . x = offset."""
     # A jaw of rubber or softer; infinite: rigid.
     clamp_stiffness_N_per_mm: Annotated[float, Field(ge=1, strict=True)] = float("inf")
+    """Spring of the fixture; without it rigid."""
     aerofoil_axis: Direction | None = None
+    """Direction of the aerofoil's span, blade frame, where the shape does not tell."""
     aerofoil_from_mm: Place | None = None
+    """Only what lies beyond along that direction counts."""
     aerofoil_to_mm: Place | None = None
+    """Only what lies before along that direction counts."""
 
     @model_validator(mode="after")
     def _one_clamp(self) -> "WorkpieceTable":
@@ -135,21 +168,35 @@ class WheelTable(TomlTable):
     """`[wheel]`."""
 
     centre_mm: PlaceVector
+    """Middle of the wheel, base frame."""
     centre_sd_mm: Spread = 0.3
+    """One sigma of it, each direction."""
     axis: Direction
+    """Direction of the axle, base frame, either sense."""
     axis_sd_deg: AngleSpread = 0.05
+    """One sigma of its direction."""
     # From a mandrel to a wheel of 4 m; a cover from a lacquer to solid rubber, from foam to steel.
     radius_mm: Annotated[float, Field(ge=1, le=2000, strict=True)]
+    """Outer radius, belt included."""
     width_mm: Annotated[float, Field(ge=0.5, le=1000, strict=True)]
+    """Width of the contact face."""
     cover_thickness_mm: Annotated[float, Field(ge=0.1, le=1000, strict=True)]
+    """Thickness of the soft cover."""
     cover_modulus_MPa: Annotated[float, Field(ge=0.01, le=2e5, strict=True)] | None = None
+    """Its Young's modulus; this or shore_A."""
     shore_A: Annotated[float, Field(ge=20, le=95, strict=True)] | None = None
+    """Its hardness, from which the modulus follows; this or cover_modulus_MPa."""
     cover_poisson: Annotated[float, Field(ge=0, le=0.495, strict=True)] = 0.47
+    """Its Poisson's ratio."""
     contact_arc_deg: tuple[Number, Number] = (-30.0, 30.0)
+    """Where the blade may touch, right-handed about axis from contact_direction, [low, high]."""
     contact_direction: Direction
+    """From the centre to where the blade is to touch, base frame, across axis."""
     # No belt holds together above; 0.35 is usual of friction, 2 is glue.
     belt_speed_m_s: Annotated[float, Field(ge=-300, le=300, strict=True)] = 20.0
+    """Speed of the belt, positive right-handed about axis."""
     friction: Annotated[float, Field(ge=0, le=2, strict=True)] = 0.35
+    """Coefficient of the belt on the blade."""
 
     @model_validator(mode="after")
     def _sound(self) -> "WheelTable":
@@ -177,19 +224,30 @@ class FlangeTable(TomlTable):
     """`[force_flange]`."""
 
     setpoint_N: Force = 20.0
+    """Force that the device is set to."""
     # Air behind a piston to a solid block.
     stiffness_N_per_mm: Annotated[float, Field(ge=1e-3, le=1e6, strict=True)]
+    """Force over stroke at a constant setting, from air behind a piston to a block."""
     stroke_mm: Annotated[float, Field(ge=0.01, le=1000, strict=True)]
+    """Whole travel between its stops."""
     carried_mass_kg: Mass = 0.0
+    """Mass that it carries: holder and blade."""
     gravity_compensated: bool = True
+    """Whether it corrects for that weight itself."""
     axis: Direction | None = None
+    """Direction in which it gives, flange frame; without it along the contact's normal."""
     # From a bellows filled through a long hose to faster than any valve; without it the force is set at once.
     bandwidth_hz: Annotated[float, Field(ge=0.1, le=1e4, strict=True)] | None = None
+    """Corner (-3 dB) of the low-pass with which the force follows its setting; without it at once."""
     delay_ms: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False, strict=True)] = 0.0
+    """From a setting to the first change of the force."""
     friction_N: Force = 0.0
+    """Coulomb friction of guide and seals against the stroke."""
     # Scale: output, which reaches from -1 to 1, per newton.
     setpoint_output: Label | None = None
+    """Analogue output that sets the force, ANOUT[1] to ANOUT[32]; read and checked, not driven yet."""
     setpoint_scale: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = None
+    """Output (-1 to 1) per newton."""
 
     @model_validator(mode="after")
     def _output(self) -> "FlangeTable":
@@ -215,24 +273,40 @@ class ProcessTable(TomlTable):
     """`[process]`."""
 
     force_N: Annotated[float, Field(ge=0.01, le=1000, allow_inf_nan=False, strict=True)] = 20.0
+    """Contact force that is wanted."""
     # Slower a line of a blade takes hours, faster than any arm's path; lines nearer than 0.1 mm cover nothing anew.
     feed_mm_s: Annotated[float, Field(ge=0.1, le=5000, strict=True)] = 40.0
+    """Speed of the contact over the blade."""
     pass_spacing_mm: Annotated[float, Field(ge=0.1, le=1000, strict=True)] = 6.0
+    """Largest distance of neighbouring lines."""
     passes: Literal["spanwise", "chordwise"] = "spanwise"
+    """Direction of the lines."""
     side: Literal["convex", "concave", "both"] = "both"
+    """Which side is ground."""
     tilt_tolerance_deg: Annotated[float, Field(ge=0, le=45, strict=True)] = 3.0
+    """How far the blade may tilt about the belt's direction and the axle."""
     turn_tolerance_deg: Turn = 30.0
+    """How far the feed may turn from the belt's direction."""
     lateral_tolerance_mm: Margin = 10.0
+    """How far off the wheel's middle the contact may lie."""
     grinding: Literal["down", "up"] = "down"
+    """Down: the blade moves with the belt; up: against it."""
     root_margin_mm: Margin = 5.0
+    """Left free at the root end."""
     tip_margin_mm: Margin = 5.0
+    """Left free at the tip."""
     edge_margin_mm: Margin = 3.0
+    """Left free at leading and trailing edge."""
     # Most that an edge of the blade may be pressed with where a ramp runs off it; a thousand tonnes cut it off.
     edge_force_N: Force = 5.0
+    """Most that an edge is to be pressed with where a ramp runs off it."""
     # What is wanted of all passes together; a belt that takes off 2 mm mills.
     removal_um: Annotated[float, Field(ge=0.01, le=2000, allow_inf_nan=False, strict=True)] | None = None
+    """Depth that all passes together are to take off; without it what force and feed make."""
     preston_um_mm2_per_N_m: Preston | None = None
+    """Preston's coefficient: depth over pressure and sliding way; `ocp.update --removal` writes it."""
     preston_sd_um_mm2_per_N_m: Preston | None = None
+    """Its one sigma."""
 
     @model_validator(mode="after")
     def _preston(self) -> "ProcessTable":
@@ -245,28 +319,39 @@ class LinkTarget(TomlTable):
     """A reflector nest on a link, or a 6D target."""
 
     link: Annotated[int, Field(ge=0, le=6, strict=True)] = 6
+    """Link that carries the nest, 0 the base, 6 the flange."""
     xyz_mm: OffsetVector
+    """Place of the reflector in that link's frame."""
     abc_deg: AngleVector | None = None
+    """Turn of a 6D target there."""
 
 
 class TrackerTable(TomlTable):
     """`[tracker]`."""
 
     range_noise_um: Micrometres = 8.0
+    """One sigma along the beam."""
     transverse_noise_um_per_m: Micrometres = 3.0
+    """One sigma across it, per metre of distance."""
     target_sd_mm: Spread = 1.0
+    """One sigma of the nests' places below."""
     rotation: Literal[ROTATION_ORDERS] = "zyx_intrinsic"  # type: ignore[valid-type]
+    """Order of the angles rx, ry, rz of a 6D target."""
     targets: dict[Label, OffsetVector | LinkTarget] = Field(default_factory=dict, max_length=MOST_NESTS)
+    """Reflector nests by name: [x, y, z] mm on the flange, or a table with its link."""
 
 
 class EffectTable(TomlTable):
     """`[[effects]]`: an effect of the catalogue with its keys (docs/effects.md)."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, strict=False)
+    model_config = ConfigDict(extra="allow", frozen=True, strict=False, use_attribute_docstrings=True)
 
     effect: str
+    """Name in the catalogue (docs/effects.md); the effect's own keys stand beside it."""
     joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
+    """Joint that it acts at, where it acts at one."""
     sd: dict[str, Any] = Field(default_factory=dict)
+    """One sigma by key."""
 
     @model_validator(mode="after")
     def _known(self) -> "EffectTable":
@@ -278,16 +363,27 @@ class PatchTable(TomlTable):
     """`[[patches]]`: a correction that has no name, as a diagnosis writes it (`ocp.effects.patch`)."""
 
     signal: Literal["tracker"]
+    """Signal that it was learnt from."""
     where: Label
+    """Where it acts."""
     kernel: Label
+    """Kernel that stands for it."""
     joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
+    """Joint that it acts at."""
     features: Annotated[tuple[str, ...], Field(min_length=1, max_length=MOST_FEATURES)]
+    """Functions of the conditions, each a formula."""
     weights: tuple[float, ...]
+    """Coefficient of each feature."""
     covariance: tuple[tuple[float, ...], ...]
+    """Their covariance."""
     range: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    """Least and most of every condition that was measured."""
     about: tuple[float, float, float] | None = None
+    """Point that a tilt turns about, m."""
     formula: str = ""
+    """The sum in words."""
     promise: str = ""
+    """Shrinkage that it promises on new data."""
 
     @model_validator(mode="after")
     def _whole(self) -> "PatchTable":
@@ -299,30 +395,51 @@ class ConditionsTable(TomlTable):
     """`[conditions]`: what the cell's effects depend on, as it will be when the plan runs."""
 
     temperature_C: Temperature | None = None
+    """Of the structure while the plan runs; without it the reference."""
     wheel_temperature_C: Temperature | None = None
+    """Of the wheel; without it the reference."""
     time_s: Seconds = 0.0
+    """Since the robot's campaign began."""
     clock_s: Seconds = 0.0
+    """That the wheel has run."""
     # A thousand passes take the blade away.
     ground_before: Annotated[int, Field(ge=0, le=1000, strict=True)] = 0
+    """How often every line was ground before."""
 
 
 class CellTables(TomlTable):
     """The whole of cell.toml."""
 
+    version: SchemaVersion = 1
+    """Version of this format; 1 is the only one."""
     name: Label = "cell"
+    """Name of the cell in reports."""
     reference_temperature_C: Temperature = 20.0
+    """Temperature at which its numbers hold."""
     robot: RobotTable
+    """The robot and what is known of it."""
     payloads: dict[Label, PayloadTable] = Field(default_factory=dict, max_length=MOST_PAYLOADS)
+    """What may hang on the flange, by name."""
     controller: ControllerTable = ControllerTable()
+    """The robot's controller."""
     workpiece: WorkpieceTable | None = None
+    """The blade in its holder; without it nothing is planned."""
     wheel: WheelTable | None = None
+    """The belt-grinding wheel; without it nothing is planned."""
     force_flange: FlangeTable | None = None
+    """Device that sets the force; absent: the holder is screwed on rigidly."""
     floor: FloorTable | None = None
+    """The floor; without it only the plane of the base is kept free."""
     process: ProcessTable = ProcessTable()
+    """What is wanted."""
     tracker: TrackerTable | None = None
+    """The laser tracker and its nests."""
     effects: Annotated[tuple[EffectTable, ...], Field(max_length=MOST_EFFECTS)] = ()
+    """Effects that are believed to be there."""
     patches: Annotated[tuple[PatchTable, ...], Field(max_length=MOST_EFFECTS)] = ()
+    """Corrections without a name, as a diagnosis writes them."""
     conditions: ConditionsTable = ConditionsTable()
+    """What effects depend on, as it will be when the plan runs."""
 
     @property
     def believed(self) -> tuple[CellEffect, ...]:

@@ -6,10 +6,11 @@ from typing import Any
 
 from ocp.shell.output import whole_folder
 from robots.errors import BadInput, shown
-from robots.robot import Robot, left_out_notices, load_robot
-from robots.toml_files import toml_text
+from robots.robot import Robot, RobotTables, left_out_notices, load_robot
+from robots.toml_files import json_schema, toml_text
 from robots.urdf import read_urdf
 
+SCHEMA_FILE = "robot.schema.json"
 _TEMPLATE = Path(__file__).parent / "template.toml"
 _HEAD = "# Made from {name} by python -m ocp.robot import. Millimetres, degrees, kilograms; frames: docs/robot.md.\n\n"
 
@@ -56,7 +57,8 @@ def _written(name: str, text: str, out: Path, overwrite: bool, inputs: list[Path
     """The robot of a file that was written into `out`, and read before it stood there."""
     with whole_folder(out, overwrite, inputs) as folder:
         file = folder / f"{name}.toml"
-        file.write_text(text, encoding="utf-8")
+        file.write_text(f"#:schema {SCHEMA_FILE}\n{text}", encoding="utf-8")
+        (folder / SCHEMA_FILE).write_text(json_schema(RobotTables, "robot.toml"), encoding="utf-8")
         try:
             return load_robot(file)
         except BadInput as error:  # the temporary file is gone when this is read

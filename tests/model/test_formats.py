@@ -1,0 +1,67 @@
+"""docs/formats.md and docs/schema say what the readers read."""
+
+import json
+
+import pytest
+
+from ocp.calibrate.force import log as force
+from ocp.data import CELL
+from ocp.diagnose.joints import log as joints
+from ocp.model.cell import read_cell
+from ocp.model.columns import TABLES, needed, optional
+from ocp.plan.removal import wanted
+from ocp.update import removal
+from robots import tracker_readings as tracker
+from robots.errors import BadInput
+from tests.support.formats import PAGE, SCHEMAS, filled, schemas
+from trajectories import path_file
+
+READERS = {
+    "tracker.csv": ((*tracker.AXES, *tracker.POINT), (*tracker.OPTIONAL,)),
+    "force.csv": (("run", "time_s", *force.AXES, *force.POINT, *force.NORMAL, *force.FEED, "fn_N"), force.OPTIONAL),
+    "joints.csv": (("run", "time_s", *joints.AXES), (*joints.LINK, *joints.TORQUE, *joints.SPEED)),
+    "path.csv": (path_file.NEEDED, path_file.OPTIONAL),
+    "removal.csv": ((*removal.PLACES, *removal.DEPTH), ()),
+    "stock.csv": (wanted.COLUMNS, ()),
+}
+
+
+@pytest.mark.parametrize("file", READERS)
+def test_the_columns_are_those_that_the_reader_takes(file):
+    must, may = READERS[file]
+    assert set(needed(file)) == set(must)
+    assert set(optional(file)) == set(may) - set(must)
+
+
+def test_every_column_stands_once_in_its_file():
+    for groups in TABLES.values():
+        names = [name for group in groups for name in group.names]
+        assert len(names) == len(set(names))
+
+
+def test_the_page_has_the_tables_as_the_code_has_them():
+    page = PAGE.read_text()
+    assert page == filled(page), "run python -m tests.support.formats"
+
+
+def test_the_schemas_are_those_of_the_code_and_every_key_says_what_it_means():
+    for name, text in schemas().items():
+        assert (SCHEMAS / name).read_text() == text, "run python -m tests.support.formats"
+        for table in json.loads(text)["$defs"].values():
+            for key, field in table["properties"].items():
+                assert field.get("description"), key
+
+
+@pytest.mark.parametrize(
+    ("version", "told"), [("2", "2 is of a later release, this one reads 1"), ("0", "should be 1"), ('"1"', "should be 1")]
+)
+def test_a_file_of_another_version_is_refused_with_its_line(tmp_path, version, told):
+    (tmp_path / "cell.toml").write_text(f"# a cell\nschema = {version}\n" + CELL.read_text())
+    with pytest.raises(BadInput, match="cell.toml, line 2: schema") as error:
+        read_cell(tmp_path / "cell.toml")
+    assert told in str(error.value)
+
+
+def test_a_file_of_this_version_is_read_with_the_version_or_without(tmp_path):
+    (tmp_path / "cell.toml").write_text("schema = 1\n" + CELL.read_text())
+    assert read_cell(tmp_path / "cell.toml").tables == read_cell(CELL).tables
