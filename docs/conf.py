@@ -17,6 +17,7 @@ project = "grindplan"
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
 html_theme = "furo"
 html_title = project
+html_static_path, html_css_files = ["_static"], ["site.css"]
 html_show_copyright = False
 highlight_language = "none"
 smartquotes = False  # two hyphens are an option
