@@ -125,7 +125,7 @@ def _asked(plan: Plan) -> tuple[float, str]:
     """Largest force that the paths ask for, N, and all of them in words."""
     force = np.concatenate([p.problem.path.force * p.problem.way.peak for p in plan.motion.passes])
     low, high = float(force.min()), float(force.max())
-    return high, f"{high:g} N" if high - low < 1e-9 else f"the {low:g} to {high:g} N asked for"
+    return high, f"{high:g} N" if high - low < 1e-9 else f"the {low:.3g} to {high:.3g} N asked for"
 
 
 def _summary(plan: Plan, written: _Written) -> list[tuple[str, str]]:
@@ -203,8 +203,8 @@ def plan_pages(report: PlanReport) -> Report:
     words = report.headline if report.safe else "Do not use."
     head = Headline(report.safe, words, report.verdict, doubtful=words != "Safe to use.")
     sections = (
-        Section("Summary", (Facts(tuple(report.summary)),)),
         scene_section(report),
+        Section("Summary", (Facts(tuple(report.summary)),)),
         *([left_out_section(report)] if report.left_out else []),
         force_section(report),
         axes_section(report),

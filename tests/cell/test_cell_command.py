@@ -16,6 +16,7 @@ from ocp.model.cell import read_cell, read_tracker_setup
 from ocp.plan.paths import PlanOptions, lay_paths
 from robots.pose import apply, make_transform
 from robots.robot import catalogue, load_robot
+from tests.support.browser import CHROMIUM, browser
 from trajectories.blade import find_shape, read_blade
 
 
@@ -32,13 +33,40 @@ def new(tmp_path_factory):
     return folder
 
 
-def test_a_new_cell_has_no_doubt_and_its_page_says_so(new, tmp_path):
-    answer = call("show", new / "cell.toml", "--out", tmp_path / "page", "--json")
-    told = json.loads(answer.stdout)
-    assert answer.exit_code == 0 and "no mistakes, no doubts" in told["line"] and told["notices"] == []
-    assert told["page"] == str(tmp_path / "page" / "cell.html")
-    page = (tmp_path / "page" / "cell.html").read_text()
+@pytest.fixture(scope="module")
+def shown(new, tmp_path_factory):
+    """What the command said, and its page."""
+    folder = tmp_path_factory.mktemp("shown") / "page"
+    answer = call("show", new / "cell.toml", "--out", folder, "--json")
+    assert answer.exit_code == 0
+    return json.loads(answer.stdout), folder / "cell.html"
+
+
+def test_a_new_cell_has_no_doubt_and_its_page_says_so(shown):
+    told, file = shown
+    assert "no mistakes, no doubts" in told["line"] and told["notices"] == [] and told["page"] == str(file)
+    page = file.read_text()
     assert "TOOL_DATA[1]" in page and "1660.000" in page and "-90.000" in page and "centre_sd_mm" in page
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")
+def test_the_page_turns_its_arm_and_shows_its_frames(shown):
+    picture = "document.getElementById('canvas').toDataURL()"
+    with browser() as page:
+        page.open(shown[1], 1280)
+        names = "[...document.querySelectorAll('#labels span')].map(s => s.textContent)"
+        assert "blade = TOOL" in page.run(names) and "wheel = BASE" in page.run(names)
+        seen = [page.run(picture)]
+        for change in (
+            "(() => { const p = document.getElementById('posture'); p.value = 30; p.dispatchEvent(new Event('input')); })()",
+            "document.getElementById('region').click()",
+            "document.getElementById('frames').click()",
+            "document.querySelector('[name=view][value=flange]').click()",
+        ):
+            page.run(change)
+            page.drawn()
+            seen.append(page.run(picture))
+        assert len(set(seen)) == 5 and page.run(names) == [] and page.faults == []
 
 
 def test_a_new_cell_is_the_bundled_one_but_for_its_measurements(new):

@@ -1,0 +1,101 @@
+"""Chromium without a window, driven over its own protocol: what a page's script did, and how it looks at a size."""
+
+import base64
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-first-run",
+)
+PATIENCE = 30.0  # s
+
+
+@dataclass
+class Page:
+    """One tab: `faults` are errors of its scripts and of its console."""
+
+    socket: ClientConnection
+    sent: int = 0
+    faults: list[str] = field(default_factory=list)
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        self.sent += 1
+        number = self.sent
+        self.socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            told = json.loads(self.socket.recv(timeout=PATIENCE))
+            if told.get("method") == "Runtime.exceptionThrown":
+                self.faults.append(told["params"]["exceptionDetails"]["exception"].get("description", "error"))
+            if told.get("method") == "Log.entryAdded" and told["params"]["entry"]["level"] == "error":
+                self.faults.append(told["params"]["entry"]["text"])
+            if told.get("id") == number:
+                assert "error" not in told, told["error"]
+                return told["result"]
+
+    def run(self, script: str) -> Any:
+        """Value of an expression on the page; promises are waited for."""
+        told = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in told, told
+        return told["result"].get("value")
+
+    def open(self, file: Path, width: int, height: int = 900, dark: bool = False) -> None:
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        self.call("Emulation.setEmulatedMedia", features=scheme)
+        self.call("Page.navigate", url=file.resolve().as_uri())
+        until = time.monotonic() + PATIENCE
+        while self.run("document.readyState") != "complete" and time.monotonic() < until:
+            time.sleep(0.05)
+        self.drawn()
+
+    def drawn(self) -> None:
+        """Wait until two frames have been drawn."""
+        self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def printed(self) -> bytes:
+        """The page on paper, as PDF."""
+        return base64.b64decode(self.call("Page.printToPDF", printBackground=True)["data"])
+
+    def seen(self) -> bytes:
+        """The window's picture, as PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot")["data"])
+
+
+@contextmanager
+def browser() -> Iterator[Page]:
+    """A tab of a browser that ends with the block."""
+    assert CHROMIUM is not None
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        call = [CHROMIUM, *FLAGS, f"--user-data-dir={profile}", "--remote-debugging-port=0", "about:blank"]
+        process = subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        try:
+            assert process.stderr is not None
+            address = next(line.split()[-1] for line in process.stderr if line.startswith("DevTools listening on"))
+            with connect(address, max_size=None) as whole:
+                root = Page(whole)
+                target = root.call("Target.createTarget", url="about:blank")["targetId"]
+            tab = f"{address.split('/devtools/')[0]}/devtools/page/{target}"
+            with connect(tab, max_size=None) as socket:
+                page = Page(socket)
+                for domain in ("Page", "Runtime", "Log"):
+                    page.call(f"{domain}.enable")
+                yield page
+        finally:
+            process.kill()
+            process.communicate()
