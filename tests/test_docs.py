@@ -1,12 +1,25 @@
 """Pages that are named exist, and every page of docs/ stands once in the index, which the site is made from."""
 
 import re
+from collections.abc import Iterator
+from typing import Any
 
-from tests.support.house import ROOT, with_table
+from typer.main import get_command
+
+from ocp.grindplan.__main__ import whole
+from tests.support.house import ROOT
 
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 SOURCES = [file for wing in ("ocp", "robots", "trajectories", "tests", "benchmarks") for file in (ROOT / wing).rglob("*.py")]
+
+
+def _leaves(commands: dict[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for name, one in commands.items():
+        if hasattr(one, "commands"):
+            yield from _leaves(one.commands, (*above, name))
+        else:
+            yield (*above, name), one
 
 
 def test_pages_that_are_named_exist():
@@ -27,6 +40,30 @@ def test_every_page_stands_in_the_index():
     assert sorted(name for name in listed if name in names) == sorted(set(names) - {"index"})
 
 
-def test_the_table_of_rooms_is_the_sources():
-    page = (DOCS / "architecture.md").read_text(encoding="utf-8")
-    assert with_table(page) == page, "run: python -m tests.support.house docs/architecture.md"
+def test_commands_in_the_pages_have_the_options_they_are_given():
+    commands = get_command(whole()).commands
+    known = {
+        " ".join(words): {name for option in one.params for name in [*option.opts, *option.secondary_opts]} | {"--help"}
+        for words, one in _leaves(commands)
+    }
+    asked = re.compile(r"(?:python -m ocp\.|grindplan )([a-z]+(?: (?:new|check|show|import))?)\b([^`\n#|]*)")
+    wrong = []
+    for page in [*PAGES, ROOT / "README.md"]:
+        for name, rest in asked.findall(re.sub(r"\[([^\]\n]*)\]\(", "(", page.read_text(encoding="utf-8"))):
+            if name in known:
+                wrong += [
+                    f"{page.name}: {name} {o}" for o in re.findall(r"(?<!\S)\[?(--?[a-z][a-z-]*)", rest) if o not in known[name]
+                ]
+    assert not wrong
+
+
+def test_files_in_the_pages_exist():
+    paths = re.compile(
+        r"(?<![\w/.*])((?:ocp|robots|trajectories|tests|benchmarks)/[\w./]+\.(?:py|toml|stl)|-m (?:benchmarks|tests)\.[\w.]+)"
+    )
+    missing = []
+    for page in PAGES:
+        for name in paths.findall(page.read_text(encoding="utf-8")):
+            file = name[3:].rstrip(".").replace(".", "/") + ".py" if name.startswith("-m ") else name
+            missing += [] if (ROOT / file).exists() else [f"{page.name}: {name}"]
+    assert not missing

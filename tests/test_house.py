@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.support.house import ROOT, WINGS, declared, described, floors, imported, room_of, sources, uses
+from tests.support.house import ROOT, WINGS, declared, described, floors, imported, room_of, sources, uses, with_table
 
 HOUSE = declared()
 
@@ -78,3 +78,8 @@ def test_the_verification_uses_neither_the_model_nor_casadi():
         "robots.kinematics",
     }
     assert not names & forbidden
+
+
+def test_the_table_of_rooms_is_the_sources():
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    assert with_table(page) == page, "run: python -m tests.support.house docs/architecture.md"
