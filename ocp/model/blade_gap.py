@@ -23,6 +23,7 @@ FACING = 0.2  # smallest cosine between a point's normal and the wheel for it to
 # across a corner or along an edge of the blade: there is no surface in them.
 LONGEST_NEAR, LONGEST_FAR = 2.5e-3, 6e-3  # m
 END_ZONE = 4e-3  # m at both ends of a pass where contacts are solved more densely
+DEGENERATE = 1000 * np.finfo(float).eps
 SHARPEST = 1e-9  # m; points this close in (x, y) are one for the triangulation
 
 
@@ -64,11 +65,28 @@ class Departure:
 
 def _departure(points: Array, heights: Array) -> Departure:
     triangles = Delaunay(points)
-    corner = points[triangles.simplices]
-    side = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    near = np.hypot(corner[..., 0], corner[..., 1]).max(axis=1) < NEAR
-    sound = (side < np.where(near, LONGEST_NEAR, LONGEST_FAR)) & np.isfinite(triangles.transform).all(axis=(1, 2))
+    triangles._transform = affine(points[triangles.simplices])
+    first, second, third = points[triangles.simplices.T]
+    sides = [np.sqrt(x * x + y * y) for x, y in ((first - third).T, (second - first).T, (third - second).T)]
+    near = np.hypot(*points.T)[triangles.simplices].max(axis=1) < NEAR
+    longest = np.where(near, LONGEST_NEAR, LONGEST_FAR)
+    sound = (np.maximum.reduce(sides) < longest) & np.isfinite(triangles.transform[:, 0, 0])
     return Departure(triangles, heights, sound)
+
+
+def affine(corners: Array) -> Array:
+    """Transforms (k, 3, 2) of triangles with corners (k, 3, 2) to barycentric coordinates, nan where a triangle is degenerate: to
+    the last bit those of `Delaunay.transform`, which come one by one and take as long as the triangulation."""
+    away = corners[:, :2] - corners[:, 2:]
+    (a, b), (c, d) = away[:, 0].T, away[:, 1].T
+    determinant = a * d - b * c
+    size = np.maximum(np.abs(a) + np.abs(b), np.abs(c) + np.abs(d)) * np.maximum(np.abs(d) + np.abs(b), np.abs(c) + np.abs(a))
+    flat = ~(np.abs(determinant) >= DEGENERATE * size)  # reciprocal condition number in the 1-norm
+    away[flat] = np.eye(2)
+    found = np.empty(corners.shape)  # rows in order: SciPy reads it as it lies
+    found[:, :2], found[:, 2] = np.linalg.inv(away).swapaxes(1, 2), corners[:, 2]
+    found[flat, :2] = np.nan
+    return found
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,8 @@ def verify_pass(
         here = {name: value[k] for name, value in seen.items()}
         sample = ContactSample(cell, on_path["p"][k], n[k], t[k], T[k], e[k], float(lateral[k]), base, here)
         blade = compliance[waypoint]
-        linear = [_linear_compliance(cell, believed, q_real[k], sample, blade, mu) for mu in (wheel.friction, 1.0, 0.0)]
+        J = _jacobian(cell, believed, q_real[k], sample)
+        linear = [_linear_compliance(cell, believed, J, sample, blade, mu) for mu in (wheel.friction, 1.0, 0.0)]
         F, rate = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear)
         slope.append(rate)
         needed.append(delta[k] - F * rate)
@@ -144,7 +145,8 @@ def gaps(
         if cell.effects:
             base = _local_shape(cell, path, at, R @ n, R @ t, e, lateral[k])
             sample = ContactSample(cell, p, n, t, pose, e, float(lateral[k]), base, {name: v[k] for name, v in seen.items()})
-            rigid = _linear_compliance(cell, believed, q_real[k], sample, compliance, wheel.friction)
+            J = _jacobian(cell, believed, q_real[k], sample)
+            rigid = _linear_compliance(cell, believed, J, sample, compliance, wheel.friction)
             left[k] -= sample.overlap(0.0, (out, 0.0, 0.0, 0.0), (push**2 * give, 0.0, *rigid[:2]), 0.0, 0.0 * rigid[2:])
     return np.asarray(left)
 
@@ -293,20 +295,23 @@ def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Arr
     )
 
 
-def _linear_compliance(cell: Cell, believed: BelievedRobot, q: Array, at: ContactSample, blade: Array, friction: float) -> Array:
+def _jacobian(cell: Cell, believed: BelievedRobot, q: Array, at: ContactSample) -> Array:
+    """How the contact point moves with the joints q (6,), (3, 6) m/rad."""
+    nudged = q + DIFFERENCE * np.vstack([np.eye(6), -np.eye(6)])
+    points = apply(elementary_forward(believed.robot, nudged) @ cell.workpiece.T_flange_blade, at.p)
+    return np.asarray(((points[:6] - points[6:]) / (2 * DIFFERENCE)).T)
+
+
+def _linear_compliance(cell: Cell, believed: BelievedRobot, J: Array, at: ContactSample, blade: Array, friction: float) -> Array:
     """Displacement of the contact per newton (8,): m/N from the blade with its fixture, and from joints (PHYSICS 3.1); m^2 from
     each joint per rad/(N m) of its compliance.
 
-    blade (3,) m/N: its compliance c_nn, c_nt, c_nb there.
+    J: of `_jacobian`; blade (3,) m/N: its compliance c_nn, c_nt, c_nb there.
     """
     wheel, e = cell.wheel, at.e
     f = e + friction * np.cross(wheel.axis, e) * np.sign(wheel.belt_speed)
     n, t = at.T[:3, :3] @ at.n, at.T[:3, :3] @ at.t
     held = blade[0] * -(f @ n) + blade[1] * (f @ t) + blade[2] * (f @ np.cross(n, t))
-    nudged = q + DIFFERENCE * np.vstack([np.eye(6), -np.eye(6)])
-    T = elementary_forward(believed.robot, nudged) @ cell.workpiece.T_flange_blade
-    points = apply(T, at.p)
-    J = ((points[:6] - points[6:]) / (2 * DIFFERENCE)).T
     give = (e @ J) * (J.T @ f)
     return np.array([float(held) + 1.0 / cell.workpiece.clamp_stiffness, believed.compliance @ give, *give])
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import Delaunay, cKDTree
 
 from ocp.contact.wheel.signorini import LocalShape
-from ocp.model.blade_gap import FACING, REACH, SurfaceCloud, surface_shape
+from ocp.model.blade_gap import FACING, REACH, SurfaceCloud, affine, surface_shape
 from ocp.plan.clearance import enclosed, find_secondary_contact
 from ocp.plan.paths import surface_cloud
 from ocp.plan.rules import SECONDARY_CONTACT_TOLERANCE
@@ -88,6 +88,17 @@ def test_the_far_side_of_the_blade_is_not_seen(cell):
     two = surface_shape(cell.wheel, both, base, T, CONTACT).gap(x, 0 * x)
     np.testing.assert_allclose(two, one, atol=2e-6)
     assert 0 < FACING < 1
+
+
+def test_transforms_of_triangles_are_those_of_scipy_to_the_last_bit(cell):
+    shape = surface_shape(cell.wheel, bar(), LocalShape(60.0, 0.0), on_wheel(cell, turn=0.3), CONTACT)
+    for points in (shape.departure.triangles.points, np.random.default_rng(0).normal(size=(800, 2))):
+        triangles = Delaunay(points)
+        found = affine(points[triangles.simplices])
+        assert np.array_equal(found, triangles.transform, equal_nan=True)
+        assert found.flags.c_contiguous  # SciPy reads them as they lie
+    row = np.column_stack([np.arange(3.0), np.ones(3)])
+    assert np.isnan(affine(row[None])[0, :2]).all() and (affine(row[None])[0, 2] == row[2]).all()
 
 
 def test_without_a_cloud_the_shape_is_its_quadratic():
