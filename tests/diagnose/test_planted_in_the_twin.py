@@ -14,9 +14,10 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.verdict.diagnosis import Diagnosis, diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.model.cell import read_cell
+from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.planting import parse_effect
 from ocp.simulate.twin.tracker import TrackerLog, random_design, tracker_world
-from ocp.simulate.twin.truth import draw_truth
+from ocp.simulate.twin.truth import Truth, draw_truth
 
 RIVALS = ("backlash", "friction_windup", "joint_compliance", "encoder_scale", "gear_1x", "payload_mass", "link_thermal")
 OTHERS = ("tracker_scale", "tracker_drift", "wrist_coupling", "joint_stiffening")
@@ -49,10 +50,15 @@ def design(cell):
     return random_design(cell, np.random.default_rng(3), 110)
 
 
+def drawn(cell, *texts: str) -> Truth:
+    """A machine with springs, geometry and weights of its own, and these effects."""
+    truth = draw_truth(cell, 4, [parse_effect(text) for text in texts], weight_bends="believed")
+    return replace(truth, ripple=truth.ripple * [0.0, 1.0, 1.0], play=np.zeros(6), outliers=0.0)
+
+
 def found(cell, design, folder: Path, text: str, names: tuple[str, ...]) -> Diagnosis:
-    """What is said of an arm with that effect and springs, geometry and weights of its own."""
-    truth = draw_truth(cell, 4, [parse_effect(text)], weight_bends="believed")
-    truth = replace(truth, ripple=truth.ripple * [0.0, 1.0, 1.0], play=np.zeros(6), outliers=0.0)
+    """What is said of that machine."""
+    truth = drawn(cell, text)
     tracker_world(folder, cell, truth, TrackerLog(design, None))
     known = {name: library()[name] for name in names}
     return diagnose_channels([tracker_channel(read_data_set(folder))], known, Options(folds=False, where=False))
@@ -72,3 +78,14 @@ def test_is_found_with_its_size_and_missed_without_its_file(cell, design, tmp_pa
         assert there.active[0].parameters[key] == pytest.approx(size, rel=0.15)
     left = found(cell, design, tmp_path, text, tuple(n for n in ALL if n not in {o.effect for o in same}))
     assert left.verdict != "explained"
+
+
+@pytest.mark.parametrize("text", ["backlash:3=1e-4", "load_backlash:3=1e-4,torque_Nm=5"])
+def test_plays_that_the_data_cannot_tell_are_one_class(cell, design, tmp_path, text):
+    """Every reading is approached in the direction of the load: both plays lie on the same side then."""
+    m = design.moments
+    load = make_arm(cell, drawn(cell)).settled(m).load_torque[:, 2]
+    m = replace(m, approach=np.column_stack([m.approach[:, :2], np.sign(load), m.approach[:, 3:]]))
+    there = found(cell, replace(design, moments=m), tmp_path, text, ALL)
+    assert {Name("backlash", 3), Name("load_backlash", 3)} <= set().union(*there.classes)
+    assert there.explanations[0].names[0].effect in ("backlash", "load_backlash", "friction_windup")
