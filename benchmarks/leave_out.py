@@ -40,19 +40,17 @@ RULES: dict[str, tuple[Any, str, Callable[..., Any], Did]] = {
     ),
     "suspects": (diagnosis, "suspected", lambda *a: (), lambda found, a: bool(found)),
     "mistaken": (diagnosis, "mistaken", lambda *a: [], lambda found, a: bool(found)),
-    "alike at first": (
-        diagnosis,
-        "alike_at",
-        lambda first, problem, weighed: _unlimited(problem, weighed),
-        lambda found, a: True,
-    ),
+    "alike at first": (diagnosis, "classes_of", lambda *a: _classes_anyhow(*a), lambda found, a: found != _classes_anyhow(*a)),
     "held-out names": (diagnosis, "misses_far_more_than_noise", lambda *a: False, lambda found, a: bool(found)),
 }
 ORIGINAL = {rule: getattr(module, name) for rule, (module, name, _, _) in RULES.items()}
 
 
-def _unlimited(problem: Any, weighed: Any) -> list[tuple[Any, None]]:
-    return [(name, None) for name, _ in ((diagnosis.Name(*a.key), a) for a in problem.values(weighed))]
+def _classes_anyhow(first: Any, problem: Any, found: Any, weighed: Any, signatures: Any) -> Any:
+    """`classes_of` without a look at the first linearisation."""
+    free = [(diagnosis.Name(*a.key), None) for a in problem.values(weighed)]
+    with patch.object(diagnosis, "alike_at", lambda *a: free):
+        return ORIGINAL["alike at first"](first, problem, found, weighed, signatures)
 
 
 def _reweighted(first: Any, problem: Any, found: Any, held: Any) -> bool:

@@ -116,6 +116,13 @@ def test_no_effect_is_none(seed):
     assert d.active == ()
 
 
+def test_a_scatter_that_no_such_machine_has_is_not_no_gap():
+    readings, _ = world(3, n=90)
+    scattered = replace(readings, point=readings.point + 1e-3 * np.random.default_rng(1).normal(size=readings.point.shape))
+    found = diagnosed(scattered, where=False)
+    assert found.verdict == "unexplained" and "scatter far more" in found.unknown_reasons[-1]
+
+
 def test_weights_that_no_catalogue_knows_are_neither_named_nor_left():
     """Links as a catalogue has them, 4 % off in mass and 1 cm in their centres: what they do is learnt, so that the believed cell
     meets new readings with a load that was measured, and nobody is accused of it."""

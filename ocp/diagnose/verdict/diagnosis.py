@@ -51,7 +51,7 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
         problem, search = search_and_refit(first, library, options, diverged)
         if posterior(problem, search).p_unknown > rules.LEADS and misses_far_more_than_noise(problem, search):
             selected = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
-            return findings(baseline, first, selected.problem, selected.search, library, options, selected.refused)
+            return _scattering(findings(baseline, first, selected.problem, selected.search, library, options, selected.refused))
         found = findings(baseline, first, problem, search, library, options)
         levels.append(max(w.log for w in search.sets.values()))
         if not found.impostors:
@@ -61,7 +61,19 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
         options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
     whys = tuple(f"{n}: no fit with it comes to rest" for n in diverged.names())
     found = replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys))))
-    return _unmasked(found, impostors, reasons, levels[-1] > max(levels) - rules.WITHOUT_IMPOSTOR) if impostors else found
+    if impostors:
+        found = _unmasked(found, impostors, reasons, levels[-1] > max(levels) - rules.WITHOUT_IMPOSTOR)
+    return _scattering(found)
+
+
+def _scattering(found: Diagnosis) -> Diagnosis:
+    """Findings that do not take readings for noise which no such machine has: what a fit learns of the joints' repeatability holds
+    whatever is not modelled, so that rows of two campaigns under each other would be no gap."""
+    wild = [c.name for c in found.channels if isinstance(c, WeighedReadings) and c.restless(1.0)]
+    if not wild or found.p_unknown > rules.LEADS:
+        return found
+    why = f"{wild[0]}: readings scatter far more than joints of such robots do, and with nothing that was recorded"
+    return replace(found, p_unknown=suspected_unknown(found.p_unknown), unknown_reasons=(*found.unknown_reasons, why))
 
 
 def _thinned(channel: Channel, most: int) -> Channel:
