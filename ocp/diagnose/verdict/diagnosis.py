@@ -67,7 +67,7 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
 
 
 def _scattering(found: Diagnosis) -> Diagnosis:
-    """Findings that do not take readings for noise which no such machine has: what a fit learns of the joints' repeatability holds
+    """Findings that take no scatter for noise which no such machine has: what a fit learns of the joints' repeatability holds
     whatever is not modelled, so that rows of two campaigns under each other would be no gap."""
     wild = [c.name for c in found.channels if isinstance(c, WeighedReadings) and c.restless(1.0)]
     if not wild or found.p_unknown > rules.LEADS:
