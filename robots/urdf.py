@@ -5,10 +5,6 @@ ones from axis to axis with d = 0, and the axis' own sense as `sign` (Denavit an
 The result is compared with the URDF's own kinematics before it is given.
 """
 
-import os
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from robots.bounds import MEGABYTE, read_whole
-from robots.errors import BadInput, shown
+from robots.errors import BadInput, shown, words_kept_back
 from robots.kinematics import chain, mdh_transform
 from robots.pose import Array, invert, make_transform, rot_z
 
@@ -90,7 +86,7 @@ def _model(path: Path) -> Any:
         raise BadInput(f"{path}: is not XML ({error}); correct it") from None
     if root.tag != "robot" or path.suffix == ".xacro":
         raise BadInput(f"{path}: holds no <robot> of a URDF; give one (a xacro is expanded first: `xacro FILE > arm.urdf`)")
-    with _stderr_kept() as said:
+    with words_kept_back() as said:
         try:
             model = pin.buildModelFromXML(text)
         except (ValueError, RuntimeError) as error:
@@ -108,24 +104,6 @@ def _model(path: Path) -> Any:
     if list(model.parents)[1:] != list(range(6)):
         raise BadInput(f"{path}: its six joints do not follow each other; give a serial arm")
     return model
-
-
-@contextmanager
-def _stderr_kept() -> Iterator[Callable[[], str]]:
-    """Keeps back what a library writes to the process's stderr; gives what reads it."""
-    with tempfile.TemporaryFile() as kept:
-        before = os.dup(2)
-        os.dup2(kept.fileno(), 2)
-
-        def said() -> str:
-            kept.seek(0)
-            return kept.read().decode("utf-8", "replace")
-
-        try:
-            yield said
-        finally:
-            os.dup2(before, 2)
-            os.close(before)
 
 
 def _flange_name(path: Path, model: Any, asked: str | None) -> str:

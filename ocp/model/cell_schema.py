@@ -101,7 +101,7 @@ class WorkpieceTable(TomlTable):
     payload: Label | None = None
     """Name of what hangs on the flange while grinding, of [payloads]; without it the first."""
     stl: FileName | None = None
-    """The blade's STL, path from the cell's folder."""
+    """The blade: an STL, PLY, OBJ or STEP file, path from the cell's folder."""
     stl_unit: Literal["mm", "m", "in"] = "mm"
     """Unit of its numbers."""
     xyz_mm: OffsetVector

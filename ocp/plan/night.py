@@ -28,6 +28,7 @@ from ocp.shell.processes import cores
 from ocp.shell.progress import Phases, Progress
 from robots.bounds import MEGABYTE
 from robots.errors import BadInput
+from trajectories.blade.other_files import BLADE_FILES
 from trajectories.blade.stl import MOST_BYTES
 
 TABLE, PAGE, PLAN = "night.json", "index.html", "plan"
@@ -126,7 +127,7 @@ class _Night:
 
     def beside(self) -> dict[str, Path]:
         """What all blades share: the cell with the files that it names, but for its own blade; the depth to take off."""
-        files = [file for file in files_of(self.cell) if file.suffix.lower() != ".stl"]
+        files = [file for file in files_of(self.cell) if file.suffix.lower() not in BLADE_FILES]
         places = [Path(os.path.abspath(file)) for file in files]
         root = os.path.commonpath([place.parent for place in places])
         found = {f"cell/{place.relative_to(root).as_posix()}": file for place, file in zip(places, files, strict=True)}

@@ -11,6 +11,10 @@ _STRAY_SHARE = 0.05  # area of a body against the largest one, below which it is
 _SLIVER = 1e-5  # height of a facet against its longest edge, below which rounding alone gives it its direction
 _LARGEST_HOLE = 0.05  # size of a hole against the blade's size up to which it is closed
 _MOST_HOLE_EDGES = 60
+_FLAT, _MOST_FLAT_EDGES = (
+    1e-3,
+    600,
+)  # of a scan's opening: how far off a plane its border may be; edges that are closed in seconds
 
 
 def merge_corners(corners: Array) -> tuple[Array, IntArray]:
@@ -170,8 +174,9 @@ def face_outward(vertices: Array, faces: IntArray, notices: list[str]) -> IntArr
     return faces[:, ::-1].copy()
 
 
-def close_holes(name: str, vertices: Array, faces: IntArray, notices: list[str]) -> IntArray:
-    """Faces with small holes closed by the triangulation of least area; (nf + new, 3).
+def close_holes(name: str, vertices: Array, faces: IntArray, notices: list[str], scanned: bool = False) -> IntArray:
+    """Faces with small holes closed by the triangulation of least area; (nf + new, 3). scanned: flat openings of any size too, as
+    the end has on which a blade stood or was held.
 
     Raises: BadInput naming place and size of a hole too large to guess what was there.
     """
@@ -187,16 +192,25 @@ def close_holes(name: str, vertices: Array, faces: IntArray, notices: list[str])
         points = vertices[loop]
         across = float(np.linalg.norm(np.ptp(points, axis=0)))
         middle = place_mm(points.mean(axis=0))
-        if across > _LARGEST_HOLE * size or len(loop) > _MOST_HOLE_EDGES:
+        flat = scanned and len(loop) <= _MOST_FLAT_EDGES and _is_flat(points, size)
+        if not flat and (across > _LARGEST_HOLE * size or len(loop) > _MOST_HOLE_EDGES):
+            remedy = "scan that side too, or close it in the scanner's software" if scanned else "export a closed solid"
             raise BadInput(
                 f"{name}: the surface is open: a hole {1e3 * across:.1f} mm across with {len(loop)} edges round {middle} "
-                f"(holes up to {1e3 * _LARGEST_HOLE * size:.1f} mm are closed); export a closed solid."
+                f"(holes up to {1e3 * _LARGEST_HOLE * size:.1f} mm are closed); {remedy}."
             )
         added += _least_area(points, loop)
         described.append(f"{1e3 * across:.2f} mm at {middle}")
     shown = ", ".join(described[:3]) + (", .." if len(described) > 3 else "")
     notices.append(f"{len(described)} holes were closed with {len(added)} facets: {shown}.")
     return np.concatenate([faces, np.array(added, np.int64)])
+
+
+def _is_flat(points: Array, size: float) -> bool:
+    """Whether points lie within a thousandth of the blade's size of a plane."""
+    centred = points - points.mean(axis=0)
+    normal = np.linalg.svd(centred, full_matrices=False)[2][2]
+    return bool(np.abs(centred @ normal).max() < _FLAT * size)
 
 
 def _loops(name: str, vertices: Array, border: list[tuple[int, int]]) -> list[list[int]]:

@@ -17,6 +17,7 @@ from trajectories.blade.mending import (
     unify_winding,
 )
 from trajectories.blade.mesh import Array, Blade, IntArray, directed_edges, place_mm
+from trajectories.blade.other_files import MESHES, SOLIDS, read_other
 from trajectories.blade.stl import read_facets
 
 UNITS = {"mm": 1e-3, "m": 1.0, "in": 25.4e-3}  # metres per unit
@@ -25,15 +26,18 @@ _MOST_RELAXED = 0.01  # share of the blade's size over which the mending of a se
 
 
 def read_blade(path: str | Path, unit: str = "mm") -> Blade:
-    """Read, check and mend the STL file of a blade; the result is closed, outward and free of self-intersections.
+    """Read, check and mend a blade's STL, PLY, OBJ or STEP file; the result is closed, outward and free of self-intersections.
 
-    unit: of the file, "mm", "m" or "in". What was mended stands in Blade.notices.
+    unit: of the file, "mm", "m" or "in"; a STEP file has its own. What was mended stands in Blade.notices.
     Raises: BadInput, one sentence with place and remedy, for anything that cannot be mended safely.
     """
     path = Path(path)
     if unit not in UNITS:
         raise BadInput(f"stl_unit = {unit!r} is not known; use one of {', '.join(UNITS)}.")
-    corners, notices = read_facets(path)
+    kind = path.suffix.lower()
+    if kind in SOLIDS and unit != "mm":
+        raise BadInput(f"{path}: stl_unit = {unit!r}, but a STEP file carries its own unit; leave stl_unit out.")
+    corners, notices = read_other(path) if kind in (*MESHES, *SOLIDS) else read_facets(path)
     _refuse_size(path, corners, unit)
     vertices, faces = merge_corners(corners * UNITS[unit])
     name = str(path)
@@ -44,7 +48,7 @@ def read_blade(path: str | Path, unit: str = "mm") -> Blade:
         raise BadInput(f"{name}: {len(corners)} facets leave {len(faces)}{why}, which is no solid body; export it again.")
     faces = keep_main_body(name, vertices, faces, notices)
     faces = unify_winding(name, vertices, faces, notices)
-    faces = close_holes(name, vertices, faces, notices)
+    faces = close_holes(name, vertices, faces, notices, scanned=kind in MESHES)
     faces = face_outward(vertices, faces, notices)
     used, index = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], np.asarray(index, np.int64).reshape(-1, 3)
