@@ -220,19 +220,21 @@ class _Cluster:
 @contextmanager
 def _cluster(address: str, start: Start, state: tuple[Any, ...]) -> Iterator[_Crew]:
     try:
+        import dask
         from distributed import Client
     except ImportError:
         raise BadInput("--scheduler needs the package distributed: pip install 'grindplan[cluster]'") from None
-    try:
-        client = Client(address, timeout=CONNECT, set_as_default=False)
-        client.wait_for_workers(1, timeout=CONNECT)
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())[:120] or "no answer"
-        raise BadInput(
-            f"--scheduler {address}: no Dask scheduler with a worker answers there within {CONNECT} s ({reason}); start dask "
-            "scheduler, and dask worker where this software is installed"
-        ) from None
-    with client:
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GB"}))  # a blade has megabytes
+        try:
+            client = stack.enter_context(Client(address, timeout=CONNECT, set_as_default=False))
+            client.wait_for_workers(1, timeout=CONNECT)
+        except (OSError, ValueError) as error:
+            reason = " ".join(str(error).split())[:120] or "no answer"
+            raise BadInput(
+                f"--scheduler {address}: no Dask scheduler with a worker answers there within {CONNECT} s ({reason}); start dask "
+                "scheduler, and dask worker where this software is installed"
+            ) from None
         yield _Cluster(client, start, state)
 
 

@@ -53,7 +53,7 @@ def test_files_of_an_errand_come_with_it_and_go_back(tmp_path, jobs):
 
 def test_a_cluster_that_loses_a_worker_does_every_task(cluster, tmp_path):
     trace = tmp_path / "trace"
-    tasks = [(waited, str(trace), 60.0), *[(added, k) for k in range(6)]]
+    tasks = [(waited, str(trace), 60.0), *[(added, k) for k in range(6)], (len, bytes(12_000_000))]
     found = {}
     for place, future in carried_out(called, tasks, Hands(1, cluster), give, (10,)):
         found[place] = future.result()
@@ -62,9 +62,20 @@ def test_a_cluster_that_loses_a_worker_does_every_task(cluster, tmp_path):
                 time.sleep(0.02)
             lost = int(trace.read_text().split()[0])
             os.kill(lost, signal.SIGKILL)
-    assert found.pop(0) == 2 and [found[k + 1][:2] for k in range(6)] == [(10 + k, 1) for k in range(6)]
+    assert (
+        found.pop(7) == 12_000_000
+        and found.pop(0) == 2
+        and [found[k + 1][:2] for k in range(6)] == [(10 + k, 1) for k in range(6)]
+    )
     first, second = map(int, trace.read_text().split())
     assert first == lost and second != lost and second in {one[2] for one in found.values()}
+
+
+def test_a_worker_of_another_version_does_no_task(cluster, monkeypatch):
+    monkeypatch.setattr(executor, "code_hash", lambda: "another")
+    ((_, future),) = carried_out(added, [(1,)], Hands(1, cluster))
+    with pytest.raises(BadInput, match=r"^the worker on .* runs another version of this software"):
+        future.result()
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])

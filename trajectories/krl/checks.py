@@ -48,7 +48,7 @@ def check_program(
     for (stem, suffix), module in stems.items():
         if suffix == ".src":
             check_pair(module, stems[stem, ".dat"])
-    execution = execute(source)
+    execution = execute(source, modules=modules)
     runs = {source.name.upper(), *(segment.file.upper() for segment in execution.segments)}
     _check_one_setup([m for m in modules.values() if m.path.name.upper() in runs])
     _check_segments(execution.segments, robot, absolute_accuracy)

@@ -1,6 +1,7 @@
 """Runs KRL statements as a robot would: motions in order, with frames and times (trajectories.program.execution)."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -49,8 +50,8 @@ def find_file(folder: Path, name: str, suffix: str) -> Path | None:
     return next((p for p in sorted(folder.iterdir()) if p.name.upper() == wanted), None)
 
 
-def execute(source: Path, strict: bool = True) -> KrlExecution:
-    """Run the program of `source` (a .src) with the sub-programs of its folder.
+def execute(source: Path, strict: bool = True, modules: Mapping[Path, syntax.Module] | None = None) -> KrlExecution:
+    """Run the program of `source` (a .src) with the sub-programs of its folder; `modules` of it that are already read.
 
     Raises BadInput, naming file and line: unreadable text, a program that is not there or calls itself, a position that
     is unknown.
@@ -58,7 +59,7 @@ def execute(source: Path, strict: bool = True) -> KrlExecution:
     source = Path(source)
     if not source.is_file():
         raise BadInput(f"{source}: there is no such program; give the path of a .src file")
-    runner = _Runner(source.parent, strict)
+    runner = _Runner(source.parent, strict, dict(modules or {}))
     runner.run(source, ())
     return KrlExecution(source, tuple(runner.segments), tuple(runner.stops), tuple(runner.notices))
 
@@ -66,12 +67,11 @@ def execute(source: Path, strict: bool = True) -> KrlExecution:
 class _Runner:
     """Walks statements; its state (frames, speed, collected segments) lives for one `execute` only."""
 
-    def __init__(self, folder: Path, strict: bool) -> None:
-        self.folder, self.strict = folder, strict
+    def __init__(self, folder: Path, strict: bool, modules: dict[Path, syntax.Module]) -> None:
+        self.folder, self.strict, self.modules = folder, strict, modules
         self.segments: list[KrlSegment] = []
         self.stops: list[int] = []
         self.notices: list[str] = []
-        self.modules: dict[Path, syntax.Module] = {}
         self.calls = 0
         self.frames = Frames()
         self.path: dict[str, float] = {}
