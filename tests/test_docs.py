@@ -33,11 +33,13 @@ def test_pages_that_are_named_exist():
     assert not [f"{file.relative_to(ROOT)}: {to.name}" for file, to in linked + named if not to.exists()]
 
 
-def test_every_page_stands_in_the_index():
+def test_every_page_stands_in_the_index_and_begins_with_what_it_is_good_for():
     index = (DOCS / "index.md").read_text(encoding="utf-8")
     listed = [line for toc in re.findall(r"```\{toctree\}\n(.*?)```", index, re.DOTALL) for line in toc.split() if line[0] != ":"]
     names = [str(page.relative_to(DOCS).with_suffix("")) for page in PAGES]
     assert sorted(name for name in listed if name in names) == sorted(set(names) - {"index"})
+    begins = {page.name: page.read_text(encoding="utf-8").split("\n\n")[1] for page in PAGES}
+    assert not [f"{name} begins with: {text[:60]}" for name, text in begins.items() if not text[0].isalpha()]
 
 
 def test_commands_in_the_pages_have_the_options_they_are_given():
