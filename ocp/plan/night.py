@@ -3,6 +3,7 @@
 A blade is done when its row stands in night.json, which comes last with its files. The same call goes on with those that are not.
 """
 
+import hashlib
 import json
 import os
 import time
@@ -10,6 +11,7 @@ import traceback
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -85,9 +87,9 @@ def plan_night(
     night.check(away=scheduler is not None)
     with reserved(Path(out), overwrite, night.all_inputs(), grows=True) as output, output.grown():
         folder = output.named
-        rows, common = _rows_before(night, folder), _read(night.beside())
+        rows = _rows_before(night, folder)
         todo = [name for name in night.blades if name not in rows]
-        tasks = ((_planned, common | _read(night.blade(name)), night.arguments(name)) for name in todo)
+        tasks = ((_planned, night.common | _read(night.blade(name)), night.arguments(name)) for name in todo)
         with Phases(progress).phase("blades", len(night.blades)) as advance:
             for _ in range(len(night.blades) - len(todo)):
                 advance()
@@ -125,6 +127,7 @@ class _Night:
             if away and name is not None and Path(name).is_absolute():
                 raise BadInput(f"{self.cell}: names {name}, which other machines do not have; name it from the cell's own folder")
 
+    @cached_property
     def beside(self) -> dict[str, Path]:
         """What all blades share: the cell with the files that it names, but for its own blade; the depth to take off."""
         files = [file for file in files_of(self.cell) if file.suffix.lower() not in BLADE_FILES]
@@ -139,25 +142,31 @@ class _Night:
 
     def all_inputs(self) -> list[Path]:
         """Every file that is read."""
-        return [*self.beside().values(), *self.blades.values()]
+        return [*self.beside.values(), *self.blades.values()]
 
     def arguments(self, name: str) -> dict[str, Any]:
         """Those of `plan`, where a blade is planned."""
-        there = {file: name for name, file in (self.beside() | self.blade(name)).items()}
+        there = {file: name for name, file in (self.beside | self.blade(name)).items()}
         files = {"blade": there[self.blades[name]], "cell": there[self.cell]}
         files |= {} if self.options.stock is None else {"stock": there[self.options.stock]}
         return {"files": files} | {key: getattr(self.options, key) for key in ("kind", "step", "whole")}
 
     def as_given(self, name: str, sentence: str) -> str:
         """A sentence with the files named as the user did."""
-        for there, file in (self.beside() | self.blade(name)).items():
+        for there, file in (self.beside | self.blade(name)).items():
             sentence = sentence.replace(there, str(file))
         return sentence
+
+    @cached_property
+    def common(self) -> Files:
+        """What stands in them, read once: all blades are planned with the cell as it was at the beginning."""
+        return _read(self.beside)
 
     def asked(self) -> dict[str, Any]:
         """What may not change when a night is gone on with, as night.json has it."""
         options = {"kind": self.options.kind, "step_mm": 1e3 * self.options.step, "whole": self.options.whole}
-        return {"cell": self.cell.name} | options | {"inputs": {there: sha256(file) for there, file in self.beside().items()}}
+        hashes = {there: hashlib.sha256(content).hexdigest() for there, content in self.common.items()}
+        return {"cell": self.cell.name} | options | {"inputs": hashes}
 
 
 def _named(blades: Sequence[Path]) -> dict[str, Path]:
