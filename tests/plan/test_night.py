@@ -180,4 +180,4 @@ def test_what_several_blades_cannot_have_is_one_sentence(tmp_path, arguments, sa
 
 def test_a_page_of_an_unfinished_night_says_what_is_still_to_come():
     head = night_page([], 3, "cell.toml").head
-    assert head.tone == "unsafe" and "3 are still to be planned" in head.sentence
+    assert head.tone == "unsafe" and head.verdict == "Not done yet." and "3 are still to be planned" in head.sentence

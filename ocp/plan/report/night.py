@@ -21,7 +21,7 @@ COLUMNS = (
     "core within 5 %, 10 %",
     "program min",
     "planned in s",
-    "",
+    "page",
 )
 
 
@@ -30,7 +30,7 @@ def night_page(rows: Sequence[Row], asked: int, cell: str) -> Report:
     good = [row for row in rows if row["exit_code"] == 0]
     careful = any(row["headline"] != "Safe to use." for row in good)
     waiting = f" {asked - len(rows)} are still to be planned." if asked > len(rows) else ""
-    verdict = "All have a plan." if len(good) == len(rows) else "Some have no plan."
+    verdict = "Not done yet." if waiting else "All have a plan." if len(good) == len(rows) else "Some have no plan."
     head = Headline(len(good) == len(rows) and not waiting, verdict, words_of(rows) + waiting, doubtful=careful)
     facts = [("Cell", cell)]
     if good:
