@@ -41,6 +41,7 @@ def made(small_plan_copy):
 
 
 def test_every_blade_has_the_plan_that_it_has_alone(made):
+    """And a second run writes the same bytes."""
     folder, told = made
     assert told.code == 1 and told.out.startswith("night: 1 of 2 blades are safe to move, 1 has no plan.")
     alone = tree(folder / "plan")

@@ -18,7 +18,7 @@ from ocp.plan.__main__ import app
 from ocp.shell.output import MARKER, write_marker
 from robots.robot import load_robot
 from tests.support import small_plan
-from tests.support.small_plan import STEP, called, planned, refused, small_cell, tree
+from tests.support.small_plan import STEP, called, refused, small_cell, tree
 from trajectories.krl.checks import check_program
 
 COLUMNS = (
@@ -141,16 +141,6 @@ def test_the_program_stands_the_independent_checks_and_ends_where_it_began(small
     execution = checked(small[0] / "plan")
     q = [s.q for s in execution.segments if s.q is not None]
     np.testing.assert_allclose(q[0][0], q[-1][-1], atol=1e-6)
-
-
-def test_a_second_run_writes_the_same_bytes(small):
-    folder, _ = small
-    told = planned(folder, "blade.stl", "--cell", "cell.toml", *STEP, "--out", "again/deep")
-    assert told.code == 0, told.err
-    one, two = tree(folder / "plan"), tree(folder / "again" / "deep")
-    assert one.keys() == two.keys()
-    assert [name for name in one if one[name] != two[name]] == []
-    shutil.rmtree(folder / "again")
 
 
 # -- kinds, names, folders -----------------------------------------------------------------------------------------
