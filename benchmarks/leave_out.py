@@ -28,7 +28,6 @@ from ocp.shell.progress import Phases
 Did = Callable[[Any, tuple[Any, ...]], bool]
 # Rule: the module and the function that is it, what it is without the rule, whether a result of it did something.
 RULES: dict[str, tuple[Any, str, Callable[..., Any], Did]] = {
-    "products": (search, "reweighted", lambda *a: None, lambda found, a: bool(found)),
     "outliers": (search, "outliers_rechecked", lambda *a: None, lambda found, a: found is not None),
     "impostors": (doubts, "impostors", lambda *a: [], lambda found, a: bool(found)),
     "relief": (doubts, "relieving", lambda *a: [], lambda found, a: bool(found)),
@@ -39,25 +38,9 @@ RULES: dict[str, tuple[Any, str, Callable[..., Any], Did]] = {
         lambda found, a: bool(a[1] and a[2]),
     ),
     "suspects": (diagnosis, "suspected", lambda *a: (), lambda found, a: bool(found)),
-    "mistaken": (diagnosis, "mistaken", lambda *a: [], lambda found, a: bool(found)),
-    "alike at first": (diagnosis, "classes_of", lambda *a: _classes_anyhow(*a), lambda found, a: found != _classes_anyhow(*a)),
     "held-out names": (diagnosis, "misses_far_more_than_noise", lambda *a: False, lambda found, a: bool(found)),
 }
 ORIGINAL = {rule: getattr(module, name) for rule, (module, name, _, _) in RULES.items()}
-
-
-def _classes_anyhow(first: Any, problem: Any, found: Any, weighed: Any, signatures: Any) -> Any:
-    """`classes_of` without a look at the first linearisation."""
-    free = [(diagnosis.Name(*a.key), None) for a in problem.values(weighed)]
-    with patch.object(diagnosis, "alike_at", lambda *a: free):
-        return ORIGINAL["alike at first"](first, problem, found, weighed, signatures)
-
-
-def _reweighted(first: Any, problem: Any, found: Any, held: Any) -> bool:
-    """`reweighted`, and whether it lowered a set."""
-    before = {key: w.log for key, w in found.sets.items()}
-    ORIGINAL["products"](first, problem, found, held)
-    return any(found.sets[key].log < log for key, log in before.items())
 
 
 @contextmanager
@@ -75,8 +58,7 @@ def watched(did: set[str]) -> Iterator[None]:
 
     patches = []
     for rule, (module, name, _, acted) in RULES.items():
-        original = _reweighted if rule == "products" else ORIGINAL[rule]
-        patches.append(patch.object(module, name, watching(rule, original, acted)))
+        patches.append(patch.object(module, name, watching(rule, ORIGINAL[rule], acted)))
     for one in patches:
         one.start()
     try:

@@ -150,14 +150,6 @@ noise's excess better. Reason: once fitted both compete again; as GROWN_WITHIN (
 SHARPER_GAIN = 0.5
 """[ln] That a scanned number between the grid's must gain. Reason: less is below one sigma of that number."""
 
-REWEIGHTED_WITHIN = 12.0
-"""[ln] Sets this much below the best are not judged again where nothing is active. Reason: e^-12 carries no weight."""
-
-REWEIGHTED_ROOM = 2.0
-"""[ln] By which a set without an active effect may come nearer than it was where nothing was active. Guards: a wheel's
-runout against an effect that multiplies and imitates it. Reason: columns at the fit are the better ones otherwise; without
-the rule such a set had probability 0.39 (docs/diagnosis.md, Products)."""
-
 FAILED_FITS = 2
 """[fits] After which a name that no fit ever held is given up. Guards: minutes, and names at which the contact has no
 balance. Reason: once may be for another name's sake."""
@@ -262,15 +254,8 @@ it nine times in ten (DIAGNOSIS.md)."""
 TOLD_APART_MORE = 1.3
 """[lambda] For each further parameter. Reason: the same chi-square, 1.2 for the fourth and less after it, rounded up."""
 
-MISTAKEN_WITHIN = 5.0
-"""[ln] Below the best set up to which another name in a member's place is possible. Reason: e^-5 is below one in a hundred."""
-
 IMITATED = 0.5
 """[-] Of the signature that an imitator takes at least. Reason: what is hardly there is imitated by anything."""
-
-NEARLY_ALIKE = 2.0
-"""[-] Factor on TOLD_APART below which two effects are alike at the first linearisation. Guards: classes against columns at
-the fit that hold the accepted effect's own pattern. Reason: no reason known for two rather than three."""
 
 # ---------- alternatives and shrinkage
 FOLLOWED = 0.03

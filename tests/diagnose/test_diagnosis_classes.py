@@ -7,7 +7,7 @@ import numpy as np
 from ocp.diagnose.engine.beam import Family, Member, Weighed, make_pool
 from ocp.diagnose.engine.evidence import coefficients_given
 from ocp.diagnose.engine.findings import Name
-from ocp.diagnose.verdict.probabilities import merged, mistaken, twins
+from ocp.diagnose.verdict.probabilities import merged, twins
 from ocp.effects.catalogue import library
 
 N, LONG = 400, 30.0  # rows; length of a column at its prior's upper end, in noises
@@ -48,30 +48,6 @@ def test_a_form_and_what_it_holds_are_one_class_until_the_difference_shows():
 
 def test_a_small_background_does_not_take_the_place_of_an_effect():
     assert classes_of(0.35, play=0.08) == [BACKLASH]
-
-
-def taken_for(angle: float, behind: float) -> list[Name]:
-    """Names that a ramp may have been mistaken for, where a step was there whose direction is off by `angle`; the step's set
-    weighs `behind` less."""
-    step, aside = np.linalg.qr(RNG.normal(size=(N, 2)))[0].T * np.sqrt(N)
-    ramp = np.cos(angle) * step + np.sin(angle) * aside
-    y = LONG / np.sqrt(N) * 0.8 * step + np.random.default_rng(1).normal(size=N)
-    pool = make_pool(y, N, [family("ramp", ramp[:, None]), family("step", step[:, None])])
-    one, other = (Weighed(log, (Member(k, 0, 1.0),)) for k, log in enumerate((50.0, 50.0 - behind)))
-
-    def values(weighed: Weighed) -> tuple[SimpleNamespace, ...]:
-        C = pool.columns(weighed.members[0])
-        a, _ = coefficients_given(C, y, np.ones(1))
-        return (SimpleNamespace(effect=library()["backlash"], joint=2, a=a),)
-
-    seen = {frozenset([0]): one, frozenset([1]): other, frozenset([0, 1]): Weighed(49.0, (*one.members, *other.members))}
-    return mistaken(SimpleNamespace(pool=pool, values=values), seen, one, one.members[0])
-
-
-def test_what_was_there_may_be_imitated_by_what_was_named():
-    assert taken_for(0.1, 3.0) == [Name("step", 2)]  # the ramp leaves 24^2 0.1^2 of it
-    assert taken_for(0.3, 3.0) == []
-    assert taken_for(0.1, 9.0) == []  # the readings have decided
 
 
 def test_classes_that_share_a_name_are_one():

@@ -8,7 +8,7 @@ import pytest
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised
-from ocp.diagnose.engine.search import Diverged, reweighted, search_and_refit
+from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.fit import fit_effects, linear
 from ocp.diagnose.force.prediction import predict_forces
@@ -175,26 +175,6 @@ def test_drift_tells_how_far_a_value_moves_without_a_fold(made: Made, tmp_path):
     time = [h for n, h in held.items() if n.startswith("time") and h is not None]
     assert time and time[0].drift["sensor_bias", 0] > 3.0
     assert predict_forces(channel.problem.scene, channel.fit.at.x, channel.active).prompt[0].shape == log.fn.shape
-
-
-def test_a_stiffness_does_not_pass_for_the_wave_it_multiplies(made, tmp_path, monkeypatch):  # noqa: F811
-    """About a fit with a wave in it the column of the flange's stiffness holds the wave too."""
-
-    def overlap(b):
-        return 8e-5 * np.cos(b.columns["belt"] / b.world.truth.wheel.radius * b.columns["time"] + 0.7)
-
-    log, _ = _log(made.base, (Planted(overlap=overlap),), tmp_path)
-    options = Options(folds=False)
-    first = linearised([_again(made, log)], EFFECTS, options)
-    after = first.channels[0].with_active((_active("wheel_runout", 0, {"clocked": 0.0}),))
-    problem = linearised([after], EFFECTS, options)
-    search = Search(problem.pool, options.most, options.beam)
-    wave, stiff = (frozenset([problem.index[Name(n, 0)]]) for n in ("wheel_runout", "flange_stiffness"))
-    search.run([wave, stiff])
-    assert search.sets[stiff].log > 0.5 * search.sets[wave].log  # it does
-    monkeypatch.setattr("ocp.diagnose.rules.REWEIGHTED_WITHIN", np.inf)  # not as near here as in a log with less in it
-    reweighted(first, problem, search, after.active)
-    assert search.sets[stiff].log < 0.4 * search.sets[wave].log
 
 
 def test_left_out_readings_are_the_same_ones_with_and_without_a_name(made, tmp_path):  # noqa: F811

@@ -3,10 +3,8 @@
 One-shot screening names spurious companions of strong effects (their second order, and a noise level that still holds them),
 so one effect at most is accepted between two refits, and what was accepted may be dropped or exchanged at every later one.
 
-Two things keep it honest. Fits that diverge (`Diverged`): where something is missing that nobody names, columns of an effect
-that changes stiffness or contact reach for it, and the fit runs off to values at which wheel and blade hold no balance. And
-sets that leave an active effect out (`reweighted`): about the accepted fit the column of an effect that multiplies (a
-flange's stiffness, a gain) holds the accepted effect's own pattern times its size, and in large doses passes for that effect.
+Fits that diverge are taken out (`Diverged`): where something is missing that nobody names, columns of an effect that changes
+stiffness or contact reach for it, and the fit runs off to values at which wheel and blade hold no balance.
 
 Scanned values (levers, rests, instants) are made sharper between those that were scanned: a grid of 40 instants or a few
 levers leaves a residue of a strong effect that other names would explain. A pattern search (Hooke and Jeeves 1961) on the
@@ -21,7 +19,7 @@ are grossly wrong. Without it other_hand_11 (springs that stiffen, lambda 3458) 
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +86,6 @@ def search_and_refit(
         index = problem.index
         search.run([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
         held = _all_active(problem.channels)
-        reweighted(first, problem, search, held)
         diverged.converged(Name(*a.key) for a in held)
         diverged.strike(search, problem)
         channels: list[Channel] | None = None
@@ -136,33 +133,6 @@ def _best(search: Search, keys: Iterable[Key]) -> Key:
 def _all_active(channels: Sequence[Channel]) -> tuple[Active, ...]:
     """Effects active in any channel, once each."""
     return tuple({a.key: a for c in channels for a in c.active}.values())
-
-
-def reweighted(first: Linearisation, problem: Linearisation, search: Search, held: tuple[Active, ...]) -> None:
-    """Lower the weight of sets in `search.sets` that look good for a product's sake alone; first: nothing active."""
-    if problem is first or not held:
-        return
-    index = problem.index
-    active = {i for n, i in index.items() if any((n.effect, n.joint) == a.key for a in held)}
-    whole = [k for k in search.sets if active <= k]
-    if not active or not whole:
-        return
-    best = max(whole, key=lambda k: search.sets[k].log)
-    there = _first_weight(first, problem, best)
-    top = max(w.log for w in search.sets.values())
-    for key, weighed in list(search.sets.items()):
-        if active <= key or not key or weighed.log < top - rules.REWEIGHTED_WITHIN:
-            continue
-        most = search.sets[best].log + _first_weight(first, problem, key) - there + rules.REWEIGHTED_ROOM
-        if most < weighed.log:
-            search.sets[key] = replace(weighed, log=most)
-
-
-def _first_weight(first: Linearisation, problem: Linearisation, key: Key) -> float:
-    """Log weight of the same names at the first linearisation. What was no candidate there could not be seen: it adds nothing."""
-    families, index = problem.pool.families, first.index
-    known = [index[families[f].name] for f in sorted(key) if families[f].name in index]
-    return weigh(first.pool, known).log
 
 
 HALVINGS = 4

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import Family, Given, Search, Weighed, given, weigh
+from ocp.diagnose.engine.beam import Family, Given, Search, Weighed, given
 from ocp.diagnose.engine.channel_system import Channel, WeighedReadings
 from ocp.diagnose.engine.evidence import visible_lambda
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
@@ -27,7 +27,6 @@ from ocp.diagnose.verdict.probabilities import (
     Posterior,
     alternatives,
     merged,
-    mistaken,
     posterior,
     told_apart,
     twins,
@@ -114,7 +113,7 @@ def findings(
         weighed, active, channels = Weighed(0.0, ()), (), tuple(baseline)
     signatures = [signature(problem, weighed, a) for a in active]
     ranked = ranking(problem, search, found)
-    classes = classes_of(first, problem, search, weighed, signatures) if active else suspected(problem, search, ranked)
+    classes = classes_of(problem, weighed, signatures) if active else suspected(problem, search, ranked)
     judgement = judged(baseline, problem, channels, active, signatures, options.folds, refused)
     doubts, hurting = [*failed, *judgement.doubts], [(n, f"hurts where {f} is left out") for n, f in judgement.impostors]
     rejected = bool(failed or judgement.hurt or judgement.relieved)
@@ -173,34 +172,14 @@ def signature(problem: Linearisation, weighed: Weighed, one: Active) -> Array:
     raise KeyError(one.effect.name)
 
 
-def classes_of(
-    first: Linearisation, problem: Linearisation, search: Search, weighed: Weighed, signatures: Sequence[Array]
-) -> tuple[tuple[Name, ...], ...]:
-    """Classes of the accepted effects, with these signatures, and what cannot be told from them: here, and where nothing was
-    active yet, for a column at the fit may hold the accepted effect's own pattern (`ocp.diagnose.engine.search`)."""
-    index, found = problem.index, []
-    for (name, alike), d in zip(alike_at(first, problem, weighed), signatures, strict=True):
-        member = next(m for m in weighed.members if m.family == index[name])
-        here = [n for n in twins(problem, weighed, member, d) if alike is None or n in alike]
-        found.append((name, *here, *mistaken(problem, search.sets, weighed, member)))
+def classes_of(problem: Linearisation, weighed: Weighed, signatures: Sequence[Array]) -> tuple[tuple[Name, ...], ...]:
+    """Classes of the accepted effects, with these signatures, and what cannot be told from them."""
+    found = []
+    for one, d in zip(problem.values(weighed), signatures, strict=True):
+        name = Name(*one.key)
+        member = next(m for m in weighed.members if m.family == problem.index[name])
+        found.append((name, *twins(problem, weighed, member, d)))
     return merged(found)
-
-
-def alike_at(first: Linearisation, problem: Linearisation, weighed: Weighed) -> list[tuple[Name, set[Name] | None]]:
-    """Accepted names of a set in the order of their values, each with those that are nearly like it at the first linearisation;
-    None where it was no candidate there."""
-    names = [Name(*a.key) for a in problem.values(weighed)]
-    there = weigh(first.pool, [first.index[n] for n in names if n in first.index])
-    found: list[tuple[Name, set[Name] | None]] = []
-    values = {Name(*a.key): a for a in first.values(there)}
-    for name in names:
-        if name not in values:
-            found.append((name, None))
-            continue
-        member = next(m for m in there.members if m.family == first.index[name])
-        d = signature(first, there, values[name])
-        found.append((name, {*twins(first, there, member, d, rules.NEARLY_ALIKE), *names}))
-    return found
 
 
 def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) -> tuple[tuple[Name, ...], ...]:

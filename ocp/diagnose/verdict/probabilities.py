@@ -91,33 +91,12 @@ def told_apart(parameters: int) -> float:
     return rules.TOLD_APART[min(parameters, 3) - 1] + rules.TOLD_APART_MORE * max(parameters - 3, 0)
 
 
-def twins(problem: Linearisation, weighed: Weighed, member: Member, signature: Array, factor: float = 1.0) -> list[Name]:
-    """Names that these data cannot tell from a member of a set with this signature (N,), the others of the set as they are;
-    factor on the threshold."""
+def twins(problem: Linearisation, weighed: Weighed, member: Member, signature: Array) -> list[Name]:
+    """Names that these data cannot tell from a member of a set with this signature (N,), the others of the set as they are."""
     inside = {m.family for m in weighed.members}
     names = [i for i, f in enumerate(problem.pool.families) if f.effect is not None and i not in inside]
     d = _beside(problem, weighed, member, signature)
-    return [problem.pool.families[i].name for i in names if _imitates(problem.pool, d, i, factor)]
-
-
-def mistaken(problem: Linearisation, seen: Mapping[Key, Weighed], weighed: Weighed, member: Member) -> list[Name]:
-    """Names that put in the member's place explain the data nearly as well, and whose signature, were they what is there, the
-    member's family would imitate: a ramp for a step, where a log has readings at its two ends."""
-    pool, key = problem.pool, frozenset(m.family for m in weighed.members)
-    found = []
-    for other, its in seen.items():
-        new = other - key
-        if key - other != {member.family} or len(new) != 1 or its.log < weighed.log - rules.MISTAKEN_WITHIN:
-            continue
-        one = next(m for m in its.members if m.family in new)
-        family = pool.families[one.family]
-        if family.effect is None:
-            continue
-        active = next(a for a in problem.values(its) if a.effect is family.effect and a.joint == family.name.joint)
-        d = _beside(problem, its, one, pool.columns(one) @ (active.a / family.scale))
-        if _imitates(pool, d, member.family):
-            found.append(family.name)
-    return found
+    return [problem.pool.families[i].name for i in names if _imitates(problem.pool, d, i)]
 
 
 def _beside(problem: Linearisation, weighed: Weighed, member: Member, signature: Array) -> Array:
@@ -129,13 +108,13 @@ def _beside(problem: Linearisation, weighed: Weighed, member: Member, signature:
     return there.after(signature)
 
 
-def _imitates(pool: CandidatePool, d: Array, family: int, factor: float = 1.0) -> bool:
+def _imitates(pool: CandidatePool, d: Array, family: int) -> bool:
     """Whether a family takes so much of a signature (N,), at its prior's upper end, that what it leaves is not told from zero."""
     g, rows = pool.of(family)
     b = np.einsum("nvi,n->vi", g.X[:, rows], d)
     taken = np.einsum("vi,vi->v", b, np.linalg.solve(g.G[rows] + np.eye(g.m), b[..., None])[..., 0]).max()
     size = float(d @ d)
-    return bool(taken > rules.IMITATED * size and size - taken < factor * told_apart(len(pool.families[family].scale)))
+    return bool(taken > rules.IMITATED * size and size - taken < told_apart(len(pool.families[family].scale)))
 
 
 def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:
