@@ -23,6 +23,7 @@ from ocp.shell.cache import code_hash
 from ocp.shell.processes import cores, interrupts_held_back, keep_to, nothing, workers
 from robots.errors import BadInput, Infeasible
 
+RENEWED = 20  # tasks of a process, then a new one takes its place: a plan leaves some 4 MB behind in its process
 CONNECT = 10  # s, for a scheduler to answer and to have a worker
 AHEAD = 2  # tasks a thread of the cluster that are on their way
 OTHER_VERSION = "{} runs another version of this software, or has none; install there what runs here, and start it again"
@@ -146,8 +147,8 @@ class _Processes:
 
     def __init__(self, jobs: int, make: Callable[[], AbstractContextManager[Executor]]) -> None:
         self._jobs, self._make = jobs, make
-        self._idle: list[tuple[ExitStack, Executor]] = []
-        self.busy: dict[Future[Any], tuple[ExitStack, Executor]] = {}
+        self._idle: list[tuple[ExitStack, Executor, int]] = []
+        self.busy: dict[Future[Any], tuple[ExitStack, Executor, int]] = {}
 
     def room(self, flying: int) -> bool:
         return flying < self._jobs
@@ -155,27 +156,27 @@ class _Processes:
     def submit(self, work: Callable[..., Any], task: tuple[Any, ...]) -> "Future[Any]":
         if not self._idle:
             stack = ExitStack()
-            self._idle.append((stack, stack.enter_context(self._make())))
-        stack, pool = self._idle.pop()
+            self._idle.append((stack, stack.enter_context(self._make()), 0))
+        stack, pool, tasks = self._idle.pop()
         with interrupts_held_back():
             future = pool.submit(work, *task)
-        self.busy[future] = stack, pool
+        self.busy[future] = stack, pool, tasks + 1
         return future
 
     def done(self, future: "Future[Any]") -> bool:
-        stack, pool = self.busy.pop(future)
+        stack, pool, tasks = self.busy.pop(future)
         lost = isinstance(future.exception(), BrokenProcessPool)
-        if lost:
+        if lost or tasks >= RENEWED:
             stack.close()
         else:
-            self._idle.append((stack, pool))
+            self._idle.append((stack, pool, tasks))
         return lost
 
     def __enter__(self) -> "_Processes":
         return self
 
     def __exit__(self, *error: Any) -> None:
-        for stack, _ in (*self._idle, *self.busy.values()):
+        for stack, _, _ in (*self._idle, *self.busy.values()):
             stack.__exit__(*error)
 
 

@@ -22,6 +22,15 @@ def test_one_job_works_in_this_process_and_two_in_others_with_what_they_were_giv
     assert os.getpid() not in {one[2] for one in apart.values()} and {one[1] for one in apart.values()} == {os.cpu_count() // 2}
 
 
+def test_a_process_is_renewed_after_some_tasks(monkeypatch):
+    """What a library leaves behind in one does not add up over a thousand tasks."""
+    monkeypatch.setattr(executor, "RENEWED", 2)
+    done = {place: f.result() for place, f in carried_out(added, [(k,) for k in range(5)], Hands(1), give, (10,), apart=True)}
+    assert [done[k][0] for k in range(5)] == [10, 11, 12, 13, 14]
+    pids = [done[k][2] for k in range(5)]
+    assert pids[0] == pids[1] != pids[2] == pids[3] != pids[4] and os.getpid() not in pids
+
+
 def test_no_more_tasks_are_taken_than_are_worked_on():
     taken = []
     done = carried_out(added, ((taken.append(k) or k,) for k in range(100)), Hands(1))
