@@ -73,9 +73,17 @@ def parse_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
     except RecursionError:
         raise BadInput(f"{path}: lists or tables stand more than {DEEPEST} deep in each other; write them flat") from None
     except ValueError as error:  # syntax, and integers that Python does not read
-        raise BadInput(f"{path}: not valid TOML: {shown(error, 120)}; correct that line") from None
+        raise BadInput(f"{path}: not valid TOML: {shown(error, 120)}; {_remedy(text, str(error))}") from None
     _check_values(path, text, data)
     return text, data
+
+
+def _remedy(text: str, error: str) -> str:
+    """What to do about a line that is no TOML: most often a decimal comma."""
+    at = re.search(r"at line (\d+)", error)
+    line = text.split("\n")[int(at.group(1)) - 1] if at else ""
+    comma = re.match(r"[^#\"'\[]*=\s*(-?\d+),(\d+)", line)
+    return f"write {comma.group(1)}.{comma.group(2)} with a point" if comma else "correct that line"
 
 
 def _check_values(path: Path, text: str, data: dict[str, Any]) -> None:
@@ -107,8 +115,12 @@ def _fault(value: Any, depth: int) -> str:
 
 
 def _sentence(path: Path, text: str, error: ValidationError, schema: type[BaseModel]) -> str:
-    """The first fault as one sentence: file, line, key, value, what was expected."""
-    fault = error.errors()[0]
+    """The first fault as one sentence: file, line, key, value, what was expected. Where a key is missing and its table has one
+    that is unknown, the unknown one is told: it is the missing one misspelt."""
+    fault, *others = error.errors()
+    if fault["type"] == "missing":
+        misspelt = (f for f in others if f["type"] == "extra_forbidden" and f["loc"][:-1] == fault["loc"][:-1])
+        fault = next(misspelt, fault)
     keys = [str(k) for k in fault["loc"] if not isinstance(k, int) and not _is_union_label(str(k))]
     index = next((k for k in fault["loc"] if isinstance(k, int)), None)
     parts = [f"[{k}]" if isinstance(k, int) else f".{k}" for k in fault["loc"] if not _is_union_label(str(k))]

@@ -221,7 +221,7 @@ def _margins(blade: Blade, options: PassOptions) -> Margins:
         raise BadInput(
             f"{blade.name}: the clamp ({options.clamp_side} {1e3 * options.clamp_offset:g} mm along "
             f"{list(options.clamp_normal)}) holds {what}: the blade reaches from {low:.1f} to {high:.1f} mm there; "
-            f"correct clamp_to_mm or clamp_side."
+            f"correct clamp_offset_mm (clamp_to_mm), or turn clamp_normal (clamp_side)."
         )
     return Margins(normal, offset, options.root_margin, options.tip_margin, options.edge_margin)
 

@@ -30,6 +30,7 @@ STEP = 2e-3  # m between waypoints that reach is looked at with
 METRES = 10.0  # mm: a place of a wheel this near to the base's origin is written in metres
 QUARTERS = 1e-3  # of a right angle in radians: angles this near to it, not zero, are written in radians
 NESTS = 3  # reflectors on the last link that place the flange
+COLLAPSE = 50.0  # setpoints by which the force of a flange would change from stop to stop: its stiffness is written in N/m
 FAR = 0.5  # m between a payload's centre and the blade that it holds
 GROUND = 0.999  # of the asked surface: what is less is told
 
@@ -152,7 +153,7 @@ def _robot_findings(tables: CellTables, robot: Robot) -> Iterator[Finding]:
 
 
 def _unit_findings(tables: CellTables) -> Iterator[Finding]:
-    """Numbers that look like metres or radians."""
+    """Numbers that look like metres, radians or newtons per metre, and a floor above the robot's foot."""
     places = {} if tables.wheel is None else {"wheel.centre_mm": tables.wheel.centre_mm}
     for key, place in places.items():
         size = max(map(abs, place))
@@ -163,10 +164,19 @@ def _unit_findings(tables: CellTables) -> Iterator[Finding]:
         quarters = np.array(turn) / (0.5 * np.pi)
         if any(0.5 < abs(v) < 4.5 and abs(v - round(v)) < QUARTERS for v in quarters):
             yield Finding(DOUBT, key, f"{list(turn)} looks like radians; degrees are asked for")
-    if tables.workpiece is not None and 0 < max(map(abs, tables.workpiece.xyz_mm)) < 1.0:
-        yield Finding(
-            DOUBT, "workpiece.xyz_mm", f"{list(tables.workpiece.xyz_mm)} is next to nothing: metres? millimetres are asked for"
-        )
+    offsets = {f"payloads.{name}.com_mm": load.com_mm for name, load in tables.payloads.items()}
+    if tables.workpiece is not None:
+        offsets["workpiece.xyz_mm"] = tables.workpiece.xyz_mm
+    for key, offset in offsets.items():
+        if 0 < max(map(abs, offset)) < 1.0:
+            yield Finding(DOUBT, key, f"{list(offset)} is next to nothing: metres? millimetres are asked for")
+    flange = tables.force_flange
+    if flange is not None and (grown := flange.stiffness_N_per_mm * flange.stroke_mm) > COLLAPSE * flange.setpoint_N:
+        text = f"{flange.stiffness_N_per_mm:g} changes the force by {grown:g} N from stop to stop: N/m? N/mm is asked for"
+        yield Finding(DOUBT, "force_flange.stiffness_N_per_mm", text)
+    if tables.floor is not None and tables.floor.z_mm > 0:
+        text = f"{tables.floor.z_mm:g} is above the robot's foot; a floor below it counts negative"
+        yield Finding(DOUBT, "floor.z_mm", text)
 
 
 def _load_findings(robot: Robot, tables: CellTables) -> Iterator[Finding]:
@@ -231,7 +241,7 @@ def findings_of_frames(cell: Cell, blade: Blade) -> Iterator[Finding]:
     if not held.any() or held.all():
         what = "nothing" if not held.any() else "all"
         yield Finding(
-            MISTAKE, "workpiece.clamp_offset_mm", f"the clamp holds {what} of the blade; move its plane, or turn clamp_side"
+            MISTAKE, "workpiece.clamp_offset_mm", f"the clamp holds {what} of the blade; move its plane, or turn its side"
         )
     elif np.linalg.norm(placed[held], axis=1).mean() > np.linalg.norm(placed[~held], axis=1).mean():
         text = "the held end stands farther from the flange than the free one; is the side of the clamp, or the blade, turned?"

@@ -90,7 +90,7 @@ def _ground(seen: Examined) -> str:
     """How much of the blade can be ground, where that was tried."""
     if seen.grindable is None:
         return ""
-    return f"; {100 * seen.grindable.share:.4g} % of the asked surface can be ground"
+    return f"; {100 * seen.grindable.share:.1f} % of the asked surface can be ground"
 
 
 def show_cell(

@@ -38,6 +38,9 @@ def test_the_bundled_cell_has_neither_mistakes_nor_doubts():
 SLIPS = {
     "metres": (("[1700, 0, 900]", "[1.7, 0, 0.9]"), DOUBT, "wheel.centre_mm", "metres?"),
     "holder in metres": (("xyz_mm = [0, 0, 200]", "xyz_mm = [0, 0, 0.2]"), DOUBT, "workpiece.xyz_mm", "metres?"),
+    "load in metres": (("com_mm = [10, 0, 160]", "com_mm = [0.01, 0, 0.16]"), DOUBT, "payloads.grinder.com_mm", "metres?"),
+    "flange in N/m": (("_N_per_mm = 5.6", "_N_per_mm = 5600.0"), DOUBT, "force_flange.stiffness_N_per_mm", "N/m?"),
+    "floor upside down": (("[robot]", "[floor]\nz_mm = 400.0\n[robot]"), DOUBT, "floor.z_mm", "negative"),
     "radians": (("abc_deg = [0, 0, 0]", "abc_deg = [1.5708, 0, 0]"), DOUBT, "workpiece.abc_deg", "radians"),
     "too heavy": (("mass_kg = 90.0", "mass_kg = 300.0"), MISTAKE, "payloads.weight", "above the 210 kg"),
     "no centre": (("com_mm = [0, 20, 200]", ""), UNMEASURED, "payloads.weight.com_mm", "drawing"),

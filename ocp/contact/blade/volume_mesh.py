@@ -208,7 +208,7 @@ def clamp_cut(points: Array, tetrahedra: Index, normal: Array, offset: float) ->
         raise BadInput(
             f"the clamp plane at {offset * 1e3:.4g} mm holds {'nothing' if height.min() >= 0.0 else 'all'} of the blade, "
             f"which reaches from {(lowest + offset) * 1e3:.4g} to {(highest + offset) * 1e3:.4g} mm along the clamp normal; "
-            "move clamp_to_mm between them"
+            "move clamp_offset_mm (clamp_to_mm) between them"
         )
     while True:
         low, high, _ = tetra_edges(tetrahedra)
