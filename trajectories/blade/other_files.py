@@ -4,7 +4,6 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from robots.bounds import read_whole
 from robots.errors import BadInput, shown, words_kept_back
@@ -33,6 +32,8 @@ def read_other(path: Path) -> tuple[Array, list[str]]:
 
 
 def _read_mesh(path: Path) -> tuple[Array, list[str]]:
+    import trimesh  # half a second, for those who bring such a file
+
     kind = path.suffix.lower()[1:]
     data = read_whole(path, MOST_BYTES, f"a {kind.upper()} file.")
     try:
