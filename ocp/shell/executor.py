@@ -23,7 +23,7 @@ from ocp.shell.cache import code_hash
 from ocp.shell.processes import cores, interrupts_held_back, keep_to, nothing, workers
 from robots.errors import BadInput, Infeasible
 
-RENEWED = 20  # tasks of a process, then a new one takes its place: a plan leaves some 4 MB behind in its process
+RENEWED = 10  # tasks of a process, then a new one takes its place: a plan leaves 5 to 20 MB behind in its process
 CONNECT = 10  # s, for a scheduler to answer and to have a worker
 AHEAD = 2  # tasks a thread of the cluster that are on their way
 OTHER_VERSION = "{} runs another version of this software, or has none; install there what runs here, and start it again"
