@@ -8,13 +8,14 @@ import os
 import pkgutil
 import re
 import sys
+import traceback
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 import ocp.effects
 from ocp.effects.effect import Effect
-from robots.errors import BadInput
+from robots.errors import BadInput, shown
 
 OWN_EFFECTS = "GRINDPLAN_EFFECTS"  # environment: a folder with further effects, one a file; worker processes inherit it
 BEGIN, END = "<!-- table: python -m ocp.effects.catalogue docs/effects.md -->", "<!-- end of table -->"
@@ -25,7 +26,8 @@ def library() -> dict[str, Effect]:
     """Effects by name, in alphabetical order of their files: every module of this package that defines EFFECT, and of the folder
     that the environment names. A new file is enough to add one.
 
-    Raises BadInput: the folder of own effects is none, or has a file named as one of the catalogue's.
+    Raises BadInput: the folder of own effects is none, has a file or an effect named as one of the catalogue's, one that fails, or
+    one without EFFECT (a helper's name begins with an underscore).
     """
     return _library(os.environ.get(OWN_EFFECTS, ""), tuple(ocp.effects.__path__))
 
@@ -33,20 +35,40 @@ def library() -> dict[str, Effect]:
 @cache
 def _library(own: str, places: tuple[str, ...]) -> dict[str, Effect]:
     names = {m.name for m in pkgutil.iter_modules(places)}
-    if own and own not in places:
+    added: set[str] = set()
+    if own:
         if not Path(own).is_dir():
             raise BadInput(f"{OWN_EFFECTS}={own}: no such folder; give the folder that holds your effects' files")
         added = {m.name for m in pkgutil.iter_modules([own])}
-        if twice := sorted(names & added):
+        if own not in places and (twice := sorted(names & added)):
             raise BadInput(f"{Path(own) / twice[0]}.py: the catalogue has a file of this name; give yours another")
-        names |= added
-        ocp.effects.__path__.append(own)
-    found = {}
-    for module in sorted(names):
+        if own not in places:
+            ocp.effects.__path__.append(own)
+    found: dict[str, Effect] = {}
+    for module in sorted(names - added):
         effect = getattr(importlib.import_module(f"ocp.effects.{module}"), "EFFECT", None)
         if effect is not None:
             found[effect.name] = effect
-    return found
+    for module in sorted(name for name in added if name[0] != "_"):
+        effect = _own_effect(Path(own) / f"{module}.py")
+        if effect.name in found:
+            raise BadInput(f"{Path(own) / module}.py: there is an effect '{effect.name}' already; give yours another name")
+        found[effect.name] = effect
+    return found if not added else dict(sorted(found.items()))
+
+
+def _own_effect(file: Path) -> Effect:
+    """EFFECT of a file that somebody wrote. Raises BadInput: it has a fault, or none is defined."""
+    try:
+        effect = getattr(importlib.import_module(f"ocp.effects.{file.stem}"), "EFFECT", None)
+    except Exception as error:  # whatever that file does
+        own = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) == file]
+        line = error.lineno if isinstance(error, SyntaxError) else next(iter(own), None)
+        told = error.msg if isinstance(error, SyntaxError) else f"{type(error).__name__}: {error}"
+        raise BadInput(f"{file}, line {line}: {shown(told, 200)}; correct it") from error
+    if not isinstance(effect, Effect):
+        raise BadInput(f"{file}: defines no EFFECT; define one, or begin the name of a file of helpers with an underscore")
+    return effect
 
 
 def forget_library() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.effects.catalogue import library
+from ocp.effects.catalogue import OWN_EFFECTS, library
 from ocp.effects.effect import Active, Effect, Parameter, effect_named
 from ocp.effects.patch import patch_of
 from robots.errors import shown
@@ -86,8 +86,10 @@ def table_of(active: Active) -> dict[str, Any]:
 def _known_effect(name: str) -> Effect:
     effects = library()
     if name not in effects:
-        near = get_close_matches(name, effects, 3) or sorted(effects)
-        raise ValueError(f"unknown effect '{shown(name)}'; {'near it' if len(near) < 4 else 'known'}: {', '.join(near)}")
+        near = get_close_matches(name, effects, 3)
+        own = f"one of your own is found in the folder that {OWN_EFFECTS} names; known: "
+        told = "near it: " + ", ".join(near) if near else own + ", ".join(sorted(effects))
+        raise ValueError(f"unknown effect '{shown(name)}'; {told}")
     return effects[name]
 
 

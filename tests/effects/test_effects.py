@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ocp.effects.catalogue import effects_table, library, with_table
+import ocp.effects
+from ocp.effects.catalogue import OWN_EFFECTS, effects_table, forget_library, library, with_table
 from ocp.effects.cell_effects import effect_of, table_of
 from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine
 from ocp.effects.engine.evaluate import TrackerRows, arm_columns, arm_rows, arm_shift, tracker_columns
 from robots.calibration.reading_model import RowInputs, predict
+from robots.errors import BadInput
 from tests.support.dropped_effect import dropped_effect
 from tests.support.effect_arm import AT, COMPLIANCE, T_TRACKER, Poses, reflectors
 from tests.support.simulated_campaign import EXTRA, NESTS, PAYLOADS
@@ -243,6 +245,26 @@ def test_a_dropped_file_is_a_new_effect(tmp_path, monkeypatch):
         planned = effect_of({"effect": "brand_new", "joint": 2, "k": 3e-5, "sd": {"k": 1e-6}})
         assert planned.a == pytest.approx([3e-5]) and planned.covariance == pytest.approx(np.array([[1e-12]]))
         sys.modules.pop("ocp.effects.brand_new", None)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("EFFECT = Effect(", r"own_one.py, line 1: '\(' was never closed; correct it"),
+        ("import math\nEFFECT = math.sinn", "own_one.py, line 2: AttributeError: .*sinn.*; correct it"),
+        ("import math", "own_one.py: defines no EFFECT"),
+        ("from ocp.effects.backlash import EFFECT", "own_one.py: there is an effect 'backlash' already"),
+    ],
+)
+def test_a_dropped_file_that_is_no_effect_is_told(tmp_path, monkeypatch, text, words):
+    (tmp_path / "own_one.py").write_text(text)
+    monkeypatch.setattr(ocp.effects, "__path__", [*ocp.effects.__path__])
+    monkeypatch.setenv(OWN_EFFECTS, str(tmp_path))
+    forget_library()
+    with pytest.raises(BadInput, match=words):
+        library()
+    sys.modules.pop("ocp.effects.own_one", None)
+    forget_library()
 
 
 def test_the_page_lists_the_library_as_it_is():

@@ -211,6 +211,7 @@ def test_signs_of_motion_go_through_zero_where_an_axis_turns_back(turn, n, slope
 
 REFUSED = {
     "unknown": ('effect = "backlas"', "unknown effect 'backlas'; near it: backlash"),
+    "own": ('effect = "zzz"', "one of your own is found in the folder that GRINDPLAN_EFFECTS names; known: air"),
     "joint": ('effect = "backlash"\nhalf_width_rad = 1e-4', "'backlash': joint is missing; give one of 1, 2, 3, 4, 5, 6"),
     "far": ('effect = "link_bending"\njoint = 5\nrad_per_Nm = 1e-8', "joint = 5 is not possible; give one of 2, 3"),
     "none": ('effect = "wheel_wear"\njoint = 2\nm_per_s = 1e-7', "'wheel_wear' belongs to no joint; remove joint"),
