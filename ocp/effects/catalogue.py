@@ -26,8 +26,8 @@ def library() -> dict[str, Effect]:
     """Effects by name, in alphabetical order of their files: every module of this package that defines EFFECT, and of the folder
     that the environment names. A new file is enough to add one.
 
-    Raises BadInput: the folder of own effects is none, has a file or an effect named as one of the catalogue's, one that fails, or
-    one without EFFECT (a helper's name begins with an underscore).
+    Raises BadInput: the folder of own effects is none, has a file or an effect named as one of the catalogue's, one that fails,
+    or one without EFFECT (a helper's name begins with an underscore).
     """
     return _library(os.environ.get(OWN_EFFECTS, ""), tuple(ocp.effects.__path__))
 
