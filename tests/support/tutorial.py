@@ -1,6 +1,7 @@
 """docs/tutorial.md word for word: `python -m tests.support.tutorial FOLDER [--pictures]` runs its commands in an empty folder,
 holds what they say against what the page quotes, tells the seconds, and takes the page's pictures."""
 
+import os
 import re
 import shlex
 import subprocess
@@ -51,7 +52,8 @@ def run(folder: Path) -> list[str]:
     for step in steps(PAGE.read_text(encoding="utf-8")):
         began = time.monotonic()
         call = [sys.executable, "-m", "ocp.grindplan", *step.command]
-        told = subprocess.run(call, cwd=folder, capture_output=True, text=True, env=None, check=False)
+        ours = os.environ | {"PYTHONPATH": str(ROOT)}  # this checkout's, installed or not
+        told = subprocess.run(call, cwd=folder, capture_output=True, text=True, env=ours, check=False)
         print(f"{time.monotonic() - began:7.1f} s  {' '.join(step.command)}", flush=True)  # noqa: T201
         if told.returncode != 0:
             wrong.append(f"{' '.join(step.command)}: exit {told.returncode}: {told.stderr.strip()[-300:]}")
