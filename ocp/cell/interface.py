@@ -18,7 +18,7 @@ from robots.toml_files import json_schema
 from trajectories.blade import find_shape, read_blade
 
 FILE, SCHEMA_FILE = "cell.toml", "cell.schema.json"
-ORDER = (MISTAKE, DOUBT, UNMEASURED, KNOWN)
+ORDER = (DOUBT, MISTAKE, UNMEASURED, KNOWN)  # a doubt on units explains the mistake that follows from it
 
 
 @dataclass(frozen=True)
@@ -109,5 +109,5 @@ def show_cell(
             hashes: Mapping[str, str] = {p.name: sha256(p) for p in read}
             cell_page(seen, hashes, _counted(seen) + _ground(seen)).write_page(folder / "cell.html")
     line = f"{out / 'cell.html'}: {_counted(seen)}{_ground(seen)}."
-    notices = tuple(f.sentence() for kind in (MISTAKE, DOUBT) for f in seen.of(kind))
+    notices = tuple(f.sentence() for kind in (DOUBT, MISTAKE) for f in seen.of(kind))
     return CellResult(out, line, notices, not seen.of(MISTAKE))

@@ -45,7 +45,7 @@ def cell_page(seen: Examined, hashes: Mapping[str, str], line: str) -> Report:
         region = wheel_region(found.cell, found.laid.paths, arm_length(arm_family(robot)))
         sections = [_scene(found, region), _controller(found.cell), _where(found.cell, region)]
     sections += [_findings(seen), made_from(hashes)]
-    notices = [f.sentence() for kind in (MISTAKE, DOUBT) for f in seen.of(kind)]
+    notices = [f.sentence() for kind in (DOUBT, MISTAKE) for f in seen.of(kind)]
     return Report("Cell", tables.name, head, notices, sections)
 
 

@@ -22,7 +22,6 @@ from threadpoolctl import threadpool_limits
 from ocp.diagnose.corrected import write_corrected_cell
 from ocp.diagnose.dataset import (
     SEALED,
-    TRACKER,
     DataSet,
     blinds,
     read_data_set,
@@ -68,8 +67,9 @@ def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
             from ocp.diagnose.force.channel import force_channel  # blade and contact: only for those who measured force
 
             assert data.cell is not None
-            readings = None if data.readings is None else data.folder / TRACKER
-            found.append(force_channel(data.cell, data.log, readings, mapping=data.mapping))
+            # Not the readings: what an effect explains in them must leave the arm that the log is fitted with.
+            tracker = next((one for one in found if isinstance(one, TrackerChannel)), None)
+            found.append(force_channel(data.cell, data.log, tracker, mapping=data.mapping))
     if data.joints is not None:
         with phases.phase("joints"):
             from ocp.diagnose.joints.channel import joint_channel

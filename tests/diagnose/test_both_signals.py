@@ -1,0 +1,52 @@
+"""Readings and a force log of one machine: what an effect explains in the readings leaves the arm that the log is fitted with."""
+
+import csv
+import shutil
+
+import numpy as np
+import pytest
+
+from ocp.calibrate.force.fit import FIT_NAMES
+from ocp.diagnose.answering import channels_of, tracker_channel
+from ocp.diagnose.dataset import read_data_set
+from ocp.diagnose.force.prior import arm_with_effects, contact_prior
+from ocp.effects.catalogue import library
+from ocp.effects.effect import Active
+from ocp.shell.progress import Phases
+from tests.support.house import ROOT
+
+WORLDS = ROOT.parent / "shared" / "data" / "worlds"
+SCALE = 3e-4
+
+
+def folder_with(folder, scale):
+    """A force world with the readings of a tracker world, whose encoder of joint 3 counts `scale` too little."""
+    folder.mkdir()
+    for name in ("cell.toml", "blade.stl"):
+        shutil.copyfile(WORLDS / "force_no_effect" / name, folder / name)
+    with (WORLDS / "force_no_effect" / "force.csv").open(newline="") as file:
+        rows = list(csv.reader(file))
+    with (folder / "force.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([rows[0], *rows[1::15]])
+    with (WORLDS / "tracker_no_effect" / "tracker.csv").open(newline="") as file:
+        readings = list(csv.DictReader(file))
+    for row in readings:
+        row["q3_deg"] = f"{float(row['q3_deg']) / (1 + scale):.9f}"
+    with (folder / "tracker.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(readings[0]))
+        writer.writeheader()
+        writer.writerows(readings)
+    return folder
+
+
+@pytest.mark.skipif(not WORLDS.is_dir(), reason="no ../shared/data/worlds")
+def test_what_an_encoder_explains_is_not_in_the_arm_twice(tmp_path):
+    """Else a corrected cell holds it in geometry and as an effect: 3.5 N too much where 2.4 N were wrong."""
+    readings, off = channels_of(read_data_set(folder_with(tmp_path / "off", SCALE)), Phases())
+    assert off.tracker is readings
+    made = off.with_active((Active(library()["encoder_scale"], 3, np.array([SCALE]), {}, np.zeros((1, 1))),))
+    sound = read_data_set(folder_with(tmp_path / "sound", 0.0))
+    known = contact_prior(sound.cell, arm_with_effects(tracker_channel(sound), ()))
+    geometry, wrong, right = (prior.mean[:30] for prior in (known, off.problem.believed, made.problem.believed))
+    assert FIT_NAMES[29] == "be6" and np.abs(wrong - geometry).max() > 1e-4
+    assert np.abs(right - geometry).max() < 0.2 * np.abs(wrong - geometry).max()
