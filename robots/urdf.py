@@ -23,6 +23,7 @@ PARALLEL = 1e-6  # sine of the angle below which two axes are one direction: a m
 MEETING = 1e-9  # m
 SAME = 1e-9  # m, and of a rotation's entries: the arm and the URDF are the same machine
 POSTURES = 100
+FARTHEST, HEAVIEST = 100.0, 1e5  # m; kg and kg m^2
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ def read_urdf(path: Path, flange: str | None = None) -> ImportedArm:
     name = _flange_name(path, model, flange)
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
+    _refuse_numbers(path, model, data)
     lines = [_axis(model, data, i) for i in range(1, 7)]
     at_flange = np.array(data.oMf[model.getFrameId(name)].homogeneous)
     base = _on_first_axis(lines[0])
@@ -116,6 +118,21 @@ def _flange_name(path: Path, model: Any, asked: str | None) -> str:
         there = "is no link" if asked not in links else "does not hang on the last joint"
         raise BadInput(f"{path}: --flange '{shown(asked)}' {there}; there {', '.join(map(shown, hung))} hang")
     return asked
+
+
+def _refuse_numbers(path: Path, model: Any, data: Any) -> None:
+    """Raises BadInput: a joint without an axis, a place or an inertia that no arm has."""
+    columns = pin.computeJointJacobians(model, data, pin.neutral(model))
+    for i in range(1, 7):
+        name, place, body = shown(model.names[i]), np.array(data.oMi[i].homogeneous), model.inertias[i]
+        if not abs(float(np.linalg.norm(columns[3:, i - 1])) - 1.0) < 1e-6:
+            raise BadInput(f"{path}: joint '{name}' has no axis; give <axis xyz=..> a direction")
+        if not (np.isfinite(place).all() and np.abs(place[:3, 3]).max() < FARTHEST):
+            raise BadInput(
+                f"{path}: joint '{name}' stands more than {FARTHEST:g} m away; a URDF is in metres, correct its origin"
+            )
+        if not all(np.isfinite(v).all() and np.abs(v).max() < HEAVIEST for v in (body.mass, body.lever, np.array(body.inertia))):
+            raise BadInput(f"{path}: the link after joint '{name}' has a mass or inertia that no arm has; correct <inertial>")
 
 
 def _axis(model: Any, data: Any, joint: int) -> tuple[Array, Array]:

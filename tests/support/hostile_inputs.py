@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,9 @@ from robots.errors import BadInput, Infeasible
 from robots.kinematics import forward
 from robots.robot import CATALOGUE, load_robot, read_robot_tables
 from robots.tracker_readings import read_readings
+from robots.urdf import read_urdf
 from tests.support import blade_samples
+from tests.support.house import ROOT
 from trajectories.blade import Blade, find_shape, read_blade
 from trajectories.blade.stl import read_facets
 from trajectories.krl.checks import check_program
@@ -149,6 +152,15 @@ def stock_ply(binary: bool, n: int = 12) -> bytes:
     if binary:
         return head.encode() + rows.tobytes() + b"\x03" + np.array([0, 1, 2], "<i4").tobytes()
     return (head + "".join(" ".join(f"{v:g}" for v in row) + "\n" for row in rows) + "3 0 1 2\n").encode()
+
+
+def other_blade(name: str) -> bytes:
+    """The blade of the STL readers in another kind of file."""
+    import trimesh
+
+    mesh = trimesh.load(BytesIO(stl_bytes(True)), file_type="stl")
+    data = mesh.export(file_type=name.rpartition(".")[2])
+    return data.encode() if isinstance(data, str) else bytes(data)
 
 
 def joint_table(n: int = 36) -> bytes:
@@ -448,6 +460,23 @@ READERS = (
         lambda: {"blade.stl": stl_bytes(True)},
         lambda folder: (read_facets(folder / "blade.stl"), read_blade(folder / "blade.stl")),
         ("read_facets", "read_blade"),
+    ),
+    *(
+        HostileReader(
+            f"a blade as {name.rpartition('.')[2].upper()}",
+            name,
+            lambda name=name: {name: other_blade(name)},  # type: ignore[misc]
+            lambda folder, name=name: read_blade(folder / name),  # type: ignore[misc]
+            ("read_other", "read_blade"),
+        )
+        for name in ("blade.ply", "blade.obj")
+    ),
+    HostileReader(
+        "arm.urdf",
+        "arm.urdf",
+        lambda: {"arm.urdf": (ROOT / "docs" / "examples" / "arm.urdf").read_bytes()},
+        lambda folder: read_urdf(folder / "arm.urdf"),
+        ("read_urdf",),
     ),
     HostileReader("old.src, tolerant", "OLD.src", _old_program, _read_old, ()),
     HostileReader("old.dat, tolerant", "OLD.dat", _old_program, _read_old, ()),

@@ -39,7 +39,10 @@ def _read_mesh(path: Path) -> tuple[Array, list[str]]:
     try:
         mesh = trimesh.load(BytesIO(data), file_type=kind, process=False, force="mesh", skip_materials=True)
         faces = np.asarray(mesh.faces, np.int64)
-        corners = np.asarray(mesh.vertices, float)[faces] if len(faces) else np.zeros((0, 3, 3))
+        vertices = np.asarray(mesh.vertices, float)
+        if len(faces) and (vertices.shape[1:] != (3,) or faces.shape[1:] != (3,)):
+            raise ValueError("corners that are not three numbers, or facets that are not three corners")
+        corners = vertices[faces] if len(faces) else np.zeros((0, 3, 3))
     except Exception as error:  # a reader's own errors are of every kind
         raise BadInput(f"{path}: cannot be read as {kind.upper()} ({shown(str(error), 100)}); export it again.") from None
     return corners, []
