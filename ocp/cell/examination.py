@@ -16,7 +16,7 @@ from ocp.model.cell_schema import CellTables, LinkTarget
 from ocp.model.prepare import wheel_cover, wheel_law
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.posture import Seed, seeds_of_stretches
-from ocp.plan.passes.stretches import LEAST_GROUND_SHARE, NO_ROOM, LeftOut, ground_share, joined, whole_lines
+from ocp.plan.passes.stretches import LEAST_GROUND_SHARE, NO_ROOM, LeftOut, LineStretch, ground_share, joined, whole_lines
 from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
 from ocp.shell.progress import Phases
 from robots.payload import overload
@@ -53,11 +53,12 @@ MISTAKE, DOUBT, UNMEASURED, KNOWN = "mistake", "doubt", "not measured yet", "to 
 
 @dataclass(frozen=True)
 class Grindable:
-    """What a cell can grind of its blade: the cell, the laid lines, seeds of postures along each stretch, what is left out and
-    why, and the share of the asked surface that is left."""
+    """What a cell can grind of its blade: the cell, the laid lines, the stretches that have postures with the seeds of each, what
+    is left out and why, and the share of the asked surface that is left."""
 
     cell: Cell
     laid: LaidPaths
+    stretches: list[LineStretch]
     seeds: list[list[Seed]]
     left_out: list[LeftOut]
     share: float
@@ -120,9 +121,9 @@ def _grindable(cell: Cell, phases: Phases) -> Grindable:
         rigid = [np.zeros((len(path.s), 3)) for path in laid.paths]
         whole, short = whole_lines(laid.paths, rigid)
         scene = CollisionScene(cell, laid.blade.vertices)
-        _, seeds, lost = seeds_of_stretches(cell, scene, law, whole, False)
+        stretches, seeds, lost = seeds_of_stretches(cell, scene, law, whole, False)
     lost = joined([*short, *lost])
-    return Grindable(cell, laid, seeds, lost, ground_share(laid.paths, lost))
+    return Grindable(cell, laid, stretches, seeds, lost, ground_share(laid.paths, lost))
 
 
 def _reach_findings(found: Grindable) -> Iterator[Finding]:

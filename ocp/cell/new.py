@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ocp.cell.placing import arm_length, moved_wheel, nearest_whole, wheel_region
+from ocp.cell.placing import arm_length, nearest_whole, wheel_region
 from ocp.model.cell import read_cell
 from ocp.plan.paths import PlanOptions, lay_paths
 from robots.errors import BadInput
@@ -101,7 +101,7 @@ def placed_wheel(cell_file: Path, stl: Path) -> Array:
     """Where the wheel of a cell file may stand so that all of the blade is reached, near to where it is. Raises BadInput."""
     cell = read_cell(cell_file, stl)
     laid = lay_paths(cell, stl, PlanOptions(even=False, step=STEP))
-    region = wheel_region(moved_wheel(cell, cell.wheel.centre), laid.paths, arm_length(arm_family(cell.robot)))
+    region = wheel_region(cell, laid.paths, arm_length(arm_family(cell.robot)))
     return np.round(nearest_whole(region, cell.wheel.centre), 3)
 
 

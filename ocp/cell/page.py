@@ -17,11 +17,11 @@ from ocp.report.plotting import Canvas, dressed, panels
 from ocp.report.report import Report
 from ocp.report.scene_kit import encode, encode_index, scene_script, scene_style, script_json
 from ocp.report.section import Headline, Part, Section
+from ocp.report.sheets import Sheets
 from ocp.report.style import COLOUR_MAP, INK, VIRIDIS
 from robots.inverse import arm_family
 from robots.kinematics import link_frames
 from robots.pose import Array, abc_from_rotation
-from robots.robot import Robot
 from robots.tracker_readings import Hanging
 
 _VIEWER = Path(__file__).parent / "viewer"
@@ -119,45 +119,24 @@ def _where(cell: Cell, region: WheelRegion) -> Section:
 
 
 def _scene(found: Grindable, region: WheelRegion) -> Section:
-    postures = [(seeds[0].q, line) for seeds, line in zip(found.seeds, _lines(found), strict=True)]
-    caption = "The cell from the side, with the arm as it touches the blade's first line. In cell.html it can be turned."
-    robot, q = found.cell.robot, postures[0][0][0] if postures else _middle(found.cell.robot)
-
-    def still(canvas: Canvas) -> None:
-        ((ax,),) = panels(canvas, 1, 1, left=0.4, right=0.3, bottom=0.4)
-        joints = np.vstack([link_frames(robot, q[None])[0, :, :3, 3]])
-        ax.plot(1e3 * joints[:, 0], 1e3 * joints[:, 2], "o-", color=INK)
-        centre = 1e3 * found.cell.wheel.centre
-        ax.plot([centre[0]], [centre[2]], "s")
-        ax.set_aspect("equal")
-        dressed(ax, x="x mm", y="z mm")
-
-    view = CellView("cell-scene", caption, 3.0, still, found, region, tuple(postures))
+    postures = tuple(
+        (seeds[0].q, f"line {one.path.line}, {one.path.side}") for one, seeds in zip(found.stretches, found.seeds, strict=True)
+    )
     script = scene_script([_VIEWER / "cell.js"])
-    return Section("The cell", (view,), style=scene_style(), script=script)
-
-
-def _lines(found: Grindable) -> list[str]:
-    """Names of the stretches that have seeds, in their order."""
-    gone = {one.line for one in found.left_out if one.length > 0}
-    names = [f"line {p.line}, {p.side}" for p in found.laid.paths]
-    if len(names) == len(found.seeds):
-        return names
-    kept = [f"line {p.line}, {p.side}" for p in found.laid.paths if p.line not in gone]
-    return kept if len(kept) == len(found.seeds) else [f"stretch {k + 1}" for k in range(len(found.seeds))]
-
-
-def _middle(robot: Robot) -> Array:
-    return 0.5 * (robot.q_min + robot.q_max)
+    return Section("The cell", (CellView(found, region, postures),), style=scene_style(), script=script)
 
 
 @dataclass(frozen=True)
-class CellView(Plot):
+class CellView(Part):
     """The cell to be looked at from all sides, the arm in the postures with which it touches the blade."""
 
     found: Grindable
     region: WheelRegion
     postures: tuple[tuple[Array, str], ...]
+
+    def on_sheets(self, sheets: Sheets) -> None:
+        """Words: a scene is for the page, and a cell has no print of its own."""
+        sheets.paragraph("The cell stands in cell.html, where it can be turned.")
 
     def on_page(self) -> Markup:
         """Canvas, controls and the script's data."""
@@ -166,7 +145,7 @@ class CellView(Plot):
 
     def _payload(self) -> dict[str, Any]:
         cell, blade = self.found.cell, self.found.laid.blade
-        q = np.vstack([q for q, _ in self.postures]) if self.postures else _middle(cell.robot)[None]
+        q = np.vstack([q for q, _ in self.postures]) if self.postures else 0.5 * (cell.robot.q_min + cell.robot.q_max)[None]
         names = [name for q, name in self.postures for _ in range(len(q))] or ["middle of the ranges"]
         links = link_frames(cell.robot, q)
         return {

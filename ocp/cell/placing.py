@@ -1,6 +1,6 @@
 """Where the wheel may stand: from how much of the blade the arm reaches it, its axis and direction kept."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -47,11 +47,6 @@ def wheel_region(cell: Cell, paths: list[BladePath], length: float) -> WheelRegi
     share = np.array([reached_share(cell, flange, d) for d in shift])
     centre = cell.wheel.centre + shift
     return WheelRegion(centre, share, centre @ away, centre @ cell.up)
-
-
-def moved_wheel(cell: Cell, centre: Array) -> Cell:
-    """The cell with its wheel elsewhere."""
-    return replace(cell, wheel=replace(cell.wheel, centre=np.asarray(centre, float)))
 
 
 def nearest_whole(region: WheelRegion, wanted: Array) -> Array:

@@ -126,13 +126,3 @@ TABLES: dict[str, tuple[Columns, ...]] = {
 }
 """Files by name. A sealed file has the columns of the measured one but for what is to be predicted; predictions_force.csv and
 predictions_joints.csv have the columns of predictions_tracker.csv with fn_N and link1_deg to link6_deg."""
-
-
-def needed(file: str) -> tuple[str, ...]:
-    """Columns that a file must have."""
-    return tuple(name for group in TABLES[file] if group.needed for name in group.names)
-
-
-def optional(file: str) -> tuple[str, ...]:
-    """Columns that it may have."""
-    return tuple(name for group in TABLES[file] if not group.needed for name in group.names)

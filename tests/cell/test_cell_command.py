@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from typer.testing import CliRunner
 
 from ocp.cell.__main__ import app
 from ocp.cell.new import held_upright, planned_family
-from ocp.cell.placing import moved_wheel, nearest_whole, wheel_region
+from ocp.cell.placing import nearest_whole, wheel_region
 from ocp.data import CELL
 from ocp.model.cell import read_cell, read_tracker_setup
 from ocp.plan.paths import PlanOptions, lay_paths
@@ -110,6 +111,10 @@ def test_a_blade_is_held_by_its_root_wherever_its_file_has_it(turn):
     assert root[2] < apply(make_transform(held.R, held.xyz), shape.frame.c1)[2]
     inside = moved.vertices @ held.clamp_normal < held.clamp_offset
     assert 0 < inside.mean() < 0.5 and placed[inside, 2].max() < root[2]
+
+
+def moved_wheel(cell, centre):
+    return replace(cell, wheel=replace(cell.wheel, centre=np.asarray(centre, float)))
 
 
 def test_the_wheel_goes_where_the_arm_reaches_it():

@@ -8,7 +8,7 @@ from ocp.calibrate.force import log as force
 from ocp.data import CELL
 from ocp.diagnose.joints import log as joints
 from ocp.model.cell import read_cell
-from ocp.model.columns import TABLES, needed, optional
+from ocp.model.columns import TABLES
 from ocp.plan.removal import wanted
 from ocp.update import removal
 from robots import tracker_readings as tracker
@@ -29,8 +29,8 @@ READERS = {
 @pytest.mark.parametrize("file", READERS)
 def test_the_columns_are_those_that_the_reader_takes(file):
     must, may = READERS[file]
-    assert set(needed(file)) == set(must)
-    assert set(optional(file)) == set(may) - set(must)
+    named = {must: {name for group in TABLES[file] if group.needed == must for name in group.names} for must in (True, False)}
+    assert named == {True: set(must), False: set(may) - set(must)}
 
 
 def test_every_column_stands_once_in_its_file():
