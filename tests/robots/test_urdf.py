@@ -111,6 +111,16 @@ def test_what_is_no_arm_of_six_axes_is_refused_by_name(tmp_path, capfd, old, new
     assert capfd.readouterr() == ("", "")  # nothing beside the one sentence
 
 
+def test_a_joint_without_ends_turns_once_each_way(tmp_path):
+    text = ARM.read_text().replace('"joint_a6" type="revolute"', '"joint_a6" type="continuous"')
+    (tmp_path / "arm.urdf").write_text(text)
+    found = read_urdf(tmp_path / "arm.urdf").tables
+    assert (found["limits"]["q_min_deg"][5], found["limits"]["q_max_deg"][5]) == (-360.0, 360.0)
+    assert found["limits"]["q_max_deg"][4] == pytest.approx(125.0, abs=0.01)
+    q = np.array([0.3, -0.8, 0.5, 1.0, -0.4, 2.5])
+    assert forward(loaded(found, tmp_path), q[None])[0] == pytest.approx(walked(text, q), abs=1e-9)
+
+
 def test_another_link_can_be_the_flange_and_a_wrong_one_is_named():
     assert read_urdf(ARM, "link_6").tables["geometry"]["d_mm"][5] == 0.0
     with pytest.raises(BadInput, match="does not hang on the last joint; there link_6, flange hang"):
