@@ -3,7 +3,7 @@
 Bundled cell; the bundled blade, twisted.stl and rotor37.stl, spanwise and chordwise. Every line is summed at its feed and force,
 going on straight for a patch's half-length at both ends as a lead-in at the same F/v would, on the patch of the wheel's middle.
 First as `pass_spacing_mm` has them, then as they are laid. Last, what a turn of the wheel does to the sum of lines that are like
-the middle one of twisted.stl's concave side. docs/process.md and docs/measured.md have the tables.
+the middle one of twisted.stl's concave side. docs/process.md has the tables.
 """
 
 import sys
