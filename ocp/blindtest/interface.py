@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ocp.blindtest.figures import Figure, all_figures
+from ocp.blindtest.record import Standing, entered, refuse_unrecorded
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
 from ocp.blindtest.worlds.recipes import KINDS, SIGNALS, check_kinds, recipes
@@ -22,12 +23,13 @@ from robots.errors import BadInput
 
 @dataclass(frozen=True)
 class BlindtestResult:
-    """A blind check: its folder, one row of scores a world, the figures with their intervals and targets, and the one line that
-    says how many are reached."""
+    """A blind check: its folder, one row of scores a world, the figures with their intervals and targets, what its answers are to
+    its seed, and the one line that says how many figures are reached."""
 
     folder: Path
     rows: tuple[dict[str, Any], ...]
     figures: tuple[Figure, ...]
+    standing: Standing
     line: str
     notices: tuple[str, ...] = ()
 
@@ -50,7 +52,8 @@ def blindtest(
     """Draw and seal worlds, let the diagnosis answer them blind, then open the labels and score; worlds, answers, scores and
     report stand in the folder `out`, where a later call with the same arguments goes on.
 
-    worlds: how many; kinds of worlds; signals: tracker, force or both; seed: everything is drawn from it; jobs: processes (0:
+    worlds: how many; kinds of worlds; signals: tracker, force or both; seed: everything is drawn from it, 1 to 99 for
+    development, the answers to any other are entered in the repository's record; jobs: processes (0:
     one for each core); scheduler: address of a Dask scheduler whose workers do it instead; cell: whose machines are drawn;
     readings of a campaign; again: answer all worlds anew; overwrite: begin anew, with new worlds. Raises BadInput: an argument
     is not what it should be, or `out` holds something else.
@@ -63,6 +66,7 @@ def blindtest(
         if not low <= value <= high:
             raise BadInput(f"{name} {value} must lie between {low} and {high}")
     check = Check(folder, seed, worlds, check_kinds(",".join(kinds), signals), readings, signals=signals)
+    refuse_unrecorded(check)
     with reserved(folder, overwrite, files_of(cell), grows=True) as output, output.grown():
         return _judged(check, Path(cell), again, Hands(jobs or cores(), scheduler), Phases(progress))
 
@@ -77,7 +81,9 @@ def _judged(check: Check, cell: Path, again: bool, hands: Hands, phases: Phases)
     planned = recipes(check.worlds, check.kinds)
     make_all(check, planned, hands, phases)
     answer_all(check, planned, hands, phases)
+    standing = entered(check)
     rows = score_all(check, planned, hands, phases)
     with phases.phase("report"):
-        write_blindtest_report(check, rows)
-    return BlindtestResult(check.folder, tuple(rows), tuple(all_figures(rows)), blindtest_last_line(check, rows))
+        write_blindtest_report(check, rows, standing)
+    line = blindtest_last_line(check, rows, standing)
+    return BlindtestResult(check.folder, tuple(rows), tuple(all_figures(rows)), standing, line)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ocp.blindtest import figures as figs
 from ocp.blindtest.figures import Estimate, Figure
+from ocp.blindtest.record import Standing
 from ocp.blindtest.worlds.recipes import BINS, WORDS, bin_words
 from ocp.blindtest.worlds.sealing import Check
 from ocp.report.parts import Plot, Table, table
@@ -38,41 +39,45 @@ LAST = 300.0  # where the open bin is drawn
 Row = dict[str, Any]
 
 
-def write_blindtest_report(check: Check, rows: Sequence[Row]) -> None:
-    """Write the files into the check's folder. Raises OSError."""
+def write_blindtest_report(check: Check, rows: Sequence[Row], standing: Standing) -> None:
+    """Write the files into the check's folder; standing: what its answers are to its seed. Raises OSError."""
     figures = figs.all_figures(rows)
     sections = _sections(check, rows, figures)
+    head = {"seed": check.seed, "worlds": check.worlds, "standing": standing.brief}
     lines = [
         {"figure": f.what, "sense": f.sense, "target": f.target, "met": f.met} | _plain(f.estimate) | {"oracle": _plain(f.oracle)}
         for f in figures
     ]
     with files_added(check.folder) as part:
-        Report(KIND, TITLE, _headline(rows, figures), (), sections).write_page(part / "report.html")
-        (part / "table.json").write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
-        (part / "table.md").write_text(_markdown(check, sections), encoding="utf-8")
+        Report(KIND, TITLE, _headline(rows, figures, standing), (), sections).write_page(part / "report.html")
+        (part / "table.json").write_text(json.dumps(head | {"figures": lines}, indent=1) + "\n", encoding="utf-8")
+        (part / "table.md").write_text(_markdown(check, sections, standing), encoding="utf-8")
 
 
-def blindtest_last_line(check: Check, rows: Sequence[Row]) -> str:
+def blindtest_last_line(check: Check, rows: Sequence[Row], standing: Standing) -> str:
     """The command's answer."""
     figures = figs.all_figures(rows)
     judged = [f for f in figures if f.met is not None]
     reached = f"{sum(bool(f.met) for f in judged)} of {len(judged)} figures reach their target"
-    return f"{check.folder}: {len(rows)} worlds, {reached}; {check.folder / 'report.html'} shows all"
+    told = f"{len(rows)} worlds, seed {check.seed} ({standing.brief}): {reached}"
+    return f"{check.folder}: {told}; {check.folder / 'report.html'} shows all"
 
 
 def _plain(e: Estimate) -> dict[str, Any]:
     return {k: (None if isinstance(v, float) and not np.isfinite(v) else v) for k, v in asdict(e).items()}
 
 
-def _headline(rows: Sequence[Row], figures: Sequence[Figure]) -> Headline:
+def _headline(rows: Sequence[Row], figures: Sequence[Figure], standing: Standing) -> Headline:
     judged = [f for f in figures if f.met is not None]
     missed = [f.what for f in judged if not f.met]
     kinds = ", ".join(f"{sum(r['kind'] == k for r in rows)} {w}" for k, w in WORDS.items() if any(r["kind"] == k for r in rows))
     return Headline(
         not missed,
         "All targets reached" if not missed else f"{len(judged) - len(missed)} of {len(judged)} targets reached",
-        f"{len(rows)} worlds of the virtual cell were drawn and sealed, answered blind, and judged afterwards.",
+        f"{len(rows)} worlds of the virtual cell were drawn and sealed, answered blind, and judged afterwards. "
+        + standing.sentence,
         (("worlds", kinds), ("not reached", "; ".join(missed) or "none")),
+        doubtful=not standing.counts,
     )
 
 
@@ -140,7 +145,7 @@ def _made(check: Check) -> list[Part | str]:
     ]
 
 
-def _markdown(check: Check, sections: Sequence[Section]) -> str:
+def _markdown(check: Check, sections: Sequence[Section], standing: Standing) -> str:
     """Tables as text for the documentation."""
     lines = []
     for section in sections:
@@ -149,7 +154,7 @@ def _markdown(check: Check, sections: Sequence[Section]) -> str:
                 lines += [f"## {part.title or section.title}", "", "| " + " | ".join(part.columns) + " |"]
                 lines += ["|" + "---|" * len(part.columns)]
                 lines += ["| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in part.rows] + [""]
-    return "\n".join([f"{check.worlds} worlds, seed {check.seed}", "", *lines])
+    return "\n".join([f"{check.worlds} worlds, seed {check.seed}: {standing.brief}", "", *lines])
 
 
 def _curve_plot(rows: Sequence[Row]) -> Plot:

@@ -17,6 +17,7 @@ from ocp.blindtest.oracle import oracle
 from ocp.blindtest.oracle.oracle import detectabilities
 from ocp.blindtest.oracle.signatures import tracker_families
 from ocp.blindtest.oracle.tracker import TrackerView, point_covariance, scene_of, tracker_nuisance, tracker_view, tracker_whitener
+from ocp.blindtest.record import Standing
 from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
 from ocp.blindtest.scoring import score_path
@@ -422,12 +423,21 @@ def test_the_table_of_hand_made_answers():
 def test_the_report_shows_figures_and_the_worst_answers(tmp_path):
     rows = [row("single", (120.0,)), row("single", (35.0,), False), row("none", verdict="no_gap", reliability=[], said=[])]
     check = Check(tmp_path, 3, len(rows), ("single", "none"), 60)
-    write_blindtest_report(check, rows)
+    standing = Standing("answer 2", "Seed 3 was answered before.", False)
+    write_blindtest_report(check, rows, standing)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    for words in ("How often the name is right", "The worst answers", "best single free parameter", f"{len(rows)} worlds"):
+    for words in (
+        "How often the name is right",
+        "The worst answers",
+        "best single free parameter",
+        f"{len(rows)} worlds",
+        standing.sentence,
+    ):
         assert words in page
     assert page.count("<svg") == 2 and "## Figures" in (tmp_path / "table.md").read_text(encoding="utf-8")
-    assert "of" in blindtest_last_line(check, rows)
+    assert "seed 3: answer 2" in (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert json.loads((tmp_path / "table.json").read_text(encoding="utf-8"))["standing"] == "answer 2"
+    assert "seed 3 (answer 2): " in blindtest_last_line(check, rows, standing)
 
 
 def test_intervals():
