@@ -15,7 +15,7 @@ from ocp.shell.cache import sha256
 from ocp.shell.output import Output
 from ocp.shell.progress import Phases
 from robots.calibration.parameters import SYMBOLS
-from robots.calibration.store import Calibration, write_calibration
+from robots.calibration.store import BENDING, Calibration, write_calibration
 from robots.calibration.validation import GROSS, by_kind
 from robots.pose import Array, abc_from_rotation
 from robots.toml_files import toml_text
@@ -136,7 +136,7 @@ def _provenance(made: TrackerCalibration, inputs: Sequence[Path]) -> dict[str, A
             "outliers": int((fit.weight < GROSS).sum()),
         },
         "priors": {"length_m": float(fit.priors.length), "angle_rad": float(fit.priors.angle)},
-        "bending_joints": list(fit.choice.joints),
+        BENDING: list(fit.choice.joints),
         "corrected_payloads": list(fit.choice.payloads),
     }
 

@@ -10,7 +10,7 @@ from ocp.calibrate.force.log import ForceLog, read_force_log, without_ramps
 from ocp.calibrate.force.registration import fit_force
 from ocp.calibrate.report.pages import contact_sections
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
-from ocp.model.cell import Cell, files_of, read_cell
+from ocp.model.cell import Cell, files_of, read_cell, with_calibration
 from ocp.report.section import Section
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
@@ -72,7 +72,9 @@ def _calibrated(
     calibration, extra = tracker_calibration(made, inputs), list[Section]()
     if ground is not None:
         with phases.phase("contact"):
-            fit = fit_force(ground[0], without_ramps(ground[1]), calibration)
+            # Registered by the arm as it will be planned with, which bends where the readings say.
+            bending = replace(with_calibration(ground[0], calibration), calibration=None)
+            fit = fit_force(bending, without_ramps(ground[1]), calibration)
         calibration, extra = fit.calibration(calibration), contact_sections(fit)
     return write_tracker_calibration(made, calibration, extra, output, phases, inputs)
 

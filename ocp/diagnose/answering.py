@@ -86,7 +86,7 @@ def tracker_channel(data: DataSet) -> TrackerChannel:
     try:
         refuse_mistakes(campaign)
         task, fit = believed_baseline(
-            campaign, setup.compliant_joints, setup.tables.reference_temperature_C, _stated(data), data.believed_by("tracker")
+            campaign, setup.compliant_joints, setup.tables.reference_temperature_C, data.believed_by("tracker")
         )
     except np.linalg.LinAlgError:
         raise BadInput(

@@ -23,7 +23,8 @@ from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active
 from ocp.effects.patch import patch_table
 from ocp.model.cell import cell_tables_for
-from robots.calibration.store import Calibration, write_calibration
+from robots.calibration.joined import joined
+from robots.calibration.store import BENDING, Calibration, write_calibration
 from robots.pose import Array
 from robots.toml_files import toml_text
 
@@ -94,11 +95,14 @@ def _ends(**columns: Array | None) -> dict[str, float]:
 
 
 def calibration_of(channels: Sequence[Channel], data: DataSet) -> Calibration | None:
-    """The refitted arm, and contact where a force channel has refitted it; None where neither was measured."""
+    """The refitted arm, and contact where a force channel has refitted it, with what the believed calibration knows besides
+    (wheel and blade beside an arm, the tracker's frame beside a contact); None where neither was measured."""
     by_signal = {channel.name: channel for channel in channels}
-    if "force" in by_signal:
-        return _of_contact(by_signal["force"], data)
-    return _of_arm(by_signal["tracker"], data) if "tracker" in by_signal else None
+    tracker = _of_arm(by_signal["tracker"], data) if "tracker" in by_signal else None
+    known = data.setup.calibration
+    if "force" not in by_signal:
+        return None if tracker is None else joined(tracker, known)
+    return joined(_of_contact(by_signal["force"], data), known if tracker is None else tracker)
 
 
 def _of_contact(channel: Channel, data: DataSet) -> Calibration:
@@ -113,7 +117,8 @@ def _of_contact(channel: Channel, data: DataSet) -> Calibration:
     covariance = believed.root @ np.linalg.inv(fit.information)[:r, :r] @ believed.root.T
     covariance = 0.5 * (covariance + covariance.T)
     known = [i for i in range(len(FIT_NAMES)) if covariance[i, i] > 0]
-    provenance: dict[str, Any] = _provenance(channel) | {"rows": len(channel.log)}
+    bending = list(channel.problem.scene.cell.compliant_joints)
+    provenance: dict[str, Any] = _provenance(channel) | {"rows": len(channel.log), BENDING: bending}
     if believed.joint_noise:
         provenance["noise"] = {"joints_rad": believed.joint_noise}
     return Calibration(
@@ -134,7 +139,8 @@ def _of_arm(channel: Channel, data: DataSet) -> Calibration:
     """Geometry, springs and the base in the tracker, with their joint covariance."""
     assert isinstance(channel, TrackerChannel)
     fit, readings = channel.fit, channel.readings
-    provenance = {"readings": len(readings), "noise": {"joints_rad": float(fit.noise.joints)}}
+    noise = {"joints_rad": float(fit.noise.joints)}
+    provenance = {"readings": len(readings), "noise": noise, BENDING: channel.task.layout.bending}
     return as_calibration(
         data.setup.robot.name,
         channel.task.layout,

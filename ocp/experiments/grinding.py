@@ -18,7 +18,7 @@ from ocp.calibrate.force.rows import ForceSetup
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
 from ocp.model.blade_gap import SurfaceCloud
-from ocp.model.cell import Cell
+from ocp.model.cell import Cell, with_calibration
 from ocp.model.prepare import prepare_contact
 from ocp.model.theta import registered
 from ocp.plan.clearance import CollisionScene
@@ -110,7 +110,7 @@ def compensated(course: Course, calibration: Calibration | None, which: list[int
     A calibrated stiffness scales forces of the wheel's law and of the cover exactly, so that neither is made anew.
     Raises Infeasible where a pass has no sound solution.
     """
-    cell, theta = registered(replace(course.cell, calibration=calibration))
+    cell, theta = registered(with_calibration(course.cell, calibration))
     softer = course.cover.softer(cell.wheel.cover_modulus)
     law = replace(course.law, geometry=replace(course.law.geometry, modulus=cell.wheel.cover_modulus))
     stiffer = cell.workpiece.youngs_modulus / course.cell.workpiece.youngs_modulus
@@ -207,7 +207,7 @@ def registered_by_ladder(
     """
     rungs = _ladder(course, machine, arm, mount)
     log, rows = _log(course, machine, rungs, rng, noise)
-    model = ForceModel(replace(course.cell, calibration=None), course.law)
+    model = ForceModel(replace(with_calibration(course.cell, arm), calibration=None), course.law)
     return fit_force(model.cell, log, arm, ForceSetup(model, (rows,), ())).calibration(arm)
 
 

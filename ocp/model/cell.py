@@ -172,7 +172,8 @@ class RunConditions:
 
 @dataclass(frozen=True)
 class Cell:
-    """Everything that is believed about the cell; `tables` are the file's own values, for readers of other parts."""
+    """Everything that is believed about the cell; `tables` are the file's own values, for readers of other parts.
+    compliant_joints bend under weight: those that bent in the calibration's fit, else those that the file lists."""
 
     name: str
     path: Path
@@ -211,20 +212,13 @@ def read_cell(path: str | Path, blade: str | Path | None = None) -> Cell:
         missing = "workpiece" if tables.workpiece is None else "wheel"
         raise BadInput(f"{path}: table [{missing}] is missing; planning needs it")
     robot = _robot(path, tables)
-    calibration = None
-    if tables.robot.calibration is not None:
-        calibration = read_calibration(path.parent / tables.robot.calibration)
-        if calibration.robot != robot.name:
-            raise BadInput(
-                f"{path}: calibration '{tables.robot.calibration}' belongs to robot '{calibration.robot}', the cell has "
-                f"'{robot.name}'; calibrate this robot or correct robot.model"
-            )
+    calibration = _calibration(path, tables, robot)
     cell = Cell(
         name=tables.name,
         path=path,
         robot=robot,
         calibration=calibration,
-        compliant_joints=tables.robot.compliant_joints,
+        compliant_joints=_bending(calibration, tables.robot.compliant_joints),
         workpiece=_workpiece(tables, tables.workpiece, path, Path(blade) if blade is not None else None),
         wheel=_wheel(tables.wheel),
         flange=_flange(tables.force_flange),
@@ -249,6 +243,30 @@ def _refuse_sunken_wheel(cell: Cell) -> None:
             f"{cell.path}: the wheel reaches {1e3 * (cell.floor - lowest):.0f} mm below the floor; correct wheel.centre_mm, "
             f"floor.z_mm = {1e3 * cell.floor:g} (height above the base's origin) or robot.gravity_direction"
         )
+
+
+def _calibration(path: Path, tables: CellTables, robot: Robot) -> Calibration | None:
+    """The calibration that a cell file names. Raises BadInput: as `read_calibration`, and where it is another robot's."""
+    if tables.robot.calibration is None:
+        return None
+    calibration = read_calibration(path.parent / tables.robot.calibration)
+    if calibration.robot != robot.name:
+        raise BadInput(
+            f"{path}: calibration '{tables.robot.calibration}' belongs to robot '{calibration.robot}', the cell has "
+            f"'{robot.name}'; calibrate this robot or correct robot.model"
+        )
+    return calibration
+
+
+def _bending(calibration: Calibration | None, listed: tuple[int, ...]) -> tuple[int, ...]:
+    """Joints that bend under weight: those of the calibration's fit, which holds with them only, else those listed."""
+    told = None if calibration is None else calibration.bending_joints
+    return listed if told is None else told
+
+
+def with_calibration(cell: Cell, calibration: Calibration | None) -> Cell:
+    """The cell with another calibration, or none, and those joints bending that bent in its fit."""
+    return replace(cell, calibration=calibration, compliant_joints=_bending(calibration, cell.compliant_joints))
 
 
 def floor_notices(cell: Cell) -> list[str]:
@@ -412,7 +430,8 @@ def found_from(out: Path, file: Path) -> str:
 
 @dataclass(frozen=True)
 class TrackerSetup:
-    """Robot as believed, payloads by name, instrument, joints believed to bend, and the file's own tables."""
+    """Robot as believed, payloads by name, instrument, joints believed to bend, and the file's own tables; the calibration that
+    was made before, None where there is none."""
 
     path: Path
     robot: Robot
@@ -420,14 +439,17 @@ class TrackerSetup:
     instrument: Instrument
     compliant_joints: tuple[int, ...]
     tables: CellTables
+    calibration: Calibration | None = None
 
 
 def read_tracker_setup(path: str | Path) -> TrackerSetup:
-    """Read cell.toml for a measurement; wheel and workpiece may be absent. Raises BadInput as `read_toml`, `load_robot`."""
+    """Read cell.toml for a measurement; wheel and workpiece may be absent. Raises BadInput as `read_toml`, `load_robot`,
+    `read_calibration`."""
     path = Path(path)
     tables = read_toml(path, CellTables)
     robot = _robot(path, tables)
-    return TrackerSetup(path, robot, payloads_of(tables), _instrument(tables.tracker), tables.robot.compliant_joints, tables)
+    payloads, instrument, listed = payloads_of(tables), _instrument(tables.tracker), tables.robot.compliant_joints
+    return TrackerSetup(path, robot, payloads, instrument, listed, tables, _calibration(path, tables, robot))
 
 
 def files_of(path: str | Path) -> list[Path]:

@@ -51,7 +51,8 @@ class RobotTable(TomlTable):
     stiffness_Nm_per_rad: tuple[Spring, Spring, Spring, Spring, Spring, Spring] | None = None
     """Springs of the six joints about their axes, 0 = rigid; without it the robot file's."""
     compliant_joints: Annotated[tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...], Field(max_length=6)] = (2, 3)
-    """Joints whose springs a calibration fits."""
+    """Joints that bend under weight, whose springs a calibration fits. A calibration may find that others bend too and says so
+    (`bending_joints`); under the contact force all springs give."""
     gravity_direction: Direction = (0.0, 0.0, -1.0)  # base frame; of any length
     """Direction of gravity in the base frame, of any length: [0, 0, 1] under a ceiling, [1, 0, 0] on a wall whose x axis points
     down."""

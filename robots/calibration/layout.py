@@ -76,6 +76,11 @@ class Layout:
         return columns[IS_LENGTH & (columns >= 0)], columns[~IS_LENGTH & (columns >= 0)]
 
     @property
+    def bending(self) -> list[int]:
+        """Joints 1..6 whose springs are unknowns; all others are rigid under weight."""
+        return [j for j in range(1, 7) if self.arm[29 + j] >= 0]
+
+    @property
     def precision(self) -> Array:
         """Of the priors (p,) in units of the scale: 0 where there is none."""
         return np.where(np.isfinite(self.prior_sd), (self.scale / self.prior_sd) ** 2, 0.0)

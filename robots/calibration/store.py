@@ -16,6 +16,7 @@ from robots.pose import Array
 from robots.toml_files import parse_toml, toml_text
 
 SCHEMA = 1
+BENDING = "bending_joints"  # of the provenance
 _TABLES = ("parameters", "not_identified", "provenance")
 LARGEST = 1e12  # of a value or its standard deviation in SI: the stiffest spring has 1e9 N/m
 LEAST_SD = 1e-25  # a compliance of 1e-12 rad/(N m)^3 is known to six digits or so
@@ -53,6 +54,12 @@ class Calibration:
     def standard_deviation(self) -> Array:
         """One sigma of each value (m,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def bending_joints(self) -> tuple[int, ...] | None:
+        """Joints 1..6 that bent under weight in the fit: its geometry holds with these springs only. None: it does not say."""
+        told = self.provenance.get(BENDING)
+        return None if told is None else tuple(told)
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
@@ -100,12 +107,14 @@ def read_calibration(path: str | Path) -> Calibration:
     _check(str(path), data["robot"], names, values, covariance)
     not_identified = _table(path, data, "not_identified")
     _check_reasons(str(path), not_identified)
+    provenance = _table(path, data, "provenance")
+    _check_bending(path, provenance.get(BENDING))
     return Calibration(
         robot=data["robot"],
         names=names,
         values=values,
         covariance=covariance,
-        provenance=_table(path, data, "provenance"),
+        provenance=provenance,
         not_identified=not_identified,
         notices=notices,
     )
@@ -235,3 +244,11 @@ def _check_reasons(where: str, not_identified: dict[str, Any]) -> None:
             raise BadInput(
                 f"{where}: not_identified '{shown(key, 80)}' = {shown(repr(reason))}, expected parameter names and a reason"
             )
+
+
+def _check_bending(path: Path, joints: object) -> None:
+    if joints is not None and not (isinstance(joints, list) and all(type(j) is int and 1 <= j <= 6 for j in joints)):
+        raise BadInput(
+            f"{path}: [provenance] {BENDING} must be a list of joints 1 to 6, as [2, 3], got {shown(repr(joints))}; restore the "
+            "file, or calibrate again"
+        )

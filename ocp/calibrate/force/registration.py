@@ -11,6 +11,7 @@ from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior,
 from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
+from robots.calibration.joined import joined
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration
 from robots.pose import Array
@@ -86,15 +87,13 @@ class ForceFit:
         """`robot`'s calibration with the contact in it: joint values and covariance; parameters that the force log knows
         nothing of (the measuring frame) stay as they were, uncorrelated with the rest only where they were so."""
         cell = self.setup.model.cell
-        names, values, covariance = self.names, self.values, self.covariance
         reasons = self.not_identified if robot is None else robot.not_identified | self.not_identified
         provenance = {} if robot is None else dict(robot.provenance)
-        if robot is not None:
-            names, values, covariance = _joined(robot, names, values, covariance)
         provenance["force"] = {name: value for name, value in vars(self.figures).items()}
         if self.log.clock is not None:
             provenance["force"]["clock_s"] = float(self.log.clock.max())
-        return Calibration(cell.robot.name, names, values, covariance, provenance, reasons, self.notices)
+        own = Calibration(cell.robot.name, self.names, self.values, self.covariance, provenance, reasons, self.notices)
+        return joined(own, robot)
 
 
 def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup: ForceSetup | None = None) -> ForceFit:
@@ -165,21 +164,3 @@ def _notices(
             "beyond it the model is wrong"
         )
     return notices
-
-
-def _joined(robot: Calibration, names: tuple[str, ...], values: Array, covariance: Array) -> tuple[tuple[str, ...], Array, Array]:
-    """The parameters of `robot` that the force model has no place for, carried along by their regression on the others."""
-    rest = [i for i, name in enumerate(robot.names) if name not in names]
-    if not rest:
-        return names, values, covariance
-    shared = [name for name in robot.names if name in names]
-    old = [robot.names.index(name) for name in shared]
-    new = [names.index(name) for name in shared]
-    C, sd = robot.covariance, np.maximum(robot.standard_deviation[old], 1e-300)
-    # Of correlations: a stiffness in N/m beside a metre would take every direction of the metres below the cut.
-    slope = C[np.ix_(rest, old)] / sd @ np.linalg.pinv(C[np.ix_(old, old)] / np.outer(sd, sd), rcond=1e-12, hermitian=True) / sd
-    moved = robot.values[rest] + slope @ (values[new] - robot.values[old])
-    cross = slope @ covariance[new]
-    own = C[np.ix_(rest, rest)] - slope @ (C[np.ix_(old, old)] - covariance[np.ix_(new, new)]) @ slope.T
-    whole = np.block([[covariance, cross.T], [cross, 0.5 * (own + own.T)]])
-    return (*names, *(robot.names[i] for i in rest)), np.concatenate([values, moved]), whole

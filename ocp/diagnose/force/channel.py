@@ -36,7 +36,7 @@ from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
 from ocp.effects.motor_harmonic import ratios_of
-from ocp.model.cell import Cell
+from ocp.model.cell import Cell, with_calibration
 from robots.calibration.store import Calibration
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS
@@ -263,6 +263,8 @@ def force_channel(
         arm = arm_from_tracker(tracker, cell.path, mapping)
     read_off = None if cell.flange is None else with_setpoints_read_off(log, cell.flange.setpoint)
     log, more = (log, ()) if read_off is None else (read_off[0], read_off[1:])
+    if arm is not None:  # the force acts on an arm that bends where the readings say
+        cell = replace(cell, compliant_joints=with_calibration(cell, arm).compliant_joints)
     problem = problem_of(prepare_force(replace(cell, effects=()), [log]), cell, log, arm)
     problem = replace(problem, notices=(*problem.notices, *more))
     chosen = tuple(library().values() if effects is None else effects)

@@ -27,10 +27,11 @@ from ocp.effects.effect import Active
 from ocp.model.cell import Cell, read_tracker_setup
 from ocp.model.theta import NAMES, covariance_root
 from robots.calibration.fit import fit_campaign, learned_priors
+from robots.calibration.joined import joined
 from robots.calibration.layout import Choice, Layout, State
 from robots.calibration.reading_model import ARM_NAMES
 from robots.calibration.solver import Campaign
-from robots.calibration.store import Calibration
+from robots.calibration.store import BENDING, Calibration
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS
 from robots.pose import Array
@@ -58,8 +59,8 @@ class NuisancePrior:
 
 
 def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
-    """Prior of the cell, its arm as `arm` says where given."""
-    calibration = cell.calibration if arm is None else arm
+    """Prior of the cell, its arm as `arm` says where given: what the cell's calibration knows besides goes with it."""
+    calibration = cell.calibration if arm is None else joined(arm, cell.calibration)
     prior = force_prior(replace(cell, calibration=calibration))
     known = () if calibration is None else calibration.names
     covariance = prior.covariance.copy()
@@ -106,12 +107,14 @@ def arm_with_effects(tracker: TrackerChannel, active: Sequence[Active]) -> Calib
 
 
 def posterior_of(robot: str, layout: Layout, state: State, covariance: Array, joints: float) -> Calibration:
-    """Geometry and springs of a tracker fit, with their covariance; joints rad: noise of the joints beside them."""
+    """Geometry and springs of a tracker fit, with their covariance; joints rad: noise of the joints beside them. It says which
+    joints bent."""
     inside = [i for i, name in enumerate(ARM_NAMES) if layout.arm[i] >= 0 and name in NAMES]
     columns = layout.arm[inside]
     block = covariance[np.ix_(columns, columns)]
     names = tuple(ARM_NAMES[i] for i in inside)
-    return Calibration(robot, names, state.arm[inside], 0.5 * (block + block.T), {"noise": {"joints_rad": float(joints)}}, {})
+    told = {"noise": {"joints_rad": float(joints)}, BENDING: layout.bending}
+    return Calibration(robot, names, state.arm[inside], 0.5 * (block + block.T), told, {})
 
 
 def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] | None:

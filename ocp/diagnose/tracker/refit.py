@@ -9,9 +9,9 @@ evidence integrates over its scale (docs/diagnosis.md, 'Noise').
 
 The believed cell refitted is what a good calibration yields, and the start of every diagnosis of tracker readings: it holds
 the geometry, the frames, the nests and the springs of the believed joints (within 35 % of what is believed: a spring that is
-far off is an effect, joint_compliance). Springs that the cell lists for other joints are for contact forces; whether they
-bend under weight as well the readings tell, for all such joints together: then they belong to the baseline at their listed
-values, else those joints are rigid. Payloads are as the cell says: a wrong one is an effect.
+far off is an effect, joint_compliance). Springs that cell or catalogue list for other joints are for contact forces; whether
+they bend under weight as well the readings tell, for all such joints together: then they belong to the baseline at their listed
+values, else those joints are rigid. A cell that lets no joint bend means a rigid arm: every spring is then an effect. Payloads are as the cell says: a wrong one is an effect.
 """
 
 from collections.abc import Sequence
@@ -276,22 +276,17 @@ def _settled(
 
 
 def believed_baseline(
-    campaign: Campaign,
-    compliant: tuple[int, ...],
-    reference: float,
-    stated: bool = True,
-    believed_effects: tuple[Active, ...] = (),
+    campaign: Campaign, compliant: tuple[int, ...], reference: float, believed_effects: tuple[Active, ...] = ()
 ) -> tuple[Task, TrackerFit]:
-    """Task and fit of the believed cell; `compliant` joints of the cell, reference temperature deg C; stated: whether the cell
-    lists the springs itself, those that only the robot's catalogue knows belong to `compliant` joints alone; effects that the
-    cell believes."""
+    """Task and fit of the believed cell; `compliant` joints of the cell, reference temperature deg C; effects that the cell
+    believes."""
     real = replace(campaign, readings=replace(campaign.readings, turn=None, sigma_turn=None))
     listed = believed_compliance(campaign.robot) > 0
     believed = tuple(j for j in compliant if listed[j - 1])
     c = real
     if believed_effects:  # what the cell believes is not geometry
         c = without_effects(real, fit_campaign(real, Choice(joints=believed)).state, believed_effects, reference)
-    others = tuple(j for j in range(2, 7) if stated and listed[j - 1] and j not in believed)
+    others = tuple(j for j in range(2, 7) if compliant and listed[j - 1] and j not in believed)
     first = fit_campaign(c, Choice(joints=(*believed, *others)), Priors())
     if others and not _bend(first, others):
         rigid = first.state.arm.copy()

@@ -228,7 +228,7 @@ def draw_truth(
         believed_truth(replace(cell, calibration=None), seed, tuple(effects), None, tracker),
         placement=_normal(rng["placement"], (6, 6)) * np.repeat(PLACEMENT, 3) * size,
         stiffness=cell.robot.stiffness * (1 + size * rng["stiffness"].uniform(-STIFFNESS, STIFFNESS, 6)),
-        bends=np.array([float(weight_bends == "all" or j in cell.compliant_joints) for j in range(1, 7)]),
+        bends=np.array([float(weight_bends == "all" or j in cell.tables.robot.compliant_joints) for j in range(1, 7)]),
         mass_scale=1 + size * _normal(rng["mass"], 7) * MASS_SD,
         ripple=ripple,
         play=rng["play"].uniform(0, PLAY, 6) * size,
