@@ -11,8 +11,8 @@ from ocp.diagnose.joints.channel import HAVE as JOINT_COLUMNS
 from ocp.diagnose.joints.channel import seen_by_encoder
 from ocp.diagnose.joints.log import JointLog, read_joint_log
 from ocp.diagnose.rules import FORCE_UNIT_FACTOR, LEAST_READINGS
-from ocp.diagnose.tracker.channel import shown_in
 from ocp.effects.effect import Active
+from ocp.effects.engine.readings import shown_in
 from ocp.model.cell import Cell, TrackerSetup, files_of, read_cell, read_tracker_setup
 from ocp.model.cell_schema import CellTables
 from robots.column_mapping import ColumnMapping, read_column_mapping

@@ -418,11 +418,6 @@ PAYLOAD_MASS_SD = 0.006
 """[-] Of a payload's mass. Guards: payload_mass against what a scale does not tell. Reason: payloads are as stated to 1 %, evenly
 (DIAGNOSIS, Second method)."""
 
-SPRINGS_WITHIN = (0.5, 2.0)
-"""[-] Of the believed springs: torques bend the joints through springs kept between these. Guards: a balancer that the fitted
-springs stand in for, and would hide. Reason: about two of
-BELIEVED_SPRING_SD, which no right spring leaves."""
-
 LEAST_CHANGES = {"temperature_C": 0.3, "time_s": 60.0, "clock_s": 60.0}
 """[K, s] A condition that changes less shows no effect that depends on it. Guards: names of effects that a campaign cannot show.
 Reason: 0.3 K of 12 um/(m K) on 2.5 m are a hundredth of a millimetre; a minute is a reading or two."""

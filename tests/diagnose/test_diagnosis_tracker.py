@@ -10,8 +10,8 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import tracker_folds
-from ocp.diagnose.tracker.motion import link_torques, weighed_links
 from ocp.diagnose.tracker.refit import believed_baseline, reliability, settled
+from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.doubts import cancelling, hurts, implausible
 from ocp.effects.catalogue import library

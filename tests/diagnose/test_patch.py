@@ -10,11 +10,11 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import kernels
 from ocp.diagnose.foresee.patched import patched, with_patch
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.motion import displaced, motion
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import as_patch, conditions_by_name
 from ocp.effects.cell_effects import patch_effect_of
+from ocp.effects.engine.readings import displaced, motion
 from ocp.effects.patch import feature_factors, lengths_outside, make_patch, patch_of, patch_table
 from robots.calibration.solver import Campaign
 from tests.diagnose.test_diagnosis_kernels import JOINTS

@@ -21,9 +21,9 @@ import numpy as np
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.calibrate.force.log import AIR_SHARE, Flags, ForceLog
 from ocp.diagnose import rules
-from ocp.diagnose.tracker.channel import TrackerChannel, shown_in
-from ocp.diagnose.tracker.refit import without_effects
+from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.effect import Active
+from ocp.effects.engine.readings import shown_in, without_effects
 from ocp.model.cell import Cell, read_tracker_setup
 from ocp.model.theta import NAMES, covariance_root
 from robots.calibration.fit import fit_campaign, learned_priors

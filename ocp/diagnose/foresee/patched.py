@@ -16,13 +16,13 @@ from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.motion import displaced, motion
 from ocp.diagnose.verdict.answer import Patched
 from ocp.diagnose.verdict.doubts import errors_of_folds
 from ocp.diagnose.verdict.patching import SIGNAL, conditions_by_name, is_patch, unfaded, with_further
 from ocp.diagnose.verdict.remaining import SCALE
 from ocp.diagnose.verdict.shrinkage import Shrinkage, from_model
 from ocp.effects.effect import Active
+from ocp.effects.engine.readings import displaced, motion
 from ocp.effects.patch import lengths_outside
 from robots.calibration.residuals import points
 from robots.errors import Infeasible

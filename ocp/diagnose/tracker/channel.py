@@ -11,17 +11,15 @@ from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions,
 from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
-from ocp.diagnose.tracker.motion import PlacedReadings, displaced, motion
 from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, placed_readings, refit, relearned, settled
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.effects.engine.readings import COLUMNS, PlacedReadings, displaced, has_columns, motion
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener
 from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.tracker_readings import Readings
 
-COLUMNS = {"temperature_C": "temperature", "time_s": "time", "clock_s": "time"}  # of the file, as `Readings` calls them
-COLUMNS |= {name: name for name in ("approach", "target", "payload")}
 OF_READINGS = ("q", "approach", "payload", "payloads", "target", "targets", "time", "temperature")
 ANY = {"target", "payload"}  # one of them is as good as many
 
@@ -219,13 +217,3 @@ class TrackerChannel:
             sealed,
             lambda effect: has_columns(effect, sealed),
         )
-
-
-def shown_in(effects: Sequence[Active], readings: Readings) -> tuple[Active, ...]:
-    """Effects that move the arm or its readings and for which these have the columns."""
-    return tuple(a for a in effects if (a.effect.on_arm or a.effect.reading is not None) and has_columns(a.effect, readings))
-
-
-def has_columns(effect: Effect, readings: Readings) -> bool:
-    """Whether conditions have the columns that an effect needs."""
-    return all(getattr(readings, COLUMNS[c], None) is not None for c in effect.needs if c in COLUMNS)

@@ -13,9 +13,9 @@ from scipy.cluster.vq import kmeans2
 
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, drifts, predictable
 from ocp.diagnose.rules import FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
-from ocp.diagnose.tracker.motion import PlacedReadings, together
 from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings
 from ocp.effects.effect import Active, Effect, prior_sds
+from ocp.effects.engine.readings import PlacedReadings, together
 from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import points
 from robots.gauss_newton import linear_step

@@ -11,7 +11,8 @@ The believed cell refitted is what a good calibration yields, and the start of e
 the geometry, the frames, the nests and the springs of the believed joints (within 35 % of what is believed: a spring that is
 far off is an effect, joint_compliance). Springs that cell or catalogue list for other joints are for contact forces; whether
 they bend under weight as well the readings tell, for all such joints together: then they belong to the baseline at their listed
-values, else those joints are rigid. A cell that lets no joint bend means a rigid arm: every spring is then an effect. Payloads are as the cell says: a wrong one is an effect.
+values, else those joints are rigid. A cell that lets no joint bend means a rigid arm: every spring is then an effect. Payloads
+are as the cell says: a wrong one is an effect.
 """
 
 from collections.abc import Sequence
@@ -22,8 +23,9 @@ import numpy as np
 from scipy.special import expit
 
 from ocp.diagnose import rules
-from ocp.diagnose.tracker.motion import PlacedReadings, link_torques, together, weighed_links
+from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.effects.effect import Active, coefficients, prior_sds, with_coefficients
+from ocp.effects.engine.readings import PlacedReadings, together, without_effects
 from robots.calibration.fit import Fit, fit_campaign, learned_priors, learned_width
 from robots.calibration.layout import (
     Choice,
@@ -307,16 +309,6 @@ def believed_baseline(
     fit = refit(task, first.state, offset_between(layout, start, first.state), (), Noise(first.noise.joints))
     known = relearned(task, fit)
     return known, fit if known is task else refit(known, fit.state, fit.offset, (), fit.noise)
-
-
-def without_effects(campaign: Campaign, state: State, effects: Sequence[Active], reference: float) -> Campaign:
-    """The campaign that an arm without these effects would have given, to first order about a state: joints where the effects
-    take them, reflectors without what comes on top."""
-    r = campaign.readings
-    believed = believed_compliance(campaign.robot)
-    seen = PlacedReadings(campaign.robot, r, campaign.instrument, state, r.point, reference, believed)
-    _, shift, displacement = together(effects, seen)
-    return replace(campaign, readings=replace(r, q=r.q + shift, point=r.point - displacement))
 
 
 def _bend(fit: Fit, others: tuple[int, ...]) -> bool:

@@ -1,24 +1,24 @@
 """What effects do to tracker readings: shifts of the joint angles, and displacements of the reflectors that come on top."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ocp.diagnose.rules import SPRINGS_WITHIN
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.effects.engine.evaluate import ArmRows, TrackerRows, arm_columns, arm_rows, tracker_columns
-from robots.calibration.layout import State
+from robots.calibration.layout import State, believed_compliance
 from robots.calibration.residuals import row_groups
+from robots.calibration.solver import Campaign
 from robots.gravity import GRAVITY
-from robots.kinematics import link_frames
 from robots.pose import Array
 from robots.robot import Robot
 from robots.tracker_readings import Index, Instrument, Readings
 
-LINKS = (2, 3, 4, 5, 6)  # the base and link 1 turn about the vertical only
-AXES = "xyz"
+COLUMNS = {"temperature_C": "temperature", "time_s": "time", "clock_s": "time"}  # of the file, as `Readings` calls them
+COLUMNS |= {name: name for name in ("approach", "target", "payload")}
+SPRINGS_WITHIN = (0.5, 2.0)  # of what is believed of a spring: it is right within 35 %, no right one leaves these
 Motion = tuple[Array | None, Array | None]
 
 
@@ -176,28 +176,20 @@ def together(active: Sequence[Active], seen: PlacedReadings) -> tuple[list[Array
     return parts, whole[:, :6], whole[:, 6:]
 
 
-def weighed_links(robot: Robot) -> list[tuple[str, int, int]]:
-    """What of the links' weights is not as the catalogue says: name, link, and -1 for its relative mass or the axis (0..2) of its
-    frame along which its centre lies elsewhere."""
-    heavy = [link for link in LINKS if robot.link_mass[link] > 0]
-    return [(f"link{i}_{'mass' if k < 0 else AXES[k]}", i, k) for i in heavy for k in range(-1, 3)]
+def without_effects(campaign: Campaign, state: State, effects: Sequence[Active], reference: float) -> Campaign:
+    """The campaign that an arm without these effects would have given, to first order about a state: joints where the effects
+    take them, reflectors without what comes on top. reference deg C: of the cell."""
+    r = campaign.readings
+    seen = PlacedReadings(campaign.robot, r, campaign.instrument, state, r.point, reference, believed_compliance(campaign.robot))
+    _, shift, displacement = together(effects, seen)
+    return replace(campaign, readings=replace(r, q=r.q + shift, point=r.point - displacement))
 
 
-def link_torques(robot: Robot, q: Array) -> Array:
-    """Load torque (n, 6, w) N m, positive along +q, per unit of relative mass and per metre of every centre (`weighed_links`), at
-    postures q (n, 6) rad.
+def shown_in(effects: Sequence[Active], readings: Readings) -> tuple[Active, ...]:
+    """Effects that move the arm or its readings and for which these have the columns."""
+    return tuple(a for a in effects if (a.effect.on_arm or a.effect.reading is not None) and has_columns(a.effect, readings))
 
-    A catalogue's masses and centres are those of a drawing. Springs are fitted to the sag under all weight together: where the
-    links are heavier than believed, a payload that is known well bends the arm less than these springs say; it looks lighter, or
-    a link looks as if it bent. A weight G m at p turns joint j by c_j of its torque z_j . ((p - o_j) x down) G m (PHYSICS 2.5).
-    """
-    frames = link_frames(robot, q)[:, :, :3]
-    out = np.zeros((len(q), 6, len(weighed_links(robot))))
-    for at, (_, link, axis) in enumerate(weighed_links(robot)):
-        mass, frame = robot.link_mass[link], frames[:, link]
-        whole = frame[:, :, :3] @ robot.link_com[link] + frame[:, :, 3] if axis < 0 else frame[:, :, axis]
-        for j in range(link):
-            lever = whole - frames[:, j, :, 3] if axis < 0 else whole
-            turning = np.sum(frames[:, j, :, 2] * np.cross(lever, robot.gravity_direction), axis=1)
-            out[:, j, at] = robot.sign[j] * GRAVITY * mass * turning
-    return out
+
+def has_columns(effect: Effect, readings: Readings) -> bool:
+    """Whether conditions have the columns that an effect needs."""
+    return all(getattr(readings, COLUMNS[c], None) is not None for c in effect.needs if c in COLUMNS)
