@@ -14,6 +14,7 @@ from ocp.model.cell import Cell, files_of, read_cell, with_calibration
 from ocp.report.section import Section
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
+from robots.calibration.carried import carried_over
 from robots.column_mapping import ColumnMapping, read_column_mapping
 from robots.csv_table import OURS
 from robots.errors import BadInput, Infeasible
@@ -70,6 +71,10 @@ def _calibrated(
             f"({1e3 * methods.before.mean():.3f} mm), so nothing is to be gained by it; {_remedy(made)}"
         )
     calibration, extra = tracker_calibration(made, inputs), list[Section]()
+    if ground is None and (kept := carried_over(calibration, made.setup.calibration)) is not calibration:
+        besides = ", ".join(name for name in kept.names if name not in calibration.names)
+        earlier = f"no force log was given, so these stay as the cell's earlier calibration has them: {besides}"
+        calibration, made = kept, replace(made, notices=(*made.notices, earlier))
     if ground is not None:
         with phases.phase("contact"):
             # Registered by the arm as it will be planned with, which bends where the readings say.

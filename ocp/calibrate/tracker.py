@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ocp.effects.effect import Active
+from ocp.effects.engine.readings import effects_on, has_columns, shown_in, without_effects
 from ocp.model.cell import TrackerSetup, read_tracker_setup
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
@@ -30,6 +32,7 @@ from robots.pose import Array, abc_by_spin, abc_from_rotation
 from robots.robot import left_out_notices
 from robots.tracker_readings import WORDS, Readings, read_readings
 
+EFFECTS_TWICE = 2  # rounds: effects that are torques bend the joints through springs, which the first round makes right
 LEAST_READINGS = 20
 LEAST_POSTURES = 10
 LEAST_OF_STATION = 4
@@ -123,6 +126,11 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
     with phases.phase("fit"):
         choice = Choice(joints=tuple(j for j in setup.compliant_joints if setup.robot.stiffness[j - 1] > 0))
         first = fit_campaign(campaign, choice)
+        known = [one.active for one in setup.tables.believed]
+        believed, warm = shown_in(known, readings), setup.tables.reference_temperature_C
+        for _ in range(EFFECTS_TWICE if believed else 0):
+            campaign = without_effects(replace(campaign, readings=readings), first.state, believed, warm)
+            first = fit_campaign(campaign, choice, begin=first.state)
         first = fit_campaign(campaign, choice, learned_priors(first), begin=first.state)
     with phases.phase("terms"):
         chosen, terms = choose_terms(first) if method == "full" else (choice, [])
@@ -134,6 +142,10 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
         table = compare_methods(full, advance, held if method == "full" else [])
     linear = linearise(campaign.robot, replace(readings, turn=None), campaign.instrument, full.layout, full.state)
     repeats = repeat_scatter(readings, campaign.instrument, linear.d_joints)
+    on_top: Array | float = 0.0
+    if sealed is not None and (seen := [a for a in believed if has_columns(a.effect, sealed)]):
+        shift, on_top = effects_on(campaign, sealed, predict_readings(fit, sealed)[0], fit.state, seen, warm)
+        sealed = replace(sealed, q=sealed.q + shift)
     return TrackerCalibration(
         setup=setup,
         method=method,
@@ -146,9 +158,9 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
         load_test=load_test(full),
         methods=table,
         sealed=sealed,
-        sealed_points=None if sealed is None else predict_readings(fit, sealed)[0],
+        sealed_points=None if sealed is None else predict_readings(fit, sealed)[0] + on_top,
         sealed_covariance=None if sealed is None else predictive_covariance(fit, sealed, repeats.joints if repeats else 0.0),
-        notices=(*readings.notices, *left_out_notices(setup.robot), *_notices(full)),
+        notices=(*readings.notices, *left_out_notices(setup.robot), *_effect_notices(known, believed), *_notices(full)),
     )
 
 
@@ -265,6 +277,17 @@ def _refuse_few(readings: Readings, campaign: Campaign) -> None:
             f"{readings.path}: {what}, so the readings cannot tell the arm's errors apart; spread at least {LEAST_POSTURES} "
             "postures over the axes, `python -m ocp.poses` says where"
         )
+
+
+def _effect_notices(known: Sequence[Active], taken: Sequence[Active]) -> list[str]:
+    """What became of the effects that the cell believes."""
+    words = [f"{a.effect.name}{f' of joint {a.joint}' if a.joint else ''}" for a in taken]
+    found = [f"the cell's effects were taken out of the readings first: {', '.join(words)}"] if words else []
+    return found + [
+        f"the cell's effect {a.effect.name} stays in the readings: they lack a column ({', '.join(a.effect.needs)})"
+        for a in known
+        if a.effect.on_arm and not any(a is one for one in taken)
+    ]
 
 
 def _notices(fit: Fit) -> list[str]:

@@ -23,7 +23,7 @@ from ocp.effects.cell_effects import table_of
 from ocp.effects.effect import Active
 from ocp.effects.patch import patch_table
 from ocp.model.cell import cell_tables_for
-from robots.calibration.joined import joined
+from robots.calibration.carried import carried_over
 from robots.calibration.store import BENDING, Calibration, write_calibration
 from robots.pose import Array
 from robots.toml_files import toml_text
@@ -101,8 +101,8 @@ def calibration_of(channels: Sequence[Channel], data: DataSet) -> Calibration | 
     tracker = _of_arm(by_signal["tracker"], data) if "tracker" in by_signal else None
     known = data.setup.calibration
     if "force" not in by_signal:
-        return None if tracker is None else joined(tracker, known)
-    return joined(_of_contact(by_signal["force"], data), known if tracker is None else tracker)
+        return None if tracker is None else carried_over(tracker, known)
+    return carried_over(_of_contact(by_signal["force"], data), known if tracker is None else tracker)
 
 
 def _of_contact(channel: Channel, data: DataSet) -> Calibration:

@@ -9,7 +9,7 @@ import numpy as np
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
 from ocp.shell.progress import Phases
 from robots.calibration.reading_model import RowInputs, predict_points
-from robots.pose import make_transform, rotation_from_abc
+from robots.pose import Array, make_transform, rotation_from_abc
 from robots.robot import load_robot
 
 CELL = """name = "example"
@@ -41,8 +41,12 @@ NESTS = {"T1": (0.15, -0.05, 0.25), "T2": (-0.16, 0.04, 0.21)}
 SIGMA = 25e-6  # m
 
 
-def write_campaign(folder: Path, poses: int = 44, seed: int = 5) -> Path:
-    """tracker.csv and cell.toml: `poses` postures, the last one read three times, one reading 3 mm off."""
+SPRINGS = np.array([0.0, 0.33e-6, 0.38e-6, 0.0, 0.0, 0.0])
+
+
+def write_campaign(folder: Path, poses: int = 44, seed: int = 5, springs: Array = SPRINGS) -> Path:
+    """tracker.csv and cell.toml: `poses` postures, the last one read three times, one reading 3 mm off; springs (6,) rad/(N m)
+    of the arm."""
     rng = np.random.default_rng(seed)
     robot = load_robot("kr210_r2700_extra")
     q = rng.uniform(np.maximum(robot.q_min, -2.5) * 0.8, np.minimum(robot.q_max, 2.5) * 0.8, (poses, 6))
@@ -58,7 +62,6 @@ def write_campaign(folder: Path, poses: int = 44, seed: int = 5) -> Path:
         load_place=np.zeros((n, 3)),
         nest=np.array([list(NESTS.values())[k] for k in nest]),
     )
-    springs = np.array([0.0, 0.33e-6, 0.38e-6, 0.0, 0.0, 0.0])
     station = make_transform(rotation_from_abc([0.3, -0.1, 0.2]), [4.0, -2.0, 1.0])
     base = predict_points(robot, np.concatenate([mdh.ravel(), springs]), inputs)[0]
     point = base @ station[:3, :3].T + station[:3, 3] + rng.normal(0, SIGMA, (n, 3))

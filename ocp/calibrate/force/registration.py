@@ -11,7 +11,7 @@ from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior,
 from ocp.calibrate.force.log import Flags, ForceLog
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
-from robots.calibration.joined import joined
+from robots.calibration.carried import carried_over
 from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration
 from robots.pose import Array
@@ -93,7 +93,7 @@ class ForceFit:
         if self.log.clock is not None:
             provenance["force"]["clock_s"] = float(self.log.clock.max())
         own = Calibration(cell.robot.name, self.names, self.values, self.covariance, provenance, reasons, self.notices)
-        return joined(own, robot)
+        return carried_over(own, robot)
 
 
 def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup: ForceSetup | None = None) -> ForceFit:

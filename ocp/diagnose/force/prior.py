@@ -26,8 +26,8 @@ from ocp.effects.effect import Active
 from ocp.effects.engine.readings import shown_in, without_effects
 from ocp.model.cell import Cell, read_tracker_setup
 from ocp.model.theta import NAMES, covariance_root
+from robots.calibration.carried import carried_over
 from robots.calibration.fit import fit_campaign, learned_priors
-from robots.calibration.joined import joined
 from robots.calibration.layout import Choice, Layout, State
 from robots.calibration.reading_model import ARM_NAMES
 from robots.calibration.solver import Campaign
@@ -60,7 +60,7 @@ class NuisancePrior:
 
 def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
     """Prior of the cell, its arm as `arm` says where given: what the cell's calibration knows besides goes with it."""
-    calibration = cell.calibration if arm is None else joined(arm, cell.calibration)
+    calibration = cell.calibration if arm is None else carried_over(arm, cell.calibration)
     prior = force_prior(replace(cell, calibration=calibration))
     known = () if calibration is None else calibration.names
     covariance = prior.covariance.copy()

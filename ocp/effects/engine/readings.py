@@ -180,9 +180,18 @@ def without_effects(campaign: Campaign, state: State, effects: Sequence[Active],
     """The campaign that an arm without these effects would have given, to first order about a state: joints where the effects
     take them, reflectors without what comes on top. reference deg C: of the cell."""
     r = campaign.readings
-    seen = PlacedReadings(campaign.robot, r, campaign.instrument, state, r.point, reference, believed_compliance(campaign.robot))
-    _, shift, displacement = together(effects, seen)
+    shift, displacement = effects_on(campaign, r, r.point, state, effects, reference)
     return replace(campaign, readings=replace(r, q=r.q + shift, point=r.point - displacement))
+
+
+def effects_on(
+    campaign: Campaign, readings: Readings, point: Array, state: State, effects: Sequence[Active], reference: float
+) -> tuple[Array, Array]:
+    """What effects do to readings at an arm's state, their reflectors at about `point` (n, 3) m: shift (n, 6) rad of the joints,
+    displacement (n, 3) m of the reflectors on top. reference deg C: of the cell."""
+    believed = believed_compliance(campaign.robot)
+    seen = PlacedReadings(campaign.robot, readings, campaign.instrument, state, point, reference, believed)
+    return together(effects, seen)[1:]
 
 
 def shown_in(effects: Sequence[Active], readings: Readings) -> tuple[Active, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from robots.calibration.store import Calibration
 
 
-def joined(found: Calibration, known: Calibration | None) -> Calibration:
+def carried_over(found: Calibration, known: Calibration | None) -> Calibration:
     """`found` with the parameters of `known` that it lacks, carried along by their regression on those that both have: where an
     axis' zero came out otherwise, a wheel that was found by that arm moves with it. Covariances are joint ones."""
     rest = [] if known is None else [i for i, name in enumerate(known.names) if name not in found.names]

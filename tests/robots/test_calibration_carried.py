@@ -1,0 +1,30 @@
+"""What a new calibration takes over from an earlier one, against conditioning of the normal law done otherwise."""
+
+import numpy as np
+
+from robots.calibration.carried import carried_over
+from robots.calibration.store import Calibration
+
+
+def test_what_was_found_by_an_arm_moves_with_it():
+    """The law of wheel given arm stays; only the arm's own law is another: both by sampling."""
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(3, 3)) * 1e-4
+    old = Calibration("r", ("theta_offset1", "wheel_x", "d1"), np.array([1e-3, 0.5, 0.6]), root @ root.T)
+    part = rng.normal(size=(2, 2)) * 4e-5
+    new = Calibration("r", ("d1", "theta_offset1"), np.array([0.6002, 0.9e-3]), part @ part.T)
+    both = carried_over(new, old)
+    assert both.names == ("d1", "theta_offset1", "wheel_x")
+    arm = new.values + rng.normal(size=(200_000, 2)) @ part.T
+    C = old.covariance
+    K = np.linalg.solve(C[np.ix_([2, 0], [2, 0])], C[[2, 0], 1])
+    rest = C[1, 1] - C[[2, 0], 1] @ K
+    wheel = old.values[1] + (arm - old.values[[2, 0]]) @ K + np.sqrt(rest) * rng.normal(size=len(arm))
+    sample = np.column_stack([arm, wheel])
+    assert np.allclose(both.values, sample.mean(axis=0), atol=4 * sample.std(axis=0).max() / np.sqrt(len(arm)))
+    assert np.allclose(both.covariance, np.cov(sample.T), atol=0.02 * np.abs(both.covariance).max())
+
+
+def test_nothing_is_taken_over_where_nothing_is_missing():
+    new = Calibration("r", ("d1",), np.zeros(1), np.eye(1))
+    assert carried_over(new, None) is new and carried_over(new, Calibration("r", ("d1",), np.ones(1), np.eye(1))) is new
