@@ -1,6 +1,7 @@
 import gc
 import json
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -99,6 +100,35 @@ def small_plan_once(own_cache: None):
             said.write_text(json.dumps(asdict(planned(folder, "--cell", "cell.toml", *STEP))))
             os.sched_setaffinity(0, before)
     return folder, Told(**json.loads(said.read_text()))
+
+
+@pytest.fixture(scope="module")
+def solved_once(own_cache: None) -> Iterator[None]:
+    """The blades of a module's worlds, plans and fits are one solid of larger elements."""
+    from tests.support.one_solid import one_solid
+
+    with one_solid():
+        yield
+
+
+@pytest.fixture(scope="session")
+def force_campaign_once(own_cache: None):
+    """A grinding campaign of the virtual machine without any effect: recorded once for all processes of a run."""
+    from numpy.random import default_rng
+
+    from tests.support.diagnosis_force_world import PLAN, believed_world, record
+    from tests.support.one_solid import one_solid
+
+    base = Path(os.environ["GRINDPLAN_CACHE"]).parent
+    base.mkdir(parents=True, exist_ok=True)
+    kept = base / "force-campaign.pickle"
+    with FileLock(base / "force-campaign.lock"):
+        if not kept.exists():
+            rng = default_rng(5)
+            with one_solid():
+                made = record(believed_world(base / "force-campaign", rng, every=4), PLAN, rng)
+            kept.write_bytes(pickle.dumps(made))
+    return pickle.loads(kept.read_bytes())
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,7 @@ class Recorded:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory) -> Recorded:
+def recorded(tmp_path_factory, solved_once) -> Recorded:
     rng = np.random.default_rng(2)
     folder = tmp_path_factory.mktemp("force")
     world = make_world(folder, rng)

@@ -21,9 +21,8 @@ from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active, Effect
-from tests.support.diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, moved_joints, record
+from tests.support.diagnosis_force_world import HEADER, Base, Planted, log_of, moved_joints
 from tests.support.force_world import arm_posterior, write_log
-from tests.support.one_solid import one_solid
 
 EFFECTS = library()
 
@@ -36,17 +35,9 @@ class Made:
 
 
 @pytest.fixture(scope="module")
-def solved_once():
-    with one_solid():
-        yield
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory, solved_once) -> Made:
-    folder, rng = tmp_path_factory.mktemp("world"), np.random.default_rng(5)
-    base = record(believed_world(folder, rng, every=4), PLAN, rng)
-    log, truth = _log(base, (), folder)
-    return Made(base, _channel(base, log), truth)
+def made(tmp_path_factory, solved_once, force_campaign_once) -> Made:
+    log, truth = _log(force_campaign_once, (), tmp_path_factory.mktemp("world"))
+    return Made(force_campaign_once, _channel(force_campaign_once, log), truth)
 
 
 def _log(

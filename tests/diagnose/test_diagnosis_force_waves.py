@@ -16,7 +16,7 @@ from ocp.diagnose.force.waves import likely_trains
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
 from robots.errors import Infeasible
-from tests.diagnose.test_diagnosis_force import EFFECTS, Made, _active, _again, _log, made, solved_once  # noqa: F401
+from tests.diagnose.test_diagnosis_force import EFFECTS, Made, _active, _again, _log, made  # noqa: F401
 from tests.support.diagnosis_force_world import Planted
 
 

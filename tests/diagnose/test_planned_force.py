@@ -34,9 +34,8 @@ from ocp.effects.effect import Active, Effect
 from ocp.model.cell import read_tracker_setup
 from robots.errors import BadInput
 from robots.kinematics import link_frames
-from tests.support.diagnosis_force_world import HEADER, PLAN, Base, Planted, believed_world, log_of, record
+from tests.support.diagnosis_force_world import HEADER, Base, Planted, log_of
 from tests.support.force_world import arm_posterior, write_log
-from tests.support.one_solid import one_solid
 
 EFFECTS = library()
 SLOW = ("sensor_bias", "wheel_wear", "wheel_law", "tangential_force", "material_removal", "flange_friction", "sensor_gain")
@@ -50,12 +49,10 @@ class Made:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    with one_solid():
-        folder, rng = tmp_path_factory.mktemp("world"), np.random.default_rng(5)
-        base = record(believed_world(folder, rng, every=4), PLAN, rng)
-        log = logged(base, (), folder)
-        yield Made(base, force_channel(base.world.cell, log, arm=arm_posterior(base.world.cell)))
+def made(tmp_path_factory, solved_once, force_campaign_once):
+    base = force_campaign_once
+    log = logged(base, (), tmp_path_factory.mktemp("world"))
+    return Made(base, force_channel(base.world.cell, log, arm=arm_posterior(base.world.cell)))
 
 
 def logged(base: Base, planted: tuple[Planted, ...], folder: Path) -> ForceLog:
