@@ -21,7 +21,7 @@ from ocp.blindtest.worlds.sealing import WITHHELD
 from ocp.diagnose.answering import answer_of
 from ocp.diagnose.document import document_of
 from ocp.diagnose.engine import search
-from ocp.diagnose.verdict import diagnosis, doubts
+from ocp.diagnose.verdict import diagnosis
 from ocp.effects.catalogue import library
 from ocp.shell.progress import Phases
 
@@ -29,14 +29,6 @@ Did = Callable[[Any, tuple[Any, ...]], bool]
 # Rule: the module and the function that is it, what it is without the rule, whether a result of it did something.
 RULES: dict[str, tuple[Any, str, Callable[..., Any], Did]] = {
     "outliers": (search, "outliers_rechecked", lambda *a: None, lambda found, a: found is not None),
-    "impostors": (doubts, "impostors", lambda *a: [], lambda found, a: bool(found)),
-    "relief": (doubts, "relieving", lambda *a: [], lambda found, a: bool(found)),
-    "halved": (
-        diagnosis,
-        "doubted",
-        lambda found, *a: ORIGINAL["halved"](found, (), False),
-        lambda found, a: bool(a[1] and a[2]),
-    ),
     "suspects": (diagnosis, "suspected", lambda *a: (), lambda found, a: bool(found)),
     "held-out names": (diagnosis, "misses_far_more_than_noise", lambda *a: False, lambda found, a: bool(found)),
 }

@@ -157,13 +157,6 @@ balance. Reason: once may be for another name's sake."""
 RECHECKED = 3
 """[families] Tried for readings that were set aside, the most telling first. Reason: time, each is a nonlinear fit."""
 
-IMPOSTOR_ROUNDS = 5
-"""[rounds] Of barring impostors and searching anew. Reason: time; no reason known for five."""
-
-WITHOUT_IMPOSTOR = 1.0
-"""[ln] By which names without an impostor may fall short of those with it and still need nothing beside them. Guards: 'none
-of these' after an impostor was barred. Reason: a factor of e between two explanations is no difference."""
-
 # ---------- selection on held-out error: arms that miss far more than noise (docs/diagnosis_real.md)
 SELECTED_ON = 2000
 """[readings] That names are selected on. Reason: time."""
@@ -204,9 +197,8 @@ EXPLAINED = 0.8
 """[-] Probability of an explanation from which the verdict is 'explained', else 'ambiguous'. Reason: FORMATS.md."""
 
 SUSPECT = 0.75
-"""[-] Share of a doubted explanation's probability that goes to 'none of these'. Guards: the verdict where values,
-cancelling terms or folds speak against a name. Reason: leaves a doubted name below LEADS however probable it was, and not
-without chance."""
+"""[-] Probability of something outside the catalogue where readings scatter as no such machine does. Guards: rows of two
+campaigns under each other, which a fit's noise would hold. Reason: above LEADS, and not certain."""
 
 IMPLAUSIBLE = 3.0
 """[-] Times the upper end of the typical range above which (by IMPLAUSIBLE_SD) a value is doubted. Reason: DIAGNOSIS.md, the
@@ -222,26 +214,8 @@ CANCELS = 0.25
 """[-] Of the shorter of two signatures: what both together leave when they cancel. Guards: two terms that overdo each other.
 Reason: then three quarters of each are the other's."""
 
-HURTS = 0.3
-"""[-] Of the mean square gap by which an impostor makes a left-out condition worse. Reason: impostors multiply the gap, a
-small true term misses by chance."""
-
-HURTS_SD = 4.0
-"""[sd] By which it must do so. Reason: thirty folds and four names are looked at; four sigma are one in thirty thousand."""
-
-DRIFTS_SD = 3.0
-"""[sd] By which an impostor's value moves without the fold. Reason: an effect of the right form has the same value wherever
-it is seen."""
-
 NO_GAP = 0.2
 """[-] Of the noise: a gap below it is none to speak of, and can neither be helped nor hurt. Reason: FORMATS.md."""
-
-RELIEF = 0.25
-"""[-] Of the squares that effects take away: what must be the readings', else only the registration comes nearer to its
-belief. Guards: a wrong belief of the registration against names. Reason: benchmarks/diagnosis_relief.py."""
-
-RELIEF_LEAST = 10.0
-"""[lambda] Squares below which nothing is said of their shares. Reason: below 10.5 nothing is told apart (TOLD_APART)."""
 
 MISSED = 0.1
 """[-] Share of data sets in which an effect of the visible size is not named. Reason: named nine times of ten, FORMATS.md."""

@@ -207,7 +207,6 @@ def test_a_planted_effect_comes_out_with_its_value(made, tmp_path, name):
     assert _gap(channel, truth) > least
     after = channel.with_active((_active(name, 0, scanned),))
     assert _gap(after, truth) < 0.04
-    assert channel.gained() == (0.0, 0.0) and after.gained()[0] > 0.4 * sum(after.gained()) > 4.0
     found, sd = after.active[0].parameters, after.active[0].deviations
     for key, value in values.items():
         assert abs(found[key] - value) < 4 * sd[key] + 0.03 * abs(value), (key, found[key], sd[key])

@@ -1,26 +1,21 @@
 """Effects that nobody catalogued, on an arm in NumPy: each is placed by what it varies with, and gets no name of the library."""
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import ncx2
 
-from ocp.diagnose.engine.channel_system import Fold, HeldOut
 from ocp.diagnose.engine.evidence import Rival, size_grid, visible_lambda
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import groups, products, smooth
-from ocp.diagnose.rules import SUSPECT
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
-from ocp.diagnose.verdict.doubts import impostors, relieving
 from ocp.effects.catalogue import effect_list, effects_table, library
-from ocp.effects.effect import Active
 from robots.gravity import GRAVITY, weight_torques
 from robots.kinematics import forward
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, ROBOT, channel, column, world
 from tests.support.dropped_effect import dropped_effect
-from tests.support.linear_channel import LinearChannel, effect
 from tests.support.simulated_campaign import NESTS, PAYLOADS
 
 
@@ -140,79 +135,6 @@ def test_tilts_are_the_difference_of_a_turn_about_the_axis_origin():
             for k, about in enumerate((axes[:, 0], axes[:, 1], axes @ turned, axes @ np.array([-turned[1], turned[0]]))):
                 moved = seen.turns[i] @ np.cross(about, seen.base_point[i] - frames[j][:3, 3])
                 assert tilts[i, :, j, k] == pytest.approx(moved, rel=0.02, abs=0.02)
-
-
-@dataclass(frozen=True)
-class Halves(LinearChannel):
-    """Two conditions; an effect with `false` in its name predicts the second half wrongly."""
-
-    def folds(self):
-        """The second half left out."""
-        return [Fold("late", "time", np.arange(len(self.y)) >= len(self.y) // 2)]
-
-    def held_out(self, fold, active):
-        """Squares of one where nothing false is active, of nine where it is."""
-        n = int(fold.held.sum())
-        seen = [a for a in active if not self.blind(a.effect)]
-        wrong = any("false" in a.effect.name for a in seen)
-        before, after = np.full(n, 2.0), np.full(n, 9.0 if wrong else 1.0)
-        drift = {(a.effect.name, a.joint): 9.0 if "false" in a.effect.name else 0.1 for a in seen}
-        return HeldOut(fold, 2.0, float(after.mean()), 1.0, before, after + 1e-3 * np.arange(n), np.ones(n), 0.0, drift)
-
-
-@dataclass(frozen=True)
-class Placed(LinearChannel):
-    """A channel whose effects take squares from readings and from the registration."""
-
-    taken: tuple[float, float] = (0.0, 0.0)
-
-    def gained(self):
-        """As given."""
-        return self.taken if self.active else (0.0, 0.0)
-
-
-ENOUGH = [(60.0, 40.0), (1.0, 5.0), (90.0, -30.0)]
-
-
-@pytest.mark.parametrize("taken, doubted", [((5.0, 95.0), True), *((t, False) for t in ENOUGH)])
-def test_a_set_that_only_brings_the_registration_back_is_doubted(taken, doubted):
-    rng = np.random.default_rng(3)
-    true = rng.normal(size=200)
-    columns, known = {("true", 0): true[None, :, None]}, {"true": effect("true", (2.0,))}
-    made = Placed(1.2 * true + rng.normal(size=200), np.ones((200, 1)), np.array([1.0]), columns, taken=taken)
-    d = diagnose_channels([made], known, Options(where=False, prior_effects=0.5))
-    assert d.verdict == ("unexplained" if doubted else "explained")
-    assert [a.effect.name for a in d.active] == ([] if doubted else ["true"])
-    assert any("registration" in why for why in d.unknown_reasons) == doubted
-    assert (d.ranking[0].probability < 0.3) == doubted and d.ranking[0].name == Name("true")
-    assert sum(e.probability for e in d.explanations) + d.p_none == pytest.approx(1.0, abs=1e-3)
-    # Where another channel sees the effect too its readings decide; an effect of the arm is itself why the arm is elsewhere.
-    one = Active(known["true"], 0, np.ones(1), {}, np.eye(1))
-    there = replace(made, active=(one,))
-    assert bool(relieving([there], (one,))) == doubted and not relieving([there, made], (one,))
-    assert not relieving([there], (replace(one, effect=replace(one.effect, joint=lambda x, j, scanned: x.q)),))
-
-
-def test_impostors_are_sought_among_what_a_channel_sees():
-    made = Halves(np.zeros(40), np.ones((40, 1)), np.array([1.0]), {(n, 0): np.ones((1, 40, 1)) for n in ("false", "true")})
-    active = tuple(Active(effect(n), 0, np.ones(1), {}, np.eye(1)) for n in ("elsewhere", "false", "true"))
-    held = {made.name: [made.held_out(fold, active) for fold in made.folds()]}
-    assert impostors([made], active, held) == [(Name("false"), "late")]
-
-
-def test_an_impostor_is_barred_and_what_is_true_is_found_instead():
-    rng = np.random.default_rng(3)
-    true = rng.normal(size=200)
-    false = true + 0.3 * rng.normal(size=200)
-    y = 1.2 * false + rng.normal(size=200)
-    columns = {("false", 0): false[None, :, None], ("true", 0): true[None, :, None]}
-    known = {"false": effect("false", (2.0,)), "true": effect("true", (2.0,))}
-    made = Halves(y, np.ones((200, 1)), np.array([1.0]), columns)
-    d = diagnose_channels([made], known, Options(where=False, prior_effects=0.5))
-    assert [n for n, _ in d.impostors] == [Name("false")] and "late" in d.unknown_reasons[0]
-    assert [a.effect.name for a in d.active] == ["true"]
-    assert d.verdict == "partly" and d.p_unknown >= SUSPECT  # what the impostor fitted beyond the true one is there all the same
-    assert sum(e.probability for e in d.explanations) + d.p_none == pytest.approx(1.0, abs=1e-3)
 
 
 def test_an_effect_of_the_told_size_is_named_nine_times_of_ten():

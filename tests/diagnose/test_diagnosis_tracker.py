@@ -13,7 +13,7 @@ from ocp.diagnose.tracker.held_out import tracker_folds
 from ocp.diagnose.tracker.refit import believed_baseline, reliability, settled
 from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
-from ocp.diagnose.verdict.doubts import cancelling, hurts, implausible
+from ocp.diagnose.verdict.doubts import cancelling, implausible
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from robots.calibration.solver import Campaign
@@ -226,10 +226,6 @@ def test_linear_folds_are_as_good_as_nonlinear_refits():
     slow = np.mean(np.sum(there.residual[fold.held] ** 2, axis=1))
     assert quick is not None and np.sqrt(quick.after) == pytest.approx(np.sqrt(slow), abs=2e-6)
     assert quick.before > 2 * quick.after
-    assert quick.drift["gear_2x", 3] < 3.0  # the right form has the same value everywhere
-    wrong = Active(LIBRARY["encoder_scale"], 3, np.zeros(1), {}, np.eye(1))
-    halves = [c.held_out(f, (wrong,)) for f in tracker_folds(readings) if f.kind == "joint range" and "joint 3" in f.name]
-    assert max(h.drift["encoder_scale", 3] for h in halves if h is not None) > 3.0  # a slope in place of a wave has not
 
 
 def ripple(r):
@@ -339,7 +335,4 @@ def test_doubts():
     assert implausible([replace(sure, a=np.array([-1e-4]))])
     v = np.random.default_rng(0).normal(size=50)
     assert cancelling([Name("a"), Name("b")], [v, -1.1 * v]) and not cancelling([Name("a"), Name("b")], [v, v])
-    rows = np.random.default_rng(1).uniform(1, 2, 100)
-    assert hurts(2 * rows, rows, 0.5, 0.0) and not hurts(rows, 2 * rows, 0.5, 0.0)
-    assert not hurts(1.2 * rows, rows, 0.5, 10.0)  # excused by its own uncertainty
     assert NESTS

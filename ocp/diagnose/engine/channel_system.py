@@ -11,8 +11,8 @@ so that offset is the estimate less its prior mean. Columns of an active effect 
 without it is residual + columns @ a.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -149,8 +149,7 @@ class Fold:
 class HeldOut:
     """Mean square of the gap of the held readings (SI^2: m^2 for 3D errors, N^2, rad^2) before and after the effects, everything
     refitted on the rest, and what noise alone gives; before_rows, after_rows, noise_rows (r,): the same of every reading;
-    estimation: mean square that the effects' own errors of estimation add to `after`; drift: by how many standard errors each
-    effect's value without the fold differs from that of all readings, empty where nobody looked."""
+    estimation: mean square that the effects' own errors of estimation add to `after`."""
 
     fold: Fold
     before: float
@@ -160,19 +159,6 @@ class HeldOut:
     after_rows: Array
     noise_rows: Array
     estimation: float = 0.0
-    drift: Mapping[tuple[str, int], float] = field(default_factory=dict)
-
-
-def drifts(active: Sequence[Active], change: Array, covariance: Array) -> dict[tuple[str, int], float]:
-    """By how many standard errors the values of effects move, by effect and joint: all coefficients move by `change` (m,), with
-    the covariance (m, m) of the values without a fold."""
-    found, start = dict[tuple[str, int], float](), 0
-    for one in active:
-        block = slice(start, start + one.effect.size)
-        start = block.stop
-        moved = float(np.sqrt(change[block] @ np.linalg.pinv(covariance[block, block]) @ change[block]))
-        found[one.key] = moved
-    return found
 
 
 @dataclass(frozen=True)

@@ -197,16 +197,6 @@ class ForceChannel:
         """Measured less predicted normal reading (n, 1) N."""
         return self.problem.gap(self.fit.at, self.fit.z)[:, None]
 
-    def gained(self) -> tuple[float, float]:
-        """Squares that the active effects take from the whitened readings (in this fit's noise), and from the unknowns of the
-        registration, one prior sd each."""
-        squares = []
-        for problem, fit in ((self.baseline.problem, self.baseline.fit), (self.problem, self.fit)):
-            left = [w.whole(r[:, None]) for w, r in zip(self.fit.whiteners, problem.residuals(fit.at, fit.z), strict=True)]
-            own = fit.z[: problem.sizes[0]]
-            squares.append((sum(float(np.sum(x**2)) for x in left), float(own @ own)))
-        return squares[0][0] - squares[1][0], squares[0][1] - squares[1][1]
-
     def whiten(self, changes: Array) -> Array:
         """Whitened rows (N, m) of changes (n, k, m) N of the readings, fn first, then ft where there is one."""
         count = len(self.averages.whiteners)

@@ -15,7 +15,7 @@ from ocp.calibrate.force.assessment import without_rows
 from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import log_conditions, prepare_force
-from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, drifts, predictable
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, predictable
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
 from ocp.diagnose.force.prediction import LogScene, Predicted, predict_anew
 from ocp.diagnose.rules import FOLD_PARTS, FOLD_PIECE, FOLD_REST, FOLD_ROWS, RUN_SD
@@ -92,8 +92,7 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) ->
     columns = after[1].normal[rows].copy()
     columns[:, r : r + o] = 0.0
     estimation = np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns) - unknown, 0.0)
-    drift = drifts(after[1].active, changes[1][r + o :], covariance[r + o :, r + o :])
-    return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(estimation.mean()), drift)
+    return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(estimation.mean()))
 
 
 def _moved_without(fit: EffectFit, held: Flags) -> tuple[Array, Array]:

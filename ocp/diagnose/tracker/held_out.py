@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, drifts, predictable
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, predictable
 from ocp.diagnose.rules import FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings
 from ocp.effects.effect import Active, Effect, prior_sds
@@ -65,15 +65,13 @@ def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[
     extra, _ = added(active, seen, fit)
     before = _solved(task, fit, whole, np.zeros((len(r), 3, 0)), np.zeros(0), train)[0][rows]
     prior = prior_sds(active)
-    errors, a, covariance = _solved(task, fit, whole, extra, prior, train)
+    errors, covariance = _solved(task, fit, whole, extra, prior, train)
     after = errors[rows]
     estimated = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
-    moved = a - _solved(task, fit, whole, extra, prior, np.ones(len(r), bool))[1]
-    drift = drifts(active, moved, covariance)
     S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
     e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)
-    return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(estimated.mean()), drift)
+    return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(estimated.mean()))
 
 
 def added(active: Sequence[Active], seen: PlacedReadings, fit: TrackerFit) -> tuple[Array, Array]:
@@ -86,8 +84,8 @@ def added(active: Sequence[Active], seen: PlacedReadings, fit: TrackerFit) -> tu
     return np.concatenate(columns, axis=2), sum(c @ a.a for c, a in zip(columns, active, strict=True))  # type: ignore[return-value]
 
 
-def _solved(task: Task, fit: TrackerFit, residual: Array, extra: Array, prior: Array, train: Array) -> tuple[Array, Array, Array]:
-    """Errors (n, 3) m of all readings after the linear fit to `train`, coefficients (m,) and their covariance."""
+def _solved(task: Task, fit: TrackerFit, residual: Array, extra: Array, prior: Array, train: Array) -> tuple[Array, Array]:
+    """Errors (n, 3) m of all readings after the linear fit to `train`, and the covariance of the coefficients (m,)."""
     layout = task.layout
     sd = np.concatenate([layout.prior_sd, prior])
     offset = np.concatenate([np.where(np.isfinite(layout.prior_sd), fit.offset, 0.0), np.zeros(len(prior))])
@@ -98,7 +96,7 @@ def _solved(task: Task, fit: TrackerFit, residual: Array, extra: Array, prior: A
     found = linear_step(y, A, offset / scale, np.isfinite(sd).astype(float), RANK)
     step, last = scale * found.change, slice(layout.size, None)
     covariance = scale[last, None] * found.covariance[last, last] * scale[last]
-    return np.asarray(residual - J @ step), step[last], covariance
+    return np.asarray(residual - J @ step), covariance
 
 
 def predict_sealed_readings(

@@ -1,7 +1,4 @@
-"""The main entry of the diagnosis: search, judge, bar impostors and begin anew; from weighed sets to the findings.
-
-What hurts where the data are extrapolated is an impostor: it is barred, and the search begins anew without it.
-"""
+"""The main entry of the diagnosis: search, and from weighed sets to the findings."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -18,51 +15,30 @@ from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Loc
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, rival_of, stacked_columns
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
-from ocp.diagnose.verdict.doubts import judged, refitted
+from ocp.diagnose.verdict.doubts import cancelling, errors_of_folds, implausible, refitted
 from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_kernel, of_tests, spectra
 from ocp.diagnose.verdict.patching import patches_of
-from ocp.diagnose.verdict.probabilities import (
-    ExplanationWeights,
-    Names,
-    Posterior,
-    alternatives,
-    merged,
-    posterior,
-    told_apart,
-    twins,
-)
+from ocp.diagnose.verdict.probabilities import Names, Posterior, alternatives, merged, posterior, told_apart, twins
 from ocp.effects.effect import Active, Effect
 from robots.pose import Array
 
 USUAL = Options()
+NO_REST = "no fit with it comes to rest"
 
 
 def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options = USUAL) -> Diagnosis:
     """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
     baseline = tuple(c.with_active(()) if c.active else c for c in channels)
     few = tuple(_thinned(c, rules.MOST_SEARCHED) for c in baseline)
-    impostors: list[tuple[Name, str]] = []
-    reasons: list[str] = []
-    levels: list[float] = []
     diverged = Diverged()
-    for _ in range(rules.IMPOSTOR_ROUNDS):
-        first = linearised(few, library, options)
-        problem, search = search_and_refit(first, library, options, diverged)
-        if posterior(problem, search).p_unknown > rules.LEADS and misses_far_more_than_noise(problem, search):
-            selected = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
-            return _scattering(findings(baseline, first, selected.problem, selected.search, library, options, selected.refused))
-        found = findings(baseline, first, problem, search, library, options)
-        levels.append(max(w.log for w in search.sets.values()))
-        if not found.impostors:
-            break
-        impostors += found.impostors
-        reasons += found.unknown_reasons
-        options = replace(options, barred=(*options.barred, *(n for n, _ in found.impostors)))
-    whys = tuple(f"{n}: no fit with it comes to rest" for n in diverged.names())
-    found = replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys))))
-    if impostors:
-        found = _unmasked(found, impostors, reasons, levels[-1] > max(levels) - rules.WITHOUT_IMPOSTOR)
-    return _scattering(found)
+    first = linearised(few, library, options)
+    problem, search = search_and_refit(first, library, options, diverged)
+    if posterior(problem, search).p_unknown > rules.LEADS and misses_far_more_than_noise(problem, search):
+        selected = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
+        return _scattering(findings(baseline, first, selected.problem, selected.search, library, options, selected.refused))
+    found = findings(baseline, first, problem, search, library, options)
+    whys = tuple(f"{n}: {NO_REST}" for n in diverged.names())
+    return _scattering(replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys)))))
 
 
 def _scattering(found: Diagnosis) -> Diagnosis:
@@ -72,25 +48,12 @@ def _scattering(found: Diagnosis) -> Diagnosis:
     if not wild or found.p_unknown > rules.LEADS:
         return found
     why = f"{wild[0]}: readings scatter far more than joints of such robots do, and with nothing that was recorded"
-    return replace(found, p_unknown=suspected_unknown(found.p_unknown), unknown_reasons=(*found.unknown_reasons, why))
+    unknown = 1.0 - (1.0 - found.p_unknown) * (1.0 - rules.SUSPECT)
+    return replace(found, p_unknown=unknown, unknown_reasons=(*found.unknown_reasons, why))
 
 
 def _thinned(channel: Channel, most: int) -> Channel:
     return channel.thinned(most) if isinstance(channel, WeighedReadings) else channel
-
-
-def _unmasked(found: Diagnosis, earlier: Sequence[tuple[Name, str]], reasons: Sequence[str], enough: bool) -> Diagnosis:
-    """Findings without the impostors that earlier rounds showed: what they fitted so well is there all the same, unless what is
-    left is `enough`, as good without them."""
-    impostors = tuple(dict(earlier).items())
-    unknown = found.p_unknown if found.impostors or enough else suspected_unknown(found.p_unknown)  # the last round's is in it
-    whys = tuple(dict.fromkeys((*reasons, *found.unknown_reasons)))
-    return replace(found, p_unknown=unknown, impostors=impostors, unknown_reasons=whys)
-
-
-def suspected_unknown(p_unknown: float) -> float:
-    """Probability of something outside the catalogue where a name was shown to stand for something else (`SUSPECT`)."""
-    return 1.0 - (1.0 - p_unknown) * (1.0 - rules.SUSPECT)
 
 
 def findings(
@@ -100,52 +63,52 @@ def findings(
     search: Search,
     library: Mapping[str, Effect],
     options: Options,
-    refused: Sequence[tuple[Name, str]] | None = None,
+    refused: Sequence[tuple[Name, str]] = (),
 ) -> Diagnosis:
     """All of `Diagnosis`; baseline: all readings without effects; first: the linearisation before anything was accepted;
-    refused: impostors with their folds, where the names were chosen by held-out errors already."""
-    found = posterior(problem, search)
-    weighed, best = leader(search, found)
-    active = problem.values(weighed)
-    channels = refitted(baseline, problem, active)
-    failed = [(Name(*a.key), "no fit with it comes to rest") for a in active] if channels is None else []
-    if channels is None:
-        weighed, active, channels = Weighed(0.0, ()), (), tuple(baseline)
+    refused: impostors with their folds, where the names were chosen by held-out errors. Sets whose names no fit of all readings
+    takes go out of the search."""
+    failed = dict[Name, str]()
+    while True:
+        found = posterior(problem, search)
+        weighed, best = leader(search, found)
+        active = problem.values(weighed)
+        channels = refitted(baseline, problem, active)
+        if channels is not None:
+            break
+        failed |= dict.fromkeys(best, NO_REST)
+        names = {problem.index[n] for n in best}
+        for key in [k for k in search.sets if names <= k]:
+            del search.sets[key]
     signatures = [signature(problem, weighed, a) for a in active]
     ranked = ranking(problem, search, found)
     classes = classes_of(problem, weighed, signatures) if active else suspected(problem, search, ranked)
-    judgement = judged(baseline, problem, channels, active, signatures, options.folds, refused)
-    doubts, hurting = [*failed, *judgement.doubts], [(n, f"hurts where {f} is left out") for n, f in judgement.impostors]
-    rejected = bool(failed or judgement.hurt or judgement.relieved)
-    probability, p_none, p_unknown = doubted(found, best, rejected, judgement.relieved)
-    if judgement.relieved:
-        ranked = tuple(replace(r, probability=(1.0 - rules.SUSPECT) * r.probability) for r in ranked)
+    doubts = (*failed.items(), *implausible(active), *cancelling([Name(*a.key) for a in active], signatures))
+    hurting = [(n, f"hurts where {f} is left out") for n, f in refused]
     nothing, all_of_it = given(problem.pool, ()), problem.taken(search.sets[search.best()[0]])
     tests = kernel_tests(problem, nothing) if options.where else []
     after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
     return Diagnosis(
-        explanations=explanations(probability, found, classes),
+        explanations=explanations(found, classes),
         ranking=ranked,
-        active=judgement.remaining,
-        p_none=p_none,
-        p_unknown=p_unknown,
+        active=active,
+        p_none=found.p_none,
+        p_unknown=found.p_unknown,
         classes=classes,
         location=place(problem, found, active, signatures, tests),
-        remainder=place(problem, found, (), (), after) if p_unknown > rules.LEADS else of_tests(after),
+        remainder=place(problem, found, (), (), after) if found.p_unknown > rules.LEADS else of_tests(after),
         budget=tuple(budget(problem, tests, all_of_it)),
         kernels=tuple(tests),
         left_over=tuple(after),
         spectrum=tuple(spectra(problem, problem.pool.y, options.seed)) if options.where else (),
         screened=screened(first),
-        impostors=judgement.impostors,
+        impostors=tuple(refused),
         unknown_reasons=tuple(f"{n}: {why}" for n, why in (*doubts, *hurting)),
         blind=blind(baseline, library, options),
         baseline=baseline,
-        channels=judgement.channels,
-        held_out=judgement.held_out,
-        alternatives=alternatives(
-            problem, search, found, ExplanationWeights(probability, p_none), (weighed, best), judgement.remaining
-        ),
+        channels=channels,
+        held_out=errors_of_folds(channels, active) if options.folds and active else {},
+        alternatives=alternatives(problem, search, found, (weighed, best), active),
         patches=patches_of(problem, search, found.where) if found.p_unknown > rules.LEADS else (),
     )
 
@@ -195,20 +158,9 @@ def suspected(problem: Linearisation, search: Search, ranked: Sequence[Ranked]) 
     return merged([(name, *twins(problem, weighed, member, signature(problem, weighed, ranked[0].active)))])
 
 
-def doubted(found: Posterior, best: Names, rejected: bool, every: bool = False) -> tuple[dict[Names, float], float, float]:
-    """Probabilities of explanations, p_none and p_unknown; where a left-out condition (or the registration, `every` one) rejects
-    the best one, most of it is none of its names, and something else is there."""
-    if not rejected or not best:
-        return dict(found.probability), found.p_none, found.p_unknown
-    moved = {n: rules.SUSPECT * p if every or n == best else 0.0 for n, p in found.probability.items()}
-    kept = {n: p - moved[n] for n, p in found.probability.items()}
-    return kept, found.p_none + sum(moved.values()), suspected_unknown(found.p_unknown)
-
-
-def explanations(
-    probability: dict[Names, float], found: Posterior, classes: Sequence[tuple[Name, ...]]
-) -> tuple[Explanation, ...]:
+def explanations(found: Posterior, classes: Sequence[tuple[Name, ...]]) -> tuple[Explanation, ...]:
     """By probability; sets that differ by names of one class are one, under the more probable of its names."""
+    probability = found.probability
     head = {name: min(c) for c in classes for name in c}
     groups: dict[Names, list[Names]] = {}
     for names in sorted(probability, key=lambda n: -probability[n]):

@@ -1,13 +1,7 @@
-"""When a named effect is not believed: values no machine shows, terms that cancel each other, and impostors.
+"""What speaks against a named effect: values no machine shows, and terms that cancel each other; its fit of all readings, and the
+errors of its folds."""
 
-An impostor helps where readings lie among those it was fitted to, and where a condition was left out it hurts and its value is
-another. What speaks against a name moves its probability to 'none of these'. So does a set that explains no reading, only why the
-registration is not where it was believed to be. `judged` says what stays in the corrected model.
-"""
-
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -47,113 +41,6 @@ def cancelling(names: Sequence[Name], signatures: Sequence[Array]) -> list[tuple
             if np.linalg.norm(a + b) < rules.CANCELS * min(np.linalg.norm(a), np.linalg.norm(b)):
                 found.append((names[i], f"it all but cancels {names[k]}"))
     return found
-
-
-@runtime_checkable
-class Registered(Protocol):
-    """A channel that knows how far its own registration had to go from what was believed of it."""
-
-    def gained(self) -> tuple[float, float]:
-        """Squares that the active effects take from the whitened readings, and from the unknowns of the registration."""
-
-
-def relieving(channels: Sequence[Channel], active: tuple[Active, ...]) -> list[tuple[Name, str]]:
-    """Names of a set that explains hardly any reading and merely brings the registration nearer to what was believed, with what
-    is wrong. Readings that a registration meets, but only one nobody believes, are as likely a belief that does not hold, or an
-    effect outside the catalogue that acts like one. Not asked where another channel sees the effects too, nor of effects of the
-    arm: where the arm is is what they change."""
-    found = list[tuple[Name, str]]()
-    for channel in channels:
-        visible = [a for a in active if not channel.blind(a.effect)]
-        elsewhere = any(not other.blind(a.effect) for a in visible for other in channels if other is not channel)
-        if not visible or elsewhere or any(a.effect.on_arm for a in visible) or not isinstance(channel, Registered):
-            continue
-        readings, registration = channel.gained()
-        both = readings + registration
-        if registration > 0 and both > rules.RELIEF_LEAST and readings < rules.RELIEF * both:
-            why = "readings are met hardly better with it, the registration is only nearer to what was believed"
-            found += [(Name(*a.key), why) for a in visible]
-    return found
-
-
-def impostors(
-    channels: Sequence[Channel], active: tuple[Active, ...], held: Mapping[str, Sequence[HeldOut]]
-) -> list[tuple[Name, str]]:
-    """Effects without which the readings of a left-out condition are met better, with the fold that says so."""
-    found = []
-    for channel in channels:
-        folds = [h for h in held.get(channel.name, ()) if h.fold.extrapolates]
-        for i, one in enumerate(active):
-            if channel.blind(one.effect):
-                continue
-            rest = active[:i] + active[i + 1 :]
-            for h in folds:
-                try:
-                    other = channel.held_out(h.fold, rest) if rest else None
-                except Infeasible:  # nothing fits without it: no impostor
-                    break
-                without = h.before_rows if other is None else other.after_rows
-                drifts = not h.drift or h.drift[one.key] > rules.DRIFTS_SD
-                if drifts and hurts(h.after_rows, without, h.noise, h.estimation):
-                    found.append((Name(*one.key), h.fold.name))
-                    break
-    return found
-
-
-def hurts(with_rows: Array, without_rows: Array, noise: float, estimation: float) -> bool:
-    """Whether squared errors (r,) are larger with an effect than without, surely, by more than a little of the gap and by more
-    than what its value's uncertainty on the rest (estimation) excuses."""
-    change = with_rows - without_rows
-    error = float(change.std(ddof=1) / np.sqrt(len(change))) if len(change) > 1 else np.inf
-    gap = max(float(without_rows.mean()) - noise, rules.NO_GAP**2 * noise)
-    return bool(
-        change.mean() > rules.HURTS * gap
-        and change.mean() > rules.HURTS_SD * (error + estimation)
-        and with_rows.mean() > noise * (1 + rules.NO_GAP**2)
-    )
-
-
-Spoken = tuple[tuple[Name, str], ...]  # names with what is wrong
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """Effects of the corrected model with the channels and folds that hold them; doubts; impostors with the fold where they hurt;
-    hurt: whether some were found here (not refused before); relieved: the set meets no reading better, so no effect remains."""
-
-    remaining: tuple[Active, ...]
-    channels: tuple[Channel, ...]
-    held_out: dict[str, tuple[HeldOut, ...]]
-    doubts: Spoken
-    impostors: Spoken
-    hurt: bool
-    relieved: bool
-
-
-def judged(
-    baseline: tuple[Channel, ...],
-    problem: Linearisation,
-    channels: tuple[Channel, ...],
-    active: tuple[Active, ...],
-    signatures: Sequence[Array],
-    folds: bool,
-    refused: Sequence[tuple[Name, str]] | None,
-) -> Judgement:
-    """Judge the effects active in `channels`, whose signatures are (N,) each; refused: impostors where names were chosen by
-    held-out errors already, so that none are sought."""
-    held = errors_of_folds(channels, active) if folds and active else {}
-    false = impostors(channels, active, held) if refused is None else []
-    relief = relieving(channels, active)
-    doubts = (*relief, *implausible(active), *cancelling([Name(*a.key) for a in active], signatures))
-    remaining = active
-    if relief:  # nothing that was measured would be met better
-        remaining, channels, held = (), baseline, {}
-    elif false:  # what hurts stays out of the corrected model
-        remaining = tuple(a for a in active if Name(*a.key) not in {n for n, _ in false})
-        without = refitted(baseline, problem, remaining)
-        remaining, channels = ((), baseline) if without is None else (remaining, without)
-        held = errors_of_folds(channels, remaining) if remaining else {}
-    return Judgement(remaining, channels, held, doubts, tuple(false if refused is None else refused), bool(false), bool(relief))
 
 
 def refitted(baseline: Sequence[Channel], problem: Linearisation, active: tuple[Active, ...]) -> tuple[Channel, ...] | None:

@@ -14,7 +14,7 @@ probabilities, no prediction has a smaller expected squared error (Hoeting et al
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,36 +130,19 @@ def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:
     return tuple(tuple(sorted(c)) for c in found)
 
 
-@dataclass(frozen=True)
-class ExplanationWeights:
-    """Probabilities of explanations by their names, and of none."""
-
-    explanations: Mapping[Names, float]
-    none: float
-
-
 def alternatives(
-    problem: Linearisation,
-    search: Search,
-    found: Posterior,
-    weights: ExplanationWeights,
-    chosen: tuple[Weighed, Names],
-    active: tuple[Active, ...],
+    problem: Linearisation, search: Search, found: Posterior, chosen: tuple[Weighed, Names], active: tuple[Active, ...]
 ) -> tuple[Alternative, ...]:
-    """Sets of effects with probabilities that sum to one, the accepted one first; chosen: its set and names, active: what of it
-    stays in the corrected model."""
+    """Sets of effects with probabilities that sum to one, the accepted one first; chosen: its set and names, active: the effects
+    with their values."""
     weighed, names = chosen
-    staying = {Name(*a.key) for a in active}
-    dropped = {problem.pool.families[m.family].name for m in problem.named(weighed)} - staying
-    listed: list[Alternative] = []
     if not active:
         return (Alternative(1.0, ()),)
-    listed += _variants(problem, weighed, active, weights.explanations.get(names, 0.0))
-    listed.append(Alternative(weights.none, ()))
-    for other, p in sorted(weights.explanations.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED + 1]:
+    listed = _variants(problem, weighed, active, found.probability.get(names, 0.0))
+    listed.append(Alternative(found.p_none, ()))
+    for other, p in sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED + 1]:
         if other != names and p >= rules.FOLLOWED:
-            members = problem.values(search.sets[found.best[other]])
-            listed.append(Alternative(p, tuple(a for a in members if Name(*a.key) not in dropped)))
+            listed.append(Alternative(p, problem.values(search.sets[found.best[other]])))
     return _summed(listed)
 
 
