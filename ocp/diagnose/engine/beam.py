@@ -52,8 +52,8 @@ class Member:
 
 @dataclass(frozen=True)
 class _Group:
-    """Families of m coefficients: X (N, V, m) projected, G and b, sizes (V, T); positive
-    (V, m); starts: where each family begins; families: their indices."""
+    """Families of m coefficients: X (N, V, m) projected, contiguous, so that products need no copy, G and b, sizes (V, T);
+    positive (V, m); starts: where each family begins; families: their indices."""
 
     m: int
     X: Array
@@ -65,10 +65,32 @@ class _Group:
     families: Index
 
 
+class _Kept:
+    """Columns of all members that were asked for, one below the other, and their products, which few sets need anew."""
+
+    def __init__(self, rows: int) -> None:
+        self.places: dict[tuple[int, int], Index] = {}
+        self.count = 0
+        self.columns, self.G = np.empty((0, rows)), np.empty((0, 0))
+
+    def add(self, key: tuple[int, int], columns: Array) -> None:
+        """Columns (N, m) of a member that is not there yet."""
+        first, last = self.count, self.count + columns.shape[1]
+        if last > len(self.columns):
+            more = max(last, 64, len(self.columns))
+            self.columns = np.vstack([self.columns, np.empty((more, self.columns.shape[1]))])
+            self.G = np.pad(self.G, (0, more))
+        self.columns[first:last] = columns.T
+        self.G[first:last, :last] = self.columns[first:last] @ self.columns[:last].T
+        self.G[:first, first:last] = self.G[first:last, :first].T
+        self.places[key], self.count = np.arange(first, last), last
+
+
 @dataclass(frozen=True)
 class CandidatePool:
-    """y (N,) white under no effect, freedom of it, families and their groups. `crossed`: products of members' columns with all
-    others, kept because the same few members stand in most sets; `bests`: of families beside others, kept for the same reason."""
+    """y (N,) white under no effect, freedom of it, families and their groups. Kept because the same few members stand in most
+    sets: `crossed`, products of members' columns with all others, `shared`, with those of one family, `kept`, with each other,
+    and `bests`, of families beside others."""
 
     y: Array
     freedom: int
@@ -76,7 +98,32 @@ class CandidatePool:
     groups: tuple[_Group, ...]
     place: tuple[tuple[int, int], ...]  # of each family: group, first variant
     crossed: dict[tuple[int, int], tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    shared: dict[tuple[int, int, int], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
     bests: dict[tuple[tuple["Member", ...], int], "Best"] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @cached_property
+    def kept(self) -> _Kept:
+        """Columns and products of members."""
+        return _Kept(len(self.y))
+
+    @cached_property
+    def square(self) -> float:
+        """y^T y."""
+        return float(self.y @ self.y)
+
+    def among(self, members: Sequence[Member]) -> tuple[Array, Array]:
+        """Products (r, r) of members' columns times their sizes with each other, and (r,) with y."""
+        places, known = [], self.kept
+        for m in members:
+            key = (m.family, m.variant)
+            if key not in known.places:
+                known.add(key, self.columns(m))
+            places.append(known.places[key])
+        at = np.concatenate(places)
+        sizes = np.repeat([m.size for m in members], [len(place) for place in places])
+        found = [self.of(m.family) for m in members]
+        b = np.concatenate([g.b[rows.start + m.variant] for m, (g, rows) in zip(members, found, strict=True)])
+        return known.G[at[:, None], at] * (sizes[:, None] * sizes), sizes * b
 
     def of(self, family: int) -> tuple[_Group, slice]:
         """The group of a family, and its variants there."""
@@ -87,6 +134,18 @@ class CandidatePool:
         """Projected columns (N, m) of a member in units of the priors' upper ends."""
         group, rows = self.of(member.family)
         return group.X[:, rows.start + member.variant]
+
+    def products(self, member: Member, family: int) -> Array:
+        """Products (m, V k) of a member's columns with those of all variants of a family."""
+        key = (member.family, member.variant, family)
+        if key not in self.shared:
+            group, start = self.place[family]
+            m = self.groups[group].m
+            own = slice(start * m, (start + self.families[family].columns.shape[1]) * m)
+            known = self.crossed.get(key[:2])
+            flat = self.groups[group].X.reshape(len(self.y), -1)
+            self.shared[key] = self.columns(member).T @ flat[:, own] if known is None else known[group][:, own]
+        return self.shared[key]
 
     def look_ahead(self, members: Sequence[Member]) -> None:
         """Take the products of all members that `scan` will ask for at once: the candidates are read from memory only once."""
@@ -105,16 +164,22 @@ class CandidatePool:
 
 @dataclass(frozen=True)
 class Given:
-    """Members taken as there, with priors of fixed size. C (N, r): their columns times the sizes; turn (r, r): inverse of
-    the lower Cholesky factor of 1 + C^T C; inner (r,): turn C^T y; left: what remains of y^T y, log: their joint evidence over
-    the empty set."""
+    """Members of a pool taken as there, with priors of fixed size; with C (N, r), their columns times the sizes: turn (r, r),
+    inverse of the lower Cholesky factor of 1 + C^T C; inner (r,): turn C^T y; left: what remains of y^T y, log: their joint
+    evidence over the empty set."""
 
+    pool: CandidatePool = field(repr=False)
     members: tuple[Member, ...]
-    C: Array
     turn: Array
     inner: Array
     left: float
     log: float
+
+    @cached_property
+    def C(self) -> Array:
+        """Columns (N, r) of all members times their sizes."""
+        none = np.zeros((len(self.pool.y), 0))
+        return np.hstack([none, *(self.pool.columns(m) * m.size for m in self.members)])
 
     @cached_property
     def directions(self) -> tuple[Array, Array]:
@@ -143,7 +208,7 @@ def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> CandidatePo
     place = [(-1, -1)] * len(families)
     for m in sorted({f.columns.shape[2] for f in families}):
         chosen = [i for i, f in enumerate(families) if f.columns.shape[2] == m]
-        X = np.concatenate([families[i].columns for i in chosen], axis=1)
+        X = np.ascontiguousarray(np.concatenate([families[i].columns for i in chosen], axis=1))
         counts = [families[i].columns.shape[1] for i in chosen]
         starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
         for i, start in zip(chosen, starts, strict=True):
@@ -151,7 +216,7 @@ def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> CandidatePo
         sizes = np.repeat([families[i].sizes for i in chosen], counts, axis=0)
         positive = np.repeat([families[i].positive for i in chosen], counts, axis=0)
         inner = (y @ X.reshape(len(y), -1)).reshape(-1, m)
-        groups.append(_Group(m, X, _squares(X), inner, sizes, positive, starts, np.array(chosen)))
+        groups.append(_Group(m, X, squares(X), inner, sizes, positive, starts, np.array(chosen)))
     return CandidatePool(y, freedom, tuple(families), tuple(groups), tuple(place))
 
 
@@ -185,7 +250,7 @@ def most_telling(pool: CandidatePool, beside: Sequence[Sequence[Member]]) -> lis
     return families
 
 
-def _squares(X: Array) -> Array:
+def squares(X: Array) -> Array:
     """X^T X (V, m, m) of every variant of X (N, V, m). Few columns pair by pair, many by a product a variant: whichever is the
     faster by far."""
     V, m = X.shape[1:]
@@ -201,16 +266,15 @@ def _squares(X: Array) -> Array:
 
 def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
     """Joint evidence of members at their sizes."""
-    left = float(pool.y @ pool.y)
+    left = pool.square
     if not members:
-        return Given((), np.zeros((len(pool.y), 0)), np.zeros((0, 0)), np.zeros(0), left, 0.0)
-    C = np.hstack([pool.columns(m) * m.size for m in members])
-    root = np.linalg.cholesky(np.eye(C.shape[1]) + C.T @ C)
-    turn = np.linalg.inv(root)
-    inner = turn @ (C.T @ pool.y)
+        return Given(pool, (), np.zeros((0, 0)), np.zeros(0), left, 0.0)
+    G, b = pool.among(members)
+    turn = np.linalg.inv(np.linalg.cholesky(np.eye(len(b)) + G))
+    inner = turn @ b
     after = max(left - float(inner @ inner), 1e-9)
     fit = 0.5 * (pool.freedom + NOISE_TRUST) * np.log((NOISE_TRUST + after) / (NOISE_TRUST + left))
-    return Given(tuple(members), C, turn, inner, after, float(-float(np.log(np.diag(root)).sum()) - fit))
+    return Given(pool, tuple(members), turn, inner, after, float(float(np.log(np.diag(turn)).sum()) - fit))
 
 
 def scan(pool: CandidatePool, there: Given) -> Scan:
@@ -234,15 +298,14 @@ def scan_one(pool: CandidatePool, there: Given, family: int) -> tuple[Array, Arr
     g, rows = pool.of(family)
     G, b = g.G[rows], g.b[rows]
     if there.members:
-        flat = g.X.reshape(len(pool.y), -1)[:, rows.start * g.m : rows.stop * g.m]
-        G, b = _beside(there, there.C.T @ flat, G, b)
+        G, b = _beside(there, np.vstack([m.size * pool.products(m, family) for m in there.members]), G, b)
     return log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom), g.sizes[rows.start]
 
 
 def _beside(there: Given, crossed: Array, G: Array, b: Array) -> tuple[Array, Array]:
     """X^T X (V, m, m) and X^T y (V, m) once the columns that are given have taken their part; crossed (r, V m): C^T X."""
     held = (there.turn @ crossed).reshape(len(crossed), *b.shape)
-    return G - _squares(held), b - np.einsum("rvi,r->vi", held, there.inner)
+    return G - squares(held), b - np.einsum("rvi,r->vi", held, there.inner)
 
 
 def _summarise(g: _Group, every: Array, out: tuple[Array, Index, Array]) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import NOTHING, Search
+from ocp.diagnose.engine.beam import NOTHING, Search, squares
 from ocp.diagnose.engine.channel_system import Channel, Fold, System, WeighedReadings
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Candidate, Linearisation, candidates, linearised, positive_of, put_back
@@ -79,17 +79,19 @@ def select_on_held_out(system: System, candidates: Sequence[Candidate], folds: S
     """Effects that hold in left-out conditions, at most `most`. system: about the believed cell's fit without effects;
     candidates: their whitened columns about the same fit; folds of kind "random" do not count."""
     apart = [f for f in folds if f.kind != "random"]
-    believed = np.array([np.mean(held[:, 0] ** 2) for _, held in _parts(system, apart, system.residual[:, None])])
-    pool = [_projected(system, c) for c in candidates]
+    parts = [_Fitted(system, ~np.asarray(f.held, bool)[system.reading]) for f in apart]
+    whole = _Fitted(system, np.ones(len(system.residual), bool))
+    believed = np.array([held[0, 0] for _, held in (p.squares(system.residual[:, None]) for p in parts)])
+    pool = [_Pooled.of(c, whole) for c in candidates]
     chosen: list[Entry] = []
     scores: list[float] = []
     refused: dict[Name, Refused] = {}
     while len(chosen) < most:
-        short = _shortlist(system, pool, candidates, chosen)
+        short = _shortlist(whole, system, pool, candidates, chosen)
         # Each alone, and one effect at two joints: springs that carry the same weight mask each other, and neither holds alone.
         pairs = [[a, b] for a, b in combinations(short, 2) if a.name.effect == b.name.effect]
         choices = [[e] for e in short] + (pairs if len(chosen) < most - 1 else [])
-        ratios = [_ratios(system, apart, [*chosen, *choice], believed) for choice in choices]
+        ratios = _ratios(system, parts, chosen, short, choices) / believed
         errors = [float(np.mean(np.log(r))) for r in ratios]
         bar = scores[-1] if scores else 0.0
         price = [rules.WRONG_SIGN_GAIN * sum(e.turned for e in choice) for choice in choices]
@@ -104,69 +106,90 @@ def select_on_held_out(system: System, candidates: Sequence[Candidate], folds: S
             break
         chosen += choices[best]
         scores += [errors[best]] * len(choices[best])
-    values = _values(system, chosen)
+    values = _values(whole, system, chosen)
     steps = [Step(e.name, e.scanned, a, s) for e, a, s in zip(chosen, values, scores, strict=True)]
     return SelectedEffects(tuple(steps), tuple(r for n, r in refused.items() if n not in {e.name for e in chosen}))
 
 
-def _without_nuisance(system: System, B: Array, rows: Mask, readings: bool = True) -> tuple[Array, Array]:
-    """Columns B (N, k) less the nuisance fitted to `rows` (N,) within its priors: rows of the fit with the priors' below, and all
-    other rows; readings: whether the first column is the readings, whose priors have a mean."""
-    known = np.isfinite(system.prior_sd)
-    scale = np.where(known, system.prior_sd, 1.0)
-    A = system.nuisance * scale
-    prior = np.zeros((int(known.sum()), B.shape[1]))
-    if readings:
-        prior[:, 0] = -(system.offset / scale)[known]
-    fitted = np.vstack([B[rows], prior])
-    Q, R = np.linalg.qr(np.vstack([A[rows], np.eye(A.shape[1])[known]]))
-    turned = Q.T @ fitted
-    return fitted - Q @ turned, B[~rows] - A[~rows] @ np.linalg.lstsq(R, turned, rcond=1e-10)[0]
+class _Fitted:
+    """The nuisance fitted to `rows` (N,) of a system within its priors, factored once for all columns."""
+
+    def __init__(self, system: System, rows: Mask) -> None:
+        known = np.isfinite(system.prior_sd)
+        scale = np.where(known, system.prior_sd, 1.0)
+        A = system.nuisance * scale
+        self.rows = rows
+        self.mean = -(system.offset / scale)[known]
+        self.Q, R = np.linalg.qr(np.vstack([A[rows], np.eye(A.shape[1])[known]]))
+        self.others = A[~rows] @ np.linalg.pinv(R, rcond=1e-10)
+
+    def without(self, B: Array, readings: bool = True) -> tuple[Array, Array]:
+        """Columns B (N, k) less the nuisance: rows of the fit with the priors' below, and all other rows; readings: whether the
+        first column is the readings, whose priors have a mean."""
+        prior = np.zeros((len(self.mean), B.shape[1]))
+        if readings:
+            prior[:, 0] = self.mean
+        fitted = np.vstack([B[self.rows], prior])
+        turned = self.Q.T @ fitted
+        return fitted - self.Q @ turned, B[~self.rows] - self.others @ turned
+
+    def squares(self, B: Array) -> tuple[Array, Array]:
+        """Products (k, k) of columns B (N, k), the readings first, less the nuisance: in the fit, and over other rows, a mean."""
+        train, held = self.without(B)
+        return train.T @ train, held.T @ held / max(len(held), 1)
 
 
-def _parts(system: System, folds: Sequence[Fold], B: Array) -> list[tuple[Array, Array]]:
-    """Of every fold: train rows' and held rows' columns (., k), the nuisance taken out by a fit to the former."""
-    return [_without_nuisance(system, B, ~np.asarray(fold.held, bool)[system.reading]) for fold in folds]
+@dataclass(frozen=True)
+class _Pooled:
+    """A candidate less the nuisance of all readings: columns (N + p, V m) over their priors, their products (V, m, m)."""
+
+    flat: Array
+    G: Array
+
+    @staticmethod
+    def of(c: Candidate, whole: _Fitted) -> "_Pooled":
+        n, V, m = c.columns.shape
+        flat, _ = whole.without((c.columns * _scale(c)).reshape(n, V * m), readings=False)
+        return _Pooled(flat, squares(flat.reshape(-1, V, m)))
 
 
-def _projected(system: System, c: Candidate) -> Array:
-    """Columns (N + p, V, m) of a candidate with the nuisance fitted to all readings taken out, over their priors."""
-    n, V, m = c.columns.shape
-    fitted, _ = _without_nuisance(system, (c.columns * _scale(c)).reshape(n, V * m), np.ones(n, bool), readings=False)
-    return fitted.reshape(-1, V, m)
+def _ratios(
+    system: System, parts: Sequence[_Fitted], chosen: Sequence[Entry], short: Sequence[Entry], choices: Sequence[Sequence[Entry]]
+) -> Array:
+    """Mean squares (c, f) of the folds with what is chosen and each of the choices, made of entries of `short`, fitted."""
+    B = np.hstack([system.residual[:, None], *(e.columns for e in (*chosen, *short))])
+    ends = np.cumsum([1, *(len(e.scale) for e in (*chosen, *short))])
+    place = {id(e): range(i, j) for e, i, j in zip((*chosen, *short), ends[:-1], ends[1:], strict=True)}
+    columns = [[k for e in (*chosen, *choice) for k in place[id(e)]] for choice in choices]
+    found = np.empty((len(choices), len(parts)))
+    for f, (train, held) in enumerate(part.squares(B) for part in parts):
+        for c, own in enumerate(columns):
+            a = np.append(1.0, -_solved(train[np.ix_(own, own)], train[own, 0]))
+            found[c, f] = a @ held[np.ix_([0, *own], [0, *own])] @ a
+    return found
 
 
-def _ratios(system: System, folds: Sequence[Fold], entries: Sequence[Entry], believed: Array) -> Array:
-    """Mean squares (f,) of the folds with entries fitted, over those of the believed cell."""
-    columns = np.hstack([e.columns for e in entries])
-    after = []
-    for train, held in _parts(system, folds, np.hstack([system.residual[:, None], columns])):
-        a = _solved(train[:, 1:], train[:, 0])
-        after.append(np.mean((held[:, 0] - held[:, 1:] @ a) ** 2))
-    return np.array(after) / believed
+def _solved(G: Array, b: Array) -> Array:
+    """Coefficients (m,) over their wide priors of columns with products G (m, m) and b (m,) with the readings."""
+    return np.asarray(np.linalg.solve(G + np.eye(len(b)) / rules.WIDE_PRIOR**2, b))
 
 
-def _solved(C: Array, y: Array) -> Array:
-    """Coefficients (m,) of columns (N, m) over their wide priors."""
-    m = C.shape[1]
-    rows = np.vstack([C, np.eye(m) / rules.WIDE_PRIOR])
-    return np.asarray(np.linalg.lstsq(rows, np.concatenate([y, np.zeros(m)]), rcond=None)[0])
-
-
-def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candidate], chosen: Sequence[Entry]) -> list[Entry]:
+def _shortlist(
+    whole: _Fitted, system: System, pool: Sequence[_Pooled], candidates: Sequence[Candidate], chosen: Sequence[Entry]
+) -> list[Entry]:
     """What gains most on all readings beside what is chosen, the largest first; no values over three times what is usual."""
-    fitted = _fitted(system, chosen)
+    fitted = _fitted(whole, system, chosen)
     Q = np.linalg.qr(fitted[:, 1:])[0]
     left = fitted[:, 0] - Q @ (Q.T @ fitted[:, 0])
     taken = {e.name for e in chosen}
     found = []
-    for X, c in zip(pool, candidates, strict=True):
+    for one, c in zip(pool, candidates, strict=True):
         name = Name(c.effect.name, c.joint)
         if name in taken:
             continue
-        n, V, m = X.shape
-        beside = (X.reshape(n, -1) - Q @ (Q.T @ X.reshape(n, -1))).reshape(n, V, m)
-        G, b = np.einsum("nvi,nvj->vij", beside, beside) + np.eye(m) / rules.WIDE_PRIOR**2, np.einsum("nvi,n->vi", beside, left)
+        _, V, m = c.columns.shape
+        G = one.G - squares((Q.T @ one.flat).reshape(-1, V, m)) + np.eye(m) / rules.WIDE_PRIOR**2
+        b = (left @ one.flat).reshape(V, m)
         a = np.linalg.solve(G, b[..., None])[..., 0]
         gain = np.where((np.abs(a) > rules.IMPLAUSIBLE).any(axis=1), 0.0, np.einsum("vi,vi->v", a, b))
         v = int(np.argmax(gain))
@@ -176,18 +199,17 @@ def _shortlist(system: System, pool: Sequence[Array], candidates: Sequence[Candi
     return sorted(found, key=lambda e: -e.gain)[: rules.SHORTLIST]
 
 
-def _fitted(system: System, entries: Sequence[Entry]) -> Array:
+def _fitted(whole: _Fitted, system: System, entries: Sequence[Entry]) -> Array:
     """Readings and entries' columns with the nuisance fitted to all readings taken out, the priors' rows below."""
-    both = np.hstack([system.residual[:, None], *(e.columns for e in entries)])
-    return _without_nuisance(system, both, np.ones(len(both), bool))[0]
+    return whole.without(np.hstack([system.residual[:, None], *(e.columns for e in entries)]))[0]
 
 
-def _values(system: System, chosen: Sequence[Entry]) -> list[Array]:
+def _values(whole: _Fitted, system: System, chosen: Sequence[Entry]) -> list[Array]:
     """Coefficients of each entry, all fitted together to all readings."""
     if not chosen:
         return []
-    fitted = _fitted(system, chosen)
-    a = _solved(fitted[:, 1:], fitted[:, 0])
+    fitted = _fitted(whole, system, chosen)
+    a = _solved(fitted[:, 1:].T @ fitted[:, 1:], fitted[:, 1:].T @ fitted[:, 0])
     ends = np.cumsum([len(e.scale) for e in chosen])
     return [block * e.scale for block, e in zip(np.split(a, ends[:-1]), chosen, strict=True)]
 
