@@ -89,8 +89,8 @@ def _sections(check: Check, rows: Sequence[Row], figures: Sequence[Figure]) -> l
     wrong = "Planted effects with their detectability, what was said with its probability, and what is wrong with it."
     bad = [(r["world"].lstrip("0"), figs.planted_words(r), figs.said_words(r), figs.why_words(r)) for r in figs.worst(rows)]
     return [
-        Section("Figures", (rests, figures_table(figures))),
         Section("How often the name is right", (_curve_plot(rows), method_table(rows, "top1"), method_table(rows, "top3"))),
+        Section("Figures", (rests, figures_table(figures))),
         Section("What the probabilities are worth", (_reliability_plot(rows),)),
         Section("The worst answers", (wrong, table(("world", "planted (lambda)", "said", "fault"), bad, text=(0, 1, 2, 3)))),
         Section("How it was made", tuple(_made(check))),

@@ -7,8 +7,8 @@ from ocp.calibrate.report.pages import SHOWN, contact_sections
 from ocp.report.parts import Plot, Points, Table, made_from, table
 from ocp.report.plotting import Canvas, Draw, dots, dressed, keys, panels
 from ocp.report.report import Report
-from ocp.report.section import Headline, Part, Section
-from ocp.report.style import CURVE, SOFT, TARGET
+from ocp.report.section import Headline, Section
+from ocp.report.style import CURVE, SIDE_COLOURS, SOFT, TARGET
 from ocp.update.drift import SURPRISE, WALKS
 from ocp.update.files import Updated
 from ocp.update.removal import DEPTH_MODEL, HOURLY, UNIT
@@ -16,13 +16,14 @@ from robots.calibration.parameters import SYMBOLS
 from robots.calibration.reading_model import ARM_NAMES, PAYLOAD_NAMES
 
 UNITS = SHOWN | {"m/s": (3.6e9, "um/h")}
+AHEAD = SIDE_COLOURS[3]
 CLOSE = 0.5  # N between the force found and the one expected from which the page is not green: what a blade may be off by
 
 
 def update_report(made: Updated, hashes: dict[str, str]) -> Report:
     """The whole page; hashes: SHA-256 by name of what it was made from."""
     title = f"{made.cell.name} after {made.log.path.name}"
-    sections = [_moved(made), _ahead(made), *_removal(made), *contact_sections(made.fit), _process(), made_from(hashes)]
+    sections = [_ahead(made), _moved(made), *_removal(made), *contact_sections(made.fit), _process(), made_from(hashes)]
     return Report("Update of a cell", title, update_headline(made), (*made.notices, *made.fit.notices), sections)
 
 
@@ -83,11 +84,12 @@ def _ahead(made: Updated) -> Section:
         f"the cell of this update is for the next blade, {made.clocks[1] - made.clocks[0]:.0f} s on the wheel's clock after the "
         "middle of this one."
     )
-    parts: list[Part | str] = [words, table(("blades ahead", "force N", "one sigma N"), rows, text=(0,))]
-    if len(made.history) > 1:
-        caption = "All updates: force on average as expected before the log and as found; loss of the wheel's radius, one sigma."
-        parts.append(Plot("update-history", caption, 2.4, _history(made)))
-    return Section("Forecast", tuple(parts))
+    caption = (
+        "All updates: force on average as expected before the log and as found, and as forecast for blades to come with the same "
+        "program; change of the wheel's radius; one sigma each."
+    )
+    picture = Plot("update-history", caption, 2.4, _history(made))
+    return Section("Forecast", (picture, words, table(("blades ahead", "force N", "one sigma N"), rows, text=(0,))))
 
 
 def _history(made: Updated) -> Draw:
@@ -99,9 +101,12 @@ def _history(made: Updated) -> Draw:
         left.errorbar(x - 0.1, h["expected_N"], h["expected_sd_N"], fmt="none", ecolor=SOFT, lw=0.8)
         dots(left, x - 0.1, h["expected_N"], SOFT)
         dots(left, x, h["found_N"], CURVE)
+        ahead, force, sd = np.array(made.forecast).T
+        left.errorbar(x[-1] + ahead, force, sd, fmt="none", ecolor=SOFT, lw=0.8)
+        dots(left, x[-1] + ahead, force, AHEAD)
         wanted = made.cell.process.force if made.cell.flange is None else made.cell.flange.setpoint
         left.axhline(wanted, color=TARGET, lw=0.6)
-        keys(left, [("expected", SOFT), ("found", CURVE)])
+        keys(left, [("expected", SOFT), ("found", CURVE), ("forecast", AHEAD)])
         right.errorbar(x, h["radius_um"], h["radius_sd_um"], fmt="none", ecolor=SOFT, lw=0.8)
         dots(right, x, h["radius_um"], CURVE)
         for axes in (left, right):

@@ -32,6 +32,7 @@ from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.planting import Planted, draw_effect, parse_effect
 from robots.errors import BadInput
+from tests.support.browser import CHROMIUM, looked_at
 
 ROOT = Path(__file__).resolve().parents[2]
 CELL = ROOT / "ocp" / "data" / "cell.toml"
@@ -425,6 +426,8 @@ def test_the_report_shows_figures_and_the_worst_answers(tmp_path):
     check = Check(tmp_path, 3, len(rows), ("single", "none"), 60)
     standing = Standing("answer 2", "Seed 3 was answered before.", False)
     write_blindtest_report(check, rows, standing)
+    if CHROMIUM:
+        looked_at(tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     for words in (
         "How often the name is right",

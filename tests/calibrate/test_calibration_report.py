@@ -31,6 +31,7 @@ from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.residuals import residuals
 from robots.calibration.validation import FoldErrors, ReadingFold
 from robots.errors import Infeasible
+from tests.support.browser import NEEDED, looked_at
 from tests.support.calibration_example import SIGMA, example_calibration, with_names
 
 HOSTILE = '</td><script>alert("x")</script><img src=x onerror=alert(1)>&amp;\'$\\frac{$ 叶片 \x00'
@@ -117,6 +118,11 @@ def bare(c: TrackerCalibration) -> TrackerCalibration:
     return replace(
         c, fit=fit, methods=methods, held_out=[], terms=[], repeats=None, load_test=None, notices=(), identifiability=seen
     )
+
+
+@NEEDED
+def test_the_page_stands_in_a_browser(written):
+    looked_at(written / "report.html")
 
 
 def test_the_page_has_the_numbers_of_the_fit(made, written):

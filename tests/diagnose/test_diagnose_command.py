@@ -23,6 +23,7 @@ from ocp.effects.effect import Active
 from ocp.model.cell import read_tracker_setup
 from ocp.shell.command import run
 from ocp.shell.progress import Phases
+from tests.support.browser import NEEDED, looked_at
 from tests.support.diagnosis_folder import CELL, SPRINGS, columns_of, write_csv, write_joint_folder, write_tracker_folder
 from tests.support.simulated_campaign import campaign_readings
 
@@ -49,6 +50,11 @@ def rows(path: Path) -> list[dict[str, float]]:
 
 def rms(a: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(a**2, axis=1))))
+
+
+@NEEDED
+def test_its_page_stands_in_a_browser(played):
+    looked_at(played[1] / "report.html")
 
 
 def test_the_play_is_named_with_its_joint_and_size(played):

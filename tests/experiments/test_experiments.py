@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from ocp.experiments.__main__ import app
 from ocp.experiments.report import force_rows, last_line, position_rows, write_experiments
 from ocp.experiments.trial import STEPS, Trial, trials_json
+from tests.support.browser import CHROMIUM, looked_at
 
 
 def trial(seed: int, force: dict[str, list[float]]) -> Trial:
@@ -56,6 +57,8 @@ def test_report_holds_the_papers_numbers_and_failures(tmp_path):
     page = (tmp_path / "report.html").read_text()
     assert "11.4 .. 25.8" in page and "1.186" in page and "line &lt;3&gt;: no" in page
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+    if CHROMIUM:
+        looked_at(tmp_path / "report.html")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from ocp.plan.report.night import night_page
 from ocp.shell.executor import WorkerEnded
 from ocp.shell.output import MARKER, reserved, users_file
 from robots.errors import BadInput
+from tests.support.browser import NEEDED, looked_at
 from tests.support.house import ROOT
 from tests.support.small_plan import STEP, called, started, tree
 
@@ -38,6 +39,11 @@ def made(small_plan_copy):
     folder = small_plan_copy[0]
     bad_blade(folder / "bad #1.stl")
     return folder, called(app, folder, "bad #1.stl", "blade.stl", *ASKED)
+
+
+@NEEDED
+def test_its_page_stands_in_a_browser(made):
+    looked_at(made[0] / "night" / "index.html", figure=None)
 
 
 def test_every_blade_has_the_plan_that_it_has_alone(made):

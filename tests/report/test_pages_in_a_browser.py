@@ -5,12 +5,11 @@ from pathlib import Path
 import pytest
 
 from ocp.plan.files import plan_pages
-from tests.support.browser import CHROMIUM, browser
+from tests.support.browser import NEEDED, SPILT, browser
 from tests.support.report_example import example_report
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")
+pytestmark = NEEDED
 PICTURE = "(() => { const c = document.getElementById('canvas'); return c.toDataURL().length + c.toDataURL().slice(-4000); })()"
-SPILT = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 
 
 @pytest.fixture(scope="module")

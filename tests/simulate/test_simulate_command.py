@@ -19,6 +19,7 @@ from ocp.simulate.__main__ import app
 from ocp.simulate.twin.truth import draw_truth
 from ocp.update.removal import on_blade, read_removal
 from robots.kinematics import forward
+from tests.support.browser import NEEDED, looked_at
 from tests.support.geometry_robot import write_geometry_robot
 from tests.support.small_plan import Told, called, environment, small_cell, tree
 
@@ -68,6 +69,11 @@ def run(plan, tmp_path_factory) -> tuple[Path, Told]:
 def rows(path: Path) -> list[dict[str, str]]:
     with path.open() as file:
         return list(csv.DictReader(file))
+
+
+@NEEDED
+def test_its_page_stands_in_a_browser(run):
+    looked_at(run[0] / "rehearsal.html")
 
 
 def test_a_run_writes_a_data_set_that_the_product_reads(run):

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pytest
 from websockets.sync.client import ClientConnection, connect
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
@@ -24,6 +25,8 @@ FLAGS = (
     "--no-first-run",
 )
 PATIENCE = 30.0  # s
+SPILT = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+TOP = "document.querySelector('{}').getBoundingClientRect().top"
 
 
 @dataclass
@@ -99,3 +102,22 @@ def browser() -> Iterator[Page]:
         finally:
             process.kill()
             process.communicate()
+
+
+NEEDED = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt install chromium)")
+
+
+def looked_at(file: Path, figure: int | None = 1000) -> None:
+    """A written page as a reader meets it: no error of a script or of the console, nothing wider than the window on a phone's, a
+    laptop's and a desk's screen, the verdict first and the first figure within `figure` px (None: it has none), light in a dark
+    system (plots are drawn on white), links that lead to a section each, pages on paper."""
+    with browser() as page:
+        for width, dark in ((400, False), (1280, True), (1920, False)):
+            page.open(file, width, dark=dark)
+            assert page.run(SPILT) <= 0, f"{width} px"
+            assert page.run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        assert 0 < page.run(TOP.format(".verdict")) < 400
+        assert figure is None or page.run(TOP.format("canvas, figure")) < figure
+        assert page.run("[...document.querySelectorAll('nav a')].every(a => document.querySelector(a.getAttribute('href')))")
+        assert page.printed().startswith(b"%PDF")
+        assert page.faults == []

@@ -19,6 +19,7 @@ from robots.calibration.store import read_calibration, write_calibration
 from robots.errors import BadInput
 from robots.pose import make_transform
 from tests.support.all_postures import inverse_all
+from tests.support.browser import NEEDED, looked_at
 from tests.support.force_world import HEADER, arm_posterior, correlated, write_log
 from tests.support.small_plan import called, environment, small_cell, tree
 
@@ -75,6 +76,11 @@ def done(tmp_path_factory):
 def told(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "ocp.update", *arguments]
     return subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=280)
+
+
+@NEEDED
+def test_its_page_stands_in_a_browser(done):
+    looked_at(done.folder / "second" / "report.html")
 
 
 def test_the_folder_holds_cell_calibration_and_report(done):
