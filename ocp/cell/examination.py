@@ -154,7 +154,11 @@ def _robot_findings(tables: CellTables, robot: Robot) -> Iterator[Finding]:
 
 
 def _unit_findings(tables: CellTables) -> Iterator[Finding]:
-    """Numbers that look like metres, radians or newtons per metre, and a floor above the robot's foot."""
+    """Numbers that look like metres, radians or newtons per metre, a floor above the robot's foot, and
+    what no check can tell from a sound number."""
+    if tables.wheel is not None:
+        r = tables.wheel.radius_mm
+        yield Finding(KNOWN, "wheel.radius_mm", f"{r:g} is a wheel {2 * r:g} mm across with cover and belt: look whether it is")
     places = {} if tables.wheel is None else {"wheel.centre_mm": tables.wheel.centre_mm}
     for key, place in places.items():
         size = max(map(abs, place))

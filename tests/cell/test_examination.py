@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ocp.cell.examination import DOUBT, MISTAKE, UNMEASURED, findings_of_frames, findings_of_tables
+from ocp.cell.examination import DOUBT, KNOWN, MISTAKE, UNMEASURED, findings_of_frames, findings_of_tables
 from ocp.data import CELL
 from ocp.model.cell import read_cell, read_tracker_setup
 from trajectories.blade import read_blade
@@ -32,7 +32,11 @@ def found(file):
 
 
 def test_the_bundled_cell_has_neither_mistakes_nor_doubts():
-    assert {f.kind for f in found(CELL)} == {UNMEASURED}
+    assert {f.kind for f in found(CELL)} == {UNMEASURED, KNOWN}
+
+
+def test_how_large_the_wheel_is_stands_where_a_diameter_given_for_the_radius_is_seen():
+    assert [(f.key, "80 mm across" in f.text) for f in found(CELL) if f.kind == KNOWN] == [("wheel.radius_mm", True)]
 
 
 SLIPS = {
