@@ -69,3 +69,13 @@ def test_files_in_the_pages_exist():
             file = name[3:].rstrip(".").replace(".", "/") + ".py" if name.startswith("-m ") else name
             missing += [] if (ROOT / file).exists() else [f"{page.name}: {name}"]
     assert not missing
+
+
+def test_the_documentation_stays_as_long_as_it_is_read():
+    """At most 25 000 words of running text in all pages; rows of tables and blocks of code are looked up, not read."""
+    words = 0
+    for page in PAGES:
+        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        lines = [line for line in text.splitlines() if not line.startswith(("|", "    "))]
+        words += sum(bool(re.search("[A-Za-z]", word)) for line in lines for word in line.split())
+    assert 20_000 < words < 25_000
