@@ -25,6 +25,7 @@ from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array, apply
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
+from trajectories.blade.shape import KEPT
 from trajectories.dialects import dialect_named
 from trajectories.passes import BladePath, PassOptions, ground_windows, passes
 from trajectories.path_file import read_path_file
@@ -119,11 +120,26 @@ def _laid_lines(cell: Cell, blade: Blade, shape: AerofoilShape, cloud: SurfaceCl
     return LaidPaths(blade, paths, cloud, flanks, wanted, beyond, (*blade.notices, *shape.notices, *notices))
 
 
+_latest: dict[str, tuple[AerofoilShape, SurfaceCloud]] = {}
+
+
 def surface_cloud(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:
     """The blade's whole outer surface: smooth on both flanks, the STL's own facets elsewhere (edges, tip, fillets, platform).
 
-    Points stand about CLOUD_SPACING apart. Walls of cavities and bores, which no wheel can touch, are not in it.
+    Points stand about CLOUD_SPACING apart. Walls of cavities and bores, which no wheel can touch, are not in it. Those of the
+    shapes asked for last are at hand.
     """
+    key = blade.content
+    known, cloud = _latest.get(key, (None, None))
+    if known is not shape or cloud is None:
+        cloud = _cloud_of(shape, blade)
+        while len(_latest) >= KEPT:
+            del _latest[next(iter(_latest))]
+        _latest[key] = shape, cloud
+    return cloud
+
+
+def _cloud_of(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:
     points, normals = [], []
     for side in shape.sides.values():
         n_u = int(np.ceil(side.width.max() / CLOUD_SPACING)) + 1

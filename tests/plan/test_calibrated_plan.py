@@ -45,7 +45,7 @@ def figures(folder) -> dict:
 
 
 @pytest.fixture(scope="module")
-def both(small_plan_once, tmp_path_factory):
+def both(small_plan_once, solved_once, tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibrated")
     small_cell(folder, {'model = "kr210_r2700_extra"': 'model = "kr210_r2700_extra"\ncalibration = "calibration.toml"'})
     write_calibration(folder / "calibration.toml", calibration())

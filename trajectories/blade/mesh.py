@@ -1,5 +1,6 @@
 """The blade as a triangle mesh, and its elementary measures."""
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,13 @@ class Blade:
     vertices: Array
     faces: IntArray
     notices: tuple[str, ...] = ()
+
+    @property
+    def content(self) -> str:
+        """A name of all that is found in the blade and told of it."""
+        told = repr((self.name, self.notices, self.vertices.shape, self.vertices.dtype.str, self.faces.dtype.str))
+        parts = told.encode(), self.vertices.tobytes(), self.faces.tobytes()
+        return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def area_vectors(vertices: Array, faces: IntArray) -> Array:

@@ -36,12 +36,26 @@ class AerofoilShape:
     notices: tuple[str, ...]
 
 
+KEPT = 4  # shapes of as many blades: a plan, its rehearsal and its fit in one process ask for the same
+_latest: dict[tuple[object, ...], AerofoilShape] = {}
+
+
 def find_shape(blade: Blade, named: NamedAerofoil | None = None) -> AerofoilShape:
     """Span axis, aerofoil range, edges, sides and smooth surfaces of a blade in any position in its file.
 
-    named: where the cell says that the aerofoil lies.
+    named: where the cell says that the aerofoil lies. What was found in the blades asked for last is at hand.
     Raises: BadInput where the part shows no aerofoil.
     """
+    key = blade.content, () if named is None else (*map(float, named.axis), named.low, named.high)
+    if key not in _latest:
+        found = _found_shape(blade, named)
+        while len(_latest) >= KEPT:
+            del _latest[next(iter(_latest))]
+        _latest[key] = found
+    return _latest[key]
+
+
+def _found_shape(blade: Blade, named: NamedAerofoil | None) -> AerofoilShape:
     span = find_span(blade, named)
     frame = find_frame(blade, span, span.centre_low, span.centre_high)
     v_vertices = frame.coordinate(blade.vertices)
