@@ -1,5 +1,6 @@
 """What goes with a release: licences of what is installed, entry point, data files of the wheel."""
 
+import re
 import tomllib
 
 from packaging.requirements import Requirement
@@ -25,3 +26,9 @@ def test_every_data_file_of_the_packages_goes_into_the_wheel():
         kept = {file for pattern in patterns.get(package, ()) for file in root.glob(pattern)}
         data = {f for f in root.rglob("*") if f.is_file() and f.suffix not in (".py", ".pyc") and "__pycache__" not in f.parts}
         assert data <= kept, sorted(map(str, data - kept))
+
+
+def test_the_version_is_one_and_stands_first_among_the_changes():
+    version = PROJECT["project"]["version"]
+    assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert re.search(r"^## (\S+),", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[1] == version
