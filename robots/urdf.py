@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 
 from robots.bounds import MEGABYTE, read_whole
 from robots.errors import BadInput, shown, words_kept_back
-from robots.kinematics import chain, mdh_transform
+from robots.kinematics import chain, evaluate_rows, mdh_transform
 from robots.pose import Array, invert, make_transform, rot_z
 
 MOST_BYTES = 5 * MEGABYTE
@@ -204,9 +205,11 @@ def _twist(R: Array) -> tuple[float, float]:
 def _refuse_other(path: Path, model: Any, name: str, base: Array, mdh: Array, sign: Array) -> None:
     """Compare with the URDF's own kinematics at random postures. Raises BadInput: they differ."""
     rng, data, number = np.random.default_rng(0), model.createData(), model.getFrameId(name)
-    for q in rng.uniform(-np.pi, np.pi, (POSTURES, 6)):
+    postures, symbol = rng.uniform(-np.pi, np.pi, (POSTURES, 6)), ca.SX.sym("q", 6)
+    flange = ca.Function("flange", [symbol], [ca.vec(chain(symbol, mdh, sign)[-1].T)])
+    for q, own in zip(postures, base @ evaluate_rows(flange, postures).reshape(-1, 4, 4), strict=True):
         pin.framesForwardKinematics(model, data, _configuration(model, q))
-        off = np.abs(np.array(data.oMf[number].homogeneous) - base @ np.asarray(chain(q, mdh, sign)[-1], float)).max()
+        off = np.abs(np.array(data.oMf[number].homogeneous) - own).max()
         if off > SAME:
             raise BadInput(f"{path}: no MD-H chain was found for it (off by {off:.2g} m); write the robot file by hand")
 

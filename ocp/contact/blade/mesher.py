@@ -24,7 +24,8 @@ def netgen(vertices: Array, faces: Index, size: float, tolerance: float) -> tupl
     mesh.AddPoints(np.ascontiguousarray(vertices))
     side = mesh.Add(meshing.FaceDescriptor(surfnr=1, domin=1, domout=0, bc=1))
     mesh.AddElements(dim=2, index=side, data=np.ascontiguousarray(faces, np.int32), base=0)
-    mesh.GenerateVolumeMesh(maxh=3.0 * size)  # the surface sets the size; inside it may grow
+    # The surface sets the size; inside it may grow. One thread: several make the same mesh, and wait for each other by spinning.
+    mesh.GenerateVolumeMesh(maxh=3.0 * size, parallel_meshing=False, nthreads=1)
     # Both are views of memory that goes with the mesh.
     tetrahedra = np.array(mesh.Elements3D().NumPy()["nodes"][:, :4], np.int64) - 1
     return np.array(mesh.Coordinates()), tetrahedra
