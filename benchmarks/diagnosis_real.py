@@ -3,7 +3,7 @@
 `python benchmarks/diagnosis_real.py [ur5] [ur10] [kr300] [--splits N] [--only PART]` from the repository root with PYTHONPATH=.
 Parts of a tracker campaign: answer (what the command says), terms (named terms on readings left out), selected (what holds where
 conditions are left out), weight (which way it acts), angles (free curves of the joints' own angles), held (before and after on
-random splits).
+random splits), days (of the UR10: names learnt on one day, on the others).
 """
 
 import argparse
@@ -28,6 +28,7 @@ from ocp.diagnose.rules import MOST_SEARCHED
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.remaining import SCALE
+from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.shell.progress import Phases
@@ -262,6 +263,37 @@ def held_part(campaign: PublishedCampaign, count: int, folder: Path) -> None:
         print(f"| {label} | {np.mean(errors):.4f} | {max(errors):.4f} |")
 
 
+def days_part(campaign: PublishedCampaign, path: Path, folder: Path) -> None:
+    """Names learnt on one day of the grid and what came on each other day, the tracker placed by that day's own readings: rms mm
+    before and after, and the share g of what the names explain that is there again."""
+    day = np.array([int(line[6:8]) for line in path.read_text(encoding="utf-8").splitlines()[1:]])
+    points = 1e-3 * np.stack([campaign.columns[f"{a}_mm"] for a in "xyz"], axis=1)
+    print("| learnt on | names | promised | on day | before | after | g |\n" + "|---" * 7 + "|")
+    for first in (14, 15, 16, 17):
+        held = np.flatnonzero(day != first)
+        data_set(campaign, folder / f"day{first}", held)
+        answer = answer_of(folder / f"day{first}", Phases())
+        told, sealed = answer.gaps[0].promise.get(ANOTHER_DAY), read_sealed_tracker(answer.data)
+        predicted = answer.diagnosis.channels[0].predict(sealed, answer.diagnosis.active)
+        names = " ".join(f"{a.effect.name}:{a.joint}" for a in answer.diagnosis.active) or "none"
+        for other in sorted(set(day[held])):
+            rows = held[day[held] == other]
+            parts = (points[held] - predicted.baseline, points[held] - predicted.corrected)
+            before, after = (placed(points[rows], part[day[held] == other]) for part in parts)
+            moved = before - after
+            share = float(np.sum(moved * before) / max(np.sum(moved**2), 1e-30))
+            rms = [f"{1e3 * np.sqrt(np.mean(np.sum(e**2, axis=1))):.3f}" for e in (before, after)]
+            promised = "" if told is None else f"{told.predicted:.2f} ({told.low:.2f} to {told.high:.2f})"
+            print(f"| {first} | {names} | {promised} | {other} | {rms[0]} | {rms[1]} | {share:.2f} |", flush=True)
+
+
+def placed(points: Array, errors: Array) -> Array:
+    """Errors (n, 3) less a small shift and turn of the points (n, 3)."""
+    A = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), np.cross(np.eye(3), points[:, None]).swapaxes(1, 2)], axis=2)
+    flat = A.reshape(-1, 6)
+    return np.asarray(errors - A @ np.linalg.lstsq(flat, errors.ravel(), rcond=None)[0])
+
+
 def tracker(name: str, options: argparse.Namespace, folder: Path) -> None:
     """All parts of one campaign."""
     campaign = read_campaign(options.data / FILES[name], options.difference)
@@ -274,6 +306,7 @@ def tracker(name: str, options: argparse.Namespace, folder: Path) -> None:
         "weight": lambda: weight_part(channel),
         "angles": lambda: angles_part(channel, options.splits),
         "held": lambda: held_part(campaign, options.splits, folder / "splits" / name),
+        "days": lambda: None if name != "ur10" else days_part(campaign, options.data / FILES[name], folder),
     }
     for part, job in parts.items():
         if options.only in (None, part):
@@ -286,7 +319,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", default=["ur5", "ur10", "kr300"])
     parser.add_argument("--splits", type=int, default=5)
-    parser.add_argument("--only", choices=("answer", "terms", "selected", "weight", "angles", "held"))
+    parser.add_argument("--only", choices=("answer", "terms", "selected", "weight", "angles", "held", "days"))
     parser.add_argument("--difference", choices=(ACHIEVED, TARGET), default=ACHIEVED, help="what x_dif of the UR5 is")
     parser.add_argument("--data", type=Path, default=DATA)
     options = parser.parse_args()

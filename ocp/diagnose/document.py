@@ -109,13 +109,14 @@ class ExtrapolationJson(JsonObject):
 
 
 class GapJson(JsonObject):
-    """The gap of one signal, before and after the named effects, in its unit."""
+    """The gap of one signal, before and after the named effects, in its unit; promise: shrinkage by what is new in new data."""
 
     unit: Literal["mm", "N", "arcsec"]
     noise_floor: Number
     before: FiguresJson
     after: FiguresJson
     shrinkage: ShrinkageJson | None
+    promise: dict[str, ShrinkageJson]
     extrapolation: list[ExtrapolationJson]
 
 
@@ -239,7 +240,7 @@ def _remaining(gap: SignalGap, at: Location | None) -> dict[str, Any]:
 
 
 def _gap(gap: SignalGap) -> dict[str, Any]:
-    told = {"unit": gap.unit, "noise_floor": gap.noise_floor, "shrinkage": gap.shrinkage}
+    told = {"unit": gap.unit, "noise_floor": gap.noise_floor, "shrinkage": gap.shrinkage, "promise": gap.promise}
     told |= {"before": figures(gap.before), "after": figures(gap.after)}
     return told | {"extrapolation": [{"withheld": name, "shrinkage": value} for name, value in gap.extrapolation]}
 

@@ -248,6 +248,15 @@ MOST_PATCHES = 3
 INTERVAL = 0.9
 """[-] Of the shrinkage's interval. Reason: FORMATS.md."""
 
+CARRIED = (1.0, 0.1)
+"""[-] Mean and one sigma of the share of what named effects explain that is there again on another day. Guards: promises for
+another day of what one campaign taught. Reason: what is learnt on the KR 300's first recording takes as much of the second's gap
+as of its own, 84 %, so the share is 1 within 0.16 (docs/diagnosis_real.md)."""
+
+CARRIED_CHOSEN = (0.88, 0.19)
+"""[-] The same of names chosen on held-out errors, on arms that miss far more than noise. Guards: as CARRIED. Reason: names
+learnt on one of four days of the UR10's grid, on each of the others: 0.88, scattering by 0.19 (docs/diagnosis_real.md)."""
+
 NEW_CONDITIONS = 0.25
 """[-] Weight of extrapolation folds among the draws. Guards: the predicted shrinkage where noise is far above usual. Reason:
 new readings lie mostly among the old ones; no reason known for a quarter."""

@@ -336,3 +336,23 @@ def test_doubts():
     v = np.random.default_rng(0).normal(size=50)
     assert cancelling([Name("a"), Name("b")], [v, -1.1 * v]) and not cancelling([Name("a"), Name("b")], [v, v])
     assert NESTS
+
+
+def test_a_stand_that_is_left_out_is_placed_by_its_own_readings():
+    readings, _ = world(4, PLANTED["gear_2x:3"])
+    n = len(readings)
+    late = np.arange(n) >= 2 * n // 3
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    point = np.where(late[:, None], readings.point @ turn.T + [0.5, -0.3, 0.1], readings.point)
+    moved = replace(readings, point=point, station=late.astype(np.int64), stations=("S1", "S2"))
+    e = LIBRARY["gear_2x"]
+    c = channel(moved).with_active((Active(e, 3, np.zeros(2), {}, np.eye(2)),))
+    stands = {f.name: f for f in tracker_folds(moved) if f.kind == "station"}
+    assert set(stands) == {"station=S1", "station=S2"}
+    found = c.held_out(stands["station=S2"], c.active)
+    assert found is not None and len(found.after_rows) > 0.9 * late.sum()
+    assert found.after < 1.5 * found.noise and found.before > 1.5 * found.after  # placed, and the name holds there
+    random = next(f for f in tracker_folds(moved) if f.kind == "random")
+    assert c.held_out(replace(random, held=late), c.active) is None  # other folds know nothing of that stand
+    few = replace(moved, station=(np.arange(n) >= n // 5).astype(np.int64))
+    assert [f.name for f in tracker_folds(few) if f.kind == "station"] == ["station=S1"]  # what remains is too little

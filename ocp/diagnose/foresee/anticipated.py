@@ -21,6 +21,7 @@ from ocp.diagnose.tracker.refit import points_with
 from ocp.diagnose.verdict.answer import SignalGap
 from ocp.diagnose.verdict.remaining import SCALE, Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
+    ANOTHER_DAY,
     NONE,
     Anticipated,
     NewReadings,
@@ -28,6 +29,8 @@ from ocp.diagnose.verdict.shrinkage import (
     estimation_variance,
     from_folds,
     from_model,
+    promised_by_kind,
+    promised_later,
     realised,
 )
 from ocp.effects.effect import Active
@@ -49,9 +52,12 @@ def signal_gap(diagnosis: Diagnosis, before: Channel, after: Channel) -> SignalG
         (h.fold.name, realised(h.before, h.after, h.noise) if diagnosis.active else None) for h in held if h.fold.extrapolates
     )
     shrinkage = _shrinkage(diagnosis, before, after, held, float(np.mean(sizes[0] ** 2)))
+    promise = {} if shrinkage in (None, NONE) else _by_kind(after, held, shrinkage)
     left = remaining(after, diagnosis.left_over)
     left = Remaining(scale * left.above_noise, left.p_value)
-    return SignalGap(before.name, before.unit, after.noise_floor, sizes[0], sizes[1], shrinkage, told, left, before, after)
+    return SignalGap(
+        before.name, before.unit, after.noise_floor, sizes[0], sizes[1], shrinkage, promise, told, left, before, after
+    )
 
 
 def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequence[HeldOut], square: float) -> Shrinkage | None:
@@ -67,6 +73,15 @@ def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequ
         return of_grinding(before, after, diagnosis.alternatives)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
     return from_folds(held, estimation_variance(after, active_columns(after)))
+
+
+def _by_kind(after: Channel, held: Sequence[HeldOut], told: Shrinkage) -> dict[str, Shrinkage]:
+    """The promise by kind of new data, that for another day first. Names chosen on held-out errors are held to other sessions
+    where there are some: no model says what of such an arm's noise lasts."""
+    kinds = promised_by_kind(held)
+    chosen = isinstance(after, TrackerChannel) and after.restless(1.0)
+    other = kinds.get("another session") if chosen else None
+    return {ANOTHER_DAY: promised_later(told, chosen) if other is None else other} | kinds
 
 
 def counted(channel: Channel) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ocp.diagnose.report.evidence import evidence_section
-from ocp.diagnose.report.verdict_sentence import SHORT, diagnosis_headline, effect_words, figure
+from ocp.diagnose.report.verdict_sentence import SHORT, diagnosis_headline, effect_words, figure, shrinkage_words
 from ocp.diagnose.report.where import draw_bars, where_section
 from ocp.diagnose.verdict.answer import Answer, SignalGap, figures
 from ocp.diagnose.verdict.shrinkage import NONE
@@ -82,6 +82,9 @@ def shrinkage_section(answer: Answer) -> Section:
         "calibration leaves it.",
         gaps_table(answer),
     ]
+    promises = [(SHORT[g.name], kind, shrinkage_words(s)) for g in answer.gaps for kind, s in g.promise.items()]
+    if promises:
+        parts.append(table(("signal", "new data", "shrinkage expected"), promises, text=(0, 1, 2)))
     if answer.diagnosis.active:
         parts += [shrinkage_plot(gap) for gap in answer.gaps if gap.shrinkage not in (None, NONE)]
     return Section("How far the gap shrinks", tuple(parts))
@@ -93,7 +96,7 @@ def gaps_table(answer: Answer) -> Table:
     for gap in answer.gaps:
         before, after = figures(gap.before), figures(gap.after)
         s = gap.shrinkage
-        told = "too small beside noise" if s is None else f"{100 * s.predicted:.0f} % ({100 * s.low:.0f} to {100 * s.high:.0f})"
+        told = "too small beside noise" if s is None else shrinkage_words(s)
         cells = (SHORT[gap.name], gap.unit, figure(gap.noise_floor))
         rows.append((*cells, *(figure(v[k]) for k in ("rms", "mean", "max") for v in (before, after)), told))
     sizes = [word for what in ("rms", "mean", "max") for word in (f"{what} before", "after")]

@@ -8,9 +8,9 @@ from typing import Any
 
 from ocp.calibrate.report.view import listed
 from ocp.diagnose.engine.findings import Location, Name
-from ocp.diagnose.verdict.answer import Answer, Patched, SignalGap, figures
+from ocp.diagnose.verdict.answer import Answer, Patched, figures
 from ocp.diagnose.verdict.patching import formula_of
-from ocp.diagnose.verdict.shrinkage import NONE
+from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, NONE, Shrinkage
 from ocp.effects.catalogue import library
 from ocp.report.section import Headline
 
@@ -113,8 +113,7 @@ def diagnosis_headline(answer: Answer) -> Headline:
 
 def _patch(patch: Patched) -> str:
     """What is corrected without a name, and what that promises."""
-    s = patch.shrinkage
-    told = f"{100 * s.predicted:.0f} % ({100 * s.low:.0f} to {100 * s.high:.0f} %) of the tracker gap should be gone on new data"
+    told = f"{shrinkage_words(patch.shrinkage)} of the tracker gap should be gone on new data"
     what = "; ".join(formula_of(one) for one in patch.patches)
     return f"With what has no name corrected as well, {told}. It explains nothing, and fades outside what was measured: {what}"
 
@@ -189,16 +188,16 @@ def _levels(answer: Answer) -> str:
 
 def _promise(answer: Answer) -> str:
     told = [
-        f"{_percent_range(gap)} of the {SHORT[gap.name]} gap should be gone on new data"
+        f"{shrinkage_words(gap.shrinkage)} of the {SHORT[gap.name]} gap should be gone on new data, "
+        f"{shrinkage_words(gap.promise[ANOTHER_DAY])} on another day"
         for gap in answer.gaps
-        if gap.shrinkage not in (None, NONE)
+        if gap.shrinkage is not None and gap.shrinkage != NONE
     ]
     return f"; {listed(told)}" if told else ""
 
 
-def _percent_range(gap: SignalGap) -> str:
-    assert gap.shrinkage is not None
-    s = gap.shrinkage
+def shrinkage_words(s: Shrinkage) -> str:
+    """'80 % (70 to 85 %)'."""
     return f"{100 * s.predicted:.0f} % ({100 * s.low:.0f} to {100 * s.high:.0f} %)"
 
 
@@ -242,7 +241,7 @@ def _better(answer: Answer) -> str:
         if gap.shrinkage is None:
             words += "; the gap is too small beside the noise to speak of shrinking"
         elif gap.shrinkage != NONE:
-            words += f"; on new data {_percent_range(gap)} of the gap beyond noise should be gone"
+            words += f"; on new data {shrinkage_words(gap.shrinkage)} of the gap beyond noise should be gone"
         parts.append(words)
     return "; ".join(parts)
 

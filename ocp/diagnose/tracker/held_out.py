@@ -12,7 +12,7 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, predictable
-from ocp.diagnose.rules import FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
+from ocp.diagnose.rules import FOLD_REST, FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings
 from ocp.effects.effect import Active, Effect, prior_sds
 from ocp.effects.engine.readings import PlacedReadings, together
@@ -20,11 +20,12 @@ from robots.calibration.noise import reading_covariance
 from robots.calibration.residuals import points
 from robots.gauss_newton import linear_step
 from robots.pose import Array
-from robots.tracker_readings import Readings
+from robots.tracker_readings import Index, Readings
 
 LEAST_TRAIN, LEAST_TEST = 15, 3  # readings on each side of a fold that is judged
 PARTS = 5
 LEAST = 8  # readings on each side of a fold that is made
+OWN_STAND = ("session", "station")  # folds whose readings may stand by themselves
 
 
 def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
@@ -36,9 +37,11 @@ def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
     found = [Fold(f"random={k + 1}", "random", part == k) for k in range(PARTS)]
     _, label = kmeans2(r.q[:, :3], PARTS, seed=seed, minit="++")
     found += [Fold(f"block={k + 1}", "block", label == k) for k in np.unique(label)]
-    for kind, index, names in (("payload", r.payload, r.payloads), ("session", r.session, r.sessions)):
+    for kind, index, names in (("payload", r.payload, r.payloads), _sessions(r)):
         if len(np.unique(index)) > 1:
             found += [Fold(f"{kind}={names[k]}", kind, index == k) for k in np.unique(index)]
+    # What a few readings of one session say of a thousand of another is no test of names.
+    found = [f for f in found if f.kind not in OWN_STAND or (~f.held).mean() >= FOLD_REST]
     for kind, unit, values, least in (("temperature", "C", r.temperature, FOLD_WARMTH), ("time", "s", r.time, FOLD_TIME)):
         if values is not None and np.ptp(values) > least:
             cut = float(np.quantile(values, 2 / 3))
@@ -51,27 +54,47 @@ def tracker_folds(readings: Readings, seed: int = 0) -> list[Fold]:
     return [f for f in found if f.held.sum() >= LEAST and (~f.held).sum() >= LEAST]
 
 
+def _sessions(r: Readings) -> tuple[str, Index, tuple[str, ...]]:
+    """Sessions by their kind, index (n,) and names; stands of the tracker where no sessions are told."""
+    return ("session", r.session, r.sessions) if len(np.unique(r.session)) > 1 else ("station", r.station, r.stations)
+
+
 def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active]) -> HeldOut | None:
-    """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects and with `active`."""
+    """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects and with `active`. A stand of the
+    tracker that is left out as a whole has its place from the left-out readings, as everybody gives it who sets up there."""
     r = task.campaign.readings
     held = np.asarray(fold.held, bool)
     train = ~held
-    known = np.isin(r.target, r.target[train]) & np.isin(r.station, r.station[train]) & (fit.weight > OUTLIER_WEIGHT)
-    rows = np.flatnonzero(held & known)
+    good = np.isin(r.target, r.target[train]) & (fit.weight > OUTLIER_WEIGHT)
+    there = np.isin(r.station, r.station[train])
+    own = [np.flatnonzero(held & good & (r.station == k)) for k in np.unique(r.station[~there])] if fold.kind in OWN_STAND else []
+    own = [k for k in own if len(k) >= LEAST]
+    rows = np.sort(np.concatenate([np.flatnonzero(held & good & there), *own]))
     if train.sum() < LEAST_TRAIN or len(rows) < LEAST_TEST:
         return None
     seen = placed_readings(task, fit.state, fit.linear.point)
     whole = fit.linear.residual + added(fit.active, seen, fit)[1]
     extra, _ = added(active, seen, fit)
-    before = _solved(task, fit, whole, np.zeros((len(r), 3, 0)), np.zeros(0), train)[0][rows]
+    before = _placed(task, fit, _solved(task, fit, whole, np.zeros((len(r), 3, 0)), np.zeros(0), train)[0], own)[rows]
     prior = prior_sds(active)
     errors, covariance = _solved(task, fit, whole, extra, prior, train)
-    after = errors[rows]
+    after = _placed(task, fit, errors, own)[rows]
     estimated = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
     S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
     e, f = np.sum(before**2, axis=1), np.sum(after**2, axis=1)
     return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(estimated.mean()))
+
+
+def _placed(task: Task, fit: TrackerFit, errors: Array, own: Sequence[Index]) -> Array:
+    """Errors (n, 3) m with each of the stands whose rows are `own` placed by these rows, as large as their freedom makes them."""
+    found = errors.copy()
+    for rows in own:
+        J = fit.linear.J[rows][:, :, task.layout.station[task.campaign.readings.station[rows[0]]]]
+        A, y = (fit.W[rows] @ J).reshape(3 * len(rows), -1), np.einsum("nij,nj->ni", fit.W[rows], errors[rows]).ravel()
+        left = errors[rows] - J @ np.linalg.lstsq(A, y, rcond=None)[0]
+        found[rows] = left * np.sqrt(len(A) / (len(A) - A.shape[1]))
+    return found
 
 
 def added(active: Sequence[Active], seen: PlacedReadings, fit: TrackerFit) -> tuple[Array, Array]:

@@ -1,6 +1,6 @@
 """The whole answer to a data set, as the command writes it and the report shows it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from ocp.diagnose.engine.findings import Alternative, Diagnosis, Experiment
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.patching import is_patch
 from ocp.diagnose.verdict.remaining import Remaining
-from ocp.diagnose.verdict.shrinkage import Shrinkage
+from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
 from ocp.effects.effect import Active
 from robots.pose import Array
 
@@ -19,8 +19,9 @@ from robots.pose import Array
 @dataclass(frozen=True)
 class SignalGap:
     """The gap of one signal: channel before and after, sizes (n,) of the readings' errors in `unit`, outliers apart, noise
-    floor; shrinkage to expect on new data, and by what was withheld (None: no gap there to speak of); remaining: rms in `unit`
-    above the instrument's noise after the effects, and the probability that noise alone leaves as much."""
+    floor; shrinkage to expect on new data, promise by what is new in them, and by what was withheld (None: no gap there to
+    speak of); remaining: rms in `unit` above the instrument's noise after the effects, and the probability that noise alone
+    leaves as much."""
 
     name: str
     unit: str
@@ -28,6 +29,7 @@ class SignalGap:
     before: Array
     after: Array
     shrinkage: Shrinkage | None
+    promise: Mapping[str, Shrinkage]
     extrapolation: tuple[tuple[str, float | None], ...]
     remaining: Remaining
     baseline: Channel
@@ -72,14 +74,21 @@ class Answer:
 
 def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, ...]:
     """Named effects that do no harm: every signal which shows one, and has a gap to speak of, promises with the low end of its
-    interval above zero that the gap shrinks; one at least does."""
+    interval above zero that the gap shrinks, on another day too, and no kind of condition that was left out says surely that it
+    grows; one signal at least does."""
     found = []
     for one in diagnosis.active:
-        shown = [g.shrinkage for g in gaps if g.corrected.variants(one.effect, one.joint, [one.scanned])]
-        told = [promise.low > 0.0 for promise in shown if promise is not None]
+        shown = [g for g in gaps if g.corrected.variants(one.effect, one.joint, [one.scanned])]
+        told = [harmless(g.shrinkage, g.promise) for g in shown if g.shrinkage is not None]
         if told and all(told):
             found.append(one)
     return tuple(found)
+
+
+def harmless(shrinkage: Shrinkage, promise: Mapping[str, Shrinkage]) -> bool:
+    """Whether a correction with this promise, by kind of new data, may be written."""
+    later = promise.get(ANOTHER_DAY, shrinkage)
+    return min(shrinkage.low, later.low) > 0.0 and all(one.high > 0.0 for one in promise.values())
 
 
 def figures(sizes: Array) -> dict[str, float]:

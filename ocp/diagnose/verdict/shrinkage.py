@@ -9,7 +9,7 @@ folds and conditions withheld as a whole (`from_folds`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import expit, log_ndtr, ndtr, ndtri
@@ -26,11 +26,12 @@ SI = {"mm": 1e-3, "N": 1.0, "arcsec": float(np.radians(1.0) / 3600.0)}
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """1 - G_after / G_before to expect on new data, with a 90 % interval."""
+    """1 - G_after / G_before to expect on new data, with a 90 % interval; draws (k,) that these are of."""
 
     predicted: float
     low: float
     high: float
+    draws: Array = field(default_factory=lambda: np.zeros(1), repr=False, compare=False)
 
 
 NONE = Shrinkage(0.0, 0.0, 0.0)
@@ -136,7 +137,39 @@ def interval(draws: Array) -> Shrinkage:
     """Median and interval of draws (k,) of the shrinkage."""
     draws = np.maximum(draws, rules.HARMFUL)
     low, middle, high = np.quantile(draws, [0.5 - rules.INTERVAL / 2, 0.5, 0.5 + rules.INTERVAL / 2])
-    return Shrinkage(float(middle), float(low), float(high))
+    return Shrinkage(float(middle), float(low), float(high), draws)
+
+
+ANOTHER_DAY = "another day"
+KINDS = {"joint range": "another region", "time": "later", "station": "another session"}
+"""What new data are like that a kind of fold stands for; others are called after what was left out."""
+
+
+def promised_by_kind(held: Sequence[HeldOut]) -> dict[str, Shrinkage]:
+    """What left-out conditions say of new data, by what is new about these, which are like one of them or another; kinds without
+    a gap to speak of are left out."""
+    groups: dict[str, list[HeldOut]] = {}
+    for h in held:
+        if h.fold.extrapolates and realised(h.before, h.after, h.noise) is not None:
+            groups.setdefault(KINDS.get(h.fold.kind, f"another {h.fold.kind}"), []).append(h)
+    rng = np.random.default_rng(0)
+    drawn = {
+        kind: np.concatenate([_drawn(rng, [h], h.estimation, DRAWS // len(some)) for h in some]) for kind, some in groups.items()
+    }
+    return {kind: interval(draws) for kind, draws in drawn.items() if len(draws)}
+
+
+def promised_later(told: Shrinkage, chosen: bool, seed: int = 0) -> Shrinkage:
+    """A promise for another day: a share g of what the names explain is there again, whatever else stays,
+
+        before^2 = rest^2 + g^2 D^2,   after^2 = rest^2 + (1 - g)^2 D^2,   rest = 1 - shrinkage,  D^2 = 1 - rest^2,
+
+    g ~ N(mean, sd^2) as `rules.CARRIED` has it, for names `chosen` on held-out errors or not."""
+    mean, sd = rules.CARRIED_CHOSEN if chosen else rules.CARRIED
+    g = np.random.default_rng(seed).normal(mean, sd, len(told.draws))
+    rest = (1.0 - told.draws) ** 2
+    named = np.maximum(1.0 - rest, 0.0)
+    return interval(np.where(named > 0, 1.0 - np.sqrt((rest + (1.0 - g) ** 2 * named) / (rest + g**2 * named)), told.draws))
 
 
 def _unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Generator) -> Array:
