@@ -6,6 +6,7 @@ Distances are coal's on simple convex shapes. In contact the pair of blade and w
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import coal
 import numpy as np
@@ -26,6 +27,7 @@ from robots.kinematics import link_frames
 from robots.pose import Array, apply, invert
 
 BASE_PLANE = "plane of the base"
+SPARE = 1e-4  # m; distances between shapes are iterated to a hundredth of it
 SLANT = np.radians(60.0)  # of the other rays from a facet off its normal
 RAY_START = 2e-4  # m off the facet, so that a ray does not meet its own neighbours
 
@@ -38,6 +40,14 @@ class Body:
     frame: int
     shape: coal.CollisionGeometry
     placement: Array
+
+    @cached_property
+    def ball(self) -> tuple[Array, float]:
+        """Centre (3,) m in the body's frame and radius m of a ball about it; without end for a half space."""
+        if isinstance(self.shape, coal.Halfspace):
+            return np.zeros(3), np.inf
+        self.shape.computeLocalAABB()
+        return apply(self.placement, np.asarray(self.shape.aabb_center, float).ravel()), float(self.shape.aabb_radius)
 
 
 @dataclass(frozen=True)
@@ -79,16 +89,35 @@ class CollisionScene:
         request.enable_signed_distance = True
         frames = link_frames(self.cell.robot, np.atleast_2d(q))
         pairs = [p for p in self._pairs if not (in_contact and p.off_contact)]
+        least = self._least(frames, pairs)
         values, names = np.full(len(frames), np.inf), [("", "")] * len(frames)
-        for k, frame in enumerate(frames):
-            placed = [self._place(body, frame) for body in self._bodies]
-            for pair in pairs:
+        for k, (frame, nearest) in enumerate(zip(frames, np.argsort(least, axis=1, kind="stable"), strict=True)):
+            placed: dict[int, coal.Transform3s] = {}
+            closest = -1
+            for j in nearest:
+                if least[k, j] > values[k] + SPARE:
+                    break
+                pair = pairs[j]
                 a, b = self._bodies[pair.a], self._bodies[pair.b]
-                result = coal.DistanceResult()
-                gap = coal.distance(a.shape, placed[pair.a], b.shape, placed[pair.b], request, result)
-                if gap - pair.margin < values[k]:
-                    values[k], names[k] = gap - pair.margin, (a.name, b.name)
+                for i, body in ((pair.a, a), (pair.b, b)):
+                    if i not in placed:
+                        placed[i] = self._place(body, frame)
+                gap = coal.distance(a.shape, placed[pair.a], b.shape, placed[pair.b], request, coal.DistanceResult())
+                if (gap - pair.margin, j) < (values[k], closest):
+                    values[k], names[k], closest = gap - pair.margin, (a.name, b.name), j
         return values, names
+
+    def _least(self, frames: Array, pairs: list[BodyPair]) -> Array:
+        """What distance minus margin (n, pairs) m cannot be less than, by the balls about the bodies, for link frames
+        (n, 7, 4, 4)."""
+        centre = np.empty((len(frames), len(self._bodies), 3))
+        for i, body in enumerate(self._bodies):
+            centre[:, i] = body.ball[0] if body.frame == 7 else apply(frames[:, body.frame], body.ball[0])
+        least = np.empty((len(frames), len(pairs)))
+        for j, pair in enumerate(pairs):
+            reach = self._bodies[pair.a].ball[1] + self._bodies[pair.b].ball[1] + pair.margin
+            least[:, j] = np.linalg.norm(centre[:, pair.a] - centre[:, pair.b], axis=1) - reach
+        return least
 
     def clearance(self, q: Array, in_contact: bool) -> Clearance:
         """The smallest of `clearances` over joints q (n, 6); negative means that a margin is broken."""

@@ -133,3 +133,13 @@ def test_axes_of_a_stack_are_judged_one_by_one(scene):
     whole, _ = scene.clearances(q, in_contact=False)
     single = [scene.clearance(one[None], in_contact=False).value for one in q]
     np.testing.assert_allclose(whole, single, atol=1e-12)
+
+
+@pytest.mark.parametrize("in_contact", [False, True])
+def test_what_is_not_measured_is_farther_than_the_closest_pair(scene, monkeypatch, in_contact):
+    low, high = scene.cell.robot.q_min, scene.cell.robot.q_max
+    q = np.random.default_rng(4).uniform(low, high, (400, 6))
+    values, names = scene.clearances(q, in_contact)
+    monkeypatch.setattr(CollisionScene, "_least", lambda _, frames, pairs: np.full((len(frames), len(pairs)), -np.inf))
+    every, whose = scene.clearances(q, in_contact)
+    assert np.array_equal(values, every) and names == whose and len(set(names)) > 5
