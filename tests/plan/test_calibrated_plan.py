@@ -13,7 +13,7 @@ from robots.calibration.parameters import MDH_NAMES
 from robots.calibration.store import Calibration, write_calibration
 from robots.robot import load_robot
 from tests.support.example_pass import bundled_cell
-from tests.support.small_plan import STEP, called, small_cell
+from tests.support.small_plan import STEP, called, small_cell, undrawn
 
 # About the size that a KR 210 and a hand-measured cell are off by (PHYSICS 2.6, FORMATS [wheel], [workpiece]).
 OFF = {
@@ -49,7 +49,8 @@ def both(small_plan_once, solved_once, tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibrated")
     small_cell(folder, {'model = "kr210_r2700_extra"': 'model = "kr210_r2700_extra"\ncalibration = "calibration.toml"'})
     write_calibration(folder / "calibration.toml", calibration())
-    plain, told = small_plan_once[1], called(app, folder, "--cell", "cell.toml", *STEP)
+    with undrawn():
+        plain, told = small_plan_once[1], called(app, folder, "--cell", "cell.toml", *STEP)
     assert (plain.code, told.code) == (0, 0), told.err
     return figures(small_plan_once[0]), figures(folder)
 

@@ -26,7 +26,7 @@ from robots.errors import BadInput
 from robots.reference_kinematics import elementary_forward
 from tests.plan.test_optimal_control import BAR
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
-from tests.support.small_plan import STEP, called, refused, small_cell
+from tests.support.small_plan import STEP, called, refused, small_cell, undrawn
 from trajectories.passes import reversed_path
 
 ARM = (
@@ -257,7 +257,8 @@ def test_the_command_plans_a_corrected_cell_and_its_text_holds_the_force(tmp_pat
         "[conditions]\nclock_s = 900\ntemperature_C = 27.0\n"
     )
     file.write_text(text)
-    told = called(app, tmp_path, "--cell", "cell.toml", *STEP)
+    with undrawn():
+        told = called(app, tmp_path, "--cell", "cell.toml", *STEP)
     assert told.code == 0, told.err
     summary = json.loads((tmp_path / "plan" / "plan.json").read_text())
     assert summary["status"] == "safe" and summary["force_error_N"] < 0.1

@@ -18,7 +18,7 @@ from ocp.plan.__main__ import app
 from ocp.shell.output import MARKER, write_marker
 from robots.robot import load_robot
 from tests.support import small_plan
-from tests.support.small_plan import STEP, called, refused, small_cell, tree
+from tests.support.small_plan import STEP, called, refused, small_cell, tree, undrawn
 from trajectories.krl.checks import check_program
 
 COLUMNS = (
@@ -176,7 +176,8 @@ def test_classic_lines_replace_an_old_folder_only_when_asked(small, tmp_path):
     (tmp_path / "plan" / "notes.txt").write_text("mine")
     assert "notes.txt" in one_sentence(refused("--cell", str(cell), "--out", str(tmp_path / "plan"), "--overwrite"), 2)
     (tmp_path / "plan" / "notes.txt").unlink()
-    told = called(app, tmp_path, "--cell", cell.name, *STEP, "--kind", "lin", "--overwrite")
+    with undrawn():
+        told = called(app, tmp_path, "--cell", cell.name, *STEP, "--kind", "lin", "--overwrite")
     assert told.code == 0, told.err
     checked(tmp_path / "plan")
     assert not (tmp_path / "plan" / "old.txt").exists()

@@ -16,7 +16,7 @@ from ocp.plan.removal.dwell import feeds_told
 from ocp.plan.removal.wanted import programmed_work, wanted_of
 from robots.errors import BadInput, Infeasible
 from tests.plan.test_dwell import judged
-from tests.support.small_plan import STEP, called, refused, small_cell
+from tests.support.small_plan import STEP, called, refused, small_cell, undrawn
 
 OPTIONS = PlanOptions(step=2e-3)
 PRESTON = 5e-13  # 1/Pa, 0.5 um mm^2 / (N m)
@@ -179,7 +179,8 @@ def test_the_command_takes_a_stock_map_off_and_says_how_much(tmp_path, laid):
     made = laid.wanted.programmed_um
     cell = small_cell(tmp_path, {'grinding = "down"': f'grinding = "down"\npreston_um_mm2_per_N_m = {1e12 * PRESTON:g}'})
     write_csv(tmp_path / "stock.csv", map_rows(laid, lambda z: 1.2 * made if z > 0.075 else 0.0))
-    told = called(app, tmp_path, "--cell", str(cell), "--stock", "stock.csv", *STEP)
+    with undrawn():
+        told = called(app, tmp_path, "--cell", str(cell), "--stock", "stock.csv", *STEP)
     assert told.code == 0, told
     content = json.loads((tmp_path / "plan" / "plan.json").read_text())
     assert {"cell", "blade", "stock"} <= {one["role"] for one in content["inputs"]}
