@@ -9,6 +9,7 @@ from robots.errors import BadInput
 from robots.pose import Array
 from trajectories.blade.fit import SideSurface
 from trajectories.blade.mesh import Blade, area_weighted_normals, place_mm
+from trajectories.blade.nearest import nearest_on_facets
 from trajectories.blade.shape import AerofoilShape
 from trajectories.blade.spline import nearest_parameters
 from trajectories.blade.surroundings import MAX_TURN
@@ -132,9 +133,8 @@ def place_on_mesh(blade: Blade, name: NDArray[np.str_], foot: Array, normal: Arr
     rest = np.flatnonzero(name == "edge")
     if not len(rest):
         return
-    mesh = trimesh.Trimesh(blade.vertices, blade.faces, process=False)
-    closest, _, facet = trimesh.proximity.closest_point(mesh, p[rest])
-    weights = trimesh.triangles.points_to_barycentric(mesh.triangles[facet], closest)
+    closest, _, facet = nearest_on_facets(blade, p[rest])
+    weights = trimesh.triangles.points_to_barycentric(blade.vertices[blade.faces[facet]], closest)
     n = np.einsum("nk,nki->ni", weights, area_weighted_normals(blade)[blade.faces[facet]])
     foot[rest], normal[rest] = closest, n / np.linalg.norm(n, axis=1, keepdims=True)
 

@@ -16,6 +16,7 @@ from robots.errors import BadInput
 from robots.pose import Array
 from trajectories.blade import Blade
 from trajectories.blade.mesh import place_mm
+from trajectories.blade.nearest import nearest_on_facets
 
 COLUMNS = ("px_mm", "py_mm", "pz_mm", "depth_um")
 PROPERTIES = ("x", "y", "z", "depth_um")  # of a PLY's vertices
@@ -150,8 +151,7 @@ def _on_blade(stock: Path, blade: Blade, cloud: SurfaceCloud, points: Array, pla
     far = np.linalg.norm(points - cloud.points[nearest], axis=1)
     doubtful = np.flatnonzero((off > SUSPECT) | (far > 2e-3))
     if len(doubtful):
-        mesh = trimesh.Trimesh(blade.vertices, blade.faces, process=False)
-        distance = trimesh.proximity.closest_point(mesh, points[doubtful])[1]
+        distance = nearest_on_facets(blade, points[doubtful])[1]
         if distance.max() > OFF_BLADE:
             k = int(doubtful[np.argmax(distance > OFF_BLADE)])
             raise BadInput(
