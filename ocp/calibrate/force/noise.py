@@ -76,13 +76,13 @@ def whiten(runs: Runs, noise: CorrelatedNoise, weight: Array, columns: Array) ->
     under_way = (index >= 0).sum(axis=1).tolist()
     decay, gain, total = _gains(runs.step[order].T, index, noise, weight)
     out, scale = np.empty_like(columns, dtype=float), np.ones(len(columns))
-    state = np.zeros((index.shape[1], columns.shape[1]))
-    for at, d, g, c in zip(index, decay[..., None], gain[..., None], under_way, strict=True):
+    state, rows = np.zeros((index.shape[1], columns.shape[1])), np.asarray(columns[index], float)
+    for row, d, g, c in zip(rows, decay[..., None], gain[..., None], under_way, strict=True):
         guess = d[:c] * state[:c]
-        difference = columns[at[:c]] - guess
-        state[:c] = guess + g[:c] * difference
-        out[at[:c]] = difference
+        row[:c] -= guess
+        state[:c] = guess + g[:c] * row[:c]
     inside = index >= 0
+    out[index[inside]] = rows[inside]
     scale[index[inside]] = np.sqrt(total[inside])
     out /= scale[:, None]
     return out, scale

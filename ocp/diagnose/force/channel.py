@@ -61,7 +61,7 @@ class ForceChannel:
     effects: tuple[Effect, ...] = field(repr=False, default=())
     store: Store = field(default_factory=dict, repr=False)
     before: "ForceChannel | None" = field(default=None, repr=False)
-    judged: dict[str, Any] = field(default_factory=dict, repr=False)
+    judged: dict[tuple[object, ...], "ForceChannel"] = field(default_factory=dict, repr=False)
     latest: dict[str, Any] = field(default_factory=dict, repr=False)
     found: dict[str, SpliceTrains] = field(default_factory=dict, repr=False)
     tracker: TrackerChannel | None = field(default=None, repr=False)
@@ -209,25 +209,24 @@ class ForceChannel:
 
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
-        after = self._judged(active)
+        after = self.fitted_with(active)
         good = self.fit.whiteners[0].noise.weight > OUTLIER_WEIGHT
         if self.log.setpoint_sd is not None:  # a setpoint that the readings gave is not known without them
             good &= self.log.setpoint_sd == 0
         return force_fold_errors((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)
 
-    def _judged(self, active: tuple[Active, ...]) -> "ForceChannel":
-        """The channel fitted with these effects, whatever values they come with; the last one is kept."""
+    def fitted_with(self, active: tuple[Active, ...]) -> "ForceChannel":
+        """The channel fitted with these effects, whatever values they come with; kept: promises and predictions ask alike."""
         wanted = effects_key([a for a in active if not self.blind(a.effect)])
         if wanted == effects_key(self.active):
             return self
-        if self.judged.get("signature") != wanted:
-            self.judged.update(signature=wanted, channel=self.with_active(active))
-        made: ForceChannel = self.judged["channel"]
-        return made
+        if wanted not in self.judged:
+            self.judged[wanted] = self.with_active(active)
+        return self.judged[wanted]
 
     def predict(self, sealed: ForceLog, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected normal reading (n, 1) N of conditions nobody has seen, one sigma of the corrected one."""
-        after = self._judged(active)
+        after = self.fitted_with(active)
         return predict_sealed_force((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), sealed)
 
 

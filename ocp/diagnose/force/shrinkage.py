@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ocp.calibrate.force.rows import LogConditions
-from ocp.diagnose.engine.channel_system import Channel, effects_key
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
@@ -100,7 +100,7 @@ def _with(before: ForceChannel, after: ForceChannel, active: tuple[Active, ...])
     if not active:
         return before
     try:
-        return after if effects_key(active) == effects_key(after.active) else after.with_active(active)
+        return after.fitted_with(active)
     except Infeasible:
         return None
 
