@@ -14,7 +14,7 @@ def test_the_rim_of_a_sheet_is_nearer_than_the_sheet_below():
     facets = np.array([[0, 1, 2], [0, 2, 3]])
     blade = Blade("sheets", "", np.vstack([square, above]), np.vstack([facets, facets + 4]))
     rng = np.random.default_rng(3)
-    x, z = rng.uniform(-STEP, -0.1 * STEP, 200), rng.uniform(1.2 * STEP, 2.0 * STEP, 200)
+    x, z = rng.uniform(-2.0 * STEP, -1.0 * STEP, 200), rng.uniform(3.0 * STEP, 3.5 * STEP, 200)
     points = np.column_stack([x, rng.uniform(0.001, 0.019, 200), z])
     rim = np.hypot(x, z - STEP)
     assert (rim < z).all()
