@@ -27,6 +27,7 @@ from robots.errors import BadInput
 from tests.support.force_world import HEADER, Run, World, arm_posterior, campaign, correlated, make_world, write_log
 from trajectories.blade import find_shape, read_blade
 
+pytestmark = pytest.mark.usefixtures("solved_once")
 LADDER = [
     Run(0),
     Run(1),
@@ -51,7 +52,7 @@ class Recorded:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory, solved_once) -> Recorded:
+def recorded(tmp_path_factory) -> Recorded:
     rng = np.random.default_rng(2)
     folder = tmp_path_factory.mktemp("force")
     world = make_world(folder, rng)
