@@ -26,7 +26,6 @@ Index = NDArray[np.int64]
 _one_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 LEAF_ELEMENTS = 32  # elements of the smallest part; 16 to 64 cost the same
-BLOCK = 1 << 16  # numbers moved at once: half a megabyte
 
 
 @dataclass(frozen=True)
@@ -167,12 +166,10 @@ def _leaf_stiffness(
 
 
 def _add_at(total: Array, at: Index, part: Array) -> None:
-    """Add the symmetric `part` to rows and columns `at` of `total`: whole rows, as many at a time as the cache holds."""
-    wide = np.zeros((min(len(at), BLOCK // len(total) + 1), len(total)))
-    for first in range(0, len(at), len(wide)):
-        rows = at[first : first + len(wide)]
-        wide[: len(rows), at] = part[first : first + len(wide)]
-        total[rows] += wide[: len(rows)]
+    """Add the symmetric `part` to rows and columns `at` of `total`; rows move as a whole, which memory likes."""
+    wide = np.zeros((len(at), len(total)))
+    wide[:, at] = part
+    total[at] += wide
 
 
 def _eliminate(front: Array, own: int) -> tuple[Array, Array, Array]:
@@ -181,5 +178,4 @@ def _eliminate(front: Array, own: int) -> tuple[Array, Array, Array]:
         return np.zeros((0, 0)), np.zeros((len(front), 0)), front
     factor = cholesky(front[:own, :own], lower=True, check_finite=False)
     coupling = solve_triangular(factor, front[:own, own:], lower=True, check_finite=False).T
-    rest = coupling @ coupling.T
-    return factor, coupling, np.subtract(front[own:, own:], rest, out=rest)
+    return factor, coupling, front[own:, own:] - coupling @ coupling.T
