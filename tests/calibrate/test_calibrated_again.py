@@ -29,11 +29,12 @@ SCALE = 4e-4
 
 
 def scaled(path, scale):
-    """The readings of an arm whose encoder of joint 3 counts too little."""
+    """The readings of an arm whose encoder of joint 3 counts too little, by a tracker that measures too far."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     for row in rows:
         row["q3_deg"] = f"{float(row['q3_deg']) / (1 + scale):.9f}"
+        row |= {key: f"{float(row[key]) * (1 + scale):.6f}" for key in ("x_mm", "y_mm", "z_mm")}
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
@@ -48,6 +49,7 @@ def test_a_believed_effect_leaves_the_readings(tmp_path):
     wrong = calibrate_tracker(readings, cell, "full", Phases())
     with cell.open("a") as file:
         file.write(f'[[effects]]\neffect = "encoder_scale"\njoint = 3\nscale = {SCALE}\n')
+        file.write(f'[[effects]]\neffect = "tracker_scale"\nscale = {SCALE}\n')
     made = calibrate_tracker(readings, cell, "full", Phases())
     assert np.abs(made.fit.state.arm - sound.fit.state.arm)[:30].max() < 2e-6
     assert np.abs(wrong.fit.state.arm - sound.fit.state.arm)[:30].max() > 1e-4

@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from ocp.calibrate.force.fit import FIT_NAMES
 from ocp.diagnose.answering import channels_of, tracker_channel
 from ocp.diagnose.dataset import read_data_set
+from ocp.diagnose.force.channel import force_channel
 from ocp.diagnose.force.prior import arm_with_effects, contact_prior
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
@@ -50,3 +52,7 @@ def test_what_an_encoder_explains_is_not_in_the_arm_twice(tmp_path):
     geometry, wrong, right = (prior.mean[:30] for prior in (known, off.problem.believed, made.problem.believed))
     assert FIT_NAMES[29] == "be6" and np.abs(wrong - geometry).max() > 1e-4
     assert np.abs(right - geometry).max() < 0.2 * np.abs(wrong - geometry).max()
+    # A force acts on an arm that bends where its readings say so.
+    arm = arm_with_effects(tracker_channel(sound), ())
+    bent = replace(arm, provenance=arm.provenance | {"bending_joints": [2, 3, 5]})
+    assert force_channel(sound.cell, sound.log, arm=bent).problem.scene.cell.compliant_joints == (2, 3, 5)
