@@ -193,7 +193,7 @@ def _promise(answer: Answer) -> str:
         for gap in answer.gaps
         if gap.shrinkage is not None and gap.shrinkage != NONE
     ]
-    return f"; {listed(told)}" if told else ""
+    return "".join(f"; {one}" for one in told)
 
 
 def shrinkage_words(s: Shrinkage) -> str:
