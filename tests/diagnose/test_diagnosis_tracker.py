@@ -9,7 +9,7 @@ from ocp.calibrate.tracker import as_in
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.tracker.held_out import tracker_folds
+from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
 from ocp.diagnose.tracker.refit import believed_baseline, reliability, settled
 from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
@@ -356,3 +356,14 @@ def test_a_stand_that_is_left_out_is_placed_by_its_own_readings():
     assert c.held_out(replace(random, held=late), c.active) is None  # other folds know nothing of that stand
     few = replace(moved, station=(np.arange(n) >= n // 5).astype(np.int64))
     assert [f.name for f in tracker_folds(few) if f.kind == "station"] == ["station=S1"]  # what remains is too little
+    # Where the left-out stand is set up does not matter, and its own readings' placing takes no share of their errors.
+    rows, rng = np.flatnonzero(late)[:12], np.random.default_rng(8)
+    J, W = c.fit.linear.J[rows][:, :, c.task.layout.station[1]], c.fit.W[rows]
+    white = rng.normal(size=(400, 12, 3))
+    errors = np.zeros((400, n, 3))
+    errors[:, rows] = np.linalg.solve(W, white[..., None])[..., 0]
+    alone = np.array([placed_stands(c.task, c.fit, one, [rows])[rows] for one in errors])
+    elsewhere = errors[0].copy()
+    elsewhere[rows] += J @ [1e-3, -2e-3, 5e-4, 1e-4, 2e-4, -3e-4]
+    assert np.allclose(placed_stands(c.task, c.fit, elsewhere, [rows])[rows], alone[0], atol=1e-9)
+    assert np.mean((W @ alone[..., None]) ** 2) == pytest.approx(1.0, abs=0.04)

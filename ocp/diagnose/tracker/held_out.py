@@ -75,10 +75,10 @@ def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[
     seen = placed_readings(task, fit.state, fit.linear.point)
     whole = fit.linear.residual + added(fit.active, seen, fit)[1]
     extra, _ = added(active, seen, fit)
-    before = _placed(task, fit, _solved(task, fit, whole, np.zeros((len(r), 3, 0)), np.zeros(0), train)[0], own)[rows]
+    before = placed_stands(task, fit, _solved(task, fit, whole, np.zeros((len(r), 3, 0)), np.zeros(0), train)[0], own)[rows]
     prior = prior_sds(active)
     errors, covariance = _solved(task, fit, whole, extra, prior, train)
-    after = _placed(task, fit, errors, own)[rows]
+    after = placed_stands(task, fit, errors, own)[rows]
     estimated = np.einsum("nim,mk,nik->n", extra[rows], covariance, extra[rows])
     S = reading_covariance(r.take(rows), task.campaign.instrument, gap_noise(fit.noise), fit.linear.d_joints[rows])
     noise = np.trace(S, axis1=1, axis2=2)
@@ -86,7 +86,7 @@ def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[
     return HeldOut(fold, float(e.mean()), float(f.mean()), float(noise.mean()), e, f, noise, float(estimated.mean()))
 
 
-def _placed(task: Task, fit: TrackerFit, errors: Array, own: Sequence[Index]) -> Array:
+def placed_stands(task: Task, fit: TrackerFit, errors: Array, own: Sequence[Index]) -> Array:
     """Errors (n, 3) m with each of the stands whose rows are `own` placed by these rows, as large as their freedom makes them."""
     found = errors.copy()
     for rows in own:
