@@ -28,6 +28,7 @@ from robots.pose import Array, apply, invert
 
 BASE_PLANE = "plane of the base"
 SPARE = 1e-4  # m; distances between shapes are iterated to a hundredth of it
+SLACK = 1e-6  # m by which a first look takes more points than count; products of lengths below 10 m are good to 1e-8
 SLANT = np.radians(60.0)  # of the other rays from a facet off its normal
 RAY_START = 2e-4  # m off the facet, so that a ray does not meet its own neighbours
 
@@ -295,10 +296,20 @@ def find_secondary_contact(
     """
     wheel = cell.wheel
     worst, depths = (0.0, 0, 0.0, 0.0), np.zeros(len(T_base_blade))
+    square, reach = np.einsum("ij,ij->i", points, points), 0.9 * REACH
     for k, T in enumerate(T_base_blade):
-        lateral, radial, rho = wheel.cylindrical(apply(T, np.vstack([points, contact[k]])))
+        # Products with the wheel's axis and centre and with the contact leave few points to look at.
+        axis, centre = T[:3, :3].T @ wheel.axis, T[:3, :3].T @ (wheel.centre - T[:3, 3])
+        beside, off, away = (points @ np.column_stack([axis, centre, contact[k]])).T
+        beside = beside - centre @ axis
+        near = np.abs(beside) <= 0.5 * wheel.width + SLACK
+        near &= square - 2.0 * away + contact[k] @ contact[k] >= (reach - SLACK) ** 2
+        near &= square - 2.0 * off + centre @ centre - beside**2 < (wheel.radius - SECONDARY_CONTACT_TOLERANCE + SLACK) ** 2
+        if not near.any():
+            continue
+        lateral, radial, rho = wheel.cylindrical(apply(T, np.vstack([points[near], contact[k]])))
         depth = wheel.radius - rho
-        seen = np.linalg.norm(points - contact[k], axis=1) < 0.9 * REACH
+        seen = np.linalg.norm(points[near] - contact[k], axis=1) < reach
         near = (np.abs(lateral[:-1]) <= 0.5 * wheel.width) & (depth[:-1] > SECONDARY_CONTACT_TOLERANCE) & ~seen
         if not near.any():
             continue
