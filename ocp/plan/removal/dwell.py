@@ -7,9 +7,9 @@ wanted: linear least squares in r at nodes of all lines at once (docs/process.md
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
-from scipy.optimize import lsq_linear
-from scipy.sparse import block_diag, csr_matrix, diags_array, eye_array, hstack, vstack
+from scipy.sparse import block_diag, csc_matrix, csr_matrix, diags_array, eye_array, hstack, vstack
 from scipy.spatial import cKDTree
 
 from ocp.contact.wheel.cover import Cover
@@ -248,9 +248,12 @@ def _solved(lines: Sequence[_Line], weight: Array, wanted: Array) -> list[Array]
     usual = np.where(usual > 0.0, usual, 1.0)
     bends = [diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(len(one.nodes) - 2, len(one.nodes))) for one in lines]
     kept, smooth, count = np.sqrt(KEPT), np.sqrt(SMOOTH), len(usual)
-    rows = vstack([diags_array(weight) @ depth @ diags_array(usual), kept * eye_array(count), smooth * block_diag(bends)])
+    rows = vstack([diags_array(weight) @ depth @ diags_array(usual), kept * eye_array(count), smooth * block_diag(bends)]).tocsr()
     goal = np.concatenate([weight * wanted, np.full(count, kept), np.zeros(sum(one.shape[0] for one in bends))])
-    r = usual * lsq_linear(rows.tocsr(), goal, RANGE, lsq_solver="lsmr", tol=1e-6).x
+    normal = ca.DM(csc_matrix(rows.T @ rows).sorted_indices())
+    program = ca.conic("feeds", "piqp", {"h": normal.sparsity(), "a": ca.Sparsity(0, count)})  # raises where it does not converge
+    found = program(h=normal, g=-(rows.T @ goal), lbx=RANGE[0], ubx=RANGE[1])
+    r = usual * np.asarray(found["x"]).ravel()
     return np.split(r, np.cumsum([len(one.nodes) for one in lines])[:-1])
 
 
