@@ -202,7 +202,8 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
                 if k == 0:
                     raise
         same = effects_key(told[0].active) == effects_key(answer.written)
-        found[signal] = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
+        written = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
+        found[signal] = replace(written, named=made[0][1].corrected)
         if signal == SIGNAL and answer.patch is not None and isinstance(sealed, Readings):
             found[signal] = with_patch(found[signal], answer.patch, sealed)
     return found

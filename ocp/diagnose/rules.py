@@ -392,10 +392,10 @@ LINK_CENTRE_SD = 0.01
 """[m] Of each coordinate of a link's centre of mass. Guards: as LINK_MASS_SD. Reason: catalogue centres are off by 1 cm
 (DIAGNOSIS, Second method)."""
 
-WEIGHTS_TRUST = 2.0
-"""[-] Directions that the widths of LINK_MASS_SD, LINK_CENTRE_SD and PAYLOAD_MASS_SD are worth against what the readings show of
-a machine's weights (inverse chi-square prior of their common scale). Guards: promises of machines whose weights are known better.
-Reason: none is known; a scale known to a factor of two."""
+WEIGHT_WIDTHS = 0.5 ** np.arange(4)
+"""[-] Of all of LINK_MASS_SD, LINK_CENTRE_SD and PAYLOAD_MASS_SD on one machine, each as likely before the readings. Guards:
+promises for a payload never hung where weights are known better. Reason: even on a logarithmic scale; an eighth is half a
+percent of a mass, of which nothing is seen."""
 
 PAYLOAD_MASS_SD = 0.006
 """[-] Of a payload's mass. Guards: payload_mass against what a scale does not tell. Reason: payloads are as stated to 1 %, evenly
@@ -419,10 +419,6 @@ to leave. Reason: none is known; even odds."""
 BACKGROUND_SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])
 """[rad] Play and ripple that are looked for in what a fit leaves. Guards: as NO_BACKGROUND. Reason: below what the catalogue
 names (2e-5 of ripple, 3e-5 of play)."""
-
-OTHER_LASTS = (0.3, 6.0)
-"""[-] Beta distribution of the share of the remaining joint noise that lasts too. Guards: as NO_BACKGROUND. Reason: 0.05 on
-average, nearly nothing mostly; none is known."""
 
 # ---------- signal: force
 STIFFNESS_SD = 0.01

@@ -44,7 +44,6 @@ ELSEWHERE = {
     "verdict/location.py": {"ORDERS"},
     "joints/channel.py": {"ARCSEC", "RANK"},
     "joints/log.py": {"MOVED", "APART"},
-    "tracker/background.py": {"_SHARES"},
     "tracker/refit.py": {"SETTLED", "RANK"},
 }
 FOLDERS_ELSEWHERE = ("published.py", "report")  # formats and drawing

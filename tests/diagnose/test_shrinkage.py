@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ocp.diagnose.answering import beside_others
+from ocp.diagnose.engine.beam import Member, Weighed, make_pool
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
@@ -14,6 +15,7 @@ from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.tracker.background import background
 from ocp.diagnose.verdict.answer import SignalGap, promised
 from ocp.diagnose.verdict.diagnosis import screened
+from ocp.diagnose.verdict.probabilities import alternatives, posterior
 from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
     ANOTHER_DAY,
@@ -26,6 +28,7 @@ from ocp.diagnose.verdict.shrinkage import (
 )
 from ocp.effects.effect import Active
 from robots.gravity import GRAVITY
+from tests.diagnose.test_diagnosis_engine import problem_of
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, column, diagnosed, world
 from tests.support.reference_arm import elementary_weight_torques
 from tests.support.simulated_campaign import EXTRA, PAYLOADS, campaign_readings, random_truth
@@ -67,6 +70,36 @@ def test_doubt_about_the_name_is_in_the_promise():
     sure, unsure = from_model(new(24.0), [], 1.0), from_model(new(24.0, doubt=0.3), [], 1.0)
     # What is written is the name: right it does all it can, wrong it hurts, and the interval knows.
     assert unsure.predicted < sure.predicted + 0.01 and unsure.low == -1.0
+
+
+@pytest.mark.parametrize("stands_in, kept", [(0, 1), (1, 0)])
+def test_an_effect_that_stands_in_the_background_is_there_all_the_same(stands_in, kept):
+    """Two sets as likely: the name, and a line of the background, with the same columns (0) or others (1)."""
+    toy, found = problem_of(planted=((0, 1.0),))
+    problem = linearised([toy], found, Options())
+    quiet = replace(problem.pool.families[stands_in], name=Name("~e"), effect=None, background=True)
+    problem = replace(problem, pool=make_pool(problem.pool.y, problem.pool.freedom, [*problem.pool.families, quiet]))
+    name, nameless = (Weighed(5.0, (Member(f, 0, 1.0),)) for f in (0, len(problem.pool.families) - 1))
+    search = SimpleNamespace(sets={frozenset({m.family for m in one.members}): one for one in (name, nameless)})
+    active, every = problem.values(name), posterior(problem, search)
+    seen = [problem.pool.columns(name.members[0]) @ (a.a / problem.pool.families[0].scale) for a in active]
+    told = alternatives(problem, search, every, (name, (Name("e0", 0),)), active, seen)
+    assert [len(one.active) for one in told] == [1, kept] and every.p_none == pytest.approx(0.5)
+
+
+def test_what_springs_take_back_is_no_error_of_an_effect():
+    readings, _ = world(4)
+    bends = LIBRARY["link_bending"]
+    c = channel(readings).with_active((Active(bends, 2, np.zeros(1), {"root_share": 0.5}, np.eye(1)),))
+    fold = next(f for f in c.folds() if f.kind == "payload")
+    alone = np.einsum("nim,mk,nik->n", c.fit.extra, c.active[0].covariance, c.fit.extra)[fold.held].mean()
+    assert 0.0 <= c.held_out(fold, c.active).estimation < 0.2 * alone
+
+
+@pytest.mark.parametrize("weights, low, high", [(True, 0.7, 1.0), (False, 0.0, 0.45)])
+def test_weights_are_believed_as_widely_as_the_readings_ask(weights, low, high):
+    layout = channel(world(4, weights=weights)[0]).task.layout
+    assert low <= (layout.prior_sd / layout.scale)[layout.links[0]] <= high
 
 
 def test_folds_that_are_no_worse_than_chance_take_nothing_away():

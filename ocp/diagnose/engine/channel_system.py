@@ -163,15 +163,17 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Sealed:
-    """Predictions (r, k) SI for readings nobody has seen: believed cell refitted, corrected by the named effects, and one
-    sigma of the corrected one for the noise-free value. lacking: named effects that are left out of the correction, because the
-    conditions do not say what they depend on; their usual size is in sigma. patched, patched_sigma: the same with a patch (None:
-    there is none); inside (r,): whether all it varies with lies in its measured range."""
+    """Predictions (r, k) SI for readings nobody has seen: believed cell refitted, corrected by the named effects that are
+    written, and one sigma of the corrected one for the noise-free value; named: corrected by all names, written or not. lacking:
+    named effects that are left out of the correction, because the conditions do not say what they depend on; their usual size is
+    in sigma. patched, patched_sigma: the same with a patch (None: there is none); inside (r,): whether all it varies with lies in
+    its measured range."""
 
     baseline: Array
     corrected: Array
     sigma: Array
     lacking: tuple[str, ...] = ()
+    named: Array | None = None
     patched: Array | None = None
     patched_sigma: Array | None = None
     inside: NDArray[np.bool_] | None = None

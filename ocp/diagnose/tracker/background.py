@@ -7,8 +7,7 @@ as a population, joints alike (hierarchical normal prior, its size on a grid tha
     y = M sum_j d_j [ b_j s_j + c_j cos(k_j q_j) + d_j sin(k_j q_j) ] + e,    b_j ~ N(0, p^2),  c_j, d_j ~ N(0, r^2)        (1)
 
 y: projected residual of the fit, e: white, k_j: one order a joint, unknown. The sums over k_j are done joint by joint, each given
-what the others explain (mean field, Bishop 2006, section 10.1). What lasts in other ways is the share `OTHER_LASTS` of the rest,
-weighed by what repeats say.
+what the others explain (mean field, Bishop 2006, section 10.1). A gear may have further lines of that size.
 """
 
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ocp.diagnose.engine.evidence import Projection, project
-from ocp.diagnose.rules import BACKGROUND_SIZES, LINES_A_GEAR, NO_BACKGROUND, OTHER_LASTS
+from ocp.diagnose.rules import BACKGROUND_SIZES, LINES_A_GEAR, NO_BACKGROUND
 from ocp.diagnose.tracker.refit import Task, TrackerFit, usual_noise
 from robots.pose import Array
 from robots.tracker_readings import Index
@@ -26,7 +25,6 @@ ORDERS = np.arange(3, 301)  # waves per turn, as the catalogue's gear_harmonic
 SWEEPS = 3
 MOST = 400  # readings that are looked at, evenly taken
 DRAWS = 500
-_SHARES = (np.arange(200) + 0.5) / 200
 
 
 @dataclass(frozen=True)
@@ -60,8 +58,7 @@ def background(task: Task, fit: TrackerFit, seed: int = 0) -> Background:
     squares, sizes, others = _ripple(task.campaign.readings.q[rows], columns, projection, y, rng)
     found += 0.5 * squares
     levers = np.sum(D**2, axis=(0, 1))
-    found += _unseen(task, fit, found, levers, sizes, rng)[:, None]
-    return Background(found + _other(task, fit, found, levers, rng)[:, None], others)
+    return Background(_with_further(task, fit, found, found @ levers / levers.sum(), sizes, rng), others)
 
 
 def _projected(task: Task, fit: TrackerFit, rows: Index) -> tuple[Array, Array, Projection]:
@@ -113,13 +110,14 @@ class _Line:
     G: Array
 
 
-def _unseen(task: Task, fit: TrackerFit, found: Array, levers: Array, sizes: Array, rng: np.random.Generator) -> Array:
-    """Draws (k,) rad^2 of a gear's other lines: of the population's sizes (k,) rad, as far as the joint noise has room for them
-    beside what was `found` (k, 6) and the repeatability, which the residual was not asked for."""
+def _with_further(task: Task, fit: TrackerFit, found: Array, each: Array, sizes: Array, rng: np.random.Generator) -> Array:
+    """Draws (k, 6) rad^2 of what was found, `each` (k,) a joint on average, and of gears' further lines, which do not stand out:
+    none to two as large as the population's `sizes` (k,) rad, drawn again by how usual the repeatability is that is left."""
+    further = rng.integers(LINES_A_GEAR, size=DRAWS) * sizes**2
     usual, sd = usual_noise(task.repeats)
-    repeats = usual * np.exp(sd * rng.normal(size=len(sizes)))
-    room = fit.noise.joints**2 - found @ levers / levers.sum() - repeats**2
-    return np.asarray(np.clip(room, 0.0, (LINES_A_GEAR - 1) * sizes**2))
+    left = np.sqrt(np.maximum(fit.noise.joints**2 - each - further, 1e-3 * usual**2))
+    weight = np.exp(-0.5 * (np.log(left / usual) / sd) ** 2)
+    return np.asarray((found + further[:, None])[rng.choice(DRAWS, DRAWS, p=weight / weight.sum())])
 
 
 def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
@@ -186,18 +184,3 @@ def _amplitudes(weight: Array, mean: Array, V: Array, rng: np.random.Generator) 
     c = mean[0, pick] + root * one
     s = mean[1, pick] + slope * one + np.sqrt(np.maximum(V[1, pick] - slope**2, 0.0)) * other
     return np.asarray(c**2 + s**2)
-
-
-def _other(task: Task, fit: TrackerFit, found: Array, levers: Array, rng: np.random.Generator) -> Array:
-    """Draws (k,) rad^2 of what else lasts: a share of the joint noise beyond `found` (k, 6), joints weighed by their levers (6,)
-    m^2; the fewer the repeats, the more the prior says."""
-    rest = np.maximum(fit.noise.joints**2 - found @ levers / levers.sum(), 0.0)
-    prior = (OTHER_LASTS[0] - 1.0) * np.log(_SHARES) + (OTHER_LASTS[1] - 1.0) * np.log1p(-_SHARES)
-    repeats = task.repeats
-    if repeats is not None and repeats.freedom > 0 and fit.noise.joints > 0:
-        noise = float(np.sqrt(max(rest.mean(), 1e-18)))
-        # A scatter of v degrees of freedom is known to 1 / sqrt(2 v); half of it is the tracker's own noise.
-        sd = noise / np.sqrt(0.5 * repeats.freedom)
-        prior = prior - 0.5 * ((repeats.joints - noise * np.sqrt(1.0 - _SHARES)) / sd) ** 2
-    weight = np.exp(prior - logsumexp(prior))
-    return np.asarray(rest * rng.choice(_SHARES, DRAWS, p=weight))

@@ -347,11 +347,22 @@ def relearned(task: Task, fit: TrackerFit) -> Task:
             changed = True
     weights = np.append(layout.links, layout.payload[layout.payload >= 0]).astype(int)
     if len(weights):
-        usual, before = scale[weights], prior[weights]
-        seen = float(np.sum(1.0 - (sd[weights] / before) ** 2))
-        squares = float(np.sum((fit.offset[weights] / usual) ** 2))
-        width = min(1.0, float(np.sqrt((squares + rules.WEIGHTS_TRUST) / (seen + rules.WEIGHTS_TRUST))))
-        if abs(np.log(width * usual[0] / before[0])) > rules.RELEARNED_WIDTH:
-            prior[weights] = width * usual
+        before = float(prior[weights[0]] / scale[weights[0]])
+        unit = np.outer(scale[weights], scale[weights])
+        width = _width_of_weights(fit.offset[weights] / scale[weights], fit.covariance[np.ix_(weights, weights)] / unit, before)
+        if abs(np.log(width / before)) > rules.RELEARNED_WIDTH:
+            prior[weights] = width * scale[weights]
             changed = True
     return replace(task, layout=replace(layout, prior_sd=prior, scale=scale)) if changed else task
+
+
+def _width_of_weights(offset: Array, covariance: Array, before: float) -> float:
+    """Rms of the common width of weights over its posterior, by the evidence of what a fit with the prior width `before` made of
+    them, offset (w,) and covariance (w, w), all in units of `rules`."""
+    precision = np.linalg.inv(covariance)
+    seen, turn = np.linalg.eigh(precision - np.eye(len(offset)) / before**2)  # what the readings say without the prior
+    seen, pulled = np.maximum(seen, 0.0), turn.T @ (precision @ offset)
+    squares = rules.WEIGHT_WIDTHS[:, None] ** 2
+    log = 0.5 * (squares * pulled**2 / (1.0 + squares * seen) - np.log1p(squares * seen)).sum(axis=1)
+    weight = np.exp(log - log.max())
+    return float(np.sqrt(weight @ rules.WEIGHT_WIDTHS**2 / weight.sum()))

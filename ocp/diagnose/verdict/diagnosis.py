@@ -108,7 +108,7 @@ def findings(
         baseline=baseline,
         channels=channels,
         held_out=errors_of_folds(channels, active) if options.folds and active else {},
-        alternatives=alternatives(problem, search, found, (weighed, best), active),
+        alternatives=alternatives(problem, search, found, (weighed, best), active, signatures),
         patches=patches_of(problem, search, found.where) if found.p_unknown > rules.LEADS else (),
     )
 

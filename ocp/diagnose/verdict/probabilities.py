@@ -10,7 +10,8 @@ both names stand for one class. The prior keeps an effect from imitating another
 likeliest explanation. Explanations that fit the same readings may say different things of conditions nobody measured: a
 centre of mass that is wrong for one payload or for all of them, a ripple or an impostor of it. Averaged by their
 probabilities, no prediction has a smaller expected squared error (Hoeting et al. 1999, Bayesian model averaging). 'None' and
-'none of these' count as no effect beyond what is sure.
+'none of these' count as no effect beyond what is sure. Where a set lacks an accepted effect only because its background takes
+it, the machine has it all the same, under no name: it stays in that alternative.
 """
 
 from collections import defaultdict
@@ -131,19 +132,37 @@ def merged(classes: Iterable[tuple[Name, ...]]) -> tuple[tuple[Name, ...], ...]:
 
 
 def alternatives(
-    problem: Linearisation, search: Search, found: Posterior, chosen: tuple[Weighed, Names], active: tuple[Active, ...]
+    problem: Linearisation,
+    search: Search,
+    found: Posterior,
+    chosen: tuple[Weighed, Names],
+    active: tuple[Active, ...],
+    signatures: Sequence[Array],
 ) -> tuple[Alternative, ...]:
     """Sets of effects with probabilities that sum to one, the accepted one first; chosen: its set and names, active: the effects
-    with their values."""
+    with their values, signatures: theirs (N,)."""
     weighed, names = chosen
     if not active:
         return (Alternative(1.0, ()),)
     listed = _variants(problem, weighed, active, found.probability.get(names, 0.0))
-    listed.append(Alternative(found.p_none, ()))
+    families = problem.pool.families
+    nameless = max((k for k in search.sets if all(families[f].effect is None for f in k)), key=lambda k: search.sets[k].log)
+    others = [(found.p_none, search.sets[nameless])]
     for other, p in sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED + 1]:
         if other != names and p >= rules.FOLLOWED:
-            listed.append(Alternative(p, problem.values(search.sets[found.best[other]])))
+            others.append((p, search.sets[found.best[other]]))
+    for p, one in others:
+        listed.append(Alternative(p, (*problem.values(one), *_nameless(problem, one, active, signatures))))
     return _summed(listed)
+
+
+def _nameless(problem: Linearisation, other: Weighed, active: Sequence[Active], signatures: Sequence[Array]) -> list[Active]:
+    """Accepted effects, with these signatures (N,), that another set has in its background."""
+    names = {problem.pool.families[m.family].name for m in problem.named(other)}
+    there = given(problem.pool, [m for m in other.members if problem.pool.families[m.family].background])
+    left = [float(np.sum(there.after(d) ** 2)) for d in signatures]
+    taken = [rest < (1.0 - rules.IMITATED) * float(d @ d) for rest, d in zip(left, signatures, strict=True)]
+    return [a for a, yes in zip(active, taken, strict=True) if yes and Name(*a.key) not in names]
 
 
 def _variants(problem: Linearisation, weighed: Weighed, active: tuple[Active, ...], whole: float) -> list[Alternative]:
