@@ -210,8 +210,8 @@ def answer_world(folder: Path) -> dict[str, Any]:
     fault = None
     try:
         for signal, sealed in predict_sealed(answer).items():
-            parts = {"baseline": sealed.baseline, "corrected": sealed.corrected, "sigma": sealed.sigma}
-            predicted[signal] = {name: values.round(8).tolist() for name, values in parts.items()}
+            values = {name: getattr(sealed, name) for name in ("baseline", "corrected", "named", "sigma")}
+            predicted[signal] = {name: array.round(8).tolist() for name, array in values.items()}
     except FAULTS as error:
         fault = _fault(error)
     seconds = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu, **answer.seconds}

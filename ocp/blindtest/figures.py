@@ -234,16 +234,16 @@ def explainable(row: Row) -> bool:
     return bool(at and row["planted"] and 1 - at["floor"] / at["before"] > EXPLAINABLE)
 
 
-def shrinkage(row: Row) -> float:
-    """Realised at the sealed conditions."""
-    return 1.0 - float(row["realised"]["after"]) / float(row["realised"]["before"])
+def shrinkage(row: Row, by: str = "after") -> float:
+    """Realised at the sealed conditions, by what is written or ("named") by all names."""
+    return 1.0 - float(row["realised"][by]) / float(row["realised"]["before"])
 
 
 def _shrinkage(rows: Sequence[Row]) -> list[Figure]:
     named = [r for r in rows if explainable(r) and "diagnosis" in r and r["diagnosis"]["set"][0] == len(r["planted"])]
     parts = [[shrinkage(r), 1 - r["realised"]["floor"] / r["realised"]["before"]] for r in named]
     corrected = [r for r in rows if r.get("realised")]
-    said = [(r["shrinkage"], shrinkage(r)) for r in rows if explainable(r) and r.get("shrinkage")]
+    said = [(r["shrinkage"], shrinkage(r, "named")) for r in rows if explainable(r) and r.get("shrinkage")]
     named_said = [(s, x) for s, x in said if s["predicted"] != 0.0]
     explained = bootstrap(parts, lambda t: float(np.median(t[:, 0] / t[:, 1])))
     off = median([abs(s["predicted"] - x) for s, x in named_said])

@@ -127,15 +127,18 @@ def realised_shrinkage(machine: BlindMachine, effects: tuple[Planted, ...], answ
 
 def _realised(predictions: dict[str, Any], truth: Array, floor: Callable[[], float | None]) -> dict[str, float]:
     """Rms errors (m of points, N of forces) of predictions at the sealed conditions, of which `truth` (n, k) are the readings
-    without noise: before (the believed cell), after (the corrected one), floor: what is left where nothing was planted on the
-    same machine (None: nothing was); covered: share of values within 1.645 predicted standard deviations."""
-    baseline, corrected, sigma = (
-        np.asarray(predictions[k]).reshape(len(truth), -1)[:, : truth.shape[1]] for k in ("baseline", "corrected", "sigma")
+    without noise: before (the believed cell), after (the corrected one), named (all names, whether the corrected cell holds
+    them or not: theirs is the promise), floor: what is left where nothing was planted on the same machine (None: nothing was);
+    covered: share of values within 1.645 predicted standard deviations."""
+    baseline, corrected, named, sigma = (
+        np.asarray(predictions[k]).reshape(len(truth), -1)[:, : truth.shape[1]]
+        for k in ("baseline", "corrected", "named", "sigma")
     )
     before, left = rms(baseline - truth), floor()
     within = np.abs(corrected - truth) <= 1.6449 * np.maximum(sigma, 1e-9)
     least = before if left is None else left
-    return {"before": before, "after": rms(corrected - truth), "floor": least, "covered": float(within.mean())}
+    after, by_names = rms(corrected - truth), rms(named - truth)
+    return {"before": before, "after": after, "named": by_names, "floor": least, "covered": float(within.mean())}
 
 
 def _tracker_floor(machine: TrackerMachine) -> float:
