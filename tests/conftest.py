@@ -69,6 +69,17 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 @pytest.fixture(autouse=True, scope="session")
+def plans_made_anew(own_cache: None) -> Iterator[None]:
+    """Commands in this process take no whole plan from the cache: tests change what a plan is made by without its key knowing."""
+    from ocp.plan.kept import PlanKey
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PlanKey, "written_again", lambda *_: None)
+        patch.setattr(PlanKey, "keep", lambda *_: None)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def one_core_each(own_cache: None) -> Iterator[None]:
     """Each process of a parallel run keeps to one core, and so do the commands it starts: passes, contacts and pages are worked
     on in the process itself instead of in helpers that import everything once more and fight for the other's core."""

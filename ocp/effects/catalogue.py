@@ -15,9 +15,9 @@ from pathlib import Path
 
 import ocp.effects
 from ocp.effects.effect import Effect
+from ocp.shell.cache import OWN_EFFECTS
 from robots.errors import BadInput, shown
 
-OWN_EFFECTS = "GRINDPLAN_EFFECTS"  # environment: a folder with further effects, one a file; worker processes inherit it
 BEGIN, END = "<!-- table: python -m ocp.effects.catalogue docs/effects.md -->", "<!-- end of table -->"
 HOOKS = ("joint", "torque", "twist", "reading", "overlap", "push", "sensor", "shear", "along", "along_shear")
 

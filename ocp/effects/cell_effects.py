@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from ocp.effects.catalogue import OWN_EFFECTS, library
+from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect, Parameter, effect_named
 from ocp.effects.patch import patch_of
+from ocp.shell.cache import OWN_EFFECTS
 from robots.errors import shown
 from robots.pose import Array
 

@@ -34,7 +34,7 @@ def _plan(
     scheduler: Annotated[str | None, typer.Option(help="several blades, tcp://..: a Dask cluster plans them")] = None,
 ) -> None:
     """Plan the grinding of a blade: joints that hold the process force, KRL files and a report to look at first."""
-    from ocp.plan import interface, night  # heavy imports only once the arguments stand
+    from ocp.plan.interface import plan_unless_kept  # heavy imports only once the arguments stand
 
     several = len(blade or ()) > 1
 
@@ -55,7 +55,9 @@ def _plan(
         with shown_progress() as progress:
             if not several:
                 one: dict[str, Any] = {"path": path, "program": program, "name": name}
-                return answer(interface.plan(blade[0] if blade else None, **asked, **one, whole=whole, progress=progress))
+                return answer(plan_unless_kept(blade[0] if blade else None, **asked, **one, whole=whole, progress=progress))
+            from ocp.plan import night
+
             made = night.plan_night(blade or (), **asked, whole=whole, jobs=jobs, scheduler=scheduler, progress=progress)
             return answer(made, NOT_SOLVED if made.failed else OK)
 

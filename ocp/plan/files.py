@@ -10,6 +10,7 @@ import numpy as np
 
 from ocp.plan.accuracy import accuracy_columns, accuracy_rows
 from ocp.plan.grades import Grades, grade_force, grade_move
+from ocp.plan.kept import PACKAGES, line_of
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline, build_timeline, emitted_times, grinding_program, write_plan_csv, write_program
@@ -29,19 +30,21 @@ from ocp.shell.output import Output
 from ocp.shell.progress import Phases
 from trajectories.dialects import dialect_named
 
-PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild")
-
 
 @dataclass(frozen=True)
 class PlanResult:
-    """A plan whose written program was read back and found safe: the folder, the plan, what it promises, and the one line that
-    says what was written."""
+    """A plan whose written program was read back and found safe: the folder, the plan, what it promises, and what was written."""
 
     folder: Path
     plan: Plan
     readback: Readback
     grades: Grades
-    line: str
+    written: str
+
+    @property
+    def line(self) -> str:
+        """What was written, and where, in one line."""
+        return line_of(self.folder, self.written)
 
     @property
     def verdict(self) -> str:
@@ -66,7 +69,6 @@ class _Written:
 def write_plan(plan: Plan, output: Output, phases: Phases) -> PlanResult:
     """Write the folder of a plan. Raises BadInput and Infeasible of every part; then the folder is as it was."""
     output.reads(file for _, file in plan.inputs)
-    out = output.named
     with output.whole() as folder:
         plan, written = _verified(plan, folder, phases)
         with phases.phase("report"):
@@ -77,12 +79,11 @@ def write_plan(plan: Plan, output: Output, phases: Phases) -> PlanResult:
         with phases.phase("writing"):
             _write_json(plan, written, summary, grades, folder / "plan.json")
     dialect = dialect_named(plan.cell.controller.dialect)
-    line = (
-        f"{out}: {len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} {dialect.title} files, "
-        f"{grades.headline[0].lower()}{grades.headline[1:]} {grades.sentences()} "
-        f"Look at {out / 'report.html'} before anything moves."
+    told = (
+        f"{len(plan.motion.passes)} passes, {plan.waypoints} waypoints, {len(written.files)} {dialect.title} files, "
+        f"{grades.headline[0].lower()}{grades.headline[1:]} {grades.sentences()}"
     )
-    return PlanResult(out, plan, written.readback, grades, line)
+    return PlanResult(output.named, plan, written.readback, grades, told)
 
 
 def _verified(plan: Plan, folder: Path, phases: Phases) -> tuple[Plan, _Written]:

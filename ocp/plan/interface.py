@@ -1,14 +1,16 @@
 """`ocp.api.plan`: blade and cell in; a verified program, its table and a report out."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ocp.data import CELL
 from ocp.model.cell import files_of
-from ocp.plan.files import PlanResult, write_plan
-from ocp.plan.paths import PlanOptions
-from ocp.plan.planning import make_plan
+from ocp.plan.kept import KeptPlan, PlanKey
 from ocp.shell.output import reserved
 from ocp.shell.progress import Phases, Progress
+
+if TYPE_CHECKING:
+    from ocp.plan.files import PlanResult
 
 
 def plan(
@@ -25,7 +27,7 @@ def plan(
     step: float = 5e-4,
     whole: bool = False,
     progress: Progress | None = None,
-) -> PlanResult:
+) -> "PlanResult":
     """Plan the grinding of a blade (its STL; None: the cell's own) and write programs, table and report into the folder `out`.
 
     path: contact points made elsewhere, path.csv; program: an existing KRL program to take the path from; stock: a map of the
@@ -34,13 +36,40 @@ def plan(
     stretches out. Raises BadInput: an argument or a file is not what it should be; Infeasible: there is no safe plan. Nothing is
     written then.
     """
+    from ocp.plan.files import write_plan  # heavy: a kept plan does without
+    from ocp.plan.paths import PlanOptions
+    from ocp.plan.planning import make_plan
+
     chosen = PlanOptions(_path(path), _path(program), kind, name, step, whole=whole, stock=_path(stock))
-    files = [file for file in (_path(blade), chosen.path, chosen.program, chosen.stock) if file is not None]
-    if chosen.program is not None:
-        files += chosen.program.parent.glob("*.[sSdD][rRaA][cCtT]")  # the programs that it calls, and their positions
     phases = Phases(progress)
-    with reserved(Path(out), overwrite, [*files_of(Path(cell)), *files]) as output:
+    with reserved(Path(out), overwrite, _inputs(cell, blade, path, program, stock)) as output:
         return write_plan(make_plan(Path(cell), _path(blade), chosen, phases), output, phases)
+
+
+def plan_unless_kept(
+    blade: Path | None, *, out: Path, cell: Path, overwrite: bool, progress: Progress | None, **asked: Any
+) -> "PlanResult | KeptPlan":
+    """As `plan` with its further arguments in `asked`; where nothing has changed since it was planned, the kept folder."""
+
+    def key() -> PlanKey:
+        files = _inputs(cell, blade, asked.get("path"), asked.get("program"), asked.get("stock"))
+        return PlanKey.of(files, {"blade": blade, "cell": cell} | asked)
+
+    before = key()
+    again = before.written_again(out, overwrite)
+    if again is not None:
+        return again
+    made = plan(blade, out=out, cell=cell, overwrite=overwrite, progress=progress, **asked)
+    if key() == before:  # nobody wrote there meanwhile
+        before.keep(made.folder, made.written, made.notices, [file for _, file in made.plan.inputs])
+    return made
+
+
+def _inputs(cell: str | Path, blade: str | Path | None, *others: str | Path | None) -> list[Path]:
+    """Every file that planning reads: the cell's, those named, and the programs and positions beside a program."""
+    files = [Path(file) for file in (blade, *others) if file is not None]
+    called = [file for one in files if one.suffix.lower() == ".src" for file in one.parent.glob("*.[sSdD][rRaA][cCtT]")]
+    return [*files_of(Path(cell)), *files, *sorted(called)]
 
 
 def _path(given: str | Path | None) -> Path | None:

@@ -30,6 +30,7 @@ SUFFIX = ".kept"
 MOST_ENTRY = 1000 * MEGABYTE  # a plan's largest has some MB
 DIGEST = 32  # bytes of SHA-256 before the archive
 VARIABLE = "GRINDPLAN_CACHE"  # environment: another folder; empty = keep nothing
+OWN_EFFECTS = "GRINDPLAN_EFFECTS"  # environment: a folder with further effects, one a file; worker processes inherit it
 
 
 def content_key(*parts: Part) -> str:
@@ -142,14 +143,23 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-@cache
 def code_hash() -> str:
-    """Hash of the sources and the data of the three packages: so many of them shape a pass that any change counts."""
+    """Hash of the sources and the data of the three packages and of the user's own effects: so many of them shape a plan that any
+    change counts."""
+    own = os.environ.get(OWN_EFFECTS, "")
+    return _hash_of_packages() + (_hash_below(Path(own)) if own else "")
+
+
+@cache
+def _hash_of_packages() -> str:
+    return "".join(_hash_below(Path(__file__).parents[2] / package)[:16] for package in ("ocp", "robots", "trajectories"))
+
+
+def _hash_below(folder: Path) -> str:
     digest = hashlib.sha256()
-    for package in ("ocp", "robots", "trajectories"):
-        for file in sorted((Path(__file__).parents[2] / package).rglob("*")):
-            if file.suffix in (".py", ".toml"):
-                digest.update(file.read_bytes())
+    for file in sorted(folder.rglob("*")):
+        if "__pycache__" not in file.parts and file.is_file():
+            digest.update(file.read_bytes())
     return digest.hexdigest()
 
 

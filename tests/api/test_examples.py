@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ocp.effects
-from ocp.effects.catalogue import OWN_EFFECTS
+from ocp.shell.cache import OWN_EFFECTS
 from tests.support.house import ROOT
 from tests.support.small_plan import small_cell
 

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ocp.effects
-from ocp.effects.catalogue import OWN_EFFECTS, effects_table, forget_library, library, with_table
+from ocp.effects.catalogue import effects_table, forget_library, library, with_table
 from ocp.effects.cell_effects import effect_of, table_of
 from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine
 from ocp.effects.engine.evaluate import TrackerRows, arm_columns, arm_rows, arm_shift, tracker_columns
+from ocp.shell.cache import OWN_EFFECTS
 from robots.calibration.reading_model import RowInputs, predict
 from robots.errors import BadInput
 from tests.support.dropped_effect import dropped_effect
