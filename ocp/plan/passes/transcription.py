@@ -29,9 +29,7 @@ IPOPT = {
     "constr_viol_tol": 1e-6,  # mm of the force balance: a nanometre
     "acceptable_tol": 1e-5,
     "acceptable_constr_viol_tol": 1e-6,
-    "mu_strategy": "adaptive",
-    "adaptive_mu_globalization": "kkt-error",
-    "mu_min": 1e-8,
+    "mu_strategy": "monotone",
     "mu_init": 1e-3,
     "bound_push": 1e-4,  # the start is a good one: leave it where it is
     "bound_frac": 1e-4,
