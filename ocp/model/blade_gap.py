@@ -1,30 +1,24 @@
 """The gap between the wheel and the blade's real surface, where a quadratic is not enough: near edges, over a wide wheel.
 
-The surface comes as a fine cloud of points with normals. About a contact it is seen in the wheel's unrolled frame
-(x = R times the angle, y along the axis, height over the wheel's surface) and its departure from the local quadratic
-is interpolated linearly between neighbours; where there is no surface there is no blade.
+The surface comes as a fine cloud of points with normals; triangles between them are laid once (`ocp.model.blade_pieces`). About a
+contact they are seen in the wheel's unrolled frame (x = R times the angle, y along the axis, height over the wheel's surface);
+what departs from the local quadratic is linear in each of them. Where there is no surface there is no blade.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import cKDTree
 
 from ocp.contact.wheel.signorini import LocalShape
+from ocp.model.blade_pieces import Numbers, SurfacePieces, laid_pieces
 from ocp.model.cell import Wheel
-from robots.pose import Array, apply
+from robots.pose import Array, skew
 
-REACH = 0.026  # m about the planned point; beyond, the wheel has left the blade or `ocp.plan.clearance` speaks
-NEAR, THINNED = 0.011, 4  # m; farther out one point in four is enough, the gap there matters only if it closes
-FACING = 0.2  # smallest cosine between a point's normal and the wheel for it to be touched from this side
-# Longest side of a triangle between neighbours, near the contact and farther out. Longer ones close the outline of the cloud
-# across a corner or along an edge of the blade: there is no surface in them.
-LONGEST_NEAR, LONGEST_FAR = 2.5e-3, 6e-3  # m
+REACH = 0.026  # m about the planned point; what lies farther off is left to `ocp.plan.clearance`
+FACING = 0.2  # smallest cosine between a triangle's normal and the wheel for it to be touched from this side
 END_ZONE = 4e-3  # m at both ends of a pass where contacts are solved more densely
-DEGENERATE = 1000 * np.finfo(float).eps
-SHARPEST = 1e-9  # m; points this close in (x, y) are one for the triangulation
 
 
 @dataclass(frozen=True)
@@ -39,54 +33,130 @@ class SurfaceCloud:
         """Search tree of the points."""
         return cKDTree(self.points)
 
+    @cached_property
+    def surface(self) -> SurfacePieces:
+        """The triangles between the points."""
+        return laid_pieces(self.tree, self.normals)
+
+    def laid(self) -> "SurfaceCloud":
+        """Itself, the triangles at hand for every process that it is given to."""
+        _ = self.surface
+        return self
+
+
+@dataclass(frozen=True)
+class Chords:
+    """Where lines along x cross triangles: the number of each one's line (k,), x (k,) m of its left and of its right end, height
+    (k,) m of the left end, slope (k,) of the height along x."""
+
+    line: Numbers
+    left: Array
+    right: Array
+    height: Array
+    slope: Array
+
 
 @dataclass(frozen=True)
 class Departure:
-    """Heights over a triangulation of points in (x, y), linear in each triangle; inf outside and in triangles that are not
-    `sound` (k,)."""
+    """How far the blade's surface lies over the quadratic `base` about a contact (3,) in the blade frame, at the pose (4, 4) of
+    the blade; inf where no surface within REACH faces the wheel. The lines asked for last are at hand."""
 
-    triangles: Delaunay
-    heights: Array
-    sound: NDArray[np.bool_]
+    wheel: Wheel
+    surface: SurfacePieces
+    base: LocalShape
+    T_base_blade: Array
+    contact: Array
+    _latest: dict[bytes, Chords] = field(default_factory=dict)
 
-    def __call__(self, points: Array) -> Array:
-        """Height at points (..., 2)."""
-        flat = points.reshape(-1, 2)
-        found = self.triangles.find_simplex(flat)
-        inside = (found >= 0) & self.sound[found]
-        k = found[inside]
-        transform = self.triangles.transform[k]
-        two = np.einsum("nij,nj->ni", transform[:, :2], flat[inside] - transform[:, 2])
-        share = np.column_stack([two, 1.0 - two.sum(axis=1)])
-        out = np.full(len(flat), np.inf)
-        out[inside] = np.sum(share * self.heights[self.triangles.simplices[k]], axis=1)
-        return out.reshape(points.shape[:-1])
+    def at(self, x: Array, y: Array) -> Array:
+        """Height (n,) m over points x, y (n,) m."""
+        order = np.argsort(y)
+        chords = self._chords(y[order])
+        place = order[chords.line]
+        hit = (chords.left <= x[place]) & (x[place] < chords.right)
+        return self._least(len(x), chords, np.flatnonzero(hit), place[hit], x[place[hit]])
+
+    def on_grid(self, x: Array, y: Array) -> Array:
+        """Height (m, n) m over a grid of x (n,) m, rising evenly, and y (m,) m, rising."""
+        chords, step = self._chords(y), (x[-1] - x[0]) / (len(x) - 1)
+        first, end = (np.clip(np.ceil((v - x[0]) / step), 0, len(x)).astype(np.int64) for v in (chords.left, chords.right))
+        chord, column = ranges_joined(first, end)
+        return self._least(len(y) * len(x), chords, chord, chords.line[chord] * len(x) + column, x[column]).reshape(len(y), -1)
+
+    @staticmethod
+    def _least(count: int, chords: Chords, chord: Numbers, place: Numbers, x: Array) -> Array:
+        """Least heights (count,) m of chords at `place` by place, where the chords are at x; inf where there are none."""
+        out = np.full(count, np.inf)
+        np.minimum.at(out, place, chords.height[chord] + (x - chords.left[chord]) * chords.slope[chord])
+        return out
+
+    def _chords(self, y: Array) -> Chords:
+        key = y.tobytes()
+        if key not in self._latest:
+            self._latest.clear()
+            self._latest[key] = self._crossed(y)
+        return self._latest[key]
+
+    def _crossed(self, y: Array) -> Chords:
+        """Chords of the lines at y (n,) m, rising."""
+        wheel, R = self.wheel, self.T_base_blade[:3, :3]
+        v = R @ self.contact + self.T_base_blade[:3, 3] - wheel.centre
+        radial = v - (v @ wheel.axis) * wheel.axis
+        rho = float(np.sqrt(radial @ radial))
+        axis, e = wheel.axis @ R, radial @ R / rho  # in the blade's coordinates, as all from here on
+        belt = skew(axis) @ e
+        which = self._near(axis, e, y)
+        if not len(which):
+            return Chords(np.empty(0, np.int64), *np.empty((4, 0)))
+        part = self.surface.joined(which)
+        away = part.points - self.contact
+        across = away @ axis
+        above = np.searchsorted(y, across)  # lines from here on have the point below them
+        rows = [above.take(c) for c in part.corners]
+        first, end = np.minimum(np.minimum(*rows[:2]), rows[2]), np.maximum(np.maximum(*rows[:2]), rows[2])
+        crossed = np.flatnonzero(end > first)
+
+        along, out = away @ belt, away @ e + rho
+        x, height = wheel.radius * np.arctan2(along, out), np.sqrt(along * along + out * out) - rho
+        x[out < 0] = np.nan  # behind the wheel's axis
+        height -= self.base.gap(x, across)
+        corners = part.corners.take(crossed, axis=1)
+        (ax, bx, cx), (ay, by, cy) = ([values.take(c) for c in corners] for values in (x, across))
+        facing = (cx - ax) * (by - ay) - (bx - ax) * (cy - ay)
+        crossed = crossed[facing > FACING * part.double_area.take(crossed)]
+        triangle, line = ranges_joined(first.take(crossed), end.take(crossed))
+        triangle = crossed.take(triangle)
+        # One corner lies on one side of the line, two on the other.
+        below = [r.take(triangle) <= line for r in rows]
+        alone = np.where(below[0] == below[1], 2, np.where(below[0] == below[2], 1, 0))
+        flat, at = part.corners.ravel(), y.take(line)
+        one, *others = (flat.take((alone + k) % 3 * len(first) + triangle) for k in range(3))
+        x1, y1, h1 = x.take(one), across.take(one), height.take(one)
+        low, ends = at - y1, []
+        for other in others:
+            # The same bits from either end of a side: the triangles on both sides of it join without a gap.
+            y2 = across.take(other)
+            high, span = y2 - at, y2 - y1
+            ends.append(((x1 * high + x.take(other) * low) / span, (h1 * high + height.take(other) * low) / span))
+        (left, h), (right, other_h) = ends
+        slope = (other_h - h) / np.where(left == right, 1.0, right - left)
+        return Chords(line, np.minimum(left, right), np.maximum(left, right), np.where(right < left, other_h, h), slope)
+
+    def _near(self, axis: Array, e: Array, y: Array) -> Numbers:
+        """Pieces of the surface that may face the wheel between the outermost of the lines y."""
+        surface, away = self.surface, self.surface.middle - self.contact
+        across = away @ axis
+        near = np.einsum("ij,ij->i", away, away) < (REACH + surface.radius) ** 2
+        near &= (across + surface.radius > y[0]) & (across - surface.radius < y[-1])
+        near &= -(surface.facing @ e) > np.cos(np.minimum(surface.spread + np.arccos(FACING), np.pi))
+        return np.flatnonzero(near)
 
 
-def _departure(points: Array, heights: Array) -> Departure:
-    triangles = Delaunay(points)
-    triangles._transform = affine(points[triangles.simplices])
-    first, second, third = points[triangles.simplices.T]
-    sides = [np.sqrt(x * x + y * y) for x, y in ((first - third).T, (second - first).T, (third - second).T)]
-    near = np.hypot(*points.T)[triangles.simplices].max(axis=1) < NEAR
-    longest = np.where(near, LONGEST_NEAR, LONGEST_FAR)
-    sound = (np.maximum.reduce(sides) < longest) & np.isfinite(triangles.transform[:, 0, 0])
-    return Departure(triangles, heights, sound)
-
-
-def affine(corners: Array) -> Array:
-    """Transforms (k, 3, 2) of triangles with corners (k, 3, 2) to barycentric coordinates, nan where a triangle is degenerate: to
-    the last bit those of `Delaunay.transform`, which come one by one and take as long as the triangulation."""
-    away = corners[:, :2] - corners[:, 2:]
-    (a, b), (c, d) = away[:, 0].T, away[:, 1].T
-    determinant = a * d - b * c
-    size = np.maximum(np.abs(a) + np.abs(b), np.abs(c) + np.abs(d)) * np.maximum(np.abs(d) + np.abs(b), np.abs(c) + np.abs(a))
-    flat = ~(np.abs(determinant) >= DEGENERATE * size)  # reciprocal condition number in the 1-norm
-    away[flat] = np.eye(2)
-    found = np.empty(corners.shape)  # rows in order: SciPy reads it as it lies
-    found[:, :2], found[:, 2] = np.linalg.inv(away).swapaxes(1, 2), corners[:, 2]
-    found[flat, :2] = np.nan
-    return found
+def ranges_joined(first: Numbers, end: Numbers) -> tuple[Numbers, Numbers]:
+    """Of ranges first (k,) to end (k,) all numbers one after another, each with its range's."""
+    count = end - first
+    which = np.repeat(np.arange(len(count)), count)
+    return which, np.arange(len(which)) + (first - np.cumsum(count) + count).take(which)
 
 
 @dataclass(frozen=True)
@@ -100,8 +170,10 @@ class SurfaceShape(LocalShape):
         quadratic = LocalShape.gap(self, x, y)
         if self.departure is None:
             return quadratic
+        if x.size > 1 and x.shape == (1, x.size) and y.shape == (y.size, 1):
+            return np.asarray(quadratic + self.departure.on_grid(x[0], y[:, 0]))
         x, y = np.broadcast_arrays(x, y)
-        return np.asarray(quadratic + self.departure(np.stack([x, y], axis=-1)))
+        return np.asarray(quadratic + self.departure.at(x.ravel(), y.ravel()).reshape(x.shape))
 
 
 def surface_shape(wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_blade: Array, contact: Array) -> SurfaceShape:
@@ -109,19 +181,7 @@ def surface_shape(wheel: Wheel, cloud: SurfaceCloud, base: LocalShape, T_base_bl
 
     T_base_blade (4, 4) is the pose at which `base` was taken; docs/architecture.md has the frame.
     """
-    index = np.sort(np.asarray(cloud.tree.query_ball_point(contact, REACH), dtype=int))
-    far = np.linalg.norm(cloud.points[index] - contact, axis=1) > NEAR
-    index = index[~far | (index % THINNED == 0)]
-    n = cloud.normals[index] @ T_base_blade[:3, :3].T
-    lateral, radial, rho = wheel.cylindrical(apply(T_base_blade, np.vstack([contact, cloud.points[index]])))
-    e = radial[0] / rho[0]
-    angle = np.arctan2(radial @ np.cross(wheel.axis, e), radial @ e)
-    x, y = wheel.radius * angle, lateral - lateral[0]
-    height = rho - rho[0]
-    facing = np.sum(n * radial[1:], axis=1) / rho[1:] < -FACING
-    keep = np.concatenate([[True], facing & (np.hypot(x[1:], y[1:]) > SHARPEST)])
-    x, y, height = x[keep], y[keep], height[keep]
-    departure = _departure(np.column_stack([x, y]), height - base.gap(x, y))
+    departure = Departure(wheel, cloud.surface, base, T_base_blade, contact)
     return SurfaceShape(
         base.kxx, base.kyy, base.kxy, base.lateral, base.tilt_x, base.tilt_y, None, base.heading, departure=departure
     )

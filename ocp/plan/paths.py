@@ -156,7 +156,7 @@ def _cloud_of(shape: AerofoilShape, blade: Blade) -> SurfaceCloud:
     inner = off[enclosed(blade.vertices, blade.faces, off)]
     other, other_normals = _facet_points(blade.vertices, np.delete(blade.faces, inner, axis=0))
     apart = tree.query(other)[0] > CLOUD_SPACING
-    return SurfaceCloud(np.vstack([smooth, other[apart]]), np.vstack([*normals, other_normals[apart]]))
+    return SurfaceCloud(np.vstack([smooth, other[apart]]), np.vstack([*normals, other_normals[apart]])).laid()
 
 
 def _facet_points(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
