@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator, interp1d
 
 from ocp.contact.wheel.cover import Cover
-from ocp.contact.wheel.signorini import LocalShape, solve_force
+from ocp.contact.wheel.signorini import Contact, LocalShape, solve_force
 from ocp.effects.engine.evaluate import ARM_LAYOUT, ArmPlace, ArmRows, ContactPlace, added_overlap, arm_shift
 from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, contact_stations, surface_shape
 from ocp.model.cell import Cell
@@ -108,7 +108,7 @@ def verify_pass(
     planned = np.interp(s, path.s, path.force) if planned is None else planned
     changed = np.cumsum(np.abs(np.diff(planned, prepend=planned[0])))
     at = np.unique(np.clip(np.append(at, np.flatnonzero(np.diff(np.floor(changed / FORCE_SPACING)))), 0, len(s) - 1))
-    needed, slope = [], []
+    needed, slope, contact = [], [], None
     for k in at:
         waypoint = int(np.argmin(np.abs(path.s - s[k])))
         base = _local_shape(cell, path, waypoint, n_base[k], t_base[k], e[k], lateral[k])
@@ -118,7 +118,7 @@ def verify_pass(
         blade = compliance[waypoint]
         J = _jacobian(cell, believed, q_real[k], sample)
         linear = [_linear_compliance(cell, believed, J, sample, blade, mu) for mu in (wheel.friction, 1.0, 0.0)]
-        F, rate = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear)
+        F, rate, contact = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear, contact)
         slope.append(rate)
         needed.append(delta[k] - F * rate)
     # Where the chain's tangent meets no force varies smoothly, whatever the force; the overlap is judged at every millisecond.
@@ -256,15 +256,22 @@ class ContactSample:
 
 
 def _equilibrium(
-    cell: Cell, cover: Cover, shape: SurfaceShape, sample: ContactSample, delta: float, F: float, linear: list[Array]
-) -> tuple[float, float]:
+    cell: Cell,
+    cover: Cover,
+    shape: SurfaceShape,
+    sample: ContactSample,
+    delta: float,
+    F: float,
+    linear: list[Array],
+    beside: Contact | None,
+) -> tuple[float, float, Contact]:
     """Force N at an overlap delta m, by Newton from F, and m/N of the whole chain; linear: `_linear_compliance` with the
-    cell's friction, with 1 and with 0."""
+    cell's friction, with 1 and with 0; beside: a contact solved nearby. Returns the contact too."""
     push, stroke = _flange(cell, sample.T, sample.T[:3, :3] @ sample.n)
     rigid, give = np.split(linear[0], [2])
     rubbed = float(np.sum(linear[1][:2] - linear[2][:2]))
     for _ in range(FORCE_STEPS):
-        contact = solve_force(cover, F, shape)
+        contact = beside = solve_force(cover, F, shape, beside)
         free = (F * push - stroke[0]) * stroke[1]
         x = float(np.clip(free, -stroke[2], stroke[2]))  # at its stops the flange is rigid
         parts = (x * push, contact.indentation, *(F * rigid))
@@ -274,7 +281,7 @@ def _equilibrium(
         F = max(F + step, 0.05 * F)
         if abs(step) < FORCE_STEP_ENOUGH:
             break
-    return F, sum(slopes)
+    return F, sum(slopes), contact
 
 
 def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Array, lateral: float) -> LocalShape:

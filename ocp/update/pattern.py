@@ -101,7 +101,7 @@ class GroundLog:
         part, F = self.rows.take(at[chosen]), np.maximum(self.force[at[chosen]], self.model.least_force)
         state = self.model.evaluate("state", PlacedRows.of(self.model.cell, part, theta), F)
         solved: list[list[Contact]] = [[] for _ in range(1 + len(MOVES) * derivatives)]
-        headings, wheel = [], wheel_at(self.model.cell.wheel, theta)
+        headings, wheel, contact = [], wheel_at(self.model.cell.wheel, theta), None
         for k in range(len(chosen)):
             T = state[k, STATE["T"]].reshape(4, 4)
             headings.append(_heading(wheel, T, part.waypoint[k]))
@@ -112,7 +112,8 @@ class GroundLog:
             force = F[k] / (1.0 + theta[COVER])
             shapes, forces = (shape, *moved, shape), (*[force] * (1 + len(moved)), force / np.exp(MOVES[-1]))
             for contacts, one, under in zip(solved, shapes, forces, strict=False):
-                contacts.append(solve_force(self.cover, float(under), one))
+                contact = solve_force(self.cover, float(under), one, contact)
+                contacts.append(contact)
         # Together, so that all lie on one grid.
         every = line_patches(np.tile(way[chosen], len(solved)), [c for one in solved for c in one], headings * len(solved))
         patches = [

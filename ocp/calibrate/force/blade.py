@@ -256,6 +256,7 @@ def _departure(
     flat = LocalShape(kxx, kyy, kxy, lateral, tilt_x, tilt_y, heading=(float(t @ belt), float(t @ wheel.axis)))
     real = surface_shape(wheel, cloud, flat, T, rows.waypoint[k, :3])
     try:
-        return solve_force(cover, force, real).indentation - solve_force(cover, force, flat).indentation
+        contact = solve_force(cover, force, real)
+        return contact.indentation - solve_force(cover, force, flat, contact).indentation
     except Infeasible:
         return float("nan")

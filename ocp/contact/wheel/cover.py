@@ -190,6 +190,11 @@ class Cover:
         """Displacement (n_y, n_y, n_x) of cell (i, x + lag) under a unit force on cell (j, x), m/N."""
         return np.ascontiguousarray(np.fft.irfft(self.spectrum, len(self.x), axis=0).transpose(1, 2, 0))
 
+    @cached_property
+    def lagged(self) -> Array:
+        """`kernel` (n_y, n_y, 2 n_x - 1) with the lags from 1 - n_x on."""
+        return np.concatenate([self.kernel[..., :0:-1], self.kernel], axis=2)
+
     @property
     def area(self) -> Array:
         """Cell areas (n_y, 1), m^2."""
@@ -197,9 +202,9 @@ class Cover:
 
     def displace(self, force: Array) -> Array:
         """Radial displacement (n_y, n_x) m under cell forces (n_y, n_x) N."""
-        waves = np.fft.rfft(force, axis=1).T[:, :, None]
-        moved = np.matmul(self.spectrum, waves)[:, :, 0]
-        return np.fft.irfft(moved.T, len(self.x), axis=1)
+        waves = np.ascontiguousarray(np.fft.rfft(force, axis=1).T)
+        moved = np.matmul(self.spectrum, waves.view(float).reshape(*waves.shape, 2))  # real and imaginary part
+        return np.fft.irfft((moved[..., 0] + 1j * moved[..., 1]).T, len(self.x), axis=1)
 
     def softer(self, modulus: float) -> "Cover":
         """The same cover with another modulus (Pa): compliance goes as 1/E."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from ocp.contact.wheel.cover import Cover
 from robots.errors import Infeasible
@@ -48,23 +48,27 @@ class Contact:
     touches_border: bool
 
 
-def solve_contact(cover: Cover, gap: Array, force: float) -> Contact:
-    """Contact under `force` N for a gap (n_y, n_x) m given as cell means, inf where there is no blade.
+def solve_contact(cover: Cover, gap: Array, force: float, beside: Contact | None = None) -> Contact:
+    """Contact under `force` N for a gap (n_y, n_x) m given as cell means, inf where there is no blade; `beside`: one like it, the
+    cells of which are tried first.
 
     Raises Infeasible where no blade lies over the wheel.
     """
-    if not np.isfinite(gap).any():
+    there = np.isfinite(gap)
+    if not there.any():
         raise Infeasible("no part of the blade lies over the wheel at this contact point; move the contact on the wheel")
     if force <= 0:
         zero = np.zeros((len(cover.y), len(cover.x)))
         return Contact(float(gap.min()), 0.0, 0.0, np.zeros(2), np.zeros(2), zero, zero, cover.x, cover.y, 0.0, False)
-    active = _first_guess(cover, gap, force)
+    tried = None if beside is None else there & (beside.pressure > 0)
+    active = _first_guess(cover, gap, force) if tried is None or not tried.any() else tried
     best, patience = gap.size + 1, PATIENCE
     for _ in range(MAX_PIVOTS):
         f, rise, d = _equilibrium(cover, gap, active, force)
         field = np.zeros_like(gap)
         field[active] = f
-        opening = cover.displace(field) + gap - d
+        moved = cover.displace(field)
+        opening = moved + gap - d
         scale = np.abs(f).mean()
         pull = active.copy()
         pull[active] = f < -FORCE_ROUNDING * scale
@@ -72,7 +76,7 @@ def solve_contact(cover: Cover, gap: Array, force: float) -> Contact:
         wrong = pull | overlap
         count = int(np.count_nonzero(wrong))
         if count == 0:
-            return _summary(cover, field, rise, active, opening, d)
+            return _summary(cover, field, rise, active, opening, moved, d)
         if count < best:
             best, patience = count, PATIENCE
         else:
@@ -104,17 +108,18 @@ def _first_guess(cover: Cover, gap: Array, force: float) -> Mask:
 def _equilibrium(cover: Cover, gap: Array, active: Mask, force: float) -> tuple[Array, Array, float]:
     """Forces on the active cells that close the gap there, their rise per metre of indentation, and the indentation."""
     i, m = np.nonzero(active)
-    rows, _, lags = cover.kernel.shape
-    places = (rows * lags * i)[:, None] + (lags * i)[None, :] + np.abs(m[:, None] - m[None, :])
-    C = cover.kernel.ravel().take(places)  # kernel[i, i, lag], in half the time of three indices
-    factor = cho_factor(C, lower=True, overwrite_a=True, check_finite=False)
-    solution = cho_solve(factor, np.column_stack([gap[active], np.ones(len(i))]), check_finite=False)
+    rows, _, lags = cover.lagged.shape
+    places = (rows * lags * i + m)[:, None] + (lags * i - m + lags // 2)[None, :]
+    C = cover.lagged.ravel().take(places)  # lagged[i, j, m - m'], in half the time of three indices
+    _, solution, failed = dposv(C, np.column_stack([gap[active], np.ones(len(i))]), lower=True, overwrite_a=True)
+    if failed:
+        raise np.linalg.LinAlgError("the cover's compliance is not positive definite")
     resting, rise = solution.T
     d = (force + resting.sum()) / rise.sum()
     return d * rise - resting, rise, float(d)
 
 
-def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Array, d: float) -> Contact:
+def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Array, moved: Array, d: float) -> Contact:
     """The solution's figures."""
     force = float(field.sum())
     x, y = cover.x[None, :], cover.y[:, None]
@@ -127,9 +132,7 @@ def _summary(cover: Cover, field: Array, rise: Array, active: Mask, opening: Arr
     axes[1] = min(axes[1], 0.5 * cover.geometry.width)
     columns = np.flatnonzero(active.any(axis=0))
     residual = max(
-        float(np.abs(opening[active]).max()) / float(np.abs(cover.displace(field)).max()),
-        float(-field.min() / field[active].mean()),
-        0.0,
+        float(np.abs(opening[active]).max()) / float(np.abs(moved).max()), float(-field.min() / field[active].mean()), 0.0
     )
     at_border = bool(columns[0] == 0 or columns[-1] == len(cover.x) - 1)
     fields = field / cover.area, response, cover.x, cover.y
@@ -165,8 +168,8 @@ class LocalShape:
         return g
 
 
-def solve_force(cover: Cover, force: float, shape: LocalShape) -> Contact:
-    """Indentation that gives `force` N, at the planned point of `shape`.
+def solve_force(cover: Cover, force: float, shape: LocalShape, beside: Contact | None = None) -> Contact:
+    """Indentation that gives `force` N, at the planned point of `shape`; `beside` of `solve_contact`.
 
     Raises Infeasible where the blade is hollow along the belt (kxx <= 0): it then touches elsewhere.
     """
@@ -180,7 +183,7 @@ def solve_force(cover: Cover, force: float, shape: LocalShape) -> Contact:
     x = cover.x + origin
     gap = shape.gap(x[None, :], y[:, None])
     gap = gap + (shape.kxx * cover.dx**2 + shape.kyy * cover.dy[:, None] ** 2) / 24  # cell mean of the quadratic part
-    contact = solve_contact(cover, gap, force)
+    contact = solve_contact(cover, gap, force, beside)
     centroid = contact.centroid + np.array([origin, -shape.lateral]) if contact.force > 0 else contact.centroid
     return replace(contact, centroid=centroid, x=x, y=y)
 

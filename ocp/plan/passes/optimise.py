@@ -86,7 +86,7 @@ def solve_directly(ground: Ground, problem: PassProblem, force: Array, solved: E
     bearing = np.flatnonzero(force >= LEAST_DIRECT * path.force)
     along = -wheel.travel * ground.cell.process.sigma  # zero turn: the blade moves with the belt or against it
     index = bearing[contact_stations(path.s[bearing], STATION_SPACING)]
-    indentation = []
+    contact, indentation = None, []
     for k in index:
         kxx, kyy, kxy = (float(c) for c in solved.curvature[k])
         tilt_x, tilt_y = (float(c) for c in solved.tilt[k])
@@ -94,10 +94,11 @@ def solve_directly(ground: Ground, problem: PassProblem, force: Array, solved: E
         base = LocalShape(kxx, kyy, kxy, float(solved.lateral[k]), tilt_x, tilt_y, heading=heading)
         shape = surface_shape(wheel, ground.cloud, base, solved.T_base_blade[k], path.p[k])
         try:
-            indentation.append(solve_force(ground.cover, float(force[k]), shape).indentation)
+            contact = solve_force(ground.cover, float(force[k]), shape, contact)
         except Infeasible as error:
             here = np.abs(path.s - path.s[k]) <= 0.5 * STATION_SPACING
             raise CannotGrind.of(path, here, str(error), "use a narrower wheel or larger margins", int(k)) from None
+        indentation.append(contact.indentation)
     more = PchipInterpolator(path.s[index], np.array(indentation) - solved.parts[index, 1])
     inside = np.clip(np.arange(len(force)), index[0], index[-1])
     better = problem.indentation_correction + more(path.s)

@@ -105,7 +105,8 @@ def contacts_along(
     Raises Infeasible of the contact solver, with the waypoint; `passed_over`: such waypoints are, None where all of them are.
     """
     along = -cell.wheel.travel * cell.process.sigma  # zero turn: the blade moves with the belt or against it
-    at, contacts, headings = [], [], []
+    at, headings = [], []
+    contacts: list[Contact] = []
     for k in index:
         kxx, kyy, kxy = (float(c) for c in seen.curvature[k])
         tilt_x, tilt_y = (float(c) for c in seen.tilt[k])
@@ -113,7 +114,7 @@ def contacts_along(
         base = LocalShape(kxx, kyy, kxy, float(seen.lateral[k]), tilt_x, tilt_y, heading=heading)
         shape = surface_shape(cell.wheel, cloud, base, seen.T_base_blade[k], path.p[k])
         try:
-            contacts.append(solve_force(cover, float(path.force[k]), shape))
+            contacts.append(solve_force(cover, float(path.force[k]), shape, contacts[-1] if contacts else None))
         except Infeasible as error:
             if passed_over:
                 continue
@@ -133,14 +134,15 @@ def planned_patches(cell: Cell, cover: Cover, path: BladePath) -> LinePatches | 
     along = -cell.wheel.travel * cell.process.sigma
     heading = (along * float(np.cos(path.turn)), along * float(np.sin(path.turn)))
     curvature = np.transpose(turned_curvature(path.curvature, np.array(path.turn), cell.wheel.radius))
-    at, contacts = [], []
+    at = []
+    contacts: list[Contact] = []
     for k in contact_stations(path.s, 2.0 * STATION_SPACING):
         if path.extent[k].max() < CELL:
             continue
         kxx, kyy, kxy = (float(c) for c in curvature[k])
         shape = LocalShape(kxx, kyy, kxy, extent=path.extent[k], heading=heading)
         with suppress(Infeasible):
-            contacts.append(solve_force(cover, float(path.force[k]), shape))
+            contacts.append(solve_force(cover, float(path.force[k]), shape, contacts[-1] if contacts else None))
             at.append(path.s[k])
     return line_patches(np.array(at), contacts, [heading] * len(at)) if at else None
 
