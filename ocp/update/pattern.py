@@ -68,24 +68,26 @@ class GroundLog:
         """h (m,) Pa m of eq. 1 at points p (m, 3) m with normals n (m, 3). Raises Infeasible of the contact solver."""
         tree, total = cKDTree(p), np.zeros(len(p))
         for run in self._runs(theta, derivatives=False):
-            row, point, pressure = pressures(tree, n, run.moments, run.patches)
-            total += np.bincount(point, pressure * (run.moments.force * run.moments.slide)[row], minlength=len(p))
+            total += self._by_moment(run.moments, run.patches, tree, n) @ np.ones(len(run.moments.s))
         return total
 
     def pattern(self, theta: Array, sd: Array, p: Array, n: Array) -> tuple[Array, Array]:
         """h (m,) of `work` and its derivatives (m, k) in theta (k,), zero where sd (k,) is. Raises as `work`."""
         tree, work, slopes = cKDTree(p), np.zeros(len(p)), np.zeros((len(p), len(theta)))
         for run in self._runs(theta, derivatives=True):
-            moments = run.moments
-            weight = moments.force * moments.slide
-            row, point, pressure = pressures(tree, n, moments, run.patches)
-            work += np.bincount(point, pressure * weight[row], minlength=len(p))
+            still, *moved = (self._by_moment(run.moments, patches, tree, n) for patches in (run.patches, *run.moved))
+            work += still @ np.ones(still.shape[1])
             by = self._state_by(run, theta, sd)
-            for c, (one, step) in enumerate(zip(run.moved, MOVES, strict=True)):
-                change = (pressures(tree, n, moments, one)[2] - pressure) * weight[row] / step
-                at = np.array([np.interp(moments.s, run.way, column) for column in by[:, c].T])
-                slopes += csr_matrix((change, (point, row)), shape=(len(p), len(moments.s))) @ at.T
+            for c, (one, step) in enumerate(zip(moved, MOVES, strict=True)):
+                at = np.array([np.interp(run.moments.s, run.way, column) for column in by[:, c].T])
+                slopes += (one - still) @ (at.T / step)
         return work, slopes
+
+    @staticmethod
+    def _by_moment(moments: ContactRows, patches: LinePatches, tree: cKDTree, n: Array) -> csr_matrix:
+        """What every moment (r,) adds to h at the points (m,) of a tree with normals (m, 3): (m, r)."""
+        row, point, pressure = pressures(tree, n, moments, patches)
+        return csr_matrix((pressure * (moments.force * moments.slide)[row], (point, row)), shape=(len(n), len(moments.s)))
 
     def _runs(self, theta: Array, derivatives: bool) -> list[RunFootprints]:
         found = []

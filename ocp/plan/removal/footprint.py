@@ -11,6 +11,7 @@ so that depth is linear in r (docs/process.md, eq. 1 to 3). phi comes from the c
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -80,14 +81,19 @@ class LinePatches:
 
         The patch grows as the cube root of the force (n,) N about its planned point (Hertz; force > 0).
         """
-        index = np.interp(s, self.at, np.arange(len(self.at)))
-        below = np.minimum(index.astype(int), max(len(self.at) - 2, 0))
-        above = np.minimum(below + 1, len(self.at) - 1)
-        weight = index - below
-        size = np.cbrt(force / np.interp(s, self.at, self.force))
+        size, index = self.size(s, force), np.interp(s, self.at, np.arange(len(self.at)))
         place = [(v / size - self.x[0]) / (self.x[1] - self.x[0]) for v in (along, across)]
-        low, high = (map_coordinates(self.share, [k, *place], order=1, mode="constant") for k in (below, above))
-        return np.asarray(((1.0 - weight) * low + weight * high) / size**2)
+        return np.asarray(map_coordinates(self.share, [index, *place], order=1, mode="constant") / size**2)
+
+    def size(self, s: Array, force: Array) -> Array:
+        """How much larger (n,) the patch is at arc lengths s (n,) m under the force (n,) N than that under the programmed one."""
+        return np.cbrt(force / np.interp(s, self.at, self.force))
+
+    @cached_property
+    def reach(self) -> float:
+        """Distance m from the planned point beyond which no patch presses under the programmed force."""
+        pressed = np.hypot(*np.meshgrid(self.x, self.x))[(self.share > 0).any(axis=0)]
+        return float(pressed.max() + np.sqrt(2.0) * (self.x[1] - self.x[0]))
 
 
 def contacts_along(
