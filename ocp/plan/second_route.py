@@ -108,16 +108,19 @@ def verify_pass(
     planned = np.interp(s, path.s, path.force) if planned is None else planned
     changed = np.cumsum(np.abs(np.diff(planned, prepend=planned[0])))
     at = np.unique(np.clip(np.append(at, np.flatnonzero(np.diff(np.floor(changed / FORCE_SPACING)))), 0, len(s) - 1))
+    waypoint = np.abs(path.s - s[at, None]).argmin(axis=1)
+    J = _jacobian(cell, believed, q_real[at], on_path["p"][at])
+    pushed = [
+        _linear_compliance(cell, believed, J, e[at], n_base[at], t_base[at], compliance[waypoint], mu)
+        for mu in (wheel.friction, 1.0, 0.0)
+    ]
     needed, slope, contact = [], [], None
-    for k in at:
-        waypoint = int(np.argmin(np.abs(path.s - s[k])))
-        base = _local_shape(cell, path, waypoint, n_base[k], t_base[k], e[k], lateral[k])
+    for i, k in enumerate(at):
+        base = _local_shape(cell, path, int(waypoint[i]), n_base[k], t_base[k], e[k], lateral[k])
         shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
         here = {name: value[k] for name, value in seen.items()}
         sample = ContactSample(cell, on_path["p"][k], n[k], t[k], T[k], e[k], float(lateral[k]), base, here)
-        blade = compliance[waypoint]
-        J = _jacobian(cell, believed, q_real[k], sample)
-        linear = [_linear_compliance(cell, believed, J, sample, blade, mu) for mu in (wheel.friction, 1.0, 0.0)]
+        linear = [one[i] for one in pushed]
         F, rate, contact = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear, contact)
         slope.append(rate)
         needed.append(delta[k] - F * rate)
@@ -145,8 +148,10 @@ def gaps(
         if cell.effects:
             base = _local_shape(cell, path, at, R @ n, R @ t, e, lateral[k])
             sample = ContactSample(cell, p, n, t, pose, e, float(lateral[k]), base, {name: v[k] for name, v in seen.items()})
-            J = _jacobian(cell, believed, q_real[k], sample)
-            rigid = _linear_compliance(cell, believed, J, sample, compliance, wheel.friction)
+            J = _jacobian(cell, believed, q_real[k : k + 1], p[None])
+            rigid = _linear_compliance(
+                cell, believed, J, e[None], (R @ n)[None], (R @ t)[None], compliance[None], wheel.friction
+            )[0]
             left[k] -= sample.overlap(0.0, (out, 0.0, 0.0, 0.0), (push**2 * give, 0.0, *rigid[:2]), 0.0, 0.0 * rigid[2:])
     return np.asarray(left)
 
@@ -302,25 +307,28 @@ def _local_shape(cell: Cell, path: BladePath, k: int, n: Array, t: Array, e: Arr
     )
 
 
-def _jacobian(cell: Cell, believed: BelievedRobot, q: Array, at: ContactSample) -> Array:
-    """How the contact point moves with the joints q (6,), (3, 6) m/rad."""
-    nudged = q + DIFFERENCE * np.vstack([np.eye(6), -np.eye(6)])
-    points = apply(elementary_forward(believed.robot, nudged) @ cell.workpiece.T_flange_blade, at.p)
-    return np.asarray(((points[:6] - points[6:]) / (2 * DIFFERENCE)).T)
+def _jacobian(cell: Cell, believed: BelievedRobot, q: Array, p: Array) -> Array:
+    """How the contact points p (m, 3) in the blade frame move with the joints q (m, 6), (m, 3, 6) m/rad."""
+    nudged = q[:, None] + DIFFERENCE * np.vstack([np.eye(6), -np.eye(6)])
+    T = elementary_forward(believed.robot, nudged).reshape(-1, 12, 4, 4) @ cell.workpiece.T_flange_blade
+    points = apply(T, p[:, None])
+    return np.asarray((points[:, :6] - points[:, 6:]) / (2 * DIFFERENCE)).swapaxes(1, 2)
 
 
-def _linear_compliance(cell: Cell, believed: BelievedRobot, J: Array, at: ContactSample, blade: Array, friction: float) -> Array:
-    """Displacement of the contact per newton (8,): m/N from the blade with its fixture, and from joints (PHYSICS 3.1); m^2 from
+def _linear_compliance(
+    cell: Cell, believed: BelievedRobot, J: Array, e: Array, n: Array, t: Array, blade: Array, friction: float
+) -> Array:
+    """Displacement of contacts per newton (m, 8): m/N from the blade with its fixture, and from joints (PHYSICS 3.1); m^2 from
     each joint per rad/(N m) of its compliance.
 
-    J: of `_jacobian`; blade (3,) m/N: its compliance c_nn, c_nt, c_nb there.
+    J (m, 3, 6) of `_jacobian`; e, n, t (m, 3): outward radial, normal and feed in the base frame; blade (m, 3) m/N: its
+    compliance c_nn, c_nt, c_nb there.
     """
-    wheel, e = cell.wheel, at.e
-    f = e + friction * np.cross(wheel.axis, e) * np.sign(wheel.belt_speed)
-    n, t = at.T[:3, :3] @ at.n, at.T[:3, :3] @ at.t
-    held = blade[0] * -(f @ n) + blade[1] * (f @ t) + blade[2] * (f @ np.cross(n, t))
-    give = (e @ J) * (J.T @ f)
-    return np.array([float(held) + 1.0 / cell.workpiece.clamp_stiffness, believed.compliance @ give, *give])
+    f = e + friction * np.cross(cell.wheel.axis, e) * np.sign(cell.wheel.belt_speed)
+    along = [np.einsum("ij,ij->i", f, v) for v in (-n, t, np.cross(n, t))]
+    held = np.einsum("ij,ji->i", blade, np.array(along))
+    give = np.einsum("ij,ijk->ik", e, J) * np.einsum("ijk,ij->ik", J, f)
+    return np.column_stack([held + 1.0 / cell.workpiece.clamp_stiffness, give @ believed.compliance, give])
 
 
 def _flange(cell: Cell, T_base_blade: Array, n: Array) -> tuple[float, tuple[float, float, float]]:

@@ -217,6 +217,16 @@ def test_indentation_settles_as_the_cells_shrink(finer, name):
     assert abs(d[0] - d[2]) < 0.02 * local
 
 
+@pytest.mark.parametrize("beside", SHAPES)
+def test_the_cells_that_are_tried_first_do_not_show(small, beside):
+    """Cells of another blade, at another place of the wheel and partly where this one has no surface."""
+    first = solve_force(small, 33.0, SHAPES[beside])
+    for shape in SHAPES.values():
+        from_there, anew = solve_force(small, 20.0, shape, first), solve_force(small, 20.0, shape)
+        assert from_there.indentation == anew.indentation
+        np.testing.assert_array_equal(from_there.pressure, anew.pressure)
+
+
 def test_order_of_convergence():
     """Fixed smooth pressure: the energy's error falls at least with the square of the cell."""
     energy = []
