@@ -259,7 +259,7 @@ def test_a_worker_cuts_solves_and_names_until_nothing_is_left_to_try(monkeypatch
     """The optimiser fails between 50 and 56 mm of every path that holds them."""
     tried = []
 
-    def solve(self, path, seeds, compliance):
+    def solve(self, path, seeds, compliance, looked):
         tried.append((path.start, path.start + path.s[-1]))
         s = path.start + path.s
         bad = (s > 0.050) & (s < 0.056)

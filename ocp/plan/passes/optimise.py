@@ -174,14 +174,19 @@ class PassWorker:
         self.solver = PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
         self.scene = CollisionScene(ground.cell, ground.vertices)
 
-    def solve(self, path: BladePath, seeds: list[Seed], compliance: Array) -> SolvedPass:
-        """The first seed that gives a sound pass. Raises Infeasible with the first seed's reason where none does."""
+    def solve(self, path: BladePath, seeds: list[Seed], compliance: Array, looked: DrivenLine | None = None) -> SolvedPass:
+        """The first seed that gives a sound pass; `looked`: the line at the first seed's postures, at whatever feed.
+
+        Raises Infeasible with the first seed's reason where none does.
+        """
         reasons: list[Infeasible] = []
+        line = None if self.ground.cell.effects else looked  # with effects postures may go with the feed
         for seed in seeds[:FALLBACKS]:
             problem = _from_seed(path, seed, compliance)
             for led, limit in ATTEMPTS if path.room_before or path.room_after else ATTEMPTS[1:]:
                 try:
-                    whole = self._whole_way(problem, self._driven(problem), led)
+                    line = line or self._driven(problem)
+                    whole = self._whole_way(problem, line, led)
                     one = self._solve(replace(whole, turn_limit=limit * self.ground.cell.process.turn_tolerance))
                     refuse_ends(self.ground.cell, self.scene, one)
                     return one
@@ -190,11 +195,14 @@ class PassWorker:
                     reasons.append(error.turned_round() if isinstance(error, CannotGrind) and turned else error)
                     if not led and not isinstance(error, TouchesElsewhere):
                         break
+            line = None
         # What takes the least of the line away.
         raise min(reasons, key=lambda e: e.nodes(path.s).sum() if isinstance(e, CannotGrind) and len(e.at) else len(path.s))
 
-    def solve_stretch(self, stretch: LineStretch, seeds: list[Seed], whole: bool) -> GroundLines:
-        """All that can be ground of a piece of a line, and what is left out of it; `whole`: all of it.
+    def solve_stretch(
+        self, stretch: LineStretch, seeds: list[Seed], whole: bool, looked: DrivenLine | None = None
+    ) -> GroundLines:
+        """All that can be ground of a piece of a line, and what is left out of it; `whole`: all of it; `looked` of `look`.
 
         Pieces that are cut off begin from seeds of their own. Raises Infeasible where `whole` cannot be, as `solve` does.
         """
@@ -206,7 +214,7 @@ class PassWorker:
                 if not starts:
                     ranked = find_seeds(self.ground.cell, self.scene, self.ground.law, [one.path])[0]
                     starts = driven(one.path, ranked, seeds[0].direction)
-                found.append(self.solve(one.path, starts, one.compliance))
+                found.append(self.solve(one.path, starts, one.compliance, looked if one is stretch else None))
             except Infeasible as error:
                 if whole:
                     raise
@@ -352,9 +360,9 @@ def _look_in_worker(stretch: LineStretch, seed: Seed) -> DrivenLine | None:
     return _worker.look(stretch, seed)
 
 
-def _solve_in_worker(stretch: LineStretch, seeds: list[Seed], whole: bool) -> GroundLines:
+def _solve_in_worker(stretch: LineStretch, seeds: list[Seed], whole: bool, looked: DrivenLine | None) -> GroundLines:
     assert _worker is not None
-    return _worker.solve_stretch(stretch, seeds, whole)
+    return _worker.solve_stretch(stretch, seeds, whole, looked)
 
 
 def solve_passes(
@@ -373,21 +381,24 @@ def solve_passes(
     compile_model(ground.cell, ground.law, ground.theta, ground.weights, [one.path for one in stretches])
     jobs = min(cores(), len(stretches))
     starts = [options[0] for options in seeds]
+    looked: Sequence[DrivenLine | None] = [None] * len(stretches)
     if jobs <= 1:
         worker = PassWorker(ground)
         if feeds is not None:
             looked = [worker.look(*task) for task in zip(stretches, starts, strict=True)]
             stretches = _at_feeds(stretches, starts, feeds(looked))
         solved = []
-        for stretch, options in zip(stretches, seeds, strict=True):
-            solved.append(worker.solve_stretch(stretch, options, whole))
+        for stretch, options, line in zip(stretches, seeds, looked, strict=True):
+            solved.append(worker.solve_stretch(stretch, options, whole, line))
             advance()
         return GroundLines.together(solved)
     with workers(jobs, _start_worker, ground) as pool:
         if feeds is not None:
-            stretches = _at_feeds(stretches, starts, feeds(list(pool.map(_look_in_worker, stretches, starts))))
+            looked = list(pool.map(_look_in_worker, stretches, starts))
+            stretches = _at_feeds(stretches, starts, feeds(looked))
         with interrupts_held_back():
-            futures = [pool.submit(_solve_in_worker, *task, whole) for task in zip(stretches, seeds, strict=True)]
+            tasks = zip(stretches, seeds, looked, strict=True)
+            futures = [pool.submit(_solve_in_worker, stretch, options, whole, line) for stretch, options, line in tasks]
         for future in futures:
             future.add_done_callback(lambda _: advance())
         return GroundLines.together([future.result() for future in futures])
