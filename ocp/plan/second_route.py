@@ -28,7 +28,7 @@ from trajectories.passes import BladePath
 FIXED_POINT_STEPS = 4
 DIFFERENCE = 1e-6  # rad, central differences of the contact point
 STATION_SPACING = 2.8e-3  # m between contacts solved; not the planner's stations
-FORCE_SPACING = 2.0  # N between contacts solved where the planned force changes
+FORCE_SPACING = 1.0  # N between contacts solved where the planned force changes
 FORCE_STEPS = 4  # Newton steps on the force at a station, until one is below the next line
 FORCE_STEP_ENOUGH = 0.1  # N; the law is so smooth that what is left after it is below 1e-3 N
 
