@@ -8,6 +8,8 @@ from robots.gravity import GRAVITY
 from robots.pose import Array, make_transform, rot_x, rot_y, rot_z
 from robots.robot import Robot
 
+KEPT_MODELS = 4
+
 
 def rigid_body_model(robot: Robot, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)) -> pin.Model:
     """Pinocchio model with joint variables q in the controller's signs, payload as a point mass, gravity as the base is mounted.
@@ -44,7 +46,21 @@ def inverse_dynamics(
     q, qd, qdd (n, 6) in rad, rad/s, rad/s^2; payload kg, centre (3,) m in the flange frame. Without friction,
     rotor inertia and balancer, which the catalogue does not know.
     """
-    model = rigid_body_model(robot, payload_mass, payload_com)
-    data = model.createData()
+    model, data = _known_model(robot, payload_mass, payload_com)
     rows = [np.asarray(x, float).reshape(-1, 6) for x in (q, qd, qdd)]
     return np.array([pin.rnea(model, data, *row) for row in zip(*rows, strict=True)]).reshape(-1, 6)
+
+
+_known: dict[tuple[bytes, ...], tuple[pin.Model, pin.Data]] = {}
+
+
+def _known_model(robot: Robot, payload_mass: float, payload_com: ArrayLike) -> tuple[pin.Model, pin.Data]:
+    """`rigid_body_model` with room for its results; those asked for last are at hand, a plan asks a thousand times."""
+    arm = robot.mdh, robot.sign, robot.gravity_direction, robot.link_mass, robot.link_com, robot.link_inertia
+    key = tuple(np.asarray(part, float).tobytes() for part in (*arm, payload_mass, payload_com))
+    if key not in _known:
+        while len(_known) >= KEPT_MODELS:
+            del _known[next(iter(_known))]
+        model = rigid_body_model(robot, payload_mass, payload_com)
+        _known[key] = model, model.createData()
+    return _known[key]
