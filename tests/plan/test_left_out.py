@@ -2,7 +2,7 @@
 
 import pickle
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -280,6 +280,28 @@ def test_a_worker_cuts_solves_and_names_until_nothing_is_left_to_try(monkeypatch
         worker.solve_stretch(stretch(), [seed], whole=True)
     # All pieces of a line are driven one way, or are left out.
     assert worker.solve_stretch(stretch(), [SimpleNamespace(direction=-1)], whole=False).passes == []
+
+
+@pytest.mark.parametrize(("effects", "first"), [((), "looked at"), (("one",), "anew")])
+def test_a_line_looked_at_for_its_feed_is_looked_at_anew_for_other_seeds_and_effects_alone(monkeypatch, effects, first):
+    @dataclass(frozen=True)
+    class Whole:
+        turn_limit: float = 0.0
+
+    def refused(*_):
+        raise Infeasible("no way")
+
+    tried = []
+    monkeypatch.setattr("ocp.plan.passes.optimise._from_seed", lambda path, seed, compliance: seed)
+    monkeypatch.setattr(PassWorker, "_driven", lambda self, seed: "anew")
+    monkeypatch.setattr(PassWorker, "_whole_way", lambda self, seed, line, led: tried.append((seed.turn, line)) or Whole())
+    monkeypatch.setattr(PassWorker, "_solve", refused)
+    worker = object.__new__(PassWorker)
+    worker.ground = SimpleNamespace(cell=SimpleNamespace(effects=effects, process=SimpleNamespace(turn_tolerance=0.1)))
+    seeds = [SimpleNamespace(turn=turn, direction=1) for turn in (0.0, 0.1)]
+    with pytest.raises(Infeasible, match="no way"):
+        worker.solve(stretch().path, seeds, None, "looked at")
+    assert set(tried) == {(0.0, first), (0.1, "anew")}
 
 
 # -- what does not read back ---------------------------------------------------------------------------------------

@@ -89,6 +89,18 @@ def test_the_far_side_of_the_blade_is_not_seen(cell):
     assert 0 < FACING < 1
 
 
+def test_walls_as_steep_as_the_wheel_s_radius_are_not_touched(cell):
+    """A rod of two millimetres, all round: what looks away by more than acos(FACING) is no surface that the wheel bears on."""
+    radius, edge = 1e-3, np.sqrt(1 - FACING**2)
+    around, along = (v.ravel() for v in np.meshgrid(np.arange(-np.pi, np.pi, 0.02), np.arange(-4e-3, 4e-3, 1e-4)))
+    normals = np.column_stack([0 * around, np.cos(around), np.sin(around)])
+    rod = SurfaceCloud(CONTACT + radius * (normals - [0.0, 1.0, 0.0]) + along[:, None] * [1.0, 0.0, 0.0], normals)
+    shape = surface_shape(cell.wheel, rod, LocalShape(1 / radius, 0.0), on_wheel(cell), CONTACT)
+    gap = shape.gap(radius * np.array([0.0, 0.5, edge - 0.06, edge - 0.01, edge]), np.zeros(5))
+    np.testing.assert_allclose(gap[:2], radius * np.array([0.0, 1 - np.sqrt(0.75)]), atol=6e-6)
+    assert np.isfinite(gap[2]) and np.isinf(gap[3:]).all()
+
+
 def test_triangles_cover_the_surface_and_hardly_twice():
     """Where pieces meet, the diagonals of some squares lie both ways."""
     cloud = bar(0.02)
