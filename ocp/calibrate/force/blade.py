@@ -197,7 +197,7 @@ def _smooth(places: Array, values: Array, neighbours: int, wanted: Array) -> Arr
     return np.asarray(RBFInterpolator(1e3 * places, values, near, kernel="linear", degree=0)(1e3 * wanted))
 
 
-CORRECTION_VERSION = "indentation correction 1"  # part of the cache key: raise it when results change
+CORRECTION_VERSION = "indentation correction 2"  # part of the cache key: raise it when results change
 CORRECTION_SPACING = 16e-3  # m between stations; the departure from the quadratic varies slowly along a pass
 FORCE_LENGTH = 1e-3  # m that one newton counts for in distances between stations
 LATERAL_WEIGHT = 2.0  # a shift across the wheel counts this much more than one along the blade: its edges matter
