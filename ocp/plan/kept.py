@@ -1,6 +1,7 @@
 """A plan asked for again with nothing changed: the folder as it was planned, written and read back then, byte for byte.
 
-The same inputs give the same bytes, whatever the machine (tests/plan), so that planning anew would tell nothing more.
+The same inputs give the same bytes, whatever the machine (tests/plan), so that planning anew would tell nothing more. A kept folder
+is not read back again: it lies where only this user can write, or nowhere.
 """
 
 import os
@@ -13,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ocp.shell.cache import cache_folder, code_hash, content_key, keep, recall
+from ocp.shell.cache import code_hash, content_key, keep, recall
 from ocp.shell.output import MARKER, whole_folder
 
 PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild")
@@ -59,7 +60,7 @@ class PlanKey:
 
     def written_again(self, out: Path, overwrite: bool) -> KeptPlan | None:
         """The kept folder in `out`, None where none is kept. Raises BadInput where `out` cannot be written."""
-        entry = recall(SECTION, self.key)
+        entry = recall(SECTION, self.key, alone=True)
         if entry is None:
             return None
         with whole_folder(out, overwrite, self.files) as folder:
@@ -71,8 +72,8 @@ class PlanKey:
     def keep(self, folder: Path, written: str, notices: Sequence[str], inputs: Sequence[Path]) -> None:
         """Keep a folder under this key, if its plan read no other file than the key's."""
         known = {os.path.realpath(file) for file in self.files}
-        if cache_folder() is None or any(os.path.realpath(file) not in known for file in inputs):
+        if any(os.path.realpath(file) not in known for file in inputs):
             return
         files = [file for file in sorted(folder.iterdir()) if file.name != MARKER]
         entry = {f"file.{file.name}": np.frombuffer(file.read_bytes(), np.uint8) for file in files}
-        keep(SECTION, self.key, entry | {"written": np.array(written), "notices": np.array(list(notices), dtype=str)})
+        keep(SECTION, self.key, entry | {"written": np.array(written), "notices": np.array(list(notices), dtype=str)}, alone=True)

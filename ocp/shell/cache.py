@@ -8,6 +8,7 @@ Nothing in here ever makes a run fail: where the folder cannot be written the re
 import hashlib
 import io
 import os
+import stat
 import sys
 import tempfile
 from collections.abc import Callable
@@ -125,17 +126,61 @@ def put_whole(path: Path, *parts: bytes) -> None:
             Path(passing).unlink(missing_ok=True)
 
 
-def recall(kind: str, key: str) -> Entry | None:
-    """Return the arrays kept under `kind` and `key`, or None."""
-    folder = cache_folder()
+class NotPrivate(Exception):
+    """Why nothing is kept or taken where others could put it there."""
+
+
+def own_folder(name: str) -> Path:
+    """A folder of the cache that is this user's alone, in folders where nobody else can put another in its place.
+
+    Raises NotPrivate where it is not, or cannot be made.
+    """
+    kept = cache_folder()
+    if kept is None:
+        raise NotPrivate("nothing is kept (GRINDPLAN_CACHE is empty)")
+    if not hasattr(os, "geteuid"):
+        raise NotPrivate("on this system nothing tells whose a folder is")
+    folder = kept.resolve() / name
+    try:
+        kept.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        for one in (folder, *folder.parents):
+            _refuse_shared(one, alone=one is folder)
+    except OSError as error:
+        raise NotPrivate(f"{error.filename}: {error.strerror}") from None
+    return folder
+
+
+def _refuse_shared(folder: Path, alone: bool) -> None:
+    """Raises NotPrivate where others can put something into `folder`, or, `alone`, look into it. Raises OSError."""
+    status, me = folder.lstat(), os.geteuid()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid not in ({me} if alone else {0, me}):
+        raise NotPrivate(f"{folder} is not a folder of this user")
+    mode = stat.S_IMODE(status.st_mode)
+    sticky = bool(mode & stat.S_ISVTX)  # as /tmp: what is in it can be replaced by its owner only
+    if mode & (0o077 if alone else 0o022) and (alone or not sticky):
+        raise NotPrivate(f"{folder} is open to others (mode {mode:04o}); chmod {'700' if alone else 'go-w'} it")
+
+
+def recall(kind: str, key: str, alone: bool = False) -> Entry | None:
+    """Return the arrays kept under `kind` and `key`, or None; `alone`: as `keep` put them there."""
+    folder = _place(kind, alone)
     return None if folder is None else _read(folder / f"{kind}-{key}{SUFFIX}")
 
 
-def keep(kind: str, key: str, entry: Entry) -> None:
-    """Keep arrays under `kind` and `key`; a folder that cannot be written is no error."""
-    folder = cache_folder()
+def keep(kind: str, key: str, entry: Entry, alone: bool = False) -> None:
+    """Keep arrays under `kind` and `key`; a folder that cannot be written is no error. `alone`: in a folder where only this user
+    can, or not at all, for what is not looked at again before it is used."""
+    folder = _place(kind, alone)
     if folder is not None:
         _write(folder / f"{kind}-{key}{SUFFIX}", entry)
+
+
+def _place(kind: str, alone: bool) -> Path | None:
+    try:
+        return own_folder(kind) if alone else cache_folder()
+    except NotPrivate:
+        return None
 
 
 def sha256(path: Path) -> str:

@@ -16,7 +16,6 @@ import os
 import platform
 import re
 import shutil
-import stat
 import subprocess
 import sys
 import tempfile
@@ -30,7 +29,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from ocp.shell.cache import cache_folder, content_key, put_whole
+from ocp.shell.cache import NotPrivate, content_key, own_folder, put_whole
 from ocp.shell.processes import cores
 from robots.bounds import MEGABYTE, read_whole
 from robots.pose import Array
@@ -301,35 +300,11 @@ def _looped(name: str, given: list[tuple[int, int]], results: list[tuple[int, in
 
 
 def private_folder() -> Path:
-    """The folder of libraries: this user's alone, in folders where nobody else can put another in its place.
-
-    Raises _Unusable where it is not, or cannot be made.
-    """
-    kept = cache_folder()
-    if kept is None:
-        raise _Unusable("nothing is kept (GRINDPLAN_CACHE is empty)")
-    if not hasattr(os, "geteuid"):
-        raise _Unusable("on this system nothing tells whose a folder is")
-    folder = kept.resolve() / "native"
+    """The folder of libraries. Raises _Unusable where it is not this user's alone, or cannot be made."""
     try:
-        kept.mkdir(mode=0o700, parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700, exist_ok=True)
-        for one in (folder, *folder.parents):
-            _refuse_shared(one, alone=one is folder)
-    except OSError as error:
-        raise _Unusable(f"{error.filename}: {error.strerror}") from None
-    return folder
-
-
-def _refuse_shared(folder: Path, alone: bool) -> None:
-    """Raises _Unusable where others can put something into `folder`, or, `alone`, look into it. Raises OSError."""
-    status, me = folder.lstat(), os.geteuid()
-    if not stat.S_ISDIR(status.st_mode) or status.st_uid not in ({me} if alone else {0, me}):
-        raise _Unusable(f"{folder} is not a folder of this user")
-    mode = stat.S_IMODE(status.st_mode)
-    sticky = bool(mode & stat.S_ISVTX)  # as /tmp: what is in it can be replaced by its owner only
-    if mode & (0o077 if alone else 0o022) and (alone or not sticky):
-        raise _Unusable(f"{folder} is open to others (mode {mode:04o}); chmod {'700' if alone else 'go-w'} it")
+        return own_folder("native")
+    except NotPrivate as error:
+        raise _Unusable(str(error)) from None
 
 
 def _compiled(source: str) -> bytes:

@@ -64,5 +64,8 @@ def test_a_plan_that_read_another_file_is_not_kept(files, tmp_path, monkeypatch)
     assert isinstance(found, KeptPlan) and found.line.startswith(f"{tmp_path / 'out'}: 1 pass Look at")
     assert found.notices[0] == "a notice" and len(found.notices) == 2
     assert (tmp_path / "out" / "A.src").read_bytes() == b"DEF A()\xff" and (tmp_path / "out" / "plan.json").exists()
+    (tmp_path / "cache").chmod(0o777)  # another user could have put a program there
+    assert WRITTEN_AGAIN(key, tmp_path / "open", False) is None
+    (tmp_path / "cache").chmod(0o700)
     with pytest.raises(BadInput, match="input of this run"):
         WRITTEN_AGAIN(key, tmp_path, True)
