@@ -1,7 +1,7 @@
 """A plan asked for again with nothing changed: the folder as it was planned, written and read back then, byte for byte.
 
-The same inputs give the same bytes, whatever the machine (tests/plan), so that planning anew would tell nothing more. A kept folder
-is not read back again: it lies where only this user can write, or nowhere.
+The same inputs give the same bytes, whatever the machine (tests/plan), so that planning anew would tell nothing more. A kept
+folder is not read back again: it lies where only this user can write, or nowhere.
 """
 
 import os
