@@ -10,7 +10,7 @@ import numpy as np
 
 from ocp.plan.accuracy import accuracy_columns, accuracy_rows
 from ocp.plan.grades import Grades, grade_force, grade_move
-from ocp.plan.kept import PACKAGES, line_of
+from ocp.plan.kept import line_of
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.planning import Plan
 from ocp.plan.programming import Timeline, build_timeline, emitted_times, grinding_program, write_plan_csv, write_program
@@ -29,6 +29,8 @@ from ocp.shell.cache import sha256
 from ocp.shell.output import Output
 from ocp.shell.progress import Phases
 from trajectories.dialects import dialect_named
+
+PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild")
 
 
 @dataclass(frozen=True)

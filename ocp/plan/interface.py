@@ -51,16 +51,16 @@ def plan_unless_kept(
 ) -> "PlanResult | KeptPlan":
     """As `plan` with its further arguments in `asked`; where nothing has changed since it was planned, the kept folder."""
 
-    def key() -> PlanKey:
+    def key() -> PlanKey | None:
         files = _inputs(cell, blade, asked.get("path"), asked.get("program"), asked.get("stock"))
         return PlanKey.of(files, {"blade": blade, "cell": cell} | asked)
 
     before = key()
-    again = before.written_again(out, overwrite)
+    again = None if before is None else before.written_again(out, overwrite)
     if again is not None:
         return again
     made = plan(blade, out=out, cell=cell, overwrite=overwrite, progress=progress, **asked)
-    if key() == before:  # nobody wrote there meanwhile
+    if before is not None and key() == before:  # nobody wrote there meanwhile
         before.keep(made.folder, made.written, made.notices, [file for _, file in made.plan.inputs])
     return made
 

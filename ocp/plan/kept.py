@@ -8,7 +8,7 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,10 +16,10 @@ import numpy as np
 
 from ocp.shell.cache import code_hash, content_key, keep, recall
 from ocp.shell.output import MARKER, whole_folder
+from robots.bounds import MEGABYTE
 
-PACKAGES = ("casadi", "pin", "numpy", "scipy", "toppra", "matplotlib", "trimesh", "netgen-mesher", "pytetwild")
-"""Packages by which a plan's bytes may differ."""
 SECTION = "plan"  # of the cache
+MOST_READ = 1000 * MEGABYTE  # of all files together; what is larger is for the readers of a plan to refuse
 
 
 def line_of(folder: Path, written: str) -> str:
@@ -43,20 +43,26 @@ class KeptPlan:
 
 @dataclass(frozen=True)
 class PlanKey:
-    """What a plan depends on: `files` as named, with their content; the other arguments; this software and its packages."""
+    """What a plan depends on: `files` as named, with their content; the other arguments; this software and all that is installed
+    beside it."""
 
     files: tuple[Path, ...]
     key: str
 
     @classmethod
-    def of(cls, files: Sequence[Path], arguments: Mapping[str, Any]) -> Self:
-        """Of the files that are there and of arguments that print as what they are. Raises OSError: a file cannot be read."""
-        machine = [platform.platform(), platform.python_version(), *(f"{name} {version(name)}" for name in PACKAGES)]
-        parts: list[Any] = [code_hash(), *machine, repr(sorted(arguments.items()))]
+    def of(cls, files: Sequence[Path], arguments: Mapping[str, Any]) -> Self | None:
+        """Of the files that are there and of arguments that print as what they are; None where a file cannot be read: planning
+        tells why."""
         there = tuple(file for file in files if file.is_file())
-        for file in there:
-            parts += [str(file), np.frombuffer(file.read_bytes(), np.uint8)]
-        return cls(there, content_key(*parts))
+        try:
+            if sum(file.stat().st_size for file in there) > MOST_READ:
+                return None
+            read = [part for file in there for part in (str(file), np.frombuffer(file.read_bytes(), np.uint8))]
+            installed = sorted(f"{one.name} {one.version}" for one in distributions())
+            machine = (platform.platform(), platform.python_version(), *installed)
+            return cls(there, content_key(code_hash(), *machine, repr(sorted(arguments.items())), *read))
+        except OSError:
+            return None
 
     def written_again(self, out: Path, overwrite: bool) -> KeptPlan | None:
         """The kept folder in `out`, None where none is kept. Raises BadInput where `out` cannot be written."""

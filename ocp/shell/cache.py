@@ -11,7 +11,7 @@ import os
 import stat
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -192,19 +192,21 @@ def code_hash() -> str:
     """Hash of the sources and the data of the three packages and of the user's own effects: so many of them shape a plan that any
     change counts."""
     own = os.environ.get(OWN_EFFECTS, "")
-    return _hash_of_packages() + (_hash_below(Path(own)) if own else "")
+    return _hash_of_packages() + (_hash_of(Path(own).glob("*")) if own else "")
 
 
 @cache
 def _hash_of_packages() -> str:
-    return "".join(_hash_below(Path(__file__).parents[2] / package)[:16] for package in ("ocp", "robots", "trajectories"))
+    root = Path(__file__).parents[2]
+    return _hash_of(file for package in ("ocp", "robots", "trajectories") for file in (root / package).rglob("*"))
 
 
-def _hash_below(folder: Path) -> str:
+def _hash_of(files: Iterable[Path]) -> str:
+    """Hash of the names and bytes of files; what Python compiles of them does not count."""
     digest = hashlib.sha256()
-    for file in sorted(folder.rglob("*")):
+    for file in sorted(files):
         if "__pycache__" not in file.parts and file.is_file():
-            digest.update(file.read_bytes())
+            digest.update(f"{file.name} {sha256(file)} ".encode())
     return digest.hexdigest()
 
 

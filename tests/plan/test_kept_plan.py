@@ -1,7 +1,7 @@
 """The same plan asked for again is the kept one, byte for byte; whatever it depends on, changed, makes it anew."""
 
 import json
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
@@ -35,19 +35,37 @@ def files(tmp_path: Path) -> list[Path]:
 
 def test_every_input_argument_package_and_own_effect_is_part_of_the_key(files, tmp_path, monkeypatch):
     def key(**arguments: object) -> str:
-        return PlanKey.of(files, {"kind": "axis", "step": 5e-4} | arguments).key
+        found = PlanKey.of(files, {"kind": "axis", "step": 5e-4} | arguments)
+        assert found is not None
+        return found.key
 
     keys = [key(), key(kind="lin"), key(step=6e-4)]
     files[1].write_text("blade, scanned anew")
     keys.append(key())
-    monkeypatch.setattr(kept, "version", lambda name: "0.0" if name == "scipy" else version(name))
+    fewer = [one for one in distributions() if one.name != "coal"]
+    monkeypatch.setattr(kept, "distributions", lambda: fewer)
     keys.append(key())
     (tmp_path / "effects").mkdir()
     monkeypatch.setenv(OWN_EFFECTS, str(tmp_path / "effects"))
     keys.append(key())
     (tmp_path / "effects" / "wear.py").write_text("EFFECT = None")
     keys.append(key())
+    (tmp_path / "effects" / "wear.py").rename(tmp_path / "effects" / "heat.py")
+    keys.append(key())
     assert len(set(keys)) == len(keys) and key() == keys[-1]
+
+
+def test_what_cannot_be_read_has_no_key_and_is_for_planning_to_refuse(files, tmp_path, monkeypatch):
+    assert PlanKey.of(files, {}) is not None
+    monkeypatch.setattr(kept, "MOST_READ", 10)
+    assert PlanKey.of(files, {}) is None
+    monkeypatch.undo()
+
+    def refused(*_: object) -> bytes:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "read_bytes", refused)
+    assert PlanKey.of(files, {}) is None
 
 
 def test_a_plan_that_read_another_file_is_not_kept(files, tmp_path, monkeypatch):
@@ -57,6 +75,7 @@ def test_a_plan_that_read_another_file_is_not_kept(files, tmp_path, monkeypatch)
     (made / "A.src").write_bytes(b"DEF A()\xff")
     (made / "plan.json").write_text(json.dumps({}))
     key = PlanKey.of(files, {})
+    assert key is not None
     KEEP(key, made, "1 pass", ("a notice",), [*files, tmp_path / "beside.npz"])
     assert WRITTEN_AGAIN(key, tmp_path / "out", False) is None
     KEEP(key, made, "1 pass", ("a notice",), files)
