@@ -4,6 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
+from scipy.optimize import lsq_linear
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from ocp.data import CELL
@@ -16,9 +19,14 @@ from ocp.plan.passes.stretches import LineStretch
 from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.plan.removal.dwell import (
     EVEN,
+    KEPT,
     LEAST_EVEN,
+    RANGE,
+    SMOOTH,
     UNEVEN,
     DrivenLine,
+    _Line,
+    _solved,
     askew,
     even_feeds,
     even_spacing,
@@ -224,6 +232,21 @@ def test_feeds_make_lines_with_ramps_even_in_the_core():
     assert np.abs(made.mean(axis=0) - 1).max() < 0.025 and np.ptp(made.mean(axis=0)) < 0.04
     slowness = np.mean([1 / feed for feed in feeds], axis=0)
     assert slowness[[0, -1]].min() > 1.2 * slowness[30]
+
+
+def test_feeds_are_those_of_another_solver_and_stay_in_their_range():
+    """SciPy's bounded-variable least squares on the rows of docs/process.md, eq. 7, written out densely."""
+    rng = np.random.default_rng(3)
+    depth = [np.abs(rng.normal(size=(30, 7))) for _ in range(2)]
+    weight, wanted = rng.uniform(0.5, 2.0, 30), np.exp(rng.normal(size=30))
+    found = np.concatenate(_solved([_Line(csr_matrix(one), np.arange(7.0)) for one in depth], weight, wanted))
+    D, bend = np.hstack(depth), np.diff(np.eye(7), 2, axis=0)
+    usual = (D.T @ (weight**2 * wanted)) / (D.T @ (weight**2 * D.sum(axis=1)))
+    rows = np.vstack([weight[:, None] * D * usual, np.sqrt(KEPT) * np.eye(14), np.sqrt(SMOOTH) * block_diag(bend, bend)])
+    goal = np.concatenate([weight * wanted, np.full(14, np.sqrt(KEPT)), np.zeros(10)])
+    alone = lsq_linear(rows, goal, RANGE, method="bvls", tol=1e-12).x
+    assert np.isclose(alone, RANGE[0]).any() and not np.isclose(alone, RANGE[0]).all()
+    np.testing.assert_allclose(found / usual, alone, atol=1e-4)  # of a feed: less than a controller is told
 
 
 def test_lines_that_cannot_be_looked_at_are_kept_as_they_are():

@@ -3,10 +3,11 @@
 import json
 from importlib.metadata import distributions
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from ocp.plan import kept
+from ocp.plan import interface, kept
 from ocp.plan.kept import KeptPlan, PlanKey
 from ocp.shell.cache import OWN_EFFECTS
 from robots.errors import BadInput
@@ -88,3 +89,19 @@ def test_a_plan_that_read_another_file_is_not_kept(files, tmp_path, monkeypatch)
     (tmp_path / "cache").chmod(0o700)
     with pytest.raises(BadInput, match="input of this run"):
         WRITTEN_AGAIN(key, tmp_path, True)
+
+
+@pytest.mark.parametrize("rewritten", [True, False])
+def test_a_plan_whose_input_changes_meanwhile_is_not_kept(files, tmp_path, monkeypatch, rewritten):
+    made = SimpleNamespace(folder=tmp_path, written="", notices=(), plan=SimpleNamespace(inputs=()))
+
+    def planned_meanwhile(*_: object, **__: object) -> SimpleNamespace:
+        files[1].write_text("newer" if rewritten else files[1].read_text())
+        return made
+
+    kept_now: list[object] = []
+    monkeypatch.setattr(PlanKey, "keep", lambda *_: kept_now.append(1))
+    monkeypatch.setattr(interface, "_inputs", lambda *_: files)
+    monkeypatch.setattr(interface, "plan", planned_meanwhile)
+    found = interface.plan_unless_kept(None, out=tmp_path / "out", cell=files[0], overwrite=False, progress=None)
+    assert found is made and len(kept_now) == (not rewritten)

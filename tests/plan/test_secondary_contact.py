@@ -164,6 +164,18 @@ def test_a_platform_in_the_wheel_is_found_with_depth_place_and_waypoint(cell, an
     assert found.distance == pytest.approx(cell.wheel.radius * abs(np.sin(angle)), rel=0.02)
 
 
+def test_where_the_blade_s_frame_lies_does_not_matter(cell):
+    """Its origin halfway between the contact and what is touched: products of the two are then as negative as they get."""
+    T = on_wheel(cell, delta=2e-4)
+    p = buried(cell, T, 7e-4, 1.0)
+    origin, moved = 0.5 * (p + CONTACT), T.copy()
+    moved[:3, 3] += T[:3, :3] @ origin
+    curvature = np.array([[1 / RADIUS + 1 / cell.wheel.radius, 0.0, 0.0]])
+    here = (p - origin)[None], moved[None], (CONTACT - origin)[None]
+    found = find_secondary_contact(cell, *here, curvature, np.zeros((1, 2)), np.array([2e-4]))
+    assert found.depth == pytest.approx(7e-4, abs=1e-9)
+
+
 def test_beside_the_wheel_is_not_in_it_and_a_scratch_is_no_deepest(cell):
     T = on_wheel(cell, delta=2e-4)
     half = 0.5 * cell.wheel.width
