@@ -5,7 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
+from ocp.diagnose import rules
 from ocp.diagnose.answering import beside_others
 from ocp.diagnose.engine.beam import Member, Weighed, make_pool
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
@@ -13,6 +15,7 @@ from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.tracker.background import background
+from ocp.diagnose.tracker.refit import _width_of_weights
 from ocp.diagnose.verdict.answer import SignalGap, promised
 from ocp.diagnose.verdict.diagnosis import screened
 from ocp.diagnose.verdict.probabilities import alternatives, posterior
@@ -281,3 +284,16 @@ def test_the_class_of_a_name_too_weak_to_be_accepted():
 def test_the_verdict_follows_from_two_questions(none, unknown, best, verdict):
     told = SimpleNamespace(p_none=none, p_unknown=unknown, explanations=(Explanation((Name("x"),), best, 1.0),))
     assert Diagnosis.verdict.fget(told) == verdict
+
+
+@pytest.mark.parametrize("before", [1.0, 0.25])
+def test_the_width_of_weights_is_that_of_the_readings_whatever_prior_they_were_fitted_with(before):
+    """Beside the marginal likelihood of the readings themselves, of a normal distribution with covariance w^2 J J' + 1."""
+    rng = np.random.default_rng(8)
+    J = rng.normal(size=(40, 5))
+    y = J @ rng.normal(0.0, 0.3, 5) + rng.normal(size=40)
+    log = np.array([multivariate_normal(cov=w**2 * J @ J.T + np.eye(40)).logpdf(y) for w in rules.WEIGHT_WIDTHS])
+    weight = np.exp(log - log.max())
+    wanted = np.sqrt(weight @ rules.WEIGHT_WIDTHS**2 / weight.sum())
+    covariance = np.linalg.inv(J.T @ J + np.eye(5) / before**2)
+    assert _width_of_weights(covariance @ J.T @ y, covariance, before) == pytest.approx(wanted, rel=1e-9)
