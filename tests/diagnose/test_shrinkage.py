@@ -14,8 +14,8 @@ from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.anticipated import anticipated
-from ocp.diagnose.tracker.background import background
-from ocp.diagnose.tracker.refit import _width_of_weights
+from ocp.diagnose.tracker.background import DRAWS, _with_further, background
+from ocp.diagnose.tracker.refit import _width_of_weights, usual_noise
 from ocp.diagnose.verdict.answer import SignalGap, promised
 from ocp.diagnose.verdict.diagnosis import screened
 from ocp.diagnose.verdict.probabilities import alternatives, posterior
@@ -297,3 +297,18 @@ def test_the_width_of_weights_is_that_of_the_readings_whatever_prior_they_were_f
     wanted = np.sqrt(weight @ rules.WEIGHT_WIDTHS**2 / weight.sum())
     covariance = np.linalg.inv(J.T @ J + np.eye(5) / before**2)
     assert _width_of_weights(covariance @ J.T @ y, covariance, before) == pytest.approx(wanted, rel=1e-9)
+
+
+def test_further_lines_of_gears_have_the_room_that_the_joint_noise_leaves():
+    """Lines of thrice the usual repeatability: none where the noise is that alone, some where it has room for one."""
+    usual, _ = usual_noise(None)
+    size = np.full(DRAWS, 3.0 * usual)
+
+    def share(noise: float, found: float = 0.0) -> float:
+        fit, each = SimpleNamespace(noise=SimpleNamespace(joints=noise)), np.full(DRAWS, found**2)
+        drawn = _with_further(SimpleNamespace(repeats=None), fit, np.zeros((DRAWS, 6)), each, size, np.random.default_rng(0))
+        return float((drawn[:, 0] > 0).mean())
+
+    room = float(np.hypot(usual, size[0]))
+    assert share(usual) < 0.05 and share(room) > 0.5
+    assert share(room, found=size[0]) < 0.05  # what was found fills it
