@@ -13,7 +13,7 @@ Nothing is inverted: a covariance inverted without its singular values ruined th
 coefficients a ~ N(0, t^2) in units of the prior's upper end, and data y, with G = C^T C, b = C^T y:
 
     R(t) = y^T y - b^T (G + 1 / t^2)^-1 b                       what is left
-    log Z(t) = -1/2 log det(1 + t^2 G) - (nu + nu0) / 2 log(nu0 + R)  + const          (docs/diagnosis.md, eqs. 4 and 5)
+    log Z(t) = -1/2 log det(1 + t^2 G) - (nu + nu0) / 2 log(nu0 + R)  + const          (docs/diagnosis.md, eqs. 3 and 4)
 
 The noise model's scale is known only so well: its inverse variance has a gamma prior worth nu0 rows, integrated in closed
 form (a Student-t evidence). Sizes t stand on a logarithmic grid between the lower and the upper end of the typical range,
