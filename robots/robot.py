@@ -42,7 +42,7 @@ class GeometryTable(TomlTable):
     alpha_deg: SixAngles
     """Twist about x."""
     beta_deg: SixAngles = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    """Twist about y, of axes that are nearly parallel."""
+    """Twist about y, of nearly parallel axes."""
 
 
 class LimitsTable(TomlTable):
@@ -51,7 +51,7 @@ class LimitsTable(TomlTable):
     source: str
     """Where the numbers are from."""
     q_min_deg: SixAngles
-    """Least angle of each axis, controller's signs."""
+    """Least angle of each axis."""
     q_max_deg: SixAngles
     """Largest angle."""
     speed_deg_s: SixRates
@@ -59,7 +59,7 @@ class LimitsTable(TomlTable):
     acceleration_deg_s2: SixRates | None = None
     """Largest acceleration; without it nothing is planned or rehearsed."""
     torque_Nm: SixRates | None = None
-    """Largest torque at the link side of the gear; without it nothing is planned or rehearsed."""
+    """Largest torque, link side of the gear; without it nothing is planned or rehearsed."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "LimitsTable":
@@ -87,19 +87,19 @@ class StiffnessTable(TomlTable):
     source: str
     """Where the numbers are from."""
     joint_Nm_per_rad: SixSprings
-    """Spring of each joint about its axis, 0 = rigid."""
+    """About each axis, 0 = rigid."""
 
 
 class LinkTable(TomlTable):
-    """One link in its MD-H frame (link i after joint i; the base in the base frame); its inertia may be left out."""
+    """A link in its MD-H frame (the one after its joint; the base in the base frame)."""
 
     mass_kg: Mass
-    """Mass of the link."""
+    """Its mass."""
     com_mm: PlaceVector
-    """Its centre, in the frame after its joint."""
+    """Its centre of mass."""
     # xx, yy, zz, xy, xz, yz about the centre of mass
     inertia_kg_m2: tuple[Moment, Moment, Moment, Moment, Moment, Moment] | None = None
-    """Xx, yy, zz, xy, xz, yz about the centre; without it nothing is planned or rehearsed."""
+    """xx, yy, zz, xy, xz, yz about that centre; without it nothing is planned or rehearsed."""
 
     @model_validator(mode="after")
     def _physical(self) -> "LinkTable":
@@ -135,7 +135,7 @@ class LinksTable(TomlTable):
     link5: LinkTable
     """Link after joint 5."""
     link6: LinkTable
-    """Link after joint 6, flange."""
+    """Link after joint 6."""
 
 
 class CapsuleTable(TomlTable):
@@ -144,11 +144,11 @@ class CapsuleTable(TomlTable):
     link: Annotated[int, Field(ge=0, le=6)]
     """Link that it moves with, 0 the base."""
     from_mm: PlaceVector
-    """One end, in the link's frame."""
+    """Its ends, in the link's frame."""
     to_mm: PlaceVector
-    """The other end."""
+    """Its ends, in the link's frame."""
     radius_mm: Size
-    """Radius about the line between them."""
+    """Its radius."""
 
 
 class RatedPayloadTable(TomlTable):
@@ -158,13 +158,13 @@ class RatedPayloadTable(TomlTable):
     source: str
     """Where the numbers are from."""
     rated_kg: Annotated[Mass, Field(gt=0)]
-    """Mass that the maker lets hang on the flange."""
+    """Mass allowed."""
     com_mm_at_rated: PlaceVector | None = None
     """Its centre there, flange frame."""
     inertia_kg_m2: tuple[MomentOfInertia, MomentOfInertia, MomentOfInertia] | None = None  # about that centre
-    """Inertia about that centre that is allowed."""
+    """Inertia allowed about that centre."""
     diagram: Annotated[tuple[tuple[Margin, Mass], ...], Field(min_length=2, max_length=1000)] | None = None
-    """[distance of a payload's centre from the flange's in mm, kg allowed there], distances growing."""
+    """[mm from the flange's centre to the payload's, kg allowed there], distances growing."""
 
     @model_validator(mode="after")
     def _falling(self) -> "RatedPayloadTable":
@@ -183,15 +183,15 @@ class RobotTables(TomlTable):
     """The whole file."""
 
     version: SchemaVersion = 1
-    """Version of this format; 1 is the only one."""
+    """Version of the format."""
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,100}$")]
-    """Name that cells and calibrations give."""
+    """Name in cells and calibrations."""
     title: Label
-    """Name that reports give."""
+    """Name in reports."""
     geometry: GeometryTable
     """MD-H chain: A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i), theta_i = sign_i q_i + theta_deg_i."""
     limits: LimitsTable
-    """What each axis may do, controller's signs."""
+    """Of each axis, controller's signs."""
     gears: GearsTable | None = None
     """Gear ratios."""
     stiffness: StiffnessTable | None = None
@@ -199,7 +199,7 @@ class RobotTables(TomlTable):
     links: LinksTable | None = None
     """Masses; without them nothing is planned or rehearsed."""
     payload: RatedPayloadTable | None = None
-    """What may hang on the flange."""
+    """What the maker lets hang on the flange."""
     shape: Annotated[tuple[CapsuleTable, ...], Field(max_length=MOST_SHAPES)] = ()
     """Capsules round the links for collision checks; without them nothing is planned or rehearsed."""
 

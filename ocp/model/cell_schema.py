@@ -45,17 +45,16 @@ class RobotTable(TomlTable):
     """`[robot]`."""
 
     model: FileName
-    """Name in the catalogue, or path of a robot file from the cell's folder."""
+    """Name in the catalogue, or a robot file's path from the cell's folder."""
     calibration: FileName | None = None
-    """File that `ocp.calibrate` or `ocp.update` wrote for this robot, calibration.toml."""
+    """The robot's calibration.toml, by `ocp.calibrate` or `ocp.update`."""
     stiffness_Nm_per_rad: tuple[Spring, Spring, Spring, Spring, Spring, Spring] | None = None
-    """Springs of the six joints about their axes, 0 = rigid; without it the robot file's."""
+    """Springs of the joints, 0 = rigid; without it the robot file's."""
     compliant_joints: Annotated[tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...], Field(max_length=6)] = (2, 3)
-    """Joints that bend under weight, whose springs a calibration fits. A calibration may find that others bend too and says so
-    (`bending_joints`); under the contact force all springs give."""
+    """Joints that bend under weight; calibration fits their springs and may add others (`bending_joints`). Under contact force
+    all springs give."""
     gravity_direction: Direction = (0.0, 0.0, -1.0)  # base frame; of any length
-    """Direction of gravity in the base frame, of any length: [0, 0, 1] under a ceiling, [1, 0, 0] on a wall whose x axis points
-    down."""
+    """Where weight points, base frame: [0, 0, 1] under a ceiling, [1, 0, 0] on a wall with the x axis down."""
 
     @model_validator(mode="after")
     def _mounted(self) -> "RobotTable":
@@ -69,7 +68,7 @@ class FloorTable(TomlTable):
     higher than the floor, or hangs."""
 
     z_mm: Place
-    """Height of the floor above the origin of the robot's base, along the vertical whatever the mounting."""
+    """Vertical height above the origin of the robot's base; negative below it."""
 
 
 class PayloadTable(TomlTable):
@@ -80,7 +79,7 @@ class PayloadTable(TomlTable):
     com_mm: OffsetVector = (0.0, 0.0, 0.0)
     """Its centre of mass, flange frame."""
     inertia_kg_m2: tuple[MomentOfInertia, MomentOfInertia, MomentOfInertia] = (0.0, 0.0, 0.0)
-    """Its moments of inertia about that centre, axes of the flange."""
+    """Its moments of inertia there, flange axes."""
 
 
 class ControllerTable(TomlTable):
@@ -89,9 +88,9 @@ class ControllerTable(TomlTable):
     dialect: Literal["krl"] = "krl"
     """Language of the programs."""
     tool_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
-    """Number of TOOL_DATA that holds the blade's frame."""
+    """Numbers of TOOL_DATA (the blade's frame) and BASE_DATA (the wheel's)."""
     base_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
-    """Number of BASE_DATA that holds the wheel's frame."""
+    """Numbers of TOOL_DATA (the blade's frame) and BASE_DATA (the wheel's)."""
     absolute_accuracy: bool = False
     """Whether the controller corrects Cartesian targets itself."""
 
@@ -100,47 +99,47 @@ class WorkpieceTable(TomlTable):
     """`[workpiece]`."""
 
     payload: Label | None = None
-    """Name of what hangs on the flange while grinding, of [payloads]; without it the first."""
+    """Which of [payloads] hangs there while grinding; without it the first."""
     stl: FileName | None = None
-    """The blade: an STL, PLY, OBJ or STEP file, path from the cell's folder."""
+    """The blade: STL, PLY, OBJ or STEP, path from the cell's folder."""
     stl_unit: Literal["mm", "m", "in"] = "mm"
     """Unit of its numbers."""
     xyz_mm: OffsetVector
     """Origin of the blade's frame on the flange."""
     abc_deg: AngleVector = (0.0, 0.0, 0.0)
-    """Its turn there, KUKA's A, B, C about z, y, x."""
+    """Its turn there, KUKA's A, B, C."""
     xyz_sd_mm: Spread = 0.3
-    """One sigma of that place, each direction."""
+    """One sigma of its place, each direction."""
     abc_sd_deg: AngleSpread = 0.05
-    """One sigma of that turn, each angle."""
+    """One sigma of its turn, each angle."""
     # From rubber to diamond (1220 GPa).
     youngs_modulus_GPa: Annotated[float, Field(ge=1e-3, le=2000, strict=True)] = 114.0
-    """Young's modulus of the blade, from rubber to diamond."""
+    """Young's modulus of the blade."""
     # Beyond these bulk or shear modulus vanishes, and the stiffness matrix with it.
     poisson_ratio: Annotated[float, Field(ge=-0.95, le=0.495, strict=True)] = 0.34
-    """Poisson's ratio; nearer to 0.5 the bulk stiffness has no number."""
+    """Its Poisson's ratio."""
     # From cork to osmium (22 590).
     density_kg_m3: Annotated[float, Field(ge=10, le=3e4, strict=True)] = 4430.0
-    """Density, from cork to osmium."""
+    """Its density."""
     clamp_axis: Literal["x", "y", "z"] | None = None
-    """Axis of the blade's frame across the clamp plane, with clamp_to_mm."""
+    """Axis of the blade's frame across the clamp plane."""
     clamp_to_mm: Place | None = None
     """Where that plane stands along clamp_axis."""
     clamp_side: Literal["below", "above"] = "below"
     """Which side of the plane is held."""
     clamp_normal: Direction | None = None
-    """Direction across the clamp plane, blade frame, instead of clamp_axis; with clamp_offset_mm."""
+    """Instead of clamp_axis: direction across the plane, blade frame."""
     clamp_offset_mm: Number | None = None
-    """The plane is normal . x = offset."""
+    """With clamp_normal: the plane is normal . x = offset."""
     # A jaw of rubber or softer; infinite: rigid.
     clamp_stiffness_N_per_mm: Annotated[float, Field(ge=1, strict=True)] = float("inf")
-    """Spring of the fixture; without it rigid."""
+    """Spring of the fixture; infinite is rigid."""
     aerofoil_axis: Direction | None = None
-    """Direction of the aerofoil's span, blade frame, where the shape does not tell."""
+    """The span's direction, blade frame, where the shape does not tell."""
     aerofoil_from_mm: Place | None = None
-    """Only what lies beyond along that direction counts."""
+    """Only what lies between counts, along aerofoil_axis."""
     aerofoil_to_mm: Place | None = None
-    """Only what lies before along that direction counts."""
+    """Only what lies between counts, along aerofoil_axis."""
 
     @model_validator(mode="after")
     def _one_clamp(self) -> "WorkpieceTable":
@@ -173,9 +172,9 @@ class WheelTable(TomlTable):
     centre_sd_mm: Spread = 0.3
     """One sigma of it, each direction."""
     axis: Direction
-    """Direction of the axle, base frame, either sense."""
+    """The axle's direction, base frame, either sense."""
     axis_sd_deg: AngleSpread = 0.05
-    """One sigma of its direction."""
+    """One sigma of it."""
     # From a mandrel to a wheel of 4 m; a cover from a lacquer to solid rubber, from foam to steel.
     radius_mm: Annotated[float, Field(ge=1, le=2000, strict=True)]
     """Outer radius, belt included."""
@@ -184,20 +183,20 @@ class WheelTable(TomlTable):
     cover_thickness_mm: Annotated[float, Field(ge=0.1, le=1000, strict=True)]
     """Thickness of the soft cover."""
     cover_modulus_MPa: Annotated[float, Field(ge=0.01, le=2e5, strict=True)] | None = None
-    """Its Young's modulus; this or shore_A."""
+    """Young's modulus of the cover; this or shore_A."""
     shore_A: Annotated[float, Field(ge=20, le=95, strict=True)] | None = None
-    """Its hardness, from which the modulus follows; this or cover_modulus_MPa."""
+    """Its hardness, from which the modulus follows."""
     cover_poisson: Annotated[float, Field(ge=0, le=0.495, strict=True)] = 0.47
     """Its Poisson's ratio."""
     contact_arc_deg: tuple[Number, Number] = (-30.0, 30.0)
-    """Where the blade may touch, right-handed about axis from contact_direction, [low, high]."""
+    """Where the blade may touch, [low, high] from contact_direction, right-handed about axis."""
     contact_direction: Direction
-    """From the centre to where the blade is to touch, base frame, across axis."""
+    """From centre to contact, base frame, across axis."""
     # No belt holds together above; 0.35 is usual of friction, 2 is glue.
     belt_speed_m_s: Annotated[float, Field(ge=-300, le=300, strict=True)] = 20.0
-    """Speed of the belt, positive right-handed about axis."""
+    """Of the belt, positive right-handed about axis."""
     friction: Annotated[float, Field(ge=0, le=2, strict=True)] = 0.35
-    """Coefficient of the belt on the blade."""
+    """Coefficient, belt on blade."""
 
     @model_validator(mode="after")
     def _sound(self) -> "WheelTable":
@@ -225,10 +224,10 @@ class FlangeTable(TomlTable):
     """`[force_flange]`."""
 
     setpoint_N: Force = 20.0
-    """Force that the device is set to."""
+    """Force that it is set to."""
     # Air behind a piston to a solid block.
     stiffness_N_per_mm: Annotated[float, Field(ge=1e-3, le=1e6, strict=True)]
-    """Force over stroke at a constant setting, from air behind a piston to a block."""
+    """Force over stroke at a constant setting."""
     stroke_mm: Annotated[float, Field(ge=0.01, le=1000, strict=True)]
     """Whole travel between its stops."""
     carried_mass_kg: Mass = 0.0
@@ -239,11 +238,11 @@ class FlangeTable(TomlTable):
     """Direction in which it gives, flange frame; without it along the contact's normal."""
     # From a bellows filled through a long hose to faster than any valve; without it the force is set at once.
     bandwidth_hz: Annotated[float, Field(ge=0.1, le=1e4, strict=True)] | None = None
-    """Corner (-3 dB) of the low-pass with which the force follows its setting; without it at once."""
+    """Corner (-3 dB) of the low-pass from setting to force; without it at once."""
     delay_ms: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False, strict=True)] = 0.0
-    """From a setting to the first change of the force."""
+    """From a setting to the force's first change."""
     friction_N: Force = 0.0
-    """Coulomb friction of guide and seals against the stroke."""
+    """Coulomb friction against the stroke."""
     # Scale: output, which reaches from -1 to 1, per newton.
     setpoint_output: Label | None = None
     """Analogue output that sets the force, ANOUT[1] to ANOUT[32]; read and checked, not driven yet."""
@@ -274,7 +273,7 @@ class ProcessTable(TomlTable):
     """`[process]`."""
 
     force_N: Annotated[float, Field(ge=0.01, le=1000, allow_inf_nan=False, strict=True)] = 20.0
-    """Contact force that is wanted."""
+    """Wanted contact force."""
     # Slower a line of a blade takes hours, faster than any arm's path; lines nearer than 0.1 mm cover nothing anew.
     feed_mm_s: Annotated[float, Field(ge=0.1, le=5000, strict=True)] = 40.0
     """Speed of the contact over the blade."""
@@ -285,7 +284,7 @@ class ProcessTable(TomlTable):
     side: Literal["convex", "concave", "both"] = "both"
     """Which side is ground."""
     tilt_tolerance_deg: Annotated[float, Field(ge=0, le=45, strict=True)] = 3.0
-    """How far the blade may tilt about the belt's direction and the axle."""
+    """How far the blade may tilt, about the belt's direction and the axle."""
     turn_tolerance_deg: Turn = 30.0
     """How far the feed may turn from the belt's direction."""
     lateral_tolerance_mm: Margin = 10.0
@@ -293,21 +292,22 @@ class ProcessTable(TomlTable):
     grinding: Literal["down", "up"] = "down"
     """Down: the blade moves with the belt; up: against it."""
     root_margin_mm: Margin = 5.0
-    """Left free at the root end."""
+    """Left free at root and tip."""
     tip_margin_mm: Margin = 5.0
-    """Left free at the tip."""
+    """Left free at root and tip."""
     edge_margin_mm: Margin = 3.0
     """Left free at leading and trailing edge."""
     # Most that an edge of the blade may be pressed with where a ramp runs off it; a thousand tonnes cut it off.
     edge_force_N: Force = 5.0
-    """Most that an edge is to be pressed with where a ramp runs off it."""
+    """Most on an edge where a ramp runs off it; checked, not used yet: touch keeps the patch of a quarter of the force
+    inside."""
     # What is wanted of all passes together; a belt that takes off 2 mm mills.
     removal_um: Annotated[float, Field(ge=0.01, le=2000, allow_inf_nan=False, strict=True)] | None = None
     """Depth that all passes together are to take off; without it what force and feed make."""
     preston_um_mm2_per_N_m: Preston | None = None
-    """Preston's coefficient: depth over pressure and sliding way; `ocp.update --removal` writes it."""
+    """Preston's coefficient, depth over pressure and sliding way, as `ocp.update --removal` writes it, and its one sigma."""
     preston_sd_um_mm2_per_N_m: Preston | None = None
-    """Its one sigma."""
+    """Preston's coefficient, depth over pressure and sliding way, as `ocp.update --removal` writes it, and its one sigma."""
 
     @model_validator(mode="after")
     def _preston(self) -> "ProcessTable":
@@ -320,11 +320,11 @@ class LinkTarget(TomlTable):
     """A reflector nest on a link, or a 6D target."""
 
     link: Annotated[int, Field(ge=0, le=6, strict=True)] = 6
-    """Link that carries the nest, 0 the base, 6 the flange."""
+    """Link that carries it, 0 the base, 6 the flange."""
     xyz_mm: OffsetVector
-    """Place of the reflector in that link's frame."""
+    """Its place in that link's frame."""
     abc_deg: AngleVector | None = None
-    """Turn of a 6D target there."""
+    """Its turn there, of a 6D target."""
 
 
 class TrackerTable(TomlTable):
@@ -335,11 +335,11 @@ class TrackerTable(TomlTable):
     transverse_noise_um_per_m: Micrometres = 3.0
     """One sigma across it, per metre of distance."""
     target_sd_mm: Spread = 1.0
-    """One sigma of the nests' places below."""
+    """One sigma of the nests' places."""
     rotation: Literal[ROTATION_ORDERS] = "zyx_intrinsic"  # type: ignore[valid-type]
-    """Order of the angles rx, ry, rz of a 6D target."""
+    """Order of a 6D target's angles rx, ry, rz."""
     targets: dict[Label, OffsetVector | LinkTarget] = Field(default_factory=dict, max_length=MOST_NESTS)
-    """Reflector nests by name: [x, y, z] mm on the flange, or a table with its link."""
+    """Nests by name: [x, y, z] mm on the flange, or a table."""
 
 
 class EffectTable(TomlTable):
@@ -348,9 +348,9 @@ class EffectTable(TomlTable):
     model_config = ConfigDict(extra="allow", frozen=True, strict=False, use_attribute_docstrings=True)
 
     effect: str
-    """Name in the catalogue (docs/effects.md); the effect's own keys stand beside it."""
+    """Its name; its own keys stand beside it."""
     joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
-    """Joint that it acts at, where it acts at one."""
+    """Where it acts at one joint."""
     sd: dict[str, Any] = Field(default_factory=dict)
     """One sigma by key."""
 
@@ -370,15 +370,15 @@ class PatchTable(TomlTable):
     kernel: Label
     """Kernel that stands for it."""
     joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
-    """Joint that it acts at."""
+    """Where it acts at one joint."""
     features: Annotated[tuple[str, ...], Field(min_length=1, max_length=MOST_FEATURES)]
-    """Functions of the conditions, each a formula."""
+    """Formulas of the conditions."""
     weights: tuple[float, ...]
     """Coefficient of each feature."""
     covariance: tuple[tuple[float, ...], ...]
     """Their covariance."""
     range: dict[str, tuple[float, float]] = Field(default_factory=dict)
-    """Least and most of every condition that was measured."""
+    """Least and most measured of every condition."""
     about: tuple[float, float, float] | None = None
     """Point that a tilt turns about, m."""
     formula: str = ""
@@ -396,7 +396,7 @@ class ConditionsTable(TomlTable):
     """`[conditions]`: what the cell's effects depend on, as it will be when the plan runs."""
 
     temperature_C: Temperature | None = None
-    """Of the structure while the plan runs; without it the reference."""
+    """Of the structure; without it the reference."""
     wheel_temperature_C: Temperature | None = None
     """Of the wheel; without it the reference."""
     time_s: Seconds = 0.0
@@ -405,40 +405,40 @@ class ConditionsTable(TomlTable):
     """That the wheel has run."""
     # A thousand passes take the blade away.
     ground_before: Annotated[int, Field(ge=0, le=1000, strict=True)] = 0
-    """How often every line was ground before."""
+    """How often every line was ground."""
 
 
 class CellTables(TomlTable):
     """The whole of cell.toml."""
 
     version: SchemaVersion = 1
-    """Version of this format; 1 is the only one."""
+    """Version of the format."""
     name: Label = "cell"
-    """Name of the cell in reports."""
+    """The cell's name in reports."""
     reference_temperature_C: Temperature = 20.0
-    """Temperature at which its numbers hold."""
+    """Temperature at which the cell's numbers hold."""
     robot: RobotTable
-    """The robot and what is known of it."""
+    """The arm."""
     payloads: dict[Label, PayloadTable] = Field(default_factory=dict, max_length=MOST_PAYLOADS)
     """What may hang on the flange, by name."""
     controller: ControllerTable = ControllerTable()
     """The robot's controller."""
     workpiece: WorkpieceTable | None = None
-    """The blade in its holder; without it nothing is planned."""
+    """Blade and holder; without it nothing is planned."""
     wheel: WheelTable | None = None
-    """The belt-grinding wheel; without it nothing is planned."""
+    """Without it nothing is planned."""
     force_flange: FlangeTable | None = None
-    """Device that sets the force; absent: the holder is screwed on rigidly."""
+    """Device that sets the force; without it the holder is screwed on rigidly."""
     floor: FloorTable | None = None
-    """The floor; without it only the plane of the base is kept free."""
+    """Without it only the plane of the base is kept free."""
     process: ProcessTable = ProcessTable()
     """What is wanted."""
     tracker: TrackerTable | None = None
     """The laser tracker and its nests."""
     effects: Annotated[tuple[EffectTable, ...], Field(max_length=MOST_EFFECTS)] = ()
-    """Effects that are believed to be there."""
+    """Believed effects (docs/effects.md)."""
     patches: Annotated[tuple[PatchTable, ...], Field(max_length=MOST_EFFECTS)] = ()
-    """Corrections without a name, as a diagnosis writes them."""
+    """Corrections without a name, as a diagnosis writes them (`ocp.effects.patch`)."""
     conditions: ConditionsTable = ConditionsTable()
     """What effects depend on, as it will be when the plan runs."""
 

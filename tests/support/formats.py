@@ -2,7 +2,11 @@
 `python -m tests.support.formats` writes them."""
 
 import json
+import re
 import tomllib
+from collections import Counter
+from dataclasses import dataclass, field
+from itertools import groupby
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
 
@@ -34,8 +38,10 @@ UNITS = {
     "deg_s": "deg/s",
     "Nm": "N m",
     "hz": "1/s",
+    "mm_at_rated": "mm",
     **{name: name for name in ("mm", "um", "deg", "GPa", "MPa", "ms", "kg", "N", "C", "s")},
 }
+OURS = ("plan.csv", "predictions_tracker.csv")  # files that nobody writes but the commands
 ENDLESS = 1e6  # a bound from here on is against slips alone
 
 
@@ -55,89 +61,120 @@ def kind(annotation: Any, schema: dict[str, Any]) -> str:
     told = []
     for one in options:
         if "const" in one or "enum" in one:
-            told.append(" or ".join(json.dumps(v) for v in one.get("enum", [one.get("const")])))
+            told.append(_choice(one.get("enum", [one.get("const")])))
         elif one.get("type") == "array":
             told.append(_array(one))
         elif one.get("type") in ("number", "integer"):
             told.append(_range(one))
         else:
-            told.append({"string": "text", "boolean": "true, false"}.get(one.get("type", ""), "a table"))
+            told.append({"string": "text", "boolean": "true, false"}.get(one.get("type", ""), "table"))
     return "; ".join(dict.fromkeys(told))
+
+
+def _choice(values: list[Any]) -> str:
+    names = [json.dumps(v) for v in values]
+    return ", ".join(names) if len(names) < 7 else f"{len(names)} names, {names[0]} .. {names[-1]}"
 
 
 def _range(one: dict[str, Any]) -> str:
     low, high = (one.get(k, one.get(f"exclusive{k.capitalize()}")) for k in ("minimum", "maximum"))
-    words = "whole number" if one["type"] == "integer" else "number"
-    return bounds(low, high) or words
+    return bounds(low, high) or ("whole number" if one["type"] == "integer" else "number")
 
 
 def bounds(low: float | None, high: float | None) -> str:
-    """Least and most in words, those that are meant."""
-    told = [v if v is not None and abs(v) < ENDLESS else None for v in (low, high)]
-    if told == [None, None]:
-        return ""
-    return f"from {told[0]:g}" if told[1] is None else f"to {told[1]:g}" if told[0] is None else f"{told[0]:g} to {told[1]:g}"
+    """Least and most as 0..20 or +-20, those that are meant; one of them alone as >= 0 or <= 20."""
+    least, most = (v if v is not None and abs(v) < ENDLESS else None for v in (low, high))
+    if least is None or most is None:
+        return f">= {least:g}" if least is not None else f"<= {most:g}" if most is not None else ""
+    return f"+-{most:g}" if least == -most else f"{least:g}..{most:g}"
 
 
 def _array(one: dict[str, Any]) -> str:
-    items = one.get("prefixItems") or [one.get("items", {})]
-    inside = kind(None, items[0])
-    many = f"{len(items)} of " if "prefixItems" in one else "list of "
-    return f"{many}{inside}"
+    items = one.get("prefixItems")
+    inside = kind(None, (items or [one.get("items", {})])[0])
+    if not items:
+        return f"list of {inside}"
+    return f"[{len(items)}] {inside}"
 
 
-def key_rows(table: type[BaseModel], example: dict[str, Any]) -> list[str]:
+@dataclass(frozen=True)
+class Key:
+    """A key of a table: its range with its unit, its default, an example where it has none, its meaning."""
+
+    name: str
+    range: str
+    default: str
+    example: str = field(compare=False)
+    meaning: str
+
+
+def keys(table: type[BaseModel], example: dict[str, Any]) -> list[Key]:
+    """What a table holds beside tables of its own."""
     schema = table.model_json_schema(by_alias=True)
-    rows = []
-    for name, field in table.model_fields.items():
-        key = field.alias or name
-        inside = inner_tables(field.annotation)
-        told = "a table, below" if inside and "targets" not in key else kind(field.annotation, schema["properties"][key])
-        default = (
-            "needed"
-            if field.is_required()
-            else "none"
-            if field.default is None
-            else _shown(field.get_default(call_default_factory=True))
-        )
-        default = "none" if inside and default != "needed" else default
+    found = []
+    for name, one in table.model_fields.items():
+        key = one.alias or name
+        if inner_tables(one.annotation) and "targets" not in key:
+            continue
+        told = " ".join(filter(None, (kind(one.annotation, schema["properties"][key]), unit(key))))
+        known = None if one.is_required() else one.get_default(call_default_factory=True)
+        default = "needed" if one.is_required() else "" if known is None or known == {} else _shown(known)
         value = example.get(key)
-        shown = "" if value is None or isinstance(value, dict) or inside else f"`{_shown(value)}`"
-        rows.append(f"| `{key}` | {unit(key)} | {told} | {default} | {shown} | {' '.join((field.description or '').split())} |")
-    return rows
+        shown = "" if value is None or isinstance(value, dict) or default not in ("", "needed") else f"`{_shown(value)}`"
+        found.append(Key(key, told, default, shown, " ".join((one.description or "").split()).rstrip(".")))
+    return found
 
 
 def _shown(value: Any) -> str:
-    if isinstance(value, BaseModel | dict):
-        return "none"
-    return json.dumps(value.model_dump() if isinstance(value, BaseModel) else value).replace("Infinity", "infinite")
+    """A value as TOML has it, whole numbers without a point; of more than three numbers the first two."""
+    if isinstance(value, list | tuple):
+        told = [_shown(v) for v in value]
+        return f"[{', '.join(told if len(told) < 4 else [*told[:2], '..'])}]"
+    whole = isinstance(value, float) and value.is_integer()
+    return json.dumps(int(value) if whole else value).replace("Infinity", "infinite")
 
 
 def schema_tables(file: str) -> str:
-    """Every table of a TOML file with its keys."""
+    """Every table of a TOML file with its keys; a key that is alike in more than two tables is told once, at the end."""
     root, path = KINDS[file]
-    example = tomllib.loads(path.read_text())
-    text, left = [], [(root, "", example)]
+    found, left = [], [(root, "", "", tomllib.loads(path.read_text()))]
     while left:
-        table, name, values = left.pop(0)
-        text += [
-            " ".join(filter(None, (f"**`{name}`**" if name else "", _first(table)))),
-            "",
-            "| key | unit | range | default | example | meaning |",
-            "|---|---|---|---|---|---|",
-        ]
-        text += [*key_rows(table, values), ""]
-        for key, field in table.model_fields.items():
-            for inner in dict.fromkeys(inner_tables(field.annotation)):
-                if any(inner is other for other, _, _ in left) or f"[{key}" in "".join(text[-1:]):
+        table, name, words, values = left.pop(0)
+        found.append((name, words, keys(table, values)))
+        for key, one in table.model_fields.items():
+            for inner in dict.fromkeys(inner_tables(one.annotation)):
+                if any(inner is other for other, *_ in left):
                     continue
                 value = values.get(key, {})
-                many = get_origin(_plain(field.annotation)) is tuple
-                named = get_origin(_plain(field.annotation)) is dict
+                many = get_origin(_plain(one.annotation)) is tuple
+                named = get_origin(_plain(one.annotation)) is dict
                 value = next(iter(value), {}) if many else next(iter(value.values()), {}) if named and value else value
-                full = ".".join(filter(None, (name.strip("[]"), key))) + (".NAME" if named else "")
-                left.append((inner, f"[[{full}]]" if many else f"[{full}]", value if isinstance(value, dict) else {}))
+                alike = [k for k, other in table.model_fields.items() if inner in inner_tables(other.annotation)]
+                full = [".".join(filter(None, (name.strip("[]"), k))) + (".NAME" if named else "") for k in alike]
+                ends = dict.fromkeys(f"[[{k}]]" if many else f"[{k}]" for k in (full[0], full[-1]))
+                told = _docstring(inner) if len(alike) > 1 or "targets" in key else (one.description or "")
+                needed = "Needed. " if one.is_required() else ""
+                left.append((inner, "` .. `".join(ends), needed + told, value if isinstance(value, dict) else {}))
+    often = [key for key, n in Counter(key for *_, held in found for key in held).items() if n > 2]
+    text = []
+    for name, words, held in found:
+        rows = _rows([key for key in held if key not in often])
+        text += [f"**`{name}`** {words}".rstrip() + "\n"] if name else []
+        text += ["| key | range | default | example | meaning |", "|---|---|---|---|---|", *rows, ""] if rows else []
+    for told in often:
+        where = ", ".join(f"`{name}`" for name, _, held in found if told in held)
+        text += [f"{where} have `{told.name}` too ({told.range}, {told.default}): {told.meaning}."]
     return "\n".join(text).rstrip()
+
+
+def _rows(held: list[Key]) -> list[str]:
+    """A row a key; keys that follow each other and differ by name and example alone share one."""
+    rows = []
+    for (told, default, meaning), run in groupby(held, key=lambda k: (k.range, k.default, k.meaning)):
+        alike = list(run)
+        names = ", ".join(f"`{k.name}`" for k in alike)
+        rows.append(f"| {names} | {told} | {default} | {alike[0].example} | {meaning} |")
+    return rows
 
 
 def _plain(annotation: Any) -> Any:
@@ -146,7 +183,7 @@ def _plain(annotation: Any) -> Any:
     return annotation
 
 
-def _first(table: type[BaseModel]) -> str:
+def _docstring(table: type[BaseModel]) -> str:
     """What a table's docstring says of it beside its name."""
     words = " ".join((table.__doc__ or "").split())
     words = words.split("`", 2)[2].lstrip(".:, ") if words.startswith("`[") else words
@@ -154,24 +191,23 @@ def _first(table: type[BaseModel]) -> str:
 
 
 def column_table(file: str) -> str:
-    """Every column of a CSV file."""
-    rows = ["| column | unit | range | needed | example | meaning |", "|---|---|---|---|---|---|"]
+    """Every column of a CSV file; whether it is needed and its range, of a file that somebody else writes."""
+    told = ["column", *(["unit"] if file in OURS else ["range", "needed"]), "example", "meaning"]
+    rows = [f"| {' | '.join(told)} |", "|---" * len(told) + "|"]
     for group in TABLES[file]:
         low, high, _ = column_bounds(group.names[0])
         words = not group.example.replace(".", "").lstrip("-").isdigit()
-        cells = (
-            unit(group.names[0]),
-            "text" if words else bounds(low, high),
-            "yes" if group.needed else "no",
-            f"`{group.example}`",
-        )
-        rows.append(f"| {' | '.join((_names(group), *cells, group.meaning))} |")
+        limits = "" if file in OURS else bounds(low, high)
+        held = "text" if words else " ".join(filter(None, (limits, unit(group.names[0]))))
+        needed = [] if file in OURS else ["yes" if group.needed else ""]
+        rows.append(f"| {' | '.join((_names(group), held, *needed, f'`{group.example}`', group.meaning))} |")
     return "\n".join(rows)
 
 
 def _names(group: Columns) -> str:
     names = group.names
-    return f"`{names[0]}` .. `{names[-1]}`" if len(names) > 4 else ", ".join(f"`{n}`" for n in names)
+    row = len(names) > 3 or [re.sub("_[a-z]{2,}$", "", name)[-1] for name in names] == ["x", "y", "z"]
+    return f"`{names[0]}` .. `{names[-1]}`" if row else ", ".join(f"`{n}`" for n in names)
 
 
 def filled(page: str) -> str:
