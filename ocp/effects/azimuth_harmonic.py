@@ -1,9 +1,9 @@
 """The tracker's azimuth circle: an error that repeats with the head's turn.
 
-A circle that sits off centre reads azimuths too large by rad cos(order x + phase), x the azimuth about the head's z axis, once a
+Azimuths x about the head's z axis read too large by rad cos(order x + phase_rad). A circle that sits off centre does so once a
 turn (order 1), an oval one twice; several read heads and the wheel that drives the head leave higher orders (Muralikrishnan et
-al. 2009, J. Res. NIST 114, 21: the error terms of a laser tracker). Over the narrow sector in which a robot stands neighbouring
-orders look alike, and the frame takes most of the slow ones.
+al. 2009, J. Res. NIST 114, 21: the error terms of a laser tracker). Over the narrow sector in which a robot stands
+neighbouring orders look alike, and the frame takes most of the slow ones.
 """
 
 import casadi as ca

@@ -1,10 +1,9 @@
 """The splice of the belt knocks once per turn of the belt.
 
-The splice is thicker than the belt and adds an impulse once per belt revolution, hz times a second (DIAGNOSIS, catalogue): a
-bell of height N and standard deviation `length` (share of a turn) at turn, turn + 1, ... turns of the belt, in the normal
-reading, and times the friction in the tangential one. Turns count from the start of each run (clocked 0) or on the campaign's
-clock (1: the belt keeps turning between runs). A force log is searched for rate, place and length beforehand
-(docs/diagnosis_force.md).
+The splice knocks hz times a second, at turn, turn + 1, .. of the belt: a bell N high and `length` turns wide in the normal
+reading, times friction in the tangential one. It is thicker than the belt (DIAGNOSIS, catalogue); `length` is the bell's
+standard deviation. Turns count from the start of each run (clocked 0) or on the campaign's clock (1: the belt keeps turning
+between runs). A force log is searched for rate, place and length beforehand (docs/diagnosis_force.md).
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """The blade is stiffer or softer than its elements say.
 
-Modulus or thickness differ from the drawing: the blade gives 1 / (1 + scale) of what its finite elements say (DIAGNOSIS,
-catalogue); the coefficient scale / (1 + scale) enters linearly.
+The blade gives 1 / (1 + scale) of what its finite elements say (DIAGNOSIS, catalogue). Modulus or thickness differ from the
+drawing; the coefficient scale / (1 + scale) enters linearly.
 """
 
 from ocp.effects.effect import Effect, Parameter

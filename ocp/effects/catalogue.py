@@ -79,11 +79,11 @@ def forget_library() -> None:
 def effects_table(whole: bool = False) -> str:
     """Markdown: what every effect is, its keys with usual ranges, where it enters the model, and its physics: the first sentence,
     or all with its source."""
-    lines = ["| effect | keys, usual range | enters by | what it is |", "|---|---|---|---|"]
+    lines = ["| effect, joints | keys, usual range | enters by (column needed) | what it is |", "|---|---|---|---|"]
     for effect in library().values():
         ranges = [key_range(p.key, p.low, p.high, p.signed and p.low >= 0, p.length, p.unit) for p in effect.parameters]
         hooks = ", ".join(h for h in HOOKS if getattr(effect, h) is not None)
-        needs = f" (needs {', '.join(effect.needs)})" if effect.needs else ""
+        needs = f" ({', '.join(effect.needs)})" if effect.needs else ""
         physics = " ".join((effect.physics.partition("\n\n")[2] or effect.physics).split())  # below a docstring's first line
         first = re.split(r"(?<=[^A-Z]\.)\s(?=[A-Z])", physics)[0]
         told = physics if whole else re.sub(r" \((DIAGNOSIS|FORMATS|PHYSICS)[^)]*\)", "", first)
@@ -111,11 +111,13 @@ def effect_list() -> str:
 
 
 def key_range(key: str, low: float, high: float, either_sign: bool, length: int = 1, unit: str = "1") -> str:
-    """A key with its usual range: 'rad (3) +-5e-06..0.0002 rad'; the key alone where it holds a name."""
+    """A key with its usual range: 'per_K +-5e-06..0.0002 1/K', without a unit that ends its name; the key alone where it holds a
+    name."""
     if high == 0:
         return key
     count, sign = f" ({length})" if length > 1 else "", "+-" if either_sign else ""
-    return f"{key}{count} {sign}{low:g}..{high:g}" + ("" if unit == "1" else f" {unit}")
+    known = unit == "1" or key.replace("_per_", "/") == unit or key.endswith("_" + unit)
+    return f"{key}{count} {sign}{low:g}..{high:g}" + ("" if known else f" {unit}")
 
 
 def joint_range(joints: Iterable[int], least_run: int, between: str) -> str:

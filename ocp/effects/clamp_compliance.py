@@ -1,7 +1,7 @@
 """The clamp gives: the blade tilts about its root.
 
-A clamp that tilts under a force at height h moves the contact by m_per_N F (h / 60 mm)^2, away from the wheel: the moment goes
-with h, so does the displacement (DIAGNOSIS, catalogue).
+The contact moves by m_per_N F (h / 60 mm)^2 away from the wheel, h its height over the clamp. A clamp that tilts under a force
+at height h does so: the moment goes with h, so does the displacement (DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect, Parameter

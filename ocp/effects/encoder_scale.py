@@ -1,6 +1,6 @@
 """An axis turns a little more than its encoder says, in proportion to its angle.
 
-A wrong gear ratio in the controller or a stretched encoder scale: dq = e q, the link stands at (1 + scale) q (DIAGNOSIS,
+dq = scale q: a wrong gear ratio in the controller or a stretched encoder scale. The link stands at (1 + scale) q (DIAGNOSIS,
 catalogue). Over a part of a turn gear_1x and a gravity compensator look alike.
 """
 

@@ -1,6 +1,6 @@
 """The flange sticks: its force depends on the direction of its stroke.
 
-Seals and guides resist: while the flange is pressed in the contact feels N newton more, while it extends N less (DIAGNOSIS,
+The contact feels N more while the flange is pressed in, N less while it extends. Seals and guides resist (DIAGNOSIS,
 catalogue: sign of its stroke rate).
 """
 

@@ -1,7 +1,7 @@
 """The flange does not know all of the weight it carries.
 
-A mass of kg that the flange carries and does not compensate presses along the flange's axis with its tilt: the force grows by
-kg g times the downward share of the direction in which the flange pushes (DIAGNOSIS, catalogue).
+The flange carries kg that it does not compensate: the force grows by kg g times the downward share of its push. It does so
+with the tilt of the flange's axis (DIAGNOSIS, catalogue).
 """
 
 import casadi as ca

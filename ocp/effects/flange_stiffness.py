@@ -1,7 +1,7 @@
 """The force-setting flange is stiffer or softer than the cell says.
 
-The force of the flange rises with its stroke by (1 + scale) times the cell's stiffness (DIAGNOSIS, catalogue): the stroke at a
-force is 1 / (1 + scale) of the model's; the coefficient scale / (1 + scale) enters linearly.
+The flange's force rises with its stroke by (1 + scale) times the cell's stiffness. The stroke at a force is 1 / (1 + scale) of
+the model's (DIAGNOSIS, catalogue); the coefficient scale / (1 + scale) enters linearly.
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,8 +1,8 @@
 """Friction winds up the gear and the link; after a reversal they stand wound the other way.
 
-An axis that stops is held back by friction, which grows with the load of the bearings and teeth, and keeps the gear wound: dq =
-(b0 + h |tau|) s, s the sign of the last motion, base_rad = b0, per_Nm = h in rad per N m (DIAGNOSIS, catalogue). Positive
-values leave the link further along the last motion, as backlash does.
+dq = (base_rad + per_Nm |tau|) s, s the sign of the last motion: friction keeps the gear wound. An axis that stops is held back
+by friction, which grows with the load tau of the bearings and teeth (DIAGNOSIS, catalogue). Positive values leave the link
+further along the last motion, as backlash does.
 """
 
 import casadi as ca

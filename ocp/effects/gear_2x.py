@@ -1,7 +1,7 @@
 """A joint's error that repeats twice per turn of the axis.
 
-dq = A cos(2 q + phase): an oval gear or output-side encoder (DIAGNOSIS, catalogue). It is slow: over a part of a turn it looks
-like an encoder's scale or a joint's offset, and geometry takes much of it.
+dq = amplitude_rad cos(2 q + phase_rad): an oval gear or output-side encoder (DIAGNOSIS, catalogue). It is slow: over a part of
+a turn it looks like an encoder's scale or a joint's offset, and geometry takes much of it.
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,7 +1,7 @@
 """A ripple of a joint with a whole number of waves per turn of the axis.
 
-Teeth, pins and rolling elements of a gear repeat a whole number of times per turn of its output: dq = A cos(k q + phase), order
-k waves per turn of the axis, tried from 3 to 300 (DIAGNOSIS, catalogue).
+dq = amplitude_rad cos(order q + phase_rad): teeth, pins and rolling elements. They repeat a whole number of times per turn of
+the gear's output, tried from 3 to 300 (DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect, Parameter

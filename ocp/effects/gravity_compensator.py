@@ -1,11 +1,11 @@
 """The spring that balances the upper arm, which the believed cell leaves out.
 
-A KR 210 carries a hydropneumatic balancer on axis 2 that the paper and the believed cell ignore (PHYSICS 2.5): a spring of rate
-k between a point of link 1 and one of the upper arm, at lever_link1_m and lever_arm_m from axis 2, pulls toward the upright
-arm: torque = -k (1 - L0 / L) a b sin(phi), L its length at the angle phi from where it is shortest, L0 = free_length times the
-least length |b - a|: 1 just unloaded there, less preloaded. The torque acts through the joint's own compliance, so a robot
-without springs in joint 2 does not show it. Readings fix k a b and the shape; stiffness_N_m follows from the levers of the
-variant.
+A spring k from lever a of link 1 to lever b of the upper arm: torque = -k (1 - L0 / L) a b sin(phi), phi the angle from
+rest_rad, L the length, L0 = free_length |b - a|. A KR 210 carries a hydropneumatic balancer on axis 2 that the paper and the
+believed cell ignore (PHYSICS 2.5): stiffness_N_m is k, lever_link1_m a and lever_arm_m b count from axis 2, at phi = 0 the
+spring is shortest; it pulls toward the upright arm. free_length 1: just unloaded there, less: preloaded. The torque acts
+through the joint's own compliance, so a robot without springs in joint 2 does not show it. Readings fix k a b and the shape;
+stiffness_N_m follows from the levers of the variant.
 """
 
 import casadi as ca

@@ -1,9 +1,10 @@
 """A joint gives under its load where the believed cell has it rigid, or gives more.
 
-A gear and its bearings bend in proportion to the load torque: dq = c tau, tau positive along +q (PHYSICS 2.5, eq. 16).
-rad_per_Nm comes on top of what the believed cell already has for this joint under weight and external loads; the contact's own
-torque bends it too and takes overlap away (PHYSICS 3.1). The usual range is that of a KR 210 and grows for robots with smaller
-gears as their rated torque falls. Joints 1 and 6 carry hardly any weight; only a push, a pull or the contact shows their springs.
+dq = rad_per_Nm tau on top of the believed spring; the contact's own torque bends it too. A gear and its bearings bend in
+proportion to the load torque tau, positive along +q (PHYSICS 2.5, eq. 16). rad_per_Nm comes on top of what the believed cell
+already has for this joint under weight and external loads; the contact's torque takes overlap away (PHYSICS 3.1). The usual
+range is that of a KR 210 and grows for robots with smaller gears as their rated torque falls. Joints 1 and 6 carry hardly any
+weight; only a push, a pull or the contact shows their springs.
 """
 
 from ocp.effects.effect import Effect, Parameter, Surroundings

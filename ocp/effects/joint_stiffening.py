@@ -1,8 +1,8 @@
 """A gear that grows stiffer with its load, as teeth and rollers come to bear.
 
-The windup of a gear grows more slowly than its load: dq = c tau - c3 tau^3, the hysteresis curve's backbone as makers of
-precision gears print it. rad_per_Nm3 is c3, positive where the joint stiffens; typical sizes are 5 to 30 % of c tau at rated
-torque (DIAGNOSIS, catalogue).
+dq = c tau - rad_per_Nm3 tau^3, c the linear spring's. The windup of a gear grows more slowly than its load, the hysteresis
+curve's backbone as makers of precision gears print it. rad_per_Nm3 is positive where the joint stiffens; typical sizes are 5
+to 30 % of c tau at rated torque (DIAGNOSIS, catalogue).
 """
 
 import numpy as np

@@ -1,7 +1,6 @@
 """A joint's zero moves with the temperature.
 
-A gearbox housing or a column that warms on one side turns what it carries: dq = g (T - T0), rad_per_K = g (DIAGNOSIS,
-catalogue).
+dq = rad_per_K (T - T0): a housing or column that warms on one side. It turns what it carries (DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,8 +1,8 @@
 """A warm arm is longer.
 
-All lengths of the arm grow in proportion to the temperature above the cell's reference: L (1 + per_K (T - T0)); steel and cast
-iron 1.1e-5, aluminium 2.3e-5 per kelvin. What is clamped to the flange does not grow with it. At constant temperature it cannot
-be told from the tracker's scale or from longer links.
+All lengths of the arm are (1 + per_K (T - T0)) as long. Steel and cast iron have 1.1e-5, aluminium 2.3e-5 per kelvin, T0 is
+the cell's reference. What is clamped to the flange does not grow with it. At constant temperature it cannot be told from the
+tracker's scale or from longer links.
 """
 
 import casadi as ca

@@ -1,10 +1,11 @@
 """Play of a gear that its load takes up: the link lies on the side to which gravity pulls it.
 
-dq = b tanh(tau / tau0), half_width_rad = b, torque_Nm = tau0 (FORMATS, additions), tau positive along +q. Where weight closes the
-gap the side follows the sign of the torque, not of the last motion (`backlash`): the link jumps by 2 b where the torque passes
-zero, over the tau0 that friction of the unloaded gear withstands, tried from 0.3 to 10 % of the joint's rated torque. A load that
-never changes its sign hides it in the joint's zero; a small tau0 beside steady motions is what backlash looks like on joints that
-are approached from below alone. Joint 1 of an upright robot carries no weight and does not show it.
+dq = half_width_rad tanh(tau / torque_Nm): the load chooses the side. Its torque tau is positive along +q (FORMATS, additions).
+Where weight closes the gap the side follows the sign of the torque, not of the last motion (`backlash`): the link jumps by
+twice half_width_rad where the torque passes zero, over the torque_Nm that friction of the unloaded gear withstands, tried from
+0.3 to 10 % of the joint's rated torque. A load that never changes its sign hides it in the joint's zero; a small torque_Nm
+beside steady motions is what backlash looks like on joints that are approached from below alone. Joint 1 of an upright robot
+carries no weight and does not show it.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,9 @@
 """A ripple of a joint once or twice per turn of its motor.
 
-An eccentric first gear stage, resolver or coupling repeats with the motor: dq = A cos(k R q + phase), R the gear ratio, order k
-= 1 or 2 (DIAGNOSIS, catalogue). The KR 210 extra's ratios are not published; those of its two sister machines are tried in
-their place (PHYSICS 2.1), other robots without ratios are not tested. phase_rad counts from the commanded axis at zero.
+dq = amplitude_rad cos(order gear_ratio q + phase_rad): an eccentric first gear stage, resolver or coupling. It repeats with
+the motor, order 1 or 2 (DIAGNOSIS, catalogue). The KR 210 extra's ratios are not published; those of its two sister machines
+are tried in their place (PHYSICS 2.1), other robots without ratios are not tested. phase_rad counts from the commanded axis at
+zero.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,7 @@
 """The contact lags along its path by the direction of travel, whatever the speed.
 
-Play and friction in the drives hold the contact back by the same distance at any feed: where the log says s the contact is m
-behind in the direction of travel (DIAGNOSIS, catalogue). Passes in both directions tell it from a shifted blade, two feeds from
-a delay.
+Where the log says s the contact is m behind in the direction of travel, at any feed. Play and friction in the drives hold it
+back (DIAGNOSIS, catalogue). Passes in both directions tell it from a shifted blade, two feeds from a delay.
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,8 +1,7 @@
 """The centre of what hangs on the flange is elsewhere than the cell says.
 
-The payload's weight acts at another point than the cell says: its moment changes by m g x dr, tau(dr) (DIAGNOSIS, catalogue).
-shift_m is the real centre less the cell's, in the flange frame. payload: the one it is true of, or 'loaded': every payload with
-a mass, each by the same shift.
+The payload's real centre is shift_m (3) from the cell's, flange frame. Its weight acts there: its moment changes by m g x dr,
+tau(dr) (DIAGNOSIS, catalogue). payload: the one it is true of, or 'loaded': every payload with a mass, each by the same shift.
 """
 
 import casadi as ca

@@ -1,7 +1,7 @@
 """What hangs on the flange is heavier than the cell says.
 
-An added mass at the payload's centre of mass loads every joint, tau(dm) (DIAGNOSIS, catalogue); the joints bend by their
-compliance. kg is the real mass less the cell's. payload: the one it is true of, or 'loaded': every payload with a mass. With
+The payload has kg more than in the cell. An added mass at its centre of mass loads every joint, tau(dm) (DIAGNOSIS,
+catalogue); the joints bend by their compliance. payload: the one it is true of, or 'loaded': every payload with a mass. With
 one payload it looks like compliance; payloads that are swapped tell them apart.
 """
 

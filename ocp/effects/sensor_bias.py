@@ -1,6 +1,6 @@
 """The force sensor's zero is off.
 
-The reading is the force plus N newton, in the air as in contact (DIAGNOSIS, catalogue); air runs show it alone.
+The reading is the force plus N, in the air too. Air runs show it alone (DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,7 +1,7 @@
 """The normal reading shows a share of the tangential force.
 
-The normal reading is the force plus share_sign times `share` of the tangential force as ft_N counts it, mu F with the sign of
-the belt's motion (DIAGNOSIS, catalogue). A stopped or reversed belt tells it from a gain.
+The normal reading is the force plus share_sign `share` of the tangential force. That is ft_N, mu F with the sign of the belt's
+motion (DIAGNOSIS, catalogue). A stopped or reversed belt tells it from a gain.
 """
 
 import casadi as ca

@@ -1,7 +1,7 @@
 """The force sensor's zero wanders.
 
-Strain gauges warm: the reading grows by N_per_h per hour of the campaign's clock, in the air as in contact (DIAGNOSIS,
-catalogue). Air runs tell it from wear.
+The reading grows by N_per_h on the campaign's clock, in the air too. Strain gauges warm (DIAGNOSIS, catalogue). Air runs tell
+it from wear.
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,9 +1,9 @@
 """Friction between belt and blade differs from the cell's.
 
-Grain, wear and lubrication change friction: the tangential force is (mu + dmu) F along the belt, which bends blade and arm
-across and so changes the overlap. Of the tangential force the share `leak` shows in the normal reading, for no sensor stands
-quite square (DIAGNOSIS, catalogue); leak_sign 1: the reading rises with ft_N, -1: it falls. ft readings show dmu directly, a
-reversed belt the leak.
+The tangential force is (friction + dmu) F, and leak_sign `leak` of it shows in the normal reading. Grain, wear and lubrication
+change the believed friction; the force along the belt bends blade and arm across and so changes the overlap. A leak is there
+because no sensor stands quite square (DIAGNOSIS, catalogue); leak_sign 1: the reading rises with ft_N, -1: it falls. ft
+readings show dmu directly, a reversed belt the leak.
 """
 
 from collections.abc import Mapping, Sequence

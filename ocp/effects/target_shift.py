@@ -1,7 +1,7 @@
 """A reflector nest moves during a campaign.
 
-A glued nest is knocked or creeps: from at_s on (campaign's clock) readings of `target` are shifted by shift_m (3) in the frame
-of the link that carries it (DIAGNOSIS, catalogue). A shift from the start is the nest's unknown position.
+From at_s on readings of `target` are shifted by shift_m (3) in the frame of its link. A glued nest is knocked or creeps
+(DIAGNOSIS, catalogue); at_s is on the campaign's clock. A shift from the start is the nest's unknown position.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """The force is logged later than the motion.
 
-Filters and buses delay what the sensor says: the reading at t shows the force at t - s, s positive where the logger is behind
+The reading at t shows the force at t - s. Filters and buses delay what the sensor says, s positive where the logger is behind
 the motion (DIAGNOSIS, catalogue). In force-only logs at one feed an axis error that goes with speed looks the same.
 """
 

@@ -1,7 +1,7 @@
 """The blade is gripped anew and sits elsewhere.
 
-From at_s on (campaign's clock) the blade's frame is shifted by m (3) in the flange frame. What was so from the start is
-registration (DIAGNOSIS, catalogue).
+From at_s on the blade's frame is shifted by m (3) in the flange frame. The time is on the campaign's clock. What was so from
+the start is registration (DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect

@@ -1,8 +1,8 @@
 """The tracker's frame wanders during a campaign.
 
-The stand warms or settles: what the tracker reads moves by m_per_h (3) and turns by rad_per_h (3) about its head per hour since
-the start, in the axes of the tracker's frame (DIAGNOSIS, catalogue). Fixed reflectors read again and again would show it apart
-from the robot.
+What the tracker reads moves by m_per_h (3) and turns by rad_per_h (3) about its head. The stand warms or settles: per hour
+since the start, in the axes of the tracker's frame (DIAGNOSIS, catalogue). Fixed reflectors read again and again would show it
+apart from the robot.
 """
 
 import casadi as ca

@@ -1,7 +1,7 @@
 """The wheel was moved.
 
-From at_s on (campaign's clock) the wheel's centre is shifted by m (3) in base axes. What was so from the start is registration
-(DIAGNOSIS, catalogue). Along the wheel's axis and along the belt nothing shows.
+From at_s on the wheel's centre is shifted by m (3) in base axes. The time is on the campaign's clock. What was so from the
+start is registration (DIAGNOSIS, catalogue). Along the wheel's axis and along the belt nothing shows.
 """
 
 from ocp.effects.effect import Effect

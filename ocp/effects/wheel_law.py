@@ -1,8 +1,8 @@
 """The wheel's force rises more steeply with its indentation than modelled.
 
-Rubber that stiffens: the local exponent of F(delta) is (1 + exponent) times the model's, with the same indentation at 20 N
-(DIAGNOSIS, catalogue). To first order indentation falls by a (dd/dF) F ln(F / 20 N), a = exponent / (1 + exponent). Only
-several force levels tell it from a stiffer cover.
+The local exponent of F(delta) is (1 + exponent) times the model's, with the same indentation under 20 newton. Rubber that
+stiffens (DIAGNOSIS, catalogue). To first order indentation falls by a (dd/dF) F ln(F / 20 N), a = exponent / (1 + exponent).
+Only several force levels tell it from a stiffer cover.
 """
 
 import casadi as ca

@@ -1,8 +1,8 @@
 """The wheel's cover relaxes after it engages.
 
-Rubber as a standard linear solid: after engagement its stiffness falls by the share g with the time constant tau (DIAGNOSIS,
-catalogue). The force it lets go is -w g times the force through a first-order lag that starts at zero with every run, w the
-wheel's share of the give of the chain.
+After engagement the cover's stiffness falls by the share g with time constant tau. Rubber as a standard linear solid
+(DIAGNOSIS, catalogue): the force it lets go is -w g times the force through a first-order lag that starts at zero with every
+run, w the wheel's share of the give of the chain.
 """
 
 import numpy as np

@@ -1,8 +1,7 @@
 """The wheel runs out of true.
 
-Once per revolution the radius is m larger: overlap = m cos(w t + phase), w = belt speed / radius. t is the campaign's clock
-(clocked 1: the wheel keeps turning between runs) or the time of the run (clocked 0: each run starts at the same angle); both
-are tried.
+The radius is m cos(w t + phase_rad) larger, w = belt speed / radius. Time t is the campaign's clock (clocked 1: the wheel
+keeps turning between runs) or the time of the run (clocked 0: each run starts at the same angle); both are tried.
 """
 
 import casadi as ca

@@ -1,6 +1,6 @@
 """The wheel's cover is stiffer or softer than the cell says.
 
-Rubber of another batch or age: the same indentation takes (1 + scale) times the force (DIAGNOSIS, catalogue). Indentation
+The same indentation takes (1 + scale) times the force: rubber of another batch or age (DIAGNOSIS, catalogue). Indentation
 follows a power of the force, d(F / (1 + s)) = d (1 + s)^-0.7, so the coefficient a = (1 - (1 + s)^-0.7) / 0.7 enters linearly.
 Cover thickness does the same.
 """

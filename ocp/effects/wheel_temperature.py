@@ -1,8 +1,7 @@
 """A warm wheel is softer and larger.
 
-The cover's stiffness is (1 + per_K (T - T0)) times the cell's (per_K negative: warm rubber is softer), the radius grows by
-radius_per_K metres per kelvin, T the wheel's temperature, T0 the cell's reference; it recovers on pauses (DIAGNOSIS,
-catalogue).
+The cover's stiffness is (1 + per_K (T - T0)) times the cell's, its radius grows by radius_per_K (T - T0), T the wheel's
+temperature. T0 is the cell's reference, per_K negative: warm rubber is softer; it recovers on pauses (DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,7 +1,7 @@
 """The belt and the wheel's cover wear: the radius falls.
 
-The radius falls by m_per_s for every second of the campaign's clock, grinding between logged runs included; where a log gives
-no clock, for every second in contact (DIAGNOSIS, catalogue).
+The radius falls by m_per_s on the campaign's clock, or in contact where a log gives none. Grinding between logged runs is
+included (DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,7 +1,8 @@
 """A wrist axis turns with another one, as their shafts run through each other.
 
-The drives of axes 5 and 6 run through the hollow axes before them, and the controller takes the coupling out by fixed ratios; a
-wrong ratio leaves dq_j = k q_i among joints 4 to 6 (DIAGNOSIS, catalogue). source_joint is i.
+dq_j = ratio q_i among joints 4 to 6, i = source_joint: hollow shafts run through each other. The drives of axes 5 and 6 run
+through the hollow axes before them, and the controller takes the coupling out by fixed ratios; a wrong ratio leaves this
+(DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect, Parameter
