@@ -1,4 +1,4 @@
-"""The Python interface: plan, plan_night, choose_poses, calibrate, simulate, diagnose, judge_measurement, update, blindtest.
+"""The Python interface.
 
 Here: the functions that the commands call, under one roof, with what they return. Not here: anything of a command line, and
 anything that is not in the rooms of these names. Lengths are metres, angles radians, forces newtons; `progress` is called

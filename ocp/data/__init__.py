@@ -1,4 +1,4 @@
-"""The cell and the blade that come with the package, and the record of the blind checks' answers.
+"""The cell and blade that come with the package; the record of the blind checks' answers.
 
 Here: where they lie. Not here: how they are read (ocp.model.cell, trajectories.blade).
 """

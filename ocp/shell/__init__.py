@@ -1,4 +1,4 @@
-"""What every command needs of the machine: exit codes, progress, output folders, cache, worker processes, machine code.
+"""Exit codes, progress, output folders, cache, worker processes, machine code.
 
 Here: nothing that knows of robots, blades or forces. Not here: what a command does (its own room).
 """

@@ -3,6 +3,7 @@ the table of rooms, without a page it prints the house's figures."""
 
 import ast
 import io
+import re
 import sys
 import tokenize
 import tomllib
@@ -98,11 +99,11 @@ def described(room: str) -> tuple[str, str]:
 
 def table() -> str:
     used, floor = uses(), floors()
-    lines = ["| floor | room | what lives there | uses |", "|---|---|---|---|"]
+    lines = ["| floor | room | what lives there | uses, beside `shell` |", "|---|---|---|---|"]
     for room in sorted(declared().rooms, key=lambda r: -floor[r]):
-        others = ", ".join(other for other in declared().rooms if other in used[room])
-        told = described(room)[0].replace("|", "\\|")
-        lines.append(f"| {floor[room]} | `{room}` | {told} | {others} |")
+        others = ", ".join(other for other in declared().rooms if other in used[room] - {"shell"})
+        told = re.sub(r"^`python -m [^`]*`: ", "", described(room)[0])  # a room has its command's name
+        lines.append(f"| {floor[room]} | `{room}` | {told[0].upper()}{told[1:]} | {others} |")
     return "\n".join(lines)
 
 
