@@ -1,7 +1,7 @@
 """Kinds of effects that can be planted in the virtual cell: names, keys and typical ranges of the catalogue (project DIAGNOSIS).
 
 Names and keys are part of the data contract: labels of data sets and diagnoses use the same. What each of contact, sensor and
-timing does to the virtual cell stands in docs/virtual_grinding.md; `at_s` counts on the campaign's clock.
+timing does to the virtual cell stands in contact/ and arm.py; `at_s` counts on the campaign's clock.
 """
 
 from dataclasses import dataclass

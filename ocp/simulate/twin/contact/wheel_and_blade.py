@@ -1,7 +1,7 @@
 """What happens to wheel and belt: stiffness, law, radius, pushes, friction; and to the blade: its surface, its clamp, where it
 sits, and how far it and the arm give way under the contact.
 
-Effects as in docs/virtual_grinding.md, "Effects"; compliances per newton, along the wheel's direction into the blade.
+Effects are the catalogue's (docs/effects.md); compliances per newton, along the wheel's direction into the blade.
 """
 
 from dataclasses import dataclass
