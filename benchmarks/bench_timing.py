@@ -1,6 +1,6 @@
 """Time and quality of the time parameterisation on passes like those of a blade.
 
-`python benchmarks/bench_timing.py` prints the numbers quoted in docs/timing.md.
+`python -m benchmarks.bench_timing` prints the numbers quoted in docs/timing.md.
 """
 
 import time
@@ -61,9 +61,9 @@ def main() -> None:
     for window in (0.0, 0.05, 0.1):
         one = time_contact_path(q, s, 0.04, limits, window=window)
         for step in (0.05, 0.025, 0.0125):
-            e = emit(one, FILE_LIMITS, 1.0, largest_axis_difference, step)
+            e = emit(one, FILE_LIMITS, lambda t: np.ones(len(t)), largest_axis_difference, step)
             t = sample_times(one)
-            qdd = rest_to_rest_spline(e.q, e.times)(t, nu=2)
+            qdd = rest_to_rest_spline(e.points, e.times)(t, nu=2)
             ratio = np.abs(qdd / limits.qdd).max()
             print(
                 f"window {window} s, step {step} s: {len(e.times)} points, deviation {e.deviation:.2e} rad, "
