@@ -32,7 +32,7 @@ class GeometryTable(TomlTable):
     source: str
     """Where the numbers are from."""
     sign: tuple[Sign, Sign, Sign, Sign, Sign, Sign]
-    """-1 where the controller counts an axis against the right hand about z of the frame before."""
+    """-1 where the controller counts against the right hand about z."""
     theta_deg: SixAngles
     """Offsets of the axes."""
     d_mm: SixPlaces
@@ -57,9 +57,9 @@ class LimitsTable(TomlTable):
     speed_deg_s: SixRates
     """Largest speed."""
     acceleration_deg_s2: SixRates | None = None
-    """Largest acceleration; without it nothing is planned or rehearsed."""
+    """Largest acceleration."""
     torque_Nm: SixRates | None = None
-    """Largest torque, link side of the gear; without it nothing is planned or rehearsed."""
+    """Largest torque, link side of the gear."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "LimitsTable":
@@ -99,7 +99,7 @@ class LinkTable(TomlTable):
     """Its centre of mass."""
     # xx, yy, zz, xy, xz, yz about the centre of mass
     inertia_kg_m2: tuple[Moment, Moment, Moment, Moment, Moment, Moment] | None = None
-    """xx, yy, zz, xy, xz, yz about that centre; without it nothing is planned or rehearsed."""
+    """xx, yy, zz, xy, xz, yz about that centre."""
 
     @model_validator(mode="after")
     def _physical(self) -> "LinkTable":
@@ -191,13 +191,13 @@ class RobotTables(TomlTable):
     geometry: GeometryTable
     """MD-H chain: A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i), theta_i = sign_i q_i + theta_deg_i."""
     limits: LimitsTable
-    """Of each axis, controller's signs."""
+    """Of each axis, controller's signs; without the last two nothing is planned or rehearsed."""
     gears: GearsTable | None = None
     """Gear ratios."""
     stiffness: StiffnessTable | None = None
     """Springs of the joints."""
     links: LinksTable | None = None
-    """Masses; without them nothing is planned or rehearsed."""
+    """Masses; without all of them, inertia too, nothing is planned or rehearsed."""
     payload: RatedPayloadTable | None = None
     """What the maker lets hang on the flange."""
     shape: Annotated[tuple[CapsuleTable, ...], Field(max_length=MOST_SHAPES)] = ()

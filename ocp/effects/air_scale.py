@@ -1,7 +1,7 @@
 """The tracker's ranges grow with the air's temperature.
 
-The tracker reads (1 + per_K (T - T0)) times the distance from its head, T the readings' temperature, T0 the cell's reference.
-A warmer hall thins the air, whose refractive index falls by 0.93e-6 per kelvin (Ciddor 1996, Applied Optics 35, 1566), and an
+The tracker reads (1 + per_K (T - T0)) times the distance. T is the readings' temperature, T0 the cell's reference. A warmer
+hall thins the air, whose refractive index falls by 0.93e-6 per kelvin (Ciddor 1996, Applied Optics 35, 1566), and an
 interferometer's own weather station may stand elsewhere; either sign, as it leaves the compensation out or makes it twice. It
 differs from link_thermal, ten times as large per kelvin, by what it scales: the way from the tracker, not the arm.
 """

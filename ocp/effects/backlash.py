@@ -1,8 +1,8 @@
 """Backlash of a gear: after a reversal the link stands at the other flank of the teeth.
 
-dq = half_width_rad s, s the sign of the axis' last motion: the link stands further along it. That is play (DIAGNOSIS,
-catalogue). It depends on nothing else, which tells it from windup of friction, which grows with the load; on joint 1, which
-carries no load, the two are one.
+dq = half_width_rad s: the link stands further along the last motion. That is play, s the sign of the axis' last motion
+(DIAGNOSIS, catalogue). It depends on nothing else, which tells it from windup of friction, which grows with the load; on joint
+1, which carries no load, the two are one.
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,9 +1,9 @@
 """The robot's base tilts during a campaign, at once or slowly.
 
-The robot turns about its base frame's origin by a rotation vector rad (3), at once at at_s or evenly until until_s. The
-pedestal gives or its anchors slip. The vector has base axes, times are on the campaign's clock. A tilt from the start belongs
-to the tracker's frame. That the weight's direction turns too is left out (below 1 um at the largest tilt). Without reflectors
-on the floor a tilt of the tracker looks the same.
+The robot turns about its base's origin by rad (3), at once at at_s or evenly until until_s. The pedestal gives or its anchors
+slip. The rotation vector has base axes, times are on the campaign's clock. A tilt from the start belongs to the tracker's
+frame. That the weight's direction turns too is left out (below 1 um at the largest tilt). Without reflectors on the floor a
+tilt of the tracker looks the same.
 """
 
 from collections.abc import Mapping, Sequence

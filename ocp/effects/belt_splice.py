@@ -1,9 +1,9 @@
 """The splice of the belt knocks once per turn of the belt.
 
-The splice knocks hz times a second, at turn, turn + 1, .. of the belt: a bell N high and `length` turns wide in the normal
-reading, times friction in the tangential one. It is thicker than the belt (DIAGNOSIS, catalogue); `length` is the bell's
-standard deviation. Turns count from the start of each run (clocked 0) or on the campaign's clock (1: the belt keeps turning
-between runs). A force log is searched for rate, place and length beforehand (docs/diagnosis_force.md).
+The splice knocks at turn, turn + 1, .. of the belt, hz a second: a bell N high and `length` turns wide. It acts on the normal
+reading, and times friction on the tangential one; the splice is thicker than the belt (DIAGNOSIS, catalogue); `length` is the
+bell's standard deviation. Turns count from the start of each run (clocked 0) or on the campaign's clock (1: the belt keeps
+turning between runs). A force log is searched for rate, place and length beforehand (docs/diagnosis_force.md).
 """
 
 from collections.abc import Sequence

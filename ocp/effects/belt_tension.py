@@ -1,8 +1,8 @@
 """A tight belt presses on edges and strongly curved places.
 
-Extra normal force N k / (k + half_per_m), k the blade's convex curvature along and across the belt. A belt under tension that
-is bent over a convex blade presses on it as a rope on a pulley, more the more it is curved; N is what a sharp edge feels
-(DIAGNOSIS, catalogue: extra force at high curvature and edges).
+Extra normal force N k / (k + half_per_m), k the blade's convex curvature. It is that along and across the belt. A belt under
+tension that is bent over a convex blade presses on it as a rope on a pulley, more the more it is curved; N is what a sharp
+edge feels (DIAGNOSIS, catalogue: extra force at high curvature and edges).
 """
 
 import casadi as ca

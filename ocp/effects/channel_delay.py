@@ -1,8 +1,8 @@
 """One recorded channel of a log comes later than another.
 
-dq = -s dq/dt of one joint, or of all alike (joint 0): what is measured belongs to commanded axes s seconds earlier. Two
-recorders, two clocks: that of the link-side encoder or the force, and that of the axes. Positive: the measured channel is
-behind the recorded axes. At one speed it hides behind anything that goes with the sign of the speed.
+dq = -s dq/dt of one joint, or of all alike (joint 0). What is measured (link-side encoder, force) belongs to commanded axes s
+seconds earlier: two recorders, two clocks. Positive: the measured channel is behind the recorded axes. At one speed it hides
+behind anything that goes with the sign of the speed.
 """
 
 from ocp.effects.effect import Effect, Parameter

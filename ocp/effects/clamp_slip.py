@@ -1,9 +1,9 @@
 """The blade slips in its clamp.
 
-From at_s on the blade stands m further back along its normal, away from the wheel; with `normal` (3), the side's that was
-ground then, by the part along it. The time is on the campaign's clock; grinding pushes the blade back, a negative m is into
-the wheel (DIAGNOSIS, catalogue). A blade that is ground on both sides comes nearer to the wheel with the other one: with
-`normal`, blade frame, the step is m times the contact's normal along it; 0, 0, 0: the same everywhere. Both are tried.
+From at_s on the blade stands m further back along its normal; with `normal` (3) by the part along that side's. The time is on
+the campaign's clock; grinding pushes the blade back, a negative m is into the wheel (DIAGNOSIS, catalogue). A blade that is
+ground on both sides comes nearer to the wheel with the other one: with `normal`, blade frame, that of the side that was ground
+then, the step is m times the contact's normal along it; 0, 0, 0: the same everywhere. Both are tried.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """Friction winds up the gear and the link; after a reversal they stand wound the other way.
 
-dq = (base_rad + per_Nm |tau|) s, s the sign of the last motion: friction keeps the gear wound. An axis that stops is held back
-by friction, which grows with the load tau of the bearings and teeth (DIAGNOSIS, catalogue). Positive values leave the link
+dq = (base_rad + per_Nm |tau|) s: friction keeps the gear wound. An axis that stops is held back by friction, which grows with
+the load tau of the bearings and teeth (DIAGNOSIS, catalogue). s is the sign of the last motion; positive values leave the link
 further along the last motion, as backlash does.
 """
 

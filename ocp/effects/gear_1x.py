@@ -1,7 +1,7 @@
 """A joint's error that repeats once per turn of the axis.
 
-dq = amplitude_rad cos(q + phase_rad): an eccentric gear or encoder disc on the output side (DIAGNOSIS, catalogue). It is slow:
-over a part of a turn it looks like an encoder's scale or a joint's offset, and geometry takes much of it.
+dq = amplitude_rad cos(q + phase_rad): an eccentric gear or output-side encoder (DIAGNOSIS, catalogue). It is slow: over a part
+of a turn it looks like an encoder's scale or a joint's offset, and geometry takes much of it.
 """
 
 from ocp.effects.effect import Effect, Parameter

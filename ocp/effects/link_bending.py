@@ -1,9 +1,9 @@
 """Upper arm or forearm bends like a beam under what hangs on it.
 
-The link's tip turns by rad_per_Nm times the moment of what hangs on it, of which root_share counts at the root, and sags with
-it. A link is a beam (Euler-Bernoulli cantilever, any textbook on strength of materials). The moment that counts lies between
-that at the root and that at the tip: root_share 1/2 for an even beam, 1 for one that gives at its root, 0 at its tip. Link 2
-is the upper arm up to axis 3, link 3 the forearm up to the wrist centre.
+The link's tip turns by rad_per_Nm times its load's moment, of which root_share counts at the root, and sags with it. A link is
+a beam (Euler-Bernoulli cantilever, any textbook on strength of materials). The moment that counts lies between that at the
+root and that at the tip: root_share 1/2 for an even beam, 1 for one that gives at its root, 0 at its tip. Link 2 is the upper
+arm up to axis 3, link 3 the forearm up to the wrist centre.
 """
 
 from typing import Any

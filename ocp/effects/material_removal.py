@@ -1,7 +1,7 @@
 """Grinding takes material off: the same program meets less blade every time.
 
-The overlap falls by m_per_pass times ground_before times 40 mm/s over the feed. Every grinding before takes off a layer,
-thinner the faster the feed (Preston: removal goes with pressure, belt speed and dwell time; DIAGNOSIS, catalogue).
+The overlap falls by m_per_pass ground_before (40 mm/s) / feed. Every grinding before takes off a layer, thinner the faster the
+feed (Preston: removal goes with pressure, belt speed and dwell time; DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect, Parameter

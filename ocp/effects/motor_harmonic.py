@@ -1,8 +1,8 @@
 """A ripple of a joint once or twice per turn of its motor.
 
-dq = amplitude_rad cos(order gear_ratio q + phase_rad): an eccentric first gear stage, resolver or coupling. It repeats with
-the motor, order 1 or 2 (DIAGNOSIS, catalogue). The KR 210 extra's ratios are not published; those of its two sister machines
-are tried in their place (PHYSICS 2.1), other robots without ratios are not tested. phase_rad counts from the commanded axis at
+dq = amplitude_rad cos(order gear_ratio q + phase_rad): an eccentric first stage. Stage, resolver or coupling repeat with the
+motor, order 1 or 2 (DIAGNOSIS, catalogue). The KR 210 extra's ratios are not published; those of its two sister machines are
+tried in their place (PHYSICS 2.1), other robots without ratios are not tested. phase_rad counts from the commanded axis at
 zero.
 """
 

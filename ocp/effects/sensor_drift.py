@@ -1,6 +1,6 @@
 """The force sensor's zero wanders.
 
-The reading grows by N_per_h on the campaign's clock, in the air too. Strain gauges warm (DIAGNOSIS, catalogue). Air runs tell
+The reading grows by N_per_h, in the air too. Strain gauges warm, on the campaign's clock (DIAGNOSIS, catalogue). Air runs tell
 it from wear.
 """
 

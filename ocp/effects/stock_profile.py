@@ -1,9 +1,9 @@
 """The blade's surface differs from its drawing, smoothly along the passes.
 
-Stock stands over the drawing by a constant and the sum of profile_m[k] sqrt(2) cos(k pi s / length_m), k = 1 to 6, together m
-rms; alike on all lines or one for each of `lines`. Forged or cast stock does so as a smooth function of s that repeats with
-the blade, positive where there is more material; seven numbers each, neighbouring lines share one where there are more than
-five. m is the rms size without the constants (DIAGNOSIS, catalogue).
+Stock over the drawing: a constant and the sum of profile_m[k] sqrt(2) cos(k pi s / length_m), k = 1 to 6, together m rms; one
+for all, or for each of `lines`. Forged or cast stock stands over it by a smooth function of s that repeats with the blade,
+positive where there is more material; seven numbers each, neighbouring lines share one where there are more than five. m is
+the rms size without the constants (DIAGNOSIS, catalogue).
 """
 
 from collections.abc import Mapping, Sequence

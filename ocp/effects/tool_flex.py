@@ -1,9 +1,9 @@
 """What hangs on the flange flexes: tool, gripper or blade holder give across the flange's axis.
 
-All beyond the flange moves by m_per_N times the part of the force that is square to its z axis. A holder is a short beam on
-the flange: it gives under a force across its axis and hardly along it (Euler-Bernoulli, any textbook on strength of materials;
-FORMATS, additions). The force is the payload's weight, so that reflectors sag with posture and payload, and the contact's with
-its friction, which takes overlap away. At constant payload a joint's compliance and a shifted nest take most of it.
+All beyond the flange moves by m_per_N times the force square to its z axis. A holder is a short beam on the flange: it gives
+under a force across its axis and hardly along it (Euler-Bernoulli, any textbook on strength of materials; FORMATS, additions).
+The force is the payload's weight, so that reflectors sag with posture and payload, and the contact's with its friction, which
+takes overlap away. At constant payload a joint's compliance and a shifted nest take most of it.
 """
 
 import casadi as ca

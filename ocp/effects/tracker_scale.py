@@ -1,7 +1,7 @@
 """The tracker's ranges are a share too long.
 
-The tracker reads (1 + scale) times the distance from its head. A wrong refractive index (air temperature, pressure) scales
-every range, about 1e-6 per kelvin of air. Free link lengths take all of it; only lengths that are known, a scale bar, show it.
+The tracker reads (1 + scale) times the distance. A wrong refractive index (air temperature, pressure) scales every range,
+about 1e-6 per kelvin of air. Free link lengths take all of it; only lengths that are known, a scale bar, show it.
 """
 
 from ocp.effects.effect import Effect, Parameter

@@ -1,7 +1,7 @@
 """A warm wheel is softer and larger.
 
-The cover's stiffness is (1 + per_K (T - T0)) times the cell's, its radius grows by radius_per_K (T - T0), T the wheel's
-temperature. T0 is the cell's reference, per_K negative: warm rubber is softer; it recovers on pauses (DIAGNOSIS, catalogue).
+The cover is (1 + per_K (T - T0)) times as stiff, its radius grows by radius_per_K (T - T0). T is the wheel's temperature, T0
+is the cell's reference, per_K negative: warm rubber is softer; it recovers on pauses (DIAGNOSIS, catalogue).
 """
 
 from ocp.effects.effect import Effect, Parameter

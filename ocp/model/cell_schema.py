@@ -45,9 +45,9 @@ class RobotTable(TomlTable):
     """`[robot]`."""
 
     model: FileName
-    """Name in the catalogue, or a robot file's path from the cell's folder."""
+    """Of the catalogue, or a robot file's path."""
     calibration: FileName | None = None
-    """The robot's calibration.toml, by `ocp.calibrate` or `ocp.update`."""
+    """Path of its calibration.toml."""
     stiffness_Nm_per_rad: tuple[Spring, Spring, Spring, Spring, Spring, Spring] | None = None
     """Springs of the joints, 0 = rigid; without it the robot file's."""
     compliant_joints: Annotated[tuple[Annotated[int, Field(ge=1, le=6, strict=True)], ...], Field(max_length=6)] = (2, 3)
@@ -75,11 +75,11 @@ class PayloadTable(TomlTable):
     """`[payloads.NAME]`."""
 
     mass_kg: Mass
-    """Mass of what hangs on the flange."""
+    """Its mass."""
     com_mm: OffsetVector = (0.0, 0.0, 0.0)
     """Its centre of mass, flange frame."""
     inertia_kg_m2: tuple[MomentOfInertia, MomentOfInertia, MomentOfInertia] = (0.0, 0.0, 0.0)
-    """Its moments of inertia there, flange axes."""
+    """Moments of inertia there, flange axes."""
 
 
 class ControllerTable(TomlTable):
@@ -92,7 +92,7 @@ class ControllerTable(TomlTable):
     base_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
     """Numbers of TOOL_DATA (the blade's frame) and BASE_DATA (the wheel's)."""
     absolute_accuracy: bool = False
-    """Whether the controller corrects Cartesian targets itself."""
+    """Whether it corrects Cartesian targets itself."""
 
 
 class WorkpieceTable(TomlTable):
@@ -101,7 +101,7 @@ class WorkpieceTable(TomlTable):
     payload: Label | None = None
     """Which of [payloads] hangs there while grinding; without it the first."""
     stl: FileName | None = None
-    """The blade: STL, PLY, OBJ or STEP, path from the cell's folder."""
+    """The blade: STL, PLY, OBJ or STEP."""
     stl_unit: Literal["mm", "m", "in"] = "mm"
     """Unit of its numbers."""
     xyz_mm: OffsetVector
@@ -109,18 +109,18 @@ class WorkpieceTable(TomlTable):
     abc_deg: AngleVector = (0.0, 0.0, 0.0)
     """Its turn there, KUKA's A, B, C."""
     xyz_sd_mm: Spread = 0.3
-    """One sigma of its place, each direction."""
+    """One sigma of that place, each direction."""
     abc_sd_deg: AngleSpread = 0.05
     """One sigma of its turn, each angle."""
     # From rubber to diamond (1220 GPa).
     youngs_modulus_GPa: Annotated[float, Field(ge=1e-3, le=2000, strict=True)] = 114.0
-    """Young's modulus of the blade."""
+    """Of the blade."""
     # Beyond these bulk or shear modulus vanishes, and the stiffness matrix with it.
     poisson_ratio: Annotated[float, Field(ge=-0.95, le=0.495, strict=True)] = 0.34
-    """Its Poisson's ratio."""
+    """Of the blade."""
     # From cork to osmium (22 590).
     density_kg_m3: Annotated[float, Field(ge=10, le=3e4, strict=True)] = 4430.0
-    """Its density."""
+    """Of the blade."""
     clamp_axis: Literal["x", "y", "z"] | None = None
     """Axis of the blade's frame across the clamp plane."""
     clamp_to_mm: Place | None = None
@@ -133,9 +133,9 @@ class WorkpieceTable(TomlTable):
     """With clamp_normal: the plane is normal . x = offset."""
     # A jaw of rubber or softer; infinite: rigid.
     clamp_stiffness_N_per_mm: Annotated[float, Field(ge=1, strict=True)] = float("inf")
-    """Spring of the fixture; infinite is rigid."""
+    """Spring of the fixture."""
     aerofoil_axis: Direction | None = None
-    """The span's direction, blade frame, where the shape does not tell."""
+    """The span, blade frame, where the shape does not tell."""
     aerofoil_from_mm: Place | None = None
     """Only what lies between counts, along aerofoil_axis."""
     aerofoil_to_mm: Place | None = None
@@ -168,7 +168,7 @@ class WheelTable(TomlTable):
     """`[wheel]`."""
 
     centre_mm: PlaceVector
-    """Middle of the wheel, base frame."""
+    """Its middle, base frame."""
     centre_sd_mm: Spread = 0.3
     """One sigma of it, each direction."""
     axis: Direction
@@ -181,11 +181,11 @@ class WheelTable(TomlTable):
     width_mm: Annotated[float, Field(ge=0.5, le=1000, strict=True)]
     """Width of the contact face."""
     cover_thickness_mm: Annotated[float, Field(ge=0.1, le=1000, strict=True)]
-    """Thickness of the soft cover."""
+    """Of the soft cover."""
     cover_modulus_MPa: Annotated[float, Field(ge=0.01, le=2e5, strict=True)] | None = None
-    """Young's modulus of the cover; this or shore_A."""
+    """Its modulus; this or shore_A."""
     shore_A: Annotated[float, Field(ge=20, le=95, strict=True)] | None = None
-    """Its hardness, from which the modulus follows."""
+    """Its hardness."""
     cover_poisson: Annotated[float, Field(ge=0, le=0.495, strict=True)] = 0.47
     """Its Poisson's ratio."""
     contact_arc_deg: tuple[Number, Number] = (-30.0, 30.0)
@@ -235,7 +235,7 @@ class FlangeTable(TomlTable):
     gravity_compensated: bool = True
     """Whether it corrects for that weight itself."""
     axis: Direction | None = None
-    """Direction in which it gives, flange frame; without it along the contact's normal."""
+    """Direction in which it gives, flange frame; without it the contact's normal."""
     # From a bellows filled through a long hose to faster than any valve; without it the force is set at once.
     bandwidth_hz: Annotated[float, Field(ge=0.1, le=1e4, strict=True)] | None = None
     """Corner (-3 dB) of the low-pass from setting to force; without it at once."""
@@ -245,7 +245,7 @@ class FlangeTable(TomlTable):
     """Coulomb friction against the stroke."""
     # Scale: output, which reaches from -1 to 1, per newton.
     setpoint_output: Label | None = None
-    """Analogue output that sets the force, ANOUT[1] to ANOUT[32]; read and checked, not driven yet."""
+    """ANOUT[1] to ANOUT[32]; not driven yet."""
     setpoint_scale: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = None
     """Output (-1 to 1) per newton."""
 
@@ -273,10 +273,10 @@ class ProcessTable(TomlTable):
     """`[process]`."""
 
     force_N: Annotated[float, Field(ge=0.01, le=1000, allow_inf_nan=False, strict=True)] = 20.0
-    """Wanted contact force."""
+    """Wanted force."""
     # Slower a line of a blade takes hours, faster than any arm's path; lines nearer than 0.1 mm cover nothing anew.
     feed_mm_s: Annotated[float, Field(ge=0.1, le=5000, strict=True)] = 40.0
-    """Speed of the contact over the blade."""
+    """Of the contact over the blade."""
     pass_spacing_mm: Annotated[float, Field(ge=0.1, le=1000, strict=True)] = 6.0
     """Largest distance of neighbouring lines."""
     passes: Literal["spanwise", "chordwise"] = "spanwise"
@@ -284,11 +284,11 @@ class ProcessTable(TomlTable):
     side: Literal["convex", "concave", "both"] = "both"
     """Which side is ground."""
     tilt_tolerance_deg: Annotated[float, Field(ge=0, le=45, strict=True)] = 3.0
-    """How far the blade may tilt, about the belt's direction and the axle."""
+    """Of the blade, about the belt's direction and the axle."""
     turn_tolerance_deg: Turn = 30.0
-    """How far the feed may turn from the belt's direction."""
+    """Of the feed, from the belt's direction."""
     lateral_tolerance_mm: Margin = 10.0
-    """How far off the wheel's middle the contact may lie."""
+    """Of the contact, from the wheel's middle."""
     grinding: Literal["down", "up"] = "down"
     """Down: the blade moves with the belt; up: against it."""
     root_margin_mm: Margin = 5.0
@@ -299,11 +299,10 @@ class ProcessTable(TomlTable):
     """Left free at leading and trailing edge."""
     # Most that an edge of the blade may be pressed with where a ramp runs off it; a thousand tonnes cut it off.
     edge_force_N: Force = 5.0
-    """Most on an edge where a ramp runs off it; checked, not used yet: touch keeps the patch of a quarter of the force
-    inside."""
+    """Most on an edge where a ramp runs off it; not used yet: touch keeps the patch of a quarter of the force inside."""
     # What is wanted of all passes together; a belt that takes off 2 mm mills.
     removal_um: Annotated[float, Field(ge=0.01, le=2000, allow_inf_nan=False, strict=True)] | None = None
-    """Depth that all passes together are to take off; without it what force and feed make."""
+    """Depth wanted of all passes together; without it what force and feed make."""
     preston_um_mm2_per_N_m: Preston | None = None
     """Preston's coefficient, depth over pressure and sliding way, as `ocp.update --removal` writes it, and its one sigma."""
     preston_sd_um_mm2_per_N_m: Preston | None = None
@@ -364,17 +363,17 @@ class PatchTable(TomlTable):
     """`[[patches]]`: a correction that has no name, as a diagnosis writes it (`ocp.effects.patch`)."""
 
     signal: Literal["tracker"]
-    """Signal that it was learnt from."""
+    """That it was learnt from."""
     where: Label
     """Where it acts."""
     kernel: Label
-    """Kernel that stands for it."""
+    """That stands for it."""
     joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
     """Where it acts at one joint."""
     features: Annotated[tuple[str, ...], Field(min_length=1, max_length=MOST_FEATURES)]
     """Formulas of the conditions."""
     weights: tuple[float, ...]
-    """Coefficient of each feature."""
+    """Of the features."""
     covariance: tuple[tuple[float, ...], ...]
     """Their covariance."""
     range: dict[str, tuple[float, float]] = Field(default_factory=dict)
@@ -384,7 +383,7 @@ class PatchTable(TomlTable):
     formula: str = ""
     """The sum in words."""
     promise: str = ""
-    """Shrinkage that it promises on new data."""
+    """Shrinkage promised on new data."""
 
     @model_validator(mode="after")
     def _whole(self) -> "PatchTable":
@@ -396,13 +395,13 @@ class ConditionsTable(TomlTable):
     """`[conditions]`: what the cell's effects depend on, as it will be when the plan runs."""
 
     temperature_C: Temperature | None = None
-    """Of the structure; without it the reference."""
+    """Of the structure and of the wheel; without it the reference."""
     wheel_temperature_C: Temperature | None = None
-    """Of the wheel; without it the reference."""
+    """Of the structure and of the wheel; without it the reference."""
     time_s: Seconds = 0.0
-    """Since the robot's campaign began."""
+    """Since the campaign began; that the wheel has run."""
     clock_s: Seconds = 0.0
-    """That the wheel has run."""
+    """Since the campaign began; that the wheel has run."""
     # A thousand passes take the blade away.
     ground_before: Annotated[int, Field(ge=0, le=1000, strict=True)] = 0
     """How often every line was ground."""
@@ -414,9 +413,9 @@ class CellTables(TomlTable):
     version: SchemaVersion = 1
     """Version of the format."""
     name: Label = "cell"
-    """The cell's name in reports."""
+    """In reports."""
     reference_temperature_C: Temperature = 20.0
-    """Temperature at which the cell's numbers hold."""
+    """At which the cell's numbers hold."""
     robot: RobotTable
     """The arm."""
     payloads: dict[Label, PayloadTable] = Field(default_factory=dict, max_length=MOST_PAYLOADS)
@@ -438,7 +437,7 @@ class CellTables(TomlTable):
     effects: Annotated[tuple[EffectTable, ...], Field(max_length=MOST_EFFECTS)] = ()
     """Believed effects (docs/effects.md)."""
     patches: Annotated[tuple[PatchTable, ...], Field(max_length=MOST_EFFECTS)] = ()
-    """Corrections without a name, as a diagnosis writes them (`ocp.effects.patch`)."""
+    """Corrections that a diagnosis writes (`ocp.effects.patch`)."""
     conditions: ConditionsTable = ConditionsTable()
     """What effects depend on, as it will be when the plan runs."""
 

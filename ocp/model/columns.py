@@ -22,7 +22,7 @@ def _three(stem: str, unit: str = "", letters: Iterable[str] = "xyz") -> tuple[s
     return tuple(f"{stem}{a}{unit}" for a in letters)
 
 
-_AXES = Columns(_six("q", "_deg"), True, "commanded axis angles, controller's signs", "-12.5")
+_AXES = Columns(_six("q", "_deg"), True, "commanded axis angles", "-12.5")
 _CONTACT = (
     Columns(_three("p", "_mm"), True, "planned contact point, blade frame", "4.2"),
     Columns(_three("n"), True, "outward normal there", "0.998"),
@@ -62,15 +62,15 @@ TABLES: dict[str, tuple[Columns, ...]] = {
         Columns(("line",), False, "line of plan.csv", "3"),
         Columns(("ground_before",), False, "how often the line was ground", "0"),
         Columns(("contact",), False, "1 in contact, 0 in an air run", "1"),
-        Columns(("session",), False, "campaign: another where the blade was gripped anew or the wheel moved", "morning"),
+        Columns(("session",), False, "a blade gripped anew, a wheel moved", "morning"),
         Columns(("clock_s",), False, "that the wheel has run since the first log", "5400.0"),
         Columns(("temperature_C", "wheel_temperature_C"), False, "of the structure; of the wheel", "22.4"),
     ),
     "joints.csv": (
         Columns(("run",), True, "recording", "1"),
         Columns(("time_s",), True, "since the recording began", "0.04"),
-        Columns(_six("q", "_deg"), True, "axis angles, motor side, controller's signs", "-12.5"),
-        Columns(_six("link", "_deg"), False, "axis angles, link side of the gear; any of the six", "-12.498"),
+        Columns(_six("q", "_deg"), True, "axis angles, motor side", "-12.5"),
+        Columns(_six("link", "_deg"), False, "link side; any of the six", "-12.498"),
         Columns(_six("tau", "_Nm"), False, "torques there; any of the six", "850.0"),
         Columns(_six("qd", "_deg_s"), False, "speeds; without them from angles and time", "3.5"),
     ),
@@ -98,7 +98,7 @@ TABLES: dict[str, tuple[Columns, ...]] = {
         Columns(("s_mm",), True, "arc length, 0 where full force begins, negative before", "17.5"),
         Columns(("feed_mm_s",), True, "of the contact over the blade", "40.0"),
         Columns(("fn_N", "fn_sd_N"), True, "planned force; its one sigma on the real cell", "20.0"),
-        Columns(("interference_mm",), True, "overlap of undeformed wheel and blade; negative while a flange stands out", "0.412"),
+        Columns(("interference_mm",), True, "overlap of undeformed wheel and blade", "0.412"),
         Columns(("limit_ratio",), True, "largest use of an axis' speed, acceleration or torque limit", "0.41"),
         Columns(("setpoint_N",), True, "of the flange; empty without one", "20.0"),
         Columns(("removal_rel",), False, "depth of all passes over what is wanted", "1.01"),
@@ -116,7 +116,7 @@ TABLES: dict[str, tuple[Columns, ...]] = {
         Columns(_three("sigma_", "_mm"), True, "its one sigma against the noise-free truth", "0.03"),
         Columns(_three("patched_", "_mm"), True, "with the patch; without one as corrected", "1843.3"),
         Columns(_three("patched_sigma_", "_mm"), True, "its one sigma", "0.03"),
-        Columns(("inside",), True, "1 where all that the patch varies with lies in its measured range", "1"),
+        Columns(("inside",), True, "1 where all that the patch varies with was measured", "1"),
     ),
 }
 """Files by name. A sealed file has the columns of the measured one but for what is to be predicted; predictions_force.csv and

@@ -46,7 +46,9 @@ ENDLESS = 1e6  # a bound from here on is against slips alone
 
 
 def unit(key: str) -> str:
-    return next((told for name, told in UNITS.items() if key.endswith("_" + name)), "")
+    """A key's unit where its name does not end with it letter for letter: of `feed_mm_s`, not of `force_N`."""
+    name, told = next(((name, told) for name, told in UNITS.items() if key.endswith("_" + name)), ("", ""))
+    return "" if name == told else told
 
 
 def inner_tables(annotation: Any) -> list[type[BaseModel]]:
@@ -135,12 +137,13 @@ def _shown(value: Any) -> str:
 
 
 def schema_tables(file: str) -> str:
-    """Every table of a TOML file with its keys; a key that is alike in more than two tables is told once, at the end."""
+    """Every key of a TOML file, a row for each of its tables before them; a key that is alike in more than two tables is told
+    once, at the end."""
     root, path = KINDS[file]
-    found, left = [], [(root, "", "", tomllib.loads(path.read_text()))]
+    found, left = [], [(root, "", "", "", tomllib.loads(path.read_text()))]
     while left:
-        table, name, words, values = left.pop(0)
-        found.append((name, words, keys(table, values)))
+        table, name, needed, words, values = left.pop(0)
+        found.append((name, needed, words, keys(table, values)))
         for key, one in table.model_fields.items():
             for inner in dict.fromkeys(inner_tables(one.annotation)):
                 if any(inner is other for other, *_ in left):
@@ -153,16 +156,16 @@ def schema_tables(file: str) -> str:
                 full = [".".join(filter(None, (name.strip("[]"), k))) + (".NAME" if named else "") for k in alike]
                 ends = dict.fromkeys(f"[[{k}]]" if many else f"[{k}]" for k in (full[0], full[-1]))
                 told = _docstring(inner) if len(alike) > 1 or "targets" in key else (one.description or "")
-                needed = "Needed. " if one.is_required() else ""
-                left.append((inner, "` .. `".join(ends), needed + told, value if isinstance(value, dict) else {}))
+                needed = "needed" if one.is_required() else ""
+                left.append((inner, "` .. `".join(ends), needed, told.rstrip("."), value if isinstance(value, dict) else {}))
     often = [key for key, n in Counter(key for *_, held in found for key in held).items() if n > 2]
-    text = []
-    for name, words, held in found:
-        rows = _rows([key for key in held if key not in often])
-        text += [f"**`{name}`** {words}".rstrip() + "\n"] if name else []
-        text += ["| key | range | default | example | meaning |", "|---|---|---|---|---|", *rows, ""] if rows else []
+    text = ["| key | range | default | example | meaning |", "|---|---|---|---|---|"]
+    for name, needed, words, held in found:
+        text += [f"| **`{name}`** |  | {needed} |  | **{words}** |"] if name else []
+        text += _rows([key for key in held if key not in often])
+    text += [""] if often else []
     for told in often:
-        where = ", ".join(f"`{name}`" for name, _, held in found if told in held)
+        where = ", ".join(f"`{name}`" for name, *_, held in found if told in held)
         text += [f"{where} have `{told.name}` too ({told.range}, {told.default}): {told.meaning}."]
     return "\n".join(text).rstrip()
 
@@ -192,15 +195,14 @@ def _docstring(table: type[BaseModel]) -> str:
 
 def column_table(file: str) -> str:
     """Every column of a CSV file; whether it is needed and its range, of a file that somebody else writes."""
-    told = ["column", *(["unit"] if file in OURS else ["range", "needed"]), "example", "meaning"]
+    told = ["column", *([] if file in OURS else ["range", "needed"]), "example", "meaning"]
     rows = [f"| {' | '.join(told)} |", "|---" * len(told) + "|"]
     for group in TABLES[file]:
         low, high, _ = column_bounds(group.names[0])
         words = not group.example.replace(".", "").lstrip("-").isdigit()
-        limits = "" if file in OURS else bounds(low, high)
-        held = "text" if words else " ".join(filter(None, (limits, unit(group.names[0]))))
-        needed = [] if file in OURS else ["yes" if group.needed else ""]
-        rows.append(f"| {' | '.join((_names(group), held, *needed, f'`{group.example}`', group.meaning))} |")
+        held = "text" if words else " ".join(filter(None, (bounds(low, high), unit(group.names[0]))))
+        asked = [] if file in OURS else [held, "yes" if group.needed else ""]
+        rows.append(f"| {' | '.join((_names(group), *asked, f'`{group.example}`', group.meaning))} |")
     return "\n".join(rows)
 
 
