@@ -98,12 +98,11 @@ def described(room: str) -> tuple[str, str]:
 
 
 def table() -> str:
-    used, floor = uses(), floors()
-    lines = ["| floor | room | what lives there | uses, beside `shell` |", "|---|---|---|---|"]
+    floor = floors()
+    lines = ["| floor | room | what lives there |", "|---|---|---|"]
     for room in sorted(declared().rooms, key=lambda r: -floor[r]):
-        others = ", ".join(other for other in declared().rooms if other in used[room] - {"shell"})
         told = re.sub(r"^`python -m [^`]*`: ", "", described(room)[0])  # a room has its command's name
-        lines.append(f"| {floor[room]} | `{room}` | {told[0].upper()}{told[1:]} | {others} |")
+        lines.append(f"| {floor[room]} | `{room}` | {told[0].upper()}{told[1:].replace('|', chr(92) + '|')} |")
     return "\n".join(lines)
 
 
@@ -127,6 +126,10 @@ def lines_of_code(path: Path) -> int:
 def figures() -> str:
     used = uses()
     lines = [f"rooms {len(used)}, floors {max(floors().values())}, imports between rooms {sum(map(len, used.values()))}"]
+    lines += [
+        f"{room} uses {', '.join(other for other in declared().rooms if other in used[room]) or 'none'}"
+        for room in declared().rooms
+    ]
     lines += [f"{wing}: {len(sources(wing))} files, {sum(map(lines_of_code, sources(wing)))} lines of code" for wing in WINGS]
     return "\n".join(lines)
 
