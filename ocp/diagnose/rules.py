@@ -440,6 +440,11 @@ RUN_SD = 0.02
 """[N] What recordings differ by for reasons too small to name: repeatability of the arm, temperature of the air. Guards: effects
 that move whole runs against being too sure. Reason: well below a reading's usual noise (0.3 N); no reason known for the value."""
 
+LOOSE = 0.25
+"""[-] Of the force that presses, above which scatter is no noise of a contact. Guards: logs that jump by newtons in ways nothing
+makes against 'no gap' and against a name. Reason: at four sigma wheel and blade would part, and a log in contact has thousands
+of readings."""
+
 LEAST_DIRECTION = 0.02
 """[-] Whitened length of a direction of the believed contact, one prior sigma, below which it does not count. Guards: evidence
 against directions that no reading shows. Reason: a fiftieth of the noise; SEEN_DIRECTION is the kernels'."""

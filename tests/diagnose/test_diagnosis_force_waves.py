@@ -1,6 +1,7 @@
 """What is fast in a force log, and fits that are not straight: knocks, waves nobody catalogued, delays beside other effects."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.force import fit as fitting
+from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import fit_effects, linear
 from ocp.diagnose.force.waves import likely_trains
 from ocp.diagnose.verdict import diagnosis
@@ -187,3 +189,9 @@ def test_a_fit_that_leaves_what_can_be_computed_is_said_so(made):  # noqa: F811
     active = replace(_active("flange_stiffness"), a=np.array([np.nan]))  # stops and cover bound what any number does
     with pytest.raises(Infeasible, match="the fit of the force log"):
         fit_effects(made.channel.problem, (active,), made.channel.fit)
+
+
+@pytest.mark.parametrize("noise, said", [(4.9, ""), (5.1, "by more than a contact that holds can")])
+def test_scatter_with_which_no_contact_holds_is_told(noise, said):
+    log = SimpleNamespace(fn=np.array([0.0, 20.0, 20.0]), contact=np.array([False, True, True]))
+    assert ForceChannel.scatters.fget(SimpleNamespace(log=log, noise_floor=noise)) == said

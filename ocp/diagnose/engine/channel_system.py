@@ -251,6 +251,15 @@ class WeighedReadings(Protocol):
         """Whether `scale` times the noise that its residual asks for is many times the usual."""
 
 
+@runtime_checkable
+class Scattering(Protocol):
+    """A channel that knows how much its readings may scatter."""
+
+    @property
+    def scatters(self) -> str:
+        """In words, how much more they do; empty where they do not."""
+
+
 @dataclass(frozen=True)
 class Predictable:
     """Effects that can be predicted, and those for which a column is missing; kept (k,): places of the known ones' coefficients

@@ -30,7 +30,7 @@ from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_anew
 from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior, with_setpoints_read_off
 from ocp.diagnose.force.waves import SpliceTrains, likely_trains, picked_squares, telling_waves
-from ocp.diagnose.rules import LEAST_DIRECTION, ORDERS_APART, OUTLIER_WEIGHT
+from ocp.diagnose.rules import LEAST_DIRECTION, LOOSE, ORDERS_APART, OUTLIER_WEIGHT
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.catalogue import library
@@ -134,6 +134,12 @@ class ForceChannel:
         """Rms of the normal reading's noise, N."""
         sigma = self.fit.whiteners[0].noise.sigma()[self.log.contact]
         return float(np.sqrt(np.mean(sigma**2)))
+
+    @property
+    def scatters(self) -> str:
+        """So far that the contact would not hold."""
+        pressed = float(np.median(self.log.fn[self.log.contact]))
+        return "by more than a contact that holds can" if self.noise_floor > LOOSE * pressed else ""
 
     def blind(self, effect: Effect) -> str:
         """Why it cannot be seen."""

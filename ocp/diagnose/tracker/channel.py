@@ -84,6 +84,11 @@ class TrackerChannel:
         S = reading_covariance(self.readings, c.instrument, gap_noise(self.fit.noise), self.fit.linear.d_joints)
         return float(1e3 * np.sqrt(np.trace(S, axis1=1, axis2=2).mean()))
 
+    @property
+    def scatters(self) -> str:
+        """Far more than joints do, as the noise that the residual asks for says."""
+        return "far more than joints of such robots do" if self.restless(1.0) else ""
+
     def restless(self, scale: float) -> bool:
         """Whether `scale` times the joint noise that the residual asks for is far above what such joints usually scatter."""
         return is_restless(scale * self.fit.noise.joints)

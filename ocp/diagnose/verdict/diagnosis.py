@@ -9,7 +9,7 @@ from scipy.special import fdtrc
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Family, Given, Search, Weighed, given
-from ocp.diagnose.engine.channel_system import Channel, WeighedReadings
+from ocp.diagnose.engine.channel_system import Channel, Scattering, WeighedReadings
 from ocp.diagnose.engine.evidence import visible_lambda
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, rival_of, stacked_columns
@@ -42,12 +42,12 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
 
 
 def _scattering(found: Diagnosis) -> Diagnosis:
-    """Findings that take no scatter for noise which no such machine has: what a fit learns of the joints' repeatability holds
-    whatever is not modelled, so that rows of two campaigns under each other would be no gap."""
-    wild = [c.name for c in found.channels if isinstance(c, WeighedReadings) and c.restless(1.0)]
+    """Findings that take no scatter for noise which no such machine has: what a fit learns of its noise holds whatever is not
+    modelled, so that rows of two campaigns under each other would be no gap, nor a log that jumps to and fro."""
+    wild = [f"{c.name}: readings scatter {c.scatters}" for c in found.channels if isinstance(c, Scattering) and c.scatters]
     if not wild or found.p_unknown > rules.LEADS:
         return found
-    why = f"{wild[0]}: readings scatter far more than joints of such robots do, and with nothing that was recorded"
+    why = f"{wild[0]}, and with nothing that was recorded"
     unknown = 1.0 - (1.0 - found.p_unknown) * (1.0 - rules.SUSPECT)
     return replace(found, p_unknown=unknown, unknown_reasons=(*found.unknown_reasons, why))
 
