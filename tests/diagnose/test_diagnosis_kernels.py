@@ -78,6 +78,18 @@ def test_the_trackers_circle_is_told_from_the_arm():
     assert d.location is not None and d.location.subsystem == "tracker" and d.location.depends_on == ("azimuth",)
 
 
+@pytest.mark.parametrize("centre", [0.0, 1.3], ids=["the tracker", "another place"])
+def test_what_grows_with_warmth_gets_no_two_other_names(centre):
+    """Without a name for it, a drift of the frame and warm joints follow it together on the campaign, and on no other day."""
+    readings, points = world(18)
+    there = points(readings)
+    grown = 6e-6 * (readings.temperature - 22.0)[:, None] * (there - centre * there.mean(axis=0))
+    warm = channel(replace(readings, point=readings.point + grown))
+    d = diagnose_channels([warm], LIBRARY, Options(folds=False, withheld=("air_scale", "link_thermal")))
+    assert d.verdict == "unexplained" and not d.active
+    assert d.location is not None and d.location.subsystem == "tracker" and {"range"} < set(d.location.depends_on)
+
+
 def test_a_reflector_that_is_no_ball_is_told_from_the_arm():
     readings, _ = world(16)
     c = channel(readings)

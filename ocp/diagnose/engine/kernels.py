@@ -63,11 +63,16 @@ def kernels(c: ReadingConditions) -> Iterator[Kernel]:
                     yield from _of_axis(c, c.d_tilts[:, :, j], j)
     n, k = c.q.shape[0], 3 if c.d_joints is None else c.d_joints.shape[1]
     if c.signal == "tracker":
+        still = np.broadcast_to(np.eye(3), (n, 3, 3))
         for where, features in _of_frame(c):
-            yield Kernel(where, "frame", 0, _each(np.broadcast_to(np.eye(3), (n, 3, 3)), features)[:, :, None], *FRAME_KERNEL)
+            yield Kernel(where, "frame", 0, _each(still, features)[:, :, None], *FRAME_KERNEL)
+            if c.point is not None and where in ("time", "temperature"):
+                # What grows about a point, wherever that is: the arm, the air's index, the floor.
+                grown = np.concatenate([still, unit(c.point)[:, :, None]], axis=2)
+                yield Kernel(f"range x {where}", "frame", 0, _each(grown, features[:, :2])[:, :, None], *FRAME_KERNEL)
         yield from _of_nests(c)
         if c.point is not None:
-            yield from _of_beam(c.point)
+            yield from _of_beam(c, c.point)
             if c.sight is not None:
                 yield _of_sight(c.point, c.sight)
     elif c.signal == "force":
@@ -137,9 +142,9 @@ def _of_axis(c: ReadingConditions, d_tilt: Array, j: int) -> Iterator[Kernel]:
         yield Kernel(f"{where}{name}", "axis", name, changes, *TILT_KERNEL)
 
 
-def _of_beam(point: Array) -> Iterator[Kernel]:
+def _of_beam(c: ReadingConditions, point: Array) -> Iterator[Kernel]:
     """The instrument's own errors at points (n, 3) m in its frame: along the beam or across it, each a function of range,
-    azimuth or elevation; angles show with the distance, here over its mean."""
+    azimuth or elevation, or of one of these and of temperature or time; angles show with the distance, here over its mean."""
     flat = np.linalg.norm(point[:, :2], axis=1)
     distance = np.linalg.norm(point, axis=1)
     along = point / distance[:, None]
@@ -150,9 +155,13 @@ def _of_beam(point: Array) -> Iterator[Kernel]:
     middle = np.arctan2(np.sin(turned).mean(), np.cos(turned).mean())
     azimuth = np.angle(np.exp(1j * (turned - middle)))
     for where, values in zip(BEAM, (distance, azimuth, np.arctan2(point[:, 2], flat)), strict=True):
-        features = smooth(values, 4)
-        changes = np.stack([d[:, :, None] * features[:, None] for d in directions], axis=2)
-        yield Kernel(where, "beam", 0, changes, *FRAME_KERNEL)
+        seen = {where: smooth(values, 4)}
+        for slow, course in (("temperature", c.temperature), ("time", _time(c))):
+            if course is not None and np.ptp(course) > 0:
+                seen[f"{where} x {slow}"] = products(unit(values)[:, None], smooth(course, 2))
+        for condition, features in seen.items():
+            changes = np.stack([d[:, :, None] * features[:, None] for d in directions], axis=2)
+            yield Kernel(condition, "beam", 0, changes, *FRAME_KERNEL)
 
 
 def _of_sight(point: Array, sight: Array) -> Kernel:

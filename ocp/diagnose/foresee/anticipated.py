@@ -19,6 +19,7 @@ from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import points_with
 from ocp.diagnose.verdict.answer import SignalGap
+from ocp.diagnose.verdict.patching import unfaded
 from ocp.diagnose.verdict.remaining import SCALE, Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
     ANOTHER_DAY,
@@ -66,13 +67,25 @@ def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequ
         # Nothing is named that this signal shows, so nothing changes.
         return NONE if realised(square, 0.0, after.noise_floor**2) is not None else None
     if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel) and not after.restless(1.0):
-        return from_model(anticipated(before, after, diagnosis.alternatives), held, (after.noise_floor / SCALE[after.unit]) ** 2)
+        return from_model(anticipated(before, after, _what_may_be(diagnosis)), held, (after.noise_floor / SCALE[after.unit]) ** 2)
     if before.name == "force":
         from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
 
         return of_grinding(before, after, diagnosis.alternatives)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
     return from_folds(held, estimation_variance(after, active_columns(after)))
+
+
+def _what_may_be(diagnosis: Diagnosis) -> tuple[Alternative, ...]:
+    """The alternatives; with the probability that something is there under no name, the likeliest beside each kernel that may
+    stand for it, fitted together: a name that took the unknown's part is another one then, and the rest goes on."""
+    if not diagnosis.patches:
+        return diagnosis.alternatives
+    first, *others = diagnosis.alternatives
+    total = sum(one.probability for one in diagnosis.patches)
+    shares = [first.probability * diagnosis.p_unknown * one.probability / total for one in diagnosis.patches]
+    beside = [Alternative(p, unfaded((*first.active, *one.active))) for p, one in zip(shares, diagnosis.patches, strict=True)]
+    return (Alternative(first.probability * (1.0 - diagnosis.p_unknown), first.active), *beside, *others)
 
 
 def _by_kind(after: Channel, held: Sequence[HeldOut], told: Shrinkage) -> dict[str, Shrinkage]:

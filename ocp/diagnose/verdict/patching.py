@@ -128,7 +128,10 @@ def as_patch(name: Name, variant: int, size: float, channel: TrackerChannel) -> 
         turned = np.arctan2(c.point[:, 1], c.point[:, 0])
         middle = float(np.arctan2(np.sin(turned).mean(), np.cos(turned).mean()))
         more["about"] = (middle, float(flat.mean()), float(np.linalg.norm(c.point, axis=1).mean()))
-        features, source = waves_over(where, 4), ON_BEAM[variant]
+        one, _, slow = where.partition(" x ")
+        course = {"temperature": "warm"}.get(slow, slow)
+        features = times([f"power 1 {one}"], waves_over(course, 2)) if slow else waves_over(where, 4)
+        source = ON_BEAM[variant]
     if not features:
         return None
     measured = conditions_by_name(c, channel.task.reference, middle)
