@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ocp.calibrate.force.log import read_force_log
+from ocp.diagnose.engine.channel_system import Fold, HeldOut
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
@@ -67,6 +68,21 @@ def test_what_the_effects_move_and_the_unknowns_errors_make_the_promise():
     few, many = promise(new(0.5, runs=3)), promise(new(0.5, runs=40))
     assert few.high - few.low > many.high - many.low
     assert from_grinding(new(0.01, error=0.01), NOISE) is None  # a gap that nobody would notice
+
+
+def test_what_is_there_under_no_name_is_there_afterwards_too():
+    rows = np.random.default_rng(0).chisquare(1, 400)
+    fold = Fold("x", "random", np.ones(400, bool))
+
+    def told(after: float) -> Shrinkage:
+        left_out = HeldOut(fold, 0.29, after, NOISE, 0.29 * rows, after * rows, np.full(400, NOISE))
+        found = from_grinding(new(0.5), NOISE, [left_out])
+        assert found is not None
+        return found
+
+    assert told(NOISE).predicted == pytest.approx(promise(new(0.5)).predicted, abs=0.05)
+    left = 0.1**2 + RUN_SD**2 + 0.25
+    assert told(NOISE + 0.25).predicted == pytest.approx(1 - np.sqrt(left / (left + 0.25)), abs=0.05)
 
 
 def test_intervals_hold_what_they_say():

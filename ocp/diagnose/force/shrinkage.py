@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ocp.calibrate.force.rows import LogConditions
-from ocp.diagnose.engine.channel_system import Channel
+from ocp.diagnose.engine.channel_system import Channel, HeldOut
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
 from ocp.diagnose.force.prediction import LogScene, predict_anew
 from ocp.diagnose.rules import BETWEEN_RUNS, LATER_FORCE, NO_GAP, RECORDING_WEIGHT, RUN_SD
-from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval
+from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval, unexplained
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -112,15 +112,19 @@ def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> Log
     return scene.over(scene.rows.take(rows), known, pressed)
 
 
-def of_grinding(before: Channel, after: Channel, alternatives: tuple[Alternative, ...]) -> Shrinkage | None:
-    """Of a force channel before and with the named effects; alternatives: what else may be true. None: no gap to speak of."""
+def of_grinding(
+    before: Channel, after: Channel, alternatives: tuple[Alternative, ...], held: Sequence[HeldOut]
+) -> Shrinkage | None:
+    """Of a force channel before and with the named effects; alternatives: what else may be true; held: folds, that say what the
+    effects leave unexplained. None: no gap to speak of."""
     assert isinstance(before, ForceChannel) and isinstance(after, ForceChannel)
-    return from_grinding(anticipated_grinding(before, after, alternatives), after.noise_floor**2)
+    return from_grinding(anticipated_grinding(before, after, alternatives), after.noise_floor**2, held)
 
 
-def from_grinding(new: LaterGrinding, noise: float, seed: int = 0) -> Shrinkage | None:
+def from_grinding(new: LaterGrinding, noise: float, held: Sequence[HeldOut] = (), seed: int = 0) -> Shrinkage | None:
     """Of force readings: what is anticipated; noise: mean square N^2. Drawn are which alternative is true, how late the readings
-    come, of which recordings they are, the unknowns' errors and what recordings differ by. None: no gap to speak of."""
+    come, of which recordings they are, the unknowns' errors, what recordings differ by, what the folds leave unexplained.
+    None: no gap to speak of."""
     rng = np.random.default_rng(seed)
     errors = drawn_errors(new.covariance, rng)
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
@@ -134,6 +138,8 @@ def from_grinding(new: LaterGrinding, noise: float, seed: int = 0) -> Shrinkage 
         off, planted = errors[at] @ new.errors[k].T + own[at], moved[true[at]]
         after[at] = np.sum(rows[at] * (moved[0] - planted + off) ** 2, axis=1)
         before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
-    if np.median(before) <= NO_GAP**2 * noise:
+    errors_of_effects = [h.estimation for h in held if h.fold.kind == "random"]
+    rest = unexplained(held, float(np.mean(errors_of_effects or [0.0])), rng)
+    if np.median(before + rest) <= NO_GAP**2 * noise:
         return None
-    return interval(1.0 - np.sqrt(after / before))
+    return interval(1.0 - np.sqrt((after + rest) / (before + rest)))

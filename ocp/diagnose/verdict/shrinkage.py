@@ -87,7 +87,7 @@ def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: in
         after += np.sum(rows * (np.sum((g.moved[0] - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
         before += np.sum(rows * (np.sum((off - g.moved[true]) ** 2, axis=2) + joints), axis=1)
     each = [np.einsum("nij,jk,nik->n", g.errors, new.covariance, g.errors, optimize=True).mean() for g in new.groups]
-    rest = _unexplained(held, float(np.mean(each)), rng)  # their mean: what the parameters' errors leave, m^2
+    rest = unexplained(held, float(np.mean(each)), rng)  # their mean: what the parameters' errors leave, m^2
     if np.median(before + rest) <= rules.NO_GAP**2 * noise:
         return None
     return interval(1.0 - np.sqrt((after + rest) / (before + rest)))
@@ -172,8 +172,8 @@ def promised_later(told: Shrinkage, chosen: bool, seed: int = 0) -> Shrinkage:
     return interval(np.where(named > 0, 1.0 - np.sqrt((rest + (1.0 - g) ** 2 * named) / (rest + g**2 * named)), told.draws))
 
 
-def _unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Generator) -> Array:
-    """Draws (k,) of the mean square m^2 by which something is unexplained, given how much worse than noise and estimation make
+def unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Generator) -> Array:
+    """Draws (k,) of the mean square SI^2 by which something is unexplained, given how much worse than noise and estimation make
     them random folds are: nothing with prior probability `NOTHING_UNEXPLAINED`, else exponential about `UNEXPLAINED_SIZE`."""
     rows = [(h.after_rows - h.noise_rows, h.noise_rows) for h in held if h.fold.kind == "random"]
     if not rows:
