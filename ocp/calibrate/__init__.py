@@ -1,4 +1,4 @@
-"""`python -m ocp.calibrate`: tracker readings, with a force log or without; a calibrated cell with its covariance out.
+"""`python -m ocp.calibrate`: tracker readings and force log in; a calibrated cell out.
 
 Here: the command, its files, the contact's side (force) and the report. Not here: the arm's fit itself (robots.calibration).
 """

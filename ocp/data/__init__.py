@@ -1,4 +1,4 @@
-"""The cell and blade that come with the package; the record of the blind checks' answers.
+"""Bundled cell and blade; the record of the blind checks' answers.
 
 Here: where they lie. Not here: how they are read (ocp.model.cell, trajectories.blade).
 """
