@@ -1,4 +1,4 @@
-"""Springs in the joints: the posture that gravity leaves, and the compliance of the arm at a point (PHYSICS 2.5, 3.1)."""
+"""Springs in the joints: the posture that gravity leaves (PHYSICS 2.5)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -38,20 +38,6 @@ def compliance_from_stiffness(stiffness: Any) -> Any:
         return ca.if_else(k > 0, 1 / k, 0)  # masks the derivative too
     k = np.asarray(stiffness, float)
     return np.divide(1.0, k, out=np.zeros_like(k), where=k > 0)
-
-
-def cartesian_compliance(jacobian_point: Any, stiffness: Any) -> Any:
-    """C = J K^-1 J^T (3, 3) m/N: displacement of a point under a force at that point; 0 stiffness = rigid joint.
-
-    jacobian_point (3, 6) m/rad of the point (linear rows of `geometric_jacobian`), stiffness (6) N m/rad;
-    CasADi expressions, or arrays with leading axes.
-    """
-    c = compliance_from_stiffness(stiffness)
-    if isinstance(jacobian_point, ca.SX | ca.MX) or isinstance(c, ca.SX | ca.MX):
-        J = jacobian_point
-        return J @ ca.diag(c) @ J.T
-    J = np.asarray(jacobian_point, float)
-    return (J * c) @ np.swapaxes(J, -1, -2)
 
 
 def deflect(

@@ -1,4 +1,4 @@
-"""Inverse kinematics: all eight branches and all turns, in closed form; calibrated arms by Newton from the branches.
+"""Inverse kinematics: all eight branches, in closed form; calibrated arms by Newton from the branches.
 
 The index of a branch is KUKA's status S (KRL.md): bit 0 the wrist reaches back over axis 1, bit 1 the elbow's
 side, bit 2 the sign of axis 5. Formulas: docs/robot.md.
@@ -8,7 +8,6 @@ Arms of one family have a closed inverse: axes 2 and 3 parallel, wrist axes in o
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -132,16 +131,6 @@ def inverse_branches(robot: Robot, T: ArrayLike) -> tuple[Array, NDArray[np.bool
     return q, reachable
 
 
-def turns(robot: Robot, q: ArrayLike) -> Array:
-    """All postures (m, 6) rad equal to q (6,) up to whole turns of axes, within the limits; m may be 0."""
-    q = np.asarray(q, float)
-    # Rounding must not throw out a posture on its limit.
-    low = np.ceil((robot.q_min - q) / (2 * np.pi) - 1e-12).astype(int)
-    high = np.floor((robot.q_max - q) / (2 * np.pi) + 1e-12).astype(int)
-    shifts = list(product(*(range(a, b + 1) for a, b in zip(low, high, strict=True))))
-    return np.clip(q + 2 * np.pi * np.array(shifts, float).reshape(-1, 6), robot.q_min, robot.q_max)
-
-
 def status(robot: Robot, q: ArrayLike) -> NDArray[np.int64]:
     """KUKA's S bits 0..2 (KRL.md) of postures q (..., 6) rad, as integers (...): the index of `inverse_branches`."""
     family = arm_family(robot)
@@ -154,11 +143,6 @@ def status(robot: Robot, q: ArrayLike) -> NDArray[np.int64]:
     # again.
     bits = (radius < 0, _wrap_half_open(elbow) >= 0, _wrap_half_open(wrist) < 0)
     return np.asarray(sum(bit.astype(np.int64) << i for i, bit in enumerate(bits)))
-
-
-def turn(q: ArrayLike) -> NDArray[np.int64]:
-    """KUKA's T (KRL.md) of postures q (..., 6) rad: bit i - 1 is one where A_i < 0."""
-    return np.asarray(((np.asarray(q, float) < 0).astype(np.int64) << np.arange(6)).sum(axis=-1))
 
 
 def reach_excess(robot: Robot, T: ArrayLike) -> Array:
@@ -242,18 +226,8 @@ class Refined:
     position_error: Array
     rotation_error: Array
 
-    def reason(self, i: int) -> str:
-        """One sentence about row i."""
-        if self.converged[i]:
-            return "the pose is reached"
-        return (
-            f"the pose is missed by {self.position_error[i] * 1e3:.3f} mm and "
-            f"{np.degrees(self.rotation_error[i]):.4f} deg after {ITERATIONS} Newton steps: out of reach, singular, or "
-            "the seed is too far away"
-        )
 
-
-def inverse_refined(robot: Robot, T: ArrayLike, q_seed: ArrayLike, tolerance: float = TOLERANCE) -> Refined:
+def inverse_refined(robot: Robot, T: ArrayLike, q_seed: ArrayLike) -> Refined:
     """Joints that bring the flange to poses T (n, 4, 4), from seeds (n, 6) rad, by damped Newton steps.
 
     The damping falls with the error, so that convergence stays quadratic away from singularities. Limits are
@@ -264,13 +238,13 @@ def inverse_refined(robot: Robot, T: ArrayLike, q_seed: ArrayLike, tolerance: fl
     error = pose_error(T, forward(robot, q))
     for _ in range(ITERATIONS):
         # Two digits beyond the tolerance: the last step is nearly free and rounding is far below.
-        rows = np.flatnonzero(np.abs(error).max(axis=1) > tolerance / 100)
+        rows = np.flatnonzero(np.abs(error).max(axis=1) > TOLERANCE / 100)
         if not len(rows):
             break
         q[rows] += _step(jacobian(robot, q[rows]), error[rows])
         error[rows] = pose_error(T[rows], forward(robot, q[rows]))
     position, rotation = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
-    return Refined(q, np.maximum(position, rotation) <= tolerance, position, rotation)
+    return Refined(q, np.maximum(position, rotation) <= TOLERANCE, position, rotation)
 
 
 def pose_error(T_goal: Array, T: Array) -> Array:

@@ -1,6 +1,6 @@
 """Grinding passes on the aerofoil: contact frames at even steps, with what the contact needs to know of the blade."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from trajectories.blade.fit import SideSurface
 from trajectories.blade.mesh import Blade
 from trajectories.blade.shape import AerofoilShape
 from trajectories.blade.spline import curvature_in_frame
-from trajectories.blade.surroundings import extents, thickness
+from trajectories.blade.surroundings import extents
 from trajectories.blade.window import Margins, Window, free_stretch, ground_window, obstacles
 
 MIN_WAYPOINTS = 20
@@ -28,7 +28,7 @@ class BladePath:
     line: 1-based number of the line on the blade; side: "convex" | "concave" | "edge"; p, n, t (n, 3): contact points
     in m, outward unit normals, unit feed directions; s (n,) m arc length from the start; curvature (n, 3): k_tt, k_bb,
     k_tb in 1/m with b = n x t, positive convex; extent (n, 4): distance in m along +t, -t, +b, -b over which the
-    surface goes on before it turns by more than 60 deg or ends; thickness (n,) m along n; feed (n,) m/s and force
+    surface goes on before it turns by more than 60 deg or ends; feed (n,) m/s and force
     (n,) N as programmed; start, rest m: how much of the line lies before this piece of it
     in its direction, and behind it, 0 of a whole line; before, after m: how much of the asked line lies before its start
     and behind its end, where the wheel has no room; room_before, room_after m: how far beyond either end the wheel may bear
@@ -43,7 +43,6 @@ class BladePath:
     s: Array
     curvature: Array
     extent: Array
-    thickness: Array
     feed: Array
     force: Array
     start: float = 0.0
@@ -67,9 +66,9 @@ class ContactFrames:
     feed: Array
     force: Array
 
-    def path(self, side: str, curvature: Array, extent: Array, thickness: Array) -> BladePath:
+    def path(self, side: str, curvature: Array, extent: Array) -> BladePath:
         """The pass with what was found of the blade at its points."""
-        return BladePath(side=side, curvature=curvature, extent=extent, thickness=thickness, **vars(self))
+        return BladePath(side=side, curvature=curvature, extent=extent, **vars(self))
 
 
 @dataclass(frozen=True)
@@ -190,14 +189,14 @@ def reversed_path(path: BladePath) -> BladePath:
     """The same pass ground from its end to its start: t and b turn round, k_tb keeps its sign."""
     ends: dict[str, Any] = {"start": path.rest, "rest": path.start, "before": path.after, "after": path.before}
     ends |= {"room_before": path.room_after, "room_after": path.room_before}
-    back: dict[str, Any] = {name: getattr(path, name)[::-1] for name in ("p", "n", "curvature", "thickness", "feed", "force")}
+    back: dict[str, Any] = {name: getattr(path, name)[::-1] for name in ("p", "n", "curvature", "feed", "force")}
     extent = path.extent[::-1, [1, 0, 3, 2]]
     return replace(path, t=-path.t[::-1], s=path.s[-1] - path.s[::-1], extent=extent, **ends, **back)
 
 
 def stretch_of(path: BladePath, first: int, last: int) -> BladePath:
     """The piece of a path from waypoint `first` to `last`, both included, as a path of its own whose s begins at 0."""
-    names = ("p", "n", "t", "curvature", "extent", "thickness", "feed", "force")
+    names = ("p", "n", "t", "curvature", "extent", "feed", "force")
     cut: dict[str, Any] = {name: getattr(path, name)[first : last + 1] for name in names} | {"before": 0.0, "after": 0.0}
     cut |= {"room_before": path.room_before * (first == 0), "room_after": path.room_after * (last == len(path.s) - 1)}
     start, rest = path.start + float(path.s[first]), path.rest + float(path.s[-1] - path.s[last])
@@ -307,12 +306,7 @@ def feed_directions(p: Array, n: Array, s: Array) -> Array:
 
 
 def describe(shape: AerofoilShape, side: SideSurface, u: Array, v: Array, at: ContactFrames) -> BladePath:
-    """A pass from frames at surface parameters (u, v): adds curvature, extent and thickness."""
+    """A pass from frames at surface parameters (u, v): adds curvature and extent."""
     curvature = curvature_in_frame(side.surface, u, v, at.n, at.t)
     extent = extents(shape, side, u, v, at.p, at.n, at.t)
-    return at.path(side.name, curvature, extent, thickness(shape, side, u, v, at.p, at.n))
-
-
-def total_length(paths: Sequence[BladePath]) -> float:
-    """Ground length of all passes, m."""
-    return float(sum(path.s[-1] for path in paths))
+    return at.path(side.name, curvature, extent)

@@ -1,10 +1,14 @@
-"""Contact frames that come from elsewhere, put onto the blade's surface and completed into passes."""
+"""Contact frames that come from elsewhere, put onto the surface of a blade and completed into passes; also those of a path.csv,
+read and checked line by line."""
+
+from pathlib import Path
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from robots.csv_table import read_csv_table
 from robots.errors import BadInput
 from robots.pose import Array
 from trajectories.blade.fit import SideSurface
@@ -19,7 +23,6 @@ OFF_SURFACE = 0.2e-3  # m: points farther off than this are refused
 NORMAL_LIMIT = np.deg2rad(15.0)  # a normal that differs more from the surface's is refused
 FEED_LIMIT = np.deg2rad(60.0)  # a feed direction that differs more from the way to the next point is refused
 _NEIGHBOURS = 40  # mesh vertices of a local quadric
-_BEAM = 1e-3  # m: half width of the column in which the depth below a point is looked for
 _LARGEST_EXTENT = 0.05  # m: extents are not followed farther than this
 
 
@@ -174,12 +177,11 @@ def _along(
 def describe_off_flank(blade: Blade, shape: AerofoilShape, at: ContactFrames) -> BladePath:
     """A pass that leaves the smooth flanks (round an edge, over a fillet), side "edge", from frames on the mesh.
 
-    Curvature, extent and thickness are what the facets nearby tell, roughly.
+    Curvature and extent are what the facets nearby tell, roughly.
     """
     b = np.cross(at.n, at.t)
     curvature = facet_curvature(blade, at.p, at.n, at.t, b)
-    thick = np.array([_depth(blade, p, n) for p, n in zip(at.p, at.n, strict=True)])
-    return at.path("edge", curvature, _extent(blade, shape, at.p, at.t, b, curvature), thick)
+    return at.path("edge", curvature, _extent(blade, shape, at.p, at.t, b, curvature))
 
 
 def facet_curvature(blade: Blade, p: Array, n: Array, t: Array, b: Array) -> Array:
@@ -204,17 +206,6 @@ def facet_curvature(blade: Blade, p: Array, n: Array, t: Array, b: Array) -> Arr
     return out
 
 
-def _depth(blade: Blade, p: Array, n: Array) -> float:
-    """Depth of the blade below p along -n, m: the deepest vertex in a narrow column, widened until it holds one."""
-    r = blade.vertices - p
-    depth = -(r @ n)
-    aside = np.linalg.norm(r + depth[:, None] * n, axis=1)
-    reach = _BEAM
-    while not (found := (aside < reach) & (depth > 1e-5)).any() and reach < 0.1:
-        reach *= 1.5
-    return float(depth[found].max(initial=1e-4))
-
-
 def _extent(blade: Blade, shape: AerofoilShape, p: Array, t: Array, b: Array, curvature: Array) -> Array:
     """Distances (m, 4): a turn of 60 deg at the local curvature, or the end of the blade along the span."""
     axis = shape.frame.axis
@@ -224,3 +215,53 @@ def _extent(blade: Blade, shape: AerofoilShape, p: Array, t: Array, b: Array, cu
     to_end = np.where(rise > 0.0, height.max() - here, here - height.min()) / np.maximum(np.abs(rise), 1e-3)
     turn = MAX_TURN / np.maximum(curvature[:, [0, 0, 1, 1]], MAX_TURN / _LARGEST_EXTENT)
     return np.asarray(np.minimum(turn, np.maximum(to_end, 0.0)))
+
+
+NEEDED = ("line", "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz")
+OPTIONAL = ("feed_mm_s", "force_N")
+
+
+def read_path_file(
+    path: str | Path, blade: Blade, shape: AerofoilShape, feed: float, force: float
+) -> tuple[list[BladePath], list[str]]:
+    """Passes of a path.csv on a blade, and notices; feed m/s and force N stand in where the columns are absent.
+
+    Raises: BadInput naming file, line, column and value, or the distance of a point off the surface.
+    """
+    path = Path(path)
+    read = read_csv_table(path, NEEDED, OPTIONAL)
+    table, numbers = read.numbers, read.line
+    notices = [f"{path.name}: columns {', '.join(read.ignored)} were ignored."] if read.ignored else []
+    for column, default, unit in (("feed_mm_s", 1e3 * feed, "mm/s"), ("force_N", force, "N")):
+        if column not in table:
+            table[column] = np.full(len(numbers), default)
+            notices.append(f"{path.name}: no column {column}, {default:g} {unit} is used throughout.")
+        elif (table[column] <= 0.0).any():
+            k = int(np.argmax(table[column] <= 0.0))
+            raise BadInput(f"{path}, line {numbers[k]}, column {column}: {table[column][k]:g} {unit} must be above 0.")
+    line = _line_numbers(path, table["line"], numbers)
+    p = 1e-3 * np.stack([table[c] for c in ("px_mm", "py_mm", "pz_mm")], axis=1)
+    n = np.stack([table[c] for c in ("nx", "ny", "nz")], axis=1)
+    t = np.stack([table[c] for c in ("tx", "ty", "tz")], axis=1)
+    places = [f"line {number}" for number in numbers]
+    paths, more = paths_from_points(blade, shape, line, p, n, t, 1e-3 * table["feed_mm_s"], table["force_N"], str(path), places)
+    return paths, notices + more
+
+
+def _line_numbers(path: Path, values: Array, numbers: list[int]) -> NDArray[np.int64]:
+    """Line numbers of the passes as integers, each in one stretch."""
+    bad = (values != np.round(values)) | (values < 1)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise BadInput(f"{path}, line {numbers[k]}, column line: {values[k]:g} is not a whole number from 1 on.")
+    line = values.astype(np.int64)
+    starts = np.flatnonzero(np.concatenate([[True], line[1:] != line[:-1]]))
+    seen: set[int] = set()
+    for i in starts.tolist():
+        if int(line[i]) in seen:
+            raise BadInput(
+                f"{path}, line {numbers[i]}, column line: line {line[i]} was left and comes again; give every "
+                f"pass a number of its own."
+            )
+        seen.add(int(line[i]))
+    return line

@@ -24,22 +24,12 @@ def _calibrate(
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
     """Calibrate the robot from laser-tracker readings and, with a force log, the contact of blade and wheel."""
+    asked = dict(locals())  # as `interface.calibrate` names them
     from ocp.calibrate import interface  # heavy imports only once the arguments stand
 
     def job() -> str:
         with shown_progress() as progress:
-            return answer(
-                interface.calibrate(
-                    tracker,
-                    cell=cell,
-                    out=out,
-                    force=force,
-                    method=method,
-                    columns=columns,
-                    overwrite=overwrite,
-                    progress=progress,
-                )
-            )
+            return answer(interface.calibrate(**asked, progress=progress))
 
     sys.exit(run(job, "not calibrated"))
 

@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ocp.cell.examination import DOUBT, KNOWN, MISTAKE, UNMEASURED, Examined, Grindable
-from ocp.cell.placing import WheelRegion, arm_length, wheel_region
+from ocp.cell.new import WheelRegion, arm_length, wheel_region
 from ocp.model.cell import Cell, payloads_of, wheel_frame
 from ocp.plan.report.scene import arm_drawn, wheel_drawn
 from ocp.report.parts import Plot, made_from, table

@@ -28,8 +28,7 @@ from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
 from trajectories.blade.shape import KEPT
 from trajectories.dialects import dialect_named
 from trajectories.passes import BladePath, PassOptions, ground_windows, passes
-from trajectories.path_file import read_path_file
-from trajectories.path_points import paths_from_points
+from trajectories.path_points import paths_from_points, read_path_file
 from trajectories.program.old_program import OldPass, contact_frames_from_program
 
 CLOUD_SPACING = 8e-4  # m between points of the surface cloud

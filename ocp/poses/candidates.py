@@ -246,7 +246,7 @@ def _slab(cell: Cell) -> tuple[Array, list[BladePath]]:
         n = len(s)
         p = side * thin * thick + (offset + 0.2 * span + s)[:, None] * normal
         frame = np.broadcast_to(side * thick, (n, 3)), np.broadcast_to(normal, (n, 3))
-        rest = np.zeros((n, 3)), np.full((n, 4), half), np.full(n, 2 * thin)
+        rest = np.zeros((n, 3)), np.full((n, 4), half)
         speed = np.full(n, cell.process.feed), np.full(n, cell.process.force)
         paths.append(BladePath(line, "convex" if side > 0 else "concave", p, *frame, s, *rest, *speed))
     return np.array(corners), paths

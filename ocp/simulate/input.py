@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ocp.data import CELL
 from ocp.model.cell import Cell
 from ocp.simulate.twin.kinds import EFFECT_KINDS, EffectKind
 from ocp.simulate.twin.plan_knowledge import cell_of_plan, file_hash, recorded_input, with_hash
@@ -20,7 +21,11 @@ MOST_LEVELS = 20  # setpoints and belt speeds: for each the whole plan is ground
 # Shares of the process force whose setpoints tell stiffness from place; of a rigid mount nearer together.
 LADDER, RIGID_LADDER = (0.6, 1.0, 1.4), (0.75, 1.0, 1.25)
 MOVING_HZ = 100.0  # 1/s: a mass of 2 kg on a stiff contact swings in 27 ms
-MODES = ("drawn", "believed", "sampled")
+MACHINES = {
+    "drawn": "virtual cell {seed}, drawn with the errors of a real one",
+    "believed": "a virtual cell that is just as believed",
+    "sampled": "virtual cell {seed}, drawn from what the calibration leaves open",
+}
 # Effects that need what a run without a plan, without a flange, without joints.csv does not have.
 _ARM_ONLY = ("arm", "tracker")
 
@@ -50,8 +55,8 @@ class AskedRun:
 
 def check_numbers(wanted: AskedRun) -> None:
     """Raises BadInput: what needs no file to be seen wrong."""
-    if wanted.machine not in MODES:
-        raise BadInput(f"--machine '{wanted.machine}' is not one of {', '.join(MODES)}")
+    if wanted.machine not in MACHINES:
+        raise BadInput(f"--machine '{wanted.machine}' is not one of {', '.join(MACHINES)}")
     limits = [("--seed", wanted.seed, 0, 2**32), ("--size", wanted.size, 0.0, 5.0), ("--hz", wanted.hz, 20.0, 2000.0)]
     for name, value, low, high in (*limits, ("--clock", wanted.clock, 0.0, 1e7)):
         if not low <= value <= high:
@@ -80,13 +85,13 @@ def _near(plan: Path) -> tuple[Path, ...]:
     return plan_folder(plan), plan_folder(plan).resolve().parent, Path.cwd()
 
 
-def cell_file(wanted: AskedRun, summary: dict[str, Any], bundled: Path) -> Path:
+def cell_file(wanted: AskedRun, summary: dict[str, Any]) -> Path:
     """The cell: the one given, else the plan's own by its hash, without a plan the bundled one. Raises BadInput."""
     if wanted.cell is not None:
         return wanted.cell
     if wanted.plan is None:
-        return bundled
-    return cell_of_plan(summary, plan_folder(wanted.plan), _near(wanted.plan), bundled)
+        return CELL
+    return cell_of_plan(summary, plan_folder(wanted.plan), _near(wanted.plan), CELL)
 
 
 def blade_file(wanted: AskedRun, summary: dict[str, Any], own: Path | None) -> Path | None:

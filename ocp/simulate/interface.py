@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from ocp.data import CELL
 from ocp.effects.catalogue import key_range
 from ocp.model.cell import Cell, files_of, floor_notices, payloads_of, read_cell
 from ocp.shell.output import Output, reserved
 from ocp.shell.progress import Phases, Progress
 from ocp.simulate.input import (
+    MACHINES,
     AskedRun,
     blade_file,
     campaign_plan,
@@ -28,8 +28,14 @@ from ocp.simulate.input import (
     plan_folder,
     planted_effects,
 )
-from ocp.simulate.report import missed_parts_figures, rehearsal_headline, write_rehearsal_page
-from ocp.simulate.report_passes import WholePasses, contact_figures, flange_in_words
+from ocp.simulate.report import (
+    WholePasses,
+    contact_figures,
+    flange_in_words,
+    missed_parts_figures,
+    rehearsal_headline,
+    write_rehearsal_page,
+)
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.controller import MissedParts, Track, drive, missed_parts
 from ocp.simulate.twin.dataset import copy_cell, joint_log, write_force, write_joint_log, write_labels, write_removal
@@ -46,12 +52,6 @@ from robots.errors import BadInput
 from robots.payload import refuse_overload
 from robots.robot import refuse_left_out
 from trajectories.blade import read_blade
-
-MACHINES = {
-    "drawn": "virtual cell {seed}, drawn with the errors of a real one",
-    "believed": "a virtual cell that is just as believed",
-    "sampled": "virtual cell {seed}, drawn from what the calibration leaves open",
-}
 
 
 @dataclass(frozen=True)
@@ -99,24 +99,6 @@ class SimulationResult:
     readings: int
     notices: tuple[str, ...]
     line: str
-
-
-def simulate_cell(wanted: AskedRun, bundled: Path, out: Path, overwrite: bool, phases: Phases) -> SimulationResult:
-    """Do all of it and write the folder. Raises BadInput and Infeasible; then `out` is as it was."""
-    check_numbers(wanted)
-    folder = None if wanted.plan is None else plan_folder(wanted.plan)
-    summary = {} if folder is None else read_summary(folder)
-    program = None if wanted.plan is None else read_program(wanted.plan, planned=bool(summary))
-    file = cell_file(wanted, summary, bundled)
-    given = [Path(p) for p in (folder, wanted.blade, None if wanted.poses.isdigit() else wanted.poses) if p is not None]
-    with reserved(out, overwrite, [*files_of(file), *given]) as output:
-        cell = read_cell(file, wanted.blade)
-        refuse_left_out(file, cell.robot, "the virtual cell")
-        check_rate(wanted, cell)
-        if other := blade_file(wanted, summary, cell.workpiece.stl):
-            output.reads([other])
-            cell = read_cell(file, other)
-        return _simulated(wanted, cell, program, folder, summary, output, phases)
 
 
 def _simulated(
@@ -326,4 +308,17 @@ def simulate(
     kept |= {name: None if kept[name] is None else Path(kept[name]) for name in ("plan", "cell", "blade")}
     kept |= {"effects": tuple(effects), "poses": str(poses), "belts": tuple(float(v) for v in belts)}
     wanted = AskedRun(**kept | {"ladder": None if ladder is None else tuple(float(v) for v in ladder)})
-    return simulate_cell(wanted, CELL, Path(out), overwrite, Phases(progress))
+    check_numbers(wanted)
+    folder = None if wanted.plan is None else plan_folder(wanted.plan)
+    summary = {} if folder is None else read_summary(folder)
+    program = None if wanted.plan is None else read_program(wanted.plan, planned=bool(summary))
+    file = cell_file(wanted, summary)
+    given = [Path(p) for p in (folder, wanted.blade, None if wanted.poses.isdigit() else wanted.poses) if p is not None]
+    with reserved(Path(out), overwrite, [*files_of(file), *given]) as output:
+        believed = read_cell(file, wanted.blade)
+        refuse_left_out(file, believed.robot, "the virtual cell")
+        check_rate(wanted, believed)
+        if other := blade_file(wanted, summary, believed.workpiece.stl):
+            output.reads([other])
+            believed = read_cell(file, other)
+        return _simulated(wanted, believed, program, folder, summary, output, Phases(progress))

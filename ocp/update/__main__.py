@@ -24,15 +24,12 @@ def _update(
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
     """Bring wheel, blade, flange and wear up to date from one blade's force log, without a new campaign."""
+    asked = locals() | {"changed": changed or ()}  # as `interface.update` names them
     from ocp.update import interface  # heavy imports only once the arguments stand
 
     def job() -> str:
         with shown_progress() as progress:
-            return answer(
-                interface.update(
-                    force, cell=cell, out=out, removal=removal, changed=changed or (), overwrite=overwrite, progress=progress
-                )
-            )
+            return answer(interface.update(**asked, progress=progress))
 
     sys.exit(run(job, "not updated"))
 

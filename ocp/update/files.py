@@ -15,7 +15,7 @@ from ocp.shell.output import Output
 from ocp.shell.progress import Phases
 from ocp.update.drift import RADIUS, WEAR, Verdict, carried_on, force_spread, mean_slope
 from ocp.update.history import History
-from ocp.update.pattern_fit import PatternFit
+from ocp.update.pattern import PatternFit
 from ocp.update.removal import UNIT, Preston
 from robots.calibration.store import Calibration, write_calibration
 from robots.toml_files import toml_text

@@ -30,10 +30,9 @@ from ocp.update.drift import (
     verdict_on,
 )
 from ocp.update.files import Updated, UpdateResult, write_update
-from ocp.update.history import History, history_of, is_number
-from ocp.update.pattern_fit import fit_pattern, ground_log
+from ocp.update.history import History, history_of, is_number, running_time, usual_way
+from ocp.update.pattern import fit_pattern, ground_log
 from ocp.update.removal import UNIT, MeasuredDepths, Preston, joined_preston, less_sure, on_blade, read_removal
-from ocp.update.running import running_time, usual_way
 from robots.calibration.store import Calibration
 from robots.errors import BadInput, Infeasible, shown
 

@@ -10,8 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ocp.cell.__main__ import app
-from ocp.cell.new import held_upright, planned_family
-from ocp.cell.placing import nearest_whole, wheel_region
+from ocp.cell.new import held_upright, nearest_whole, planned_family, wheel_region
 from ocp.data import CELL
 from ocp.model.cell import read_cell, read_tracker_setup
 from ocp.plan.paths import PlanOptions, lay_paths

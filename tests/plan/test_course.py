@@ -219,7 +219,7 @@ def test_a_line_goes_on_as_the_surface_does():
         np.tile([0, 0, 1.0], (68, 1))
     )
     inner = slice(4, 65)
-    for name in ("p", "n", "t", "curvature", "extent", "thickness", "feed", "force"):
+    for name in ("p", "n", "t", "curvature", "extent", "feed", "force"):
         assert (getattr(longer, name)[inner] == getattr(flat, name)).all()
     short = lengthened(flat, 0.0, 0.0)
     assert short.s == pytest.approx(flat.s) and short.p == pytest.approx(flat.p)
@@ -247,7 +247,7 @@ def test_a_cubic_goes_on_exactly(c):
 def test_a_line_at_other_places_is_the_same_line():
     ring = on_a_ring(0.08)
     same = path_at(ring, ring.s)
-    for name in ("p", "n", "t", "curvature", "feed", "force", "thickness"):
+    for name in ("p", "n", "t", "curvature", "feed", "force"):
         assert getattr(same, name) == pytest.approx(getattr(ring, name), abs=1e-12)
     s = np.array([0.0313, 0.0007, 0.0001, 0.0001, 0.0599])  # in any order
     other = path_at(replace(ring, feed=np.where(ring.s < 0.03, 0.02, 0.05)), s)

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robots.inverse import inverse_branches, reach_excess, turns
+from robots.inverse import inverse_branches, reach_excess
 from robots.pose import Array
 from robots.robot import Robot
 
@@ -43,6 +44,16 @@ class Solutions:
         if self.status is Status.OUTSIDE_LIMITS:
             return f"{self.status.value}, at best axis {self.axis} by {np.degrees(self.excess):.1f} deg"
         return self.status.value
+
+
+def turns(robot: Robot, q: ArrayLike) -> Array:
+    """All postures (m, 6) rad equal to q (6,) up to whole turns of axes, within the limits; m may be 0."""
+    q = np.asarray(q, float)
+    # Rounding must not throw out a posture on its limit.
+    low = np.ceil((robot.q_min - q) / (2 * np.pi) - 1e-12).astype(int)
+    high = np.floor((robot.q_max - q) / (2 * np.pi) + 1e-12).astype(int)
+    shifts = list(product(*(range(a, b + 1) for a, b in zip(low, high, strict=True))))
+    return np.clip(q + 2 * np.pi * np.array(shifts, float).reshape(-1, 6), robot.q_min, robot.q_max)
 
 
 def inverse_all(robot: Robot, T: ArrayLike) -> Solutions:

@@ -47,7 +47,6 @@ def bar_pass(n: int = 40, radius: float = 0.04, length: float = 0.06, force: flo
         s=np.linspace(0.0, length, n),
         curvature=np.tile([0.0, 1 / radius, 0.0], (n, 1)),
         extent=np.full((n, 4), 0.05),
-        thickness=2 * radius * ones,
         feed=feed * ones,
         force=force * ones,
     )

@@ -46,7 +46,7 @@ from trajectories.krl.checks import check_program
 from trajectories.krl.dialect import KRL
 from trajectories.krl.reader import read_module
 from trajectories.passes import PassOptions, passes
-from trajectories.path_file import read_path_file
+from trajectories.path_points import read_path_file
 from trajectories.program.old_program import contact_frames_from_program
 
 GOLDEN = Path(__file__).parents[1] / "golden"

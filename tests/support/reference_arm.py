@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from robots.compliance import cartesian_compliance
+from robots.compliance import compliance_from_stiffness
 from robots.kinematics import jacobian, link_frames
 from robots.pose import Array
 from robots.reference_kinematics import elementary_frames
@@ -40,7 +40,7 @@ def point_compliance(robot: Robot, q: ArrayLike, points: ArrayLike) -> Array:
     lever = np.asarray(points, float) - link_frames(robot, q)[:, 6, :3, 3]
     # v_point = v_flange + omega x lever, column by column
     linear = J[:, :3] + np.cross(J[:, 3:], lever[:, :, None], axis=1)
-    return np.asarray(cartesian_compliance(linear, robot.stiffness))
+    return np.asarray((linear * compliance_from_stiffness(robot.stiffness)) @ np.swapaxes(linear, -1, -2))
 
 
 def generalised_gravity(robot: Robot, q: ArrayLike, payload_mass: float = 0.0, payload_com: ArrayLike = (0.0, 0.0, 0.0)) -> Array:

@@ -13,8 +13,7 @@ from ocp.model.prepare import wheel_cover
 from ocp.model.theta import NAMES
 from ocp.plan.removal.footprint import CELL, LinePatches
 from ocp.update.drift import last_state
-from ocp.update.pattern import GroundLog
-from ocp.update.pattern_fit import fit_pattern
+from ocp.update.pattern import GroundLog, fit_pattern
 from ocp.update.removal import MeasuredDepths
 from robots.errors import Infeasible
 from tests.support.wearing_cell import wearing_cell

@@ -41,11 +41,6 @@ class SideSurface:
         n = self.sign * np.cross(self.surface(u, v, 1, 0), self.surface(u, v, 0, 1))
         return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))
 
-    def chord_distance(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Distances in m along the wall from the leading and from the trailing edge, each (n,)."""
-        lead, trail, width = (np.interp(v, self.levels, x) for x in (self.lead, self.trail, self.width))
-        return lead + u * width, trail + (1.0 - u) * width
-
 
 def fit_side(
     blade: Blade, name: str, levels: Array, sections: list[BladeSection], noses: Array, flanks: Array, edge: int, lead: int

@@ -1,4 +1,4 @@
-"""What a contact patch finds around a waypoint: where the surface ends, and how thick the blade is."""
+"""What a contact patch finds around a waypoint: where the surface ends."""
 
 import numpy as np
 
@@ -88,19 +88,3 @@ def _share_before_turn(side: SideSurface, u: Array, v: Array, u_end: Array, v_en
     normal = side.normal(uu.ravel(), vv.ravel()).reshape(*uu.shape, 3)
     cosine = np.einsum("nki,ni->nk", normal, n)
     return np.asarray(share[np.maximum(np.argmax(cosine < np.cos(MAX_TURN), axis=1) - 1, 0)])
-
-
-def thickness(shape: AerofoilShape, side: SideSurface, u: Array, v: Array, p: Array, n: Array) -> Array:
-    """Blade thickness (m,) m along -n from p: Newton's method for p - tau n on the other side's surface."""
-    other = shape.sides["concave" if side.name == "convex" else "convex"]
-    uo, vo = u.copy(), v.copy()
-    tau = np.linalg.norm(other.surface(uo, vo) - p, axis=1)
-    for _ in range(6):
-        x = other.surface(uo, vo)
-        gap = p - tau[:, None] * n - x
-        matrix = np.stack([other.surface(uo, vo, 1, 0), other.surface(uo, vo, 0, 1), n], axis=2)
-        step = np.linalg.solve(matrix, gap[:, :, None])[:, :, 0]
-        uo = np.clip(uo + np.clip(step[:, 0], -0.1, 0.1), -0.02, 1.02)
-        vo = np.clip(vo + step[:, 1], 0.0, shape.frame.length)
-        tau = np.maximum(tau + step[:, 2], 1e-6)
-    return tau

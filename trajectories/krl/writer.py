@@ -1,11 +1,13 @@
 """KRL text of a program: deterministic bytes, CRLF, ASCII (KRL.md, "Files" and "Motion")."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from robots.errors import BadInput
+from robots.pose import Array
 from trajectories.krl.names import is_legal
 from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
-from trajectories.krl.time_block import time_block
 from trajectories.krl.values import FILE_LIMITS, axes_text, comment_text, fixed, frame_text
 from trajectories.program.execution import PathBounds
 from trajectories.program.program import (
@@ -191,3 +193,14 @@ def _lines(block: PoseLines, setup: Setup) -> list[str]:
         before = text
         lines.append(f"LIN {point}" + (" C_VEL" if k < len(points) - 1 else ""))
     return lines
+
+
+def time_block(block: str, word: str, points: Sequence[str], t: Array) -> list[str]:
+    """A `block` with one time block in it: a point `word`, START, then point and PART in turns, END with the sum of the parts."""
+    unit = FILE_LIMITS.time_unit
+    lines = [block, f"  {word} {points[0]}", "  TIME_BLOCK START"]
+    # Times are rounded, not steps, so that the parts add up to the end in the printed decimals.
+    ticks = np.rint((np.asarray(t) - t[0]) / unit).astype(int)
+    for point, part in zip(points[1:], np.diff(ticks), strict=True):
+        lines += [f"  {word} {point}", f"  TIME_BLOCK PART={fixed(part * unit, 5)}"]
+    return [*lines, f"  TIME_BLOCK END={fixed(ticks[-1] * unit, 5)}", "ENDSPLINE"]

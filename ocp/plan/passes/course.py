@@ -175,7 +175,7 @@ def lengthened(path: BladePath, before: float, after: float) -> BladePath:
     ends = [-step * np.arange(front, 0, -1), path.s[-1] + step * np.arange(1, back + 1)]
     length = float(path.s[-1])
     values: dict[str, Any] = {"s": np.concatenate([ends[0], path.s, ends[1]])}
-    for name in ("p", "n", "t", "curvature", "extent", "thickness", "feed", "force"):
+    for name in ("p", "n", "t", "curvature", "extent", "feed", "force"):
         own = getattr(path, name)
         parts = [own]
         if name in ("p", "n", "t"):
@@ -202,5 +202,5 @@ def path_at(path: BladePath, s: Array) -> BladePath:
             values[field.name] = np.asarray(CubicSpline(path.s, value)(s))
     for name in ("n", "t"):
         values[name] /= np.linalg.norm(values[name], axis=1, keepdims=True)
-    values |= {name: np.interp(s, path.s, getattr(path, name)) for name in ("feed", "force", "thickness")}
+    values |= {name: np.interp(s, path.s, getattr(path, name)) for name in ("feed", "force")}
     return replace(path, s=s, **values)

@@ -189,14 +189,14 @@ SETUP = ("BAS(#INITMOV,0)", *STOP, "$TOOL", "$BASE", "$IPO_MODE", "$LOAD", *SHAR
 MOST_AT_FIRST = 0.3  # of an axis' speed and acceleration, of a motion that may begin anywhere
 
 
-def read_program(place: Path, name: str | None = None, planned: bool = False) -> KrlProgram:
-    """The program in a folder, or the one whose main .src file is given; `name` picks one of several main programs.
+def read_program(place: Path, planned: bool = False) -> KrlProgram:
+    """The program in a folder, or the one whose main .src file is given.
 
     `planned`: it must be as ocp.plan writes it: files in pairs with CR LF, time blocks with START and parts that sum to END, no
     pauses, a load. Raises BadInput, one sentence with file and line: no program, several main programs, a file that is called but
     absent, a statement that is not understood.
     """
-    main = main_program(place, name, planned)
+    main = main_program(place, planned)
     files = {p.stem.upper(): p for p in main.parent.iterdir() if p.suffix.lower() == ".src"}
     c = _Controller(planned=planned)
     _run(c, main, files, 0)
@@ -208,7 +208,7 @@ def read_program(place: Path, name: str | None = None, planned: bool = False) ->
     return program
 
 
-def main_program(place: Path, name: str | None = None, planned: bool = False) -> Path:
+def main_program(place: Path, planned: bool = False) -> Path:
     """The .src that no other calls. Raises BadInput where there is none or more than one."""
     if place.is_file() and place.suffix.lower() == ".src":
         return place
@@ -220,7 +220,7 @@ def main_program(place: Path, name: str | None = None, planned: bool = False) ->
     called = set()
     for source in sources:
         called |= {found.group(1) for _, text in _statements(source, planned) if (found := _CALL.match(text))}
-    mains = [p for p in sources if p.stem.upper() not in called and (name is None or p.stem.upper() == name.upper())]
+    mains = [p for p in sources if p.stem.upper() not in called]
     if len(mains) != 1:
         named = ", ".join(p.name for p in mains) or "none"
         raise BadInput(f"{place}: main programs: {named}; give the one .src file to run instead of the folder")
