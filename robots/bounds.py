@@ -62,9 +62,7 @@ Angle = Annotated[float, _between(-3600.0, 3600.0)]  # deg: ten turns; no axis o
 Turn = Annotated[float, _between(0.0, 180.0)]  # deg
 AngleSpread = Annotated[float, _between(0.0, 90.0), AfterValidator(_zero_or_from(1e-7))]  # deg: 1e-7 is a nanometre at 0.5 m
 Share = Annotated[float, _between(-1e6, 1e6)]  # of a direction of any length
-Mass = Annotated[
-    float, _between(0.0, 1e5), AfterValidator(_zero_or_from(1e-6))
-]  # kg: a hundred tonnes; links of the largest arms
+Mass = Annotated[float, _between(0.0, 1e5), AfterValidator(_zero_or_from(1e-6))]  # kg: a hundred tonnes; the largest links
 Moment = Annotated[float, _between(-1e6, 1e6)]  # kg m^2
 MomentOfInertia = Annotated[Moment, Field(ge=0)]
 Spring = Annotated[float, _between(0.0, 1e11), AfterValidator(_zero_or_from(1.0))]  # N m/rad: 1 is a wrist of rubber, 0 rigid

@@ -111,7 +111,7 @@ def wrap(angle: ArrayLike) -> Array:
 def inverse_branches(robot: Robot, T: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
     """Joints q (n, 8, 6) rad in (-pi, pi], reachable (n, 8), of flange poses T (n, 4, 4); index = KUKA's S.
 
-    Axis limits are not looked at (see `turns`). Rows that are out of reach are nan. At the wrist singularity
+    Axis limits and whole turns are not looked at. Rows that are out of reach are nan. At the wrist singularity
     axis 4 is zero. Arms that are nearly of the family (calibrated ones) are refined to their own geometry.
     Raises BadInput: the arm is not near the family of `arm_family`.
     """

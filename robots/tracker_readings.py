@@ -23,9 +23,8 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 ROTATION = "zyx_intrinsic"  # order in which they turn: R = Rz(rz) Ry(ry) Rx(rx)
 UNIT = 1e-2  # how far a quaternion's length may be from one
 SEVENTH = "q7_deg"
-COPIES = (
-    0.2  # of the rows are copies: above, the file was put together wrongly, and which rows were measured is its owner's to say
-)
+# Share of rows that are copies: above, the file was put together wrongly, and which rows were measured is its owner's to say.
+COPIES = 0.2
 # Digits that are coarser than this share of the instrument's noise let two readings of one pose agree by chance: noise s and last
 # digit r agree in one coordinate with probability r / (2 sqrt(pi) s), here in all three once in a thousand times.
 CHANCE = 0.35
@@ -33,20 +32,8 @@ DECIMALS = 6  # of a millimetre that are looked for
 LISTED = 5  # copies that a notice lists
 APPROACH = tuple(f"approach{i}" for i in range(1, 7))
 WORDS = ("target", "payload", "session", "station")
-OPTIONAL = (
-    *POINT,
-    *WORDS,
-    "time_s",
-    "temperature_C",
-    *APPROACH,
-    *LOAD,
-    *PLACE,
-    "load_link",
-    "sigma_um",
-    *TURN,
-    *QUATERNION,
-    "sigma_rot_deg",
-)
+SINGLE = ("time_s", "temperature_C", "load_link", "sigma_um", "sigma_rot_deg")
+OPTIONAL = (*POINT, *WORDS, *APPROACH, *LOAD, *PLACE, *TURN, *QUATERNION, *SINGLE)
 LEAST_OF_STRATUM = 30  # readings of a station, nest and payload that thinning leaves
 REPEAT_TOLERANCE = np.radians(1e-4)
 # What a missing column cannot show.

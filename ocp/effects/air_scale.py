@@ -13,7 +13,6 @@ EFFECT = Effect(
     name="air_scale",
     title="scale of the tracker with the air's temperature",
     subsystem="tracker",
-    physics=__doc__,
     needs=("temperature_C",),
     reading=lambda x, j, scanned: x.warm * x.point,
     **proportional(Parameter("per_K", "1/K", 1e-7, 2e-6)),

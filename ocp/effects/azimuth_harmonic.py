@@ -22,7 +22,6 @@ EFFECT = Effect(
     name="azimuth_harmonic",
     title="error of the tracker's azimuth",
     subsystem="tracker",
-    physics=__doc__,
     scan=tried(order=range(1, 13)),
     symbolic=("order",),
     reading=_turned,

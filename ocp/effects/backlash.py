@@ -12,7 +12,6 @@ EFFECT = Effect(
     name="backlash",
     title="backlash of joint {joint}",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     needs=("approach",),
     joint=lambda x, j, scanned: at_joint(j, x.approach[j - 1]),

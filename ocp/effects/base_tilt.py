@@ -48,7 +48,6 @@ EFFECT = Effect(
     name="base_tilt",
     title="tilt of the base",
     subsystem="base",
-    physics=__doc__,
     needs=("time_s",),
     scan=_scan,
     symbolic=("at_s", "until_s"),

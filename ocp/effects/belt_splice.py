@@ -41,7 +41,6 @@ EFFECT = Effect(
     name="belt_splice",
     title="splice of the belt",
     subsystem="wheel",
-    physics=__doc__,
     needs=("time_s",),
     scan=_scan,
     symbolic=SCANNED,

@@ -23,7 +23,6 @@ EFFECT = Effect(
     name="belt_tension",
     title="tension of the belt",
     subsystem="wheel",
-    physics=__doc__,
     scan=tried(half_per_m=HALF),
     symbolic=("half_per_m",),
     push=_extra,

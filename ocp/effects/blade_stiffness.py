@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="blade_stiffness",
     title="stiffness of the blade",
     subsystem="blade",
-    physics=__doc__,
     overlap=lambda x, j, scanned: row(x.parts[2] - x.clamp_deflection),
     **share(Parameter("scale", "1", 0.0, 0.4)),
 )

@@ -10,6 +10,7 @@ import re
 import sys
 import traceback
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -46,8 +47,7 @@ def _library(own: str, places: tuple[str, ...]) -> dict[str, Effect]:
             ocp.effects.__path__.append(own)
     found: dict[str, Effect] = {}
     for module in sorted(names - added):
-        effect = getattr(importlib.import_module(f"ocp.effects.{module}"), "EFFECT", None)
-        if effect is not None:
+        if (effect := _effect_of(module)) is not None:
             found[effect.name] = effect
     for module in sorted(name for name in added if name[0] != "_"):
         effect = _own_effect(Path(own) / f"{module}.py")
@@ -57,16 +57,23 @@ def _library(own: str, places: tuple[str, ...]) -> dict[str, Effect]:
     return found if not added else dict(sorted(found.items()))
 
 
+def _effect_of(name: str) -> Effect | None:
+    """EFFECT of a module of this package, its physics where it tells none the module's docstring; None without one."""
+    module = importlib.import_module(f"ocp.effects.{name}")
+    effect = getattr(module, "EFFECT", None)
+    return replace(effect, physics=effect.physics or module.__doc__ or "") if isinstance(effect, Effect) else None
+
+
 def _own_effect(file: Path) -> Effect:
     """EFFECT of a file that somebody wrote. Raises BadInput: it has a fault, or none is defined."""
     try:
-        effect = getattr(importlib.import_module(f"ocp.effects.{file.stem}"), "EFFECT", None)
+        effect = _effect_of(file.stem)
     except Exception as error:  # whatever that file does
         own = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) == file]
         line = error.lineno if isinstance(error, SyntaxError) else next(iter(own), None)
         told = error.msg if isinstance(error, SyntaxError) else f"{type(error).__name__}: {error}"
         raise BadInput(f"{file}, line {line}: {shown(told, 200)}; correct it") from error
-    if not isinstance(effect, Effect):
+    if effect is None:
         raise BadInput(f"{file}: defines no EFFECT; define one, or begin the name of a file of helpers with an underscore")
     return effect
 

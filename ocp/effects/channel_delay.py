@@ -12,7 +12,6 @@ EFFECT = Effect(
     name="channel_delay",
     title="recorded channel of joint {joint} behind the others",
     subsystem="timing",
-    physics=__doc__,
     joints=(0, 1, 2, 3, 4, 5, 6),
     needs=("speed",),
     joint=lambda x, j, scanned: -x.speed if j == 0 else at_joint(j, -x.speed[j - 1]),

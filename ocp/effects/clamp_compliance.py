@@ -13,7 +13,6 @@ EFFECT = Effect(
     name="clamp_compliance",
     title="compliance of the clamp",
     subsystem="blade",
-    physics=__doc__,
     overlap=lambda x, j, scanned: row(-x.F * (x.lever / LEVER) ** 2),
     **proportional(Parameter("m_per_N", "m/N", 1e-7, 2e-6, signed=False)),
 )

@@ -49,7 +49,6 @@ EFFECT = Effect(
     name="clamp_slip",
     title="slip in the clamp",
     subsystem="blade",
-    physics=__doc__,
     parameters=(Parameter("m", "m", 2e-5, 3e-4), AT_S, Parameter("normal", "1", 0.0, 1.0, length=3)),
     coefficients=("m",),
     prior_sd=(3e-4,),

@@ -78,7 +78,8 @@ def one_variant(joint: int, seen: Surroundings) -> Sequence[Scanned]:
 class Effect:
     """An effect of the catalogue.
 
-    physics: what it is and where that is written; of a file's docstring all that stands below the first line.
+    physics: what it is and where that is written; without it the docstring of its file, of which all counts that stands below the
+    first line.
     joints: where it may sit (1..6), empty for effects of no joint (hooks then get joint 0). coefficients: their names;
     prior_sd (m,) of the coefficients: the upper end of the typical range. scan(joint, surroundings): variants of the scanned
     values; symbolic: those of them that hooks take as CasADi symbols, so that one function serves all their values.
@@ -100,12 +101,12 @@ class Effect:
     name: str
     title: str
     subsystem: str
-    physics: str
     parameters: tuple[Parameter, ...]
     coefficients: tuple[str, ...]
     prior_sd: tuple[float, ...]
     values: Callable[[Array, Scanned], dict[str, Any]]
     coefficients_of: Callable[[Mapping[str, Any]], tuple[Array, dict[str, Any]]]
+    physics: str = ""
     joints: tuple[int, ...] = ()
     needs: tuple[str, ...] = ()
     scan: Callable[[int, Surroundings], Sequence[Scanned]] = one_variant

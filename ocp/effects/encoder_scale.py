@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="encoder_scale",
     title="encoder scale of joint {joint}",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     joint=lambda x, j, scanned: at_joint(j, x.q[j - 1]),
     **proportional(Parameter("scale", "1", 1e-5, 4e-4)),

@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="flange_friction",
     title="friction of the flange",
     subsystem="flange",
-    physics=__doc__,
     push=lambda x, j, scanned: row(x.stroke_sign),
     **proportional(Parameter("N", "N", 0.3, 1.5, signed=False)),
 )

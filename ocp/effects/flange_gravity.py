@@ -14,7 +14,6 @@ EFFECT = Effect(
     name="flange_gravity",
     title="weight carried by the flange",
     subsystem="flange",
-    physics=__doc__,
     push=lambda x, j, scanned: row(GRAVITY * ca.dot(ca.SX(x.down), x.push_axis) / ca.dot(x.push_axis, x.n_base)),
     **proportional(Parameter("kg", "kg", 0.05, 1.0)),
 )

@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="flange_stiffness",
     title="stiffness of the flange",
     subsystem="flange",
-    physics=__doc__,
     overlap=lambda x, j, scanned: row(x.parts[0]),
     **share(Parameter("scale", "1", 0.0, 0.4)),
 )

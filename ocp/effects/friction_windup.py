@@ -14,7 +14,6 @@ EFFECT = Effect(
     name="friction_windup",
     title="friction windup of joint {joint}",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     needs=("approach",),
     joint=lambda x, j, scanned: at_joint(j, x.approach[j - 1], ca.fabs(x.tau[j - 1]) * x.approach[j - 1]),

@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="gear_2x",
     title="error of joint {joint} twice per turn",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     joint=lambda x, j, scanned: at_joint(j, *cosines(2 * x.q[j - 1])),
     **wave(Parameter("amplitude_rad", "rad", 2e-5, 6e-4, signed=False)),

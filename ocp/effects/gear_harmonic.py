@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="gear_harmonic",
     title="gear ripple of joint {joint}",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     scan=tried(order=range(3, 301)),
     symbolic=("order",),

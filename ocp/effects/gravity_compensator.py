@@ -34,7 +34,6 @@ EFFECT = Effect(
     name="gravity_compensator",
     title="gravity compensator of joint 2",
     subsystem="joint",
-    physics=__doc__,
     joints=(2,),
     scan=tried(lever_link1_m=[round(r * LEVER_ARM, 4) for r in RATIOS], lever_arm_m=[LEVER_ARM], free_length=FREE, rest_rad=REST),
     symbolic=_KEYS,

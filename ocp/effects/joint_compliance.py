@@ -22,7 +22,6 @@ EFFECT = Effect(
     name="joint_compliance",
     title="compliance of joint {joint} that the cell leaves out",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     joint=lambda x, j, scanned: at_joint(j, scanned["unit"] * x.tau[j - 1]),
     overlap=lambda x, j, scanned: row(-scanned["unit"] * x.joint_give[j - 1]),

@@ -13,6 +13,5 @@ EFFECT = Effect(
     name="joint_coupling",
     title="joint {joint} turns with another axis",
     subsystem="joint",
-    physics=__doc__,
     **follows(Parameter("ratio_rad", "1", 1e-5, 4e-4), among=(1, 2, 3, 4, 5, 6)),
 )

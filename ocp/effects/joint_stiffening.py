@@ -26,7 +26,6 @@ EFFECT = Effect(
     name="joint_stiffening",
     title="joint {joint} stiffens under load",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     joint=lambda x, j, scanned: at_joint(j, -scanned["unit"] * x.tau[j - 1] ** 3),
     **in_units(Parameter("rad_per_Nm3", "rad/(N m)^3", 2e-16, 1.5e-12, signed=False), UNIT, _unit),

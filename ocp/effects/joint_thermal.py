@@ -10,7 +10,6 @@ EFFECT = Effect(
     name="joint_thermal",
     title="thermal drift of joint {joint}",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     needs=("temperature_C",),
     joint=lambda x, j, scanned: at_joint(j, x.warm),

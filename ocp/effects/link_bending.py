@@ -47,7 +47,6 @@ EFFECT = Effect(
     name="link_bending",
     title="bending of link {joint}",
     subsystem="link",
-    physics=__doc__,
     joints=(2, 3),
     scan=tried(root_share=(EVEN, 1.0, 0.0)),
     symbolic=("root_share",),

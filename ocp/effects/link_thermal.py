@@ -22,7 +22,6 @@ EFFECT = Effect(
     name="link_thermal",
     title="thermal growth of the arm",
     subsystem="link",
-    physics=__doc__,
     needs=("temperature_C",),
     twist=_growth,
     **proportional(Parameter("per_K", "1/K", 4e-6, 2.5e-5, signed=False)),

@@ -26,7 +26,6 @@ EFFECT = Effect(
     name="load_backlash",
     title="backlash of joint {joint} on the side of its load",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     scan=_torques,
     symbolic=("torque_Nm",),

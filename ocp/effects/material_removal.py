@@ -13,7 +13,6 @@ EFFECT = Effect(
     name="material_removal",
     title="removal of material",
     subsystem="blade",
-    physics=__doc__,
     needs=("ground_before",),
     overlap=lambda x, j, scanned: row(-x.ground_before * FEED / x.feed),
     **proportional(Parameter("m_per_pass", "m", 5e-6, 1e-4, signed=False)),

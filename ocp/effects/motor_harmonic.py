@@ -39,7 +39,6 @@ EFFECT = Effect(
     name="motor_harmonic",
     title="motor-side ripple of joint {joint}",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     scan=_scan,
     symbolic=("order", "gear_ratio"),

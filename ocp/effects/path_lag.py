@@ -11,6 +11,5 @@ EFFECT = Effect(
     name="path_lag",
     title="lag along the path",
     subsystem="timing",
-    physics=__doc__,
     **late(Parameter("m", "m", 5e-5, 6e-4), about=(1e-4, 5e-4), least=5e-5, shifted=shifted_by_path),
 )

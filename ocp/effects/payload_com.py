@@ -22,7 +22,6 @@ EFFECT = Effect(
     name="payload_com",
     title="centre of mass of the payload",
     subsystem="payload",
-    physics=__doc__,
     scan=each_payload,
     torque=_torque,
     **proportional(

@@ -21,7 +21,6 @@ EFFECT = Effect(
     name="payload_mass",
     title="mass of the payload",
     subsystem="payload",
-    physics=__doc__,
     scan=each_payload,
     torque=lambda x, j, scanned: x.is_payload(scanned["payload"]) * x.weight_torque(1.0, x.payload[1:4]),
     **proportional(Parameter("kg", "kg", 0.5, 25.0), Parameter("payload", "name", 0.0, 0.0), scanned=("payload",)),

@@ -10,7 +10,6 @@ EFFECT = Effect(
     name="sensor_bias",
     title="bias of the force sensor",
     subsystem="sensor",
-    physics=__doc__,
     sensor=lambda x, j, scanned: row(1.0),
     **proportional(Parameter("N", "N", 0.1, 2.0)),
 )

@@ -14,7 +14,6 @@ EFFECT = Effect(
     name="sensor_crosstalk",
     title="cross-talk of the force sensor",
     subsystem="sensor",
-    physics=__doc__,
     parameters=(Parameter("share", "1", 0.01, 0.1, signed=False), Parameter("share_sign", "1", -1, 1)),
     coefficients=("share",),
     prior_sd=(0.1,),

@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="sensor_drift",
     title="drift of the force sensor",
     subsystem="sensor",
-    physics=__doc__,
     needs=("clock_s",),
     sensor=lambda x, j, scanned: row(x.clock / HOUR),
     **proportional(Parameter("N_per_h", "N/h", 0.1, 3.0)),

@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="sensor_gain",
     title="gain of the force sensor",
     subsystem="sensor",
-    physics=__doc__,
     sensor=lambda x, j, scanned: row(x.F),
     **proportional(Parameter("scale", "1", 0.005, 0.06)),
 )

@@ -62,7 +62,6 @@ EFFECT = Effect(
     name="stock_profile",
     title="stock of the blade",
     subsystem="blade",
-    physics=__doc__,
     parameters=(
         Parameter("m", "m", 5e-5, LARGEST, signed=False),
         Parameter("profile_m", "m", 0.0, LARGEST, length=GROUPS * WAVES),

@@ -40,7 +40,6 @@ EFFECT = Effect(
     name="tangential_force",
     title="tangential force",
     subsystem="wheel",
-    physics=__doc__,
     parameters=(
         Parameter("dmu", "1", 0.05, 0.35),
         Parameter("leak", "1", 0.0, 0.1, signed=False),

@@ -18,7 +18,6 @@ EFFECT = Effect(
     name="target_shift",
     title="a reflector nest moved",
     subsystem="target",
-    physics=__doc__,
     needs=("target", "time_s"),
     scan=_scan,
     symbolic=("at_s",),

@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="time_delay",
     title="delay of the force logger",
     subsystem="timing",
-    physics=__doc__,
     needs=("time_s",),
     **late(Parameter("s", "s", 0.002, 0.06), about=(0.002, 0.015, 0.04), least=1e-3, shifted=shifted_by_time),
 )

@@ -32,7 +32,6 @@ EFFECT = Effect(
     name="tool_flex",
     title="flexing of the tool",
     subsystem="tool",
-    physics=__doc__,
     twist=_sag,
     overlap=_pressed,
     **proportional(Parameter("m_per_N", "m/N", 1e-8, 1e-6, signed=False)),

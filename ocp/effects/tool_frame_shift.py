@@ -11,6 +11,5 @@ EFFECT = Effect(
     name="tool_frame_shift",
     title="the blade sits elsewhere in its grip",
     subsystem="tool",
-    physics=__doc__,
     **moved_at_once(lambda x: -(x.e.T @ x.R_flange)),
 )

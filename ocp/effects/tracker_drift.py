@@ -14,7 +14,6 @@ EFFECT = Effect(
     name="tracker_drift",
     title="drift of the tracker",
     subsystem="tracker",
-    physics=__doc__,
     needs=("time_s",),
     reading=lambda x, j, scanned: x.time / HOUR * ca.horzcat(ca.SX.eye(3), -ca.skew(x.point)),
     **proportional(Parameter("m_per_h", "m/h", 5e-6, 8e-5, length=3), Parameter("rad_per_h", "rad/h", 1e-6, 2e-5, length=3)),

@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="tracker_scale",
     title="scale of the tracker",
     subsystem="tracker",
-    physics=__doc__,
     reading=lambda x, j, scanned: x.point,
     **proportional(Parameter("scale", "1", 1e-6, 1e-5)),
 )

@@ -7,6 +7,4 @@ start is registration (DIAGNOSIS, catalogue). Along the wheel's axis and along t
 from ocp.effects.effect import Effect
 from ocp.effects.forms import moved_at_once
 
-EFFECT = Effect(
-    name="wheel_frame_shift", title="the wheel was moved", subsystem="wheel", physics=__doc__, **moved_at_once(lambda x: x.e.T)
-)
+EFFECT = Effect(name="wheel_frame_shift", title="the wheel was moved", subsystem="wheel", **moved_at_once(lambda x: x.e.T))

@@ -16,7 +16,6 @@ EFFECT = Effect(
     name="wheel_law",
     title="force law of the wheel",
     subsystem="wheel",
-    physics=__doc__,
     overlap=lambda x, j, scanned: row(x.F * x.slopes[1] * ca.log(ca.fmax(x.F, 0.1) / ABOUT)),
     **share(Parameter("exponent", "1", 0.05, 0.6)),
 )

@@ -34,7 +34,6 @@ EFFECT = Effect(
     name="wheel_relaxation",
     title="relaxation of the wheel's cover",
     subsystem="wheel",
-    physics=__doc__,
     scan=tried(tau=TIMES),
     along=_loss,
     **proportional(

@@ -21,7 +21,6 @@ EFFECT = Effect(
     name="wheel_runout",
     title="runout of the wheel",
     subsystem="wheel",
-    physics=__doc__,
     needs=("time_s",),
     scan=tried(clocked=(0.0, 1.0)),
     symbolic=("clocked",),

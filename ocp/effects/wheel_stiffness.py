@@ -16,7 +16,6 @@ EFFECT = Effect(
     name="wheel_stiffness",
     title="stiffness of the wheel's cover",
     subsystem="wheel",
-    physics=__doc__,
     parameters=(Parameter("scale", "1", 0.0, 0.3),),
     coefficients=("give",),
     prior_sd=(0.3,),

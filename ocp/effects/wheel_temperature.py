@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="wheel_temperature",
     title="temperature of the wheel",
     subsystem="wheel",
-    physics=__doc__,
     needs=("wheel_temperature_C",),
     overlap=lambda x, j, scanned: row(x.wheel_warm * x.F * x.slopes[1], x.wheel_warm),
     **proportional(Parameter("per_K", "1/K", -0.01, -0.003), Parameter("radius_per_K", "m/K", 2e-6, 1e-5, signed=False)),

@@ -11,7 +11,6 @@ EFFECT = Effect(
     name="wheel_wear",
     title="wear of the wheel",
     subsystem="wheel",
-    physics=__doc__,
     overlap=lambda x, j, scanned: row(-x.clock),
     **proportional(Parameter("m_per_s", "m/s", 2e-8, 1e-6, signed=False)),
 )

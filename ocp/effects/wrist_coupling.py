@@ -12,6 +12,5 @@ EFFECT = Effect(
     name="wrist_coupling",
     title="joint {joint} turns with another wrist axis",
     subsystem="joint",
-    physics=__doc__,
     **follows(Parameter("ratio", "1", 1e-4, 3e-3), among=(4, 5, 6)),
 )

@@ -204,24 +204,9 @@ def _finished(
         precision[station_shifts(layout)] = 1.0  # differences do not place the stations; `methods` does afterwards
     information = scaled.T @ scaled * slope**2 / power + np.diag(precision)
     covariance = scaled_inverse(information, layout)
-    return Fit(
-        campaign,
-        choice,
-        priors,
-        layout,
-        start,
-        solution.state,
-        solution.offset,
-        covariance,
-        solution.linear.residual,
-        weight / weights(np.zeros(1), k),
-        solution.squared,
-        solution.linear.J,
-        solution.W,
-        noise,
-        spread,
-        solution.steps,
-    )
+    believed, found = (campaign, choice, priors, layout, start), (solution.state, solution.offset, covariance)
+    seen = solution.linear.residual, weight / weights(np.zeros(1), k), solution.squared, solution.linear.J, solution.W
+    return Fit(*believed, *found, *seen, noise, spread, solution.steps)
 
 
 def scaled_inverse(information: Array, layout: Layout) -> Array:

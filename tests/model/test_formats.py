@@ -14,13 +14,13 @@ from ocp.update import removal
 from robots import tracker_readings as tracker
 from robots.errors import BadInput
 from tests.support.formats import PAGE, SCHEMAS, filled, schemas
-from trajectories import path_file
+from trajectories import path_points
 
 READERS = {
     "tracker.csv": ((*tracker.AXES, *tracker.POINT), (*tracker.OPTIONAL,)),
     "force.csv": (("run", "time_s", *force.AXES, *force.POINT, *force.NORMAL, *force.FEED, "fn_N"), force.OPTIONAL),
     "joints.csv": (("run", "time_s", *joints.AXES), (*joints.LINK, *joints.TORQUE, *joints.SPEED)),
-    "path.csv": (path_file.NEEDED, path_file.OPTIONAL),
+    "path.csv": (path_points.NEEDED, path_points.OPTIONAL),
     "removal.csv": ((*removal.PLACES, *removal.DEPTH), ()),
     "stock.csv": (wanted.COLUMNS, ()),
 }

@@ -10,7 +10,6 @@ EFFECT = Effect(
     name="bent_scale",
     title="bent scale of joint {joint}",
     subsystem="joint",
-    physics=__doc__,
     joints=(1, 2, 3, 4, 5, 6),
     joint=lambda x, j, scanned: at_joint(j, x.q[j - 1] ** 2),
     **proportional(Parameter("k", "1/rad", 2e-5, 2e-4)),

@@ -103,19 +103,7 @@ def bin_words(k: int) -> str:
 
 SIGNALS = ("tracker", "force", "both")
 # Keys that say where, when or how fast an effect acts; all others are sizes, and readings are linear in them to first order.
-SHAPES = (
-    "phase_rad",
-    "order",
-    "source_joint",
-    "target",
-    "at_s",
-    "lever_link1_m",
-    "lever_arm_m",
-    "hz",
-    "tau",
-    "leak",
-    "torque_Nm",
-)
+SHAPES = frozenset("phase_rad order source_joint target at_s lever_link1_m lever_arm_m hz tau leak torque_Nm".split())
 PLANTABLE = tuple(kind for kind in ARM_KINDS if kind.name != "channel_delay")  # a tracker's reading at rest has no delay
 # Of the arm's effects those that move a force log which was taught on the machine, and are no matter of registration.
 IN_LOG = frozenset(

@@ -176,21 +176,7 @@ PRESTON_SD = 0.2  # relative, where the cell tells no sd: belts of one grit, new
 RIPPLE, PLAY, REPEATABILITY = 1.5e-5, 1.0e-5, 1.0e-5
 RIPPLE_ORDERS = (3, 120)
 OUTLIERS = 0.01  # share of readings
-_PARTS = (
-    "placement",
-    "stiffness",
-    "mass",
-    "ripple",
-    "play",
-    "tracker",
-    "nests",
-    "wheel",
-    "blade",
-    "factors",
-    "sensor",
-    "sample",
-    "belt",
-)
+_PARTS = "placement stiffness mass ripple play tracker nests wheel blade factors sensor sample belt".split()
 
 
 def draw_truth(
