@@ -62,14 +62,6 @@ def weight_torques(robot: Robot, q: ArrayLike, payload_mass: float = 0.0, payloa
 def _compiled(mdh: bytes, sign: bytes, link_mass: bytes, link_com: bytes, down: bytes) -> ca.Function:
     """The function (q, [payload mass, com]) -> torques for one arm."""
     q, payload = ca.SX.sym("q", 6), ca.SX.sym("payload", 4)
-    torques = gravity_torques(
-        q,
-        np.frombuffer(mdh).reshape(6, 5),
-        np.frombuffer(sign),
-        np.frombuffer(link_mass),
-        np.frombuffer(link_com).reshape(7, 3),
-        payload[0],
-        payload[1:],
-        np.frombuffer(down),
-    )
+    arm = np.frombuffer(mdh).reshape(6, 5), np.frombuffer(sign), np.frombuffer(link_mass), np.frombuffer(link_com).reshape(7, 3)
+    torques = gravity_torques(q, *arm, payload[0], payload[1:], np.frombuffer(down))
     return ca.Function("weight_torques", [q, payload], [ca.densify(torques)])

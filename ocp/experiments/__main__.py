@@ -38,12 +38,8 @@ def _experiments(
     def job() -> str:
         if mount not in (*MOUNTS, "both"):
             raise BadInput(f"--mount '{mount}' is not flange, rigid or both")
-        for name, value, least, most in (
-            ("robots", robots, 1, 10000),
-            ("poses", poses, 20, 1000),
-            ("seed", seed, 0, 2**31),
-            ("jobs", jobs, 0, 64),
-        ):
+        limits = ("robots", robots, 1, 10000), ("poses", poses, 20, 1000), ("seed", seed, 0, 2**31), ("jobs", jobs, 0, 64)
+        for name, value, least, most in limits:
             if not least <= value <= most:
                 raise BadInput(f"--{name} {value} must lie between {least} and {most}")
         mounts = list(MOUNTS) if mount == "both" else [mount]

@@ -179,13 +179,8 @@ def contact_moments(course: Course, machine: VirtualRobot, rung: Rung, run: int 
     return ContactMoments(
         T_base_flange=machine.arm.flange(still),
         arm_compliance=machine.arm.compliance(still),
-        p=path.p,
-        n=path.n,
-        t=path.t,
-        s=path.s,
         line=np.full(n, path.line),
         setpoint=np.full(n, rung.setpoint),
-        feed=path.feed,
         belt=np.full(n, rung.belt * course.cell.wheel.belt_speed),
         contact=np.full(n, rung.contact),
         clock_s=time,
@@ -194,6 +189,7 @@ def contact_moments(course: Course, machine: VirtualRobot, rung: Rung, run: int 
         ground_before=np.zeros(n),
         wheel_temperature_C=cold,
         temperature_C=cold,
+        **{name: getattr(path, name) for name in ("p", "n", "t", "s", "feed")},
     )
 
 

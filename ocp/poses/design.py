@@ -88,24 +88,10 @@ def build_design(
 def planned_readings(q: Array, target: Index, targets: tuple[str, ...], payload: Index, payloads: tuple[str, ...]) -> Readings:
     """Readings (n,) that are yet to be taken: joints q (n, 6) rad, indices of nests and payloads; one station."""
     n = len(q)
-    zero = np.zeros(n, np.int64)
-    return Readings(
-        path=Path("poses.csv"),
-        q=q,
-        point=np.full((n, 3), np.nan),
-        target=target,
-        targets=targets,
-        payload=payload,
-        payloads=payloads,
-        station=zero,
-        stations=("",),
-        session=zero,
-        sessions=("",),
-        load=np.zeros((n, 6)),
-        load_link=np.full(n, 6),
-        load_place=np.zeros((n, 3)),
-        line=np.arange(n) + 2,
-    )
+    one = np.zeros(n, np.int64), ("",)
+    load = np.zeros((n, 6)), np.full(n, 6), np.zeros((n, 3))
+    measured = Path("poses.csv"), q, np.full((n, 3), np.nan)
+    return Readings(*measured, target, targets, payload, payloads, *one, *one, *load, line=np.arange(n) + 2)
 
 
 def _zone(setup: TrackerSetup, zone: Zone, layout: Layout, state: State, like: Readings, noise: Noise) -> tuple[Array, Array]:

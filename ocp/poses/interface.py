@@ -53,21 +53,9 @@ def choose_poses(
     rad: one sigma before the calibration; joint_noise rad: repeatability of an axis, one sigma. Raises BadInput: an argument or
     the cell is not what it should be; Infeasible: too few postures are free and seen.
     """
-    options = PoseOptions(
-        count=count,
-        criterion=criterion,
-        payloads=tuple(payloads),
-        targets=tuple(targets),
-        tracker=None if tracker is None else _place(tracker),
-        seed=seed,
-        name=base_name(name),
-        approach=float(approach),
-        pausing=Wait(wait, wait_input),
-        speed=speed,
-        acceptance=acceptance,
-        priors=Priors(length=length_sd, angle=angle_sd),
-        noise=Noise(joint_noise),
-    )
+    asked = count, criterion, tuple(payloads), tuple(targets), None if tracker is None else _place(tracker), seed
+    driven = base_name(name), float(approach), Wait(wait, wait_input), speed, acceptance
+    options = PoseOptions(*asked, *driven, Priors(length=length_sd, angle=angle_sd), Noise(joint_noise))
     _refuse_options(options)
     phases, inputs = Phases(progress), [Path(cell)]
     with reserved(Path(out), overwrite, files_of(Path(cell))) as output:

@@ -121,19 +121,8 @@ def updated(
     entry = _entry(fit, clock[kept], expected, found, preston)
     grown_history = history.grown((float(clock.max()), ahead, wheel.offset), mark, entry)
     coming = replace(coming, provenance=coming.provenance | {"update": grown_history.table()})
-    return Updated(
-        cell,
-        fit.log,
-        fit,
-        verdict,
-        parts,
-        (now, ahead),
-        (before, expected, found, coming),
-        grown_history,
-        preston,
-        told,
-        wheel.notices,
-    )
+    moments, states = (now, ahead), (before, expected, found, coming)
+    return Updated(cell, fit.log, fit, verdict, parts, moments, states, grown_history, preston, told, wheel.notices)
 
 
 def _state_holds(cell: Cell, log: ForceLog, history: History) -> float | None:

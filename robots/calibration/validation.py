@@ -68,10 +68,8 @@ def folds(campaign: Campaign, seed: int = 0) -> Iterator[ReadingFold]:
     _, label = kmeans2(q, FOLDS, seed=seed, minit="++")
     for k in np.unique(label):
         yield ReadingFold("region", f"{k + 1} of {FOLDS}", np.flatnonzero(_spared(readings, label == k)))
-    for kind, index, names in (
-        ("campaign", readings.session, readings.sessions),
-        ("payload", readings.payload, readings.payloads),
-    ):
+    parts = ("campaign", readings.session, readings.sessions), ("payload", readings.payload, readings.payloads)
+    for kind, index, names in parts:
         if len(np.unique(index)) > 1:
             for k in np.unique(index):
                 yield ReadingFold(kind, names[k], np.flatnonzero(index == k))

@@ -37,7 +37,7 @@ from tests.support.krl_example import (
 )
 from trajectories.blade import read_blade
 from trajectories.krl.interpreter import execute
-from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
+from trajectories.krl.status_turn import status_of, turn_of
 from trajectories.program import program as krl
 from trajectories.program.driven import reinterpolate
 
@@ -153,10 +153,9 @@ def test_the_inverse_comes_back_to_the_joints_and_finds_the_branch():
     goal = elementary_forward(q)
     found, left = solve_posture(ROBOT, goal, q + rng.uniform(-0.1, 0.1, q.shape))
     assert left.max() < 1e-9 and np.allclose(found, q, atol=1e-8)
-    arm = ArmLengths.of(ROBOT.mdh)
     for k in range(5):
         status, turn = status_turn(ROBOT, q[k])
-        assert (status, turn) == (int(status_of(q[k : k + 1], arm)[0]), int(turn_of(q[k : k + 1])[0]))
+        assert (status, turn) == (int(status_of(q[k : k + 1], ROBOT.mdh)[0]), int(turn_of(q[k : k + 1])[0]))
         assert np.allclose(inverse_by_status(ROBOT, goal[k], status, turn), q[k], atol=1e-7)
 
 

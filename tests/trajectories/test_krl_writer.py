@@ -13,7 +13,7 @@ from tests.support.krl_example import GOLDEN, LIMITS, ROBOT, Leg, elementary_for
 from trajectories.krl.checks import check_program, check_status_turn
 from trajectories.krl.dialect import KRL
 from trajectories.krl.interpreter import execute
-from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
+from trajectories.krl.status_turn import status_of, turn_of
 from trajectories.krl.values import FILE_LIMITS, fixed
 from trajectories.krl.writer import program_files
 from trajectories.program.build import build_program
@@ -29,8 +29,6 @@ from trajectories.program.program import (
     split_blocks,
 )
 from trajectories.timing import time_contact_path
-
-ARM = ArmLengths.of(ROBOT.mdh)
 
 
 def short(kind):
@@ -117,7 +115,7 @@ def test_status_and_turn_follow_the_axes(tmp_path):
     contact = legs()[2].trajectory
     segment = max((s for s in execution.segments if s.poses is not None), key=lambda s: len(s.lines))
     assert np.all(segment.status == 6) and np.all(segment.turn == 0b010010)
-    check_status_turn(segment, contact.q(np.linspace(0, contact.duration, len(segment.lines))), ARM)
+    check_status_turn(segment, contact.q(np.linspace(0, contact.duration, len(segment.lines))), ROBOT.mdh)
 
 
 def test_status_bits_against_the_geometry_of_the_arm():
@@ -126,15 +124,15 @@ def test_status_bits_against_the_geometry_of_the_arm():
     q = rng.uniform(ROBOT.q_min, ROBOT.q_max, (500, 6))
     wrist = forward(ROBOT, q) @ np.array([0, 0, -0.215, 1.0])
     ahead = np.cos(-q[:, 0]) * wrist[:, 0] + np.sin(-q[:, 0]) * wrist[:, 1]
-    S = status_of(q, ARM)
+    S = status_of(q, ROBOT.mdh)
     assert np.array_equal(S & 1, (ahead < 0).astype(int))
     # the elbow is stretched where the wrist lies on the line of the upper arm: there the bit changes
     straight = np.arctan2(-0.041, 1.2)
     for d, bit in ((-0.01, 0), (0.01, 1)):
-        assert (status_of(np.array([[0, 0, straight + d, 0, 0, 0]]), ARM)[0] >> 1) & 1 == bit
+        assert (status_of(np.array([[0, 0, straight + d, 0, 0, 0]]), ROBOT.mdh)[0] >> 1) & 1 == bit
     assert turn_of(np.radians([[-1, 2, -3, 4, 5, -6.0]]))[0] == 0b100101
     for a5, bit in ((-10, 1), (10, 0), (0, 0), (181, 1), (-181, 0)):
-        assert (status_of(np.radians([[0, 0, 90, 0, a5, 0.0]]), ARM)[0] >> 2) == bit
+        assert (status_of(np.radians([[0, 0, 90, 0, a5, 0.0]]), ROBOT.mdh)[0] >> 2) == bit
 
 
 def test_compensated_poses_on_an_absolutely_accurate_controller_are_refused():

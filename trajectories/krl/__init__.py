@@ -1,5 +1,5 @@
 """KRL, the language of KUKA controllers: one dialect of trajectories.program (docs/krl.md).
 
-Here: names, writer (time_block.py: the timed splines), reader, interpreter and the refusals before a program leaves the house.
+Here: names, writer, reader, interpreter and the refusals before a program leaves the house.
 Not here: what a program is (trajectories.program); the virtual cell's reader (ocp.simulate.twin), which shares nothing with this.
 """

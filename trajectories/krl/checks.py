@@ -19,7 +19,7 @@ from trajectories.krl.checks_structure import FRAMES, check_module, check_pair
 from trajectories.krl.interpreter import KrlExecution, KrlSegment, execute
 from trajectories.krl.names import LONGEST, is_legal
 from trajectories.krl.reader import read_module
-from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
+from trajectories.krl.status_turn import status_of, turn_of
 from trajectories.program.driven import block_axes, path_peaks, programmed_poses
 
 EXPONENT = re.compile(r"(?<![\w.$])\d+\.?\d*[eE][+-]?\d+")
@@ -102,7 +102,7 @@ def _check_poses(segment: KrlSegment, robot: Robot | None, absolute_accuracy: bo
     if not segment.frames.external_tcp:
         raise BadInput(f"{segment.place()}: poses need $IPO_MODE=#TCP, the blade is on the robot")
     if robot is not None and where is not None and segment.word == "SPLINE":
-        check_status_turn(segment, where[None], ArmLengths.of(robot.mdh))
+        check_status_turn(segment, where[None], robot.mdh)
     if robot is not None:
         _check_reach(segment, robot)
     changes = np.flatnonzero(np.diff(segment.status))
@@ -161,9 +161,9 @@ def _check_range(segment: KrlSegment, q: Array, robot: Robot, points: NDArray[np
         )
 
 
-def check_status_turn(segment: KrlSegment, q: Array, arm: ArmLengths) -> None:
-    """Refuse S or T of the first points of a segment that do not belong to the axes q (m, 6) rad, m <= n."""
-    for name, given, right in (("S", segment.status, status_of(q, arm)), ("T", segment.turn, turn_of(q))):
+def check_status_turn(segment: KrlSegment, q: Array, mdh: Array) -> None:
+    """Refuse S or T of the first points of a segment that do not belong to the axes q (m, 6) rad of an arm, m <= n."""
+    for name, given, right in (("S", segment.status, status_of(q, mdh)), ("T", segment.turn, turn_of(q))):
         wrong = np.flatnonzero(given[: len(q)] != right)
         if len(wrong):
             i = int(wrong[0])

@@ -7,7 +7,7 @@ import numpy as np
 from robots.errors import BadInput
 from robots.pose import Array
 from trajectories.krl.names import is_legal
-from trajectories.krl.status_turn import ArmLengths, status_of, turn_of
+from trajectories.krl.status_turn import status_of, turn_of
 from trajectories.krl.values import FILE_LIMITS, axes_text, comment_text, fixed, frame_text
 from trajectories.program.execution import PathBounds
 from trajectories.program.program import (
@@ -179,7 +179,7 @@ def _bounds(bounds: PathBounds) -> list[str]:
 
 def _poses(block: PoseSpline | PoseLines, setup: Setup) -> list[str]:
     q = np.radians(np.round(np.degrees(block.q), 5))  # a sign that is not printed decides no bit
-    S, T = status_of(q, ArmLengths.of(setup.robot.mdh)), turn_of(q)
+    S, T = status_of(q, setup.robot.mdh), turn_of(q)
     return [f"{frame_text(P)[:-1]},S {s},T {t}}}" for P, s, t in zip(block.poses, S, T, strict=True)]
 
 

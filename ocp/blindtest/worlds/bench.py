@@ -86,7 +86,8 @@ class Bench:
             T[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ T[:, :3, :3]
         asked = shown = self._asked(rows, T, compliance, hall)
         grinder = make_grinder(self.cell, truth, self.blade, self.tables)
-        at = self._instants(rows, q, asked)
+        seen = rows.s, rows.each("travel"), rows.time, rows.clock, asked.belt, belt_travel(asked)
+        at = GrindingInstants(*seen, radius=self.cell.wheel.radius, force=np.zeros(len(q)), q=q)
 
         def outside(what: str, at: GrindingInstants) -> Array:
             return sum((amount for _, amount in moved_by(OUTSIDE, strange, what, at)), np.zeros(len(q)))
@@ -145,19 +146,6 @@ class Bench:
             wheel_temperature_C=self.cell.tables.reference_temperature_C + rows.wheel_warmth,
             temperature_C=hall,
             **{name: rows.each(name) for name in ("setpoint", "feed", "belt", "ground_before")},
-        )
-
-    def _instants(self, rows: RunRows, q: Array, asked: ContactMoments) -> GrindingInstants:
-        return GrindingInstants(
-            s=rows.s,
-            travel=rows.each("travel"),
-            time=rows.time,
-            clock=rows.clock,
-            belt=asked.belt,
-            way=belt_travel(asked),
-            radius=self.cell.wheel.radius,
-            force=np.zeros(len(q)),
-            q=q,
         )
 
 
