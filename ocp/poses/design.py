@@ -30,14 +30,13 @@ PASSES = 2  # of exchanges for a point of the curve
 @dataclass(frozen=True)
 class Design:
     """m candidate readings: `posture` (m,) indices into the candidates, `target` and `payload` (m,) into the names; the
-    pool to choose from; readings, layout and state they were made with; J (k, 3, p) and own scatter (k,) m of points in the
+    pool to choose from; readings and layout they were made with; J (k, 3, p) and own scatter (k,) m of points in the
     grinding zone."""
 
     readings: Readings
     posture: Index
     pool: Pool
     layout: Layout
-    state: State
     zone_J: Array
     zone_scatter: Array
 
@@ -82,7 +81,7 @@ def build_design(
     aim = np.concatenate([J, weight * elsewhere]) / np.sqrt((scatter**2).mean() / 3)
     # Both approaches of a pose count; their noise is independent.
     rows, least = np.sqrt(READINGS) * seen.rows, int(LEAST_SHARE * count / len(payloads))
-    return Design(readings, posture, Pool(rows, seen.prior, posture, hung, least, aim), layout, state, J, scatter)
+    return Design(readings, posture, Pool(rows, seen.prior, posture, hung, least, aim), layout, J, scatter)
 
 
 def planned_readings(q: Array, target: Index, targets: tuple[str, ...], payload: Index, payloads: tuple[str, ...]) -> Readings:

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from ocp.calibrate.force.blade import feed_heading
 from ocp.calibrate.force.fit import BIAS, ForceSolution
 from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
@@ -31,7 +32,7 @@ from ocp.calibrate.force.rows import measured_blade
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.signorini import Contact, LocalShape, solve_force
 from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
-from ocp.model.cell import Cell, Wheel
+from ocp.model.cell import Cell
 from ocp.model.prepare import wheel_cover
 from ocp.model.theta import NAMES, covariance_root, wheel_at
 from ocp.plan.removal.footprint import LinePatches, line_patches
@@ -118,7 +119,7 @@ class GroundLog:
         headings, wheel, contact = [], wheel_at(self.model.cell.wheel, theta), None
         for k in range(len(chosen)):
             T = state[k, STATE["T"]].reshape(4, 4)
-            headings.append(_heading(wheel, T, part.waypoint[k]))
+            headings.append(feed_heading(wheel, T, part.waypoint[k]))
             (kxx, kyy, kxy), (lateral, *tilt) = state[k, STATE["curvature"]].tolist(), state[k, ROW].tolist()
             base = LocalShape(kxx, kyy, kxy, lateral, tilt[0], tilt[1], heading=headings[-1])
             shape = surface_shape(wheel, self.cloud, base, T, part.waypoint[k, :3])
@@ -173,13 +174,6 @@ class GroundLog:
 def _way(log: ForceLog, at: Index) -> Array:
     """Way (k,) m along the points of a run's rows."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(log.p[at], axis=0), axis=1))])
-
-
-def _heading(wheel: Wheel, T: Array, waypoint: Array) -> tuple[float, float]:
-    """The feed's direction in the wheel's contact frame at a waypoint (16,) of a blade at T (4, 4)."""
-    t, v = T[:3, :3] @ waypoint[6:9], T[:3, :3] @ waypoint[:3] + T[:3, 3] - wheel.centre
-    e = v - wheel.axis * (v @ wheel.axis)
-    return float(t @ np.cross(wheel.axis, e / np.linalg.norm(e))), float(t @ wheel.axis)
 
 
 # Solved contacts step from cell to cell: the search ends where a step is a fifth of what it can tell.

@@ -47,7 +47,7 @@ class Prediction:
     """Point (n, 3) m of the nest and rotation R (n, 3, 3) of its link in the base frame.
 
     Derivatives of the point in arm (n, 3, 36), nest (n, 3, 3), payload (n, 3, 4) and commanded joints (n, 3, 6). Those of
-    R as spins in base axes, rad, in the same parameters: spin_arm, spin_payload, spin_joints.
+    R as spins in base axes, rad, in the same parameters: spin_arm, spin_payload.
     """
 
     point: Array
@@ -58,7 +58,6 @@ class Prediction:
     d_joints: Array
     spin_arm: Array
     spin_payload: Array
-    spin_joints: Array
 
 
 def predict(robot: Robot, arm: Array, rows: RowInputs) -> Prediction:
@@ -72,7 +71,7 @@ def predict(robot: Robot, arm: Array, rows: RowInputs) -> Prediction:
     forced = (X * c) @ T[..., 6:]  # mdh, payload
     d_arm = np.concatenate([J[..., 6:] + forced[..., :30], X * tau[:, None, :]], axis=2)
     d_payload = forced[:, :, 30:]
-    return Prediction(point, R, d_arm[:, :3], R, d_payload[:, :3], X[:, :3], d_arm[:, 3:], d_payload[:, 3:], X[:, 3:])
+    return Prediction(point, R, d_arm[:, :3], R, d_payload[:, :3], X[:, :3], d_arm[:, 3:], d_payload[:, 3:])
 
 
 def predict_points(robot: Robot, arm: Array, rows: RowInputs) -> tuple[Array, Array]:

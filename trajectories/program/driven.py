@@ -98,7 +98,6 @@ class ProgramMotion:
     starts: Array
     pieces: tuple[BSpline, ...]
     duration: float
-    places: tuple[tuple[str, int], ...]  # file and line of each piece
 
     def _evaluate(self, t: Array, order: int) -> Array:
         t = np.clip(np.atleast_1d(np.asarray(t, float)), 0.0, self.duration)
@@ -122,10 +121,6 @@ class ProgramMotion:
         """Axis accelerations (n, 6) rad/s^2."""
         return self._evaluate(t, 2)
 
-    def sample_times(self, period: float = SAMPLE) -> Array:
-        """0, period, .. and the end, (n,) s."""
-        return np.append(np.arange(0.0, self.duration, period), self.duration)
-
 
 def reinterpolate(execution: Execution, robot: Robot, part: float = 0.1) -> ProgramMotion:
     """The axes over time that the program read back commands; its first posture is where the robot is taken to stand.
@@ -133,7 +128,7 @@ def reinterpolate(execution: Execution, robot: Robot, part: float = 0.1) -> Prog
     Timed blocks keep their times. A move to a point takes as long as a smooth move needs at `part` of the robot's speeds and
     accelerations; one that goes nowhere takes no time. Raises BadInput for what the text does not time: see `drive_lines`.
     """
-    starts, pieces, places, clock = [], [], [], 0.0
+    starts, pieces, clock = [], [], 0.0
     where: Array | None = None
     for s in execution.segments:
         if s.times is not None:
@@ -151,12 +146,11 @@ def reinterpolate(execution: Execution, robot: Robot, part: float = 0.1) -> Prog
             raise BadInput(f"{s.place()}: {s.word} has no times; only axis motions and blocks with times can be replayed")
         starts.append(clock)
         pieces.append(piece)
-        places.append((s.file, int(s.lines[0])))
         clock += float(piece.t[-1])
         where = np.asarray(piece(piece.t[-1]))
     if not pieces:
         raise BadInput("the program holds no timed motion")
-    return ProgramMotion(np.array(starts), tuple(pieces), clock, tuple(places))
+    return ProgramMotion(np.array(starts), tuple(pieces), clock)
 
 
 @dataclass(frozen=True)

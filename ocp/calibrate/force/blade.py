@@ -20,7 +20,7 @@ from ocp.contact.blade.volume_mesh import VERSION as MESH_VERSION
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.signorini import LocalShape, solve_force
 from ocp.model.blade_gap import SurfaceCloud, surface_shape
-from ocp.model.cell import Cell
+from ocp.model.cell import Cell, Wheel
 from ocp.model.force_balance import N_WAYPOINT
 from ocp.model.theta import believed_theta
 from ocp.shell.cache import Entry, content_key, recall, remember
@@ -116,11 +116,10 @@ SAME = 0.5e-3  # m; points this close are one when stations are chosen
 
 @dataclass(frozen=True)
 class Stations:
-    """Contacts (k, 3) at which finite elements are solved: p m, n, t unit, blade frame; compliance tensors (k, 3, 3) m/N."""
+    """Contacts (k, 3) at which finite elements are solved: p m, n unit, blade frame; compliance tensors (k, 3, 3) m/N."""
 
     p: Array
     n: Array
-    t: Array
     tensor: Array
 
     def at(self, p: Array, n: Array, t: Array) -> Array:
@@ -171,7 +170,7 @@ class StationsTask:
         def compute() -> Entry:
             return {"tensor": clamped_blade(self.held, self.size).tensor(self.p, self.n, self.t, self.semi_axes)}
 
-        return Stations(self.p, self.n, self.t, np.asarray(remember("force-blade", self.key, compute)["tensor"], float))
+        return Stations(self.p, self.n, np.asarray(remember("force-blade", self.key, compute)["tensor"], float))
 
 
 def spread_stations(p: Array, n: Array, spacing: float = SPACING) -> NDArray[np.int64]:
@@ -241,6 +240,13 @@ def with_indentation_correction(model: ForceModel, cover: Cover, cloud: SurfaceC
     return replace(rows, waypoint=waypoint)
 
 
+def feed_heading(wheel: Wheel, T: Array, waypoint: Array) -> tuple[float, float]:
+    """The feed's direction in the wheel's contact frame at a waypoint (16,) of a blade at T (4, 4)."""
+    t, v = T[:3, :3] @ waypoint[6:9], T[:3, :3] @ waypoint[:3] + T[:3, 3] - wheel.centre
+    e = v - wheel.axis * (v @ wheel.axis)
+    return float(t @ np.cross(wheel.axis, e / np.linalg.norm(e))), float(t @ wheel.axis)
+
+
 def _departure(
     model: ForceModel, cover: Cover, cloud: SurfaceCloud, rows: ForceRows, state: Array, force: float, k: int
 ) -> float:
@@ -250,10 +256,7 @@ def _departure(
     )
     T = state[k, STATE["T"]].reshape(4, 4)
     wheel = model.cell.wheel
-    t, v = T[:3, :3] @ rows.waypoint[k, 6:9], T[:3, :3] @ rows.waypoint[k, :3] + T[:3, 3] - wheel.centre
-    e = v - wheel.axis * (v @ wheel.axis)
-    belt = np.cross(wheel.axis, e / np.linalg.norm(e))
-    flat = LocalShape(kxx, kyy, kxy, lateral, tilt_x, tilt_y, heading=(float(t @ belt), float(t @ wheel.axis)))
+    flat = LocalShape(kxx, kyy, kxy, lateral, tilt_x, tilt_y, heading=feed_heading(wheel, T, rows.waypoint[k]))
     real = surface_shape(wheel, cloud, flat, T, rows.waypoint[k, :3])
     try:
         contact = solve_force(cover, force, real)

@@ -38,7 +38,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """A run in figures. n samples: run, line, s m, p, n, t (n, 3), force N, goal N as planned, parts (n, 4) N of the error by
+    """A run in figures. n samples: run, line, s m, p, n (n, 3), force N, goal N as planned, parts (n, 4) N of the error by
     PARTS; `lost` share of samples without contact."""
 
     run: Index
@@ -46,7 +46,6 @@ class Rehearsal:
     s: Array
     p: Array
     n: Array
-    t: Array
     force: Array
     goal: Array
     parts: Array
@@ -88,7 +87,7 @@ def rehearse(machine: VirtualMachine, plan: Matched, grinding: GroundPasses, too
     parts = np.diff(np.array(steps), axis=0).T * stiffness[:, None]
     goal = plan.force[i]
     parts = np.column_stack([parts, force - goal - parts.sum(axis=1)])
-    return Rehearsal(m.run, m.line, m.s, m.p, m.n, m.t, force, goal, parts, _worst(m, force, goal, parts))
+    return Rehearsal(m.run, m.line, m.s, m.p, m.n, force, goal, parts, _worst(m, force, goal, parts))
 
 
 def _planned(grinding: GroundPasses, plan: Matched) -> GroundPasses:
