@@ -88,9 +88,9 @@ def planned_readings(q: Array, target: Index, targets: tuple[str, ...], payload:
     """Readings (n,) that are yet to be taken: joints q (n, 6) rad, indices of nests and payloads; one station."""
     n = len(q)
     one = np.zeros(n, np.int64), ("",)
-    load = np.zeros((n, 6)), np.full(n, 6), np.zeros((n, 3))
-    measured = Path("poses.csv"), q, np.full((n, 3), np.nan)
-    return Readings(*measured, target, targets, payload, payloads, *one, *one, *load, line=np.arange(n) + 2)
+    measured, unloaded, flange = np.full((n, 3), np.nan), np.zeros((n, 6)), np.full(n, 6)
+    words = target, targets, payload, payloads, *one, *one
+    return Readings(Path("poses.csv"), q, measured, *words, unloaded, flange, unloaded[:, :3], line=np.arange(n) + 2)
 
 
 def _zone(setup: TrackerSetup, zone: Zone, layout: Layout, state: State, like: Readings, noise: Noise) -> tuple[Array, Array]:
