@@ -74,13 +74,14 @@ def test_what_is_there_under_no_name_is_there_afterwards_too():
     rows = np.random.default_rng(0).chisquare(1, 400)
     fold = Fold("x", "random", np.ones(400, bool))
 
-    def told(after: float) -> Shrinkage:
+    def told(after: float, unknown: float = 1.0) -> Shrinkage:
         left_out = HeldOut(fold, 0.29, after, NOISE, 0.29 * rows, after * rows, np.full(400, NOISE))
-        found = from_grinding(new(0.5), NOISE, [left_out])
+        found = from_grinding(new(0.5), NOISE, [left_out], unknown)
         assert found is not None
         return found
 
     assert told(NOISE).predicted == pytest.approx(promise(new(0.5)).predicted, abs=0.05)
+    assert told(NOISE + 0.25, 0.0).predicted == pytest.approx(promise(new(0.5)).predicted, abs=0.05)
     left = 0.1**2 + RUN_SD**2 + 0.25
     assert told(NOISE + 0.25).predicted == pytest.approx(1 - np.sqrt(left / (left + 0.25)), abs=0.05)
 

@@ -113,18 +113,20 @@ def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> Log
 
 
 def of_grinding(
-    before: Channel, after: Channel, alternatives: tuple[Alternative, ...], held: Sequence[HeldOut]
+    before: Channel, after: Channel, alternatives: tuple[Alternative, ...], held: Sequence[HeldOut], unknown: float
 ) -> Shrinkage | None:
-    """Of a force channel before and with the named effects; alternatives: what else may be true; held: folds, that say what the
-    effects leave unexplained. None: no gap to speak of."""
+    """Of a force channel before and with the named effects; alternatives: what else may be true; held: folds, that say how
+    much is there under no name where, with probability `unknown`, something is. None: no gap to speak of."""
     assert isinstance(before, ForceChannel) and isinstance(after, ForceChannel)
-    return from_grinding(anticipated_grinding(before, after, alternatives), after.noise_floor**2, held)
+    return from_grinding(anticipated_grinding(before, after, alternatives), after.noise_floor**2, held, unknown)
 
 
-def from_grinding(new: LaterGrinding, noise: float, held: Sequence[HeldOut] = (), seed: int = 0) -> Shrinkage | None:
+def from_grinding(
+    new: LaterGrinding, noise: float, held: Sequence[HeldOut] = (), unknown: float = 0.0, seed: int = 0
+) -> Shrinkage | None:
     """Of force readings: what is anticipated; noise: mean square N^2. Drawn are which alternative is true, how late the readings
-    come, of which recordings they are, the unknowns' errors, what recordings differ by, what the folds leave unexplained.
-    None: no gap to speak of."""
+    come, of which recordings they are, the unknowns' errors, what recordings differ by, what is there under no name. Folds
+    alone do not say whether something is: gross readings leave as much. None: no gap to speak of."""
     rng = np.random.default_rng(seed)
     errors = drawn_errors(new.covariance, rng)
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
@@ -139,7 +141,7 @@ def from_grinding(new: LaterGrinding, noise: float, held: Sequence[HeldOut] = ()
         after[at] = np.sum(rows[at] * (moved[0] - planted + off) ** 2, axis=1)
         before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
     errors_of_effects = [h.estimation for h in held if h.fold.kind == "random"]
-    rest = unexplained(held, float(np.mean(errors_of_effects or [0.0])), rng)
+    rest = unexplained(held, float(np.mean(errors_of_effects or [0.0])), rng) * (rng.uniform(size=DRAWS) < unknown)
     if np.median(before + rest) <= NO_GAP**2 * noise:
         return None
     return interval(1.0 - np.sqrt((after + rest) / (before + rest)))

@@ -71,7 +71,7 @@ def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequ
     if before.name == "force":
         from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
 
-        return of_grinding(before, after, diagnosis.alternatives, held)
+        return of_grinding(before, after, diagnosis.alternatives, held, diagnosis.p_unknown)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
     return from_folds(held, estimation_variance(after, active_columns(after)))
 
