@@ -7,6 +7,7 @@ Distances are coal's on simple convex shapes. In contact the pair of blade and w
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import coal
 import numpy as np
@@ -80,9 +81,12 @@ class CollisionScene:
 
     def __init__(self, cell: Cell, blade_vertices: Array) -> None:
         """`blade_vertices` (n, 3) m in the blade frame."""
-        self.cell = cell
+        self.cell, self._vertices = cell, blade_vertices
         self._bodies = _bodies(cell, blade_vertices)
         self._pairs = _pairs(self._bodies)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return CollisionScene, (self.cell, self._vertices)
 
     def clearances(self, q: Array, in_contact: bool) -> tuple[Array, list[tuple[str, str]]]:
         """Distance minus margin of the closest pair at joints q (n, 6): values (n,) m and the bodies' names."""

@@ -2,6 +2,8 @@
 
 import json
 import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -27,6 +29,7 @@ from ocp.report.report import Report
 from ocp.report.section import Headline, Section
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output
+from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
 from ocp.shell.progress import Phases
 from trajectories.dialects import dialect_named
 
@@ -222,6 +225,23 @@ def plan_pages(report: PlanReport) -> Report:
 
 def write_plan_report(report: PlanReport, folder: Path) -> None:
     """Write report.html and report.pdf into `folder`; equal reports give equal bytes. Raises OSError."""
-    pages = plan_pages(report)
-    pages.write_page(folder / "report.html")
-    pages.write_pdf(folder / "report.pdf")
+    with printed_beside(report, folder / "report.pdf"):
+        plan_pages(report).write_page(folder / "report.html")
+
+
+@contextmanager
+def printed_beside(report: PlanReport, file: Path) -> Iterator[None]:
+    """Print the report while the block runs, in another process where there is a core for it."""
+    if cores() < 2:
+        yield
+        _print(report, file)
+        return
+    with workers(1, nothing) as pool:
+        with interrupts_held_back():
+            printing = pool.submit(_print, report, file)
+        yield
+        printing.result()
+
+
+def _print(report: PlanReport, file: Path) -> None:
+    plan_pages(report).write_pdf(file)

@@ -7,6 +7,7 @@ from ocp.data import CELL
 from ocp.model.cell import files_of
 from ocp.plan.kept import KeptPlan, PlanKey
 from ocp.shell.output import reserved
+from ocp.shell.processes import crew
 from ocp.shell.progress import Phases, Progress
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def plan(
 
     chosen = PlanOptions(_path(path), _path(program), kind, name, step, whole=whole, stock=_path(stock))
     phases = Phases(progress)
-    with reserved(Path(out), overwrite, _inputs(cell, blade, path, program, stock)) as output:
+    with reserved(Path(out), overwrite, _inputs(cell, blade, path, program, stock)) as output, crew("ocp.plan.files"):
         return write_plan(make_plan(Path(cell), _path(blade), chosen, phases), output, phases)
 
 

@@ -16,6 +16,7 @@ from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.optimise import SolvedPass
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.rules import COLLISION_STEP, FEED_TOLERANCE, HOME_LIFT, LIMIT_SHARE
+from ocp.shell.processes import side_by_side
 from robots.errors import Infeasible
 from robots.kinematics import forward, jacobian
 from robots.pose import Array
@@ -89,12 +90,13 @@ def build_motion(
                 add("travel", place, time_joint_move(a, b, limits, label=label))
 
     where = at_home = (home, _normal(cell, passes[0], 0))
-    for place, one in enumerate(passes):
-        name = f"line {one.problem.path.line} ({one.problem.path.side})"
-        go(place, where, (one.solution.q[0], _normal(cell, one, 0)), f"{name}, approach")
-        add("pass", place, _timed(one, limits, name))
-        where = (one.solution.q[-1], _normal(cell, one, -1))
-        advance()
+    names = [f"line {one.problem.path.line} ({one.problem.path.side})" for one in passes]
+    with side_by_side(_timed, list(zip(passes, names, strict=True)), limits) as ways:
+        for place, (one, name) in enumerate(zip(passes, names, strict=True)):
+            go(place, where, (one.solution.q[0], _normal(cell, one, 0)), f"{name}, approach")
+            add("pass", place, next(ways))
+            where = (one.solution.q[-1], _normal(cell, one, -1))
+            advance()
     go(len(passes), where, at_home, "way home")
     return PlannedMotion(passes, segments)
 
@@ -111,7 +113,7 @@ def _normal(cell: Cell, solved: SolvedPass, k: int) -> Array:
     return cell.wheel.outward(solved.evaluation.arc[k])
 
 
-def _timed(one: SolvedPass, limits: Limits, name: str) -> JointTrajectory:
+def _timed(limits: Limits, one: SolvedPass, name: str) -> JointTrajectory:
     """The way of a pass at the rate it was planned for; its parameter is nominal time times the line's mean feed, m.
 
     Raises CannotGrind where that rate is not met in contact.

@@ -16,7 +16,7 @@ from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.programming import force_tolerance
 from ocp.plan.rules import BLOCK_TIME_TOLERANCE, EMITTED_TOLERANCE, GAP_TOLERANCE, LEAST_STRETCH, READ_BACK_LIMIT
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, gaps, verify_pass
-from ocp.shell.processes import cores, interrupts_held_back, workers
+from ocp.shell.processes import side_by_side
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.dialects import dialect_named
@@ -76,7 +76,8 @@ def read_back(
     for one, rows in zip(motion.passes, driven, strict=True):
         in_air += _touching_in_air(cell, believed, one, *rows)
         tasks.append(_bearing(cell, one, *rows))
-    found = _verified(cell, believed, cover, cloud, tasks)
+    with side_by_side(verify_pass, tasks, cell, believed, cover, cloud) as checks:
+        found = list(checks)
     for place, ((path, *_), checked) in enumerate(zip(tasks, found, strict=True)):
         held = checked
         if blends is not None:
@@ -141,32 +142,6 @@ def force_error(cell: Cell, path: BladePath, seen: VerifiedPass) -> float:
         where = np.interp(path.s, seen.s, off) > tolerance
         raise CannotGrind.of(path, where, reason, "use a shorter --step or a narrower wheel", message=message)
     return float(off[k])
-
-
-_shared: tuple[Cell, BelievedRobot, Cover, SurfaceCloud] | None = None
-
-
-def _share(*shared: Any) -> None:
-    global _shared
-    _shared = shared
-
-
-def _verify(*task: Any) -> VerifiedPass:
-    assert _shared is not None
-    return verify_pass(*_shared, *task)
-
-
-def _verified(
-    cell: Cell, believed: BelievedRobot, cover: Cover, cloud: SurfaceCloud, tasks: list[tuple[Any, ...]]
-) -> list[VerifiedPass]:
-    """`verify_pass` of every task (path, compliance, time, q, s), in worker processes where there are several cores."""
-    jobs = min(cores(), len(tasks))
-    if jobs <= 1:
-        return [verify_pass(cell, believed, cover, cloud, *task) for task in tasks]
-    with workers(jobs, _share, cell, believed, cover, cloud) as pool:
-        with interrupts_held_back():
-            futures = [pool.submit(_verify, *task) for task in tasks]
-        return [future.result() for future in futures]
 
 
 Driven = list[tuple[Array, Array, Array]]  # times s, joints, nominal times s of every pass

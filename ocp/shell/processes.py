@@ -16,9 +16,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for
 from contextlib import contextmanager
+from importlib import import_module
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -35,6 +37,8 @@ _told = threading.Event()
 _to_parent: int | None = None
 _cores: int | None = None  # that this process was given, where it is one of several
 _grows = False
+_crew: "_Crew | None" = None  # the processes of the block that is open
+_given = ""  # in one of them: the file of the state that it has
 _GROWS = b"\1"  # among the folders that a child tells of
 
 
@@ -252,11 +256,41 @@ def _ended(child: int, from_child: int, asked: list[float]) -> tuple[int, bytes]
 
 @contextmanager
 def workers(jobs: int, start: Callable[..., None], *state: Any, share: int = 1) -> Iterator[Executor]:
-    """A pool of `jobs` processes, each of which has called `start(*state)` and may use `share` cores itself.
+    """A pool of `jobs` processes, each of which has called `start(*state)` before it works and may use `share` cores itself.
 
     The state travels by file: a worker that dies while starting would otherwise block its parent on a full pipe. Where
-    the block ends with an error or an interrupt, the workers are ended at once; their temporary files go with the pool.
+    the block ends with an error or an interrupt, the workers are ended at once; their temporary files go with the pool. Inside
+    a `crew` its processes do the work, and go on to what comes after.
     """
+    if _crew is not None and share == 1:
+        with _crew.given(start, *state) as pool:
+            yield pool
+        return
+    with _pool(jobs, start, *state, share=share) as pool:
+        yield pool
+
+
+@contextmanager
+def crew(*modules: str) -> Iterator[None]:
+    """One process for each core, which the `workers` of the block share; they import `modules` while this process begins alone.
+    None where there is one core."""
+    global _crew
+    if cores() < 2 or _crew is not None:
+        yield
+        return
+    with _pool(cores(), _import, *modules) as pool:
+        with interrupts_held_back():
+            for _ in range(cores()):
+                pool.submit(nothing)  # a pool starts a process at a task that no idle one takes
+        try:
+            _crew = _Crew(pool)
+            yield
+        finally:
+            _crew = None
+
+
+@contextmanager
+def _pool(jobs: int, start: Callable[..., None], *state: Any, share: int = 1) -> Iterator[ProcessPoolExecutor]:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "state.pickle"
         file.write_bytes(pickle.dumps((str(temporary()), share, start, state)))
@@ -269,6 +303,76 @@ def workers(jobs: int, start: Callable[..., None], *state: Any, share: int = 1) 
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+class _Crew(Executor):
+    """A pool whose processes get another state for every piece of work that is given to them."""
+
+    def __init__(self, pool: Executor) -> None:
+        self._pool, self._state, self._open = pool, "", set[Future[Any]]()
+
+    @contextmanager
+    def given(self, start: Callable[..., None], *state: Any) -> Iterator[Executor]:
+        """The pool with this state; what is still to be done of it when the block ends is not begun."""
+        before = self._state, self._open
+        with tempfile.TemporaryDirectory() as folder:
+            self._state, self._open = str(Path(folder) / "state.pickle"), set()
+            Path(self._state).write_bytes(pickle.dumps((start, state)))
+            try:
+                yield self
+                wait_for(self._open)
+            except Exception:
+                for future in self._open:
+                    future.cancel()
+                wait_for(self._open)
+                raise
+            finally:
+                self._state, self._open = before
+
+    def submit(self, work: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        future = self._pool.submit(_in_state, self._state, work, *arguments, **named)
+        self._open.add(future)
+        return future
+
+
+@contextmanager
+def side_by_side(work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], *shared: Any) -> Iterator[Iterator[Any]]:
+    """The results of `work(*shared, *task)` of every task, in their order: by the crew where there is one, from now on, else
+    here, each when it is asked for. Raises what the work raises, there."""
+    if _crew is None or len(tasks) < 2:
+        yield (work(*shared, *task) for task in tasks)
+        return
+    with workers(cores(), _share, *shared) as pool:
+        with interrupts_held_back():
+            futures = [pool.submit(_shared_work, work, *task) for task in tasks]
+        yield (future.result() for future in futures)
+
+
+_shared: tuple[Any, ...] = ()
+
+
+def _share(*shared: Any) -> None:
+    global _shared
+    _shared = shared
+
+
+def _shared_work(work: Callable[..., Any], *task: Any) -> Any:
+    return work(*_shared, *task)
+
+
+def _in_state(file: str, work: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    global _given
+    if file != _given:
+        start, state = pickle.loads(Path(file).read_bytes())
+        start(*state)
+        _given = file
+    return work(*arguments, **named)
+
+
+def _import(*modules: str) -> None:
+    for name in modules:
+        import_module(name)
+    gc.freeze()  # what was imported stays
 
 
 def _start(file: str) -> None:

@@ -17,6 +17,7 @@ from ocp.model.cell import Cell
 from ocp.plan.clearance import Clearance, CollisionScene, flange_pose
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out
 from ocp.plan.rules import AXIS_MARGIN, ELBOW_MARGIN, SEED_INDENTATION, SEED_SPEED_SHARE, SHOULDER_MARGIN, WRIST_MARGIN
+from ocp.shell.processes import side_by_side
 from robots.inverse import inverse_branches, reach_excess
 from robots.pose import Array, make_transform
 from trajectories.passes import BladePath
@@ -118,14 +119,17 @@ def seeds_of_stretches(
     """
     tried: list[tuple[LineStretch, list[Seed]]] = []
     lost, left = [], list(stretches)
+    with side_by_side(_seeds_or_why, [(one.path,) for one in stretches], cell, scene, law) as found:
+        first = {id(one): found for one, found in zip(stretches, found, strict=True)}
     while left:
         one = left.pop(0)
-        try:
-            tried.append((one, seeds_of(cell, scene, law, one.path)))
-        except CannotGrind as error:
-            if whole:
-                raise
-            pieces, gone = cut_out(one, error)
+        seeds = first[id(one)] if id(one) in first else _seeds_or_why(cell, scene, law, one.path)
+        if not isinstance(seeds, CannotGrind):
+            tried.append((one, seeds))
+        elif whole:
+            raise seeds
+        else:
+            pieces, gone = cut_out(one, seeds)
             lost += gone
             left = pieces + left
     kept, options = [], []
@@ -177,6 +181,14 @@ def _travel(cell: Cell, before: list[Seed], after: list[Seed]) -> Array:
     end = np.array([s.q[-1] for s in before])[:, None]
     start = np.array([s.q[0] for s in after])[None]
     return np.asarray((np.abs(end - start) / cell.robot.qd_max).max(axis=-1))
+
+
+def _seeds_or_why(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) -> "list[Seed] | CannotGrind":
+    """`seeds_of`, or why there are none."""
+    try:
+        return seeds_of(cell, scene, law, path)
+    except CannotGrind as error:
+        return error
 
 
 def seeds_of(cell: Cell, scene: CollisionScene, law: WheelLaw, path: BladePath) -> list[Seed]:

@@ -10,10 +10,12 @@ from ocp.contact.wheel.cover import Cover
 from ocp.model.blade_gap import SurfaceCloud, contact_stations
 from ocp.model.cell import Cell
 from ocp.plan.motion import PlannedMotion
+from ocp.plan.passes.optimise import SolvedPass
 from ocp.plan.programming import Column, Timeline, build_timeline
 from ocp.plan.removal.footprint import STATION_SPACING, LinePatches, contacts_along
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, row_times, shares_of_time, work_done
 from ocp.plan.removal.wanted import Wanted, programmed_work
+from ocp.shell.processes import side_by_side
 from robots.kinematics import forward
 from robots.pose import Array, apply
 
@@ -101,7 +103,8 @@ def find_removal(
 
     Raises Infeasible of the contact solver.
     """
-    patches = [line_patches_of(cell, cover, cloud, motion, place) for place in range(len(motion.passes))]
+    with side_by_side(line_patches_of, [(one,) for one in motion.passes], cell, cover, cloud) as found:
+        patches = list(found)
     rows = contact_rows(cell, motion)
     paths = [one.touching().problem.path for one in motion.passes]
     points = np.vstack([*(one.points.reshape(-1, 3) for one in flanks), *(path.p for path in paths)])
@@ -117,9 +120,9 @@ def find_removal(
     return Removal(tuple(sides), figures_of(sides), wanted, points, depth, relative)
 
 
-def line_patches_of(cell: Cell, cover: Cover, cloud: SurfaceCloud, motion: PlannedMotion, place: int) -> LinePatches:
-    """Footprints of the pass at `place` at its solved postures."""
-    one = motion.passes[place].touching()
+def line_patches_of(cell: Cell, cover: Cover, cloud: SurfaceCloud, whole: SolvedPass) -> LinePatches:
+    """Footprints of a pass at its solved postures."""
+    one = whole.touching()
     index = contact_stations(one.problem.path.s, COARSER * STATION_SPACING).astype(np.int64)
     patches = contacts_along(cell, cover, cloud, one.problem.path, one.evaluation, index)
     assert patches is not None
