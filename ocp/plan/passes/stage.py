@@ -48,7 +48,7 @@ class ObjectiveWeights:
     removal: float = 100.0  # square of (depth over what is wanted - 1), along the line and across the patch
     force: float = 1000.0  # square of (force over the programmed one - 1) in the pass
     time: float = 1.0  # nominal time over time
-    middle: float = 1e-2  # squares of arc, lateral, turn and tilt over half their ranges
+    middle: float = 1e-1  # squares of arc, lateral, turn and tilt over half their ranges
     speed: float = 1.0  # square of axis speed over its limit
     acceleration: float = 1.0  # the same for acceleration
     even_rate: float = 1.0  # square of the change of w within CHANGE_TIME
