@@ -118,9 +118,10 @@ def verify_pass(
     for i, k in enumerate(at):
         base = _local_shape(cell, path, int(waypoint[i]), n_base[k], t_base[k], e[k], lateral[k])
         shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
-        here = {name: value[k] for name, value in seen.items()}
-        sample = ContactSample(cell, on_path["p"][k], n[k], t[k], T[k], e[k], float(lateral[k]), base, here)
-        linear = [one[i] for one in pushed]
+        one = slice(k, k + 1)
+        here = {name: value[one] for name, value in seen.items()}
+        sample = StationContacts(cell, on_path["p"][one], n[one], t[one], T[one], e[one], lateral[one], [base], here)
+        linear = [given[i] for given in pushed]
         F, rate, contact = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear, contact)
         slope.append(rate)
         needed.append(delta[k] - F * rate)
@@ -139,21 +140,22 @@ def gaps(
     q_real, T_flange = _postures(cell, believed, q, seen)
     T, p, n, t = T_flange @ cell.workpiece.T_flange_blade, path.p[at], path.n[at], path.t[at]
     lateral, radial, rho = wheel.cylindrical(apply(T, p))
-    left = rho - wheel.radius
-    for k, pose in enumerate(T):
-        R, e = pose[:3, :3], radial[k] / rho[k]
-        push, (preload, give, half) = _flange(cell, pose, R @ n)
-        out = -min(preload * give, half) * push
-        left[k] += out
-        if cell.effects:
-            base = _local_shape(cell, path, at, R @ n, R @ t, e, lateral[k])
-            sample = ContactSample(cell, p, n, t, pose, e, float(lateral[k]), base, {name: v[k] for name, v in seen.items()})
-            J = _jacobian(cell, believed, q_real[k : k + 1], p[None])
-            rigid = _linear_compliance(
-                cell, believed, J, e[None], (R @ n)[None], (R @ t)[None], compliance[None], wheel.friction
-            )[0]
-            left[k] -= sample.overlap(0.0, (out, 0.0, 0.0, 0.0), (push**2 * give, 0.0, *rigid[:2]), 0.0, 0.0 * rigid[2:])
-    return np.asarray(left)
+    e, n_base, t_base = radial / rho[:, None], T[:, :3, :3] @ n, T[:, :3, :3] @ t
+    held = [_flange(cell, pose, normal) for pose, normal in zip(T, n_base, strict=True)]
+    push = np.array([share for share, _ in held])
+    preload, give, half = np.array([spring for _, spring in held]).reshape(-1, 3).T
+    out = -np.minimum(preload * give, half) * push
+    left = rho - wheel.radius + out
+    if not cell.effects:
+        return np.asarray(left)
+    shapes = [_local_shape(cell, path, at, *of) for of in zip(n_base, t_base, e, lateral, strict=True)]
+    p, n, t, blade = (np.broadcast_to(one, (len(q), 3)) for one in (p, n, t, compliance))
+    samples = StationContacts(cell, p, n, t, T, e, lateral, shapes, seen)
+    J = _jacobian(cell, believed, q_real, p)
+    rigid = _linear_compliance(cell, believed, J, e, n_base, t_base, blade, wheel.friction)
+    none = np.zeros(len(q))
+    parts, slopes = np.column_stack([out, none, none, none]), np.column_stack([push**2 * give, none, rigid[:, :2]])
+    return np.asarray(left - samples.overlap(none, parts, slopes, none, 0.0 * rigid[:, 2:]))
 
 
 def _postures(cell: Cell, believed: BelievedRobot, q: Array, seen: dict[str, Array]) -> tuple[Array, Array]:
@@ -208,9 +210,9 @@ def moved_arm(cell: Cell, arm: BelievedRobot, q: Array, q_real: Array, seen: Map
 
 
 @dataclass(frozen=True)
-class ContactSample:
-    """A contact of a pass: point, normal and feed in the blade frame, T_base_blade, outward radial e, lateral m, the local shape,
-    numbers of the cell's conditions there."""
+class StationContacts:
+    """m contacts of a pass: points, normals and feeds (m, 3) in the blade frame, T_base_blade (m, 4, 4), radials e (m, 3),
+    lateral (m,) m, the local shapes, numbers (m, k) of the cell's conditions there."""
 
     cell: Cell
     p: Array
@@ -218,26 +220,25 @@ class ContactSample:
     t: Array
     T: Array
     e: Array
-    lateral: float
-    shape: LocalShape
+    lateral: Array
+    shapes: Sequence[LocalShape]
     seen: Mapping[str, Array]
 
-    def overlap(
-        self, F: float, parts: Sequence[float], slopes: Sequence[float], friction_deflection: float, joint_give: Array
-    ) -> float:
-        """Overlap m that the cell's effects add at the force F N; parts m and slopes m/N of flange, wheel, blade, robot;
-        friction_deflection m: by how much more the parts give way per unit of friction; joint_give (6) of `ContactContext`."""
-        cell, wheel, R = self.cell, self.cell.wheel, self.T[:3, :3]
+    def overlap(self, F: Array, parts: Array, slopes: Array, friction_deflection: Array, joint_give: Array) -> Array:
+        """Overlap (m,) m that the cell's effects add at forces F (m,) N; parts (m, 4) m and slopes (m, 4) m/N of flange, wheel,
+        blade, robot; friction_deflection (m,) m: by how much more the parts give way per unit of friction; joint_give (m, 6) of
+        `ContactContext`."""
+        cell, wheel, R, m = self.cell, self.cell.wheel, self.T[:, :3, :3], len(self.T)
         clamp, start = cell.workpiece, cell.wheel.contact_direction
-        R_flange, normal = R @ clamp.T_flange_blade[:3, :3].T, R @ self.n
+        R_flange, normal = R @ clamp.T_flange_blade[:3, :3].T, np.einsum("kij,kj->ki", R, self.n)
         push = normal
         if cell.flange is not None and cell.flange.axis is not None:
             push = R_flange @ cell.flange.axis
-            push = push * np.sign(push @ normal)
+            push = push * np.sign(np.sum(push * normal, axis=1, keepdims=True))
         belt = np.cross(wheel.axis, self.e)
-        heading = -(R @ self.t) * cell.process.sigma * wheel.travel
+        heading = -np.einsum("kij,kj->ki", R, self.t) * cell.process.sigma * wheel.travel
         blocks: dict[str, Any] = {name: value for name, value in self.seen.items() if name not in ("approach", "speed")}
-        blocks |= {"F": F, "parts": np.array(parts), "slopes": np.array(slopes), "normal_stiffness": 1.0 / sum(slopes)}
+        blocks |= {"F": F, "parts": parts, "slopes": slopes, "normal_stiffness": 1.0 / slopes.sum(axis=1)}
         blocks |= {"friction_deflection": friction_deflection, "clamp_deflection": F / clamp.clamp_stiffness}
         blocks |= {
             "joint_give": joint_give,
@@ -249,22 +250,22 @@ class ContactSample:
             "lateral": self.lateral,
         }
         blocks |= {"belt_direction": belt, "n_base": normal, "push_axis": push}
-        blocks |= {"R_flange": R_flange.reshape(1, 9), "R_blade": R.reshape(1, 9)}
-        blocks |= {"curvature": np.array([self.shape.kxx, self.shape.kyy, self.shape.kxy])}
-        blocks |= {"tilt": np.array([self.shape.tilt_x, self.shape.tilt_y])}
-        blocks |= {"arc": np.arctan2(np.cross(start, self.e) @ wheel.axis, start @ self.e)}
-        blocks |= {"turn": np.arctan2(heading @ wheel.axis, heading @ belt)}
-        blocks |= {"lever": abs(clamp.clamp_normal @ self.p - clamp.clamp_offset)}
+        blocks |= {"R_flange": R_flange.reshape(m, 9), "R_blade": R.reshape(m, 9)}
+        blocks |= {"curvature": np.array([[one.kxx, one.kyy, one.kxy] for one in self.shapes])}
+        blocks |= {"tilt": np.array([[one.tilt_x, one.tilt_y] for one in self.shapes])}
+        blocks |= {"arc": np.arctan2(np.cross(start, self.e) @ wheel.axis, self.e @ start)}
+        blocks |= {"turn": np.arctan2(heading @ wheel.axis, np.sum(heading * belt, axis=1))}
+        blocks |= {"lever": np.abs(self.p @ clamp.clamp_normal - clamp.clamp_offset)}
         active = [e.active for e in cell.effects]
         place = ContactPlace(wheel.radius, wheel.friction, tuple(cell.robot.gravity_direction))
-        return added_overlap(active, place, blocks, cell.flange is None)
+        return added_overlap(active, place, blocks, cell.flange is None, m)
 
 
 def _equilibrium(
     cell: Cell,
     cover: Cover,
     shape: SurfaceShape,
-    sample: ContactSample,
+    sample: StationContacts,
     delta: float,
     F: float,
     linear: list[Array],
@@ -272,7 +273,7 @@ def _equilibrium(
 ) -> tuple[float, float, Contact]:
     """Force N at an overlap delta m, by Newton from F, and m/N of the whole chain; linear: `_linear_compliance` with the
     cell's friction, with 1 and with 0; beside: a contact solved nearby. Returns the contact too."""
-    push, stroke = _flange(cell, sample.T, sample.T[:3, :3] @ sample.n)
+    push, stroke = _flange(cell, sample.T[0], sample.T[0, :3, :3] @ sample.n[0])
     rigid, give = np.split(linear[0], [2])
     rubbed = float(np.sum(linear[1][:2] - linear[2][:2]))
     for _ in range(FORCE_STEPS):
@@ -281,7 +282,10 @@ def _equilibrium(
         x = float(np.clip(free, -stroke[2], stroke[2]))  # at its stops the flange is rigid
         parts = (x * push, contact.indentation, *(F * rigid))
         slopes = (push**2 * stroke[1] * (x == free), 1.0 / contact.stiffness, *rigid)
-        more = sample.overlap(F, parts, slopes, F * rubbed, F * give) if cell.effects else 0.0
+        more = 0.0
+        if cell.effects:
+            given = (np.array([value]) for value in (F, parts, slopes, F * rubbed, F * give))
+            more = float(sample.overlap(*given)[0])
         step = (delta + more - sum(parts)) / sum(slopes)
         F = max(F + step, 0.05 * F)
         if abs(step) < FORCE_STEP_ENOUGH:

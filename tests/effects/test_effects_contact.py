@@ -126,12 +126,11 @@ def test_contact_effects_are_what_they_say(name, at):
     assert max(np.abs(w).max() for w in wanted) > 0
     for kind, seen, told in zip(KINDS, columns, wanted, strict=True):
         assert seen == pytest.approx(told, rel=1e-9, abs=1e-15), (name, kind)
-    k = 4
-    blocks = {key: value[k] for key, value in x.items()} | {"R_flange": x["R_flange"][k].reshape(1, 9)}
-    whole = added_overlap([one, one], PLACE, blocks, rigid=False)
-    assert whole == pytest.approx(2 * (columns[0][k] + columns[1][k] * x["slopes"][k, 0]), abs=1e-18)
-    rigid = added_overlap([one], PLACE, blocks, rigid=True)
-    assert rigid == pytest.approx(columns[0][k] + columns[1][k] * x["slopes"][k].sum(), abs=1e-18)
+    blocks = x | {"R_flange": x["R_flange"].reshape(N, 9)}
+    whole = added_overlap([one, one], PLACE, blocks, rigid=False, n=N)
+    assert whole == pytest.approx(2 * (columns[0] + columns[1] * x["slopes"][:, 0]), abs=1e-18)
+    rigid = added_overlap([one], PLACE, blocks, rigid=True, n=N)
+    assert rigid == pytest.approx(columns[0] + columns[1] * x["slopes"].sum(axis=1), abs=1e-18)
 
 
 def test_a_profile_as_large_as_its_prior_is_as_large_as_real_ones_get():

@@ -187,16 +187,16 @@ def contact_columns(effect: Effect, kind: str, joint: int, scans: Sequence[Scann
     return evaluated(Hook(effect, kind, joint, CONTACT_LAYOUT, place), rows, scans)[-1][:, :, 0]
 
 
-def added_overlap(active: Sequence[Active], place: ContactPlace, blocks: Mapping[str, Any], rigid: bool) -> float:
-    """Overlap m that active effects add to one sample: a push counts as the stroke of the flange that it takes, in a rigid cell
-    as the overlap that brings as much force."""
-    row = CONTACT_LAYOUT.stack(1, blocks)
-    slopes = CONTACT_LAYOUT.block(row, "slopes")[0]
-    total = 0.0
+def added_overlap(active: Sequence[Active], place: ContactPlace, blocks: Mapping[str, Any], rigid: bool, n: int = 1) -> Array:
+    """Overlap (n,) m that active effects add to n samples: a push counts as the stroke of the flange that it takes, in a rigid
+    cell as the overlap that brings as much force."""
+    rows = CONTACT_LAYOUT.stack(n, blocks)
+    slopes = CONTACT_LAYOUT.block(rows, "slopes")
+    total = np.zeros(n)
     for one in active:
-        for kind, give in (("overlap", 1.0), ("push", slopes.sum() if rigid else slopes[0])):
+        for kind, give in (("overlap", 1.0), ("push", slopes.sum(axis=1) if rigid else slopes[:, 0])):
             if getattr(one.effect, kind) is not None:
-                total += give * float(contact_columns(one.effect, kind, one.joint, (one.scanned,), place, row)[0, 0] @ one.a)
+                total += give * (contact_columns(one.effect, kind, one.joint, (one.scanned,), place, rows)[0] @ one.a)
     return total
 
 
