@@ -62,11 +62,15 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(autouse=True, scope="session")
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Tests never read what an earlier run left in the user's cache; those of one run share theirs, whichever process they are
     in: the same blades and wheels are solved once."""
     base = tmp_path_factory.getbasetemp()
-    os.environ["GRINDPLAN_CACHE"] = str((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "own-cache")
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    os.environ["GRINDPLAN_CACHE"] = str(base / "own-cache")
+    yield
+    for file in base.glob("solid-*.pickle"):  # tests/support/one_solid.py: 300 MB each, which no later run reads
+        file.unlink(missing_ok=True)
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -117,6 +121,14 @@ def small_plan_once(own_cache: None):
             said.write_text(json.dumps(asdict(planned(folder, "--cell", "cell.toml", *STEP))))
             os.sched_setaffinity(0, before)
     return folder, Told(**json.loads(said.read_text()))
+
+
+@pytest.fixture
+def unprinted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands in this process write no report.pdf, for tests that do not open it; its sheets take as long as the page."""
+    from ocp.report.report import Report
+
+    monkeypatch.setattr(Report, "write_pdf", lambda *_: None)
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return result.folder, cell
 
 
-def test_a_plan_is_rehearsed(planned, tmp_path):
+def test_a_plan_is_rehearsed(planned, solved_once, tmp_path):
     made, cell = planned
     result = example(3).main(tmp_path, made, cell=cell)
     assert 10 < result.rehearsal.figures["mean_N"] < 35 and len(result.rehearsal.worst) > 0
@@ -43,7 +43,7 @@ def test_a_plan_is_rehearsed(planned, tmp_path):
     assert abs(after["found_N"] - result.rehearsal.figures["mean_N"]) < 4 * after["found_sd_N"] < 0.8 * after["expected_sd_N"] * 4
 
 
-def test_readings_calibrate_an_arm(tmp_path):
+def test_readings_calibrate_an_arm(unprinted, tmp_path):
     result = example(2).main(tmp_path, poses=30)
     table = result.tracker.methods
     assert table.error["full"].mean() < 0.2 * table.before.mean()

@@ -119,7 +119,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(tmp_path):
     assert "T7" in refused(folder, "tracker.csv", "--cell", "cell.toml")
 
 
-def test_a_method_that_gains_nothing_is_written_and_says_so(tmp_path):
+def test_a_method_that_gains_nothing_is_written_and_says_so(unprinted, tmp_path):
     folder = folder_with_campaign(tmp_path)
     told = run(folder, "tracker.csv", "--cell", "cell.toml", "--method", "relative-literal")
     assert told.code == 0 and "Nothing gained" in told.out, told

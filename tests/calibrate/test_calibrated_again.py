@@ -59,7 +59,7 @@ def test_a_believed_effect_leaves_the_readings(tmp_path):
     assert np.median(off) < 0.06 and any("encoder_scale of joint 3" in n for n in made.notices)
 
 
-def test_without_a_log_wheel_and_blade_stay_as_they_were(tmp_path):
+def test_without_a_log_wheel_and_blade_stay_as_they_were(unprinted, tmp_path):
     readings, cell = write_campaign(tmp_path), tmp_path / "cell.toml"
     known = Calibration("kr210_r2700_extra", ("th2", "wheel_x"), np.array([0.0, 2e-3]), np.diag([1e-8, 1e-8]))
     write_calibration(tmp_path / "before.toml", known)

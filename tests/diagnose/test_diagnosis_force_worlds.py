@@ -10,7 +10,7 @@ from ocp.shell.progress import Phases
 
 
 @pytest.mark.parametrize(("name", "wanted"), [("force_two_effects", {"sensor_bias", "tangential_force"})])
-def test_what_is_planted_is_named(shared_data, name, wanted):
+def test_what_is_planted_is_named(shared_data, solved_once, name, wanted):
     found = diagnose_channels(channels_of(read_data_set(shared_data / "worlds" / name), Phases()), library())
     assert found.verdict == "explained"
     assert {n.effect for n in found.explanations[0].names} == wanted

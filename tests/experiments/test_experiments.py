@@ -76,7 +76,7 @@ def test_wrong_arguments_end_in_a_sentence(tmp_path, monkeypatch, arguments, say
     assert says in result.stderr and not list(tmp_path.iterdir())
 
 
-def test_one_robot_from_beginning_to_end(solved_once, tmp_path, monkeypatch):
+def test_one_robot_from_beginning_to_end(solved_once, unprinted, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = ["--robots", "1", "--mount", "flange", "--out", "found"]
     result = CliRunner().invoke(app, arguments)

@@ -146,7 +146,7 @@ def test_the_program_stands_the_independent_checks_and_ends_where_it_began(small
 # -- kinds, names, folders -----------------------------------------------------------------------------------------
 
 
-def test_a_blade_named_like_a_statement_gives_a_harmless_cartesian_program(small, tmp_path):
+def test_a_blade_named_like_a_statement_gives_a_harmless_cartesian_program(small, unprinted, tmp_path):
     cell = small_cell(tmp_path, blade=False)
     shutil.copy(BLADE, tmp_path / INJECTED)
     told = called(app, tmp_path, INJECTED, "--cell", cell.name, *STEP, "--kind", "cartesian")

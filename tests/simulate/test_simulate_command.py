@@ -51,7 +51,7 @@ def one_sentence(told: Told, code: int, says: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def plan(small_plan_copy) -> Path:
+def plan(small_plan_copy, solved_once) -> Path:
     """A plan of a few passes, with its cell beside it."""
     folder, told = small_plan_copy
     assert told.code == 0, told.err

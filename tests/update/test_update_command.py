@@ -54,7 +54,7 @@ def write_blade_log(path: Path, cell, pass_, force: float, begin: float, rng) ->
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
+def done(solved_once, tmp_path_factory):
     """A cell with a calibrated arm, its first two updates through the interface, the first with measured depths."""
     folder = tmp_path_factory.mktemp("update")
     file = small_cell(folder, dict([STATED]))
@@ -73,9 +73,10 @@ def done(tmp_path_factory):
     return SimpleNamespace(folder=folder, first=first, second=second)
 
 
-def told(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "ocp.update", *arguments]
-    return subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=280)
+def test_the_command_itself_starts_and_refuses(tmp_path):
+    command = [sys.executable, "-m", "ocp.update", "none.csv", "--cell", "none.toml"]
+    told = subprocess.run(command, cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=280)
+    assert told.returncode == 2 and "none.toml" in told.stderr and told.stderr.count("\n") == 1 and not told.stdout
 
 
 @NEEDED
@@ -172,6 +173,6 @@ def test_a_log_that_cannot_be_of_this_cell_is_said(done, tmp_path):
     answer = called(app, tmp_path, "off.csv", "--cell", done.folder / "second" / "cell.toml")
     assert answer.code == 1 and answer.err.startswith("not updated, nothing written"), answer.err
     assert "cannot have come from the cell as last known" in answer.err and not (tmp_path / "update").exists()
-    told_so = told(tmp_path, "off.csv", "--cell", str(done.folder / "second" / "cell.toml"), "--changed", "wheel")
-    assert told_so.returncode == 0, told_so.stderr
-    assert told_so.stdout.startswith("update: ") and told_so.stdout.count("\n") == 1
+    answer = called(app, tmp_path, "off.csv", "--cell", done.folder / "second" / "cell.toml", "--changed", "wheel")
+    assert answer.code == 0, answer.err
+    assert answer.out.startswith("update: ") and answer.out.count("\n") == 1
