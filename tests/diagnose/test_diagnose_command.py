@@ -2,8 +2,6 @@
 
 import csv
 import json
-import subprocess
-import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp.diagnose.__main__ import app
 from ocp.diagnose.answering import tracker_channel, write_diagnosis
 from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.document import Document
@@ -26,6 +25,7 @@ from ocp.shell.progress import Phases
 from tests.support.browser import NEEDED, looked_at
 from tests.support.diagnosis_folder import CELL, SPRINGS, columns_of, write_csv, write_joint_folder, write_tracker_folder
 from tests.support.simulated_campaign import campaign_readings
+from tests.support.small_plan import called
 
 PLAY = 2e-4
 
@@ -195,15 +195,10 @@ def shorten(path: Path, lines: int) -> None:
     path.write_text("\n".join(path.read_text().splitlines()[:lines]) + "\n")
 
 
-def command(*arguments: str | Path) -> subprocess.CompletedProcess:
-    line = [sys.executable, "-m", "ocp.diagnose", *map(str, arguments)]
-    return subprocess.run(line, capture_output=True, text=True, timeout=60)
-
-
 def test_the_command_line_refuses_with_code_two(tmp_path):
-    found = command(tmp_path / "nowhere")
-    assert found.returncode == 2 and "no such folder" in found.stderr and not found.stdout
-    assert command().returncode == 2
+    found = called(app, tmp_path, "nowhere")
+    assert found.code == 2 and "no such folder" in found.err and not found.out
+    assert called(app, tmp_path).code == 2
 
 
 def test_a_folder_in_use_is_not_overwritten(tmp_path, capsys):
@@ -217,14 +212,14 @@ def test_a_folder_in_use_is_not_overwritten(tmp_path, capsys):
 
 def test_the_design_table_says_what_a_plan_cannot_see(tmp_path):
     (tmp_path / "cell.toml").write_text(CELL.format(stiffness=SPRINGS))
-    found = command("--design", tmp_path / "cell.toml")
-    assert found.returncode == 0
-    assert any("50 unidirectional poses" in line and "backlash" in line for line in found.stdout.splitlines()[-12:])
+    found = called(app, tmp_path, "--design", "cell.toml")
+    assert found.code == 0
+    assert any("50 unidirectional poses" in line and "backlash" in line for line in found.out.splitlines()[-12:])
     planned = campaign_readings(np.random.default_rng(1), 60)
     write_csv(tmp_path / "poses.csv", columns_of(planned))
     line = next(
         x
-        for x in command("--design", tmp_path / "cell.toml", "--poses", tmp_path / "poses.csv").stdout.splitlines()
+        for x in called(app, tmp_path, "--design", "cell.toml", "--poses", "poses.csv").out.splitlines()
         if x.startswith("backlash")
     )
     assert "cannot be seen" not in line

@@ -1,15 +1,15 @@
 """A planned force log is read from force.csv without readings or from a plan.csv, and what is wrong with it is said."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ocp.diagnose.__main__ import app
 from ocp.diagnose.foresee.design import read_planned_log
 from robots.errors import BadInput
 from tests.support.diagnosis_folder import CELL, SPRINGS
+from tests.support.small_plan import called
 
 PLACE = ["px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
 AXES = [f"q{i}_deg" for i in range(1, 7)]
@@ -83,15 +83,11 @@ def test_a_table_of_something_else_is_refused(tmp_path):
         read_planned_log(tmp_path / "none.csv")
 
 
-def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "ocp.diagnose", *map(str, arguments)], capture_output=True, text=True)
-
-
 def test_the_command_refuses_a_log_without_a_cell_and_a_cell_without_a_wheel(tmp_path):
     plan = write(tmp_path / "plan.csv", plan_rows())
     (tmp_path / "cell.toml").write_text(CELL.format(stiffness=SPRINGS))
     asked = ((("--log", plan), "--log goes with --design"), (("--design", tmp_path / "cell.toml", "--log", plan), "workpiece"))
     for arguments, words in asked:
-        found = command(*arguments)
-        assert found.returncode == 2 and words in found.stderr and len(found.stderr.strip().splitlines()) == 1, found.stderr
-        assert not found.stdout and "Traceback" not in found.stderr
+        found = called(app, tmp_path, *arguments)
+        assert found.code == 2 and words in found.err and len(found.err.strip().splitlines()) == 1, found.err
+        assert not found.out and "Traceback" not in found.err
