@@ -219,7 +219,8 @@ def test_a_wheel_as_wide_as_is_told_does_bear():
     """The remedy is put to the test on a direct contact: just as wide it bears, as wide as it was it does not."""
     cell = bundled_cell()
     wide = replace(cell, wheel=replace(cell.wheel, width=0.040))
-    law = remembered_law(wheel_cover(wide), Domain(np.array([[0.0, -k, 0.0] for k in (0.0, 4.0, 8.0)]), 0.01, 1e-3, 0.01, 20.0))
+    domain = Domain(np.array([[0.0, -k, 0.0] for k in (0.0, 4.0, 8.0)]), 0.01, 1e-3, 0.01, 20.0)
+    law = remembered_law(wheel_cover(wide), domain, samples=400, held_out=50)
     path = replace(bar_pass(), curvature=np.tile([0.0, -8.0, 0.0], (N, 1)))
     where, reason, would_do = impossible(wide, CollisionScene(wide, BAR), law, path)
     assert where.all() and "40 mm wide" in reason

@@ -172,8 +172,8 @@ def test_a_hidden_constraint_is_named_with_its_amount():
 
 
 def test_a_feed_beyond_the_axes_is_refused_with_the_axis():
-    _, solver, problem = ready()
-    path = replace(problem.path, feed=np.full(40, 40.0))
+    _, solver, problem = ready(bar_pass(n=20))
+    path = replace(problem.path, feed=np.full(20, 40.0))
     fast = replace(problem, path=path, course=steady(path))
     with pytest.raises(Infeasible, match=r"the (speed|acceleration|torque) of axis \d cannot be kept|cannot be met"):
         solver.solve(fast)

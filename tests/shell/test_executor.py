@@ -1,16 +1,21 @@
 """Tasks on many cores: in this process, in processes that the system ends, and on a Dask cluster that loses a worker."""
 
+import json
 import os
+import shutil
 import signal
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
+from ocp.plan.night import plan_night
 from ocp.shell import executor
 from ocp.shell.executor import Hands, WorkerEnded, carried_out, errand, files_under
 from robots.errors import BadInput
 from tests.support.hand_work import added, called, doubled, give, killed, killed_once, waited
+from tests.support.house import ROOT
 
 
 def test_one_job_works_in_this_process_and_two_in_others_with_what_they_were_given(every_core):
@@ -58,6 +63,28 @@ def test_files_of_an_errand_come_with_it_and_go_back(tmp_path, jobs):
     assert found[0].result() == (3, {"out/twice.txt": b"abcabc"})
     with pytest.raises(BadInput, match=r"^in/b\.txt: is not there"):
         found[1].result()
+
+
+def test_a_cluster_plans_blades_of_a_cell_whose_files_lie_elsewhere(cluster, tmp_path, monkeypatch):
+    """Here, beside the others that need a cluster: starting one takes as long as all of these tests."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("cells", "robots", "far/blades"):
+        Path(name).mkdir(parents=True)
+    shutil.copy(ROOT / "robots" / "catalogue" / "kr210_r2700_extra.toml", "robots/arm.toml")
+    text = (ROOT / "ocp" / "data" / "cell.toml").read_text().replace('"kr210_r2700_extra"', '"../robots/arm.toml"')
+    Path("cells/cell.toml").write_text(text)
+    blades = [Path(f"far/blades/{name}.stl") for name in "ab"]
+    for blade in blades:
+        blade.write_text("solid nothing\nendsolid\n")
+    made = plan_night(blades, out="night", cell="cells/cell.toml", scheduler=cluster)
+    assert [row["reason"] for row in made.rows] == [
+        f"refused: {b}: holds no facet; export the blade as STL again." for b in blades
+    ]
+    asked = json.loads(Path("night/night.json").read_text())["asked"]
+    assert set(asked["inputs"]) == {"cell/cells/cell.toml", "cell/robots/arm.toml"}
+    Path("cells/cell.toml").write_text(text.replace("../robots/arm.toml", str(tmp_path / "robots" / "arm.toml")))
+    with pytest.raises(BadInput, match="which other machines do not have"):
+        plan_night(blades, out="away", cell="cells/cell.toml", scheduler=cluster)
 
 
 def test_a_cluster_that_loses_a_worker_does_every_task(cluster, tmp_path):
