@@ -194,4 +194,14 @@ def test_a_fit_that_leaves_what_can_be_computed_is_said_so(made):  # noqa: F811
 @pytest.mark.parametrize("noise, said", [(4.9, ""), (5.1, "by more than a contact that holds can")])
 def test_scatter_with_which_no_contact_holds_is_told(noise, said):
     log = SimpleNamespace(fn=np.array([0.0, 20.0, 20.0]), contact=np.array([False, True, True]))
-    assert ForceChannel.scatters.fget(SimpleNamespace(log=log, noise_floor=noise)) == said
+    fit = SimpleNamespace(rested=True)
+    channel = SimpleNamespace(log=log, noise_floor=noise, baseline=SimpleNamespace(fit=fit))
+    assert ForceChannel.scatters.fget(channel) == said
+
+
+def test_a_log_near_which_no_believed_contact_comes_is_unexplained(made: Made, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(fitting, "RULE", replace(fitting.RULE, steps=1))
+    channel = replace(made.channel, fit=fit_effects(made.channel.problem), before=None)
+    assert not channel.fit.rested
+    found = diagnose_channels([channel], {"sensor_bias": EFFECTS["sensor_bias"]})
+    assert found.p_unknown > 0.5 and any("finds no rest" in why for why in found.unknown_reasons)

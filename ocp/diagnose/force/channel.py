@@ -137,7 +137,9 @@ class ForceChannel:
 
     @property
     def scatters(self) -> str:
-        """So far that the contact would not hold."""
+        """So far that the contact would not hold, or that no believed contact comes near."""
+        if not self.baseline.fit.rested:
+            return "so that the fit of the believed contact finds no rest"
         pressed = float(np.median(self.log.fn[self.log.contact]))
         return "by more than a contact that holds can" if self.noise_floor > LOOSE * pressed else ""
 

@@ -30,7 +30,7 @@ from ocp.diagnose.force.prior import NuisancePrior
 from ocp.diagnose.rules import RUN_SD
 from ocp.effects.effect import Active, coefficients, prior_sds, with_coefficients
 from robots.errors import Infeasible
-from robots.gauss_newton import Rule, Valley, minimise
+from robots.gauss_newton import Minimum, Rule, Valley, minimise
 from robots.pose import Array
 
 BLOCKS = (300, 150)  # of a log that are kept of its rows, of fn and ft: whitened rows are averaged to about so many
@@ -213,13 +213,13 @@ class Linear:
 @dataclass(frozen=True)
 class EffectFit(Linear):
     """A fit: z standard normal unknowns (nuisance, runs, coefficients in units of prior_sd), the prediction there with what is
-    linear about it, one whitener a signal, information (k, k) with the prior's in, steps taken."""
+    linear about it, one whitener a signal, information (k, k) with the prior's in, whether it is at rest."""
 
     z: Array
     at: Predicted
     whiteners: tuple[Whitener, ...]
     information: Array = field(repr=False)
-    steps: int
+    rested: bool
 
     @property
     def active(self) -> tuple[Active, ...]:
@@ -262,7 +262,8 @@ def _columns(
 def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: EffectFit | None = None) -> EffectFit:
     """The most probable nuisance and coefficients; effects' own values are where the search starts, `start` is a fit nearby.
 
-    The noise comes from the scatter about the first prediction, then about the fit's. Raises Infeasible: no rest.
+    The noise comes from the scatter about the first prediction, then about the fit's. Raises Infeasible: no rest
+    with effects. Without any the fit ends at the best it found: a log that no believed contact explains is to be told as such.
     """
     r, o = problem.sizes
     scale = prior_sds(active)
@@ -274,18 +275,19 @@ def fit_effects(problem: ForceProblem, active: tuple[Active, ...] = (), start: E
         whiteners = tuple(Whitener.of(channel_of(log, rest), blocks) for log, rest, blocks in each)
     else:
         whiteners = start.whiteners
-    point, steps = _settled(_Point(problem, z, at, whiteners))
+    found = _settled(_Point(problem, z, at, whiteners))
+    point = found.at
     rest = problem.residuals(point.at, point.z)
     anew = tuple(refreshed(log, w, e) for log, w, e in zip(signals(problem.log), point.whiteners, rest, strict=True))
     if any(w is not old for w, old in zip(anew, point.whiteners, strict=True)):
-        point, more = _settled(replace(point, whiteners=anew))
-        steps += more
+        found = _settled(replace(point, whiteners=anew))
+        point = found.at
     z, at, whiteners = point.z, point.at, point.whiteners
     line = linear(problem, z, at, whiteners)
     information = np.eye(len(z)) + reading_information(whiteners, line.sensitivity)
     covariance = np.linalg.inv(information)[r + o :, r + o :] * np.outer(scale, scale)
     at = replace(at, active=with_coefficients(at.active, coefficients(at.active), covariance))
-    return EffectFit(**vars(line), z=z, at=at, whiteners=whiteners, information=information, steps=steps)
+    return EffectFit(**vars(line), z=z, at=at, whiteners=whiteners, information=information, rested=found.rested)
 
 
 def units_of(active: tuple[Active, ...]) -> Array:
@@ -345,10 +347,10 @@ class _Point:
         return replace(self, z=z, at=_at(self.problem, z, self.at.active, self.at))
 
 
-def _settled(start: _Point) -> tuple[_Point, int]:
-    """The most probable point at this noise, and how many steps led there."""
+def _settled(start: _Point) -> Minimum[_Point]:
+    """The most probable point at this noise."""
     found = minimise(start, np.ones(len(start.z)), RULE)
-    if not found.rested:
+    if not found.rested and start.at.active:
         path, n = start.problem.log.path, found.steps
         raise Infeasible(f"{path}: the fit of the force log does not come to rest in {n} steps; the cell is not the log's")
-    return found.at, found.steps
+    return found

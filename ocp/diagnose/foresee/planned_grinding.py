@@ -114,7 +114,7 @@ def _unmeasured(
     whole = np.concatenate([z, np.zeros(problem.sizes[1]), units_of(active)])
     made = linear(problem, whole, at, whiteners)
     information = np.eye(len(whole)) + reading_information(whiteners, made.sensitivity)
-    return problem, EffectFit(**vars(made), z=whole, at=at, whiteners=whiteners, information=information, steps=0)
+    return problem, EffectFit(**vars(made), z=whole, at=at, whiteners=whiteners, information=information, rested=True)
 
 
 def noise_of_means(noise: CorrelatedNoise, count: int) -> CorrelatedNoise:
