@@ -190,7 +190,11 @@ def test_only_what_is_promised_above_zero_is_written():
     assert promised(found, [gap_of(None, ("backlash", "sensor_drift"))]) == ()
     day = {ANOTHER_DAY: Shrinkage(0.1, -0.01, 0.2)}
     assert promised(found, [gap_of(0.1, ("backlash",), **day)]) == ()
-    for low, high, written in ((-0.9, -0.1, ()), (-0.9, 0.1, (backlash,))):  # a left-out condition that says surely no
+    for low, high, written in (
+        (-0.9, -0.1, ()),
+        (-0.9, 0.1, (backlash,)),
+        (0.0, 0.0, (backlash,)),
+    ):  # a left-out condition that says surely no
         assert promised(found, [gap_of(0.1, ("backlash",), later=Shrinkage(-0.5, low, high))]) == written
 
 
