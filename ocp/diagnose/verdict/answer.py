@@ -86,8 +86,8 @@ def promised(diagnosis: Diagnosis, gaps: Sequence[SignalGap]) -> tuple[Active, .
 
 
 def harmless(shrinkage: Shrinkage, promise: Mapping[str, Shrinkage]) -> bool:
-    """Whether a correction with this promise, by kind of new data, may be written. Where a left-out condition takes what an effect
-    is told by, nothing changes there: that says neither that it helps nor that it harms."""
+    """Whether a correction with this promise, by kind of new data, may be written. Where a condition left out takes what an
+    effect is told by, nothing changes there: that says neither that it helps nor that it harms."""
     later = promise.get(ANOTHER_DAY, shrinkage)
     return min(shrinkage.low, later.low) > 0.0 and all(one.high >= 0.0 for one in promise.values())
 
