@@ -5,7 +5,10 @@ contact and rows in the air have their own noise (`ReadingNoise`), and every row
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
@@ -17,6 +20,7 @@ DEGREE = 3  # of the polynomial in time that a run's residual may follow while i
 ENOUGH = 20  # rows of a run from which such a polynomial, and not its mean alone, is taken out
 STRETCH = 500  # rows; longer runs are filtered in stretches of about this, side by side
 MOST = 8000  # rows that the estimate looks at
+FILTERED = 16  # columns up to which samples one after the other cost less than arrays of stretches side by side
 FEW = 20  # rows of a kind from which its noise is estimated
 # Logit of the correlated share and logarithm of tau in samples, as they usually are: what few rows cannot tell stays there.
 USUAL: Array = np.array([0.0, np.log(4.0)])
@@ -71,6 +75,8 @@ def whiten(runs: Runs, noise: CorrelatedNoise, weight: Array, columns: Array) ->
 
     One linear map for all columns. weight (n,) divides a sample's variance: small for an outlier.
     """
+    if columns.shape[1] <= FILTERED:
+        return _whiten_few(runs, noise, weight, columns)
     order = np.argsort(-(runs.index >= 0).sum(axis=1), kind="stable")  # longest first: those under way are always the first ones
     index = runs.index[order].T
     under_way = (index >= 0).sum(axis=1).tolist()
@@ -86,6 +92,45 @@ def whiten(runs: Runs, noise: CorrelatedNoise, weight: Array, columns: Array) ->
     scale[index[inside]] = np.sqrt(total[inside])
     out /= scale[:, None]
     return out, scale
+
+
+def _whiten_few(runs: Runs, noise: CorrelatedNoise, weight: Array, columns: Array) -> tuple[Array, Array]:
+    """`whiten` of few columns, sample by sample in CasADi's machine and with the same bits: a stretch begins where nothing of
+    the sample before is left."""
+    inside = runs.index >= 0
+    order, decay = runs.index[inside], np.exp(-runs.step[inside] / noise.tau)
+    n, m = columns.shape
+    correlated = noise.share * noise.sigma**2
+    given = np.empty((n, 6 + m))
+    given[:, 0], given[:, 1], given[:, 2] = decay, decay**2, (1.0 - decay**2) * correlated
+    given[:, 3], given[:, 4:6], given[:, 6:] = weight[order], (noise.sigma**2, correlated), columns[order]
+    start, states, found = np.zeros(1 + m), np.empty((n, 1 + m)), np.empty((n, m + 1))
+    buffer: Any
+    buffer, run = _filter(n, m).buffer()
+    buffer.set_arg(0, start.data)
+    buffer.set_arg(1, given.data)
+    buffer.set_res(0, states.data)
+    buffer.set_res(1, found.data)
+    run()
+    out, scale = np.empty((n, m)), np.empty(n)
+    out[order], scale[order] = found[:, :m], np.sqrt(found[:, m])
+    out /= scale[:, None]
+    return out, scale
+
+
+@lru_cache(maxsize=64)
+def _filter(n: int, m: int) -> ca.Function:
+    """The filter over n samples of m columns. State: variance of the correlated part, its estimates (m); of a sample: decay, its
+    square, what is fresh of the variance, weight, variance, correlated variance, columns (m); out: innovations (m), variance."""
+    state, sample = ca.SX.sym("state", 1 + m), ca.SX.sym("sample", 6 + m)
+    decay, kept, fresh, weight, variance, correlated = ca.vertsplit(sample[:6])
+    ahead = kept * state[0] + fresh
+    total = (ahead + variance - correlated) / weight
+    gain = ca.fmin(ahead / total, 1.0)
+    guess = decay * state[1:]
+    innovation = sample[6:] - guess
+    after = ca.vertcat(ahead * (1.0 - gain), guess + gain * innovation)
+    return ca.Function("step", [state, sample], [after, ca.vertcat(innovation, total)]).mapaccum("noise_filter", n)
 
 
 def _gains(step: Array, index: Index, noise: CorrelatedNoise, weight: Array) -> tuple[Array, Array, Array]:
@@ -178,14 +223,16 @@ def _detrended(runs: Runs, columns: Array) -> Array:
 def _restricted(runs: Runs, noise: CorrelatedNoise, weight: Array, columns: Array) -> float:
     """Minus twice the restricted log likelihood: the slow courses are integrated out."""
     white, scale = whiten(runs, noise, weight, columns)
-    total = 2.0 * float(np.log(scale).sum())
-    for row in runs.index:
-        at = row[row >= 0]
-        X = white[at, 1:][:, np.abs(columns[at, 1:]).max(axis=0) > 0]
-        Q, R = np.linalg.qr(X)
-        total += float(np.sum(white[at, 0] ** 2) - np.sum((Q.T @ white[at, 0]) ** 2))
-        total += 2.0 * float(np.log(np.maximum(np.abs(np.diag(R)), 1e-12)).sum())
-    return total
+    length, m = runs.index.shape[1], columns.shape[1]
+    inside = (runs.index >= 0)[..., None]
+    stretches = np.zeros((len(runs.index), max(length, m), m))  # stretches side by side, rows that are none zero
+    stretches[:, :length] = np.where(inside, white[runs.index], 0.0)
+    there = np.where(inside, columns[runs.index, 1:] != 0, False).any(axis=1)
+    # The residual last: below the courses stands what they leave of it.
+    R = np.asarray(np.linalg.qr(np.roll(stretches, -1, axis=2), mode="r"), float)
+    size = np.abs(np.diagonal(R, axis1=1, axis2=2))[:, :-1]
+    left = np.sum(R[:, :-1, -1] ** 2 * ~there) + np.sum(R[:, -1, -1] ** 2)
+    return 2.0 * float(np.log(scale).sum()) + float(left) + 2.0 * float(np.log(np.maximum(size, 1e-12))[there].sum())
 
 
 def _with_freedom(noise: CorrelatedNoise, white: Array) -> CorrelatedNoise:
