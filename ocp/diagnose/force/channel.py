@@ -27,7 +27,7 @@ from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.held_out import force_fold_errors, force_folds, predict_sealed_force
 from ocp.diagnose.force.log_averages import LogAverages, Store, log_averages
 from ocp.diagnose.force.logged_contact import logged_arm
-from ocp.diagnose.force.prediction import LogScene, M, effect_derivatives, predict_anew
+from ocp.diagnose.force.prediction import LogScene, M, acts_by_force, effect_derivatives, force_changes, predict_anew
 from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior, with_setpoints_read_off
 from ocp.diagnose.force.waves import SpliceTrains, likely_trains, picked_squares, telling_waves
 from ocp.diagnose.rules import LEAST_DIRECTION, LOOSE, ORDERS_APART, OUTLIER_WEIGHT
@@ -171,11 +171,17 @@ class ForceChannel:
         prior = np.asarray(effect.prior_sd, float)
         found = list[Variant]()
         for start in range(0, len(chosen), TOGETHER):
-            some = chosen[start : start + TOGETHER]
-            made = effect_derivatives(self.problem.scene, self.fit.at, self.fit.slopes, effect, joint, some)
-            if made is None:
-                return []
-            rows = self.averages.variants(effect, some, made[: len(self.averages.whiteners)])
+            some, about = chosen[start : start + TOGETHER], (self.problem.scene, self.fit.at)
+            if acts_by_force(*about, effect):
+                force = force_changes(*about, self.fit.slopes, effect, joint, some)
+                if not np.isfinite(force).all():
+                    return []
+                rows = self.averages.by_force(effect, some, force)
+            else:
+                made = effect_derivatives(*about, self.fit.slopes, effect, joint, some)
+                if made is None:
+                    return []
+                rows = self.averages.variants(effect, some, made[: len(self.averages.whiteners)])
             found += [Variant(effect.name, joint, s, rows[:, v], prior) for v, s in enumerate(some)]
         return found
 

@@ -9,9 +9,11 @@ that each still pays for its freedom. docs/diagnosis_force.md, eq. 9.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
+from ocp.calibrate.force.log import Flags, Index
 from ocp.diagnose.engine.channel_system import Wave, scan_key
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, Whitener
 from ocp.diagnose.force.prediction import effect_derivatives
@@ -49,7 +51,8 @@ class Spare:
 class LogAverages:
     """Rows of the whitened system: averages of each signal, products with the fast patterns, spare rows without data.
 
-    patterns (S, n, k): orthonormal whitened patterns of S signals together; back (S, n, k): through the filters' transposes.
+    patterns (S, n, k): orthonormal whitened patterns of S signals together; back (S, n, k): through the filters' transposes;
+    slopes (S, n): of the signals in the contact force; touching (n,): rows in contact, where there is one.
     """
 
     whiteners: tuple[Whitener, ...]
@@ -57,6 +60,8 @@ class LogAverages:
     back: Array = field(repr=False)
     spares: dict[str, Spare]
     spare: int
+    slopes: Array = field(repr=False)
+    touching: Flags = field(repr=False)
 
     def rows(self, columns: Sequence[Array]) -> Array:
         """Columns (n, m) of each signal, N, as rows of the system (N, m)."""
@@ -73,12 +78,44 @@ class LogAverages:
     def variants(self, effect: Effect, scans: Sequence[Scanned], columns: Sequence[Array]) -> Array:
         """Columns (V, n, m) of each signal as rows (N, V, m)."""
         V, n, m = columns[0].shape
-        out = self.rows([np.moveaxis(c, 0, 1).reshape(n, V * m) for c in columns]).reshape(-1, V, m)
+        return self._spared(effect, scans, self.rows([c.swapaxes(0, 1).reshape(n, V * m) for c in columns]).reshape(-1, V, m))
+
+    def by_force(self, effect: Effect, scans: Sequence[Scanned], force: Array) -> Array:
+        """The same of an effect that does no more than change the contact force, by (n, V, m) N: one product for all signals."""
+        n, V, m = force.shape
+        columns = force.reshape(n, V * m)
+        fast = sum(len(s.blocks) for w in self.whiteners for s in w.stretches)
+        out = np.zeros((fast + self.back.shape[2] + self.spare, V * m))
+        for rows, place, both in self._of_force:
+            part = both @ columns[rows]
+            out[place] = part[: len(place)]
+            out[fast : fast + self.back.shape[2]] += part[len(place) :]
+        return self._spared(effect, scans, out.reshape(-1, V, m))
+
+    @cached_property
+    def _of_force(self) -> list[tuple[Index, Index, Array]]:
+        """Of each stretch in contact: its rows of the log (k,), which averages it has (b,), and what makes these and its share of
+        the products with the patterns of changes of the contact force (b + p, k)."""
+        patterns = sum(b * slope[:, None] for b, slope in zip(self.back, self.slopes, strict=True))
+        stretches = [s for w in self.whiteners for s in w.stretches]
+        first = np.cumsum([0, *(len(s.blocks) for s in stretches)])
+        count, found = len(stretches) // len(self.whiteners), []
+        for i, stretch in enumerate(stretches[:count]):
+            if not self.touching[stretch.rows].any():
+                continue
+            same = range(i, len(stretches), count)  # signals are measured, and cut into stretches, together
+            short = [stretches[k].short * slope[stretch.rows] for k, slope in zip(same, self.slopes, strict=True)]
+            place = np.concatenate([np.arange(first[k], first[k + 1]) for k in same])
+            found.append((stretch.rows, place, np.vstack([*short, np.asarray(patterns)[stretch.rows].T])))
+        return found
+
+    def _spared(self, effect: Effect, scans: Sequence[Scanned], out: Array) -> Array:
+        """Rows (N, V, m) with what averages lose of variants that are not kept whole."""
         spare = self.spares.get(effect.name)
         if spare is not None:
             for v, root in enumerate(spare.root(scan_key(scanned)) for scanned in scans):
                 if root is not None:
-                    out[len(out) - self.spare : len(out) - self.spare + m, v] = root
+                    out[len(out) - self.spare : len(out) - self.spare + out.shape[2], v] = root
         return out
 
 
@@ -110,7 +147,9 @@ def log_averages(
         chosen += [_lost(fit, [c[v] for c in made]) for v in best]
     patterns = _orthonormal(np.concatenate(chosen, axis=2))
     back = np.stack([w.back(p) for w, p in zip(fit.whiteners, patterns, strict=True)])
-    return LogAverages(fit.whiteners, patterns, back, spares, max((s.roots.shape[1] for s in spares.values()), default=0))
+    spare = max((s.roots.shape[1] for s in spares.values()), default=0)
+    slopes = np.stack([fit.at.fn_slope, fit.at.ft_slope][:count])
+    return LogAverages(fit.whiteners, patterns, back, spares, spare, slopes, problem.log.contact)
 
 
 def _lost(fit: EffectFit, columns: Sequence[Array]) -> Array:

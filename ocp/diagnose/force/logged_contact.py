@@ -134,8 +134,8 @@ BLADE = tuple(NAMES.index(n) for n in ("blade_x", "blade_y", "blade_z", "blade_c
 
 @dataclass(frozen=True)
 class Moved:
-    """Per unit coefficient of V variants: shift (V, n, k, m) rad of the joints `moving` (k,) (0..5); shift m and turn rad (V, n,
-    6, m) of the blade in its grip, flange axes, that stand for motions of links (None: none)."""
+    """Per unit coefficient of V variants: shift (k, n, V, m) rad of the joints `moving` (k,) (0..5); shift m and turn rad (6, n,
+    V, m) of the blade in its grip, flange axes, that stand for motions of links (None: none)."""
 
     moving: Index
     shift: Array
@@ -160,14 +160,14 @@ class LoggedArm:
 
     def _columns(self, effect: Effect, joint: int, scans: Sequence[Scanned]) -> "Moved":
         found = arm_columns(effect, joint, scans, self.rows)
-        moving = np.flatnonzero([found.joints[:, :, j].any() for j in range(found.joints.shape[2])])
+        moves = [k for k in range(len(found.moving)) if found.shift[:, :, k].any()]
         blade = None
         for link, twist in found.twists.items():
             lever = self.origin - self.rows.origins[:, link]
             moved = twist[:, :, :3] + np.cross(twist[:, :, 3:], lever[None, :, :, None], axis=2)
-            both = [np.einsum("nji,vnjm->vnim", self.flange, part) for part in (moved, twist[:, :, 3:])]
-            blade = np.concatenate(both, axis=2) + (0.0 if blade is None else blade)
-        return Moved(moving, np.ascontiguousarray(found.joints[:, :, moving]), blade)
+            both = [np.einsum("nji,vnjm->invm", self.flange, part) for part in (moved, twist[:, :, 3:])]
+            blade = np.concatenate(both) + (0.0 if blade is None else blade)
+        return Moved(found.moving[moves], np.ascontiguousarray(found.shift[:, :, moves].transpose(2, 1, 0, 3)), blade)
 
 
 def logged_arm(cell: Cell, theta: Array, q: Array, conditions: LogConditions) -> LoggedArm:

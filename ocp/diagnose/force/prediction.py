@@ -164,9 +164,9 @@ def placed_rows(scene: LogScene, x: Array, active: Sequence[Active]) -> PlacedRo
     for one in active:
         if one.effect.on_arm:
             moved = scene.arm.columns(one.effect, one.joint, [one.scanned])
-            shift[:, moved.moving] += moved.shift[0, at] @ one.a
+            shift[:, moved.moving] += (moved.shift[:, at, 0] @ one.a).T
             if moved.blade is not None:
-                theta[:, BLADE] += moved.blade[0, at] @ one.a
+                theta[:, BLADE] += (moved.blade[:, at, 0] @ one.a).T
     return PlacedRows.of(scene.cell, base, theta, shift)
 
 
@@ -284,46 +284,49 @@ def effect_derivatives(
 ) -> Both | None:
     """Change (V, n, m) N of fn and ft per unit coefficient of each variant; None where the log does not say what the effect
     depends on. `slopes`: of `force_derivatives`."""
-    theta, joints = slopes
-    n, rows = len(at.F), scene.touching
-    fn, ft = np.zeros((len(scans), n, effect.size)), np.zeros((len(scans), n, effect.size))
-    force = np.zeros_like(fn)
-    if effect.overlap is not None or effect.push is not None:
-        part = at.samples.take(rows)
-        force[:, rows] = at.stiffness[rows, None] * interference(scene.cell, effect, joint, scans, part)
-    if effect.on_arm:
-        moved = scene.arm.columns(effect, joint, scans)
-        force += np.einsum("nj,vnjm->vnm", joints[:, moved.moving], moved.shift, optimize=True)
-        if moved.blade is not None:
-            force += np.einsum("nj,vnjm->vnm", theta[:, BLADE], moved.blade, optimize=True)
-    if force.any():
-        fn += at.fn_slope[:, None] * force
-        ft += at.ft_slope[:, None] * force
+    force = force_changes(scene, at, slopes, effect, joint, scans)
+    fn, ft = at.fn_slope[:, None, None] * force, at.ft_slope[:, None, None] * force
     if effect.sensor is not None:
-        fn += hook_columns(scene.cell, effect, "sensor", joint, scans, at.samples)
+        fn += hook_columns(scene.cell, effect, "sensor", joint, scans, at.samples).swapaxes(0, 1)
     if effect.shear is not None:
-        ft += hook_columns(scene.cell, effect, "shear", joint, scans, at.samples)
+        ft += hook_columns(scene.cell, effect, "shear", joint, scans, at.samples).swapaxes(0, 1)
     if remembering(scene, at) and force.any():
-        own = _rows(force)
+        own = force.reshape(len(force), -1)
         late_n, late_t = carried(scene, at, (own, own, own * _shear(scene, at)[:, None]))
-        fn, ft = fn + _back(late_n, fn.shape), ft + _back(late_t, ft.shape)
+        fn, ft = fn + late_n.reshape(fn.shape), ft + late_t.reshape(ft.shape)
     if effect.along is not None or effect.along_shear is not None:
         for v, scanned in enumerate(scans):
             late_n, late_t = remembered(scene, at, effect, joint, scanned)
-            fn[v], ft[v] = fn[v] + late_n, ft[v] + late_t
-    return (fn, ft) if np.isfinite(fn).all() and np.isfinite(ft).all() else None
+            fn[:, v], ft[:, v] = fn[:, v] + late_n, ft[:, v] + late_t
+    return (fn.swapaxes(0, 1), ft.swapaxes(0, 1)) if np.isfinite(fn).all() and np.isfinite(ft).all() else None
+
+
+def force_changes(
+    scene: LogScene, at: Predicted, slopes: tuple[Array, Array], effect: Effect, joint: int, scans: Sequence[Scanned]
+) -> Array:
+    """Change (n, V, m) N of the contact force per unit coefficient of each variant; nan where the log does not say what the
+    effect depends on."""
+    theta, joints = slopes
+    rows = scene.touching
+    force = np.zeros((len(at.F), len(scans), effect.size))
+    if effect.overlap is not None or effect.push is not None:
+        change = interference(scene.cell, effect, joint, scans, at.samples.take(rows))
+        force[rows] = at.stiffness[rows, None, None] * change.swapaxes(0, 1)
+    if effect.on_arm:
+        moved = scene.arm.columns(effect, joint, scans)
+        for j, shift in zip(moved.moving, moved.shift, strict=True):
+            force += joints[:, j, None, None] * shift
+        for i, shift in zip(BLADE, () if moved.blade is None else moved.blade, strict=False):
+            force += theta[:, i, None, None] * shift
+    return force
+
+
+def acts_by_force(scene: LogScene, at: Predicted, effect: Effect) -> bool:
+    """Whether an effect changes both readings by their slopes in the contact force and in no other way."""
+    others = (effect.sensor, effect.shear, effect.along, effect.along_shear)
+    return all(hook is None for hook in others) and not remembering(scene, at)
 
 
 def _shear(scene: LogScene, at: Predicted) -> Array:
     """The contact's own tangential reading (n,) per newton of its force."""
     return np.asarray(scene.shear * (1.0 + at.x[SHEAR_GAIN]))
-
-
-def _rows(columns: Array) -> Array:
-    """Columns (V, n, m) as (n, V m)."""
-    return np.moveaxis(columns, 1, 0).reshape(columns.shape[1], -1)
-
-
-def _back(rows: Array, shape: tuple[int, ...]) -> Array:
-    """The other way round: (n, V m) as (V, n, m)."""
-    return np.moveaxis(rows.reshape(shape[1], shape[0], shape[2]), 0, 1)

@@ -4,7 +4,7 @@ A hook is built once for each effect, joint and set of scanned values that are n
 takes only those that the hook uses, so that 300 orders times 150 readings cost milliseconds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -76,11 +76,14 @@ class Hook:
 
 @dataclass(frozen=True)
 class _Compiled:
+    """A function of the numbers that count, to the results that are not zero whatever these are."""
+
     function: ca.Function
     used: NDArray[np.int64]
     keys: tuple[int, ...]  # of a dict of expressions; (-1,) for a single one
     rows: int
     columns: int
+    rows_given: tuple[int, ...]  # of all keys' rows, one after the other, those that are not zero
 
 
 @lru_cache(maxsize=4096)
@@ -94,36 +97,60 @@ def _compiled(hook: Hook, fixed: tuple[tuple[str, Any], ...], symbolic: tuple[st
     if not found:
         return None
     shape = next(iter(found.values())).shape
-    out = ca.vertcat(*(ca.vec(expression.T) for expression in found.values()))
+    stacked = ca.vertcat(*found.values())
+    given = tuple(i for i in range(stacked.shape[0]) if not stacked[i, :].is_zero()) or (0,)
+    out = ca.vec(stacked[list(given), :].T)
     used = np.flatnonzero(np.asarray(ca.which_depends(out, row, 1, False), bool)) if out.nnz() else np.empty(0, np.int64)
     inputs = [ca.vertcat(*(row[int(i)] for i in used)) if len(used) else ca.SX.sym("none", 0), free]
     function = ca.Function(f"{hook.effect.name.split()[0]}_{hook.kind}", inputs, [ca.cse(out)])
-    return _Compiled(function, used, tuple(found), *shape)
+    return _Compiled(function, used, tuple(found), *shape, given)
 
 
 def evaluated(hook: Hook, rows: Array, scans: Sequence[Scanned]) -> dict[int, Array]:
     """The hook at rows (n, k) for every variant: {key: (variants, n, r, m)}, key -1 where the hook is not a dict."""
+    out: dict[int, Array] = {}
+    for made, members, result in _evaluated(hook, rows, scans):
+        for i, key in enumerate(made.keys):
+            given = [(k, row - i * made.rows) for k, row in enumerate(made.rows_given) if 0 <= row - i * made.rows < made.rows]
+            if len(members) == len(scans) and len(given) == made.rows:
+                out[key] = result[:, :, given[0][0] : given[-1][0] + 1]
+                continue
+            if key not in out:
+                out[key] = np.zeros((len(scans), len(rows), made.rows, made.columns))
+            for k, row in given:
+                out[key][members, :, row] = result[:, :, k]
+    return out
+
+
+def evaluated_sparsely(hook: Hook, rows: Array, scans: Sequence[Scanned]) -> tuple[NDArray[np.int64], Array]:
+    """The same of a hook that is not a dict, without the rows that are zero whatever the row's numbers: which rows of the result
+    (g,), and (variants, n, g, m)."""
+    found = list(_evaluated(hook, rows, scans))
+    given = sorted({row for made, _, _ in found for row in made.rows_given})
+    if len(found) == 1 and len(found[0][1]) == len(scans):
+        return np.array(given, np.int64), found[0][2]
+    out = np.zeros((len(scans), len(rows), len(given), hook.effect.size))
+    for made, members, result in found:
+        for k, row in enumerate(made.rows_given):
+            out[members, :, given.index(row)] = result[:, :, k]
+    return np.array(given, np.int64), out
+
+
+def _evaluated(hook: Hook, rows: Array, scans: Sequence[Scanned]) -> Iterator[tuple[_Compiled, list[int], Array]]:
+    """Of variants whose scanned values that are not symbols are the same: the function, which they are, and what it gives (v, n,
+    given rows, m)."""
     symbolic = tuple(key for key in hook.effect.symbolic if scans and key in scans[0])
     groups: dict[tuple[tuple[str, Any], ...], list[int]] = {}
     for v, scanned in enumerate(scans):
         fixed = tuple(sorted((key, _plain(value)) for key, value in scanned.items() if key not in symbolic))
         groups.setdefault(fixed, []).append(v)
-    out: dict[int, Array] = {}
     for fixed, members in groups.items():
         made = _compiled(hook, fixed, symbolic)
         if made is None:
             continue
         values = np.array([[float(scans[v][key]) for key in symbolic] for v in members]).reshape(len(members), len(symbolic))
         result = _mapped_rows(made, rows[:, made.used], values)
-        result = result.reshape(len(members), len(rows), len(made.keys), made.rows, made.columns)
-        for i, key in enumerate(made.keys):
-            if len(groups) == 1:
-                out[key] = result[:, :, i]
-                continue
-            if key not in out:
-                out[key] = np.zeros((len(scans), len(rows), made.rows, made.columns))
-            out[key][members] = result[:, :, i]
-    return out
+        yield made, members, result.reshape(len(members), len(rows), len(made.rows_given), made.columns)
 
 
 def _mapped_rows(made: _Compiled, rows: Array, values: Array) -> Array:

@@ -13,10 +13,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from ocp.effects.context import ArmContext, ContactContext, TrackerContext
 from ocp.effects.effect import Active, Effect, Scanned
-from ocp.effects.engine.compiled import Hook, RowLayout, evaluated, run_rows
+from ocp.effects.engine.compiled import Hook, RowLayout, evaluated, evaluated_sparsely, run_rows
 from robots.calibration.reading_model import RowInputs
 from robots.compliance import deflected_joints
 from robots.gravity import GRAVITY, gravity_torques
@@ -205,20 +206,28 @@ TRACKER_LAYOUT = RowLayout.of("point 3, R 9, time 1, warm 1, target 1")
 
 @dataclass(frozen=True)
 class ArmColumns:
-    """Per unit coefficient, v variants, n rows, m coefficients: joints (v, n, 6, m) rad of the commanded joints, twists {link:
-    (v, n, 6, m)} m and rad in base axes at the origin of the link's frame."""
+    """Per unit coefficient, v variants, n rows, m coefficients: shift (v, n, k, m) rad of the commanded joints `moving` (k,)
+    (0..5), twists {link: (v, n, 6, m)} m and rad in base axes at the origin of the link's frame."""
 
-    joints: Array
+    moving: NDArray[np.int64]
+    shift: Array
     twists: dict[int, Array]
+
+    @property
+    def joints(self) -> Array:
+        """Of all six joints (v, n, 6, m) rad."""
+        v, n, _, m = self.shift.shape
+        out = np.zeros((v, n, 6, m))
+        out[:, :, self.moving] = self.shift
+        return out
 
     def at(self, rows: ArmRows, point: Array, d_joints: Array, link: int = 6) -> Array:
         """Displacement (v, n, 3, m) m, base axes, of points (n, 3) m (base frame) of `link`; d_joints (n, 3, 6) m/rad in the
         commanded joints, base axes (eq. 1)."""
-        v, n, _, m = self.joints.shape
+        v, n, _, m = self.shift.shape
         out = np.zeros((v, n, 3, m))
-        for j in range(6):
-            if self.joints[:, :, j].any():
-                out += d_joints[None, :, :, j, None] * self.joints[:, :, None, j]
+        for k, j in enumerate(self.moving):
+            out += d_joints[None, :, :, j, None] * self.shift[:, :, None, k]
         for i, twist in self.twists.items():
             if i <= link:
                 lever = point - rows.origins[:, i]
@@ -228,19 +237,26 @@ class ArmColumns:
 
 def arm_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: ArmRows) -> ArmColumns:
     """What an effect at `joint` (0: none) does to the arm, for every variant."""
+    moving, shift = np.empty(0, np.int64), np.zeros((len(scans), len(rows), 0, effect.size))
+    twists: dict[int, Array] = {}
     if not scans:
-        return ArmColumns(np.zeros((0, len(rows), 6, effect.size)), {})
+        return ArmColumns(moving, shift, twists)
     if effect.joint is not None:
-        joints = evaluated(Hook(effect, "joint", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
-    else:
-        joints = np.zeros((len(scans), len(rows), 6, effect.size))
+        moving, shift = evaluated_sparsely(Hook(effect, "joint", joint, ARM_LAYOUT, rows.place), rows.state, scans)
     if effect.torque is not None:
-        torque = evaluated(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)[-1]
-        joints = joints + rows.block("c")[None, :, :, None] * torque
-    twists = {}
+        under, torque = evaluated_sparsely(Hook(effect, "torque", joint, ARM_LAYOUT, rows.place), rows.state, scans)
+        bent = rows.block("c")[:, under, None] * torque
+        if len(moving):
+            both = np.union1d(moving, under)
+            whole = np.zeros((*shift.shape[:2], len(both), effect.size))
+            whole[:, :, np.searchsorted(both, moving)] = shift
+            whole[:, :, np.searchsorted(both, under)] += bent
+            moving, shift = both, whole
+        else:
+            moving, shift = under, bent
     if effect.twist is not None:
         twists = evaluated(Hook(effect, "twist", joint, ARM_LAYOUT, rows.place), rows.state, scans)
-    return ArmColumns(joints, twists)
+    return ArmColumns(moving, shift, twists)
 
 
 def arm_shift(active: Sequence[Active], rows: ArmRows) -> ArmColumns:
@@ -257,7 +273,7 @@ def arm_shift(active: Sequence[Active], rows: ArmRows) -> ArmColumns:
         joints[..., 0] += columns.joints @ item.a
         for link, twist in columns.twists.items():
             twists[link] = twists.get(link, np.zeros(1)) + (twist @ item.a)[..., None]
-    return ArmColumns(joints, twists)
+    return ArmColumns(np.arange(6), joints, twists)
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,7 @@ def motion(effect: Effect, joint: int, scans: Sequence[Scanned], seen: PlacedRea
         for rows, on, arm in seen.groups:
             columns = arm_columns(effect, joint, scans, arm)
             if shift is not None:
-                shift[:, rows] = columns.joints
+                shift[:, rows[:, None], columns.moving] = columns.shift
             if point is not None and columns.twists:
                 moved = columns.at(arm, seen.base_point[rows], np.zeros((len(rows), 3, 6)), on)
                 point[:, rows] += seen.turns[rows] @ moved
