@@ -35,6 +35,7 @@ HIGHEST = 0.8  # of half the logging rate
 SHORTEST = 3e-3  # m, of a wave along the path
 FINE = 4  # numbers tried in the width of a line
 LENGTH_PROBES = 12
+SIDE = 16  # numbers between two whose waves are taken whole
 
 
 def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
@@ -56,8 +57,7 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
             continue
         numbers = np.arange(lowest, highest, 1.0 / (FINE * length))
         masked = touching * weight
-        waves = np.exp(2j * np.pi * np.outer(numbers, along))
-        score = np.abs(waves @ (masked * y)) ** 2
+        score = np.abs(_transform(numbers, along, masked * y)) ** 2
         probes = np.unique(np.linspace(0, len(numbers) - 1, LENGTH_PROBES).round().astype(int))
         sizes = [float(np.sum(white.whole(masked[:, None] * _both(numbers[k] * along)) ** 2)) / 2 for k in probes]
         gain = score / np.interp(numbers, numbers[probes], sizes)
@@ -65,6 +65,13 @@ def telling_waves(problem: ForceProblem, fit: EffectFit) -> tuple[Wave, ...]:
         for k in _peaks(gain):
             found.append(Wave(where, float(numbers[k]), masked[:, None] * _both(numbers[k] * along), among))
     return tuple(found)
+
+
+def _transform(numbers: Array, along: Array, y: Array) -> Array:
+    """Sum of y exp(2 pi i g x) over places x (n,) for evenly spaced numbers g (k,): a wave of each `SIDE`th number times those of
+    the numbers between."""
+    between = np.exp(2j * np.pi * np.outer(along, numbers[:SIDE] - numbers[0])) * y[:, None]
+    return np.asarray((np.exp(2j * np.pi * np.outer(numbers[::SIDE], along)) @ between).ravel()[: len(numbers)])
 
 
 def picked_squares(waves: Iterable[Wave]) -> float:
@@ -107,6 +114,7 @@ def _peaks(gain: Array) -> list[int]:
 WAVES = 12  # harmonics of the first look
 PLACES = 32  # in a turn
 BELLS = np.geomspace(*LENGTHS, 6)
+LOOKED = 4096  # rates looked at in one piece, which stays at hand
 KEPT = 6  # trains of each clock that are looked at exactly
 SHARP = 3  # halvings of the steps there
 PROBES = 12
@@ -182,17 +190,14 @@ def _spectrum(time: Array, y: Array, step: float, span: float) -> tuple[Array, A
     place = np.round((time - time.min()) / step).astype(np.int64)
     points = int(min(2 ** np.ceil(np.log2(8 * (span / step + 1))), FAR))
     points = max(points, int(place.max()) + 1)
-    line = np.bincount(place, weights=y, minlength=points)[:points]
-    transform = np.fft.rfft(line)
+    half = np.fft.rfft(np.bincount(place, weights=y, minlength=points)[:points])
+    transform = np.concatenate([half, np.conj(half[(points - 1) // 2 : 0 : -1])])
     first, last = (int(np.ceil(f * points * step)) for f in RATES)
     k = np.arange(first, last + 1)
-    # Beyond half the sampling rate a harmonic is seen at its image.
-    folded = np.outer(k, np.arange(WAVES + 1)) % points
-    image = folded > points // 2
-    S = transform[np.where(image, points - folded, folded)]
-    S = np.where(image, np.conj(S), S)
-    shift = np.exp(-2j * np.pi * np.outer(k / (points * step), np.arange(WAVES + 1)) * time.min())
-    return k / (points * step), S * shift
+    S = transform[np.outer(k, np.arange(WAVES + 1)) % points]  # beyond half the sampling rate a harmonic is seen at its image
+    if time.min() != 0:
+        S *= np.exp(-2j * np.pi * np.outer(k / (points * step), np.arange(WAVES + 1)) * time.min())
+    return k / (points * step), S
 
 
 def _first_look(rates: Array, S: Array, size: tuple[Array, Array]) -> Iterator[tuple[float, float, float]]:
@@ -205,16 +210,18 @@ def _first_look(rates: Array, S: Array, size: tuple[Array, Array]) -> Iterator[t
     highest = size[0][-1]
     folded = np.abs(np.outer(rates, m) - 2 * highest * np.round(np.outer(rates, m) / (2 * highest)))
     lengths = np.interp(folded, *size)
-    S, turn = S.astype(np.complex64), turn.astype(np.complex64)  # a first look: half the time, and `_exact` comes after it
+    # A first look in single precision: half the time, and `_exact` comes after it. Real parts of products with a turn.
+    S, turn = np.hstack([S.real, S.imag]).astype(np.float32), np.vstack([turn.real, -turn.imag]).astype(np.float32)
     for b, w in enumerate(BELLS):
         c = np.sqrt(2 * np.pi) * w * np.exp(-2 * (np.pi * m * w) ** 2) * np.where(m > 0, 2.0, 1.0)
-        score = np.real((S * c.astype(np.float32)) @ turn)  # (k, PLACES)
-        norm = (lengths * (c**2 * np.where(m > 0, 1.0, 2.0))).sum(axis=1)
-        gain = np.maximum(score, 0.0) ** 2 / norm[:, None]
-        top = gain.argmax(axis=1)
-        value = gain[np.arange(len(rates)), top]
-        better = value > best
-        best[better], where[better] = value[better], np.column_stack([top, np.full(len(rates), b)])[better]
+        norm = lengths @ (c**2 * np.where(m > 0, 1.0, 2.0))
+        for rows in np.array_split(np.arange(len(rates)), int(np.ceil(len(rates) / LOOKED))):
+            part = slice(rows[0], rows[-1] + 1)
+            score = S[part] @ (np.tile(c, 2)[:, None] * turn).astype(np.float32)
+            top = score.argmax(axis=1)
+            value = np.maximum(score[np.arange(len(rows)), top], 0.0) ** 2 / norm[part]
+            better = value > best[part]
+            best[part][better], where[part][better] = value[better], np.column_stack([top, np.full(len(rows), b)])[better]
     spacing = 8  # rates of one line
     for _ in range(KEPT):
         k = int(np.argmax(best))

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_factor, solve_triangular
 from scipy.optimize import minimize
-from scipy.signal import savgol_filter
 
 from ocp.diagnose.joints.log import JointLog
 from ocp.diagnose.rules import ENCODER_ACCURACY, LEAST_ENCODER_NOISE, LONGEST_DELAY, RECORDING_FAULT, RESTING_SPEED, TORQUE_WINDOW
@@ -152,6 +151,8 @@ def _filled(log: JointLog) -> Array:
 def _smoothed(log: JointLog, tau: Array) -> Array:
     """Torques without the current's ripple, which inertia keeps from the link; it would make springs look too stiff. A cubic over
     the window keeps the load's own course (Savitzky and Golay 1964)."""
+    from scipy.signal import savgol_filter  # takes a second, which a diagnosis without encoders need not pay
+
     out = np.nan_to_num(tau)
     for k in range(len(log.runs)):
         rows = np.flatnonzero(log.run == k)

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtrc, ndtri
-from scipy.stats import chi2
+from scipy.special import chdtrc, fdtrc, ndtri
 
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.evidence import stack
@@ -62,7 +61,7 @@ def _of_tracker(channel: TrackerChannel) -> Remaining:
     for level in usual * np.exp(sd * ndtri((np.arange(LEVELS) + 0.5) / LEVELS)):
         S = reading_covariance(readings, c.instrument, Noise(float(level)), d_joints)
         squares = float(np.einsum("ni,ni->", off, np.linalg.solve(S, off[..., None])[..., 0]))
-        p += float(chi2.sf(squares, freedom)) / LEVELS
+        p += float(chdtrc(freedom, squares)) / LEVELS
     square = float(np.mean(np.sum(off**2, axis=1))) * 3.0 * len(off) / freedom
     own = reading_covariance(readings, c.instrument, Noise(usual), d_joints)
     return Remaining(float(np.sqrt(max(square - np.trace(own, axis1=1, axis2=2).mean(), 0.0))), p)
