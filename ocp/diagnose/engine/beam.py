@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.evidence import Projection, log_evidence
@@ -52,11 +53,11 @@ class Member:
 
 @dataclass(frozen=True)
 class _Group:
-    """Families of m coefficients: X (N, V, m) projected, contiguous, so that products need no copy, G and b, sizes (V, T);
-    positive (V, m); starts: where each family begins; families: their indices."""
+    """Families of m coefficients: their projected columns (N, V, m) each, G and b, sizes (V, T); positive (V, m); starts: where
+    each family begins; families: their indices."""
 
     m: int
-    X: Array
+    parts: tuple[Array, ...]
     G: Array
     b: Array
     sizes: Array
@@ -64,23 +65,29 @@ class _Group:
     starts: Index
     families: Index
 
+    @cached_property
+    def X(self) -> Array:
+        """All columns (N, V m) side by side: a product with them needs no copy."""
+        return np.concatenate(self.parts, axis=1)
+
 
 class _Kept:
-    """Columns of all members that were asked for, one below the other, and their products, which few sets need anew."""
+    """Columns of all members that were asked for, one below the other, and their products with each other and (r,) with y, which
+    few sets need anew."""
 
     def __init__(self, rows: int) -> None:
         self.places: dict[tuple[int, int], Index] = {}
         self.count = 0
-        self.columns, self.G = np.empty((0, rows)), np.empty((0, 0))
+        self.columns, self.G, self.b = np.empty((0, rows)), np.empty((0, 0)), np.empty(0)
 
-    def add(self, key: tuple[int, int], columns: Array) -> None:
-        """Columns (N, m) of a member that is not there yet."""
+    def add(self, key: tuple[int, int], columns: Array, b: Array) -> None:
+        """Columns (N, m) of a member that is not there yet, b (m,) their products with y."""
         first, last = self.count, self.count + columns.shape[1]
         if last > len(self.columns):
             more = max(last, 64, len(self.columns))
             self.columns = np.vstack([self.columns, np.empty((more, self.columns.shape[1]))])
-            self.G = np.pad(self.G, (0, more))
-        self.columns[first:last] = columns.T
+            self.G, self.b = np.pad(self.G, (0, more)), np.pad(self.b, (0, more))
+        self.columns[first:last], self.b[first:last] = columns.T, b
         self.G[first:last, :last] = self.columns[first:last] @ self.columns[:last].T
         self.G[:first, first:last] = self.G[first:last, :first].T
         self.places[key], self.count = np.arange(first, last), last
@@ -117,13 +124,12 @@ class CandidatePool:
         for m in members:
             key = (m.family, m.variant)
             if key not in known.places:
-                known.add(key, self.columns(m))
+                group, rows = self.of(m.family)
+                known.add(key, self.columns(m), group.b[rows.start + m.variant])
             places.append(known.places[key])
         at = np.concatenate(places)
         sizes = np.repeat([m.size for m in members], [len(place) for place in places])
-        found = [self.of(m.family) for m in members]
-        b = np.concatenate([g.b[rows.start + m.variant] for m, (g, rows) in zip(members, found, strict=True)])
-        return known.G[at[:, None], at] * (sizes[:, None] * sizes), sizes * b
+        return known.G[at[:, None], at] * (sizes[:, None] * sizes), sizes * known.b[at]
 
     def of(self, family: int) -> tuple[_Group, slice]:
         """The group of a family, and its variants there."""
@@ -132,8 +138,7 @@ class CandidatePool:
 
     def columns(self, member: Member) -> Array:
         """Projected columns (N, m) of a member in units of the priors' upper ends."""
-        group, rows = self.of(member.family)
-        return group.X[:, rows.start + member.variant]
+        return self.families[member.family].columns[:, member.variant]
 
     def products(self, member: Member, family: int) -> Array:
         """Products (m, V k) of a member's columns with those of all variants of a family."""
@@ -143,8 +148,8 @@ class CandidatePool:
             m = self.groups[group].m
             own = slice(start * m, (start + self.families[family].columns.shape[1]) * m)
             known = self.crossed.get(key[:2])
-            flat = self.groups[group].X.reshape(len(self.y), -1)
-            self.shared[key] = self.columns(member).T @ flat[:, own] if known is None else known[group][:, own]
+            flat = _flat(self.families[family].columns)
+            self.shared[key] = self.columns(member).T @ flat if known is None else known[group][:, own]
         return self.shared[key]
 
     def look_ahead(self, members: Sequence[Member]) -> None:
@@ -154,7 +159,7 @@ class CandidatePool:
             return
         parts = [self.columns(m) for m in new]
         C = np.ascontiguousarray(np.hstack(parts).T)
-        every = [C @ g.X.reshape(len(self.y), -1) for g in self.groups]
+        every = [C @ _flat(g.X) for g in self.groups]
         start = 0
         for m, part in zip(new, parts, strict=True):
             rows = slice(start, start + part.shape[1])
@@ -208,16 +213,22 @@ def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> CandidatePo
     place = [(-1, -1)] * len(families)
     for m in sorted({f.columns.shape[2] for f in families}):
         chosen = [i for i, f in enumerate(families) if f.columns.shape[2] == m]
-        X = np.ascontiguousarray(np.concatenate([families[i].columns for i in chosen], axis=1))
-        counts = [families[i].columns.shape[1] for i in chosen]
+        parts = tuple(families[i].columns for i in chosen)
+        counts = [part.shape[1] for part in parts]
         starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
         for i, start in zip(chosen, starts, strict=True):
             place[i] = (len(groups), int(start))
         sizes = np.repeat([families[i].sizes for i in chosen], counts, axis=0)
         positive = np.repeat([families[i].positive for i in chosen], counts, axis=0)
-        inner = (y @ X.reshape(len(y), -1)).reshape(-1, m)
-        groups.append(_Group(m, X, squares(X), inner, sizes, positive, starts, np.array(chosen)))
+        inner = np.concatenate([y @ _flat(part) for part in parts]).reshape(-1, m)
+        G = np.concatenate([squares(part) for part in parts])
+        groups.append(_Group(m, parts, G, inner, sizes, positive, starts, np.array(chosen)))
     return CandidatePool(y, freedom, tuple(families), tuple(groups), tuple(place))
+
+
+def _flat(columns: Array) -> Array:
+    """Columns (N, V, m) as (N, V m)."""
+    return columns.reshape(len(columns), -1)
 
 
 def most_telling(pool: CandidatePool, beside: Sequence[Sequence[Member]]) -> list[Family]:
@@ -228,12 +239,11 @@ def most_telling(pool: CandidatePool, beside: Sequence[Sequence[Member]]) -> lis
     best = [{m.variant for m in inside if m.family == i} for i in range(len(pool.families))]
     for members in beside:
         there = given(pool, members)
-        pool.look_ahead(members)
-        crossed = [(pool.crossed[m.family, m.variant], m.size) for m in members]
-        for k, g in enumerate(pool.groups):
+        C = np.ascontiguousarray(there.C.T)
+        for g in pool.groups:
             G, b = g.G, g.b
-            if crossed:
-                G, b = _beside(there, np.vstack([s * rows[k] for rows, s in crossed]), G, b)
+            if members:  # once for all: not worth laying all columns side by side
+                G, b = _beside(there, np.hstack([C @ _flat(part) for part in g.parts]), G, b)
             each = np.logaddexp.reduce(log_evidence(G, b, g.sizes, g.positive, there.left, pool.freedom), axis=1)
             for family, start in zip(g.families, g.starts, strict=True):
                 own = each[start : start + pool.families[family].columns.shape[1]]
@@ -270,7 +280,10 @@ def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
     if not members:
         return Given(pool, (), np.zeros((0, 0)), np.zeros(0), left, 0.0)
     G, b = pool.among(members)
-    turn = np.linalg.inv(np.linalg.cholesky(np.eye(len(b)) + G))
+    G[np.diag_indices(len(b))] += 1.0
+    turn, failed = dtrtri(dpotrf(G, lower=1, clean=1)[0], lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("columns of a set are not numbers")
     inner = turn @ b
     after = max(left - float(inner @ inner), 1e-9)
     fit = 0.5 * (pool.freedom + NOISE_TRUST) * np.log((NOISE_TRUST + after) / (NOISE_TRUST + left))

@@ -54,7 +54,8 @@ class Projection:
     def apply(self, rows: Array) -> Array:
         """M rows, rows (N,) or (N, m)."""
         inner = self.U.T @ rows
-        return rows - self.U @ (self.take * inner if rows.ndim == 1 else self.take[:, None] * inner)
+        taken = self.U @ (self.take * inner if rows.ndim == 1 else self.take[:, None] * inner)
+        return np.subtract(rows, taken, out=taken)
 
 
 def project(columns: Array, prior_sd: Array) -> Projection:

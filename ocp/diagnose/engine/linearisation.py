@@ -93,16 +93,18 @@ def library_families(found: Sequence[Candidate], stack: Stack, options: Options,
     kinds = len({c.effect.name for c in found})
     for c in found:
         n, count, m = c.columns.shape
+        scale = np.asarray(c.effect.prior_sd, float)
         projected = stack.apply(c.columns.reshape(n, -1)).reshape(n, count, m)
-        visible = ((projected * np.asarray(c.effect.prior_sd)) ** 2).sum(axis=0).max(axis=1) > SEEN_LAMBDA
+        projected *= scale
+        visible = np.einsum("nvi,nvi->vi", projected, projected).max(axis=1) > SEEN_LAMBDA
         visible |= (c.effect.name, c.joint) in active
         if not visible.any():
             continue
         scans = tuple(s for s, k in zip(c.scans, visible, strict=True) if k)
         odds = log_odds(c.effect, kinds, options) + float(np.log(len(c.scans) / max(c.among, len(c.scans))))
-        seen, scale = projected if visible.all() else projected[:, visible], np.asarray(c.effect.prior_sd, float)
+        seen = projected if visible.all() else projected[:, visible]
         name, sizes = Name(c.effect.name, c.joint), size_grid(ratio_of(c.effect, scans))
-        families.append(Family(name, c.effect, scans, seen * scale, scale, sizes, positive_of(c.effect), odds, among=c.among))
+        families.append(Family(name, c.effect, scans, seen, scale, sizes, positive_of(c.effect), odds, among=c.among))
     return families
 
 
@@ -283,18 +285,19 @@ def kernel_families(channels: Sequence[Channel], stacked: Stack, options: Option
         m, sizes = columns.shape[2], size_grid(kernel.low / kernel.high)
         scans = tuple({"kernel": v} for v in range(columns.shape[1]))
         full, scale, odds = Name(f"?{name}", kernel.joint), np.full(m, kernel.high), float(np.log(share))
-        found.append(Family(full, None, scans, columns * kernel.high, scale, sizes, np.zeros(m, bool), odds, kernel.where))
+        columns *= kernel.high
+        found.append(Family(full, None, scans, columns, scale, sizes, np.zeros(m, bool), odds, kernel.where))
     return found
 
 
 def kernel_columns(channels: Sequence[Channel], stacked: Stack) -> Iterator[tuple[str, Kernel, Array]]:
     """Name, kernel and projected columns (N, V, m) per unit size, zero in other channels."""
-    for channel, block in zip(channels, stacked.blocks, strict=True):
+    for channel, block, projection in zip(channels, stacked.blocks, stacked.projections, strict=True):
         for kernel in kernels(channel.conditions):
             n, k, V, m = kernel.changes.shape
             whole = np.zeros((len(stacked.y), V * m))
-            whole[block] = channel.whiten(kernel.changes.reshape(n, k, V * m))
-            yield f"{channel.name}/{kernel.where}/{kernel.source}", kernel, stacked.apply(whole).reshape(-1, V, m)
+            whole[block] = projection.apply(channel.whiten(kernel.changes.reshape(n, k, V * m)))
+            yield f"{channel.name}/{kernel.where}/{kernel.source}", kernel, whole.reshape(-1, V, m)
 
 
 def _kind(kernel: Kernel) -> str:
