@@ -25,11 +25,14 @@ from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, Workpiece
 from ocp.model.prepare import typical_patch, wheel_cover
 from ocp.plan.paths import surface_cloud
+from ocp.shell.cache import Entry, code_hash, content_key, flattened, rebuilt, remember
 from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
 from robots.errors import BadInput
 from robots.kinematics import forward
 from robots.pose import Array
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
+from trajectories.blade.fit import SideSurface
+from trajectories.blade.frame import SpanFrame
 
 STILL = 1e-4  # rad/s; an axis slower than this stands
 # What a log may lack, as `ForceLog` names it.
@@ -199,22 +202,50 @@ def prepare_force(cell: Cell, logs: Sequence[ForceLog]) -> ForceSetup:
     return ForceSetup(model, rows, notices)
 
 
-_LAST: dict[tuple[str, ...], tuple[Blade, AerofoilShape, SurfaceCloud]] = {}
+Measured = tuple[Blade, AerofoilShape, SurfaceCloud]
+_LAST: dict[tuple[str, ...], Measured] = {}
 
 
-def measured_blade(stl: Path, piece: Workpiece) -> tuple[Blade, AerofoilShape, SurfaceCloud]:
-    """Blade, shape and surface of an STL; the last one is kept, for a log and its sealed conditions ask one after the other."""
+def measured_blade(stl: Path, piece: Workpiece) -> Measured:
+    """Blade, shape and surface of an STL, kept on disk as long as no code changes; the last one is at hand, for a log and its
+    sealed conditions ask one after the other."""
     try:
         read = hashlib.sha256(stl.read_bytes()).hexdigest()
     except OSError:
         read = ""  # the reader says what is wrong with it
     key = (read, stl.name, piece.stl_unit, str(piece.aerofoil))
-    if key not in _LAST:
+
+    def compute() -> Entry:
         blade = read_blade(stl, piece.stl_unit)
         shape = find_shape(blade, piece.aerofoil)
+        return flattened({"blade": blade, "shape": shape, "cloud": surface_cloud(shape, blade)})
+
+    if key not in _LAST:
+        entry = remember("measured-blade", content_key("measured blade 1", code_hash(), *key), compute)
         _LAST.clear()
-        _LAST[key] = blade, shape, surface_cloud(shape, blade)
+        _LAST[key] = _measured(entry)
     return _LAST[key]
+
+
+def _measured(entry: Entry) -> Measured:
+    """What `measured_blade` keeps, as it was."""
+
+    def each(name: str) -> list[str]:
+        return list(dict.fromkeys(key[len(name) :].split(".")[0] for key in entry if key.startswith(name)))
+
+    def texts(name: str) -> tuple[str, ...]:
+        return tuple(str(entry[name + k]) for k in each(name))
+
+    def at(name: str) -> Array:
+        return np.asarray(entry[f".shape.{name}"], float)
+
+    blade = replace(rebuilt(Blade, entry, ".blade"), notices=texts(".blade.notices."))
+    block = bool(entry[".shape.frame.block.0"]), bool(entry[".shape.frame.block.1"])
+    frame = SpanFrame(at("frame.c0"), at("frame.c1"), at("frame.n0"), at("frame.n1"), block)
+    sides = {name: rebuilt(SideSurface, entry, f".shape.sides.{name}") for name in each(".shape.sides.")}
+    told = texts(".shape.notices.")
+    shape = AerofoilShape(frame, at("v"), sides, at("v_edges"), at("leading"), at("trailing"), told)
+    return blade, shape, rebuilt(SurfaceCloud, entry, ".cloud")
 
 
 def _cuts(logs: Sequence[ForceLog]) -> NDArray[np.int64]:

@@ -221,6 +221,11 @@ class EffectFit(Linear):
     information: Array = field(repr=False)
     rested: bool
 
+    @cached_property
+    def square(self) -> Array:
+        """Products (k, k) of the whitened sensitivities."""
+        return self.sensitivity.T @ self.sensitivity
+
     @property
     def active(self) -> tuple[Active, ...]:
         """Active effects with values and covariance."""

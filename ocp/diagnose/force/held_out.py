@@ -83,7 +83,7 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) ->
     b, a = (_errors(*fitted, change)[rows] ** 2 for fitted, change in zip((before, after), changes, strict=True))
     (r, o), nuisance, covariance = after[0].sizes, before[1].normal[rows, : before[0].sizes[0]], covariances[1]
     known = covariances[0][: nuisance.shape[1], : nuisance.shape[1]]
-    noise, unknown = whitener.noise.sigma()[rows] ** 2, np.einsum("ni,ij,nj->n", nuisance, known, nuisance)
+    noise, unknown = whitener.noise.sigma()[rows] ** 2, np.sum(nuisance @ known * nuisance, axis=1)
     if fold.extrapolates and unknown.mean() > noise.mean():
         return None
     noise = noise + unknown
@@ -91,15 +91,15 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) ->
     # the nuisance imitates has a value that is hardly known, and a prediction that is.
     columns = after[1].normal[rows].copy()
     columns[:, r : r + o] = 0.0
-    estimation = np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns) - unknown, 0.0)
+    estimation = np.maximum(np.sum(columns @ covariance * columns, axis=1) - unknown, 0.0)
     return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(estimation.mean()))
 
 
 def _moved_without(fit: EffectFit, held: Flags) -> tuple[Array, Array]:
     """By how much the unknowns (k,) move without the held rows, and their covariance (k, k) then."""
     out = np.tile(held, len(fit.whiteners))
-    rest = fit.sensitivity[~out]
-    return without_rows(np.eye(len(fit.z)) + rest.T @ rest, fit.sensitivity[out], fit.residual[out])
+    left = fit.sensitivity[out]
+    return without_rows(np.eye(len(fit.z)) + fit.square - left.T @ left, left, fit.residual[out])
 
 
 def _errors(problem: ForceProblem, fit: EffectFit, change: Array) -> Array:
@@ -162,7 +162,7 @@ def _sigma(problem: ForceProblem, there: LogScene, fit: EffectFit, at: Predicted
     J = linear_normal(problem, there, at)
     keep = np.r_[np.arange(r), r + o + shown]
     covariance = np.linalg.inv(fit.information)[np.ix_(keep, keep)]
-    variance = np.einsum("ni,ij,nj->n", J, covariance, J) + (RUN_SD**2 + more) * there.rows.contact
+    variance = np.sum(J @ covariance * J, axis=1) + (RUN_SD**2 + more) * there.rows.contact
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
