@@ -11,10 +11,11 @@ import pytest
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import log_conditions
+from ocp.calibrate.force.whitener import Whitener
 from ocp.diagnose.answering import _shown
 from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.force.channel import ForceChannel, force_channel
-from ocp.diagnose.force.fit import ForceProblem, Whitener, fit_effects
+from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.prediction import effect_derivatives, force_derivatives, predict_forces
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
 from ocp.diagnose.verdict.diagnosis import diagnose_channels

@@ -17,12 +17,13 @@ from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import ForceRows
 from ocp.calibrate.force.noise import CorrelatedNoise, NoiseGroup, ReadingNoise, Runs
 from ocp.calibrate.force.rows import log_conditions, prepare_force
+from ocp.calibrate.force.whitener import Whitener
 from ocp.diagnose.engine.channel_system import System, Variant
 from ocp.diagnose.engine.evidence import Projection, project
 from ocp.diagnose.engine.findings import Diagnosis, Name, Options, Ranked
 from ocp.diagnose.engine.linearisation import log_odds
 from ocp.diagnose.force.channel import ForceChannel, problem_of
-from ocp.diagnose.force.fit import BLOCKS, EffectFit, ForceProblem, Whitener, linear, reading_information, signals, units_of
+from ocp.diagnose.force.fit import BLOCKS, EffectFit, ForceProblem, linear, reading_information, signals, units_of
 from ocp.diagnose.force.prediction import nuisance_derivatives, predict_anew
 from ocp.diagnose.force.prior import NUISANCE, NuisancePrior
 from ocp.diagnose.foresee.planned_tracker import PER_READING, SETTLING, arm_expected, default_poses, planned_channel
