@@ -124,24 +124,34 @@ class _Symbols:
         self.load, self.place, self.nest = ca.SX.sym("load", 6), ca.SX.sym("place", 3), ca.SX.sym("nest", 3)
         self.sign, self.mass, self.down = (np.frombuffer(masses[k]) for k in (0, 1, 3))
         self.com, self.load_link, self.table = np.frombuffer(masses[2]).reshape(7, 3), load_link, _table(self.arm[:30])
+        self.weighed = _torques(load_link, masses)
         self.real = deflected_joints(self.q, self.torques, self.arm[30:] * ca.DM(bending))
         self.frames = chain(self.real, self.table, self.sign)
 
     def torques(self, q: ca.SX) -> ca.SX:
         """Torque (6) N m about each axis, positive along +q: weight, and a force and moment in base axes at a place of a link."""
-        weight = gravity_torques(q, self.table, self.sign, self.mass, self.com, self.payload[0], self.payload[1:], self.down)
-        frames, link, force = chain(q, self.table, self.sign), self.load_link, self.load[:3]
-        at = frames[link][:3, 3] + frames[link][:3, :3] @ self.place
-        pull = [ca.SX(0)] * 6
-        for j in range(link):
-            z, o = frames[j][:3, 2], frames[j][:3, 3]
-            pull[j] = self.sign[j] * ca.dot(z, ca.cross(at - o, force) + self.load[3:])
-        return weight + ca.vertcat(*pull)
+        return self.weighed(q, self.arm[:30], self.payload, self.load, self.place)
 
     def function(self, name: str, *parts: ca.SX) -> ca.Function:
         """(q, arm, payload, load, place, nest) -> the parts below each other."""
         given = [self.q, self.arm, self.payload, self.load, self.place, self.nest]
         return ca.Function(name, given, [ca.cse(ca.densify(ca.vertcat(*parts)))])
+
+
+@lru_cache(maxsize=32)
+def _torques(load_link: int, masses: tuple[bytes, ...]) -> ca.Function:
+    """(q, mdh, payload, load, place) -> `_Symbols.torques`: as a function, for an expression is asked for again and again."""
+    q, mdh, payload = ca.SX.sym("q", 6), ca.SX.sym("mdh", 30), ca.SX.sym("payload", 4)
+    load, place, table = ca.SX.sym("load", 6), ca.SX.sym("place", 3), _table(mdh)
+    sign, mass, com, down = (np.frombuffer(one) for one in masses)
+    weight = gravity_torques(q, table, sign, mass, com.reshape(7, 3), payload[0], payload[1:], down)
+    frames, force = chain(q, table, sign), load[:3]
+    at = frames[load_link][:3, 3] + frames[load_link][:3, :3] @ place
+    pull = [ca.SX(0)] * 6
+    for j in range(load_link):
+        z, o = frames[j][:3, 2], frames[j][:3, 3]
+        pull[j] = sign[j] * ca.dot(z, ca.cross(at - o, force) + load[3:])
+    return ca.Function("torques", [q, mdh, payload, load, place], [weight + ca.vertcat(*pull)])
 
 
 @lru_cache(maxsize=32)

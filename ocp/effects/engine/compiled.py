@@ -86,12 +86,19 @@ class _Compiled:
     rows_given: tuple[int, ...]  # of all keys' rows, one after the other, those that are not zero
 
 
+@lru_cache(maxsize=64)
+def _row(layout: RowLayout, place: Any) -> tuple[ca.SX, Any]:
+    """A symbolic row and what hooks see of it."""
+    row = ca.SX.sym("row", layout.size)
+    return row, place.context(row)
+
+
 @lru_cache(maxsize=4096)
 def _compiled(hook: Hook, fixed: tuple[tuple[str, Any], ...], symbolic: tuple[str, ...]) -> _Compiled | None:
-    row = ca.SX.sym("row", hook.layout.size)
+    row, context = _row(hook.layout, hook.place)
     free = ca.SX.sym("scanned", len(symbolic))
     scanned = dict(fixed) | {key: free[i] for i, key in enumerate(symbolic)}
-    value = getattr(hook.effect, hook.kind)(hook.place.context(row), hook.joint, scanned)
+    value = getattr(hook.effect, hook.kind)(context, hook.joint, scanned)
     found: dict[int, ca.SX] = value if isinstance(value, dict) else {-1: value}
     found = {key: ca.densify(ca.SX(expression)) for key, expression in found.items()}
     if not found:
