@@ -9,19 +9,23 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
+from ocp.calibrate.force import rows as log_rows
 from ocp.calibrate.force.assessment import blocks_of, held_out_blocks
 from ocp.calibrate.force.blade import points_on_surface
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior, reading_jacobian, reading_of, solve_force_log
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.registration import ForceFit, fit_force
-from ocp.calibrate.force.rows import ForceSetup, prepare_force
+from ocp.calibrate.force.rows import ForceSetup, measured_blade, prepare_force
 from ocp.calibrate.report.pages import contact_sections
+from ocp.data import CELL
 from ocp.model.cell import read_cell
 from ocp.model.theta import registered
+from ocp.plan.paths import surface_cloud
 from ocp.report.parts import Plot, Table
 from ocp.report.plotting import WIDTH, Canvas
 from ocp.shell import native
+from ocp.shell.cache import flattened
 from robots.calibration.store import Calibration, read_calibration, write_calibration
 from robots.errors import BadInput
 from tests.support.force_world import HEADER, Run, World, arm_posterior, campaign, correlated, make_world, write_log
@@ -358,6 +362,28 @@ def test_points_a_little_off_the_surface_are_put_onto_it_and_told(recorded, tmp_
     np.testing.assert_allclose(foot.p[5], wanted, atol=2e-6)
     untouched = np.delete(np.arange(len(log)), 5)
     np.testing.assert_array_equal(foot.p[untouched], log.p[untouched])
+
+
+def test_a_measured_blade_is_kept_as_it_was_found(shared_data, tmp_path, monkeypatch):
+    """Mesh, shape, surface and notices; another file's name, or other bytes, are another blade."""
+    monkeypatch.setenv("GRINDPLAN_CACHE", str(tmp_path))
+    stl, piece = shared_data / "blades" / "holes.stl", read_cell(CELL).workpiece
+    log_rows._LAST.clear()
+    measured_blade(stl, piece)
+    log_rows._LAST.clear()
+    with monkeypatch.context() as closed:
+        closed.setattr(log_rows, "read_blade", None)  # nothing is read again
+        kept = measured_blade(stl, piece)
+    blade = read_blade(stl, piece.stl_unit)
+    shape = find_shape(blade, piece.aerofoil)
+    assert blade.notices and (kept[0].notices, kept[1].notices) == (blade.notices, shape.notices)
+    assert list(kept[1].sides) == list(shape.sides) and kept[1].frame.block == shape.frame.block
+    wanted, found = flattened([blade, shape, surface_cloud(shape, blade)]), flattened(list(kept))
+    assert list(found) == list(wanted)
+    for name, array in wanted.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+    other = shutil.copy(stl, tmp_path / "other.stl")
+    assert measured_blade(other, piece)[0].name != blade.name
 
 
 def test_a_cell_without_a_blade_is_refused(recorded):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ocp.calibrate.force.noise import CorrelatedNoise, Runs, estimate_noise, student_weights, whiten
+from ocp.calibrate.force.noise import FILTERED, CorrelatedNoise, Runs, estimate_noise, student_weights, whiten
 from tests.support.force_world import correlated
 
 
@@ -65,3 +65,15 @@ def test_outliers_leave_the_scale_alone_and_count_little():
 def test_one_short_run_still_gives_a_sound_noise():
     noise = estimate_noise(np.zeros(30, int), 0.01 * np.arange(30), correlated(np.random.default_rng(5), 30, sigma=0.2))
     assert 0.1 < noise.sigma < 0.4 and 1.0 <= noise.samples_each(0.01) < 15
+
+
+def test_few_columns_have_the_bits_of_many():
+    """Sample by sample, or stretches side by side: one filter, whatever its weights, runs of all lengths."""
+    rng = np.random.default_rng(4)
+    run = np.repeat(np.arange(4), [1, 3, 40, 700])
+    time = np.concatenate([0.01 * np.arange(n) for n in (1, 3, 40, 700)])
+    runs, noise, weight = Runs.of(run, time), CorrelatedNoise(0.3, 0.6, 0.04), rng.uniform(0.1, 1.25, len(run))
+    columns = rng.normal(size=(len(run), FILTERED + 1))
+    many, scale = whiten(runs, noise, weight, columns)
+    few, same = whiten(runs, noise, weight, columns[:, :3])
+    assert (few == many[:, :3]).all() and (same == scale).all()

@@ -16,7 +16,7 @@ from ocp.diagnose.answering import _shown
 from ocp.diagnose.engine.channel_system import Fold
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
-from ocp.diagnose.force.prediction import effect_derivatives, force_derivatives, predict_forces
+from ocp.diagnose.force.prediction import acts_by_force, effect_derivatives, force_derivatives, predict_forces
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
@@ -245,6 +245,21 @@ def test_fast_patterns_are_kept_where_averages_lose_them(made):
     slow = effect_derivatives(*about, EFFECTS["wheel_wear"], 0, [{}])
     full = sum(float(np.sum(w.whole(c[0]) ** 2)) for w, c in zip(whiteners, slow, strict=True))
     assert np.sum(channel.variants(EFFECTS["wheel_wear"], 0, [{}])[0].columns ** 2) == pytest.approx(full, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "joint"), [("gear_harmonic", 2), ("link_bending", 3), ("wheel_wear", 0), ("flange_stiffness", 0)]
+)
+def test_what_acts_by_the_force_alone_has_the_rows_of_both_readings(made, name, joint):
+    channel, effect = made.channel, EFFECTS[name]
+    about = channel.problem.scene, channel.fit.at
+    assert acts_by_force(*about, effect) and not acts_by_force(*about, EFFECTS["sensor_bias"])
+    scans = channel.scan(effect, joint)[:5]
+    both = effect_derivatives(*about, channel.fit.slopes, effect, joint, scans)
+    wanted = channel.averages.variants(effect, scans, both[: len(channel.fit.whiteners)])
+    found = np.stack([v.columns for v in channel.variants(effect, joint, scans)], axis=1)
+    assert np.abs(wanted).max() > 0
+    np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10 * np.abs(wanted).max())
 
 
 def test_a_splice_of_unknown_rate_is_found_among_hundreds(made, tmp_path):

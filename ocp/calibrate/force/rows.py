@@ -32,7 +32,7 @@ from robots.kinematics import forward
 from robots.pose import Array
 from trajectories.blade import AerofoilShape, Blade, find_shape, read_blade
 from trajectories.blade.fit import SideSurface
-from trajectories.blade.frame import SpanFrame
+from trajectories.blade.shape import SpanFrame
 
 STILL = 1e-4  # rad/s; an axis slower than this stands
 # What a log may lack, as `ForceLog` names it.
