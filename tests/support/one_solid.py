@@ -38,11 +38,12 @@ def of_the_run(folder: Path, key: str, held: HeldBlade) -> tuple[float, ClampedB
     """Modulus and solid, made by the first process of a run that asks for it."""
     file = folder / f"solid-{key}.pickle"
     with FileLock(file.with_suffix(".lock")):
-        if not file.exists():
+        try:
+            return pickle.loads(file.read_bytes())
+        except FileNotFoundError:  # nobody has made it, or who did is done with all its tests and has cleared it away
             made = held.material.youngs_modulus, clamped_blade(held, SIZE)
             file.write_bytes(pickle.dumps(made))
             return made
-    return pickle.loads(file.read_bytes())
 
 
 @contextmanager
