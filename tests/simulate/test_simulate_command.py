@@ -287,7 +287,7 @@ def changed_program(plan: Path, folder: Path, old: str, new: str) -> Path:
 
 
 def test_a_program_that_drives_into_the_wheel_is_infeasible(plan, tmp_path):
-    """The axis that brings the blade nearest to the wheel goes on from 20 mm off it until it is 60 mm inside."""
+    """The axis that brings the blade nearest to the wheel goes on from 20 mm off it until it is 20 mm inside."""
     text = (plan / "BLADE_01.src").read_bytes().decode()
     line = next(row for row in text.splitlines() if row.startswith("; pass"))
     into = changed_program(plan, tmp_path, line, "; into the wheel\r\nLIN_AT\r\n" + line)
@@ -300,17 +300,17 @@ def test_a_program_that_drives_into_the_wheel_is_infeasible(plan, tmp_path):
     away = cell.wheel.cylindrical((forward(cell.robot, nudged) @ cell.workpiece.T_flange_blade @ p)[:, :3])[2]
     slope = away[1:] - away[0]
     axis = int(np.argmax(np.abs(slope)))
-    values[axis] -= 0.08 / slope[axis]
+    values[axis] -= 0.04 / slope[axis]
     aggregate = "{" + ",".join(f"A{i + 1} {v:.5f}" for i, v in enumerate(values)) + "}"
     block = [
         before,
         "  TIME_BLOCK START",
         f"  SPTP {aggregate}",
-        "  TIME_BLOCK PART=4.00000",
+        "  TIME_BLOCK PART=0.50000",
         before,
-        "  TIME_BLOCK PART=4.00000",
+        "  TIME_BLOCK PART=0.50000",
     ]
-    there_and_back = "\r\n".join(["PTP_SPLINE", *block, "  TIME_BLOCK END=8.00000", "ENDSPLINE"])
+    there_and_back = "\r\n".join(["PTP_SPLINE", *block, "  TIME_BLOCK END=1.00000", "ENDSPLINE"])
     copy.write_bytes(copy.read_bytes().replace(b"LIN_AT", there_and_back.encode()))
     told = simulated(into, "--out", tmp_path / "run")
     one_sentence(told, 1, "on the virtual cell")
