@@ -20,7 +20,7 @@ ELSEWHERE = {
     "force/prediction.py": {"TOLERANCE"},
     "force/logged_contact.py": {"MOVING"},
     "force/waves.py": {"HIGHEST", "SHORTEST"},
-    "force/fit.py": {"SETTLED", "CHANGED"},
+    "force/fit.py": {"CHANGED"},
     "foresee/design.py": {"FREE_LIMIT"},
     "foresee/next_experiment.py": {"BAR_SD", "BY_SIGNAL"},
     "foresee/planned_grinding.py": {

@@ -350,10 +350,10 @@ def test_a_pass_may_fall_short_of_its_feed_by_a_little():
         robot = invented_motion.cell().robot
         limits = replace(trajectory.limits, qd=np.where(np.arange(6) == 5, qd, robot.qd_max), margin=rules.LIMIT_SHARE)
         if more > 0:
-            assert _timed_pass(one, limits, "line 3").duration > trajectory.duration
+            assert _timed_pass(limits, one, "line 3").duration > trajectory.duration
         else:
             with pytest.raises(CannotGrind, match=r"the arm reaches 98\.\d % of the planned feed \(at least 99\)"):
-                _timed_pass(one, limits, "line 3")
+                _timed_pass(limits, one, "line 3")
 
 
 # -- timing and the program read back ------------------------------------------------------------------------------
