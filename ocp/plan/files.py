@@ -2,8 +2,6 @@
 
 import json
 import platform
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -29,7 +27,7 @@ from ocp.report.report import Report
 from ocp.report.section import Headline, Section
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output
-from ocp.shell.processes import cores, interrupts_held_back, nothing, workers
+from ocp.shell.processes import side_by_side
 from ocp.shell.progress import Phases
 from trajectories.dialects import dialect_named
 
@@ -225,23 +223,11 @@ def plan_pages(report: PlanReport) -> Report:
 
 def write_plan_report(report: PlanReport, folder: Path) -> None:
     """Write report.html and report.pdf into `folder`; equal reports give equal bytes. Raises OSError."""
-    with printed_beside(report, folder / "report.pdf"):
-        plan_pages(report).write_page(folder / "report.html")
+    with side_by_side(_write_as, [("html",), ("pdf",)], report, folder) as written:
+        list(written)
 
 
-@contextmanager
-def printed_beside(report: PlanReport, file: Path) -> Iterator[None]:
-    """Print the report while the block runs, in another process where there is a core for it."""
-    if cores() < 2:
-        yield
-        _print(report, file)
-        return
-    with workers(1, nothing) as pool:
-        with interrupts_held_back():
-            printing = pool.submit(_print, report, file)
-        yield
-        printing.result()
-
-
-def _print(report: PlanReport, file: Path) -> None:
-    plan_pages(report).write_pdf(file)
+def _write_as(report: PlanReport, folder: Path, kind: str) -> None:
+    pages = plan_pages(report)
+    write = {"html": pages.write_page, "pdf": pages.write_pdf}[kind]
+    write(folder / f"report.{kind}")

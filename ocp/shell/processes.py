@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib import import_module
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
@@ -37,7 +38,7 @@ _told = threading.Event()
 _to_parent: int | None = None
 _cores: int | None = None  # that this process was given, where it is one of several
 _grows = False
-_crew: "_Crew | None" = None  # the processes of the block that is open
+_crew: "ContextVar[_Crew | None]" = ContextVar("crew", default=None)  # the processes of the block that is open in this thread
 _given = ""  # in one of them: the file of the state that it has
 _GROWS = b"\1"  # among the folders that a child tells of
 
@@ -262,8 +263,9 @@ def workers(jobs: int, start: Callable[..., None], *state: Any, share: int = 1) 
     the block ends with an error or an interrupt, the workers are ended at once; their temporary files go with the pool. Inside
     a `crew` its processes do the work, and go on to what comes after.
     """
-    if _crew is not None and share == 1:
-        with _crew.given(start, *state) as pool:
+    own = _crew.get()
+    if own is not None and share == 1:
+        with own.given(start, *state) as pool:
             yield pool
         return
     with _pool(jobs, start, *state, share=share) as pool:
@@ -273,20 +275,19 @@ def workers(jobs: int, start: Callable[..., None], *state: Any, share: int = 1) 
 @contextmanager
 def crew(*modules: str) -> Iterator[None]:
     """One process for each core, which the `workers` of the block share; they import `modules` while this process begins alone.
-    None where there is one core."""
-    global _crew
-    if cores() < 2 or _crew is not None:
+    None where there is one core; each thread has its own."""
+    if cores() < 2 or _crew.get() is not None:
         yield
         return
     with _pool(cores(), _import, *modules) as pool:
         with interrupts_held_back():
             for _ in range(cores()):
                 pool.submit(nothing)  # a pool starts a process at a task that no idle one takes
+        before = _crew.set(_Crew(pool))
         try:
-            _crew = _Crew(pool)
             yield
         finally:
-            _crew = None
+            _crew.reset(before)
 
 
 @contextmanager
@@ -339,7 +340,7 @@ class _Crew(Executor):
 def side_by_side(work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], *shared: Any) -> Iterator[Iterator[Any]]:
     """The results of `work(*shared, *task)` of every task, in their order: by the crew where there is one, from now on, else
     here, each when it is asked for. Raises what the work raises, there."""
-    if _crew is None or len(tasks) < 2:
+    if _crew.get() is None or len(tasks) < 2:
         yield (work(*shared, *task) for task in tasks)
         return
     with workers(cores(), _share, *shared) as pool:

@@ -1,8 +1,10 @@
 """Processes that several pieces of work share: each finds its own state, errors come back, nothing is left behind."""
 
 import os
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -34,7 +36,7 @@ def slow(seconds: float) -> int:
 def two_cores(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(processes, "_cores", 2)
     yield
-    assert processes._crew is None
+    assert processes._crew.get() is None
 
 
 def alive(pid: int) -> bool:
@@ -98,6 +100,21 @@ def test_an_error_outside_a_block_ends_the_processes() -> None:
             pid = pool.submit(slow, 0.0).result()
         raise RuntimeError
     assert not alive(pid)
+
+
+def test_threads_do_not_share_a_crew_or_its_state() -> None:
+    """Two plans of the Python interface at once: each worked with the other's state where the crew was one for the process."""
+    meet = threading.Barrier(2, timeout=60.0)
+
+    def own(name: str) -> set[tuple[str, int]]:
+        with crew(), workers(2, become, name) as pool, interrupts_held_back():
+            meet.wait()
+            return {pool.submit(who).result() for _ in range(6)}
+
+    with ThreadPoolExecutor(2) as threads:
+        one, other = threads.map(own, ("one", "other"))
+    assert {name for name, _ in one} == {"one"} and {name for name, _ in other} == {"other"}
+    assert not {pid for _, pid in one} & {pid for _, pid in other}
 
 
 def test_one_core_has_no_crew(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,12 +118,12 @@ def seeds_of_stretches(
     Raises CannotGrind as `find_seeds` does if the `whole` of them is asked for.
     """
     tried: list[tuple[LineStretch, list[Seed]]] = []
-    lost, left = [], list(stretches)
+    lost = []
     with side_by_side(_seeds_or_why, [(one.path,) for one in stretches], cell, scene, law) as found:
-        first = {id(one): found for one, found in zip(stretches, found, strict=True)}
+        left: list[tuple[LineStretch, list[Seed] | CannotGrind | None]] = list(zip(stretches, found, strict=True))
     while left:
-        one = left.pop(0)
-        seeds = first[id(one)] if id(one) in first else _seeds_or_why(cell, scene, law, one.path)
+        one, seeds = left.pop(0)
+        seeds = _seeds_or_why(cell, scene, law, one.path) if seeds is None else seeds
         if not isinstance(seeds, CannotGrind):
             tried.append((one, seeds))
         elif whole:
@@ -131,7 +131,7 @@ def seeds_of_stretches(
         else:
             pieces, gone = cut_out(one, seeds)
             lost += gone
-            left = pieces + left
+            left = [*((piece, None) for piece in pieces), *left]
     kept, options = [], []
     for one, seeds in tried:
         same = [other for other in tried if other[0].path.line == one.path.line]
