@@ -1,6 +1,7 @@
 """Distances between the bodies of a cell: against closed forms, differences, and postures that must fail."""
 
 import itertools
+import pickle
 
 import numpy as np
 import pytest
@@ -43,6 +44,13 @@ def test_blade_to_wheel_is_the_gap_of_the_pose(cell, scene, gap):
             break
     else:
         pytest.fail("no posture in which blade and wheel are the closest pair")
+
+
+def test_a_scene_in_another_process_has_the_same_distances(cell, scene):
+    q = joints_of(cell, blade_before_wheel(cell, 0.004))
+    values, names = pickle.loads(pickle.dumps(scene)).clearances(q, in_contact=False)
+    here, named = scene.clearances(q, in_contact=False)
+    assert (values == here).all() and names == named
 
 
 def test_contact_leaves_the_pair_to_the_contact_model(cell, scene):

@@ -102,6 +102,25 @@ def test_an_error_outside_a_block_ends_the_processes() -> None:
     assert not alive(pid)
 
 
+def test_what_is_handed_out_is_done_when_its_block_ends() -> None:
+    with crew():
+        with workers(2, become, "asked") as pool, interrupts_held_back():
+            waiting = [pool.submit(slow, 0.1) for _ in range(4)]
+        assert all(one.done() for one in waiting)
+
+
+def test_a_crew_inside_a_crew_is_the_same_one() -> None:
+    def pids() -> set[int]:
+        with workers(2, become, "") as pool, interrupts_held_back():
+            return {one.result() for one in [pool.submit(slow, 0.2) for _ in range(4)]}
+
+    with crew():
+        outer = pids()
+        with crew():
+            assert pids() == outer
+        assert pids() == outer
+
+
 def test_threads_do_not_share_a_crew_or_its_state() -> None:
     """Two plans of the Python interface at once: each worked with the other's state where the crew was one for the process."""
     meet = threading.Barrier(2, timeout=60.0)
