@@ -123,12 +123,15 @@ def test_a_crew_inside_a_crew_is_the_same_one() -> None:
 
 def test_threads_do_not_share_a_crew_or_its_state() -> None:
     """Two plans of the Python interface at once: each worked with the other's state where the crew was one for the process."""
-    meet = threading.Barrier(2, timeout=60.0)
+    begun, meet = threading.Event(), threading.Barrier(2, timeout=60.0)
 
     def own(name: str) -> set[tuple[str, int]]:
-        with crew(), workers(2, become, name) as pool, interrupts_held_back():
-            meet.wait()
-            return {pool.submit(who).result() for _ in range(6)}
+        assert name == "one" or begun.wait(60.0)
+        with crew():
+            begun.set()
+            with workers(2, become, name) as pool, interrupts_held_back():
+                meet.wait()
+                return {pool.submit(who).result() for _ in range(6)}
 
     with ThreadPoolExecutor(2) as threads:
         one, other = threads.map(own, ("one", "other"))
