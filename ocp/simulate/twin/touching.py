@@ -16,7 +16,7 @@ from ocp.model.cell import Cell
 from ocp.simulate.twin.contact import ContactMoments, ContactResult, Index
 from ocp.simulate.twin.contact.flange_motion import MovedLane, move
 from ocp.simulate.twin.contact.grinder import Grinder, moving_device
-from ocp.simulate.twin.contact.wheel_and_blade import friction
+from ocp.simulate.twin.contact.wheel_and_blade import friction, knocked
 from ocp.simulate.twin.controller import Track
 from ocp.simulate.twin.path_motion import flange
 from ocp.simulate.twin.plan_knowledge import AWAY, Matched
@@ -140,6 +140,8 @@ def touch(grinder: Grinder, c: ContactMoments, windows: TouchWindows, driven: Ar
         return in_balance(windows, reached, still), still
     paths = grinder.closing(reached, driven, still)
     found = in_time(windows, reached, still, move(paths, np.arange(len(paths)), moving_device(grinder.truth, own, len(paths))))
+    knocks = {name: knocked(grinder.truth, reached, getattr(found, name)) for name in ("force", "mean", "most")}
+    found = replace(found, **knocks)
     tangential = friction(grinder.truth, grinder.cell, c) * found.force
     return found, replace(still, force=found.force, tangential=tangential, stroke=found.stroke)
 

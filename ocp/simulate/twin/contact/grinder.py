@@ -317,6 +317,7 @@ class Grinder:
             chain, overlap[rows] = self._chain(moved, rows, stations, mu[rows])
             result = solve_relaxing(self.truth, chain, c.time_s[rows], _restarts(c, rows))
             force[rows], stroke[rows], indentation[rows] = result.force, result.stroke, result.indentation
+        force = bodies.knocked(self.truth, c, force)
         return ContactResult(force, mu * force, overlap, stroke, indentation)
 
     def depth(self, c: ContactMoments) -> Array:
@@ -404,13 +405,11 @@ class Grinder:
         )
         compliance = bodies.blade_compliance_along(solid, stations, T[:, :3, :3], n, t, at, mu) / bodies.blade_stiffness(truth)
         compliance += bodies.clamp_compliance(truth, cell, p) + bodies.arm_compliance_along(c, rows, T, at, mu)
-        everywhere = np.zeros(len(c.s))
-        everywhere[rows] = crowding
         cover = CoverForce(
             unit=cell.process.force * bodies.modulus_factor(truth, cell, c)[rows],
             centre=bodies.LAW_CENTRE,
             power=1 + truth.total("wheel_law", "exponent"),
-            push=bodies.push(truth, c, everywhere)[rows],
+            push=bodies.push(truth, crowding),
             slack=np.zeros(len(rows)),
         )
         mount = make_mount(truth, cell, c, rows, np.einsum("kij,kj->ki", T[:, :3, :3], n))

@@ -76,13 +76,22 @@ def friction(truth: Truth, cell: Cell, c: ContactMoments) -> Array:
     return np.asarray(max(size, 0.0) * np.sign(c.belt))
 
 
-def push(truth: Truth, c: ContactMoments, crowding: Array) -> Array:
-    """Force of the belt beside the cover's (n,) N wherever there is contact: splice and tension; crowding (n,) is 0..1."""
-    total = truth.total("belt_tension", "N") * crowding
+def push(truth: Truth, crowding: Array) -> Array:
+    """Force of the tight belt beside the cover's (n,) N wherever there is contact; crowding (n,) is 0..1."""
+    return np.asarray(truth.total("belt_tension", "N") * crowding)
+
+
+def knocked(truth: Truth, c: ContactMoments, force: Array) -> Array:
+    """Normal force (n,) N with the splice's knocks on it, N high wherever there is contact.
+
+    A knock lasts a tenth of the belt's turn, some 10 ms: too short for a flange of a few hertz, whose carried mass stands
+    still meanwhile, so that all of it is felt.
+    """
+    total = np.array(force, float)
     for effect in truth.planted("belt_splice"):
         turn = np.mod(effect.number("hz") * c.time_s + 0.5, 1.0) - 0.5
         bump = np.where(np.abs(turn) < 0.5 * SPLICE_SHARE, 0.5 + 0.5 * np.cos(2 * np.pi * turn / SPLICE_SHARE), 0.0)
-        total += effect.number("N") * bump * (c.belt != 0)
+        total += effect.number("N") * bump * (c.belt != 0) * (force > 0)
     return total
 
 
