@@ -140,8 +140,8 @@ def touch(grinder: Grinder, c: ContactMoments, windows: TouchWindows, driven: Ar
         return in_balance(windows, reached, still), still
     paths = grinder.closing(reached, driven, still)
     found = in_time(windows, reached, still, move(paths, np.arange(len(paths)), moving_device(grinder.truth, own, len(paths))))
-    knocks = {name: knocked(grinder.truth, reached, getattr(found, name)) for name in ("force", "mean", "most")}
-    found = replace(found, **knocks)
+    force, mean, most = (knocked(grinder.truth, reached, values) for values in (found.force, found.mean, found.most))
+    found = replace(found, force=force, mean=mean, most=most)
     tangential = friction(grinder.truth, grinder.cell, c) * found.force
     return found, replace(still, force=found.force, tangential=tangential, stroke=found.stroke)
 
