@@ -257,6 +257,11 @@ CARRIED_CHOSEN = (0.88, 0.19)
 """[-] The same of names chosen on held-out errors, on arms that miss far more than noise. Guards: as CARRIED. Reason: names
 learnt on one of four days of the UR10's grid, on each of the others: 0.88, scattering by 0.19 (docs/diagnosis_real.md)."""
 
+CARRIED_PATCH = (0.95, 0.2)
+"""[-] The same of what a patch adds to the names, in any new readings. Guards: promises of patches. Reason: its kernels are the
+likeliest of many on the readings that it is fitted to; on fresh machines with an effect outside the catalogue 0.7 to 1.0 came of
+what they explained, once twice as much (`benchmarks/other_hand.py`, seeds 1 and 2)."""
+
 NEW_CONDITIONS = 0.25
 """[-] Weight of extrapolation folds among the draws. Guards: the predicted shrinkage where noise is far above usual. Reason:
 new readings lie mostly among the old ones; no reason known for a quarter."""

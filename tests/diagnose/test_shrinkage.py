@@ -67,6 +67,11 @@ def test_what_the_effects_move_and_what_remains_make_the_promise():
     assert from_model(new(99.0, 0.0), [], 1.0).low < 0.7
     assert from_model(new(24.0), [held(25.0, 9.0)], 1.0).high < 0.6
     assert from_model(new(1e-3, errors=1e-3), [], 1.0) is None
+    # What is there again only in part: (rest^2 + (1 - g)^2 D^2) / (rest^2 + g^2 D^2), here with D^2 = 24 rest^2.
+    carried = from_model(new(24.0), [], 1.0, (0.8, 0.0))
+    assert carried.predicted == pytest.approx(1 - np.sqrt((1 + 24 * 0.04) / (1 + 24 * 0.64)), abs=0.01)
+    unsure = from_model(new(24.0), [], 1.0, (1.0, 0.2))
+    assert unsure.low < found.low - 0.1 and unsure.predicted < found.predicted
 
 
 def test_doubt_about_the_name_is_in_the_promise():

@@ -14,7 +14,7 @@ from ocp.diagnose.engine.channel_system import Sealed
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Options
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.foresee.planned_tracker import channel_about
-from ocp.diagnose.rules import LEADS
+from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Patched
 from ocp.diagnose.verdict.doubts import errors_of_folds
@@ -63,7 +63,7 @@ def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: TrackerCha
 
 def _promised(before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative]) -> Shrinkage | None:
     held = errors_of_folds([after], after.active)[SIGNAL]
-    return from_model(anticipated(before, after, others), held, (after.noise_floor / SCALE[after.unit]) ** 2)
+    return from_model(anticipated(before, after, others), held, (after.noise_floor / SCALE[after.unit]) ** 2, CARRIED_PATCH)
 
 
 def beyond(channel: TrackerChannel, patches: Sequence[Active], sealed: Readings) -> tuple[Array, NDArray[np.bool_]]:

@@ -70,22 +70,30 @@ def realised(before: float, after: float, noise: float) -> float | None:
     return float(1.0 - np.sqrt(max(after - noise, 0.0) / gap))
 
 
-def from_model(new: Anticipated, held: Sequence[HeldOut], noise: float, seed: int = 0) -> Shrinkage | None:
+def from_model(
+    new: Anticipated,
+    held: Sequence[HeldOut],
+    noise: float,
+    carried: tuple[float, float] | None = None,
+    seed: int = 0,
+) -> Shrinkage | None:
     """Of tracker readings: what is anticipated, folds for what the effects leave unexplained, noise: mean square m^2. Drawn are
-    which alternative is true, payloads and temperature, postures, parameters' errors and the joints' lasting errors. None: no
-    gap to speak of."""
+    which alternative is true, payloads and temperature, postures, parameters' errors and the joints' lasting errors; `carried`:
+    and which share (mean, sd) of what every alternative adds to the last one is there in new readings. None: no gap to speak of."""
     rng = np.random.default_rng(seed)
     errors = drawn_errors(new.covariance, rng)
     lasting = new.lasting[rng.integers(len(new.lasting), size=DRAWS)]
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
+    there = None if carried is None else np.random.default_rng(seed).normal(*carried, DRAWS)[:, None, None]
     after, before = np.zeros(DRAWS), np.zeros(DRAWS)
     for share, g in zip(_conditions(new, rng).T, new.groups, strict=True):
         n = g.errors.shape[0]
         off = (errors @ g.errors.reshape(3 * n, -1).T).reshape(-1, n, 3)
         rows = share[:, None] * rng.dirichlet(np.ones(n), DRAWS)  # postures drawn anew (Rubin 1981, the Bayesian bootstrap)
         joints = lasting @ g.joints.T
-        after += np.sum(rows * (np.sum((g.moved[0] - g.moved[true] + off) ** 2, axis=2) + joints), axis=1)
-        before += np.sum(rows * (np.sum((off - g.moved[true]) ** 2, axis=2) + joints), axis=1)
+        truth = g.moved[true] if there is None else g.moved[-1] + there * (g.moved[true] - g.moved[-1])
+        after += np.sum(rows * (np.sum((g.moved[0] - truth + off) ** 2, axis=2) + joints), axis=1)
+        before += np.sum(rows * (np.sum((off - truth) ** 2, axis=2) + joints), axis=1)
     each = [np.einsum("nij,jk,nik->n", g.errors, new.covariance, g.errors, optimize=True).mean() for g in new.groups]
     rest = unexplained(held, float(np.mean(each)), rng)  # their mean: what the parameters' errors leave, m^2
     if np.median(before + rest) <= rules.NO_GAP**2 * noise:
