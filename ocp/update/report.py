@@ -86,7 +86,7 @@ def _ahead(made: Updated) -> Section:
     )
     caption = (
         "All updates: force on average as expected before the log and as found, and as forecast for blades to come with the same "
-        "program; change of the wheel's radius; one sigma each."
+        "program; change of the wheel's radius; one sigma each, which for blades far ahead may leave the picture."
     )
     picture = Plot("update-history", caption, 2.4, _history(made))
     return Section("Forecast", (picture, words, table(("blades ahead", "force N", "one sigma N"), rows, text=(0,))))
@@ -110,7 +110,12 @@ def _history(made: Updated) -> Draw:
         right.errorbar(x, h["radius_um"], h["radius_sd_um"], fmt="none", ecolor=SOFT, lw=0.8)
         dots(right, x, h["radius_um"], CURVE)
         for axes in (left, right):
-            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        right.set_xlim(0.5, len(made.history) + 0.5)
+        # The next blade and all before it; bars of blades far ahead may leave the picture.
+        near = 3.0 * max(float(h["expected_sd_N"].max()), float(sd[0]))
+        level = np.concatenate([h["expected_N"], h["found_N"], force, [wanted]])
+        left.set_ylim(float(level.min()) - near, float(level.max()) + near)
         dressed(left, x="update", y="force N")
         dressed(right, x="update", y="change of radius um")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ocp.plan.files import plan_pages
-from tests.support.browser import NEEDED, SPILT, browser
+from tests.support.browser import CONTRAST, FAINT, GROUND, NEEDED, SPILT, browser
 from tests.support.report_example import example_report
 
 pytestmark = NEEDED
@@ -38,8 +38,10 @@ def test_a_page_fits_its_window_and_shows_verdict_and_picture_first(page, plan_p
     assert page.run(SPILT) <= 0
     top = page.run("document.getElementById('canvas').getBoundingClientRect().top")
     assert top < 900 and page.run("document.querySelector('.verdict').getBoundingClientRect().bottom") < top
-    light = page.run("getComputedStyle(document.body).backgroundColor")
-    assert light == "rgb(255, 255, 255)"  # plots are drawn on white: the page stays light in a dark system
+    assert page.run(GROUND) == ("rgb(20, 25, 31)" if dark else "rgb(255, 255, 255)")
+    assert page.run(f"{FAINT}({CONTRAST})") == []
+    stage = page.run("getComputedStyle(document.querySelector('.stage')).getPropertyValue('--panel')")
+    assert stage.strip() == "#f5f7f9"  # the scene's colours mean numbers: its ground is light always
 
 
 def test_views_switch_the_slider_moves_the_arm_and_the_address_keeps_them(page, plan_page):

@@ -27,6 +27,21 @@ FLAGS = (
 PATIENCE = 30.0  # s
 SPILT = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 TOP = "document.querySelector('{}').getBoundingClientRect().top"
+GROUND = "getComputedStyle(document.body).backgroundColor"
+CONTRAST = 4.5  # WCAG 2.2, AA: of words against their ground
+FAINT = """(least => {
+  const rgb = text => text.match(/[\\d.]+/g).map(Number);
+  const light = colour => colour.slice(0, 3).map(v => v / 255).map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+  const ground = e => { for (; e; e = e.parentElement) {
+    const c = rgb(getComputedStyle(e).backgroundColor); if (c.length < 4 || c[3] > 0.8) return c; } return [255, 255, 255]; };
+  const words = [...document.querySelectorAll("body *")].filter(e => e.getClientRects().length
+    && !e.closest(".skip, [hidden], option") && [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()));
+  return words.filter(e => { const style = getComputedStyle(e), ink = e.closest("svg") ? style.fill : style.color;
+    if (!ink.startsWith("rgb")) return false;
+    const [a, b] = [light(rgb(ink)), light(ground(e))].sort((x, y) => y - x);
+    return (a + 0.05) / (b + 0.05) < least; }).map(e => e.outerHTML.slice(0, 90)).slice(0, 3);
+})"""
 
 
 @dataclass
@@ -109,13 +124,14 @@ NEEDED = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: 
 
 def looked_at(file: Path, figure: int | None = 1000) -> None:
     """A written page as a reader meets it: no error of a script or of the console, nothing wider than the window on a phone's, a
-    laptop's and a desk's screen, the verdict first and the first figure within `figure` px (None: it has none), light in a dark
-    system (plots are drawn on white), links that lead to a section each, pages on paper."""
+    laptop's and a desk's screen, dark in a dark system, its words legible in both, the verdict first and the first figure within
+    `figure` px (None: it has none), links that lead to a section each, pages on paper."""
     with browser() as page:
         for width, dark in ((400, False), (1280, True), (1920, False)):
             page.open(file, width, dark=dark)
             assert page.run(SPILT) <= 0, f"{width} px"
-            assert page.run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+            assert page.run(GROUND) == ("rgb(20, 25, 31)" if dark else "rgb(255, 255, 255)")
+            assert page.run(f"{FAINT}({CONTRAST})") == []
         assert 0 < page.run(TOP.format(".verdict")) < 400
         assert figure is None or page.run(TOP.format("canvas, figure")) < figure
         assert page.run("[...document.querySelectorAll('nav a')].every(a => document.querySelector(a.getAttribute('href')))")

@@ -126,13 +126,13 @@ def _draw_shrinkage(canvas: Canvas, gap: SignalGap) -> None:
     if s is not None:
         ax.barh(0, s.predicted, height=0.55, color=AFTER)
         ax.plot([s.low, s.high], [0, 0], color=INK, lw=1.4, solid_capstyle="butt")
-        ax.text(1.02, 0, f"{100 * s.predicted:.0f} %", fontsize=8, va="center", fontweight="bold", clip_on=False)
+        ax.text(1.04, 0, f"{100 * s.predicted:.0f} %", fontsize=8, va="center", fontweight="bold", clip_on=False)
     place = -1.0 - np.arange(len(folds))
     dots(ax, np.maximum([v for _, v in folds], low), place, BEFORE, 4)
     for y, (_, v) in zip(place, folds, strict=True):
-        ax.text(1.02, y, f"{100 * v:.0f} %", fontsize=6.5, va="center", color=SOFT, clip_on=False)
+        ax.text(1.04, y, f"{100 * v:.0f} %", fontsize=6.5, va="center", color=SOFT, clip_on=False)
     ax.set_yticks([0, *place], ["expected on new data", *(shorten(f"without {name}", 34) for name, _ in folds)], fontsize=6.5)
-    ax.set_xlim(low, 1.0)
+    ax.set_xlim(low - 0.02, 1.02)
     ax.axvline(0, color=RULE, lw=0.8)
     dressed(ax, "", "share of the gap that goes", grid="x")
     ax.tick_params(axis="y", length=0)

@@ -71,15 +71,11 @@ def realised(before: float, after: float, noise: float) -> float | None:
 
 
 def from_model(
-    new: Anticipated,
-    held: Sequence[HeldOut],
-    noise: float,
-    carried: tuple[float, float] | None = None,
-    seed: int = 0,
+    new: Anticipated, held: Sequence[HeldOut], noise: float, carried: tuple[float, float] | None = None, seed: int = 0
 ) -> Shrinkage | None:
     """Of tracker readings: what is anticipated, folds for what the effects leave unexplained, noise: mean square m^2. Drawn are
     which alternative is true, payloads and temperature, postures, parameters' errors and the joints' lasting errors; `carried`:
-    and which share (mean, sd) of what every alternative adds to the last one is there in new readings. None: no gap to speak of."""
+    and which share (mean, sd) of what alternatives add to the last one is there in new readings. None: no gap to speak of."""
     rng = np.random.default_rng(seed)
     errors = drawn_errors(new.covariance, rng)
     lasting = new.lasting[rng.integers(len(new.lasting), size=DRAWS)]
