@@ -342,13 +342,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rows", default="rows")
     parser.add_argument("--before", type=Path)
-    parser.add_argument("--only", choices=("shared", "fresh"))
+    parser.add_argument("--only", choices=("shared", "fresh", "outside"), help="outside: fresh ones that hold what has no name")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     if not (asked.out / "cell.toml").is_file():
         write_cell(Path(CELL), asked.out / "cell.toml")
-    folders = [] if asked.only == "fresh" else sorted(p for p in SHARED.iterdir() if (p / "sealed_tracker.csv").is_file())
+    folders = (
+        [] if asked.only in ("fresh", "outside") else sorted(p for p in SHARED.iterdir() if (p / "sealed_tracker.csv").is_file())
+    )
     for index in range(asked.worlds if asked.only != "shared" else 0):
+        if asked.only == "outside" and MIXTURE[index % len(MIXTURE)] != "outside":
+            continue
         try:
             folders.append(written(asked.out, asked.seed, index))
         except (Infeasible, BadInput) as error:
