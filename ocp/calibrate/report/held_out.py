@@ -7,7 +7,7 @@ from ocp.calibrate.tracker import TrackerCalibration
 from ocp.report.parts import Plot, Table, table
 from ocp.report.plotting import Canvas, dots, dressed, keys, log_scale, panels
 from ocp.report.section import Section
-from ocp.report.style import AFTER, BAD, BEFORE, INK, RULE, SIDE_COLOURS, printable, shorten
+from ocp.report.style import AFTER, BAD, BEFORE, INK, RULE, SIDE_COLOURS, SOFT, printable, shorten
 from robots.calibration.validation import FoldErrors, by_kind
 
 KINDS = {
@@ -108,7 +108,7 @@ def _draw_components(canvas: Canvas, c: TrackerCalibration) -> None:
         ax.axhline(0, color=RULE, lw=0.8, zorder=0)
         ax.set_ylim(-limit, limit)
         dressed(ax, f"{'xyz'[i]} of the base, measured less predicted, mm")
-        for place, values, colour in ((0.66, before[:, i], BEFORE), (0.34, after[:, i], AFTER)):
+        for place, values, colour in ((0.66, before[:, i], SOFT), (0.34, after[:, i], AFTER)):
             words = f"{np.abs(values).mean():.3f}"
             ax.text(1.012, place, words, transform=ax.transAxes, fontsize=7, color=colour, va="center")
     dressed(axes[-1], x="reading that was left out, in the order of the file")
