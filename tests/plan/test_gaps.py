@@ -8,7 +8,6 @@ import pytest
 
 from ocp.model.cell import ForceFlange
 from ocp.plan.passes.course import Engagement, air_to_air, path_at
-from ocp.plan.passes.optimise import PassWorker, at_touch
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.readback import _touching_in_air
@@ -164,21 +163,3 @@ def test_a_motion_without_a_way_through_the_air_has_nothing_to_touch(rigid):
     way = one.problem.way
     inside = (nominal >= way.edges[1]) & (nominal <= way.edges[4])
     assert _touching_in_air(rigid, arm(rigid), one, t[inside], q[inside], nominal[inside]) == 0.0
-
-
-def test_what_does_not_press_does_not_overlap():
-    """The wheel's law leaves up to 20 um of indentation without force: from the first solution on they are taken off there."""
-    force, law = np.array([0.0, 0.0, 8.0, 20.0, 0.0]), np.array([2e-5, 1.5e-5, 3e-4, 5e-4, 1e-5])
-
-    def evaluated(problem, *_):
-        return SimpleNamespace(parts=np.column_stack([0 * law, problem.indentation_correction + law, 0 * law, 0 * law]))
-
-    solver = SimpleNamespace(nominal_force=lambda p: force, seed_joints=lambda p: None, evaluate=evaluated)
-    worker = object.__new__(PassWorker)
-    worker.solver = solver
-    line = PassProblem.start(bar_pass(5), SEED, np.zeros((5, 3)))
-    made = worker._from_touch(line)
-    left = evaluated(made).parts[:, 1]
-    assert left[force == 0] == pytest.approx(0.0, abs=1e-15)
-    assert (made.indentation_correction[force > 0] == 0).all()
-    assert at_touch(made, evaluated(made)) == pytest.approx(-law)  # the same again from a solution

@@ -102,14 +102,7 @@ def solve_directly(ground: Ground, problem: PassProblem, force: Array, solved: E
     more = PchipInterpolator(path.s[index], np.array(indentation) - solved.parts[index, 1])
     inside = np.clip(np.arange(len(force)), index[0], index[-1])
     better = problem.indentation_correction + more(path.s)
-    better = better[inside] * np.where(inside == np.arange(len(force)), 1.0, force / force[inside])
-    return np.where(force > 0, better, at_touch(problem, solved))
-
-
-def at_touch(problem: PassProblem, solved: Evaluation) -> Array:
-    """The indentation correction (n,) m with which bodies that do not press do not overlap: the wheel's law, smooth where the
-    first strips bear, is up to some 20 um without force."""
-    return problem.indentation_correction - solved.parts[:, 1]
+    return np.asarray(better[inside] * np.where(inside == np.arange(len(force)), 1.0, force / force[inside]))
 
 
 @dataclass(frozen=True)
@@ -258,7 +251,7 @@ class PassWorker:
 
     def _solve(self, problem: PassProblem) -> SolvedPass:
         start: PassSolution | None = None
-        problem = self._from_touch(self.solver.with_approach(problem))
+        problem = self.solver.with_approach(problem)
         for _ in range(CORRECTIONS):
             solution = self.solver.solve(problem, start)
             solved = self.solver.evaluate(problem, solution.q, solution.force)
@@ -272,12 +265,6 @@ class PassWorker:
             start = solution
         refuse_unsound(self.ground.cell, self.scene, self.ground.cloud, problem.path, solution, solved)
         return SolvedPass(problem, replace(solution, multipliers=None), solved)
-
-    def _from_touch(self, problem: PassProblem) -> PassProblem:
-        """The problem with the correction of what does not press, at the postures of its seed."""
-        force = self.solver.nominal_force(problem)
-        seen = self.solver.evaluate(problem, self.solver.seed_joints(problem), force)
-        return replace(problem, indentation_correction=np.where(force > 0, 0.0, at_touch(problem, seen)))
 
     def _with_clearances(self, problem: PassProblem, q: Array) -> PassProblem | None:
         """The problem with rows that keep what collides free, linear about q; None where nothing collides."""
