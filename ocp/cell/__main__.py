@@ -18,7 +18,7 @@ def _new(
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("cell"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:
-    """Write a cell file whose comments say what to measure for every number, and how; it plans as it is."""
+    """Write a cell file whose comments say what to measure for every number, and how."""
     from ocp.cell.interface import new_cell  # heavy imports only once the arguments stand
 
     sys.exit(run(lambda: answer(new_cell(robot, blade=blade, out=out, overwrite=overwrite)), "no cell"))

@@ -30,7 +30,11 @@ STEP = 2e-3  # m between waypoints that reach is looked at with
 METRES = 10.0  # mm: a place of a wheel this near to the base's origin is written in metres
 QUARTERS = 1e-3  # of a right angle in radians: angles this near to it, not zero, are written in radians
 NESTS = 3  # reflectors on the last link that place the flange
+APART = 5.0  # mm that these leave their common line by, at least
 COLLAPSE = 50.0  # setpoints by which the force of a flange would change from stop to stop: its stiffness is written in N/m
+LIMP = 0.01  # of the setpoint by which it would change at least: its stiffness is written in kN/mm or N/um
+STIFF = (1.0, 700.0)  # GPa: from what barely holds its shape to tungsten carbide
+THICK = 1.0  # m: a load whose radius of gyration is larger is written in kg mm^2
 FAR = 0.5  # m between a payload's centre and the blade that it holds
 GROUND = 0.999  # of the asked surface: what is less is told
 
@@ -99,6 +103,7 @@ def examine(path: Path, phases: Phases) -> Examined:
         why = "axes 2 and 3 are not parallel or the wrist's axes do not meet, so no program can be planned with this arm"
         return Examined(path, setup, (*found, Finding(DOUBT, "robot.model", why)), None)
     grindable = _grindable(cell, phases)
+    found += (Finding(KNOWN, "workpiece.stl", notice) for notice in grindable.laid.blade.notices)
     found += findings_of_frames(cell, grindable.laid.blade)
     found += _reach_findings(grindable)
     return Examined(path, setup, tuple(found), grindable)
@@ -106,8 +111,8 @@ def examine(path: Path, phases: Phases) -> Examined:
 
 def findings_of_tables(tables: CellTables, robot: Robot) -> list[Finding]:
     """What the file itself shows: the robot, units, loads, the tracker."""
-    found = [*_robot_findings(tables, robot), *_unit_findings(tables), *_load_findings(robot, tables)]
-    return [*found, *_tracker_findings(tables)]
+    found = [*_robot_findings(tables, robot), *_unit_findings(tables), *_flange_findings(tables)]
+    return [*found, *_load_findings(robot, tables), *_tracker_findings(tables)]
 
 
 def _grindable(cell: Cell, phases: Phases) -> Grindable:
@@ -149,13 +154,14 @@ def _robot_findings(tables: CellTables, robot: Robot) -> Iterator[Finding]:
     if tables.robot.stiffness_Nm_per_rad is None and tables.robot.calibration is None:
         text = "springs of the joints are a catalogue's order of magnitude; the same campaign with a payload measures them"
         yield Finding(UNMEASURED, "robot.stiffness_Nm_per_rad", text)
+    planned = tables.workpiece is not None and tables.wheel is not None
     for key, notice in zip(robot.left_out, left_out_notices(robot), strict=True):
-        yield Finding(DOUBT if key in MOVES else UNMEASURED, "robot.model", notice)
+        without = MISTAKE if planned else DOUBT  # `plan` refuses such an arm
+        yield Finding(without if key in MOVES else UNMEASURED, "robot.model", notice)
 
 
 def _unit_findings(tables: CellTables) -> Iterator[Finding]:
-    """Numbers that look like metres, radians or newtons per metre, a floor above the robot's foot, and
-    what no check can tell from a sound number."""
+    """Numbers that look like metres, radians or newtons per metre, and what no check can tell from a sound number."""
     if tables.wheel is not None:
         r = tables.wheel.radius_mm
         yield Finding(KNOWN, "wheel.radius_mm", f"{r:g} is a wheel {2 * r:g} mm across with cover and belt: look whether it is")
@@ -169,29 +175,80 @@ def _unit_findings(tables: CellTables) -> Iterator[Finding]:
         quarters = np.array(turn) / (0.5 * np.pi)
         if any(0.5 < abs(v) < 4.5 and abs(v - round(v)) < QUARTERS for v in quarters):
             yield Finding(DOUBT, key, f"{list(turn)} looks like radians; degrees are asked for")
-    offsets = {f"payloads.{name}.com_mm": load.com_mm for name, load in tables.payloads.items()}
-    if tables.workpiece is not None:
-        offsets["workpiece.xyz_mm"] = tables.workpiece.xyz_mm
-    for key, offset in offsets.items():
+    for key, offset in _offsets(tables).items():
         if 0 < max(map(abs, offset)) < 1.0:
-            yield Finding(DOUBT, key, f"{list(offset)} is next to nothing: metres? millimetres are asked for")
-    flange = tables.force_flange
-    if flange is not None and (grown := flange.stiffness_N_per_mm * flange.stroke_mm) > COLLAPSE * flange.setpoint_N:
-        text = f"{flange.stiffness_N_per_mm:g} changes the force by {grown:g} N from stop to stop: N/m? N/mm is asked for"
-        yield Finding(DOUBT, "force_flange.stiffness_N_per_mm", text)
+            yield Finding(DOUBT, key, f"{_plain(offset)} is next to nothing: metres? millimetres are asked for")
     if tables.floor is not None and tables.floor.z_mm > 0:
         text = f"{tables.floor.z_mm:g} is above the robot's foot; a floor below it counts negative"
         yield Finding(DOUBT, "floor.z_mm", text)
+    elif tables.floor is not None and -METRES < tables.floor.z_mm < 0:
+        text = f"{tables.floor.z_mm:g} is hardly below the robot's foot: metres? millimetres are asked for"
+        yield Finding(DOUBT, "floor.z_mm", text)
+    if tables.workpiece is not None and not STIFF[0] <= tables.workpiece.youngs_modulus_GPa <= STIFF[1]:
+        text = f"{tables.workpiece.youngs_modulus_GPa:g} is no metal's: MPa or TPa? GPa are asked for (titanium 114, steel 210)"
+        yield Finding(DOUBT, "workpiece.youngs_modulus_GPa", text)
+    if tables.wheel is not None and tables.wheel.belt_speed_m_s == 0:
+        yield Finding(DOUBT, "wheel.belt_speed_m_s", "the belt stands, so nothing is ground; give its speed, with its sign")
+
+
+def _offsets(tables: CellTables) -> dict[str, tuple[float, ...]]:
+    """Places mm, by key, of what lies some way from its frame if it is not in it."""
+    found: dict[str, tuple[float, ...]] = {f"payloads.{name}.com_mm": load.com_mm for name, load in tables.payloads.items()}
+    if tables.workpiece is not None:
+        piece = tables.workpiece
+        ends = {"clamp_to_mm": piece.clamp_to_mm, "clamp_offset_mm": piece.clamp_offset_mm}
+        found["workpiece.xyz_mm"] = piece.xyz_mm
+        found |= {f"workpiece.{key}": (value,) for key, value in ends.items() if value is not None}
+    return found | {f"tracker.targets.{name}": place for name, place in _nests(tables).items()}
+
+
+def _nests(tables: CellTables) -> dict[str, tuple[float, ...]]:
+    """Places mm of the nests, by name, each in its link's frame."""
+    targets = {} if tables.tracker is None else tables.tracker.targets
+    return {name: t.xyz_mm if isinstance(t, LinkTarget) else t for name, t in targets.items()}
+
+
+def _plain(numbers: tuple[float, ...]) -> str:
+    return f"{numbers[0]:g}" if len(numbers) == 1 else str(list(numbers))
+
+
+def _flange_findings(tables: CellTables) -> Iterator[Finding]:
+    """A flange that cannot set the force, or whose spring is written in another unit."""
+    flange = tables.force_flange
+    if flange is None:
+        return
+    grown = flange.stiffness_N_per_mm * flange.stroke_mm
+    if not LIMP * flange.setpoint_N <= grown <= COLLAPSE * flange.setpoint_N:
+        unit = "N/m" if grown > flange.setpoint_N else "kN/mm or N/um"
+        text = f"{flange.stiffness_N_per_mm:g} changes the force by {grown:.3g} N from stop to stop: {unit}? N/mm is asked for"
+        yield Finding(DOUBT, "force_flange.stiffness_N_per_mm", text)
+    elif flange.setpoint_output is None and abs(tables.process.force_N - flange.setpoint_N) > 0.5 * grown:
+        text = (
+            f"{flange.setpoint_N:g}, and the spring changes that by {0.5 * grown:.3g} N either way: process.force_N = "
+            f"{tables.process.force_N:g} is out of its reach"
+        )
+        yield Finding(DOUBT, "force_flange.setpoint_N", text)
+    name = None if tables.workpiece is None else tables.workpiece.payload
+    load = None if name is None else tables.payloads.get(name)
+    if load is not None and flange.carried_mass_kg > load.mass_kg:
+        text = f"{flange.carried_mass_kg:g} is more than the payload '{name}' has in all ({load.mass_kg:g} kg)"
+        yield Finding(DOUBT, "force_flange.carried_mass_kg", text)
 
 
 def _load_findings(robot: Robot, tables: CellTables) -> Iterator[Finding]:
-    """Payloads that the arm cannot carry, and a holder whose centre nobody gave."""
+    """Payloads that the arm cannot carry, or whose centre or inertia nobody gave or gave in another unit."""
     for name, load in payloads_of(tables).items():
         reason = overload(robot, load) if load.mass > 0 else ""
         if reason:
             yield Finding(MISTAKE, f"payloads.{name}", f"{reason}; hang less on the flange or choose a stronger robot")
         if load.mass > 0 and "com_mm" not in tables.payloads[name].model_fields_set:
             yield Finding(UNMEASURED, f"payloads.{name}.com_mm", "taken in the flange's face; take it from the drawing")
+        key = f"payloads.{name}.inertia_kg_m2"
+        if load.mass > 0 and not load.inertia.any():
+            yield Finding(UNMEASURED, key, "taken as a point; take it from the drawing, the controller limits speeds by it")
+        if load.inertia.max() > load.mass * THICK**2:
+            text = f"{load.inertia.max():g} for {load.mass:g} kg: kg mm^2? kg m^2 are asked for"
+            yield Finding(DOUBT, key, text)
 
 
 def _tracker_findings(tables: CellTables) -> Iterator[Finding]:
@@ -200,11 +257,13 @@ def _tracker_findings(tables: CellTables) -> Iterator[Finding]:
             UNMEASURED, "tracker", "no tracker is described; add [tracker] with its reflector nests to calibrate the arm"
         )
         return
-    placed = [t for t in tables.tracker.targets.values() if not isinstance(t, LinkTarget) or t.link == 6]
-    if len(placed) < NESTS:
-        text = f"{len(placed)} nests on the last link; with fewer than {NESTS} a calibration cannot tell how the flange is turned"
+    placed = [_nests(tables)[n] for n, t in tables.tracker.targets.items() if not isinstance(t, LinkTarget) or t.link == 6]
+    spread = np.linalg.svd(np.array(placed) - np.mean(placed, axis=0), compute_uv=False) if len(placed) >= NESTS else np.zeros(2)
+    if spread[1] < APART:
+        where = "" if len(placed) < NESTS else " in one line or place"
+        text = f"{len(placed)} nests on the last link{where}; a calibration needs {NESTS} apart to tell how the flange is turned"
         yield Finding(DOUBT, "tracker.targets", text)
-    far = [name for name, t in tables.tracker.targets.items() if max(map(abs, getattr(t, "xyz_mm", t))) > 2000]
+    far = [name for name, place in _nests(tables).items() if max(map(abs, place)) > 2000]
     if far:
         yield Finding(
             DOUBT, f"tracker.targets.{far[0]}", "stands more than 2 m from its link's frame; is it given in the base frame?"

@@ -43,9 +43,10 @@ def new_cell(robot: str, *, blade: str | Path | None = None, out: str | Path = "
     planned = planned_family(arm) is not None
     own = given.is_file()
     model = given.name if own else robot
-    held = None
+    held, mended = None, []
     if planned:
         solid = read_blade(stl)
+        mended = list(solid.notices)
         held = held_upright(solid, find_shape(solid))
     inputs = [*([given] if own else []), *([stl] if blade is not None else [])]
     with whole_folder(out, overwrite, inputs) as folder:
@@ -61,7 +62,7 @@ def new_cell(robot: str, *, blade: str | Path | None = None, out: str | Path = "
             file.write_text(new_cell_text(out.name, model, arm, held, stl.name, centre), encoding="utf-8")
             read_cell(file)
         read_tracker_setup(file)
-    told = left_out_notices(arm)
+    told = [*left_out_notices(arm), *mended]
     if not planned:
         told.append(
             f"{arm.title} has no closed inverse (axes 2 and 3 parallel, wrist axes in one point), so nothing can be planned "

@@ -89,7 +89,9 @@ def _frame_words(T: Array) -> list[str]:
 
 
 def _load_words(load: Hanging) -> list[str]:
-    return [f"{load.mass:g}", *(f"{1e3 * v:g}" for v in load.com), *(f"{v:g}" for v in load.inertia)]
+    """An inertia that nobody gave is a dash: as zero the controller would believe it."""
+    inertia = [f"{v:g}" if load.inertia.any() or load.mass == 0 else "-" for v in load.inertia]
+    return [f"{load.mass:g}", *(f"{1e3 * v:g}" for v in load.com), *inertia]
 
 
 def _where(cell: Cell, region: WheelRegion) -> Section:

@@ -4,8 +4,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+import trimesh
 
 from ocp.cell.examination import DOUBT, KNOWN, MISTAKE, UNMEASURED, findings_of_frames, findings_of_tables
+from ocp.cell.interface import check_cell, new_cell
 from ocp.data import CELL
 from ocp.model.cell import read_cell, read_tracker_setup
 from trajectories.blade import read_blade
@@ -44,6 +46,31 @@ SLIPS = {
     "holder in metres": (("xyz_mm = [0, 0, 200]", "xyz_mm = [0, 0, 0.2]"), DOUBT, "workpiece.xyz_mm", "metres?"),
     "load in metres": (("com_mm = [10, 0, 160]", "com_mm = [0.01, 0, 0.16]"), DOUBT, "payloads.grinder.com_mm", "metres?"),
     "flange in N/m": (("_N_per_mm = 5.6", "_N_per_mm = 5600.0"), DOUBT, "force_flange.stiffness_N_per_mm", "N/m?"),
+    "flange in N/um": (("_N_per_mm = 5.6", "_N_per_mm = 0.0056"), DOUBT, "force_flange.stiffness_N_per_mm", "N/um?"),
+    "flange set elsewhere": (("setpoint_N = 20.0", "setpoint_N = 200.0"), DOUBT, "force_flange.setpoint_N", "out of its reach"),
+    "flange heavier than all": (
+        ("carried_mass_kg = 5.0", "carried_mass_kg = 50.0"),
+        DOUBT,
+        "force_flange.carried_mass_kg",
+        "25 kg",
+    ),
+    "floor in metres": (("[robot]", "[floor]\nz_mm = -0.4\n[robot]"), DOUBT, "floor.z_mm", "metres?"),
+    "clamp in metres": (("clamp_to_mm = 10.0", "clamp_to_mm = 0.01"), DOUBT, "workpiece.clamp_to_mm", "metres?"),
+    "nest in metres": (("T3 = [20, 170, 330]", "T3 = [0.02, 0.17, 0.33]"), DOUBT, "tracker.targets.T3", "metres?"),
+    "nests at one place": (
+        ("T2 = [-160, 40, 210]\nT3 = [20, 170, 330]", "T2 = [150, -50, 250]\nT3 = [150, -50, 250]"),
+        DOUBT,
+        "tracker.targets",
+        "one line or place",
+    ),
+    "inertia in kg mm2": (
+        ("mass_kg = 25.0", "mass_kg = 25.0\ninertia_kg_m2 = [9e5, 9e5, 1.0]"),
+        DOUBT,
+        "payloads.grinder.inertia_kg_m2",
+        "mm^2",
+    ),
+    "blade in MPa": (("[wheel]", "youngs_modulus_GPa = 0.114\n[wheel]"), DOUBT, "workpiece.youngs_modulus_GPa", "GPa"),
+    "belt stands": (("belt_speed_m_s = 20.0", "belt_speed_m_s = 0.0"), DOUBT, "wheel.belt_speed_m_s", "nothing is ground"),
     "floor upside down": (("[robot]", "[floor]\nz_mm = 400.0\n[robot]"), DOUBT, "floor.z_mm", "negative"),
     "radians": (("abc_deg = [0, 0, 0]", "abc_deg = [1.5708, 0, 0]"), DOUBT, "workpiece.abc_deg", "radians"),
     "too heavy": (("mass_kg = 90.0", "mass_kg = 300.0"), MISTAKE, "payloads.weight", "above the 210 kg"),
@@ -65,11 +92,26 @@ def test_a_slip_is_found_where_it_stands(tmp_path, name):
     change, kind, key, words = SLIPS[name]
     before = {(f.kind, f.key) for f in found(CELL)}
     new = [f for f in found(changed(tmp_path, change)) if (f.kind, f.key) not in before]
-    assert (new[0].kind, new[0].key) == (kind, key) and words in new[0].text
-    assert len(new) == (2 if name == "inverse" else 1)  # a blade behind the flange has its free end nearer too
+    (told,) = [f for f in new if f.key == key]
+    assert told.kind == kind and words in told.text
+    # A blade behind the flange has its free end nearer too; what weighs nothing carries no flange.
+    assert len(new) == (2 if name in ("inverse", "blade not weighed") else 1)
 
 
 def test_what_is_measured_is_asked_for_no_longer(tmp_path):
     file = changed(tmp_path, ("friction = 0.35", "friction = 0.35\ncentre_sd_mm = 0.1"))
     keys = {f.key for f in findings_of_tables(read_tracker_setup(file).tables, read_cell(file).robot)}
     assert np.all([k not in keys for k in ("wheel.centre_mm",)])
+
+
+def test_what_was_done_to_a_blade_and_a_load_of_unknown_inertia_are_told(tmp_path):
+    open_blade, solid = trimesh.load_mesh(CELL.parent / "blade.stl"), tmp_path / "scan.ply"
+    keep = np.ones(len(open_blade.faces), bool)
+    keep[np.argsort(open_blade.triangles_center[:, 2])[-30:]] = False
+    open_blade.update_faces(keep)
+    open_blade.export(solid)
+    made = new_cell("kr210_r2700_extra", blade=solid, out=tmp_path / "cell")
+    assert any("closed" in notice for notice in made.notices)
+    told = check_cell(made.folder / "cell.toml").notices
+    assert any(one.startswith("to know: workpiece.stl") and "closed" in one for one in told)
+    assert any("payloads.grinder.inertia_kg_m2" in one for one in told)
