@@ -9,11 +9,15 @@ from packaging.requirements import Requirement
 from tests.support.house import ROOT
 
 PAGE = ROOT / "THIRD_PARTY.md"
-# Where a package's metadata name no licence, or its wheel carries parts of another licence than its own.
-KNOWN = {
-    "casadi": "LGPL-3.0-or-later; its wheel holds Ipopt (EPL-2.0), MUMPS (CeCILL-C), OpenBLAS (BSD) and others",
-    "netgen-mesher": "LGPL-2.1-only; its wheel holds Open CASCADE parts through netgen-occt (LGPL-2.1 with exception)",
-    "pytetwild": "MPL-2.0",
+GCC = "libgfortran (GPL-3.0 with GCC's exception), libquadmath (LGPL-2.1-or-later)"
+# Where a package's metadata name no licence, and what its wheel carries of another licence than its own.
+KNOWN = {"casadi": "LGPL-3.0-or-later", "netgen-mesher": "LGPL-2.1-only", "pytetwild": "MPL-2.0", "cmeel-qhull": "Qhull"}
+HOLDS = {
+    "casadi": "Ipopt (EPL-2.0), MUMPS (CeCILL-C), OpenBLAS (BSD) and others",
+    "netgen-mesher": "Open CASCADE parts through netgen-occt (LGPL-2.1 with exception)",
+    "pytetwild": "GMP (LGPL-3.0-or-later or GPL-2.0-or-later), libgomp (GPL-3.0 with GCC's exception)",
+    "numpy": f"OpenBLAS (BSD), {GCC}",
+    "scipy": f"OpenBLAS (BSD), {GCC}",
 }
 
 
@@ -35,13 +39,14 @@ def needed() -> dict[str, Distribution]:
 
 
 def licence(name: str, one: Distribution) -> str:
-    """As its metadata say it."""
+    """As its metadata say it, and what is bundled."""
     meta = one.metadata
     told = meta.get("License-Expression") or ""
     classifiers = [c.rsplit(" :: ", 1)[-1] for c in meta.get_all("Classifier") or () if c.startswith("License :: ")]
     told = told or ", ".join(c for c in classifiers if c != "OSI Approved")
     text = (meta.get("License") or "").strip()
-    return KNOWN.get(name) or told or (text.splitlines()[0][:60] if text else "not stated")
+    own = KNOWN.get(name) or told or (text.splitlines()[0][:60] if text else "not stated")
+    return f"{own}; its wheel holds {HOLDS[name]}" if name in HOLDS else own
 
 
 def page() -> str:
@@ -57,8 +62,9 @@ HEAD = """# Licences of what is installed
 
 What some of them ask of somebody who hands the installed software on (ask your lawyer, not this page):
 
-* **LGPL** (casadi, netgen-mesher and its Open CASCADE): their licence text goes along, and whoever gets the software must be able
-  to put another build of the library in its place. Installed as wheels beside our Python files that is so.
+* **LGPL** (casadi, netgen-mesher and its Open CASCADE, GMP in pytetwild, libquadmath in numpy and scipy): their licence text goes
+  along, and whoever gets the software must be able to put another build of the library in its place. Installed as wheels beside our
+  Python files that is so.
 * **MPL** (pytetwild): its own files stay under the MPL, with their source offered; ours are not touched by it.
 * **EPL, CeCILL-C** (Ipopt and MUMPS inside casadi's wheel): their notices go along.
 * The others (BSD, MIT, Apache, PSF): notices go along.
