@@ -63,8 +63,8 @@ HEAD = """# Licences of what is installed
 What some of them ask of somebody who hands the installed software on (ask your lawyer, not this page):
 
 * **LGPL** (casadi, netgen-mesher and its Open CASCADE, GMP in pytetwild, libquadmath in numpy and scipy): their licence text goes
-  along, and whoever gets the software must be able to put another build of the library in its place. Installed as wheels beside our
-  Python files that is so.
+  along, and whoever gets the software must be able to put another build of the library in its place. Installed as wheels beside
+  our Python files that is so.
 * **MPL** (pytetwild): its own files stay under the MPL, with their source offered; ours are not touched by it.
 * **EPL, CeCILL-C** (Ipopt and MUMPS inside casadi's wheel): their notices go along.
 * The others (BSD, MIT, Apache, PSF): notices go along.
