@@ -30,6 +30,8 @@ class TomlTable(BaseModel):
 
 
 def _this_schema(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError(f"{str(value).lower()} is no number; write {SCHEMA}")
     if isinstance(value, int) and value > SCHEMA:
         raise ValueError(f"{value} is of a later release, this one reads {SCHEMA}; install that release, or write {SCHEMA}")
     return value

@@ -2,6 +2,7 @@
 
 import sys
 from importlib import import_module
+from importlib.metadata import version
 
 import typer
 
@@ -26,6 +27,9 @@ COMMANDS = {
 def start() -> None:
     """Call the command that the first word names with the words that follow; help and completion where none is named."""
     words = sys.argv[1:] or ["--help"]
+    if words == ["--version"]:
+        typer.echo(f"{NAME} {version(NAME)}")
+        sys.exit(0)
     if words[0] in COMMANDS:
         sys.argv = [NAME, *words[1:]]
         main(_app(words[0]), f"{NAME} {words[0]}")

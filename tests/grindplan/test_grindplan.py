@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 
 import pytest
 import typer
@@ -54,3 +55,8 @@ def test_the_shell_asks_for_the_end_of_a_word():
 def test_a_word_that_is_no_command_is_refused_with_the_nearest():
     told = run("plam")
     assert told.returncode == 2 and told.stderr.count("\n") == 1 and "plan" in told.stderr
+
+
+def test_it_tells_its_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert run("--version").stdout.split() == ["grindplan", project["version"]]

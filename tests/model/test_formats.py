@@ -53,7 +53,8 @@ def test_the_schemas_are_those_of_the_code_and_every_key_says_what_it_means():
 
 
 @pytest.mark.parametrize(
-    ("version", "told"), [("2", "2 is of a later release, this one reads 1"), ("0", "should be 1"), ('"1"', "should be 1")]
+    ("version", "told"),
+    [("2", "2 is of a later release, this one reads 1"), ("0", "should be 1"), ('"1"', "should be 1"), ("true", "write 1")],
 )
 def test_a_file_of_another_version_is_refused_with_its_line(tmp_path, version, told):
     (tmp_path / "cell.toml").write_text(f"# a cell\nschema = {version}\n" + CELL.read_text())
