@@ -46,6 +46,8 @@ def test_a_new_cell_has_no_doubt_and_its_page_says_so(shown):
     told, file = shown
     assert "no mistakes, no doubts" in told["line"] and told["notices"] == [] and told["page"] == str(file)
     page = file.read_text()
+    row = re.search(r"<tr[^>]*>\s*<t[hd][^>]*>grinder.*?</tr>", page, re.DOTALL)
+    assert row is not None and re.findall(r">([^<>\n]+)</t[hd]>", row[0])[-3:] == ["-"] * 3  # nobody gave its inertia
     assert "TOOL_DATA[1]" in page and "1660.000" in page and "-90.000" in page and "centre_sd_mm" in page
 
 

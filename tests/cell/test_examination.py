@@ -1,5 +1,6 @@
 """Slips that a cell file may hold are found by kind and key; the bundled cell has none."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -63,6 +64,7 @@ SLIPS = {
         "tracker.targets",
         "one line or place",
     ),
+    "nests in one line": (("T3 = [20, 170, 330]", "T3 = [-5, -5, 230]"), DOUBT, "tracker.targets", "one line or place"),
     "inertia in kg mm2": (
         ("mass_kg = 25.0", "mass_kg = 25.0\ninertia_kg_m2 = [9e5, 9e5, 1.0]"),
         DOUBT,
@@ -115,3 +117,12 @@ def test_what_was_done_to_a_blade_and_a_load_of_unknown_inertia_are_told(tmp_pat
     told = check_cell(made.folder / "cell.toml").notices
     assert any(one.startswith("to know: workpiece.stl") and "closed" in one for one in told)
     assert any("payloads.grinder.inertia_kg_m2" in one for one in told)
+
+
+def test_an_arm_that_plan_refuses_is_a_mistake_where_a_plan_is_meant():
+    setup = read_tracker_setup(CELL)
+    bare = replace(setup.robot, left_out=("shape", "stiffness"))
+    told = [f for f in findings_of_tables(setup.tables, bare) if f.key == "robot.model"]
+    assert [(f.kind, "no shape" in f.text) for f in told] == [(MISTAKE, True), (UNMEASURED, False)]
+    alone = setup.tables.model_copy(update={"workpiece": None})
+    assert [f.kind for f in findings_of_tables(alone, bare) if f.key == "robot.model"] == [DOUBT, UNMEASURED]

@@ -224,6 +224,7 @@ def test_the_splice_knocks_once_a_revolution_as_hard_as_is_told(mount, request):
     assert bench.force(c, "belt_splice=5,hz=10").force - bench.force(c).force == pytest.approx(bump, abs=1e-9)
     still = replace(c, belt=0 * c.belt)
     assert (bench.force(still, "belt_splice=5,hz=10").force == bench.force(still).force).all()
+    assert not bench.force(replace(c, contact=np.zeros(len(c.s), bool)), "belt_splice=5,hz=10").force.any()
 
 
 def test_the_belt_pushes_at_curvature(rigid):

@@ -51,7 +51,12 @@ def bench() -> Bench:
 
 
 @pytest.mark.parametrize(
-    "effects", [(), ("wheel_relaxation=0.2,tau=0.5", "flange_stiffness=0.2", "wheel_law=0.05", "belt_tension=2")]
+    "effects",
+    [
+        (),
+        ("wheel_relaxation=0.2,tau=0.5", "flange_stiffness=0.2", "wheel_law=0.05", "belt_tension=2"),
+        ("belt_splice=0.6,hz=10",),
+    ],
 )
 def test_a_slow_touch_is_the_one_in_balance(bench, effects):
     """The same curves by two solvers: halved intervals at every instant, steps in time from the air on."""
