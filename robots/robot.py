@@ -77,7 +77,7 @@ class GearsTable(TomlTable):
 
     source: str
     """Where the numbers are from."""
-    ratio: SixRates
+    ratio: SixRates = Field(examples=[[256.857, 269.176, 251.333, 188.855, 190.133, 131.277]])
     """Motor turns per turn of the axis."""
 
 
@@ -159,11 +159,15 @@ class RatedPayloadTable(TomlTable):
     """Where the numbers are from."""
     rated_kg: Annotated[Mass, Field(gt=0)]
     """Mass allowed."""
-    com_mm_at_rated: PlaceVector | None = None
+    com_mm_at_rated: PlaceVector | None = Field(default=None, examples=[[270, 0, 240]])
     """Its centre there, flange frame."""
-    inertia_kg_m2: tuple[MomentOfInertia, MomentOfInertia, MomentOfInertia] | None = None  # about that centre
+    inertia_kg_m2: tuple[MomentOfInertia, MomentOfInertia, MomentOfInertia] | None = Field(
+        None, examples=[[60, 60, 60]]
+    )  # about that centre
     """Inertia allowed about that centre."""
-    diagram: Annotated[tuple[tuple[Margin, Mass], ...], Field(min_length=2, max_length=1000)] | None = None
+    diagram: Annotated[tuple[tuple[Margin, Mass], ...], Field(min_length=2, max_length=1000)] | None = Field(
+        None, examples=[[[0, 210], [500, 120]]]
+    )
     """[mm from the flange's centre to the payload's, kg allowed there], distances growing."""
 
     @model_validator(mode="after")

@@ -10,6 +10,7 @@ import numpy as np
 from ocp.calibrate.report.pages import write_calibration_report
 from ocp.calibrate.tracker import TrackerCalibration, as_calibration
 from ocp.model.cell import cell_tables_for
+from ocp.model.columns import TABLES
 from ocp.report.section import Section
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output
@@ -165,9 +166,8 @@ def _write_residuals(made: TrackerCalibration, path: Path) -> None:
     """One row a reading: its line, what is left of it before and after, its weight."""
     fit = made.fit
     errors = 1e3 * fit.residual[:, :3], 1e3 * made.error_before, 1e3 * made.error_after, fit.weight
-    _write_csv(
-        path, "line,dx_mm,dy_mm,dz_mm,before_mm,after_mm,weight", np.column_stack([fit.campaign.readings.line, *errors]), "%d"
-    )
+    names = ",".join(name for group in TABLES["residuals.csv"] for name in group.names)
+    _write_csv(path, names, np.column_stack([fit.campaign.readings.line, *errors]), "%d")
 
 
 def _write_predictions(made: TrackerCalibration, path: Path) -> None:

@@ -19,11 +19,12 @@ from ocp.plan.passes.posture import Seed, seeds_of_stretches
 from ocp.plan.passes.stretches import LEAST_GROUND_SHARE, NO_ROOM, LeftOut, LineStretch, ground_share, joined, whole_lines
 from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
 from ocp.shell.progress import Phases
+from robots.errors import Infeasible
 from robots.payload import overload
 from robots.pose import Array, apply, invert
 from robots.robot import MOVES, Robot, left_out_notices
 from robots.tracker_readings import Hanging
-from trajectories.blade import Blade
+from trajectories.blade import Blade, read_blade
 from trajectories.blade.mesh import volume
 
 STEP = 2e-3  # m between waypoints that reach is looked at with
@@ -36,6 +37,8 @@ LIMP = 0.01  # of the setpoint by which it would change at least: its stiffness 
 STIFF = (1.0, 700.0)  # GPa: from what barely holds its shape to tungsten carbide
 THICK = 1.0  # m: a load whose radius of gyration is larger is written in kg mm^2
 FAR = 0.5  # m between a payload's centre and the blade that it holds
+LONG = 1.0  # m from the flange to a blade's frame: what holds it is no holder
+BROAD = 3.0  # diameters: a contact wheel wider than that is a drum
 GROUND = 0.999  # of the asked surface: what is less is told
 
 
@@ -102,16 +105,23 @@ def examine(path: Path, phases: Phases) -> Examined:
     if planned_family(cell.robot) is None:
         why = "axes 2 and 3 are not parallel or the wrist's axes do not meet, so no program can be planned with this arm"
         return Examined(path, setup, (*found, Finding(DOUBT, "robot.model", why)), None)
-    grindable = _grindable(cell, phases)
-    found += (Finding(KNOWN, "workpiece.stl", notice) for notice in grindable.laid.blade.notices)
-    found += findings_of_frames(cell, grindable.laid.blade)
-    found += _reach_findings(grindable)
-    return Examined(path, setup, tuple(found), grindable)
+    with phases.phase("blade"):
+        blade = read_blade(cell.workpiece.stl, cell.workpiece.stl_unit)
+    found += (Finding(KNOWN, "workpiece.stl", notice) for notice in blade.notices)
+    found += findings_of_frames(cell, blade)
+    if any(f.kind == MISTAKE and f.key.startswith("workpiece.clamp") for f in found):  # no elasticity, so nothing can be tried
+        return Examined(path, setup, tuple(found), None)
+    try:
+        grindable = _grindable(cell, phases)
+    except Infeasible as reason:
+        return Examined(path, setup, (*found, Finding(MISTAKE, "wheel", str(reason))), None)
+    return Examined(path, setup, (*found, *_reach_findings(grindable)), grindable)
 
 
 def findings_of_tables(tables: CellTables, robot: Robot) -> list[Finding]:
-    """What the file itself shows: the robot, units, loads, the tracker."""
+    """What the file itself shows: the robot, units, exchanged places, loads, the tracker."""
     found = [*_robot_findings(tables, robot), *_unit_findings(tables), *_flange_findings(tables)]
+    found += _place_findings(tables, robot)
     return [*found, *_load_findings(robot, tables), *_tracker_findings(tables)]
 
 
@@ -189,6 +199,24 @@ def _unit_findings(tables: CellTables) -> Iterator[Finding]:
         yield Finding(DOUBT, "workpiece.youngs_modulus_GPa", text)
     if tables.wheel is not None and tables.wheel.belt_speed_m_s == 0:
         yield Finding(DOUBT, "wheel.belt_speed_m_s", "the belt stands, so nothing is ground; give its speed, with its sign")
+
+
+def _place_findings(tables: CellTables, robot: Robot) -> Iterator[Finding]:
+    """A wheel that stands in the robot, a blade far from its flange: one given in the other's frame, or the two exchanged."""
+    foot = max((radius for link, _, _, radius in robot.link_shapes if link == 0), default=0.0)
+    if tables.wheel is not None and max(map(abs, tables.wheel.centre_mm)) >= METRES:
+        x, y, z = (1e-3 * v for v in tables.wheel.centre_mm)
+        if np.hypot(x, y) < foot and 0 <= z <= robot.mdh[0, 1]:
+            text = f"{list(tables.wheel.centre_mm)} lies inside the robot's column: is it the blade's place, in the flange frame?"
+            yield Finding(DOUBT, "wheel.centre_mm", text)
+    if tables.workpiece is not None:
+        away = 1e-3 * float(np.linalg.norm(tables.workpiece.xyz_mm))
+        if away > LONG:
+            text = f"is {away:.2g} m from the flange: is it the wheel's place, in the base frame?"
+            yield Finding(DOUBT, "workpiece.xyz_mm", text)
+    if tables.wheel is not None and tables.wheel.width_mm > BROAD * 2 * tables.wheel.radius_mm:
+        text = f"{tables.wheel.width_mm:g} is a drum, {2 * tables.wheel.radius_mm:g} mm across; width along the axle is asked for"
+        yield Finding(DOUBT, "wheel.width_mm", text)
 
 
 def _offsets(tables: CellTables) -> dict[str, tuple[float, ...]]:
@@ -301,12 +329,13 @@ def findings_of_frames(cell: Cell, blade: Blade) -> Iterator[Finding]:
     if placed[:, 2].max() < 0:
         swapped = "; the inverse lies before it: is this the flange in the blade's frame?" if inverse[:, 2].min() > 0 else ""
         yield Finding(DOUBT, "workpiece.xyz_mm", f"the whole blade lies behind the flange's face{swapped}")
-    held = blade.vertices @ piece.clamp_normal < piece.clamp_offset
+    along = blade.vertices @ piece.clamp_normal
+    held = along < piece.clamp_offset
     if not held.any() or held.all():
         what = "nothing" if not held.any() else "all"
-        yield Finding(
-            MISTAKE, "workpiece.clamp_offset_mm", f"the clamp holds {what} of the blade; move its plane, or turn its side"
-        )
+        reach = f"which reaches from {1e3 * along.min():.1f} to {1e3 * along.max():.1f} mm across its plane"
+        text = f"the clamp, below {1e3 * piece.clamp_offset:.6g} mm, holds {what} of the blade, {reach}; move or turn it"
+        yield Finding(MISTAKE, "workpiece.clamp_offset_mm", text)
     elif np.linalg.norm(placed[held], axis=1).mean() > np.linalg.norm(placed[~held], axis=1).mean():
         text = "the held end stands farther from the flange than the free one; is the side of the clamp, or the blade, turned?"
         yield Finding(DOUBT, "workpiece.clamp_normal", text)

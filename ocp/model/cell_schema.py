@@ -46,7 +46,7 @@ class RobotTable(TomlTable):
 
     model: FileName
     """Of the catalogue, or a robot file's path."""
-    calibration: FileName | None = None
+    calibration: FileName | None = Field(default=None, examples=["calibration/calibration.toml"])
     """Path of its calibration.toml."""
     stiffness_Nm_per_rad: tuple[Spring, Spring, Spring, Spring, Spring, Spring] | None = None
     """Springs of the joints, 0 = rigid; without it the robot file's."""
@@ -67,7 +67,7 @@ class FloorTable(TomlTable):
     """`[floor]`: height of the floor above the origin of the robot's base, along the vertical; negative where the base stands
     higher than the floor, or hangs."""
 
-    z_mm: Place
+    z_mm: Place = Field(examples=[-400])
     """Vertical height above the origin of the robot's base; negative below it."""
 
 
@@ -88,9 +88,9 @@ class ControllerTable(TomlTable):
     dialect: Literal["krl"] = "krl"
     """Language of the programs."""
     tool_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
-    """Numbers of TOOL_DATA (the blade's frame) and BASE_DATA (the wheel's)."""
+    """Number of TOOL_DATA, the blade's frame."""
     base_no: Annotated[int, Field(ge=1, le=128, strict=True)] = 1
-    """Numbers of TOOL_DATA (the blade's frame) and BASE_DATA (the wheel's)."""
+    """Number of BASE_DATA, the wheel's frame."""
     absolute_accuracy: bool = False
     """Whether it corrects Cartesian targets itself."""
 
@@ -127,18 +127,18 @@ class WorkpieceTable(TomlTable):
     """Where that plane stands along clamp_axis."""
     clamp_side: Literal["below", "above"] = "below"
     """Which side of the plane is held."""
-    clamp_normal: Direction | None = None
+    clamp_normal: Direction | None = Field(default=None, examples=[[0, 0.1, 1]])
     """Instead of clamp_axis: direction across the plane, blade frame."""
-    clamp_offset_mm: Number | None = None
+    clamp_offset_mm: Number | None = Field(default=None, examples=[10])
     """With clamp_normal: the plane is normal . x = offset."""
     # A jaw of rubber or softer; infinite: rigid.
     clamp_stiffness_N_per_mm: Annotated[float, Field(ge=1, strict=True)] = float("inf")
     """Spring of the fixture."""
-    aerofoil_axis: Direction | None = None
+    aerofoil_axis: Direction | None = Field(default=None, examples=[[0, 0, 1]])
     """The span, blade frame, where the shape does not tell."""
-    aerofoil_from_mm: Place | None = None
+    aerofoil_from_mm: Place | None = Field(default=None, examples=[12])
     """Only what lies between counts, along aerofoil_axis."""
-    aerofoil_to_mm: Place | None = None
+    aerofoil_to_mm: Place | None = Field(default=None, examples=[118])
     """Only what lies between counts, along aerofoil_axis."""
 
     @model_validator(mode="after")
@@ -182,7 +182,7 @@ class WheelTable(TomlTable):
     """Width of the contact face."""
     cover_thickness_mm: Annotated[float, Field(ge=0.1, le=1000, strict=True)]
     """Of the soft cover."""
-    cover_modulus_MPa: Annotated[float, Field(ge=0.01, le=2e5, strict=True)] | None = None
+    cover_modulus_MPa: Annotated[float, Field(ge=0.01, le=2e5, strict=True)] | None = Field(default=None, examples=[2.1])
     """Its modulus; this or shore_A."""
     shore_A: Annotated[float, Field(ge=20, le=95, strict=True)] | None = None
     """Its hardness."""
@@ -234,19 +234,19 @@ class FlangeTable(TomlTable):
     """Mass that it carries: holder and blade."""
     gravity_compensated: bool = True
     """Whether it corrects for that weight itself."""
-    axis: Direction | None = None
+    axis: Direction | None = Field(default=None, examples=[[1, 0, 0]])
     """Direction in which it gives, flange frame; without it the contact's normal."""
     # From a bellows filled through a long hose to faster than any valve; without it the force is set at once.
-    bandwidth_hz: Annotated[float, Field(ge=0.1, le=1e4, strict=True)] | None = None
+    bandwidth_hz: Annotated[float, Field(ge=0.1, le=1e4, strict=True)] | None = Field(default=None, examples=[10])
     """Corner (-3 dB) of the low-pass from setting to force; without it at once."""
     delay_ms: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False, strict=True)] = 0.0
     """From a setting to the force's first change."""
     friction_N: Force = 0.0
     """Coulomb friction against the stroke."""
     # Scale: output, which reaches from -1 to 1, per newton.
-    setpoint_output: Label | None = None
+    setpoint_output: Label | None = Field(default=None, examples=["ANOUT[1]"])
     """ANOUT[1] to ANOUT[32]; not driven yet."""
-    setpoint_scale: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = None
+    setpoint_scale: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = Field(default=None, examples=[0.01])
     """Output (-1 to 1) per newton."""
 
     @model_validator(mode="after")
@@ -301,12 +301,14 @@ class ProcessTable(TomlTable):
     edge_force_N: Force = 5.0
     """Most on an edge where a ramp runs off it; not used yet: touch keeps the patch of a quarter of the force inside."""
     # What is wanted of all passes together; a belt that takes off 2 mm mills.
-    removal_um: Annotated[float, Field(ge=0.01, le=2000, allow_inf_nan=False, strict=True)] | None = None
+    removal_um: Annotated[float, Field(ge=0.01, le=2000, allow_inf_nan=False, strict=True)] | None = Field(
+        default=None, examples=[20]
+    )
     """Depth wanted of all passes together; without it what force and feed make."""
-    preston_um_mm2_per_N_m: Preston | None = None
-    """Preston's coefficient, depth over pressure and sliding way, as `ocp.update --removal` writes it, and its one sigma."""
-    preston_sd_um_mm2_per_N_m: Preston | None = None
-    """Preston's coefficient, depth over pressure and sliding way, as `ocp.update --removal` writes it, and its one sigma."""
+    preston_um_mm2_per_N_m: Preston | None = Field(default=None, examples=[0.05])
+    """Preston's coefficient, depth over pressure and sliding way, as `ocp.update --removal` writes it."""
+    preston_sd_um_mm2_per_N_m: Preston | None = Field(default=None, examples=[0.002])
+    """Its one sigma."""
 
     @model_validator(mode="after")
     def _preston(self) -> "ProcessTable":
@@ -320,9 +322,9 @@ class LinkTarget(TomlTable):
 
     link: Annotated[int, Field(ge=0, le=6, strict=True)] = 6
     """Link that carries it, 0 the base, 6 the flange."""
-    xyz_mm: OffsetVector
+    xyz_mm: OffsetVector = Field(examples=[[150, -50, 250]])
     """Its place in that link's frame."""
-    abc_deg: AngleVector | None = None
+    abc_deg: AngleVector | None = Field(default=None, examples=[[0, 90, 0]])
     """Its turn there, of a 6D target."""
 
 
@@ -346,11 +348,11 @@ class EffectTable(TomlTable):
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=False, use_attribute_docstrings=True)
 
-    effect: str
+    effect: str = Field(examples=["backlash"])
     """Its name; its own keys stand beside it."""
-    joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
+    joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = Field(default=None, examples=[5])
     """Where it acts at one joint."""
-    sd: dict[str, Any] = Field(default_factory=dict)
+    sd: dict[str, Any] = Field(default_factory=dict, examples=[{"half_width_rad": 4e-6}])
     """One sigma by key."""
 
     @model_validator(mode="after")
@@ -362,27 +364,29 @@ class EffectTable(TomlTable):
 class PatchTable(TomlTable):
     """`[[patches]]`: a correction that has no name, as a diagnosis writes it (`ocp.effects.patch`)."""
 
-    signal: Literal["tracker"]
+    signal: Literal["tracker"] = Field(examples=["tracker"])
     """That it was learnt from."""
-    where: Label
-    """Where it acts."""
-    kernel: Label
-    """That stands for it."""
-    joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = None
+    where: Label = Field(examples=["q3"])
+    """What it varies with, in words."""
+    kernel: Label = Field(examples=["joint"])
+    """How it enters: a turn of a joint, a tilt of its axis, the tracker's frame or beam."""
+    joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = Field(default=None, examples=[3])
     """Where it acts at one joint."""
-    features: Annotated[tuple[str, ...], Field(min_length=1, max_length=MOST_FEATURES)]
+    features: Annotated[tuple[str, ...], Field(min_length=1, max_length=MOST_FEATURES)] = Field(
+        examples=[["wave 1 q3", "wave 2 q3"]]
+    )
     """Formulas of the conditions."""
-    weights: tuple[float, ...]
-    """Of the features."""
-    covariance: tuple[tuple[float, ...], ...]
+    weights: tuple[float, ...] = Field(examples=[[2e-4, -1e-4]])
+    """Of the features, rad or m."""
+    covariance: tuple[tuple[float, ...], ...] = Field(examples=[[[1e-11, 0], [0, 1e-11]]])
     """Their covariance."""
-    range: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    range: dict[str, tuple[float, float]] = Field(default_factory=dict, examples=[{"q3": [-0.5, 2.5]}])
     """Least and most measured of every condition."""
-    about: tuple[float, float, float] | None = None
-    """Point that a tilt turns about, m."""
-    formula: str = ""
+    about: tuple[float, float, float] | None = Field(default=None, examples=[[0.4, 3.2, 3.4]])
+    """Of a beam's patch: mean azimuth rad, distance over ground m, distance m."""
+    formula: str = Field(default="", examples=["0.2 mrad at joint 3"])
     """The sum in words."""
-    promise: str = ""
+    promise: str = Field(default="", examples=["0.42 of the gap, 0.35 to 0.48"])
     """Shrinkage promised on new data."""
 
     @model_validator(mode="after")
@@ -394,14 +398,14 @@ class PatchTable(TomlTable):
 class ConditionsTable(TomlTable):
     """`[conditions]`: what the cell's effects depend on, as it will be when the plan runs."""
 
-    temperature_C: Temperature | None = None
-    """Of the structure and of the wheel; without it the reference."""
-    wheel_temperature_C: Temperature | None = None
-    """Of the structure and of the wheel; without it the reference."""
+    temperature_C: Temperature | None = Field(default=None, examples=[27])
+    """Of the structure; without it the reference."""
+    wheel_temperature_C: Temperature | None = Field(default=None, examples=[35])
+    """Of the wheel's cover; without it the reference."""
     time_s: Seconds = 0.0
-    """Since the campaign began; that the wheel has run."""
+    """Since the tracker's campaign began."""
     clock_s: Seconds = 0.0
-    """Since the campaign began; that the wheel has run."""
+    """That the wheel has run since the first force log."""
     # A thousand passes take the blade away.
     ground_before: Annotated[int, Field(ge=0, le=1000, strict=True)] = 0
     """How often every line was ground."""

@@ -110,6 +110,13 @@ TABLES: dict[str, tuple[Columns, ...]] = {
             "0.3",
         ),
     ),
+    "residuals.csv": (
+        Columns(("line",), True, "of tracker.csv", "2"),
+        Columns(_three("d", "_mm"), True, "reading less model, by the fit of all readings", "-0.017"),
+        Columns(("before_mm",), True, "distance by the believed cell", "0.979"),
+        Columns(("after_mm",), True, "by the fitted arm (not held out)", "0.025"),
+        Columns(("weight",), True, "in the fit; below 0.05 an outlier", "0.904"),
+    ),
     "predictions_tracker.csv": (
         Columns(_three("baseline_", "_mm"), True, "by the believed cell", "1843.2"),
         Columns(_three("corrected_", "_mm"), True, "by the cell that is written", "1843.3"),

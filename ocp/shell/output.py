@@ -364,9 +364,13 @@ def _empty(folder: Path) -> bool:
 
 def _resolved(path: Path) -> Path:
     try:
-        return path.resolve()
-    except (OSError, RuntimeError):  # a link that leads to itself; which error depends on the release
-        raise BadInput(f"{str(path)[:80]}: is a link that leads nowhere or to itself; give another path") from None
+        found = path.resolve()
+        looped = any(os.path.islink(one) for one in (found, *found.parents))  # Python 3.13 leaves a link to itself as it is
+    except (OSError, RuntimeError):  # which error depends on the release
+        looped = True
+    if looped:
+        raise BadInput(f"{str(path)[:80]}: is a link that leads nowhere or to itself; give another path")
+    return found
 
 
 def _prefix(folder: Path, what: str) -> str:

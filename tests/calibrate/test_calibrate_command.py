@@ -1,8 +1,10 @@
 """`python -m ocp.calibrate` as a user meets it: what it writes, what it refuses, and that the planner takes it."""
 
 import csv
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from ocp.model.cell import read_cell
 from ocp.model.theta import NAMES, believed_theta
 from robots.calibration.store import read_calibration
 from robots.tracker_readings import Readings
+from tests.support.formats import PAGE, told_keys
 from tests.support.simulated_campaign import campaign_readings, measured, random_truth
 from tests.support.small_plan import TEXT, Told, called, environment, tree
 
@@ -76,6 +79,9 @@ def test_the_planner_takes_the_calibration_with_all_of_its_covariance(done):
     folder = done[0]
     calibration = read_calibration(folder / "calibration" / "calibration.toml")
     assert {"th1", "a2", "be6", "c2", "c3", "base_x", "base_a"} <= set(calibration.names)
+    document = tomllib.loads((folder / "calibration" / "calibration.toml").read_text())
+    assert set(document) == {name.strip("[]").split(".")[0] for name in told_keys("calibration.toml")}
+    assert set(calibration.provenance) <= set(re.findall("`(\\w+)`", PAGE.read_text().split("`[provenance]`")[1].splitlines()[0]))
     assert "th1" in calibration.not_identified and calibration.provenance["method"] == "full"
     before, after = (believed_theta(read_cell(folder / f, "b.stl")) for f in ("cell.toml", "calibration/cell.toml"))
     a2 = NAMES.index("a2")

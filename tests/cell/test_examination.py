@@ -81,6 +81,14 @@ SLIPS = {
     "load elsewhere": (("com_mm = [10, 0, 160]", "com_mm = [900, 0, 160]"), DOUBT, "payloads.grinder.com_mm", "another frame"),
     "two nests": (("T3 = [20, 170, 330]", ""), DOUBT, "tracker.targets", "2 nests"),
     "nest in the base": (("T3 = [20, 170, 330]", "T3 = [2020, 170, 330]"), DOUBT, "tracker.targets.T3", "base frame"),
+    "wheel in the column": (("[1700, 0, 900]", "[200, 0, 400]"), DOUBT, "wheel.centre_mm", "robot's column"),
+    "wheel's place for the blade's": (
+        ("xyz_mm = [0, 0, 200]", "xyz_mm = [1700, 0, 900]"),
+        DOUBT,
+        "workpiece.xyz_mm",
+        "1.9 m from",
+    ),
+    "a drum": (("width_mm = 15.0", "width_mm = 500.0"), DOUBT, "wheel.width_mm", "drum"),
     "away": (("contact_direction = [-1, 0, 0]", "contact_direction = [1, 0, 0]"), DOUBT, "wheel.contact_direction", "away"),
     "inverse": (("xyz_mm = [0, 0, 200]", "xyz_mm = [0, 0, -200]"), DOUBT, "workpiece.xyz_mm", "inverse lies before it"),
     "clamp holds nothing": (("clamp_to_mm = 10.0", "clamp_to_mm = -10.0"), MISTAKE, "workpiece.clamp_offset_mm", "holds nothing"),
@@ -96,8 +104,8 @@ def test_a_slip_is_found_where_it_stands(tmp_path, name):
     new = [f for f in found(changed(tmp_path, change)) if (f.kind, f.key) not in before]
     (told,) = [f for f in new if f.key == key]
     assert told.kind == kind and words in told.text
-    # A blade behind the flange has its free end nearer too; what weighs nothing carries no flange.
-    assert len(new) == (2 if name in ("inverse", "blade not weighed") else 1)
+    # A blade behind the flange has its free end nearer too; what weighs nothing carries no flange; a load stays by the flange.
+    assert len(new) == (2 if name in ("inverse", "blade not weighed", "wheel's place for the blade's") else 1)
 
 
 def test_what_is_measured_is_asked_for_no_longer(tmp_path):
@@ -126,3 +134,8 @@ def test_an_arm_that_plan_refuses_is_a_mistake_where_a_plan_is_meant():
     assert [(f.kind, "no shape" in f.text) for f in told] == [(MISTAKE, True), (UNMEASURED, False)]
     alone = setup.tables.model_copy(update={"workpiece": None})
     assert [f.kind for f in findings_of_tables(alone, bare) if f.key == "robot.model"] == [DOUBT, UNMEASURED]
+
+
+def test_a_clamp_that_holds_nothing_is_a_mistake_of_the_whole_check(tmp_path):
+    told = check_cell(changed(tmp_path, ("clamp_to_mm = 10.0", "clamp_to_mm = -500.0")))
+    assert not told.sound and "1 mistake" in told.line and any("holds nothing" in one for one in told.notices)

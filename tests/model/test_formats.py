@@ -1,19 +1,24 @@
 """docs/formats.md and docs/schema say what the readers read."""
 
 import json
+import re
+import tomllib
+from typing import Annotated
 
 import pytest
+from pydantic import TypeAdapter
 
 from ocp.calibrate.force import log as force
 from ocp.data import CELL
 from ocp.diagnose.joints import log as joints
 from ocp.model.cell import read_cell
+from ocp.model.cell_schema import CellTables, EffectTable, PatchTable
 from ocp.model.columns import TABLES
 from ocp.plan.removal import wanted
 from ocp.update import removal
 from robots import tracker_readings as tracker
 from robots.errors import BadInput
-from tests.support.formats import PAGE, SCHEMAS, filled, schemas
+from tests.support.formats import KINDS, PAGE, SCHEMAS, filled, inner_tables, schemas
 from trajectories import path_points
 
 READERS = {
@@ -50,6 +55,28 @@ def test_the_schemas_are_those_of_the_code_and_every_key_says_what_it_means():
         for table in json.loads(text)["$defs"].values():
             for key, field in table["properties"].items():
                 assert field.get("description"), key
+
+
+def test_every_key_has_a_default_or_an_example_that_the_reader_takes():
+    for root, _ in KINDS.values():
+        tables = [root]
+        for table in tables:
+            for one in table.model_fields.values():
+                tables += [inner for inner in inner_tables(one.annotation) if inner not in tables]
+                for example in one.examples or []:
+                    TypeAdapter(Annotated[one.annotation, one]).validate_python(example)
+    empty = [
+        line
+        for line in PAGE.read_text().split("<!-- end of robot.toml -->")[0].splitlines()
+        if re.match(r"\| `.*\|  \|  \|", line)
+    ]
+    assert not empty
+    believed = {
+        name: [{key: one.examples[0] for key, one in table.model_fields.items() if one.examples and key != "about"}]
+        for name, table in (("effects", EffectTable), ("patches", PatchTable))
+    }
+    believed["effects"][0]["half_width_rad"] = 1e-4  # a key of its own
+    assert len(CellTables.model_validate(tomllib.loads(CELL.read_text()) | believed).believed) == 2
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from ocp.plan.__main__ import app
 from ocp.shell.output import MARKER, write_marker
 from robots.robot import load_robot
 from tests.support import small_plan
+from tests.support.formats import told_keys
 from tests.support.small_plan import STEP, called, refused, small_cell, tree, undrawn
 from trajectories.krl.checks import check_program
 
@@ -82,6 +83,7 @@ def test_the_folder_holds_programs_in_pairs_table_summary_and_reports(small):
     assert (plan / "report.pdf").read_bytes().startswith(b"%PDF-")
     assert "</html>" in (plan / "report.html").read_text(encoding="utf-8")
     content = json.loads((plan / "plan.json").read_text())
+    assert set(content) <= told_keys("plan.json")
     assert content["status"] == "safe" and content["force_error_N"] <= 0.2
     assert {entry["role"] for entry in content["inputs"]} == {"cell", "blade"}
     assert sorted(content["files"]) == sorted(f"{s}{end}" for s in sources for end in (".src", ".dat"))

@@ -20,6 +20,7 @@ from ocp.poses.__main__ import app
 from ocp.poses.candidates import Sight, ground_blade, visible
 from robots.errors import BadInput
 from robots.tracker_readings import read_readings
+from tests.support.formats import told_keys
 from trajectories.krl.checks import check_program
 
 TRACKER = "[tracker.targets]\nT1 = [150, -50, 250]\nT2 = [-160, 40, 210]\nT3 = [20, 170, 330]\n"
@@ -73,6 +74,7 @@ def test_the_last_line_tells_accuracy_and_what_more_poses_buy(made):
     poses, _, out = made
     assert out.count("\n") == 1 and f"{COUNT} poses, {2 * COUNT} readings" in out
     summary = json.loads((poses / "poses.json").read_text())
+    assert set(summary) == told_keys("poses.json")
     assert f"{summary['expected_mm']['grinding_zone']:.3f} mm" in out
     assert "ten more improve" in out or "still help" in out
     assert (poses / "report.pdf").read_bytes().startswith(b"%PDF-")

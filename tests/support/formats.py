@@ -41,7 +41,7 @@ UNITS = {
     "mm_at_rated": "mm",
     **{name: name for name in ("mm", "um", "deg", "GPa", "MPa", "ms", "kg", "N", "C", "s")},
 }
-OURS = ("plan.csv", "predictions_tracker.csv")  # files that nobody writes but the commands
+OURS = ("plan.csv", "predictions_tracker.csv", "residuals.csv")  # files that nobody writes but the commands
 ENDLESS = 1e6  # a bound from here on is against slips alone
 
 
@@ -121,17 +121,20 @@ def keys(table: type[BaseModel], example: dict[str, Any]) -> list[Key]:
         told = " ".join(filter(None, (kind(one.annotation, schema["properties"][key]), unit(key))))
         known = None if one.is_required() else one.get_default(call_default_factory=True)
         default = "needed" if one.is_required() else "" if known is None or known == {} else _shown(known)
-        value = example.get(key)
-        shown = "" if value is None or isinstance(value, dict) or default not in ("", "needed") else f"`{_shown(value)}`"
+        value = example.get(key, (one.examples or [None])[0])
+        shown = "" if value is None or default not in ("", "needed") else f"`{_shown(value)}`"
         found.append(Key(key, told, default, shown, " ".join((one.description or "").split()).rstrip(".")))
     return found
 
 
 def _shown(value: Any) -> str:
-    """A value as TOML has it, whole numbers without a point; of more than three numbers the first two."""
+    """A value as TOML has it, whole numbers without a point; of more than three numbers the first two, of a table one key."""
     if isinstance(value, list | tuple):
         told = [_shown(v) for v in value]
         return f"[{', '.join(told if len(told) < 4 else [*told[:2], '..'])}]"
+    if isinstance(value, dict):
+        told = [f"{key} = {_shown(v)}" for key, v in value.items()]
+        return f"{{ {', '.join([*told[:1], *(['..'] if len(told) > 1 else [])])} }}"
     whole = isinstance(value, float) and value.is_integer()
     return json.dumps(int(value) if whole else value).replace("Infinity", "infinite")
 
@@ -220,6 +223,12 @@ def filled(page: str) -> str:
         table = schema_tables(file) if file in KINDS else column_table(file)
         page = f"{before}{begin}\n{table}\n{end}{rest.split(end)[1]}"
     return page
+
+
+def told_keys(file: str) -> set[str]:
+    """Keys in the first column of the table under the page's **file**."""
+    table = PAGE.read_text().split(f"**{file}**:")[1].split("\n\n")[1]
+    return {name for row in table.splitlines()[2:] for name in re.findall("`([^`]+)`", row.split("|")[1])}
 
 
 def schemas() -> dict[str, str]:
