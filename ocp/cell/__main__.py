@@ -14,7 +14,9 @@ app = command_line("A cell of one's own: a new file, its examination, its page."
 @command(app, "python -m ocp.cell new --robot kr210_r2700_extra --blade blade.stl", name="new")
 def _new(
     robot: Annotated[str, typer.Option(help="name in the catalogue, or the path of a robot file")],
-    blade: Annotated[Path | None, typer.Option(help="the blade's STL", show_default="the bundled one")] = None,
+    blade: Annotated[
+        Path | None, typer.Option(help="the blade's file (STL, STEP, PLY, OBJ)", show_default="the bundled one")
+    ] = None,
     out: Annotated[Path, typer.Option(help="folder to write")] = Path("cell"),
     overwrite: Annotated[bool, typer.Option(help="replace a folder that is not empty")] = False,
 ) -> None:

@@ -16,7 +16,8 @@ app = command_line()
 @command(app, "python -m ocp.plan blade.stl --cell cell.toml --out plan", "python -m ocp.plan a.stl b.stl --out night")
 def _plan(
     blade: Annotated[
-        list[Path] | None, typer.Argument(help="the blade's STL; without it the cell's own; several: a plan each")
+        list[Path] | None,
+        typer.Argument(help="the blade's file (STL, STEP, PLY, OBJ); without it the cell's own; several: a plan each"),
     ] = None,
     cell: Annotated[Path, typer.Option(help="the cell file", show_default="the bundled one")] = CELL,
     out: Annotated[Path, typer.Option(help="folder to write; of several blades one that a later call goes on with")] = Path(

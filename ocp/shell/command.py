@@ -22,7 +22,8 @@ from ocp.shell.progress import Progress
 from robots.errors import BadInput, Infeasible
 
 OK, NOT_SOLVED, BAD_INPUT = 0, 1, 2
-PAGES = ("report.html", "rehearsal.html", "cell.html", "index.html")  # what a written folder may have to look at
+# What a written folder may have to look at.
+PAGES = ("report.html", "rehearsal.html", "cell.html", "index.html", "report.pdf")
 
 
 @dataclass
@@ -182,7 +183,9 @@ def _told(line: str) -> int:
         pass
     except OSError as error:
         tell_notices([f"all is written, but this line could not be ({error.strerror}): {line}"])
-    if _telling.opened and _telling.page is not None:
+    if _telling.opened and _telling.page is None:
+        tell_notices(["this command writes no page, so there is none to open"])
+    elif _telling.opened and _telling.page is not None:
         webbrowser.open(_telling.page.resolve().as_uri())
     return _telling.code
 

@@ -15,7 +15,9 @@ app = command_line()
 def _simulate(
     plan: Annotated[Path | None, typer.Argument(help="folder that ocp.plan wrote; without it only the tracker campaign")] = None,
     cell: Annotated[Path | None, typer.Option(help="the cell file; without it the one the plan was made with")] = None,
-    blade: Annotated[Path | None, typer.Option(help="the blade's STL, where it is not the cell's own")] = None,
+    blade: Annotated[
+        Path | None, typer.Option(help="the blade's file (STL, STEP, PLY, OBJ), where it is not the cell's own")
+    ] = None,
     effects: Annotated[
         list[str] | None, typer.Option("--effect", help="plant NAME[:JOINT][=SIZE], as backlash:5=2e-4; repeat for more")
     ] = None,

@@ -27,7 +27,7 @@ def leaves():
 
 @pytest.mark.parametrize("words", list(leaves()), ids=" ".join)
 def test_the_help_of_a_command_fits_a_screen_and_shows_an_example(words):
-    told = CliRunner().invoke(whole(), [*words, "--help"], env={"COLUMNS": "120"})
+    told = CliRunner().invoke(whole(), [*words, "--help"], env={"COLUMNS": "80"})
     assert told.exit_code == 0 and len(told.output.splitlines()) <= 45
     assert re.search(rf"Example: python -m ocp\.{' '.join(words)} ", told.output)
     assert {"--open", "--json", "--verbose"} <= set(re.findall(r"--[\w-]+", told.output))
