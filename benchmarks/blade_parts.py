@@ -1,6 +1,6 @@
 """`python benchmarks/blade_parts.py [NUMBER ..] [--keep FOLDER]`: thirty odd blades made, read, and their aerofoils compared.
 
-Prints the table of docs/blade.md: what each part is, and what was found against what was built (tests/support/blade_parts.py).
+Prints a table: what each part is, and what was found against what was built (tests/support/blade_parts.py).
 With --keep also a cell.toml a part stands in FOLDER, the bundled cell that grips the part at its root and grinds two lines:
 `python -m ocp.plan FOLDER/part_02.stl --cell FOLDER/part_02.toml --step 2`.
 

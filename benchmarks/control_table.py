@@ -7,7 +7,7 @@ by direct contact and the model of the plan; all are timed by the same law under
 ours: the plan's nonlinear program. fixed time: the same with rate and ratio at 1. raw: inverse kinematics pose by pose on the
 line's frames, on a straight line through the seed's places on the arc and on its turn, in the middle of the wheel, untilted, the
 overlap of every pose corrected until the force is right. smoothed: the same on frames smoothed over 10 mm.
-docs/process.md has the table.
+docs/process.md has what came out.
 """
 
 import time

@@ -297,9 +297,8 @@ class ProcessTable(TomlTable):
     """Left free at root and tip."""
     edge_margin_mm: Margin = 3.0
     """Left free at leading and trailing edge."""
-    # Most that an edge of the blade may be pressed with where a ramp runs off it; a thousand tonnes cut it off.
     edge_force_N: Force = 5.0
-    """Most on an edge where a ramp runs off it; not used yet: touch keeps the patch of a quarter of the force inside."""
+    """Lines begin as far out on the margin as a patch under this force stays on the blade."""
     # What is wanted of all passes together; a belt that takes off 2 mm mills.
     removal_um: Annotated[float, Field(ge=0.01, le=2000, allow_inf_nan=False, strict=True)] | None = Field(
         default=None, examples=[20]

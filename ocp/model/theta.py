@@ -30,7 +30,7 @@ BLOCKS: dict[str, tuple[str, ...]] = {
 NAMES: tuple[str, ...] = tuple(name for names in BLOCKS.values() for name in names)
 assert set(NAMES) <= set(SYMBOLS), "every parameter of the model is in the product's list"
 
-# One sigma of what a cell file does not say (our judgement; docs/model.md lists what each contributes to the force).
+# One sigma of what a cell file does not say (our judgement; docs/model.md lists what most of them contribute to the force).
 UNCALIBRATED_LENGTH_SD = 3e-4  # m; with the next line about 1.2 mm at the tool, PHYSICS 2.6
 UNCALIBRATED_ANGLE_SD = 3e-4  # rad
 UNMODELLED_JOINTS = 2e-5  # rad; 0.04 mm at 2 m, what gears leave after a calibration (PHYSICS 2.6)

@@ -6,7 +6,7 @@ wheel's clock, and for a blade that is gripped anew,
     R <- R - max(v, 0) dt,   all else stays;     P <- F P F^T + dt Q + G                                                   (1)
 
 The fit of a log then has the moved state as its prior, and v follows R by their correlation: a Kalman filter whose measurement
-is the fit of `ocp.calibrate.force`. docs/update.md has the sources of Q and G.
+is the fit of `ocp.calibrate.force`. WALKS has the sources of Q and G.
 """
 
 from dataclasses import dataclass, replace

@@ -248,9 +248,9 @@ def test_no_force_leaves_the_lowest_gap_under_the_wheel(law, shapes):
     y = np.linspace(-0.5, 0.5, 401)[:, None] * WHEEL.width - shapes[3]
     kxx, kyy, kxy, _, tilt_x, tilt_y = shapes
     lowest = (tilt_y * y + 0.5 * kyy * y**2 - 0.5 * (tilt_x + kxy * y) ** 2 / kxx).min(axis=0)
-    assert np.abs(law.evaluate(np.zeros(400), *shapes) - lowest).max() < 4e-5 and np.abs(lowest).max() > 5e-4
-    assert law.evaluate(0.0, 14.0, 16.0, 2.0, 0.0, 0.0, 0.0)[0] == pytest.approx(0.0, abs=1.2e-5)
-    assert law.evaluate(0.0, 14.0, 0.0, 0.0, 0.004, 0.0, 0.0)[0] == pytest.approx(0.0, abs=1e-12)
+    over = law.evaluate(np.zeros(400), *shapes) - lowest
+    assert -1e-5 < over.min() and over.max() < 1e-8 and np.abs(lowest).max() > 5e-4, "what does not press never overlaps"
+    assert law.evaluate(0.0, 14.0, 16.0, 2.0, 0.0, 0.0, 0.0)[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_indentation_rises_with_force_below_the_table(law, shapes):
@@ -265,4 +265,4 @@ def test_direct_solutions_below_the_table(law, cover, shapes, share):
     force = share * law.limits["force"][0]
     direct = [solve_force(cover, force, LocalShape(*one)).indentation for one in shapes.T[:25]]
     off = law.evaluate(np.full(25, force), *shapes[:, :25]) - direct
-    assert np.sqrt(np.mean(off**2)) < 2.5e-5 and np.abs(off).max() < 6e-5
+    assert np.sqrt(np.mean(off**2)) < 1.6e-5 and np.abs(off).max() < 5e-5

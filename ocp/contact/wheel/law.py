@@ -23,7 +23,7 @@ STRIPS_A_LENGTH, LEAST_STRIPS, MOST_STRIPS = 2.4, 15, 53
 # Strips crowd a little towards the edges of the wheel, where hollow blades bear: y + CROWDING sin(pi y) / pi.
 CROWDING = 0.3
 N_FEATURES = 5
-TOUCH = 0.05  # of the decay where the force bends over, what is left of it without force: the lowest strip alone bears
+ROUND = 0.05  # of the decay where the force bends over, by which the two edges of the wheel are rounded into each other at touch
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,15 @@ def strip_baseline(decay: Array, ridge: Array, slope: Array, width: float, count
     return -decay * level, features
 
 
+def first_touch(ridge: Array, slope: Array, width: float, rounded: Array) -> Array:
+    """Least (n,) m of slope y + ridge y^2 / 2 over the width, where bodies that do not press meet; at a hollow's two edges, which
+    change places where it does not lean, a hyperbola `rounded` (n,) m below their corner."""
+    lean = np.hypot(0.5 * width * slope, rounded)
+    sag = 0.125 * width**2 * ridge
+    inside = 2 * sag > lean
+    return np.where(inside, -0.25 * lean**2 / np.where(inside, sag, 1.0), sag - lean)
+
+
 def all_features(force: Array, reduced: Reduced, decay: Array, modulus: float, width: float, count: int) -> tuple[Array, Array]:
     """Baseline (n,) m over `count` strips and the N_FEATURES numbers (n, 5) the correction depends on."""
     base, load = strip_baseline(decay, reduced.ridge, reduced.slope, width, count)
@@ -138,8 +147,8 @@ class WheelLaw:
         """Interference d (m) at the planned point under `F` >= 0 N; arguments scalar, as in docs/architecture.md.
 
         Exact derivatives, smooth for kxx above its limit; below it kxx is bent to stay positive so that an optimiser
-        may pass through. Below the least force of the table the baseline goes on down to the lowest gap under the wheel's width,
-        where it touches first, and the correction fades as Hertz's law does.
+        may pass through. Below the least force of the table it goes down with the root of the force to the lowest gap under the
+        wheel's width, where it touches first.
         """
         g, least = self.geometry, 0.5 * self.limits["force"][0]  # it bends over below the table
         u = F / least
@@ -156,13 +165,13 @@ class WheelLaw:
 
         a, b = slope * (0.5 * g.width) / p, 0.5 * ridge * (0.5 * g.width) ** 2 / p
         full, mean, square = self._strip_load(a, b)
-        bears = ca.if_else(u < 2, _hertz(asked, least) / _hertz(F, least), 1)
-        less = TOUCH + (1 - TOUCH) * bears
-        level, _, _ = self._strip_load(a / less, b / less)
+        bears = ca.if_else(u < 2, _rise(asked, least) / _rise(F, least), 1)
+        steep = ca.sqrt(a**2 + ROUND**2)
+        touch = ca.if_else(2 * b > steep, -(steep**2) / (4 * ca.fmax(b, 0.5 * steep)), b - steep)
         energy = a * mean + b * square
         stiff = ca.log(F / (g.modulus * across * g.width**3))
         features = [stiff, full + energy, mean**2, square - mean**2, shear**2 / (1 + shear**2)]
-        return offset + p * (bears * self._correction(features) - less * level)
+        return offset + p * (touch + bears * (self._correction(features) - full - touch))
 
     def _strip_load(self, a: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Of strips with gaps a y + b y^2 in decays: log of the mean of exp(-gap); mean and mean square of the load's place."""
@@ -194,21 +203,21 @@ class WheelLaw:
         g, least = self.geometry, 0.5 * self.limits["force"][0]  # it bends over below the table
         within = np.where(F < 2 * least, least * (1 + (F / least) ** 3 * (4 - F / least) / 16), F)
         p = self.decay * force_scale(within, reduced.across, g.modulus)
-        _, features = all_features(within, reduced, p, g.modulus, g.width, self.count)
+        base, features = all_features(within, reduced, p, g.modulus, g.width, self.count)
         correction = chebyshev_products(self._unit(features), self.terms) @ self.coefficients
-        bears = _hertz(F, least) / _hertz(within, least)
-        base, _ = strip_baseline(p * (TOUCH + (1 - TOUCH) * bears), reduced.ridge, reduced.slope, g.width, self.count)
-        return reduced.offset + base + bears * p * correction
+        bears = _rise(F, least) / _rise(within, least)
+        touch = first_touch(reduced.ridge, reduced.slope, g.width, ROUND * p)
+        return reduced.offset + touch + bears * (base + p * correction - touch)
 
     def _unit(self, features: Array) -> Array:
         """Features scaled to -1..1 over the sampled ranges."""
         return (2 * features - self.low - self.high) / (self.high - self.low)
 
 
-def _hertz(F: Any, least: float) -> Any:
-    """(F + e)^(2/3) - e^(2/3), e a hundredth of `least`: Hertz's law without its infinite slope at F = 0."""
+def _rise(F: Any, least: float) -> Any:
+    """(F + e)^(1/2) - e^(1/2), e a hundredth of `least`: no infinite slope at F = 0; the root met direct solutions best."""
     e = 0.01 * least
-    return (F + e) ** (2 / 3) - e ** (2 / 3)
+    return (F + e) ** 0.5 - e**0.5
 
 
 def _nested(terms: Array, coefficients: Array, powers: list[list[ca.SX]], variable: int) -> ca.SX:
