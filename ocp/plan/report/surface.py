@@ -217,7 +217,7 @@ def _draw_side(ax: Axes, blade: PaintedBlade, colours: Array, toward: Array, up:
     flat = 1e3 * np.stack([corners[visible] @ right, corners[visible] @ up], axis=-1)
     shade = 0.78 + 0.22 * np.clip(normal[visible] @ (_LIGHT @ np.stack([right, up, toward])), 0, 1)
     faces = PolyCollection(
-        list(flat), facecolors=colours[visible] * shade[:, None], edgecolors="face", linewidths=0.15, rasterized=True
+        flat, facecolors=colours[visible] * shade[:, None], edgecolors="face", linewidths=0.15, rasterized=True
     )
     ax.add_collection(faces)
     ax.set_xlim(flat[..., 0].min(), flat[..., 0].max())
