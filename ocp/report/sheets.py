@@ -105,15 +105,15 @@ def width_of(words: str, size: float, bold: bool = False) -> float:
 
 def wrapped(words: str, width: float, size: float) -> list[str]:
     """Lines of at most `width` inch; a word that is longer is cut."""
-    lines, line = [], ""
+    lines, line, at, space = [], "", 0.0, width_of("a a", size) - width_of("aa", size)
     for word in printable(words[:LONGEST]).split():
         while width_of(word, size) > width and len(word) > 1:
             cut = max(1, sum(width_of(word[: k + 1], size) <= width for k in range(len(word))))
             lines += ([line] if line else []) + [word[:cut]]
             line, word = "", word[cut:]
-        joined = f"{line} {word}" if line else word
-        if width_of(joined, size) > width:
+        own = width_of(word, size)
+        if line and at + space + own > width:
             lines.append(line)
-            joined = word
-        line = joined
+            line = ""
+        line, at = (f"{line} {word}", at + space + own) if line else (word, own)
     return [*lines, line]

@@ -214,7 +214,7 @@ def _draw_side(ax: Axes, blade: PaintedBlade, colours: Array, toward: Array, up:
     normal = normal / np.maximum(size, 1e-30)[:, None]
     visible = np.flatnonzero((normal @ toward > 0) & (size > 0))
     visible = visible[np.argsort((corners[visible].mean(axis=1)) @ toward, kind="stable")]
-    flat = 1e3 * np.stack([corners[visible] @ right, corners[visible] @ up], axis=-1)
+    flat: Any = 1e3 * np.stack([corners[visible] @ right, corners[visible] @ up], axis=-1)
     shade = 0.78 + 0.22 * np.clip(normal[visible] @ (_LIGHT @ np.stack([right, up, toward])), 0, 1)
     faces = PolyCollection(
         flat, facecolors=colours[visible] * shade[:, None], edgecolors="face", linewidths=0.15, rasterized=True
