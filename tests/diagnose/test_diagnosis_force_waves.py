@@ -203,5 +203,10 @@ def test_a_log_near_which_no_believed_contact_comes_is_unexplained(made: Made, m
     monkeypatch.setattr(fitting, "RULE", replace(fitting.RULE, steps=1))
     channel = replace(made.channel, fit=fit_effects(made.channel.problem), before=None)
     assert not channel.fit.rested
+
+    def forbidden(*_: object) -> None:
+        raise AssertionError("a name was fitted beside no minimum")
+
+    monkeypatch.setattr(fitting, "units_of", lambda active: forbidden() if active else np.zeros(0))
     found = diagnose_channels([channel], {"sensor_bias": EFFECTS["sensor_bias"]})
     assert found.p_unknown > 0.5 and any("finds no rest" in why for why in found.unknown_reasons)

@@ -1,6 +1,7 @@
 """The promise of shrinkage for force readings: on numbers alone, and kept on a wearing wheel ground with by the second route."""
 
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,10 +11,11 @@ import pytest
 from ocp.calibrate.force.log import read_force_log
 from ocp.diagnose.engine.channel_system import Fold, HeldOut
 from ocp.diagnose.engine.findings import Alternative
+from ocp.diagnose.force import shrinkage
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
 from ocp.diagnose.force.logged_contact import logged_arm
-from ocp.diagnose.force.prediction import LogScene, predict_forces
+from ocp.diagnose.force.prediction import LogScene, predict_anew, predict_forces
 from ocp.diagnose.force.shrinkage import LaterGrinding, after_log, anticipated_grinding, from_grinding
 from ocp.diagnose.rules import RUN_SD
 from ocp.diagnose.verdict.shrinkage import Shrinkage
@@ -191,3 +193,19 @@ def test_the_promise_is_kept_after_the_log(worn):
         anticipated_grinding(before, after, (Alternative(0.6, after.active), Alternative(0.4, ()))), after.noise_floor**2
     )
     assert unsure is not None and unsure.predicted < found.predicted and unsure.low < found.low - 0.5
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_what_cannot_be_computed_later_is_no_alternative_and_promises_nothing(worn, monkeypatch, lost):
+    """Of three predictions under each of the later conditions: the baseline's, the accepted one's, the other's."""
+    after, calls = worn.channel.with_active((_wear(),)), count()
+
+    def made(*given):
+        told = predict_anew(*given)
+        return replace(told, fn=np.full_like(told.fn, np.nan)) if next(calls) % 3 == lost else told
+
+    monkeypatch.setattr(shrinkage, "predict_anew", made)
+    others = (Alternative(0.6, after.active), Alternative(0.4, ()))
+    found = anticipated_grinding(worn.channel, after, others)
+    assert (found is None) == (lost == 1)
+    assert found is None or (len(found.probability) == 1 and np.isfinite(found.moved).all())

@@ -260,6 +260,15 @@ class Scattering(Protocol):
         """In words, how much more they do; empty where they do not."""
 
 
+@runtime_checkable
+class Resting(Protocol):
+    """A channel whose believed cell's fit may find no minimum."""
+
+    @property
+    def rests(self) -> bool:
+        """Whether it found one."""
+
+
 @dataclass(frozen=True)
 class Predictable:
     """Effects that can be predicted, and those for which a column is missing; kept (k,): places of the known ones' coefficients

@@ -143,6 +143,11 @@ class ForceChannel:
         pressed = float(np.median(self.log.fn[self.log.contact]))
         return "by more than a contact that holds can" if self.noise_floor > LOOSE * pressed else ""
 
+    @property
+    def rests(self) -> bool:
+        """Whether the believed contact's fit came to rest."""
+        return self.baseline.fit.rested
+
     def blind(self, effect: Effect) -> str:
         """Why it cannot be seen."""
         hooks = (effect.overlap, effect.push, effect.sensor, effect.shear, effect.along, effect.along_shear)

@@ -44,8 +44,9 @@ class LaterGrinding:
     run: Index
 
 
-def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequence[Alternative] = ()) -> LaterGrinding:
-    """The log's recordings under later conditions; others: alternatives, the accepted one (which `after` is) first."""
+def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequence[Alternative] = ()) -> LaterGrinding | None:
+    """The log's recordings under later conditions; others: alternatives, the accepted one (which `after` is) first; those under
+    which the contact cannot be computed there are left out. None where that is the accepted one."""
     followed = [(m, o.probability) for o in others if (m := _with(before, after, o.active)) is not None] or [(after, 1.0)]
     models, p = [m for m, _ in followed], np.array([one for _, one in followed])
     rows = np.unique(np.linspace(0, len(after.log) - 1, min(len(after.log), ROWS)).astype(np.int64))
@@ -61,6 +62,10 @@ def anticipated_grinding(before: ForceChannel, after: ForceChannel, others: Sequ
         found = [predict_anew(there, m.fit.at.x, m.fit.active) for m in models]
         moved.append(np.stack([(made.fn - old)[touching] for made in found]))
         errors.append(linear_normal(models[0].problem, there, found[0])[touching])
+    there_too = np.array([all(np.isfinite(one[k]).all() for one in moved) for k in range(len(models))])
+    if not there_too[0] or not np.isfinite(np.stack(errors)).all():
+        return None
+    moved, p = [one[there_too] for one in moved], p[there_too]
     share = np.array([BETWEEN_RUNS, *((1.0 - BETWEEN_RUNS) / len(later) for _ in later)])
     run = np.unique(known.run[rows][touching], return_inverse=True)[1].astype(np.int64)
     # Of the unknowns that go on: the nuisance and the effects' coefficients, not what single recordings were off by.
@@ -118,7 +123,8 @@ def of_grinding(
     """Of a force channel before and with the named effects; alternatives: what else may be true; held: folds, that say how
     much is there under no name where, with probability `unknown`, something is. None: no gap to speak of."""
     assert isinstance(before, ForceChannel) and isinstance(after, ForceChannel)
-    return from_grinding(anticipated_grinding(before, after, alternatives), after.noise_floor**2, held, unknown)
+    new = anticipated_grinding(before, after, alternatives)
+    return None if new is None else from_grinding(new, after.noise_floor**2, held, unknown)
 
 
 def from_grinding(

@@ -9,7 +9,7 @@ from scipy.special import fdtrc
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Family, Given, Search, Weighed, given
-from ocp.diagnose.engine.channel_system import Channel, Scattering, WeighedReadings
+from ocp.diagnose.engine.channel_system import Channel, Resting, Scattering, WeighedReadings
 from ocp.diagnose.engine.evidence import visible_lambda
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, rival_of, stacked_columns
@@ -29,6 +29,8 @@ NO_REST = "no fit with it comes to rest"
 def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options = USUAL) -> Diagnosis:
     """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
     baseline = tuple(c.with_active(()) if c.active else c for c in channels)
+    if all(isinstance(c, Resting) and not c.rests for c in baseline):
+        library = {}  # evidence compares minima: beside none a name says nothing
     few = tuple(_thinned(c, rules.MOST_SEARCHED) for c in baseline)
     diverged = Diverged()
     first = linearised(few, library, options)
