@@ -139,6 +139,18 @@ def test_a_log_without_contact_or_with_the_wrong_sign_is_refused(tmp_path):
         read(tmp_path, rows(fn_N=-20.0, contact=1))
 
 
+@pytest.mark.parametrize("count, refused", [(100, False), (101, True)])
+def test_a_setpoint_in_the_place_of_a_reading_is_refused(tmp_path, count, refused):
+    table = rows(count, fn_N=20.0, contact=1)
+    for k, row in enumerate(table):
+        row |= {"time_s": 0.01 * k, "fn_N": 20.0 if k < 10 else 29.0, "run": 0 if k < 10 else 1}
+    if refused:
+        with pytest.raises(BadInput, match="line 2, column fn_N: 20 stays the same through every recording, as a setpoint does"):
+            read(tmp_path, table)
+    else:
+        assert len(read(tmp_path, table)) == count
+
+
 def test_files_that_are_no_table_are_refused(tmp_path):
     path = tmp_path / "force.csv"
     with pytest.raises(BadInput, match=r"force\.csv: cannot be read"):

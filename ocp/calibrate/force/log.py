@@ -40,6 +40,7 @@ UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
+STILL = 100  # rows in contact from which a reading that never changes is none
 STEADY = 0.75  # of a run's usual largest feed, up to which wheel and blade meet
 SETTLING = 0.08  # s after that: three time constants and the delay of a flange of 10 Hz and 10 ms
 
@@ -116,7 +117,7 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
     ignored = [f"{table.path.name}: columns {', '.join(table.ignored)} were ignored"] if table.ignored else []
     contact = _contact(table, fn, run)
     if not sealed:
-        _check_force(table, fn, contact)
+        _check_force(table, fn, contact, run)
     return ForceLog(
         path=table.path,
         run=run,
@@ -214,12 +215,15 @@ def _contact(table: CsvTable, fn: Array, run: Index) -> Flags:
     return np.asarray(level > limit)
 
 
-def _check_force(table: CsvTable, fn: Array, contact: Flags) -> None:
+def _check_force(table: CsvTable, fn: Array, contact: Flags, run: Index) -> None:
     if not contact.any():
         raise BadInput(f"{table.path}: no row is in contact (column contact, or fn_N near zero throughout); nothing to fit")
     if np.median(fn[contact]) < 0:
         k = int(np.argmax(contact & (fn < 0)))
         raise table.refuse(k, "fn_N", "is negative as most of the log is; the force that presses wheel and blade is positive")
+    if all(np.ptp(fn[contact & (run == i)]) == 0 for i in np.unique(run[contact])) and np.count_nonzero(contact) > STILL:
+        k = int(np.argmax(contact))
+        raise table.refuse(k, "fn_N", "stays the same through every recording, as a setpoint does; give what the sensor read")
 
 
 def _counts(table: CsvTable, column: str) -> Index | None:
