@@ -6,6 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ocp.diagnose.answering import tracker_channel
+from ocp.diagnose.dataset import read_data_set
 from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised
@@ -199,7 +201,7 @@ def test_scatter_with_which_no_contact_holds_is_told(noise, said):
     assert ForceChannel.scatters.fget(channel) == said
 
 
-def test_a_log_near_which_no_believed_contact_comes_is_unexplained(made: Made, monkeypatch):  # noqa: F811
+def test_a_log_near_which_no_believed_contact_comes_is_unexplained(made: Made, monkeypatch, shared_data):  # noqa: F811
     monkeypatch.setattr(fitting, "RULE", replace(fitting.RULE, steps=1))
     channel = replace(made.channel, fit=fit_effects(made.channel.problem), before=None)
     assert not channel.fit.rested
@@ -210,3 +212,8 @@ def test_a_log_near_which_no_believed_contact_comes_is_unexplained(made: Made, m
     monkeypatch.setattr(fitting, "units_of", lambda active: forbidden() if active else np.zeros(0))
     found = diagnose_channels([channel], {"sensor_bias": EFFECTS["sensor_bias"]})
     assert found.p_unknown > 0.5 and any("finds no rest" in why for why in found.unknown_reasons)
+    # What the tracker read is judged on its own.
+    arm = tracker_channel(read_data_set(shared_data / "worlds" / "tracker_no_effect", None))
+    both = diagnose_channels([arm, channel], {name: EFFECTS[name] for name in ("sensor_bias", "encoder_scale")})
+    assert [c.name for c in both.channels] == [c.name for c in both.baseline] == [arm.name, channel.name]
+    assert both.p_unknown > 0.5 and any("finds no rest" in why for why in both.unknown_reasons)

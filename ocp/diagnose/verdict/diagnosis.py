@@ -29,8 +29,14 @@ NO_REST = "no fit with it comes to rest"
 def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options = USUAL) -> Diagnosis:
     """Where the gap of all channels lies, which effects of `library` cause it, none, or none of these."""
     baseline = tuple(c.with_active(()) if c.active else c for c in channels)
-    if all(isinstance(c, Resting) and not c.rests for c in baseline):
-        library = {}  # evidence compares minima: beside none a name says nothing
+    # Evidence compares minima: where the believed cell's fit has none, a name says nothing.
+    lost = {c.name: c for c in baseline if isinstance(c, Resting) and not c.rests}
+    if len(lost) == len(baseline):
+        library = {}
+    elif lost:
+        found = diagnose_channels([c for c in baseline if c.name not in lost], library, options)
+        after = {c.name: c for c in found.channels} | lost
+        return _scattering(replace(found, baseline=baseline, channels=tuple(after[c.name] for c in baseline)))
     few = tuple(_thinned(c, rules.MOST_SEARCHED) for c in baseline)
     diverged = Diverged()
     first = linearised(few, library, options)
