@@ -162,9 +162,9 @@ def schema_tables(file: str) -> str:
                 needed = "needed" if one.is_required() else ""
                 left.append((inner, "` .. `".join(ends), needed, told.rstrip("."), value if isinstance(value, dict) else {}))
     often = [key for key, n in Counter(key for *_, held in found for key in held).items() if n > 2]
-    text = ["| key | range | default | example | meaning |", "|---|---|---|---|---|"]
+    text = ["| key | range | default, `example` | meaning |", "|---|---|---|---|"]
     for name, needed, words, held in found:
-        text += [f"| **`{name}`** |  | {needed} |  | **{words}** |"] if name else []
+        text += [f"| **`{name}`** |  | {needed} | **{words}** |"] if name else []
         text += _rows([key for key in held if key not in often])
     text += [""] if often else []
     for told in often:
@@ -179,7 +179,7 @@ def _rows(held: list[Key]) -> list[str]:
     for (told, default, meaning), run in groupby(held, key=lambda k: (k.range, k.default, k.meaning)):
         alike = list(run)
         names = ", ".join(f"`{k.name}`" for k in alike)
-        rows.append(f"| {names} | {told} | {default} | {alike[0].example} | {meaning} |")
+        rows.append(f"| {names} | {told} | {', '.join(filter(None, (default, alike[0].example)))} | {meaning} |")
     return rows
 
 
