@@ -19,7 +19,7 @@ from ocp.plan.passes.posture import Seed, seeds_of_stretches
 from ocp.plan.passes.stretches import LEAST_GROUND_SHARE, NO_ROOM, LeftOut, LineStretch, ground_share, joined, whole_lines
 from ocp.plan.paths import LaidPaths, PlanOptions, lay_paths
 from ocp.shell.progress import Phases
-from robots.errors import Infeasible
+from robots.errors import BadInput, Infeasible
 from robots.payload import overload
 from robots.pose import Array, apply, invert
 from robots.robot import MOVES, Robot, left_out_notices
@@ -37,6 +37,9 @@ LIMP = 0.01  # of the setpoint by which it would change at least: its stiffness 
 STIFF = (1.0, 700.0)  # GPa: from what barely holds its shape to tungsten carbide
 THICK = 1.0  # m: a load whose radius of gyration is larger is written in kg mm^2
 FAR = 0.5  # m between a payload's centre and the blade that it holds
+SPRING = 1e3  # N m/rad: a joint's spring below is written in MN m/rad
+HOT = 100.0  # C: no hall is as warm, 295 are kelvin
+SMALL = 1.0  # deg: an arc or a tolerance below is written in radians
 LONG = 1.0  # m from the flange to a blade's frame: what holds it is no holder
 BROAD = 3.0  # diameters: a contact wheel wider than that is a drum
 GROUND = 0.999  # of the asked surface: what is less is told
@@ -113,8 +116,9 @@ def examine(path: Path, phases: Phases) -> Examined:
         return Examined(path, setup, tuple(found), None)
     try:
         grindable = _grindable(cell, phases)
-    except Infeasible as reason:
-        return Examined(path, setup, (*found, Finding(MISTAKE, "wheel", str(reason))), None)
+    except (BadInput, Infeasible) as reason:  # the blade itself was read: what is left is the cell's doing
+        key = "wheel" if isinstance(reason, Infeasible) else "workpiece"
+        return Examined(path, setup, (*found, Finding(MISTAKE, key, str(reason))), None)
     return Examined(path, setup, (*found, *_reach_findings(grindable)), grindable)
 
 
@@ -185,6 +189,14 @@ def _unit_findings(tables: CellTables) -> Iterator[Finding]:
         quarters = np.array(turn) / (0.5 * np.pi)
         if any(0.5 < abs(v) < 4.5 and abs(v - round(v)) < QUARTERS for v in quarters):
             yield Finding(DOUBT, key, f"{list(turn)} looks like radians; degrees are asked for")
+    yield from _angle_findings(tables)
+    springs = tables.robot.stiffness_Nm_per_rad or ()
+    if any(0 < k < SPRING for k in springs):
+        text = f"{min(k for k in springs if k > 0):g} is no gear's: MN m/rad? N m/rad are asked for"
+        yield Finding(DOUBT, "robot.stiffness_Nm_per_rad", text)
+    if tables.reference_temperature_C > HOT:
+        text = f"{tables.reference_temperature_C:g} is no hall's: kelvin? degrees Celsius are asked for"
+        yield Finding(DOUBT, "reference_temperature_C", text)
     for key, offset in _offsets(tables).items():
         if 0 < max(map(abs, offset)) < 1.0:
             yield Finding(DOUBT, key, f"{_plain(offset)} is next to nothing: metres? millimetres are asked for")
@@ -199,6 +211,17 @@ def _unit_findings(tables: CellTables) -> Iterator[Finding]:
         yield Finding(DOUBT, "workpiece.youngs_modulus_GPa", text)
     if tables.wheel is not None and tables.wheel.belt_speed_m_s == 0:
         yield Finding(DOUBT, "wheel.belt_speed_m_s", "the belt stands, so nothing is ground; give its speed, with its sign")
+
+
+def _angle_findings(tables: CellTables) -> Iterator[Finding]:
+    """An arc or tolerances that are next to nothing in degrees and usual in radians."""
+    angles: dict[str, tuple[float, ...]] = {} if tables.wheel is None else {"wheel.contact_arc_deg": tables.wheel.contact_arc_deg}
+    process = tables.process
+    given = {name: (getattr(process, name),) for name in ("turn_tolerance_deg", "tilt_tolerance_deg")}
+    angles |= {f"process.{name}": value for name, value in given.items()}
+    for key, values in angles.items():
+        if 0 < max(map(abs, values)) < SMALL:
+            yield Finding(DOUBT, key, f"{_plain(values)} is next to nothing: radians? degrees are asked for")
 
 
 def _place_findings(tables: CellTables, robot: Robot) -> Iterator[Finding]:
@@ -291,10 +314,10 @@ def _tracker_findings(tables: CellTables) -> Iterator[Finding]:
         where = "" if len(placed) < NESTS else " in one line or place"
         text = f"{len(placed)} nests on the last link{where}; a calibration needs {NESTS} apart to tell how the flange is turned"
         yield Finding(DOUBT, "tracker.targets", text)
-    far = [name for name, place in _nests(tables).items() if max(map(abs, place)) > 2000]
+    far = [name for name, place in _nests(tables).items() if np.linalg.norm(place) > 1500]
     if far:
         yield Finding(
-            DOUBT, f"tracker.targets.{far[0]}", "stands more than 2 m from its link's frame; is it given in the base frame?"
+            DOUBT, f"tracker.targets.{far[0]}", "stands more than 1.5 m from its link's frame; is it given in the base frame?"
         )
 
 
@@ -333,16 +356,25 @@ def findings_of_frames(cell: Cell, blade: Blade) -> Iterator[Finding]:
     held = along < piece.clamp_offset
     if not held.any() or held.all():
         what = "nothing" if not held.any() else "all"
-        reach = f"which reaches from {1e3 * along.min():.1f} to {1e3 * along.max():.1f} mm across its plane"
-        text = f"the clamp, below {1e3 * piece.clamp_offset:.6g} mm, holds {what} of the blade, {reach}; move or turn it"
-        yield Finding(MISTAKE, "workpiece.clamp_offset_mm", text)
+        sense = -1.0 if cell.tables.workpiece is not None and cell.tables.workpiece.clamp_side == "above" else 1.0
+        ends = sorted(1e3 * sense * v for v in (along.min(), along.max()))
+        plane = f"{'above' if sense < 0 else 'below'} {1e3 * sense * piece.clamp_offset:.6g} mm"
+        reach = f"which reaches from {ends[0]:.1f} to {ends[1]:.1f} mm across its plane"
+        text = f"the clamp, {plane}, holds {what} of the blade, {reach}; move or turn it"
+        yield Finding(MISTAKE, f"workpiece.{_clamp_key(cell, 'clamp_offset_mm', 'clamp_to_mm')}", text)
     elif np.linalg.norm(placed[held], axis=1).mean() > np.linalg.norm(placed[~held], axis=1).mean():
         text = "the held end stands farther from the flange than the free one; is the side of the clamp, or the blade, turned?"
-        yield Finding(DOUBT, "workpiece.clamp_normal", text)
+        yield Finding(DOUBT, f"workpiece.{_clamp_key(cell, 'clamp_normal', 'clamp_side')}", text)
     shoulder = cell.robot.mdh[0, 1] * cell.up
     if wheel.contact_direction @ (shoulder - wheel.centre) < 0 and np.linalg.norm(wheel.centre) > 0:
         yield Finding(DOUBT, "wheel.contact_direction", "points away from the robot, which would have to reach round the wheel")
     yield from _weight_findings(piece.payload, piece.payload_name, blade, piece.density, placed)
+
+
+def _clamp_key(cell: Cell, plane: str, axis: str) -> str:
+    """The key by which the file gives the clamp: by a plane or along an axis."""
+    table = cell.tables.workpiece
+    return plane if table is None or table.clamp_normal is not None else axis
 
 
 def _weight_findings(load: Hanging, name: str, blade: Blade, density: float, placed: Array) -> Iterator[Finding]:

@@ -90,12 +90,21 @@ SLIPS = {
         "workpiece.xyz_mm",
         "1.9 m from",
     ),
+    "arc in radians": (("arc_deg = [-30, 30]", "arc_deg = [-0.52, 0.52]"), DOUBT, "wheel.contact_arc_deg", "radians?"),
+    "turn in radians": (
+        ("turn_tolerance_deg = 30.0", "turn_tolerance_deg = 0.52"),
+        DOUBT,
+        "process.turn_tolerance_deg",
+        "radians?",
+    ),
+    "kelvin": (("_temperature_C = 22.0", "_temperature_C = 295.0"), DOUBT, "reference_temperature_C", "kelvin?"),
+    "springs in MN m": (("[2.0e6, 3.3e6,", "[2.0, 3.3,"), DOUBT, "robot.stiffness_Nm_per_rad", "MN m/rad?"),
     "a drum": (("width_mm = 15.0", "width_mm = 500.0"), DOUBT, "wheel.width_mm", "drum"),
     "away": (("contact_direction = [-1, 0, 0]", "contact_direction = [1, 0, 0]"), DOUBT, "wheel.contact_direction", "away"),
     "inverse": (("xyz_mm = [0, 0, 200]", "xyz_mm = [0, 0, -200]"), DOUBT, "workpiece.xyz_mm", "inverse lies before it"),
-    "clamp holds nothing": (("clamp_to_mm = 10.0", "clamp_to_mm = -10.0"), MISTAKE, "workpiece.clamp_offset_mm", "holds nothing"),
-    "clamp holds all": (("clamp_to_mm = 10.0", "clamp_to_mm = 500.0"), MISTAKE, "workpiece.clamp_offset_mm", "holds all"),
-    "clamp at the tip": (('clamp_side = "below"', 'clamp_side = "above"'), DOUBT, "workpiece.clamp_normal", "turned?"),
+    "clamp holds nothing": (("clamp_to_mm = 10.0", "clamp_to_mm = -10.0"), MISTAKE, "workpiece.clamp_to_mm", "holds nothing"),
+    "clamp holds all": (("clamp_to_mm = 10.0", "clamp_to_mm = 500.0"), MISTAKE, "workpiece.clamp_to_mm", "holds all"),
+    "clamp at the tip": (('clamp_side = "below"', 'clamp_side = "above"'), DOUBT, "workpiece.clamp_side", "turned?"),
 }
 
 
@@ -142,3 +151,9 @@ def test_an_arm_that_plan_refuses_is_a_mistake_where_a_plan_is_meant():
     assert [(f.kind, "no shape" in f.text) for f in told] == [(MISTAKE, True), (UNMEASURED, False)]
     alone = setup.tables.model_copy(update={"workpiece": None})
     assert [f.kind for f in findings_of_tables(alone, bare) if f.key == "robot.model"] == [DOUBT, UNMEASURED]
+
+
+def test_what_no_line_can_be_laid_with_is_a_mistake(tmp_path):
+    told = check_cell(changed(tmp_path, ('clamp_side = "below"', 'clamp_side = "above"')))
+    assert not told.sound and any("mistake: workpiece: " in one and "leave" in one for one in told.notices)
+    assert any("clamp_side" in one for one in told.notices)

@@ -10,6 +10,7 @@ from pydantic import TypeAdapter
 
 from ocp.calibrate.force import log as force
 from ocp.data import CELL
+from ocp.diagnose.document import Document
 from ocp.diagnose.joints import log as joints
 from ocp.model.cell import read_cell
 from ocp.model.cell_schema import CellTables, EffectTable, PatchTable
@@ -18,7 +19,7 @@ from ocp.plan.removal import wanted
 from ocp.update import removal
 from robots import tracker_readings as tracker
 from robots.errors import BadInput
-from tests.support.formats import KINDS, PAGE, SCHEMAS, filled, inner_tables, schemas
+from tests.support.formats import KINDS, PAGE, SCHEMAS, filled, inner_tables, schemas, told_keys
 from trajectories import path_points
 
 READERS = {
@@ -93,3 +94,7 @@ def test_a_file_of_another_version_is_refused_with_its_line(tmp_path, version, t
 def test_a_file_of_this_version_is_read_with_the_version_or_without(tmp_path):
     (tmp_path / "cell.toml").write_text("schema = 1\n" + CELL.read_text())
     assert read_cell(tmp_path / "cell.toml").tables == read_cell(CELL).tables
+
+
+def test_the_keys_of_an_answer_are_those_that_are_written():
+    assert told_keys("diagnosis.json") == {one.alias or name for name, one in Document.model_fields.items()}

@@ -20,6 +20,7 @@ from ocp.simulate.twin.truth import draw_truth
 from ocp.update.removal import on_blade, read_removal
 from robots.kinematics import forward
 from tests.support.browser import NEEDED, looked_at
+from tests.support.formats import told_keys
 from tests.support.geometry_robot import write_geometry_robot
 from tests.support.small_plan import Told, called, environment, small_cell, tree
 
@@ -108,7 +109,9 @@ def test_a_run_writes_a_data_set_that_the_product_reads(run):
     on_blade(cell, removal)  # refuses what lies beside the surface
     process, speed = cell.process, cell.wheel.belt_speed
     even = draw_truth(cell, 0).preston * speed * process.force / (process.feed * process.pass_spacing)
-    made = json.loads((out / "rehearsal.json").read_text())["removal"]["machine"]
+    told = json.loads((out / "rehearsal.json").read_text())
+    assert set(told) == told_keys("rehearsal.json")
+    made = told["removal"]["machine"]
     assert len(removal.depth) > 100 and (removal.sd == 1e-6).all()
     assert removal.depth.max() < even * made["most"] + 5e-6 and removal.depth.min() > even * made["least"] - 5e-6
     joints = rows(out / "joints.csv")

@@ -227,7 +227,7 @@ def filled(page: str) -> str:
 
 def told_keys(file: str) -> set[str]:
     """Keys in the first column of the table under the page's **file**."""
-    table = PAGE.read_text().split(f"**{file}**:")[1].split("\n\n")[1]
+    table = PAGE.read_text().split(f"**{file}**")[1].split("\n\n")[1]
     return {name for row in table.splitlines()[2:] for name in re.findall("`([^`]+)`", row.split("|")[1])}
 
 
