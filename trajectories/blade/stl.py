@@ -36,9 +36,8 @@ def read_facets(path: Path) -> tuple[Array, list[str]]:
     Returns: (nf, 3, 3) corners and a list of sentences.
     Raises: BadInput naming byte, line or facet where the file is empty, cut short, no STL or not finite.
     """
-    data = read_whole(path, MOST_BYTES, "the blade (STL, PLY, OBJ or STEP).").removeprefix(
-        b"\xef\xbb\xbf"
-    )  # editors put it before text
+    data = read_whole(path, MOST_BYTES, "the blade (STL, PLY, OBJ or STEP).")
+    data = data.removeprefix(b"\xef\xbb\xbf")  # editors put it before text
     if not data:
         raise BadInput(f"{path}: is empty (0 bytes); export the blade as STL again.")
     notices: list[str] = []
