@@ -357,7 +357,7 @@ def findings_of_frames(cell: Cell, blade: Blade) -> Iterator[Finding]:
     if not held.any() or held.all():
         what = "nothing" if not held.any() else "all"
         sense = -1.0 if cell.tables.workpiece is not None and cell.tables.workpiece.clamp_side == "above" else 1.0
-        ends = sorted(1e3 * sense * v for v in (along.min(), along.max()))
+        ends = sorted(round(1e3 * sense * float(v), 1) + 0.0 for v in (along.min(), along.max()))  # no -0.0
         plane = f"{'above' if sense < 0 else 'below'} {1e3 * sense * piece.clamp_offset:.6g} mm"
         reach = f"which reaches from {ends[0]:.1f} to {ends[1]:.1f} mm across its plane"
         text = f"the clamp, {plane}, holds {what} of the blade, {reach}; move or turn it"

@@ -88,6 +88,16 @@ def test_the_planner_takes_the_calibration_with_all_of_its_covariance(done):
     assert after.values[a2] != before.values[a2] and after.covariance[a2, a2] < 0.1 * before.covariance[a2, a2]
 
 
+def test_residuals_stand_in_the_columns_that_are_told(done):
+    with (done[0] / "calibration" / "residuals.csv").open(newline="") as file:
+        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    assert [row["line"] for row in rows] == list(range(2, 47))
+    for row in rows:
+        assert np.hypot(np.hypot(row["dx_mm"], row["dy_mm"]), row["dz_mm"]) == pytest.approx(row["after_mm"], abs=2e-5)
+    assert np.mean([row["before_mm"] for row in rows]) > 5 * np.mean([row["after_mm"] for row in rows])
+    assert all(0 < row["weight"] <= 1.5 for row in rows)
+
+
 def test_blind_predictions_are_near_the_truth_in_the_order_of_the_file(done):
     folder = done[0]
     with (folder / "calibration" / "predictions_tracker.csv").open(newline="") as file:

@@ -139,11 +139,19 @@ def test_a_log_without_contact_or_with_the_wrong_sign_is_refused(tmp_path):
         read(tmp_path, rows(fn_N=-20.0, contact=1))
 
 
-@pytest.mark.parametrize("count, refused", [(100, False), (101, True)])
-def test_a_setpoint_in_the_place_of_a_reading_is_refused(tmp_path, count, refused):
+@pytest.mark.parametrize(
+    "count, long, refused",
+    [
+        (102, 10, False),
+        (104, 10, True),
+        (150, 1, False),
+    ],  # 102 rows but the first of two recordings are 100; one row each tells nothing
+)
+def test_a_setpoint_in_the_place_of_a_reading_is_refused(tmp_path, count, long, refused):
     table = rows(count, fn_N=20.0, contact=1)
     for k, row in enumerate(table):
-        row |= {"time_s": 0.01 * k, "fn_N": 20.0 if k < 10 else 29.0, "run": 0 if k < 10 else 1}
+        run = k if long == 1 else int(k >= long)
+        row |= {"time_s": 0.01 * k, "fn_N": 20.0 + 9.0 * (run % 2), "run": run}
     if refused:
         with pytest.raises(BadInput, match="line 2, column fn_N: 20 stays the same through every recording, as a setpoint does"):
             read(tmp_path, table)

@@ -153,6 +153,14 @@ def test_an_arm_that_plan_refuses_is_a_mistake_where_a_plan_is_meant():
     assert [f.kind for f in findings_of_tables(alone, bare) if f.key == "robot.model"] == [DOUBT, UNMEASURED]
 
 
+def test_a_clamp_is_told_in_the_numbers_of_the_file(tmp_path):
+    """The blade reaches from 0 to 120 mm along z; held above 1000 mm nothing of it is."""
+    above = changed(tmp_path, ('clamp_side = "below"', 'clamp_side = "above"'), ("clamp_to_mm = 10.0", "clamp_to_mm = 1000.0"))
+    (told,) = [f for f in found(above) if f.kind == MISTAKE]
+    assert told.key == "workpiece.clamp_to_mm"
+    assert "above 1000 mm, holds nothing" in told.text and "from 0.0 to 120.0 mm" in told.text
+
+
 def test_what_no_line_can_be_laid_with_is_a_mistake(tmp_path):
     told = check_cell(changed(tmp_path, ('clamp_side = "below"', 'clamp_side = "above"')))
     assert not told.sound and any("mistake: workpiece: " in one and "leave" in one for one in told.notices)

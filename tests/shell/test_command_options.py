@@ -58,8 +58,8 @@ def test_json_tells_a_refusal_too(tmp_path):
 def test_open_shows_the_page_and_nothing_where_there_is_none(tmp_path, monkeypatch):
     opened: list[str] = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
-    CliRunner().invoke(app_writing(tmp_path), ["--open"])
-    assert opened == []
+    told = CliRunner().invoke(app_writing(tmp_path), ["--open"])
+    assert opened == [] and "writes no page" in told.stderr
     (tmp_path / "rehearsal.html").write_text("<p>well</p>")
     CliRunner().invoke(app_writing(tmp_path), [])
     assert opened == []

@@ -40,7 +40,7 @@ UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
-STILL = 100  # rows in contact from which a reading that never changes is none
+STILL = 100  # rows in contact after the first of their recording: one that never changes over more of them is no reading
 STEADY = 0.75  # of a run's usual largest feed, up to which wheel and blade meet
 SETTLING = 0.08  # s after that: three time constants and the delay of a flange of 10 Hz and 10 ms
 
@@ -221,9 +221,13 @@ def _check_force(table: CsvTable, fn: Array, contact: Flags, run: Index) -> None
     if np.median(fn[contact]) < 0:
         k = int(np.argmax(contact & (fn < 0)))
         raise table.refuse(k, "fn_N", "is negative as most of the log is; the force that presses wheel and blade is positive")
-    if all(np.ptp(fn[contact & (run == i)]) == 0 for i in np.unique(run[contact])) and np.count_nonzero(contact) > STILL:
-        k = int(np.argmax(contact))
-        raise table.refuse(k, "fn_N", "stays the same through every recording, as a setpoint does; give what the sensor read")
+    recordings = [fn[contact & (run == i)] for i in np.unique(run[contact])]
+    if sum(len(one) - 1 for one in recordings) > STILL and all(np.ptp(one) == 0 for one in recordings):
+        raise table.refuse(
+            int(np.argmax(contact)),
+            "fn_N",
+            "stays the same through every recording, as a setpoint does; give what the sensor read",
+        )
 
 
 def _counts(table: CsvTable, column: str) -> Index | None:
