@@ -1,6 +1,7 @@
-"""docs/figures/NAME.svg: `python -m benchmarks.figures [chain|contact|passes|blindtest]..`; all without a name.
+"""docs/figures/NAME.svg: `python -m benchmarks.figures [data|chain|contact|passes|blindtest]..`; all without a name.
 
-chain: what gives way between commanded joints and force (docs/model.md). contact: pressure under the large wheel of
+data: the way of the data from files to files (docs/architecture.md). chain: what gives way between commanded
+joints and force (docs/model.md). contact: pressure under the large wheel of
 benchmarks/wheel_table.py. passes: lines on the bundled blade, as they are laid. blindtest: the shares in the table of
 docs/blindtest.md.
 """
@@ -24,6 +25,55 @@ from ocp.plan.paths import PlanOptions, lay_paths
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLUE, GREY, ORANGE = "#0072b2", "#999999", "#d55e00"  # told apart by everybody (Okabe and Ito)
+
+
+WAYS = {
+    "a plan": (
+        "cell.toml, blade.stl",
+        ("trajectories/blade, passes.py", "smooth surface, contact frames"),
+        ("ocp/model, ocp/contact", "one function of joints and force:\nbent arm, wheel's law, blade's compliance"),
+        ("ocp/plan/removal", "lines and feeds"),
+        ("ocp/plan/passes", "one nonlinear program a pass"),
+        ("ocp/plan/motion.py", "order, travel, collisions, timing"),
+        ("trajectories/program, krl", "the program's text"),
+        ("ocp/plan/readback.py, second_route.py", "text read back, force predicted again"),
+        "plan/",
+    ),
+    "a calibration": (
+        "tracker.csv, force.csv, cell.toml",
+        ("robots/tracker_readings.py,\nocp/calibrate/force/log.py", "readings"),
+        ("robots/calibration", "priors, least squares, outliers,\nwhat can be identified"),
+        ("robots/calibration/validation.py", "errors held out"),
+        ("ocp/calibrate/force", "wheel, blade, stiffness from the log:\nthe model's Jacobian in its parameters"),
+        ("ocp/calibrate", "report, values with covariance"),
+        "calibration/",
+    ),
+    "a diagnosis": (
+        "tracker.csv, force.csv, joints.csv, cell.toml",
+        ("ocp/diagnose/tracker, force, joints", "a channel a signal: residuals, columns\nof every effect (ocp/effects)"),
+        ("ocp/diagnose/engine", "evidence of sets of effects and kernels"),
+        ("ocp/diagnose/verdict", "names, place, patch, what remains"),
+        ("ocp/diagnose/foresee", "promises, blind predictions,\nnext experiment"),
+        ("ocp/diagnose/report", "page, corrected cell"),
+        "diagnosis/",
+    ),
+}
+
+
+def data(figure: Figure) -> None:
+    figure.set_size_inches(10, 7)
+    for axes, (name, (begin, *steps, end)) in zip(figure.subplots(1, 3), WAYS.items(), strict=True):
+        places = np.linspace(1.0, 0.0, len(steps) + 2)
+        for low, high in zip(places[1:], places[:-1], strict=True):
+            arrow = {"arrowstyle": "-|>", "color": GREY, "shrinkA": 18, "shrinkB": 20}
+            axes.annotate("", (0.5, low), (0.5, high), arrowprops=arrow)
+        for y, file in ((places[0], begin), (places[-1], end)):
+            axes.text(0.5, y, file, ha="center", va="center", weight="bold", color=BLUE)
+        for y, (room, does) in zip(places[1:-1], steps, strict=True):
+            box = {"boxstyle": "round,pad=0.5", "facecolor": "#eeeeee", "edgecolor": BLUE}
+            axes.text(0.5, y, f"{room}\n{does}", ha="center", va="center", bbox=box, fontsize=8)
+        axes.set(title=name, xlim=(0, 1), ylim=(-0.05, 1.05))
+        axes.axis("off")
 
 
 def spring(axes: Axes, x: float, name: str, symbol: str) -> float:
@@ -107,7 +157,7 @@ def blindtest(figure: Figure) -> None:
     figure.axes[0].invert_yaxis()
 
 
-DRAWN = {"chain": chain, "contact": contact, "passes": passes, "blindtest": blindtest}
+DRAWN = {"data": data, "chain": chain, "contact": contact, "passes": passes, "blindtest": blindtest}
 
 if __name__ == "__main__":
     mpl.rcParams.update({"svg.hashsalt": "grindplan", "svg.fonttype": "path", "font.size": 9})

@@ -1,6 +1,7 @@
 """The site: `python -m sphinx -W -q -b html docs build/site` (extra group `docs`).
 
-Pages are the .md files; commands come from the command line itself, the Python interface from its docstrings.
+Pages are the .md files; commands come from the command line itself, the Python interface from its docstrings,
+effects from their files.
 """
 
 from typing import Any
@@ -10,7 +11,7 @@ from docutils.parsers.rst import Directive
 from sphinx.application import Sphinx
 from typer.main import get_command
 
-from ocp.effects.catalogue import with_table
+from ocp.effects.catalogue import effects_table
 from ocp.grindplan.__main__ import whole
 
 project = "grindplan"
@@ -57,13 +58,12 @@ class Commands(Directive):
         return list(_sections(get_command(whole()), project))
 
 
-def _with_all_physics(app: Sphinx, name: str, text: list[str]) -> None:
-    """The catalogue's table with the whole of what every effect says of itself."""
-    if name == "effects":
-        text[0] = with_table(text[0], whole=True)
+def _with_catalogue(app: Sphinx, name: str, text: list[str]) -> None:
+    """`{effects}`: the catalogue's table in its place."""
+    text[0] = text[0].replace("```{effects}\n```", effects_table())
 
 
 def setup(app: Sphinx) -> None:
     """Adds the directive and the hook."""
     app.add_directive("commands", Commands)
-    app.connect("source-read", _with_all_physics)
+    app.connect("source-read", _with_catalogue)

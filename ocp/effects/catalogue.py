@@ -1,13 +1,8 @@
-"""The catalogue: all effects by name, and as text for the commands, their help and docs/effects.md.
-
-`python -m ocp.effects.catalogue docs/effects.md` makes the table of that page anew.
-"""
+"""The catalogue: all effects by name, and as text for the commands, their help and the site's page of effects."""
 
 import importlib
 import os
 import pkgutil
-import re
-import sys
 import traceback
 from collections.abc import Iterable
 from dataclasses import replace
@@ -19,7 +14,6 @@ from ocp.effects.effect import Effect
 from ocp.shell.cache import OWN_EFFECTS
 from robots.errors import BadInput, shown
 
-BEGIN, END = "<!-- table: python -m ocp.effects.catalogue docs/effects.md -->", "<!-- end of table -->"
 HOOKS = ("joint", "torque", "twist", "reading", "overlap", "push", "sensor", "shear", "along", "along_shear")
 
 
@@ -83,27 +77,18 @@ def forget_library() -> None:
     _library.cache_clear()
 
 
-def effects_table(whole: bool = False) -> str:
-    """Markdown: what every effect is, its keys with usual ranges, where it enters the model, and its physics: the first sentence,
-    or all with its source."""
+def effects_table() -> str:
+    """Markdown: what every effect is, its keys with usual ranges, where it enters the model, its physics and their source."""
     lines = ["| effect, joints | keys, usual range | enters by (column needed) | what it is |", "|---|---|---|---|"]
     for effect in library().values():
         ranges = [key_range(p.key, p.low, p.high, p.signed and p.low >= 0, p.length, p.unit) for p in effect.parameters]
         hooks = ", ".join(h for h in HOOKS if getattr(effect, h) is not None)
         needs = f" ({', '.join(effect.needs)})" if effect.needs else ""
         physics = " ".join((effect.physics.partition("\n\n")[2] or effect.physics).split())  # below a docstring's first line
-        first = re.split(r"(?<=[^A-Z]\.)\s(?=[A-Z])", physics)[0]
-        told = physics if whole else re.sub(r" \((DIAGNOSIS|FORMATS|PHYSICS)[^)]*\)", "", first)
         joints = joint_range(effect.joints, least_run=3, between=", ")
         joints = (f" {joints}" if joints else "") + (" or common" if 0 in effect.joints else "")
-        lines.append(f"| {effect.name}{joints} | {'; '.join(ranges)} | {hooks}{needs} | {told} |")
+        lines.append(f"| {effect.name}{joints} | {'; '.join(ranges)} | {hooks}{needs} | {physics} |")
     return "\n".join(line.replace("|tau|", "abs(tau)").replace("|b - a|", "abs(b - a)") for line in lines)
-
-
-def with_table(page: str, whole: bool = False) -> str:
-    """`page` with its table made anew, `whole` as the site has it. Raises ValueError where the marks of the table are missing."""
-    before, rest = page.split(BEGIN)
-    return f"{before}{BEGIN}\n{effects_table(whole)}\n{END}{rest.split(END)[1]}"
 
 
 def effect_list() -> str:
@@ -140,8 +125,3 @@ def _signals(effect: Effect) -> str:
     signals += ["joints"] if effect.joint is not None else []
     signals += ["tracker"] if effect.reading is not None and not effect.on_arm else []
     return " ".join(dict.fromkeys(signals + (["force"] if effect.on_contact else [])))
-
-
-if __name__ == "__main__":
-    file = Path(sys.argv[1])
-    file.write_text(with_table(file.read_text(encoding="utf-8")), encoding="utf-8")

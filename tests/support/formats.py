@@ -1,4 +1,4 @@
-"""Tables of docs/formats.md and the JSON Schemas of docs/schema, made from what the readers use.
+"""Lists of docs/formats.md and the JSON Schemas of docs/schema, made from what the readers use.
 `python -m tests.support.formats` writes them."""
 
 import json
@@ -140,7 +140,7 @@ def _shown(value: Any) -> str:
 
 
 def schema_tables(file: str) -> str:
-    """Every key of a TOML file, a row for each of its tables before them; a key that is alike in more than two tables is told
+    """Every key of a TOML file, a line for each of its tables before them; a key that is alike in more than two tables is told
     once, at the end."""
     root, path = KINDS[file]
     found, left = [], [(root, "", "", "", tomllib.loads(path.read_text()))]
@@ -162,24 +162,25 @@ def schema_tables(file: str) -> str:
                 needed = "needed" if one.is_required() else ""
                 left.append((inner, "` .. `".join(ends), needed, told.rstrip("."), value if isinstance(value, dict) else {}))
     often = [key for key, n in Counter(key for *_, held in found for key in held).items() if n > 2]
-    text = ["| key | range | default, `example` | meaning |", "|---|---|---|---|"]
+    text = []
     for name, needed, words, held in found:
-        text += [f"| **`{name}`** |  | {needed} | **{words}** |"] if name else []
+        text += ["", f"**`{name}`**{needed and f' ({needed})'}: {words}.", ""] if name else []
         text += _rows([key for key in held if key not in often])
     text += [""] if often else []
     for told in often:
         where = ", ".join(f"`{name}`" for name, *_, held in found if told in held)
         text += [f"{where} have `{told.name}` too ({told.range}, {told.default}): {told.meaning}."]
-    return "\n".join(text).rstrip()
+    return "\n".join(text).strip()
 
 
 def _rows(held: list[Key]) -> list[str]:
-    """A row a key; keys that follow each other and differ by name and example alone share one."""
+    """An item a key; keys that follow each other and differ by name and example alone share one."""
     rows = []
     for (told, default, meaning), run in groupby(held, key=lambda k: (k.range, k.default, k.meaning)):
         alike = list(run)
         names = ", ".join(f"`{k.name}`" for k in alike)
-        rows.append(f"| {names} | {told} | {', '.join(filter(None, (default, alike[0].example)))} | {meaning} |")
+        held = "; ".join(filter(None, (told, default, alike[0].example)))
+        rows.append(f"* {names} ({held}): {meaning}")
     return rows
 
 
@@ -198,14 +199,13 @@ def _docstring(table: type[BaseModel]) -> str:
 
 def column_table(file: str) -> str:
     """Every column of a CSV file; whether it is needed and its range, of a file that somebody else writes."""
-    told = ["column", *([] if file in OURS else ["range", "needed"]), "example", "meaning"]
-    rows = [f"| {' | '.join(told)} |", "|---" * len(told) + "|"]
+    rows = []
     for group in TABLES[file]:
         low, high, _ = column_bounds(group.names[0])
         words = not group.example.replace(".", "").lstrip("-").isdigit()
         held = "text" if words else " ".join(filter(None, (bounds(low, high), unit(group.names[0]))))
-        asked = [] if file in OURS else [held, "yes" if group.needed else ""]
-        rows.append(f"| {' | '.join((_names(group), *asked, f'`{group.example}`', group.meaning))} |")
+        asked = [] if file in OURS else [held, "needed" if group.needed else ""]
+        rows.append(f"* {_names(group)} ({'; '.join(filter(None, (*asked, f'`{group.example}`')))}): {group.meaning}")
     return "\n".join(rows)
 
 
@@ -221,14 +221,14 @@ def filled(page: str) -> str:
         begin, end = f"<!-- {file}: python -m tests.support.formats -->", f"<!-- end of {file} -->"
         before, rest = page.split(begin)
         table = schema_tables(file) if file in KINDS else column_table(file)
-        page = f"{before}{begin}\n{table}\n{end}{rest.split(end)[1]}"
+        page = f"{before}{begin}\n\n{table}\n\n{end}{rest.split(end)[1]}"
     return page
 
 
 def told_keys(file: str) -> set[str]:
-    """Keys in the first column of the table under the page's **file**."""
+    """Keys of the list under the page's **file**: what stands before an item's colon."""
     table = PAGE.read_text().split(f"**{file}**")[1].split("\n\n")[1]
-    return {name for row in table.splitlines()[2:] for name in re.findall("`([^`]+)`", row.split("|")[1])}
+    return {name for row in table.splitlines() if row[0] == "*" for name in re.findall("`([^`]+)`", row.split(": ")[0])}
 
 
 def schemas() -> dict[str, str]:
