@@ -215,6 +215,7 @@ def test_a_log_near_which_no_believed_contact_comes_is_unexplained(made: Made, m
     monkeypatch.setattr(fitting, "units_of", lambda active: forbidden() if active else np.zeros(0))
     found = diagnose_channels([channel], {"sensor_bias": EFFECTS["sensor_bias"]})
     assert found.p_unknown > 0.5 and not found.active
+    assert any("finds no rest" in why for why in found.unknown_reasons)
     # What the tracker read is judged on its own.
     arm = tracker_channel(read_data_set(shared_data / "worlds" / "tracker_no_effect", None))
     both = diagnose_channels([arm, channel], {name: EFFECTS[name] for name in ("sensor_bias", "encoder_scale")})

@@ -53,10 +53,11 @@ def _scattering(found: Diagnosis) -> Diagnosis:
     """Findings that take no scatter for noise which no such machine has: what a fit learns of its noise holds whatever is not
     modelled, so that rows of two campaigns under each other would be no gap, nor a log that jumps to and fro."""
     wild = [f"{c.name}: readings scatter {c.scatters}" for c in found.channels if isinstance(c, Scattering) and c.scatters]
-    if not wild or found.p_unknown > rules.LEADS:
+    if not wild:
         return found
     why = f"{wild[0]}, and with nothing that was recorded"
-    unknown = 1.0 - (1.0 - found.p_unknown) * (1.0 - rules.SUSPECT)
+    told = found.p_unknown > rules.LEADS
+    unknown = found.p_unknown if told else 1.0 - (1.0 - found.p_unknown) * (1.0 - rules.SUSPECT)
     return replace(found, p_unknown=unknown, unknown_reasons=(*found.unknown_reasons, why))
 
 
