@@ -6,7 +6,7 @@ are `ocp.simulate.twin`'s; the fit of the ladder is that of `ocp.calibrate --for
 """
 
 from dataclasses import dataclass, replace
-from itertools import count
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +20,11 @@ from ocp.contact.wheel.law import WheelLaw
 from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.cell import Cell, with_calibration
 from ocp.model.prepare import prepare_contact
-from ocp.model.theta import registered
+from ocp.model.theta import believed_theta, registered, with_effects
 from ocp.plan.clearance import CollisionScene
 from ocp.plan.passes.optimise import Ground, PassWorker, SolvedPass
 from ocp.plan.passes.posture import Seed, find_seeds
+from ocp.plan.passes.solve import PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.paths import PlanOptions, lay_paths
 from ocp.shell.progress import Phases
@@ -39,18 +40,17 @@ from robots.pose import Array
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
 
-WORTH_COMPILING = 12  # compensations in one process, a robot's: the next robots' will be as many
-_compensations = count()
 STEP = 4e-3  # m between waypoints: forces vary slowly along a pass, docs/experiments.md
 POINTS = 20  # working points, PHYSICS 5
 MOUNTS = ("flange", "rigid")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Course:
     """A cell with one mount and its passes: those of the ladder first (`ladder` of them), then those of the test.
 
-    seeds and compliance (n, 3) m/N of every pass; law and cover of the wheel as believed.
+    seeds and compliance (n, 3) m/N of every pass; law and cover of the wheel as believed; `compiled`: its passes are solved by
+    machine code that is made for it, which pays from a second robot on.
     """
 
     cell: Cell
@@ -62,6 +62,7 @@ class Course:
     seeds: list[list[Seed]]
     compliance: list[Array]
     ladder: int
+    compiled: bool = False
 
     @property
     def tested(self) -> list[int]:
@@ -106,19 +107,29 @@ def compensated(course: Course, calibration: Calibration | None, which: list[int
     """Joints that hold the process force on passes `which`, as the planner finds them with this calibration, where the full force
     bears.
 
-    The planner's preference for postures of less uncertain force is left out: it takes 4 s of building for every calibration.
-    A calibrated stiffness scales forces of the wheel's law and of the cover exactly, so that neither is made anew.
-    Raises Infeasible where a pass has no sound solution.
+    The planner's preference for postures of less uncertain force is left out. A calibrated stiffness scales forces of the wheel's
+    law and of the cover exactly, so that neither is made anew. Raises Infeasible where a pass has no sound solution.
     """
-    cell, theta = registered(with_calibration(course.cell, calibration))
+    calibrated = with_calibration(course.cell, calibration)
+    cell, _ = registered(calibrated)
+    theta = with_effects(calibrated, believed_theta(calibrated))  # what is registered stays in theta: one model serves all
     softer = course.cover.softer(cell.wheel.cover_modulus)
     law = replace(course.law, geometry=replace(course.law.geometry, modulus=cell.wheel.cover_modulus))
-    stiffer = cell.workpiece.youngs_modulus / course.cell.workpiece.youngs_modulus
-    worker = PassWorker(Ground(cell, theta, ObjectiveWeights(), law, softer, course.blade.vertices, course.cloud))
-    if next(_compensations) >= WORTH_COMPILING:
-        worker.solver.compile()
-    solved = (worker.solve(course.paths[k], course.seeds[k], course.compliance[k] / stiffer) for k in which)
+    ground = Ground(cell, theta, ObjectiveWeights(), law, softer, course.blade.vertices, course.cloud)
+    worker = PassWorker(ground, _solver(course, cell.compliant_joints).other(cell, law, theta))
+    solved = (worker.solve(course.paths[k], course.seeds[k], course.compliance[k]) for k in which)
     return [one.grinding() for one in solved]
+
+
+@cache
+def _solver(course: Course, bending: tuple[int, ...]) -> PassSolver:
+    """The solver of a course's cell for calibrations with these joints `bending` under weight."""
+    cell = replace(course.cell, compliant_joints=bending)
+    theta = with_effects(cell, believed_theta(cell))
+    solver = PassSolver(cell, course.law, theta, ObjectiveWeights(), folded=False)
+    if course.compiled:
+        solver.compile()
+    return solver
 
 
 def working_points(solved: list[SolvedPass]) -> list[Array]:

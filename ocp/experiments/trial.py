@@ -148,6 +148,7 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
             keep("experiment", keys[trial.seed], {"trial": np.array(_as_json(trial))})
             advance()
 
+        courses = {mount: replace(course, compiled=len(missing) > 1) for mount, course in courses.items()}
         hands = replace(hands, jobs=min(hands.jobs, len(missing)))
         for _, future in carried_out(_trial_in_worker, [(s,) for s in missing], hands, _start_worker, (courses, nominal, poses)):
             finish(future.result())

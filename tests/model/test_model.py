@@ -183,11 +183,13 @@ def test_stage_derivatives_equal_differences():
     H = np.array([(lagrangian(z + d) - lagrangian(z - d)) / (2 * h) for d in shifts])
     exact = np.asarray(stage.hessian(z, par, theta, 0.7, lam))
     assert exact == pytest.approx(H, rel=1e-4, abs=1e-3 * np.abs(H).max())
-    value, gradient, hessian = stage.spread_terms
-    v_z = np.array([(float(value(z + d, par, theta)) - float(value(z - d, par, theta))) / (2 * h) for d in shifts])
-    assert np.asarray(gradient(z, par, theta)).ravel() == pytest.approx(v_z, rel=1e-4, abs=1e-4)
-    v_zz = np.array([np.asarray(gradient(z + d, par, theta) - gradient(z - d, par, theta)).ravel() / (2 * h) for d in shifts])
-    assert np.asarray(hessian(z, par, theta)) == pytest.approx(v_zz, rel=1e-3, abs=1e-4 * np.abs(v_zz).max())
+    value, jacobian, hessian = stage.scatter_terms
+    s_z = np.array([np.asarray(value(z + d, par, theta) - value(z - d, par, theta)).ravel() / (2 * h) for d in shifts]).T
+    near = 1e-5 * np.abs(s_z).max()
+    assert np.asarray(jacobian(z, par, theta)) == pytest.approx(s_z, rel=1e-4, abs=near)
+    u = np.linspace(-1, 1, len(s_z))
+    s_zz = np.array([u @ np.asarray(jacobian(z + d, par, theta) - jacobian(z - d, par, theta)) / (2 * h) for d in shifts])
+    assert np.asarray(hessian(z, par, theta, u)) == pytest.approx(s_zz, rel=1e-3, abs=1e-4 * np.abs(s_zz).max())
 
 
 def test_sigma_flips_the_heading():

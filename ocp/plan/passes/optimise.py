@@ -167,11 +167,11 @@ class GroundLines:
 
 
 class PassWorker:
-    """Solves passes one after another with one compiled model."""
+    """Solves passes one after another with one compiled model: that of its ground, or one handed in."""
 
-    def __init__(self, ground: Ground) -> None:
+    def __init__(self, ground: Ground, solver: PassSolver | None = None) -> None:
         self.ground = ground
-        self.solver = PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
+        self.solver = solver or PassSolver(ground.cell, ground.law, ground.theta, ground.weights)
         self.scene = CollisionScene(ground.cell, ground.vertices)
 
     def solve(self, path: BladePath, seeds: list[Seed], compliance: Array, looked: DrivenLine | None = None) -> SolvedPass:

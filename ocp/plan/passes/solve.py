@@ -1,5 +1,6 @@
 """Ipopt on one pass: from a seed to joints that hold the force, or the constraint that forbids it."""
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -21,7 +22,8 @@ from ocp.plan.passes.stage import (
     ObjectiveWeights,
     Stage,
     build_stage,
-    force_variance,
+    force_sensitivity,
+    scatter_root,
 )
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.passes.transcription import IPOPT, N_DYNAMIC, Transcription, transcribe
@@ -83,8 +85,8 @@ class Evaluation:
     """What the model says of a path of n waypoints.
 
     delta, residual (n,) m; parts (n, 4) m: flange, wheel, blade, robot; arc, turn (n,) rad; lateral (n,) m; tilt (n, 2)
-    slopes; curvature (n, 3) relative kxx, kyy, kxy 1/m; force_sd (n,) N; stiffness (n,) N/m of the whole chain;
-    T_base_blade (n, 4, 4) of the bent, calibrated arm.
+    slopes; curvature (n, 3) relative kxx, kyy, kxy 1/m; stiffness (n,) N/m of the whole chain; T_base_blade (n, 4, 4) of the
+    bent, calibrated arm; force_sd (n,) N.
     """
 
     delta: Array
@@ -95,28 +97,38 @@ class Evaluation:
     turn: Array
     tilt: Array
     curvature: Array
-    force_sd: Array
     stiffness: Array
     T_base_blade: Array
+    force_sd: Array
 
 
 class PassSolver:
-    """The compiled model of a cell, solving pass after pass; programs are built once per padded length."""
+    """The compiled model of a cell, solving pass after pass; programs are built once per padded length.
 
-    def __init__(self, cell: Cell, law: WheelLaw, theta: Theta, weights: ObjectiveWeights) -> None:
+    `folded`: theta's values are part of the programs; without, one solver serves `other` cells of its kind.
+    """
+
+    def __init__(self, cell: Cell, law: WheelLaw, theta: Theta, weights: ObjectiveWeights, folded: bool = True) -> None:
         self.cell, self.theta, self.weights = cell, theta, weights
         self.law, self.limits = law, law.limits
         self.sigma = cell.process.sigma
         self.model: Model = build_model(cell, law, self.sigma, uncertain=len(theta.values) > Theta.size)
-        self.stage: Stage = build_stage(cell, self.model, weights, theta)
+        self.stage: Stage = build_stage(cell, self.model, weights, theta, folded)
         self._programs: dict[tuple[int, bool], Transcription] = {}
         m = self.model
         slope = ca.jacobian(m.residual, m.F)
         known = [m.delta, m.residual, m.parts, m.arc, m.lateral, m.turn, m.tilt, m.curvature]
-        outputs = [*known, ca.sqrt(force_variance(m, theta)), -1 / slope, ca.vec(m.T_base_blade.T)]
+        outputs = [*known, -1 / slope, ca.vec(m.T_base_blade.T), force_sensitivity(m)]
+        self._root = scatter_root(theta)
         self._evaluate = ColumnFunction(ca.Function("evaluate", [m.q, m.F, m.w, m.theta], outputs, {"cse": True}))
         self._link_motion = ca.Function("link_motion", [m.q, m.w, m.theta], [m.q_real], {"cse": True})
         self._by_approach = any("approach" in e.active.effect.needs for e in cell.effects)
+
+    def other(self, cell: Cell, law: WheelLaw, theta: Theta) -> "PassSolver":
+        """This solver, not `folded`, with the parameters of another calibration of its cell; cell and law have them folded in."""
+        own = copy(self)
+        own.cell, own.law, own.limits, own.theta, own._root = cell, law, law.limits, theta, scatter_root(theta)
+        return own
 
     def compile(self) -> None:
         """Have machine code made of what a pass evaluates, where there is none yet."""
@@ -126,10 +138,10 @@ class PassSolver:
         """The model at joints q (n, 6) and forces (n,)."""
         theta = np.tile(self.theta.values[:, None], len(q))
         out = self._evaluate.map(len(q))(q.T, force[None], self._waypoints(problem).T, theta)
-        *numbers, pose = (np.asarray(o).T for o in out)
+        *numbers, pose, sensitivity = (np.asarray(o).T for o in out)
         values = [v[:, 0] if v.shape[1] == 1 else v for v in numbers]
-        values.append(pose.reshape(-1, 4, 4))
-        return Evaluation(*values)
+        sd = np.sqrt(np.square(np.einsum("ni,ri->nr", sensitivity, self._root)).sum(axis=1))
+        return Evaluation(*[*values, pose.reshape(-1, 4, 4), sd])
 
     def _waypoints(self, problem: PassProblem) -> Array:
         """The problem's waypoints, with the conditions of the cell's effects."""

@@ -11,11 +11,13 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag
 
 from ocp.model.cell import Cell
 from ocp.model.force_balance import N_WAYPOINT, Model
 from ocp.model.theta import Theta, covariance_root
 from ocp.shell.native import ColumnFunction
+from robots.pose import Array
 
 N_Z = 8
 # Linear clearance rows a.q >= b that collision checks may add at a waypoint.
@@ -57,18 +59,27 @@ class ObjectiveWeights:
 
 
 @dataclass(frozen=True)
+class Scatter:
+    """The variance term |R of|^2 of one waypoint: of (m) the force's sensitivities, weighed; along = u . of; root R (r, m)."""
+
+    of: ca.SX
+    along: ca.SX
+    u: ca.SX
+    root: Array
+
+
+@dataclass(frozen=True)
 class Stage:
     """CasADi functions of one stage, each with exact dense derivatives; see `build_stage`.
 
-    `spread` is the variance term of the objective; it varies slowly along a pass and is costly, so the transcription
-    takes it at every few waypoints only.
+    The variance term `scatter` varies slowly along a pass and is costly: the transcription takes it at every few waypoints only.
     """
 
     model: Model
     objective: ca.SX
     rows: ca.SX
     parameters: ca.SX
-    spread: ca.SX | None
+    scatter: Scatter | None
     z: ca.SX
 
     @cached_property
@@ -94,21 +105,21 @@ class Stage:
         return self._function("stage_hessian", [ca.densify(H)], [lam_f, lam])
 
     @cached_property
-    def spread_terms(self) -> tuple[ColumnFunction, ColumnFunction, ColumnFunction]:
-        """(z, par, theta) -> variance term, its gradient (8), its Hessian (8, 8)."""
-        assert self.spread is not None
-        H, g = ca.hessian(self.spread, self.z)
+    def scatter_terms(self) -> tuple[ColumnFunction, ColumnFunction, ColumnFunction]:
+        """(z, par, theta) -> scatter (m), its Jacobian (m, 8); with u (m): the Hessian (8, 8) of u . scatter."""
+        assert self.scatter is not None
+        one = self.scatter
         return (
-            self._function("spread", [self.spread]),
-            self._function("spread_gradient", [ca.densify(g)]),
-            self._function("spread_hessian", [ca.densify(H)]),
+            self._function("scatter", [one.of]),
+            self._function("scatter_jacobian", [ca.densify(ca.jacobian(one.of, self.z))]),
+            self._function("scatter_hessian", [ca.densify(ca.hessian(one.along, self.z)[0])], [one.u]),
         )
 
     @property
     def functions(self) -> list[ColumnFunction]:
         """All that the nonlinear program evaluates of a stage."""
-        spread = [] if self.spread is None else self.spread_terms
-        return [self.hessian, self.jacobian, self.value, self.gradient, *spread]
+        scatter = [] if self.scatter is None else self.scatter_terms
+        return [self.hessian, self.jacobian, self.value, self.gradient, *scatter]
 
     @property
     def n_parameters(self) -> int:
@@ -130,14 +141,13 @@ STAGE = ("force", "gap", "holds", "lean_along", "lean_across", "shoulder_sign", 
 N_PARAMETERS = N_WAYPOINT + 7 * N_CLEARANCE + len(STAGE)
 
 
-def build_stage(cell: Cell, model: Model, weights: ObjectiveWeights, theta: Theta) -> Stage:
+def build_stage(cell: Cell, model: Model, weights: ObjectiveWeights, theta: Theta, folded: bool = True) -> Stage:
     """Objective and constraint rows of one waypoint.
 
     Its own parameters (STAGE): `force` N at nominal rate, zero in the air; `gap` m there; `holds` 1 where the force is that of
     the pass; `lean_along`, `lean_across`: by what share of its mean a tilt of 1 along and across the feed makes the pressure
-    uneven, root of the mean square over the patch; sign of the shoulder; `weight`, its share of the way's time. The values of
-    `theta` are folded in before
-    differentiating: planning holds them, and a third of the instructions go.
+    uneven, root of the mean square over the patch; sign of the shoulder; `weight`, its share of the way's time. `folded`: the
+    values of `theta` are folded in before differentiating: planning holds them, and a third of the instructions go.
     """
     clearance, own = ca.SX.sym("clearance", 7 * N_CLEARANCE), ca.SX.sym("own", len(STAGE))
     parameters = ca.vertcat(model.w, clearance, own)
@@ -157,18 +167,31 @@ def build_stage(cell: Cell, model: Model, weights: ObjectiveWeights, theta: Thet
     )
     objective = weights.middle * middle + weights.force * holds * (rate * ratio - 1) ** 2 + weights.time / rate
     objective += weights.removal * ((along * model.tilt[0]) ** 2 + (across * model.tilt[1]) ** 2)
-    spread = None
+    known = [ca.SX(ca.DM(theta.values)) if folded else model.theta, F]
+    objective, rows = ca.substitute([stage_weight * objective, rows], [model.theta, model.F], known)
+    scatter = None
     if weights.force_sd > 0:
-        variance = force_variance(model, theta)
-        spread = stage_weight * weights.force_sd * variance / (0.05 * process.force) ** 2
-        spread = ca.substitute([spread], [model.theta, model.F], [ca.DM(theta.values), F])[0]
-    known = [ca.SX(ca.DM(theta.values)), F]
-    folded, rows = ca.substitute([stage_weight * objective, rows], [model.theta, model.F], known)
-    return Stage(model, folded, rows, parameters, spread, ca.vertcat(model.q, rate, ratio))
+        share = ca.sqrt(weights.force_sd * stage_weight) / (0.05 * process.force)
+        u = ca.SX.sym("u", force_sensitivity(model).numel())
+        of, along = ca.substitute([share * force_sensitivity(model), share * _along(model, u)], [model.theta, model.F], known)
+        scatter = Scatter(of, along, u, scatter_root(theta))
+    return Stage(model, objective, rows, parameters, scatter, ca.vertcat(model.q, rate, ratio))
 
 
-def force_variance(model: Model, theta: Theta) -> ca.SX:
-    """Variance N^2 of the predicted force to first order: dF/dx = -(dr/dx) / (dr/dF) in the parameters and in the joints."""
-    sensitivity = ca.jacobian(model.residual, model.theta) @ ca.DM(covariance_root(theta.covariance))
-    joints = theta.joint_noise**2 * ca.sumsqr(ca.jacobian(model.residual, model.q))
-    return (ca.sumsqr(sensitivity) + joints) / ca.jacobian(model.residual, model.F) ** 2
+def force_sensitivity(model: Model) -> ca.SX:
+    """dF/dx = -(dr/dx) / (dr/dF) of the predicted force in the parameters, then in the joints (m + 6): to first order its
+    variance N^2 is |R dF/dx|^2, R of `scatter_root`."""
+    change = ca.horzcat(ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
+    return ca.densify(-change.T / ca.jacobian(model.residual, model.F))
+
+
+def _along(model: Model, u: ca.SX) -> ca.SX:
+    """u . dF/dx, in one forward sweep."""
+    x = ca.vertcat(model.theta, model.q)
+    return -ca.jtimes(model.residual, x, u) / ca.jacobian(model.residual, model.F)
+
+
+def scatter_root(theta: Theta) -> Array:
+    """R (r, m + 6): R^T R is the covariance of the parameters, then of the joints' own scatter. It is kept out of the compiled
+    functions: every calibration has another."""
+    return block_diag(covariance_root(theta.covariance).T, theta.joint_noise * np.eye(6))

@@ -107,8 +107,8 @@ def transcribe(stage: Stage, n: int, full: bool) -> Transcription:
     if full:
         dynamic = _axis_limits(n, z, ca.reshape(motion, N_MOTION, n), ca.reshape(lam_g[rows * n :], N_DYNAMIC, n))
         g, g_x, H = ca.vertcat(g, dynamic[0]), ca.vertcat(g_x, dynamic[1]), H + dynamic[2]
-    if stage.spread is not None:
-        f, f_x, H = _with_spread(stage, n, common, lam_f, f, f_x, H)
+    if stage.scatter is not None:
+        f, f_x, H = _with_scatter(stage, n, common, lam_f, f, f_x, H)
     H = ca.triu(H)
 
     options: dict[str, Any] = {
@@ -205,19 +205,26 @@ def _limits_of_a_node() -> tuple[ca.Function, ca.Function, ca.Function]:
     )
 
 
-def _with_spread(
+def _with_scatter(
     stage: Stage, n: int, common: tuple[ca.MX, ca.MX, ca.MX], lam_f: ca.MX, f: ca.MX, f_x: ca.MX, H: ca.MX
 ) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Add the variance term at every `SPREAD_STEP`-th waypoint, weighted for those between."""
+    """Add the variance term at every `SPREAD_STEP`-th waypoint, weighted for those between: with s the scatter and R its root
+    |R s|^2, of which 2 (R ds)^T R s is the gradient and 2 (R ds)^T R ds + d^2(u . s), u = 2 R^T R s, the Hessian."""
+    assert stage.scatter is not None
     at = list(range(0, n, SPREAD_STEP))
-    value, gradient, hessian = (term.map(len(at)) for term in stage.spread_terms)
+    value, jacobian, hessian = (term.map(len(at)) for term in stage.scatter_terms)
     picked = tuple(v[:, at] for v in common)
     columns = ca.Sparsity.dense(N_Z, 1)
     where = ca.diagcat(*[ca.Sparsity.dense(N_Z, N_Z) if k % SPREAD_STEP == 0 else ca.Sparsity(N_Z, N_Z) for k in range(n)])
     spots = ca.vertcat(*[columns if k % SPREAD_STEP == 0 else ca.Sparsity(N_Z, 1) for k in range(n)])
-    f = f + SPREAD_STEP * ca.sum2(value(*picked))
-    f_x = f_x + SPREAD_STEP * ca.densify(ca.sparsity_cast(ca.vec(gradient(*picked)), spots))
-    return f, f_x, H + SPREAD_STEP * lam_f * ca.sparsity_cast(hessian(*picked), where)
+    root = ca.MX(ca.DM(stage.scatter.root))
+    scattered = root @ value(*picked)
+    moved = ca.horzsplit(root @ jacobian(*picked), N_Z)
+    gradient = [2 * one.T @ v for one, v in zip(moved, ca.horzsplit(scattered), strict=True)]
+    curved = hessian(*picked, 2 * root.T @ scattered) + ca.horzcat(*[2 * one.T @ one for one in moved])
+    f = f + SPREAD_STEP * ca.sumsqr(scattered)
+    f_x = f_x + SPREAD_STEP * ca.densify(ca.sparsity_cast(ca.vertcat(*gradient), spots))
+    return f, f_x, H + SPREAD_STEP * lam_f * ca.sparsity_cast(curved, where)
 
 
 def _blocks(rows: int, n: int) -> ca.Sparsity:
