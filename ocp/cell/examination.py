@@ -6,6 +6,7 @@ allowed and hardly meant. What is not measured yet is believed with the spread t
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -314,6 +315,10 @@ def _tracker_findings(tables: CellTables) -> Iterator[Finding]:
         where = "" if len(placed) < NESTS else " in one line or place"
         text = f"{len(placed)} nests on the last link{where}; a calibration needs {NESTS} apart to tell how the flange is turned"
         yield Finding(DOUBT, "tracker.targets", text)
+    links = {name: t.link if isinstance(t, LinkTarget) else 6 for name, t in tables.tracker.targets.items()}
+    for (one, here), (other, there) in combinations(_nests(tables).items(), 2):
+        if links[one] == links[other] and len(placed) >= NESTS and spread[1] >= APART and np.allclose(here, there, atol=1.0):
+            yield Finding(DOUBT, f"tracker.targets.{other}", f"stands where {one} does; is one of them typed twice?")
     far = [name for name, place in _nests(tables).items() if np.linalg.norm(place) > 1500]
     if far:
         yield Finding(

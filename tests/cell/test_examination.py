@@ -66,6 +66,12 @@ SLIPS = {
         "tracker.targets",
         "one line or place",
     ),
+    "a nest twice": (
+        ("T3 = [20, 170, 330]", "T3 = [20, 170, 330]\nT4 = [20, 170, 330]"),
+        DOUBT,
+        "tracker.targets.T4",
+        "typed twice",
+    ),
     "nests in one line": (("T3 = [20, 170, 330]", "T3 = [-5, -5, 230]"), DOUBT, "tracker.targets", "one line or place"),
     "inertia in kg mm2": (
         ("mass_kg = 25.0", "mass_kg = 25.0\ninertia_kg_m2 = [9e5, 9e5, 1.0]"),
