@@ -116,17 +116,16 @@ def compensated(course: Course, calibration: Calibration | None, which: list[int
     softer = course.cover.softer(cell.wheel.cover_modulus)
     law = replace(course.law, geometry=replace(course.law.geometry, modulus=cell.wheel.cover_modulus))
     ground = Ground(cell, theta, ObjectiveWeights(), law, softer, course.blade.vertices, course.cloud)
-    worker = PassWorker(ground, _solver(course, cell.compliant_joints).other(cell, law, theta))
+    worker = PassWorker(ground, _solver(course).other(cell, law, theta))
     solved = (worker.solve(course.paths[k], course.seeds[k], course.compliance[k]) for k in which)
     return [one.grinding() for one in solved]
 
 
 @cache
-def _solver(course: Course, bending: tuple[int, ...]) -> PassSolver:
-    """The solver of a course's cell for calibrations with these joints `bending` under weight."""
-    cell = replace(course.cell, compliant_joints=bending)
-    theta = with_effects(cell, believed_theta(cell))
-    solver = PassSolver(cell, course.law, theta, ObjectiveWeights(), folded=False)
+def _solver(course: Course) -> PassSolver:
+    """The solver of a course's cell for whatever calibration."""
+    theta = with_effects(course.cell, believed_theta(course.cell))
+    solver = PassSolver(course.cell, course.law, theta, ObjectiveWeights(), folded=False)
     if course.compiled:
         solver.compile()
     return solver

@@ -133,12 +133,13 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
     Raises BadInput and Infeasible where the cell cannot be ground at all.
     """
     courses = {mount: lay_course(cell, mount, phases) for mount in mounts}
-    nominal = {mount: compensated(course, None, course.tested) for mount, course in courses.items()}
     content = {name: a for name, a in sorted(flattened(list(courses.values())).items()) if not name.endswith(FILES)}
     ground = content_key(code_hash(), poses, *(part for name, array in content.items() for part in (name, array)))
     keys = {seed: content_key(ground, seed) for seed in seeds}
     done = {seed: trial for seed, key in keys.items() if (trial := _recalled(key)) is not None}
     missing = [seed for seed in seeds if seed not in done]
+    courses = {mount: replace(course, compiled=len(missing) > 1) for mount, course in courses.items()}
+    nominal = {mount: compensated(course, None, course.tested) for mount, course in courses.items() if missing}
     with phases.phase("robots", len(seeds)) as advance:
         for _ in done:
             advance()
@@ -148,7 +149,6 @@ def run_trials(cell: Cell, mounts: Sequence[str], seeds: Sequence[int], poses: i
             keep("experiment", keys[trial.seed], {"trial": np.array(_as_json(trial))})
             advance()
 
-        courses = {mount: replace(course, compiled=len(missing) > 1) for mount, course in courses.items()}
         hands = replace(hands, jobs=min(hands.jobs, len(missing)))
         for _, future in carried_out(_trial_in_worker, [(s,) for s in missing], hands, _start_worker, (courses, nominal, poses)):
             finish(future.result())

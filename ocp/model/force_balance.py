@@ -17,6 +17,7 @@ from ocp.model.theta import Theta, axis_directions
 from robots.compliance import deflected_joints
 from robots.gravity import GRAVITY, gravity_torques
 from robots.kinematics import chain
+from robots.pose import Array
 
 # Columns of the waypoint data w handed to every function of the model.
 WAYPOINT = ("p", "n", "t", "curvature", "blade_compliance", "indentation_correction")
@@ -55,17 +56,19 @@ class Model:
     joint_give: ca.SX
 
 
-def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = False) -> Model:
+def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = False, any_bend: bool = False) -> Model:
     """The model of `cell` with the wheel's force law; `sigma` +1 grinds "down", -1 "up" (docs/architecture.md).
 
-    `uncertain`: coefficients of the cell's effects are parameters after theta's own, else numbers.
+    `uncertain`: coefficients of the cell's effects are parameters after theta's own, else numbers. `any_bend`: the last six
+    numbers of w say which joints bend under weight (1 or 0), else the cell does.
     """
     q, F, effects = ca.SX.sym("q", 6), ca.SX.sym("F"), ModelEffects.of(cell.effects, uncertain)
     w, theta = ca.SX.sym("w", N_WAYPOINT), ca.SX.sym("theta", Theta.size)
     waypoint = dict(zip(WAYPOINT, ca.vertsplit(w, np.cumsum([0, *WAYPOINT_SIZE.values()]).tolist()), strict=True))
     par = Theta.split(theta)
 
-    frames, q_real, T_base_flange = _arm(cell, q, par, effects)
+    bends = ca.SX.sym("bends", 6) if any_bend else ca.SX(ca.DM(bending(cell)))
+    frames, q_real, T_base_flange = _arm(cell, q, par, bends, effects)
     R_real, p_real = _blade_pose(cell, T_base_flange, par)
     p = p_real + R_real @ waypoint["p"]
     n, t = R_real @ waypoint["n"], R_real @ waypoint["t"]
@@ -98,7 +101,7 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
     return Model(
         q=q,
         F=F,
-        w=ca.vertcat(w, effects.conditions),
+        w=ca.vertcat(w, effects.conditions, *([bends] if any_bend else [])),
         theta=ca.vertcat(theta, effects.a) if uncertain else theta,
         delta=delta,
         residual=delta + extra - ca.sum1(parts),
@@ -141,10 +144,14 @@ def _extra(
     return effects.overlap(context, rigid=cell.flange is None)
 
 
-def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], effects: ModelEffects) -> tuple[list[ca.SX], ca.SX, ca.SX]:
+def bending(cell: Cell) -> Array:
+    """1 for joints that bend under weight, else 0 (6,)."""
+    return np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
+
+
+def _arm(cell: Cell, q: ca.SX, par: dict[str, ca.SX], bends: ca.SX, effects: ModelEffects) -> tuple[list[ca.SX], ca.SX, ca.SX]:
     """Link frames, joints and flange pose of the arm that is bent by gravity and moved by the cell's effects."""
     robot, mdh, sign = cell.robot, ca.reshape(par["mdh"], 5, 6).T, cell.robot.sign
-    bends = np.array([float(j in cell.compliant_joints) for j in range(1, 7)])
 
     def torque(joints: ca.SX) -> ca.SX:
         return gravity_torques(

@@ -8,7 +8,7 @@ import numpy as np
 
 from ocp.contact.wheel.law import WheelLaw
 from ocp.model.cell import Cell
-from ocp.model.force_balance import Model, build_model
+from ocp.model.force_balance import Model, bending, build_model
 from ocp.model.theta import Theta
 from ocp.plan.passes.posture import joints_near, poses_along, turned_curvature, wrist_radius
 from ocp.plan.passes.problem import PassProblem, approach_signs
@@ -112,7 +112,8 @@ class PassSolver:
         self.cell, self.theta, self.weights = cell, theta, weights
         self.law, self.limits = law, law.limits
         self.sigma = cell.process.sigma
-        self.model: Model = build_model(cell, law, self.sigma, uncertain=len(theta.values) > Theta.size)
+        self.folded = folded
+        self.model: Model = build_model(cell, law, self.sigma, len(theta.values) > Theta.size, any_bend=not folded)
         self.stage: Stage = build_stage(cell, self.model, weights, theta, folded)
         self._programs: dict[tuple[int, bool], Transcription] = {}
         m = self.model
@@ -144,8 +145,9 @@ class PassSolver:
         return Evaluation(*[*values, pose.reshape(-1, 4, 4), sd])
 
     def _waypoints(self, problem: PassProblem) -> Array:
-        """The problem's waypoints, with the conditions of the cell's effects."""
-        return np.hstack([problem.waypoints, problem.conditions(self.cell)])
+        """The problem's waypoints, with the conditions of the cell's effects and, where no cell is folded in, what bends."""
+        more = [] if self.folded else [np.tile(bending(self.cell), (len(problem.waypoints), 1))]
+        return np.hstack([problem.waypoints, problem.conditions(self.cell), *more])
 
     def with_approach(self, problem: PassProblem, q: Array | None = None) -> PassProblem:
         """The problem with the directions in which the links turn at commanded joints q (n, 6), by default the seed's; as it is
