@@ -42,7 +42,7 @@ and the more machines without one are accused. Reason: of 150 virtual machines w
 
 LINES_A_GEAR = 3
 """[lines] Of ripple that a gear may have in the background. Guards: the name of one line against standing for the second.
-Reason: every gear has ripple of several orders (DIAGNOSIS, Second method)."""
+Reason: real gears have several ripples (PHYSICS 6, Masses)."""
 
 PLAY_ODDS = 0.09
 """[-] Prior odds of a good machine's play. Guards and Reason: as RIPPLE_ODDS."""
@@ -112,8 +112,8 @@ directions that unit noise at the upper end of the kernel's size could not show.
 # ---------- search: how far it looks (more only costs time), and
 # when it accepts
 MOST_SEARCHED = 1000
-"""[readings] That are searched; what is found is fitted to all. Guards: minutes. Reason: lambda grows with the readings, and
-above a thousand what is not seen is below the background (docs/diagnosis.md, 6)."""
+"""[readings] That are searched; what is found is fitted to all. Guards: minutes. Reason: judgement; lambda grows with the
+readings, and what a thousand do not show is mostly below play and ripple (docs/diagnosis.md, 6 and Limits)."""
 
 PAIR_FIRSTS = 30
 """[families] Tried as the first of a pair with every other. Reason: the search's time; the pairs planted in tests/diagnose
@@ -270,8 +270,8 @@ HARMFUL = -1.0
 """[-] A shrinkage below this says no more than 'harmful'. Reason: the gap has doubled."""
 
 NOTHING_UNEXPLAINED = 0.9
-"""[-] Probability before the folds that nothing is unexplained. Reason: with UNEXPLAINED_SIZE the intervals cover as often
-as they say (docs/diagnose.md, blind worlds)."""
+"""[-] Probability before the folds that nothing is unexplained. Reason: with UNEXPLAINED_SIZE the promised
+INTERVAL covers 0.89 on fresh worlds of development (docs/diagnosis.md, Measured); no reason known for just this pair."""
 
 UNEXPLAINED_SIZE = 0.25
 """[-] Of the noise's mean square: what else is, on average. Reason: as NOTHING_UNEXPLAINED."""
@@ -335,8 +335,7 @@ UNKNOWN_LOOKED_AT = 0.2
 """[-] Of p_unknown, from which a closer look is proposed where the gap lies. Reason: then nothing else can be EXPLAINED."""
 
 EXPERIMENT_REPEATED = 0.25
-"""[-] Of lambda now: what an experiment in words adds to it. Reason: a guess (docs/diagnose.md): it moves only part of the
-signature."""
+"""[-] Of lambda now: what an experiment in words adds to it. Reason: a guess; it moves only part of the signature."""
 
 HIDDEN = 8
 """[effects] That a log leaves unseen and that are looked at, those that it shows best first. Reason: time."""

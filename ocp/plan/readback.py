@@ -14,7 +14,7 @@ from ocp.plan.motion import MotionSegment, PlannedMotion
 from ocp.plan.passes.optimise import LEAST_DIRECT, SolvedPass
 from ocp.plan.passes.stretches import CannotGrind
 from ocp.plan.programming import force_tolerance
-from ocp.plan.rules import BLOCK_TIME_TOLERANCE, EMITTED_TOLERANCE, GAP_TOLERANCE, LEAST_STRETCH, READ_BACK_LIMIT
+from ocp.plan.rules import BLOCK_TIME_TOLERANCE, EMITTED_TOLERANCE, GAP_TOLERANCE, LEAST_STRETCH, READ_BACK_LIMIT, STRAY
 from ocp.plan.second_route import BelievedRobot, VerifiedPass, gaps, verify_pass
 from ocp.shell.processes import side_by_side
 from robots.errors import Infeasible
@@ -26,7 +26,6 @@ from trajectories.program.driven import axes_along, axis_gains, drive_lines, pro
 from trajectories.program.execution import Execution, ProgramSegment
 from trajectories.toppra_law import times_at
 
-STRAY = np.radians(0.05)  # rad between a straight motion read back and the plan; a larger one is another motion
 PROJECTIONS = 4  # Newton steps to the planned instant whose posture is nearest
 
 

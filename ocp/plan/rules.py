@@ -74,13 +74,15 @@ PEAK_FORCE = 1.25
 20 N."""
 
 GAP_TOLERANCE = 5e-5
-"""[m] Planned gap between blade and wheel in the air, from which on the independent route must see one too. Guards: nothing
-touches before its ramp begins. Reason: a hundredth of the flange's way under the force; at less the blade closes at TOUCH_SPEED.
-It refuses nothing by itself."""
+"""[m] Planned gap between blade and wheel in the air, beyond which a pass is refused that touches by the independent route.
+Guards: nothing touches before its ramp begins. Reason: a hundredth of the flange's way under the force; at less the blade closes
+at TOUCH_SPEED."""
 
 STROKE_RESERVE = 1e-3
-"""[m] Of the force flange's stroke that is left at both ends. Guards: at its stop the flange sets no force. Reason: three times
-what registration errors of blade and wheel (0.3 mm each, one sigma) may take."""
+"""[m] Of the force flange's stroke that is left before its pressed stop. Guards: beyond it nothing yields, and a blade that comes
+nearer is pressed as on a rigid mount, without bound. Reason: 2.4 times what registration errors of blade and wheel (0.3 mm each,
+one sigma) take together. The other stop needs none: passes begin and end there where the flange has preload, the plan reckons
+with it, and a blade that comes nearer meets that preload at most before the flange yields; grades judge it (STOP_PRELOAD)."""
 
 FLANGE_FORCE_TOLERANCE = 0.2
 """[N] Between the force asked for and that of the program read back by the independent route, with a force flange. Guards: the
@@ -138,6 +140,10 @@ LIFT_OFF = 0.020
 """[m] Off the wheel where a pass begins to be engaged and ends to be left, straight along the normal. Guards: moves between
 passes stay clear of the wheel. Reason: six times BLADE_MARGIN."""
 
+LIFT_RESERVE = 1e-3
+"""[m] More than BLADE_MARGIN that has to be free where the blade is lifted off at the ends of a pass. Guards: as LIFT_OFF; these
+moves are judged on the nominal arm. Reason: it stands about that far beside the bent one."""
+
 APPROACH_SPEED = 0.05
 """[m/s] Along the normal, at most, between LIFT_OFF and touch. Guards: who stands there. Reason: a fifth of what T1 allows."""
 
@@ -181,6 +187,11 @@ mission's requirement."""
 BLOCK_TIME_TOLERANCE = 1e-3
 """[s] By which a block of the program read back may last longer or shorter than planned. Guards: the feed, and with it what is
 taken off. Reason: judgement; a controller's cycle is 4 ms or longer."""
+
+STRAY = np.radians(0.05)
+"""[rad] By which an axis on a pass of straight motions read back may be off the plan. Guards: it is the planned motion that was
+written. Reason: ten times what blending leaves (tests/plan/test_programming.py); 1.7 mm 2 m from that axis, less than
+BLADE_MARGIN."""
 
 EMITTED_FORCE_SHARE = 0.25
 """[-] Of the mount's force tolerance, what the thinned-out points of a pass may cost between them; over the stiffness of the

@@ -1,6 +1,7 @@
 """Every number that the safety of a measurement depends on; what stays free of what is ocp/plan/rules.py's.
 
-As there: the unit in brackets, what a rule `Guards:`, and its `Reason:`.
+As there: the unit in brackets, what a rule `Guards:`, and its `Reason:`. tests/poses/test_poses_limits.py has for every rule
+that refuses one case just inside and one just outside.
 """
 
 import numpy as np

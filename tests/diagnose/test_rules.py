@@ -46,7 +46,7 @@ ELSEWHERE = {
     "joints/log.py": {"MOVED", "APART"},
     "tracker/refit.py": {"SETTLED", "RANK"},
 }
-FOLDERS_ELSEWHERE = ("published.py", "report")  # formats and drawing
+FOLDERS_ELSEWHERE = {"report"}  # drawing
 
 
 def assigned(path: Path) -> list[tuple[str, ast.expr, str]]:

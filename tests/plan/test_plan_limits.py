@@ -3,18 +3,19 @@
 Each is put to the function that decides. Rules that refuse nothing themselves have no such pair: they shape what is planned, and
 others judge the result.
 - DIRECT_TOLERANCE ends the corrections; FLANGE_FORCE_TOLERANCE judges what is left.
-- SINGULARITY_SHARE on wrist and elbow, as AXIS_MARGIN, are bounds that the optimiser cannot leave.
+- SINGULARITY_SHARE on wrist and elbow, and AXIS_MARGIN beyond the seeds, are bounds that the optimiser cannot leave.
+- LIMIT_SHARE on speed and acceleration is what the timed motion uses; FEED_TOLERANCE judges what is left of the feed.
 - HOLDER_RADIUS, HOLDER_SHARE, FLOOR_BELOW_WHEEL, WHEEL_ROOM are shapes; the margins judge them.
 - UPRIGHT says which planes are there (tests/plan/test_safe_to_move.py).
 - COLLISION_STEP says how densely moves are looked at; LIFT_OFF, HOME_LIFT and APPROACH_SPEED say how moves are laid.
-- TOUCH_SPEED, CREEP, LEAST_RAMP and CARRIED_FORCE say how a pass begins and ends; PEAK_FORCE is a bound that the optimiser
-  cannot leave.
-- GAP_TOLERANCE says from where on the second route has to see a gap.
+- TOUCH_SPEED, CREEP, LEAST_RAMP and CARRIED_FORCE say how a pass begins and ends.
 - EMITTED_FORCE_SHARE, EMITTED_TOLERANCE and EMITTED_AIR_TOLERANCE say how points are thinned out; the text is read back.
 """
 
 import ast
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,14 +26,14 @@ from scipy.optimize import brentq
 
 from ocp.data import CELL
 from ocp.model.blade_gap import SurfaceCloud
-from ocp.plan import rules
+from ocp.plan import readback, rules
 from ocp.plan.clearance import Clearance, CollisionScene
 from ocp.plan.grades import grade_force, stop_preload
 from ocp.plan.motion import _timed as _timed_pass
 from ocp.plan.motion import is_free
 from ocp.plan.passes import posture
 from ocp.plan.passes.course import steady
-from ocp.plan.passes.optimise import TouchesElsewhere, refuse_unsound
+from ocp.plan.passes.optimise import TouchesElsewhere, refuse_ends, refuse_unsound
 from ocp.plan.passes.posture import Seed
 from ocp.plan.passes.problem import PassProblem
 from ocp.plan.passes.smoothness import axis_use
@@ -50,6 +51,7 @@ from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 from robots.gravity import GRAVITY
 from robots.kinematics import link_frames
+from robots.rigid_body import inverse_dynamics
 from tests.support import invented_motion
 from tests.support.block_blade import BLOCK, blade_before_wheel, joints_of
 from tests.support.example_pass import bar_pass, bundled_cell
@@ -89,7 +91,7 @@ def test_margins_are_written_nowhere_else():
             for node in ast.parse(path.read_text()).body:
                 targets = node.targets if isinstance(node, ast.Assign) else []
                 names = {t.id for t in targets if isinstance(t, ast.Name)}
-                assert not names & set(NAMES) and not any("MARGIN" in name for name in names), path
+                assert not names & set(NAMES) and not any(word in name for name in names for word in ("MARGIN", "RESERVE")), path
 
 
 # -- postures ------------------------------------------------------------------------------------------------------
@@ -109,8 +111,8 @@ def seeds(cell, q, feed_share=0.0):
     return found, " ".join(text for _, text in reasons)
 
 
-def with_axis(j, value):
-    q = READY.copy()
+def with_axis(j, value, q=READY):
+    q = q.copy()
     q[j] = value
     return q
 
@@ -128,9 +130,14 @@ def stretched(cell, more):
 
 POSTURES = {
     "AXIS_MARGIN": (lambda c, e: with_axis(4, c.robot.q_max[4] - rules.AXIS_MARGIN - e), "beyond its limit"),
+    "AXIS_MARGIN, lower end": (lambda c, e: with_axis(4, c.robot.q_min[4] + rules.AXIS_MARGIN + e), "beyond its limit"),
+    "AXIS_MARGIN, axis 2": (lambda c, e: with_axis(1, c.robot.q_max[1] - rules.AXIS_MARGIN - e), "beyond its limit"),
+    "AXIS_MARGIN, axis 3": (lambda c, e: with_axis(2, c.robot.q_min[2] + rules.AXIS_MARGIN + e), "beyond its limit"),
     "WRIST_MARGIN": (lambda c, e: with_axis(4, rules.WRIST_MARGIN + e), "wrist singularity"),
+    "WRIST_MARGIN, other side": (lambda c, e: with_axis(4, -rules.WRIST_MARGIN - e), "wrist singularity"),
     "SHOULDER_MARGIN": (lambda c, e: with_shoulder(c, rules.SHOULDER_MARGIN + e), "overhead singularity"),
     "ELBOW_MARGIN": (lambda c, e: stretched(c, rules.ELBOW_MARGIN + e), "near a singularity"),
+    "ELBOW_MARGIN, other side": (lambda c, e: stretched(c, -rules.ELBOW_MARGIN - e), "near a singularity"),
 }
 
 
@@ -163,16 +170,20 @@ def test_a_wheel_that_hardly_bears_is_refused(cell):
 # -- the optimiser's rows ------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def solver(cell):
-    """What of a solver knows the bounds; no model is compiled."""
+def bare(cell, **limits):
+    """What of a solver knows the bounds, with other limits of the robot; no model is compiled."""
     one = object.__new__(PassSolver)
-    one.cell, one.limits = cell, {}
+    one.cell, one.limits = replace(cell, robot=replace(cell.robot, **limits)), {}
     return one
 
 
-def problem():
-    seed = Seed(1, 0, np.zeros(7), 0.0, np.tile(READY, (7, 1)), np.linspace(0, 1, 7), 0.0)
+@pytest.fixture(scope="module")
+def solver(cell):
+    return bare(cell)
+
+
+def problem(q=READY):
+    seed = Seed(1, 0, np.zeros(7), 0.0, np.tile(q, (7, 1)), np.linspace(0, 1, 7), 0.0)
     return PassProblem.start(bar_pass(), seed, np.zeros((40, 3)))
 
 
@@ -203,6 +214,14 @@ def test_the_wheel_has_to_bear_at_the_planned_point(solver):
         judge(solver, 1e3 * (rules.LEAST_INDENTATION - 1e-6), row)
 
 
+def test_the_force_may_not_peak(solver):
+    most, row = 1.25 * bar_pass().force[0], ROW["contact force"]
+    judge(solver, most - 1e-4, row)
+    with pytest.raises(Infeasible, match="waypoint 18 of 40: contact force cannot be met, 0.0001 N are missing"):
+        judge(solver, most + 1e-4, row)
+    assert rules.PEAK_FORCE == 1.25
+
+
 def test_an_axis_may_not_use_all_of_its_speed(cell, solver):
     speed = rules.SPEED_SHARE * cell.robot.qd_max[3]
     judge(solver, speed - 1e-4, axis=3)
@@ -214,25 +233,42 @@ def test_an_axis_may_not_use_all_of_its_speed(cell, solver):
         assert solver._breaks_lazy_rows(problem(), SimpleNamespace(q=turning, rate=np.ones(40))) is broken
 
 
-def test_an_axis_builds_up_its_acceleration_in_its_time(cell, solver):
-    jerk = rules.SPEED_SHARE * cell.robot.qdd_max[1] / rules.JERK_TIME
-    judge(solver, jerk - 1e-3, axis=19)
-    with pytest.raises(Infeasible, match=r"the jerk of axis 2 cannot be kept within its limit"):
-        judge(solver, jerk + 1e-3, axis=19)
-    fast = bar_pass(feed=0.4)
-    one = replace(problem(), path=fast, course=steady(fast))
+@pytest.mark.parametrize(("what", "feed", "row"), [("acceleration", 0.04, 7), ("jerk", 0.4, 19)])
+def test_an_axis_keeps_a_share_of_its_acceleration_and_builds_it_up_in_its_time(cell, solver, what, feed, row):
+    limit = rules.SPEED_SHARE * cell.robot.qdd_max[1] / (rules.JERK_TIME if what == "jerk" else 1.0)
+    judge(solver, limit - 1e-3, axis=row)
+    with pytest.raises(Infeasible, match=rf"the {what} of axis 2 cannot be kept within its limit"):
+        judge(solver, limit + 1e-3, axis=row)
+    path = bar_pass(feed=feed)
+    one = replace(problem(), path=path, course=steady(path))
     swing = np.outer(np.sin(4 * np.pi * one.way.at / one.way.at[-1]) ** 4, np.eye(6)[1])  # no acceleration at its ends
-    most = axis_use(cell, one.way, READY + 1e-3 * swing, np.ones(40))[:, 19].max()
+    most = axis_use(cell, one.way, READY + 1e-3 * swing, np.ones(40))[:, row].max()
     for share, broken in ((rules.SPEED_SHARE - 1e-4, False), (rules.SPEED_SHARE + 1e-4, True)):
         there = READY + 1e-3 * share / most * swing
         assert solver._breaks_lazy_rows(one, SimpleNamespace(q=there, rate=np.ones(40))) is broken
 
 
-def test_the_optimiser_stays_off_the_ends_of_axes_and_singularities(cell, solver):
-    low, high = (bound.reshape(40, 8)[:, :6] for bound in solver._bounds(problem(), 40))
-    assert (low >= cell.robot.q_min + rules.AXIS_MARGIN).all() and (high <= cell.robot.q_max - rules.AXIS_MARGIN).all()
-    assert low[0, 4] == rules.SINGULARITY_SHARE * rules.WRIST_MARGIN
-    assert low[0, 2] == pytest.approx(stretched(cell, rules.SINGULARITY_SHARE * rules.ELBOW_MARGIN)[2])
+def test_an_axis_may_not_use_all_of_its_torque(cell, solver):
+    judge(solver, rules.SPEED_SHARE - 1e-4, axis=13)
+    with pytest.raises(Infeasible, match=r"the torque of axis 2 cannot be kept within its limit"):
+        judge(solver, rules.SPEED_SHARE + 1e-4, axis=13)
+    payload, still = cell.workpiece.payload, np.zeros((1, 6))
+    held = np.abs(inverse_dynamics(cell.robot, payload.mass, payload.com, READY[None], still, still)[0, 1])
+    for share, broken in ((rules.SPEED_SHARE - 1e-4, False), (rules.SPEED_SHARE + 1e-4, True)):
+        weak = bare(cell, torque_max=np.where(np.arange(6) == 1, held / share, cell.robot.torque_max))
+        assert weak._breaks_lazy_rows(problem(), SimpleNamespace(q=np.tile(READY, (40, 1)), rate=np.ones(40))) is broken
+
+
+@pytest.mark.parametrize(("wrist", "elbow"), [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+def test_the_optimiser_stays_off_the_ends_of_axes_and_singularities(cell, solver, wrist, elbow):
+    """On either side of wrist and elbow: the singularity bounds the axis to one side, the end of its range to the other."""
+    seed = with_axis(4, wrist * READY[4], stretched(cell, elbow * np.radians(20.0)))
+    low, high = (bound.reshape(40, 8)[:, :6] for bound in solver._bounds(problem(seed), 40))
+    least, most = cell.robot.q_min + rules.AXIS_MARGIN, cell.robot.q_max - rules.AXIS_MARGIN
+    for axis, side, margin, at in ((4, wrist, rules.WRIST_MARGIN, 0.0), (2, elbow, rules.ELBOW_MARGIN, stretched(cell, 0.0)[2])):
+        (least if side > 0 else most)[axis] = at + side * rules.SINGULARITY_SHARE * margin
+    np.testing.assert_allclose(low, np.tile(least, (40, 1)), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(high, np.tile(most, (40, 1)), rtol=0, atol=1e-12)
 
 
 # -- solved passes -------------------------------------------------------------------------------------------------
@@ -246,7 +282,7 @@ def solved(T=None, stroke=0.0, curvature=(0.0, 0.0, 0.0)):
 
 def put_to_test(cell, scene=None, points=None, q=HOME, **evaluation):
     free = SimpleNamespace(clearance=lambda q, in_contact: Clearance(0.0, 0, ("hand", "wheel")))
-    path = SimpleNamespace(line=3, side="convex", p=CONTACT[None], s=np.zeros(1), start=0.0)
+    path = SimpleNamespace(line=3, side="convex", p=CONTACT[None], n=CONTACT[None] / RADIUS, s=np.zeros(1), start=0.0)
     far = np.full((1, 3), 50.0) if points is None else points
     whole: Any = SimpleNamespace(q=q[None]), solved(**evaluation)
     refuse_unsound(cell, scene or free, SurfaceCloud(far, far), path, *whole)  # type: ignore[arg-type]
@@ -294,11 +330,30 @@ def test_contact_beside_the_planned_one_is_refused(cell):
                 put_to_test(cell, points=point, T=T, curvature=curvature)
 
 
-def test_a_flange_near_its_pressed_stop_is_refused(cell):
+@pytest.mark.parametrize("leant", [0.0, 0.5])
+def test_a_flange_near_its_pressed_stop_is_refused(cell, leant):
+    """Its axis `leant` rad off the normal: then less of the stroke is seen along the normal. At its other stop passes begin, and
+    grades judge it (below)."""
+    away = np.array([0.0, np.cos(leant), np.sin(leant)])  # blade frame; the normal is y
+    one = replace(cell, flange=replace(cell.flange, axis=cell.workpiece.T_flange_blade[:3, :3] @ away if leant else None))
     end = 0.5 * cell.flange.stroke - rules.STROKE_RESERVE
-    put_to_test(cell, stroke=end - 1e-9)
-    with pytest.raises(Infeasible, match="the force flange would stand .* mm are usable"):
-        put_to_test(cell, stroke=end + 1e-9)
+    put_to_test(one, stroke=np.cos(leant) * (end - 1e-9))
+    put_to_test(one, stroke=np.cos(leant) * -0.5 * cell.flange.stroke)
+    with pytest.raises(Infeasible, match=f"the force flange would stand {end * 1e3:.2f} mm from its middle, .* mm are usable"):
+        put_to_test(one, stroke=np.cos(leant) * (end + 1e-9))
+
+
+def test_ends_at_which_the_blade_can_hardly_be_lifted_off_are_refused(cell):
+    solved = SimpleNamespace(T_base_blade=np.tile(np.eye(4), (40, 1, 1)), arc=np.zeros(40))
+    one: Any = SimpleNamespace(problem=SimpleNamespace(path=bar_pass()), evaluation=solved)
+    one.touching = lambda: one
+    for more in (1e-9, -1e-6):
+        scene: Any = SimpleNamespace(off_wheel=lambda poses, more=more: np.full(len(poses), rules.LIFT_RESERVE + more))
+        if more > 0:
+            refuse_ends(cell, scene, one)
+        else:
+            with pytest.raises(CannotGrind, match="lifted 20 mm off the wheel the blade would still be 0.0 mm too near"):
+                refuse_ends(cell, scene, one)
 
 
 # -- what is left out ----------------------------------------------------------------------------------------------
@@ -370,6 +425,53 @@ def test_a_posture_that_weight_alone_nearly_stalls_is_refused(cell):
     assert move(usable - 1e-6).worst.torque <= rules.LIMIT_SHARE
     with pytest.raises(Infeasible, match="of its torque limit to hold the posture"):
         move(usable + 1e-6)
+
+
+@pytest.mark.parametrize("binding", ["qd", "qdd", "torque_max"])
+def test_a_timed_motion_uses_its_share_of_the_limit_that_binds_and_no_more(cell, binding):
+    robot, payload = cell.robot, cell.workpiece.payload
+    limits = Limits.of(robot, partial(inverse_dynamics, robot, payload.mass, payload.com), rules.LIMIT_SHARE)
+    free = {name: getattr(limits, name) * (1.0 if name == binding else 20.0) for name in ("qd", "qdd", "torque_max")}
+    worst = time_joint_move(READY, READY + np.radians(30.0), replace(limits, **free)).worst
+    used = dict(zip(free, (worst.velocity, worst.acceleration, worst.torque), strict=True))
+    assert max(used.values()) <= rules.LIMIT_SHARE and used[binding] == pytest.approx(rules.LIMIT_SHARE, rel=0.02)
+
+
+def test_a_touch_where_a_gap_is_planned_is_refused(cell, monkeypatch):
+    """By the independent route, at a planned gap just below and just above the one from which on it has to see one too."""
+    one = invented_motion.motion().passes[0]
+    way, clock = one.problem.way, np.array([0.0, 1e-3])
+    monkeypatch.setattr(readback, "gaps", lambda cell, believed, path, end, give, q, seen: np.zeros(len(q)))
+    for first, last in ((0.0, way.edges[1]), (way.edges[4], way.edges[-1])):
+        for more in (-1e-7, 1e-7):
+            at = brentq(lambda t, more=more: float(way.gap_at(np.array([t]))[0]) - rules.GAP_TOLERANCE - more, first, last)
+            rows = (clock, np.zeros((2, 6)), np.full(2, at))
+            if more < 0:
+                assert readback._touching_in_air(cell, None, one, *rows) == 0.0
+            else:
+                with pytest.raises(CannotGrind, match="blade and wheel would touch in the air, .* by the independent route"):
+                    readback._touching_in_air(cell, None, one, *rows)
+
+
+def test_straight_motions_that_leave_the_plan_are_refused(cell, tmp_path, monkeypatch):
+    """Against a plan whose axis 4 is turned away all along; where on it a posture belongs is looked for from every 20 ms."""
+    monkeypatch.setattr(readback, "SAMPLE", 0.02)
+    motion = invented_motion.motion()
+    execution = invented_motion.checked(invented_motion.written(tmp_path, "lin")[1])
+
+    def off(turn):
+        segments = []
+        for segment in motion.segments:
+            path = copy(segment.trajectory.path)
+            path.c = path.c + turn * (np.arange(len(path.c)) == len(path.c) - 1)[:, None, None] * np.eye(6)[3]
+            segments.append(replace(segment, trajectory=replace(segment.trajectory, path=path)))
+        return readback._chained(cell, replace(motion, segments=segments), execution)[1]
+
+    first = off(0.9 * rules.STRAY)
+    turn = 0.9 * rules.STRAY + (rules.STRAY - first)
+    assert off(turn - 1e-3 * rules.STRAY) == pytest.approx(rules.STRAY, rel=2e-3)
+    with pytest.raises(Infeasible, match="the straight motions read back leave the plan; nothing is written"):
+        off(turn + 1e-3 * rules.STRAY)
 
 
 @pytest.mark.parametrize("flange", [True, False])

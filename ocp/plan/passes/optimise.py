@@ -29,7 +29,7 @@ from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, joined
 from ocp.plan.removal.dwell import DrivenLine
 from ocp.plan.removal.footprint import contacts_along
-from ocp.plan.rules import DIRECT_TOLERANCE, LIFT_OFF, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
+from ocp.plan.rules import DIRECT_TOLERANCE, LIFT_OFF, LIFT_RESERVE, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
 from ocp.shell.cache import Entry, code_hash, content_key, flattened, rebuilt, remember
 from ocp.shell.native import evaluated_by, left_uncompiled
 from ocp.shell.processes import cores, interrupts_held_back, workers
@@ -49,7 +49,6 @@ FALLBACKS = 4  # seeds tried before a pass is refused
 ATTEMPTS = ((True, 1.0), (False, 1.0), (False, 0.2), (False, 0.02))
 """Whether a pass is led in and out beyond the line, and of the turn tolerance: tried in turn, the latter while a turned wheel
 touches the blade elsewhere."""
-LIFT_RESERVE = 1e-3  # m; ways between passes are judged on the nominal arm, which stands about that far beside the bent one
 END_PROBE = 1e-3  # m between the waypoints at which it is looked whether the blade could be lifted off
 FILES = (".path", ".stl")  # where a file lies does not matter, what it says is in the key by value
 
@@ -282,7 +281,7 @@ class PassWorker:
 def refuse_unsound(
     cell: Cell, scene: CollisionScene, cloud: SurfaceCloud, path: BladePath, solution: PassSolution, solved: Evaluation
 ) -> None:
-    """Raises CannotGrind: something collides, the blade touches elsewhere, the flange is at the end of its stroke."""
+    """Raises CannotGrind: something collides, the blade touches elsewhere, the flange is near its pressed stop."""
     clearance = scene.clearance(solution.q, in_contact=True)
     if clearance.value < 0:
         where = scene.clearances(solution.q, in_contact=True)[0] < 0
@@ -298,12 +297,15 @@ def refuse_unsound(
         error = CannotGrind.of(path, where, reason, f"use {_other_wheel(cell, beside)}, or larger margins", beside.index)
         raise TouchesElsewhere(str(error), **vars(error))
     if cell.flange is not None:
-        # FORMATS, additions: 1 mm inside the pressed stop; a pass also 0.3 mm off where the flange stands free.
-        stroke, limit = solved.parts[:, 0], 0.5 * cell.flange.stroke - STROKE_RESERVE
-        k = int(np.argmax(stroke))
-        if stroke[k] > limit:
-            reason = f"the force flange would stand {stroke[k] * 1e3:.2f} mm from its middle, {limit * 1e3:.2f} mm are usable"
-            raise CannotGrind.of(path, stroke > limit, reason, "set force_N nearer to the flange's setpoint", k)
+        # Parts are along the normal, of which the flange's axis has a share (docs/model.md, eq. 3).
+        axis, limit = cell.flange.axis, 0.5 * cell.flange.stroke - STROKE_RESERVE
+        share = np.ones(len(path.n)) if axis is None else np.abs(path.n @ cell.workpiece.T_flange_blade[:3, :3].T @ axis)
+        beyond = solved.parts[:, 0] - limit * share
+        k = int(np.argmax(beyond))
+        if beyond[k] > 0:
+            stroke = solved.parts[k, 0] / share[k]
+            reason = f"the force flange would stand {stroke * 1e3:.2f} mm from its middle, {limit * 1e3:.2f} mm are usable"
+            raise CannotGrind.of(path, beyond > 0, reason, "set force_N nearer to the flange's setpoint", k)
 
 
 def refuse_ends(cell: Cell, scene: CollisionScene, one: SolvedPass) -> None:
