@@ -1,4 +1,4 @@
-"""Diagnosis of three measured robots (../shared/data/real): the tables of docs/diagnosis_real.md.
+"""Diagnosis of three measured robots (../shared/data/real): the figures of docs/diagnosis_real.md.
 
 `python benchmarks/diagnosis_real.py [ur5] [ur10] [kr300] [--splits N] [--only PART]` from the repository root with PYTHONPATH=.
 Parts of a tracker campaign: answer (what the command says), terms (named terms on readings left out), selected (what holds where

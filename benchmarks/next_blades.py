@@ -7,7 +7,7 @@ throughout. True force and true depth of every blade are judged on all its passe
 planner, and its footprint is that of its own rubber. What it does to the cell from blade to blade (`drifted`) is not the
 update's process model.
 
-Prints every blade, then the table of docs/process.md.
+Prints every blade, then the figures of docs/process.md.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Every number of docs/virtual_grinding.md: `python benchmarks/virtual_grinding.py PLAN_FOLDER [cover|curves|plan]`, default all.
+"""The figures of docs/virtual_grinding.md: `python benchmarks/virtual_grinding.py PLAN_FOLDER [cover|curves|plan]`, default all.
 
 PLAN_FOLDER is what `python -m ocp.plan` writes for the bundled cell. Times are processor seconds of one core.
 """

@@ -3,10 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from ocp.calibrate.files import CalibrationResult, tracker_calibration, write_tracker_calibration
-from ocp.calibrate.force.log import ForceLog, read_force_log, without_ramps
+from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_force_unit, without_ramps
 from ocp.calibrate.force.registration import fit_force
 from ocp.calibrate.report.pages import contact_sections
 from ocp.calibrate.tracker import TrackerCalibration, calibrate_tracker
@@ -92,9 +90,6 @@ def _remedy(made: TrackerCalibration) -> str:
     return "measure more postures, and check that units, orientations and names are as docs/formats.md has them"
 
 
-UNITS = 30.0  # kilonewtons and grams-force are farther off than any setpoint of a ladder
-
-
 def logged_cell(cell_file: Path, force: Path, mapping: ColumnMapping = OURS) -> tuple[Cell, ForceLog]:
     """The cell, and the log of what was ground in it.
 
@@ -104,12 +99,5 @@ def logged_cell(cell_file: Path, force: Path, mapping: ColumnMapping = OURS) -> 
     cell = read_cell(cell_file)
     if cell.workpiece.stl is None:
         raise BadInput(f"{cell_file}: workpiece.stl is missing; a force log needs the blade that was ground")
-
-    wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
-    seen = float(np.median(log.fn[log.contact])) if log.contact.any() else wanted
-    if wanted > 0 and not 1 / UNITS < seen / wanted < UNITS:
-        raise BadInput(
-            f"{force}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
-            "correct the cell's setpoint_N"
-        )
+    refuse_force_unit(log, cell)
     return cell, log

@@ -12,7 +12,7 @@ from ocp.effects.engine.readings import effects_on, has_columns, shown_in, witho
 from ocp.model.cell import TrackerSetup, read_tracker_setup
 from ocp.shell.progress import Phases
 from robots.calibration.evidence import Term, choose_terms
-from robots.calibration.fit import Fit, fit_campaign, learned_priors, predict_readings, predictive_covariance
+from robots.calibration.fit import Fit, fit_campaign, fit_learned, predict_readings, predictive_covariance
 from robots.calibration.identifiability import Identifiability, described, identify
 from robots.calibration.layout import Choice, Layout, State
 from robots.calibration.load_tests import LoadTest, load_test
@@ -131,7 +131,7 @@ def _calibrate(tracker: Path, cell: Path, method: str, phases: Phases, mapping: 
         for _ in range(EFFECTS_TWICE if believed else 0):
             campaign = without_effects(replace(campaign, readings=readings), first.state, believed, warm)
             first = fit_campaign(campaign, choice, begin=first.state)
-        first = fit_campaign(campaign, choice, learned_priors(first), begin=first.state)
+        first = fit_learned(first)
     with phases.phase("terms"):
         chosen, terms = choose_terms(first) if method == "full" else (choice, [])
         full = first if chosen == choice else fit_campaign(campaign, chosen, first.priors, begin=first.state)
@@ -169,14 +169,14 @@ def as_calibration(
     layout: Layout,
     state: State,
     covariance: Array,
-    station: int,
+    station: int | None = None,
     rigid: Sequence[int] = (),
     payload: int | None = None,
     provenance: dict[str, Any] | None = None,
     not_identified: dict[str, str] | None = None,
 ) -> Calibration:
     """A fit's state as named parameters: the arm's unknowns, joints `rigid` (1..6) without their springs, the payload of an
-    index, the base in a station's frame. covariance (p, p) begins with the layout's unknowns."""
+    index, the base in a station's frame (None: the arm alone). covariance (p, p) begins with the layout's unknowns."""
     fitted = np.flatnonzero(layout.arm >= 0)
     names = [*(ARM_NAMES[i] for i in fitted), *(f"c{j}" for j in rigid)]
     values = [*state.arm[fitted], *np.zeros(len(rigid))]
@@ -185,17 +185,20 @@ def as_calibration(
         names += PAYLOAD_NAMES
         values += [*state.payloads[payload]]
         columns += [*layout.payload[payload]]
-    T = state.stations[station]
     known = np.array(columns) >= 0
-    to_named = np.zeros((len(names) + 6, len(covariance)))
+    to_named = np.zeros((len(names), len(covariance)))
     to_named[np.flatnonzero(known), np.array(columns)[known]] = 1.0
-    to_named[len(names) : len(names) + 3, layout.station[station, :3]] = np.eye(3)
-    to_named[len(names) + 3 :, layout.station[station, 3:]] = abc_by_spin(T)
+    if station is not None:
+        T, base = state.stations[station], np.zeros((6, len(covariance)))
+        base[:3, layout.station[station, :3]], base[3:, layout.station[station, 3:]] = np.eye(3), abc_by_spin(T)
+        names += BASE_NAMES
+        values += [*T[:3, 3], *abc_from_rotation(T[:3, :3])]
+        to_named = np.vstack([to_named, base])
     named = to_named @ covariance @ to_named.T
     return Calibration(
         robot=robot,
-        names=(*names, *BASE_NAMES),
-        values=np.array([*values, *T[:3, 3], *abc_from_rotation(T[:3, :3])]),
+        names=tuple(names),
+        values=np.array(values),
         covariance=0.5 * (named + named.T),
         provenance=provenance or {},
         not_identified=not_identified or {},

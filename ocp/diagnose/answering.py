@@ -30,7 +30,7 @@ from ocp.diagnose.dataset import (
     read_sealed_tracker,
 )
 from ocp.diagnose.document import document_of, json_text
-from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed, effects_key
+from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Sealed, effects_key, needs_motion
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
@@ -142,7 +142,6 @@ READERS: dict[str, Callable[[DataSet], Any]] = {
     "joint": read_sealed_joints,
 }
 _CANNOT = re.compile(r"(?P<why>.*): (?P<effect>\w+) cannot be seen")
-NEVER = frozenset({"speed"})  # no column of readings at rest
 
 
 def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = None, columns: Path | None = None) -> Answer:
@@ -179,7 +178,7 @@ def grouped(blind: Sequence[str]) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for sentence in blind:
         told = _CANNOT.fullmatch(sentence)
-        if told and told["why"].rpartition("column ")[2] not in NEVER:
+        if told and not needs_motion(told["why"]):
             reasons.setdefault(told["why"], []).append(told["effect"])
     return [f"{why}: {', '.join(names)} cannot be seen" for why, names in reasons.items()]
 

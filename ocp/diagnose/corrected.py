@@ -14,13 +14,13 @@ import numpy as np
 
 from ocp.calibrate.tracker import as_calibration
 from ocp.diagnose.dataset import CELL, DataSet
-from ocp.diagnose.engine.channel_system import Channel, scan_key
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer
 from ocp.diagnose.verdict.patching import formula_of, is_patch
 from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.cell_effects import table_of
-from ocp.effects.effect import Active
+from ocp.effects.effect import Active, scan_key
 from ocp.effects.patch import patch_table
 from ocp.model.cell import cell_tables_for
 from robots.calibration.carried import carried_over
@@ -107,24 +107,21 @@ def calibration_of(channels: Sequence[Channel], data: DataSet) -> Calibration | 
 
 def _of_contact(channel: Channel, data: DataSet) -> Calibration:
     """Arm, wheel, blade frame and stiffnesses as the force log and the arm's prior leave them, with their joint covariance."""
-    from ocp.calibrate.force.fit import FIT_NAMES
+    from ocp.calibrate.force.fit import FIT_NAMES, covariance_left
     from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
 
     assert isinstance(channel, ForceChannel)
     believed, fit = channel.problem.believed, channel.fit
-    r = believed.root.shape[1]
-    x = believed.mean + believed.root @ fit.z[:r]
-    covariance = believed.root @ np.linalg.inv(fit.information)[:r, :r] @ believed.root.T
-    covariance = 0.5 * (covariance + covariance.T)
+    covariance = covariance_left(believed.root, fit.information)
     known = [i for i in range(len(FIT_NAMES)) if covariance[i, i] > 0]
     bending = list(channel.problem.scene.cell.compliant_joints)
     provenance: dict[str, Any] = _provenance(channel) | {"rows": len(channel.log), BENDING: bending}
-    if believed.joint_noise:
+    if believed.joint_noise is not None:
         provenance["noise"] = {"joints_rad": believed.joint_noise}
     return Calibration(
         robot=data.setup.robot.name,
         names=tuple(FIT_NAMES[i] for i in known),
-        values=x[known],
+        values=fit.at.x[known],
         covariance=covariance[np.ix_(known, known)],
         provenance=provenance,
     )

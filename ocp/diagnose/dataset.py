@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.calibrate.force.log import ForceLog, read_force_log, without_ramps
+from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_force_unit, without_ramps
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.joints.channel import HAVE as JOINT_COLUMNS
 from ocp.diagnose.joints.channel import seen_by_encoder
 from ocp.diagnose.joints.log import JointLog, read_joint_log
-from ocp.diagnose.rules import FORCE_UNIT_FACTOR, LEAST_READINGS
+from ocp.diagnose.rules import LEAST_READINGS
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import shown_in
 from ocp.model.cell import Cell, TrackerSetup, files_of, read_cell, read_tracker_setup
@@ -90,7 +90,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
     if FORCE in found:
         cell = _grinding_cell(folder, setup.tables)
         log = read_force_log(folder / FORCE, mapping=mapping)
-        _check_units(cell, log)
+        refuse_force_unit(log, cell)
         log = without_ramps(log)
     if JOINTS in found:
         joints = read_joint_log(folder / JOINTS, mapping)
@@ -161,16 +161,6 @@ def _check_readings(readings: Readings) -> None:
         )
     if postures < LEAST_READINGS // 2:
         raise BadInput(f"{readings.path}: {postures} different postures; spread at least {LEAST_READINGS // 2} over the axes")
-
-
-def _check_units(cell: Cell, log: ForceLog) -> None:
-    wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
-    seen = float(np.median(log.fn[log.contact]))
-    if wanted > 0 and not 1 / FORCE_UNIT_FACTOR < seen / wanted < FORCE_UNIT_FACTOR:
-        raise BadInput(
-            f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
-            "correct the cell's setpoint_N"
-        )
 
 
 def blinds(notice: str) -> bool:

@@ -32,92 +32,127 @@ SUM_TOLERANCE = 1e-6
 class JsonObject(BaseModel):
     """A JSON object: nothing but what the schema names; numbers as the file rounds them."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True, use_attribute_docstrings=True)
 
 
 class NamedJson(JsonObject):
     """An effect at a joint."""
 
     effect: str
+    """Name in the catalogue."""
     joint: Annotated[int, Field(ge=1, le=6)] | None
+    """Joint that it acts on; null for one of no joint."""
 
 
 class ParameterJson(JsonObject):
     """A value with its standard deviation; what is scanned or a name has none."""
 
     value: Number | list[Number] | str
+    """In the key's unit; a name for a payload or target."""
     sd: Number | list[Number] | None
+    """One sigma; null of what is scanned or a name."""
     unit: str
+    """SI."""
 
 
 class RankJson(NamedJson):
     """An effect with its marginal probability, evidence, values and detectability index."""
 
     probability: Share
+    """That it is there, whatever else is."""
     log_evidence: Number
+    """Of the best set with it over the best without."""
     parameters: dict[str, ParameterJson]
+    """Values by the effect's keys."""
     detectability: Number
+    """Lambda, signal over noise squared, of this size in these data."""
 
 
 class ExplanationJson(JsonObject):
     """A set of effects with its probability."""
 
     effects: list[NamedJson]
+    """What is there together."""
     probability: Share
+    """Of just this set."""
 
 
 class BudgetJson(JsonObject):
     """Share of the gap's mean square beyond noise that goes with a condition."""
 
     where: str
+    """The condition."""
     share: Share
+    """Of the mean square beyond noise."""
     p_value: Share
+    """Of as much by chance."""
 
 
 class LocationJson(JsonObject):
     """Where the gap lies."""
 
     signal: Literal["tracker", "force", "joint"] | None
+    """In which readings; null where nothing can be told."""
     subsystem: Subsystem | None
+    """Part of the cell."""
     joint: Annotated[int, Field(ge=1, le=6)] | None
+    """The joint, where it is one."""
     depends_on: list[str]
+    """Conditions that the gap varies with."""
     segments: list[str]
+    """Parts of the data that have most of it."""
     budget: list[BudgetJson]
+    """Shares by condition, the largest first."""
 
 
 class FiguresJson(JsonObject):
     """Of the sizes of the errors of readings."""
 
     rms: Number
+    """Root of the mean square."""
     mean: Number
+    """Mean."""
     max: Number
+    """Largest."""
 
 
 class ShrinkageJson(JsonObject):
     """1 - G_after / G_before on data not used, with a 90 % interval."""
 
     predicted: Number
+    """Median."""
     low: Number
+    """5 % point."""
     high: Number
+    """95 % point."""
 
 
 class ExtrapolationJson(JsonObject):
     """Shrinkage where a condition was left out of the fit; null where the gap there is below a fifth of the noise."""
 
     withheld: str
+    """What was left out."""
     shrinkage: Number | None
+    """That came there."""
 
 
 class GapJson(JsonObject):
     """The gap of one signal, before and after the named effects, in its unit; promise: shrinkage by what is new in new data."""
 
     unit: Literal["mm", "N", "arcsec"]
+    """Of the numbers of this signal."""
     noise_floor: Number
+    """Rms of the noise."""
     before: FiguresJson
+    """By the baseline, refitted."""
     after: FiguresJson
+    """With the named effects."""
     shrinkage: ShrinkageJson | None
+    """Promised on new data of the same campaign; null where the gap is below a fifth of the noise."""
     promise: dict[str, ShrinkageJson]
+    """The same by what is new: day, region, payload, session."""
     extrapolation: list[ExtrapolationJson]
+    """What came where a condition was left out."""
 
 
 class RemainingJson(JsonObject):
@@ -125,44 +160,68 @@ class RemainingJson(JsonObject):
     noise, and where it lies (null: nowhere that can be told)."""
 
     above_noise: Number
+    """Rms that stays above the instrument's noise, in the signal's unit."""
     p_value: Share
+    """Of its being noise."""
     location: LocationJson | None
+    """Where it lies; null: nowhere that can be told."""
 
 
 class ExperimentJson(JsonObject):
     """A measurement that would tell apart what these data do not."""
 
     do: str
+    """What to measure."""
     minutes: Minutes
+    """That it takes."""
     tells_apart: list[str]
+    """Explanations between which it decides."""
     expected_probability: Share
+    """Of the true one afterwards."""
 
 
 class PatchJson(JsonObject):
     """What a patch is in words, what names and patch promise together, where each condition that it varies with was measured."""
 
     shrinkage: ShrinkageJson
+    """That names and patch promise together."""
     formula: str
+    """The patch in words."""
     range: dict[str, tuple[Number, Number]]
+    """Least and most measured of every condition; beyond, the patch fades out."""
 
 
 class Document(JsonObject):
     """The whole of diagnosis.json."""
 
     schema_: Literal[2] = Field(2, alias="schema")
+    """Version of the format."""
     dataset: str
+    """Name of the folder."""
     verdict: Verdict
+    """The answer in a word (docs/diagnose.md)."""
     p_none: Share
+    """That no named effect is there; with the explanations it sums to 1."""
     p_unknown: Share
+    """That something outside the catalogue is there, beside names or without."""
     ranking: list[RankJson]
+    """Effects by probability."""
     explanations: list[ExplanationJson]
+    """Sets of effects by probability."""
     indistinguishable: list[list[str]]
+    """Classes of effects that these data cannot tell apart."""
     location: LocationJson
+    """Where the gap of the baseline lies."""
     gap: dict[Literal["tracker", "force", "joint"], GapJson]
+    """By signal."""
     remaining: dict[Literal["tracker", "force", "joint"], RemainingJson]
+    """What names leave, by signal."""
     patch: dict[Literal["tracker"], PatchJson] | None = None
+    """A correction without a name, by signal."""
     blind_spots: list[str]
+    """What these data cannot show, in sentences."""
     next_experiment: list[ExperimentJson]
+    """What would tell most, the best first."""
 
     @model_validator(mode="after")
     def _sums_to_one(self) -> Self:

@@ -79,10 +79,6 @@ parameters to be told by them (three numbers each) tell nothing apart."""
 LEAST_CONTACT_ROWS = 20
 """[rows] Of a planned log in contact. Guards: as LEAST_READINGS. Reason: as LEAST_READINGS."""
 
-FORCE_UNIT_FACTOR = 30.0
-"""[-] By which forces may differ from what the cell asks for before they are taken for another unit. Guards: a log in kN or
-g. Reason: no process runs at thirty times its setpoint, and units differ by a hundred and more."""
-
 OUTLIER_WEIGHT = 0.1
 """[-] Probability of being a good reading (of a force reading: its weight of Student's t) below which it is an outlier: of no
 gap, no fold and no effect. Guards: gaps and held-out errors against gross readings. Reason: the mixture (2 % outliers 30 times

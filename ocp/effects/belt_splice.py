@@ -3,7 +3,7 @@
 The splice knocks at turn, turn + 1, .. of the belt, hz a second: a bell N high and `length` turns wide. It acts on the normal
 reading, and times friction on the tangential one; the splice is thicker than the belt (DIAGNOSIS, catalogue); `length` is the
 bell's standard deviation. Turns count from the start of each run (clocked 0) or on the campaign's clock (1: the belt keeps
-turning between runs). A force log is searched for rate, place and length beforehand (docs/diagnosis_force.md).
+turning between runs). A force log is searched for rate, place and length beforehand (`ocp/diagnose/force/waves.py`).
 """
 
 from collections.abc import Sequence

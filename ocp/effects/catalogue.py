@@ -81,13 +81,12 @@ def effects_table() -> str:
     """Markdown: what every effect is, its keys with usual ranges, where it enters the model, its physics and their source."""
     lines = ["| effect, joints | keys, usual range | enters by (column needed) | what it is |", "|---|---|---|---|"]
     for effect in library().values():
-        ranges = [key_range(p.key, p.low, p.high, p.signed and p.low >= 0, p.length, p.unit) for p in effect.parameters]
         hooks = ", ".join(h for h in HOOKS if getattr(effect, h) is not None)
         needs = f" ({', '.join(effect.needs)})" if effect.needs else ""
         physics = " ".join((effect.physics.partition("\n\n")[2] or effect.physics).split())  # below a docstring's first line
         joints = joint_range(effect.joints, least_run=3, between=", ")
         joints = (f" {joints}" if joints else "") + (" or common" if 0 in effect.joints else "")
-        lines.append(f"| {effect.name}{joints} | {'; '.join(ranges)} | {hooks}{needs} | {physics} |")
+        lines.append(f"| {effect.name}{joints} | {'; '.join(_usual(effect))} | {hooks}{needs} | {physics} |")
     return "\n".join(line.replace("|tau|", "abs(tau)").replace("|b - a|", "abs(b - a)") for line in lines)
 
 
@@ -96,10 +95,14 @@ def effect_list() -> str:
     rows = []
     for effect in library().values():
         joints = joint_range(effect.joints, least_run=2, between=",")
-        ranges = [key_range(p.key, p.low, p.high, p.signed and p.low > 0, p.length) for p in effect.parameters]
-        rows.append((effect.name + (f":{joints}" if joints else ""), _signals(effect), ", ".join(ranges)))
+        rows.append((effect.name + (f":{joints}" if joints else ""), _signals(effect), "; ".join(_usual(effect))))
     width = max(len(row[0]) for row in rows)
     return "\n".join(f"{name:<{width}}  {signals:<22}  {keys}" for name, signals, keys in rows)
+
+
+def _usual(effect: Effect) -> list[str]:
+    """Its keys with usual ranges and units."""
+    return [key_range(p.key, p.low, p.high, p.signed and p.low >= 0, p.length, p.unit) for p in effect.parameters]
 
 
 def key_range(key: str, low: float, high: float, either_sign: bool, length: int = 1, unit: str = "1") -> str:

@@ -69,6 +69,17 @@ class Surroundings:
     among: Mapping[str, int] = field(default_factory=dict)
 
 
+def scan_key(scanned: Scanned, digits: int = 9) -> tuple[Any, ...]:
+    """Hashable form of scanned values (floats to so many digits, 17: exactly; arrays as tuples)."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.ndarray | list | tuple):
+            return tuple(plain(v) for v in value)
+        return float(f"{value:.{digits}g}") if isinstance(value, float | np.floating) else value
+
+    return tuple((k, plain(scanned[k])) for k in sorted(scanned))
+
+
 def one_variant(joint: int, seen: Surroundings) -> Sequence[Scanned]:
     """No scanned values: a single variant."""
     return ({},)

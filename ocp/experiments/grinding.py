@@ -40,7 +40,7 @@ from robots.pose import Array
 from trajectories.blade import Blade
 from trajectories.passes import BladePath
 
-STEP = 4e-3  # m between waypoints: forces vary slowly along a pass, docs/experiments.md
+STEP = 4e-3  # m between waypoints: forces vary slowly along a pass
 POINTS = 20  # working points, PHYSICS 5
 MOUNTS = ("flange", "rigid")
 

@@ -127,9 +127,8 @@ def with_effects(cell: Cell, theta: Theta) -> Theta:
 
 def _joint_noise(cell: Cell) -> float:
     """What the calibration found beside its parameters, else what such arms have."""
-    noise = cell.calibration.provenance.get("noise") if cell.calibration is not None else None
-    found = noise.get("joints_rad") if isinstance(noise, dict) else None
-    return float(found) if isinstance(found, int | float) and np.isfinite(found) and found > 0 else UNMODELLED_JOINTS
+    told = None if cell.calibration is None else cell.calibration.joint_noise
+    return UNMODELLED_JOINTS if told is None else told
 
 
 def registered(cell: Cell) -> tuple[Cell, Theta]:

@@ -218,7 +218,7 @@ def left_out_too(ground: GroundLines, errors: list[CannotGrind]) -> GroundLines:
 def objective_weights(cell: Cell) -> ObjectiveWeights:
     """The standard deviation of the force is an aim only where it moves: on a rigid mount of a calibrated cell.
 
-    A force flange divides it by the ratio of the stiffnesses, in every posture alike (docs/optimal_control.md).
+    A force flange divides it by the ratio of the stiffnesses, in every posture alike.
     """
     aims = cell.calibration is not None and cell.flange is None
     return ObjectiveWeights(force_sd=FORCE_SD_WEIGHT if aims else 0.0)

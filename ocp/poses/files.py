@@ -14,7 +14,7 @@ import numpy as np
 from ocp.poses.candidates import Sight
 from ocp.poses.planning import PosePlan
 from ocp.poses.program import measuring_program, write_and_check
-from ocp.poses.report import write_poses_sheet
+from ocp.poses.report import poses_report
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output
 from ocp.shell.progress import Phases
@@ -49,7 +49,9 @@ def write_poses(plan: PosePlan, output: Output, phases: Phases, inputs: Sequence
             rows = write_poses_csv(plan, folder / "poses.csv")
             _write_json(plan, programs, inputs, folder / "poses.json")
         with phases.phase("report"):
-            write_poses_sheet(plan, folder / "report.pdf")
+            report = poses_report(plan)
+            report.write_page(folder / "report.html")
+            report.write_pdf(folder / "report.pdf")
     return PosesResult(out, plan, last_line(plan, out, rows, len(programs)))
 
 

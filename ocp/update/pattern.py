@@ -25,7 +25,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from ocp.calibrate.force.blade import feed_heading
-from ocp.calibrate.force.fit import BIAS, ForceSolution
+from ocp.calibrate.force.fit import BIAS, ForceSolution, covariance_left
 from ocp.calibrate.force.log import Flags, ForceLog, Index
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.rows import measured_blade
@@ -283,6 +283,5 @@ def fit_pattern(ground: GroundLog, found: Calibration, theta: Array, removal: Me
         )
     # Where depths scatter farther than stated they tell less.
     told = (least.last.normal - np.diag(precision)) / max(preston.scatter, 1.0) ** 2
-    spread = depths.root @ np.linalg.inv(told + np.diag(precision))[:-1, :-1] @ depths.root.T
-    state = replace(depths.state(least.at.z), covariance=0.5 * (spread + spread.T))
+    state = replace(depths.state(least.at.z), covariance=covariance_left(depths.root, told + np.diag(precision)))
     return PatternFit(state, replace(preston, left_out=first.left_out), (first.scatter, preston.scatter))

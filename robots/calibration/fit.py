@@ -145,6 +145,11 @@ def learned_priors(fit: Fit) -> Priors:
     return replace(fit.priors, length=widths[0], angle=widths[1])
 
 
+def fit_learned(fit: Fit) -> Fit:
+    """The same model fitted again from where it stands, with `learned_priors`."""
+    return fit_campaign(fit.campaign, fit.choice, learned_priors(fit), begin=fit.state)
+
+
 def learned_width(offset: Array, sd: Array, before: float) -> float:
     """One sigma of the prior of unknowns that are alike, from what a fit with the prior `before` made of them: the rms of their
     offsets (m,) over the number of directions seen, which posterior sd (m,) tell (MacKay 1992, eq. 2.20)."""

@@ -13,7 +13,7 @@ from robots.calibration.fit import Fit
 from robots.calibration.layout import State, build_layout
 from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.residuals import linearise
-from robots.calibration.student_t import NU
+from robots.calibration.student_t import MEDIAN_OF_THREE, tail_weights
 from robots.pose import Array
 from robots.tracker_readings import REPEAT_TOLERANCE, Readings
 
@@ -58,9 +58,9 @@ def load_test(fit: Fit) -> LoadTest | None:
         normal = np.einsum("nki,nkj,n->ij", A, A, weight)
         value = np.linalg.solve(normal, np.einsum("nki,nk,n->i", A, y, weight))
         squared = ((y - A @ value) ** 2).sum(axis=1)
-        weight = (NU + 3) / (NU + squared / max(np.median(squared) / 2.366, 1e-12))
+        weight = tail_weights(squared / max(np.median(squared) / MEDIAN_OF_THREE, 1e-12), 3)
     # Never surer than the noise model, and allowing for what the springs themselves take up of few pairs.
-    spread = max(float(np.median(squared) / 2.366), 1.0) * 3 * len(y) / max(3 * len(y) - len(joints), 1)
+    spread = max(float(np.median(squared) / MEDIAN_OF_THREE), 1.0) * 3 * len(y) / max(3 * len(y) - len(joints), 1)
     sd = np.sqrt(np.diag(np.linalg.inv(np.einsum("nki,nkj->ij", A, A))) * spread)
     shift = (linear.residual[second] - linear.residual[first])[..., None]
     left = shift[..., 0] - (np.linalg.inv(W) @ (A @ value)[..., None])[..., 0]

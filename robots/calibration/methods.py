@@ -17,7 +17,7 @@ from robots.calibration.layout import Choice, Priors, State, believed_compliance
 from robots.calibration.noise import reading_covariance, whitener
 from robots.calibration.residuals import linearise, residuals
 from robots.calibration.solver import Campaign
-from robots.calibration.student_t import NU, gaussian_moments, spread_of, weights
+from robots.calibration.student_t import MEDIAN_OF_THREE, gaussian_moments, spread_of, tail_weights, weights
 from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.robot import Robot
@@ -125,7 +125,7 @@ def robust_mean(rows: Array) -> Array:
     mean = np.median(rows, axis=0)
     for _ in range(30):
         squared = ((rows - mean) ** 2).sum(axis=1)
-        weight = (NU + 3) / (NU + squared / (np.median(squared) / 2.366 + 1e-30))
+        weight = tail_weights(squared / (np.median(squared) / MEDIAN_OF_THREE + 1e-30), 3)
         mean = (weight[:, None] * rows).sum(axis=0) / weight.sum()
     return np.asarray(mean)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from robots.calibration.student_t import NU, consistency
+from robots.calibration.student_t import MEDIAN_OF_THREE, NU, consistency
 from robots.pose import Array
 from robots.tracker_readings import Index, Instrument, Readings
 
@@ -110,7 +110,7 @@ def repeat_scatter(readings: Readings, instrument: Instrument, d_joints: Array) 
     per_joint = d_joints[rows] @ np.swapaxes(d_joints[rows], 1, 2)
     squares = (centred**2).sum(axis=1) / dof
     expected, slope = np.trace(still, axis1=1, axis2=2), np.trace(per_joint, axis1=1, axis2=2)
-    chi = 2.366 / 3.0  # median over mean of chi-square with three degrees of freedom
+    chi = MEDIAN_OF_THREE / 3.0  # median over mean of such squares
     ratio = float(np.median(squares) / chi)
     joints = float(np.sqrt(max(ratio - np.median(expected), 0.0) / np.median(slope)))
     return Repeats(len(np.unique(group)), 3 * (len(rows) - len(np.unique(group))), float(np.sqrt(ratio)), joints, drift)

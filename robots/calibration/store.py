@@ -61,6 +61,13 @@ class Calibration:
         told = self.provenance.get(BENDING)
         return None if told is None else tuple(told)
 
+    @property
+    def joint_noise(self) -> float | None:
+        """One sigma rad of what moves a joint without being a parameter, as the fit found it. None: it does not say."""
+        noise = self.provenance.get("noise")
+        told = noise.get("joints_rad") if isinstance(noise, dict) else None
+        return float(told) if isinstance(told, int | float) and np.isfinite(told) and told > 0 else None
+
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
     """Write `path` (.toml) and the covariance beside it (.npz, no pickled objects).

@@ -12,11 +12,18 @@ from scipy.special import gammaincinv  # chi-square by hand: scipy.stats takes h
 from robots.pose import Array
 
 NU = 8.0  # heavy tails, at 2 % of the efficiency on Gaussian errors
+MEDIAN_OF_THREE = 2.366  # of chi-square with three degrees of freedom, for scales from medians
+
+
+def tail_weights(squared: Array, k: int, freedom: float = NU, share: float = 1.0) -> Array:
+    """Weights (n,) of readings of k components by Student's t of so many degrees of freedom; squared (n,): squared distances
+    over a variance, of which `share` is the square of the t's own scale."""
+    return np.asarray((freedom + k) / (freedom * share + squared))
 
 
 def weights(squared: Array, k: int) -> Array:
     """Weights (n,) of readings of k components whose whitened squared distances over the spread are `squared` (n,)."""
-    return np.asarray((NU + k) / (NU * consistency(k) + squared))
+    return tail_weights(squared, k, share=consistency(k))
 
 
 def moments(squared: Array, k: int) -> tuple[float, float, float]:

@@ -20,7 +20,9 @@ Mask = NDArray[np.bool_]
 FOLDS = 5
 LEAST_TRAIN, LEAST_TEST = 15, 3  # readings on each side of a fold
 LEAST_PLACED = 4  # postures that place a station or nest
-GROSS = 0.05  # weight in the full fit below which a reading is an outlier and is not held against a model
+# Weight in the full fit (Student's t, one at no distance: some 11 sigma) below which a reading is an outlier and is not held
+# against a model. A diagnosis has weights of another scale, probabilities, and another number.
+GROSS = 0.05
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,12 @@
 """force.csv as FORMATS has it: columns in any order, what is absent is told, what is wrong is refused with its place."""
 
 import csv
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ocp.calibrate.force.log import BLIND, read_force_log, without_ramps
+from ocp.calibrate.force.log import BLIND, UNITS_APART, read_force_log, refuse_force_unit, without_ramps
 from robots.errors import BadInput
 
 NEEDED = ["run", "time_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
@@ -157,6 +158,17 @@ def test_a_setpoint_in_the_place_of_a_reading_is_refused(tmp_path, count, long, 
             read(tmp_path, table)
     else:
         assert len(read(tmp_path, table)) == count
+
+
+@pytest.mark.parametrize("setpoint", [20.0, None])
+def test_a_log_in_another_unit_than_the_cell_is_refused(tmp_path, setpoint):
+    """The flange's setpoint is what the cell asks for; without a flange it is the process force."""
+    flange = None if setpoint is None else SimpleNamespace(setpoint=setpoint)
+    cell = SimpleNamespace(flange=flange, process=SimpleNamespace(force=20.0 if flange is None else 1e6))
+    for inside, outside in ((0.99 * UNITS_APART, 1.01 * UNITS_APART), (1.01 / UNITS_APART, 0.99 / UNITS_APART)):
+        refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * inside, contact=1)), cell)
+        with pytest.raises(BadInput, match="force.csv, column fn_N: .* where the cell asks for 20 N; give newtons"):
+            refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * outside, contact=1)), cell)
 
 
 def test_files_that_are_no_table_are_refused(tmp_path):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ocp.effects
-from ocp.effects.catalogue import effects_table, forget_library, library
+from ocp.effects.catalogue import effect_list, effects_table, forget_library, library
 from ocp.effects.cell_effects import effect_of, table_of
 from ocp.effects.effect import SUBSYSTEMS, Active, Surroundings, amplitude_and_phase, cosine_and_sine
 from ocp.effects.engine.evaluate import TrackerRows, arm_columns, arm_rows, arm_shift, tracker_columns
@@ -273,3 +273,6 @@ def test_the_site_lists_the_whole_library():
     assert "```{effects}\n```" in page  # where docs/conf.py puts the table
     rows = effects_table().splitlines()[2:]
     assert [row.split()[1] for row in rows] == list(library())
+    for row, line in zip(rows, effect_list().splitlines(), strict=True):  # a terminal has the same keys, ranges and units
+        assert line.endswith(row.split(" | ")[1])
+    assert "scale +-0..0.4" in effect_list() and "gear_ratio 50..300" in effect_list()

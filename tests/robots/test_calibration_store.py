@@ -48,6 +48,14 @@ def test_what_is_written_is_read_to_the_last_bit(tmp_path):
     assert after.notices == ()
 
 
+@pytest.mark.parametrize(
+    ("noise", "told"), [({"joints_rad": 7e-6}, 7e-6), ({"joints_rad": 0.0}, None), ({"joints_rad": "low"}, None), (3.0, None)]
+)
+def test_the_noise_of_the_joints_is_told_or_not(noise, told):
+    assert example(provenance={"noise": noise}).joint_noise == told
+    assert example(provenance={}).joint_noise is None
+
+
 @settings(max_examples=25, deadline=None)
 @given(
     st.lists(st.sampled_from(sorted(SYMBOLS)), min_size=1, max_size=12, unique=True),

@@ -13,6 +13,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel
 
 from ocp.data import CELL
+from ocp.diagnose.document import Document
 from ocp.model.cell_schema import CellTables
 from ocp.model.columns import TABLES, Columns
 from robots.bounds import column_bounds
@@ -233,7 +234,8 @@ def told_keys(file: str) -> set[str]:
 
 def schemas() -> dict[str, str]:
     """Text of the JSON Schema by file name."""
-    return {f"{file.removesuffix('.toml')}.schema.json": json_schema(table, file) for file, (table, _) in KINDS.items()}
+    tables = {**{file: table for file, (table, _) in KINDS.items()}, "diagnosis.json": Document}
+    return {f"{file.partition('.')[0]}.schema.json": json_schema(table, file) for file, table in tables.items()}
 
 
 if __name__ == "__main__":

@@ -98,17 +98,17 @@ def described(room: str) -> tuple[str, str]:
 
 
 def table() -> str:
-    floor = floors()
-    lines = ["| floor | room | what lives there |", "|---|---|---|"]
+    """An item a room, the highest floor first: `room`, floor, what lives there."""
+    floor, lines = floors(), []
     for room in sorted(declared().rooms, key=lambda r: -floor[r]):
         told = re.sub(r"^`python -m [^`]*`: ", "", described(room)[0])  # a room has its command's name
-        lines.append(f"| {floor[room]} | `{room}` | {told[0].upper()}{told[1:].replace('|', chr(92) + '|')} |")
+        lines.append(f"* `{room}` ({floor[room]}): {told[0].upper()}{told[1:]}")
     return "\n".join(lines)
 
 
 def with_table(page: str) -> str:
     head, _, rest = page.partition(BEGIN)
-    return f"{head}{BEGIN}\n{table()}\n{END}{rest.partition(END)[2]}"
+    return f"{head}{BEGIN}\n\n{table()}\n\n{END}{rest.partition(END)[2]}"
 
 
 def lines_of_code(path: Path) -> int:

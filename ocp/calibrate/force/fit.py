@@ -156,6 +156,14 @@ def reading_of(
     return F, F + x[BIAS]
 
 
+def covariance_left(root: Array, information: Array) -> Array:
+    """Covariance (m, m) of x = mean + root z, root (m, r), where z are the first r of the unknowns that `information` (k, k) is
+    of, the prior's in it."""
+    r = root.shape[1]
+    covariance = root @ np.linalg.inv(information)[:r, :r] @ root.T
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
 def pressed_rows(model: ForceModel, log: ForceLog) -> Flags:
     """Rows (n,) that read a force which only contact explains, far above what a sensor is off by."""
     return np.asarray(log.contact & (log.fn > PRESSED * model.law.process_force))
@@ -185,8 +193,7 @@ def solve_force_log(model: ForceModel, rows: ForceRows, log: ForceLog, prior: Pr
     if size > 0:
         at = _settled(replace(at, z=np.concatenate([at.z, np.zeros(indicator.shape[1])]), extra=size * indicator))
     information = np.eye(len(at.z)) + at.channel.information(at.whitened.sensitivity)
-    covariance = prior.root @ np.linalg.inv(information)[:r, :r] @ prior.root.T
-    covariance = 0.5 * (covariance + covariance.T)
+    covariance = covariance_left(prior.root, information)
     return ForceSolution(prior, at.x, covariance, size, at.reading, before, at.jacobian, at.channel, at.whitened, information)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ocp.model.cell import Cell
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
 from robots.errors import BadInput
@@ -38,6 +39,7 @@ PLAIN = {
 }
 UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
+UNITS_APART = 30.0  # no process runs at thirty times its setpoint; kilonewtons and grams are farther off
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
 STILL = 100  # rows in contact after the first of their recording: one that never changes over more of them is no reading
@@ -166,6 +168,17 @@ def _feed(log: ForceLog, at: Index) -> Array:
         return np.ones(len(at))
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(log.p[at], axis=0), axis=1))])
     return np.asarray(np.gradient(way, log.time[at]))
+
+
+def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
+    """Raises BadInput: the median force in contact is UNITS_APART times more or less than what the cell asks for."""
+    wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
+    seen = float(np.median(log.fn[log.contact]))
+    if wanted > 0 and not 1 / UNITS_APART < seen / wanted < UNITS_APART:
+        raise BadInput(
+            f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
+            "correct the cell's setpoint_N"
+        )
 
 
 def without_ramps(log: ForceLog) -> ForceLog:

@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import gammaln
 
 from ocp.calibrate.force.log import ForceLog, Index
+from robots.calibration.student_t import tail_weights
 from robots.pose import Array
 
 DEGREE = 3  # of the polynomial in time that a run's residual may follow while its scatter is measured
@@ -165,7 +166,7 @@ def estimate_noise(run: Index, time: Array, residual: Array, before: CorrelatedN
     rest = _detrended(runs, columns)
     spread = 1.4826 * float(np.median(np.abs(rest - np.median(rest)))) or 1e-6
     step = float(np.median(runs.step[np.isfinite(runs.step)])) if len(rest) > len(runs.index) else 1.0
-    weight = _weights(rest / spread, 6.0)
+    weight = tail_weights((rest / spread) ** 2, 1, 6.0)
 
     def cost(x: Array) -> float:
         unlikely = np.sum(((x[1:] - USUAL) / USUAL_SD) ** 2)
@@ -187,11 +188,7 @@ def estimate_noise(run: Index, time: Array, residual: Array, before: CorrelatedN
 def student_weights(runs: Runs, noise: CorrelatedNoise, residual: Array, weight: Array) -> Array:
     """Weights (n,) of Student's t at the innovations that the filter sees with the weights before."""
     white, _ = whiten(runs, noise, weight, residual[:, None])
-    return _weights(white[:, 0] / np.sqrt(weight), noise.freedom)
-
-
-def _weights(z: Array, freedom: float) -> Array:
-    return np.asarray((freedom + 1.0) / (freedom + z**2))
+    return tail_weights((white[:, 0] / np.sqrt(weight)) ** 2, 1, noise.freedom)
 
 
 def _noise(x: Array, step: float) -> CorrelatedNoise:
@@ -241,7 +238,7 @@ def _with_freedom(noise: CorrelatedNoise, white: Array) -> CorrelatedNoise:
     for freedom in FREEDOMS:
         s = 1.0
         for _ in range(30):
-            s = float(np.sqrt(np.mean(_weights(white / s, freedom) * white**2)))
+            s = float(np.sqrt(np.mean(tail_weights((white / s) ** 2, 1, freedom) * white**2)))
         # Of independent samples of Student's t; scipy.stats has it too, and takes half a second to import.
         constant = gammaln((freedom + 1.0) / 2.0) - gammaln(freedom / 2.0) - 0.5 * np.log(freedom * np.pi)
         spread = 0.5 * (freedom + 1.0) * np.log1p((white / s) ** 2 / freedom).sum()

@@ -140,7 +140,7 @@ def _add(bands: Array, K: Array, index: Index) -> None:
         np.add.at(part, (row[keep] - col[keep], col[keep]), values[keep])
 
 
-PERIOD = 6.0  # length of the periodic sector in cover thicknesses: images weigh less than 0.1 % (docs/wheel.md)
+PERIOD = 6.0  # length of the periodic sector in cover thicknesses: images weigh less than 0.1 %
 N_WAVES = 28  # wave numbers at which finite elements are solved; between them a cubic spline
 ALIASES = 3  # waves shorter than a cell that are kept, in sampling wave numbers
 VERSION = "wheel cover 2"  # raise it when the finite elements change

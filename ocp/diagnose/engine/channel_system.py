@@ -18,7 +18,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.diagnose.rules import OUTLIER_WEIGHT
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
 from robots.pose import Array
 from robots.tracker_readings import Index
 
@@ -113,15 +114,14 @@ class Variant:
         return (self.effect, self.joint, *scan_key(self.scanned))
 
 
-def scan_key(scanned: Scanned, digits: int = 9) -> tuple[Any, ...]:
-    """Hashable form of scanned values (floats to so many digits, arrays as tuples)."""
+def needs_motion(reason: str) -> bool:
+    """Whether the reason why an effect cannot be seen, without its name, is a column that readings at rest never have."""
+    return reason.rpartition("column ")[2] == "speed"
 
-    def plain(value: Any) -> Any:
-        if isinstance(value, np.ndarray | list | tuple):
-            return tuple(plain(v) for v in value)
-        return float(f"{value:.{digits}g}") if isinstance(value, float | np.floating) else value
 
-    return tuple((k, plain(scanned[k])) for k in sorted(scanned))
+def is_outlier(weight: Array) -> NDArray[np.bool_]:
+    """Readings (n,) that are set aside as gross, by their weight (n,) in a fit of the diagnosis."""
+    return np.asarray(weight <= OUTLIER_WEIGHT)
 
 
 def effects_key(active: Sequence[Active], digits: int = 9) -> tuple[Any, ...]:

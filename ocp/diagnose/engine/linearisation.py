@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from ocp.diagnose.engine.beam import CandidatePool, Family, Given, Key, Member, Weighed, given, make_pool, most_telling
-from ocp.diagnose.engine.channel_system import Channel, scan_key
+from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.evidence import SIZES, Rival, Stack, coefficients_given, size_grid, stack
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
@@ -23,7 +23,7 @@ from ocp.diagnose.rules import (
     RIPPLE_ODDS,
     SEEN_LAMBDA,
 )
-from ocp.effects.effect import Active, Effect, Scanned
+from ocp.effects.effect import Active, Effect, Scanned, scan_key
 from robots.pose import Array
 
 Ripples = tuple[Array, Array]

@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Given, Key, Member, Search, Weighed, given, weigh
-from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, effects_key
+from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, effects_key, is_outlier
 from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, stacked_columns
-from ocp.diagnose.rules import OUTLIER_WEIGHT, OUTLIERS_OF_ONE_CAUSE, RECHECKED, SHARPER_GAIN
+from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE, RECHECKED, SHARPER_GAIN
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -222,7 +222,7 @@ def outliers(channel: Channel) -> NDArray[np.bool_]:
     """Readings (n,) of a channel that are set aside as gross; none where its fit weighs no single readings."""
     n = len(channel.gap())
     weight = getattr(getattr(channel, "fit", None), "weight", None)
-    return np.zeros(n, bool) if weight is None or np.shape(weight) != (n,) else np.asarray(weight <= OUTLIER_WEIGHT)
+    return np.zeros(n, bool) if weight is None or np.shape(weight) != (n,) else is_outlier(weight)
 
 
 def _count(channels: Sequence[Channel]) -> int:

@@ -21,7 +21,7 @@ from ocp.diagnose.engine.channel_system import (
     Variant,
     Wave,
     effects_key,
-    scan_key,
+    is_outlier,
 )
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects
 from ocp.diagnose.force.held_out import force_fold_errors, force_folds, predict_sealed_force
@@ -30,11 +30,11 @@ from ocp.diagnose.force.logged_contact import logged_arm
 from ocp.diagnose.force.prediction import LogScene, M, acts_by_force, effect_derivatives, force_changes, predict_anew
 from ocp.diagnose.force.prior import arm_from_tracker, arm_with_effects, contact_prior, with_setpoints_read_off
 from ocp.diagnose.force.waves import SpliceTrains, likely_trains, picked_squares, telling_waves
-from ocp.diagnose.rules import LEAST_DIRECTION, LOOSE, ORDERS_APART, OUTLIER_WEIGHT
+from ocp.diagnose.rules import LEAST_DIRECTION, LOOSE, ORDERS_APART
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.belt_splice import EFFECT as SPLICE
 from ocp.effects.catalogue import library
-from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
 from ocp.effects.motor_harmonic import ratios_of
 from ocp.model.cell import Cell, with_calibration
 from robots.calibration.store import Calibration
@@ -229,7 +229,7 @@ class ForceChannel:
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
         after = self.fitted_with(active)
-        good = self.fit.whiteners[0].noise.weight > OUTLIER_WEIGHT
+        good = ~is_outlier(self.fit.whiteners[0].noise.weight)
         if self.log.setpoint_sd is not None:  # a setpoint that the readings gave is not known without them
             good &= self.log.setpoint_sd == 0
         return force_fold_errors((self.baseline.problem, self.baseline.fit), (after.problem, after.fit), fold, good)

@@ -15,11 +15,11 @@ import numpy as np
 
 from ocp.calibrate.force.log import Flags, Index
 from ocp.calibrate.force.whitener import Whitener
-from ocp.diagnose.engine.channel_system import Wave, scan_key
+from ocp.diagnose.engine.channel_system import Wave
 from ocp.diagnose.force.fit import EffectFit, ForceProblem
 from ocp.diagnose.force.prediction import effect_derivatives
 from ocp.diagnose.rules import FAST_LAMBDA, FAST_SHARE
-from ocp.effects.effect import Effect, Scanned, Surroundings
+from ocp.effects.effect import Effect, Scanned, Surroundings, scan_key
 from robots.pose import Array
 
 FEW = 24  # columns of a fast family that are all kept

@@ -15,8 +15,7 @@ import numpy as np
 from ocp.calibrate.force.log import Index
 from ocp.calibrate.force.model import STATE, PlacedRows
 from ocp.calibrate.force.rows import LogConditions
-from ocp.diagnose.engine.channel_system import scan_key
-from ocp.effects.effect import Effect, Scanned
+from ocp.effects.effect import Effect, Scanned, scan_key
 from ocp.effects.engine.compiled import RowLayout
 from ocp.effects.engine.evaluate import CONTACT_LAYOUT, ArmRows, ContactPlace, arm_columns, arm_rows, contact_columns
 from ocp.model.cell import Cell

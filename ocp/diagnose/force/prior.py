@@ -20,16 +20,17 @@ import numpy as np
 
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior
 from ocp.calibrate.force.log import AIR_SHARE, Flags, ForceLog
+from ocp.calibrate.tracker import as_calibration
 from ocp.diagnose import rules
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.tracker.refit import TrackerFit
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import shown_in, without_effects
 from ocp.model.cell import Cell, read_tracker_setup
-from ocp.model.theta import NAMES, covariance_root
+from ocp.model.theta import covariance_root
 from robots.calibration.carried import carried_over
-from robots.calibration.fit import fit_campaign, learned_priors
-from robots.calibration.layout import Choice, Layout, State
-from robots.calibration.reading_model import ARM_NAMES
+from robots.calibration.fit import Fit, fit_campaign, fit_learned
+from robots.calibration.layout import Choice, Layout
 from robots.calibration.solver import Campaign
 from robots.calibration.store import BENDING, Calibration
 from robots.column_mapping import ColumnMapping
@@ -46,11 +47,11 @@ SHEAR_GAIN, SHEAR_BIAS = len(FIT_NAMES), len(FIT_NAMES) + 1
 @dataclass(frozen=True)
 class NuisancePrior:
     """Prior of the nuisance in the order of NUISANCE: mean (m,), root (m, r): x = mean + root z, z standard normal; joint
-    noise rad of the arm beside its parameters."""
+    noise rad of the arm beside its parameters, None where no calibration tells it."""
 
     mean: Array
     root: Array
-    joint_noise: float
+    joint_noise: float | None
 
     @property
     def sd(self) -> Array:
@@ -74,10 +75,8 @@ def contact_prior(cell: Cell, arm: Calibration | None = None) -> NuisancePrior:
     whole = np.zeros((len(NUISANCE), len(NUISANCE)))
     whole[: BIAS + 1, : BIAS + 1] = covariance
     whole[SHEAR_GAIN, SHEAR_GAIN], whole[SHEAR_BIAS, SHEAR_BIAS] = rules.SHEAR_GAIN_SD**2, rules.SHEAR_BIAS_SD**2
-    noise = calibration.provenance.get("noise") if calibration is not None else None
-    joints = noise.get("joints_rad") if isinstance(noise, dict) else 0.0
     mean = np.concatenate([prior.mean, np.zeros(len(EXTRA))])
-    return NuisancePrior(mean, covariance_root(whole), float(joints) if isinstance(joints, int | float) else 0.0)
+    return NuisancePrior(mean, covariance_root(whole), None if calibration is None else calibration.joint_noise)
 
 
 def arm_from_tracker(tracker: Path, cell_file: Path, mapping: ColumnMapping = OURS) -> Calibration:
@@ -94,27 +93,20 @@ def arm_from_tracker(tracker: Path, cell_file: Path, mapping: ColumnMapping = OU
     if believed:  # what the cell believes is not geometry
         campaign = without_effects(campaign, first.state, believed, setup.tables.reference_temperature_C)
         first = fit_campaign(campaign, choice)
-    fit = fit_campaign(campaign, choice, learned_priors(first), begin=first.state)
-    return posterior_of(setup.robot.name, fit.layout, fit.state, fit.covariance, fit.noise.joints)
+    fit = fit_learned(first)
+    return posterior_of(setup.robot.name, fit.layout, fit)
 
 
 def arm_with_effects(tracker: TrackerChannel, active: Sequence[Active]) -> Calibration:
     """The arm's posterior when effects of the arm are in the tracker's prediction: what they explain there, geometry does not."""
     made = tracker.with_active(tuple(a for a in active if a.effect.on_arm))
-    p = made.task.layout.size
-    name = made.task.campaign.robot.name
-    return posterior_of(name, made.task.layout, made.fit.state, made.fit.covariance[:p, :p], made.fit.noise.joints)
+    return posterior_of(made.task.campaign.robot.name, made.task.layout, made.fit)
 
 
-def posterior_of(robot: str, layout: Layout, state: State, covariance: Array, joints: float) -> Calibration:
-    """Geometry and springs of a tracker fit, with their covariance; joints rad: noise of the joints beside them. It says which
-    joints bent."""
-    inside = [i for i, name in enumerate(ARM_NAMES) if layout.arm[i] >= 0 and name in NAMES]
-    columns = layout.arm[inside]
-    block = covariance[np.ix_(columns, columns)]
-    names = tuple(ARM_NAMES[i] for i in inside)
-    told = {"noise": {"joints_rad": float(joints)}, BENDING: layout.bending}
-    return Calibration(robot, names, state.arm[inside], 0.5 * (block + block.T), told, {})
+def posterior_of(robot: str, layout: Layout, fit: Fit | TrackerFit) -> Calibration:
+    """Geometry and springs of a tracker fit, with their covariance. It says which joints bent, and the noise of the joints."""
+    told = {"noise": {"joints_rad": float(fit.noise.joints)}, BENDING: layout.bending}
+    return as_calibration(robot, layout, fit.state, fit.covariance, provenance=told)
 
 
 def with_setpoints_read_off(log: ForceLog, own: float) -> tuple[ForceLog, str] | None:

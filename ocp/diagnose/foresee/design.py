@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ocp.calibrate.force.log import AXES, FEED, NORMAL, POINT, UNIT_TOLERANCE, ForceLog, Index, read_force_log
-from ocp.diagnose.engine.channel_system import Channel
+from ocp.diagnose.engine.channel_system import Channel, needs_motion
 from ocp.diagnose.engine.evidence import project, size_grid, visible_lambda
 from ocp.diagnose.engine.findings import Options
 from ocp.diagnose.engine.linearisation import log_odds, positive_of, ratio_of, rival_of
@@ -40,7 +40,6 @@ FORCE = "force"  # the channel of a planned log
 FREE_LIMIT = 1e-9  # lambda at the upper end below which nothing shows
 NOT = "cannot be seen"
 NARROWEST = 12  # characters of a column
-NEVER = frozenset({"speed"})  # no column of readings at rest
 
 
 @dataclass(frozen=True)
@@ -202,7 +201,7 @@ def design_table(known: Sequence[Effect], columns: Sequence[Column], notes: Sequ
         if c.what and hidden:
             out.append(f"With {c.what} {', '.join(hidden)} cannot be seen.")
     reasons = dict.fromkeys(line.blind.split(":")[0] for c in columns for line in c.lines if line.blind)
-    told = [reason for reason in reasons if reason.rpartition("column ")[2] not in NEVER]
+    told = [reason for reason in reasons if not needs_motion(reason)]
     return "\n".join([*out, *(f"note: {_of_plan(reason)}" for reason in told), *notes])
 
 

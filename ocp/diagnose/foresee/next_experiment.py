@@ -202,7 +202,7 @@ def _expected(candidate: ProposedMeasurement, pair: RivalPair, gained: float) ->
 
 
 def _by_levers(channel: Channel, pairs: Sequence[RivalPair]) -> list[Experiment]:
-    """Experiments that move one of a pair and not the other are worth as much again as the rows taken so far."""
+    """Experiments that move one of a pair and not the other are worth EXPERIMENT_REPEATED of what the rows taken so far are."""
     found = []
     for lever in BY_SIGNAL[channel.name]:
         for p in pairs:

@@ -245,4 +245,4 @@ def arm_expected(channel: TrackerChannel) -> Calibration:
     _, s, Vt = np.linalg.svd(whole / size, full_matrices=False)
     keep = s > 1e-12 * s[0]
     root = (Vt[keep].T / s[keep]) / size[:, None]
-    return posterior_of(task.campaign.robot.name, task.layout, fit.state, root @ root.T, fit.noise.joints)
+    return posterior_of(task.campaign.robot.name, task.layout, replace(fit, covariance=root @ root.T))

@@ -8,8 +8,8 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from ocp.calibrate.report.view import in_base
 from ocp.diagnose.engine.findings import BudgetLine, SpectrumPeak
+from ocp.diagnose.engine.search import outliers
 from ocp.diagnose.report.verdict_sentence import SHORT, condition_words
-from ocp.diagnose.rules import OUTLIER_WEIGHT
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer, SignalGap
 from ocp.diagnose.verdict.remaining import SCALE
@@ -95,7 +95,7 @@ def _draw_vectors(canvas: Canvas, gap: SignalGap) -> None:
         assert isinstance(channel, TrackerChannel)
         S = channel.fit.state.stations[channel.readings.station]
         point, vectors = in_base(channel.fit.linear.point - S[:, :3, 3], S), in_base(channel.gap(), S)
-        kept = channel.fit.weight > OUTLIER_WEIGHT
+        kept = ~outliers(channel)
         factor = factor or exaggeration(point, vectors[kept])  # one scale, so that both can be compared
         draw_vectors(axes, when, point[kept], vectors[kept], factor, colour, np.zeros(int(kept.sum()), bool))
 

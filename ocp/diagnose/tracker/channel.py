@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant, effects_key, scan_key
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions, Sealed, System, Variant, effects_key
 from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
 from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, placed_readings, refit, relearned, settled
-from ocp.effects.effect import Active, Effect, Scanned, Surroundings
+from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
 from ocp.effects.engine.readings import COLUMNS, PlacedReadings, displaced, has_columns, motion
 from ocp.effects.motor_harmonic import ratios_of
 from robots.calibration.noise import reading_covariance, whitener

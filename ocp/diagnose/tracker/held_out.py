@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, predictable
-from ocp.diagnose.rules import FOLD_REST, FOLD_TIME, FOLD_WARMTH, LEAST_TURN, OUTLIER_WEIGHT
+from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, is_outlier, predictable
+from ocp.diagnose.rules import FOLD_REST, FOLD_TIME, FOLD_WARMTH, LEAST_TURN
 from ocp.diagnose.tracker.refit import RANK, Task, TrackerFit, gap_noise, linearise_with, placed_readings
 from ocp.effects.effect import Active, Effect, prior_sds
 from ocp.effects.engine.readings import PlacedReadings, together
@@ -65,7 +65,7 @@ def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[
     r = task.campaign.readings
     held = np.asarray(fold.held, bool)
     train = ~held
-    good = np.isin(r.target, r.target[train]) & (fit.weight > OUTLIER_WEIGHT)
+    good = np.isin(r.target, r.target[train]) & ~is_outlier(fit.weight)
     there = np.isin(r.station, r.station[train])
     own = [np.flatnonzero(held & good & (r.station == k)) for k in np.unique(r.station[~there])] if fold.kind in OWN_STAND else []
     own = [k for k in own if len(k) >= LEAST]

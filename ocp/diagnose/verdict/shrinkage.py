@@ -16,6 +16,7 @@ from scipy.special import expit, log_ndtr, ndtr, ndtri
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.channel_system import Channel, HeldOut
+from ocp.model.theta import covariance_root
 from robots.pose import Array
 
 DRAWS = 1000
@@ -98,10 +99,9 @@ def from_model(
 
 
 def drawn_errors(covariance: Array, rng: np.random.Generator) -> Array:
-    """Draws (k, p) of the parameters' errors; by eigenvectors, as free frames and small coefficients differ by many powers."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(rng.normal(size=(DRAWS, len(scale))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T * scale)
+    """Draws (k, p) of the parameters' errors."""
+    root = covariance_root(covariance)
+    return np.asarray(rng.normal(size=(DRAWS, root.shape[1])) @ root.T)
 
 
 def _conditions(new: Anticipated, rng: np.random.Generator) -> Array:

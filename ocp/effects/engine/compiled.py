@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.effects.effect import Effect, Scanned
+from ocp.effects.effect import Effect, Scanned, scan_key
 from ocp.shell.native import ColumnFunction
 from robots.pose import Array
 
@@ -149,7 +149,7 @@ def _evaluated(hook: Hook, rows: Array, scans: Sequence[Scanned]) -> Iterator[tu
     symbolic = tuple(key for key in hook.effect.symbolic if scans and key in scans[0])
     groups: dict[tuple[tuple[str, Any], ...], list[int]] = {}
     for v, scanned in enumerate(scans):
-        fixed = tuple(sorted((key, _plain(value)) for key, value in scanned.items() if key not in symbolic))
+        fixed = scan_key({key: value for key, value in scanned.items() if key not in symbolic}, digits=17)
         groups.setdefault(fixed, []).append(v)
     for fixed, members in groups.items():
         made = _compiled(hook, fixed, symbolic)
@@ -197,8 +197,3 @@ def run_rows(function: ca.Function | ColumnFunction, *arguments: Array) -> Array
     out = np.empty((len(arguments[0]), function.size1_out(0)))
     _run(function, out, *arguments)
     return out
-
-
-def _plain(value: Any) -> Any:
-    """Hashable form of a scanned value."""
-    return tuple(value) if isinstance(value, list | np.ndarray) else value

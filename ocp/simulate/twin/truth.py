@@ -154,7 +154,7 @@ def _payloads(cell: Cell, known: dict[str, float]) -> dict[str, tuple[float, Arr
 def _across(axis: Array) -> tuple[Array, Array]:
     """Two unit vectors u, v across the wheel's axis with u x v = axis, u nearest to the first base axis most across it.
 
-    What `wheel_axis_u` and `wheel_axis_v` of a calibration turn about (docs/architecture.md).
+    What `wheel_axis_u` and `wheel_axis_v` of a calibration turn about.
     """
     nearest = np.zeros(3)
     nearest[int(np.argmin(np.abs(axis)))] = 1.0

@@ -174,7 +174,7 @@ def _pushed(c: ContactMoments, at_s: float) -> Array:
     return np.asarray(-c.n[earlier[-1] if len(earlier) else touching[0]])
 
 
-# Elements larger than the planner's: 0.1 um under 20 N on the bundled blade, and three times faster (docs/virtual_grinding.md).
+# Elements larger than the planner's: 0.1 um under 20 N on the bundled blade, and three times faster.
 ELEMENT_FACTOR = 1.6
 DIGITS_PLACE, DIGITS_DIRECTION = 7, 6  # of what the blade's finite elements are asked: the same line finds its answer on disk
 
