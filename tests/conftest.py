@@ -17,28 +17,35 @@ import ocp  # noqa: F401  one BLAS thread, before NumPy is first imported: two w
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # a hundred commands that tests start would compile all sources anew
 gc.set_threshold(50_000, 20, 20)  # as in a command: a tenth of the suite's time went by looking through what lives to the end
-# The longest files, longest first: two processes then end together, with short ones.
+# The longest files, longest first: two processes then end together, with short ones. Beside the first, which solves the bundled
+# blade and wheel for all, one that needs neither.
 LONGEST = (
     "plan/test_calibrated_plan.py",
-    "experiments/test_experiments.py",
+    "diagnose/test_diagnosis_tracker.py",
     "diagnose/test_diagnosis_force.py",
     "simulate/test_simulate_command.py",
-    "api/test_examples.py",
-    "plan/test_wanted.py",
     "calibrate/test_force_fit.py",
-    "plan/test_plan_command.py",
-    "diagnose/test_diagnosis_force_waves.py",
-    "diagnose/test_diagnosis_tracker.py",
-    "plan/test_night.py",
-    "plan/test_report.py",
-    "plan/test_effects_plan.py",
+    "experiments/test_experiments.py",
+    "api/test_examples.py",
     "test_hostile_inputs.py",
+    "diagnose/test_diagnosis_force_waves.py",
+    "plan/test_report.py",
+    "plan/test_plan_command.py",
+    "diagnose/test_planned_force.py",
     "plan/test_optimal_control.py",
-    "blindtest/test_blindtest.py",
-    "plan/test_rigid_mount.py",
-    "diagnose/test_diagnosis_force_worlds.py",
+    "plan/test_night.py",
+    "plan/test_wanted.py",
     "cell/test_cell_command.py",
+    "poses/test_poses_command.py",
+    "blindtest/test_blindtest.py",
+    "trajectories/test_blade_parts.py",
+    "diagnose/test_both_signals.py",
+    "calibrate/test_calibration_report.py",
     "calibrate/test_calibrate_command.py",
+    "effects/test_effects.py",
+    "diagnose/test_diagnosis_force_worlds.py",
+    "plan/test_effects_plan.py",
+    "plan/test_rigid_mount.py",
 )
 TESTS = Path(__file__).resolve().parent
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"

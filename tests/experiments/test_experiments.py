@@ -10,6 +10,7 @@ from ocp.experiments.__main__ import app
 from ocp.experiments.report import force_rows, last_line, position_rows, write_experiments
 from ocp.experiments.trial import STEPS, Trial, trials_json
 from tests.support.browser import CHROMIUM, looked_at
+from tests.support.small_plan import small_cell
 
 
 def trial(seed: int, force: dict[str, list[float]]) -> Trial:
@@ -78,7 +79,8 @@ def test_wrong_arguments_end_in_a_sentence(tmp_path, monkeypatch, arguments, say
 
 def test_one_robot_from_beginning_to_end(solved_once, unprinted, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    arguments = ["--robots", "1", "--mount", "flange", "--out", "found"]
+    small_cell(tmp_path)  # one side of the blade: half of the passes
+    arguments = ["--robots", "1", "--mount", "flange", "--cell", "cell.toml", "--out", "found"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.stderr
     data = json.loads((tmp_path / "found" / "experiments.json").read_text())["robots"][0]
