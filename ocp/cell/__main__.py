@@ -8,7 +8,9 @@ import typer
 
 from ocp.shell.command import NOT_SOLVED, OK, answer, command, command_line, main, run, shown_progress
 
-app = command_line("A cell of one's own: a new file, its examination, its page.")
+app = command_line(
+    "A cell of one's own: a new file, its examination, its page.", example="python -m ocp.cell check cell/cell.toml"
+)
 
 
 @command(app, "python -m ocp.cell new --robot kr210_r2700_extra --blade blade.stl", name="new")

@@ -8,7 +8,7 @@ import typer
 
 from ocp.shell.command import command_line, main
 
-NAME = "grindplan"
+NAME, EXAMPLE = "grindplan", "grindplan plan blade.stl --cell cell/cell.toml"
 COMMANDS = {
     "cell": "a new cell file, what is wrong or unmeasured in it, its page",
     "robot": "a robot file from a data sheet or a URDF",
@@ -39,7 +39,7 @@ def start() -> None:
 
 def whole() -> typer.Typer:
     """All commands in one tree."""
-    app = command_line("Offline compensation for robotic belt grinding: a blade in, a verified robot program out.", True)
+    app = command_line("Offline compensation for robotic belt grinding: a blade in, a verified robot program out.", True, EXAMPLE)
     for name, what in COMMANDS.items():
         one = _app(name)
         if len(one.registered_commands) == 1:

@@ -8,7 +8,7 @@ import typer
 
 from ocp.shell.command import answer, command, command_line, main, run
 
-app = command_line("A robot file of one's own: from a data sheet, or from a URDF.")
+app = command_line("A robot file of one's own: from a data sheet, or from a URDF.", example="python -m ocp.robot import arm.urdf")
 
 
 @command(app, "python -m ocp.robot new my_arm --out robot", name="new")

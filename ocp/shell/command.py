@@ -52,14 +52,15 @@ _OPTIONS: dict[str, Any] = {
 }
 
 
-def command_line(help: str | None = None, completion: bool = False) -> typer.Typer:
+def command_line(help: str | None = None, completion: bool = False, example: str | None = None) -> typer.Typer:
     """A command line without commands: plain help, a line an option where the terminal is wide enough; completion: with the
-    options that install it in a shell."""
+    options that install it in a shell; example: of several commands, a line of the shell shown below their help."""
     return typer.Typer(
         add_completion=completion,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         help=help,
+        epilog=example and f"Example: {example}",
         context_settings={"max_content_width": 120},
     )
 

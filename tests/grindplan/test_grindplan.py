@@ -34,6 +34,12 @@ def test_the_help_of_a_command_fits_a_screen_and_shows_an_example(words):
     assert len(re.findall(r"--no-\w+", told.output)) <= 1
 
 
+@pytest.mark.parametrize("words", [[], ["cell"], ["robot"]])
+def test_the_help_of_several_commands_has_an_example(words):
+    told = CliRunner().invoke(whole(), [*words, "--help"], env={"COLUMNS": "80"})
+    assert told.exit_code == 0 and "Example: " in told.output and len(told.output.splitlines()) <= 45
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_that_takes_a_cell_takes_it_as_an_option_of_that_name(name):
     command = typer.main.get_command(whole()).commands[name]
