@@ -96,8 +96,7 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
         seen |= {name: waypoint[name] for name in ("p", "n", "t")} | {"belt_direction": belt, "n_base": n, "R_blade": R_real}
         seen |= {"joint_give": joint_give}
         extra = _extra(cell, effects, friction, F, parts, T_base_flange[:3, :3], seen)
-        whole = ca.substitute([parts, extra, joint_give], [friction], [ca.SX(cell.wheel.friction)])
-        parts, extra, joint_give = whole
+        parts, extra, joint_give = ca.substitute([parts, extra, joint_give], [friction], [ca.SX(cell.wheel.friction)])
     return Model(
         q=q,
         F=F,

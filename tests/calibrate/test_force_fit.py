@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from ocp.calibrate.force import rows as log_rows
 from ocp.calibrate.force.assessment import blocks_of, held_out_blocks
 from ocp.calibrate.force.blade import points_on_surface
-from ocp.calibrate.force.fit import BIAS, FIT_NAMES, force_prior, reading_jacobian, reading_of, solve_force_log
+from ocp.calibrate.force.fit import BIAS, FIT_NAMES, covariance_left, force_prior, reading_jacobian, reading_of, solve_force_log
 from ocp.calibrate.force.log import ForceLog, read_force_log
 from ocp.calibrate.force.model import STATE, ForceModel, ForceRows, PlacedRows
 from ocp.calibrate.force.registration import ForceFit, fit_force
@@ -425,3 +425,13 @@ def test_the_report_tells_of_the_contact(recorded):
     assert not any("joint" in name for name in rows) and len(tables[1].rows) == len(recorded.fit.held_out)
     for part in (part for section in sections for part in section.parts if isinstance(part, Plot)):
         part.draw(Canvas(Figure(figsize=(WIDTH, part.height)), part.height))
+
+
+def test_what_is_left_unknown_is_that_of_all_unknowns_together():
+    """Against the covariance of the first of them by elimination of the others (Schur's complement)."""
+    rng = np.random.default_rng(3)
+    half, root = rng.normal(size=(12, 9)), rng.normal(size=(7, 4))
+    whole = np.eye(9) + half.T @ half
+    first, between, others = whole[:4, :4], whole[:4, 4:], whole[4:, 4:]
+    alone = np.linalg.inv(first - between @ np.linalg.solve(others, between.T))
+    assert covariance_left(root, whole) == pytest.approx(root @ alone @ root.T, rel=1e-9)

@@ -125,6 +125,12 @@ def test_a_slip_is_found_where_it_stands(tmp_path, name):
     assert len(new) == (2 if name in ("inverse", "blade not weighed", "wheel's place for the blade's") else 1)
 
 
+def test_nests_at_one_place_of_different_links_are_none_typed_twice(tmp_path):
+    before = {(f.kind, f.key) for f in found(CELL)}
+    file = changed(tmp_path, ("T3 = [20, 170, 330]", "T3 = [20, 170, 330]\nT4 = { link = 3, xyz_mm = [20, 170, 330] }"))
+    assert {(f.kind, f.key) for f in found(file)} == before
+
+
 def test_what_is_measured_is_asked_for_no_longer(tmp_path):
     file = changed(tmp_path, ("friction = 0.35", "friction = 0.35\ncentre_sd_mm = 0.1"))
     keys = {f.key for f in findings_of_tables(read_tracker_setup(file).tables, read_cell(file).robot)}

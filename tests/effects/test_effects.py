@@ -276,3 +276,4 @@ def test_the_site_lists_the_whole_library():
     for row, line in zip(rows, effect_list().splitlines(), strict=True):  # a terminal has the same keys, ranges and units
         assert line.endswith(row.split(" | ")[1])
     assert "scale +-0..0.4" in effect_list() and "gear_ratio 50..300" in effect_list()
+    assert "stiffness_N_m 20000..300000 N/m" in effect_list()

@@ -1,15 +1,22 @@
 """The paper's experiments: tables from trials made by hand, refusals, one robot from beginning to end."""
 
 import json
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from ocp.experiments import grinding
 from ocp.experiments.__main__ import app
+from ocp.experiments.grinding import Course
 from ocp.experiments.report import force_rows, last_line, position_rows, write_experiments
 from ocp.experiments.trial import STEPS, Trial, trials_json
+from ocp.model.theta import NAMES
+from robots.calibration.store import Calibration
 from tests.support.browser import CHROMIUM, looked_at
+from tests.support.example_pass import bundled_cell
 from tests.support.small_plan import small_cell
 
 
@@ -100,6 +107,38 @@ def test_one_robot_from_beginning_to_end(solved_once, unprinted, tmp_path, monke
     monkeypatch.setattr("ocp.experiments.trial.run_trial", forbidden)
     again = CliRunner().invoke(app, [*arguments, "--overwrite"])
     assert again.exit_code == 0, again.stderr
+
+
+def test_a_calibrated_blade_is_stiffened_once(monkeypatch):
+    """By the solver's parameters: the compliance that is handed over is the believed one. A soft flange would not show it."""
+    believed = replace(bundled_cell(), calibration=None)
+    calibration = Calibration("kr210_r2700_extra", ("blade_stiffness_scale",), np.array([0.25]), np.array([[1e-4]]), {})
+    compliance, handed = np.full((3, 3), 1e-6), {}
+
+    @dataclass(frozen=True)
+    class Geometry:
+        modulus: float
+
+    @dataclass(frozen=True)
+    class Law:
+        geometry: Geometry
+
+    class Worker:
+        def __init__(self, ground, solver):
+            handed.update(ground=ground, theta=solver)
+
+        def solve(self, path, seeds, given):
+            handed.update(given=given)
+            return SimpleNamespace(grinding=lambda: None)
+
+    cover = SimpleNamespace(softer=lambda modulus: None)
+    course = Course(believed, SimpleNamespace(vertices=None), None, Law(Geometry(1.0)), cover, [None], [[]], [compliance], 0)
+    monkeypatch.setattr(grinding, "PassWorker", Worker)
+    monkeypatch.setattr(grinding, "_solver", lambda course: SimpleNamespace(other=lambda cell, law, theta: theta))
+    grinding.compensated(course, calibration, [0])
+    assert handed["given"] is compliance
+    assert handed["theta"].values[NAMES.index("blade_stiffness_scale")] == 0.25
+    assert handed["ground"].cell.workpiece.youngs_modulus == 1.25 * believed.workpiece.youngs_modulus
 
 
 def test_json_holds_every_number():

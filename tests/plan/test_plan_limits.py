@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from ocp.data import CELL
 from ocp.model.blade_gap import SurfaceCloud
@@ -51,6 +52,7 @@ from ocp.shell.progress import Phases
 from robots.errors import BadInput, Infeasible
 from robots.gravity import GRAVITY
 from robots.kinematics import link_frames
+from robots.pose import make_transform
 from robots.rigid_body import inverse_dynamics
 from tests.support import invented_motion
 from tests.support.block_blade import BLOCK, blade_before_wheel, joints_of
@@ -335,7 +337,11 @@ def test_a_flange_near_its_pressed_stop_is_refused(cell, leant):
     """Its axis `leant` rad off the normal: then less of the stroke is seen along the normal. At its other stop passes begin, and
     grades judge it (below)."""
     away = np.array([0.0, np.cos(leant), np.sin(leant)])  # blade frame; the normal is y
-    one = replace(cell, flange=replace(cell.flange, axis=cell.workpiece.T_flange_blade[:3, :3] @ away if leant else None))
+    piece = replace(
+        cell.workpiece, T_flange_blade=make_transform(Rotation.from_rotvec([0.4, -0.3, 0.7]).as_matrix(), np.zeros(3))
+    )
+    axis = piece.T_flange_blade[:3, :3] @ away if leant else None
+    one = replace(cell, workpiece=piece, flange=replace(cell.flange, axis=axis))
     end = 0.5 * cell.flange.stroke - rules.STROKE_RESERVE
     put_to_test(one, stroke=np.cos(leant) * (end - 1e-9))
     put_to_test(one, stroke=np.cos(leant) * -0.5 * cell.flange.stroke)
