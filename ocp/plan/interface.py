@@ -37,13 +37,13 @@ def plan(
     stretches out. Raises BadInput: an argument or a file is not what it should be; Infeasible: there is no safe plan. Nothing is
     written then.
     """
-    from ocp.plan.files import write_plan  # heavy: a kept plan does without
-    from ocp.plan.paths import PlanOptions
-    from ocp.plan.planning import make_plan
-
-    chosen = PlanOptions(_path(path), _path(program), kind, name, step, whole=whole, stock=_path(stock))
     phases = Phases(progress)
     with reserved(Path(out), overwrite, _inputs(cell, blade, path, program, stock)) as output, crew("ocp.plan.files"):
+        from ocp.plan.files import write_plan  # heavy: a kept plan does without, and the crew imports it meanwhile
+        from ocp.plan.paths import PlanOptions
+        from ocp.plan.planning import make_plan
+
+        chosen = PlanOptions(_path(path), _path(program), kind, name, step, whole=whole, stock=_path(stock))
         return write_plan(make_plan(Path(cell), _path(blade), chosen, phases), output, phases)
 
 

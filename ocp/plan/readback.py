@@ -70,15 +70,13 @@ def read_back(
     timed = all(s.times is not None or s.kind == "point" for s in execution.segments)
     driven, axis_error, time_error, ratio = (_timed if timed else _chained)(cell, motion, execution)
     blends = None if timed else BlendError(0.0, 0.0)
-    passes, worst, in_air, tasks = [], 0.0, 0.0, []
+    passes, worst, in_air = [], 0.0, 0.0
     unheld: list[CannotGrind] = []
-    for one, rows in zip(motion.passes, driven, strict=True):
-        in_air += _touching_in_air(cell, believed, one, *rows)
-        tasks.append(_bearing(cell, one, *rows))
-    with side_by_side(verify_pass, tasks, cell, believed, cover, cloud) as checks:
+    tasks = [(one, *rows) for one, rows in zip(motion.passes, driven, strict=True)]
+    with side_by_side(_checked, tasks, cell, believed, cover, cloud) as checks:
         found = list(checks)
-    for place, ((path, *_), checked) in enumerate(zip(tasks, found, strict=True)):
-        held = checked
+    for place, (seconds, path, checked) in enumerate(found):
+        held, in_air = checked, in_air + seconds
         if blends is not None:
             held, off = _apart(motion, place, driven[place], checked)
             blends = BlendError(max(blends.force, off.force), max(blends.dose, off.dose))
@@ -90,6 +88,15 @@ def read_back(
     if unheld:
         raise unheld[0].with_others(unheld[1:])
     return Readback(passes, worst, axis_error, time_error, ratio, in_air, blends)
+
+
+def _checked(
+    cell: Cell, believed: BelievedRobot, cover: Cover, cloud: SurfaceCloud, one: SolvedPass, *rows: Array
+) -> tuple[float, BladePath, VerifiedPass]:
+    """Seconds of touching in the air of a pass, its path where it bears, and the force there. Raises as `_touching_in_air`."""
+    seconds = _touching_in_air(cell, believed, one, *rows)
+    task = _bearing(cell, one, *rows)
+    return seconds, task[0], verify_pass(cell, believed, cover, cloud, *task)
 
 
 def _bearing(cell: Cell, one: SolvedPass, t: Array, q: Array, nominal: Array) -> tuple[Any, ...]:

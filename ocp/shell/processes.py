@@ -22,8 +22,9 @@ from concurrent.futures import wait as wait_for
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import import_module
-from multiprocessing import get_context, parent_process
+from multiprocessing import forkserver, get_context, parent_process
 from multiprocessing.connection import wait
+from multiprocessing.context import BaseContext
 from pathlib import Path
 from types import FrameType, ModuleType
 from typing import Any, NoReturn
@@ -268,7 +269,7 @@ def workers(jobs: int, start: Callable[..., None], *state: Any, share: int = 1) 
         with own.given(start, *state) as pool:
             yield pool
         return
-    with _pool(jobs, start, *state, share=share) as pool:
+    with _pool(jobs, (start.__module__,), start, *state, share=share) as pool:
         yield pool
 
 
@@ -279,10 +280,11 @@ def crew(*modules: str) -> Iterator[None]:
     if cores() < 2 or _crew.get() is not None:
         yield
         return
-    with _pool(cores(), _import, *modules) as pool:
-        with interrupts_held_back():
-            for _ in range(cores()):
-                pool.submit(nothing)  # a pool starts a process at a task that no idle one takes
+    with _pool(cores(), modules, _import, *modules) as pool:
+        if not _forked(pool):  # they import now, not at their first task
+            with interrupts_held_back():
+                for _ in range(cores()):
+                    pool.submit(nothing)  # a pool starts a process at a task that no idle one takes
         before = _crew.set(_Crew(pool))
         try:
             yield
@@ -291,11 +293,16 @@ def crew(*modules: str) -> Iterator[None]:
 
 
 @contextmanager
-def _pool(jobs: int, start: Callable[..., None], *state: Any, share: int = 1) -> Iterator[ProcessPoolExecutor]:
+def _pool(
+    jobs: int, modules: Sequence[str], start: Callable[..., None], *state: Any, share: int = 1
+) -> Iterator[ProcessPoolExecutor]:
+    context = _context(modules)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "state.pickle"
-        file.write_bytes(pickle.dumps((str(temporary()), share, start, state)))
-        pool = ProcessPoolExecutor(jobs, get_context("spawn"), _start, (str(file),))
+        with file.open("wb") as open_file:
+            pickle.dump((dict(os.environ), str(temporary()), share), open_file)
+            pickle.dump((start, state), open_file)
+        pool = ProcessPoolExecutor(jobs, context, _start, (str(file),))
         try:
             yield pool
         except BaseException:
@@ -304,6 +311,36 @@ def _pool(jobs: int, start: Callable[..., None], *state: Any, share: int = 1) ->
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _context(modules: Sequence[str]) -> BaseContext:
+    """How processes are made. On Linux they are forked off one that imports `modules` once, while this process goes on; it has
+    one thread and ends with those that it served. Elsewhere, or where its socket's name would be too long, each begins anew."""
+    if sys.platform != "linux":
+        return get_context("spawn")
+    context = get_context("forkserver")
+    context.set_forkserver_preload(list(modules))
+    # It would look in the working folder first, this process may not: what is imported has to be the same.
+    paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    before = {name: os.environ.get(name) for name in ("PYTHONPATH", "PYTHONSAFEPATH")}
+    os.environ.update({"PYTHONPATH": paths, "PYTHONSAFEPATH": "1"})
+    try:
+        with interrupts_held_back():
+            forkserver.ensure_running()
+    except OSError:
+        return get_context("spawn")
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+    return context
+
+
+def _forked(pool: ProcessPoolExecutor) -> bool:
+    """Whether one is forked, and waits until what they are forked off has imported."""
+    return bool(pool._mp_context.get_start_method() == "forkserver")  # type: ignore[union-attr]
 
 
 class _Crew(Executor):
@@ -381,8 +418,13 @@ def _start(file: str) -> None:
     threading.Thread(target=_end_with_spawner, daemon=True).start()
     global _temporary
     tempfile.tempdir = str(Path(file).parent)
-    _temporary, share, start, state = pickle.loads(Path(file).read_bytes())
-    keep_to(share)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with open(file, "rb") as open_file:
+        environment, _temporary, share = pickle.load(open_file)
+        os.environ.clear()
+        os.environ.update(environment)
+        keep_to(share)
+        start, state = pickle.load(open_file)
     start(*state)
     # Ended early, a worker still removes the temporary files of what it was doing.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))

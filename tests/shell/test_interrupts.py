@@ -102,8 +102,9 @@ if __name__ == "__main__":
 
 
 @pytest.fixture
-def script(tmp_path: Path) -> Path:
-    file = tmp_path / "command.py"
+def script(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+    """In a folder of a short name, as the socket of the process that others are forked off needs one, or of the name asked for."""
+    file = tmp_path_factory.mktemp(getattr(request, "param", "command")) / "command.py"
     file.write_text(COMMAND)
     return file
 
@@ -153,7 +154,12 @@ def test_an_interrupt_ends_a_command_and_leaves_nothing(script, tmp_path, what, 
     assert process.returncode == 130 and time.monotonic() - begin < 2.0
     assert text == "interrupted, nothing written\n"
     assert processes(process.pid) == []
-    assert not out.exists() and list((tmp_path / "tmp").glob("*/*")) == [] and not list(out.parent.glob(".*"))
+    assert not out.exists() and list((script.parent / "tmp").glob("*/*")) == [] and not list(out.parent.glob(".*"))
+
+
+@pytest.mark.parametrize("script", ["long" * 20], indirect=True)
+def test_processes_that_begin_anew_end_as_those_that_are_forked(script, tmp_path):
+    test_an_interrupt_ends_a_command_and_leaves_nothing(script, tmp_path, "spawned", "group")
 
 
 @pytest.mark.parametrize("what", ["grown-polite", "grown-deaf"])

@@ -18,7 +18,7 @@ from ocp.plan.passes.course import LEAST_PEAK, Engagement, air_to_air, lengthene
 from ocp.plan.passes.smoothness import node_times
 from ocp.plan.passes.solve import TURN_KEPT
 from ocp.plan.passes.stretches import CannotGrind
-from ocp.plan.removal.footprint import LinePatches, planned_patches
+from ocp.plan.removal.footprint import LinePatches, planned_patches_of
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, pressures
 from ocp.plan.removal.wanted import Wanted, refuse_uncovered
 from ocp.plan.rules import FEEDS, LEAST_RAMP
@@ -53,7 +53,7 @@ def probed_lines(cell: Cell, cover: Cover, probes: Sequence[BladePath]) -> tuple
     spread, looked = {}, []
     for side in dict.fromkeys(path.side for path in probes):
         lines = [path for path in probes if path.side == side]
-        straight = [planned_patches(cell, cover, path) for path in lines]
+        straight = planned_patches_of(cell, cover, lines)
         shares = np.linspace(0.0, 1.0, len(lines)) if len(lines) > 1 else np.array([0.5])
         known = [(*one, patches) for *one, patches in zip(shares, lines, straight, strict=True) if patches is not None]
         if known:
@@ -70,8 +70,10 @@ def _turned(cell: Cell, cover: Cover, lines: Sequence[tuple[BladePath, LinePatch
     ways = [(0.0, np.array([even_spacing(straight) for _, straight in lines]))]
     if np.median([own.unevenness(EVEN * float(own.half_axes[:, 1].min())).max() for _, own in lines]) <= STEPS:
         return ways[0]
-    for turn in np.outer(cell.process.turn_tolerance * ASKEW, (1.0, -1.0)).ravel():
-        patches = [planned_patches(cell, cover, replace(path, turn=TURN_KEPT * float(turn))) for path, _ in lines]
+    turns = np.outer(cell.process.turn_tolerance * ASKEW, (1.0, -1.0)).ravel()
+    turned = planned_patches_of(cell, cover, [replace(path, turn=TURN_KEPT * float(one)) for one in turns for path, _ in lines])
+    for k, turn in enumerate(turns):
+        patches = turned[k * len(lines) : (k + 1) * len(lines)]
         spacing = [least if own is None else even_spacing(own) for own, least in zip(patches, ways[0][1], strict=True)]
         ways.append((float(turn), np.array(spacing)))
     largest = max(spacing.sum() for _, spacing in ways)
@@ -167,8 +169,7 @@ def with_feeds(
     if not flanks:
         return list(paths), []
     asked, timed, lines = _Asked.of(flanks, wanted), list(paths), {}
-    for k, path in enumerate(paths):
-        patches = planned_patches(cell, cover, path)
+    for k, (path, patches) in enumerate(zip(paths, planned_patches_of(cell, cover, paths), strict=True)):
         if patches is not None:
             lines[k] = _line(cell, path, straight_on(path, patches), patches, asked)
     if lines:

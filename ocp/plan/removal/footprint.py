@@ -25,6 +25,7 @@ from ocp.contact.wheel.signorini import MOMENT_TO_AXIS, Contact, LocalShape, sol
 from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
 from ocp.model.cell import Cell
 from ocp.plan.passes.posture import turned_curvature
+from ocp.shell.processes import side_by_side
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath
@@ -151,6 +152,12 @@ def planned_patches(cell: Cell, cover: Cover, path: BladePath) -> LinePatches | 
             contacts.append(solve_force(cover, float(path.force[k]), shape, contacts[-1] if contacts else None))
             at.append(path.s[k])
     return line_patches(np.array(at), contacts, [heading] * len(at)) if at else None
+
+
+def planned_patches_of(cell: Cell, cover: Cover, paths: Sequence[BladePath]) -> list[LinePatches | None]:
+    """`planned_patches` of every path."""
+    with side_by_side(planned_patches, [(path,) for path in paths], cell, cover) as found:
+        return list(found)
 
 
 def line_patches(at: Array, contacts: Sequence[Contact], headings: Sequence[tuple[float, float]]) -> LinePatches:

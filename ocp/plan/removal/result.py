@@ -12,8 +12,8 @@ from ocp.model.cell import Cell
 from ocp.plan.motion import PlannedMotion
 from ocp.plan.passes.optimise import SolvedPass
 from ocp.plan.programming import Column, Timeline, build_timeline
-from ocp.plan.removal.footprint import STATION_SPACING, LinePatches, contacts_along
-from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, row_times, shares_of_time, work_done
+from ocp.plan.removal.footprint import STATION_SPACING, contacts_along
+from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, row_times, shares_of_time, work_of
 from ocp.plan.removal.wanted import Wanted, programmed_work
 from ocp.shell.processes import side_by_side
 from robots.kinematics import forward
@@ -103,15 +103,15 @@ def find_removal(
 
     Raises Infeasible of the contact solver.
     """
-    with side_by_side(line_patches_of, [(one,) for one in motion.passes], cell, cover, cloud) as found:
-        patches = list(found)
     rows = contact_rows(cell, motion)
     paths = [one.touching().problem.path for one in motion.passes]
     points = np.vstack([*(one.points.reshape(-1, 3) for one in flanks), *(path.p for path in paths)])
     normals = np.vstack([*(one.normals.reshape(-1, 3) for one in flanks), *(path.n for path in paths)])
-    depth, asked = work_done(points, normals, rows, patches) / programmed_work(cell), wanted.at(points, normals)
+    tasks = [(one, rows.of(place)) for place, one in enumerate(motion.passes)]
+    with side_by_side(line_work, tasks, cell, cover, cloud, cKDTree(points), normals) as found:
+        half, works = zip(*found, strict=True)
+    depth, asked = sum(works) / programmed_work(cell), wanted.at(points, normals)
     relative = np.where(asked > LEAST_WANTED, depth / np.maximum(asked, LEAST_WANTED), np.nan)
-    half = [float(one.half_axes[:, 0].max()) for one in patches]
     sides, first = [], 0
     for one in flanks:
         count = one.area.size
@@ -120,13 +120,15 @@ def find_removal(
     return Removal(tuple(sides), figures_of(sides), wanted, points, depth, relative)
 
 
-def line_patches_of(cell: Cell, cover: Cover, cloud: SurfaceCloud, whole: SolvedPass) -> LinePatches:
-    """Footprints of a pass at its solved postures."""
+def line_work(
+    cell: Cell, cover: Cover, cloud: SurfaceCloud, tree: cKDTree, normals: Array, whole: SolvedPass, rows: ContactRows
+) -> tuple[float, Array]:
+    """Half-length m of a pass' footprints at its solved postures, and the work of its `rows` at the points of the tree."""
     one = whole.touching()
     index = contact_stations(one.problem.path.s, COARSER * STATION_SPACING).astype(np.int64)
     patches = contacts_along(cell, cover, cloud, one.problem.path, one.evaluation, index)
     assert patches is not None
-    return patches
+    return float(patches.half_axes[:, 0].max()), work_of(tree, normals, rows, patches)
 
 
 def contact_rows(cell: Cell, motion: PlannedMotion) -> ContactRows:

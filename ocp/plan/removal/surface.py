@@ -126,12 +126,14 @@ def work_done(points: Array, normals: Array, rows: ContactRows, patches: Sequenc
 
     patches: of each line, in driving order. Preston's coefficient makes it a depth (docs/process.md, eq. 1).
     """
-    tree, total = cKDTree(points), np.zeros(len(points))
-    for place, one in enumerate(patches):
-        mine = rows.of(place)
-        row, index, pressure = pressures(tree, normals, mine, one)
-        total += np.bincount(index, pressure * (mine.force * mine.slide)[row], minlength=len(points))
-    return total
+    tree = cKDTree(points)
+    return np.asarray(sum(work_of(tree, normals, rows.of(place), one) for place, one in enumerate(patches)))
+
+
+def work_of(tree: cKDTree, normals: Array, rows: ContactRows, patches: LinePatches) -> Array:
+    """`work_done` of one line at the points of the tree: its `rows` are `ContactRows.of`."""
+    row, index, pressure = pressures(tree, normals, rows, patches)
+    return np.bincount(index, pressure * (rows.force * rows.slide)[row], minlength=tree.n).astype(float)
 
 
 def pressures(tree: cKDTree, normals: Array, rows: ContactRows, patches: LinePatches) -> tuple[Index, Index, Array]:
