@@ -40,7 +40,7 @@ _to_parent: int | None = None
 _cores: int | None = None  # that this process was given, where it is one of several
 _grows = False
 _crew: "ContextVar[_Crew | None]" = ContextVar("crew", default=None)  # the processes of the block that is open in this thread
-_given = ""  # in one of them: the file of the state that it has
+_given: dict[Callable[..., None], str] = {}  # in one of them: the file of the state that each start was last given
 _GROWS = b"\1"  # among the folders that a child tells of
 
 
@@ -344,18 +344,19 @@ def _forked(pool: ProcessPoolExecutor) -> bool:
 
 
 class _Crew(Executor):
-    """A pool whose processes get another state for every piece of work that is given to them."""
+    """A pool whose processes get another state for every piece of work that is given to them; what another `start` was given
+    stays as it is meanwhile."""
 
     def __init__(self, pool: Executor) -> None:
-        self._pool, self._state, self._open = pool, "", set[Future[Any]]()
+        self._pool, self._state, self._start, self._open = pool, "", nothing, set[Future[Any]]()
 
     @contextmanager
     def given(self, start: Callable[..., None], *state: Any) -> Iterator[Executor]:
         """The pool with this state; what is still to be done of it when the block ends is not begun."""
-        before = self._state, self._open
+        before = self._state, self._start, self._open
         with tempfile.TemporaryDirectory() as folder:
-            self._state, self._open = str(Path(folder) / "state.pickle"), set()
-            Path(self._state).write_bytes(pickle.dumps((start, state)))
+            self._state, self._start, self._open = str(Path(folder) / "state.pickle"), start, set()
+            Path(self._state).write_bytes(pickle.dumps(state))
             try:
                 yield self
                 wait_for(self._open)
@@ -365,10 +366,10 @@ class _Crew(Executor):
                 wait_for(self._open)
                 raise
             finally:
-                self._state, self._open = before
+                self._state, self._start, self._open = before
 
     def submit(self, work: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
-        future = self._pool.submit(_in_state, self._state, work, *arguments, **named)
+        future = self._pool.submit(_in_state, self._state, self._start, work, *arguments, **named)
         self._open.add(future)
         return future
 
@@ -398,12 +399,10 @@ def _shared_work(work: Callable[..., Any], *task: Any) -> Any:
     return work(*_shared, *task)
 
 
-def _in_state(file: str, work: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    global _given
-    if file != _given:
-        start, state = pickle.loads(Path(file).read_bytes())
-        start(*state)
-        _given = file
+def _in_state(file: str, start: Callable[..., None], work: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    if _given.get(start) != file:
+        start(*pickle.loads(Path(file).read_bytes()))
+        _given[start] = file
     return work(*arguments, **named)
 
 

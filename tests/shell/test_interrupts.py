@@ -103,7 +103,7 @@ if __name__ == "__main__":
 
 @pytest.fixture
 def script(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
-    """In a folder of a short name, as the socket of the process that others are forked off needs one, or of the name asked for."""
+    """In a folder of a short name, as the socket of what others are forked off needs one, or of the name asked for."""
     file = tmp_path_factory.mktemp(getattr(request, "param", "command")) / "command.py"
     file.write_text(COMMAND)
     return file

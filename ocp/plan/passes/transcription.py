@@ -30,7 +30,7 @@ IPOPT = {
     "acceptable_tol": 1e-5,
     "acceptable_constr_viol_tol": 1e-6,
     "mu_strategy": "monotone",
-    "mu_init": 1e-3,
+    "mu_init": 1e-5,
     "bound_push": 1e-4,  # the start is a good one: leave it where it is
     "bound_frac": 1e-4,
     "least_square_init_duals": "yes",  # those of the rows alone make the Hessian indefinite: a quarter more iterations

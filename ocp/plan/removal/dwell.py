@@ -22,6 +22,7 @@ from ocp.plan.removal.footprint import LinePatches, planned_patches_of
 from ocp.plan.removal.surface import ContactRows, Mask, SideCells, core_cells, pressures
 from ocp.plan.removal.wanted import Wanted, refuse_uncovered
 from ocp.plan.rules import FEEDS, LEAST_RAMP
+from ocp.shell.processes import side_by_side
 from robots.errors import Infeasible
 from robots.pose import Array
 from trajectories.passes import BladePath
@@ -192,7 +193,8 @@ def even_feeds(cell: Cell, flanks: Sequence[SideCells], wanted: Wanted, lines: S
     asked = _Asked.of(flanks, wanted)
     weight = asked.weight * _passed(flanks, [line.path for line in known.values()])
     for _ in range(ROUNDS):
-        added = {k: _line(cell, line.path, line.rows(), line.patches, asked) for k, line in known.items()}
+        with side_by_side(_driven, [(line,) for line in known.values()], cell, asked) as found:
+            added = dict(zip(known, found, strict=True))
         r = _solved(list(added.values()), weight, asked.depth)
         for (k, line), own in zip(known.items(), r, strict=True):
             timed = replace(line.path, feed=cell.process.feed / np.interp(line.path.s, added[k].nodes, own))
@@ -222,6 +224,11 @@ def straight_on(path: BladePath, patches: LinePatches) -> ContactRows:
     n, t = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (n, t))
     force = np.interp(inside, path.s, path.force)
     return ContactRows(np.zeros(len(s), int), p + (s - inside)[:, None] * t, n, t, inside, force, np.full(len(s), s[1] - s[0]))
+
+
+def _driven(cell: Cell, asked: _Asked, line: DrivenLine) -> _Line:
+    """What a line adds as it will be driven."""
+    return _line(cell, line.path, line.rows(), line.patches, asked)
 
 
 def _line(cell: Cell, path: BladePath, rows: ContactRows, patches: LinePatches, asked: _Asked) -> _Line:
