@@ -150,6 +150,10 @@ FAILED_FITS = 2
 """[fits] After which a name that no fit ever held is given up. Guards: minutes, and names at which the contact has no
 balance. Reason: once may be for another name's sake."""
 
+HOPELESS_FITS = 3
+"""[fits] Diverged one after another, from which on no other name is fitted. Guards: minutes, where the contact that was logged
+is not the believed one (a gain of three). Reason: of 38 logs of development none had more than one before a fit that rests."""
+
 RECHECKED = 3
 """[families] Tried for readings that were set aside, the most telling first. Reason: time, each is a nonlinear fit."""
 

@@ -16,6 +16,7 @@ from ocp.diagnose.force import fit as fitting
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import fit_effects, linear
 from ocp.diagnose.force.waves import likely_trains
+from ocp.diagnose.rules import HOPELESS_FITS
 from ocp.diagnose.verdict import diagnosis
 from ocp.diagnose.verdict.diagnosis import diagnose_channels, findings
 from robots.errors import Infeasible
@@ -117,7 +118,8 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
     for other in ("sensor_bias", "sensor_drift"):
         held.add([Name("wheel_wear", 0), Name(other, 0)])
     held.add([])
-    assert not held.names() and len(held.sets) == 2
+    assert not held.names() and len(held.sets) == 2 and not held.hopeless
+    held.converged([])
     held.add([Name("sensor_bias", 0)])
     assert held.names() == [Name("sensor_bias", 0)]
     held.converged([Name("wheel_wear", 0), Name("sensor_bias", 0)])
@@ -128,6 +130,17 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
     diverged.strike(search, problem)
     left = {frozenset(problem.pool.families[f].name.effect for f in key) for key in search.sets}
     assert frozenset() in left and frozenset({"sensor_drift"}) in left and not any("sensor_bias" in names for names in left)
+    # Where one fit after another diverges, what no fit has held is given up with them.
+    last = Search(problem.pool, 3, 4)
+    last.run()
+    lost = Diverged(fitted={Name("wheel_wear", 0)})
+    for name in ("sensor_bias", "sensor_gain", "belt_tension"):
+        assert not lost.hopeless
+        lost.add([Name(name, 0)])
+    assert lost.hopeless and len(lost.names()) == 3
+    lost.strike(last, problem)
+    named = {problem.pool.families[f].name.effect for key in last.sets for f in key if not (last.kernel | last.background)[f]}
+    assert named <= {"wheel_wear"} and frozenset() in last.sets
     # Nothing fits with the name that the readings ask for: it is not told, and what is told says why.
     found = diagnose_channels([channel], known)
     assert not any(n.effect == "sensor_bias" for e in found.explanations for n in e.names)
@@ -149,6 +162,10 @@ def test_a_name_that_no_fit_of_all_readings_takes_is_not_told(made: Made, tmp_pa
     assert not any(n.effect == "sensor_bias" for e in found.explanations for n in e.names)
     assert "sensor_bias" not in {a.effect.name for a in found.active} and found.verdict != "no_gap"
     assert any("sensor_bias: no fit with it comes to rest" in why for why in found.unknown_reasons)
+    tried: list[object] = []
+    monkeypatch.setattr(diagnosis, "refitted", lambda b, p, active: tried.append(active) if active else fits(b, p, active))
+    found = findings((channel,), problem, problem, search, known, Options())
+    assert 1 <= len(tried) <= HOPELESS_FITS and not found.active
 
 
 @pytest.mark.parametrize("halvings, level, most", [(10, 1e3, 2), (10, 0.0, 5), (8, 1e3, 6)])

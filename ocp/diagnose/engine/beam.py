@@ -8,8 +8,10 @@ anybody should name (every real machine has some), which explains without being 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ocp.diagnose import rules
@@ -42,8 +44,7 @@ class Family:
     among: int = 0
 
 
-@dataclass(frozen=True)
-class Member:
+class Member(NamedTuple):
     """A family in an explanation: its index, variant and prior size (share of the upper end)."""
 
     family: int
@@ -77,6 +78,7 @@ class _Kept:
 
     def __init__(self, rows: int) -> None:
         self.places: dict[tuple[int, int], Index] = {}
+        self.beside: dict[int, tuple[Array, NDArray[np.bool_]]] = {}  # products with a family's columns, and which are known
         self.count = 0
         self.columns, self.G, self.b = np.empty((0, rows)), np.empty((0, 0)), np.empty(0)
 
@@ -96,8 +98,8 @@ class _Kept:
 @dataclass(frozen=True)
 class CandidatePool:
     """y (N,) white under no effect, freedom of it, families and their groups. Kept because the same few members stand in most
-    sets: `crossed`, products of members' columns with all others, `shared`, with those of one family, `kept`, with each other,
-    and `bests`, of families beside others."""
+    sets: `crossed`, products of members' columns with all others, `kept`, with each other and with those of one family, and
+    `bests`, of families beside others."""
 
     y: Array
     freedom: int
@@ -105,7 +107,6 @@ class CandidatePool:
     groups: tuple[_Group, ...]
     place: tuple[tuple[int, int], ...]  # of each family: group, first variant
     crossed: dict[tuple[int, int], tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
-    shared: dict[tuple[int, int, int], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
     bests: dict[tuple[tuple["Member", ...], int], "Best"] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
@@ -118,8 +119,9 @@ class CandidatePool:
         """y^T y."""
         return float(self.y @ self.y)
 
-    def among(self, members: Sequence[Member]) -> tuple[Array, Array]:
-        """Products (r, r) of members' columns times their sizes with each other, and (r,) with y."""
+    def among(self, members: Sequence[Member]) -> tuple[Index, Array, Array, Array]:
+        """Where members' columns are kept (r,), their sizes (r,), products (r, r) of columns times sizes with each other, and
+        (r,) with y."""
         places, known = [], self.kept
         for m in members:
             key = (m.family, m.variant)
@@ -129,7 +131,7 @@ class CandidatePool:
             places.append(known.places[key])
         at = np.concatenate(places)
         sizes = np.repeat([m.size for m in members], [len(place) for place in places])
-        return known.G[at[:, None], at] * (sizes[:, None] * sizes), sizes * known.b[at]
+        return at, sizes, known.G[at[:, None], at] * (sizes[:, None] * sizes), sizes * known.b[at]
 
     def of(self, family: int) -> tuple[_Group, slice]:
         """The group of a family, and its variants there."""
@@ -140,17 +142,22 @@ class CandidatePool:
         """Projected columns (N, m) of a member in units of the priors' upper ends."""
         return self.families[member.family].columns[:, member.variant]
 
-    def products(self, member: Member, family: int) -> Array:
-        """Products (m, V k) of a member's columns with those of all variants of a family."""
-        key = (member.family, member.variant, family)
-        if key not in self.shared:
+    def products(self, there: "Given", family: int) -> Array:
+        """Products (r, V k) of the columns that are given, times their sizes, with those of all variants of a family."""
+        kept, flat = self.kept, _flat(self.families[family].columns)
+        found, known = kept.beside.get(family, (np.empty((0, flat.shape[1])), np.empty(0, bool)))
+        more = len(kept.columns) - len(known)
+        if more:
+            found, known = np.vstack([found, np.empty((more, flat.shape[1]))]), np.append(known, np.zeros(more, bool))
+            kept.beside[family] = found, known
+        if not known[there.at].all():
             group, start = self.place[family]
-            m = self.groups[group].m
-            own = slice(start * m, (start + self.families[family].columns.shape[1]) * m)
-            known = self.crossed.get(key[:2])
-            flat = _flat(self.families[family].columns)
-            self.shared[key] = self.columns(member).T @ flat if known is None else known[group][:, own]
-        return self.shared[key]
+            own = slice(start * self.groups[group].m, start * self.groups[group].m + flat.shape[1])
+            for m in there.members:
+                place, ready = kept.places[m.family, m.variant], self.crossed.get((m.family, m.variant))
+                found[place] = self.columns(m).T @ flat if ready is None else ready[group][:, own]
+                known[place] = True
+        return np.asarray(there.sizes[:, None] * found[there.at])
 
     def look_ahead(self, members: Sequence[Member]) -> None:
         """Take the products of all members that `scan` will ask for at once: the candidates are read from memory only once."""
@@ -169,12 +176,14 @@ class CandidatePool:
 
 @dataclass(frozen=True)
 class Given:
-    """Members of a pool taken as there, with priors of fixed size; with C (N, r), their columns times the sizes: turn (r, r),
-    inverse of the lower Cholesky factor of 1 + C^T C; inner (r,): turn C^T y; left: what remains of y^T y, log: their joint
-    evidence over the empty set."""
+    """Members of a pool taken as there, with priors of fixed size; at (r,): where their columns are kept, sizes (r,); with C
+    (N, r), the columns times the sizes: turn (r, r), inverse of the lower Cholesky factor of 1 + C^T C; inner (r,): turn C^T y;
+    left: what remains of y^T y, log: their joint evidence over the empty set."""
 
     pool: CandidatePool = field(repr=False)
     members: tuple[Member, ...]
+    at: Index
+    sizes: Array
     turn: Array
     inner: Array
     left: float
@@ -256,7 +265,8 @@ def most_telling(pool: CandidatePool, beside: Sequence[Sequence[Member]]) -> lis
             continue
         odds = family.log_odds + float(np.log(len(rows) / count))
         scans, among = tuple(family.scans[v] for v in rows), max(family.among, count)
-        families.append(replace(family, scans=scans, columns=family.columns[:, rows], log_odds=odds, among=among))
+        columns = np.ascontiguousarray(family.columns[:, rows])  # picked, they lie by variants
+        families.append(replace(family, scans=scans, columns=columns, log_odds=odds, among=among))
     return families
 
 
@@ -278,8 +288,8 @@ def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
     """Joint evidence of members at their sizes."""
     left = pool.square
     if not members:
-        return Given(pool, (), np.zeros((0, 0)), np.zeros(0), left, 0.0)
-    G, b = pool.among(members)
+        return Given(pool, (), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0), left, 0.0)
+    at, sizes, G, b = pool.among(members)
     G[np.diag_indices(len(b))] += 1.0
     turn, failed = dtrtri(dpotrf(G, lower=1, clean=1)[0], lower=1)
     if failed:
@@ -287,7 +297,7 @@ def given(pool: CandidatePool, members: Sequence[Member]) -> Given:
     inner = turn @ b
     after = max(left - float(inner @ inner), 1e-9)
     fit = 0.5 * (pool.freedom + NOISE_TRUST) * np.log((NOISE_TRUST + after) / (NOISE_TRUST + left))
-    return Given(pool, tuple(members), turn, inner, after, float(float(np.log(np.diag(turn)).sum()) - fit))
+    return Given(pool, tuple(members), at, sizes, turn, inner, after, float(float(np.log(np.diag(turn)).sum()) - fit))
 
 
 def scan(pool: CandidatePool, there: Given) -> Scan:
@@ -311,7 +321,7 @@ def scan_one(pool: CandidatePool, there: Given, family: int) -> tuple[Array, Arr
     g, rows = pool.of(family)
     G, b = g.G[rows], g.b[rows]
     if there.members:
-        G, b = _beside(there, np.vstack([m.size * pool.products(m, family) for m in there.members]), G, b)
+        G, b = _beside(there, pool.products(there, family), G, b)
     return log_evidence(G, b, g.sizes[rows], g.positive[rows], there.left, pool.freedom), g.sizes[rows.start]
 
 

@@ -38,11 +38,13 @@ from robots.pose import Array
 
 @dataclass
 class Diverged:
-    """Sets of names whose fit diverged, how often each name was new in one, and names that were in a fit that converged."""
+    """Sets of names whose fit diverged, how often each name was new in one, names that were in a fit that converged, and how many
+    fits diverged since."""
 
     sets: set[frozenset[Name]] = field(default_factory=set)
     count: Counter[Name] = field(default_factory=Counter)
     fitted: set[Name] = field(default_factory=set)
+    since: int = 0
 
     def add(self, names: Iterable[Name]) -> None:
         """A set whose fit diverged."""
@@ -50,16 +52,24 @@ class Diverged:
         if found:  # without effects a channel is the one that was fitted
             self.sets.add(found)
             self.count.update(found - self.fitted)
+            self.since += 1
 
     def converged(self, names: Iterable[Name]) -> None:
         """A set whose fit converged: what holds its names may fail for others' sake."""
         found = frozenset(names)
         self.sets.discard(found)
         self.fitted |= found
+        self.since = 0
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether so many fits diverged one after another that it is the believed contact, and no name, that fits nothing."""
+        return self.since >= rules.HOPELESS_FITS
 
     def names(self) -> list[Name]:
         """Names that are given up."""
-        return sorted(n for n, k in self.count.items() if k >= rules.FAILED_FITS and n not in self.fitted)
+        least = 1 if self.hopeless else rules.FAILED_FITS
+        return sorted(n for n, k in self.count.items() if k >= least and n not in self.fitted)
 
     def strike(self, search: Search, problem: Linearisation) -> None:
         """Take the sets out of a search whose fit diverged, or that hold a name that is given up."""
@@ -67,8 +77,10 @@ class Diverged:
         gone = {index[n] for n in self.names() if n in index}
         failed = [{index[n] for n in names} for names in self.sets if all(n in index for n in names)]
         kernel = search.kernel | search.background
+        stays = {index[n] for n in self.fitted if n in index} if self.hopeless else set(index.values())
         for key in list(search.sets):
-            if gone & key or {f for f in key if not kernel[f]} in failed:
+            names = {f for f in key if not kernel[f]}
+            if gone & key or names in failed or not names <= stays:
                 del search.sets[key]
 
 

@@ -77,7 +77,7 @@ def findings(
     """All of `Diagnosis`; baseline: all readings without effects; first: the linearisation before anything was accepted;
     refused: impostors with their folds, where the names were chosen by held-out errors. Sets whose names no fit of all readings
     takes go out of the search."""
-    failed = dict[Name, str]()
+    failed, tries = dict[Name, str](), 0
     while True:
         found = posterior(problem, search)
         weighed, best = leader(search, found)
@@ -86,8 +86,10 @@ def findings(
         if channels is not None:
             break
         failed |= dict.fromkeys(best, NO_REST)
+        tries += 1
         names = {problem.index[n] for n in best}
-        for key in [k for k in search.sets if names <= k]:
+        named = ~(search.kernel | search.background)
+        for key in [k for k in search.sets if names <= k or (tries >= rules.HOPELESS_FITS and named[list(k)].any())]:
             del search.sets[key]
     signatures = [signature(problem, weighed, a) for a in active]
     ranked = ranking(problem, search, found)
