@@ -152,7 +152,7 @@ def test_a_name_that_no_fit_of_all_readings_takes_is_not_told(made: Made, tmp_pa
     channel = _again(made, log)
     known = {n: EFFECTS[n] for n in ("sensor_bias", "sensor_drift", "wheel_wear")}
     problem, search = search_and_refit(linearised([channel], known, Options()), known, Options())
-    fits = diagnosis.refitted
+    fits, sets = diagnosis.refitted, dict(search.sets)
     monkeypatch.setattr(
         diagnosis,
         "refitted",
@@ -163,6 +163,7 @@ def test_a_name_that_no_fit_of_all_readings_takes_is_not_told(made: Made, tmp_pa
     assert "sensor_bias" not in {a.effect.name for a in found.active} and found.verdict != "no_gap"
     assert any("sensor_bias: no fit with it comes to rest" in why for why in found.unknown_reasons)
     tried: list[object] = []
+    search.sets = sets
     monkeypatch.setattr(diagnosis, "refitted", lambda b, p, active: tried.append(active) if active else fits(b, p, active))
     found = findings((channel,), problem, problem, search, known, Options())
     assert 1 <= len(tried) <= HOPELESS_FITS and not found.active
