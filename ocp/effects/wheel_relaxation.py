@@ -6,6 +6,7 @@ run, w the wheel's share of the give of the chain.
 """
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from ocp.effects.context import LogRows
 from ocp.effects.effect import Effect, Parameter, Scanned
@@ -18,16 +19,13 @@ TIMES = (0.05, 0.15, 0.5, 1.5, 5.0, 15.0, 30.0)  # s
 def _loss(x: LogRows, joint: int, scanned: Scanned) -> Array:
     """Force that the cover has let go: its share of the chain's give times the force seen through a first-order lag; in the air
     it recovers as fast."""
-    load = np.where(x.contact[:, None], x.F.reshape(len(x.time), -1), 0.0)
-    out, held = np.zeros(load.shape), np.zeros(load.shape[1])
-    for k in range(len(x.time)):
-        if k == 0 or x.run[k] != x.run[k - 1]:
-            held = np.zeros(load.shape[1])
-        else:
-            held = held + (load[k] - held) * -np.expm1(-(x.time[k] - x.time[k - 1]) / scanned["tau"])
-        if x.contact[k]:
-            out[k] = -x.wheel_share[k] * held
-    return out
+    n, goes_on = len(x.time), x.run[1:] == x.run[:-1]
+    load = np.where(x.contact[:, None], x.F.reshape(n, -1), 0.0)
+    taken = -np.expm1(-np.where(goes_on, np.diff(x.time), 0.0) / scanned["tau"])
+    # held[k] = held[k - 1] + taken[k] (load[k] - held[k - 1]), zero where a run begins: two bands.
+    bands = np.array([np.ones(n), np.append(np.where(goes_on, taken - 1.0, 0.0), 0.0)])
+    held = solve_banded((1, 0), bands, np.append(0.0, taken)[:, None] * load)
+    return np.where(x.contact[:, None], -x.wheel_share[:, None] * held, 0.0)
 
 
 EFFECT = Effect(

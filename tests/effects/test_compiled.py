@@ -1,11 +1,13 @@
-"""Hooks as compiled functions: which variants share one."""
+"""Hooks as compiled functions: which variants share one; rows evaluated in blocks."""
 
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
+import pytest
 
 from ocp.effects.catalogue import library
-from ocp.effects.engine.compiled import Hook, RowLayout, evaluated
+from ocp.effects.engine.compiled import Hook, RowLayout, _calls, evaluated, run_rows
 
 
 @dataclass(frozen=True)
@@ -22,3 +24,16 @@ def test_scanned_values_are_told_apart_to_the_last_digit():
     hook = Hook(twice, "joint", 1, RowLayout.of("q 1"), WholeRow())
     found = evaluated(hook, np.ones((1, 1)), [{"times": np.array([value])} for value in values])
     assert found[-1].ravel().tolist() == values
+
+
+@pytest.mark.parametrize("count", [1, 3, 127, 128, 129, 2047, 2048, 2049, 2300])
+def test_rows_are_evaluated_one_by_one_whatever_their_number(count):
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    rows, more = np.random.default_rng(1).normal(size=(count, 2)), np.arange(float(count))[:, None]
+    found = run_rows(ca.Function("one", [x, y], [ca.vertcat(x[0] * y, x[1])]), rows, more)
+    assert np.array_equal(found, np.column_stack([rows[:, 0] * more[:, 0], rows[:, 1]]))
+
+
+def test_few_mapped_functions_serve_rows_of_any_number():
+    counts = {_calls(n) for n in range(1, 2049)}
+    assert len(counts) <= 24 and max(counts) == 2048 and all(_calls(n) - n < max(n, 128) for n in range(1, 2049))

@@ -202,6 +202,20 @@ def test_sigma_flips_the_heading():
     assert abs(abs(turns[0] - turns[1]) - np.pi) < 1e-9
 
 
+@pytest.mark.parametrize("sign", [1, -1, 0])
+def test_a_belts_sign_may_be_a_symbol(sign):
+    cell = bundled_cell()
+    own, belt = build_model(replace(cell, wheel=replace(cell.wheel, belt_speed=20.0 * sign)), LineLaw()), ca.SX.sym("belt")
+    one = build_model(replace(cell, wheel=replace(cell.wheel, belt_speed=-7.0)), LineLaw(), belt_sign=belt)
+    at = (Q, 21.0, problem().waypoints[0], believed_theta(cell).values)
+
+    def seen(model, *more):
+        told = ca.vertcat(model.residual, model.parts, model.turn, model.tilt, model.joint_give)
+        return ca.Function("seen", [model.q, model.F, model.w, model.theta, *more], [told])
+
+    assert np.array_equal(np.asarray(seen(one, belt)(*at, sign)), np.asarray(seen(own)(*at)))
+
+
 def test_joint_noise_adds_to_the_forces_standard_deviation_as_finite_differences_say():
     cell = bundled_cell()
     one = problem()

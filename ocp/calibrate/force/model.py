@@ -88,7 +88,7 @@ class PlacedRows:
 
 @dataclass(frozen=True)
 class ForceModel:
-    """Force between wheel and blade of one cell and wheel law. Its functions are built once for each sign of the belt."""
+    """Force between wheel and blade of one cell and wheel law."""
 
     cell: Cell
     law: WheelLaw
@@ -99,13 +99,10 @@ class ForceModel:
         return LEAST_FORCE * self.law.limits["force"][0]
 
     @cached_property
-    def _functions(self) -> dict[int, dict[str, ColumnFunction]]:
-        return {}
-
-    def _built(self, belt: int) -> dict[str, ColumnFunction]:
+    def _functions(self) -> dict[str, ColumnFunction]:
         friction: Any = ca.SX.sym("mu")  # a symbol in the place of a number: the parts' derivative in it is wanted
-        wheel = replace(self.cell.wheel, belt_speed=float(belt), friction=friction)
-        model = build_model(replace(self.cell, wheel=wheel), self.law)
+        belt = ca.SX.sym("belt")
+        model = build_model(replace(self.cell, wheel=replace(self.cell.wheel, friction=friction)), self.law, belt_sign=belt)
         slope, slopes = ca.jacobian(model.residual, model.F), ca.jacobian(model.parts, model.F)
         place = [
             model.arc,
@@ -119,7 +116,7 @@ class ForceModel:
         state = [model.residual, slope, model.delta, model.parts, slopes, *place, ca.jacobian(ca.sum1(model.parts), friction)]
         by = ca.horzcat(slope, ca.jacobian(model.residual, model.theta), ca.jacobian(model.residual, model.q))
         outputs = {"state": ca.vertcat(*state), "derivative": by.T}
-        arguments = [model.q, model.F, model.w, model.theta]
+        arguments = [model.q, model.F, model.w, model.theta, belt]
         known = {name: ca.substitute(ca.densify(o), friction, self.cell.wheel.friction) for name, o in outputs.items()}
         return {name: ColumnFunction(ca.Function(f"force_{name}", arguments, [o], {"cse": True})) for name, o in known.items()}
 
@@ -128,21 +125,12 @@ class ForceModel:
         parts m and their slopes m/N, arc rad, lateral m, turn rad, tilts, relative curvature 1/m, T_base_blade by rows, give of
         the joints N m^2, the parts' derivative in the friction m) or "derivative" (of the residual in F, theta (m) and q (6)). No
         rows: (0, 0)."""
-        out: Array = np.empty((0, 0))
-        for belt in (-1, 0, 1):
-            at = np.flatnonzero(rows.base.belt == belt)
-            if not len(at):
-                continue
-            if belt not in self._functions:
-                self._functions[belt] = self._built(belt)
-                if len(at) >= WORTH_COMPILING:
-                    compile_together(list(self._functions[belt].values()))
-            base = rows.base
-            values = run_rows(self._functions[belt][kind], base.q[at], F[at, None], base.waypoint[at], rows.theta[at])
-            if not out.size:
-                out = np.zeros((len(base), values.shape[1]))
-            out[at] = values
-        return out
+        if not len(F):
+            return np.empty((0, 0))
+        if "_functions" not in vars(self) and len(F) >= WORTH_COMPILING:
+            compile_together(list(self._functions.values()))
+        base = rows.base
+        return run_rows(self._functions[kind], base.q, F[:, None], base.waypoint, rows.theta, base.belt[:, None])
 
     def solve(
         self,

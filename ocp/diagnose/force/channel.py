@@ -10,7 +10,6 @@ import numpy as np
 
 from ocp.calibrate.force.fit import pressed_rows
 from ocp.calibrate.force.log import Flags, ForceLog
-from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import (
     Fold,
@@ -287,9 +286,9 @@ def problem_of(
     believed = contact_prior(cell, arm)
     known, theta = log_conditions(cell, log), believed.mean[:M]
     given = tuple(a for a in effects if known.given.issuperset(a.effect.needs))
-    law, own = setup.model.law, logged_arm(cell, theta, log.q, known)
+    own = logged_arm(cell, theta, log.q, known)
     pressed = pressed_rows(setup.model, log) if pressed is None else pressed
-    scene = LogScene(cell, ForceModel(cell, law), setup.rows[0], known, own, theta, given, pressed)
+    scene = LogScene(cell, setup.model, setup.rows[0], known, own, theta, given, pressed)
     return ForceProblem.of(log, scene, believed, setup.notices)
 
 

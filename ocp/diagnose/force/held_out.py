@@ -13,7 +13,6 @@ import numpy as np
 
 from ocp.calibrate.force.assessment import without_rows
 from ocp.calibrate.force.log import Flags, ForceLog, Index
-from ocp.calibrate.force.model import ForceModel
 from ocp.calibrate.force.rows import log_conditions, prepare_force
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Predictable, Sealed, predictable
 from ocp.diagnose.force.fit import EffectFit, ForceProblem, fit_effects, linear_normal
@@ -122,7 +121,7 @@ def predict_sealed_force(
     """
     problem, scene = after[0], after[0].scene
     setup = prepare_force(scene.cell, [problem.log, sealed])
-    model = ForceModel(scene.cell, setup.model.law)
+    model = setup.model
     used = float(scene.conditions.clock.max())
     known = log_conditions(scene.cell, sealed, 0.0 if sealed.clock is not None else used)
     found: list[tuple[EffectFit, Predicted]] = []

@@ -18,6 +18,7 @@ from ocp.shell.native import ColumnFunction
 from robots.pose import Array
 
 _CHUNK = 1 << 11  # calls of one mapped function: building one for more takes longer than it saves
+_STEP = 1 << 7  # calls by which mapped functions differ: building one takes as long as some hundred calls
 _BLOCK = 1 << 16  # pairs of a row and a variant laid out at once
 
 
@@ -174,17 +175,28 @@ def _mapped_rows(made: _Compiled, rows: Array, values: Array) -> Array:
 
 
 def _run(function: ca.Function | ColumnFunction, out: Array, *arguments: Array) -> None:
-    """function of rows, written into `out`, through the arrays' own memory."""
+    """function of rows, written into `out`, through the arrays' own memory; what is left of a block is filled up with its last
+    row."""
     for start in range(0, len(out), _CHUNK):
-        block = slice(start, min(start + _CHUNK, len(out)))
+        part = out[start : start + _CHUNK]
+        n, count = len(part), _calls(len(part))
+        result = part if n == count else np.empty((count, part.shape[1]))
         buffer: Any
-        buffer, evaluate = _mapped(function.name(), function, block.stop - start).buffer()
-        held = [np.ascontiguousarray(a[block], float) for a in arguments]
+        buffer, evaluate = _mapped(function.name(), function, count).buffer()
+        rows = np.minimum(np.arange(count), n - 1)
+        held = [np.ascontiguousarray(a[start : start + n] if n == count else a[start + rows], float) for a in arguments]
         for i, a in enumerate(held):
             if a.size:
                 buffer.set_arg(i, a.data)
-        buffer.set_res(0, out[block].data)
+        buffer.set_res(0, result.data)
         evaluate()
+        if n < count:
+            part[:] = result[:n]
+
+
+def _calls(n: int) -> int:
+    """Calls of a mapped function for n rows: a power of two, from _STEP on its multiples."""
+    return min(1 << (n - 1).bit_length(), -(-n // _STEP) * _STEP)
 
 
 @lru_cache(maxsize=1024)
