@@ -17,7 +17,6 @@ import numpy as np
 
 from benchmarks.leave_out import labels_of, said
 from ocp.diagnose import rules
-from ocp.shell.processes import keep_to
 
 TOLD = ("verdict", "named", "written", "error")
 
@@ -41,7 +40,6 @@ def moved(value: Any, factor: float) -> Any:
 
 def answers(name: str, factor: float, folders: list[Path]) -> dict[str, Any]:
     """What is said of every folder with one rule moved, wherever it was imported to."""
-    keep_to(1)  # a pool's process may have none of its own
     value = getattr(rules, name)
     for module in [m for key, m in list(sys.modules.items()) if key.startswith("ocp.diagnose")]:
         if getattr(module, name, None) is value:

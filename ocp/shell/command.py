@@ -7,6 +7,7 @@ import sys
 import time
 import webbrowser
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -173,6 +174,9 @@ def refusal(error: Exception, not_solved: str = "no safe plan") -> tuple[str, in
         return f"refused: {where}{error.strerror or error}; free space or permission is wanting there", BAD_INPUT
     if isinstance(error, MemoryError):
         return f"{not_solved}, nothing written: memory does not suffice; take a smaller input", NOT_SOLVED
+    if isinstance(error, BrokenProcessPool):
+        why = "the system ended a process of this command, often for want of memory; try again, or with a smaller input"
+        return f"{not_solved}, {what_stands()}: {why}", NOT_SOLVED
     return None
 
 

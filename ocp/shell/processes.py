@@ -22,7 +22,7 @@ from concurrent.futures import wait as wait_for
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import import_module
-from multiprocessing import forkserver, get_context, parent_process
+from multiprocessing import current_process, forkserver, get_context, parent_process
 from multiprocessing.connection import wait
 from multiprocessing.context import BaseContext
 from pathlib import Path
@@ -34,11 +34,13 @@ INTERRUPTED = 130
 # for a tenth of its time.
 COLLECTED_FROM = 50_000
 MOMENT = 1.2  # s, for a child that was asked to end
+CLEARED = 0.5  # s, for what a worker that is ended does on its way out
 _temporary: str | None = None
 _told = threading.Event()
 _to_parent: int | None = None
 _cores: int | None = None  # that this process was given, where it is one of several
 _grows = False
+_lent = threading.RLock()  # the environment and `__main__` while something stands in their place: they are all threads'
 _crew: "ContextVar[_Crew | None]" = ContextVar("crew", default=None)  # the processes of the block that is open in this thread
 _given: dict[Callable[..., None], str] = {}  # in one of them: the file of the state that each start was last given
 _GROWS = b"\1"  # among the folders that a child tells of
@@ -300,7 +302,8 @@ def _pool(
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "state.pickle"
         with file.open("wb") as open_file:
-            pickle.dump((dict(os.environ), str(temporary()), share), open_file)
+            with _lent:
+                pickle.dump((dict(os.environ), str(temporary()), share), open_file)
             pickle.dump((start, state), open_file)
         pool = ProcessPoolExecutor(jobs, context, _start, (str(file),))
         try:
@@ -315,26 +318,28 @@ def _pool(
 
 def _context(modules: Sequence[str]) -> BaseContext:
     """How processes are made. On Linux they are forked off one that imports `modules` once, while this process goes on; it has
-    one thread and ends with those that it served. Elsewhere, or where its socket's name would be too long, each begins anew."""
-    if sys.platform != "linux":
+    one thread and ends with those that it served. Elsewhere, where its socket's name would be too long, or where it would not
+    hear where to import from, each begins anew."""
+    if sys.platform != "linux" or (sys.flags.ignore_environment and not sys.flags.safe_path):
         return get_context("spawn")
     context = get_context("forkserver")
     context.set_forkserver_preload(list(modules))
     # It would look in the working folder first, this process may not: what is imported has to be the same.
     paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
-    before = {name: os.environ.get(name) for name in ("PYTHONPATH", "PYTHONSAFEPATH")}
-    os.environ.update({"PYTHONPATH": paths, "PYTHONSAFEPATH": "1"})
-    try:
-        with interrupts_held_back():
-            forkserver.ensure_running()
-    except OSError:
-        return get_context("spawn")
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    with _lent:
+        before = {name: os.environ.get(name) for name in ("PYTHONPATH", "PYTHONSAFEPATH")}
+        os.environ.update({"PYTHONPATH": paths, "PYTHONSAFEPATH": "1"})
+        try:
+            with interrupts_held_back():
+                forkserver.ensure_running()
+        except OSError:
+            return get_context("spawn")
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
     return context
 
 
@@ -425,8 +430,15 @@ def _start(file: str) -> None:
         keep_to(share)
         start, state = pickle.load(open_file)
     start(*state)
-    # Ended early, a worker still removes the temporary files of what it was doing.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    signal.signal(signal.SIGTERM, _end_soon)
+
+
+def _end_soon(_signal: int, _frame: FrameType | None) -> NoReturn:
+    """Ended early, a worker still removes the temporary files of what it was doing, but begins nothing else."""
+    end = threading.Timer(CLEARED, os._exit, (143,))
+    end.daemon = True
+    end.start()
+    sys.exit(143)
 
 
 def _end_with_spawner() -> None:
@@ -444,19 +456,20 @@ def interrupts_held_back() -> Iterator[None]:
     The disposition is inherited; the parent's own is put back at the end of the block. Nor do new processes import the script
     that called: it may have no guard against being run again, or no file at all, and no work of ours is defined there.
     """
-    script = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with _lent:
+        script = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
         try:
-            yield
+            if threading.current_thread() is not threading.main_thread():
+                yield
+                return
+            before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+            try:
+                yield
+            finally:
+                signal.signal(signal.SIGINT, before)
         finally:
-            signal.signal(signal.SIGINT, before)
-    finally:
-        sys.modules["__main__"] = script
+            sys.modules["__main__"] = script
 
 
 def keep_to(share: int) -> None:
@@ -466,9 +479,10 @@ def keep_to(share: int) -> None:
 
 
 def cores() -> int:
-    """Processes worth starting: cores that this process may use, at most eight; in a worker those that it was given."""
-    if _cores is not None:
-        return _cores
+    """Processes worth starting: cores that this process may use, at most eight; in a worker those that it was given; one where
+    Python lets a process have no children (that of a `multiprocessing.Pool`)."""
+    if _cores is not None or current_process().daemon:
+        return _cores or 1
     return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 

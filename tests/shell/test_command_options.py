@@ -2,13 +2,14 @@
 
 import json
 import webbrowser
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
 import typer
 from typer.testing import CliRunner
 
-from ocp.shell.command import answer, command, command_line, run, shown_progress
+from ocp.shell.command import answer, command, command_line, refusal, run, shown_progress
 from ocp.shell.progress import Phases
 from robots.errors import BadInput
 
@@ -70,3 +71,9 @@ def test_open_shows_the_page_and_nothing_where_there_is_none(tmp_path, monkeypat
 def test_verbose_tells_a_phase_when_it_begins(tmp_path):
     told = CliRunner().invoke(app_writing(tmp_path), ["-v"])
     assert told.stderr.splitlines()[0].split() == ["0.0", "s", "milling,", "3", "steps"]
+
+
+def test_a_process_that_the_system_ended_is_one_sentence():
+    sentence, code = refusal(BrokenProcessPool("a child died"))
+    assert code == 1 and sentence.startswith("no safe plan, nothing written: ") and "memory" in sentence
+    assert refusal(RuntimeError("ours")) is None

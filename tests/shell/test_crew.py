@@ -1,10 +1,12 @@
 """Processes that several pieces of work share: each finds its own state, errors come back, nothing is left behind."""
 
 import os
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
 
 import pytest
 
@@ -129,9 +131,11 @@ def test_threads_do_not_share_a_crew_or_its_state() -> None:
         assert name == "one" or begun.wait(60.0)
         with crew():
             begun.set()
-            with workers(2, become, name) as pool, interrupts_held_back():
+            with workers(2, become, name) as pool:
                 meet.wait()
-                return {pool.submit(who).result() for _ in range(6)}
+                with interrupts_held_back():
+                    waiting = [pool.submit(who) for _ in range(6)]
+                return {one.result() for one in waiting}
 
     with ThreadPoolExecutor(2) as threads:
         one, other = threads.map(own, ("one", "other"))
@@ -143,3 +147,35 @@ def test_one_core_has_no_crew(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "_cores", 1)
     with crew(), side_by_side(who, [(1,), (2,)]) as found:
         assert {pid for _, pid in found} == {os.getpid()}
+
+
+def test_crews_of_several_threads_leave_environment_and_script_as_they_were() -> None:
+    def go() -> None:
+        with crew("json"), side_by_side(divided, [(1.0,), (2.0,)], 2.0) as found:
+            list(found)
+
+    before, script = dict(os.environ), sys.modules["__main__"]
+    for _ in range(3):
+        threads = [threading.Thread(target=go) for _ in range(3)]
+        for one in threads:
+            one.start()
+        for one in threads:
+            one.join()
+        assert dict(os.environ) == before and sys.modules["__main__"] is script
+
+
+def test_processes_that_are_ended_begin_nothing_else() -> None:
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), crew(), workers(2, become, "long") as pool:
+        with interrupts_held_back():
+            for _ in range(4):
+                pool.submit(slow, 60.0)
+        time.sleep(1.0)
+        raise KeyboardInterrupt
+    assert time.monotonic() - began < 30.0
+
+
+def test_a_process_that_may_have_no_children_works_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "_cores", None)
+    with interrupts_held_back(), get_context("spawn").Pool(1) as pool:
+        assert pool.apply(processes.cores) == 1

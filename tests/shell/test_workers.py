@@ -14,6 +14,13 @@ with workers(1, nothing) as pool:
     print("cores", waiting.result() > 0)
 """
 
+TOGETHER = """
+from ocp.shell.processes import crew, keep_to, side_by_side
+keep_to(2)
+with crew("ocp.model.cell"), side_by_side(pow, [(2,), (3,)], 2) as found:
+    print(list(found))
+"""
+
 
 def test_a_script_without_a_guard_and_one_without_a_file_start_workers(tmp_path: Path) -> None:
     file = tmp_path / "script.py"
@@ -23,3 +30,13 @@ def test_a_script_without_a_guard_and_one_without_a_file_start_workers(tmp_path:
             [sys.executable, *arguments], input=text, cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
         )
         assert told.stdout == "cores True\n", told.stderr
+
+
+def test_modules_of_the_working_folder_are_not_taken_for_those_that_are_imported(tmp_path: Path) -> None:
+    (tmp_path / "aside").mkdir()
+    (tmp_path / "casadi.py").write_text("raise SystemExit('not this one')")
+    file = tmp_path / "aside" / "script.py"
+    file.write_text(f"import sys; sys.path.append({str(ROOT)!r})\n" + TOGETHER)
+    for flags in ([], ["-E"], ["-I"]):
+        told = subprocess.run([sys.executable, *flags, str(file)], cwd=tmp_path, capture_output=True, text=True)
+        assert told.stdout == "[4, 8]\n", told.stderr
