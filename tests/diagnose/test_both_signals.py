@@ -10,11 +10,13 @@ import pytest
 from ocp.calibrate.force.fit import FIT_NAMES
 from ocp.diagnose.answering import channels_of, tracker_channel
 from ocp.diagnose.dataset import read_data_set
-from ocp.diagnose.force.channel import force_channel
+from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.prior import arm_with_effects, contact_prior
+from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.shell.progress import Phases
+from robots.errors import Infeasible
 from tests.support.house import ROOT
 
 WORLDS = ROOT.parent / "shared" / "data" / "worlds"
@@ -41,10 +43,16 @@ def folder_with(folder, scale):
     return folder
 
 
-@pytest.mark.skipif(not WORLDS.is_dir(), reason="no ../shared/data/worlds")
-def test_what_an_encoder_explains_is_not_in_the_arm_twice(tmp_path):
+@pytest.fixture(scope="module")
+def channels(tmp_path_factory):
+    if not WORLDS.is_dir():
+        pytest.skip("no ../shared/data/worlds")
+    return channels_of(read_data_set(folder_with(tmp_path_factory.mktemp("both") / "off", SCALE)), Phases())
+
+
+def test_what_an_encoder_explains_is_not_in_the_arm_twice(channels, tmp_path):
     """Else a corrected cell holds it in geometry and as an effect: 3.5 N too much where 2.4 N were wrong."""
-    readings, off = channels_of(read_data_set(folder_with(tmp_path / "off", SCALE)), Phases())
+    readings, off = channels
     assert off.tracker is readings
     made = off.with_active((Active(library()["encoder_scale"], 3, np.array([SCALE]), {}, np.zeros((1, 1))),))
     sound = read_data_set(folder_with(tmp_path / "sound", 0.0))
@@ -56,3 +64,22 @@ def test_what_an_encoder_explains_is_not_in_the_arm_twice(tmp_path):
     arm = arm_with_effects(tracker_channel(sound), ())
     bent = replace(arm, provenance=arm.provenance | {"bending_joints": [2, 3, 5]})
     assert force_channel(sound.cell, sound.log, arm=bent).problem.scene.cell.compliant_joints == (2, 3, 5)
+
+
+def test_what_the_readings_tell_is_told_beside_a_log_that_no_name_fits(channels, monkeypatch):
+    original = ForceChannel.with_active
+
+    def restless(self, active):
+        if any(not self.blind(a.effect) for a in active):
+            raise Infeasible("no rest")
+        return original(self, active)
+
+    monkeypatch.setattr(ForceChannel, "with_active", restless)
+    names = ("encoder_scale", "joint_compliance", "geometry", "sensor_bias", "sensor_gain", "wheel_wear")
+    found = diagnose_channels(channels, {n: e for n, e in library().items() if n in names})
+    assert [a.key for a in found.active] == [("encoder_scale", 3)] and found.verdict == "partly"
+    assert [c.name for c in found.channels] == ["tracker", "force"] and not found.channels[1].active
+    assert any(why.startswith("force: 3 fits in a row") for why in found.unknown_reasons)
+    # A log on its own is told as such.
+    alone = diagnose_channels(channels[1:], {n: e for n, e in library().items() if n in names})
+    assert not alone.active and alone.verdict != "explained"

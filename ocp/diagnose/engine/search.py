@@ -38,21 +38,23 @@ from robots.pose import Array
 
 @dataclass
 class Diverged:
-    """Sets of names whose fit diverged, how often each name was new in one, names that were in a fit that converged, and how many
-    fits diverged since."""
+    """Sets of names whose fit diverged, how often each name was new in one, names that were in a fit that converged, how many
+    fits diverged since, and those of which channels."""
 
     sets: set[frozenset[Name]] = field(default_factory=set)
     count: Counter[Name] = field(default_factory=Counter)
     fitted: set[Name] = field(default_factory=set)
     since: int = 0
+    channels: set[str] = field(default_factory=set)
 
-    def add(self, names: Iterable[Name]) -> None:
-        """A set whose fit diverged."""
+    def add(self, names: Iterable[Name], channel: str = "") -> None:
+        """A set whose fit to a channel diverged."""
         found = frozenset(names)
         if found:  # without effects a channel is the one that was fitted
             self.sets.add(found)
             self.count.update(found - self.fitted)
             self.since += 1
+            self.channels.add(channel)
 
     def converged(self, names: Iterable[Name]) -> None:
         """A set whose fit converged: what holds its names may fail for others' sake."""
@@ -60,6 +62,7 @@ class Diverged:
         self.sets.discard(found)
         self.fitted |= found
         self.since = 0
+        self.channels.clear()
 
     @property
     def hopeless(self) -> bool:
@@ -113,11 +116,15 @@ def search_and_refit(
                 tried.add(freed)
                 break
             tried.add(effects_key(chosen, 2))
-            try:
-                channels = [c.with_active(chosen) for c in problem.channels]
-            except Infeasible:
-                diverged.add(Name(*a.key) for a in chosen)
-                diverged.strike(search, problem)
+            channels = []
+            for channel in problem.channels:
+                try:
+                    channels.append(channel.with_active(chosen))
+                except Infeasible:
+                    diverged.add((Name(*a.key) for a in chosen), channel.name)
+                    diverged.strike(search, problem)
+                    channels = None
+                    break
         seeds = [problem.names(k) for k in search.best()]
         problem = linearised(channels, library, options)
 

@@ -24,6 +24,7 @@ from robots.pose import Array
 
 USUAL = Options()
 NO_REST = "no fit with it comes to rest"
+NONE_RESTS = f"{rules.HOPELESS_FITS} fits in a row come to no rest, so no other name was tried"
 
 
 def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect], options: Options = USUAL) -> Diagnosis:
@@ -34,31 +35,42 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
     if len(lost) == len(baseline):
         library = {}
     elif lost:
-        found = diagnose_channels([c for c in baseline if c.name not in lost], library, options)
-        after = {c.name: c for c in found.channels} | lost
-        return _scattering(replace(found, baseline=baseline, channels=tuple(after[c.name] for c in baseline)))
+        return _scattering(_without(lost, baseline, library, options))
     few = tuple(_thinned(c, rules.MOST_SEARCHED) for c in baseline)
     diverged = Diverged()
     first = linearised(few, library, options)
     problem, search = search_and_refit(first, library, options, diverged)
+    spoilt = {c.name: c for c in baseline if diverged.hopeless and c.name in diverged.channels}
+    if 0 < len(spoilt) < len(baseline):
+        return _scattering(_without(spoilt, baseline, library, options), *(f"{name}: {NONE_RESTS}" for name in spoilt))
     if posterior(problem, search).p_unknown > rules.LEADS and misses_far_more_than_noise(problem, search):
         selected = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
         return _scattering(findings(baseline, first, selected.problem, selected.search, library, options, selected.refused))
     found = findings(baseline, first, problem, search, library, options)
-    whys = tuple(f"{n}: {NO_REST}" for n in diverged.names())
+    whys = (*(f"{n}: {NO_REST}" for n in diverged.names()), *(f"{name}: {NONE_RESTS}" for name in spoilt))
     return _scattering(replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys)))))
 
 
-def _scattering(found: Diagnosis) -> Diagnosis:
+def _without(
+    lost: Mapping[str, Channel], baseline: tuple[Channel, ...], library: Mapping[str, Effect], options: Options
+) -> Diagnosis:
+    """Findings of the other channels; those by name stay as they are without effects."""
+    found = diagnose_channels([c for c in baseline if c.name not in lost], library, options)
+    after = {c.name: c for c in found.channels} | dict(lost)
+    return replace(found, baseline=baseline, channels=tuple(after[c.name] for c in baseline))
+
+
+def _scattering(found: Diagnosis, *reasons: str) -> Diagnosis:
     """Findings that take no scatter for noise which no such machine has: what a fit learns of its noise holds whatever is not
-    modelled, so that rows of two campaigns under each other would be no gap, nor a log that jumps to and fro."""
+    modelled, so that rows of two campaigns under each other would be no gap, nor a log that jumps to and fro. reasons: others for
+    which something is outside the catalogue."""
     wild = [f"{c.name}: readings scatter {c.scatters}" for c in found.channels if isinstance(c, Scattering) and c.scatters]
-    if not wild:
+    whys = (*reasons, *(f"{why}, and with nothing that was recorded" for why in wild[:1]))
+    if not whys:
         return found
-    why = f"{wild[0]}, and with nothing that was recorded"
     told = found.p_unknown > rules.LEADS
     unknown = found.p_unknown if told else 1.0 - (1.0 - found.p_unknown) * (1.0 - rules.SUSPECT)
-    return replace(found, p_unknown=unknown, unknown_reasons=(*found.unknown_reasons, why))
+    return replace(found, p_unknown=unknown, unknown_reasons=(*found.unknown_reasons, *whys))
 
 
 def _thinned(channel: Channel, most: int) -> Channel:
