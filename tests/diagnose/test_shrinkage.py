@@ -28,6 +28,7 @@ from ocp.diagnose.verdict.shrinkage import (
     from_model,
     promised_by_kind,
     promised_later,
+    unexplained,
 )
 from ocp.effects.effect import Active
 from robots.gravity import GRAVITY
@@ -114,6 +115,11 @@ def test_folds_that_are_no_worse_than_chance_take_nothing_away():
     bare = from_model(new(24.0), [], 1.0)
     told = from_model(new(24.0), [held(25.0, 1.25)], 1.0)  # the errors of estimation, a fifth more on four fifths of the data
     assert told.predicted == pytest.approx(bare.predicted, abs=0.05)
+    # Gross readings make folds so unsure that only the prior says what is unexplained: a normal law far out in its tail.
+    gross = replace(held(25.0, 0.0), after_rows=np.where(np.arange(400) == 7, 1e6, 1.0))
+    for unsure in (gross, replace(gross, after_rows=-gross.after_rows)):
+        size = unexplained([unsure], 0.0, np.random.default_rng(0))
+        assert np.isfinite(size).all() and (size >= 0).all() and size.max() < 5.0
 
 
 def lasting_truth(seed: int, size: float):

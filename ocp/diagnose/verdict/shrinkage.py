@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import expit, log_ndtr, ndtr, ndtri
+from scipy.special import expit, log_ndtr, ndtri_exp
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.channel_system import Channel, HeldOut
@@ -196,7 +196,7 @@ def unexplained(held: Sequence[HeldOut], estimation: float, rng: np.random.Gener
     log = 0.5 * (centre / error) ** 2 + float(log_ndtr(centre / error)) + np.log(error / scale) + 0.5 * np.log(2 * np.pi)
     there = expit(log + np.log((1 - rules.NOTHING_UNEXPLAINED) / rules.NOTHING_UNEXPLAINED))
     uniform = rng.uniform(size=DRAWS)
-    size = centre - error * ndtri(ndtr(centre / error) * (1.0 - uniform))
+    size = centre - error * ndtri_exp(log_ndtr(centre / error) + np.log1p(-uniform))
     return np.where(rng.uniform(size=DRAWS) < there, np.maximum(size, 0.0), 0.0)
 
 
