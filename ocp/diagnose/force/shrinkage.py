@@ -4,8 +4,8 @@ The log's recordings are ground once more, later on the same clock; nothing seal
 is larger there than in any part of the log that could be left out, and the baseline, registered on the log, does not follow. New
 readings are taken to come soon after the log's end or as much later as the log itself took, or, less probably, between its
 recordings. Where warmth counts the hall is as warm as at the log's end or goes on warming as it did, and the wheel is warm or has
-cooled down. Beside what the effects change stand the errors of the unknowns and what recordings differ by (docs/diagnose.md,
-eq. 2).
+cooled down. Beside what the effects change stand the errors of the unknowns (docs/diagnose.md, eq. 2). What recordings differ by
+is noise, which is no part of a gap.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
 from ocp.diagnose.force.prediction import LogScene, predict_anew
-from ocp.diagnose.rules import BETWEEN_RUNS, LATER_FORCE, NO_GAP, RECORDING_WEIGHT, RUN_SD
+from ocp.diagnose.rules import BETWEEN_RUNS, LATER_FORCE, NO_GAP, RECORDING_WEIGHT
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval, unexplained
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
@@ -131,19 +131,18 @@ def from_grinding(
     new: LaterGrinding, noise: float, held: Sequence[HeldOut] = (), unknown: float = 0.0, seed: int = 0
 ) -> Shrinkage | None:
     """Of force readings: what is anticipated; noise: mean square N^2. Drawn are which alternative is true, how late the readings
-    come, of which recordings they are, the unknowns' errors, what recordings differ by, what is there under no name. Folds
-    alone do not say whether something is: gross readings leave as much. None: no gap to speak of."""
+    come, of which recordings they are, the unknowns' errors, what is there under no name. Folds alone do not say whether
+    something is: gross readings leave as much. None: no gap to speak of."""
     rng = np.random.default_rng(seed)
     errors = drawn_errors(new.covariance, rng)
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
     when = rng.choice(len(new.share), DRAWS, p=new.share)
     runs = int(new.run.max()) + 1
     rows = rng.dirichlet(np.full(runs, RECORDING_WEIGHT), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
-    own = RUN_SD * rng.normal(size=(DRAWS, runs))[:, new.run]
     before, after = np.zeros(DRAWS), np.zeros(DRAWS)
     for k, moved in enumerate(new.moved):
         at = when == k
-        off, planted = errors[at] @ new.errors[k].T + own[at], moved[true[at]]
+        off, planted = errors[at] @ new.errors[k].T, moved[true[at]]
         after[at] = np.sum(rows[at] * (moved[0] - planted + off) ** 2, axis=1)
         before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
     errors_of_effects = [h.estimation for h in held if h.fold.kind == "random"]
