@@ -1,6 +1,6 @@
 """Effects at the contact and on the force reading against formulas of their own, number by number."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -206,6 +206,11 @@ def test_rubber_lets_go_as_a_standard_linear_solid():
     assert (lost[~x.contact] == 0).all()
     assert lost[x.contact] == pytest.approx(solid[x.contact], abs=0.05)  # one sample of the lag
     assert lost[x.run == 1][0] == 0.0 and lost[-1] == pytest.approx(-2.0, abs=0.05)
+    # A log of one row, and forces that are no numbers: whoever asked sees it.
+    alone = replace(x, **{f.name: getattr(x, f.name)[-1:] for f in fields(x) if f.name != "clock"})
+    assert library()["wheel_relaxation"].along(alone, 0, {"tau": 0.5})[:, 0].tolist() == [0.0]
+    off = replace(x, F=np.where(x.run == 1, np.nan, x.F))
+    assert not np.isfinite(library()["wheel_relaxation"].along(off, 0, {"tau": 0.5})).all()
 
 
 @pytest.mark.parametrize(("clocked", "turn"), [(0.0, 0.3), (1.0, 0.7)])
