@@ -56,14 +56,11 @@ class Model:
     joint_give: ca.SX
 
 
-def build_model(
-    cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = False, any_bend: bool = False, belt_sign: ca.SX | None = None
-) -> Model:
+def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = False, any_bend: bool = False) -> Model:
     """The model of `cell` with the wheel's force law; `sigma` +1 grinds "down", -1 "up" (docs/architecture.md).
 
     `uncertain`: coefficients of the cell's effects are parameters after theta's own, else numbers. `any_bend`: the last six
-    numbers of w say which joints bend under weight (1 or 0), else the cell does. `belt_sign`: a symbol for the sign of the belt's
-    speed (1, 0 or -1), else the cell has it.
+    numbers of w say which joints bend under weight (1 or 0), else the cell does. Friction and belt speed may be symbols.
     """
     q, F, effects = ca.SX.sym("q", 6), ca.SX.sym("F"), ModelEffects.of(cell.effects, uncertain)
     w, theta = ca.SX.sym("w", N_WAYPOINT), ca.SX.sym("theta", Theta.size)
@@ -78,15 +75,13 @@ def build_model(
 
     radius = cell.wheel.radius + par["wheel_radius"]
     axis, e, belt, lateral, delta, arc = _on_wheel(cell, par, p, radius)
-    sign = ca.SX(np.sign(cell.wheel.belt_speed)) if belt_sign is None else belt_sign
-    travel = ca.SX(cell.wheel.travel) if belt_sign is None else ca.if_else(belt_sign < 0, -1, 1)
-    heading = -sigma * travel * t
+    heading = -sigma * ca.if_else(cell.wheel.belt_speed < 0, -1, 1) * t
     turn = ca.atan2(ca.dot(heading, axis), ca.dot(heading, belt))
     tilt = -ca.vertcat(ca.dot(n, belt), ca.dot(n, axis)) / ca.dot(n, e)
     curvature = _relative_curvature(radius, waypoint["curvature"], n, t, belt, axis)
 
     friction = ca.SX.sym("friction") if effects.on_contact else ca.SX(cell.wheel.friction)
-    force_direction = e + friction * sign * belt
+    force_direction = e + friction * ca.sign(cell.wheel.belt_speed) * belt
     x_flange = _flange_stroke(cell, F, n, T_base_flange, par)
     d_wheel = waypoint["indentation_correction"] + law.indentation(
         F / (1 + par["cover_stiffness_scale"]), curvature[0], curvature[1], curvature[2], lateral, tilt[0], tilt[1]

@@ -100,9 +100,11 @@ class ForceModel:
 
     @cached_property
     def _functions(self) -> dict[str, ColumnFunction]:
-        friction: Any = ca.SX.sym("mu")  # a symbol in the place of a number: the parts' derivative in it is wanted
-        belt = ca.SX.sym("belt")
-        model = build_model(replace(self.cell, wheel=replace(self.cell.wheel, friction=friction)), self.law, belt_sign=belt)
+        # Symbols in the place of numbers: the parts' derivative in the friction is wanted, and rows differ in the belt's sign.
+        friction: Any = ca.SX.sym("mu")
+        belt: Any = ca.SX.sym("belt")
+        wheel = replace(self.cell.wheel, friction=friction, belt_speed=belt)
+        model = build_model(replace(self.cell, wheel=wheel), self.law)
         slope, slopes = ca.jacobian(model.residual, model.F), ca.jacobian(model.parts, model.F)
         place = [
             model.arc,
