@@ -80,6 +80,3 @@ def test_what_the_readings_tell_is_told_beside_a_log_that_no_name_fits(channels,
     assert [a.key for a in found.active] == [("encoder_scale", 3)] and found.verdict == "partly"
     assert [c.name for c in found.channels] == ["tracker", "force"] and not found.channels[1].active
     assert any(why.startswith("force: 3 fits in a row") for why in found.unknown_reasons)
-    # A log on its own is told as such.
-    alone = diagnose_channels(channels[1:], {n: e for n, e in library().items() if n in names})
-    assert not alone.active and alone.verdict != "explained"

@@ -103,6 +103,7 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
             raise Infeasible("no rest")
         return original(self, active)
 
+    bias = _active("sensor_bias")
     monkeypatch.setattr(type(channel), "with_active", restless)
     problem, search = search_and_refit(linearised([channel], known, Options()), known, Options())
     chosen = {problem.pool.families[f].name.effect for key in search.sets for f in key}
@@ -136,15 +137,21 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
     lost = Diverged(fitted={Name("wheel_wear", 0)})
     for name in ("sensor_bias", "sensor_gain", "belt_tension"):
         assert not lost.hopeless
-        lost.add([Name(name, 0)])
-    assert lost.hopeless and len(lost.names()) == 3
+        lost.add([Name(name, 0)], "force")
+    assert lost.hopeless and len(lost.names()) == 3 and lost.channels == {"force"}
     lost.strike(last, problem)
     named = {problem.pool.families[f].name.effect for key in last.sets for f in key if not (last.kernel | last.background)[f]}
     assert named <= {"wheel_wear"} and frozenset() in last.sets
+    lost.converged([Name("wheel_wear", 0)])
+    assert not lost.hopeless and not lost.channels
     # Nothing fits with the name that the readings ask for: it is not told, and what is told says why.
     found = diagnose_channels([channel], known)
     assert not any(n.effect == "sensor_bias" for e in found.explanations for n in e.names)
     assert not found.active or all(a.effect.name != "sensor_bias" for a in found.active)
+    # Nothing fits with any name: a log on its own is told as such.
+    monkeypatch.setattr(type(channel), "with_active", lambda self, active: restless(self, [bias] if active else active))
+    found = diagnose_channels([channel], known)
+    assert not found.active and "force: 3 fits in a row come to no rest, so no other name was tried" in found.unknown_reasons
 
 
 def test_a_name_that_no_fit_of_all_readings_takes_is_not_told(made: Made, tmp_path, monkeypatch):  # noqa: F811

@@ -203,16 +203,26 @@ def test_sigma_flips_the_heading():
 
 
 @pytest.mark.parametrize("sign", [1, -1, 0])
-def test_a_belts_speed_may_be_a_symbol(sign):
-    cell, belt = bundled_cell(), ca.SX.sym("belt")
-    own, one = (build_model(replace(cell, wheel=replace(cell.wheel, belt_speed=v)), LineLaw()) for v in (20.0 * sign, belt))
-    at = (Q, 21.0, problem().waypoints[0], believed_theta(cell).values)
+def test_friction_and_heading_go_with_the_belt_whose_speed_may_be_a_symbol(sign):
+    """By hand: joint 1 turns about the base's z, the force is F (e + mu sign belt), the heading is against the belt's travel."""
+    cell, speed, force = bundled_cell(), ca.SX.sym("belt"), 21.0
+    own, one = (build_model(replace(cell, wheel=replace(cell.wheel, belt_speed=v)), LineLaw()) for v in (20.0 * sign, speed))
+    w, theta = problem().waypoints[0], believed_theta(cell).values
 
     def seen(model, *more):
-        told = ca.vertcat(model.residual, model.parts, model.turn, model.tilt, model.joint_give)
+        told = ca.vertcat(model.joint_give[0], model.turn, model.residual, model.parts, model.tilt, ca.vec(model.T_base_blade))
         return ca.Function("seen", [model.q, model.F, model.w, model.theta, *more], [told])
 
-    assert np.array_equal(np.asarray(seen(one, belt)(*at, sign)), np.asarray(seen(own)(*at)))
+    found = np.asarray(seen(one, speed)(Q, force, w, theta, sign)).ravel()
+    assert np.array_equal(found, np.asarray(seen(own)(Q, force, w, theta)).ravel())
+    T = found[-16:].reshape(4, 4, order="F")
+    p, t = T[:3, :3] @ w[:3] + T[:3, 3], T[:3, :3] @ w[6:9]
+    v = p - cell.wheel.centre
+    e = v - (v @ cell.wheel.axis) * cell.wheel.axis
+    e /= np.linalg.norm(e)
+    belt, lever, heading = np.cross(cell.wheel.axis, e), np.cross([0.0, 0.0, 1.0], p), -t if sign >= 0 else t
+    assert found[0] == pytest.approx(force * (lever @ e) * (lever @ (e + cell.wheel.friction * sign * belt)), rel=1e-9)
+    assert found[1] == pytest.approx(np.arctan2(heading @ cell.wheel.axis, heading @ belt), abs=1e-9)
 
 
 def test_joint_noise_adds_to_the_forces_standard_deviation_as_finite_differences_say():
