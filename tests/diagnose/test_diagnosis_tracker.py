@@ -10,12 +10,13 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
-from ocp.diagnose.tracker.refit import believed_baseline, reliability, settled
+from ocp.diagnose.tracker.refit import believed_baseline, linearise_with, points_with, reliability, settled
 from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.doubts import cancelling, implausible
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
+from robots.calibration.layout import moved
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput
 from robots.gravity import weight_torques
@@ -134,6 +135,30 @@ def test_weights_that_no_catalogue_knows_are_neither_named_nor_left():
     sealed = c.predict(new, ())
     off = (sealed.baseline - points(new)) / sealed.sigma
     assert np.sqrt(np.mean(off**2)) < 1.0
+
+
+def test_weights_bend_what_a_named_effect_lets_give():
+    """Where joint 2 gives four times what is believed, so do weights that are a little off there: derivatives of links' and
+    payloads' masses are those of the prediction."""
+    readings, _ = world(4, n=40)
+    c, spring = channel(readings), LIBRARY["joint_compliance"]
+    active = (Active(spring, 2, np.array([1.0]), {"unit": 1e-6}, np.eye(1)),)
+    state, layout = c.fit.state, c.task.layout
+    J = linearise_with(c.task, state, active)[0].J[:, :3]
+    for at in (*layout.links[:2], *layout.payload[:, 0]):
+        if at >= 0:
+            step = np.zeros(layout.size)
+            step[at] = 0.1 * layout.prior_sd[at]
+            ends = [points_with(c.task, moved(layout, state, side * step), active) for side in (1.0, -1.0)]
+            slope = (ends[0] - ends[1]) / (2.0 * step[at])
+            np.testing.assert_allclose(J[:, :, at], slope, atol=0.01 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("seed", [4, 9])
+def test_a_soft_joint_under_weights_that_no_catalogue_knows_is_all_that_is_named(seed):
+    soft = np.array([0.0, 1.4e-6, 4e-7, 0.0, 0.0, 0.0])
+    found = diagnosed(world(seed, compliance=soft, weights=True)[0], where=False)
+    assert {Name(*a.key) for a in found.active} == {Name("joint_compliance", 2)}, found.ranking[:4]
 
 
 @pytest.mark.parametrize("quiet, named", [(QUIET, True), (2.0, False)])

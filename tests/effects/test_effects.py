@@ -2,6 +2,7 @@
 
 import pickle
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -156,6 +157,25 @@ def test_a_large_effect_is_predicted_by_shifting_the_joints(name):
     linear = p.point + shift.at(rows, p.point, p.d_joints)[0, ..., 0]
     assert np.abs(point - expected).max() < 2e-3 * np.abs(expected - p.point).max() + 1e-7
     assert np.isfinite(linear).all()
+
+
+def test_a_joint_that_gives_more_bends_under_a_payload_that_weighs_more():
+    """A softer spring and a heavier payload, effects both, are an arm with that spring that carries that payload."""
+    spring, heavier = 1e-6, 9.0
+    arm, inputs, rows, p = believed()
+    soft, loads = arm.copy(), inputs.payload.copy()
+    soft[31] += spring
+    loads[POSES.payload == 2, 0] += heavier
+    both = [
+        Active(library()["joint_compliance"], 2, np.array([spring]), {"unit": 1.0}, np.eye(1)),
+        Active(library()["payload_mass"], 0, np.array([heavier]), {"payload": list(PAYLOADS)[2]}, np.eye(1)),
+    ]
+    shift = arm_shift(both, rows)
+    found = predict(EXTRA, arm, RowInputs(inputs.q + shift.joints[0, :, :, 0], *list(vars(inputs).values())[1:])).point
+    expected = predict(EXTRA, soft, replace(inputs, payload=loads)).point
+    alone = sum(np.abs(arm_shift([one], rows).joints[0, :, :, 0]) for one in both)
+    assert np.abs(found - expected).max() < 0.01 * np.abs(expected - p.point).max()
+    assert np.abs(np.abs(shift.joints[0, :, :, 0]) - alone).max() > 5e-5  # rad: what each does alone is not the whole
 
 
 def test_many_variants_at_once_are_the_variants_one_by_one():

@@ -47,7 +47,7 @@ class TrackerChannel:
     @cached_property
     def seen(self) -> PlacedReadings:
         """Readings as effects see them."""
-        return placed_readings(self.task, self.fit.state, self.fit.linear.point)
+        return placed_readings(self.task, self.fit.state, (*self.task.believed, *self.fit.active), self.fit.linear.point)
 
     @property
     def active(self) -> tuple[Active, ...]:

@@ -72,7 +72,7 @@ def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[
     rows = np.sort(np.concatenate([np.flatnonzero(held & good & there), *own]))
     if train.sum() < LEAST_TRAIN or len(rows) < LEAST_TEST:
         return None
-    seen = placed_readings(task, fit.state, fit.linear.point)
+    seen = placed_readings(task, fit.state, (*task.believed, *fit.active), fit.linear.point)
     whole = fit.linear.residual + added(fit.active, seen, fit)[1]
     extra, _ = added(active, seen, fit)
     without, with_effects = (
@@ -140,7 +140,8 @@ def predict_sealed_readings(
     seen = replace(sealed, turn=None, sigma_turn=None, point=np.nan_to_num(sealed.point))
     baseline = _points(before_task, before, seen, lasting, Predictable((), (), np.zeros(0, np.int64)), says)[0]
     corrected, covariance = _points(after_task, after, seen, lasting, parted, says)
-    usual = np.mean(added(parted.unknown, placed_readings(after_task, after.state), after)[1] ** 2, axis=0)
+    there = placed_readings(after_task, after.state, (*after_task.believed, *after.active))
+    usual = np.mean(added(parted.unknown, there, after)[1] ** 2, axis=0)
     sigma = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0) + usual)
     return Sealed(baseline, corrected, sigma, parted.lacking)
 

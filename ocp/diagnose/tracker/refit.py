@@ -43,6 +43,7 @@ from robots.calibration.residuals import Linearised, linearise, points
 from robots.calibration.solver import Campaign
 from robots.calibration.validation import GROSS
 from robots.gauss_newton import Rule, minimise
+from robots.gravity import weight_torques
 from robots.pose import Array
 
 STEPS = 8
@@ -142,11 +143,12 @@ def linearise_with(task: Task, state: State, active: tuple[Active, ...]) -> tupl
     """Residuals about state and effects, and the effects' columns (n, 3, m)."""
     c = task.campaign
     n = len(c.readings)
-    parts, shift, displacement = _moved(task, state, (*task.believed, *active))
-    sag = link_sag(task, state)
+    parts, shift, displacement, more = _moved(task, state, (*task.believed, *active))
+    sag = link_sag(task, state, more)
     turned = replace(c.readings, q=c.readings.q + shift + sag @ state.links)
     linear = linearise(c.robot, turned, c.instrument, task.layout, state)
     linear.J[:, :3, task.layout.links] = linear.d_joints @ sag
+    _hang_heavier(task, state, more, linear)
     linear = replace(linear, residual=linear.residual - displacement, point=linear.point + displacement)
     columns = [linear.d_joints @ p[:, :6] + p[:, 6:] for p in parts[len(task.believed) :]]
     extra = np.concatenate(columns, axis=2) if active else np.zeros((n, 3, 0))
@@ -156,23 +158,40 @@ def linearise_with(task: Task, state: State, active: tuple[Active, ...]) -> tupl
 def points_with(task: Task, state: State, active: tuple[Active, ...]) -> Array:
     """Predicted reflectors (n, 3) m alone, as `linearise_with` gives them."""
     c = task.campaign
-    _, shift, displacement = _moved(task, state, (*task.believed, *active))
-    turned = replace(c.readings, q=c.readings.q + shift + link_sag(task, state) @ state.links)
+    _, shift, displacement, more = _moved(task, state, (*task.believed, *active))
+    turned = replace(c.readings, q=c.readings.q + shift + link_sag(task, state, more) @ state.links)
     return points(c.robot, turned, c.instrument, state) + displacement
 
 
-def _moved(task: Task, state: State, whole: tuple[Active, ...]) -> tuple[list[Array], Array, Array]:
-    """`together` of the task's readings; nothing where there are no effects."""
+def _moved(task: Task, state: State, whole: tuple[Active, ...]) -> tuple[list[Array], Array, Array, Array]:
+    """`together` of the task's readings, and by how much the effects let joints give (n, 6) rad/(N m); nothing where there are
+    none."""
     n = len(task.campaign.readings)
-    return together(whole, placed_readings(task, state)) if whole else ([], np.zeros((n, 6)), np.zeros((n, 3)))
+    if not whole:
+        return [], np.zeros((n, 6)), np.zeros((n, 3)), np.zeros((n, 6))
+    seen = placed_readings(task, state, whole)
+    return *together(whole, seen), seen.more[1]
 
 
-def link_sag(task: Task, state: State) -> Array:
-    """By how much the joints bend (n, 6, w) rad per unit of what the links' weights are off, to first order."""
+def link_sag(task: Task, state: State, more: Array) -> Array:
+    """By how much the joints bend (n, 6, w) rad per unit of what the links' weights are off, to first order, through springs and
+    effects (`more` (n, 6) rad/(N m))."""
     c = task.campaign
     if not len(task.layout.links):
         return np.zeros((len(c.readings), 6, 0))
-    return np.asarray(np.clip(state.arm[30:], 0.0, None)[:, None] * link_torques(c.robot, c.readings.q))
+    springs = np.clip(state.arm[30:], 0.0, None) + more
+    return np.asarray(springs[:, :, None] * link_torques(c.robot, c.readings.q))
+
+
+def _hang_heavier(task: Task, state: State, more: Array, linear: Linearised) -> None:
+    """Adds to the payloads' columns what their masses bend through effects (`more`): the arm's own derivative has the springs."""
+    c = task.campaign
+    for k, at in enumerate(task.layout.payload[:, 0]):
+        rows = np.flatnonzero(c.readings.payload == k)
+        if at >= 0 and len(rows):
+            q, centre = c.readings.q[rows], state.payloads[k, 1:]
+            each = weight_torques(c.robot, q, 1.0, centre) - weight_torques(c.robot, q)
+            linear.J[rows, :3, at] += np.einsum("nij,nj->ni", linear.d_joints[rows], more[rows] * each)
 
 
 def with_weights(layout: Layout, campaign: Campaign) -> Layout:
@@ -199,11 +218,11 @@ def with_weights(layout: Layout, campaign: Campaign) -> Layout:
     )
 
 
-def placed_readings(task: Task, state: State, point: Array | None = None) -> PlacedReadings:
-    """The readings about a state, for effects; point (n, 3) m: their reflectors, as measured by default."""
+def placed_readings(task: Task, state: State, active: Sequence[Active], point: Array | None = None) -> PlacedReadings:
+    """The readings about a state and the effects that act there; point (n, 3) m: their reflectors, as measured by default."""
     c = task.campaign
     point = c.readings.point if point is None else point
-    return PlacedReadings(c.robot, c.readings, c.instrument, state, point, task.reference, task.start.arm[30:])
+    return PlacedReadings(c.robot, c.readings, c.instrument, state, point, task.reference, task.start.arm[30:], tuple(active))
 
 
 @dataclass(frozen=True)

@@ -259,13 +259,52 @@ def arm_columns(effect: Effect, joint: int, scans: Sequence[Scanned], rows: ArmR
     return ArmColumns(moving, shift, twists)
 
 
+WEIGHT_OFF = 0.05  # of the rms load torque: about what a catalogue's weights are off by
+
+
+def loaded(active: Sequence[Active], rows: ArmRows) -> ArmRows:
+    """The rows with the load torques that active effects add."""
+    added = _summed(active, "torque", rows, rows.state)
+    return rows if added is None else _with(rows, tau=rows.block("tau") + added)
+
+
+def softened(active: Sequence[Active], rows: ArmRows) -> ArmRows:
+    """The rows with springs that give as much more as active effects turn the joints with their load torques: a secant over
+    `WEIGHT_OFF`, as play turns over at once."""
+    tau = rows.block("tau")
+    step = WEIGHT_OFF * np.sqrt(np.mean(tau**2, axis=0)) + 1.0  # N m
+    ends = [_summed(active, "joint", rows, _with(rows, tau=tau + side * step).state) for side in (1.0, -1.0)]
+    return rows if ends[0] is None or ends[1] is None else _with(rows, c=rows.block("c") + (ends[0] - ends[1]) / (2.0 * step))
+
+
+def _summed(active: Sequence[Active], kind: str, rows: ArmRows, state: Array) -> Array | None:
+    """What hooks of a kind, joint or torque, do at their values at `state` (n, 6); None where no effect has one."""
+    found = None
+    for one in active:
+        if getattr(one.effect, kind) is not None:
+            where, value = evaluated_sparsely(Hook(one.effect, kind, one.joint, ARM_LAYOUT, rows.place), state, (one.scanned,))
+            found = np.zeros((len(state), 6)) if found is None else found
+            found[:, where] += value[0] @ one.a
+    return found
+
+
+def _with(rows: ArmRows, **blocks: Array) -> ArmRows:
+    """The rows with other columns of `ARM_LAYOUT`."""
+    state = rows.state.copy()
+    for name, values in blocks.items():
+        state[:, ARM_LAYOUT.places[name]] = values
+    return ArmRows(rows.place, state)
+
+
 def arm_shift(active: Sequence[Active], rows: ArmRows) -> ArmColumns:
-    """The joint shifts and twists of effects with values, summed: one variant, one coefficient of one.
+    """The joint shifts and twists of effects with values, summed: one variant, one coefficient of one. What turns with the load
+    turns with the torques that other effects add.
 
     For a nonlinear prediction predict at q + joints[0, :, :, 0] and add `at` with d_joints of zeros for the twists.
     """
     joints = np.zeros((1, len(rows), 6, 1))
     twists: dict[int, Array] = {}
+    rows = loaded(active, rows)
     for item in active:
         if not item.effect.on_arm:
             continue

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ocp.effects.effect import Active, Effect, Scanned
-from ocp.effects.engine.evaluate import ArmRows, TrackerRows, arm_columns, arm_rows, tracker_columns
+from ocp.effects.engine.evaluate import ArmRows, TrackerRows, arm_columns, arm_rows, loaded, softened, tracker_columns
 from robots.calibration.layout import State, believed_compliance
 from robots.calibration.residuals import row_groups
 from robots.calibration.solver import Campaign
@@ -25,11 +25,12 @@ Motion = tuple[Array | None, Array | None]
 @dataclass(frozen=True)
 class PlacedReadings:
     """Readings with commanded joints (signs, loads, times as measured), the arm's parameters they are predicted with, their
-    reflectors `point` (n, 3) m in the tracker's frame, the cell's reference temperature deg C, and what the joints' springs were
-    believed to be before any reading (6,) rad/(N m).
+    reflectors `point` (n, 3) m in the tracker's frame, the cell's reference temperature deg C, what the joints' springs were
+    believed to be before any reading (6,) rad/(N m), and the effects that act there.
 
     Torques bend the joints through springs near what is believed: in a fit that lacks a torque (a balancer) the springs stand in
-    for it and may come out zero or negative, and would hide it for good.
+    for it and may come out zero or negative, and would hide it for good. Effects that turn a joint with its load bend it under
+    torques that other effects add, too.
     """
 
     robot: Robot
@@ -39,6 +40,7 @@ class PlacedReadings:
     point: Array
     reference: float
     believed: Array
+    active: tuple[Active, ...] = ()
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -61,7 +63,21 @@ class PlacedReadings:
 
     @cached_property
     def groups(self) -> list[tuple[Index, int, ArmRows]]:
-        """Readings whose nest sits on the same link and whose load pulls at the same link: rows, link of the nest, the arm."""
+        """Readings whose nest sits on the same link and whose load pulls at the same link: rows, link of the nest, the arm with
+        the effects that act there: torques with theirs, springs that give as much more."""
+        return [(rows, on, softened(self.active, loaded(self.active, arm))) for rows, on, arm in self.bare_groups]
+
+    @cached_property
+    def more(self) -> tuple[Array, Array]:
+        """What the active effects add: load torques (n, 6) N m, and give of the joints (n, 6) rad/(N m)."""
+        torque, give = np.zeros((2, len(self), 6))
+        for (rows, _, arm), (_, _, bare) in zip(self.groups, self.bare_groups, strict=True):
+            torque[rows], give[rows] = (arm.block(name) - bare.block(name) for name in ("tau", "c"))
+        return torque, give
+
+    @cached_property
+    def bare_groups(self) -> list[tuple[Index, int, ArmRows]]:
+        """`groups` without effects."""
         r, found = self.readings, []
         springs = np.clip(self.state.arm[30:], SPRINGS_WITHIN[0] * self.believed, SPRINGS_WITHIN[1] * self.believed)
         whole = np.concatenate([self.state.arm[:30], np.where(self.believed > 0, springs, self.state.arm[30:])])
@@ -159,8 +175,9 @@ def displaced(found: Motion, d_joints: Array) -> Array:
 
 
 def together(active: Sequence[Active], seen: PlacedReadings) -> tuple[list[Array], Array, Array]:
-    """Of active effects: shift and displacement (n, 9, m) per unit coefficient, one array each; the whole shift (n, 6) rad and
-    the whole displacement (n, 3) m at their values."""
+    """Of effects: derivative (n, 9, m) of shift and displacement in the coefficients, one array each; the whole shift (n, 6) rad
+    and the whole displacement (n, 3) m at their values. Of those that act there (`seen.active`), what one gives under another's
+    torque is in the derivatives of both and counts once."""
     n = len(seen)
     whole = np.zeros((n, 9))
     parts = []
@@ -173,7 +190,8 @@ def together(active: Sequence[Active], seen: PlacedReadings) -> tuple[list[Array
             part[:, 6:] = point[0]
         whole += part @ one.a
         parts.append(part)
-    return parts, whole[:, :6], whole[:, 6:]
+    torque, give = seen.more
+    return parts, whole[:, :6] - torque * give, whole[:, 6:]
 
 
 def without_effects(campaign: Campaign, state: State, effects: Sequence[Active], reference: float) -> Campaign:
@@ -190,7 +208,7 @@ def effects_on(
     """What effects do to readings at an arm's state, their reflectors at about `point` (n, 3) m: shift (n, 6) rad of the joints,
     displacement (n, 3) m of the reflectors on top. reference deg C: of the cell."""
     believed = believed_compliance(campaign.robot)
-    seen = PlacedReadings(campaign.robot, readings, campaign.instrument, state, point, reference, believed)
+    seen = PlacedReadings(campaign.robot, readings, campaign.instrument, state, point, reference, believed, tuple(effects))
     return together(effects, seen)[1:]
 
 

@@ -2,11 +2,12 @@
 
     q_real = q + dq + c (tau(q_real) + dtau),   frames after the twists,   delta + overlap + push / stiffness = parts     (1)
 
-dq, dtau, overlap .. are the hooks at the believed posture times the coefficients; docs/effects.md.
+dq, dtau, overlap .. are the hooks at the believed posture times the coefficients, dq under the load torques with dtau in them;
+docs/effects.md.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -80,15 +81,14 @@ class ModelEffects:
 
     def arm(self, context: ArmContext) -> ArmChange:
         """What the effects do to the arm, seen at its believed posture."""
-        change: dict[str, ca.SX] = {"joint": ca.SX.zeros(6), "torque": ca.SX.zeros(6)}
+        dtau = sum((value for _, value in self._values(("torque",), context)), ca.SX.zeros(6))
+        loaded = replace(context, tau=context.tau + dtau)
+        dq = sum((value for _, value in self._values(("joint",), loaded)), ca.SX.zeros(6))
         twists: dict[int, ca.SX] = {}
-        for name, value in self._values(("joint", "torque", "twist"), context):
-            if name == "twist":
-                for link, motion in value.items():
-                    twists[link] = twists.get(link, ca.SX.zeros(6)) + motion
-            else:
-                change[name] += value
-        return ArmChange(change["joint"], change["torque"], twists)
+        for _, value in self._values(("twist",), loaded):
+            for link, motion in value.items():
+                twists[link] = twists.get(link, ca.SX.zeros(6)) + motion
+        return ArmChange(dq, dtau, twists)
 
     def overlap(self, context: ContactContext, rigid: bool) -> ca.SX:
         """Overlap m that the effects add; a push counts as the stroke of the flange that it takes, in a rigid cell as the
