@@ -175,13 +175,12 @@ def _with_room(
         before, after = (float(np.linalg.norm(cut[1] - cut[0])) for cut in ends)
         kept.append(room)
         cuts.append((before, after))
-    shorter = sum(max(cut) > 0.0 for cut in cuts)
-    if shorter or len(kept) < len(lines):
-        longest = max((max(cut) for cut in cuts), default=0.0)
-        notices.append(
-            f"On the {side.name} side {shorter} of {len(lines)} passes were cut back, by up to {1e3 * longest:.1f} mm, and "
-            f"{len(lines) - len(kept)} left out, because the wheel would touch block or platform."
-        )
+    shorter, gone = sum(max(cut) >= 5e-5 for cut in cuts), len(lines) - len(kept)
+    done = [f"{shorter} cut back, by up to {1e3 * max(max(cut) for cut in cuts):.1f} mm"] if shorter else []
+    done += [f"{gone} left out"] if gone else []
+    if done:
+        told = f"Of {len(lines)} passes on the {side.name} side {' and '.join(done)}"
+        notices.append(f"{told}, because the wheel would touch block or platform.")
     return kept, cuts
 
 

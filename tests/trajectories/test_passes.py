@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -177,6 +178,7 @@ def test_the_wheel_keeps_off_the_block(bundled, direction):
     options = PassOptions(direction=direction, wheel_radius=radius, wheel_width=width, step=3e-3)
     paths, notices = passes(blade, shape, options)
     assert len(notices) == 2 and "because the wheel would touch" in notices[0]
+    assert all(0.0 not in map(float, re.findall(r"[\d.]+\d|\d", told)) for told in notices)  # what did not happen is not told
     x, y = (np.array(side) for side in ((-0.0275, 0.0275), (-0.0065, 0.008)))
     rim = np.concatenate([np.stack([np.linspace(*x, 200), np.full(200, edge), np.full(200, 0.02)], axis=1) for edge in y])
     for path in paths:
