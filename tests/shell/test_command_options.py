@@ -6,6 +6,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
 import typer
 from typer.testing import CliRunner
 
@@ -73,7 +74,9 @@ def test_verbose_tells_a_phase_when_it_begins(tmp_path):
     assert told.stderr.splitlines()[0].split() == ["0.0", "s", "milling,", "3", "steps"]
 
 
-def test_a_process_that_the_system_ended_is_one_sentence():
+@pytest.mark.parametrize("grows, stands", [(False, "nothing written"), (True, "what is done is kept")])
+def test_a_process_that_the_system_ended_is_one_sentence(monkeypatch, grows, stands):
+    monkeypatch.setattr("ocp.shell.processes._grows", grows)
     sentence, code = refusal(BrokenProcessPool("a child died"))
-    assert code == 1 and sentence.startswith("no safe plan, nothing written: ") and "memory" in sentence
+    assert code == 1 and sentence.startswith(f"no safe plan, {stands}") and "memory" in sentence
     assert refusal(RuntimeError("ours")) is None
