@@ -154,6 +154,16 @@ def test_weights_bend_what_a_named_effect_lets_give():
             np.testing.assert_allclose(J[:, :, at], slope, atol=0.01 * np.abs(slope).max())
 
 
+def test_a_fold_without_names_is_that_of_the_believed_arm_refitted():
+    """Where a joint that is believed rigid gives, links' weights do not bend it in the arm that the name is held against."""
+    rigid = channel(world(4, compliance=np.array([0.0, 2e-7, 0.0, 0.0, 0.0, 0.0]))[0], compliant=())
+    named = rigid.with_active((Active(LIBRARY["joint_compliance"], 2, np.array([0.2]), {"unit": 1e-6}, np.eye(1)),))
+    for fold in rigid.folds():
+        found, expected = named.held_out(fold, named.active), rigid.held_out(fold, ())
+        assert 0.75 < np.sqrt(found.before / expected.before) < 1.3, fold.name
+        assert found.after < 0.1 * found.before
+
+
 @pytest.mark.parametrize("seed", [4, 9])
 def test_a_soft_joint_under_weights_that_no_catalogue_knows_is_all_that_is_named(seed):
     soft = np.array([0.0, 1.4e-6, 4e-7, 0.0, 0.0, 0.0])

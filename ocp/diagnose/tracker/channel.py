@@ -11,7 +11,17 @@ from ocp.diagnose.engine.channel_system import Fold, HeldOut, ReadingConditions,
 from ocp.diagnose.rules import BACKGROUND_SIZES, LEAST_CHANGES
 from ocp.diagnose.tracker.background import Background, background
 from ocp.diagnose.tracker.held_out import held_out_readings, predict_sealed_readings, tracker_folds
-from ocp.diagnose.tracker.refit import Task, TrackerFit, gap_noise, is_restless, placed_readings, refit, relearned, settled
+from ocp.diagnose.tracker.refit import (
+    Task,
+    TrackerFit,
+    gap_noise,
+    is_restless,
+    linearise_with,
+    placed_readings,
+    refit,
+    relearned,
+    settled,
+)
 from ocp.effects.effect import Active, Effect, Scanned, Surroundings, scan_key
 from ocp.effects.engine.readings import COLUMNS, PlacedReadings, displaced, has_columns, motion
 from ocp.effects.motor_harmonic import ratios_of
@@ -208,7 +218,12 @@ class TrackerChannel:
 
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
-        return held_out_readings(self.task, self.fit, fold, [a for a in active if not self.blind(a.effect)])
+        return held_out_readings(self.task, self.fit, fold, [a for a in active if not self.blind(a.effect)], self._bare)
+
+    @cached_property
+    def _bare(self) -> Array:
+        """Derivatives (n, 3, p) in the arm's unknowns without what the active effects let give."""
+        return linearise_with(self.task, self.fit.state, ())[0].J if self.active else self.fit.linear.J
 
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""

@@ -59,9 +59,10 @@ def _sessions(r: Readings) -> tuple[str, Index, tuple[str, ...]]:
     return ("session", r.session, r.sessions) if len(np.unique(r.session)) > 1 else ("station", r.station, r.stations)
 
 
-def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active]) -> HeldOut | None:
-    """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects and with `active`. A stand of the
-    tracker that is left out as a whole has its place from the left-out readings, as everybody gives it who sets up there."""
+def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active], bare: Array) -> HeldOut | None:
+    """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects, whose derivatives are `bare`
+    (n, 3, p), and with `active`. A stand of the tracker that is left out as a whole has its place from the left-out readings, as
+    everybody gives it who sets up there."""
     r = task.campaign.readings
     held = np.asarray(fold.held, bool)
     train = ~held
@@ -77,7 +78,7 @@ def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[
     extra, _ = added(active, seen, fit)
     without, with_effects = (
         _solved(task, fit, whole, columns, prior, train)
-        for columns, prior in ((np.zeros((len(r), 3, 0)), np.zeros(0)), (extra, prior_sds(active)))
+        for columns, prior in ((bare, np.zeros(0)), (np.concatenate([fit.linear.J, extra], axis=2), prior_sds(active)))
     )
     before, after = (placed_stands(task, fit, errors, own)[rows] for errors, _ in (without, with_effects))
     # Not of the coefficients alone: an effect that the springs nearly imitate has large errors that these take back.
@@ -109,14 +110,13 @@ def added(active: Sequence[Active], seen: PlacedReadings, fit: TrackerFit) -> tu
     return np.concatenate(columns, axis=2), sum(c @ a.a for c, a in zip(columns, active, strict=True))  # type: ignore[return-value]
 
 
-def _solved(task: Task, fit: TrackerFit, residual: Array, extra: Array, prior: Array, train: Array) -> tuple[Array, Array]:
-    """Errors (n, 3) m of all readings after the linear fit to `train`, and mean squares (n,) m^2 that the errors of all unknowns
-    leave there."""
+def _solved(task: Task, fit: TrackerFit, residual: Array, J: Array, prior: Array, train: Array) -> tuple[Array, Array]:
+    """Errors (n, 3) m of all readings after the linear fit to `train` with derivatives J (n, 3, p), effects' last with their
+    `prior`, and mean squares (n,) m^2 that the errors of all unknowns leave there."""
     layout = task.layout
     sd = np.concatenate([layout.prior_sd, prior])
     offset = np.concatenate([np.where(np.isfinite(layout.prior_sd), fit.offset, 0.0), np.zeros(len(prior))])
     scale = np.where(np.isfinite(sd), sd, np.concatenate([layout.scale, np.ones(len(prior))]))
-    J = np.concatenate([fit.linear.J, extra], axis=2)
     A = (fit.W[train] @ J[train]).reshape(-1, len(sd)) * scale
     y = np.einsum("nij,nj->ni", fit.W[train], residual[train]).ravel()
     found = linear_step(y, A, offset / scale, np.isfinite(sd).astype(float), RANK)
