@@ -233,16 +233,17 @@ def angles_part(channel: TrackerChannel, count: int) -> None:
         print(f"* {label}: {np.mean(errors):.4f} mm rms on held-out fifths ({count} splits), {m} unknowns", flush=True)
 
 
-def corrections(data: DataSet, believed: DataSet) -> Iterator[tuple[str, Array, str]]:
-    """Ways to predict what was held out: what is in it, points (r, 3) m, the effects. believed: the same readings with springs in
-    the cell."""
+def corrections(data: DataSet, believed: DataSet) -> Iterator[tuple[str, Array, Array | None, str]]:
+    """Ways to predict what was held out: what is in it, points (r, 3) m, their sigma, the effects. believed: the same readings
+    with springs in the cell."""
     base, springs = tracker_channel(data), tracker_channel(believed)
     sealed = read_sealed_tracker(data)
-    yield "calibrated, joints rigid", base.predict(sealed, ()).baseline, ""
-    yield "calibrated, springs of joints 2 and 3", springs.predict(read_sealed_tracker(believed), ()).baseline, ""
+    yield "calibrated, joints rigid", base.predict(sealed, ()).baseline, None, ""
+    yield "calibrated, springs of joints 2 and 3", springs.predict(read_sealed_tracker(believed), ()).baseline, None, ""
     for label, channel in (("ocp.diagnose, joints rigid", base), ("ocp.diagnose, springs in the cell", springs)):
         found = diagnose_channels([channel], library(), Options(where=False)).active
-        yield label, channel.predict(sealed, found).corrected, "; ".join(map(told, found))
+        there = channel.predict(sealed, found)
+        yield label, there.corrected, there.sigma, "; ".join(map(told, found))
 
 
 def held_part(campaign: PublishedCampaign, count: int, folder: Path) -> None:
@@ -254,10 +255,12 @@ def held_part(campaign: PublishedCampaign, count: int, folder: Path) -> None:
         data = data_set(campaign, folder / f"split{seed}", held)
         belief = campaign.cell | {"robot": campaign.cell["robot"] | {"compliant_joints": [2, 3]}}
         believed = data_set(replace(campaign, cell=belief), folder / f"springs{seed}", held)
-        for label, predicted, names in corrections(data, believed):
-            error = 1e3 * np.sqrt(np.mean(np.sum((predicted - point[held]) ** 2, axis=1)))
+        for label, predicted, sigma, names in corrections(data, believed):
+            off = predicted - point[held]
+            error = 1e3 * np.sqrt(np.mean(np.sum(off**2, axis=1)))
             table.setdefault(label, []).append(float(error))
-            print(f"  split {seed}, {label}: {error:.4f} {names}", flush=True)
+            z = "" if sigma is None else f", rms z {np.sqrt(np.mean((off / sigma) ** 2)):.2f}"
+            print(f"  split {seed}, {label}: {error:.4f}{z} {names}", flush=True)
     print(f"\n| model | rms mm, mean of {count} splits | worst split |\n|---|---|---|")
     for label, errors in table.items():
         print(f"| {label} | {np.mean(errors):.4f} | {max(errors):.4f} |")

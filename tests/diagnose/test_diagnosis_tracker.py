@@ -180,11 +180,20 @@ def test_a_small_ripple_stands_out_where_all_other_gears_are_quiet(quiet, named,
     assert ({Name(*a.key) for a in found.active} == {Name("gear_harmonic", 2)}) == named, found.ranking[:2]
 
 
-def loud(r):
+def loud(r, size=1.7e-5):
     """Three lines of 17 urad in every gear."""
     rng = np.random.default_rng(8)
     orders, phases = rng.integers(20, 150, (6, 3)), rng.uniform(0.0, 6.28, (6, 3))
-    return sum(column(j + 1, 1.7e-5 * np.cos(orders[j, k] * r.q[:, j] + phases[j, k])) for j in range(6) for k in range(3))
+    return sum(column(j + 1, size * np.cos(orders[j, k] * r.q[:, j] + phases[j, k])) for j in range(6) for k in range(3))
+
+
+def test_what_no_repeatability_scatters_is_in_the_sigma():
+    """Errors of 70 urad a joint are the same when a posture comes again: predictions are as unsure."""
+    readings, points = world(22, lambda r: loud(r, 6e-5))
+    c, new = channel(readings), replace(campaign_readings(np.random.default_rng(9), 60), time=None, temperature=None)
+    sealed = c.predict(new, ())
+    assert c.restless(1.0)
+    assert 0.8 < np.sqrt(np.mean(((sealed.baseline - points(new)) / sealed.sigma) ** 2)) < 1.25
 
 
 @pytest.mark.parametrize("lines, named", [(LINES_A_GEAR, False), (1, True)])

@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from ocp.diagnose.engine.evidence import Projection, project
 from ocp.diagnose.rules import BACKGROUND_SIZES, LINES_A_GEAR, NO_BACKGROUND
-from ocp.diagnose.tracker.refit import Task, TrackerFit, usual_noise
+from ocp.diagnose.tracker.refit import Task, TrackerFit, is_restless, usual_noise
 from robots.pose import Array
 from robots.tracker_readings import Index
 
@@ -112,9 +112,13 @@ class _Line:
 
 def _with_further(task: Task, fit: TrackerFit, found: Array, each: Array, sizes: Array, rng: np.random.Generator) -> Array:
     """Draws (k, 6) rad^2 of what was found, `each` (k,) a joint on average, and of gears' further lines, which do not stand out:
-    none to two as large as the population's `sizes` (k,) rad, drawn again by how usual the repeatability is that is left."""
-    further = rng.integers(LINES_A_GEAR, size=DRAWS) * sizes**2
+    none to two as large as the population's `sizes` (k,) rad, drawn again by how usual the repeatability is that is left. Of
+    noise that no repeatability is all lasts that is beyond the usual."""
     usual, sd = usual_noise(task.repeats)
+    if is_restless(fit.noise.joints):
+        beyond = fit.noise.joints**2 - (usual * np.exp(sd * rng.normal(size=DRAWS))) ** 2 - each
+        return np.asarray(found + np.maximum(beyond, 0.0)[:, None])
+    further = rng.integers(LINES_A_GEAR, size=DRAWS) * sizes**2
     left = np.sqrt(np.maximum(fit.noise.joints**2 - each - further, 1e-3 * usual**2))
     weight = np.exp(-0.5 * (np.log(left / usual) / sd) ** 2)
     return np.asarray((found + further[:, None])[rng.choice(DRAWS, DRAWS, p=weight / weight.sum())])
