@@ -10,12 +10,14 @@ from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.rules import LINES_A_GEAR, QUIET
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.held_out import placed_stands, tracker_folds
-from ocp.diagnose.tracker.refit import believed_baseline, linearise_with, points_with, reliability, settled
+from ocp.diagnose.tracker.refit import believed_baseline, linearise_with, placed_readings, points_with, reliability, settled
 from ocp.diagnose.tracker.weights import link_torques, weighed_links
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.doubts import cancelling, implausible
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
+from ocp.effects.engine.evaluate import arm_shift
+from ocp.effects.engine.readings import together
 from robots.calibration.layout import moved
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput
@@ -152,6 +154,32 @@ def test_weights_bend_what_a_named_effect_lets_give():
             ends = [points_with(c.task, moved(layout, state, side * step), active) for side in (1.0, -1.0)]
             slope = (ends[0] - ends[1]) / (2.0 * step[at])
             np.testing.assert_allclose(J[:, :, at], slope, atol=0.01 * np.abs(slope).max())
+    bare, torques = linearise_with(c.task, state, ())[0], link_torques(ROBOT, readings.q)
+    more = bare.d_joints[:, :, 1, None] * 1e-6 * torques[:, None, 1]
+    found = (J - bare.J[:, :3])[:, :, layout.links]
+    np.testing.assert_allclose(found, more, atol=0.01 * np.abs(more).max())  # d_joints are those of another sag
+
+
+def test_what_one_effect_gives_under_another_counts_once_and_is_in_both_derivatives():
+    readings, _ = world(4, n=40)
+    spring, mass = LIBRARY["joint_compliance"], LIBRARY["payload_mass"]
+    heavier = {"payload": readings.payloads[0]}
+    both = (Active(spring, 2, np.array([1.0]), {"unit": 1e-6}, np.eye(1)), Active(mass, 0, np.array([9.0]), heavier, np.eye(1)))
+    c = channel(readings)
+    seen = placed_readings(c.task, c.fit.state, both)
+    parts, shift, _ = together(both, seen)
+    for rows, _, arm in seen.bare_groups:
+        np.testing.assert_allclose(shift[rows], arm_shift(both, arm).joints[0, :, :, 0], atol=1e-9)
+    for k, one in enumerate(both):
+        step = 1e-3 * one.a
+        ends = []
+        for side in (1.0, -1.0):
+            near = tuple(replace(a, a=a.a + side * step) if a is one else a for a in both)
+            ends.append(together(near, placed_readings(c.task, c.fit.state, near))[1])
+        np.testing.assert_allclose(parts[k][:, :6, 0], (ends[0] - ends[1]) / (2.0 * step), rtol=1e-4, atol=1e-9)
+    # A name that is not yet accepted is seen as what is accepted lets it bend.
+    columns = [one.variants(mass, 0, [heavier])[0].columns for one in (c, replace(c, fit=replace(c.fit, active=both[:1])))]
+    assert np.abs(columns[1]).max() > 2.0 * np.abs(columns[0]).max()
 
 
 def test_a_fold_without_names_is_that_of_the_believed_arm_refitted():
@@ -192,7 +220,8 @@ def test_what_no_repeatability_scatters_is_in_the_sigma():
     readings, points = world(22, lambda r: loud(r, 6e-5))
     c, new = channel(readings), replace(campaign_readings(np.random.default_rng(9), 60), time=None, temperature=None)
     sealed = c.predict(new, ())
-    assert c.restless(1.0)
+    levers = np.sum(c.fit.linear.d_joints**2, axis=(0, 1))
+    assert c.restless(1.0) and c.background.mean @ levers / levers.sum() < c.fit.noise.joints**2
     assert 0.8 < np.sqrt(np.mean(((sealed.baseline - points(new)) / sealed.sigma) ** 2)) < 1.25
 
 

@@ -41,6 +41,7 @@ ARM = (
         "rest_rad": 0.1,
     },
     {"effect": "payload_mass", "kg": 8.0, "payload": "grinder"},
+    {"effect": "joint_compliance", "joint": 2, "rad_per_Nm": 1e-6},  # bends under that payload too
     {"effect": "link_bending", "joint": 2, "rad_per_Nm": 5e-8},
     {"effect": "link_thermal", "per_K": 1e-5},
     {"effect": "load_backlash", "joint": 3, "half_width_rad": 1e-4, "torque_Nm": 40.0},
