@@ -176,10 +176,10 @@ def _with_room(
         kept.append(room)
         cuts.append((before, after))
     shorter, gone = sum(max(cut) >= 5e-5 for cut in cuts), len(lines) - len(kept)
-    done = [f"{shorter} cut back, by up to {1e3 * max(max(cut) for cut in cuts):.1f} mm"] if shorter else []
-    done += [f"{gone} left out"] if gone else []
+    done = [f"{shorter} were cut back, by up to {1e3 * max(max(cut) for cut in cuts):.1f} mm"] if shorter else []
+    done += [f"{gone} were left out"] if gone else []
     if done:
-        told = f"Of {len(lines)} passes on the {side.name} side {' and '.join(done)}"
+        told = f"Of {len(lines)} passes on the {side.name} side {', and '.join(done)}"
         notices.append(f"{told}, because the wheel would touch block or platform.")
     return kept, cuts
 
