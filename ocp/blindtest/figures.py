@@ -295,7 +295,8 @@ def found_over_predicted(rows: Sequence[dict[str, Any]]) -> Estimate:
     """Size at which nine of ten single effects are seen over the predicted one; seen: p_none below one half."""
     pairs = []
     for r in rows:
-        if r["kind"] != "single" or not r.get("smallest") or not r["smallest"][0] or not r["exact_smallest"][0]:
+        told = r["kind"] == "single" and r.get("smallest") and r["smallest"][0] and r["exact_smallest"][0]
+        if not told or not np.isfinite(r["smallest"][0]):  # inf: none of its size is seen
             continue
         effect, joint, values = r["planted"][0]
         size = share_of_range(Planted(effect, joint or None, values))

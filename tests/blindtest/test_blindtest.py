@@ -495,3 +495,21 @@ def test_worlds_and_the_oracle_use_nothing_of_the_diagnosis(path: Path) -> None:
 def test_the_answering_step_opens_no_label() -> None:
     text = (ROOT / "ocp" / "blindtest" / "answers.py").read_text()
     assert "label_path" not in text and "read_label" not in text and "SEALED" not in text
+
+
+def test_a_size_of_which_none_is_seen_is_no_size():
+    """A ripple that the other gears drown is told to be seen at no size: it says nothing of the sizes that are."""
+    values = {"amplitude_rad": 4e-5, "order": 40.0, "phase_rad": 0.0}
+
+    def row(smallest):
+        return {
+            "kind": "single",
+            "planted": [["gear_harmonic", 2, values]],
+            "smallest": [smallest],
+            "exact_smallest": [0.01],
+            "p_none": 0.1,
+        }
+
+    seen = [row(0.05 + 0.01 * k) for k in range(30)]
+    assert figures.found_over_predicted([*seen, row(float("inf"))]) == figures.found_over_predicted(seen)
+    assert figures.found_over_predicted(seen).count == 30
