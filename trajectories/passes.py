@@ -175,7 +175,8 @@ def _with_room(
         before, after = (float(np.linalg.norm(cut[1] - cut[0])) for cut in ends)
         kept.append(room)
         cuts.append((before, after))
-    shorter, gone = sum(max(cut) >= 5e-5 for cut in cuts), len(lines) - len(kept)
+    shorter = sum(max(cut) >= 5e-5 for cut in cuts)  # m: half of the last digit that is told
+    gone = len(lines) - len(kept)
     done = [f"{shorter} were cut back, by up to {1e3 * max(max(cut) for cut in cuts):.1f} mm"] if shorter else []
     done += [f"{gone} were left out"] if gone else []
     if done:

@@ -218,7 +218,8 @@ class TrackerChannel:
 
     def held_out(self, fold: Fold, active: tuple[Active, ...]) -> HeldOut | None:
         """Judge `active` on a fold."""
-        return held_out_readings(self.task, self.fit, fold, [a for a in active if not self.blind(a.effect)], self._bare)
+        shown = [a for a in active if not self.blind(a.effect)]
+        return held_out_readings(self.task, self.fit, fold, shown, self.seen, self._bare)
 
     @cached_property
     def _bare(self) -> Array:

@@ -59,10 +59,12 @@ def _sessions(r: Readings) -> tuple[str, Index, tuple[str, ...]]:
     return ("session", r.session, r.sessions) if len(np.unique(r.session)) > 1 else ("station", r.station, r.stations)
 
 
-def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active], bare: Array) -> HeldOut | None:
-    """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects, whose derivatives are `bare`
-    (n, 3, p), and with `active`. A stand of the tracker that is left out as a whole has its place from the left-out readings, as
-    everybody gives it who sets up there."""
+def held_out_readings(
+    task: Task, fit: TrackerFit, fold: Fold, active: Sequence[Active], seen: PlacedReadings, bare: Array
+) -> HeldOut | None:
+    """Mean squared 3D errors m^2 of the fold's readings, fitted without them: without effects and with `active`. A stand of the
+    tracker that is left out as a whole has its place from the left-out readings, as everybody gives it who sets up there.
+    seen: the readings as effects see them about the fit; bare (n, 3, p): the arm's derivatives without effects."""
     r = task.campaign.readings
     held = np.asarray(fold.held, bool)
     train = ~held
@@ -73,7 +75,6 @@ def held_out_readings(task: Task, fit: TrackerFit, fold: Fold, active: Sequence[
     rows = np.sort(np.concatenate([np.flatnonzero(held & good & there), *own]))
     if train.sum() < LEAST_TRAIN or len(rows) < LEAST_TEST:
         return None
-    seen = placed_readings(task, fit.state, (*task.believed, *fit.active), fit.linear.point)
     whole = fit.linear.residual + added(fit.active, seen, fit)[1]
     extra, _ = added(active, seen, fit)
     without, with_effects = (
