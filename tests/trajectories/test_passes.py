@@ -179,6 +179,10 @@ def test_the_wheel_keeps_off_the_block(bundled, direction):
     paths, notices = passes(blade, shape, options)
     assert len(notices) == 2 and "because the wheel would touch" in notices[0]
     assert all(0.0 not in map(float, re.findall(r"[\d.]+\d|\d", told)) for told in notices)  # what did not happen is not told
+    for told, side in zip(notices, ("convex", "concave"), strict=True):
+        laid, left = re.search(r"Of (\d+) passes", told), re.search(r"(\d+) were left out", told)
+        assert laid and side in told
+        assert int(laid[1]) - (int(left[1]) if left else 0) == sum(path.side == side for path in paths)
     x, y = (np.array(side) for side in ((-0.0275, 0.0275), (-0.0065, 0.008)))
     rim = np.concatenate([np.stack([np.linspace(*x, 200), np.full(200, edge), np.full(200, 0.02)], axis=1) for edge in y])
     for path in paths:
