@@ -81,9 +81,10 @@ class Readings:
     """n readings. q (n, 6) rad commanded; point (n, 3) m in the tracker's frame, nan where it is to be predicted.
 
     Words as indices into their names: target, payload, session, station (n,). load (n, 6) N, N m in base axes at
-    load_place (n, 3) m of load_link (n,); approach (n, 6) or None; time s, temperature C, sigma m (n,) or None; turn
-    (n, 3, 3) with sigma_turn (n,) rad of a 6D target or None, angles (n, 3) rad that it was made of (None: no angles were given);
-    line (n,) in the file.
+    load_place (n, 3) m of load_link (n,); approach (n, 6) or None; time s, temperature C, sigma m (n,) or None; waited (n,) s
+    since the last reading at another posture, when the motion to this one began, inf before the first, or None; turn (n, 3, 3)
+    with sigma_turn (n,) rad of a 6D target or None, angles (n, 3) rad that it was made of (None: no angles were given); line
+    (n,) in the file.
     """
 
     path: Path
@@ -103,6 +104,7 @@ class Readings:
     line: Index
     approach: Array | None = None
     time: Array | None = None
+    waited: Array | None = None
     temperature: Array | None = None
     sigma: Array | None = None
     turn: Array | None = None
@@ -124,6 +126,15 @@ class Readings:
         """The readings of an index or mask; names keep their indices."""
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)
+
+    def timed(self, time: Array) -> "Readings":
+        """The readings, all that were taken, at instants (n,) s."""
+        order = np.argsort(time, kind="stable")
+        fresh = np.append(True, np.abs(np.diff(self.q[order], axis=0)).max(axis=1) > REPEAT_TOLERANCE)
+        came = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))  # the first reading at each one's posture
+        waited = np.empty_like(time)
+        waited[order] = time[order] - np.append(-np.inf, time[order][:-1])[came]
+        return replace(self, time=time, waited=waited)
 
     def strata(self) -> list[Index]:
         """Rows of each nest with each payload from each station: what thinning and folds must not empty."""
@@ -181,7 +192,7 @@ def read_readings(
     session, sessions = _words(table, "session")
     turn = _turns(table, mapping.rotation or instrument.rotation)
     turn_sd = table.column("sigma_rot_deg", np.pi / 180.0, lambda v: v <= 0, "above 0")
-    return Readings(
+    found = Readings(
         path=table.path,
         q=np.radians(table.stack(AXES)),
         point=1e-3 * table.stack(POINT) if measured else np.full((n, 3), np.nan),
@@ -197,7 +208,6 @@ def read_readings(
         load_link=_links(table),
         load_place=1e-3 * _partial(table, PLACE),
         approach=_signs(table),
-        time=table.numbers.get("time_s"),
         temperature=table.numbers.get("temperature_C"),
         sigma=table.column("sigma_um", 1e-6, lambda v: v <= 0, "above 0"),
         turn=turn,
@@ -206,6 +216,7 @@ def read_readings(
         line=np.array(table.line),
         notices=tuple(notices),
     )
+    return found.timed(table.numbers["time_s"]) if "time_s" in table.numbers else found
 
 
 def _notices(table: CsvTable, payloads: dict[str, Hanging]) -> list[str]:

@@ -242,6 +242,11 @@ FOLLOWED_FORCE = 0.15
 MOST_FOLLOWED = 5
 """[sets] Alternatives beside the accepted one. Reason: time."""
 
+ONE_COURSE = 0.95
+"""[-] Rank correlation of temperature and time from which they are one course. Guards: patches whose promise hangs on which of
+the two it was. Reason: of a warm-up the logarithm of time and the temperature are told apart by their curvature alone, which no
+kernel knows (creep_under_load of worlds by other hands, patched over temperature: 60 % promised, -3 and 15 % came)."""
+
 MOST_PATCHES = 3
 """[patches] For one gap. Reason: time; what a third does not hold is no plain function of one or two conditions."""
 

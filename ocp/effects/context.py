@@ -7,6 +7,7 @@ import casadi as ca
 
 from robots.pose import Array
 
+SETTLING = (20.0, 60.0, 200.0)  # s: how fast an axis may come to rest after its stop
 LOADED = "loaded"  # in place of a payload's name: whatever has a mass
 
 
@@ -17,8 +18,9 @@ class ArmContext:
     above the cell's reference temperature; time s on the campaign's clock; speed (6) rad/s of the commanded joints; frames:
     link frames 0..6 (4, 4) in the base frame; gear_ratio (6,) numbers, those of a sister machine or nan where the robot's are
     unknown; payload (4): mass kg, centre m in the flange frame; hung: index of the payload in `payloads`; sign (6,) of KUKA's
-    axes; down (3,): unit direction of gravity in the base frame; weight_torque(mass, com): load torque (6) N m of an added mass
-    kg at com (3) m in the flange frame."""
+    axes; settling (3): what is left of the motion to where the arm stands, after settling as fast as each of `SETTLING` (0: it
+    stands for long, or moves on); down (3,): unit direction of gravity in the base frame; weight_torque(mass, com): load torque
+    (6) N m of an added mass kg at com (3) m in the flange frame."""
 
     q: ca.SX
     q_real: ca.SX
@@ -36,6 +38,7 @@ class ArmContext:
     link_com: Array
     speed: ca.SX
     hung: ca.SX
+    settling: ca.SX
     payloads: tuple[str, ...]
     down: Array
 

@@ -15,8 +15,9 @@ the beam ("beam along", ..). Features are products of factors, written as "appro
     power p c            of c over its largest size        c alone: c itself        is NAME: 1 where that payload hangs
 
 Conditions: q1..q6 rad; approach1..6; tau1..6 N m load torque; mx1..6, my1..6 N m moment of all weight beyond an axis about x and
-y of the link before it; warm K above the cell's reference temperature; time s; range m, azimuth rad (from the middle of what was
-measured), elevation rad of a reflector seen from the tracker.
+y of the link before it; settling20, settling60, settling200: what is left of the motion to where the arm stands after settling
+as fast (s; nothing in a program, whose arm does not stand); warm K above the cell's reference temperature; time s; range m,
+azimuth rad (from the middle of what was measured), elevation rad of a reflector seen from the tracker.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +27,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects.context import ArmContext, TrackerContext
+from ocp.effects.context import SETTLING, ArmContext, TrackerContext
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.effects.forms import at_joint
 from robots.errors import shown
@@ -41,9 +42,11 @@ SOFT = 4.0  # wave number at which a smooth function's prior has fallen to half
 GONE = 5.0  # lengths from which a patch is not there
 MOST_FEATURES = 64
 MOST_WEIGHT = 0.1  # rad or m
-COLUMNS = {"approach": "approach", "warm": "temperature_C", "time": "time_s", "is": "payload"}
+COLUMNS = {"approach": "approach", "warm": "temperature_C", "time": "time_s", "wait": "time_s", "is": "payload"}
 _OF_JOINTS = ("approach", "tau", "mx", "my", "q")
-_ALONE = ("warm", "time", "range", "azimuth", "elevation")
+_OF_STANDING = tuple(f"settling{s:.0f}" for s in SETTLING)
+_OF_BEAM = ("range", "azimuth", "elevation")
+_ALONE = ("warm", "time", *_OF_BEAM)
 _NUMBERED = ("cos", "sin", "wave", "power")
 
 Condition = Callable[[str], Any]
@@ -71,7 +74,7 @@ def feature_factors(feature: str) -> list[Factor]:
 
 def known_condition(name: str) -> bool:
     """Whether features may vary with it."""
-    return name in _ALONE or any(name == f"{one}{j}" for one in _OF_JOINTS for j in range(1, 7))
+    return name in (*_ALONE, *_OF_STANDING) or any(name == f"{one}{j}" for one in _OF_JOINTS for j in range(1, 7))
 
 
 def conditions_of(features: Sequence[str]) -> tuple[str, ...]:
@@ -140,6 +143,8 @@ def conditions_of_arm(x: ArmContext) -> Condition:
             return x.is_payload(name[3:])
         if name in ("warm", "time"):
             return getattr(x, name)
+        if name in _OF_STANDING:
+            return x.settling[_OF_STANDING.index(name)]
         kind, j = name[:-1], int(name[-1])
         return moment(x, j)[kind == "my"] if kind in ("mx", "my") else getattr(x, kind)[j - 1]
 
@@ -281,7 +286,7 @@ def _check_conditions(source: str, features: Sequence[str], measured: Mapping[st
     hung = any(form == "is" for feature in features for form, _, _ in feature_factors(feature))
     if source not in ON_ARM and (hung or not used <= set(_ALONE)):
         raise ValueError(f"a patch of kernel '{source}' varies with {', '.join(_ALONE)} alone")
-    if source in ON_ARM and used & set(_ALONE[2:]):
+    if source in ON_ARM and used & set(_OF_BEAM):
         raise ValueError(f"a patch of kernel '{source}' does not vary with where the tracker stands")
     for name in conditions_of(features):
         low, high = measured.get(name, (np.nan, np.nan))

@@ -40,6 +40,7 @@ JOINTS = {
     "resolver": (lambda r: column(3, 6e-5 * np.cos(5 * ROBOT.gear_ratio[2] * r.q[:, 2])), 3, {"motor3"}),
     "loaded mesh": (lambda r: column(2, 1.5e-4 * torque(r, 2) / 4000.0 * np.cos(23 * r.q[:, 1])), 2, {"tau2", "q2"}),
     "memory": (lambda r: column(4, 2e-4 * np.tanh(np.diff(r.q[:, 3], prepend=r.q[0, 3]))), 4, {"step4"}),
+    "settling": (lambda r: column(2, -2e-4 * r.approach[:, 1] * np.exp(-r.waited / 45.0)), 2, {"approach2", "wait"}),
     "warm gear": (lambda r: column(4, 4e-5 * (r.temperature - 22.0) * np.cos(r.q[:, 3])), 4, {"temperature", "q4"}),
 }
 

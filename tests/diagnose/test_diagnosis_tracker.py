@@ -49,7 +49,7 @@ def world(seed, shift=None, moved=None, n=150, outliers=0.0, background=0.0, com
         return there if moved is None else there + moved(readings)
 
     bare = campaign_readings(rng, n)
-    bare = replace(bare, time=np.cumsum(rng.uniform(20, 90, n)))
+    bare = bare.timed(np.cumsum(rng.uniform(20, 90, n)))
     bare = replace(bare, temperature=22.0 + 6.0 * (1 - np.exp(-bare.time / 3000.0)))
     # `measured` asks the arm itself: give it the planted places through a stand-in with the same method
     stand_in = type("Arm", (), {"points": staticmethod(points)})()

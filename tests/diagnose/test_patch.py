@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -15,8 +16,10 @@ from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import as_patch, conditions_by_name
 from ocp.effects.cell_effects import patch_effect_of
 from ocp.effects.engine.readings import displaced, motion
+from ocp.effects.engine.symbolic import planned_arm_context
 from ocp.effects.patch import feature_factors, lengths_outside, make_patch, patch_of, patch_table
 from robots.calibration.solver import Campaign
+from robots.kinematics import chain
 from tests.diagnose.test_diagnosis_kernels import JOINTS
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, ROBOT, channel, world
 from tests.support.simulated_campaign import INSTRUMENT, PAYLOADS, campaign_readings
@@ -50,8 +53,8 @@ def new_readings(seed, points):
     """Conditions on new postures within the campaign's hours, and where their reflectors are."""
     rng = np.random.default_rng(seed)
     new = campaign_readings(rng, 100)
-    time = np.sort(rng.uniform(500.0, 7000.0, 100))
-    new = replace(new, time=time, temperature=22.0 + 6.0 * (1 - np.exp(-time / 3000.0)))
+    time = 500.0 + np.cumsum(rng.uniform(20.0, 70.0, 100))
+    new = replace(new.timed(time), temperature=22.0 + 6.0 * (1 - np.exp(-time / 3000.0)))
     return new, points(new)
 
 
@@ -59,10 +62,11 @@ def rms(off):
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
-def test_a_patch_brings_most_of_what_the_exact_signature_would(clean):
-    """Joint 3 follows joint 2 by a formula of the test's own: with the patch new postures are met nearly as well as by the same
-    arm without the effect."""
-    readings, points = world(11, JOINTS["coupled"][0])
+@pytest.mark.parametrize("name", ["coupled", "settling"])
+def test_a_patch_brings_most_of_what_the_exact_signature_would(clean, name):
+    """Joint 3 follows joint 2 by a formula of the test's own, or joint 2 comes to rest after its stop: with the patch new
+    postures are met nearly as well as by the same arm without the effect."""
+    readings, points = world(11, JOINTS[name][0])
     d = diagnose_channels([channel(readings)], LIBRARY, Options(folds=False))
     found = patched(d, (), None)
     assert found is not None and found.shrinkage.low > 0.0
@@ -80,9 +84,53 @@ def test_a_patch_brings_most_of_what_the_exact_signature_would(clean):
     assert diagnose_channels([believed], LIBRARY, Options(folds=False)).verdict == "no_gap"
 
 
+def test_a_program_has_nothing_of_what_settles(clean):
+    """Nobody knows what an arm that moves on has left of its motions: a patch of them is in readings alone."""
+    one = replace(
+        make_patch("joint", "approach2 x wait", 2, ["approach2 * settling60"], {"settling60": (0.0, 0.9)}, 1e-4), a=np.ones(1)
+    )
+    r, waits = clean.readings, np.exp(-clean.readings.waited / 60.0)
+    shift, _ = motion(one.effect, 2, [one.scanned], clean.seen)
+    np.testing.assert_allclose(shift[0, :, 1, 0], r.approach[:, 1] * waits, rtol=1e-12)
+    frames = chain(ca.SX(r.q[0]), ROBOT.mdh, ROBOT.sign)
+    state = {"q": ca.SX(r.q[0]), "q_real": ca.SX(r.q[0]), "tau": ca.SX.zeros(6), "c": ca.SX.zeros(6), "payload": ca.SX.zeros(4)}
+    conditions = {name: ca.SX.ones(6) for name in ("approach", "speed")} | {name: ca.SX(1.0) for name in ("warm", "time")}
+    planned = planned_arm_context(ROBOT, "bare", frames, conditions, **state)
+    assert not ca.DM(one.effect.joint(planned, 2, one.scanned)).full().any()
+    unasked = replace(r, waited=None)
+    about = replace(clean, task=replace(clean.task, campaign=replace(clean.task.campaign, readings=unasked)))
+    assert not np.any(motion(one.effect, 2, [one.scanned], about.seen)[0])
+
+
+@pytest.mark.parametrize("cooled", [False, True])
+def test_what_warms_up_may_as_well_come_with_time(cooled):
+    """A gear that gives with the temperature, in a hall that warms up all the time: no reading tells which of the two it is, a
+    later day would, and nothing is promised. Where it cools again it is the temperature."""
+    give = JOINTS["warm gear"][0]
+    readings, points = world(11)
+    if cooled:
+        readings = replace(readings, temperature=22.0 + 6.0 * np.sin(np.pi * readings.time / readings.time[-1]))
+    moved = points(replace(readings, q=readings.q + 4.0 * give(readings))) - points(readings)
+    d = diagnose_channels([channel(replace(readings, point=readings.point + moved))], LIBRARY, Options(folds=False))
+    shares = {a.active[0].effect.name.split("|")[1]: a.probability for a in d.patches}
+    if cooled:
+        assert shares["temperature x q4"] > 0.9 and patched(d, (), None) is not None
+    else:
+        assert shares["temperature x q4"] == shares["time x q4"] > 0.4 and patched(d, (), None) is None
+
+
+@pytest.mark.parametrize(("name", "instead"), [("settling", ("backlash", 2)), ("resolver", None)])
+def test_what_is_true_without_a_kernel(name, instead):
+    """Names where some stand for it badly, play for what settles; nothing where none does."""
+    d = diagnose_channels([channel(world(11, JOINTS[name][0])[0])], LIBRARY, Options(folds=False))
+    assert sum(a.probability for a in d.instead) == pytest.approx(1.0)
+    keys = {one.key for one in max(d.instead, key=lambda a: a.probability).active}
+    assert keys == ({instead} if instead else set())
+
+
 def test_nothing_planted_no_patch(clean):
     d = diagnose_channels([clean], LIBRARY, Options(folds=False))
-    assert d.verdict == "no_gap" and not d.patches and patched(d, (), None) is None
+    assert d.verdict == "no_gap" and not d.patches and not d.instead and patched(d, (), None) is None
 
 
 def example():

@@ -16,7 +16,7 @@ FILE = ROOM / "rules.py"
 ELSEWHERE = {
     "answering.py": {"PREDICTED"},
     "engine/evidence.py": {"RANK", "_LAMBDA"},
-    "engine/kernels.py": {"SOFT", "SETTLING", "LOADED", "RIPPLES"},
+    "engine/kernels.py": {"SOFT", "LOADED", "RIPPLES"},
     "force/prediction.py": {"TOLERANCE"},
     "force/logged_contact.py": {"MOVING"},
     "force/waves.py": {"HIGHEST", "SHORTEST"},

@@ -34,6 +34,22 @@ def test_units_words_and_notices(tmp_path):
     assert list(r.line) == [2, 3] and r.turn is None and r.sigma is None and not r.load.any()
 
 
+def test_what_was_waited_counts_from_the_last_reading_elsewhere(tmp_path):
+    """In time, not in the file's order; more readings of one posture wait for one motion; thinning leaves what was waited."""
+    times = {
+        "40": ROW.replace(",10,", ",12,"),
+        "5": ROW,
+        "9": ROW.replace("T2", "T3"),
+        "52": ROW,
+        "47": ROW.replace(",10,", ",12,"),
+    }
+    rows = [f"{row.replace('1500', str(1500 + k))},{at}" for k, (at, row) in enumerate(times.items())]
+    r = read(tmp_path, HEADER + ",time_s", *rows)
+    np.testing.assert_allclose(r.waited, [31.0, np.inf, np.inf, 5.0, 38.0])
+    np.testing.assert_allclose(r.take(np.array([3, 4])).waited, [5.0, 38.0])
+    assert read(tmp_path).waited is None
+
+
 def test_absent_words_mean_the_first(tmp_path):
     r = read(tmp_path, BARE, "0,-90,90,0,20,30,1,2,3")
     assert r.payloads[r.payload[0]] == "bare" and r.stations == r.sessions == ("",)

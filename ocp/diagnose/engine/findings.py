@@ -157,7 +157,8 @@ class Diagnosis:
     effects. impostors: accepted terms that hurt where the data are extrapolated, with the fold that says so. unknown_reasons:
     what speaks against names. baseline, channels: before and after the accepted effects. held_out: by channel name.
     alternatives: what may be true, with probabilities, `active` first; empty: `active` alone. patches: what may stand for
-    something outside the catalogue, not yet fitted, with its share of p_unknown, the likeliest first.
+    something outside the catalogue, not yet fitted, with its share of p_unknown, the likeliest first; instead: what is
+    true where no such thing is there, with probabilities that sum to one.
     """
 
     explanations: tuple[Explanation, ...]
@@ -181,6 +182,7 @@ class Diagnosis:
     held_out: dict[str, tuple[HeldOut, ...]] = field(default_factory=dict)
     alternatives: tuple[Alternative, ...] = ()
     patches: tuple[Alternative, ...] = ()
+    instead: tuple[Alternative, ...] = ()
 
     @property
     def verdict(self) -> str:

@@ -17,11 +17,11 @@ import numpy as np
 
 from ocp.diagnose.engine.channel_system import ReadingConditions
 from ocp.diagnose.rules import FORCE_KERNEL, FRAME_KERNEL, JOINT_KERNEL, LEAST_TORQUE, LEAST_TURN, TILT_KERNEL
+from ocp.effects.engine.evaluate import left_of_motion
 from robots.pose import Array
 from robots.tracker_readings import Index
 
 TILTED = 5  # cosines for each direction of a tilting axis
-SETTLING = (20.0, 60.0, 200.0)  # s: how fast an axis may come to rest after its stop
 ORDERS_OF_TWO = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (2, 3))  # waves per turn of a joint and of another one
 INSTANTS = 7  # at which a nest may move
 MOTOR_WAVES = 8  # per turn of a motor: resolvers err up to there
@@ -94,10 +94,8 @@ def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Array]]:
         yield f"approach{name}", sign[:, None, None] * turns
         if tau is not None:
             yield f"approach{name} x tau{name}", (sign[:, None] * _powers(tau))[:, None]
-        if c.signal == "tracker" and c.time is not None:
-            # What is left of the motion to each reading, which began at the reading before, after settling for so long.
-            rest = np.exp(-_since_last(c.time, c.time, -np.inf)[:, None] / np.array(SETTLING))
-            yield f"approach{name} x wait", (sign[:, None] * rest)[:, :, None]
+        if c.signal == "tracker" and c.time is not None and c.waited is not None:
+            yield f"approach{name} x wait", (sign[:, None] * left_of_motion(c.waited))[:, None]
             yield f"step{name}", smooth(_since_last(c.time, q, q[np.argmin(c.time)]), 5)[:, None]
     ratios = c.gear_ratio[j] if c.gear_ratio is not None else ()
     if len(ratios):

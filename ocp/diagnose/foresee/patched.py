@@ -18,7 +18,7 @@ from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Patched
 from ocp.diagnose.verdict.doubts import errors_of_folds
-from ocp.diagnose.verdict.patching import SIGNAL, conditions_by_name, is_patch, unfaded, with_further
+from ocp.diagnose.verdict.patching import SIGNAL, conditions_by_name, unfaded, with_further
 from ocp.diagnose.verdict.remaining import SCALE
 from ocp.diagnose.verdict.shrinkage import Shrinkage, from_model
 from ocp.effects.effect import Active
@@ -52,13 +52,16 @@ def patched(diagnosis: Diagnosis, written: Sequence[Active], named: Shrinkage | 
 
 
 def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: TrackerChannel) -> tuple[Alternative, ...]:
-    """What may be true: the patches as they stand beyond the range as well, other kernels in their place, the names alone. The
-    first is what is written: as patches fade, it is true nowhere."""
+    """What may be true: the patches as they stand beyond the range as well, other kernels in their place, or names without any.
+    The first is what is written: as patches fade, it is true nowhere; the last are the written names, on which patches come."""
     total = sum(one.probability for one in diagnosis.patches)
     shares = [diagnosis.p_unknown * one.probability / total for one in diagnosis.patches]
     rest = [Alternative(p, unfaded((*written, *one.active))) for p, one in zip(shares[1:], diagnosis.patches[1:], strict=True)]
     first = Alternative(shares[0], unfaded(after.active))
-    return (Alternative(0.0, after.active), first, *rest, Alternative(1.0 - diagnosis.p_unknown, written))
+    known = 1.0 - diagnosis.p_unknown
+    names = [Alternative(known * one.probability, one.active) for one in diagnosis.instead if one.active]
+    nothing = Alternative(known * sum(one.probability for one in diagnosis.instead if not one.active), written)
+    return (Alternative(0.0, after.active), first, *rest, *names, nothing)
 
 
 def _promised(before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative]) -> Shrinkage | None:
@@ -88,9 +91,7 @@ def with_patch(told: Sealed, found: Patched, sealed: Readings) -> Sealed:
     main = found.channel.predict(sealed, found.channel.active)
     variance = main.sigma**2
     for one in found.others:
-        other = told.corrected if not any(is_patch(a.effect) for a in one.active) else None
-        if other is None:
-            other = found.channel.predict(sealed, one.active).corrected
+        other = found.channel.predict(sealed, one.active).corrected
         variance = variance + one.probability * (other - main.corrected) ** 2
     open_, inside = beyond(found.channel, found.patches, sealed)
     return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance + open_), inside=inside)

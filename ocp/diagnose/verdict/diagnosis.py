@@ -18,7 +18,16 @@ from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_eff
 from ocp.diagnose.verdict.doubts import cancelling, errors_of_folds, implausible, refitted
 from ocp.diagnose.verdict.location import budget, kernel_tests, of_effect, of_kernel, of_tests, spectra
 from ocp.diagnose.verdict.patching import patches_of
-from ocp.diagnose.verdict.probabilities import Names, Posterior, alternatives, merged, posterior, told_apart, twins
+from ocp.diagnose.verdict.probabilities import (
+    Names,
+    Posterior,
+    alternatives,
+    merged,
+    posterior,
+    told_apart,
+    twins,
+    without_kernels,
+)
 from ocp.effects.effect import Active, Effect
 from robots.pose import Array
 
@@ -133,6 +142,7 @@ def findings(
         held_out=errors_of_folds(channels, active) if options.folds and active else {},
         alternatives=alternatives(problem, search, found, (weighed, best), active, signatures),
         patches=patches_of(problem, search, found.where) if found.p_unknown > rules.LEADS else (),
+        instead=without_kernels(problem, search) if found.p_unknown > rules.LEADS else (),
     )
 
 

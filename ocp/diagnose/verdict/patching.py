@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Search, given, make_pool, scan
@@ -19,7 +20,9 @@ from ocp.diagnose.engine.findings import Alternative, Name, Options
 from ocp.diagnose.engine.kernels import LOADED, MOTOR_WAVES, ORDERS_OF_TWO, RIPPLES
 from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
 from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.effects.context import SETTLING
 from ocp.effects.effect import Active, Effect
+from ocp.effects.engine.evaluate import left_of_motion
 from ocp.effects.patch import ON_BEAM, PATCH, make_patch
 from robots.pose import Array
 
@@ -56,9 +59,11 @@ def of_joint(where: str, j: int, variant: int, c: ReadingConditions) -> list[str
     q, tau, sign = f"q{j}", f"tau{j}", f"approach{j}"
     one, _, other = where.partition(" x ")
     stem = one.rstrip("123456")
-    if other == "wait" or stem == "step":
+    if stem == "step":
         return None
     if stem == "approach":
+        if other == "wait":
+            return [f"{sign} * settling{seconds:.0f}" for seconds in SETTLING]
         if other:
             return [f"{sign} * power {k} {tau}" for k in (1, 2, 3)]
         return [sign, *turns_of(q, variant + 1, sign)]
@@ -100,6 +105,8 @@ def conditions_by_name(c: ReadingConditions, reference: float, middle: float = 0
         found |= {f"m{axis}{j + 1}": c.moments[:, j, k] for j in range(6) for k, axis in enumerate("xy")}
     found |= {} if c.temperature is None else {"warm": c.temperature - reference}
     found |= {} if c.time is None else {"time": c.time}
+    if c.waited is not None:
+        found |= {f"settling{s:.0f}": left for s, left in zip(SETTLING, left_of_motion(c.waited).T, strict=True)}
     if c.point is not None:
         turned = np.arctan2(c.point[:, 1], c.point[:, 0]) - middle
         flat = np.linalg.norm(c.point[:, :2], axis=1)
@@ -135,27 +142,49 @@ def as_patch(name: Name, variant: int, size: float, channel: TrackerChannel) -> 
     if not features:
         return None
     measured = conditions_by_name(c, channel.task.reference, middle)
-    limits = {n: (float(v.min()), float(v.max())) for n, v in measured.items()}
+    # What settles is gone after a wait longer than any that was measured.
+    limits = {n: (0.0 if n.startswith("settling") else float(v.min()), float(v.max())) for n, v in measured.items()}
     return make_patch(source, where, name.joint, features, limits, size, **more)
 
 
 def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, float]) -> tuple[Alternative, ...]:
     """What may stand for something outside the catalogue, unfitted, with its share of the probability, the likeliest first;
-    where: kernels by name with theirs. Empty where the likeliest can be no patch."""
+    where: kernels by name with theirs. Empty where the likeliest can be no patch.
+
+    Where it warmed up in the course of time, what varies with one varies with the other: which of them it is no reading tells,
+    only how smooth a course is believed to be. Both share what they have then."""
     channel = next((c for c in problem.channels if isinstance(c, TrackerChannel)), None)
-    found: list[Alternative] = []
+    total, found = sum(where.values()), dict[Name, Alternative]()
     for name in sorted(where, key=lambda n: -where[n])[: rules.MOST_FOLLOWED]:
         f = problem.index[name]
         best = max((k for k in search.sets if f in k), key=lambda k: search.sets[k].log)
         member = next(m for m in search.sets[best].members if m.family == f)
         family = problem.pool.families[f]
-        variant = int(family.scans[member.variant]["kernel"])
-        patch = None if channel is None else as_patch(name, variant, member.size * float(family.scale[0]), channel)
-        if patch is None and not found:
+        variant, size = int(family.scans[member.variant]["kernel"]), member.size * float(family.scale[0])
+        patch = None if channel is None else as_patch(name, variant, size, channel)
+        if channel is None or (patch is None and not found):
             return ()
-        if patch is not None and where[name] >= rules.FOLLOWED * sum(where.values()):
-            found.append(Alternative(where[name], (patch,)))
-    return tuple(found)
+        if patch is None or name in found or where[name] < rules.FOLLOWED * total:
+            continue
+        other = in_the_other_course(name, channel.conditions)
+        twin = None if other is None else as_patch(other, variant, size, channel)
+        if other is None or twin is None:
+            found[name] = Alternative(where[name], (patch,))
+        else:
+            half = (where[name] + where.get(other, 0.0)) / 2.0
+            found |= {name: Alternative(half, (patch,)), other: Alternative(half, (twin,))}
+    return tuple(found.values())
+
+
+def in_the_other_course(name: Name, c: ReadingConditions) -> Name | None:
+    """A kernel of temperature as one of time and the other way round, where in the readings one is a function of the other."""
+    if c.time is None or c.temperature is None or np.ptp(c.time) == 0 or np.ptp(c.temperature) == 0:
+        return None
+    if abs(spearmanr(c.time, c.temperature).statistic) < rules.ONE_COURSE:
+        return None
+    swapped = {"temperature": "time", "time": "temperature"}
+    there = next((word for word in swapped if word in name.effect), None)
+    return None if there is None else replace(name, effect=name.effect.replace(there, swapped[there]))
 
 
 def with_further(channel: TrackerChannel, options: Options) -> TrackerChannel:
@@ -189,6 +218,7 @@ HINTS = {
     "joint ripple": "a ripple of the gear with a broken number of waves a turn",
     "joint motor": "an error of the motor's encoder or its coupling",
     "joint approach": "play that differs over the turn",
+    "joint approach wait": "an axis that comes to rest after it has stopped",
     "joint approach tau": "play or friction that grows with the load",
     "joint tau": "a spring that is not linear",
     "joint tau ripple": "teeth that give with the load",

@@ -16,6 +16,7 @@ it, the machine has it all the same, under no name: it stays in that alternative
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,6 +155,19 @@ def alternatives(
     for p, one in others:
         listed.append(Alternative(p, (*problem.values(one), *_nameless(problem, one, active, signatures))))
     return _summed(listed)
+
+
+def without_kernels(problem: Linearisation, search: Search) -> tuple[Alternative, ...]:
+    """What names say where no kernel is in, the likeliest sets of them, with probabilities that sum to one."""
+    plain = copy(search)
+    plain.sets = {k: s for k, s in search.sets.items() if not search.kernel[list(k)].any()}
+    found = posterior(problem, plain)
+    listed = [Alternative(found.p_none, ())]
+    for names, p in sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED]:
+        listed.append(Alternative(p, problem.values(plain.sets[found.best[names]])))
+    listed = [a for a in listed if a.probability >= rules.FOLLOWED]
+    total = sum(a.probability for a in listed)
+    return tuple(Alternative(a.probability / total, a.active) for a in listed)
 
 
 def _nameless(problem: Linearisation, other: Weighed, active: Sequence[Active], signatures: Sequence[Array]) -> list[Active]:

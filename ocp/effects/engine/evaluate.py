@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.effects.context import ArmContext, ContactContext, TrackerContext
+from ocp.effects.context import SETTLING, ArmContext, ContactContext, TrackerContext
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.effects.engine.compiled import Hook, RowLayout, evaluated, evaluated_sparsely, run_rows
 from robots.calibration.reading_model import RowInputs
@@ -26,7 +26,9 @@ from robots.pose import Array
 from robots.robot import Robot
 
 # Blocks of a row, matrices row by row; see ArmContext.
-ARM_LAYOUT = RowLayout.of("q 6, q_real 6, tau 6, c 6, approach 6, speed 6, warm 1, time 1, payload 4, hung 1, frames 84")
+ARM_LAYOUT = RowLayout.of(
+    "q 6, q_real 6, tau 6, c 6, approach 6, speed 6, warm 1, time 1, payload 4, hung 1, settling 3, frames 84"
+)
 # Blocks of a row, matrices row by row; see ContactContext.
 CONTACT_LAYOUT = RowLayout.of(
     "F 1, parts 4, slopes 4, curvature 3, lateral 1, tilt 2, arc 1, turn 1, p 3, n 3, t 3, e 3, belt_direction 3, n_base 3, "
@@ -124,12 +126,13 @@ def arm_rows(
     warm: Array | None = None,
     time: Array | None = None,
     speed: Array | None = None,
+    waited: Array | None = None,
 ) -> ArmRows:
     """Rows of readings `inputs` of `robot` with parameters arm (36,) (`reading_model.ARM_NAMES`).
 
     hung (n,): index of each row's payload in `payloads`; approach (n, 6); warm (n,) K above the cell's reference; time (n,) s
-    on the campaign's clock; speed (n, 6) rad/s. What is None is unknown: effects that need it come out as nan (as zero where
-    only an instant is asked of it).
+    on the campaign's clock; speed (n, 6) rad/s; waited (n,) s: how long ago the motion to each row began (None: long).
+    What else is None is unknown: effects that need it come out as nan (as zero where only an instant is asked of it).
     """
     n = len(inputs.q)
     place = ArmPlace.of(robot, payloads)
@@ -137,8 +140,13 @@ def arm_rows(
     state = run_rows(_state(inputs.load_link, place.constants), inputs.q, whole, inputs.payload, inputs.load, inputs.load_place)
     blocks: dict[str, Any] = {"q": inputs.q, "q_real": state[:, :6], "tau": state[:, 6:12], "frames": state[:, 12:]}
     blocks |= {"approach": approach, "speed": speed, "warm": warm, "time": time, "payload": inputs.payload, "c": arm[30:]}
-    blocks |= {"hung": 0.0 if hung is None else hung}
+    blocks |= {"hung": 0.0 if hung is None else hung, "settling": np.zeros(3) if waited is None else left_of_motion(waited)}
     return ArmRows(place, ARM_LAYOUT.stack(n, blocks))
+
+
+def left_of_motion(waited: Array) -> Array:
+    """What is left (n, 3) of motions that began `waited` (n,) s ago, settling as fast as each of `SETTLING`."""
+    return np.asarray(np.exp(-waited[:, None] / np.array(SETTLING)))
 
 
 @lru_cache(maxsize=32)

@@ -82,7 +82,7 @@ class PlacedReadings:
         springs = np.clip(self.state.arm[30:], SPRINGS_WITHIN[0] * self.believed, SPRINGS_WITHIN[1] * self.believed)
         whole = np.concatenate([self.state.arm[:30], np.where(self.believed > 0, springs, self.state.arm[30:])])
         for rows, inputs in row_groups(r, self.instrument, self.state):
-            parts = [None if a is None else a[rows] for a in (r.approach, self.warm, r.time)]
+            parts = [None if a is None else a[rows] for a in (r.approach, self.warm, r.time, None, r.waited)]
             arm = arm_rows(self.robot, whole, inputs, r.payloads, r.payload[rows].astype(float), *parts)
             found.append((rows, inputs.nest_link, arm))
         return found

@@ -102,6 +102,7 @@ def planned_arm_context(
     robot: Robot, payload_name: str, frames: list[ca.SX], conditions: dict[str, ca.SX], **state: ca.SX
 ) -> ArmContext:
     """What arm effects see in the model: `state` are q, q_real, tau, c, payload; frames of the believed posture."""
-    state |= {name: conditions[name] for name in ("approach", "warm", "time", "speed")} | {"hung": ca.SX(0)}
+    state |= {name: conditions[name] for name in ("approach", "warm", "time", "speed")}
+    state |= {"hung": ca.SX(0), "settling": ca.SX.zeros(3)}
     r, names = robot, (payload_name,)
     return arm_context(frames, r.sign, r.link_mass, r.link_com, r.gear_ratio, r.gravity_direction, names, **state)
