@@ -15,6 +15,7 @@ import argparse
 import csv
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -39,9 +40,12 @@ from ocp.blindtest.worlds.outside import ArmInstants, OutsideArm, by_name, joint
 from ocp.blindtest.worlds.recipes import BINS, OUTSIDE, SEVERAL, STRANGE, Recipe
 from ocp.blindtest.worlds.sealing import write_cell
 from ocp.data import CELL
-from ocp.diagnose.answering import answer_of, predict_sealed
+from ocp.diagnose.answering import answer_of, predict_sealed, tracker_channel
+from ocp.diagnose.dataset import read_sealed_tracker
 from ocp.diagnose.document import document_of
 from ocp.diagnose.engine.channel_system import Sealed
+from ocp.diagnose.tracker.channel import TrackerChannel
+from ocp.diagnose.verdict.answer import Answer
 from ocp.effects.catalogue import library
 from ocp.model.cell import Cell, read_cell
 from ocp.shell.progress import Phases
@@ -164,11 +168,8 @@ def written(out: Path, seed: int, index: int) -> Path:
     rng = np.random.default_rng([seed, index, 2])
     exact = true_points(truth, machine.cell, arm, machine.campaign.moments, machine.campaign.targets, rng)
     truths = machine.points(effects, sealed=True)
-    late, after = np.zeros(len(exact), bool), np.zeros(len(truths), bool)
-    if index % 3 == 2:  # the tracker is carried elsewhere
-        moved = drawn_machine(out / "cell.toml", seed + 500, index).truth.T_tracker_base @ invert(truth.T_tracker_base)
-        late, after = np.arange(len(exact)) >= 2 * len(exact) // 3, ~after
-        exact, truths = np.where(late[:, None], apply(moved, exact), exact), apply(moved, truths)
+    late, after, moved = stands(out / "cell.toml", seed, index, truth, len(exact), len(truths))
+    exact, truths = np.where(late[:, None], apply(moved, exact), exact), np.where(after[:, None], apply(moved, truths), truths)
     noise = instrument(machine.cell, 0.0, exact, rng) - exact
     gross = instrument(machine.cell, truth.outliers, exact, np.random.default_rng([seed, index, 3])) - exact
     wild = np.linalg.norm(gross, axis=1) > 3e-4
@@ -181,6 +182,32 @@ def written(out: Path, seed: int, index: int) -> Path:
     told = {"seed": seed, "labels": labels(effects), "detectability": [{"lam": v} for v in lam]}
     (folder / "labels" / "labels.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     return folder
+
+
+def stands(cell: Path, seed: int, index: int, truth: Truth, n: int, sealed: int) -> tuple[Array, Array, Array]:
+    """Which of n readings and of the sealed ones the tracker takes from its second stand, and how points seen from its first are
+    seen from there: where it is not carried elsewhere, as before."""
+    if index % 3 != 2:
+        return np.zeros(n, bool), np.zeros(sealed, bool), np.eye(4)
+    other = drawn_machine(cell, seed + 500, index).truth.T_tracker_base
+    return np.arange(n) >= 2 * n // 3, np.ones(sealed, bool), np.asarray(other @ invert(truth.T_tracker_base))
+
+
+def with_exact_signature(folder: Path, answer: Answer, told: Sequence[dict[str, Any]]) -> Array:
+    """Sealed points m, predicted by who knows what was planted to the last digit and takes it out of the readings."""
+    seed, index = (int(part) for part in folder.name.split("_"))
+    cell, channel = folder.parents[1] / "cell.toml", answer.diagnosis.baseline[0]
+    machine = drawn_machine(cell, seed, index)
+    planted = [
+        Planted(one["effect"], one["joint"], {k: v for k, v in one.items() if k not in ("effect", "joint")}) for one in told
+    ]
+    adds = [machine.points(planted, sealed) - machine.points((), sealed) for sealed in (False, True)]
+    late, after, moved = stands(cell, seed, index, machine.truth, *map(len, adds))
+    adds = [np.where(there[:, None], a @ moved[:3, :3].T, a) for a, there in zip(adds, (late, after), strict=True)]
+    assert isinstance(channel, TrackerChannel) and answer.data.readings is not None
+    rows = channel.readings.line - 2
+    bare = replace(answer.data, readings=replace(answer.data.readings, point=answer.data.readings.point - adds[0][rows]))
+    return np.asarray(tracker_channel(bare).predict(read_sealed_tracker(bare), ()).baseline + adds[1])
 
 
 def _rewritten(source: Path, path: Path, points: Array | None, late: Array) -> None:
@@ -214,6 +241,7 @@ def judged(folder: Path) -> dict[str, Any]:
         truth = 1e-3 * np.array([[float(r[f"{c}_mm"]) for c in "xyz"] for r in csv.DictReader(file)])
     before, after = (float(np.sqrt(np.mean(np.sum((p - truth) ** 2, axis=1)))) for p in (sealed.baseline, sealed.corrected))
     z = (sealed.corrected - truth) / sealed.sigma
+    exact = with_exact_signature(folder, answer, told["labels"]) if row["outside"] and folder.name[0].isdigit() else None
     groups, named = declared_classes(document), decided_names(document)
     said = [(r["effect"], r["joint"] or 0) for r in document["ranking"]]
     return row | {
@@ -229,6 +257,7 @@ def judged(folder: Path) -> dict[str, Any]:
         "before": before,
         "after": after,
         "came": 1.0 - after / before,
+        "exact": None if exact is None else 1.0 - float(np.sqrt(np.mean(np.sum((exact - truth) ** 2, axis=1)))) / before,
         "z2": float(np.mean(z**2)),
         "patch": _patch(document, sealed, truth, before),
         "because": list(answer.diagnosis.unknown_reasons),
@@ -263,6 +292,12 @@ def _f1(rows: Rows, effects: int) -> float:
     return float(2 * sets[:, 0].sum() / max(sets[:, 1:].sum(), 1)) if len(sets) else float("nan")
 
 
+def _of_exact(row: dict[str, Any]) -> float:
+    """Of the shrinkage that the exact signature brings, what came with names and patch together."""
+    came = row["came"] if row["patch"] is None else row["patch"]["came"]
+    return float(came / max(row["exact"], 1e-6)) if row.get("exact") is not None else float("nan")
+
+
 def unexplained(row: dict[str, Any]) -> bool:
     """Whether the answer says that something else is there."""
     return row["verdict"] in ("unexplained", "partly")
@@ -292,6 +327,10 @@ def figures(every: Rows) -> dict[str, float]:
         "worst": min((r["came"] for r in fine), default=float("nan")),
         "patched, outside the catalogue": _share([r for r in fine if r["outside"]], lambda r: r.get("patch") is not None),
         "patched, in the catalogue": _share([r for r in fine if not r["outside"]], lambda r: r.get("patch") is not None),
+        "of the exact signature's, lambda >= 50": _median([_of_exact(r) for r in fine if r["outside"] and max(r["lam"]) >= 50]),
+        "share with half of it, lambda >= 100": _share(
+            [r for r in fine if r["outside"] and max(r["lam"]) >= 100], lambda r: _of_exact(r) >= 0.5
+        ),
         "shrinkage that came with it, median": _median([p["came"] for p in patches]),
         "promised with it less came, median": _median([p["promised"]["predicted"] - p["came"] for p in patches]),
         "its interval covers": _share(patches, lambda p: p["promised"]["low"] <= p["came"] <= p["promised"]["high"]),
