@@ -34,7 +34,7 @@ from ocp.diagnose.engine.channel_system import Channel, ReadingConditions, Seale
 from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.foresee.anticipated import signal_gap
 from ocp.diagnose.foresee.next_experiment import next_experiments
-from ocp.diagnose.foresee.patched import patched, with_patch
+from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.report.verdict_sentence import diagnosis_headline
 from ocp.diagnose.rules import FOLLOWED_FORCE
 from ocp.diagnose.tracker.channel import TrackerChannel
@@ -161,9 +161,10 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
     written = promised(found, gaps)
     with phases.phase("patch"):
-        named = next((g.shrinkage for g in gaps if g.name == SIGNAL), None)
-        patch = patched(found, written, named)
-    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), written, patch)
+        named = next((g.shrinkage for g in gaps if g.name == SIGNAL), None) if written else None
+        unknown = unnamed(found, written)
+        patch = None if unknown is None else patched(unknown, named)
+    return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), written, unknown, patch)
 
 
 def with_either_sign(known: dict[str, Effect], believed: Sequence[Active]) -> dict[str, Effect]:
@@ -203,8 +204,10 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         same = effects_key(told[0].active) == effects_key(answer.written)
         written = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
         found[signal] = replace(written, named=made[0][1].corrected)
-        if signal == SIGNAL and answer.patch is not None and isinstance(sealed, Readings):
-            found[signal] = with_patch(found[signal], answer.patch, sealed)
+        if signal == SIGNAL and answer.unknown is not None and isinstance(sealed, Readings):
+            found[signal] = beside_unknown(found[signal], answer.unknown, sealed)
+            if answer.patch is not None:
+                found[signal] = with_patch(found[signal], answer.patch, sealed)
     return found
 
 
@@ -323,7 +326,9 @@ def lean(answer: Answer) -> Answer:
     gaps = tuple(replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected)) for gap in answer.gaps)
     before, after = tuple(g.baseline for g in gaps), tuple(g.corrected for g in gaps)
     patch = None if answer.patch is None else replace(answer.patch, channel=replace(answer.patch.channel, store={}))
-    return replace(answer, gaps=gaps, diagnosis=replace(answer.diagnosis, baseline=before, channels=after), patch=patch)
+    return replace(
+        answer, gaps=gaps, diagnosis=replace(answer.diagnosis, baseline=before, channels=after), unknown=None, patch=patch
+    )
 
 
 def _shown(channel: Channel) -> Channel:

@@ -9,7 +9,7 @@ import pytest
 
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import kernels
-from ocp.diagnose.foresee.patched import patched, with_patch
+from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
@@ -68,7 +68,9 @@ def test_a_patch_brings_most_of_what_the_exact_signature_would(clean, name):
     postures are met nearly as well as by the same arm without the effect."""
     readings, points = world(11, JOINTS[name][0])
     d = diagnose_channels([channel(readings)], LIBRARY, Options(folds=False))
-    found = patched(d, (), None)
+    unknown = unnamed(d, ())
+    assert unknown is not None
+    found = patched(unknown, None)
     assert found is not None and found.shrinkage.low > 0.0
     new, truth = new_readings(5, points)
     told = with_patch(found.channel.predict(new, ()), found, new)
@@ -79,6 +81,10 @@ def test_a_patch_brings_most_of_what_the_exact_signature_would(clean, name):
     assert found.shrinkage.low - 0.05 < came < found.shrinkage.high + 0.1
     z = (told.patched - truth)[told.inside] / told.patched_sigma[told.inside]
     assert told.inside.mean() > 0.8 and 0.5 < float(np.sqrt(np.mean(z**2))) < 1.6
+    plain = found.channel.predict(new, ())
+    wide = beside_unknown(plain, unknown, new).sigma  # without the patch it is in sigma
+    assert rms(np.sqrt(wide**2 - plain.sigma**2)) == pytest.approx(rms(told.patched - plain.corrected), rel=0.05)
+    assert 0.5 < float(np.sqrt(np.mean(((told.baseline - truth) / wide) ** 2))) < 1.4
     campaign = Campaign(ROBOT, readings, PAYLOADS, INSTRUMENT)
     believed = TrackerChannel(*believed_baseline(campaign, (2, 3), 22.0, believed_effects=found.patches))
     assert diagnose_channels([believed], LIBRARY, Options(folds=False)).verdict == "no_gap"
@@ -114,9 +120,9 @@ def test_what_warms_up_may_as_well_come_with_time(cooled):
     d = diagnose_channels([channel(replace(readings, point=readings.point + moved))], LIBRARY, Options(folds=False))
     shares = {a.active[0].effect.name.split("|")[1]: a.probability for a in d.patches}
     if cooled:
-        assert shares["temperature x q4"] > 0.9 and patched(d, (), None) is not None
+        assert shares["temperature x q4"] > 0.9 and patched(unnamed(d, ()), None) is not None
     else:
-        assert shares["temperature x q4"] == shares["time x q4"] > 0.4 and patched(d, (), None) is None
+        assert shares["temperature x q4"] == shares["time x q4"] > 0.4 and patched(unnamed(d, ()), None) is None
 
 
 @pytest.mark.parametrize(("name", "instead"), [("settling", ("backlash", 2)), ("resolver", None)])
@@ -130,7 +136,7 @@ def test_what_is_true_without_a_kernel(name, instead):
 
 def test_nothing_planted_no_patch(clean):
     d = diagnose_channels([clean], LIBRARY, Options(folds=False))
-    assert d.verdict == "no_gap" and not d.patches and not d.instead and patched(d, (), None) is None
+    assert d.verdict == "no_gap" and not d.patches and not d.instead and unnamed(d, ()) is None
 
 
 def example():

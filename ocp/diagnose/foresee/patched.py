@@ -16,9 +16,9 @@ from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.foresee.planned_tracker import channel_about
 from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
-from ocp.diagnose.verdict.answer import Patched
+from ocp.diagnose.verdict.answer import Patched, Unnamed
 from ocp.diagnose.verdict.doubts import errors_of_folds
-from ocp.diagnose.verdict.patching import SIGNAL, conditions_by_name, unfaded, with_further
+from ocp.diagnose.verdict.patching import SIGNAL, conditions_by_name, is_patch, unfaded, with_further
 from ocp.diagnose.verdict.remaining import SCALE
 from ocp.diagnose.verdict.shrinkage import Shrinkage, from_model
 from ocp.effects.effect import Active
@@ -30,25 +30,30 @@ from robots.pose import Array
 from robots.tracker_readings import Readings
 
 
-def patched(diagnosis: Diagnosis, written: Sequence[Active], named: Shrinkage | None) -> Patched | None:
-    """The patch that does no harm and promises more than the written names alone (`named`: what they promise); None: there is
-    nothing unknown, nothing that a patch can hold, the low end of its promise is not above zero, or the arm misses far more
-    than noise still: there evidence, which chose the kernel, is worth little (ur10_two_series: 44 % promised, 37 % worse)."""
+def unnamed(diagnosis: Diagnosis, written: Sequence[Active]) -> Unnamed | None:
+    """What is there under no name; None: nothing, nothing that a patch can hold, or the arm misses far more than noise still:
+    there evidence, which chose the kernel, is worth little (ur10_two_series: 44 % promised, 37 % worse)."""
     before = next((c for c in diagnosis.baseline if isinstance(c, TrackerChannel)), None)
     if before is None or not diagnosis.patches or diagnosis.p_unknown <= LEADS:
         return None
     try:
         after = with_further(before.with_active((*written, *diagnosis.patches[0].active)), Options())
-        if after.restless(1.0):
-            return None
-        others = _others(diagnosis, tuple(written), after)
-        promise = _promised(before, after, others)
     except Infeasible:
         return None
-    less = named.predicted if written and named is not None else 0.0
+    return None if after.restless(1.0) else Unnamed(before, after, _others(diagnosis, tuple(written), after))
+
+
+def patched(found: Unnamed, named: Shrinkage | None) -> Patched | None:
+    """The patch that does no harm and promises more than the written names alone (`named`: what they promise); None: the low end
+    of its promise is not above zero."""
+    try:
+        promise = _promised(found.before, found.after, found.others)
+    except Infeasible:
+        return None
+    less = 0.0 if named is None else named.predicted
     if promise is None or promise.low <= 0.0 or promise.predicted <= less:
         return None
-    return Patched(after, promise, others[1:])
+    return Patched(found.after, promise, found.others[1:])
 
 
 def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: TrackerChannel) -> tuple[Alternative, ...]:
@@ -84,6 +89,13 @@ def beyond(channel: TrackerChannel, patches: Sequence[Active], sealed: Readings)
         open_ += (1.0 - np.exp(-(d**2)))[:, None] * usual
         inside &= np.asarray(d == 0.0)
     return open_, inside
+
+
+def beside_unknown(told: Sealed, found: Unnamed, sealed: Readings) -> Sealed:
+    """Predictions by the written names, sigma with what is there under no name."""
+    alike = [one for one in found.others if one.probability > 0 and any(is_patch(a.effect) for a in one.active)]
+    off = [(one.probability, found.after.predict(sealed, one.active).corrected - told.corrected) for one in alike]
+    return replace(told, sigma=np.sqrt(told.sigma**2 + sum(p * d**2 for p, d in off)))
 
 
 def with_patch(told: Sealed, found: Patched, sealed: Readings) -> Sealed:

@@ -37,6 +37,16 @@ class SignalGap:
 
 
 @dataclass(frozen=True)
+class Unnamed:
+    """What is there under no name: the tracker's channel before anything and with the written names and the patches; others: what
+    may be true, with probabilities, what the patches say first."""
+
+    before: TrackerChannel
+    after: TrackerChannel
+    others: tuple[Alternative, ...]
+
+
+@dataclass(frozen=True)
 class Patched:
     """The tracker's channel with the written names and the patches; shrinkage that both promise together; others: what may stand
     in the patches' place, with probabilities."""
@@ -54,7 +64,8 @@ class Patched:
 @dataclass(frozen=True)
 class Answer:
     """Diagnosis of a data set with the gap of every signal, what to measure next, what cannot be seen, seconds by phase; written:
-    named effects that the corrected cell holds; patch: of what has no name, where it is written too."""
+    named effects that the corrected cell holds; unknown: what is there under no name; patch: of it, where it is
+    written too."""
 
     data: DataSet
     diagnosis: Diagnosis
@@ -64,6 +75,7 @@ class Answer:
     notices: tuple[str, ...]
     seconds: dict[str, float]
     written: tuple[Active, ...] = ()
+    unknown: Unnamed | None = None
     patch: Patched | None = None
 
     @property
