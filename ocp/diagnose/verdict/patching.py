@@ -218,7 +218,7 @@ HINTS = {
     "joint ripple": "a ripple of the gear with a broken number of waves a turn",
     "joint motor": "an error of the motor's encoder or its coupling",
     "joint approach": "play that differs over the turn",
-    "joint approach wait": "an axis that comes to rest after it has stopped",
+    "joint approach wait": "an axis that comes to rest after its stop; an arm that moves on has nothing of it",
     "joint approach tau": "play or friction that grows with the load",
     "joint tau": "a spring that is not linear",
     "joint tau ripple": "teeth that give with the load",
