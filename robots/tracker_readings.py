@@ -82,9 +82,8 @@ class Readings:
 
     Words as indices into their names: target, payload, session, station (n,). load (n, 6) N, N m in base axes at
     load_place (n, 3) m of load_link (n,); approach (n, 6) or None; time s, temperature C, sigma m (n,) or None; waited (n,) s
-    since the last reading at another posture, when the motion to this one began, inf before the first, or None; turn (n, 3, 3)
-    with sigma_turn (n,) rad of a 6D target or None, angles (n, 3) rad that it was made of (None: no angles were given); line
-    (n,) in the file.
+    since the last reading before the motion to this one (`waits`) or None; turn (n, 3, 3) with sigma_turn (n,) rad of a 6D target
+    or None, angles (n, 3) rad that it was made of (None: no angles were given); line (n,) in the file.
     """
 
     path: Path
@@ -128,13 +127,22 @@ class Readings:
         return replace(self, **arrays)
 
     def timed(self, time: Array) -> "Readings":
-        """The readings, all that were taken, at instants (n,) s."""
-        order = np.argsort(time, kind="stable")
-        fresh = np.append(True, np.abs(np.diff(self.q[order], axis=0)).max(axis=1) > REPEAT_TOLERANCE)
-        came = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))  # the first reading at each one's posture
-        waited = np.empty_like(time)
-        waited[order] = time[order] - np.append(-np.inf, time[order][:-1])[came]
-        return replace(self, time=time, waited=waited)
+        """The readings, nothing else having been read between them, at instants (n,) s, with what was waited for each."""
+        return replace(self, time=time, waited=waits(time, self.motions, self.session))
+
+    def among(self, others: "Readings") -> "Readings":
+        """The readings where `others` were read before, between and after them: what was waited counts from these too."""
+        if self.time is None or others.time is None:
+            return self
+        motions = [r.motions if self.approach is not None and others.approach is not None else r.q for r in (self, others)]
+        session = np.concatenate([np.array(r.sessions)[r.session] for r in (self, others)])
+        waited = waits(np.append(self.time, others.time), np.concatenate(motions), session)
+        return replace(self, waited=waited[: len(self)])
+
+    @property
+    def motions(self) -> Array:
+        """What tells the motion to a reading from the one before: axes (n, 6) rad, and beside them signs where they are known."""
+        return self.q if self.approach is None else np.hstack([self.q, self.approach])
 
     def strata(self) -> list[Index]:
         """Rows of each nest with each payload from each station: what thinning and folds must not empty."""
@@ -176,6 +184,7 @@ def read_readings(
             "it standing still and remove the column"
         )
     notices = _notices(table, payloads)
+    waited = _waited(table)
     if not sealed:
         table = _without_copies(_without_gaps(table, notices), notices, 1e3 * instrument.range_noise)
     if not sealed and not (np.abs(table.stack(POINT)).max(axis=1) > 0).all():
@@ -192,7 +201,7 @@ def read_readings(
     session, sessions = _words(table, "session")
     turn = _turns(table, mapping.rotation or instrument.rotation)
     turn_sd = table.column("sigma_rot_deg", np.pi / 180.0, lambda v: v <= 0, "above 0")
-    found = Readings(
+    return Readings(
         path=table.path,
         q=np.radians(table.stack(AXES)),
         point=1e-3 * table.stack(POINT) if measured else np.full((n, 3), np.nan),
@@ -208,6 +217,8 @@ def read_readings(
         load_link=_links(table),
         load_place=1e-3 * _partial(table, PLACE),
         approach=_signs(table),
+        time=table.numbers.get("time_s"),
+        waited=None if waited is None else np.array([waited[line] for line in table.line]),
         temperature=table.numbers.get("temperature_C"),
         sigma=table.column("sigma_um", 1e-6, lambda v: v <= 0, "above 0"),
         turn=turn,
@@ -216,7 +227,29 @@ def read_readings(
         line=np.array(table.line),
         notices=tuple(notices),
     )
-    return found.timed(table.numbers["time_s"]) if "time_s" in table.numbers else found
+
+
+def waits(time: Array, motions: Array, session: NDArray[np.generic]) -> Array:
+    """Time (n,) since the last reading of a session (n,) that another motion led to (motions: rows (n, k) that tell them apart):
+    the motion to a reading began at the earliest then. Before the first of a session nobody knows: the median of the others."""
+    found = np.full(len(time), np.inf)
+    for one in np.unique(session):
+        rows = np.flatnonzero(session == one)
+        order = rows[np.argsort(time[rows], kind="stable")]
+        fresh = np.append(True, np.abs(np.diff(motions[order], axis=0)).max(axis=1) > REPEAT_TOLERANCE)
+        came = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))  # the first reading after each one's motion
+        found[order] = time[order] - np.append(-np.inf, time[order][:-1])[came]
+    known = np.isfinite(found)
+    return np.where(known, found, np.median(found[known])) if known.any() else found
+
+
+def _waited(table: CsvTable) -> dict[int, float] | None:
+    """What was waited for each line of a table, rows in which the tracker saw nothing among them; None where no time is told."""
+    if "time_s" not in table.numbers:
+        return None
+    motions = np.hstack([np.radians(table.stack(AXES)), _partial(table, APPROACH)])
+    session = np.asarray(table.labels("session")[0]) if "session" in table.words else np.zeros(len(table), np.int64)
+    return dict(zip(table.line, waits(table.numbers["time_s"], motions, session).tolist(), strict=True))
 
 
 def _notices(table: CsvTable, payloads: dict[str, Hanging]) -> list[str]:

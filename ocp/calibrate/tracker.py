@@ -233,7 +233,7 @@ def _refit(method: str) -> Callable[[Campaign, Fit], Fit] | None:
 def as_in(sealed: Readings, readings: Readings) -> Readings:
     """`sealed` with its targets, payloads, stations and sessions numbered as in `readings`, by their names; where it names no
     target or station and only one was measured, that one. Raises BadInput for a target or station that was not measured, a
-    payload that neither the cell nor the readings know."""
+    payload that neither the cell nor the readings know. What was waited for them counts from the readings, too."""
     for kind in WORDS:
         index, names, own = getattr(sealed, kind), getattr(sealed, f"{kind}s"), getattr(readings, f"{kind}s")
         measured = kind in ("target", "station")  # their places come from readings alone
@@ -255,7 +255,7 @@ def as_in(sealed: Readings, readings: Readings) -> Readings:
                 )
         numbers = np.array([own.index(name) if name in known else -1 for name in names], np.int64)
         sealed = replace(sealed, **{kind: numbers[index], f"{kind}s": own})
-    return sealed
+    return sealed.among(readings)
 
 
 def _refuse_few(readings: Readings, campaign: Campaign) -> None:

@@ -205,7 +205,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         written = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
         found[signal] = replace(written, named=made[0][1].corrected)
         if signal == SIGNAL and answer.unknown is not None and isinstance(sealed, Readings):
-            found[signal] = beside_unknown(found[signal], answer.unknown, sealed)
+            found[signal] = beside_unknown(found[signal], answer.unknown, sealed, told)
             if answer.patch is not None:
                 found[signal] = with_patch(found[signal], answer.patch, sealed)
     return found

@@ -7,13 +7,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from ocp.diagnose.engine.beam import Search
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import kernels
+from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
-from ocp.diagnose.verdict.patching import as_patch, conditions_by_name
+from ocp.diagnose.verdict.patching import as_patch, conditions_by_name, patches_of
 from ocp.effects.cell_effects import patch_effect_of
 from ocp.effects.engine.readings import displaced, motion
 from ocp.effects.engine.symbolic import planned_arm_context
@@ -82,9 +84,12 @@ def test_a_patch_brings_most_of_what_the_exact_signature_would(clean, name):
     z = (told.patched - truth)[told.inside] / told.patched_sigma[told.inside]
     assert told.inside.mean() > 0.8 and 0.5 < float(np.sqrt(np.mean(z**2))) < 1.6
     plain = found.channel.predict(new, ())
-    wide = beside_unknown(plain, unknown, new).sigma  # without the patch it is in sigma
+    wide = beside_unknown(plain, unknown, new, d.alternatives).sigma  # without the patch it is in sigma
     assert rms(np.sqrt(wide**2 - plain.sigma**2)) == pytest.approx(rms(told.patched - plain.corrected), rel=0.05)
     assert 0.5 < float(np.sqrt(np.mean(((told.baseline - truth) / wide) ** 2))) < 1.4
+    half = replace(unknown, others=tuple(replace(one, probability=one.probability / 4) for one in unknown.others))
+    less = beside_unknown(plain, half, new, d.alternatives).sigma
+    np.testing.assert_allclose(less**2 - plain.sigma**2, (wide**2 - plain.sigma**2) / 4)
     campaign = Campaign(ROBOT, readings, PAYLOADS, INSTRUMENT)
     believed = TrackerChannel(*believed_baseline(campaign, (2, 3), 22.0, believed_effects=found.patches))
     assert diagnose_channels([believed], LIBRARY, Options(folds=False)).verdict == "no_gap"
@@ -106,6 +111,31 @@ def test_a_program_has_nothing_of_what_settles(clean):
     unasked = replace(r, waited=None)
     about = replace(clean, task=replace(clean.task, campaign=replace(clean.task.campaign, readings=unasked)))
     assert not np.any(motion(one.effect, 2, [one.scanned], about.seen)[0])
+
+
+def test_what_settles_is_not_told_of_conditions_without_a_time():
+    """Neither are such rows refused: its usual size is in their sigma, with the patch and without."""
+    d = diagnose_channels([channel(world(11, JOINTS["settling"][0])[0])], LIBRARY, Options(folds=False))
+    unknown = unnamed(d, ())
+    found = patched(unknown, None)
+    new = replace(campaign_readings(np.random.default_rng(6), 40), time=None)
+    plain = found.channel.predict(new, ())
+    told = with_patch(beside_unknown(plain, unknown, new, d.alternatives), found, new)
+    assert not told.inside.any() and (told.sigma > plain.sigma).all()
+    usual = 1e-4 * np.abs(found.channel.fit.linear.d_joints[:, :, 1]).mean()
+    assert rms(told.sigma) > usual and rms(told.patched_sigma) > usual
+
+
+def test_patches_come_with_the_likeliest_first():
+    """One that shares what it has with another course may stand behind one that does not."""
+    kernels_by_size = {"temperature x q4": 0.5, "q4 x q3": 0.4, "q4": 0.1}
+    problem = linearised([channel(world(11)[0])], LIBRARY, Options())
+    search = Search(problem.pool, 2, 4)
+    names = {Name(f"?tracker/{where}/joint", 4): p for where, p in kernels_by_size.items()}
+    for name in names:
+        search.add(frozenset([problem.index[name]]))
+    found = [(a.active[0].effect.name.split("|")[1], round(a.probability, 3)) for a in patches_of(problem, search, names)]
+    assert found == [("q4 x q3", 0.4), ("temperature x q4", 0.25), ("time x q4", 0.25), ("q4", 0.1)]
 
 
 @pytest.mark.parametrize("cooled", [False, True])

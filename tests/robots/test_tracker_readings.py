@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ocp.calibrate.tracker import as_in
 from robots.errors import BadInput
 from robots.tracker_readings import read_readings
 from tests.support.simulated_campaign import INSTRUMENT, PAYLOADS
@@ -45,9 +46,30 @@ def test_what_was_waited_counts_from_the_last_reading_elsewhere(tmp_path):
     }
     rows = [f"{row.replace('1500', str(1500 + k))},{at}" for k, (at, row) in enumerate(times.items())]
     r = read(tmp_path, HEADER + ",time_s", *rows)
-    np.testing.assert_allclose(r.waited, [31.0, np.inf, np.inf, 5.0, 38.0])
+    np.testing.assert_allclose(r.waited, [31.0, 31.0, 31.0, 5.0, 38.0])  # before the first nobody knows: their median
     np.testing.assert_allclose(r.take(np.array([3, 4])).waited, [5.0, 38.0])
     assert read(tmp_path).waited is None
+
+
+def test_another_side_is_another_motion_and_another_session_another_clock(tmp_path):
+    up, down = (f",{','.join(6 * [sign])}" for sign in ("1", "-1"))
+    rows = [(up, 0, "a"), (down, 50, "a"), (up, 80, "a"), (up, 1, "b"), (down, 61, "b")]
+    r = read(
+        tmp_path, HEADER + SIGNS + ",time_s,session", *[f"{ROW.replace('1500', str(1500 + t))}{s},{t},{k}" for s, t, k in rows]
+    )
+    np.testing.assert_allclose(r.waited, [50.0, 50.0, 30.0, 50.0, 60.0])
+
+
+def test_readings_that_were_sealed_or_saw_nothing_were_waited_for(tmp_path):
+    """What is left out of a campaign, or was taken between its readings, moved the arm all the same."""
+    axes = [ROW.replace(",10,", f",{10 + k},") for k in range(5)]
+    blind = axes[1].replace("1500,-20,900", ",,")
+    r = read(tmp_path, HEADER + ",time_s", f"{axes[0]},0", f"{blind},40", f"{axes[2]},60", f"{axes[4]},190")
+    np.testing.assert_allclose(r.waited, [40.0, 20.0, 130.0])
+    assert read(tmp_path, HEADER + ",time_s", f"{axes[3]},100").waited == np.inf
+    sealed = as_in(read(tmp_path, HEADER + ",time_s", f"{axes[3]},100"), r)
+    np.testing.assert_allclose(sealed.waited, [40.0])
+    assert as_in(read(tmp_path), r).waited is None
 
 
 def test_absent_words_mean_the_first(tmp_path):

@@ -41,7 +41,7 @@ class ReadingConditions:
 
     q (n, 6) rad commanded; approach (n, 6) signs of the last motions; payload (n,) index into `payloads`; target (n,) index
     into `targets`; time (n,) s of the run, clock (n,) s of the campaign;
-    waited (n,) s since the last reading at another posture; temperature (n,) deg C; wheel_temperature (n,); run,
+    waited (n,) s since the last reading before the motion to each; temperature (n,) deg C; wheel_temperature (n,); run,
     line, session, station (n,) integers; s (n,) m along the pass; feed m/s, setpoint N, belt m/s; contact (n,) bool; tau (n,
     6) N m load torque; travel (n,) sign of the motion along the pass; d_joints (n, k, 6): derivative of the
     prediction in the six joint angles, SI per rad (k components of a reading), for kernels and spectra in joint angles; d_tilts

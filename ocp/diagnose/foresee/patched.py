@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.channel_system import Sealed
+from ocp.diagnose.engine.channel_system import Sealed, effects_key
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Options
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.foresee.planned_tracker import channel_about
@@ -18,14 +18,13 @@ from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Patched, Unnamed
 from ocp.diagnose.verdict.doubts import errors_of_folds
-from ocp.diagnose.verdict.patching import SIGNAL, conditions_by_name, is_patch, unfaded, with_further
+from ocp.diagnose.verdict.patching import SIGNAL, conditions_by_name, unfaded, with_further
 from ocp.diagnose.verdict.remaining import SCALE
 from ocp.diagnose.verdict.shrinkage import Shrinkage, from_model
 from ocp.effects.effect import Active
-from ocp.effects.engine.readings import displaced, motion
+from ocp.effects.engine.readings import displaced, has_columns, motion
 from ocp.effects.patch import lengths_outside
 from robots.calibration.residuals import points
-from robots.errors import Infeasible
 from robots.pose import Array
 from robots.tracker_readings import Readings
 
@@ -36,20 +35,14 @@ def unnamed(diagnosis: Diagnosis, written: Sequence[Active]) -> Unnamed | None:
     before = next((c for c in diagnosis.baseline if isinstance(c, TrackerChannel)), None)
     if before is None or not diagnosis.patches or diagnosis.p_unknown <= LEADS:
         return None
-    try:
-        after = with_further(before.with_active((*written, *diagnosis.patches[0].active)), Options())
-    except Infeasible:
-        return None
+    after = with_further(before.with_active((*written, *diagnosis.patches[0].active)), Options())
     return None if after.restless(1.0) else Unnamed(before, after, _others(diagnosis, tuple(written), after))
 
 
 def patched(found: Unnamed, named: Shrinkage | None) -> Patched | None:
     """The patch that does no harm and promises more than the written names alone (`named`: what they promise); None: the low end
     of its promise is not above zero."""
-    try:
-        promise = _promised(found.before, found.after, found.others)
-    except Infeasible:
-        return None
+    promise = _promised(found.before, found.after, found.others)
     less = 0.0 if named is None else named.predicted
     if promise is None or promise.low <= 0.0 or promise.predicted <= less:
         return None
@@ -58,7 +51,7 @@ def patched(found: Unnamed, named: Shrinkage | None) -> Patched | None:
 
 def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: TrackerChannel) -> tuple[Alternative, ...]:
     """What may be true: the patches as they stand beyond the range as well, other kernels in their place, or names without any.
-    The first is what is written: as patches fade, it is true nowhere; the last are the written names, on which patches come."""
+    The first is what is written: as patches fade, it is true nowhere; the last is nothing beside the written names."""
     total = sum(one.probability for one in diagnosis.patches)
     shares = [diagnosis.p_unknown * one.probability / total for one in diagnosis.patches]
     rest = [Alternative(p, unfaded((*written, *one.active))) for p, one in zip(shares[1:], diagnosis.patches[1:], strict=True)]
@@ -82,6 +75,9 @@ def beyond(channel: TrackerChannel, patches: Sequence[Active], sealed: Readings)
     about = channel_about(channel, replace(new, point=points(c.robot, new, c.instrument, channel.fit.state)))
     open_, inside = np.zeros((len(sealed), 3)), np.full(len(sealed), True)
     for one in unfaded(patches):
+        if not has_columns(one.effect, sealed):  # its usual size is in the predictions' sigma
+            inside[:] = False
+            continue
         middle = one.scanned.get("about", (0.0,))[0]
         d = lengths_outside(one, conditions_by_name(about.conditions, channel.task.reference, middle))
         columns = displaced(motion(one.effect, one.joint, [one.scanned], about.seen), about.fit.linear.d_joints)[0]
@@ -91,11 +87,16 @@ def beyond(channel: TrackerChannel, patches: Sequence[Active], sealed: Readings)
     return open_, inside
 
 
-def beside_unknown(told: Sealed, found: Unnamed, sealed: Readings) -> Sealed:
-    """Predictions by the written names, sigma with what is there under no name."""
-    alike = [one for one in found.others if one.probability > 0 and any(is_patch(a.effect) for a in one.active)]
-    off = [(one.probability, found.after.predict(sealed, one.active).corrected - told.corrected) for one in alike]
-    return replace(told, sigma=np.sqrt(told.sigma**2 + sum(p * d**2 for p, d in off)))
+def beside_unknown(told: Sealed, found: Unnamed, sealed: Readings, known: Sequence[Alternative]) -> Sealed:
+    """Predictions by the written names, sigma with what is there under no name, or under names that are not in it yet (`known`:
+    alternatives that are)."""
+    variance, counted = told.sigma**2, {effects_key(one.active) for one in known}
+    for one in found.others:
+        if one.probability > 0 and effects_key(one.active) not in counted:
+            other = found.after.predict(sealed, one.active)
+            more = np.maximum(other.sigma**2 - told.sigma**2, 0.0)  # what the conditions lack for it
+            variance = variance + one.probability * ((other.corrected - told.corrected) ** 2 + more)
+    return replace(told, sigma=np.sqrt(variance))
 
 
 def with_patch(told: Sealed, found: Patched, sealed: Readings) -> Sealed:

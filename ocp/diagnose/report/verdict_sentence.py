@@ -24,7 +24,7 @@ DEPENDS = {
     "moment": "the weight's moment across the axis of joint",
 }
 PLAIN = {
-    "wait": "the time since the last reading",
+    "wait": "the time since the motion to a reading began",
     "range": "the distance from the tracker",
     "target": "the reflector nest",
     "sight": "the side from which a reflector is seen",

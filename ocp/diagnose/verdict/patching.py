@@ -151,8 +151,8 @@ def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, floa
     """What may stand for something outside the catalogue, unfitted, with its share of the probability, the likeliest first;
     where: kernels by name with theirs. Empty where the likeliest can be no patch.
 
-    Where it warmed up in the course of time, what varies with one varies with the other: which of them it is no reading tells,
-    only how smooth a course is believed to be. Both share what they have then."""
+    Where it warmed up in the course of time, whatever varies with temperature varies with time as well, and no reading tells
+    which of the two it is: a kernel of one shares what it has with the same kernel of the other."""
     channel = next((c for c in problem.channels if isinstance(c, TrackerChannel)), None)
     total, found = sum(where.values()), dict[Name, Alternative]()
     for name in sorted(where, key=lambda n: -where[n])[: rules.MOST_FOLLOWED]:
@@ -173,7 +173,7 @@ def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, floa
         else:
             half = (where[name] + where.get(other, 0.0)) / 2.0
             found |= {name: Alternative(half, (patch,)), other: Alternative(half, (twin,))}
-    return tuple(found.values())
+    return tuple(sorted(found.values(), key=lambda one: -one.probability)[: rules.MOST_FOLLOWED])
 
 
 def in_the_other_course(name: Name, c: ReadingConditions) -> Name | None:

@@ -165,7 +165,8 @@ def without_kernels(problem: Linearisation, search: Search) -> tuple[Alternative
     listed = [Alternative(found.p_none, ())]
     for names, p in sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED]:
         listed.append(Alternative(p, problem.values(plain.sets[found.best[names]])))
-    listed = [a for a in listed if a.probability >= rules.FOLLOWED]
+    listed.sort(key=lambda a: -a.probability)
+    listed = [a for k, a in enumerate(listed) if k == 0 or a.probability >= rules.FOLLOWED]
     total = sum(a.probability for a in listed)
     return tuple(Alternative(a.probability / total, a.active) for a in listed)
 
