@@ -104,7 +104,8 @@ def orthonormal(columns: Array) -> Array:
 
 
 def budget(problem: Linearisation, tests: list[KernelTest], explained: Given) -> list[BudgetLine]:
-    """Shares of the gap beyond noise. The noise's scale is what the best explanation leaves."""
+    """Shares of the gap beyond noise, the largest first, one condition before two that hardly take more. The noise's scale is what
+    the best explanation leaves."""
     scale2 = explained.left / problem.pool.freedom
     excess = float(problem.pool.y @ problem.pool.y) - problem.pool.freedom * scale2
     least = BUDGET_SD * np.sqrt(2.0 * problem.pool.freedom) * scale2  # no gap to share out below what noise itself scatters
@@ -115,7 +116,7 @@ def budget(problem: Linearisation, tests: list[KernelTest], explained: Given) ->
         elsewhere = t.joint and t.source in ("joint", "axis") and str(t.joint) not in t.where
         where = f"{t.where} at joint {t.joint}" if elsewhere else t.where
         lines.append(BudgetLine(t.channel, where, share, t.p_value))
-    return sorted(lines, key=lambda b: -b.share)
+    return sorted(lines, key=lambda b: SHARE_PER_FEATURE * b.where.count(" x ") - b.share)
 
 
 ORDERS = np.arange(1.0, 121.0, 0.5)  # per turn
