@@ -104,8 +104,8 @@ def orthonormal(columns: Array) -> Array:
 
 
 def budget(problem: Linearisation, tests: list[KernelTest], explained: Given) -> list[BudgetLine]:
-    """Shares of the gap beyond noise, the largest first, one condition before two that hardly take more. The noise's scale is what
-    the best explanation leaves."""
+    """Shares of the gap beyond noise, the largest first, one condition before two that hardly take more. The noise's scale is
+    what the best explanation leaves."""
     scale2 = explained.left / problem.pool.freedom
     excess = float(problem.pool.y @ problem.pool.y) - problem.pool.freedom * scale2
     least = BUDGET_SD * np.sqrt(2.0 * problem.pool.freedom) * scale2  # no gap to share out below what noise itself scatters
