@@ -113,17 +113,24 @@ def test_a_program_has_nothing_of_what_settles(clean):
     assert not np.any(motion(one.effect, 2, [one.scanned], about.seen)[0])
 
 
-def test_what_settles_is_not_told_of_conditions_without_a_time():
-    """Neither are such rows refused: its usual size is in their sigma, with the patch and without."""
-    d = diagnose_channels([channel(world(11, JOINTS["settling"][0])[0])], LIBRARY, Options(folds=False))
+def test_conditions_that_say_nothing_of_what_settles():
+    """Without a time they are predicted all the same, sigma as wide as what is there; after a wait longer than any measured
+    nothing is left of it, and that is known."""
+    readings, points = world(11, JOINTS["settling"][0])
+    d = diagnose_channels([channel(readings)], LIBRARY, Options(folds=False))
     unknown = unnamed(d, ())
     found = patched(unknown, None)
-    new = replace(campaign_readings(np.random.default_rng(6), 40), time=None)
-    plain = found.channel.predict(new, ())
-    told = with_patch(beside_unknown(plain, unknown, new, d.alternatives), found, new)
-    assert not told.inside.any() and (told.sigma > plain.sigma).all()
-    usual = 1e-4 * np.abs(found.channel.fit.linear.d_joints[:, :, 1]).mean()
-    assert rms(told.sigma) > usual and rms(told.patched_sigma) > usual
+    new, truth = new_readings(6, points)
+    for untimed in (replace(new, time=None), replace(new, time=None, waited=None)):
+        plain = found.channel.predict(untimed, ())
+        told = with_patch(beside_unknown(plain, unknown, untimed, d.alternatives), found, untimed)
+        assert not told.inside.any()
+        for sigma in (told.sigma, told.patched_sigma):
+            assert 0.6 < rms(told.baseline - truth) / rms(sigma) < 1.3
+    assert np.array_equal(beside_unknown(plain, unknown, untimed, unknown.others).sigma, plain.sigma)
+    late = campaign_readings(np.random.default_rng(6), 40).timed(500.0 * np.arange(1.0, 41.0))
+    rested = with_patch(found.channel.predict(late, ()), found, late)
+    assert rested.inside.all() and rms(rested.patched - found.channel.predict(late, ()).corrected) < 3e-5
 
 
 def test_patches_come_with_the_likeliest_first():
