@@ -98,9 +98,9 @@ def test_a_patch_brings_most_of_what_the_exact_signature_would(clean, name):
 def test_a_program_has_nothing_of_what_settles(clean):
     """Nobody knows what an arm that moves on has left of its motions: a patch of them is in readings alone."""
     one = replace(
-        make_patch("joint", "approach2 x wait", 2, ["approach2 * settling60"], {"settling60": (0.0, 0.9)}, 1e-4), a=np.ones(1)
+        make_patch("joint", "approach2 x wait", 2, ["approach2 * settling20"], {"settling20": (0.0, 0.9)}, 1e-4), a=np.ones(1)
     )
-    r, waits = clean.readings, np.exp(-clean.readings.waited / 60.0)
+    r, waits = clean.readings, np.exp(-clean.readings.waited / 20.0)
     shift, _ = motion(one.effect, 2, [one.scanned], clean.seen)
     np.testing.assert_allclose(shift[0, :, 1, 0], r.approach[:, 1] * waits, rtol=1e-12)
     frames = chain(ca.SX(r.q[0]), ROBOT.mdh, ROBOT.sign)
