@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ocp.diagnose.engine.beam import Search
-from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.findings import Alternative, Name, Options
 from ocp.diagnose.engine.kernels import kernels
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
@@ -87,6 +87,8 @@ def test_a_patch_brings_most_of_what_the_exact_signature_would(clean, name):
     wide = beside_unknown(plain, unknown, new, d.alternatives).sigma  # without the patch it is in sigma
     assert rms(np.sqrt(wide**2 - plain.sigma**2)) == pytest.approx(rms(told.patched - plain.corrected), rel=0.05)
     assert 0.5 < float(np.sqrt(np.mean(((told.baseline - truth) / wide) ** 2))) < 1.4
+    alone, beside = (with_patch(plain, replace(found, others=o), new) for o in ((), (Alternative(0.5, ()),)))
+    np.testing.assert_allclose(beside.patched_sigma**2 - alone.patched_sigma**2, 0.5 * (told.patched - plain.baseline) ** 2)
     half = replace(unknown, others=tuple(replace(one, probability=one.probability / 4) for one in unknown.others))
     less = beside_unknown(plain, half, new, d.alternatives).sigma
     np.testing.assert_allclose(less**2 - plain.sigma**2, (wide**2 - plain.sigma**2) / 4)
