@@ -1,8 +1,13 @@
 import subprocess
 import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
 
 from ocp.diagnose import answering
 from ocp.diagnose.answering import grouped, write_diagnosis
+from ocp.diagnose.report import verdict_sentence
 from ocp.shell.progress import Phases
 from tests.support.diagnosis_folder import write_tracker_folder
 
@@ -17,6 +22,14 @@ def test_one_core_draws_the_same_page_as_two(tmp_path, monkeypatch):
         write_diagnosis(tmp_path / "set", tmp_path / f"out{cores}", False, Phases())
         pages.append((tmp_path / f"out{cores}" / "report.html").read_bytes())
     assert pages[0] == pages[1] and b"<svg" in pages[0]
+
+
+@pytest.mark.parametrize(("unknown", "words"), [(0.02, "too small beside it"), (0.98, "what has no name is in that noise")])
+def test_a_gap_in_the_noise_is_told_apart_from_one_without_a_name(unknown, words):
+    readings = np.full(9, 0.1)
+    gap = SimpleNamespace(name="tracker", unit="mm", noise_floor=0.11, before=readings, after=readings, shrinkage=None)
+    told = verdict_sentence._better(SimpleNamespace(gaps=(gap,), diagnosis=SimpleNamespace(p_unknown=unknown)))
+    assert words in told and "noise 0.11" in told
 
 
 def test_what_only_the_report_or_a_force_log_needs_is_imported_late():

@@ -96,7 +96,7 @@ def gaps_table(answer: Answer) -> Table:
     for gap in answer.gaps:
         before, after = figures(gap.before), figures(gap.after)
         s = gap.shrinkage
-        told = "too small beside noise" if s is None else shrinkage_words(s)
+        told = "in the noise" if s is None else shrinkage_words(s)
         cells = (SHORT[gap.name], gap.unit, figure(gap.noise_floor))
         rows.append((*cells, *(figure(v[k]) for k in ("rms", "mean", "max") for v in (before, after)), told))
     sizes = [word for what in ("rms", "mean", "max") for word in (f"{what} before", "after")]

@@ -8,6 +8,7 @@ from typing import Any
 
 from ocp.calibrate.report.view import listed
 from ocp.diagnose.engine.findings import Location, Name
+from ocp.diagnose.rules import LEADS
 from ocp.diagnose.verdict.answer import Answer, Patched, figures
 from ocp.diagnose.verdict.patching import formula_of
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, NONE, Shrinkage
@@ -239,7 +240,10 @@ def _better(answer: Answer) -> str:
         words = f"{SHORT[gap.name]}: {figure(before['rms'])} → {figure(after['rms'])} {gap.unit} rms"
         words += f", noise {figure(gap.noise_floor)}"
         if gap.shrinkage is None:
-            words += "; the gap is too small beside the noise to speak of shrinking"
+            unknown = answer.diagnosis.p_unknown > LEADS
+            words += (
+                "; what has no name is in that noise" if unknown else "; the gap is too small beside it to speak of shrinking"
+            )
         elif gap.shrinkage != NONE:
             words += f"; on new data {shrinkage_words(gap.shrinkage)} of the gap beyond noise should be gone"
         parts.append(words)
