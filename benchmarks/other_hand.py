@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ocp.blindtest.answers import FAULTS
 from ocp.blindtest.oracle.tracker import (
@@ -224,6 +225,7 @@ def _rewritten(source: Path, path: Path, points: Array | None, late: Array) -> N
         writer.writerows(rows)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # as the command does: threads only fight over matrices as small as these
 def judged(folder: Path) -> dict[str, Any]:
     """The row of a world: what was planted, said, promised and came."""
     told = json.loads((folder / "labels" / "labels.json").read_text(encoding="utf-8"))
