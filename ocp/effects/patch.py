@@ -15,9 +15,9 @@ the beam ("beam along", ..). Features are products of factors, written as "appro
     power p c            of c over its largest size        c alone: c itself        is NAME: 1 where that payload hangs
 
 Conditions: q1..q6 rad; approach1..6; tau1..6 N m load torque; mx1..6, my1..6 N m moment of all weight beyond an axis about x and
-y of the link before it; settling20, settling60, settling200: what is left of the motion to where the arm stands after settling
-as fast (s; nothing in a program, whose arm does not stand); warm K above the cell's reference temperature; time s; range m,
-azimuth rad (from the middle of what was measured), elevation rad of a reflector seen from the tracker.
+y of the link before it; settling20, settling60, settling200: exp(-t / 20 s) and so on, t the time since the motion to where the
+arm stands began (0 in a program, whose arm moves on); warm K above the cell's reference temperature; time s; range m, azimuth
+rad (from the middle of what was measured), elevation rad of a reflector seen from the tracker.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -126,7 +126,7 @@ def test_conditions_that_say_nothing_of_what_settles():
     for untimed in (replace(new, time=None), replace(new, time=None, waited=None)):
         plain = found.channel.predict(untimed, ())
         told = with_patch(beside_unknown(plain, unknown, untimed, d.alternatives), found, untimed)
-        assert not told.inside.any()
+        assert not told.inside.any() and told.lacking == ("patch over approach2 x wait",)
         for sigma in (told.sigma, told.patched_sigma):
             assert 0.8 < rms(told.baseline - truth) / rms(sigma) < 1.15
     assert np.array_equal(beside_unknown(plain, unknown, untimed, unknown.others).sigma, plain.sigma)

@@ -94,8 +94,9 @@ def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Array]]:
         yield f"approach{name}", sign[:, None, None] * turns
         if tau is not None:
             yield f"approach{name} x tau{name}", (sign[:, None] * _powers(tau))[:, None]
-        if c.signal == "tracker" and c.time is not None and c.waited is not None:
+        if c.signal == "tracker" and c.waited is not None:
             yield f"approach{name} x wait", (sign[:, None] * left_of_motion(c.waited))[:, None]
+        if c.signal == "tracker" and c.time is not None:
             yield f"step{name}", smooth(_since_last(c.time, q, q[np.argmin(c.time)]), 5)[:, None]
     ratios = c.gear_ratio[j] if c.gear_ratio is not None else ()
     if len(ratios):

@@ -107,4 +107,6 @@ def with_patch(told: Sealed, found: Patched, sealed: Readings) -> Sealed:
         other = found.channel.predict(sealed, one.active).corrected
         variance = variance + one.probability * (other - main.corrected) ** 2
     open_, inside = beyond(found.channel, found.patches, sealed)
+    lacking = tuple(one.effect.title for one in found.patches if not has_columns(one.effect, sealed))
+    told = replace(told, lacking=(*told.lacking, *lacking))
     return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance + open_), inside=inside)
