@@ -70,6 +70,9 @@ def test_readings_that_were_sealed_or_saw_nothing_were_waited_for(tmp_path):
     sealed = as_in(read(tmp_path, HEADER + ",time_s", f"{axes[3]},100"), r)
     np.testing.assert_allclose(sealed.waited, [40.0])
     assert as_in(read(tmp_path), r).waited is None
+    signed = read(tmp_path, HEADER + SIGNS + ",time_s", *[f"{axes[k]},1,1,1,1,1,1,{60 * k}" for k in (0, 2)])
+    unsigned = as_in(read(tmp_path, HEADER + ",time_s", f"{axes[1]},70"), signed)
+    np.testing.assert_allclose(unsigned.waited, [70.0])  # of rows whose signs nobody tells, axes alone tell motions apart
 
 
 def test_absent_words_mean_the_first(tmp_path):
