@@ -82,8 +82,9 @@ class Readings:
 
     Words as indices into their names: target, payload, session, station (n,). load (n, 6) N, N m in base axes at
     load_place (n, 3) m of load_link (n,); approach (n, 6) or None; time s, temperature C, sigma m (n,) or None; waited (n,) s
-    since the last reading before the motion to this one (`waits`) or None; turn (n, 3, 3) with sigma_turn (n,) rad of a 6D target
-    or None, angles (n, 3) rad that it was made of (None: no angles were given); line (n,) in the file.
+    since the last reading before the motion to this one and moved (n, 6) rad by it (`last_motions`), None without times; turn
+    (n, 3, 3) with sigma_turn (n,) rad of a 6D target or None, angles (n, 3) rad that it was made of (None: no angles were given);
+    line (n,) in the file.
     """
 
     path: Path
@@ -104,6 +105,7 @@ class Readings:
     approach: Array | None = None
     time: Array | None = None
     waited: Array | None = None
+    moved: Array | None = None
     temperature: Array | None = None
     sigma: Array | None = None
     turn: Array | None = None
@@ -127,17 +129,18 @@ class Readings:
         return replace(self, **arrays)
 
     def timed(self, time: Array) -> "Readings":
-        """The readings, nothing else having been read between them, at instants (n,) s, with what was waited for each."""
-        return replace(self, time=time, waited=waits(time, self.motions, self.session))
+        """The readings, nothing else having been read between them, at instants (n,) s, with the motion to each."""
+        waited, moved = last_motions(time, self.motions, self.session)
+        return replace(self, time=time, waited=waited, moved=moved)
 
     def among(self, others: "Readings") -> "Readings":
-        """The readings where `others` were read before, between and after them: what was waited counts from these too."""
+        """The readings where `others` were read before, between and after them: the arm came from these, too."""
         if self.time is None or others.time is None:
             return self
         motions = [r.motions if self.approach is not None and others.approach is not None else r.q for r in (self, others)]
         session = np.concatenate([np.array(r.sessions)[r.session] for r in (self, others)])
-        waited = waits(np.append(self.time, others.time), np.concatenate(motions), session)
-        return replace(self, waited=waited[: len(self)])
+        waited, moved = last_motions(np.append(self.time, others.time), np.concatenate(motions), session)
+        return replace(self, waited=waited[: len(self)], moved=moved[: len(self)])
 
     @property
     def motions(self) -> Array:
@@ -184,7 +187,7 @@ def read_readings(
             "it standing still and remove the column"
         )
     notices = _notices(table, payloads)
-    waited = _waited(table)
+    came = _last_motions(table)
     if not sealed:
         table = _without_copies(_without_gaps(table, notices), notices, 1e3 * instrument.range_noise)
     if not sealed and not (np.abs(table.stack(POINT)).max(axis=1) > 0).all():
@@ -218,7 +221,8 @@ def read_readings(
         load_place=1e-3 * _partial(table, PLACE),
         approach=_signs(table),
         time=table.numbers.get("time_s"),
-        waited=None if waited is None else np.array([waited[line] for line in table.line]),
+        waited=None if came is None else np.array([came[line][0] for line in table.line]),
+        moved=None if came is None else np.array([came[line][1:] for line in table.line]),
         temperature=table.numbers.get("temperature_C"),
         sigma=table.column("sigma_um", 1e-6, lambda v: v <= 0, "above 0"),
         turn=turn,
@@ -229,27 +233,32 @@ def read_readings(
     )
 
 
-def waits(time: Array, motions: Array, session: NDArray[np.generic]) -> Array:
-    """Time (n,) since the last reading of a session (n,) that another motion led to (motions: rows (n, k) that tell them apart):
-    the motion to a reading began at the earliest then. Before the first of a session nobody knows: the median of the others."""
-    found = np.full(len(time), np.inf)
+def last_motions(time: Array, motions: Array, session: NDArray[np.generic]) -> tuple[Array, Array]:
+    """The motions that led to readings at times (n,) s of sessions (n,), told apart by rows of `motions` (n, k), axes rad first.
+
+    Time (n,) s since the last reading that another motion led to (the motion to a reading began at the earliest then) and by how
+    far (n, 6) rad each axis moved. Before the first of a session nobody knows: the median of the others' times, and no motion.
+    """
+    waited, moved = np.full(len(time), np.inf), np.zeros((len(time), 6))
     for one in np.unique(session):
         rows = np.flatnonzero(session == one)
         order = rows[np.argsort(time[rows], kind="stable")]
-        fresh = np.append(True, np.abs(np.diff(motions[order], axis=0)).max(axis=1) > REPEAT_TOLERANCE)
-        came = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))  # the first reading after each one's motion
-        found[order] = time[order] - np.append(-np.inf, time[order][:-1])[came]
-    known = np.isfinite(found)
-    return np.where(known, found, np.median(found[known])) if known.any() else found
+        steps = np.diff(motions[order], axis=0, prepend=motions[order[:1]])
+        fresh = np.abs(steps).max(axis=1) > REPEAT_TOLERANCE
+        first = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))  # the first reading after each one's motion
+        waited[order] = time[order] - np.append(-np.inf, time[order][:-1])[first]
+        moved[order] = steps[first, :6]
+    known = np.isfinite(waited)
+    return np.where(known, waited, np.median(waited[known])) if known.any() else waited, moved
 
 
-def _waited(table: CsvTable) -> dict[int, float] | None:
-    """What was waited for each line of a table, rows in which the tracker saw nothing among them; None where no time is told."""
+def _last_motions(table: CsvTable) -> dict[int, Array] | None:
+    """What was waited and moved for each line of a table, also where the tracker saw nothing; None without times."""
     if "time_s" not in table.numbers:
         return None
     motions = np.hstack([np.radians(table.stack(AXES)), _partial(table, APPROACH)])
     session = np.asarray(table.labels("session")[0]) if "session" in table.words else np.zeros(len(table), np.int64)
-    return dict(zip(table.line, waits(table.numbers["time_s"], motions, session).tolist(), strict=True))
+    return dict(zip(table.line, np.column_stack(last_motions(table.numbers["time_s"], motions, session)), strict=True))
 
 
 def _notices(table: CsvTable, payloads: dict[str, Hanging]) -> list[str]:

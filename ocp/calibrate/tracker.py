@@ -233,7 +233,7 @@ def _refit(method: str) -> Callable[[Campaign, Fit], Fit] | None:
 def as_in(sealed: Readings, readings: Readings) -> Readings:
     """`sealed` with its targets, payloads, stations and sessions numbered as in `readings`, by their names; where it names no
     target or station and only one was measured, that one. Raises BadInput for a target or station that was not measured, a
-    payload that neither the cell nor the readings know. What was waited for them counts from the readings, too."""
+    payload that neither the cell nor the readings know. The motions to them count from the readings, too."""
     for kind in WORDS:
         index, names, own = getattr(sealed, kind), getattr(sealed, f"{kind}s"), getattr(readings, f"{kind}s")
         measured = kind in ("target", "station")  # their places come from readings alone

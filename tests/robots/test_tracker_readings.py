@@ -47,8 +47,11 @@ def test_what_was_waited_counts_from_the_last_reading_elsewhere(tmp_path):
     rows = [f"{row.replace('1500', str(1500 + k))},{at}" for k, (at, row) in enumerate(times.items())]
     r = read(tmp_path, HEADER + ",time_s", *rows)
     np.testing.assert_allclose(r.waited, [31.0, 31.0, 31.0, 5.0, 38.0])  # before the first nobody knows: their median
-    np.testing.assert_allclose(r.take(np.array([3, 4])).waited, [5.0, 38.0])
-    assert read(tmp_path).waited is None
+    np.testing.assert_allclose(np.degrees(r.moved[:, 0]), [2.0, 0.0, 0.0, -2.0, 2.0], atol=1e-12)
+    thinned = r.take(np.array([3, 4]))
+    np.testing.assert_allclose(thinned.waited, [5.0, 38.0])
+    np.testing.assert_allclose(np.degrees(thinned.moved[:, 0]), [-2.0, 2.0])
+    assert read(tmp_path).waited is read(tmp_path).moved is None
 
 
 def test_another_side_is_another_motion_and_another_session_another_clock(tmp_path):
@@ -58,6 +61,7 @@ def test_another_side_is_another_motion_and_another_session_another_clock(tmp_pa
         tmp_path, HEADER + SIGNS + ",time_s,session", *[f"{ROW.replace('1500', str(1500 + t))}{s},{t},{k}" for s, t, k in rows]
     )
     np.testing.assert_allclose(r.waited, [50.0, 50.0, 30.0, 50.0, 60.0])
+    np.testing.assert_array_equal(r.moved, 0.0)  # nor does an axis move from the end of one session to the start of the next
 
 
 def test_readings_that_were_sealed_or_saw_nothing_were_waited_for(tmp_path):
@@ -69,6 +73,7 @@ def test_readings_that_were_sealed_or_saw_nothing_were_waited_for(tmp_path):
     assert read(tmp_path, HEADER + ",time_s", f"{axes[3]},100").waited == np.inf
     sealed = as_in(read(tmp_path, HEADER + ",time_s", f"{axes[3]},100"), r)
     np.testing.assert_allclose(sealed.waited, [40.0])
+    np.testing.assert_allclose(np.degrees(sealed.moved[:, 0]), [1.0])
     assert as_in(read(tmp_path), r).waited is None
     signed = read(tmp_path, HEADER + SIGNS + ",time_s", *[f"{axes[k]},1,1,1,1,1,1,{60 * k}" for k in (0, 2)])
     unsigned = as_in(read(tmp_path, HEADER + ",time_s", f"{axes[1]},70"), signed)

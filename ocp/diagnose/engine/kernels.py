@@ -96,8 +96,8 @@ def _of_joint(c: ReadingConditions, j: int) -> Iterator[tuple[str, Array]]:
             yield f"approach{name} x tau{name}", (sign[:, None] * _powers(tau))[:, None]
         if c.signal == "tracker" and c.waited is not None:
             yield f"approach{name} x wait", (sign[:, None] * left_of_motion(c.waited))[:, None]
-        if c.signal == "tracker" and c.time is not None:
-            yield f"step{name}", smooth(_since_last(c.time, q, q[np.argmin(c.time)]), 5)[:, None]
+        if c.signal == "tracker" and c.moved is not None:
+            yield f"step{name}", smooth(c.moved[:, j], 5)[:, None]
     ratios = c.gear_ratio[j] if c.gear_ratio is not None else ()
     if len(ratios):
         yield f"motor{name}", _of_orders(np.outer(q, np.outer(ratios, np.arange(1, MOTOR_WAVES + 1)).ravel()))
@@ -196,13 +196,6 @@ def _of_nests(c: ReadingConditions) -> Iterator[Kernel]:
 
 def _time(c: ReadingConditions) -> Array | None:
     return c.clock if c.clock is not None else c.time
-
-
-def _since_last(time: Array, values: Array, first: float) -> Array:
-    """By how much (n,) values differ from those of the reading before in time, those of the first from `first`."""
-    order, out = np.argsort(time, kind="stable"), np.empty_like(values)
-    out[order] = np.diff(values[order], prepend=first)
-    return out
 
 
 def _of_orders(phase: Array) -> Array:

@@ -30,7 +30,7 @@ from robots.gravity import weight_torques
 from robots.pose import Array
 from robots.tracker_readings import Readings
 
-OF_READINGS = ("q", "approach", "payload", "payloads", "target", "targets", "time", "waited", "temperature")
+OF_READINGS = ("q", "approach", "payload", "payloads", "target", "targets", "time", "waited", "moved", "temperature")
 ANY = {"target", "payload"}  # one of them is as good as many
 
 
