@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import expit
 
 from ocp.blindtest.scoring import SURE, first_right
@@ -17,6 +16,8 @@ from robots.pose import Array
 
 Z95 = 1.959964
 DRAWS = 2000
+SCORINGS = 30
+HALVINGS = 6
 
 
 @dataclass(frozen=True)
@@ -44,32 +45,31 @@ def share_of_hits(hits: Sequence[bool]) -> Estimate:
     return Estimate(p, float(min(max(middle - half, 0.0), p)), float(max(min(middle + half, 1.0), p)), n)
 
 
-def bootstrap(rows: Sequence[Sequence[float]], figure: Callable[[Array], float], seed: int = 0) -> Estimate:
-    """A figure of rows (n, k) with the interval of `DRAWS` draws of whole rows."""
+def bootstrap(rows: Sequence[Sequence[float]], figure: Callable[[Array], Array], seed: int = 0) -> Estimate:
+    """A figure of rows (n, k) with the interval of `DRAWS` draws of whole rows; figure: of tables (d, n, k), one each (d,)."""
     table = np.asarray(rows, float)
     n = len(table)
     if n == 0:
         return NOTHING
-    rng = np.random.default_rng(seed)
-    drawn = [figure(table[rng.integers(n, size=n)]) for _ in range(DRAWS)]
+    drawn = figure(table[np.random.default_rng(seed).integers(n, size=(DRAWS, n))])
     low, high = np.nanquantile(drawn, [0.025, 0.975])
-    return Estimate(float(figure(table)), float(low), float(high), n)
+    return Estimate(float(figure(table[None])[0]), float(low), float(high), n)
 
 
 def median(values: Sequence[float]) -> Estimate:
     """Median of values."""
-    return bootstrap([[v] for v in values], lambda t: float(np.median(t)))
+    return bootstrap([[v] for v in values], lambda t: np.median(t[..., 0], axis=1))
 
 
 def share_in_groups(groups: Sequence[Sequence[bool]]) -> Estimate:
     """Share of hits in all groups together, groups drawn as wholes: hits of one world are not independent."""
     rows = [[sum(map(bool, g)), len(g)] for g in groups if len(g)]
-    return bootstrap(rows, lambda t: float(t[:, 0].sum() / t[:, 1].sum()))
+    return bootstrap(rows, lambda t: t[..., 0].sum(axis=1) / t[..., 1].sum(axis=1))
 
 
 def f1(counts: Sequence[tuple[int, int, int]]) -> Estimate:
     """F1 of rows (found, named, planted), summed over worlds."""
-    return bootstrap(counts, lambda t: float(2 * t[:, 0].sum() / max(t[:, 1].sum() + t[:, 2].sum(), 1)))
+    return bootstrap(counts, lambda t: 2 * t[..., 0].sum(axis=1) / np.maximum(t[..., 1:].sum(axis=(1, 2)), 1))
 
 
 Row = dict[str, Any]
@@ -245,10 +245,10 @@ def _shrinkage(rows: Sequence[Row]) -> list[Figure]:
     corrected = [r for r in rows if r.get("realised")]
     said = [(r["shrinkage"], shrinkage(r, "named")) for r in rows if explainable(r) and r.get("shrinkage")]
     named_said = [(s, x) for s, x in said if s["predicted"] != 0.0]
-    explained = bootstrap(parts, lambda t: float(np.median(t[:, 0] / t[:, 1])))
+    explained = bootstrap(parts, lambda t: np.median(t[..., 0] / t[..., 1], axis=1))
     off = median([abs(s["predicted"] - x) for s, x in named_said])
     inside = share_of_hits([s["low"] <= x <= s["high"] for s, x in named_said])
-    covered = bootstrap([[r["realised"]["covered"]] for r in corrected], lambda t: float(t.mean()))
+    covered = bootstrap([[r["realised"]["covered"]] for r in corrected], lambda t: t[..., 0].mean(axis=1))
     return [
         Figure("shrinkage at new conditions, named right, of what can be explained", (0.90,), ">=", explained),
         Figure("harmful corrections", (0.01,), "<=", share_of_hits([shrinkage(r) < HARM for r in corrected])),
@@ -304,16 +304,34 @@ def found_over_predicted(rows: Sequence[dict[str, Any]]) -> Estimate:
     return bootstrap(pairs, _at_power) if len(pairs) >= LEAST else NOTHING
 
 
-def _at_power(table: Array) -> float:
-    """Ratio at which a logistic curve of log size reaches the power; a weak prior holds its slope where all are seen."""
-    x, hit = table[:, 0], table[:, 1]
+def _at_power(tables: Array) -> Array:
+    """Ratios (d,) at which logistic curves of log size reach the power; a weak prior holds their slope where all are seen.
+    Fisher's scoring, steps halved until the fit is no worse."""
+    x, hit = tables[..., 0], tables[..., 1]
+    believed = np.array([0.0, 1.5])
 
-    def unlikely(p: Array) -> float:
-        chance = np.clip(expit(np.exp(p[1]) * (x - p[0])), 1e-9, 1 - 1e-9)
-        return float(-(hit * np.log(chance) + (1 - hit) * np.log(1 - chance)).sum() + 0.5 * p[0] ** 2 + 0.5 * (p[1] - 1.5) ** 2)
+    def levels(p: Array) -> Array:
+        return np.asarray(np.exp(p[:, 1:]) * (x - p[:, :1]))
 
-    middle, slope = minimize(unlikely, np.array([0.0, 1.5]), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3}).x
-    return float(np.exp(middle + np.log(POWER / (1 - POWER)) / np.exp(slope)))
+    def unlikely(p: Array) -> Array:
+        level = levels(p)
+        return np.asarray((np.logaddexp(0.0, level) - hit * level).sum(axis=1) + 0.5 * ((p - believed) ** 2).sum(axis=1))
+
+    p = np.tile(believed, (len(tables), 1))
+    now = unlikely(p)
+    for _ in range(SCORINGS):
+        level = levels(p)
+        seen = expit(level)
+        J = np.stack([np.broadcast_to(-np.exp(p[:, 1:]), level.shape), level], axis=2)
+        slope = np.einsum("dni,dn->di", J, seen - hit) + p - believed
+        curvature = np.einsum("dni,dn,dnj->dij", J, seen * (1 - seen), J) + np.eye(2)
+        step, share = np.linalg.solve(curvature, slope[..., None])[..., 0], np.ones((len(p), 1))
+        for _ in range(HALVINGS):
+            there = unlikely(p - share * step)
+            share = np.where((there > now)[:, None], 0.5 * share, share)
+        better = there <= now
+        p, now = np.where(better[:, None], p - share * step, p), np.where(better, there, now)
+    return np.asarray(np.exp(p[:, 0] + np.log(POWER / (1 - POWER)) / np.exp(p[:, 1])))
 
 
 def chance(rows: Sequence[Row], key: str = "top1", seed: int = 0) -> Estimate:

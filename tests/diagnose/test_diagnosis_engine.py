@@ -154,6 +154,16 @@ def test_finds_what_was_planted_and_nothing_else():
     assert sum(e.probability for e in d.explanations) + d.p_none == pytest.approx(1.0)
 
 
+def test_a_search_by_the_best_alone_is_made_good_where_names_explain_what_was_missed(monkeypatch):
+    """As long as an arm misses far more than noise only the best sets grow; what is told is weighed against all the same."""
+    channel, library = problem_of(planted=((0, 0.6), (4, -0.5)))
+    told = diagnose_channels([channel], library, FEW)
+    asked = []
+    monkeypatch.setattr("ocp.diagnose.engine.search.misses_far_more_than_noise", lambda *_: not asked.append(1))
+    again = diagnose_channels([channel], library, FEW)
+    assert len(asked) > 2 and again.explanations == told.explanations and again.ranking == told.ranking
+
+
 def test_two_channels_share_the_coefficient():
     one, library = problem_of(planted=((0, 0.25),), rows=80, seed=5)
     two, _ = problem_of(planted=((0, 0.25),), rows=80, seed=6)

@@ -224,7 +224,8 @@ def _off_outline(outline: Array, p: Array) -> float:
 
 def section(recipe: Recipe, z: float, n: int = 96, only: int | None = None) -> Array:
     """Outline (n, 3) of the aerofoil at z, counter-clockwise from the trailing edge, fillets included; or one point of it."""
-    phi = 2.0 * np.pi * np.arange(n) / n
+    # A point needs its two neighbours for the way outward.
+    phi = 2.0 * np.pi * (np.arange(n) if only is None else (only + np.array([-1, 0, 1])) % n) / n
     x = 0.5 + 0.5 * np.cos(phi)
     w = z / recipe.length
     chord = recipe.chord * (1.0 - recipe.taper * w)
@@ -243,8 +244,8 @@ def section(recipe: Recipe, z: float, n: int = 96, only: int | None = None) -> A
     p = p + [0.3 * recipe.lean * w, recipe.lean * w + recipe.wave * np.sin(6.0 * np.pi * w)]
     if recipe.cuts == "clapper":
         p[:, 1] += 3.0 * np.sign(np.sin(phi)) * np.exp(-(((z - 0.7 * recipe.length) / 4.0) ** 2) - ((x - 0.5) / 0.15) ** 2)
-    out = np.column_stack([p, np.full(n, z)])
-    return out if only is None else out[only]
+    out = np.column_stack([p, np.full(len(p), z)])
+    return out if only is None else out[1]
 
 
 def _flare(recipe: Recipe, z: float) -> float:

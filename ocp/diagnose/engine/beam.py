@@ -413,6 +413,11 @@ class Search:
 
     def run(self, seeds: Iterable[Key] = (), pairs: bool = True) -> None:
         """Singles, pairs, then grow, drop and swap until the best sets stay the same."""
+        self.begin(seeds, pairs)
+        self.grow()
+
+    def begin(self, seeds: Iterable[Key] = (), pairs: bool = True) -> None:
+        """Singles and pairs, and sets `seeds`."""
         first = self.scan(NOTHING)
         gain = self._value(first)
         order = np.argsort(-gain)
@@ -422,9 +427,13 @@ class Search:
             self._pairs(first, gain)
         for key in seeds:
             self.add(key)
+
+    def grow(self, leaders: bool = False) -> None:
+        """Grow, drop and swap until the best sets stay the same; leaders: only the best of all and the best of names."""
         done: set[Key] = set()
         for _ in range(4 * self.most):
-            fresh = [k for k in dict.fromkeys((*self.best(), *self._named())) if k not in done]
+            few = 1 if leaders else None
+            fresh = [k for k in dict.fromkeys((*self.best()[:few], *self._named()[:few])) if k not in done]
             if not fresh:
                 break
             for key in fresh:

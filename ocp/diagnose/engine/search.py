@@ -30,6 +30,7 @@ from ocp.diagnose.engine.channel_system import Channel, WeighedReadings, effects
 from ocp.diagnose.engine.evidence import log_evidence
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, stacked_columns
+from ocp.diagnose.engine.selection import misses_far_more_than_noise
 from ocp.diagnose.rules import OUTLIERS_OF_ONE_CAUSE, RECHECKED, SHARPER_GAIN
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.errors import Infeasible
@@ -99,7 +100,8 @@ def search_and_refit(
     while True:
         search = Search(problem.pool, options.most, options.beam)
         index = problem.index
-        search.run([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
+        search.begin([frozenset(index[n] for n in names if n in index) for names in seeds], pairs=problem is first)
+        rough = _grown(problem, search)
         held = _all_active(problem.channels)
         diverged.converged(Name(*a.key) for a in held)
         diverged.strike(search, problem)
@@ -109,6 +111,11 @@ def search_and_refit(
             chosen = refined(problem, best, problem.values(best))
             if effects_key(chosen, 2) in tried | {effects_key(held, 2)}:
                 channels = outliers_rechecked(problem, held, library, options) if freeing else None
+                if channels is None and rough and not search.kernel[list(search.best()[0])].any():
+                    rough = False
+                    search.grow()
+                    diverged.strike(search, problem)
+                    continue
                 if channels is None:
                     return problem, search
                 freed = effects_key(_all_active(channels), 2)
@@ -127,6 +134,17 @@ def search_and_refit(
                     break
         seeds = [problem.names(k) for k in search.best()]
         problem = linearised(channels, library, options)
+
+
+def _grown(problem: Linearisation, search: Search) -> bool:
+    """Grow a search; whether by the best sets alone: as long as the arm misses far more than noise the next name is all that is
+    asked of it, and what sets weigh is not looked at."""
+    if misses_far_more_than_noise(problem, search):
+        search.grow(leaders=True)
+        if misses_far_more_than_noise(problem, search):
+            return True
+    search.grow()
+    return False
 
 
 def next_set(search: Search, limit: int) -> Weighed:

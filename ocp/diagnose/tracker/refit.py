@@ -111,6 +111,11 @@ class Task:
     repeats: Repeats | None = None
     believed: tuple[Active, ...] = ()
 
+    @cached_property
+    def link_torques(self) -> Array:
+        """Of the links at the readings' postures (`link_torques`)."""
+        return link_torques(self.campaign.robot, self.campaign.readings.q)
+
 
 def refit(task: Task, state: State, offset: Array, active: Sequence[Active], noise: Noise) -> TrackerFit:
     """Fit from `state` and the active effects' values, the joint noise with it."""
@@ -180,7 +185,7 @@ def link_sag(task: Task, state: State, more: Array) -> Array:
     if not len(task.layout.links):
         return np.zeros((len(c.readings), 6, 0))
     springs = np.clip(state.arm[30:], 0.0, None) + more
-    return np.asarray(springs[:, :, None] * link_torques(c.robot, c.readings.q))
+    return np.asarray(springs[:, :, None] * task.link_torques)
 
 
 def _hang_heavier(task: Task, state: State, more: Array, linear: Linearised) -> None:
