@@ -16,6 +16,7 @@ _GRID = 201
 GAP = 0.5e-3  # m: room that must stay between the wheel and whatever is not aerofoil
 _SAMPLING = 2e-3  # m: distance of the points that stand for block and platform
 _STATIONS = 121  # places along a pass that are looked at
+_AT_ONCE = 8  # of them, as many as fit the processor's cache with ten thousand points
 
 
 @dataclass(frozen=True)
@@ -131,13 +132,12 @@ def free_stretch(side: SideSurface, points: Array, u: Array, v: Array, radius: f
     b = np.cross(n, t)
     b /= np.linalg.norm(b, axis=1, keepdims=True)
     centre = p + radius * n
-    free = np.ones(len(p), bool)
-    for k in range(len(p)):
-        r = points - centre[k]
-        lateral = r @ b[k]
-        near = np.abs(lateral) < 0.5 * width + GAP
-        rho2 = np.einsum("ni,ni->n", r[near], r[near]) - lateral[near] ** 2
-        free[k] = not (rho2 < (radius + GAP) ** 2).any()
+    size, free = np.sum(points**2, axis=1), np.ones(len(p), bool)
+    for k in range(0, len(p), _AT_ONCE):
+        part, axis = centre[k : k + _AT_ONCE], b[k : k + _AT_ONCE]
+        lateral = axis @ points.T - np.sum(part * axis, axis=1)[:, None]
+        off = -2.0 * part @ points.T + size + np.sum(part**2, axis=1)[:, None] - lateral**2
+        free[k : k + _AT_ONCE] = ~((np.abs(lateral) < 0.5 * width + GAP) & (off < (radius + GAP) ** 2)).any(axis=1)
     first, end = longest_run(free)
     last = end - 1
     if last <= first:

@@ -201,10 +201,11 @@ class Cover:
         return self.dx * self.dy[:, None]
 
     def displace(self, force: Array) -> Array:
-        """Radial displacement (n_y, n_x) m under cell forces (n_y, n_x) N."""
-        waves = np.ascontiguousarray(np.fft.rfft(force, axis=1).T)
-        moved = np.matmul(self.spectrum, waves.view(float).reshape(*waves.shape, 2))  # real and imaginary part
-        return np.fft.irfft((moved[..., 0] + 1j * moved[..., 1]).T, len(self.x), axis=1)
+        """Radial displacement (.., n_y, n_x) m under cell forces (.., n_y, n_x) N."""
+        waves = np.fft.rfft(force, axis=-1).reshape(-1, len(self.y), len(self.spectrum))
+        waves = np.ascontiguousarray(waves.transpose(2, 1, 0))
+        moved = np.matmul(self.spectrum, waves.view(float))  # real and imaginary parts, one after the other
+        return np.fft.irfft(moved.view(complex).transpose(2, 1, 0), len(self.x), axis=2).reshape(force.shape)
 
     def softer(self, modulus: float) -> "Cover":
         """The same cover with another modulus (Pa): compliance goes as 1/E."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ocp.contact.wheel.cover import Cover, WheelGeometry
 from ocp.contact.wheel.law import WheelLaw, all_features, chebyshev_products, exponents, force_scale, reduce_shape, strip_count
-from ocp.contact.wheel.signorini import LocalShape, solve_force
+from ocp.contact.wheel.signorini import LocalShape, solve_forces
 from ocp.shell.cache import content_key, remember
 from robots.errors import Infeasible
 from robots.pose import Array
@@ -20,6 +20,7 @@ DEGREES = (2, 3, 4)
 EARNED = 0.85  # factor on the cross-validated error that one degree more must bring
 FOLDS = 4
 OVERSIZE = 1.15  # the training box over the domain: a polynomial is worst at its corners
+TOGETHER = 64  # contacts solved at once; of more the arrays no longer fit the processor's cache
 RIDGE = 1e-2  # of the columns' mean square; keeps extrapolation tame
 DECAYS: Array = np.geomspace(0.2, 2.0, 10)
 VERSION = "wheel law 3"  # raise it when the fit changes
@@ -103,11 +104,11 @@ def draw(cover: Cover, domain: Domain, count: int, seed: int, spread: bool, forc
             f"{1 - len(inputs) / count:.0%} of all postures allowed; use a smaller wheel or another direction of the passes"
         )
     solved, indentation = [], []
-    for F, *shape in inputs:
-        contact = solve_force(cover, F, LocalShape(*shape))
-        if not contact.touches_border:
-            solved.append([F, *shape])
-            indentation.append(contact.indentation)
+    for part in np.array_split(inputs, -(-len(inputs) // TOGETHER)):
+        for row, contact in zip(part, solve_forces(cover, part[:, 0], [LocalShape(*r[1:]) for r in part]), strict=True):
+            if not contact.touches_border:
+                solved.append(row)
+                indentation.append(contact.indentation)
     if len(solved) < 0.5 * len(inputs):
         raise Infeasible(
             f"under {domain.force:g} N the blade would press the wheel's cover round more than the wheel in "

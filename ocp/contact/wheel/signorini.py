@@ -5,6 +5,7 @@ optimality conditions of min 1/2 f^T C f + g^T f, f >= 0, sum f = F, with d the 
 gap of the quadratic blade over the wheel (docs/architecture.md, wheel contact frame), and the contact solved for it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,40 +55,51 @@ def solve_contact(cover: Cover, gap: Array, force: float, beside: Contact | None
 
     Raises Infeasible where no blade lies over the wheel.
     """
-    there = np.isfinite(gap)
-    if not there.any():
-        raise Infeasible("no part of the blade lies over the wheel at this contact point; move the contact on the wheel")
-    if force <= 0:
-        zero = np.zeros((len(cover.y), len(cover.x)))
-        return Contact(float(gap.min()), 0.0, 0.0, np.zeros(2), np.zeros(2), zero, zero, cover.x, cover.y, 0.0, False)
-    tried = None if beside is None else there & (beside.pressure > 0)
-    active = _first_guess(cover, gap, force) if tried is None or not tried.any() else tried
-    best, patience = gap.size + 1, PATIENCE
+    return solve_contacts(cover, gap[None], np.array([force]), beside)[0]
+
+
+def solve_contacts(cover: Cover, gaps: Array, forces: Array, beside: Contact | None = None) -> list[Contact]:
+    """`solve_contact` for many gaps (k, n_y, n_x) and forces (k,), their displacements together."""
+    found: list[Contact | None] = [None] * len(gaps)
+    active = np.zeros(gaps.shape, bool)
+    for k, (gap, force) in enumerate(zip(gaps, forces, strict=True)):
+        there = np.isfinite(gap)
+        if not there.any():
+            raise Infeasible("no part of the blade lies over the wheel at this contact point; move the contact on the wheel")
+        if force <= 0:
+            zero = np.zeros((len(cover.y), len(cover.x)))
+            found[k] = Contact(float(gap.min()), 0.0, 0.0, np.zeros(2), np.zeros(2), zero, zero, cover.x, cover.y, 0.0, False)
+            continue
+        tried = None if beside is None else there & (beside.pressure > 0)
+        active[k] = _first_guess(cover, gap, force) if tried is None or not tried.any() else tried
+    open_ = np.flatnonzero([one is None for one in found])
+    best, patience = np.full(len(gaps), gaps[0].size + 1), np.full(len(gaps), PATIENCE)
     for _ in range(MAX_PIVOTS):
-        f, rise, d = _equilibrium(cover, gap, active, force)
-        field = np.zeros_like(gap)
-        field[active] = f
+        if not len(open_):
+            return [one for one in found if one is not None]
+        own = [_equilibrium(cover, gaps[k], active[k], forces[k]) for k in open_]
+        field = np.zeros((len(open_), *gaps.shape[1:]))
+        field[active[open_]] = np.concatenate([f for f, _, _ in own])
         moved = cover.displace(field)
-        opening = moved + gap - d
-        scale = np.abs(f).mean()
-        pull = active.copy()
-        pull[active] = f < -FORCE_ROUNDING * scale
-        overlap = ~active & (opening < -FORCE_ROUNDING * abs(cover.kernel[0, 0, 0]) * scale)
-        wrong = pull | overlap
-        count = int(np.count_nonzero(wrong))
-        if count == 0:
-            return _summary(cover, field, rise, active, opening, moved, d)
-        if count < best:
-            best, patience = count, PATIENCE
-        else:
-            patience -= 1
-        if patience < 0:
-            last = np.flatnonzero(wrong)[-1]
-            wrong = np.zeros_like(wrong)
-            wrong.flat[last] = True
-        active = active ^ wrong
-        if not active.any():
-            active = gap == gap.min()
+        opening = moved + gaps[open_] - np.array([d for _, _, d in own])[:, None, None]
+        scale = np.array([np.abs(f).mean() for f, _, _ in own])[:, None, None]
+        pull = field < -FORCE_ROUNDING * scale
+        wrong = pull | (~active[open_] & (opening < -FORCE_ROUNDING * abs(cover.kernel[0, 0, 0]) * scale))
+        counts = np.count_nonzero(wrong, axis=(1, 2))
+        for at in np.flatnonzero(counts == 0):
+            k, (_, rise, d) = open_[at], own[at]
+            found[k] = _summary(cover, field[at], rise, active[k], opening[at], moved[at], d)
+        better = counts < best[open_]
+        patience[open_] = np.where(better, PATIENCE, patience[open_] - 1)
+        best[open_] = np.where(better, counts, best[open_])
+        for at in np.flatnonzero(patience[open_] < 0):
+            last = np.flatnonzero(wrong[at])[-1:]
+            wrong[at] = False
+            wrong[at].flat[last] = True
+        active[open_] ^= wrong
+        for k in open_[~active[open_].any(axis=(1, 2))]:
+            active[k] = gaps[k] == gaps[k].min()
+        open_ = open_[counts > 0]
     raise Infeasible(f"the wheel contact did not settle in {MAX_PIVOTS} active sets; the blade's surface is too rough there")
 
 
@@ -173,19 +185,27 @@ def solve_force(cover: Cover, force: float, shape: LocalShape, beside: Contact |
 
     Raises Infeasible where the blade is hollow along the belt (kxx <= 0): it then touches elsewhere.
     """
-    if shape.kxx <= 0:
-        raise Infeasible(
-            f"the blade is hollow along the belt (relative curvature {shape.kxx:.3g} 1/m, must be positive): the wheel "
-            "touches it elsewhere; turn the blade or use a smaller wheel"
-        )
-    y = cover.y - shape.lateral
-    origin = _window_origin(shape, y)
-    x = cover.x + origin
-    gap = shape.gap(x[None, :], y[:, None])
-    gap = gap + (shape.kxx * cover.dx**2 + shape.kyy * cover.dy[:, None] ** 2) / 24  # cell mean of the quadratic part
-    contact = solve_contact(cover, gap, force, beside)
-    centroid = contact.centroid + np.array([origin, -shape.lateral]) if contact.force > 0 else contact.centroid
-    return replace(contact, centroid=centroid, x=x, y=y)
+    return solve_forces(cover, np.array([force]), [shape], beside)[0]
+
+
+def solve_forces(cover: Cover, forces: Array, shapes: Sequence[LocalShape], beside: Contact | None = None) -> list[Contact]:
+    """`solve_force` for forces (k,) and as many shapes."""
+    gaps, moves = [], []
+    for shape in shapes:
+        if shape.kxx <= 0:
+            raise Infeasible(
+                f"the blade is hollow along the belt (relative curvature {shape.kxx:.3g} 1/m, must be positive): the wheel "
+                "touches it elsewhere; turn the blade or use a smaller wheel"
+            )
+        y = cover.y - shape.lateral
+        origin = _window_origin(shape, y)
+        gap = shape.gap((cover.x + origin)[None, :], y[:, None])
+        gaps.append(gap + (shape.kxx * cover.dx**2 + shape.kyy * cover.dy[:, None] ** 2) / 24)  # cell mean of the quadratic part
+        moves.append(np.array([origin, -shape.lateral]))
+    return [
+        replace(one, centroid=one.centroid + move if one.force > 0 else one.centroid, x=cover.x + move[0], y=cover.y + move[1])
+        for one, move in zip(solve_contacts(cover, np.array(gaps), forces, beside), moves, strict=True)
+    ]
 
 
 def _window_origin(shape: LocalShape, y: Array) -> float:
