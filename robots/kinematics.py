@@ -13,8 +13,8 @@ import numpy as np
 from robots.pose import Array
 from robots.robot import Robot
 
-# Postures evaluated in one CasADi call: large enough to hide the call's cost, small enough for the cache.
-_CHUNK = 2048
+_CHUNK = 1 << 11  # calls of one mapped function: building one for more takes longer than it saves
+_STEP = 1 << 7  # calls by which mapped functions differ: building one takes as long as some hundred calls
 
 
 def mdh_transform(theta: Any, d: Any, a: Any, alpha: Any, beta: Any) -> Any:
@@ -76,15 +76,45 @@ def _evaluate(robot: Robot, kind: str, q: Array) -> Array:
     return evaluate_rows(function, np.asarray(q, float).reshape(-1, 6))
 
 
-def evaluate_rows(function: ca.Function, *arguments: Array) -> Array:
-    """One output row per input row of a CasADi function of column vectors: arguments (n, k_i) -> (n, m)."""
-    n = len(arguments[0])
-    result = np.empty((n, function.size1_out(0)))
-    for start in range(0, n, _CHUNK):
-        block = slice(start, min(start + _CHUNK, n))
-        value = function(*(ca.DM(np.ascontiguousarray(a[block].T)) for a in arguments))
-        result[block] = value.full().T
-    return result
+def evaluate_rows(function: Any, *arguments: Array) -> Array:
+    """One output row per input row of a CasADi function of column vectors, or of one that maps like it: arguments (n, k_i) ->
+    (n, m)."""
+    out = np.empty((len(arguments[0]), function.size1_out(0)))
+    evaluate_into(out, function, *arguments)
+    return out
+
+
+def evaluate_into(out: Array, function: Any, *arguments: Array) -> None:
+    """`evaluate_rows` written into contiguous `out` (n, m), through the arrays' own memory: CasADi's matrices would cost as much
+    again as the evaluation. What is left of a block is filled up with its last row."""
+    done = 0
+    while done < len(out):
+        part = out[done:]
+        count = calls_at_once(len(part))
+        n = min(len(part), count)
+        result = part[:n] if n == count else np.empty((count, out.shape[1]))
+        buffer: Any
+        buffer, evaluate = _mapped(function.name(), function, count).buffer()
+        rows = done + np.minimum(np.arange(count), n - 1)
+        held = [np.ascontiguousarray(a[done : done + n] if n == count else a[rows], float) for a in arguments]
+        for i, a in enumerate(held):
+            if a.size:
+                buffer.set_arg(i, a.data)
+        buffer.set_res(0, result.data)
+        evaluate()
+        if n < count:
+            part[:n] = result[:n]
+        done += n
+
+
+def calls_at_once(n: int) -> int:
+    """Calls of the mapped function that does most of n rows: a multiple of _STEP, for fewer rows a power of two."""
+    return min(n // _STEP * _STEP, _CHUNK) if n >= _STEP else 1 << (n - 1).bit_length()
+
+
+@lru_cache(maxsize=1024)
+def _mapped(name: str, function: Any, count: int) -> ca.Function:
+    return function.map(count)
 
 
 @lru_cache(maxsize=96)

@@ -78,14 +78,22 @@ def _millimetres(place: Array) -> str:
 
 
 def longest_levers(robot: Robot, com: Array) -> Array:
-    """Longest distances (3,) m of a point (3,) m of the flange from axes 4, 5 and 6 over all postures of the wrist."""
+    """Longest distances (3,) m of a point (3,) m of the flange from axes 4, 5 and 6 over all postures of the wrist.
+
+    The distance from an axis is the same wherever that axis has turned to: from axis 6 it is one number, from axis 5 it varies
+    with joint 6 alone, from axis 4 with joints 5 and 6."""
     turn = np.arange(0.0, 2 * np.pi, STEP)
-    q = np.zeros((len(turn) ** 2, 6))
-    q[:, 4], q[:, 5] = (a.ravel() for a in np.meshgrid(turn, turn))
+    q = np.zeros((len(turn), 6))
+    q[:, 5] = turn
     frames = link_frames(robot, q)
     point = frames[:, 6, :3, :3] @ com + frames[:, 6, :3, 3]
-    away = [np.cross(frames[:, j, :3, 2], point - frames[:, j, :3, 3]) for j in (3, 4, 5)]
-    return np.array([np.linalg.norm(v, axis=1).max() for v in away])
+    of_6, of_5 = (np.einsum("nji,nj->ni", frames[:, j, :3, :3], point - frames[:, j, :3, 3]) for j in (5, 4))
+    c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    x, y, z = of_5.T
+    turned = np.stack([c * x - s * y, s * x + c * y, np.broadcast_to(z, (len(turn), len(z)))], axis=2)
+    R, o = frames[0, 3, :3, :3], frames[0, 3, :3, 3]
+    of_4 = (turned @ frames[0, 4, :3, :3].T + frames[0, 4, :3, 3] - o) @ R
+    return np.array([np.hypot(p[..., 0], p[..., 1]).max() for p in (of_4, of_5, of_6)])
 
 
 def _unchecked(robot: Robot, name: str, load: Hanging) -> set[str]:

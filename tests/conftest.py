@@ -8,7 +8,9 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
+from importlib.metadata import distributions
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from filelock import FileLock
@@ -85,9 +87,19 @@ def plans_made_anew(own_cache: None) -> Iterator[None]:
     """Commands in this process take no whole plan from the cache: tests change what a plan is made by without its key knowing."""
     from ocp.plan.kept import PlanKey
 
+    listed = [SimpleNamespace(name=one.name, version=one.version) for one in distributions()]
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ocp.plan.kept.distributions", lambda: listed)  # each is read from its file
         patch.setattr(PlanKey, "written_again", lambda *_: None)
         patch.setattr(PlanKey, "keep", lambda *_: None)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def compiled_once(own_cache: None) -> Iterator[None]:
+    """The force model is compiled by the first test that uses it, however few its rows: the others then have it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ocp.calibrate.force.model.WORTH_COMPILING", 1)
         yield
 
 
@@ -131,11 +143,14 @@ def small_plan_once(own_cache: None):
 
 
 @pytest.fixture
-def unprinted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands in this process write no report.pdf, for tests that do not open it; its sheets take as long as the page."""
+def unprinted(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands in this process write no report.pdf and draw no figures on pages, which take as long as all else; but for tests
+    marked `drawn`, and what is made for a whole module."""
     from ocp.report.report import Report
 
-    monkeypatch.setattr(Report, "write_pdf", lambda *_: None)
+    if request.node.get_closest_marker("drawn") is None:
+        monkeypatch.setattr(Report, "write_pdf", lambda *_: None)
+        monkeypatch.setattr("ocp.report.parts.inline_svg", lambda *_: "<svg></svg>")
 
 
 @pytest.fixture(scope="module")

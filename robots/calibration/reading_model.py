@@ -19,11 +19,10 @@ import numpy as np
 from robots.calibration.parameters import COMPLIANCE_NAMES, MDH_NAMES
 from robots.compliance import deflected_joints
 from robots.gravity import GRAVITY, gravity_torques
-from robots.kinematics import chain
+from robots.kinematics import chain, evaluate_rows
 from robots.pose import Array
 from robots.robot import Robot
 
-_CHUNK = 2048  # rows of one call: large enough to hide its cost, small enough for the cache
 ARM_NAMES: tuple[str, ...] = (*MDH_NAMES, *COMPLIANCE_NAMES)  # order of `arm` (36,)
 PAYLOAD_NAMES = ("payload_mass", "payload_com_x", "payload_com_y", "payload_com_z")
 
@@ -81,31 +80,10 @@ def predict_points(robot: Robot, arm: Array, rows: RowInputs) -> tuple[Array, Ar
 
 
 def _rows(build: Callable[..., ca.Function], robot: Robot, arm: Array, rows: RowInputs) -> Array:
-    """One output row per reading of a function of `_Symbols`.
-
-    CasADi reads and writes the arrays' own memory: its matrices would cost as much again as the evaluation. What a rigid joint
-    feels changes nothing and is left out.
-    """
-    n = len(rows.q)
-    key = (rows.nest_link, rows.load_link, tuple((arm[30:] != 0.0).tolist()), *_masses(robot))
-    arguments = (rows.q, np.broadcast_to(arm, (n, 36)), rows.payload, rows.load, rows.load_place, rows.nest)
-    out = np.empty((n, build(*key).size1_out(0)))
-    for start in range(0, n, _CHUNK):
-        block = slice(start, min(start + _CHUNK, n))
-        buffer: Any
-        buffer, evaluate = _mapped(build, block.stop - start, key).buffer()
-        held = [np.ascontiguousarray(a[block], float) for a in arguments]
-        for i, a in enumerate(held):
-            buffer.set_arg(i, a.data)
-        buffer.set_res(0, out[block].data)
-        evaluate()
-    return out
-
-
-@lru_cache(maxsize=64)
-def _mapped(build: Callable[..., ca.Function], count: int, key: tuple[Any, ...]) -> ca.Function:
-    """The function for `count` rows at once."""
-    return build(*key).map(count)
+    """One output row per reading of a function of `_Symbols`. What a rigid joint feels changes nothing and is left out."""
+    function = build(rows.nest_link, rows.load_link, tuple((arm[30:] != 0.0).tolist()), *_masses(robot))
+    whole = np.broadcast_to(arm, (len(rows.q), 36))
+    return evaluate_rows(function, rows.q, whole, rows.payload, rows.load, rows.load_place, rows.nest)
 
 
 def _masses(robot: Robot) -> tuple[bytes, ...]:

@@ -25,6 +25,8 @@ from robots.gravity import weight_torques
 from tests.support.calibration_example import write_campaign
 from tests.support.example_pass import LineLaw, bundled_cell
 
+pytestmark = pytest.mark.usefixtures("unprinted")
+
 SCALE = 4e-4
 
 

@@ -27,6 +27,8 @@ from tests.support.diagnosis_folder import CELL, SPRINGS, columns_of, write_csv,
 from tests.support.simulated_campaign import campaign_readings
 from tests.support.small_plan import called
 
+pytestmark = pytest.mark.usefixtures("unprinted")
+
 PLAY = 2e-4
 
 
@@ -116,6 +118,7 @@ def test_the_page_says_it_in_words_and_loads_nothing(played):
         assert heading in page
 
 
+@pytest.mark.drawn
 def test_equal_data_give_equal_bytes(played, tmp_path):
     folder, out = played[:2]
     write_diagnosis(folder, tmp_path / "again", False, Phases())

@@ -29,6 +29,8 @@ from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
 from tests.support.small_plan import STEP, called, refused, small_cell, undrawn
 from trajectories.passes import reversed_path
 
+pytestmark = pytest.mark.usefixtures("unprinted")
+
 ARM = (
     {"effect": "backlash", "joint": 5, "half_width_rad": 2e-4},
     {"effect": "joint_compliance", "joint": 5, "rad_per_Nm": 3e-6},

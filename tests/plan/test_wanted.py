@@ -18,6 +18,8 @@ from robots.errors import BadInput, Infeasible
 from tests.plan.test_dwell import judged
 from tests.support.small_plan import STEP, called, refused, small_cell, undrawn
 
+pytestmark = pytest.mark.usefixtures("unprinted")
+
 OPTIONS = PlanOptions(step=2e-3)
 PRESTON = 5e-13  # 1/Pa, 0.5 um mm^2 / (N m)
 

@@ -24,6 +24,8 @@ from tests.support.browser import CHROMIUM, looked_at
 from tests.support.formats import told_keys
 from trajectories.krl.checks import check_program
 
+pytestmark = pytest.mark.usefixtures("unprinted")
+
 TRACKER = "[tracker.targets]\nT1 = [150, -50, 250]\nT2 = [-160, 40, 210]\nT3 = [20, 170, 330]\n"
 HEAVY = "[payloads.heavy]\nmass_kg = 120.0\ncom_mm = [0, 20, 200]\n"
 COUNT = 14
@@ -201,6 +203,7 @@ def test_the_summary_says_what_it_rests_on(made):
     assert all((poses / f).is_file() for p in summary["programs"] for f in p["files"])
 
 
+@pytest.mark.drawn
 def test_a_second_run_writes_the_same_bytes_and_needs_permission(made):
     poses, cell, _ = made
     arguments = ("--cell", str(cell), "-n", str(COUNT), "--tracker", "2500,2000,1500")

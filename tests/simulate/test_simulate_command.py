@@ -24,6 +24,8 @@ from tests.support.formats import told_keys
 from tests.support.geometry_robot import write_geometry_robot
 from tests.support.small_plan import Told, called, environment, small_cell, tree
 
+pytestmark = pytest.mark.usefixtures("unprinted")
+
 COLUMNS = {
     "s_mm",
     "setpoint_N",
@@ -220,6 +222,7 @@ def test_the_same_seed_is_the_same_machine_and_an_effect_changes_nothing_else(pl
     assert np.allclose(c - a, 1.5, atol=1e-3)
 
 
+@pytest.mark.drawn
 def test_two_runs_write_the_same_bytes(tmp_path):
     for name in "ab":
         assert simulated("--out", tmp_path / name, "--poses", "6", "--seed", "3").code == 0

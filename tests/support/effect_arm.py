@@ -1,6 +1,7 @@
 """What every arm and tracker effect does, by elementary motions in NumPy: formulas of their own, nothing of the library."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -52,32 +53,42 @@ def reflectors(poses: Poses, effect: str = "", joint: int = 0, v: dict | None = 
     return out
 
 
+def settled(start, carried, centre, torque=None):
+    """Where the joints (6,) come to rest."""
+    real = start
+    for _ in range(5):
+        weight = elementary_weight_torques(EXTRA, real, GRAVITY, carried, centre)[0]
+        real = start + COMPLIANCE * (weight + (0.0 if torque is None else torque(real)))
+    return real
+
+
+@cache
+def loaded(q: bytes, mass: float, com: bytes):
+    """Joints (6,) at rest and their load (6,) N m, without an effect: the same for all of them."""
+    bent = settled(np.frombuffer(q), mass, np.frombuffer(com))
+    return bent, elementary_weight_torques(EXTRA, bent, GRAVITY, mass, np.frombuffer(com))[0]
+
+
 def _reflector(poses, i, effect, j, v, payload, nest):
     hung, robot, q = PAYLOADS[payload], EXTRA, poses.q[i].copy()
     mass, com = hung.mass, np.asarray(hung.com, float)
     if effect.startswith("payload") and v["payload"] in (payload, "loaded") and (mass > 0 or v["payload"] != "loaded"):
         mass, com = mass + v.get("kg", 0.0), com + np.asarray(v.get("shift_m", 0.0))
 
-    def settled(start, carried, centre, torque, arm=EXTRA):
-        real = start
-        for _ in range(5):
-            real = start + COMPLIANCE * (elementary_weight_torques(arm, real, GRAVITY, carried, centre)[0] + torque(real))
-        return real
-
     # The believed posture, from which effects take the load.
-    bent = settled(q, hung.mass, np.asarray(hung.com, float), lambda real: 0.0)
-    tau = elementary_weight_torques(robot, bent, GRAVITY, hung.mass, hung.com)[0]
+    bent, tau = loaded(q.tobytes(), hung.mass, np.asarray(hung.com, float).tobytes())
     shift = _joint_shift(poses, i, effect, j, v, tau)
     if shift is not None and effect in ("channel_delay",) and j < 0:
         q = q + shift
     elif shift is not None:
         q[j] += shift
-    torque = (lambda real: 0.0) if effect != "gravity_compensator" else (lambda real: extra_torque(real, v))
+    torque = None if effect != "gravity_compensator" else (lambda real: extra_torque(real, v))
     if effect == "link_thermal":  # a warm robot is longer; its believed load stays
         mdh = EXTRA.mdh.copy()
         mdh[:, 1:3] *= 1 + v["per_K"] * poses.warm[i]
         robot = replace(EXTRA, mdh=mdh)
-    frames = elementary_frames(robot, settled(q, mass, com, torque))[0]
+    still = torque is None and (q == poses.q[i]).all() and mass == hung.mass and (com == hung.com).all()
+    frames = elementary_frames(robot, bent if still else settled(q, mass, com, torque))[0]
     p = frames[6, :3, :3] @ NESTS[nest].place + frames[6, :3, 3]
     if effect == "tool_flex":  # in the tool's own axes: x and y give, z does not
         pull = frames[6, :3, :3].T @ [0, 0, -hung.mass * GRAVITY]

@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robots.pose import Array, invert, transform_from_xyzabc
 from robots.robot import Robot, load_robot
@@ -30,19 +31,18 @@ class Leg:
 def elementary_forward(q: Array) -> Array:
     """The arm as elementary motions (PHYSICS.md 2.2), independent of the MD-H code; lengths of the "extra"."""
 
-    def turn(axis: str, angle: float) -> Array:
-        abc = {"z": [angle, 0, 0], "y": [0, angle, 0], "x": [0, 0, angle]}[axis]
+    def turn(axis: str, angle: ArrayLike) -> Array:
+        abc = np.zeros((*np.shape(angle), 3))
+        abc[..., "zyx".index(axis)] = angle
         return transform_from_xyzabc([0, 0, 0], abc)
 
     def shift(x: float, y: float, z: float) -> Array:
         return transform_from_xyzabc([x, y, z], [0, 0, 0])
 
-    poses = []
-    for a in np.atleast_2d(q):
-        T = shift(0, 0, 0.675) @ turn("z", -a[0]) @ shift(0.350, 0, 0) @ turn("y", a[1]) @ shift(1.150, 0, 0)
-        T = T @ turn("y", a[2]) @ shift(1.200, 0, -0.041) @ turn("x", -a[3]) @ turn("y", a[4]) @ turn("x", -a[5])
-        poses.append(T @ shift(0.215, 0, 0) @ turn("y", np.pi / 2))
-    return np.array(poses)
+    a = np.atleast_2d(q).T
+    T = shift(0, 0, 0.675) @ turn("z", -a[0]) @ shift(0.350, 0, 0) @ turn("y", a[1]) @ shift(1.150, 0, 0)
+    T = T @ turn("y", a[2]) @ shift(1.200, 0, -0.041) @ turn("x", -a[3]) @ turn("y", a[4]) @ turn("x", -a[5])
+    return T @ shift(0.215, 0, 0) @ turn("y", np.pi / 2)
 
 
 @cache

@@ -15,11 +15,12 @@ import numpy as np
 
 from ocp.calibrate.force.log import Flags, Index
 from ocp.contact.wheel.law import WheelLaw
-from ocp.effects.engine.compiled import RowLayout, run_rows
+from ocp.effects.engine.compiled import RowLayout
 from ocp.model.cell import Cell
 from ocp.model.force_balance import build_model
 from ocp.model.theta import NAMES, Theta
 from ocp.shell.native import ColumnFunction, compile_together
+from robots.kinematics import evaluate_rows
 from robots.pose import Array
 
 SETPOINT = NAMES.index("flange_setpoint_offset")
@@ -132,7 +133,7 @@ class ForceModel:
         if "_functions" not in vars(self) and len(F) >= WORTH_COMPILING:
             compile_together(list(self._functions.values()))
         base = rows.base
-        return run_rows(self._functions[kind], base.q, F[:, None], base.waypoint, rows.theta, base.belt[:, None])
+        return evaluate_rows(self._functions[kind], base.q, F[:, None], base.waypoint, rows.theta, base.belt[:, None])
 
     def solve(
         self,

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.effects.effect import Effect, Scanned, scan_key
-from ocp.shell.native import ColumnFunction
+from robots.kinematics import evaluate_into
 from robots.pose import Array
 
-_CHUNK = 1 << 11  # calls of one mapped function: building one for more takes longer than it saves
-_STEP = 1 << 7  # calls by which mapped functions differ: building one takes as long as some hundred calls
 _BLOCK = 1 << 16  # pairs of a row and a variant laid out at once
 
 
@@ -170,42 +168,5 @@ def _mapped_rows(made: _Compiled, rows: Array, values: Array) -> Array:
         part = values[start : start + at_once]
         x = np.ascontiguousarray(np.broadcast_to(rows, (len(part), *rows.shape)).reshape(len(part) * n, rows.shape[1]))
         s = np.repeat(part, n, axis=0)
-        _run(made.function, out[start * n : (start + len(part)) * n], x, s)
-    return out
-
-
-def _run(function: ca.Function | ColumnFunction, out: Array, *arguments: Array) -> None:
-    """function of rows, written into `out`, through the arrays' own memory; what is left of a block is filled up with its last
-    row."""
-    for start in range(0, len(out), _CHUNK):
-        part = out[start : start + _CHUNK]
-        n, count = len(part), _calls(len(part))
-        result = part if n == count else np.empty((count, part.shape[1]))
-        buffer: Any
-        buffer, evaluate = _mapped(function.name(), function, count).buffer()
-        rows = np.minimum(np.arange(count), n - 1)
-        held = [np.ascontiguousarray(a[start : start + n] if n == count else a[start + rows], float) for a in arguments]
-        for i, a in enumerate(held):
-            if a.size:
-                buffer.set_arg(i, a.data)
-        buffer.set_res(0, result.data)
-        evaluate()
-        if n < count:
-            part[:] = result[:n]
-
-
-def _calls(n: int) -> int:
-    """Calls of a mapped function for n rows: a power of two, from _STEP on its multiples."""
-    return min(1 << (n - 1).bit_length(), -(-n // _STEP) * _STEP)
-
-
-@lru_cache(maxsize=1024)
-def _mapped(name: str, function: ca.Function | ColumnFunction, count: int) -> ca.Function:
-    return function.map(count)
-
-
-def run_rows(function: ca.Function | ColumnFunction, *arguments: Array) -> Array:
-    """One output row per input row: arguments (n, k_i) -> (n, m)."""
-    out = np.empty((len(arguments[0]), function.size1_out(0)))
-    _run(function, out, *arguments)
+        evaluate_into(out[start * n : (start + len(part)) * n], made.function, x, s)
     return out

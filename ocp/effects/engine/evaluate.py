@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from ocp.effects.context import SETTLING, ArmContext, ContactContext, TrackerContext
 from ocp.effects.effect import Active, Effect, Scanned
-from ocp.effects.engine.compiled import Hook, RowLayout, evaluated, evaluated_sparsely, run_rows
+from ocp.effects.engine.compiled import Hook, RowLayout, evaluated, evaluated_sparsely
 from robots.calibration.reading_model import RowInputs
 from robots.compliance import deflected_joints
 from robots.gravity import GRAVITY, gravity_torques
-from robots.kinematics import chain
+from robots.kinematics import chain, evaluate_rows
 from robots.pose import Array
 from robots.robot import Robot
 
@@ -137,7 +137,8 @@ def arm_rows(
     n = len(inputs.q)
     place = ArmPlace.of(robot, payloads)
     whole = np.broadcast_to(arm, (n, 36))
-    state = run_rows(_state(inputs.load_link, place.constants), inputs.q, whole, inputs.payload, inputs.load, inputs.load_place)
+    given = inputs.q, whole, inputs.payload, inputs.load, inputs.load_place
+    state = evaluate_rows(_state(inputs.load_link, place.constants), *given)
     blocks: dict[str, Any] = {"q": inputs.q, "q_real": state[:, :6], "tau": state[:, 6:12], "frames": state[:, 12:]}
     blocks |= {"approach": approach, "speed": speed, "warm": warm, "time": time, "payload": inputs.payload, "c": arm[30:]}
     blocks |= {"hung": 0.0 if hung is None else hung, "settling": np.zeros(3) if waited is None else left_of_motion(waited)}
