@@ -35,6 +35,13 @@ def test_rows_are_evaluated_one_by_one_whatever_their_number(count):
     assert np.array_equal(found, np.column_stack([rows[:, 0] * more[:, 0], rows[:, 1]]))
 
 
+def test_numbers_that_are_always_zero_are_among_the_results():
+    x = ca.SX.sym("x", 2)
+    sparse = ca.jacobian(ca.vertcat(x[0] ** 2, 3.0, x[1]), x)
+    found = evaluate_rows(ca.Function("slopes", [x], [ca.vec(sparse)]), np.array([[1.0, 2.0], [5.0, 7.0]]))
+    assert np.array_equal(found, [[2, 0, 0, 0, 0, 1], [10, 0, 0, 0, 0, 1]])
+
+
 def test_few_mapped_functions_serve_rows_of_any_number():
     counts = {calls_at_once(n) for n in range(1, 5000)}
     assert len(counts) <= 24 and max(counts) == 2048
