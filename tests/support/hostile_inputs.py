@@ -670,6 +670,7 @@ def lay(reader: HostileReader, folder: Path) -> None:
 
 def outcome(reader: HostileReader, folder: Path, data: bytes) -> str:
     """What came of an input: `worked`, `refused`, or what must not be, in words. Warnings count as exceptions."""
+    (folder / reader.file).unlink(missing_ok=True)  # ext4 waits for the disk where a file is written over
     (folder / reader.file).write_bytes(data)
     begun = time.perf_counter()
     try:
