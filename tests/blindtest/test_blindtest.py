@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
+from scipy.special import expit, log_expit
 
 from ocp.blindtest import answers, figures, scoring
 from ocp.blindtest.answers import make_answer
@@ -495,6 +497,22 @@ def test_worlds_and_the_oracle_use_nothing_of_the_diagnosis(path: Path) -> None:
 def test_the_answering_step_opens_no_label() -> None:
     text = (ROOT / "ocp" / "blindtest" / "answers.py").read_text()
     assert "label_path" not in text and "read_label" not in text and "SEALED" not in text
+
+
+def test_the_size_that_is_seen_is_that_of_a_fitted_logistic_curve():
+    """Against a search that knows no derivative, of tables in which many are seen, few, or all."""
+    rng = np.random.default_rng(4)
+    tables = [
+        np.column_stack([x, rng.random(60) < expit(4.0 * (x - at))]) for at in (0.2, 1.5, -9.0) for x in [rng.normal(size=60)]
+    ]
+    for table, found in zip(tables, figures._at_power(np.array(tables)), strict=True):
+
+        def unlikely(p, x=table[:, 0], hit=table[:, 1]):
+            level = np.exp(p[1]) * (x - p[0])
+            return -(hit * log_expit(level) + (1 - hit) * log_expit(-level)).sum() + 0.5 * p[0] ** 2 + 0.5 * (p[1] - 1.5) ** 2
+
+        middle, slope = minimize(unlikely, [0.0, 1.5], method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-9}).x
+        assert found == pytest.approx(np.exp(middle + np.log(9.0) / np.exp(slope)), rel=1e-4)
 
 
 def test_a_size_of_which_none_is_seen_is_no_size():

@@ -11,7 +11,7 @@ from scipy.special import ellipe, ellipk, iv
 
 from ocp.contact.wheel import signorini
 from ocp.contact.wheel.cover import WheelGeometry, build_cover, default_cell
-from ocp.contact.wheel.signorini import LocalShape, solve_contact, solve_force
+from ocp.contact.wheel.signorini import LocalShape, solve_contact, solve_force, solve_forces
 from robots.errors import Infeasible
 
 WHEEL = WheelGeometry(radius=0.150, width=0.040, cover_thickness=0.015, modulus=12e6, poisson=0.47)
@@ -226,6 +226,17 @@ def test_the_cells_that_are_tried_first_do_not_show(small, beside):
         from_there, anew = solve_force(small, 20.0, shape, first), solve_force(small, 20.0, shape)
         assert from_there.indentation == anew.indentation
         np.testing.assert_array_equal(from_there.pressure, anew.pressure)
+
+
+def test_contacts_solved_together_are_those_solved_alone(small):
+    """Of other shapes, forces and numbers of sets that are tried, one that is apart among them."""
+    shapes = [*SHAPES.values(), SHAPES["flat"]]
+    forces = np.array([5.0, 20.0, 50.0, 33.0, 8.0, 20.0, 0.0])
+    for force, shape, together in zip(forces, shapes, solve_forces(small, forces, shapes), strict=True):
+        alone = solve_force(small, force, shape)
+        assert together.indentation == alone.indentation and together.force == alone.force
+        for name in ("pressure", "centroid", "x", "y"):
+            np.testing.assert_array_equal(getattr(together, name), getattr(alone, name))
 
 
 def test_order_of_convergence():

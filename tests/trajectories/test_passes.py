@@ -12,6 +12,7 @@ from robots.errors import BadInput
 from robots.pose import rotation_from_abc
 from tests.support import blade_samples
 from trajectories.blade import Blade, find_shape, read_blade
+from trajectories.blade.window import GAP, free_stretch, obstacles
 from trajectories.passes import MIN_WAYPOINTS, PassOptions, passes, reversed_path
 
 ROOT = Path(__file__).parents[2]
@@ -199,3 +200,25 @@ def test_the_wheel_keeps_off_the_block(bundled, direction):
 def test_overhang_is_counted(sample):
     _, notices = passes(*sample, PassOptions(side="convex", pad_radius=4e-3))
     assert "waypoints lie closer than 4.0 mm" in notices[0]
+
+
+def test_the_wheel_keeps_its_gap_from_the_root_where_there_is_room(bundled):
+    """Distances from the wheel's axis by cross products, point by point."""
+    blade, shape = bundled
+    side, points, radius, width = shape.sides["convex"], obstacles(blade, shape), 0.15, 0.04
+    u, v = np.full(200, 0.5), np.linspace(*shape.v, 200)
+
+    def hit(us, vs):
+        p, n = side.surface(us, vs), side.normal(us, vs)
+        t = np.gradient(p, axis=0)
+        for centre, axis in zip(p + radius * n, np.cross(n, t / length(t)[:, None]), strict=True):
+            axis, off = axis / length(axis), points - centre
+            yield bool(((np.abs(off @ axis) < width / 2 + GAP) & (length(np.cross(off, axis)) < radius + GAP)).any())
+
+    _, vs = free_stretch(side, points, u, v, radius, width)
+    assert len(points) > 1000 and shape.v[0] < vs[0] < vs[-1]  # the root takes some of it
+    every = np.linspace(*shape.v, 121)
+    blocked = np.array(list(hit(np.full(121, 0.5), every)))
+    inside = (every > vs[0] - 1e-9) & (every < vs[-1] + 1e-9)
+    assert not blocked[inside].any() and blocked[every < vs[0] - 1e-9].any()
+    assert free_stretch(side, points, u, v, 1.0, 1.0) is None
