@@ -86,7 +86,11 @@ def evaluate_rows(function: Any, *arguments: Array) -> Array:
 
 def evaluate_into(out: Array, function: Any, *arguments: Array) -> None:
     """`evaluate_rows` written into contiguous `out` (n, m), through the arrays' own memory: CasADi's matrices would cost as much
-    again as the evaluation. What is left of a block is filled up with its last row."""
+    again as the evaluation. What is left of a block is filled up with its last row. Raises ValueError: arguments of other shapes,
+    of which a buffer would take the numbers all the same."""
+    wrong = [a.shape for i, a in enumerate(arguments) if a.shape != (len(out), function.size1_in(i))]
+    if wrong:
+        raise ValueError(f"{function.name()} at {len(out)} rows was given {wrong}")
     done = 0
     while done < len(out):
         part = out[done:]

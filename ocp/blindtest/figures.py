@@ -17,7 +17,7 @@ from robots.pose import Array
 Z95 = 1.959964
 DRAWS = 2000
 SCORINGS = 30
-HALVINGS = 6
+HALVINGS = 20
 
 
 @dataclass(frozen=True)

@@ -104,6 +104,10 @@ class ColumnFunction:
         """As CasADi's functions tell theirs."""
         return str(self.function.name())
 
+    def size1_in(self, k: int) -> int:
+        """Numbers of an argument."""
+        return int(self.function.size1_in(k))
+
     def size1_out(self, k: int) -> int:
         """Rows of a result."""
         return int(self.function.size1_out(k))

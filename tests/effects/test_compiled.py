@@ -42,6 +42,14 @@ def test_numbers_that_are_always_zero_are_among_the_results():
     assert np.array_equal(found, [[2, 0, 0, 0, 0, 1], [10, 0, 0, 0, 0, 1]])
 
 
+def test_arguments_of_other_shapes_are_refused():
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    function = ca.Function("one", [x, y], [x[0] * y])
+    for rows, more in ((np.ones((4, 3)), np.ones((4, 1))), (np.ones((4, 2)), np.ones((5, 1)))):
+        with pytest.raises(ValueError, match="one at 4 rows was given"):
+            evaluate_rows(function, rows, more)
+
+
 def test_few_mapped_functions_serve_rows_of_any_number():
     counts = {calls_at_once(n) for n in range(1, 5000)}
     assert len(counts) <= 24 and max(counts) == 2048

@@ -76,7 +76,7 @@ def solve_contacts(cover: Cover, gaps: Array, forces: Array, beside: Contact | N
     best, patience = np.full(len(gaps), gaps[0].size + 1), np.full(len(gaps), PATIENCE)
     for _ in range(MAX_PIVOTS):
         if not len(open_):
-            return [one for one in found if one is not None]
+            break
         own = [_equilibrium(cover, gaps[k], active[k], forces[k]) for k in open_]
         field = np.zeros((len(open_), *gaps.shape[1:]))
         field[active[open_]] = np.concatenate([f for f, _, _ in own])
@@ -100,6 +100,8 @@ def solve_contacts(cover: Cover, gaps: Array, forces: Array, beside: Contact | N
         for k in open_[~active[open_].any(axis=(1, 2))]:
             active[k] = gaps[k] == gaps[k].min()
         open_ = open_[counts > 0]
+    if not len(open_):
+        return [one for one in found if one is not None]
     raise Infeasible(f"the wheel contact did not settle in {MAX_PIVOTS} active sets; the blade's surface is too rough there")
 
 

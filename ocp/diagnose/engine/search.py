@@ -111,7 +111,7 @@ def search_and_refit(
             chosen = refined(problem, best, problem.values(best))
             if effects_key(chosen, 2) in tried | {effects_key(held, 2)}:
                 channels = outliers_rechecked(problem, held, library, options) if freeing else None
-                if channels is None and rough and not search.kernel[list(search.best()[0])].any():
+                if channels is None and rough:
                     rough = False
                     search.grow()
                     diverged.strike(search, problem)
@@ -138,7 +138,7 @@ def search_and_refit(
 
 def _grown(problem: Linearisation, search: Search) -> bool:
     """Grow a search; whether by the best sets alone: as long as the arm misses far more than noise the next name is all that is
-    asked of it, and what sets weigh is not looked at."""
+    asked of it. What sets weigh is looked at in the last one, which then grows whole."""
     if misses_far_more_than_noise(problem, search):
         search.grow(leaders=True)
         if misses_far_more_than_noise(problem, search):

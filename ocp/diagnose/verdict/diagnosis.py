@@ -52,11 +52,9 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
     spoilt = {c.name: c for c in baseline if diverged.hopeless and c.name in diverged.channels}
     if 0 < len(spoilt) < len(baseline):
         return _scattering(_without(spoilt, baseline, library, options), *(f"{name}: {NONE_RESTS}" for name in spoilt))
-    if misses_far_more_than_noise(problem, search):
-        if posterior(problem, search).p_unknown > rules.LEADS:
-            selected = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
-            return _scattering(findings(baseline, first, selected.problem, selected.search, library, options, selected.refused))
-        search.grow()  # by the best alone until now, perhaps
+    if posterior(problem, search).p_unknown > rules.LEADS and misses_far_more_than_noise(problem, search):
+        selected = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
+        return _scattering(findings(baseline, first, selected.problem, selected.search, library, options, selected.refused))
     found = findings(baseline, first, problem, search, library, options)
     whys = (*(f"{n}: {NO_REST}" for n in diverged.names()), *(f"{name}: {NONE_RESTS}" for name in spoilt))
     return _scattering(replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys)))))
