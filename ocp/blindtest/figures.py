@@ -16,7 +16,7 @@ from robots.pose import Array
 
 Z95 = 1.959964
 DRAWS = 2000
-SCORINGS = 30
+SCORINGS = 200  # at most; ten do, but where nothing is seen
 HALVINGS = 20
 
 
@@ -306,7 +306,7 @@ def found_over_predicted(rows: Sequence[dict[str, Any]]) -> Estimate:
 
 def _at_power(tables: Array) -> Array:
     """Ratios (d,) at which logistic curves of log size reach the power; a weak prior holds their slope where all are seen.
-    Fisher's scoring, steps halved until the fit is no worse."""
+    Fisher's scoring, steps halved until the fit is no worse (McCullagh, Nelder 1989, 2.5)."""
     x, hit = tables[..., 0], tables[..., 1]
     believed = np.array([0.0, 1.5])
 
@@ -328,9 +328,13 @@ def _at_power(tables: Array) -> Array:
         step, share = np.linalg.solve(curvature, slope[..., None])[..., 0], np.ones((len(p), 1))
         for _ in range(HALVINGS):
             there = unlikely(p - share * step)
+            if (there <= now).all():
+                break
             share = np.where((there > now)[:, None], 0.5 * share, share)
-        better = there <= now
-        p, now = np.where(better[:, None], p - share * step, p), np.where(better, there, now)
+        gained = np.maximum(now - there, 0.0)
+        p, now = np.where((there <= now)[:, None], p - share * step, p), np.minimum(there, now)
+        if gained.max() < 1e-7:
+            break
     return np.asarray(np.exp(p[:, 0] + np.log(POWER / (1 - POWER)) / np.exp(p[:, 1])))
 
 

@@ -500,10 +500,12 @@ def test_the_answering_step_opens_no_label() -> None:
 
 
 def test_the_size_that_is_seen_is_that_of_a_fitted_logistic_curve():
-    """Against a search that knows no derivative, of tables in which many are seen, few, or all."""
+    """Against a search that knows no derivative, of tables in which many are seen, few, all, or none."""
     rng = np.random.default_rng(4)
     tables = [
-        np.column_stack([x, rng.random(60) < expit(4.0 * (x - at))]) for at in (0.2, 1.5, -9.0) for x in [rng.normal(size=60)]
+        np.column_stack([x, rng.random(60) < expit(4.0 * (x - at))])
+        for at in (0.2, 1.5, -9.0, 99.0)
+        for x in [rng.normal(size=60)]
     ]
     for table, found in zip(tables, figures._at_power(np.array(tables)), strict=True):
 

@@ -207,7 +207,8 @@ def test_a_pair_that_neither_shows_alone():
     channel = LinearChannel(2.0 * (a - b) + rng.normal(size=300), np.ones((300, 1)), np.full(1, np.inf), columns)
     pool = linearised([channel], library, Options()).pool
     search = Search(pool, 3, 6)
-    search.run()
+    search.begin()
+    search.grow()
     assert {pool.families[f].name.effect for f in search.best()[0]} == {"e0", "e1"}
 
 

@@ -126,14 +126,16 @@ def test_names_without_a_fit_are_left_out_of_the_search(made: Made, tmp_path, mo
     held.converged([Name("wheel_wear", 0), Name("sensor_bias", 0)])
     assert not held.names() and len(held.sets) == 2
     search = Search(problem.pool, 3, 4)
-    search.run()
+    search.begin()
+    search.grow()
     assert any("sensor_bias" in {problem.pool.families[f].name.effect for f in key} for key in search.sets)
     diverged.strike(search, problem)
     left = {frozenset(problem.pool.families[f].name.effect for f in key) for key in search.sets}
     assert frozenset() in left and frozenset({"sensor_drift"}) in left and not any("sensor_bias" in names for names in left)
     # Where one fit after another diverges, what no fit has held is given up with them.
     last = Search(problem.pool, 3, 4)
-    last.run()
+    last.begin()
+    last.grow()
     lost = Diverged(fitted={Name("wheel_wear", 0)})
     for name in ("sensor_bias", "sensor_gain", "belt_tension"):
         assert not lost.hopeless

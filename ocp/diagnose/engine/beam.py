@@ -411,11 +411,6 @@ class Search:
         later = {i: replace(f.name, effect=f.name.effect[1:]) for i, f in enumerate(pool.families) if f.name.effect[:2] == "~~"}
         self.after = {i: index[name] for i, name in later.items()}  # a second line of a joint comes after its first
 
-    def run(self, seeds: Iterable[Key] = (), pairs: bool = True) -> None:
-        """Singles, pairs, then grow, drop and swap until the best sets stay the same."""
-        self.begin(seeds, pairs)
-        self.grow()
-
     def begin(self, seeds: Iterable[Key] = (), pairs: bool = True) -> None:
         """Singles and pairs, and sets `seeds`."""
         first = self.scan(NOTHING)
