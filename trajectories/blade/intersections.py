@@ -51,42 +51,49 @@ def _median_order(centres: Array, depth: int) -> IntArray:
     """Box numbers in the order of the tree's leaves, (2^depth,); -1 fills up."""
     order = np.full(2**depth, -1, np.int64)
     order[: len(centres)] = np.arange(len(centres))
-    padded = np.where((order >= 0)[:, None], centres[order], np.inf)
+    padded = np.concatenate([centres, np.full((1, 3), np.inf)]).T.copy()  # the last stands for the filling, numbered -1
     for level in range(depth):
         blocks = order.reshape(2**level, -1)
-        x = padded[np.where(blocks >= 0, blocks, -1)]
-        x = np.where((blocks >= 0)[:, :, None], x, np.nan)
-        finite = np.isfinite(x[:, :, 0]).any(axis=1)
-        spread = np.zeros((len(blocks), 3))
-        spread[finite] = np.nanmax(x[finite], axis=1) - np.nanmin(x[finite], axis=1)
-        key = np.take_along_axis(x, np.argmax(spread, axis=1)[:, None, None], axis=2)[:, :, 0]
-        order = np.take_along_axis(blocks, np.argsort(key, axis=1), axis=1).ravel()  # nan, the filling, sorts last
+        x = padded[:, blocks]
+        largest = np.where(np.isfinite(x), x, -np.inf).max(axis=2)
+        with np.errstate(invalid="ignore"):  # blocks of nothing but filling
+            spread = np.nan_to_num(largest - x.min(axis=2), nan=0.0, neginf=0.0)
+        key = np.take_along_axis(x, np.argmax(spread, axis=0)[None, :, None], axis=0)[0]
+        half = np.argpartition(key, blocks.shape[1] // 2 - 1, axis=1)  # infinity, the filling, comes last
+        order = np.take_along_axis(blocks, half, axis=1).ravel()
     return order
 
 
 def _edges_pierce(vertices: Array, faces: IntArray, one: IntArray, other: IntArray) -> np.ndarray:
     """Whether an edge of facet `one` that has no corner in common with facet `other` passes through its inside."""
     result = np.zeros(len(one), bool)
-    a, b, c = (vertices[faces[other, k]] for k in range(3))
-    e1, e2 = b - a, c - a
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    off = np.einsum("nkc,nc->nk", vertices[faces[one]] - a[other, None], np.cross(b - a, c - a)[other])
     for k in range(3):
-        i, j = faces[one, k], faces[one, (k + 1) % 3]
-        free = ~((faces[other] == i[:, None]) | (faces[other] == j[:, None])).any(axis=1)
-        p, d = vertices[i], vertices[j] - vertices[i]
-        # Moeller and Trumbore 1997, eq. 6: p + s d = a + x e1 + y e2
-        h = np.cross(d, e2)
-        det = np.einsum("ni,ni->n", e1, h)
-        scale = np.linalg.norm(d, axis=1) * np.linalg.norm(np.cross(e1, e2), axis=1)
-        free &= np.abs(det) > 1e-12 * scale
-        inverse = 1.0 / np.where(free, det, 1.0)
-        r = p - a
-        q = np.cross(r, e1)
-        x = np.einsum("ni,ni->n", r, h) * inverse
-        y = np.einsum("ni,ni->n", d, q) * inverse
-        s = np.einsum("ni,ni->n", e2, q) * inverse
-        inside = (x > _TOUCH) & (y > _TOUCH) & (x + y < 1.0 - _TOUCH) & (s > _TOUCH) & (s < 1.0 - _TOUCH)
-        result |= free & inside
+        # Only an edge whose ends lie to either side of the other's plane passes through it.
+        rows = np.flatnonzero(off[:, k] * off[:, (k + 1) % 3] < 0.0)
+        result[rows] |= _edge_pierces(vertices, faces[one[rows], k], faces[one[rows], (k + 1) % 3], faces[other[rows]])
     return result
+
+
+def _edge_pierces(vertices: Array, i: IntArray, j: IntArray, facets: IntArray) -> np.ndarray:
+    """Whether an edge from corner i (n,) to j passes through the inside of a facet (n, 3) with other corners."""
+    a, b, c = (vertices[facets[:, k]] for k in range(3))
+    e1, e2 = b - a, c - a
+    free = ~((facets == i[:, None]) | (facets == j[:, None])).any(axis=1)
+    p, d = vertices[i], vertices[j] - vertices[i]
+    # Moeller and Trumbore 1997, eq. 6: p + s d = a + x e1 + y e2
+    h = np.cross(d, e2)
+    det = np.einsum("ni,ni->n", e1, h)
+    scale = np.linalg.norm(d, axis=1) * np.linalg.norm(np.cross(e1, e2), axis=1)
+    free &= np.abs(det) > 1e-12 * scale
+    inverse = 1.0 / np.where(free, det, 1.0)
+    r = p - a
+    q = np.cross(r, e1)
+    x = np.einsum("ni,ni->n", r, h) * inverse
+    y = np.einsum("ni,ni->n", d, q) * inverse
+    s = np.einsum("ni,ni->n", e2, q) * inverse
+    return np.asarray(free & (x > _TOUCH) & (y > _TOUCH) & (x + y < 1.0 - _TOUCH) & (s > _TOUCH) & (s < 1.0 - _TOUCH))
 
 
 def _folded(vertices: Array, faces: IntArray, pairs: IntArray) -> np.ndarray:

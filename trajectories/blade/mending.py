@@ -181,10 +181,10 @@ def close_holes(name: str, vertices: Array, faces: IntArray, notices: list[str],
     Raises: BadInput naming place and size of a hole too large to guess what was there.
     """
     edges = directed_edges(faces)
+    if set((edges @ (len(vertices), 1)).tolist()) == set((edges @ (1, len(vertices))).tolist()):
+        return faces
     forward = set(map(tuple, edges.tolist()))
     border = [(j, i) for i, j in forward if (j, i) not in forward]
-    if not border:
-        return faces
     size = float(np.linalg.norm(np.ptp(vertices[np.unique(faces)], axis=0)))
     added: list[tuple[int, int, int]] = []
     described = []
