@@ -41,7 +41,6 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.answer import Answer, promised
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
-from ocp.diagnose.verdict.patching import SIGNAL
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
 from ocp.model.cell import files_of
@@ -53,7 +52,6 @@ from robots.calibration.mistakes import refuse_mistakes
 from robots.calibration.solver import Campaign
 from robots.errors import BadInput, Infeasible
 from robots.pose import Array
-from robots.tracker_readings import Readings
 
 
 def channels_of(data: DataSet, phases: Phases) -> list[Channel]:
@@ -161,8 +159,8 @@ def answer_of(folder: Path, phases: Phases, known: dict[str, Effect] | None = No
     notices = tuple(dict.fromkeys((*data.notices, *(n for n in told if not blinds(n)))))
     written = promised(found, gaps)
     with phases.phase("patch"):
-        named = next((g.shrinkage for g in gaps if g.name == SIGNAL), None) if written else None
         unknown = unnamed(found, written)
+        named = next((g.shrinkage for g in gaps if written and unknown is not None and g.name == unknown.after.name), None)
         patch = None if unknown is None else patched(unknown, named)
     return Answer(data, found, gaps, experiments, blind, notices, dict(phases.seconds), written, unknown, patch)
 
@@ -204,7 +202,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         same = effects_key(told[0].active) == effects_key(answer.written)
         written = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
         found[signal] = replace(written, named=made[0][1].corrected)
-        if signal == SIGNAL and answer.unknown is not None and isinstance(sealed, Readings):
+        if answer.unknown is not None and signal == answer.unknown.after.name:
             found[signal] = beside_unknown(found[signal], answer.unknown, sealed, told)
             if answer.patch is not None:
                 found[signal] = with_patch(found[signal], answer.patch, sealed)
@@ -213,12 +211,11 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
 
 def written_channels(answer: Answer) -> tuple[Channel, ...]:
     """The channels with the effects that are written, and no others."""
-    d = answer.diagnosis
-    if answer.patch is not None:
-        return tuple(answer.patch.channel if c.name == SIGNAL else c for c in d.channels)
-    if effects_key(answer.written) == effects_key(d.active):
-        return d.channels
-    return tuple(c.with_active(answer.written) if answer.written else c for c in d.baseline)
+    d, patch = answer.diagnosis, answer.patch
+    found = d.channels
+    if effects_key(answer.written) != effects_key(d.active):
+        found = tuple(c.with_active(answer.written) if answer.written else c for c in d.baseline)
+    return tuple(patch.channel if patch is not None and c.name == patch.channel.name else c for c in found)
 
 
 def left_out(sealed: dict[str, Sealed]) -> list[str]:
@@ -315,6 +312,7 @@ class Shown:
     conditions: ReadingConditions
     noise_floor: float
     residual: Array
+    active: tuple[Active, ...]
 
     def gap(self) -> Array:
         """Residuals (n, k) SI."""
@@ -325,7 +323,7 @@ def lean(answer: Answer) -> Answer:
     """An answer with no more of its channels than the report shows."""
     gaps = tuple(replace(gap, baseline=_shown(gap.baseline), corrected=_shown(gap.corrected)) for gap in answer.gaps)
     before, after = tuple(g.baseline for g in gaps), tuple(g.corrected for g in gaps)
-    patch = None if answer.patch is None else replace(answer.patch, channel=replace(answer.patch.channel, store={}))
+    patch = None if answer.patch is None else replace(answer.patch, channel=_shown(answer.patch.channel))
     return replace(
         answer, gaps=gaps, diagnosis=replace(answer.diagnosis, baseline=before, channels=after), unknown=None, patch=patch
     )
@@ -336,7 +334,9 @@ def _shown(channel: Channel) -> Channel:
         return replace(channel, store={})
     if channel.name != "force":
         return channel
-    return cast(Channel, Shown(channel.name, channel.unit, channel.conditions, channel.noise_floor, channel.gap()))
+    return cast(
+        Channel, Shown(channel.name, channel.unit, channel.conditions, channel.noise_floor, channel.gap(), channel.active)
+    )
 
 
 @contextmanager

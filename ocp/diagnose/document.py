@@ -216,7 +216,7 @@ class Document(JsonObject):
     """By signal."""
     remaining: dict[Literal["tracker", "force", "joint"], RemainingJson]
     """What names leave, by signal."""
-    patch: dict[Literal["tracker"], PatchJson] | None = None
+    patch: dict[Literal["tracker", "force"], PatchJson] | None = None
     """A correction without a name, by signal."""
     blind_spots: list[str]
     """What these data cannot show, in sentences."""

@@ -70,18 +70,19 @@ class TrackerContext:
 class ContactContext:
     """Symbols of a contact sample at the believed model's equilibrium.
 
-    F N normal force; parts m: flange, wheel, blade, robot (`ocp.model.force_balance.Model.parts`) with slopes m/N: their
-    derivatives in F (flange, wheel, blade, robot); curvature (3) relative 1/m, lateral m, tilt (2), arc rad, turn rad; p, n, t
-    (3): contact point, normal and feed in the blade frame; e, belt_direction, n_base, axis (3): base frame; R_flange (3, 3),
-    R_blade (3, 3): in the base frame; s m; setpoint N, feed m/s, belt m/s; time s in the run, clock s in the campaign;
-    ground_before; warm, wheel_warm K above the reference; travel: sign of the motion along the pass (+1 with increasing s);
-    stroke_sign: sign of the flange's stroke rate (+1: it is pressed in); radius m, friction of the cell; normal_stiffness N/m: dF
-    per m of overlap; friction_deflection m: by how much more the parts give way per unit of the friction coefficient; lever m:
-    height of the contact over the clamp's plane; joint_give (6) N m^2: by how many m the contact gives per rad/(N m) of each
-    joint; push_axis (3): direction in which the flange pushes the blade, base frame; clamp_deflection m: how much of the
+    q (6) rad commanded; F N normal force; parts m: flange, wheel, blade, robot (`ocp.model.force_balance.Model.parts`) with
+    slopes m/N: their derivatives in F (flange, wheel, blade, robot); curvature (3) relative 1/m, lateral m, tilt (2), arc rad,
+    turn rad; p, n, t (3): contact point, normal and feed in the blade frame; e, belt_direction, n_base, axis (3): base frame;
+    R_flange (3, 3), R_blade (3, 3): in the base frame; s m; setpoint N, feed m/s, belt m/s; time s in the run, clock s in the
+    campaign; ground_before; warm, wheel_warm K above the reference; travel: sign of the motion along the pass (+1 with increasing
+    s); stroke_sign: sign of the flange's stroke rate (+1: it is pressed in); radius m, friction of the cell; normal_stiffness
+    N/m: dF per m of overlap; friction_deflection m: by how much more the parts give way per unit of the friction coefficient;
+    lever m: height of the contact over the clamp's plane; joint_give (6) N m^2: by how many m the contact gives per rad/(N m) of
+    each joint; push_axis (3): direction in which the flange pushes the blade, base frame; clamp_deflection m: how much of the
     parts is the clamp's stiffness; line of the blade; down (3,): unit direction of gravity in the base frame.
     """
 
+    q: ca.SX
     F: ca.SX
     parts: ca.SX
     slopes: ca.SX

@@ -9,15 +9,18 @@ so that it fades out beyond. The length is that over which the finest feature of
 the range that c covers a kth (at most SOFT) for k half waves over it, and for its kth power. It enters as a turn of one joint
 (source "joint"), as a tilt of its axis about the two directions across it that stand still in the link before or turn with the
 joint ("axis still", "axis turning"), as a displacement of the tracker's frame ("frame") or of its readings along, aside and above
-the beam ("beam along", ..). Features are products of factors, written as "approach3 * cos 2 q3":
+the beam ("beam along", ..), as a force along the contact's normal ("force"), or as what the normal reading shows beside it
+("sensor"). Features are products of factors, written as "approach3 * cos 2 q3":
 
     cos k c, sin k c     of an angle c        wave k c     cos(pi k x) / (1 + (k / 4)^2), x = 0..1 over c's range
     power p c            of c over its largest size        c alone: c itself        is NAME: 1 where that payload hangs
+    line k               1 on that line of the blade
 
 Conditions: q1..q6 rad; approach1..6; tau1..6 N m load torque; mx1..6, my1..6 N m moment of all weight beyond an axis about x and
 y of the link before it; settling20, settling60, settling200: exp(-t / 20 s) and so on, t the time since the motion to where the
 arm stands began (0 in a program, whose arm moves on); warm K above the cell's reference temperature; time s; range m, azimuth
-rad (from the middle of what was measured), elevation rad of a reflector seen from the tracker.
+rad (from the middle of what was measured), elevation rad of a reflector seen from the tracker. Of a contact: q1..q6, s m along
+the pass, travel +-1, feed m/s, belt m/s, setpoint N, warm, wheel K above the reference, time s of the campaign's clock.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +30,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.effects.context import SETTLING, ArmContext, TrackerContext
+from ocp.effects.context import SETTLING, ArmContext, ContactContext, TrackerContext
 from ocp.effects.effect import Active, Effect, Scanned
 from ocp.effects.forms import at_joint
 from robots.errors import shown
@@ -37,16 +40,22 @@ from robots.pose import Array
 PATCH = "patch "  # effects of this name are made, not listed
 ON_ARM = ("joint", "axis still", "axis turning")
 ON_BEAM = ("beam along", "beam aside", "beam above")
-SOURCES = (*ON_ARM, "frame", *ON_BEAM)
+ON_CONTACT = ("force", "sensor")
+SOURCES = (*ON_ARM, "frame", *ON_BEAM, *ON_CONTACT)
 SOFT = 4.0  # wave number at which a smooth function's prior has fallen to half
 GONE = 5.0  # lengths from which a patch is not there
 MOST_FEATURES = 64
-MOST_WEIGHT = 0.1  # rad or m
-COLUMNS = {"approach": "approach", "warm": "temperature_C", "time": "time_s", "wait": "time_s", "is": "payload"}
+MOST_WEIGHT, MOST_PUSH = 0.1, 1e3  # rad or m, N
+# Columns by words of what a patch varies with.
+COLUMNS = {"approach": "approach", "temperature": "temperature_C", "time": "time_s", "wait": "time_s", "payload": "payload"}
+COLUMNS |= {"feed": "feed_mm_s", "setpoint": "setpoint_N", "belt": "belt_m_s", "line": "line", "clock": "clock_s"}
+COLUMNS |= {"wheel_temperature": "wheel_temperature_C"}
 _OF_JOINTS = ("approach", "tau", "mx", "my", "q")
 _OF_STANDING = tuple(f"settling{s:.0f}" for s in SETTLING)
 _OF_BEAM = ("range", "azimuth", "elevation")
 _ALONE = ("warm", "time", *_OF_BEAM)
+_OF_GRINDING = ("s", "travel", "feed", "belt", "setpoint", "wheel")
+_OF_CONTACT = (*_OF_GRINDING, "warm", "time", *(f"q{j}" for j in range(1, 7)))
 _NUMBERED = ("cos", "sin", "wave", "power")
 
 Condition = Callable[[str], Any]
@@ -61,6 +70,9 @@ def feature_factors(feature: str) -> list[Factor]:
         if word == "is" and rest:
             found.append(("is", 1.0, rest))
             continue
+        if word == "line" and rest.isdecimal():
+            found.append(("line", float(rest), ""))
+            continue
         number, _, name = rest.partition(" ")
         try:
             one = (word, float(number), name) if word in _NUMBERED else ("itself", 1.0, text.strip())
@@ -74,13 +86,13 @@ def feature_factors(feature: str) -> list[Factor]:
 
 def known_condition(name: str) -> bool:
     """Whether features may vary with it."""
-    return name in (*_ALONE, *_OF_STANDING) or any(name == f"{one}{j}" for one in _OF_JOINTS for j in range(1, 7))
+    return name in (*_ALONE, *_OF_STANDING, *_OF_GRINDING) or any(name == f"{one}{j}" for one in _OF_JOINTS for j in range(1, 7))
 
 
 def conditions_of(features: Sequence[str]) -> tuple[str, ...]:
-    """What features vary with between limits, each once: approach signs and names of payloads have none."""
-    names = [name for feature in features for form, _, name in feature_factors(feature) if form != "is"]
-    return tuple(dict.fromkeys(n for n in names if not n.startswith("approach")))
+    """What features vary with between limits, each once: signs, names of payloads and numbers of lines have none."""
+    names = [name for feature in features for form, _, name in feature_factors(feature) if form not in ("is", "line")]
+    return tuple(dict.fromkeys(n for n in names if not n.startswith("approach") and n != "travel"))
 
 
 def span(measured: tuple[float, float]) -> float:
@@ -105,6 +117,8 @@ def _limits(scanned: Scanned) -> dict[str, tuple[float, float]]:
 def _value(factor: Factor, x: Condition, limits: Mapping[str, tuple[float, float]]) -> Any:
     """A factor at the nearest measured condition."""
     form, number, name = factor
+    if form == "line":
+        return x("line") == number
     if form == "is" or name not in limits:
         return x(f"is {name}" if form == "is" else name)
     low, high = limits[name]
@@ -196,21 +210,30 @@ def _reading(x: TrackerContext, joint: int, scanned: Scanned) -> ca.SX:
     return ca.horzcat(*(direction * f for f in features))
 
 
+def _contact(x: ContactContext, joint: int, scanned: Scanned) -> ca.SX:
+    """Force along the normal, or what is read beside it."""
+    seen = {name: getattr(x, name) for name in (*_OF_GRINDING[:-1], "line", "warm")}
+    seen |= {"wheel": x.wheel_warm, "time": x.clock} | {f"q{j + 1}": x.q[j] for j in range(6)}
+    return ca.horzcat(*_features(lambda name: seen[name], scanned))
+
+
 @lru_cache
 def patch_effect(name: str) -> Effect:
     """The effect of a patch by its name, 'patch SOURCE|WHERE|coefficients|prior': so that it travels between processes."""
     source, where, count, size = name.removeprefix(PATCH).split("|")
-    kinds = {word for word in COLUMNS if word in where.split() or any(part.startswith(word) for part in where.split())}
+    kinds = {word for word in COLUMNS if any(part.rstrip("123456") == word for part in where.split())}
     names = tuple(f"a{k + 1}" for k in range(int(count)))
     hooks: dict[str, Any] = {"reading": _reading}
     if source == "joint":
         hooks = {"joint": lambda x, j, scanned: at_joint(j, *_features(conditions_of_arm(x), scanned))}
     elif source in ON_ARM:
         hooks = {"twist": _tilts}
+    elif source in ON_CONTACT:
+        hooks = {"push" if source == "force" else "sensor": _contact}
     return Effect(
         name=name,
         title=f"patch over {where}",
-        subsystem="joint" if source in ON_ARM else "tracker",
+        subsystem={"force": "wheel", "sensor": "sensor"}.get(source, "joint" if source in ON_ARM else "tracker"),
         physics="A correction that explains nothing (docs/diagnosis.md, Patch).",
         parameters=(),
         coefficients=names,
@@ -229,21 +252,22 @@ def make_patch(
     features: Sequence[str],
     measured: Mapping[str, tuple[float, float]],
     size: float,
+    signal: str = "tracker",
     **more: Any,
 ) -> Active:
-    """A patch of zero weights with prior sd `size` (rad or m) each; measured: ranges of what the features vary with; about: of a
-    beam's patch, azimuth rad, distance over ground and distance m that were measured on average."""
+    """A patch of zero weights with prior sd `size` (rad, m or N) each; measured: ranges of what the features vary with; signal
+    that it is learnt from; about: of a beam's patch, azimuth rad, distance over ground and distance m measured on average."""
     count = len(features) * {"frame": 3, "axis still": 2, "axis turning": 2}.get(source, 1)
-    scanned = {"source": source, "features": tuple(features), **more}
+    scanned = {"signal": signal, "source": source, "features": tuple(features), **more}
     scanned["range"] = tuple((n, float(measured[n][0]), float(measured[n][1])) for n in conditions_of(features))
     effect = patch_effect(f"{PATCH}{source}|{where}|{count}|{size:.3g}")
     return Active(effect, joint, np.zeros(count), scanned, np.eye(count) * size**2)
 
 
-def patch_table(patch: Active, formula: str, promise: str, signal: str = "tracker") -> dict[str, Any]:
+def patch_table(patch: Active, formula: str, promise: str) -> dict[str, Any]:
     """The `[[patches]]` table of a fitted patch."""
     source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
-    table: dict[str, Any] = {"signal": signal, "where": where, "kernel": source}
+    table: dict[str, Any] = {"signal": patch.scanned["signal"], "where": where, "kernel": source}
     if patch.joint:
         table["joint"] = patch.joint
     table |= {"features": list(patch.scanned["features"]), "weights": [float(v) for v in patch.a]}
@@ -270,11 +294,12 @@ def patch_of(table: Mapping[str, Any]) -> Active:
     variance = np.diag(covariance)
     if not (np.isfinite(covariance).all() and np.allclose(covariance, covariance.T) and (variance >= 0).all()):
         raise ValueError("the covariance of a patch is symmetric, of finite numbers, with no negative variance")
-    if not (np.abs(a) <= MOST_WEIGHT).all() or (variance > MOST_WEIGHT**2).any():
-        raise ValueError(f"weights of a patch and their deviations are at most {MOST_WEIGHT:g} rad or m; are they in SI units?")
+    most, unit = (MOST_PUSH, "N") if source in ON_CONTACT else (MOST_WEIGHT, "rad or m")
+    if not (np.abs(a) <= most).all() or (variance > most**2).any():
+        raise ValueError(f"weights of a patch and their deviations are at most {most:g} {unit}; are they in SI units?")
     size = max(float(np.sqrt(variance.max(initial=0.0))), float(np.abs(a).max(initial=0.0)), 1e-9)
     more = {"about": tuple(table["about"])} if table.get("about") else {}
-    made = make_patch(source, where, joint, table["features"], table["range"], size, **more)
+    made = make_patch(source, where, joint, table["features"], table["range"], size, table["signal"], **more)
     if len(a) != len(made.a) or not np.isfinite(more.get("about", (0.0,))).all():
         raise ValueError(f"a patch of these features needs {len(made.a)} weights, and finite numbers in about")
     return Active(made.effect, joint, a, made.scanned, covariance)
@@ -282,12 +307,16 @@ def patch_of(table: Mapping[str, Any]) -> Active:
 
 def _check_conditions(source: str, features: Sequence[str], measured: Mapping[str, Sequence[float]]) -> None:
     """Raises ValueError, a sentence: a condition that the kernel does not see, or without its range."""
-    used = {name for feature in features for form, _, name in feature_factors(feature) if form != "is"}
-    hung = any(form == "is" for feature in features for form, _, _ in feature_factors(feature))
-    if source not in ON_ARM and (hung or not used <= set(_ALONE)):
+    factors = [factor for feature in features for factor in feature_factors(feature)]
+    forms, used = {form for form, _, _ in factors}, {name for form, _, name in factors if form not in ("is", "line")}
+    if source in ON_CONTACT and ("is" in forms or not used <= set(_OF_CONTACT)):
+        raise ValueError(f"a patch of kernel '{source}' varies with {', '.join((*_OF_CONTACT, 'line'))} alone")
+    if source not in (*ON_ARM, *ON_CONTACT) and (forms & {"is", "line"} or not used <= set(_ALONE)):
         raise ValueError(f"a patch of kernel '{source}' varies with {', '.join(_ALONE)} alone")
     if source in ON_ARM and used & set(_OF_BEAM):
         raise ValueError(f"a patch of kernel '{source}' does not vary with where the tracker stands")
+    if source in ON_ARM and ("line" in forms or used & set(_OF_GRINDING)):
+        raise ValueError(f"a patch of kernel '{source}' does not vary with what is ground")
     for name in conditions_of(features):
         low, high = measured.get(name, (np.nan, np.nan))
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):

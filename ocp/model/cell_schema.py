@@ -363,12 +363,12 @@ class EffectTable(TomlTable):
 class PatchTable(TomlTable):
     """`[[patches]]`: a correction that has no name, as a diagnosis writes it (`ocp.effects.patch`)."""
 
-    signal: Literal["tracker"] = Field(examples=["tracker"])
+    signal: Literal["tracker", "force"] = Field(examples=["tracker"])
     """That it was learnt from."""
     where: Label = Field(examples=["q3"])
     """What it varies with, in words."""
     kernel: Label = Field(examples=["joint"])
-    """How it enters: a turn of a joint, a tilt of its axis, the tracker's frame or beam."""
+    """How it enters: a turn of a joint, a tilt of its axis, the tracker's frame or beam, the contact's force, its reading."""
     joint: Annotated[int, Field(ge=1, le=6, strict=True)] | None = Field(default=None, examples=[3])
     """Where it acts at one joint."""
     features: Annotated[tuple[str, ...], Field(min_length=1, max_length=MOST_FEATURES)] = Field(
@@ -376,7 +376,7 @@ class PatchTable(TomlTable):
     )
     """Formulas of the conditions."""
     weights: tuple[float, ...] = Field(examples=[[2e-4, -1e-4]])
-    """Of the features, rad or m."""
+    """Of the features, rad, m or N."""
     covariance: tuple[tuple[float, ...], ...] = Field(examples=[[[1e-11, 0], [0, 1e-11]]])
     """Their covariance."""
     range: dict[str, tuple[float, float]] = Field(default_factory=dict, examples=[{"q3": [-0.5, 2.5]}])

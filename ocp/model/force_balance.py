@@ -94,7 +94,7 @@ def build_model(cell: Cell, law: WheelLaw, sigma: int = 1, uncertain: bool = Fal
     if effects.on_contact:
         seen = {"lateral": lateral, "tilt": tilt, "arc": arc, "turn": turn, "curvature": curvature, "axis": axis, "e": e}
         seen |= {name: waypoint[name] for name in ("p", "n", "t")} | {"belt_direction": belt, "n_base": n, "R_blade": R_real}
-        seen |= {"joint_give": joint_give}
+        seen |= {"joint_give": joint_give, "q": q}
         extra = _extra(cell, effects, friction, F, parts, T_base_flange[:3, :3], seen)
         parts, extra, joint_give = ca.substitute([parts, extra, joint_give], [friction], [ca.SX(cell.wheel.friction)])
     return Model(

@@ -120,7 +120,7 @@ def verify_pass(
         shape = surface_shape(wheel, cloud, base, T[k], on_path["p"][k])
         one = slice(k, k + 1)
         here = {name: value[one] for name, value in seen.items()}
-        sample = StationContacts(cell, on_path["p"][one], n[one], t[one], T[one], e[one], lateral[one], [base], here)
+        sample = StationContacts(cell, q[one], on_path["p"][one], n[one], t[one], T[one], e[one], lateral[one], [base], here)
         linear = [given[i] for given in pushed]
         F, rate, contact = _equilibrium(cell, cover, shape, sample, delta[k], float(planned[k]), linear, contact)
         slope.append(rate)
@@ -150,7 +150,7 @@ def gaps(
         return np.asarray(left)
     shapes = [_local_shape(cell, path, at, *of) for of in zip(n_base, t_base, e, lateral, strict=True)]
     p, n, t, blade = (np.broadcast_to(one, (len(q), 3)) for one in (p, n, t, compliance))
-    samples = StationContacts(cell, p, n, t, T, e, lateral, shapes, seen)
+    samples = StationContacts(cell, q, p, n, t, T, e, lateral, shapes, seen)
     J = _jacobian(cell, believed, q_real, p)
     rigid = _linear_compliance(cell, believed, J, e, n_base, t_base, blade, wheel.friction)
     none = np.zeros(len(q))
@@ -211,10 +211,11 @@ def moved_arm(cell: Cell, arm: BelievedRobot, q: Array, q_real: Array, seen: Map
 
 @dataclass(frozen=True)
 class StationContacts:
-    """m contacts of a pass: points, normals and feeds (m, 3) in the blade frame, T_base_blade (m, 4, 4), radials e (m, 3),
-    lateral (m,) m, the local shapes, numbers (m, k) of the cell's conditions there."""
+    """m contacts of a pass: commanded joints q (m, 6), points, normals and feeds (m, 3) in the blade frame, T_base_blade (m, 4,
+    4), radials e (m, 3), lateral (m,) m, the local shapes, numbers (m, k) of the cell's conditions there."""
 
     cell: Cell
+    q: Array
     p: Array
     n: Array
     t: Array
@@ -242,6 +243,7 @@ class StationContacts:
         blocks |= {"friction_deflection": friction_deflection, "clamp_deflection": F / clamp.clamp_stiffness}
         blocks |= {
             "joint_give": joint_give,
+            "q": self.q,
             "p": self.p,
             "n": self.n,
             "t": self.t,

@@ -14,11 +14,16 @@ from ocp.calibrate.force.rows import log_conditions
 from ocp.calibrate.force.whitener import Whitener
 from ocp.diagnose.answering import _shown
 from ocp.diagnose.engine.channel_system import Fold
+from ocp.diagnose.engine.findings import Name, Options
+from ocp.diagnose.engine.kernels import kernels
 from ocp.diagnose.force.channel import ForceChannel, force_channel
 from ocp.diagnose.force.fit import ForceProblem, fit_effects
+from ocp.diagnose.force.logged_contact import hook_columns
 from ocp.diagnose.force.prediction import acts_by_force, effect_derivatives, force_derivatives, predict_forces
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
+from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.patching import as_patch, of_reading
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active, Effect
@@ -410,3 +415,72 @@ def test_an_effect_that_the_cell_believes_is_in_the_baseline(made):
     found = fit_effects(believing, (_active("sensor_gain"),), made.channel.fit).active[0]
     assert residual[1] == pytest.approx(1.0, abs=0.1) and residual[1] < residual[0]
     assert abs(found.a[0]) < 0.01  # nothing comes on top
+
+
+def test_a_force_patch_is_its_kernel(made):
+    """Every kernel of the reading that a program knows the conditions of: the patch's columns and what is the same in all
+    directions of travel span the kernel."""
+    channel, held = made.channel, set()
+    at, rows = made.channel.log.contact, len(made.channel.log)
+    known = list(kernels(channel.conditions))
+    free = [np.ones((rows, 1)), next(k.changes[:, 0, 0] for k in known if k.where == "s")]
+    for kernel in (k for k in known if k.source == "reading"):
+        variant = kernel.changes.shape[2] - 1
+        one = as_patch(Name(f"?force/{kernel.where}/reading", 0), variant, 1.0, channel)
+        if one is None:
+            continue
+        held.add(kernel.where)
+        columns = hook_columns(channel.problem.scene.cell, one.effect, "push", 0, [one.scanned], channel.fit.at.samples)[0]
+        X, wanted = np.hstack([columns, *free])[at], kernel.changes[at, 0, variant]
+        left = wanted - X @ np.linalg.lstsq(X, wanted, rcond=None)[0]
+        assert np.abs(left).max() < 1e-6 * np.abs(wanted).max(), kernel.where
+    assert held >= {"s", "feed", "setpoint", "belt", "travel", "line", "clock", "wheel_temperature", "s wave"}
+    assert held >= {"travel x s", "setpoint x s", "feed x s", "clock x s"}
+    assert of_reading("q6", 0, channel.conditions) == [f"wave {k} q6" for k in (1, 2, 3, 4)]
+    assert not held & {"run", "time", "turn", "time wave", "clock wave", "belt x time"}
+
+
+def _clinging(c):
+    return np.where(c["run"] == 1, -1.0, 1.0) * np.cos(3 * np.pi * c["s"] / 0.07)
+
+
+def _fading(c):
+    return (c["setpoint"] - 20.0) / 10.0 * np.cos(2 * np.pi * c["s"] / 0.07)
+
+
+UNKNOWN = {
+    "a blade that clings on its way back": ("force", Planted(overlap=lambda b: 1.3e-4 * _clinging(b.columns))),
+    "a sensor that fades along the lines": ("sensor", Planted(reading=lambda c, F: 0.9 * _fading(c) * (F > 0))),
+}
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_a_force_without_a_name_is_patched(made, tmp_path, name):
+    """By a formula of the test's own, which no effect of the catalogue has: most of it is gone, as promised, and where nothing
+    was measured it is in sigma. Friction tells whether it is a force."""
+    source, planted = UNKNOWN[name]
+    log, truth = _log(made.base, (planted,), tmp_path)
+    d = diagnose_channels([_again(made, log)], EFFECTS, Options(folds=False))
+    assert d.p_unknown > 0.95
+    unknown = unnamed(d, ())
+    found = patched(unknown, None)
+    assert found is not None and found.channel.name == "force" and found.shrinkage.low > 0.0
+    assert {one.scanned["source"] for one in found.patches} == {source}
+    sealed = replace(log, fn=np.full(len(log), np.nan), ft=None)
+    told = with_patch(found.channel.predict(sealed, ()), found, sealed)
+    at = log.contact
+
+    def rms(off):
+        return float(np.sqrt(np.mean(off[at] ** 2)))
+
+    came = 1.0 - rms(told.patched[:, 0] - truth) / rms(told.baseline[:, 0] - truth)
+    assert came > 0.5 and found.shrinkage.low < came < found.shrinkage.high + 0.1
+    assert told.inside.all() and rms((told.patched[:, 0] - truth) / told.patched_sigma[:, 0]) < 3.0
+    plain = found.channel.predict(sealed, ())
+    wide = beside_unknown(plain, unknown, sealed, ()).sigma[:, 0]
+    assert rms((told.baseline[:, 0] - truth) / wide) < 1.5 < rms((told.baseline[:, 0] - truth) / plain.sigma[:, 0])
+    if "setpoint" in found.patches[0].effect.name:
+        harder = replace(sealed, setpoint=np.full(len(log), 60.0))
+        away = with_patch(found.channel.predict(harder, ()), found, harder)
+        assert not away.inside[at].any()
+        assert rms(away.patched_sigma[:, 0]) > 1.5 * rms(told.patched_sigma[:, 0])

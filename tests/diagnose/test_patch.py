@@ -222,6 +222,13 @@ def test_a_patch_survives_a_cell_and_a_process():
         ({"features": ["wave 1 range", "wave 2 range"]}, "where the tracker stands"),
         ({"where": "q2|q4"}, "holds a bar"),
         ({"kernel": "frame", "joint": None, "features": ["approach1"]}, "alone"),
+        ({"kernel": "force", "joint": None, "features": ["approach1"]}, "alone"),
+        ({"kernel": "force", "joint": None, "features": ["is heavy"]}, "alone"),
+        ({"kernel": "frame", "joint": None, "features": ["line 3"]}, "alone"),
+        ({"kernel": "force", "joint": None, "features": ["travel", "line 3"], "weights": [2e3, 0.0]}, "at most 1000 N"),
+        ({"features": ["travel * cos 1 q2"]}, "what is ground"),
+        ({"features": ["line 3", "wave 1 q2"]}, "what is ground"),
+        ({"features": ["line x", "wave 1 q2"]}, "feature 'line x'"),
     ],
 )
 def test_a_table_that_is_no_patch_is_refused(change, words):
@@ -232,3 +239,4 @@ def test_a_table_that_is_no_patch_is_refused(change, words):
 def test_features_are_read_as_written():
     assert feature_factors("approach3 * cos 2.5 q3") == [("itself", 1.0, "approach3"), ("cos", 2.5, "q3")]
     assert feature_factors("is heavy load") == [("is", 1.0, "heavy load")]
+    assert feature_factors("travel * line 12") == [("itself", 1.0, "travel"), ("line", 12.0, "")]

@@ -51,6 +51,7 @@ ARM = (
     {"effect": "base_tilt", "rad": [1e-4, -5e-5, 8e-5], "at_s": 100.0},
     {"effect": "gear_harmonic", "joint": 2, "order": 40, "amplitude_rad": 1e-4, "phase_rad": 0.4},
     {
+        "signal": "tracker",
         "kernel": "joint",
         "where": "q3 x q2",
         "joint": 3,
@@ -60,6 +61,7 @@ ARM = (
         "range": {"q2": [-3.0, 1.0], "q3": [-1.0, 3.0]},
     },
     {
+        "signal": "tracker",
         "kernel": "axis still",
         "where": "moment1",
         "joint": 1,
@@ -69,6 +71,15 @@ ARM = (
         "range": {"mx1": [-9e3, 9e3]},
     },
 )
+FORCE_PATCH = {
+    "signal": "force",
+    "kernel": "force",
+    "where": "q6 x s",
+    "features": ["cos 2 q6", "travel * wave 1 s"],
+    "weights": [0.8, 0.5],
+    "covariance": [[1e-4, 0.0], [0.0, 1e-4]],
+    "range": {"q6": [-6.3, 6.3], "s": [0.0, 0.4]},
+}
 WEAR = {"effect": "wheel_wear", "m_per_s": 1e-7, "sd": {"m_per_s": 1e-8}}
 
 
@@ -148,6 +159,10 @@ def test_overlap_and_push_of_effects_shift_the_balance_by_what_they_are():
     soft = solver_of(cell_with({"effect": "flange_stiffness", "scale": -0.2})).evaluate(at, q, at.path.force + 3.0)
     plain_up = solver.evaluate(at, q, at.path.force + 3.0)
     assert soft.residual - plain_up.residual == pytest.approx(plain_up.parts[:, 0] * (1 - 1 / 0.8), abs=1e-9)
+    patched = solver_of(cell_with(FORCE_PATCH, clock=1000.0)).evaluate(at, q, at.path.force)
+    turned, along = np.cos(2 * q[:, 5]), np.cos(np.pi * (at.path.start + at.path.s) / 0.4) / (1 + 1 / 16)
+    stroke = (0.8 * turned + 0.5 * at.seed.direction * along) / solver.cell.flange.stiffness
+    assert patched.residual - before.residual == pytest.approx(stroke, abs=1e-9)
 
 
 @pytest.mark.parametrize("joint", [3, 5])
@@ -257,6 +272,8 @@ def test_the_command_plans_a_corrected_cell_and_its_text_holds_the_force(tmp_pat
         '[[effects]]\neffect = "wheel_wear"\nm_per_s = 2e-7\n'
         '[[patches]]\nsignal = "tracker"\nwhere = "q3"\nkernel = "joint"\njoint = 3\nfeatures = ["wave 1 q3", "wave 2 q3"]\n'
         "weights = [2e-4, -1e-4]\ncovariance = [[1e-11, 0.0], [0.0, 1e-11]]\nrange = { q3 = [-0.5, 2.5] }\n"
+        '[[patches]]\nsignal = "force"\nwhere = "q6 x s"\nkernel = "force"\nfeatures = ["cos 2 q6", "travel * wave 1 s"]\n'
+        "weights = [0.8, 0.5]\ncovariance = [[1e-4, 0.0], [0.0, 1e-4]]\nrange = { q6 = [-6.3, 6.3], s = [0.0, 0.4] }\n"
         "[conditions]\nclock_s = 900\ntemperature_C = 27.0\n"
     )
     file.write_text(text)
@@ -270,4 +287,5 @@ def test_the_command_plans_a_corrected_cell_and_its_text_holds_the_force(tmp_pat
         "backlash",
         "wheel_wear",
         "patch joint|q3|2|0.0002",
+        "patch force|q6 x s|2|0.8",
     ] and cell.conditions.clock == 900.0

@@ -263,6 +263,15 @@ class Scattering(Protocol):
 
 
 @runtime_checkable
+class Patchable(Protocol):
+    """A channel whose kernels may be corrections (`ocp.effects.patch`)."""
+
+    @property
+    def reference(self) -> float:
+        """Temperature deg C of the cell that warmth is told above."""
+
+
+@runtime_checkable
 class Resting(Protocol):
     """A channel whose believed cell's fit may find no minimum."""
 

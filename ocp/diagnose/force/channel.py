@@ -10,7 +10,8 @@ import numpy as np
 
 from ocp.calibrate.force.fit import pressed_rows
 from ocp.calibrate.force.log import Flags, ForceLog
-from ocp.calibrate.force.rows import ForceSetup, log_conditions, prepare_force
+from ocp.calibrate.force.rows import ForceSetup, LogConditions, log_conditions, prepare_force
+from ocp.calibrate.force.whitener import Whitener
 from ocp.diagnose.engine.channel_system import (
     Fold,
     HeldOut,
@@ -215,6 +216,11 @@ class ForceChannel:
         """Measured less predicted normal reading (n, 1) N."""
         return self.problem.gap(self.fit.at, self.fit.z)[:, None]
 
+    def squares(self, whiteners: Sequence[Whitener]) -> float:
+        """Sum of both signals' squared residuals of the fit, whitened by these."""
+        left = self.problem.residuals(self.fit.at, self.fit.z)
+        return sum(float(np.sum(w.whole(r[:, None]) ** 2)) for w, r in zip(whiteners, left, strict=True))
+
     def whiten(self, changes: Array) -> Array:
         """Whitened rows (N, m) of changes (n, k, m) N of the readings, fn first, then ft where there is one."""
         count = len(self.averages.whiteners)
@@ -241,6 +247,17 @@ class ForceChannel:
         if wanted not in self.judged:
             self.judged[wanted] = self.with_active(active)
         return self.judged[wanted]
+
+    @property
+    def reference(self) -> float:
+        """Temperature deg C that warmth is told above."""
+        return self.problem.scene.cell.tables.reference_temperature_C
+
+    def conditions_of(self, sealed: ForceLog) -> tuple[ReadingConditions, frozenset[str]]:
+        """What is known of rows nobody has seen, and the columns that they have."""
+        used = 0.0 if sealed.clock is not None else float(self.problem.scene.conditions.clock.max())
+        known = log_conditions(self.problem.scene.cell, sealed, used)
+        return logged_conditions(self.problem, sealed, known), known.given
 
     def predict(self, sealed: ForceLog, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected normal reading (n, 1) N of conditions nobody has seen, one sigma of the corrected one."""
@@ -333,11 +350,18 @@ def surroundings(problem: ForceProblem) -> Surroundings:
 
 def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, ...] = ()) -> ReadingConditions:
     """Of the log's rows, for what is tested without the library."""
-    log, c, scene = problem.log, problem.scene.conditions, problem.scene
-    payload = scene.cell.workpiece.payload
+    log = problem.log
     joints = [fit.at.fn_slope[:, None] * fit.slopes[1]]
     if log.ft is not None:
         joints.append(fit.at.ft_slope[:, None] * fit.slopes[1])
+    known = logged_conditions(problem, log, problem.scene.conditions)
+    return replace(known, d_joints=np.stack(joints, axis=1), gear_ratio=ratios_of(surroundings(problem)), waves=waves)
+
+
+def logged_conditions(problem: ForceProblem, log: ForceLog, c: LogConditions) -> ReadingConditions:
+    """Of the rows of any log in the same cell."""
+    scene = problem.scene
+    payload = scene.cell.workpiece.payload
     columns: dict[str, Any] = {name: getattr(log, name) for name in OF_LOG} | {name: getattr(c, name) for name in OF_CONDITIONS}
     return ReadingConditions(
         signal="force",
@@ -345,9 +369,6 @@ def known_conditions(problem: ForceProblem, fit: EffectFit, waves: tuple[Wave, .
         session=log.session if len(log.sessions) > 1 else None,
         contact=log.contact.astype(float),
         tau=weight_torques(scene.cell.robot, log.q, payload.mass, payload.com),
-        d_joints=np.stack(joints, axis=1),
-        gear_ratio=ratios_of(surroundings(problem)),
-        waves=waves,
         **columns,
     )
 

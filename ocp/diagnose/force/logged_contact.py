@@ -85,6 +85,7 @@ def samples_of(
     blocks |= {"R_flange": flange.reshape(-1, 9), "R_blade": R.reshape(-1, 9), "belt_direction": np.cross(axis, e)}
     blocks |= {"normal_stiffness": stiffness, "push_axis": _push_axis(cell, flange, n_base), "stroke_sign": 0.0}
     blocks["lever"] = np.abs(w[:, :3] @ cell.workpiece.clamp_normal - cell.workpiece.clamp_offset)
+    blocks |= {"q": base.q}
     blocks["clamp_deflection"] = F / cell.workpiece.clamp_stiffness
     return ContactSamples(CONTACT_LAYOUT.stack(len(F), blocks))
 

@@ -118,22 +118,34 @@ def _scene(channel: ForceChannel, conditions: LogConditions, rows: Index) -> Log
 
 
 def of_grinding(
-    before: Channel, after: Channel, alternatives: tuple[Alternative, ...], held: Sequence[HeldOut], unknown: float
+    before: Channel,
+    after: Channel,
+    alternatives: Sequence[Alternative],
+    held: Sequence[HeldOut],
+    unknown: float,
+    carried: tuple[float, float] | None = None,
 ) -> Shrinkage | None:
     """Of a force channel before and with the named effects; alternatives: what else may be true; held: folds, that say how
     much is there under no name where, with probability `unknown`, something is. None: no gap to speak of."""
     assert isinstance(before, ForceChannel) and isinstance(after, ForceChannel)
     new = anticipated_grinding(before, after, alternatives)
-    return None if new is None else from_grinding(new, after.noise_floor**2, held, unknown)
+    return None if new is None else from_grinding(new, after.noise_floor**2, held, unknown, carried)
 
 
 def from_grinding(
-    new: LaterGrinding, noise: float, held: Sequence[HeldOut] = (), unknown: float = 0.0, seed: int = 0
+    new: LaterGrinding,
+    noise: float,
+    held: Sequence[HeldOut] = (),
+    unknown: float = 0.0,
+    carried: tuple[float, float] | None = None,
+    seed: int = 0,
 ) -> Shrinkage | None:
     """Of force readings: what is anticipated; noise: mean square N^2. Drawn are which alternative is true, how late the readings
-    come, of which recordings they are, the unknowns' errors, what is there under no name. Folds alone do not say whether
+    come, of which recordings they are, the unknowns' errors, what is there under no name; `carried`: and which share (mean, sd)
+    of what alternatives add to the last one is there again. Folds alone do not say whether
     something is: gross readings leave as much. None: no gap to speak of."""
     rng = np.random.default_rng(seed)
+    there = None if carried is None else np.random.default_rng(seed).normal(*carried, DRAWS)[:, None]
     errors = drawn_errors(new.covariance, rng)
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
     when = rng.choice(len(new.share), DRAWS, p=new.share)
@@ -143,6 +155,7 @@ def from_grinding(
     for k, moved in enumerate(new.moved):
         at = when == k
         off, planted = errors[at] @ new.errors[k].T, moved[true[at]]
+        planted = planted if there is None else moved[-1] + there[at] * (planted - moved[-1])
         after[at] = np.sum(rows[at] * (moved[0] - planted + off) ** 2, axis=1)
         before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
     errors_of_effects = [h.estimation for h in held if h.fold.kind == "random"]

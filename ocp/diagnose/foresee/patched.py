@@ -6,11 +6,12 @@ goes on as it was at the edge of the range, in a prediction's sigma it is as wid
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ocp.diagnose.engine.channel_system import Sealed, effects_key
+from ocp.diagnose.engine.channel_system import Channel, Scattering, Sealed, effects_key
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Options
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.foresee.planned_tracker import channel_about
@@ -18,25 +19,46 @@ from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Patched, Unnamed
 from ocp.diagnose.verdict.doubts import errors_of_folds
-from ocp.diagnose.verdict.patching import SIGNAL, conditions_by_name, unfaded, with_further
+from ocp.diagnose.verdict.patching import conditions_by_name, read_beside, unfaded, with_further
 from ocp.diagnose.verdict.remaining import SCALE
 from ocp.diagnose.verdict.shrinkage import Shrinkage, from_model
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import displaced, has_columns, motion
 from ocp.effects.patch import lengths_outside
 from robots.calibration.residuals import points
+from robots.errors import Infeasible
 from robots.pose import Array
-from robots.tracker_readings import Readings
 
 
 def unnamed(diagnosis: Diagnosis, written: Sequence[Active]) -> Unnamed | None:
     """What is there under no name; None: nothing, nothing that a patch can hold, or the arm misses far more than noise still:
     there evidence, which chose the kernel, is worth little (ur10_two_series: 44 % promised, 37 % worse)."""
-    before = next((c for c in diagnosis.baseline if isinstance(c, TrackerChannel)), None)
-    if before is None or not diagnosis.patches or diagnosis.p_unknown <= LEADS:
+    if not diagnosis.patches or diagnosis.p_unknown <= LEADS:
         return None
-    after = with_further(before.with_active((*written, *diagnosis.patches[0].active)), Options())
-    return None if after.restless(1.0) else Unnamed(before, after, _others(diagnosis, tuple(written), after))
+    first = diagnosis.patches[0].active
+    before = next(c for c in diagnosis.baseline if c.name == first[0].scanned["signal"])
+    try:
+        after = with_further(_as_seen(before, tuple(written), first), Options())
+    except Infeasible:  # no fit with it comes to rest
+        return None
+    far = isinstance(after, Scattering) and after.scatters
+    return None if far else Unnamed(before, after, _others(diagnosis, tuple(written), after))
+
+
+def _as_seen(before: Channel, written: tuple[Active, ...], patches: tuple[Active, ...]) -> Channel:
+    """The channel with written names and patches. A force along the normal shows in the tangential reading too, as friction has
+    it; where that is measured and fits without it better, the patches are of the normal reading alone."""
+    after = before.with_active((*written, *patches))
+    if isinstance(before, TrackerChannel) or any(one.scanned["source"] != "force" for one in patches):
+        return after
+    from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
+
+    assert isinstance(after, ForceChannel)
+    if after.log.ft is None:
+        return after
+    beside = before.with_active((*written, *(read_beside(one) for one in patches)))
+    assert isinstance(beside, ForceChannel)
+    return min((after, beside), key=lambda one: one.squares(after.fit.whiteners))
 
 
 def patched(found: Unnamed, named: Shrinkage | None) -> Patched | None:
@@ -49,7 +71,7 @@ def patched(found: Unnamed, named: Shrinkage | None) -> Patched | None:
     return Patched(found.after, promise, found.others[1:])
 
 
-def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: TrackerChannel) -> tuple[Alternative, ...]:
+def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: Channel) -> tuple[Alternative, ...]:
     """What may be true: the patches as they stand beyond the range as well, other kernels in their place, or names without any.
     The first is what is written: as patches fade, it is true nowhere; the last is nothing beside the written names."""
     total = sum(one.probability for one in diagnosis.patches)
@@ -62,14 +84,20 @@ def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: TrackerCha
     return (Alternative(0.0, after.active), first, *rest, *names, nothing)
 
 
-def _promised(before: TrackerChannel, after: TrackerChannel, others: Sequence[Alternative]) -> Shrinkage | None:
-    held = errors_of_folds([after], after.active)[SIGNAL]
+def _promised(before: Channel, after: Channel, others: Sequence[Alternative]) -> Shrinkage | None:
+    held = errors_of_folds([after], after.active)[after.name]
+    if not (isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel)):
+        from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
+
+        return of_grinding(before, after, others, held, 1.0, CARRIED_PATCH)
     return from_model(anticipated(before, after, others), held, (after.noise_floor / SCALE[after.unit]) ** 2, CARRIED_PATCH)
 
 
-def beyond(channel: TrackerChannel, patches: Sequence[Active], sealed: Readings) -> tuple[Array, NDArray[np.bool_]]:
-    """Variance (n, 3) m^2 of what the patches leave open where they fade, and whether (n,) every condition of theirs lies in its
+def beyond(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, NDArray[np.bool_]]:
+    """Variance (n, k) SI^2 of what the patches leave open where they fade, and whether (n,) every condition of theirs lies in its
     measured range; `sealed`: conditions."""
+    if not isinstance(channel, TrackerChannel):
+        return _beyond_log(channel, patches, sealed)
     c = channel.task.campaign
     new = replace(sealed, turn=None, sigma_turn=None)
     about = channel_about(channel, replace(new, point=points(c.robot, new, c.instrument, channel.fit.state)))
@@ -87,26 +115,60 @@ def beyond(channel: TrackerChannel, patches: Sequence[Active], sealed: Readings)
     return open_, inside
 
 
-def beside_unknown(told: Sealed, found: Unnamed, sealed: Readings, known: Sequence[Alternative]) -> Sealed:
+def _beyond_log(channel: Channel, patches: Sequence[Active], sealed: Any) -> tuple[Array, NDArray[np.bool_]]:
+    """`beyond` of a force log: as wide as the priors of the patches' features are in the log, on average."""
+    from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
+
+    assert isinstance(channel, ForceChannel)
+    known, given = channel.conditions_of(sealed)
+    conditions = conditions_by_name(known, channel.reference)
+    open_, inside, place = np.zeros(len(sealed)), np.full(len(sealed), True), sum(channel.problem.sizes)
+    named = {one.key for one in patches}
+    usual = np.mean(channel.fit.normal[channel.log.contact] ** 2, axis=0)
+    for one in channel.active:
+        here, place = slice(place, place + one.effect.size), place + one.effect.size
+        if one.key not in named:
+            continue
+        if not given.issuperset(one.effect.needs):  # its usual size is in the predictions' sigma
+            inside[:] = False
+            continue
+        d = lengths_outside(unfaded([one])[0], conditions)
+        open_ += (1.0 - np.exp(-(d**2))) * float(usual[here].sum())
+        inside &= np.asarray(d == 0.0)
+    return (open_ * sealed.contact)[:, None], inside
+
+
+def beside_unknown(told: Sealed, found: Unnamed, sealed: Any, known: Sequence[Alternative]) -> Sealed:
     """Predictions by the written names, sigma with what is there under no name, or under names that are not in it yet (`known`:
     alternatives that are)."""
     variance, counted = told.sigma**2, {effects_key(one.active) for one in known}
     for one in found.others:
         if one.probability > 0 and effects_key(one.active) not in counted:
-            other = found.after.predict(sealed, one.active)
+            other = _prediction(found.after, sealed, one)
+            if other is None:
+                continue
             more = np.maximum(other.sigma**2 - told.sigma**2, 0.0)  # what the conditions lack for it
             variance = variance + one.probability * ((other.corrected - told.corrected) ** 2 + more)
     return replace(told, sigma=np.sqrt(variance))
 
 
-def with_patch(told: Sealed, found: Patched, sealed: Readings) -> Sealed:
+def _prediction(channel: Channel, sealed: Any, one: Alternative) -> Sealed | None:
+    """By an alternative; None where no fit with it comes to rest."""
+    try:
+        return channel.predict(sealed, one.active)
+    except Infeasible:
+        return None
+
+
+def with_patch(told: Sealed, found: Patched, sealed: Any) -> Sealed:
     """Predictions with those of the patch beside them; sigma holds what may stand in its place, and what it leaves open."""
     main = found.channel.predict(sealed, found.channel.active)
     variance = main.sigma**2
     for one in found.others:
-        other = found.channel.predict(sealed, one.active).corrected
-        variance = variance + one.probability * (other - main.corrected) ** 2
+        other = _prediction(found.channel, sealed, one)
+        if other is not None:
+            variance = variance + one.probability * (other.corrected - main.corrected) ** 2
     open_, inside = beyond(found.channel, found.patches, sealed)
-    lacking = tuple(one.effect.title for one in found.patches if not has_columns(one.effect, sealed))
+    lacking = tuple(one.effect.title for one in found.patches if one.effect.name in main.lacking)
     told = replace(told, lacking=(*told.lacking, *lacking))
     return replace(told, patched=main.corrected, patched_sigma=np.sqrt(variance + open_), inside=inside)

@@ -114,7 +114,7 @@ def diagnosis_headline(answer: Answer) -> Headline:
 
 def _patch(patch: Patched) -> str:
     """What is corrected without a name, and what that promises."""
-    told = f"{shrinkage_words(patch.shrinkage)} of the tracker gap should be gone on new data"
+    told = f"{shrinkage_words(patch.shrinkage)} of the {patch.channel.name} gap should be gone on new data"
     what = "; ".join(formula_of(one) for one in patch.patches)
     return f"With what has no name corrected as well, {told}. It explains nothing, and fades outside what was measured: {what}"
 

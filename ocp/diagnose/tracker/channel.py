@@ -226,6 +226,11 @@ class TrackerChannel:
         """Derivatives (n, 3, p) in the arm's unknowns without what the active effects let give."""
         return linearise_with(self.task, self.fit.state, ())[0].J if self.active else self.fit.linear.J
 
+    @property
+    def reference(self) -> float:
+        """Temperature deg C that warmth is told above."""
+        return self.task.reference
+
     def predict(self, sealed: Readings, active: tuple[Active, ...]) -> Sealed:
         """Baseline and corrected predictions (n, 3) m in the tracker's frame, one sigma of each coordinate."""
         before, after = (self if effects_key(a) == effects_key(self.active) else self.with_active(a) for a in ((), active))

@@ -8,7 +8,6 @@ import numpy as np
 from ocp.diagnose.dataset import DataSet
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Experiment
-from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.patching import is_patch
 from ocp.diagnose.verdict.remaining import Remaining
 from ocp.diagnose.verdict.shrinkage import ANOTHER_DAY, Shrinkage
@@ -38,20 +37,20 @@ class SignalGap:
 
 @dataclass(frozen=True)
 class Unnamed:
-    """What is there under no name: the tracker's channel before anything and with the written names and the patches; others: what
-    may be true, with probabilities, what the patches say first."""
+    """What is there under no name: the channel that shows it before anything and with the written names and the patches; others:
+    what may be true, with probabilities, what the patches say first."""
 
-    before: TrackerChannel
-    after: TrackerChannel
+    before: Channel
+    after: Channel
     others: tuple[Alternative, ...]
 
 
 @dataclass(frozen=True)
 class Patched:
-    """The tracker's channel with the written names and the patches; shrinkage that both promise together; others: what may stand
-    in the patches' place, with probabilities."""
+    """The channel with the written names and the patches; shrinkage that both promise together; others: what may stand in the
+    patches' place, with probabilities."""
 
-    channel: TrackerChannel
+    channel: Channel
     shrinkage: Shrinkage
     others: tuple[Alternative, ...]
 

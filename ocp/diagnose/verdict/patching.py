@@ -14,19 +14,18 @@ from scipy.stats import spearmanr
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Search, given, make_pool, scan
-from ocp.diagnose.engine.channel_system import ReadingConditions
+from ocp.diagnose.engine.channel_system import Channel, Patchable, ReadingConditions
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Alternative, Name, Options
-from ocp.diagnose.engine.kernels import LOADED, MOTOR_WAVES, ORDERS_OF_TWO, RIPPLES
+from ocp.diagnose.engine.kernels import LOADED, MOTOR_WAVES, ORDERS_OF_TWO, RIPPLES, SMOOTH
 from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
-from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.effects.context import SETTLING
 from ocp.effects.effect import Active, Effect
 from ocp.effects.engine.evaluate import left_of_motion
-from ocp.effects.patch import ON_BEAM, PATCH, make_patch
+from ocp.effects.patch import ON_ARM, ON_BEAM, ON_CONTACT, PATCH, conditions_of, make_patch
+from robots.errors import Infeasible
 from robots.pose import Array
 
-SIGNAL = "tracker"
 MOST_TERMS = 4  # of a formula that are told
 
 
@@ -96,15 +95,43 @@ def of_axis(where: str, j: int, c: ReadingConditions) -> list[str]:
     return payload_features(c) if stem == "payload" else waves_over("warm" if stem == "temperature" else "time", 2)
 
 
+def of_reading(where: str, variant: int, c: ReadingConditions) -> list[str] | None:
+    """Features of a force reading by what it varies with; None where no program has such a condition: time since a recording
+    began, the wheel's turn, single recordings."""
+    if where.startswith("s wave"):
+        wave = [w for w in c.waves if w.where == where][variant]
+        return turns_of("s", 2.0 * np.pi * wave.number, "travel" if where.endswith("travel") else "")
+    first, _, second = where.partition(" x ")
+    most = {"s": SMOOTH}
+    if not second:
+        return grinding_features(first, most.get(first, 4 if first[0] == "q" else 3), c)
+    one, other = grinding_features(first, 2, c), grinding_features(second, most.get(second, 3), c)
+    return None if one is None or other is None else times(one, other)
+
+
+def grinding_features(condition: str, count: int, c: ReadingConditions) -> list[str] | None:
+    """Features of one condition of grinding."""
+    if condition == "travel":
+        return ["travel"]
+    if condition == "line" and c.line is not None:
+        kinds, counts = np.unique(c.line, return_counts=True)
+        return [f"line {k}" for k in np.delete(kinds, np.argmax(counts))]
+    name = {"clock": "time", "temperature": "warm", "wheel_temperature": "wheel"}.get(condition, condition)
+    known = name == condition and name in ("s", "feed", "setpoint", "belt", *(f"q{j}" for j in range(1, 7)))
+    return waves_over(name, count) if known or name != condition else None
+
+
 def conditions_by_name(c: ReadingConditions, reference: float, middle: float = 0.0) -> dict[str, Array]:
     """Conditions (n,) of readings as patches call them; reference temperature deg C, middle azimuth rad."""
     found = {f"q{j + 1}": c.q[:, j] for j in range(6)}
+    found |= {name: v for name in ("s", "feed", "setpoint", "belt") if (v := getattr(c, name)) is not None}
+    found |= {} if c.wheel_temperature is None else {"wheel": c.wheel_temperature - reference}
     if c.tau is not None:
         found |= {f"tau{j + 1}": c.tau[:, j] for j in range(6)}
     if c.moments is not None:
         found |= {f"m{axis}{j + 1}": c.moments[:, j, k] for j in range(6) for k, axis in enumerate("xy")}
     found |= {} if c.temperature is None else {"warm": c.temperature - reference}
-    found |= {} if c.time is None else {"time": c.time}
+    found |= {} if c.clock is None else {"time": c.clock}
     if c.waited is not None:
         found |= {f"settling{s:.0f}": left for s, left in zip(SETTLING, left_of_motion(c.waited).T, strict=True)}
     if c.point is not None:
@@ -115,14 +142,23 @@ def conditions_by_name(c: ReadingConditions, reference: float, middle: float = 0
     return found
 
 
-def as_patch(name: Name, variant: int, size: float, channel: TrackerChannel) -> Active | None:
-    """A kernel as a patch of zero weights, prior sd `size` of its coefficients; None where no patch can hold it."""
+def signal_of(name: Name) -> str:
+    """Of which readings a kernel is."""
+    return name.effect.removeprefix("?").partition("/")[0]
+
+
+def as_patch(name: Name, variant: int, size: float, channel: Channel) -> Active | None:
+    """A kernel as a patch of zero weights, prior sd `size` of its coefficients, a reading's as those that are there already: of
+    the force, or of what the sensor shows beside it; None where no patch can hold it."""
     signal, where, source = name.effect.removeprefix("?").split("/")
-    if signal != SIGNAL:
+    if signal != channel.name or not isinstance(channel, Patchable):
         return None
     c, more = channel.conditions, {}
     middle = 0.0
-    if source == "joint":
+    if source == "reading":
+        there = [a.scanned["source"] for a in channel.active if is_patch(a.effect)]
+        features, source = of_reading(where, variant, c), "sensor" if "sensor" in there else "force"
+    elif source == "joint":
         features = of_joint(where, name.joint, variant, c)
     elif source == "axis":
         features, source = of_axis(where, name.joint, c), f"axis {('still', 'turning')[variant]}"
@@ -141,10 +177,12 @@ def as_patch(name: Name, variant: int, size: float, channel: TrackerChannel) -> 
         source = ON_BEAM[variant]
     if not features:
         return None
-    measured = conditions_by_name(c, channel.task.reference, middle)
+    measured = conditions_by_name(c, channel.reference, middle)
+    if not measured.keys() >= set(conditions_of(features)):
+        return None
     # What settles is gone after a wait longer than any that was measured.
     limits = {n: (0.0 if n.startswith("settling") else float(v.min()), float(v.max())) for n, v in measured.items()}
-    return make_patch(source, where, name.joint, features, limits, size, **more)
+    return make_patch(source, where, name.joint, features, limits, size, signal, **more)
 
 
 def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, float]) -> tuple[Alternative, ...]:
@@ -153,9 +191,10 @@ def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, floa
 
     Where it warmed up in the course of time, whatever varies with temperature varies with time as well, and no reading tells
     which of the two it is: a kernel of one shares what it has with the same kernel of the other."""
-    channel = next((c for c in problem.channels if isinstance(c, TrackerChannel)), None)
     total, found = sum(where.values()), dict[Name, Alternative]()
-    for name in sorted(where, key=lambda n: -where[n])[: rules.MOST_FOLLOWED]:
+    ordered = sorted(where, key=lambda n: -where[n])[: rules.MOST_FOLLOWED]
+    channel = next((c for c in problem.channels for name in ordered[:1] if c.name == signal_of(name)), None)
+    for name in ordered:
         f = problem.index[name]
         best = max((k for k in search.sets if f in k), key=lambda k: search.sets[k].log)
         member = next(m for m in search.sets[best].members if m.family == f)
@@ -178,7 +217,7 @@ def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, floa
 
 def in_the_other_course(name: Name, c: ReadingConditions) -> Name | None:
     """A kernel of temperature as one of time and the other way round, where in the readings one is a function of the other."""
-    if c.time is None or c.temperature is None or np.ptp(c.time) == 0 or np.ptp(c.temperature) == 0:
+    if c.signal != "tracker" or c.time is None or c.temperature is None or np.ptp(c.time) == 0 or np.ptp(c.temperature) == 0:
         return None
     if abs(spearmanr(c.time, c.temperature).statistic) < rules.ONE_COURSE:
         return None
@@ -187,11 +226,14 @@ def in_the_other_course(name: Name, c: ReadingConditions) -> Name | None:
     return None if there is None else replace(name, effect=name.effect.replace(there, swapped[there]))
 
 
-def with_further(channel: TrackerChannel, options: Options) -> TrackerChannel:
-    """A channel whose patch leaves something with further patches, as long as a kernel gains more than it costs."""
+def with_further(channel: Channel, options: Options) -> Channel:
+    """A channel whose patch leaves something with further patches, as long as a kernel gains more than it costs; of a force log
+    all act on the arm, or none does: what it says of an arm is one direction."""
+    own = {one.scanned["source"] in ON_ARM for one in channel.active if is_patch(one.effect)}
+    kept = "" if channel.name == "tracker" else "joint" if own == {True} else "reading"
     for _ in range(rules.MOST_PATCHES - 1):
         stacked = stack((channel,), np.zeros(len(channel.system.residual)))
-        families = kernel_families((channel,), stacked, options)
+        families = [f for f in kernel_families((channel,), stacked, options) if f.name.effect.endswith(kept)]
         pool = make_pool(stacked.y, stacked.freedom, families)
         told = scan(pool, given(pool, ()))
         value = told.log + np.array([f.log_odds for f in families])
@@ -200,8 +242,18 @@ def with_further(channel: TrackerChannel, options: Options) -> TrackerChannel:
         patch = as_patch(families[k].name, variant, size, channel) if value[k] > rules.BACKGROUND_GAIN else None
         if patch is None or patch.key in {a.key for a in channel.active}:
             break
-        channel = channel.with_active((*channel.active, patch))
+        try:
+            channel = channel.with_active((*channel.active, patch))
+        except Infeasible:  # no fit with it comes to rest
+            break
     return channel
+
+
+def read_beside(one: Active) -> Active:
+    """The patch of a force as one of what the sensor shows beside it."""
+    _, where, _, size = one.effect.name.removeprefix(PATCH).split("|")
+    limits = {name: (low, high) for name, low, high in one.scanned["range"]}
+    return make_patch("sensor", where, 0, one.scanned["features"], limits, float(size), one.scanned["signal"])
 
 
 def is_patch(effect: Effect) -> bool:
@@ -231,6 +283,18 @@ HINTS = {
     "beam range": "the instrument's own scale",
     "beam azimuth": "the instrument's own circle",
     "beam elevation": "the instrument's own circle",
+    "force s": "form or stock of the blade along its lines",
+    "force s wave": "form or stock of the blade along its lines",
+    "force line": "form or stock of the blade across its lines",
+    "force travel": "what the belt drags along",
+    "force feed": "what gives way or is ground off while the blade moves by",
+    "force setpoint": "a flange that does not bring what it is told",
+    "force belt": "a belt whose cut, or whose drag on the cover, goes with its speed",
+    "force q": "hoses or cables that pull as the arm turns",
+    "force clock": "a belt that wears, or an arm that warms up",
+    "force temperature": "warmth of the hall",
+    "sensor": "what touches the sensor: friction shows nothing of it",
+    "force wheel_temperature": "warmth of the wheel's cover",
 }
 
 
@@ -238,16 +302,17 @@ def hint_of(patch: Active) -> str:
     """What such a dependence may come from, in words."""
     source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
     conditions = [part.rstrip("123456") for part in where.split(" x ")]
-    for kept in (conditions, conditions[:1]):
+    for kept in (conditions, conditions[:1], []):
         if hint := HINTS.get(" ".join([source.split()[0], *kept])):
             return hint
     return "not known"
 
 
 def formula_of(patch: Active) -> str:
-    """The hint, and the largest terms of a fitted patch, urad or um."""
-    unit = "urad" if patch.joint else "um"
-    features, a = patch.scanned["features"], 1e6 * np.asarray(patch.a, float)
+    """The hint, and the largest terms of a fitted patch, urad, um or N."""
+    at_contact = patch.scanned["source"] in ON_CONTACT
+    unit = "N" if at_contact else "urad" if patch.joint else "um"
+    features, a = patch.scanned["features"], (1.0 if at_contact else 1e6) * np.asarray(patch.a, float)
     names = [*features] * (len(a) // len(features))
     order = np.argsort(-np.abs(a))
     source, where, *_ = patch.effect.name.removeprefix(PATCH).split("|")
