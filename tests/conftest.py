@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
+from hashlib import sha256
 from importlib.metadata import distributions
 from pathlib import Path
 from types import SimpleNamespace
@@ -100,6 +101,29 @@ def compiled_once(own_cache: None) -> Iterator[None]:
     """The force model is compiled by the first test that uses it, however few its rows: the others then have it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ocp.calibrate.force.model.WORTH_COMPILING", 1)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def crossings_looked_for_once() -> Iterator[None]:
+    """A surface that was found free of facets that cut each other is so again: the same few blades are read a hundred times."""
+    import numpy as np
+
+    from trajectories.blade import reading
+
+    free, original = set[bytes](), reading.self_intersections
+
+    def looked_for_once(vertices, faces):
+        key = sha256(vertices.tobytes() + faces.tobytes()).digest()
+        if key in free:
+            return np.zeros((0, 2), np.int64)
+        found = original(vertices, faces)
+        if not len(found):
+            free.add(key)
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reading, "self_intersections", looked_for_once)
         yield
 
 
