@@ -80,7 +80,6 @@ def dressed(ax: Axes, title: str = "", x: str = "", y: str = "", grid: Literal["
         ax.set_xlabel(printable(x), fontsize=7, labelpad=2)
     if y:
         ax.set_ylabel(printable(y), fontsize=7, labelpad=2)
-    ax.tick_params(length=2, labelsize=6.5, pad=2)
     ax.set_axisbelow(True)
     if grid:
         ax.grid(axis=grid)
@@ -126,10 +125,10 @@ def envelope(x: Array, y: Array, bins: int = 500) -> tuple[Array, Array]:
     """A curve of at most 2 `bins` points that keeps every peak: least and largest value of each bin."""
     if len(x) <= 2 * bins:
         return np.asarray(x, float), np.asarray(y, float)
-    edges = np.linspace(0, len(x), bins + 1).astype(int)
+    edges, known = np.linspace(0, len(x), bins + 1).astype(int).tolist(), np.nan_to_num(y)
     pick = []
     for a, b in pairwise(edges):
-        part = np.nan_to_num(y[a:b])
+        part = known[a:b]
         pick += sorted({a + int(part.argmin()), a + int(part.argmax())})
     index = np.array(pick)
     return np.asarray(x, float)[index], np.asarray(y, float)[index]

@@ -40,6 +40,12 @@ STYLE: dict[str, Any] = {
     "lines.linewidth": 0.9,
     "grid.color": RULE,
     "grid.linewidth": 0.5,
+    "xtick.major.size": 2,
+    "ytick.major.size": 2,
+    "xtick.major.pad": 2,
+    "ytick.major.pad": 2,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
     "axes.titley": 1.0,  # a fixed place: looking for a free one takes a sixth of the time
 }
 """matplotlib settings in force while the sheets are made and written."""

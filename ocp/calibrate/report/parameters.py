@@ -203,7 +203,7 @@ def _draw_seen(canvas: Canvas, c: TrackerCalibration) -> None:
     right.tick_params(length=0, labelsize=size, pad=1)
     bar = right.inset_axes((1.03, 0.0, 0.03, 1.0))
     canvas.figure.colorbar(image, cax=bar, ticks=(-1, -0.5, 0, 0.5, 1))
-    bar.tick_params(length=2, labelsize=6, colors=SOFT)
+    bar.tick_params(labelsize=6, pad=3.5, colors=SOFT)
     bar.spines["outline"].set_linewidth(0.4)
 
 

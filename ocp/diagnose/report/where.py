@@ -180,7 +180,7 @@ def _draw_blade(canvas: Canvas, gap: SignalGap) -> None:
         ax.invert_yaxis() if title == "before" else None
     bar = axes[-1].inset_axes((1.04, 0.0, 0.035, 1.0))
     canvas.figure.colorbar(image, cax=bar)
-    bar.tick_params(length=2, labelsize=6, colors=SOFT)
+    bar.tick_params(labelsize=6, pad=3.5, colors=SOFT)
     bar.set_title("N", fontsize=6.5, color=SOFT)
 
 

@@ -129,7 +129,7 @@ def _draw_maps(canvas: Canvas, report: PlanReport, keys: tuple[str, ...]) -> Non
             ax.tick_params(color=RULE)
         bar = row[-1].inset_axes((1.05, 0.0, 0.045, 1.0))
         canvas.figure.colorbar(ScalarMappable(norm, COLOUR_MAP), cax=bar)
-        bar.tick_params(length=2, labelsize=6.5)
+        bar.tick_params(pad=3.5)
 
 
 def common_distance(group: Sequence[GroundPass]) -> list[Array]:

@@ -58,6 +58,6 @@ def _drawing(one: SideRemoval) -> Draw:
         dressed(ax, "mm from the leading edge over mm along the span", grid="")
         bar = ax.inset_axes((1.03, 0.0, 0.025, 1.0))
         canvas.figure.colorbar(ScalarMappable(norm, COLOUR_MAP), cax=bar, extend="both")
-        bar.tick_params(length=2, labelsize=6.5)
+        bar.tick_params(pad=3.5)
 
     return draw

@@ -201,7 +201,7 @@ def draw_blade(
         (beside.x1 + 0.2 / canvas.figure.get_figwidth(), beside.y0 + 0.1 * beside.height, 0.012, 0.8 * beside.height)
     )
     canvas.figure.colorbar(ScalarMappable(norm, colours), cax=bar)
-    bar.tick_params(length=2, labelsize=6.5)
+    bar.tick_params(pad=3.5)
     bar.set_title(unit, fontsize=7, color=SOFT, loc="left")
 
 
