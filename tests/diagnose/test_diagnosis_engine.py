@@ -1,16 +1,18 @@
 """The engine on numbers alone: evidence against integration, projection, search, classes, honest p-values."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import f as f_law
-from scipy.stats import gamma, kstest, norm
+from scipy.stats import gamma, kstest, multivariate_t, norm
 
 from ocp.diagnose.engine.beam import Member, Search, given, scan, scan_one, weigh
 from ocp.diagnose.engine.channel_system import ReadingConditions
-from ocp.diagnose.engine.evidence import coefficients_given, log_evidence, project, size_grid
+from ocp.diagnose.engine.evidence import Tails, coefficients_given, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised, positive_of
-from ocp.diagnose.rules import NOISE_TRUST, WRONG_SIGN
+from ocp.diagnose.rules import NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.location import kernel_tests
 from ocp.effects.catalogue import library
@@ -188,6 +190,47 @@ def test_a_misjudged_noise_level_names_nothing():
     assert diagnose_channels([channel], library, FEW).p_none > 0.5
 
 
+def students(rng, readings, freedom):
+    """Readings (n, 3) of Student's t as a whole."""
+    return rng.normal(size=(readings, 3)) * np.sqrt(freedom / rng.chisquare(freedom, (readings, 1)))
+
+
+def test_tails_are_as_likely_as_students_law_says():
+    rng, readings = np.random.default_rng(2), 200
+    tails = Tails(slice(5, 5 + 3 * readings), 3 * np.arange(readings))
+    for freedom in (3.0, 4.0, 8.0):
+        rows = students(rng, readings, freedom)
+        told = [
+            max(multivariate_t(np.zeros(3), s * np.eye(3), df=v).logpdf(rows).sum() for s in np.geomspace(0.3, 3.0, 200))
+            for v in TAILS
+        ]
+        normal = norm(0.0, np.sqrt(np.mean(rows**2))).logpdf(rows).sum()
+        put = np.concatenate([np.full(5, 99.0), rows.ravel()])
+        assert tails.gain(put) == pytest.approx(max(told) - normal - TAILS_TOLD, abs=0.02)
+    assert tails.gain(rng.normal(size=5 + 3 * readings)) == 0.0
+
+
+@pytest.mark.parametrize("tailed", [False, True])
+def test_wild_readings_among_tails_are_no_name(tailed):
+    """Of two neighbours moved, whichever, the wildest of many wild ones say little; what all readings show is named."""
+    readings, false = 70, 0
+    scans = [{"at": float(k)} for k in range(readings)]
+    two = np.eye(readings) + np.roll(np.eye(readings), 1, axis=0)
+    moved = np.stack([np.kron(two[:, k : k + 1], np.eye(3)) for k in range(readings)])
+    library = {"moved": effect("moved", prior_sd=(8.0, 8.0, 8.0), scans=scans), "all": effect("all")}
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        shown = rng.normal(size=(1, 3 * readings, 1))
+        noise = students(rng, readings, 3.0).ravel()
+        columns = {("moved", 0): moved, ("all", 0): shown}
+        made = LinearChannel(noise, np.zeros((3 * readings, 0)), np.zeros(0), columns, each=3, tailed=tailed)
+        false += diagnose_channels([made], library, FEW).p_none < 0.5
+        if seed < 3:
+            d = diagnose_channels([replace(made, y=noise + 0.8 * shown[0, :, 0])], library, FEW)
+            assert "all" in [n.effect for n in d.explanations[0].names]
+    assert false <= 1 if tailed else false > 7
+
+
 def test_twins_are_declared_and_share_an_explanation():
     channel, library = problem_of(planted=((0, 0.5),))
     twin = channel.columns[("e0", 0)] * 1.01 + 0.02 * np.random.default_rng(1).normal(size=(1, 200, 1))
@@ -205,7 +248,7 @@ def test_a_pair_that_neither_shows_alone():
     library = {n: effect(n, low=0.3) for n in ("e0", "e1", "e2")}
     columns = {("e0", 0): a[None, :, None], ("e1", 0): b[None, :, None], ("e2", 0): rng.normal(size=(1, 300, 1))}
     channel = LinearChannel(2.0 * (a - b) + rng.normal(size=300), np.ones((300, 1)), np.full(1, np.inf), columns)
-    pool = linearised([channel], library, Options()).pool
+    pool = linearised([channel], library, Options(prior_effects=0.3)).pool
     search = Search(pool, 3, 6)
     search.begin()
     search.grow()

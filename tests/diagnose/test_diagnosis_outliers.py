@@ -39,3 +39,17 @@ def test_gross_readings_without_a_cause_in_common_stay_so():
     assert (believed.fit.weight < 0.5).sum() >= OUTLIERS_OF_ONE_CAUSE
     assert outliers_rechecked(linearised([believed], LIBRARY, OPTIONS), (), LIBRARY, OPTIONS) is None
     assert diagnose_channels([believed], LIBRARY, OPTIONS).verdict == "no_gap"
+
+
+def test_readings_of_moving_air_have_tails_and_others_none():
+    """Noise of Student's law on whole readings counts as such in every set; readings of a normal law leave evidence as it was."""
+    rng, readings = np.random.default_rng(4), world(6)[0]
+    n = len(readings)
+    moved = 6e-5 * rng.normal(size=(n, 3)) * np.sqrt(3.0 / rng.chisquare(3.0, (n, 1)))
+    gains = []
+    for one in (readings, replace(readings, point=readings.point + moved)):
+        pool = linearised([channel(one)], LIBRARY, OPTIONS).pool
+        (tails,) = pool.tails
+        assert tails.rows == slice(0, 3 * n) and len(tails.starts) == n
+        gains.append(pool.plain)
+    assert gains[0] == 0.0 and gains[1] > 5.0

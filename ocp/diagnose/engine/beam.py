@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.evidence import Projection, log_evidence
+from ocp.diagnose.engine.evidence import Projection, Tails, log_evidence
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.rules import NOISE_TRUST
 from ocp.effects.effect import Effect, Scanned
@@ -106,6 +106,7 @@ class CandidatePool:
     families: tuple[Family, ...]
     groups: tuple[_Group, ...]
     place: tuple[tuple[int, int], ...]  # of each family: group, first variant
+    tails: tuple[Tails, ...] = ()
     crossed: dict[tuple[int, int], tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
     bests: dict[tuple[tuple["Member", ...], int], "Best"] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -132,6 +133,11 @@ class CandidatePool:
         at = np.concatenate(places)
         sizes = np.repeat([m.size for m in members], [len(place) for place in places])
         return at, sizes, known.G[at[:, None], at] * (sizes[:, None] * sizes), sizes * known.b[at]
+
+    @cached_property
+    def plain(self) -> float:
+        """What tails gain where nothing is there."""
+        return sum(t.gain(self.y) for t in self.tails)
 
     def of(self, family: int) -> tuple[_Group, slice]:
         """The group of a family, and its variants there."""
@@ -201,6 +207,12 @@ class Given:
         U, s, _ = np.linalg.svd(self.C, full_matrices=False)
         return U, s**2 / (1.0 + s**2)
 
+    @property
+    def tailed(self) -> float:
+        """What the evidence has over eq. 4, where readings have tails, over nothing given."""
+        rest = self.pool.y - self.C @ (self.turn.T @ self.inner) if self.pool.tails else self.pool.y
+        return sum(t.gain(rest) for t in self.pool.tails) - self.pool.plain
+
     def after(self, rows: Array) -> Array:
         """Rows (N,) or (N, m) with what is given projected out too."""
         U, take = self.directions
@@ -216,7 +228,7 @@ class Scan:
     size: Array
 
 
-def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> CandidatePool:
+def make_pool(y: Array, freedom: int, families: Sequence[Family], tails: tuple[Tails, ...] = ()) -> CandidatePool:
     """Pool of families whose columns are projected already."""
     groups: list[_Group] = []
     place = [(-1, -1)] * len(families)
@@ -232,7 +244,7 @@ def make_pool(y: Array, freedom: int, families: Sequence[Family]) -> CandidatePo
         inner = np.concatenate([y @ _flat(part) for part in parts]).reshape(-1, m)
         G = np.concatenate([squares(part) for part in parts])
         groups.append(_Group(m, parts, G, inner, sizes, positive, starts, np.array(chosen)))
-    return CandidatePool(y, freedom, tuple(families), tuple(groups), tuple(place))
+    return CandidatePool(y, freedom, tuple(families), tuple(groups), tuple(place), tails)
 
 
 def _flat(columns: Array) -> Array:
@@ -369,7 +381,7 @@ def weigh(pool: CandidatePool, families: Sequence[int], near: Sequence[Member] =
         for i in range(len(members)):
             members[i] = _best(pool, members[:i] + members[i + 1 :], members[i].family).member
     joint = given(pool, members)
-    total = joint.log
+    total = joint.log + joint.tailed
     for i, member in enumerate(members):
         best = _best(pool, members[:i] + members[i + 1 :], member.family)
         total += best.mean - (joint.log - best.others) + pool.families[member.family].log_odds

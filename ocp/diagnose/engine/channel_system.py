@@ -88,8 +88,8 @@ class ReadingConditions:
 class System:
     """Whitened linear system of a channel, unit noise: residual (N,), nuisance (N, p), prior_sd (p,) (inf:
     free) and offset (p,) in the nuisance's own units; reading (N,): which of the channel's readings a row belongs to;
-    picked: squares beyond their number that rows which were picked for
-    what they show have where nothing is there."""
+    picked: squares beyond their number that rows which were picked for what they show have where nothing is there; tailed:
+    whether the errors of a reading as a whole may follow Student's t, which no weight has taken from the rows yet."""
 
     residual: Array
     nuisance: Array
@@ -97,6 +97,7 @@ class System:
     offset: Array
     reading: Index
     picked: float = 0.0
+    tailed: bool = False
 
 
 @dataclass(frozen=True)

@@ -33,13 +33,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import chndtrix, stdtr
+from scipy.special import chndtrix, gammaln, stdtr
 
 from ocp.diagnose.engine.channel_system import Channel, System
-from ocp.diagnose.rules import MISSED, NOISE_TRUST, WRONG_SIGN
+from ocp.diagnose.rules import MISSED, NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
 from robots.pose import Array
 from robots.tracker_readings import Index
 
+TAIL_STEPS = 8  # of the scale of tails: what is left of its error is in every set alike
 RANK = 1e-10  # singular values below this share of the largest are no direction of their own
 
 
@@ -89,15 +90,37 @@ def about_prior(system: System) -> Array:
 
 
 @dataclass(frozen=True)
+class Tails:
+    """Rows of readings whose errors as a whole may follow Student's t: which rows, and (n,) where each reading's begin."""
+
+    rows: slice
+    starts: Index
+
+    def gain(self, rest: Array) -> float:
+        """By how much more likely what is left (N,) is by Student's t than by a normal law, each of the scale that suits it best;
+        zero where the normal law suits it as well (Lange, Little and Taylor 1989, eq. 1)."""
+        squared = np.add.reduceat(rest[self.rows] ** 2, self.starts)
+        n, k, nu = len(squared), (self.rows.stop - self.rows.start) / len(squared), TAILS[:, None]
+        normal = max(float(squared.mean()) / k, 1e-12)
+        scale2 = np.full_like(nu, normal)
+        for _ in range(TAIL_STEPS):
+            scale2 = ((nu + k) / (nu + squared / scale2)) @ squared[:, None] / (k * n)
+        spread = 0.5 * (TAILS + k) * np.log1p(squared / (nu * scale2)).sum(axis=1)
+        each = gammaln(0.5 * (TAILS + k)) - gammaln(0.5 * TAILS) - 0.5 * k * np.log(0.5 * TAILS * scale2[:, 0] / normal)
+        return max(float(np.max(n * (each + 0.5 * k) - spread)) - TAILS_TOLD, 0.0)
+
+
+@dataclass(frozen=True)
 class Stack:
     """Channels one below the other: projections and row blocks; y (N,): white under 'no effect'; freedom: squares that noise
     alone leaves, rows less free nuisance and what picked rows have more; active effects' columns are put back into y (about
-    zero coefficients)."""
+    zero coefficients); tails: channels whose readings may have some."""
 
     projections: tuple[Projection, ...]
     blocks: tuple[slice, ...]
     y: Array
     freedom: int
+    tails: tuple[Tails, ...] = ()
 
     def apply(self, columns: Array) -> Array:
         """M columns, columns (N, m) of all channels."""
@@ -108,18 +131,20 @@ class Stack:
 def stack(channels: tuple[Channel, ...], put_back: Array) -> Stack:
     """Stack of the channels' systems; put_back (N,): what the active effects add to the predictions, to be explained
     again."""
-    projections, blocks, parts, start, picked = [], [], [], 0, 0.0
+    projections, blocks, parts, tails, start, picked = [], [], [], list[Tails](), 0, 0.0
     for channel in channels:
         system = channel.system
         block = slice(start, start + len(system.residual))
         start = block.stop
         picked += system.picked
+        if system.tailed:
+            tails.append(Tails(block, np.flatnonzero(np.diff(system.reading, prepend=-1)).astype(np.int64)))
         projection = project(system.nuisance, system.prior_sd)
         projections.append(projection)
         blocks.append(block)
         parts.append(projection.apply(about_prior(system) + put_back[block]))
     y = np.concatenate(parts)
-    return Stack(tuple(projections), tuple(blocks), y, len(y) - sum(p.free for p in projections) + round(picked))
+    return Stack(tuple(projections), tuple(blocks), y, len(y) - sum(p.free for p in projections) + round(picked), tuple(tails))
 
 
 SIZES = 4  # of the grid of prior widths

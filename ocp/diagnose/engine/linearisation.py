@@ -258,11 +258,11 @@ def linearised(channels: Sequence[Channel], library: Mapping[str, Effect], optio
     held = {a.key for c in channels for a in c.active}
     ripples = next((c.ripples for c in channels if isinstance(c, Geared)), None)
     families = library_families(found, stacked, options, held) + kernel_families(channels, stacked, options)
-    whole = make_pool(stacked.y, stacked.freedom, families)
+    whole = make_pool(stacked.y, stacked.freedom, families, stacked.tails)
     there = _held(families, [a for c in channels for a in c.active])
     families = most_telling(whole, [(), there] if there else [()])
     families += ripple_families(families, ripples) + play(found, stacked)
-    return Linearisation(tuple(channels), stacked, make_pool(stacked.y, stacked.freedom, families))
+    return Linearisation(tuple(channels), stacked, make_pool(stacked.y, stacked.freedom, families, stacked.tails))
 
 
 def _held(families: Sequence[Family], active: Sequence[Active]) -> list[Member]:

@@ -75,6 +75,7 @@ class TrackerChannel:
             prior_sd=layout.prior_sd,
             offset=np.where(np.isfinite(layout.prior_sd), self.fit.offset, 0.0),
             reading=np.repeat(np.arange(n), 3),
+            tailed=True,
         )
 
     @cached_property
