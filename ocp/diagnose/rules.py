@@ -11,8 +11,8 @@ import numpy as np
 # ---------- priors: before any reading
 PRIOR_EFFECTS = 0.15
 """[-] Effects expected in a data set before it is seen; shared by kinds of effects, then by joints. Guards: machines without
-an effect are not accused. Reason: of 120 machines by another hand with nothing planted one is accused, at 0.3 four; the first
-name is as often right (docs/diagnosis.md, Measured)."""
+an effect are not accused. Reason: three of 180 machines by another hand with nothing planted (docs/diagnosis.md, Measured); of
+the first 120 one, at 0.3 four, and the first name is as often right."""
 
 PRIOR_UNKNOWN = 0.05
 """[-] Probability of an effect outside the catalogue before any reading, shared by kinds of kernels, then by joints. Guards:

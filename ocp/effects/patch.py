@@ -14,7 +14,7 @@ the beam ("beam along", ..), as a force along the contact's normal ("force"), or
 
     cos k c, sin k c     of an angle c        wave k c     cos(pi k x) / (1 + (k / 4)^2), x = 0..1 over c's range
     power p c            of c over its largest size        c alone: c itself        is NAME: 1 where that payload hangs
-    line k               1 on that line of the blade
+    line k               1 on that line of the blade        approachN, travel, is and line stand alone
 
 Conditions: q1..q6 rad; approach1..6; tau1..6 N m load torque; mx1..6, my1..6 N m moment of all weight beyond an axis about x and
 y of the link before it; settling20, settling60, settling200: exp(-t / 20 s) and so on, t the time since the motion to where the
@@ -46,16 +46,14 @@ SOFT = 4.0  # wave number at which a smooth function's prior has fallen to half
 GONE = 5.0  # lengths from which a patch is not there
 MOST_FEATURES = 64
 MOST_WEIGHT, MOST_PUSH = 0.1, 1e3  # rad or m, N
-# Columns by words of what a patch varies with.
-COLUMNS = {"approach": "approach", "temperature": "temperature_C", "time": "time_s", "wait": "time_s", "payload": "payload"}
-COLUMNS |= {"feed": "feed_mm_s", "setpoint": "setpoint_N", "belt": "belt_m_s", "line": "line", "clock": "clock_s"}
-COLUMNS |= {"wheel_temperature": "wheel_temperature_C"}
+COLUMNS = {"warm": "temperature_C", "wheel": "wheel_temperature_C", "time": "clock_s", "line": "line"}  # by conditions
+COLUMNS |= {"feed": "feed_mm_s", "setpoint": "setpoint_N", "belt": "belt_m_s"}
 _OF_JOINTS = ("approach", "tau", "mx", "my", "q")
 _OF_STANDING = tuple(f"settling{s:.0f}" for s in SETTLING)
 _OF_BEAM = ("range", "azimuth", "elevation")
 _ALONE = ("warm", "time", *_OF_BEAM)
 _OF_GRINDING = ("s", "travel", "feed", "belt", "setpoint", "wheel")
-_OF_CONTACT = (*_OF_GRINDING, "warm", "time", *(f"q{j}" for j in range(1, 7)))
+_OF_CONTACT = (*_OF_GRINDING, "line", "warm", "time", *(f"q{j}" for j in range(1, 7)))
 _NUMBERED = ("cos", "sin", "wave", "power")
 
 Condition = Callable[[str], Any]
@@ -71,14 +69,16 @@ def feature_factors(feature: str) -> list[Factor]:
             found.append(("is", 1.0, rest))
             continue
         if word == "line" and rest.isdecimal():
-            found.append(("line", float(rest), ""))
+            found.append(("line", float(rest), "line"))
             continue
         number, _, name = rest.partition(" ")
         try:
             one = (word, float(number), name) if word in _NUMBERED else ("itself", 1.0, text.strip())
         except ValueError:
             one = ("", 0.0, "")
-        if not known_condition(one[2]) or not 0.0 < one[1] <= 1e4 or (one[0] == "power" and one[1] not in (1.0, 2.0, 3.0)):
+        sign = (one[2].startswith("approach") or one[2] == "travel") and one[0] != "itself"
+        whole = one[0] == "power" and one[1] not in (1.0, 2.0, 3.0)
+        if not known_condition(one[2]) or not 0.0 < one[1] <= 1e4 or whole or sign:
             raise ValueError(f"feature '{shown(feature)}' is none; write e.g. 'cos 2 q3', 'approach3 * cos 1 q3' or 'is bare'")
         found.append(one)
     return found
@@ -90,9 +90,18 @@ def known_condition(name: str) -> bool:
 
 
 def conditions_of(features: Sequence[str]) -> tuple[str, ...]:
-    """What features vary with between limits, each once: signs, names of payloads and numbers of lines have none."""
-    names = [name for feature in features for form, _, name in feature_factors(feature) if form not in ("is", "line")]
+    """What features vary with between limits, each once: signs and names of payloads have none."""
+    names = [name for feature in features for form, _, name in feature_factors(feature) if form != "is"]
     return tuple(dict.fromkeys(n for n in names if not n.startswith("approach") and n != "travel"))
+
+
+def columns_of(features: Sequence[str]) -> tuple[str, ...]:
+    """Columns that say what features vary with, where it is not always known."""
+    found = set()
+    for form, _, name in (factor for feature in features for factor in feature_factors(feature)):
+        found |= {"payload"} if form == "is" else {COLUMNS[name]} if name in COLUMNS else set()
+        found |= {"approach"} if name.startswith("approach") else {"time_s"} if name in _OF_STANDING else set()
+    return tuple(sorted(found))
 
 
 def span(measured: tuple[float, float]) -> float:
@@ -104,7 +113,7 @@ def lengths(scanned: Scanned) -> dict[str, float]:
     """Length of each condition that has a range, over which the finest feature of it changes."""
     found = {name: span((low, high)) for name, low, high in scanned["range"]}
     for form, number, name in (factor for feature in scanned["features"] for factor in feature_factors(feature)):
-        if name in found:
+        if name in found and form != "line":
             whole = next(span((low, high)) for n, low, high in scanned["range"] if n == name)
             found[name] = min(found[name], 1.0 / number if form in ("cos", "sin") else whole / min(number, SOFT))
     return found
@@ -219,9 +228,8 @@ def _contact(x: ContactContext, joint: int, scanned: Scanned) -> ca.SX:
 
 @lru_cache
 def patch_effect(name: str) -> Effect:
-    """The effect of a patch by its name, 'patch SOURCE|WHERE|coefficients|prior': so that it travels between processes."""
-    source, where, count, size = name.removeprefix(PATCH).split("|")
-    kinds = {word for word in COLUMNS if any(part.rstrip("123456") == word for part in where.split())}
+    """The effect of a patch by its name, 'patch SOURCE|WHERE|coefficients|prior|COLUMN,..': it travels between processes."""
+    source, where, count, size, *needs = name.removeprefix(PATCH).split("|")
     names = tuple(f"a{k + 1}" for k in range(int(count)))
     hooks: dict[str, Any] = {"reading": _reading}
     if source == "joint":
@@ -240,7 +248,7 @@ def patch_effect(name: str) -> Effect:
         prior_sd=(float(size),) * len(names),
         values=lambda a, scanned: dict(zip(names, np.asarray(a, float).tolist(), strict=True)),
         coefficients_of=lambda values: (np.array([values[n] for n in names], float), {}),
-        needs=tuple(COLUMNS[word] for word in sorted(kinds)),
+        needs=tuple(needs[0].split(",")) if needs else (),
         **hooks,
     )
 
@@ -260,7 +268,8 @@ def make_patch(
     count = len(features) * {"frame": 3, "axis still": 2, "axis turning": 2}.get(source, 1)
     scanned = {"signal": signal, "source": source, "features": tuple(features), **more}
     scanned["range"] = tuple((n, float(measured[n][0]), float(measured[n][1])) for n in conditions_of(features))
-    effect = patch_effect(f"{PATCH}{source}|{where}|{count}|{size:.3g}")
+    needs = ",".join(columns_of(features))
+    effect = patch_effect(f"{PATCH}{source}|{where}|{count}|{size:.3g}" + (f"|{needs}" if needs else ""))
     return Active(effect, joint, np.zeros(count), scanned, np.eye(count) * size**2)
 
 
@@ -308,14 +317,14 @@ def patch_of(table: Mapping[str, Any]) -> Active:
 def _check_conditions(source: str, features: Sequence[str], measured: Mapping[str, Sequence[float]]) -> None:
     """Raises ValueError, a sentence: a condition that the kernel does not see, or without its range."""
     factors = [factor for feature in features for factor in feature_factors(feature)]
-    forms, used = {form for form, _, _ in factors}, {name for form, _, name in factors if form not in ("is", "line")}
-    if source in ON_CONTACT and ("is" in forms or not used <= set(_OF_CONTACT)):
-        raise ValueError(f"a patch of kernel '{source}' varies with {', '.join((*_OF_CONTACT, 'line'))} alone")
-    if source not in (*ON_ARM, *ON_CONTACT) and (forms & {"is", "line"} or not used <= set(_ALONE)):
+    hung, used = any(form == "is" for form, _, _ in factors), {name for form, _, name in factors if form != "is"}
+    if source in ON_CONTACT and (hung or not used <= set(_OF_CONTACT)):
+        raise ValueError(f"a patch of kernel '{source}' varies with {', '.join(_OF_CONTACT)} alone")
+    if source not in (*ON_ARM, *ON_CONTACT) and (hung or not used <= set(_ALONE)):
         raise ValueError(f"a patch of kernel '{source}' varies with {', '.join(_ALONE)} alone")
     if source in ON_ARM and used & set(_OF_BEAM):
         raise ValueError(f"a patch of kernel '{source}' does not vary with where the tracker stands")
-    if source in ON_ARM and ("line" in forms or used & set(_OF_GRINDING)):
+    if source in ON_ARM and used & {"line", *_OF_GRINDING}:
         raise ValueError(f"a patch of kernel '{source}' does not vary with what is ground")
     for name in conditions_of(features):
         low, high = measured.get(name, (np.nan, np.nan))

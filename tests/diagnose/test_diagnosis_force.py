@@ -22,8 +22,10 @@ from ocp.diagnose.force.logged_contact import hook_columns
 from ocp.diagnose.force.prediction import acts_by_force, effect_derivatives, force_derivatives, predict_forces
 from ocp.diagnose.force.prior import contact_prior, with_setpoints_read_off
 from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_patch
+from ocp.diagnose.verdict.answer import Patched
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import as_patch, of_reading
+from ocp.diagnose.verdict.shrinkage import Shrinkage
 from ocp.effects.catalogue import library
 from ocp.effects.cell_effects import effect_of
 from ocp.effects.effect import Active, Effect
@@ -446,6 +448,19 @@ def _clinging(c):
 
 def _fading(c):
     return (c["setpoint"] - 20.0) / 10.0 * np.cos(2 * np.pi * c["s"] / 0.07)
+
+
+def test_a_patch_of_an_arm_over_time_wants_the_campaigns_clock(made):
+    """A sealed log without it is predicted without the patch, which is in its sigma."""
+    one = as_patch(Name("?force/time2/joint", 2), 0, 1e-4, made.channel)
+    assert one is not None and one.effect.needs == ("clock_s",)
+    after = made.channel.with_active((replace(one, a=np.full(len(one.a), 1e-5)),))
+    found = Patched(after, Shrinkage(0.5, 0.4, 0.6), ())
+    sealed = replace(made.channel.log, fn=np.full(len(made.channel.log), np.nan), ft=None)
+    for clock, inside in ((sealed.clock, True), (None, False)):
+        asked = replace(sealed, clock=clock)
+        told = with_patch(after.predict(asked, ()), found, asked)
+        assert (told.inside == inside).all() and bool(told.lacking) != inside and np.isfinite(told.patched_sigma).all()
 
 
 UNKNOWN = {

@@ -225,10 +225,13 @@ def test_a_patch_survives_a_cell_and_a_process():
         ({"kernel": "force", "joint": None, "features": ["approach1"]}, "alone"),
         ({"kernel": "force", "joint": None, "features": ["is heavy"]}, "alone"),
         ({"kernel": "frame", "joint": None, "features": ["line 3"]}, "alone"),
-        ({"kernel": "force", "joint": None, "features": ["travel", "line 3"], "weights": [2e3, 0.0]}, "at most 1000 N"),
+        ({"kernel": "force", "joint": None, "features": ["travel", "wave 1 q2"], "weights": [2e3, 0.0]}, "at most 1000 N"),
         ({"features": ["travel * cos 1 q2"]}, "what is ground"),
         ({"features": ["line 3", "wave 1 q2"]}, "what is ground"),
         ({"features": ["line x", "wave 1 q2"]}, "feature 'line x'"),
+        ({"kernel": "force", "joint": None, "features": ["wave 2 travel"]}, "feature 'wave 2 travel'"),
+        ({"features": ["power 2 approach3", "wave 1 q2"]}, "feature 'power 2 approach3'"),
+        ({"kernel": "force", "joint": None, "features": ["line 2", "line 3"]}, "range.line"),
     ],
 )
 def test_a_table_that_is_no_patch_is_refused(change, words):
@@ -239,4 +242,18 @@ def test_a_table_that_is_no_patch_is_refused(change, words):
 def test_features_are_read_as_written():
     assert feature_factors("approach3 * cos 2.5 q3") == [("itself", 1.0, "approach3"), ("cos", 2.5, "q3")]
     assert feature_factors("is heavy load") == [("is", 1.0, "heavy load")]
-    assert feature_factors("travel * line 12") == [("itself", 1.0, "travel"), ("line", 12.0, "")]
+    assert feature_factors("travel * line 12") == [("itself", 1.0, "travel"), ("line", 12.0, "line")]
+
+
+def test_a_patch_needs_what_its_features_vary_with_whatever_it_is_called():
+    features = ["approach3 * settling20", "wave 1 warm", "power 1 time", "is heavy", "cos 1 q2"]
+    limits = {"settling20": (0.0, 1.0), "warm": (0.0, 5.0), "time": (0.0, 9.0), "q2": (0.0, 1.0)}
+    on_arm = make_patch("joint", "whatever", 3, features, limits, 1e-4)
+    assert on_arm.effect.needs == ("approach", "clock_s", "payload", "temperature_C", "time_s")
+    limits |= {name: (1.0, 3.0) for name in ("line", "feed", "belt", "setpoint", "wheel", "s")}
+    features = ["travel * line 2", "wave 1 feed * wave 1 s", "power 1 belt", "wave 1 setpoint", "wave 2 wheel"]
+    at_contact = make_patch("force", "whatever", 0, features, limits, 1.0, "force")
+    assert at_contact.effect.needs == ("belt_m_s", "feed_mm_s", "line", "setpoint_N", "wheel_temperature_C")
+    assert pickle.loads(pickle.dumps(at_contact.effect)) is at_contact.effect
+    seen = {name: np.full(3, 2.0) for name in limits} | {"line": np.array([2.0, 4.0, 7.0])}
+    assert (lengths_outside(at_contact, seen) > 0).tolist() == [False, True, True]

@@ -19,7 +19,7 @@ from ocp.diagnose.rules import CARRIED_PATCH, LEADS
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Patched, Unnamed
 from ocp.diagnose.verdict.doubts import errors_of_folds
-from ocp.diagnose.verdict.patching import conditions_by_name, read_beside, unfaded, with_further
+from ocp.diagnose.verdict.patching import conditions_by_name, is_patch, read_beside, unfaded, with_further
 from ocp.diagnose.verdict.remaining import SCALE
 from ocp.diagnose.verdict.shrinkage import Shrinkage, from_model
 from ocp.effects.effect import Active
@@ -56,7 +56,10 @@ def _as_seen(before: Channel, written: tuple[Active, ...], patches: tuple[Active
     assert isinstance(after, ForceChannel)
     if after.log.ft is None:
         return after
-    beside = before.with_active((*written, *(read_beside(one) for one in patches)))
+    try:
+        beside = before.with_active((*written, *(read_beside(one) for one in patches)))
+    except Infeasible:  # no fit with it comes to rest
+        return after
     assert isinstance(beside, ForceChannel)
     return min((after, beside), key=lambda one: one.squares(after.fit.whiteners))
 
@@ -76,7 +79,14 @@ def _others(diagnosis: Diagnosis, written: tuple[Active, ...], after: Channel) -
     The first is what is written: as patches fade, it is true nowhere; the last is nothing beside the written names."""
     total = sum(one.probability for one in diagnosis.patches)
     shares = [diagnosis.p_unknown * one.probability / total for one in diagnosis.patches]
-    rest = [Alternative(p, unfaded((*written, *one.active))) for p, one in zip(shares[1:], diagnosis.patches[1:], strict=True)]
+    beside = any(is_patch(a.effect) and a.scanned["source"] == "sensor" for a in after.active)
+
+    def seen(patches: Sequence[Active]) -> tuple[Active, ...]:
+        forces = [beside and one.scanned["source"] == "force" for one in patches]
+        return tuple(read_beside(one) if force else one for one, force in zip(patches, forces, strict=True))
+
+    others = zip(shares[1:], diagnosis.patches[1:], strict=True)
+    rest = [Alternative(p, unfaded((*written, *seen(one.active)))) for p, one in others]
     first = Alternative(shares[0], unfaded(after.active))
     known = 1.0 - diagnosis.p_unknown
     names = [Alternative(known * one.probability, one.active) for one in diagnosis.instead if one.active]

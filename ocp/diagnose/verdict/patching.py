@@ -126,6 +126,7 @@ def conditions_by_name(c: ReadingConditions, reference: float, middle: float = 0
     found = {f"q{j + 1}": c.q[:, j] for j in range(6)}
     found |= {name: v for name in ("s", "feed", "setpoint", "belt") if (v := getattr(c, name)) is not None}
     found |= {} if c.wheel_temperature is None else {"wheel": c.wheel_temperature - reference}
+    found |= {} if c.line is None else {"line": c.line.astype(float)}
     if c.tau is not None:
         found |= {f"tau{j + 1}": c.tau[:, j] for j in range(6)}
     if c.moments is not None:
@@ -217,12 +218,13 @@ def patches_of(problem: Linearisation, search: Search, where: Mapping[Name, floa
 
 def in_the_other_course(name: Name, c: ReadingConditions) -> Name | None:
     """A kernel of temperature as one of time and the other way round, where in the readings one is a function of the other."""
-    if c.signal != "tracker" or c.time is None or c.temperature is None or np.ptp(c.time) == 0 or np.ptp(c.temperature) == 0:
+    if c.clock is None or c.temperature is None or np.ptp(c.clock) == 0 or np.ptp(c.temperature) == 0:
         return None
-    if abs(spearmanr(c.time, c.temperature).statistic) < rules.ONE_COURSE:
+    if abs(spearmanr(c.clock, c.temperature).statistic) < rules.ONE_COURSE:
         return None
-    swapped = {"temperature": "time", "time": "temperature"}
-    there = next((word for word in swapped if word in name.effect), None)
+    course = "clock" if name.effect.endswith("/reading") else "time"
+    swapped = {"temperature": course, course: "temperature"}
+    there = next((word for word in swapped if word in name.effect and f"_{word}" not in name.effect), None)
     return None if there is None else replace(name, effect=name.effect.replace(there, swapped[there]))
 
 
@@ -251,7 +253,7 @@ def with_further(channel: Channel, options: Options) -> Channel:
 
 def read_beside(one: Active) -> Active:
     """The patch of a force as one of what the sensor shows beside it."""
-    _, where, _, size = one.effect.name.removeprefix(PATCH).split("|")
+    _, where, _, size, *_ = one.effect.name.removeprefix(PATCH).split("|")
     limits = {name: (low, high) for name, low, high in one.scanned["range"]}
     return make_patch("sensor", where, 0, one.scanned["features"], limits, float(size), one.scanned["signal"])
 
