@@ -481,6 +481,7 @@ def test_a_force_without_a_name_is_patched(made, tmp_path, name):
     found = patched(unknown, None)
     assert found is not None and found.channel.name == "force" and found.shrinkage.low > 0.0
     assert {one.scanned["source"] for one in found.patches} == {source}
+    assert as_patch(Name("?force/s/reading", 0), 0, 1.0, found.channel).scanned["source"] == source
     sealed = replace(log, fn=np.full(len(log), np.nan), ft=None)
     told = with_patch(found.channel.predict(sealed, ()), found, sealed)
     at = log.contact
@@ -497,5 +498,8 @@ def test_a_force_without_a_name_is_patched(made, tmp_path, name):
     if "setpoint" in found.patches[0].effect.name:
         harder = replace(sealed, setpoint=np.full(len(log), 60.0))
         away = with_patch(found.channel.predict(harder, ()), found, harder)
+        known = rms(found.channel.predict(harder, found.channel.active).sigma[:, 0])
+        first = slice(sum(found.channel.problem.sizes), sum(found.channel.problem.sizes) + found.patches[0].effect.size)
+        usual = np.sum(found.channel.fit.normal[at, first] ** 2) / at.sum()
         assert not away.inside[at].any()
-        assert rms(away.patched_sigma[:, 0]) > 1.5 * rms(told.patched_sigma[:, 0])
+        assert rms(away.patched_sigma[:, 0]) ** 2 > known**2 + 0.9 * usual > 2.0 * rms(told.patched_sigma[:, 0]) ** 2

@@ -54,6 +54,14 @@ def new(*moved: float, error: float = 0.1, doubt: float = 0.0, runs: int = 40) -
     )
 
 
+def test_of_what_has_no_name_only_a_share_is_there_again():
+    """With half of it sure, the other half of the correction is as large an error as the one that it takes."""
+    made = new(1.0, error=0.0)
+    whole, half, open_ = (from_grinding(made, NOISE, carried=c) for c in (None, (0.5, 0.0), (0.9, 0.2)))
+    assert whole.predicted == pytest.approx(1.0) and half.predicted == pytest.approx(0.0, abs=1e-9)
+    assert open_.low < open_.predicted - 0.1 and open_.predicted == pytest.approx(1.0 - 0.1 / 0.9, abs=0.1)
+
+
 def promise(made: LaterGrinding) -> Shrinkage:
     found = from_grinding(made, NOISE)
     assert found is not None
