@@ -504,3 +504,4 @@ def test_a_force_without_a_name_is_patched(made, tmp_path, name):
         assert not away.inside[at].any()
         assert rms(away.patched_sigma[:, 0]) ** 2 - known**2 == pytest.approx(usual, rel=0.3)
         assert usual > 2.0 * rms(told.patched_sigma[:, 0]) ** 2
+        assert (away.patched_sigma[~at, 0] ** 2 > 0.7 * usual).all()  # a sensor reads so in the air too

@@ -253,7 +253,7 @@ class ForceChannel:
         """Temperature deg C that warmth is told above."""
         return self.problem.scene.cell.tables.reference_temperature_C
 
-    def conditions_of(self, sealed: ForceLog) -> tuple[ReadingConditions, frozenset[str]]:
+    def sealed_conditions(self, sealed: ForceLog) -> tuple[ReadingConditions, frozenset[str]]:
         """What is known of rows nobody has seen, and the columns that they have."""
         used = 0.0 if sealed.clock is not None else float(self.problem.scene.conditions.clock.max())
         known = log_conditions(self.problem.scene.cell, sealed, used)

@@ -130,7 +130,7 @@ def _beyond_log(channel: Channel, patches: Sequence[Active], sealed: Any) -> tup
     from ocp.diagnose.force.channel import ForceChannel  # blade and contact: only for those who measured force
 
     assert isinstance(channel, ForceChannel)
-    known, given = channel.conditions_of(sealed)
+    known, given = channel.sealed_conditions(sealed)
     conditions = conditions_by_name(known, channel.reference)
     open_, inside, place = np.zeros(len(sealed)), np.full(len(sealed), True), sum(channel.problem.sizes)
     named = {one.key for one in patches}
@@ -143,9 +143,10 @@ def _beyond_log(channel: Channel, patches: Sequence[Active], sealed: Any) -> tup
             inside[:] = False
             continue
         d = lengths_outside(unfaded([one])[0], conditions)
-        open_ += (1.0 - np.exp(-(d**2))) * float(usual[here].sum())
+        shown = sealed.contact | (one.scanned["source"] == "sensor")  # which reads in the air too
+        open_ += shown * (1.0 - np.exp(-(d**2))) * float(usual[here].sum())
         inside &= np.asarray(d == 0.0)
-    return (open_ * sealed.contact)[:, None], inside
+    return open_[:, None], inside
 
 
 def beside_unknown(told: Sealed, found: Unnamed, sealed: Any, known: Sequence[Alternative]) -> Sealed:
