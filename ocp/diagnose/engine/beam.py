@@ -73,8 +73,8 @@ class _Group:
 
 
 class _Kept:
-    """Columns of all members that were asked for, one below the other, and their products with each other and (r,) with y, which
-    few sets need anew."""
+    """Columns of all members that were asked for, one below the other, and their products with each other, as far as a set had
+    both, and (r,) with y, which few sets need anew."""
 
     def __init__(self, rows: int) -> None:
         self.places: dict[tuple[int, int], Index] = {}
@@ -82,17 +82,23 @@ class _Kept:
         self.count = 0
         self.columns, self.G, self.b = np.empty((0, rows)), np.empty((0, 0)), np.empty(0)
 
-    def add(self, key: tuple[int, int], columns: Array, b: Array) -> None:
-        """Columns (N, m) of a member that is not there yet, b (m,) their products with y."""
+    def add(self, key: tuple[int, int], columns: Array, G: Array, b: Array) -> None:
+        """Columns (N, m) of a member that is not there yet, their products G (m, m) with each other and b (m,) with y."""
         first, last = self.count, self.count + columns.shape[1]
         if last > len(self.columns):
             more = max(last, 64, len(self.columns))
             self.columns = np.vstack([self.columns, np.empty((more, self.columns.shape[1]))])
-            self.G, self.b = np.pad(self.G, (0, more)), np.pad(self.b, (0, more))
-        self.columns[first:last], self.b[first:last] = columns.T, b
-        self.G[first:last, :last] = self.columns[first:last] @ self.columns[:last].T
-        self.G[:first, first:last] = self.G[first:last, :first].T
+            self.G, self.b = np.pad(self.G, (0, more), constant_values=np.nan), np.pad(self.b, (0, more))
+        self.columns[first:last], self.G[first:last, first:last], self.b[first:last] = columns.T, G, b
         self.places[key], self.count = np.arange(first, last), last
+
+    def squares(self, at: Index) -> Array:
+        """Products (r, r) of kept columns `at` (r,) with each other: few of all pairs ever stand in a set."""
+        pairs = at[:, None], at
+        if np.isnan(self.G[pairs]).any():
+            some = self.columns[at]
+            self.G[pairs] = some @ some.T
+        return self.G[pairs]
 
 
 @dataclass(frozen=True)
@@ -123,16 +129,25 @@ class CandidatePool:
     def among(self, members: Sequence[Member]) -> tuple[Index, Array, Array, Array]:
         """Where members' columns are kept (r,), their sizes (r,), products (r, r) of columns times sizes with each other, and
         (r,) with y."""
-        places, known = [], self.kept
-        for m in members:
-            key = (m.family, m.variant)
-            if key not in known.places:
-                group, rows = self.of(m.family)
-                known.add(key, self.columns(m), group.b[rows.start + m.variant])
-            places.append(known.places[key])
+        places, known = [self.held(m) for m in members], self.kept
         at = np.concatenate(places)
         sizes = np.repeat([m.size for m in members], [len(place) for place in places])
-        return at, sizes, known.G[at[:, None], at] * (sizes[:, None] * sizes), sizes * known.b[at]
+        return at, sizes, known.squares(at) * (sizes[:, None] * sizes), sizes * known.b[at]
+
+    def held(self, member: Member) -> Index:
+        """Where a member's columns are kept (m,)."""
+        key = (member.family, member.variant)
+        if key not in self.kept.places:
+            group, rows = self.of(member.family)
+            k = rows.start + member.variant
+            self.kept.add(key, self.columns(member), group.G[k], group.b[k])
+        return self.kept.places[key]
+
+    def join(self, there: "Given", member: Member) -> None:
+        """Keep the products of a member with what is given, which those of all its family's variants hold."""
+        at, m = self.held(member), self.of(member.family)[0].m
+        found = self.kept.beside[member.family][0][there.at, member.variant * m : (member.variant + 1) * m]
+        self.kept.G[there.at[:, None], at], self.kept.G[at[:, None], there.at] = found, found.T
 
     @cached_property
     def plain(self) -> float:
@@ -210,7 +225,9 @@ class Given:
     @property
     def tailed(self) -> float:
         """What the evidence has over eq. 4, where readings have tails, over nothing given."""
-        rest = self.pool.y - self.C @ (self.turn.T @ self.inner) if self.pool.tails else self.pool.y
+        if not self.pool.tails:
+            return 0.0
+        rest = self.pool.y - (self.sizes * (self.turn.T @ self.inner)) @ self.pool.kept.columns[self.at]
         return sum(t.gain(rest) for t in self.pool.tails) - self.pool.plain
 
     def after(self, rows: Array) -> Array:
@@ -405,7 +422,10 @@ def _best(pool: CandidatePool, others: Sequence[Member], family: int) -> Best:
         every, sizes = scan_one(pool, there, family)
         v, t = np.unravel_index(int(np.argmax(every)), every.shape)
         mean = np.logaddexp.reduce(every, axis=None) - np.log(every.size)
-        pool.bests[key] = Best(Member(family, int(v), float(sizes[t])), float(mean), there.log)
+        member = Member(family, int(v), float(sizes[t]))
+        if others:
+            pool.join(there, member)
+        pool.bests[key] = Best(member, float(mean), there.log)
     return pool.bests[key]
 
 
