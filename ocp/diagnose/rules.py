@@ -44,6 +44,10 @@ LINES_A_GEAR = 3
 """[lines] Of ripple that a gear may have in the background. Guards: the name of one line against standing for the second.
 Reason: real gears have several ripples (PHYSICS 6, Masses)."""
 
+FURTHER_LINES = 4
+"""[lines] Up to so many of a gear's ripple beside the one that stands out, evenly. Guards: what a corrected model is promised to
+leave. Reason: real gears have several ripples (PHYSICS 6, Masses)."""
+
 PLAY_ODDS = 0.09
 """[-] Prior odds of a good machine's play. Guards and Reason: as RIPPLE_ODDS."""
 
@@ -435,8 +439,8 @@ NO_BACKGROUND = 0.5
 to leave. Reason: none is known; even odds."""
 
 BACKGROUND_SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])
-"""[rad] Play and ripple that are looked for in what a fit leaves. Guards: as NO_BACKGROUND. Reason: below what the catalogue
-names (2e-5 of ripple, 3e-5 of play)."""
+"""[rad] Play and ripple that are looked for in what a fit leaves, evenly likely up to the last. Guards: as NO_BACKGROUND. Reason:
+below what the catalogue names (2e-5 of ripple, 3e-5 of play)."""
 
 # ---------- signal: force
 STIFFNESS_SD = 0.01

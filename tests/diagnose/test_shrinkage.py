@@ -14,7 +14,8 @@ from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.foresee.anticipated import anticipated
-from ocp.diagnose.tracker.background import DRAWS, _with_further, background
+from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND
+from ocp.diagnose.tracker.background import DRAWS, _weights, _with_further, background
 from ocp.diagnose.tracker.refit import _width_of_weights, usual_noise
 from ocp.diagnose.verdict.answer import SignalGap, promised
 from ocp.diagnose.verdict.diagnosis import screened
@@ -143,6 +144,14 @@ def test_what_of_the_joint_noise_comes_back(size):
         assert 0.8 < np.median(ratio) < 1.25 and ratio.min() > 0.6 and ratio.max() < 1.6
     else:  # repeatability alone, 1e-5 rad: 30 um at the reflector
         assert np.median(told) < 1.2e-5
+
+
+def test_sizes_of_the_background_are_evenly_likely_before_any_reading():
+    """A grid that is finer where sizes are small does not make small ones likelier."""
+    weight = _weights(np.zeros(len(BACKGROUND_SIZES)))
+    assert weight[0] == pytest.approx(NO_BACKGROUND) and weight.sum() == pytest.approx(1.0)
+    end = BACKGROUND_SIZES[-1] + 0.5 * np.diff(BACKGROUND_SIZES)[-1]  # of the last size's share
+    assert weight @ BACKGROUND_SIZES == pytest.approx((1.0 - NO_BACKGROUND) * end / 2.0, rel=0.05)
 
 
 PLANTED = {

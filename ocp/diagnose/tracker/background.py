@@ -2,7 +2,7 @@
 
 A fit's joint noise holds repeatability, new at every reading, and errors that are the same whenever an axis comes back from the
 same side. Only the latter are in a reading free of noise, so only they limit what a corrected model can reach. They are learnt
-as a population, joints alike (hierarchical normal prior, its size on a grid that begins at zero: clean machines have none):
+as a population, joints alike (hierarchical normal prior, its size on a grid, evenly but for a share at zero):
 
     y = M sum_j d_j [ b_j s_j + c_j cos(k_j q_j) + d_j sin(k_j q_j) ] + e,    b_j ~ N(0, p^2),  c_j, d_j ~ N(0, r^2)        (1)
 
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ocp.diagnose.engine.evidence import Projection, project
-from ocp.diagnose.rules import BACKGROUND_SIZES, LINES_A_GEAR, NO_BACKGROUND
+from ocp.diagnose.rules import BACKGROUND_SIZES, FURTHER_LINES, NO_BACKGROUND
 from ocp.diagnose.tracker.refit import Task, TrackerFit, is_restless, usual_noise
 from robots.pose import Array
 from robots.tracker_readings import Index
@@ -81,7 +81,8 @@ def _scale(y: Array, projection: Projection) -> float:
 
 def _weights(log: Array) -> Array:
     """Posterior (s,) of the population's size from log evidences over size zero."""
-    prior = np.append(NO_BACKGROUND, np.full(len(BACKGROUND_SIZES) - 1, (1.0 - NO_BACKGROUND) / (len(BACKGROUND_SIZES) - 1)))
+    each = np.gradient(BACKGROUND_SIZES)[1:]  # as much of an even density as each stands for
+    prior = np.append(NO_BACKGROUND, (1.0 - NO_BACKGROUND) * each / each.sum())
     log = log + np.log(prior)
     return np.asarray(np.exp(log - logsumexp(log)))
 
@@ -112,13 +113,13 @@ class _Line:
 
 def _with_further(task: Task, fit: TrackerFit, found: Array, each: Array, sizes: Array, rng: np.random.Generator) -> Array:
     """Draws (k, 6) rad^2 of what was found, `each` (k,) a joint on average, and of gears' further lines, which do not stand out:
-    none to two as large as the population's `sizes` (k,) rad, drawn again by how usual the repeatability is that is left.
+    each as large as the population's `sizes` (k,) rad, drawn again by how usual the repeatability is that is left.
     Where the noise is far above what joints repeat to, all of it beyond the usual repeatability lasts."""
     usual, sd = usual_noise(task.repeats)
     if is_restless(fit.noise.joints):
         beyond = fit.noise.joints**2 - (usual * np.exp(sd * rng.normal(size=DRAWS))) ** 2 - each
         return np.asarray(found + np.maximum(beyond, 0.0)[:, None])
-    further = rng.integers(LINES_A_GEAR, size=DRAWS) * sizes**2
+    further = rng.integers(FURTHER_LINES + 1, size=DRAWS) * sizes**2
     left = np.sqrt(np.maximum(fit.noise.joints**2 - each - further, 1e-3 * usual**2))
     weight = np.exp(-0.5 * (np.log(left / usual) / sd) ** 2)
     return np.asarray((found + further[:, None])[rng.choice(DRAWS, DRAWS, p=weight / weight.sum())])
