@@ -147,6 +147,10 @@ KERNEL_BENEFIT = 8.0
 """[ln] By which a kernel must beat every name to keep it out of the fit. Guards: a true name whose kernel still follows the
 noise's excess better. Reason: once fitted both compete again; as GROWN_WITHIN (docs/diagnosis.md, None of these)."""
 
+SEARCHED_IN_VAIN = 3
+"""[names] Accepted, after which an arm that still misses far more than noise has its names selected on held-out errors. Guards:
+time; what the search would name is not used. Reason: one huge effect, or two, hide in the noise until they are named."""
+
 SHARPER_GAIN = 0.5
 """[ln] That a scanned number between the grid's must gain. Reason: less is below one sigma of that number."""
 

@@ -95,6 +95,14 @@ def test_recovers_what_was_planted(name):
         assert d.budget[0].where == "approach5" and d.budget[0].share > 0.8
 
 
+def test_a_huge_effect_is_named_however_much_it_scatters():
+    """Before it is named all of it is scatter, far more than joints have; no name is selected for that, nor after the third."""
+    readings, _ = world(4, lambda r: column(2, 4e-3 * r.approach[:, 1]))
+    assert channel(readings).restless(1.0)
+    d = diagnosed(readings, where=False)
+    assert d.verdict == "explained" and [str(Name(*a.key)) for a in d.active] == ["backlash:2"]
+
+
 def test_recovers_a_pair():
     both = lambda r: PLANTED["backlash:5"](r) + PLANTED["gear_harmonic:1"](r)  # noqa: E731
     d = diagnosed(world(8, both, outliers=0.02)[0])

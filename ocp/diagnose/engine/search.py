@@ -18,7 +18,7 @@ are grossly wrong. Without it other_hand_11 (springs that stiffen, lambda 3458) 
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -89,9 +89,14 @@ class Diverged:
 
 
 def search_and_refit(
-    first: Linearisation, library: Mapping[str, Effect], options: Options, diverged: Diverged | None = None
+    first: Linearisation,
+    library: Mapping[str, Effect],
+    options: Options,
+    diverged: Diverged | None = None,
+    in_vain: Callable[[Linearisation, Search], bool] | None = None,
 ) -> tuple[Linearisation, Search]:
-    """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active; diverged: fits
+    """The last linearisation and its sets: accept, refit and linearise anew until the best set is what is active, or until, with
+    `rules.SEARCHED_IN_VAIN` names accepted, the arm still misses far more than noise and the search is `in_vain`. diverged: fits
     that did so far, and what this search adds."""
     problem, diverged = first, Diverged() if diverged is None else diverged
     seeds: list[tuple[Name, ...]] = []
@@ -105,6 +110,8 @@ def search_and_refit(
         held = _all_active(problem.channels)
         diverged.converged(Name(*a.key) for a in held)
         diverged.strike(search, problem)
+        if rough and in_vain is not None and len(held) >= rules.SEARCHED_IN_VAIN and in_vain(problem, search):
+            return problem, search
         channels: list[Channel] | None = None
         while channels is None:
             best = next_set(search, len(held) + 1)

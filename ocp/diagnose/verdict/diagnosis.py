@@ -48,16 +48,21 @@ def diagnose_channels(channels: Sequence[Channel], library: Mapping[str, Effect]
     few = tuple(_thinned(c, rules.MOST_SEARCHED) for c in baseline)
     diverged = Diverged()
     first = linearised(few, library, options)
-    problem, search = search_and_refit(first, library, options, diverged)
+    problem, search = search_and_refit(first, library, options, diverged, _unknown_leads)
     spoilt = {c.name: c for c in baseline if diverged.hopeless and c.name in diverged.channels}
     if 0 < len(spoilt) < len(baseline):
         return _scattering(_without(spoilt, baseline, library, options), *(f"{name}: {NONE_RESTS}" for name in spoilt))
-    if posterior(problem, search).p_unknown > rules.LEADS and misses_far_more_than_noise(problem, search):
+    if _unknown_leads(problem, search):
         selected = select_effects(_thinned(baseline[0], rules.SELECTED_ON), library, options)
         return _scattering(findings(baseline, first, selected.problem, selected.search, library, options, selected.refused))
     found = findings(baseline, first, problem, search, library, options)
     whys = (*(f"{n}: {NO_REST}" for n in diverged.names()), *(f"{name}: {NONE_RESTS}" for name in spoilt))
     return _scattering(replace(found, unknown_reasons=tuple(dict.fromkeys((*found.unknown_reasons, *whys)))))
+
+
+def _unknown_leads(problem: Linearisation, search: Search) -> bool:
+    """Whether, with the names that were found, something else is more likely than not and leaves far more than noise."""
+    return posterior(problem, search).p_unknown > rules.LEADS and misses_far_more_than_noise(problem, search)
 
 
 def _without(
