@@ -16,8 +16,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.law import WheelLaw
-from ocp.contact.wheel.signorini import LocalShape, solve_force
-from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
+from ocp.contact.wheel.signorini import solve_force
+from ocp.model.blade_gap import SurfaceCloud, contact_stations
 from ocp.model.cell import Cell
 from ocp.model.theta import Theta
 from ocp.plan.clearance import CollisionScene, SecondaryContact, find_secondary_contact
@@ -28,7 +28,7 @@ from ocp.plan.passes.solve import Evaluation, PassSolution, PassSolver
 from ocp.plan.passes.stage import ObjectiveWeights
 from ocp.plan.passes.stretches import CannotGrind, LeftOut, LineStretch, cut_out, joined
 from ocp.plan.removal.dwell import DrivenLine
-from ocp.plan.removal.footprint import contacts_along
+from ocp.plan.removal.footprint import contacts_along, shape_under
 from ocp.plan.rules import DIRECT_TOLERANCE, LIFT_OFF, LIFT_RESERVE, SECONDARY_CONTACT_TOLERANCE, STROKE_RESERVE, WHEEL_ROOM
 from ocp.shell.cache import Entry, code_hash, content_key, flattened, rebuilt, remember
 from ocp.shell.native import evaluated_by, left_uncompiled
@@ -81,19 +81,13 @@ def solve_directly(ground: Ground, problem: PassProblem, force: Array, solved: E
     The indentation varies smoothly along a pass, other than the local curvature that the table goes by: it is solved at some
     nodes; where the force is small the correction goes with it. Raises Infeasible of the contact solver, with the node.
     """
-    wheel, path = ground.cell.wheel, problem.path
+    path = problem.path
     bearing = np.flatnonzero(force >= LEAST_DIRECT * path.force)
-    along = -wheel.travel * ground.cell.process.sigma  # zero turn: the blade moves with the belt or against it
     index = bearing[contact_stations(path.s[bearing], STATION_SPACING)]
     contact, indentation = None, []
     for k in index:
-        kxx, kyy, kxy = (float(c) for c in solved.curvature[k])
-        tilt_x, tilt_y = (float(c) for c in solved.tilt[k])
-        heading = (along * float(np.cos(solved.turn[k])), along * float(np.sin(solved.turn[k])))
-        base = LocalShape(kxx, kyy, kxy, float(solved.lateral[k]), tilt_x, tilt_y, heading=heading)
-        shape = surface_shape(wheel, ground.cloud, base, solved.T_base_blade[k], path.p[k])
         try:
-            contact = solve_force(ground.cover, float(force[k]), shape, contact)
+            contact = solve_force(ground.cover, float(force[k]), shape_under(ground.cell, ground.cloud, path, solved, k), contact)
         except Infeasible as error:
             here = np.abs(path.s - path.s[k]) <= 0.5 * STATION_SPACING
             raise CannotGrind.of(path, here, str(error), "use a narrower wheel or larger margins", int(k)) from None

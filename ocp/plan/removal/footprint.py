@@ -22,7 +22,7 @@ from scipy.sparse import csr_matrix
 
 from ocp.contact.wheel.cover import Cover
 from ocp.contact.wheel.signorini import MOMENT_TO_AXIS, Contact, LocalShape, solve_force
-from ocp.model.blade_gap import SurfaceCloud, contact_stations, surface_shape
+from ocp.model.blade_gap import SurfaceCloud, SurfaceShape, contact_stations, surface_shape
 from ocp.model.cell import Cell
 from ocp.plan.passes.posture import turned_curvature
 from ocp.shell.processes import side_by_side
@@ -97,6 +97,16 @@ class LinePatches:
         return float(pressed.max() + np.sqrt(2.0) * (self.x[1] - self.x[0]))
 
 
+def shape_under(cell: Cell, cloud: SurfaceCloud, path: BladePath, seen: "Evaluation", k: int) -> SurfaceShape:
+    """The blade's real surface under the wheel at waypoint k of a pass, at the posture of `seen`."""
+    along = -cell.wheel.travel * cell.process.sigma  # zero turn: the blade moves with the belt or against it
+    kxx, kyy, kxy = (float(c) for c in seen.curvature[k])
+    tilt_x, tilt_y = (float(c) for c in seen.tilt[k])
+    heading = (along * float(np.cos(seen.turn[k])), along * float(np.sin(seen.turn[k])))
+    base = LocalShape(kxx, kyy, kxy, float(seen.lateral[k]), tilt_x, tilt_y, heading=heading)
+    return surface_shape(cell.wheel, cloud, base, seen.T_base_blade[k], path.p[k])
+
+
 def contacts_along(
     cell: Cell,
     cover: Cover,
@@ -111,22 +121,17 @@ def contacts_along(
 
     Raises Infeasible of the contact solver, with the waypoint; `passed_over`: such waypoints are, None where all of them are.
     """
-    along = -cell.wheel.travel * cell.process.sigma  # zero turn: the blade moves with the belt or against it
     at, headings = [], []
     contacts: list[Contact] = []
     for k in index:
-        kxx, kyy, kxy = (float(c) for c in seen.curvature[k])
-        tilt_x, tilt_y = (float(c) for c in seen.tilt[k])
-        heading = (along * float(np.cos(seen.turn[k])), along * float(np.sin(seen.turn[k])))
-        base = LocalShape(kxx, kyy, kxy, float(seen.lateral[k]), tilt_x, tilt_y, heading=heading)
-        shape = surface_shape(cell.wheel, cloud, base, seen.T_base_blade[k], path.p[k])
+        shape = shape_under(cell, cloud, path, seen, k)
         try:
             contacts.append(solve_force(cover, float(path.force[k]), shape, contacts[-1] if contacts else None))
         except Infeasible as error:
             if passed_over:
                 continue
             raise Infeasible(f"line {path.line} ({path.side}), waypoint {k + 1}: {error}") from None
-        headings.append(heading)
+        headings.append(shape.heading)
         at.append(path.s[k])
     return line_patches(np.array(at), contacts, headings) if at else None
 
