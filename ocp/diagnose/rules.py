@@ -41,12 +41,12 @@ RIPPLE_ODDS = 0.04
 and the more machines without one are accused. Reason: of 150 virtual machines with such a background none is accused."""
 
 LINES_A_GEAR = 3
-"""[lines] Of ripple that a gear may have in the background. Guards: the name of one line against standing for the second.
+"""[lines] Of a gear's ripple that a set may hold in the background. Guards: the name of one line against standing for the second.
 Reason: real gears have several ripples (PHYSICS 6, Masses)."""
 
 FURTHER_LINES = 4
-"""[lines] Up to so many of a gear's ripple beside the one that stands out, evenly. Guards: what a corrected model is promised to
-leave. Reason: real gears have several ripples (PHYSICS 6, Masses)."""
+"""[lines] Up to so many of a gear's ripple, too small to stand out, evenly. Guards: what a corrected model is promised to leave.
+Reason: real gears have several ripples (PHYSICS 6, Masses); of up to two less came than was promised (docs/diagnosis.md)."""
 
 PLAY_ODDS = 0.09
 """[-] Prior odds of a good machine's play. Guards and Reason: as RIPPLE_ODDS."""
@@ -149,7 +149,7 @@ noise's excess better. Reason: once fitted both compete again; as GROWN_WITHIN (
 
 SEARCHED_IN_VAIN = 3
 """[names] Accepted, after which an arm that still misses far more than noise has its names selected on held-out errors. Guards:
-time; what the search would name is not used. Reason: one huge effect, or two, hide in the noise until they are named."""
+time: what the search would name on measured robots is not used. Reason: up to three huge effects may hide in the noise."""
 
 SHARPER_GAIN = 0.5
 """[ln] That a scanned number between the grid's must gain. Reason: less is below one sigma of that number."""
@@ -443,8 +443,8 @@ NO_BACKGROUND = 0.5
 to leave. Reason: none is known; even odds."""
 
 BACKGROUND_SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])
-"""[rad] Play and ripple that are looked for in what a fit leaves, evenly likely up to the last. Guards: as NO_BACKGROUND. Reason:
-below what the catalogue names (2e-5 of ripple, 3e-5 of play)."""
+"""[rad] Play and ripple that are looked for in what a fit leaves, evenly likely: each stands for what lies nearest. Guards: as
+NO_BACKGROUND, and names as QUIET does. Reason: below what the catalogue names (2e-5 of ripple, 3e-5 of play)."""
 
 # ---------- signal: force
 STIFFNESS_SD = 0.01

@@ -172,5 +172,5 @@ def test_the_ur5_has_a_ripple_of_joint_1_that_no_one_catalogued(real, tmp_path, 
     assert found.remainder is not None and found.remainder.joint == 1 and "q1" in found.remainder.depends_on
     peak = next(p for p in found.spectrum if p.joint == 1)
     assert 12.5 <= peak.order <= 14.5 and peak.p_value < 0.01
-    # With three names the arm still misses far more than noise: they are selected on held-out errors from there on.
+    # With three names the arm still misses far more than noise: they are selected anew, on held-out errors.
     assert len(searched[0][0].channels[0].active) == rules.SEARCHED_IN_VAIN < len(found.active)

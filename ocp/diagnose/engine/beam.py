@@ -74,7 +74,7 @@ class _Group:
 
 class _Kept:
     """Columns of all members that were asked for, one below the other, and their products with each other, as far as a set had
-    both, and (r,) with y, which few sets need anew."""
+    both (nan: not yet), and (r,) with y, which few sets need anew."""
 
     def __init__(self, rows: int) -> None:
         self.places: dict[tuple[int, int], Index] = {}
@@ -144,7 +144,7 @@ class CandidatePool:
         return self.kept.places[key]
 
     def join(self, there: "Given", member: Member) -> None:
-        """Keep the products of a member with what is given, which those of all its family's variants hold."""
+        """Keep the products of a member with what is given, taken before with those of all its family's variants (`products`)."""
         at, m = self.held(member), self.of(member.family)[0].m
         found = self.kept.beside[member.family][0][there.at, member.variant * m : (member.variant + 1) * m]
         self.kept.G[there.at[:, None], at], self.kept.G[at[:, None], there.at] = found, found.T

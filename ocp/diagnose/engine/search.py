@@ -111,7 +111,11 @@ def search_and_refit(
         diverged.converged(Name(*a.key) for a in held)
         diverged.strike(search, problem)
         if rough and in_vain is not None and len(held) >= rules.SEARCHED_IN_VAIN and in_vain(problem, search):
-            return problem, search
+            rough = False
+            search.grow()
+            diverged.strike(search, problem)
+            if in_vain(problem, search):
+                return problem, search
         channels: list[Channel] | None = None
         while channels is None:
             best = next_set(search, len(held) + 1)

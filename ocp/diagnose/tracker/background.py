@@ -113,8 +113,8 @@ class _Line:
 
 def _with_further(task: Task, fit: TrackerFit, found: Array, each: Array, sizes: Array, rng: np.random.Generator) -> Array:
     """Draws (k, 6) rad^2 of what was found, `each` (k,) a joint on average, and of gears' further lines, which do not stand out:
-    each as large as the population's `sizes` (k,) rad, drawn again by how usual the repeatability is that is left.
-    Where the noise is far above what joints repeat to, all of it beyond the usual repeatability lasts."""
+    none to FURTHER_LINES as large as the population's `sizes` (k,) rad, drawn again by how usual the repeatability is that is
+    left. Where the noise is far above what joints repeat to, all of it beyond the usual repeatability lasts."""
     usual, sd = usual_noise(task.repeats)
     if is_restless(fit.noise.joints):
         beyond = fit.noise.joints**2 - (usual * np.exp(sd * rng.normal(size=DRAWS))) ** 2 - each
