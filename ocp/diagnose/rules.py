@@ -443,8 +443,8 @@ NO_BACKGROUND = 0.5
 to leave. Reason: none is known; even odds."""
 
 BACKGROUND_SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])
-"""[rad] Play and ripple that are looked for in what a fit leaves, evenly likely: each stands for what lies nearest. Guards: as
-NO_BACKGROUND, and names as QUIET does. Reason: below what the catalogue names (2e-5 of ripple, 3e-5 of play)."""
+"""[rad] Play and ripple that are looked for in what a fit leaves, evenly likely: each stands for what lies nearest; for a name
+all are alike. Guards: as NO_BACKGROUND. Reason: below what the catalogue names (2e-5 of ripple, 3e-5 of play)."""
 
 # ---------- signal: force
 STIFFNESS_SD = 0.01

@@ -152,6 +152,8 @@ def test_sizes_of_the_background_are_evenly_likely_before_any_reading():
     assert weight[0] == pytest.approx(NO_BACKGROUND) and weight.sum() == pytest.approx(1.0)
     end = BACKGROUND_SIZES[-1] + 0.5 * np.diff(BACKGROUND_SIZES)[-1]  # of the last size's share
     assert weight @ BACKGROUND_SIZES == pytest.approx((1.0 - NO_BACKGROUND) * end / 2.0, rel=0.05)
+    # Where a name is at stake large ones are no likelier than others: they would take its place.
+    assert np.ptp(_weights(np.zeros(len(BACKGROUND_SIZES)), even=False)[1:]) == pytest.approx(0.0)
 
 
 PLANTED = {

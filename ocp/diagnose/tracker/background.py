@@ -79,9 +79,10 @@ def _scale(y: Array, projection: Projection) -> float:
     return float(np.sqrt(max(float(y @ y), 1e-12) / max(len(y) - projection.free, 1)))
 
 
-def _weights(log: Array) -> Array:
-    """Posterior (s,) of the population's size from log evidences over size zero."""
-    each = np.gradient(BACKGROUND_SIZES)[1:]  # as much of an even density as each stands for
+def _weights(log: Array, even: bool = True) -> Array:
+    """Posterior (s,) of the population's size from log evidences over size zero; even: as much of an even density as each stands
+    for, else all of them alike."""
+    each = np.gradient(BACKGROUND_SIZES)[1:] if even else np.ones(len(BACKGROUND_SIZES) - 1)
     prior = np.append(NO_BACKGROUND, (1.0 - NO_BACKGROUND) * each / each.sum())
     log = log + np.log(prior)
     return np.asarray(np.exp(log - logsumexp(log)))
@@ -146,7 +147,8 @@ def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.
         log.append(_evidence(lines, means, y, size))
     each = np.array(log)
     pick = rng.choice(len(BACKGROUND_SIZES), DRAWS, p=_weights(each.sum(axis=1)))
-    others = np.array([_weights(each.sum(axis=1) - each[:, j]) for j in range(6)])
+    # Large sizes are no likelier before any reading where a name is at stake: they would take its place.
+    others = np.array([_weights(each.sum(axis=1) - each[:, j], even=False) for j in range(6)])
     return np.asarray(np.array(draws)[pick, np.arange(DRAWS)]), BACKGROUND_SIZES[pick], others
 
 
