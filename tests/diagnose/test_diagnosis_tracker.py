@@ -98,7 +98,7 @@ def test_recovers_what_was_planted(name):
 def test_huge_effects_are_named_however_much_they_scatter(monkeypatch):
     """Before they are named all of them is scatter, far more than joints have: for that nothing is selected."""
     monkeypatch.setattr("ocp.diagnose.verdict.diagnosis.select_effects", None)
-    readings, _ = world(4, lambda r: column(2, 4e-3 * r.approach[:, 1]) + column(1, 2e-3 * r.approach[:, 0]))
+    readings, _ = world(4, lambda r: column(2, 4e-3 * r.approach[:, 1]) + column(1, 2e-3 * r.approach[:, 0]), n=70)
     assert channel(readings).restless(1.0)
     d = diagnosed(readings, where=False)
     assert d.verdict == "explained" and {str(Name(*a.key)) for a in d.active} == {"backlash:1", "backlash:2"}
