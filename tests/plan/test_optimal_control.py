@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ocp.contact.wheel.signorini import LocalShape, solve_force
+from ocp.model.blade_gap import SurfaceCloud
 from ocp.model.prepare import wheel_cover
 from ocp.model.theta import Theta, believed_theta
 from ocp.plan.clearance import CollisionScene
@@ -19,7 +20,7 @@ from ocp.plan.passes.smoothness import axis_rows, axis_use, between_bends, deriv
 from ocp.plan.passes.solve import TURN_KEPT, PassSolver
 from ocp.plan.passes.stage import N_PARAMETERS, N_ROWS, N_Z, ObjectiveWeights
 from ocp.plan.passes.transcription import AROUND, N_DYNAMIC, N_MOTION, REACH, transcribe
-from ocp.plan.removal.footprint import CELL, line_patches, planned_patches
+from ocp.plan.removal.footprint import CELL, contacts_along, line_patches, planned_patches
 from ocp.plan.rules import JERK_TIME, SPEED_SHARE
 from robots.errors import Infeasible
 from tests.support.example_pass import LineLaw, bar_pass, bundled_cell
@@ -281,3 +282,18 @@ def test_the_patch_planned_at_a_turn_is_that_of_a_posture_with_it():
         planned = planned_patches(cell, cover, path)
         assert seen.turn[20] == pytest.approx(path.turn, abs=0.03)
         assert moments(planned, len(planned.at) // 2) == pytest.approx(moments(direct, 0), rel=0.05)
+
+
+@pytest.mark.parametrize("toward", [1.0, -1.0])
+def test_a_wheel_over_an_edge_presses_on_the_side_where_there_is_blade(toward):
+    """The bar ends 2 mm beside the pass, along its binormal n x t or against it: in the blade's frame, no word of the wheel's."""
+    cell, solver, problem = ready()
+    path, k = problem.path, 20
+    seen = solver.evaluate(problem, solver.seed_joints(problem), path.force)
+    z, angle = (g.ravel() for g in np.meshgrid(path.p[k, 2] + np.arange(-0.024, 0.0241, 4e-4), np.arange(-0.6, 0.601, 0.01)))
+    normal = np.column_stack([np.sin(angle), np.cos(angle), 0 * z])
+    points = 0.04 * normal + np.column_stack([0 * z, 0 * z, z])
+    there = toward * (points - path.p[k]) @ np.cross(path.n[k], path.t[k]) < 2e-3
+    patches = contacts_along(cell, wheel_cover(cell), SurfaceCloud(points[there], normal[there]), path, seen, np.array([k]))
+    across = patches.share[0].sum(axis=0) * CELL**2 @ patches.x
+    assert -5e-3 < toward * across < -5e-4, across
