@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from ocp.model.cell import read_cell
-from ocp.simulate.twin.arm import arm_moments, gear_ratios, make_arm
+from ocp.simulate.twin.arm import AxisState, arm_moments, gear_ratios, make_arm, motor_side
 from ocp.simulate.twin.dataset import delayed, joint_log
 from ocp.simulate.twin.kinds import ARM_KINDS
 from ocp.simulate.twin.planting import parse_effect
 from ocp.simulate.twin.truth import draw_truth
 from robots.calibration.reading_model import RowInputs, predict_points
 from robots.errors import BadInput, Infeasible
-from robots.gravity import GRAVITY
+from robots.gravity import GRAVITY, weight_torques
 from robots.reference_kinematics import elementary_forward, elementary_frames
 from robots.rigid_body import inverse_dynamics
 from robots.robot import load_robot
@@ -37,6 +37,24 @@ def believed(*effects, **changes):
 
 
 # -- statics ---------------------------------------------------------------------------------------------------------
+
+
+def test_lines_of_ripple_add_up():
+    q = postures(5)
+    lines = np.array([[[2e-5, 7.0, 0.3], [1e-5, 31.0, 1.1], [0.0, 0.0, 0.0]]] * 6)
+    wanted = q + 2e-5 * np.cos(7 * q + 0.3) + 1e-5 * np.cos(31 * q + 1.1)
+    state = AxisState(q, np.zeros((5, 6)), np.zeros((5, 6)), ROBOT)
+    np.testing.assert_allclose(motor_side(believed(ripple=lines), state), wanted, atol=1e-15)
+
+
+def test_links_weigh_where_their_centres_are():
+    """Against the torques of Newton and Euler of a robot that is told where they are."""
+    shift = np.random.default_rng(2).normal(size=(7, 3)) * 0.05
+    truth, q = believed(mass_shift=shift, mass_scale=1.1 * np.ones(7), stiffness=np.zeros(6)), postures(4)
+    robot = replace(ROBOT, link_com=ROBOT.link_com + shift, link_mass=1.1 * ROBOT.link_mass)
+    got = make_arm(CELL, truth).settled(arm_moments(q, "bare", T0)).load_torque[:, :6]
+    np.testing.assert_allclose(got, weight_torques(robot, q), rtol=1e-6, atol=0.05)
+    assert np.abs(weight_torques(ROBOT, q) - got).max() > 50.0
 
 
 def test_one_joint_under_a_hanging_weight_bends_as_the_closed_form_says():

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import f, kstest, norm, t
 
 from ocp.calibrate.tracker import as_in
 from ocp.model.cell import read_cell, read_tracker_setup
@@ -76,6 +77,17 @@ def test_noise_along_and_across_the_beam_is_the_instruments(cell, distance):
     for way in (side, np.cross(direction, side)):
         assert (across @ way).std() == pytest.approx(wanted, rel=0.03)
     assert abs(off.mean(axis=0)).max() < 4 * wanted / np.sqrt(20000)
+
+
+def test_noise_with_tails_is_students(cell):
+    """Cell's noise times Student's factor, one for all three coordinates of a reading."""
+    points = np.tile([3.0, 0.0, 0.0], (20000, 1))
+    off = instrument(cell, 0.0, points, np.random.default_rng(2), tails=4.0) - points
+    white = off / [8e-6, 8e-6 + 9e-6, 8e-6 + 9e-6]
+    for way in white.T:
+        assert kstest(way, t(4).cdf).pvalue > 1e-3 > kstest(way, norm.cdf).pvalue
+    # A squared distance of three is 3 F(3, 4); three factors of their own would make long ones rarer.
+    assert kstest((white**2).sum(axis=1) / 3.0, f(3, 4).cdf).pvalue > 1e-3
 
 
 def test_gross_readings_are_as_many_as_said(cell):

@@ -35,8 +35,8 @@ class AxisState:
 
 def motor_side(truth: Truth, state: AxisState) -> Array:
     """Axis angles (n, 6) rad behind the gears: background ripple and play, then every planted effect of the joints."""
-    q, ripple = state.q, truth.ripple
-    real = q + ripple[:, 0] * np.cos(ripple[:, 1] * q + ripple[:, 2]) + truth.play * state.sign
+    q, (size, order, phase) = state.q, np.moveaxis(truth.ripple, 2, 0)
+    real = q + (size * np.cos(order * q[:, :, None] + phase)).sum(axis=2) + truth.play * state.sign
     for planted in truth.effects:
         law = _LAWS.get(planted.effect)
         if law is not None and planted.joint is not None:
@@ -99,7 +99,8 @@ def hardware(robot: Robot, truth: Truth) -> Hardware:
     levers = [(p.number("lever_link1_m"), p.number("lever_arm_m")) for p in truth.planted("gravity_compensator")]
     balancer = machine.Balancer(float(springs.sum()), levers[0]) if levers else None
     grows, bending = bool(truth.planted("link_thermal")), own * truth.bends + extra
-    design = machine.ArmDesign(robot, truth.mdh, truth.placement, truth.mass_scale, bending, bendings, balancer, grows=grows)
+    masses = truth.mass_scale * robot.link_mass, robot.link_com + truth.mass_shift
+    design = machine.ArmDesign(robot, truth.mdh, truth.placement, masses, bending, bendings, balancer, grows=grows)
     play, taken = _by_joint(truth, "load_backlash", "half_width_rad"), _by_joint(truth, "load_backlash", "torque_Nm")
     none = np.zeros(2 * len(bendings))  # two hinges a link
     contact = np.array([*(own + extra), *(0.5 * b.compliance for b in bendings for _ in range(2))])

@@ -61,14 +61,14 @@ class Balancer:
 
 @dataclass(frozen=True)
 class ArmDesign:
-    """What an arm is built of: robot (signs, masses, centres, mounting), mdh (6, 5), placement (6, 6) m and rad, mass_scale (7,),
-    compliance (6,) rad/(N m) of the joints' springs (0 rigid), bending links, balancer; growth of the lengths d and a; whether
-    they will grow while the machine is used."""
+    """What an arm is built of: robot (signs, mounting), mdh (6, 5), placement (6, 6) m and rad, masses: kg (7,) and centres
+    (7, 3) m of base and links, compliance (6,) rad/(N m) of the joints' springs (0 rigid), bending links, balancer; growth of the
+    lengths d and a; whether they will grow while the machine is used."""
 
     robot: Robot
     mdh: Array
     placement: Array
-    mass_scale: Array
+    masses: tuple[Array, Array]
     compliance: Array
     bendings: tuple[Bending, ...] = ()
     balancer: Balancer | None = None
@@ -134,6 +134,7 @@ def _model(design: ArmDesign, payload: tuple[float, Array]) -> mujoco.MjModel:
 def _link(parent: mujoco.MjsBody, before: Array, design: ArmDesign, i: int) -> tuple[mujoco.MjsBody, Array]:
     """Link i + 1 after the link frame `before` of `parent`: the body that carries its frame, and the frame in it."""
     robot, (offset, d, a, alpha, beta) = design.robot, design.mdh[i]
+    mass, centre = design.masses[0][i + 1], design.masses[1][i + 1]
     body = _body(parent, f"link{i + 1}", before @ make_transform(rot_z(offset), np.zeros(3)))
     _hinge(body, f"drive{i + 1}", robot.sign[i], None)
     _hinge(body, f"spring{i + 1}", robot.sign[i], design.compliance[i])
@@ -146,14 +147,14 @@ def _link(parent: mujoco.MjsBody, before: Array, design: ArmDesign, i: int) -> t
             continue
         # From the joint's axis to the next: link 3 reaches along its frame's z to the wrist.
         end = frame[:3, 3] if i == 1 else frame[:3, 3] + frame[:3, 2] * design.mdh[i + 1, 1]
-        com, passed = frame[:3, :3] @ robot.link_com[i + 1] + frame[:3, 3], 0.0
+        com, passed = frame[:3, :3] @ centre + frame[:3, 3], 0.0
         for k, share in enumerate(GAUSS):
             step = make_transform(np.eye(3), (share - passed) * end)
             body, frame, passed = _body(body, f"part{i + 1}_{k}", step), invert(step) @ frame, share
             _hinge(body, f"bend{i + 1}_{k}", robot.sign[i], 0.5 * bend.compliance)
             if com @ end > share * end @ end:
                 holder, at = body, frame
-    _weight(holder, design.mass_scale[i + 1] * robot.link_mass[i + 1], at, robot.link_com[i + 1])
+    _weight(holder, mass, at, centre)
     body.add_site(name=f"frame{i + 1}", pos=frame[:3, 3], quat=_quaternion(frame[:3, :3]))
     return body, frame
 

@@ -68,7 +68,7 @@ def true_points(
 
 def measure(truth: Truth, cell: Cell, arm: VirtualArm, m: Moments, names: Sequence[str], rng: np.random.Generator) -> Array:
     """Readings (n, 3) m in the tracker's frame: joints repeat, range and two angles scatter, a share is grossly wrong."""
-    return instrument(cell, truth.outliers, true_points(truth, cell, arm, m, names, rng), rng)
+    return instrument(cell, truth.outliers, true_points(truth, cell, arm, m, names, rng), rng, truth.tails)
 
 
 def instrument_noise(cell: Cell) -> tuple[float, float]:
@@ -78,11 +78,12 @@ def instrument_noise(cell: Cell) -> tuple[float, float]:
     return 1e-6 * um, 1e-6 * um_per_m
 
 
-def instrument(cell: Cell, outliers: float, points: Array, rng: np.random.Generator) -> Array:
+def instrument(cell: Cell, outliers: float, points: Array, rng: np.random.Generator, tails: float = np.inf) -> Array:
     """What the instrument reads of points (n, 3) m: azimuth, elevation and range, each with its own noise.
 
     One sigma along the beam is the cell's range noise; across it, in both angles, range noise plus the transverse noise per
-    metre of range, taken as the angle it is (FORMATS, [tracker]).
+    metre of range, taken as the angle it is (FORMATS, [tracker]). tails: degrees of freedom of Student's law, the same factor for
+    all three of a reading; inf: normal.
     """
     along, per_metre = instrument_noise(cell)
     n = len(points)
@@ -90,6 +91,8 @@ def instrument(cell: Cell, outliers: float, points: Array, rng: np.random.Genera
     distance = np.hypot(flat, points[:, 2])
     across = (along + per_metre * distance) / distance
     z = rng.normal(size=(n, 3))
+    if np.isfinite(tails):
+        z *= np.sqrt(tails / rng.chisquare(tails, (n, 1)))
     elevation = np.arctan2(points[:, 2], flat) + across * z[:, 1]
     azimuth = np.arctan2(points[:, 1], points[:, 0]) + across * distance / np.maximum(flat, 1e-3) * z[:, 2]
     reach = distance + along * z[:, 0]

@@ -30,12 +30,14 @@ class Truth:
 
     mdh (6, 5) design numbers; placement (6, 6): shift m and turn (rotation vector) rad of link i's frame against its design
     place, in that frame's axes; stiffness (6,) N m/rad (0 rigid), bends (6,) whether weight bends the joint (under contact all
-    springs give); mass_scale (7,) of base and links; payloads: mass kg and centre (3,) m by name. ripple (6, 3) amplitude rad,
-    order, phase; play (6,) half width rad; repeatability rad. T_tracker_base; nests: places (3,) m in their links' frames,
+    springs give); mass_scale (7,) and mass_shift (7, 3) m of base and links: how heavy, and where their centres are in the link's
+    frame against what is believed; payloads: mass kg and centre (3,) m by name. ripple (6, k, 3) amplitude rad, order, phase of k
+    lines a gear; play (6,) half width rad; repeatability rad. T_tracker_base; nests: places (3,) m in their links' frames,
     nest_turns: rotation vectors of 6D targets. wheel_shift m and wheel_axis_turn (rotation vector) in base axes; blade_shift m
     and blade_turn (rotation vector) in flange axes, wheel_radius m, on top of the cell's. cover_scale, blade_scale,
     flange_scale: factors on stiffness, 1 = as in the cell; flange_offset N. preston 1/Pa: depth that a pressure grinds per way
-    of belt. sensor N; outliers: share of gross tracker readings.
+    of belt. sensor N; outliers: share of gross tracker readings; tails: degrees of freedom of Student's law that the tracker's
+    noise follows, inf: normal.
     """
 
     seed: int
@@ -44,8 +46,9 @@ class Truth:
     stiffness: Array
     bends: Array
     mass_scale: Array = field(default_factory=lambda: np.ones(7))
+    mass_shift: Array = field(default_factory=lambda: np.zeros((7, 3)))
     payloads: dict[str, tuple[float, Array]]
-    ripple: Array = field(default_factory=lambda: np.zeros((6, 3)))
+    ripple: Array = field(default_factory=lambda: np.zeros((6, 1, 3)))
     play: Array = field(default_factory=lambda: np.zeros(6))
     repeatability: float = 0.0
     T_tracker_base: Array
@@ -64,6 +67,7 @@ class Truth:
     preston: float = USUAL_PRESTON
     sensor_sigma: float = SENSOR_SIGMA
     outliers: float = 0.0
+    tails: float = np.inf
     effects: tuple[Planted, ...]
 
     def planted(self, effect: str) -> list[Planted]:
@@ -216,7 +220,7 @@ def draw_truth(
         stiffness=cell.robot.stiffness * (1 + size * rng["stiffness"].uniform(-STIFFNESS, STIFFNESS, 6)),
         bends=np.array([float(weight_bends == "all" or j in cell.tables.robot.compliant_joints) for j in range(1, 7)]),
         mass_scale=1 + size * _normal(rng["mass"], 7) * MASS_SD,
-        ripple=ripple,
+        ripple=ripple[:, None],
         play=rng["play"].uniform(0, PLAY, 6) * size,
         repeatability=REPEATABILITY,
         wheel_shift=unit[:3] * wheel.centre_sd,
