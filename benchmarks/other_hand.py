@@ -16,7 +16,7 @@ import csv
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,20 +25,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ocp.blindtest.answers import FAULTS
-from ocp.blindtest.oracle.tracker import (
-    TrackerView,
-    exact_whitener,
-    point_covariance,
-    scene_of,
-    tracker_nuisance,
-    weight_compliance,
-    white_points,
-)
+from ocp.blindtest.oracle.tracker import TrackerView, exact_whitener, scene_of, tracker_nuisance, tracker_root, white_points
 from ocp.blindtest.running import draw_effects
 from ocp.blindtest.scoring import decided_names, declared_classes, first_right, matched
-from ocp.blindtest.worlds.machines import TrackerMachine
-from ocp.blindtest.worlds.outside import ArmInstants, OutsideArm, by_name, joint_index, outside, size
-from ocp.blindtest.worlds.recipes import BINS, OUTSIDE, SEVERAL, STRANGE, Recipe
+from ocp.blindtest.worlds.machines import TrackerMachine, arm_with_outside
+from ocp.blindtest.worlds.recipes import BINS, SEVERAL, STRANGE, Recipe
 from ocp.blindtest.worlds.sealing import write_cell
 from ocp.data import CELL
 from ocp.diagnose.answering import answer_of, predict_sealed, tracker_channel
@@ -48,10 +39,8 @@ from ocp.diagnose.engine.channel_system import Sealed
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.verdict.answer import Answer
 from ocp.effects.catalogue import library
-from ocp.model.cell import Cell, read_cell
+from ocp.model.cell import read_cell
 from ocp.shell.progress import Phases
-from ocp.simulate.twin.arm import make_arm
-from ocp.simulate.twin.kinds import PHASE, Key
 from ocp.simulate.twin.planting import Planted, labels
 from ocp.simulate.twin.tracker import TrackerLog, instrument, random_design, sealed_design, tracker_world, true_points
 from ocp.simulate.twin.truth import Truth, draw_truth
@@ -66,89 +55,40 @@ READINGS = (90, 150, 250)
 MIXTURE = ("none", "single", "single", "none", "pair", "outside", "single", "none", "single", "outside")
 WORSE = 0.02
 LEAST_EXACT = 0.02  # of a gap: what less than that is shrunk by says nothing
-ORDER = Key("order", "", 1.0, 300.0, False)
 
 
-def _line(p: Planted, at: ArmInstants) -> Array:
-    return np.asarray(np.cos(p.number("order") * at.q[:, joint_index(p)] + p.number("phase_rad")))
-
-
-LINE = by_name(outside("line", "angle", _line, tuple(range(1, 7)), size("rad", "rad", 1e-6, 3e-5, False), ORDER, PHASE))
-
-
-@dataclass(frozen=True, eq=False)
-class OtherMachine(TrackerMachine):
-    """A machine by another hand: `cell` has the masses where they are; believed: the cell that is written; lines: ripple."""
-
-    believed: Cell
-    lines: tuple[Planted, ...]
-
-    def arm(self, truth: Truth, targets: tuple[str, ...]) -> OutsideArm:
-        """Its arm with what is planted outside the catalogue, and the ripple."""
-        made = make_arm(self.cell, truth)
-        arm = OutsideArm(made.robot, truth, made.hardware, made.reference_C)
-        arm.cell, arm.targets, arm.known = self.cell, targets, OUTSIDE | LINE
-        return arm
-
-    def with_effects(self, effects: Any) -> Truth:
-        """With the ripple of its gears."""
-        return replace(self.truth, effects=(*effects, *self.lines))
-
-    def points(self, effects: Any, sealed: bool = False) -> Array:
-        """As the tracker would read them from its first stand without noise."""
-        campaign, truth = self.sealed if sealed else self.campaign, self.with_effects(effects)
-        return true_points(truth, self.cell, self.arm(truth, campaign.targets), campaign.moments, campaign.targets)
-
-
-def drawn_machine(path: Path, seed: int, index: int) -> OtherMachine:
+def drawn_machine(path: Path, seed: int, index: int) -> TrackerMachine:
     """The machine of world `index`."""
     rng = np.random.default_rng([seed, index, 1])
-    believed = read_cell(path)
-    robot = believed.robot
-    truth = draw_truth(believed, int(rng.integers(2**31)), weight_bends="believed")
-    lines = []
-    for joint in range(1, 7):
+    cell = read_cell(path)
+    truth = draw_truth(cell, int(rng.integers(2**31)), weight_bends="believed")
+    ripple = np.zeros((6, LINES[1], 3))
+    for gear in ripple:
         count = int(rng.integers(LINES[0], LINES[1] + 1))
-        each = rng.uniform(*RIPPLE) * np.sqrt(rng.dirichlet(np.ones(count)))
-        for k, amplitude in zip(rng.choice(np.arange(*ORDERS), count, replace=False), each, strict=True):
-            values = {"rad": float(amplitude), "order": float(k), "phase_rad": float(rng.uniform(0, 2 * np.pi))}
-            lines.append(Planted("line", joint, values))
+        gear[:count, 0] = rng.uniform(*RIPPLE) * np.sqrt(rng.dirichlet(np.ones(count)))
+        gear[:count, 1] = rng.choice(np.arange(*ORDERS), count, replace=False)
+        gear[:count, 2] = [rng.uniform(0, 2 * np.pi) for _ in range(count)]
     truth = replace(
         truth,
         mass_scale=1 + MASS * np.clip(rng.normal(size=7), -2.5, 2.5),
-        stiffness=robot.stiffness / (1 + SPRING * np.clip(rng.normal(size=6), -2.5, 2.5)),
+        stiffness=cell.robot.stiffness / (1 + SPRING * np.clip(rng.normal(size=6), -2.5, 2.5)),
         payloads={name: (mass * (1 + PAYLOAD * rng.normal()), com) for name, (mass, com) in truth.payloads.items()},
-        ripple=np.zeros((6, 3)),
+        ripple=ripple,
         play=rng.uniform(0, PLAY, 6),
+        mass_shift=CENTRE * rng.normal(size=(7, 3)),
     )
-    cell = replace(believed, robot=replace(robot, link_com=robot.link_com + CENTRE * rng.normal(size=robot.link_com.shape)))
     campaign = random_design(cell, rng, READINGS[index % len(READINGS)], warm_up=float(rng.uniform(2.0, 12.0)))
-    return OtherMachine(cell, truth, campaign, sealed_design(cell, rng, 90), believed, tuple(lines))
+    return TrackerMachine(cell, truth, campaign, sealed_design(cell, rng, 90))
 
 
-def view_of(machine: OtherMachine) -> TrackerView:
+def view_of(machine: TrackerMachine) -> TrackerView:
     """What an oracle sees who knows what machines of this kind are drawn with."""
     scene = scene_of(machine)
     A, sd = tracker_nuisance(scene)
-    sd[-13:-6], sd[-19:-13], sd[-6:] = MASS, SPRING, PLAY / np.sqrt(3.0)
-    compliance, moments, extra = weight_compliance(machine.truth), machine.campaign.moments, []
-    for link in range(2, 7):
-        for axis in range(3):
-            com = machine.cell.robot.link_com.copy()
-            com[link, axis] += CENTRE
-            other = replace(machine.cell, robot=replace(machine.cell.robot, link_com=com))
-            extra.append(make_arm(other, machine.truth).settled(moments).load_torque[:, :6] - scene.tau)
-    for name, (mass, com) in machine.truth.payloads.items():
-        heavier = machine.truth.payloads | {name: (mass * (1 + PAYLOAD), com)}
-        settled = make_arm(machine.cell, replace(machine.truth, payloads=heavier)).settled(moments)
-        extra.append(settled.load_torque[:, :6] - scene.tau)
-    more = np.stack([np.einsum("nij,nj->ni", scene.D, tau * compliance) for tau in extra], axis=2)
-    ripple = np.array([sum(p.number("rad") ** 2 for p in machine.lines if p.joint == j) / 2 for j in range(1, 7)])
-    S = point_covariance(replace(scene, truth=replace(scene.truth, play=np.zeros(6))))
-    S = S + (scene.D * ripple) @ np.swapaxes(scene.D, 1, 2)
-    W = np.linalg.inv(np.linalg.cholesky(S))
-    columns = np.concatenate([white_points(W, A) * sd, white_points(W, more)], axis=1)
-    return TrackerView(machine, scene, exact_whitener(partial(white_points, W), columns))
+    springs = 42 + 3 * len(dict.fromkeys(scene.campaign.targets))
+    sd[springs : springs + 6] = SPRING
+    W = tracker_root(scene)
+    return TrackerView(machine, scene, exact_whitener(partial(white_points, W), white_points(W, A) * sd))
 
 
 def written(out: Path, seed: int, index: int) -> Path:
@@ -165,8 +105,8 @@ def written(out: Path, seed: int, index: int) -> Path:
     if kind != "none":
         effects, lam = draw_effects(seed, Recipe(index, kind, turn, target), view_of(machine), "tracker")
     truth = machine.with_effects(effects)
-    arm = machine.arm(truth, machine.campaign.targets)
-    tracker_world(folder, machine.believed, truth, TrackerLog(machine.campaign, machine.sealed), arm)
+    arm = arm_with_outside(machine.cell, truth, machine.campaign.targets)
+    tracker_world(folder, machine.cell, truth, TrackerLog(machine.campaign, machine.sealed), arm)
     rng = np.random.default_rng([seed, index, 2])
     exact = true_points(truth, machine.cell, arm, machine.campaign.moments, machine.campaign.targets, rng)
     truths = machine.points(effects, sealed=True)

@@ -137,9 +137,6 @@ def _names(rows: Sequence[Row]) -> list[Figure]:
         found.append(Figure(f"top-1 effect and joint, lambda {bin_words(k)}", (one,), ">=", first[k], oracle=best_first[k]))
         found.append(Figure(f"top-3, lambda {bin_words(k)}", (other,) if other else (), ">=", three[k], oracle=best_three[k]))
     singles = of_kinds(rows, "single")
-    for words, there in (("noise alone", False), ("outliers, ripple and play", True)):
-        hits = share_of_hits([hit(r, "top1") for r in singles if r["background"] == there])
-        found.append(Figure(f"top-1, all single effects, machines with {words}", (), ">=", hits))
     likeliest = share_of_hits([_likeliest(r) for r in singles])
     found.append(Figure("top-1, all single effects, ranked by probability alone", (), ">=", likeliest))
     heard = share_of_hits([hit(r, "top1") and r.get("verdict") != "no_gap" for r in singles if r["lam"][0] >= 30])
@@ -154,7 +151,7 @@ def _likeliest(row: Row) -> bool:
 
 def _silence(rows: Sequence[Row]) -> list[Figure]:
     found = []
-    for words, limit, kind in (("clean", 0.01, "none"), ("outliers and background", 0.02, "none_background")):
+    for words, limit, kind in (("clean", 0.01, "none"), ("a machine as real ones", 0.02, "none_background")):
         worlds = of_kinds(rows, kind)
         alarms, best = [r.get("verdict") != "no_gap" for r in worlds], [r["oracle"]["set"][1] > 0 for r in worlds]
         what = f"false alarms, no effect, {words}"
@@ -418,4 +415,4 @@ def why_words(row: Row) -> str:
         parts.append("sure of a wrong name")
     if row.get("realised") and shrinkage(row) < HARM:
         parts.append(f"corrected for the worse ({shrinkage(row):.2f})")
-    return "; ".join(parts) + ("; background" if row["background"] else "")
+    return "; ".join(parts)

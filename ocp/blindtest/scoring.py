@@ -17,7 +17,7 @@ import numpy as np
 
 from ocp.blindtest.oracle import oracle
 from ocp.blindtest.oracle.oracle import Name, name_of
-from ocp.blindtest.worlds.machines import BlindMachine, GrindingMachine, TrackerMachine, has_background
+from ocp.blindtest.worlds.machines import BlindMachine, GrindingMachine, TrackerMachine
 from ocp.blindtest.worlds.recipes import OUTSIDE, Recipe, of_arm
 from ocp.blindtest.worlds.sealing import Check, Label, machine_of, read_label, read_seal, write_world
 from ocp.calibrate.force.log import read_force_log
@@ -193,7 +193,6 @@ def scored(check: Check, label: Label, answer: dict[str, Any]) -> dict[str, Any]
     row = {
         "world": recipe.name,
         "kind": recipe.kind,
-        "background": has_background(recipe),
         "planted": [[*name_of(p), p.values] for p in effects],
         "lam": list(label.lam),
         "outside": [p.effect in OUTSIDE or p.effect in label.withheld for p in effects],

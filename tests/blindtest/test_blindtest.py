@@ -45,7 +45,7 @@ HERE = Hands(1)
 def machine(tmp_path_factory: pytest.TempPathFactory):
     cell = tmp_path_factory.mktemp("cell") / "cell.toml"
     write_cell(CELL, cell)
-    return draw_tracker_machine(cell, 3, Recipe(1, "none", 0, None), 40, 10)
+    return draw_tracker_machine(cell, 3, Recipe(1, "none_background", 0, None), 40, 10)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,13 @@ def test_derivatives_are_those_of_the_machine(machine, scene):
     assert np.allclose(A[:, :, column], moved(stiffness=springs), atol=2e-5 + 0.01 * np.abs(A[:, :, column]).max())
     masses = truth.mass_scale + 1e-6 * np.eye(7)[3]
     assert np.allclose(A[:, :, column + 5 + 3], moved(mass_scale=masses), atol=0.01 * np.abs(A[:, :, column + 8]).max())
-    assert A.shape[2] == len(sd)
+    name = max(set(scene.campaign.moments.payload), key=lambda name: truth.payloads[name][0])
+    mass, centre = truth.payloads[name]
+    hung, heavier = list(truth.payloads).index(name), {name: (mass * 1.01, centre)}
+    assert np.allclose(A[:, :, column + 12 + 15 + hung], moved(payloads=truth.payloads | heavier) * 1e-6, atol=1e-7)
+    shift = truth.mass_shift + 0.01 * np.eye(3)[1] * (np.arange(7) == 3)[:, None]
+    assert np.allclose(A[:, :, column + 12 + 3 + 1], moved(mass_shift=shift) * 1e-6, atol=1e-7)
+    assert A.shape[2] == len(sd) == column + 12 + 15 + len(truth.payloads) + 6
 
 
 def test_lambda_is_the_quadratic_form(machine, scene):
@@ -106,12 +112,15 @@ def test_lambda_is_the_quadratic_form(machine, scene):
 
 
 def test_the_noise_is_the_virtual_tracker_s(machine, scene):
-    from ocp.simulate.twin.tracker import measure
+    from ocp.simulate.twin.tracker import measure, true_points
 
     rng = np.random.default_rng(0)
-    arm, m = make_arm(scene.cell, scene.truth), scene.campaign.moments
-    off = [measure(machine.truth, machine.cell, arm, m, scene.campaign.targets, rng) - scene.point for _ in range(40)]
-    S = point_covariance(scene)
+    truth = replace(scene.truth, outliers=0.0, tails=np.inf, ripple=0.0 * scene.truth.ripple)
+    arm, m = make_arm(scene.cell, truth), scene.campaign.moments
+    quiet = replace(scene, truth=truth)
+    exact = true_points(truth, scene.cell, arm, m, scene.campaign.targets)
+    off = [measure(truth, scene.cell, arm, m, scene.campaign.targets, rng) - exact for _ in range(40)]
+    S = point_covariance(quiet)
     squared = [np.einsum("ni,ni->n", e, np.linalg.solve(S, e[..., None])[..., 0]) for e in off]
     assert np.mean(squared) == pytest.approx(3.0, abs=0.15)
 
@@ -354,7 +363,6 @@ def row(kind: str, lam=(), first=True, **more):
     base = {
         "world": "00001",
         "kind": kind,
-        "background": False,
         "planted": planted,
         "lam": list(lam),
         "error": None,

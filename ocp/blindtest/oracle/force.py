@@ -94,9 +94,10 @@ def _of_arm(machine: GrindingMachine, s: ForceSlopes) -> Array:
     columns.append(s.joint * (s.torque * s.compliance) * STIFFNESS / np.sqrt(3.0))
     masses = np.zeros((2, n, 7))
     still = machine.bench.still(machine.rows, machine.hall(machine.rows))
+    sd = machines.LINK_MASS if machine.truth.mass_shift.any() else MASS_SD
     for link in range(1, 7):
         torque = tracker.torque_of_mass(machine.bench.cell, machine.truth, still, s.torque, link)
-        masses[..., link] = np.einsum("snj,nj->sn", s.joint, torque * s.compliance) * MASS_SD
+        masses[..., link] = np.einsum("snj,nj->sn", s.joint, torque * s.compliance) * sd
     return np.concatenate([*columns, masses], axis=2)
 
 

@@ -5,19 +5,19 @@ that signatures and detectabilities of the blind check are an independent measur
 """
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ocp.blindtest.worlds.machines import TrackerMachine
+from ocp.blindtest.worlds.machines import LINK_CENTRE, LINK_MASS, PAYLOAD_MASS, TrackerMachine
 from ocp.model.cell import Cell
 from ocp.simulate.twin.arm import Moments, make_arm
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.tracker import TrackerCampaign, instrument_noise, nest_links
-from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, RIPPLE, STIFFNESS, Truth
+from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, STIFFNESS, Truth
 from robots.pose import Array, apply
 
 FREE = 1.0  # m, rad: the tracker's place is not known at all
@@ -175,25 +175,23 @@ def tracker_whitener(scene: TrackerScene, usual: Array | None = None) -> ExactWh
 
 
 def point_covariance(scene: TrackerScene) -> Array:
-    """Covariance (n, 3, 3) m^2 of the readings: the instrument's directions, repeatability through the Jacobian; ripples of the
-    background, each of an order nobody knows, scatter like joint noise."""
+    """Covariance (n, 3, 3) m^2 of the readings: the instrument's directions, for noise with tails as wide as the normal one that
+    says as much of a place (Lange et al. 1989); repeatability through the Jacobian; ripples of a gear, each of an order nobody
+    knows, scatter like joint noise."""
     along, per_metre = instrument_noise(scene.cell)
     distance = np.linalg.norm(scene.point, axis=1)
     beam = scene.point / distance[:, None]
     across = (along + per_metre * distance) ** 2
     own = across[:, None, None] * np.eye(3) + (along**2 - across)[:, None, None] * beam[:, :, None] * beam[:, None, :]
-    joints = REPEATABILITY**2 + (RIPPLE**2 / 6 if has_unrest(scene) else 0.0)
-    return np.asarray(own + joints * scene.D @ np.swapaxes(scene.D, 1, 2))
-
-
-def has_unrest(scene: TrackerScene) -> bool:
-    """Whether the machine has ripple and play that nobody planted."""
-    return bool(scene.truth.ripple[:, 0].any() or scene.truth.play.any())
+    tails = scene.truth.tails
+    own *= 1.0 if np.isinf(tails) else (tails + 5.0) / (tails + 3.0)
+    joints = REPEATABILITY**2 + 0.5 * (scene.truth.ripple[:, :, 0] ** 2).sum(axis=1)
+    return np.asarray(own + (scene.D * joints) @ np.swapaxes(scene.D, 1, 2))
 
 
 def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
     """Derivatives (n, 3, p) of the points and one sigma (p,) of what a machine is drawn with: the tracker's place, the placement
-    of every link, nests, springs, masses, and the play of a background."""
+    of every link, nests, springs, masses; where weights are as real ones are, their centres and payloads; play."""
     n = len(scene)
     frame = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -cross_matrices(scene.point)], axis=2)
     parts = [(frame, [FREE] * 6)]
@@ -207,16 +205,32 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
         own = np.array([t == name for t in scene.campaign.targets])
         R = scene.links[np.arange(n), scene.carrier, :3, :3]
         parts.append((scene.turn @ R * own[:, None, None], [1e-3 * (table.target_sd_mm if table is not None else 1.0)] * 3))
-    compliance = weight_compliance(scene.truth)
+    truth, moments = scene.truth, scene.campaign.moments
+    compliance = weight_compliance(truth)
     parts.append((scene.D * (scene.tau * compliance)[:, None, :], [STIFFNESS / np.sqrt(3.0)] * 6))
+    real = bool(truth.mass_shift.any())
     masses = np.zeros((n, 3, 7))
     for link in range(1, 7):
-        torque = torque_of_mass(scene.cell, scene.truth, scene.campaign.moments, scene.tau, link)
+        torque = torque_of_mass(scene.cell, truth, moments, scene.tau, link)
         masses[:, :, link] = np.einsum("nij,nj->ni", scene.D, torque * compliance)
-    parts.append((masses, [MASS_SD] * 7))
-    if has_unrest(scene):
+    parts.append((masses, [LINK_MASS if real else MASS_SD] * 7))
+    for other in _other_weights(truth) if real else ():
+        torque = make_arm(scene.cell, other).settled(moments).load_torque[:, :6] - scene.tau
+        parts.append((np.einsum("nij,nj->ni", scene.D, torque * compliance)[:, :, None], [1.0]))
+    if truth.play.any():
         parts.append((scene.D * scene.campaign.moments.approach[:, None, :], [PLAY / np.sqrt(3.0)] * 6))
     return np.concatenate([block for block, _ in parts], axis=2), np.concatenate([sd for _, sd in parts])
+
+
+def _other_weights(truth: Truth) -> Iterator[Truth]:
+    """The machine with one link's centre or one payload's mass another by one sigma; those of the base and of link 1, which
+    turns about an upright axis, bend nothing."""
+    for link, axis in np.ndindex(5, 3):
+        more = np.zeros((7, 3))
+        more[link + 2, axis] = LINK_CENTRE
+        yield replace(truth, mass_shift=truth.mass_shift + more)
+    for name, (mass, centre) in truth.payloads.items():
+        yield replace(truth, payloads=truth.payloads | {name: (mass * (1.0 + PAYLOAD_MASS), centre)})
 
 
 def weight_compliance(truth: Truth) -> Array:

@@ -2,7 +2,7 @@
 
 A machine that a tracker measures has the errors of real ones. A grinding machine has its stiffnesses, setpoint and sensor as
 their makers leave them: what a cell really shows more of is an effect of the catalogue and would rightly be named. Small things
-below the catalogue's low ends make the background of every other machine.
+below the catalogue's low ends make the background of a grinding machine.
 """
 
 from collections.abc import Sequence
@@ -30,12 +30,19 @@ STORE = "contact_2.pkl"  # the number goes on where the stored form changes: an 
 STIFF_SD, SETPOINT_SD, ZERO_SD, SHEAR_GAIN_SD, SHEAR_ZERO_SD = 0.01, 0.1, 0.02, 0.02, 0.05
 # rad: how well an arm comes back to its path while it runs without a stop, and with the background's unrest.
 REPEATS, RESTLESS = 2e-6, 4e-6
-# Background, below the catalogue's low ends: rad of ripple and play of every joint, N/h, m/s.
+# What every real arm has under no name (PHYSICS 6, Masses; DIAGNOSIS, Second method): one sigma of links' masses (relative) and
+# centres (m) and of payloads' masses (relative); rad of a gear's ripple, all lines together, how many, waves a turn; degrees of
+# freedom of the noise; K by which the structure warms up.
+LINK_MASS, LINK_CENTRE, PAYLOAD_MASS = 0.04, 0.01, 0.01
+GEAR_RIPPLE, GEAR_LINES, GEAR_ORDERS = (1e-5, 3e-5), (3, 5), (3, 150)
+TAILS, WARM_UP = 4.0, (2.0, 12.0)
+# Background of a grinding machine, whose lines were taught on it, below the catalogue's low ends: rad of ripple and play of every
+# joint, N/h, m/s.
 RIPPLE, PLAY, DRIFT, WEAR = 2e-6, 1e-6, 0.02, 3e-9
 WARMING = 4.0  # K by which the hall warms over HOURS in every other machine
 HOURS = 1.0
 # Streams of random numbers of one world.
-_MACHINE, _CAMPAIGN, _SEALED, _EFFECTS = range(4)
+_MACHINE, _CAMPAIGN, _SEALED, _EFFECTS, _REAL = range(5)
 _RUNS, _TAUGHT, _OWN, _NOISE = range(10, 14)
 
 
@@ -151,21 +158,42 @@ def effects_stream(seed: int, recipe: Recipe) -> np.random.Generator:
 
 
 def draw_tracker_machine(cell_path: Path, seed: int, recipe: Recipe, readings: int, blind: int) -> TrackerMachine:
-    """The machine of a world. Every other world with effects, and every one that asks for it, has gross readings, ripple and
-    play of its own; the rest have noise alone."""
+    """The machine of a world: `as_real_arms`, but where the recipe asks for one of which nothing but noise is unknown."""
     cell = read_cell(cell_path)
     truth = draw_truth(cell, int(stream(seed, recipe, _MACHINE).integers(2**31)), weight_bends="believed")
-    if not has_background(recipe):
+    own, of_campaign = stream(seed, recipe, _REAL), stream(seed, recipe, _CAMPAIGN)
+    if has_background(recipe):
+        truth = as_real_arms(truth, own)
+        campaign = random_design(cell, of_campaign, readings, warm_up=float(own.uniform(*WARM_UP)))
+    else:
         truth = replace(truth, ripple=truth.ripple * [0.0, 1.0, 1.0], play=np.zeros(6), outliers=0.0)
-    campaign = random_design(cell, stream(seed, recipe, _CAMPAIGN), readings)
+        campaign = random_design(cell, of_campaign, readings)
     return TrackerMachine(cell, truth, campaign, sealed_design(cell, stream(seed, recipe, _SEALED), blind))
 
 
+def as_real_arms(truth: Truth, rng: np.random.Generator) -> Truth:
+    """The machine with weights off as a maker's and a shop's are, several lines of ripple a gear, and readings with tails; play
+    and gross readings are drawn."""
+    z = np.clip(rng.normal(size=(7, 4)), -2.5, 2.5)
+    ripple = np.zeros((6, GEAR_LINES[1], 3))
+    for gear in ripple:
+        lines = int(rng.integers(GEAR_LINES[0], GEAR_LINES[1] + 1))
+        gear[:lines, 0] = rng.uniform(*GEAR_RIPPLE) * np.sqrt(rng.dirichlet(np.ones(lines)))
+        gear[:lines, 1] = rng.choice(np.arange(*GEAR_ORDERS), lines, replace=False)
+        gear[:lines, 2] = rng.uniform(0, 2 * np.pi, lines)
+    return replace(
+        truth,
+        mass_scale=1 + LINK_MASS * z[:, 0],
+        mass_shift=LINK_CENTRE * z[:, 1:],
+        payloads={name: (mass * (1 + PAYLOAD_MASS * rng.normal()), centre) for name, (mass, centre) in truth.payloads.items()},
+        ripple=ripple,
+        tails=TAILS,
+    )
+
+
 def has_background(recipe: Recipe) -> bool:
-    """Whether a world has outliers and a background of small effects."""
-    if recipe.kind in ("none", "none_background"):
-        return recipe.kind == "none_background"
-    return (recipe.turn // 4 if recipe.kind == "single" else recipe.turn) % 2 == 1
+    """Whether a machine has what real ones have under no name."""
+    return recipe.kind != "none"
 
 
 def draw_grinding_machine(
@@ -218,5 +246,5 @@ def _own(truth: Truth, rng: np.random.Generator, restless: bool) -> Truth:
         sensor_bias=ZERO_SD * z[4],
         repeatability=RESTLESS if restless else REPEATS,
         play=rng.uniform(0, PLAY, 6) * restless,
-        ripple=truth.ripple * [0.0, 1.0, 1.0] + [RIPPLE * restless, 0.0, 0.0] * rng.uniform(0, 1, (6, 1)),
+        ripple=truth.ripple[:, :1] * [0.0, 1.0, 1.0] + [RIPPLE * restless, 0.0, 0.0] * rng.uniform(0, 1, (6, 1, 1)),
     )
