@@ -146,6 +146,19 @@ def test_what_of_the_joint_noise_comes_back(size):
         assert np.median(told) < 1.2e-5
 
 
+def test_few_readings_do_not_make_gears_smooth():
+    """Of ninety readings nobody can tell several small lines a gear from repeatability: what real gears have is believed."""
+    ratio = []
+    for seed in range(50, 56):
+        rng = np.random.default_rng(seed)
+        orders, phases = rng.integers(3, 150, (6, 4)), rng.uniform(0.0, 2.0 * np.pi, (6, 4))
+        rough = lambda r, k=orders, p=phases: 8e-6 * np.cos(k * r.q[:, :, None] + p).sum(axis=2)  # noqa: E731
+        c = channel(world(seed, rough, n=90)[0])
+        levers = np.sum(c.fit.linear.d_joints**2, axis=(0, 1))
+        ratio.append(np.sqrt(c.background.mean @ levers / (2.0 * 8e-6**2 * levers.sum())))
+    assert 0.6 < np.median(ratio) < 1.2, ratio
+
+
 def test_sizes_of_the_background_are_evenly_likely_before_any_reading():
     """A grid that is finer where sizes are small does not make small ones likelier."""
     weight = _weights(np.zeros(len(BACKGROUND_SIZES)))
