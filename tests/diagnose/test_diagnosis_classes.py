@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ocp.diagnose.engine.beam import Family, Member, Weighed, make_pool
+from ocp.diagnose.engine.beam import Weighed
 from ocp.diagnose.engine.evidence import coefficients_given
 from ocp.diagnose.engine.findings import Name
+from ocp.diagnose.engine.pool import Family, Member, make_pool
 from ocp.diagnose.verdict.probabilities import merged, twins
 from ocp.effects.catalogue import library
 

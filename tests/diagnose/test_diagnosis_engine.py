@@ -7,11 +7,12 @@ import pytest
 from scipy.stats import f as f_law
 from scipy.stats import gamma, kstest, multivariate_t, norm
 
-from ocp.diagnose.engine.beam import Member, Search, given, scan, scan_one, weigh
+from ocp.diagnose.engine.beam import Search, weigh
 from ocp.diagnose.engine.channel_system import ReadingConditions
 from ocp.diagnose.engine.evidence import Tails, coefficients_given, log_evidence, project, size_grid
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import linearised, positive_of
+from ocp.diagnose.engine.pool import Member, given, scan, scan_one
 from ocp.diagnose.rules import NOISE_TRUST, TAILS, TAILS_TOLD, WRONG_SIGN
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.location import kernel_tests

@@ -9,10 +9,11 @@ from scipy.stats import multivariate_normal
 
 from ocp.diagnose import rules
 from ocp.diagnose.answering import beside_others
-from ocp.diagnose.engine.beam import Member, Weighed, make_pool
+from ocp.diagnose.engine.beam import Weighed
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
+from ocp.diagnose.engine.pool import Member, make_pool
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND
 from ocp.diagnose.tracker.background import DRAWS, _weights, _with_further, background

@@ -7,11 +7,12 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ocp.diagnose.engine.beam import CandidatePool, Family, Given, Key, Member, Weighed, given, make_pool, most_telling
+from ocp.diagnose.engine.beam import Key, Weighed
 from ocp.diagnose.engine.channel_system import Channel
 from ocp.diagnose.engine.evidence import SIZES, Rival, Stack, coefficients_given, size_grid, stack
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.kernels import Kernel, kernels
+from ocp.diagnose.engine.pool import CandidatePool, Family, Given, Member, given, make_pool, most_telling
 from ocp.diagnose.rules import (
     BACKGROUND_PLAY,
     BACKGROUND_RIPPLE,

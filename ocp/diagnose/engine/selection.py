@@ -21,10 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import NOTHING, Search, squares
+from ocp.diagnose.engine.beam import NOTHING, Search
 from ocp.diagnose.engine.channel_system import Channel, Fold, System, WeighedReadings
 from ocp.diagnose.engine.findings import Name, Options
 from ocp.diagnose.engine.linearisation import Candidate, Linearisation, candidates, linearised, positive_of, put_back
+from ocp.diagnose.engine.pool import squares
 from ocp.effects.effect import Active, Effect, Scanned
 from robots.pose import Array
 

@@ -8,11 +8,12 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import Family, Given, Search, Weighed, given
+from ocp.diagnose.engine.beam import Search, Weighed
 from ocp.diagnose.engine.channel_system import Channel, Resting, Scattering, WeighedReadings
 from ocp.diagnose.engine.evidence import visible_lambda
 from ocp.diagnose.engine.findings import Diagnosis, Explanation, KernelTest, Location, Name, Options, Ranked, Screened
 from ocp.diagnose.engine.linearisation import Linearisation, linearised, names_of, rival_of, stacked_columns
+from ocp.diagnose.engine.pool import Family, Given, given
 from ocp.diagnose.engine.search import Diverged, search_and_refit
 from ocp.diagnose.engine.selection import misses_far_more_than_noise, select_effects
 from ocp.diagnose.verdict.doubts import cancelling, errors_of_folds, implausible, refitted

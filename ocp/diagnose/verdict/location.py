@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import fdtrc
 
-from ocp.diagnose.engine.beam import Given
 from ocp.diagnose.engine.findings import BudgetLine, KernelTest, Location, Name, SpectrumPeak
 from ocp.diagnose.engine.linearisation import Linearisation
+from ocp.diagnose.engine.pool import Given
 from ocp.diagnose.rules import BUDGET_SD, LEAST_TURN, PLACE_SURE, SEEN_DIRECTION, SHARE_PER_FEATURE
 from ocp.effects.effect import Effect
 from robots.pose import Array

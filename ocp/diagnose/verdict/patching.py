@@ -13,12 +13,13 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import Search, given, make_pool, scan
+from ocp.diagnose.engine.beam import Search
 from ocp.diagnose.engine.channel_system import Channel, Patchable, ReadingConditions
 from ocp.diagnose.engine.evidence import stack
 from ocp.diagnose.engine.findings import Alternative, Name, Options
 from ocp.diagnose.engine.kernels import LOADED, MOTOR_WAVES, ORDERS_OF_TWO, RIPPLES, SMOOTH
 from ocp.diagnose.engine.linearisation import Linearisation, kernel_families
+from ocp.diagnose.engine.pool import given, make_pool, scan
 from ocp.effects.context import SETTLING
 from ocp.effects.effect import Active, Effect
 from ocp.effects.engine.evaluate import left_of_motion

@@ -22,9 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp.diagnose import rules
-from ocp.diagnose.engine.beam import CandidatePool, Key, Member, Search, Weighed, given, scan_one
+from ocp.diagnose.engine.beam import Key, Search, Weighed
 from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.linearisation import Linearisation
+from ocp.diagnose.engine.pool import CandidatePool, Member, given, scan_one
 from ocp.effects.effect import Active, Scanned
 from robots.pose import Array
 
