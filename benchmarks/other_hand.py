@@ -78,7 +78,7 @@ def drawn_machine(path: Path, seed: int, index: int) -> TrackerMachine:
         mass_shift=CENTRE * rng.normal(size=(7, 3)),
     )
     campaign = random_design(cell, rng, READINGS[index % len(READINGS)], warm_up=float(rng.uniform(2.0, 12.0)))
-    return TrackerMachine(cell, truth, campaign, sealed_design(cell, rng, 90))
+    return TrackerMachine(cell, truth, campaign, sealed_design(cell, rng, 90), PLAY)
 
 
 def view_of(machine: TrackerMachine) -> TrackerView:

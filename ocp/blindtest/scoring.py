@@ -199,7 +199,7 @@ def scored(check: Check, label: Label, answer: dict[str, Any]) -> dict[str, Any]
         "error": answer["error"],
     }
     machine, rng = machine_of(check, recipe), np.random.default_rng((check.seed, recipe.index, _ORACLE))
-    row |= _of_oracle(label, oracle.observed(machine, check.world(recipe.name), effects, label.withheld, rng))
+    row |= _of_oracle(label, oracle.observed(machine, effects, label.withheld, rng))
     if answer["error"] is None:
         groups = [set(map(tuple, group)) for group in row["true_classes"]]
         row |= _of_answer(label, answer, counted_signal(machine, effects))

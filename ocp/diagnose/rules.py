@@ -419,13 +419,13 @@ LINK_CENTRE_SD = 0.01
 (DIAGNOSIS, Second method)."""
 
 WEIGHT_WIDTHS = 0.5 ** np.arange(4)
-"""[-] Of LINK_MASS_SD, LINK_CENTRE_SD and, of payloads that hung, PAYLOAD_MASS_SD on one machine, each as likely before the
-readings. Guards: promises where weights are known better. Reason: even on a logarithmic scale; an eighth is half a percent of a
-mass, of which nothing is seen."""
+"""[-] Of all of LINK_MASS_SD, LINK_CENTRE_SD and PAYLOAD_MASS_SD on one machine, each as likely before the readings. Guards:
+promises for a payload never hung where weights are known better. Reason: even on a logarithmic scale; an eighth is half a
+percent of a mass, of which nothing is seen."""
 
-PAYLOAD_MASS_SD = 0.01
-"""[-] Of a payload's mass. Guards: payload_mass against what a scale does not tell, and sigma for payloads that never hung.
-Reason: payloads are as stated to 1 % (DIAGNOSIS, Second method)."""
+PAYLOAD_MASS_SD = 0.006
+"""[-] Of a payload's mass. Guards: payload_mass against what a scale does not tell. Reason: payloads are as stated to 1 %, evenly
+(DIAGNOSIS, Second method)."""
 
 LEAST_CHANGES = {"temperature_C": 0.3, "time_s": 60.0, "clock_s": 60.0}
 """[K, s] A condition that changes less shows no effect that depends on it. Guards: names of effects that a campaign cannot show.
@@ -438,9 +438,9 @@ three times LEAST_CHANGES."""
 FOLD_TIME = 600.0
 """[s] The same of time. Guards: as FOLD_WARMTH. Reason: ten minutes, some twenty readings."""
 
-NO_BACKGROUND = 0.1
+NO_BACKGROUND = 0.5
 """[-] Prior probability that a machine has no play at all that lasts, and no ripple. Guards: what a corrected model is promised
-to leave. Reason: every gear has ripple and a little play (PHYSICS 6, Masses); what it has may be too little to be seen."""
+to leave. Reason: none is known; even odds."""
 
 BACKGROUND_SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])
 """[rad] Play and ripple that are looked for in what a fit leaves, evenly likely: each stands for what lies nearest; for a name

@@ -24,15 +24,17 @@ from ocp.blindtest.report import blindtest_last_line, write_blindtest_report
 from ocp.blindtest.running import answer_all, forget_answers, make_all, resume, score_all
 from ocp.blindtest.scoring import score_path
 from ocp.blindtest.worlds import recipes
-from ocp.blindtest.worlds.machines import draw_tracker_machine
+from ocp.blindtest.worlds.machines import as_real_arms, draw_tracker_machine
 from ocp.blindtest.worlds.outside_lists import ON_ARM
 from ocp.blindtest.worlds.recipes import KINDS, Recipe, scaled, within_range
 from ocp.blindtest.worlds.sealing import SEALED, Check, label_path, read_label, read_seal, write_cell
+from ocp.model.cell import read_cell
 from ocp.shell.executor import Hands
 from ocp.shell.output import add_text_file, reserved, users_file
 from ocp.shell.progress import Phases
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.planting import Planted, draw_effect, parse_effect
+from ocp.simulate.twin.truth import REPEATABILITY, draw_truth
 from robots.errors import BadInput
 from tests.support.browser import CHROMIUM, looked_at
 
@@ -87,11 +89,11 @@ def test_derivatives_are_those_of_the_machine(machine, scene):
     assert np.allclose(A[:, :, column + 5 + 3], moved(mass_scale=masses), atol=0.01 * np.abs(A[:, :, column + 8]).max())
     name = max(set(scene.campaign.moments.payload), key=lambda name: truth.payloads[name][0])
     mass, centre = truth.payloads[name]
-    hung, heavier = list(truth.payloads).index(name), {name: (mass * 1.01, centre)}
-    assert np.allclose(A[:, :, column + 12 + 15 + hung], moved(payloads=truth.payloads | heavier) * 1e-6, atol=1e-7)
+    hung, heavier = list(truth.payloads).index(name), {name: (mass * (1 + 0.01 / np.sqrt(3)), centre)}
+    assert np.allclose(A[:, :, column + 12 + 18 + hung], moved(payloads=truth.payloads | heavier) * 1e-6, atol=1e-7)
     shift = truth.mass_shift + 0.01 * np.eye(3)[1] * (np.arange(7) == 3)[:, None]
-    assert np.allclose(A[:, :, column + 12 + 3 + 1], moved(mass_shift=shift) * 1e-6, atol=1e-7)
-    assert A.shape[2] == len(sd) == column + 12 + 15 + len(truth.payloads) + 6
+    assert np.allclose(A[:, :, column + 12 + 6 + 1], moved(mass_shift=shift) * 1e-6, atol=1e-7)
+    assert A.shape[2] == len(sd) == column + 12 + 18 + len(truth.payloads) + 6
 
 
 def test_lambda_is_the_quadratic_form(machine, scene):
@@ -109,6 +111,38 @@ def test_lambda_is_the_quadratic_form(machine, scene):
     assert detectabilities(view, [scaled(effect, 2.0)])[0] == pytest.approx(4 * brute, rel=1e-3)
     both = detectabilities(view, [effect, parse_effect("joint_thermal:5=1e-5")])
     assert both[0] <= brute * (1 + 1e-9)
+
+
+def test_what_the_oracle_reads_is_white_as_a_machine_s_readings_are(machine, scene):
+    """Noise, ripple of other orders and a machine drawn anew; tails and weights of all links are in it."""
+    assert scene.truth.ripple.any() and np.isfinite(scene.truth.tails)
+    view, rng = tracker_view(machine), np.random.default_rng(4)
+    squares = [np.mean(view.readings((), rng) ** 2) for _ in range(60)]
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.06)
+    # Student's noise of a reading tells as much of its place as a normal one of this covariance.
+    normal = point_covariance(replace(scene, truth=replace(scene.truth, tails=np.inf, ripple=0.0 * scene.truth.ripple)))
+    tailed = point_covariance(replace(scene, truth=replace(scene.truth, ripple=0.0 * scene.truth.ripple)))
+    still = REPEATABILITY**2 * scene.D @ np.swapaxes(scene.D, 1, 2)
+    np.testing.assert_allclose(tailed - still, 9.0 / 7.0 * (normal - still), rtol=1e-9)
+
+
+def test_machines_are_as_real_ones_are():
+    """But those that ask for none of it: weights, gears, readings (docs/blindtest.md)."""
+    cell = read_cell(CELL)
+    drawn = [as_real_arms(draw_truth(cell, k), np.random.default_rng(k)) for k in range(200)]
+    lines = np.array([one.ripple[:, :, 0] for one in drawn])
+    whole = np.sqrt((lines**2).sum(axis=2))
+    assert 1e-5 <= whole.min() < 1.1e-5 and 2.9e-5 < whole.max() <= 3e-5
+    assert set(np.count_nonzero(lines, axis=2).ravel()) == {3, 4, 5}
+    assert np.std([one.mass_scale for one in drawn]) == pytest.approx(0.04, rel=0.1)
+    assert np.std([one.mass_shift for one in drawn]) == pytest.approx(0.01, rel=0.1)
+    stated = draw_truth(cell, 0).payloads
+    off = np.array([[one.payloads[n][0] / mass - 1 for n, (mass, _) in stated.items() if mass] for one in drawn])
+    assert np.abs(off).max() <= 0.01 and np.std(off) == pytest.approx(0.01 / np.sqrt(3), rel=0.1)
+    clean, other = (draw_tracker_machine(CELL, 3, Recipe(1, kind, 0, None), 30, 5) for kind in ("none", "single"))
+    assert not (clean.truth.ripple[..., 0].any() or clean.truth.play.any() or clean.truth.mass_shift.any() or clean.play)
+    assert other.truth.ripple[..., 0].any() and other.truth.play.any() and other.truth.mass_shift.any() and other.play
+    assert tracker_nuisance(scene_of(clean))[0].shape[2] < tracker_nuisance(scene_of(other))[0].shape[2]
 
 
 def test_the_noise_is_the_virtual_tracker_s(machine, scene):

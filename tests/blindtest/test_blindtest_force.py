@@ -24,7 +24,6 @@ from ocp.simulate.twin.truth import PLACEMENT, SENSOR_SIGMA
 ROOT = Path(__file__).resolve().parents[2]
 SINGLE = Recipe(1, "single", 2, (50.0, 100.0))
 SOLID = np.array([4e-6, 3e-7, -2e-7])  # m/N: a blade that gives way alike everywhere, instead of finite elements
-SHARED = 36 + 6 + 7  # columns of the arm
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +73,8 @@ def test_slopes_hold_what_the_machine_does(machine, view):
     for column, direct in ((arm[..., 16], linked), (rest[..., 0], moved), (rest[..., 5], tilted), (rest[..., 10], turned)):
         # N for one sigma; where the contact's table changes from one posture to the next (1 um) differences jump.
         assert np.quantile(np.abs(column - direct), 0.97) < 0.03 * np.abs(direct).max() + 2e-3
-    assert arm.shape[2] == SHARED
+    # Placement, springs, masses, centres, payloads, play.
+    assert arm.shape[2] == 36 + 6 + 7 + 18 + len(truth.payloads) + 6
 
 
 def test_lambda_is_the_quadratic_form(machine, view):

@@ -34,7 +34,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def machine(cell):
-    return draw_tracker_machine(cell, 4, Recipe(1, "none", 0, None), 60, 20)
+    return draw_tracker_machine(cell, 4, Recipe(1, "none_background", 0, None), 60, 20)
 
 
 @pytest.fixture(scope="module")
@@ -140,9 +140,10 @@ def test_memory_is_of_the_postures_before_and_how_far_they_lay_apart(machine, sc
 
 def _weights(machine, scene, first: int):
     """Masses kg and centres (n, 3) m, base axes, of all links after `first` and of the payload."""
-    robot, n = machine.cell.robot, len(scene)
-    masses = [np.full(n, robot.link_mass[k]) for k in range(first + 1, 7)]
-    centres = [scene.links[:, k, :3, 3] + scene.links[:, k, :3, :3] @ robot.link_com[k] for k in range(first + 1, 7)]
+    robot, truth, n = machine.cell.robot, machine.truth, len(scene)
+    mass, place = robot.link_mass * truth.mass_scale, robot.link_com + truth.mass_shift
+    masses = [np.full(n, mass[k]) for k in range(first + 1, 7)]
+    centres = [scene.links[:, k, :3, 3] + scene.links[:, k, :3, :3] @ place[k] for k in range(first + 1, 7)]
     hung = [machine.truth.payloads[name] for name in scene.campaign.moments.payload]
     masses.append(np.array([mass for mass, _ in hung]))
     places = np.array([place for _, place in hung])

@@ -3,13 +3,12 @@
 Derivatives are differences of the virtual cell. A small twist of the flange tells most of them: wheel and blade displaced, links
 placed otherwise and joints turned are all twists of the flange at its instant, by the machine's own frames. The noise is the
 sensor's with its memory, exact for every run. Where a tracker measured the arm too, its readings and the log share placement,
-springs and masses.
+springs, weights and play.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -35,7 +34,7 @@ SPLICES, RELAXATIONS = 200, 8  # rates of a belt's splice and time constants tha
 COEFFICIENT, WAVES, HARMONICS = 1.3, 6, 3
 FRAME = 6  # columns of the tracker's place, before them
 AT = (0.15, 0.9)  # of the campaign's time, when steps happen
-WILD, FAR = 1.2, 5e-4  # N, m off beyond which a reading is wild, and left out by the oracle
+WILD = 1.2  # N off beyond which a reading is wild, and left out by the oracle
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +75,8 @@ def slopes_of(machine: GrindingMachine) -> ForceSlopes:
 
 
 def force_nuisance(machine: GrindingMachine, s: ForceSlopes) -> tuple[Array, Array]:
-    """Everything that a machine is drawn with, columns (2, n, p) per one sigma: of placement, springs and masses of the arm
-    (36 + 6 + 7), which a tracker sees too, and of all the rest."""
+    """Everything that a machine is drawn with, columns (2, n, p) per one sigma: of placement, springs, weights and play of the
+    arm, which a tracker sees too, and of all the rest."""
     return _of_arm(machine, s), np.concatenate([*_of_frames(machine, s), *_of_contact(machine, s)], axis=2)
 
 
@@ -98,7 +97,13 @@ def _of_arm(machine: GrindingMachine, s: ForceSlopes) -> Array:
     for link in range(1, 7):
         torque = tracker.torque_of_mass(machine.bench.cell, machine.truth, still, s.torque, link)
         masses[..., link] = np.einsum("snj,nj->sn", s.joint, torque * s.compliance) * sd
-    return np.concatenate([*columns, masses], axis=2)
+    columns.append(masses)
+    for other in tracker.other_weights(machine.truth):
+        torque = make_arm(machine.bench.cell, other).settled(still).load_torque[:, :6] - s.torque
+        columns.append(np.einsum("snj,nj->sn", s.joint, torque * s.compliance)[..., None])
+    if machine.background:
+        columns.append(s.joint * s.approach * machines.PLAY / np.sqrt(3.0))
+    return np.concatenate(columns, axis=2)
 
 
 def _of_frames(machine: GrindingMachine, s: ForceSlopes) -> list[Array]:
@@ -123,7 +128,7 @@ def _of_frames(machine: GrindingMachine, s: ForceSlopes) -> list[Array]:
 
 
 def _of_contact(machine: GrindingMachine, s: ForceSlopes) -> list[Array]:
-    """Stiffnesses, setpoint, sensor; how the arm comes back in each run; drift, wear and play of a background."""
+    """Stiffnesses, setpoint, sensor; how the arm comes back in each run; drift and wear of a background."""
     truth, bare, rows = machine.truth, machine.bare, machine.rows
     columns = []
     for name in ("cover_scale", "blade_scale", "flange_scale"):
@@ -137,13 +142,10 @@ def _of_contact(machine: GrindingMachine, s: ForceSlopes) -> list[Array]:
     if machine.background:
         worn = machine.log([Planted("wheel_wear", None, {"m_per_s": machines.WEAR})]).both - bare.both
         columns += [np.stack([rows.clock / 3600.0 * machines.DRIFT, none]) / np.sqrt(3.0), worn / np.sqrt(3.0)]
-    blocks = [np.stack(columns, axis=2)]
-    if machine.background:
-        blocks.append(s.joint * s.approach * machines.PLAY / np.sqrt(3.0))
     repeats = np.zeros((*bare.both.shape, 6 * len(rows.runs)))
     for k in range(len(rows.runs)):
         repeats[:, rows.run == k, 6 * k : 6 * k + 6] = s.joint[:, rows.run == k] * truth.repeatability
-    return [*blocks, repeats]
+    return [np.stack(columns, axis=2), repeats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,22 +178,14 @@ class ForceView:
         clock = self.machine.rows.clock
         return float(clock[0] + rng.uniform(*AT) * (clock[-1] - clock[0]))
 
-    def readings(self, folder: Path, effects: Sequence[Planted], rng: np.random.Generator) -> Array:
-        """White readings (N,): the effects, the world's own noise without wild readings, a machine drawn anew."""
+    def readings(self, effects: Sequence[Planted], rng: np.random.Generator) -> Array:
+        """White readings (N,): the effects, the log's own noise without wild readings, a tracker's and a machine drawn anew."""
         drawn = rng.normal(size=len(self.white.take))
-        y = self.signature(effects) + self.noise(folder, effects)
-        return y + self.white.U @ (np.sqrt(1 - (1 - self.white.take) ** 2) * drawn)
-
-    def noise(self, folder: Path, effects: Sequence[Planted]) -> Array:
-        """White noise (N,) of a world's own readings, wild ones taken out."""
-        machine = self.machine
-        noise = log_noise(machine, machine.bare)
+        noise = log_noise(self.machine, self.machine.bare)
         force = (noise * (np.abs(noise) < WILD))[..., None]
-        if machine.arm is None:
-            return np.asarray(self.white.apply(force)[:, 0])
-        off = tracker.points_read(folder) - machine.tracked(effects)
-        points = off * (np.linalg.norm(off, axis=1) < FAR)[:, None]
-        return np.asarray(self.white.apply(force, points[..., None])[:, 0])
+        points = () if self.scene is None else (tracker.drawn_noise(self.scene, rng)[..., None],)
+        y = self.signature(effects) + np.asarray(self.white.apply(force, *points)[:, 0])
+        return y + self.white.U @ (np.sqrt(1 - (1 - self.white.take) ** 2) * drawn)
 
     def price(self, effect: str, joint: int | None = None) -> float:
         """2 ln(variants), and the freedom of forms with many coefficients."""
@@ -263,7 +257,7 @@ def _shared(scene: tracker.TrackerScene, arm: Array, rest: Array) -> tuple[Array
     A, sd = tracker.tracker_nuisance(scene)
     A = A * sd
     nests = 3 * len(dict.fromkeys(scene.campaign.targets))
-    both = [*range(FRAME, FRAME + 36), *range(FRAME + 36 + nests, FRAME + 36 + nests + 13)]
+    both = [*range(FRAME, FRAME + 36), *range(FRAME + 36 + nests, A.shape[2])]
     alone = [i for i in range(A.shape[2]) if i not in both]
     n, m = arm.shape[1], len(A)
     points = np.concatenate([A[:, :, alone], A[:, :, both], np.zeros((m, 3, rest.shape[2]))], axis=2)

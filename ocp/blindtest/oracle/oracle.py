@@ -1,4 +1,4 @@
-"""The oracle: it knows every signature, the true covariance of the readings and which readings are gross; the ceiling.
+"""The oracle: it knows every signature and the true covariance of the readings, none of which is gross; the ceiling.
 
 The detectability index of a planted effect is how far its true signature stands out of noise and of all that is refitted:
 
@@ -13,7 +13,8 @@ Evidence of a family with columns C (white), coefficients of prior width t times
 
     log Z(t) = -1/2 log det(1 + t^2 G) + 1/2 b^T (G + 1 / t^2)^-1 b,     G = u C^T C u,  b = u C^T y
 
-What it is asked about is linear: y = W (d + A x + noise), noise that of the world's own readings, x drawn anew from P. Size and
+What it is asked about is linear: y = W (d + A x + noise), x drawn anew from P; a tracker's noise too, gears' ripple with it, from
+a normal law that says as much as its tails leave; a log's is the world's own. Size and
 class are those of the likeliest member of the planted family, estimated from the readings with the widest usual prior
 (independent of what was planted); so neither is perfect, and a diagnosis that knows less cannot be asked for more.
 """
@@ -21,7 +22,6 @@ class are those of the likeliest member of the planted family, estimated from th
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
-from pathlib import Path
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
@@ -52,9 +52,9 @@ def name_of(planted: Planted) -> Name:
     return planted.effect, planted.joint or 0
 
 
-def exact_view(machine: BlindMachine, folder: Path | None = None, effects: Sequence[Planted] = ()) -> ExactView:
-    """The exact view of a machine, or of a world in `folder` that was made of it with these effects."""
-    return tracker_view(machine, folder, effects) if isinstance(machine, TrackerMachine) else force_view(machine)
+def exact_view(machine: BlindMachine) -> ExactView:
+    """The exact view of a machine."""
+    return tracker_view(machine) if isinstance(machine, TrackerMachine) else force_view(machine)
 
 
 def detectabilities(view: ExactView, effects: Sequence[Planted]) -> Array:
@@ -108,15 +108,13 @@ Observed = tuple[White, Array, tuple[Array, ...], tuple[float | None, ...]]
 and the smallest size of each that would be seen, as a share of its usual upper end."""
 
 
-def observed(
-    machine: BlindMachine, folder: Path, effects: Sequence[Planted], withheld: Sequence[str], rng: np.random.Generator
-) -> Observed:
-    """The world in `folder`, without the families withheld; rng: draws the machine of the oracle's readings."""
-    view = exact_view(machine, folder, effects)
+def observed(machine: BlindMachine, effects: Sequence[Planted], withheld: Sequence[str], rng: np.random.Generator) -> Observed:
+    """A world of the machine with these effects, without the families withheld; rng: draws the oracle's readings."""
+    view = exact_view(machine)
     library = library_of(view).without(withheld)
     alone = tuple(view.signature(effects, [p for p in effects if p is not one]) for one in effects)
     sizes = tuple(smallest_size(view, p, s) for p, s in zip(effects, alone, strict=True))
-    return library, view.readings(folder, effects, rng), alone, sizes
+    return library, view.readings(effects, rng), alone, sizes
 
 
 def library_of(view: ExactView) -> White:

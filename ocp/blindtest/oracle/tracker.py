@@ -4,24 +4,22 @@ Everything comes from the virtual cell's own frames and torques (`ocp.simulate.t
 that signatures and detectabilities of the blind check are an independent measure. SI and radians; points in the tracker's axes.
 """
 
-import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
+from ocp.blindtest.worlds.machines import GEAR_ORDERS as ORDERS_DRAWN
 from ocp.blindtest.worlds.machines import LINK_CENTRE, LINK_MASS, PAYLOAD_MASS, TrackerMachine
 from ocp.model.cell import Cell
 from ocp.simulate.twin.arm import Moments, make_arm
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.tracker import TrackerCampaign, instrument_noise, nest_links
-from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, PLAY, REPEATABILITY, STIFFNESS, Truth
+from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, REPEATABILITY, STIFFNESS, Truth
 from robots.pose import Array, apply
 
 FREE = 1.0  # m, rad: the tracker's place is not known at all
-GROSS = 40.0  # squared white distance of three coordinates: a gross reading, which the oracle leaves out
 MASS_STEP = 0.01  # relative
 # Instants that can be told apart, orders, nests: how many members of a scanned family are looked at.
 GEAR_ORDERS, MOTOR_ORDERS = 298, 2
@@ -58,7 +56,7 @@ class TrackerScene:
 
     links (n, 7, 4, 4) base axes; point (n, 3) m reflectors in the tracker's frame; inner (n, 3) m the same in base axes; carrier
     (n,) link that bears the nest; turn (3, 3) rotation from base to tracker axes; D (n, 3, 6) m/rad derivative of the points in
-    the joints' angles (robot's signs); tau (n, 6) N m load torques; warmth (n,) K.
+    the joints' angles (robot's signs); tau (n, 6) N m load torques; warmth (n,) K; play rad: up to which joints are drawn with.
     """
 
     cell: Cell
@@ -72,6 +70,7 @@ class TrackerScene:
     D: Array
     tau: Array
     warmth: Array
+    play: float
 
     def __len__(self) -> int:
         return len(self.campaign)
@@ -101,17 +100,16 @@ def scene_of(machine: TrackerMachine) -> TrackerScene:
         D[:, :, j] = np.cross(axis, inner - links[:, j, :3, 3]) @ turn.T * (carrier > j)[:, None]
     warmth = m.temperature_C - cell.tables.reference_temperature_C
     point, torque = apply(truth.T_tracker_base, inner), settled.load_torque[:, :6]
-    return TrackerScene(cell, truth, campaign, links, point, inner, carrier, turn, D, torque, warmth)
+    return TrackerScene(cell, truth, campaign, links, point, inner, carrier, turn, D, torque, warmth, machine.play)
 
 
 @dataclass(frozen=True, eq=False)
 class TrackerView:
-    """A machine that a tracker measures as an oracle sees it; noise (n, 3) m of a world's readings, where they are there."""
+    """A machine that a tracker measures as an oracle sees it."""
 
     machine: TrackerMachine
     scene: TrackerScene
     white: ExactWhitener
-    noise: Array | None = None
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -130,35 +128,32 @@ class TrackerView:
         """None: every effect begins when it was drawn to."""
         return None
 
-    def readings(self, folder: Path, effects: Sequence[Planted], rng: np.random.Generator) -> Array:
-        """White readings (3n,): the effects, the world's noise, a machine drawn anew."""
-        assert self.noise is not None
+    def readings(self, effects: Sequence[Planted], rng: np.random.Generator) -> Array:
+        """White readings (3n,): the effects, noise and a machine drawn anew."""
         A, sd = tracker_nuisance(self.scene)
-        drawn = rng.normal(size=len(sd)) * sd
-        return self.white.apply(self.machine.points(effects) - self.machine.points(()) + self.noise + A @ drawn)
+        drawn = A @ (rng.normal(size=len(sd)) * sd) + drawn_noise(self.scene, rng)
+        return self.white.apply(self.machine.points(effects) - self.machine.points(()) + drawn)
 
 
-def tracker_view(machine: TrackerMachine, folder: Path | None = None, effects: Sequence[Planted] = ()) -> TrackerView:
-    """Of a machine; of a world in `folder` with these effects gross readings count for nothing."""
+def tracker_view(machine: TrackerMachine) -> TrackerView:
+    """Of a machine."""
     scene = scene_of(machine)
-    if folder is None:
-        return TrackerView(machine, scene, tracker_whitener(scene))
-    noise = points_read(folder) - machine.points(effects)
-    squared = np.einsum("ni,ni->n", noise, np.linalg.solve(point_covariance(scene), noise[..., None])[..., 0])
-    usual = squared < GROSS
-    return TrackerView(machine, scene, tracker_whitener(scene, usual), noise * usual[:, None])
+    return TrackerView(machine, scene, tracker_whitener(scene))
 
 
-def points_read(folder: Path) -> Array:
-    """Points (n, 3) m of a world's tracker.csv."""
-    with (folder / "tracker.csv").open(encoding="utf-8") as file:
-        return 1e-3 * np.array([[float(row[f"{c}_mm"]) for c in "xyz"] for row in csv.DictReader(file)])
+def tracker_root(scene: TrackerScene) -> Array:
+    """Inverse roots (n, 3, 3) of the covariance of each reading."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(point_covariance(scene))))
 
 
-def tracker_root(scene: TrackerScene, usual: Array | None = None) -> Array:
-    """Inverse roots (n, 3, 3) of the covariance of each reading; usual (n,): readings that count."""
-    W = np.linalg.inv(np.linalg.cholesky(point_covariance(scene)))
-    return np.asarray(W if usual is None else W * usual[:, None, None])
+def drawn_noise(scene: TrackerScene, rng: np.random.Generator) -> Array:
+    """Noise (n, 3) m of a campaign: that of readings, none of them gross, and ripple of as large lines of other orders."""
+    size = scene.truth.ripple[:, :, 0]
+    quiet = replace(scene, truth=replace(scene.truth, ripple=0.0 * scene.truth.ripple))
+    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(point_covariance(quiet)), rng.normal(size=(len(scene), 3)))
+    order, phase = rng.integers(*ORDERS_DRAWN, size.shape), rng.uniform(0, 2 * np.pi, size.shape)
+    q = scene.campaign.moments.q
+    return np.asarray(noise + np.einsum("nij,nj->ni", scene.D, (size * np.cos(order * q[:, :, None] + phase)).sum(axis=2)))
 
 
 def white_points(W: Array, changes: Array) -> Array:
@@ -167,10 +162,10 @@ def white_points(W: Array, changes: Array) -> Array:
     return np.asarray((W @ changes.reshape(n, 3, -1)).reshape(3 * n, *changes.shape[2:]))
 
 
-def tracker_whitener(scene: TrackerScene, usual: Array | None = None) -> ExactWhitener:
-    """With the variances that machines are drawn with; a machine with background ripple and play has those too."""
+def tracker_whitener(scene: TrackerScene) -> ExactWhitener:
+    """With the variances that machines are drawn with."""
     A, sd = tracker_nuisance(scene)
-    W = tracker_root(scene, usual)
+    W = tracker_root(scene)
     return exact_whitener(partial(white_points, W), white_points(W, A) * sd)
 
 
@@ -214,23 +209,24 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
         torque = torque_of_mass(scene.cell, truth, moments, scene.tau, link)
         masses[:, :, link] = np.einsum("nij,nj->ni", scene.D, torque * compliance)
     parts.append((masses, [LINK_MASS if real else MASS_SD] * 7))
-    for other in _other_weights(truth) if real else ():
+    for other in other_weights(truth):
         torque = make_arm(scene.cell, other).settled(moments).load_torque[:, :6] - scene.tau
         parts.append((np.einsum("nij,nj->ni", scene.D, torque * compliance)[:, :, None], [1.0]))
-    if truth.play.any():
-        parts.append((scene.D * scene.campaign.moments.approach[:, None, :], [PLAY / np.sqrt(3.0)] * 6))
+    if scene.play:
+        parts.append((scene.D * moments.approach[:, None, :], [scene.play / np.sqrt(3.0)] * 6))
     return np.concatenate([block for block, _ in parts], axis=2), np.concatenate([sd for _, sd in parts])
 
 
-def _other_weights(truth: Truth) -> Iterator[Truth]:
-    """The machine with one link's centre or one payload's mass another by one sigma; those of the base and of link 1, which
-    turns about an upright axis, bend nothing."""
-    for link, axis in np.ndindex(5, 3):
+def other_weights(truth: Truth) -> Iterator[Truth]:
+    """The machine with one link's centre or one payload's mass another by one sigma, where they are as real ones are."""
+    if not truth.mass_shift.any():
+        return
+    for link, axis in np.ndindex(6, 3):
         more = np.zeros((7, 3))
-        more[link + 2, axis] = LINK_CENTRE
+        more[link + 1, axis] = LINK_CENTRE
         yield replace(truth, mass_shift=truth.mass_shift + more)
     for name, (mass, centre) in truth.payloads.items():
-        yield replace(truth, payloads=truth.payloads | {name: (mass * (1.0 + PAYLOAD_MASS), centre)})
+        yield replace(truth, payloads=truth.payloads | {name: (mass * (1.0 + PAYLOAD_MASS / np.sqrt(3.0)), centre)})
 
 
 def weight_compliance(truth: Truth) -> Array:

@@ -1,8 +1,8 @@
 """Machines of blind worlds: drawn from a seed and a number, so that the scorer can draw the very same again.
 
-A machine that a tracker measures has the errors of real ones. A grinding machine has its stiffnesses, setpoint and sensor as
-their makers leave them: what a cell really shows more of is an effect of the catalogue and would rightly be named. Small things
-below the catalogue's low ends make the background of a grinding machine.
+A machine that a tracker measures has the errors of real ones. A grinding machine has their weights, and its stiffnesses, setpoint
+and sensor as their makers leave them: what a cell really shows more of is an effect of the catalogue and would rightly be named.
+Small things below the catalogue's low ends make its background, ripple and play among them, as its lines were taught on it.
 """
 
 from collections.abc import Sequence
@@ -21,9 +21,11 @@ from ocp.simulate.twin.arm import VirtualArm, make_arm
 from ocp.simulate.twin.contact.table import make_tables
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.tracker import TrackerCampaign, random_design, sealed_design, true_points
+from ocp.simulate.twin.truth import PLAY as ARM_PLAY
 from ocp.simulate.twin.truth import REPEATABILITY, Truth, draw_truth
 from robots.pose import Array
 
+VERSION = 2  # of how machines are drawn: a check of another is not gone on with
 STORE = "contact_2.pkl"  # the number goes on where the stored form changes: an older file is not read
 # What the makers leave, one sigma: relative stiffness of cover, blade and flange; N of the flange's setpoint and of the sensor's
 # zero; gain and zero (N) of the sensor's tangential axis.
@@ -31,8 +33,8 @@ STIFF_SD, SETPOINT_SD, ZERO_SD, SHEAR_GAIN_SD, SHEAR_ZERO_SD = 0.01, 0.1, 0.02, 
 # rad: how well an arm comes back to its path while it runs without a stop, and with the background's unrest.
 REPEATS, RESTLESS = 2e-6, 4e-6
 # What every real arm has under no name (PHYSICS 6, Masses; DIAGNOSIS, Second method): one sigma of links' masses (relative) and
-# centres (m) and of payloads' masses (relative); rad of a gear's ripple, all lines together, how many, waves a turn; degrees of
-# freedom of the noise; K by which the structure warms up.
+# centres (m); payloads' masses evenly within (relative); rad of a gear's ripple, root of the squares of all lines, how many,
+# waves a turn; degrees of freedom of the noise; K by which the structure warms up.
 LINK_MASS, LINK_CENTRE, PAYLOAD_MASS = 0.04, 0.01, 0.01
 GEAR_RIPPLE, GEAR_LINES, GEAR_ORDERS = (1e-5, 3e-5), (3, 5), (3, 150)
 TAILS, WARM_UP = 4.0, (2.0, 12.0)
@@ -49,12 +51,13 @@ _RUNS, _TAUGHT, _OWN, _NOISE = range(10, 14)
 @dataclass(frozen=True, eq=False)
 class TrackerMachine:
     """A machine that a tracker measures: a cell with its hidden numbers, nothing planted, and the campaigns on it, to learn from
-    and sealed."""
+    and sealed; play rad: up to which joints are drawn with."""
 
     cell: Cell
     truth: Truth
     campaign: TrackerCampaign
     sealed: TrackerCampaign
+    play: float = 0.0
 
     def with_effects(self, effects: Sequence[Planted]) -> Truth:
         """The same machine with these effects."""
@@ -158,7 +161,7 @@ def effects_stream(seed: int, recipe: Recipe) -> np.random.Generator:
 
 
 def draw_tracker_machine(cell_path: Path, seed: int, recipe: Recipe, readings: int, blind: int) -> TrackerMachine:
-    """The machine of a world: `as_real_arms`, but where the recipe asks for one of which nothing but noise is unknown."""
+    """The machine of a world: `as_real_arms`, but where the recipe asks for one without ripple, play and gross readings."""
     cell = read_cell(cell_path)
     truth = draw_truth(cell, int(stream(seed, recipe, _MACHINE).integers(2**31)), weight_bends="believed")
     own, of_campaign = stream(seed, recipe, _REAL), stream(seed, recipe, _CAMPAIGN)
@@ -168,7 +171,8 @@ def draw_tracker_machine(cell_path: Path, seed: int, recipe: Recipe, readings: i
     else:
         truth = replace(truth, ripple=truth.ripple * [0.0, 1.0, 1.0], play=np.zeros(6), outliers=0.0)
         campaign = random_design(cell, of_campaign, readings)
-    return TrackerMachine(cell, truth, campaign, sealed_design(cell, stream(seed, recipe, _SEALED), blind))
+    sealed = sealed_design(cell, stream(seed, recipe, _SEALED), blind)
+    return TrackerMachine(cell, truth, campaign, sealed, ARM_PLAY if has_background(recipe) else 0.0)
 
 
 def as_real_arms(truth: Truth, rng: np.random.Generator) -> Truth:
@@ -181,11 +185,12 @@ def as_real_arms(truth: Truth, rng: np.random.Generator) -> Truth:
         gear[:lines, 0] = rng.uniform(*GEAR_RIPPLE) * np.sqrt(rng.dirichlet(np.ones(lines)))
         gear[:lines, 1] = rng.choice(np.arange(*GEAR_ORDERS), lines, replace=False)
         gear[:lines, 2] = rng.uniform(0, 2 * np.pi, lines)
+    payloads = {name: (mass * (1 + PAYLOAD_MASS * rng.uniform(-1, 1)), centre) for name, (mass, centre) in truth.payloads.items()}
     return replace(
         truth,
         mass_scale=1 + LINK_MASS * z[:, 0],
         mass_shift=LINK_CENTRE * z[:, 1:],
-        payloads={name: (mass * (1 + PAYLOAD_MASS * rng.normal()), centre) for name, (mass, centre) in truth.payloads.items()},
+        payloads=payloads,
         ripple=ripple,
         tails=TAILS,
     )
@@ -224,7 +229,7 @@ def draw_grinding_machine(
         gains=(SHEAR_GAIN_SD * own.normal(), SHEAR_ZERO_SD * own.normal()),
         warming=WARMING / HOURS * float(own.uniform()) * (recipe.index % 2),
         # At the stops of a tracker's campaign the same arm repeats as it does there.
-        arm=replace(arm, truth=replace(truth, repeatability=REPEATABILITY, outliers=arm.truth.outliers)) if tracker else None,
+        arm=replace(arm, truth=replace(truth, repeatability=REPEATABILITY), play=PLAY * restless) if tracker else None,
         seed=int(own.integers(2**31)),
     )
     made.bare  # noqa: B018 (fills the store)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm import Moments, VirtualArm, hung
+from ocp.simulate.twin.arm import Moments, VirtualArm, hung, link_weights
 from ocp.simulate.twin.kinds import EffectKind, Key
 from ocp.simulate.twin.machine import GRAVITY
 from ocp.simulate.twin.planting import Planted
@@ -36,8 +36,9 @@ Form = Callable[[Planted, Any], Array]
 @dataclass(frozen=True, eq=False)
 class ArmInstants:
     """What forms of the arm and the tracker may depend on, n readings: q (n, 6) rad, sign (n, 6), tau (n, 6) N m, warmth (n,) K,
-    time (n,) s; links (n, 7, 4, 4); mass (n,) kg and centre (n, 3) m (base axes) of the payload; point (n, 3) m of the reading in
-    the tracker's frame, turn (3, 3) from base to tracker axes. Without noise and without effects outside the catalogue."""
+    time (n,) s; links (n, 7, 4, 4), weights: their masses (7,) kg and centres (7, 3) m; mass (n,) kg and centre (n, 3) m (base
+    axes) of the payload; point (n, 3) m of the reading in the tracker's frame, turn (3, 3) from base to tracker axes. Without
+    noise and without effects outside the catalogue."""
 
     robot: Robot
     q: Array
@@ -46,6 +47,7 @@ class ArmInstants:
     warmth: Array
     time: Array
     links: Array
+    weights: tuple[Array, Array]
     mass: Array
     centre: Array
     point: Array
@@ -58,8 +60,8 @@ class ArmInstants:
         weight = GRAVITY * self.robot.gravity_direction
         moment = self.mass[:, None] * np.cross(self.centre - origin, weight)
         for link in range(joint + 1, 7):
-            centre = apply(self.links[:, link], np.broadcast_to(self.robot.link_com[link], (len(self.q), 3)))
-            moment = moment + self.robot.link_mass[link] * np.cross(centre - origin, weight)
+            centre = apply(self.links[:, link], np.broadcast_to(self.weights[1][link], (len(self.q), 3)))
+            moment = moment + self.weights[0][link] * np.cross(centre - origin, weight)
         return moment, np.asarray(moment - (moment * axis).sum(axis=1, keepdims=True) * axis)
 
 
@@ -161,6 +163,7 @@ class OutsideArm(VirtualArm):
             warmth=m.temperature_C - self.reference_C,
             time=m.time_s,
             links=settled.links,
+            weights=link_weights(self.robot, self.truth),
             mass=np.array([mass for mass, _ in loads]),
             centre=apply(settled.links[:, 6], np.array([c for _, c in loads])),
             point=apply(self.truth.T_tracker_base, apply(on, nests)),

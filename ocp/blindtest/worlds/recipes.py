@@ -20,8 +20,8 @@ ASKED = {"outside_late": 4}  # only where --kinds asks for it, so that runs with
 BEYOND = ("outside", "left_out", "outside_late")  # what the library that answers does not hold
 WORDS = {
     "single": "one effect of the catalogue",
-    "none": "no effect, nothing else hidden but placement, springs and nests",
-    "none_background": "no effect; gross readings, weights, ripple and play as real machines have",
+    "none": "no effect, and no ripple, play or gross readings either",
+    "none_background": "no effect, on a machine as real ones are",
     "pair": "two effects at once",
     "triple": "three effects at once",
     "outside": "an effect outside the catalogue",

@@ -118,7 +118,13 @@ class Check:
 
     def fixed(self) -> dict[str, Any]:
         """What may not change when a check is resumed."""
-        known = {"seed": self.seed, "kinds": list(self.kinds), "readings": self.readings, "blind": self.blind}
+        known = {
+            "machines": machines.VERSION,
+            "seed": self.seed,
+            "kinds": list(self.kinds),
+            "readings": self.readings,
+            "blind": self.blind,
+        }
         return known if self.signals == "tracker" else {**known, "signals": self.signals}
 
 

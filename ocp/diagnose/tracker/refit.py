@@ -355,8 +355,7 @@ def _normal(off: float, sd: float) -> float:
 
 def relearned(task: Task, fit: TrackerFit) -> Task:
     """The task with the geometry's prior as wide as the deviations now found (MacKay 1992, eq. 2.20): an effect that is named
-    has left the geometry; and weights that were there believed the better the less the readings ask of them, at most as wide as
-    `rules` says.
+    has left the geometry; and weights believed the better the less the readings ask of them, at most as wide as `rules` says.
     The same task where the widths hardly change."""
     layout = task.layout
     sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
@@ -370,8 +369,7 @@ def relearned(task: Task, fit: TrackerFit) -> Task:
         if abs(np.log(width / before)) > rules.RELEARNED_WIDTH:
             prior[columns] = scale[columns] = width
             changed = True
-    hung = layout.payload[np.unique(task.campaign.readings.payload)]  # of others the readings ask nothing
-    weights = np.append(layout.links, hung[hung >= 0]).astype(int)
+    weights = np.append(layout.links, layout.payload[layout.payload >= 0]).astype(int)
     if len(weights):
         before = float(prior[weights[0]] / scale[weights[0]])
         unit = np.outer(scale[weights], scale[weights])

@@ -99,12 +99,17 @@ def hardware(robot: Robot, truth: Truth) -> Hardware:
     levers = [(p.number("lever_link1_m"), p.number("lever_arm_m")) for p in truth.planted("gravity_compensator")]
     balancer = machine.Balancer(float(springs.sum()), levers[0]) if levers else None
     grows, bending = bool(truth.planted("link_thermal")), own * truth.bends + extra
-    masses = truth.mass_scale * robot.link_mass, robot.link_com + truth.mass_shift
-    design = machine.ArmDesign(robot, truth.mdh, truth.placement, masses, bending, bendings, balancer, grows=grows)
+    weights = link_weights(robot, truth)
+    design = machine.ArmDesign(robot, truth.mdh, truth.placement, weights, bending, bendings, balancer, grows=grows)
     play, taken = _by_joint(truth, "load_backlash", "half_width_rad"), _by_joint(truth, "load_backlash", "torque_Nm")
     none = np.zeros(2 * len(bendings))  # two hinges a link
     contact = np.array([*(own + extra), *(0.5 * b.compliance for b in bendings for _ in range(2))])
     return Hardware(design, machine.Laws(np.array([*cubic, *none]), np.array([*windup, *none]), play, taken), contact)
+
+
+def link_weights(robot: Robot, truth: Truth) -> tuple[Array, Array]:
+    """Masses (7,) kg of base and links, and their centres (7, 3) m in the links' frames."""
+    return truth.mass_scale * robot.link_mass, robot.link_com + truth.mass_shift
 
 
 def _by_joint(truth: Truth, effect: str, key: str) -> Array:
