@@ -438,9 +438,10 @@ three times LEAST_CHANGES."""
 FOLD_TIME = 600.0
 """[s] The same of time. Guards: as FOLD_WARMTH. Reason: ten minutes, some twenty readings."""
 
-NO_BACKGROUND = 0.5
+NO_BACKGROUND = 0.25
 """[-] Prior probability that a machine has no play at all that lasts, and no ripple. Guards: what a corrected model is promised
-to leave. Reason: none is known; even odds."""
+to leave; ripples that other gears do not show. Reason: every gear has ripple (PHYSICS 6, Masses) and a little play (DIAGNOSIS,
+Second method), of some too little to be told from none; no reason known for just a quarter."""
 
 BACKGROUND_SIZES = np.array([0.0, 1e-6, 2.5e-6, 5e-6, 9e-6, 1.5e-5])
 """[rad] Play and ripple that are looked for in what a fit leaves, evenly likely: each stands for what lies nearest; for a name
