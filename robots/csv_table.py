@@ -68,11 +68,11 @@ class CsvTable:
             for k in np.flatnonzero(step <= 0 if strictly else step < 0)[:1]:
                 how = "no later than" if strictly else "after"
                 rule = "times must grow in a run" if strictly else "the rows of a run must be in time order"
-                raise self.refuse(int(rows[k + 1]), column, f"comes {how} {time[rows[k]]:g} in run {shown(name)}; {rule}")
+                raise self.refuse(int(rows[k + 1]), column, f"comes {how} {time[rows[k]]:.10g} in run {shown(name)}; {rule}")
 
     def refuse(self, row: int, column: str, reason: str) -> BadInput:
         """The error to raise about one value."""
-        value = self.words[column][row] if column in self.words else f"{self.numbers[column][row]:g}"
+        value = self.words[column][row] if column in self.words else f"{self.numbers[column][row]:.10g}"
         return BadInput(f"{self.path}, line {self.line[row]}, column {column}: {shown(value)} {reason}")
 
 

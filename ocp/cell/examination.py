@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp.cell.new import planned_family
+from ocp.effects.cell_effects import effect_of
 from ocp.model.cell import Cell, TrackerSetup, payloads_of, read_cell, read_tracker_setup
 from ocp.model.cell_schema import CellTables, LinkTarget
 from ocp.model.prepare import wheel_cover, wheel_law
@@ -43,6 +44,7 @@ HOT = 100.0  # C: no hall is as warm, 295 are kelvin
 SMALL = 1.0  # deg: an arc or a tolerance below is written in radians
 LONG = 1.0  # m from the flange to a blade's frame: what holds it is no holder
 BROAD = 3.0  # diameters: a contact wheel wider than that is a drum
+HUGE = 10.0  # times the upper end of what real cells show of an effect
 GROUND = 0.999  # of the asked surface: what is less is told
 
 
@@ -127,7 +129,7 @@ def findings_of_tables(tables: CellTables, robot: Robot) -> list[Finding]:
     """What the file itself shows: the robot, units, exchanged places, loads, the tracker."""
     found = [*_robot_findings(tables, robot), *_unit_findings(tables), *_flange_findings(tables)]
     found += _place_findings(tables, robot)
-    return [*found, *_load_findings(robot, tables), *_tracker_findings(tables)]
+    return [*found, *_load_findings(robot, tables), *_tracker_findings(tables), *_effect_findings(tables)]
 
 
 def _grindable(cell: Cell, phases: Phases) -> Grindable:
@@ -301,6 +303,24 @@ def _load_findings(robot: Robot, tables: CellTables) -> Iterator[Finding]:
         if load.inertia.max() > load.mass * THICK**2:
             text = f"{load.inertia.max():g} for {load.mass:g} kg: kg mm^2? kg m^2 are asked for"
             yield Finding(DOUBT, key, text)
+
+
+def _effect_findings(tables: CellTables) -> Iterator[Finding]:
+    """Believed effects that stand twice, have a sign that they cannot have, or are larger than any that was seen."""
+    seen = set[tuple[str, int]]()
+    for k, table in enumerate(tables.effects):
+        one = effect_of(table.model_dump()).active
+        key = f"effects[{k}].{one.effect.name}"
+        if one.key in seen:
+            yield Finding(DOUBT, key, "stands there twice; both act")
+        seen.add(one.key)
+        for p in one.effect.parameters:
+            size = np.abs(np.asarray(one.parameters.get(p.key, 0.0), float)).max() if p.unit != "name" else 0.0
+            if not p.signed and p.length == 1 and p.unit != "name" and one.parameters.get(p.key, 0.0) < 0 <= p.low:
+                yield Finding(DOUBT, key, f"{p.key} is negative, which it never is")
+            elif p.key not in one.scanned and size > HUGE * max(abs(p.low), abs(p.high)):
+                text = f"{p.key} = {size:g} {p.unit} is over {HUGE:g} times what real cells show ({p.high:g} {p.unit})"
+                yield Finding(DOUBT, key, text)
 
 
 def _tracker_findings(tables: CellTables) -> Iterator[Finding]:

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ocp.cell.examination import DOUBT, KNOWN, MISTAKE, UNMEASURED, Examined, examine
 from ocp.cell.new import held_upright, new_cell_text, placed_wheel, planned_family
 from ocp.data import CELL
@@ -13,11 +15,13 @@ from ocp.model.cell_schema import CellTables
 from ocp.shell.cache import sha256
 from ocp.shell.output import whole_folder
 from ocp.shell.progress import Phases, Progress
+from robots.errors import BadInput
 from robots.robot import left_out_notices, load_robot
 from robots.toml_files import json_schema
 from trajectories.blade import find_shape, read_blade
 
 FILE, SCHEMA_FILE = "cell.toml", "cell.schema.json"
+FAR_ORIGIN = 5.0  # m of a blade from its file's origin: no holder reaches there
 ORDER = (DOUBT, MISTAKE, UNMEASURED, KNOWN)  # a doubt on units explains the mistake that follows from it
 
 
@@ -44,10 +48,16 @@ def new_cell(robot: str, *, blade: str | Path | None = None, out: str | Path = "
     own = given.is_file()
     model = given.name if own else robot
     held, mended = None, []
-    if planned:
+    if planned or blade is not None:
         solid = read_blade(stl)
         mended = list(solid.notices)
+    if planned:
         held = held_upright(solid, find_shape(solid))
+        away = float(np.linalg.norm(solid.vertices.mean(axis=0)))
+        if away > FAR_ORIGIN:
+            raise BadInput(
+                f"{stl}: lies {away:.3g} m from its file's origin, the blade's frame; move the blade there and export anew"
+            )
     inputs = [*([given] if own else []), *([stl] if blade is not None else [])]
     with whole_folder(out, overwrite, inputs) as folder:
         if own:

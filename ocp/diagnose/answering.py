@@ -23,6 +23,7 @@ from ocp.diagnose.corrected import write_corrected_cell
 from ocp.diagnose.dataset import (
     SEALED,
     DataSet,
+    beyond_measured,
     blinds,
     read_data_set,
     read_sealed_force,
@@ -202,6 +203,8 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         same = effects_key(told[0].active) == effects_key(answer.written)
         written = beside_others(made[0][1] if same else channel.predict(sealed, answer.written), made)
         found[signal] = replace(written, named=made[0][1].corrected)
+        if signal == "tracker" and data.readings is not None:
+            found[signal] = replace(found[signal], beyond=beyond_measured(data.readings, sealed))
         if answer.unknown is not None and signal == answer.unknown.after.name:
             found[signal] = beside_unknown(found[signal], answer.unknown, sealed, told)
             if answer.patch is not None:
@@ -219,8 +222,9 @@ def written_channels(answer: Answer) -> tuple[Channel, ...]:
 
 
 def left_out(sealed: dict[str, Sealed]) -> list[str]:
-    """Sentences on effects that are not in the predictions of sealed conditions."""
-    return [
+    """Sentences on conditions beyond all measured ones, and on effects that are not in the predictions of sealed conditions."""
+    beyond = [one for told in sealed.values() for one in told.beyond]
+    return beyond + [
         f"{SEALED[signal]} lacks a column that {', '.join(told.lacking)} depends on: not in the corrected predictions, its "
         "usual size is in their sigma"
         for signal, told in sealed.items()

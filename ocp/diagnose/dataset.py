@@ -19,11 +19,12 @@ from robots.column_mapping import ColumnMapping, read_column_mapping
 from robots.csv_table import OURS
 from robots.errors import BadInput
 from robots.robot import left_out_notices
-from robots.tracker_readings import BLIND, Hanging, Readings, read_readings
+from robots.tracker_readings import BLIND, POINT, Hanging, Readings, read_readings
 
 CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
 SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv", "joint": "sealed_joints.csv"}
 MEASURED = (TRACKER, FORCE, JOINTS)
+FAR_TURN, FAR_WARMTH = 10.0, 5.0  # deg, K outside of what was measured from which a sealed condition is told
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,30 @@ def read_sealed_tracker(data: DataSet) -> Readings:
     assert data.readings is not None
     sealed = read_readings(data.sealed["tracker"], data.setup.payloads, data.setup.instrument, True, data.mapping)
     return as_in(sealed, data.readings)
+
+
+def beyond_measured(measured: Readings, sealed: Readings) -> tuple[str, ...]:
+    """Sentences on sealed conditions that lie outside what was measured."""
+    file, n = sealed.path.name, len(sealed)
+    found = []
+    if np.isfinite(sealed.point).any():
+        found.append(f"{file}: columns {', '.join(POINT)} were ignored; what is sealed is predicted")
+    hung = {measured.payloads[k] for k in np.unique(measured.payload)}
+    new = [sealed.payloads[k] for k in np.unique(sealed.payload) if sealed.payloads[k] not in hung]
+    if new:
+        rows = int(np.isin(sealed.payload, [sealed.payloads.index(name) for name in new]).sum())
+        found.append(f"{file}: {rows} of {n} rows carry {', '.join(new)}, never measured: mass and centre are taken as stated")
+    ranges = {f"q{j + 1}_deg": (np.degrees(measured.q[:, j]), np.degrees(sealed.q[:, j]), FAR_TURN) for j in range(6)}
+    if measured.temperature is not None and sealed.temperature is not None:
+        ranges["temperature_C"] = measured.temperature, sealed.temperature, FAR_WARMTH
+    for column, (seen, asked, most) in ranges.items():
+        rows = int(np.sum((asked < seen.min() - most) | (asked > seen.max() + most)))
+        if rows:
+            found.append(
+                f"{file}: {rows} of {n} rows have {column} outside of what was measured ({seen.min():.4g} to {seen.max():.4g}): "
+                "nothing speaks for what is predicted there"
+            )
+    return tuple(found)
 
 
 def read_sealed_joints(data: DataSet) -> JointLog:

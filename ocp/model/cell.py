@@ -457,7 +457,7 @@ def files_of(path: str | Path) -> list[Path]:
     path = Path(path)
     tables = read_toml(path, CellTables)
     calibration = tables.robot.calibration
-    covariance = None if calibration is None else str(Path(calibration).with_suffix(".npz"))
+    covariance = str(Path(calibration).with_suffix(".npz")) if calibration is not None and Path(calibration).name else None
     named = [tables.robot.model, calibration, covariance, tables.workpiece.stl if tables.workpiece else None]
     return [path, *(path.parent / name for name in named if name is not None and (path.parent / name).is_file())]
 

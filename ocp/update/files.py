@@ -130,7 +130,7 @@ def last_line(made: Updated, out: Path) -> str:
         f"{out}: {made.fit.figures.rows} readings of {made.log.path.name}, {latest['found_N']:.2f} +- "
         f"{latest['found_sd_N']:.2f} N on average where {latest['expected_N']:.2f} +- {latest['expected_sd_N']:.2f} N were "
         "expected; the wheel has changed by "
-        f"{latest['radius_um']:+.0f} +- {1e6 * radius:.0f} um in radius and wears {latest['wear_um_per_h']:.0f} +- "
+        f"{round(latest['radius_um']):+d} +- {1e6 * radius:.0f} um in radius and wears {round(latest['wear_um_per_h'])} +- "
         f"{3.6e9 * wear:.0f} um an hour; the same program would press {ahead:.2f} +- {sd:.2f} N on the next blade. {preston}"
         f"{out / 'cell.toml'} is the cell for it, for ocp.plan; {out / 'report.html'} says what moved."
     )

@@ -27,7 +27,7 @@ ENTRIES = (
 @dataclass(frozen=True)
 class History:
     """ends: running time s of the wheel where the last log ended, holds: that which the state is for, both None before the first
-    update; offset s: running time over the logs' clock; logs: SHA-256 of the logs used; columns: lists by name of ENTRIES."""
+    update; offset s: running time over the logs' clock; logs: `log_mark` of the logs used; columns: lists by name of ENTRIES."""
 
     ends: float | None = None
     holds: float | None = None

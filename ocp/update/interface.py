@@ -8,7 +8,7 @@ import numpy as np
 
 from ocp.calibrate.force.blade import CORRECTION
 from ocp.calibrate.force.fit import BIAS
-from ocp.calibrate.force.log import ForceLog, steady_rows, without_ramps
+from ocp.calibrate.force.log import ForceLog, log_mark, steady_rows, without_ramps
 from ocp.calibrate.force.registration import ForceFit, fit_force
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.calibrate.interface import logged_cell
@@ -68,8 +68,8 @@ def update(
         if "flange" in parts and believed.flange is None:
             raise BadInput(f"--changed flange: {cell_file} has no [force_flange]; leave it out")
         history = history_of(believed.calibration, cell_file)
-        mark = sha256(log_file)
-        if mark in history.logs:
+        mark = log_mark(log)
+        if {mark, sha256(log_file)} & set(history.logs):  # the file's own hash: of updates before logs were known by content
             raise BadInput(f"{log_file}: an earlier update used this log already; give the log of the blade ground since")
         with phases.phase("contact"):
             setup = prepare_force(replace(believed, calibration=None), [log])
@@ -94,7 +94,7 @@ def updated(
     parts: tuple[str, ...] = (),
     removal: MeasuredDepths | None = None,
 ) -> Updated:
-    """One step of the filter; setup: of the log alone, of the cell without its calibration; mark: SHA-256 of the log.
+    """One step of the filter; setup: of the log alone, of the cell without its calibration; mark: `log_mark` of the log.
 
     Raises Infeasible: the fit does not come to rest, log or removal cannot have come from the cell as last known.
     """

@@ -21,6 +21,7 @@ PLACES, DEPTH = ("px_mm", "py_mm", "pz_mm"), ("removal_um", "sd_um")
 UNIT = 1e-12  # 1/Pa: one um mm^2 / (N m)
 DEPTH_MODEL = 0.05  # of a depth, one sigma: what the footprint's shape is off by where points lie on its flank
 GROUND = 0.1  # of the largest expected depth: below it a point counts as not ground by this log
+LEAST_DEPTHS = 3  # that were ground: fewer do not show how far they scatter
 GROWN = 5.0  # sigmas by which no depth may be negative: grinding adds nothing
 HOURLY = 0.2  # of the coefficient, one sigma per root of an hour in contact: a belt lasts about one and cuts less and less
 CERTAIN = 3.0  # sigmas from zero below which no coefficient is written
@@ -99,12 +100,14 @@ def on_blade(cell: Cell, removal: MeasuredDepths) -> tuple[Array, Array]:
 def preston_from(removal: MeasuredDepths, h: Array) -> Preston:
     """The coefficient by weighted least squares of depth on h (n,), points that were not ground left out.
 
-    Raises Infeasible: no point was ground, or the depths do not differ from zero.
+    Raises Infeasible: fewer than LEAST_DEPTHS points were ground, or the depths do not differ from zero.
     """
     used: Flags = h > GROUND * h.max()
-    if not h.max() > 0 or not used.any():
+    count = int(used.sum()) if h.max() > 0 else 0
+    if count < LEAST_DEPTHS:
         raise Infeasible(
-            f"{removal.path}: no point lies where the force log ground; measure where it did, or give the log of all lines"
+            f"{removal.path}: {count or 'no'} point{'s lie' if count > 1 else ' lies'} where the force log ground, at least "
+            f"{LEAST_DEPTHS} are needed; measure where it did, or give the log of all lines"
         )
     y, x, sd = removal.depth[used], h[used], removal.sd[used]
     k = float(np.sum(y * x / sd**2) / np.sum(x**2 / sd**2))

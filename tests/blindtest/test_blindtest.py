@@ -96,6 +96,13 @@ def test_derivatives_are_those_of_the_machine(machine, scene):
     assert A.shape[2] == len(sd) == column + 12 + 18 + len(truth.payloads) + 6
 
 
+def test_play_is_believed_as_wide_as_it_is_drawn(machine):
+    """Of a machine that grinds and is measured it is a tenth of a tracker's."""
+    for play in (machine.play, 0.1 * machine.play):
+        _, sd = tracker_nuisance(scene_of(replace(machine, play=play)))
+        np.testing.assert_allclose(sd[-6:], play / np.sqrt(3.0))
+
+
 def test_lambda_is_the_quadratic_form(machine, scene):
     effect = parse_effect("backlash:5=1e-4")
     d = (machine.points([effect]) - machine.points(())).ravel()

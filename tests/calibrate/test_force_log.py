@@ -6,7 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ocp.calibrate.force.log import BLIND, UNITS_APART, read_force_log, refuse_force_unit, without_ramps
+from ocp.calibrate.force.log import (
+    BLIND,
+    LEAST_ROWS,
+    STILL,
+    UNITS_APART,
+    read_force_log,
+    refuse_few_rows,
+    refuse_force_unit,
+    without_ramps,
+)
 from robots.errors import BadInput
 
 NEEDED = ["run", "time_s", *(f"q{i}_deg" for i in range(1, 7)), "px_mm", "py_mm", "pz_mm", "nx", "ny", "nz", "tx", "ty", "tz"]
@@ -123,6 +132,7 @@ def test_taking_rows_keeps_names(tmp_path):
         ({"setpoint_N": -5.0}, r"line 4, column setpoint_N: -5 must be zero or above"),
         ({"feed_mm_s": -5.0}, r"line 4, column feed_mm_s: -5 must be zero or above"),
         ({"line": 1.5}, r"line 4, column line: 1.5 must be a whole number"),
+        ({"clock_s": -1.0}, r"line 4, column clock_s: -1 comes after 5 in run a; the rows of a run must be in time order"),
         ({"ground_before": -1}, r"line 4, column ground_before: -1 must be a whole number"),
     ],
 )
@@ -131,6 +141,29 @@ def test_what_is_wrong_is_refused_with_its_place(tmp_path, change, message):
     table[2] |= change
     with pytest.raises(BadInput, match=r"force\.csv, " + message):
         read(tmp_path, table)
+
+
+def test_clocks_run_and_recordings_are_given_once(tmp_path):
+    with pytest.raises(BadInput, match="line 2, column clock_s: -5 must be zero or above"):
+        read(tmp_path, rows(clock_s=-5.0))
+    noise = np.random.default_rng(0).normal(size=STILL + 1)
+    table = [row | {"fn_N": 20.0 + v} for row, v in zip(rows(STILL + 1), noise, strict=True)]
+    assert len(read(tmp_path, table)) == STILL + 1
+    for column in ("clock_s", "time_s"):
+        with pytest.raises(BadInput, match=rf"column {column}: 3 stands still through every recording"):
+            read(tmp_path, [row | {column: 3.0} for row in table])
+    again = [row | {"run": "b"} for row in table]
+    with pytest.raises(BadInput, match=rf"line {STILL + 3}, column run: b holds the readings of run a again"):
+        read(tmp_path, table + again)
+    again[7]["fn_N"] += 1e-3
+    assert len(read(tmp_path, table + again)) == 2 * (STILL + 1)
+
+
+def test_too_few_rows_in_a_row_tell_no_noise(tmp_path):
+    refuse_few_rows(read(tmp_path, rows(LEAST_ROWS)))
+    for few in (rows(LEAST_ROWS - 1), [row | {"run": str(k)} for k, row in enumerate(rows(200))]):
+        with pytest.raises(BadInput, match=r"no recording has more than \d+ rows in contact; at least 20 are needed"):
+            refuse_few_rows(read(tmp_path, few))
 
 
 def test_a_log_without_contact_or_with_the_wrong_sign_is_refused(tmp_path):

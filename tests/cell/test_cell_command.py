@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 from ocp.cell.__main__ import app
@@ -143,6 +144,7 @@ def test_a_wheel_beyond_reach_is_a_mistake_and_exit_1(new, tmp_path):
     [
         (("new", "--robot", "kr99"), "not in the catalogue"),
         (("new", "--robot", "kr210_r2700_extra", "--blade", "nix.stl"), "nix.stl"),
+        (("new", "--robot", "ur5", "--blade", "nix.stl"), "nix.stl"),
         (("new",), "--robot"),
         (("check", "nix.toml"), "nix.toml"),
         (("show", "nix.toml"), "nix.toml"),
@@ -153,3 +155,18 @@ def test_what_is_refused_writes_nothing(tmp_path, monkeypatch, words, told):
     answer = call(*words)
     assert answer.exit_code == 2 and told in answer.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_blade_far_from_its_origin_is_told_by_its_own_name(tmp_path):
+    blade = read_blade(CELL.parent / "blade.stl")
+    far = tmp_path / "far.stl"
+    trimesh.Trimesh(1e3 * (blade.vertices + [9.0, 0.0, 0.0]), blade.faces, process=False).export(far)
+    answer = call("new", "--robot", "kr210_r2700_extra", "--blade", str(far), "--out", str(tmp_path / "cell"))
+    assert answer.exit_code == 2 and f"{far}: lies 9 m" in answer.stderr and not (tmp_path / "cell").exists()
+
+
+def test_a_calibration_that_is_a_folder_is_refused_in_one_sentence(tmp_path):
+    text = (CELL.parent / "cell.toml").read_text()
+    (tmp_path / "cell.toml").write_text(text.replace("[robot]", '[robot]\ncalibration = "."', 1))
+    answer = call("show", str(tmp_path / "cell.toml"), "--out", str(tmp_path / "page"))
+    assert answer.exit_code == 2 and "Is a directory" in answer.stderr and answer.stderr.count("\n") == 1

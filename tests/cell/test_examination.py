@@ -44,6 +44,7 @@ def test_how_large_the_wheel_is_stands_where_a_diameter_given_for_the_radius_is_
     assert [(f.key, "80 mm across" in f.text) for f in found(CELL) if f.kind == KNOWN] == [("wheel.radius_mm", True)]
 
 
+BACKLASH = '[[effects]]\neffect = "backlash"\njoint = 5\nhalf_width_rad = {}\n'
 SLIPS = {
     "metres": (("[1700, 0, 900]", "[1.7, 0, 0.9]"), DOUBT, "wheel.centre_mm", "metres?"),
     "holder in metres": (("xyz_mm = [0, 0, 200]", "xyz_mm = [0, 0, 0.2]"), DOUBT, "workpiece.xyz_mm", "metres?"),
@@ -110,6 +111,9 @@ SLIPS = {
     "inverse": (("xyz_mm = [0, 0, 200]", "xyz_mm = [0, 0, -200]"), DOUBT, "workpiece.xyz_mm", "inverse lies before it"),
     "clamp holds nothing": (("clamp_to_mm = 10.0", "clamp_to_mm = -10.0"), MISTAKE, "workpiece.clamp_to_mm", "holds nothing"),
     "clamp holds all": (("clamp_to_mm = 10.0", "clamp_to_mm = 500.0"), MISTAKE, "workpiece.clamp_to_mm", "holds all"),
+    "a huge effect": (("[robot]", BACKLASH.format(7.0) + "[robot]"), DOUBT, "effects[0].backlash", "over 10 times"),
+    "a negative play": (("[robot]", BACKLASH.format(-1e-4) + "[robot]"), DOUBT, "effects[0].backlash", "never is"),
+    "an effect twice": (("[robot]", 2 * BACKLASH.format(1e-4) + "[robot]"), DOUBT, "effects[1].backlash", "twice"),
     "clamp at the tip": (('clamp_side = "below"', 'clamp_side = "above"'), DOUBT, "workpiece.clamp_side", "turned?"),
 }
 

@@ -1,5 +1,7 @@
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,9 +9,12 @@ import pytest
 
 from ocp.diagnose import answering
 from ocp.diagnose.answering import grouped, write_diagnosis
+from ocp.diagnose.dataset import beyond_measured
+from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.report import verdict_sentence
 from ocp.shell.progress import Phases
 from tests.support.diagnosis_folder import write_tracker_folder
+from tests.support.simulated_campaign import campaign_readings
 
 LATE = ("matplotlib", "jinja2", "trimesh", "networkx")  # seconds of imports that a tracker's diagnosis does not wait for
 
@@ -43,3 +48,28 @@ def test_effects_hidden_for_one_reason_are_told_together_but_not_those_that_read
         f"tracker.csv has no column {c}: {name} cannot be seen" for c, name in (("time_s", "a"), ("speed", "b"), ("time_s", "c"))
     ]
     assert grouped(told) == ["tracker.csv has no column time_s: a, c cannot be seen"]
+
+
+def test_names_that_cannot_be_told_apart_are_both_in_the_sentence():
+    play, windup, drift = Name("backlash", 1), Name("friction_windup", 1), Name("tracker_drift", 0)
+    told = verdict_sentence._or_what_it_may_be(windup, ((play, windup),))
+    assert told == "friction windup of joint 1 or backlash of joint 1"
+    assert verdict_sentence._or_what_it_may_be(drift, ((play, windup),)) == verdict_sentence.effect_words(drift)
+
+
+def test_sealed_conditions_beyond_the_measured_ones_are_told():
+    measured = replace(campaign_readings(np.random.default_rng(1), 40), temperature=np.linspace(20.0, 25.0, 40))
+    heaviest = int(measured.payload.max())
+    seen = measured.take(np.flatnonzero(measured.payload != heaviest))
+    none = np.full((6, 3), np.nan)
+    like = replace(seen.take(np.arange(6)), path=Path("sealed_tracker.csv"), point=none)
+    assert beyond_measured(seen, like) == ()
+    q = like.q.copy()
+    q[0, 0] = seen.q[:, 0].max() + np.radians(10.5)
+    q[1, 0] = seen.q[:, 0].max() + np.radians(9.5)
+    odd = replace(like, q=q, temperature=np.array([20.0, 30.5, 29.5, 14.5, 15.5, 25.0]), point=np.zeros((6, 3)))
+    odd = replace(odd, payload=np.array([heaviest, heaviest, *odd.payload[2:]]))
+    ignored, heavy, turned, warm = beyond_measured(seen, odd)
+    assert "x_mm, y_mm, z_mm were ignored" in ignored
+    assert f"2 of 6 rows carry {seen.payloads[heaviest]}, never measured" in heavy
+    assert "1 of 6 rows have q1_deg outside" in turned and "2 of 6 rows have temperature_C outside" in warm

@@ -123,6 +123,11 @@ def test_the_second_update_begins_where_the_first_ended(done):
 def test_a_log_is_used_once(done):
     with pytest.raises(BadInput, match="an earlier update used this log already"):
         update(done.folder / "next.csv", cell=done.folder / "second" / "cell.toml", out=done.folder / "third")
+    lines = (done.folder / "next.csv").read_bytes().replace(b"\r\n", b"\n")
+    (done.folder / "unix.csv").write_bytes(lines)
+    assert lines != (done.folder / "next.csv").read_bytes()
+    with pytest.raises(BadInput, match="an earlier update used this log already"):
+        update(done.folder / "unix.csv", cell=done.folder / "second" / "cell.toml", out=done.folder / "third")
     assert not (done.folder / "third").exists()
 
 

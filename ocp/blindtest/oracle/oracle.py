@@ -13,8 +13,8 @@ Evidence of a family with columns C (white), coefficients of prior width t times
 
     log Z(t) = -1/2 log det(1 + t^2 G) + 1/2 b^T (G + 1 / t^2)^-1 b,     G = u C^T C u,  b = u C^T y
 
-What it is asked about is linear: y = W (d + A x + noise), x drawn anew from P; a tracker's noise too, gears' ripple with it, from
-a normal law that says as much as its tails leave; a log's is the world's own. Size and
+What it is asked about is linear: y = W (d + A x + noise), x drawn anew from P; a tracker's noise too, from
+Sigma: ripple scatters there, and tails leave a normal law that says as much. A log's is the world's own. Size and
 class are those of the likeliest member of the planted family, estimated from the readings with the widest usual prior
 (independent of what was planted); so neither is perfect, and a diagnosis that knows less cannot be asked for more.
 """

@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 
-from ocp.blindtest.worlds.machines import GEAR_ORDERS as ORDERS_DRAWN
 from ocp.blindtest.worlds.machines import LINK_CENTRE, LINK_MASS, PAYLOAD_MASS, TrackerMachine
 from ocp.model.cell import Cell
 from ocp.simulate.twin.arm import Moments, make_arm
@@ -147,13 +146,8 @@ def tracker_root(scene: TrackerScene) -> Array:
 
 
 def drawn_noise(scene: TrackerScene, rng: np.random.Generator) -> Array:
-    """Noise (n, 3) m of a campaign: that of readings, none of them gross, and ripple of as large lines of other orders."""
-    size = scene.truth.ripple[:, :, 0]
-    quiet = replace(scene, truth=replace(scene.truth, ripple=0.0 * scene.truth.ripple))
-    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(point_covariance(quiet)), rng.normal(size=(len(scene), 3)))
-    order, phase = rng.integers(*ORDERS_DRAWN, size.shape), rng.uniform(0, 2 * np.pi, size.shape)
-    q = scene.campaign.moments.q
-    return np.asarray(noise + np.einsum("nij,nj->ni", scene.D, (size * np.cos(order * q[:, :, None] + phase)).sum(axis=2)))
+    """Noise (n, 3) m of a campaign, none of its readings gross."""
+    return np.asarray(np.einsum("nij,nj->ni", np.linalg.cholesky(point_covariance(scene)), rng.normal(size=(len(scene), 3))))
 
 
 def white_points(W: Array, changes: Array) -> Array:

@@ -1,5 +1,6 @@
 """A grinding-force log as recorded: axes, planned contact points, forces and conditions (FORMATS, force.csv)."""
 
+import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from ocp.model.cell import Cell
 from robots.column_mapping import ColumnMapping
 from robots.csv_table import OURS, CsvTable, read_csv_table
-from robots.errors import BadInput
+from robots.errors import BadInput, shown
 from robots.pose import Array
 
 Index = NDArray[np.int64]
@@ -33,16 +34,15 @@ BLIND = {
     "wheel_temperature_C": "heat in the wheel cannot be tested",
 }
 # Columns in SI that are taken as they are, by their names here.
-PLAIN = {
-    **{"ft": "ft_N", "belt": "belt_m_s", "clock": "clock_s"},
-    **{"temperature": "temperature_C", "wheel_temperature": "wheel_temperature_C"},
-}
+PLAIN = {**{"ft": "ft_N", "belt": "belt_m_s"}, **{"temperature": "temperature_C", "wheel_temperature": "wheel_temperature_C"}}
 UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
 UNITS_APART = 30.0  # no process runs at thirty times its setpoint; kilonewtons and grams are farther off
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
 STILL = 100  # rows in contact after the first of their recording: one that never changes over more of them is no reading
+LEAST_ROWS = 20  # in contact of one recording: a sensor's noise is known to a quarter of itself by so many
+COPIED = 5  # rows from which a recording that is another's to the last digit is its copy
 STEADY = 0.75  # of a run's usual largest feed, up to which wheel and blade meet
 SETTLING = 0.08  # s after that: three time constants and the delay of a flange of 10 Hz and 10 ms
 
@@ -112,7 +112,10 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
                 raise table.refuse(row, column, "is empty where a label is expected; give one or remove the row")
     run, runs = table.labels("run")
     session, sessions = table.labels("session")
-    table.check_order("time_s", run, runs, strictly=False)
+    for column in ("time_s", "clock_s"):
+        if column in table.numbers:
+            table.check_order(column, run, runs, strictly=False)
+            _check_running(table, column, run)
     fn = np.full(len(table), np.nan) if sealed else table.numbers["fn_N"]
     known = {*table.numbers, *table.words, *(("contact", "ft_N") if sealed else ())}
     blind = [f"{table.path.name}: no column {c}: {text}" for c, text in BLIND.items() if c not in known]
@@ -120,6 +123,7 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
     contact = _contact(table, fn, run)
     if not sealed:
         _check_force(table, fn, contact, run)
+        _check_copies(table, fn, run, runs)
     return ForceLog(
         path=table.path,
         run=run,
@@ -142,8 +146,27 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
         ground_before=_counts(table, "ground_before"),
         row=np.array(table.line),
         notices=(*ignored, *blind),
+        clock=table.column("clock_s", 1.0, lambda v: v < 0, "zero or above: how long the wheel has run"),
         **{name: table.numbers.get(column) for name, column in PLAIN.items()},
     )
+
+
+def refuse_few_rows(log: ForceLog) -> None:
+    """Raises BadInput: no recording has LEAST_ROWS rows in contact."""
+    most = int(np.bincount(log.run[log.contact]).max(initial=0))
+    if most < LEAST_ROWS:
+        raise BadInput(
+            f"{log.path}, columns run, contact: no recording has more than {most} rows in contact; at least {LEAST_ROWS} are "
+            "needed to tell the sensor's noise"
+        )
+
+
+def log_mark(log: ForceLog) -> str:
+    """SHA-256 of what a log tells, whatever its line endings or the order of its columns."""
+    told = hashlib.sha256()
+    for values in (log.run, log.time, log.q, log.p, log.fn):
+        told.update(np.ascontiguousarray(values).tobytes())
+    return told.hexdigest()
 
 
 def steady_rows(log: ForceLog) -> Flags:
@@ -241,6 +264,27 @@ def _check_force(table: CsvTable, fn: Array, contact: Flags, run: Index) -> None
             "fn_N",
             "stays the same through every recording, as a setpoint does; give what the sensor read",
         )
+
+
+def _check_running(table: CsvTable, column: str, run: Index) -> None:
+    """Raises BadInput: a clock that stands still through every recording of more than STILL rows."""
+    time = table.numbers[column]
+    long = [at for i in range(int(run.max()) + 1) if len(at := np.flatnonzero(run == i)) > STILL]
+    if long and all(np.ptp(time[at]) == 0 for at in long):
+        raise table.refuse(int(long[0][-1]), column, "stands still through every recording; give a time that runs")
+
+
+def _check_copies(table: CsvTable, fn: Array, run: Index, runs: tuple[str, ...]) -> None:
+    """Raises BadInput: a recording of more than COPIED rows that has the same postures and forces as another."""
+    seen: dict[bytes, int] = {}
+    q = table.stack(AXES)
+    for i in range(len(runs)):
+        at = np.flatnonzero(run == i)
+        first = seen.setdefault(np.column_stack([q[at], fn[at]]).tobytes(), i) if len(at) > COPIED else i
+        if first != i:
+            raise table.refuse(
+                int(at[0]), "run", f"holds the readings of run {shown(runs[first])} again; give each recording once"
+            )
 
 
 def _counts(table: CsvTable, column: str) -> Index | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ocp.calibrate.force.assessment import HeldOutForce, directions_seen, held_out_blocks, not_identified
 from ocp.calibrate.force.fit import BIAS, FIT_NAMES, ForceSolution, force_prior, solve_force_log
-from ocp.calibrate.force.log import Flags, ForceLog
+from ocp.calibrate.force.log import Flags, ForceLog, refuse_few_rows
 from ocp.calibrate.force.rows import ForceSetup, prepare_force
 from ocp.model.cell import Cell
 from robots.calibration.carried import carried_over
@@ -99,9 +99,10 @@ class ForceFit:
 def fit_force(cell: Cell, log: ForceLog, robot: Calibration | None = None, setup: ForceSetup | None = None) -> ForceFit:
     """Fit a force log of `cell`, jointly with the posterior `robot` of its arm (default: the cell's own calibration).
 
-    `setup` from `prepare_force(cell, [log, ...])` saves preparing again; the log must be its first. Raises BadInput and
-    Infeasible as `prepare_force` and `solve_force_log`.
+    `setup` from `prepare_force(cell, [log, ...])` saves preparing again; the log must be its first. Raises BadInput: as
+    `refuse_few_rows`; it and Infeasible: as `prepare_force` and `solve_force_log`.
     """
+    refuse_few_rows(log)
     if setup is None:
         setup = prepare_force(cell, [log])
     rows = setup.rows[0]

@@ -170,7 +170,7 @@ class Sealed:
     written, and one sigma of the corrected one for the noise-free value; named: corrected by all names, written or not. lacking:
     named effects that are left out of the correction, because the conditions do not say what they depend on; their usual size is
     in sigma. patched, patched_sigma: the same with a patch (None: there is none); inside (r,): whether all it varies with lies in
-    its measured range."""
+    its measured range; beyond: sentences on conditions that lie outside what was measured."""
 
     baseline: Array
     corrected: Array
@@ -180,6 +180,7 @@ class Sealed:
     patched: Array | None = None
     patched_sigma: Array | None = None
     inside: NDArray[np.bool_] | None = None
+    beyond: tuple[str, ...] = ()
 
 
 class Channel(Protocol):

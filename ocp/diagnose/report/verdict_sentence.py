@@ -130,9 +130,10 @@ def verdict_sentence(answer: Answer) -> str:
     best = d.explanations[0]
     if d.verdict == "partly":
         verb = "explain" if len(best.names) > 1 else "explains"
-        first = f"{_capital(effects_words(best.names))} {verb} a part of the gap ({percent(best.probability)})"
+        what = _capital(listed([_or_what_it_may_be(name, d.classes) for name in best.names]))
+        first = f"{what} {verb} a part of the gap ({percent(best.probability)})"
         return f"{first}; something outside the catalogue remains{_remainder(answer)}. {_levels(answer)}{_promise(answer)}."
-    what = _capital(effects_words(best.names))
+    what = _capital(listed([_or_what_it_may_be(name, d.classes) for name in best.names]))
     if d.verdict == "explained":
         plural = "explain" if len(best.names) > 1 else "explains"
         return f"{what} {plural} the gap (sure to {percent(best.probability)}). {_levels(answer)}{_promise(answer)}."
@@ -143,6 +144,12 @@ def verdict_sentence(answer: Answer) -> str:
     else:
         first = f"{what} is the likeliest cause, with {percent(best.probability)}, but not settled"
     return f"{first}{_alternatives(answer, certain)}. {_levels(answer)}{_promise(answer)}."
+
+
+def _or_what_it_may_be(name: Name, classes: Sequence[tuple[Name, ...]]) -> str:
+    """'backlash of joint 1 or friction windup of joint 1', where the data cannot tell them apart."""
+    others = [one for group in classes if name in group for one in group if one != name]
+    return " or ".join(effect_words(one) for one in (name, *others))
 
 
 def _remainder(answer: Answer) -> str:
