@@ -36,9 +36,11 @@ def test_the_coefficient_comes_back_with_its_doubt():
 
 
 def test_points_beside_the_lines_are_left_out():
-    h = np.array([2e6, 2e6, 1e5, 0.0])
-    found = preston_from(measured(1e-11 * h + np.array([0, 0, 5e-6, 5e-6])), h)
-    assert found.value == pytest.approx(1e-11) and (found.points, found.left_out) == (2, 2)
+    h = np.array([2e6, 2e6, 2e6, 1e5, 0.0])
+    found = preston_from(measured(1e-11 * h + np.array([0, 0, 0, 5e-6, 5e-6])), h)
+    assert found.value == pytest.approx(1e-11) and (found.points, found.left_out) == (3, 2)
+    with pytest.raises(Infeasible, match="2 points lie where the force log ground, at least 3 are needed"):
+        preston_from(measured(1e-11 * h[1:]), h[1:])
 
 
 @pytest.mark.parametrize(("depth", "h", "said"), [(2e-5, 0.0, "no point lies where"), (1e-7, 1e6, "do not differ from zero")])
