@@ -10,7 +10,7 @@ from ocp.calibrate.tracker import as_in
 from ocp.diagnose.joints.channel import HAVE as JOINT_COLUMNS
 from ocp.diagnose.joints.channel import seen_by_encoder
 from ocp.diagnose.joints.log import JointLog, read_joint_log
-from ocp.diagnose.rules import LEAST_READINGS
+from ocp.diagnose.rules import FAR_TURN, FAR_WARMTH, LEAST_READINGS
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import shown_in
 from ocp.model.cell import Cell, TrackerSetup, files_of, read_cell, read_tracker_setup
@@ -24,7 +24,6 @@ from robots.tracker_readings import BLIND, POINT, Hanging, Readings, read_readin
 CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
 SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv", "joint": "sealed_joints.csv"}
 MEASURED = (TRACKER, FORCE, JOINTS)
-FAR_TURN, FAR_WARMTH = 10.0, 5.0  # deg, K outside of what was measured from which a sealed condition is told
 
 
 @dataclass(frozen=True)

@@ -160,9 +160,10 @@ def test_clocks_run_and_recordings_are_given_once(tmp_path):
 
 
 def test_too_few_rows_in_a_row_tell_no_noise(tmp_path):
-    refuse_few_rows(read(tmp_path, rows(LEAST_ROWS)))
-    for few in (rows(LEAST_ROWS - 1), [row | {"run": str(k)} for k, row in enumerate(rows(200))]):
-        with pytest.raises(BadInput, match=r"no recording has more than \d+ rows in contact; at least 20 are needed"):
+    refuse_few_rows(read(tmp_path, rows(LEAST_ROWS + 1)))
+    refuse_few_rows(read(tmp_path, [row | {"run": str(k // 2)} for k, row in enumerate(rows(2 * LEAST_ROWS))]))
+    for few in (rows(LEAST_ROWS), [row | {"run": str(k)} for k, row in enumerate(rows(200))]):
+        with pytest.raises(BadInput, match=r"\d+ rows in contact follow another one .*; at least 20 are needed"):
             refuse_few_rows(read(tmp_path, few))
 
 

@@ -41,7 +41,7 @@ UNITS_APART = 30.0  # no process runs at thirty times its setpoint; kilonewtons 
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
 STILL = 100  # rows in contact after the first of their recording: one that never changes over more of them is no reading
-LEAST_ROWS = 20  # in contact of one recording: a sensor's noise is known to a quarter of itself by so many
+LEAST_ROWS = 20  # in contact that follow another of their recording: a sensor's noise is known to a quarter of itself by so many
 COPIED = 5  # rows from which a recording that is another's to the last digit is its copy
 STEADY = 0.75  # of a run's usual largest feed, up to which wheel and blade meet
 SETTLING = 0.08  # s after that: three time constants and the delay of a flange of 10 Hz and 10 ms
@@ -152,12 +152,12 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
 
 
 def refuse_few_rows(log: ForceLog) -> None:
-    """Raises BadInput: no recording has LEAST_ROWS rows in contact."""
-    most = int(np.bincount(log.run[log.contact]).max(initial=0))
-    if most < LEAST_ROWS:
+    """Raises BadInput: fewer than LEAST_ROWS rows in contact follow another one of their recording."""
+    follow = int(np.maximum(np.bincount(log.run[log.contact]) - 1, 0).sum())
+    if follow < LEAST_ROWS:
         raise BadInput(
-            f"{log.path}, columns run, contact: no recording has more than {most} rows in contact; at least {LEAST_ROWS} are "
-            "needed to tell the sensor's noise"
+            f"{log.path}, columns run, contact: {follow} rows in contact follow another one of their recording; at least "
+            f"{LEAST_ROWS} are needed to tell the sensor's noise"
         )
 
 
