@@ -28,7 +28,7 @@ from ocp.blindtest.answers import FAULTS
 from ocp.blindtest.oracle.tracker import TrackerView, exact_whitener, scene_of, tracker_nuisance, tracker_root, white_points
 from ocp.blindtest.running import draw_effects
 from ocp.blindtest.scoring import decided_names, declared_classes, first_right, matched
-from ocp.blindtest.worlds.machines import TrackerMachine, arm_with_outside
+from ocp.blindtest.worlds.machines import PAYLOAD_MASS, TrackerMachine, arm_with_outside
 from ocp.blindtest.worlds.recipes import BINS, SEVERAL, STRANGE, Recipe
 from ocp.blindtest.worlds.sealing import write_cell
 from ocp.data import CELL
@@ -87,6 +87,8 @@ def view_of(machine: TrackerMachine) -> TrackerView:
     A, sd = tracker_nuisance(scene)
     springs = 42 + 3 * len(dict.fromkeys(scene.campaign.targets))
     sd[springs : springs + 6] = SPRING
+    payloads = springs + 6 + 7 + 18  # after springs, masses and centres of the links
+    sd[payloads : payloads + len(machine.truth.payloads)] = PAYLOAD / (PAYLOAD_MASS / np.sqrt(3.0))
     W = tracker_root(scene)
     return TrackerView(machine, scene, exact_whitener(partial(white_points, W), white_points(W, A) * sd))
 

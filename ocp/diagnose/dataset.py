@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_force_unit, without_ramps
+from ocp.calibrate.force.log import ForceLog, read_force_log, refuse_few_rows, refuse_force_unit, without_ramps
 from ocp.calibrate.tracker import as_in
 from ocp.diagnose.joints.channel import HAVE as JOINT_COLUMNS
 from ocp.diagnose.joints.channel import seen_by_encoder
@@ -92,6 +92,7 @@ def read_data_set(folder: str | Path, columns: Path | None = None) -> DataSet:
         log = read_force_log(folder / FORCE, mapping=mapping)
         refuse_force_unit(log, cell)
         log = without_ramps(log)
+        refuse_few_rows(log)
     if JOINTS in found:
         joints = read_joint_log(folder / JOINTS, mapping)
     sealed = {signal: folder / name for signal, name in SEALED.items() if (folder / name).is_file()}

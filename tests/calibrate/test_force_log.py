@@ -150,9 +150,14 @@ def test_clocks_run_and_recordings_are_given_once(tmp_path):
     table = [row | {"fn_N": 20.0 + v} for row, v in zip(rows(STILL + 1), noise, strict=True)]
     assert len(read(tmp_path, table)) == STILL + 1
     for column in ("clock_s", "time_s"):
-        with pytest.raises(BadInput, match=rf"column {column}: 3 stands still through every recording"):
+        with pytest.raises(BadInput, match=rf"column {column}: 3 stands still throughout"):
             read(tmp_path, [row | {column: 3.0} for row in table])
     again = [row | {"run": "b"} for row in table]
+    late = [row | {"run": "b", "clock_s": 60.0, "fn_N": row["fn_N"] + 0.1} for row in table]
+    stamped = [row | {"clock_s": 0.0} for row in table] + late
+    assert len(read(tmp_path, stamped)) == 2 * (STILL + 1)
+    air = [row | {"run": run, "fn_N": 0.0, "contact": 0} for run in "cd" for row in table[:10]]
+    assert len(read(tmp_path, [row | {"contact": 1} for row in table] + air)) == STILL + 21
     with pytest.raises(BadInput, match=rf"line {STILL + 3}, column run: b holds the readings of run a again"):
         read(tmp_path, table + again)
     again[7]["fn_N"] += 1e-3

@@ -16,7 +16,7 @@ from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active
 from ocp.shell.progress import Phases
-from robots.errors import Infeasible
+from robots.errors import BadInput, Infeasible
 from tests.support.house import ROOT
 
 WORLDS = ROOT.parent / "shared" / "data" / "worlds"
@@ -80,3 +80,15 @@ def test_what_the_readings_tell_is_told_beside_a_log_that_no_name_fits(channels,
     assert [a.key for a in found.active] == [("encoder_scale", 3)] and found.verdict == "partly"
     assert [c.name for c in found.channels] == ["tracker", "force"] and not found.channels[1].active
     assert any(why.startswith("force: 3 fits in a row") for why in found.unknown_reasons)
+
+
+def test_a_log_of_single_rows_is_refused_in_one_sentence(tmp_path):
+    for name in ("cell.toml", "blade.stl"):
+        shutil.copy(WORLDS / "force_no_effect" / name, tmp_path / name)
+    with (WORLDS / "force_no_effect" / "force.csv").open(newline="") as file:
+        head, *rows = csv.reader(file)
+    run = head.index("run")
+    with (tmp_path / "force.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([head, *([*row[:run], str(k), *row[run + 1 :]] for k, row in enumerate(rows[:300]))])
+    with pytest.raises(BadInput, match="0 rows in contact follow another one of their recording; at least 20 are needed"):
+        read_data_set(tmp_path)

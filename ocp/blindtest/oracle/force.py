@@ -23,7 +23,7 @@ from ocp.blindtest.worlds.sealing import log_noise
 from ocp.simulate.twin.arm import make_arm
 from ocp.simulate.twin.contact.sensor import SLOW_SHARE, SLOW_TIME
 from ocp.simulate.twin.planting import Planted
-from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, SENSOR_SIGMA, STIFFNESS
+from ocp.simulate.twin.truth import PLACEMENT, SENSOR_SIGMA, STIFFNESS
 from robots.pose import Array
 
 NUDGE, TURN = 2e-5, 4e-5  # m, rad: steps of the differences; the contact is solved to far less
@@ -93,10 +93,9 @@ def _of_arm(machine: GrindingMachine, s: ForceSlopes) -> Array:
     columns.append(s.joint * (s.torque * s.compliance) * STIFFNESS / np.sqrt(3.0))
     masses = np.zeros((2, n, 7))
     still = machine.bench.still(machine.rows, machine.hall(machine.rows))
-    sd = machines.LINK_MASS if machine.truth.mass_shift.any() else MASS_SD
     for link in range(1, 7):
         torque = tracker.torque_of_mass(machine.bench.cell, machine.truth, still, s.torque, link)
-        masses[..., link] = np.einsum("snj,nj->sn", s.joint, torque * s.compliance) * sd
+        masses[..., link] = np.einsum("snj,nj->sn", s.joint, torque * s.compliance) * tracker.mass_sd(machine.truth)
     columns.append(masses)
     for other in tracker.other_weights(machine.truth):
         torque = make_arm(machine.bench.cell, other).settled(still).load_torque[:, :6] - s.torque

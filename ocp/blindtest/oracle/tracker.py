@@ -197,18 +197,22 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
     truth, moments = scene.truth, scene.campaign.moments
     compliance = weight_compliance(truth)
     parts.append((scene.D * (scene.tau * compliance)[:, None, :], [STIFFNESS / np.sqrt(3.0)] * 6))
-    real = bool(truth.mass_shift.any())
     masses = np.zeros((n, 3, 7))
     for link in range(1, 7):
         torque = torque_of_mass(scene.cell, truth, moments, scene.tau, link)
         masses[:, :, link] = np.einsum("nij,nj->ni", scene.D, torque * compliance)
-    parts.append((masses, [LINK_MASS if real else MASS_SD] * 7))
+    parts.append((masses, [mass_sd(truth)] * 7))
     for other in other_weights(truth):
         torque = make_arm(scene.cell, other).settled(moments).load_torque[:, :6] - scene.tau
         parts.append((np.einsum("nij,nj->ni", scene.D, torque * compliance)[:, :, None], [1.0]))
     if scene.play:
         parts.append((scene.D * moments.approach[:, None, :], [scene.play / np.sqrt(3.0)] * 6))
     return np.concatenate([block for block, _ in parts], axis=2), np.concatenate([sd for _, sd in parts])
+
+
+def mass_sd(truth: Truth) -> float:
+    """One sigma of links' masses, relative."""
+    return LINK_MASS if truth.mass_shift.any() else MASS_SD
 
 
 def other_weights(truth: Truth) -> Iterator[Truth]:

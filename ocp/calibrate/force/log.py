@@ -112,10 +112,11 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
                 raise table.refuse(row, column, "is empty where a label is expected; give one or remove the row")
     run, runs = table.labels("run")
     session, sessions = table.labels("session")
-    for column in ("time_s", "clock_s"):
-        if column in table.numbers:
-            table.check_order(column, run, runs, strictly=False)
-            _check_running(table, column, run)
+    table.check_order("time_s", run, runs, strictly=False)
+    _check_running(table, "time_s", [np.flatnonzero(run == i) for i in range(len(runs))])
+    if "clock_s" in table.numbers:  # one value a recording will do
+        table.check_order("clock_s", run, runs, strictly=False)
+        _check_running(table, "clock_s", [np.arange(len(table))])
     fn = np.full(len(table), np.nan) if sealed else table.numbers["fn_N"]
     known = {*table.numbers, *table.words, *(("contact", "ft_N") if sealed else ())}
     blind = [f"{table.path.name}: no column {c}: {text}" for c, text in BLIND.items() if c not in known]
@@ -123,7 +124,7 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
     contact = _contact(table, fn, run)
     if not sealed:
         _check_force(table, fn, contact, run)
-        _check_copies(table, fn, run, runs)
+        _check_copies(table, fn, np.where(contact, run, -1), runs)
     return ForceLog(
         path=table.path,
         run=run,
@@ -266,16 +267,16 @@ def _check_force(table: CsvTable, fn: Array, contact: Flags, run: Index) -> None
         )
 
 
-def _check_running(table: CsvTable, column: str, run: Index) -> None:
-    """Raises BadInput: a clock that stands still through every recording of more than STILL rows."""
-    time = table.numbers[column]
-    long = [at for i in range(int(run.max()) + 1) if len(at := np.flatnonzero(run == i)) > STILL]
-    if long and all(np.ptp(time[at]) == 0 for at in long):
-        raise table.refuse(int(long[0][-1]), column, "stands still through every recording; give a time that runs")
+def _check_running(table: CsvTable, column: str, parts: list[Index]) -> None:
+    """Raises BadInput: a clock that stands still through every part of more than STILL rows."""
+    long = [at for at in parts if len(at) > STILL]
+    if long and all(np.ptp(table.numbers[column][at]) == 0 for at in long):
+        raise table.refuse(int(long[0][-1]), column, "stands still throughout; give a time that runs")
 
 
 def _check_copies(table: CsvTable, fn: Array, run: Index, runs: tuple[str, ...]) -> None:
-    """Raises BadInput: a recording of more than COPIED rows that has the same postures and forces as another."""
+    """Raises BadInput: a recording of more than COPIED rows that has the same postures and forces as another; run (n,): -1 for
+    rows in the air, where a sensor may well read the same."""
     seen: dict[bytes, int] = {}
     q = table.stack(AXES)
     for i in range(len(runs)):

@@ -128,15 +128,13 @@ def verdict_sentence(answer: Answer) -> str:
         chance = f"the chance that it is one outside is {percent(d.p_unknown)}"
         return f"It lies in {_place(d.location)}{_with(d.location)}{_ripple(answer)}. No effect of the catalogue fits; {chance}."
     best = d.explanations[0]
+    what = _capital(listed([_or_what_it_may_be(name, d.classes) for name in best.names]))
+    verb = "explain" if len(best.names) > 1 else "explains"
     if d.verdict == "partly":
-        verb = "explain" if len(best.names) > 1 else "explains"
-        what = _capital(listed([_or_what_it_may_be(name, d.classes) for name in best.names]))
         first = f"{what} {verb} a part of the gap ({percent(best.probability)})"
         return f"{first}; something outside the catalogue remains{_remainder(answer)}. {_levels(answer)}{_promise(answer)}."
-    what = _capital(listed([_or_what_it_may_be(name, d.classes) for name in best.names]))
     if d.verdict == "explained":
-        plural = "explain" if len(best.names) > 1 else "explains"
-        return f"{what} {plural} the gap (sure to {percent(best.probability)}). {_levels(answer)}{_promise(answer)}."
+        return f"{what} {verb} the gap (sure to {percent(best.probability)}). {_levels(answer)}{_promise(answer)}."
     certain = [r.name for r in d.ranking if r.probability >= CERTAIN and r.name in best.names]
     if certain:
         verb = "is" if len(certain) == 1 else "are"
