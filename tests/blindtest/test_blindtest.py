@@ -149,6 +149,9 @@ def test_machines_are_as_real_ones_are():
     clean, other = (draw_tracker_machine(CELL, 3, Recipe(1, kind, 0, None), 30, 5) for kind in ("none", "single"))
     assert not (clean.truth.ripple[..., 0].any() or clean.truth.play.any() or clean.truth.mass_shift.any() or clean.play)
     assert other.truth.ripple[..., 0].any() and other.truth.play.any() and other.truth.mass_shift.any() and other.play
+    for one, spread in ((clean, 0.01), (other, 0.04)):
+        masses = 42 + 3 * len(set(one.campaign.targets)) + 6
+        np.testing.assert_allclose(tracker_nuisance(scene_of(one))[1][masses : masses + 7], spread)
     assert tracker_nuisance(scene_of(clean))[0].shape[2] < tracker_nuisance(scene_of(other))[0].shape[2]
 
 
