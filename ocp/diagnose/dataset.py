@@ -141,7 +141,7 @@ def beyond_measured(measured: Readings, sealed: Readings) -> tuple[str, ...]:
         if rows:
             found.append(
                 f"{file}: {rows} of {n} rows have {column} outside of what was measured ({seen.min():.4g} to {seen.max():.4g}): "
-                "nothing speaks for what is predicted there"
+                "what is predicted there continues it"
             )
     return tuple(found)
 

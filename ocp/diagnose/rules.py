@@ -438,9 +438,9 @@ three times LEAST_CHANGES."""
 FOLD_TIME = 600.0
 """[s] The same of time. Guards: as FOLD_WARMTH. Reason: ten minutes, some twenty readings."""
 
-FAR_TURN, FAR_WARMTH = 10.0, 5.0
+FAR_TURN, FAR_WARMTH = 30.0, 5.0
 """[deg, K] Outside of what was measured, from which a sealed condition is told. Guards: trust in predictions that nothing speaks
-for. Reason: random postures come so near to an axis' ends; 5 K of 12 um/(m K) on 2.5 m are a tenth of a millimetre."""
+for. Reason: even fifty random postures come nearer to an axis' ends; 5 K of 12 um/(m K) on 2.5 m are a tenth of a millimetre."""
 
 NO_BACKGROUND = 0.25
 """[-] Prior probability that a machine has no play at all that lasts, and no ripple. Guards: what a corrected model is promised
