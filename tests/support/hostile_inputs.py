@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as hypothesis_seed
 from hypothesis import strategies as st
 
-from ocp.calibrate.force.log import read_force_log
+from ocp.calibrate.force.log import LEAST_ROWS, read_force_log
 from ocp.data import BLADE, CELL
 from ocp.diagnose.dataset import read_data_set, read_sealed_force, read_sealed_joints, read_sealed_tracker
 from ocp.diagnose.foresee.design import read_planned_log
@@ -500,7 +500,7 @@ READERS = (
             "blade.stl": BLADE.read_bytes(),
             "tracker.csv": tracker_table(False),
             "sealed_tracker.csv": tracker_table(True),
-            "force.csv": force_table(False),
+            "force.csv": force_table(False, 2 * LEAST_ROWS),
             "sealed_force.csv": force_table(True),
             "joints.csv": joint_table(),
             "sealed_joints.csv": joint_table(),
