@@ -245,7 +245,8 @@ def _conventions(readings: Readings) -> Iterator[tuple[str, Rotation]]:
 def _middle(turns: Rotation) -> Rotation:
     """The one of up to 50 turns that is nearest to most of them."""
     few = turns[np.unique(np.linspace(0, len(turns) - 1, min(len(turns), 50)).astype(int))]
-    return few[int(np.argmin([np.median((one.inv() * turns).magnitude()) for one in few]))]
+    apart = 2 * np.arccos(np.minimum(np.abs(few.as_quat() @ turns.as_quat().T), 1.0))
+    return few[int(np.argmin(np.median(apart, axis=1)))]
 
 
 def _variants(robot: Robot) -> Iterator[tuple[str, Robot]]:

@@ -171,7 +171,7 @@ def test_sizes_of_the_background_are_evenly_likely_before_any_reading():
 def test_where_a_name_is_at_stake_large_ripple_is_no_likelier_before_any_reading(monkeypatch):
     """It would take an effect's place; so other gears that tell nothing leave all sizes alike."""
     c = channel(world(40, n=40)[0])
-    monkeypatch.setattr("ocp.diagnose.tracker.background._evidence", lambda *told: np.zeros(6))
+    monkeypatch.setattr("ocp.diagnose.tracker.background._evidence", lambda *told: np.zeros((len(BACKGROUND_SIZES) - 1, 6)))
     _, others = c.ripples
     np.testing.assert_allclose(others[:, 0], NO_BACKGROUND)
     np.testing.assert_allclose(others[:, 1:], (1.0 - NO_BACKGROUND) / (len(BACKGROUND_SIZES) - 1))

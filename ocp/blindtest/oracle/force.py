@@ -253,7 +253,7 @@ def noise_roots(rows: RunRows) -> tuple[Array, ...]:
 def _shared(scene: tracker.TrackerScene, arm: Array, rest: Array) -> tuple[Array, Array]:
     """Columns (2, n, p) N and (m, 3, p) m of both signals per one sigma: what a tracker sees alone, what both see, what the
     log sees alone."""
-    A, sd = tracker.tracker_nuisance(scene)
+    A, sd = scene.nuisance
     A = A * sd
     nests = 3 * len(dict.fromkeys(scene.campaign.targets))
     both = [*range(FRAME, FRAME + 36), *range(FRAME + 36 + nests, A.shape[2])]

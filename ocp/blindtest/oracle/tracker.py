@@ -6,7 +6,7 @@ that signatures and detectabilities of the blind check are an independent measur
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -74,6 +74,11 @@ class TrackerScene:
     def __len__(self) -> int:
         return len(self.campaign)
 
+    @cached_property
+    def nuisance(self) -> tuple[Array, Array]:
+        """`tracker_nuisance`."""
+        return tracker_nuisance(self)
+
     def moved(self, link: int, motion: Array) -> Array:
         """Change (n, 3, m) of the points when link `link` and all that follows it make small motions (n, 6, m): m at that link's
         origin and rad, base axes."""
@@ -129,7 +134,7 @@ class TrackerView:
 
     def readings(self, effects: Sequence[Planted], rng: np.random.Generator) -> Array:
         """White readings (3n,): the effects, noise and a machine drawn anew."""
-        A, sd = tracker_nuisance(self.scene)
+        A, sd = self.scene.nuisance
         drawn = A @ (rng.normal(size=len(sd)) * sd) + drawn_noise(self.scene, rng)
         return self.white.apply(self.machine.points(effects) - self.machine.points(()) + drawn)
 
@@ -158,7 +163,7 @@ def white_points(W: Array, changes: Array) -> Array:
 
 def tracker_whitener(scene: TrackerScene) -> ExactWhitener:
     """With the variances that machines are drawn with."""
-    A, sd = tracker_nuisance(scene)
+    A, sd = scene.nuisance
     W = tracker_root(scene)
     return exact_whitener(partial(white_points, W), white_points(W, A) * sd)
 

@@ -111,6 +111,21 @@ class _Line:
     X: Array
     G: Array
 
+    def explained(self, waves: "_Waves") -> Array:
+        """Expected rows (s, N)."""
+        return np.asarray((waves.weight[:, None] * waves.mean).reshape(len(waves.log), -1) @ self.X.T)
+
+
+@dataclass(frozen=True)
+class _Waves:
+    """A wave of unknown order, for each size: log evidence (s,), posterior (s, k) of the order, means (s, 2, k) rad, covariance
+    (s, 3, k) rad^2."""
+
+    log: Array
+    weight: Array
+    mean: Array
+    V: Array
+
 
 def _with_further(task: Task, fit: TrackerFit, found: Array, each: Array, sizes: Array, rng: np.random.Generator) -> Array:
     """Draws (k, 6) rad^2 of what was found, `each` (k,) a joint on average, and of gears' further lines, which do not stand out:
@@ -132,24 +147,20 @@ def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.
     scale = _scale(y, projection)
     y = y / scale
     lines = [_line(q[:, j], columns[:, j], projection, scale) for j in range(6)]
-    log, draws = [np.zeros(6)], [np.zeros((DRAWS, 6))]
-    for size in BACKGROUND_SIZES[1:]:
-        means = np.zeros((6, len(y)))
-        squares = np.zeros((DRAWS, 6))
-        for sweep in range(SWEEPS):
-            for j, line in enumerate(lines):
-                rest = y - means.sum(axis=0) + means[j]
-                _, weight, centre, V = _wave(line, rest, size)
-                means[j] = line.X @ (weight * centre).ravel()
-                if sweep == SWEEPS - 1:
-                    squares[:, j] = _amplitudes(weight, centre, V, rng)
-        draws.append(squares)
-        log.append(_evidence(lines, means, y, size))
-    each = np.array(log)
+    sizes = BACKGROUND_SIZES[1:]
+    means, waves = np.zeros((6, len(sizes), len(y))), {}
+    for _ in range(SWEEPS):
+        for j, line in enumerate(lines):
+            waves[j] = _waves(line, y - means.sum(axis=0) + means[j], sizes)
+            means[j] = line.explained(waves[j])
+    draws = np.zeros((len(BACKGROUND_SIZES), DRAWS, 6))
+    for k, j in np.ndindex(len(sizes), 6):
+        draws[k + 1, :, j] = _amplitudes(waves[j], k, rng)
+    each = np.vstack([np.zeros(6), _evidence(lines, means, y, sizes)])
     pick = rng.choice(len(BACKGROUND_SIZES), DRAWS, p=_weights(each.sum(axis=1)))
     # Large sizes are no likelier before any reading where a name is at stake: they would take its place.
     others = np.array([_weights(each.sum(axis=1) - each[:, j], even=False) for j in range(6)])
-    return np.asarray(np.array(draws)[pick, np.arange(DRAWS)]), BACKGROUND_SIZES[pick], others
+    return draws[pick, np.arange(DRAWS)], BACKGROUND_SIZES[pick], others
 
 
 def _line(q: Array, column: Array, projection: Projection, scale: float) -> _Line:
@@ -161,29 +172,35 @@ def _line(q: Array, column: Array, projection: Projection, scale: float) -> _Lin
     return _Line(X, np.stack([(c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)]))
 
 
-def _wave(line: _Line, y: Array, size: float) -> tuple[float, Array, Array, Array]:
-    """Log evidence of a wave of unknown order, posterior (k,) of the order, means (2, k), covariance (3, k) rad^2."""
-    b = (line.X.T @ y).reshape(2, -1)
-    p, q, r = line.G[0] + size**-2, line.G[1] + size**-2, line.G[2]
+def _waves(line: _Line, y: Array, sizes: Array) -> _Waves:
+    """Of rows y (s, N) left for waves of each size (s,) rad."""
+    b = (y @ line.X).reshape(len(sizes), 2, -1)
+    more = sizes[:, None] ** -2
+    p, q, r = line.G[0] + more, line.G[1] + more, line.G[2]
     det = p * q - r * r
-    V = np.stack([q, p, -r]) / det
-    mean = np.stack([V[0] * b[0] + V[2] * b[1], V[2] * b[0] + V[1] * b[1]])
-    log = 0.5 * (b * mean).sum(axis=0) - 0.5 * np.log(det * size**4)
-    total = float(logsumexp(log))
-    return total - float(np.log(len(ORDERS))), np.exp(log - total), mean, V
+    V = np.stack([q / det, p / det, -r / det], axis=1)
+    mean = np.stack([V[:, 0] * b[:, 0] + V[:, 2] * b[:, 1], V[:, 2] * b[:, 0] + V[:, 1] * b[:, 1]], axis=1)
+    log = 0.5 * (b * mean).sum(axis=1) - 0.5 * np.log(det * sizes[:, None] ** 4)
+    total = np.asarray(logsumexp(log, axis=1))
+    return _Waves(total - np.log(len(ORDERS)), np.exp(log - total[:, None]), mean, V)
 
 
-def _evidence(lines: list[_Line], means: Array, y: Array, size: float) -> Array:
-    """Log evidence (6,) of the six waves over none, one joint after the other, the largest first."""
-    found, rest = np.zeros(len(lines)), y
-    for j in np.argsort(-(means**2).sum(axis=1)):
-        found[j], weight, centre, _ = _wave(lines[j], rest, size)
-        rest = rest - lines[j].X @ (weight * centre).ravel()
+def _evidence(lines: list[_Line], means: Array, y: Array, sizes: Array) -> Array:
+    """Log evidence (s, 6) of the six waves over none, one joint after the other, the largest first."""
+    found, rest = np.zeros((len(sizes), len(lines))), np.tile(y, (len(sizes), 1))
+    order = np.argsort(-(means**2).sum(axis=2), axis=0)
+    for joints in order:
+        for j in np.unique(joints):
+            rows = np.flatnonzero(joints == j)
+            waves = _waves(lines[j], rest[rows], sizes[rows])
+            found[rows, j] = waves.log
+            rest[rows] -= lines[j].explained(waves)
     return found
 
 
-def _amplitudes(weight: Array, mean: Array, V: Array, rng: np.random.Generator) -> Array:
-    """Draws (k,) of the squared amplitude rad^2."""
+def _amplitudes(waves: _Waves, k: int, rng: np.random.Generator) -> Array:
+    """Draws of the squared amplitude rad^2 of size k."""
+    weight, mean, V = waves.weight[k], waves.mean[k], waves.V[k]
     pick = rng.choice(len(weight), DRAWS, p=weight)
     one, other = rng.normal(size=(2, DRAWS))
     root = np.sqrt(V[0, pick])

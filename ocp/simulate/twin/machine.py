@@ -202,7 +202,9 @@ def _tendon(spec: mujoco.MjSpec, balancer: Balancer) -> None:
 
 def _quaternion(R: Array) -> Array:
     """Unit quaternion (4,) w x y z of a rotation (3, 3)."""
-    return np.asarray(Rotation.from_matrix(R).as_quat(scalar_first=True))
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(R).ravel())
+    return quaternion
 
 
 ACCURACY = 1e-12  # rad, 2 pm at 2 m
@@ -285,6 +287,7 @@ def equilibria(machine: ArmModel, laws: Laws, at: Situations) -> Settled:
     base, tip = int(machine.bodies[0]), int(machine.sites[5])
     data.qvel[:] = 0.0
     data.qpos[:] = 0.0
+    loaded = at.load.any(axis=1)
     try:
         for k in range(n):
             if grows:
@@ -293,7 +296,7 @@ def equilibria(machine: ArmModel, laws: Laws, at: Situations) -> Settled:
             if at.base_quat is not None:
                 model.body_quat[base] = at.base_quat[k]
             data.qpos[machine.drives] = at.motor[k]
-            x, tau, holding, used = _equilibrium(machine, laws, at, k, x)
+            x, tau, holding, used = _equilibrium(machine, laws, at, k, x, loaded[k])
             steps += used
             bent[k], torque[k], motor[k] = x, tau, holding
             data.qpos[machine.springs] = x
@@ -309,26 +312,30 @@ def equilibria(machine: ArmModel, laws: Laws, at: Situations) -> Settled:
     return Settled(links, bent, torque, motor, jacobian, steps)
 
 
-def _equilibrium(machine: ArmModel, laws: Laws, at: Situations, k: int, x: Array) -> tuple[Array, Array, Array, int]:
+def _equilibrium(
+    machine: ArmModel, laws: Laws, at: Situations, k: int, x: Array, loaded: bool
+) -> tuple[Array, Array, Array, int]:
     """Spring angles from x on, their load torques, the drives' holding torques, and the steps taken."""
     model, data, springs, c = machine.model, machine.data, machine.springs, machine.compliance
     stiffness, bias, before = model.jnt_stiffness[springs], np.empty(model.nv), 0.0
+    # A step takes microseconds, and looking anything up is one of them.
+    qpos, passive, tendons, plain = data.qpos, data.qfrc_passive, model.ntendon > 0, laws.plain
     for step in range(1, MOST_STEPS + 1):
-        data.qpos[springs] = x
+        qpos[springs] = x
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        if model.ntendon:
+        if tendons:
             mujoco.mj_tendon(model, data)
         mujoco.mj_passive(model, data)
         mujoco.mj_rne(model, data, 0, bias)
-        force = data.qfrc_passive - bias
-        if at.load[k].any():
+        force = passive - bias
+        if loaded:
             force += _applied(machine, at, k)
         tau = force[springs] + stiffness * x
         new = c * tau
-        if not laws.plain:
+        if not plain:
             new += laws.beyond(tau, at.sign[k])
-        off = float(np.abs(new - x).max())
+        off = max(map(abs, (new - x).tolist()))
         # The next step would be smaller by the same factor as this one was.
         if off < ACCURACY or off * off < ACCURACY * before:
             return new, tau, -force[machine.drives], step
