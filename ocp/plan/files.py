@@ -2,7 +2,8 @@
 
 import json
 import platform
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -64,6 +65,7 @@ class PlanResult:
 class _Written:
     """What of the written plan the summary tells."""
 
+    main: str
     files: list[str]
     timeline: Timeline
     readback: Readback
@@ -74,6 +76,7 @@ def write_plan(plan: Plan, output: Output, phases: Phases) -> PlanResult:
     output.reads(file for _, file in plan.inputs)
     with output.whole() as folder:
         plan, written = _verified(plan, folder, phases)
+        plan = replace(plan, notices=(*plan.notices, *_renamed(plan.name, written.main)))
         with phases.phase("report"):
             summary = _summary(plan, written)
             grades = grades_of(plan, written.readback)
@@ -102,6 +105,14 @@ def _verified(plan: Plan, folder: Path, phases: Phases) -> tuple[Plan, _Written]
                 file.unlink()
 
 
+def _renamed(name: str, program: str) -> tuple[str, ...]:
+    """A notice where a program's name has other letters than what it was to be called: two of them may then be one."""
+    asked, called = ({re.sub(r"[\W_]", "", one).upper() for one in some} for some in ((name, Path(name).stem), (program,)))
+    if asked & called:
+        return ()
+    return (f"'{name}' is no name for a program on the controller: it is called {program}; --name gives it another",)
+
+
 def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
     cell = plan.cell
     with phases.phase("writing"):
@@ -115,7 +126,7 @@ def _write_programs(plan: Plan, folder: Path, phases: Phases) -> _Written:
         values = plan.theta.values
         believed = believed_robot(cell, values[:30].reshape(6, 5), values[30:36], float(values[36]), values[37:40])
         readback = read_back(cell, believed, plan.cover, plan.cloud, plan.motion, files[0])
-    return _Written(sorted(file.name for file in files), timeline, readback)
+    return _Written(files[0].stem, sorted(file.name for file in files), timeline, readback)
 
 
 def grades_of(plan: Plan, readback: Readback) -> Grades:

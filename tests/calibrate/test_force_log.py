@@ -208,6 +208,14 @@ def test_a_log_in_another_unit_than_the_cell_is_refused(tmp_path, setpoint):
         refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * inside, contact=1)), cell)
         with pytest.raises(BadInput, match="force.csv, column fn_N: .* where the cell asks for 20 N; give newtons"):
             refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * outside, contact=1)), cell)
+    for unit, factor in (("kilograms", 9.80665), ("pounds", 4.44822)):
+        for near in (0.93, 1.07):
+            with pytest.raises(BadInput, match=f"as a force in {unit}-force would be"):
+                refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * near / factor, contact=1)), cell)
+        for apart in (0.91, 1.09):
+            refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * apart / factor, contact=1)), cell)
+        # A column says what was asked for.
+        refuse_force_unit(read(tmp_path, rows(fn_N=20.0 / factor, setpoint_N=20.0 / factor, contact=1)), cell)
 
 
 def test_files_that_are_no_table_are_refused(tmp_path):

@@ -15,6 +15,7 @@ import pytest
 
 from ocp.data import BLADE
 from ocp.plan.__main__ import app
+from ocp.plan.files import _renamed
 from ocp.shell.output import MARKER, write_marker
 from robots.robot import load_robot
 from tests.support import small_plan
@@ -164,6 +165,14 @@ def test_a_blade_named_like_a_statement_gives_a_harmless_cartesian_program(small
     assert passes and all(len(re.findall(r"(?m)^SPLINE$", text)) == 1 and "#TCP" in text for text in passes)
     assert not re.search(r"(?m)^PTP (?!\{A1)|^LIN ", "".join(passes)) and "It is safe to move (green)" in told.out
     assert "<script>x" not in (tmp_path / "plan" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_program_of_another_name_than_asked_for_is_told():
+    """Blades whose long names begin alike would have one program on the controller."""
+    for name, program in (("blade.stl", "BLADE"), ("rotor 3-a.stl", "ROTOR_3_A"), ("V2.1", "V2_1"), ("V2.1.stl", "V2_1")):
+        assert _renamed(name, program) == ()
+    for name, program in (("1abc", "P1ABC"), ("stage_3_of_the_turbine_left.stl", "STAGE_3_OF_THE_TURBINE"), ("Ω.stl", "PROGRAM")):
+        assert f"called {program};" in _renamed(name, program)[0]
 
 
 def test_classic_lines_replace_an_old_folder_only_when_asked(small, tmp_path):

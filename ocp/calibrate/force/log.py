@@ -38,6 +38,8 @@ PLAIN = {**{"ft": "ft_N", "belt": "belt_m_s"}, **{"temperature": "temperature_C"
 UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
 UNITS_APART = 30.0  # no process runs at thirty times its setpoint; kilonewtons and grams are farther off
+OTHER_UNITS = {"kilograms-force": 9.80665, "pounds-force": 4.44822}  # N
+OTHER_UNIT_NEAR = 0.08  # a controlled force keeps as near to its setpoint
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
 STILL = 100  # rows in contact after the first of their recording: one that never changes over more of them is no reading
@@ -195,12 +197,21 @@ def _feed(log: ForceLog, at: Index) -> Array:
 
 
 def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
-    """Raises BadInput: the median force in contact is UNITS_APART times more or less than what the cell asks for."""
-    wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
+    """Raises BadInput: the median force in contact is UNITS_APART times more or less than what log or cell ask for, or as much
+    less as another unit makes it."""
+    told, wanted = "cell asks", cell.flange.setpoint if cell.flange is not None else cell.process.force
+    if log.setpoint is not None and log.setpoint_sd is None:
+        told, wanted = "column setpoint_N asks", float(np.median(log.setpoint[log.contact]))
     seen = float(np.median(log.fn[log.contact]))
+    for unit, newtons in OTHER_UNITS.items():
+        if wanted > 0 and abs(seen * newtons / wanted - 1.0) < OTHER_UNIT_NEAR:
+            raise BadInput(
+                f"{log.path}, column fn_N: {seen:.3g} in contact (median) where the {told} for {wanted:g} N, as a force in "
+                f"{unit} would be; give newtons (times {newtons:.4g}), or what was really asked for in a column setpoint_N"
+            )
     if wanted > 0 and not 1 / UNITS_APART < seen / wanted < UNITS_APART:
         raise BadInput(
-            f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
+            f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the {told} for {wanted:g} N; give newtons, or "
             "correct the cell's setpoint_N"
         )
 

@@ -106,14 +106,23 @@ def _play(C: Array, y: Array, rng: np.random.Generator) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class _Line:
-    """Waves of one joint: X (N, 2 k) cosines, then sines; G (3, k): squares of cosines, of sines, products."""
+    """Waves of one joint: cosines, then sines of each order (r, 2 k) at r readings; column (r, 3): what a rad of it makes of the
+    white reading before `projection`; G (3, k): squares of cosines, of sines, products behind it."""
 
-    X: Array
+    waves: Array
+    column: Array
+    projection: Projection
     G: Array
+
+    def met(self, y: Array) -> Array:
+        """Products (s, 2, k) of the waves with rows y (s, N)."""
+        rows = self.projection.apply(y.T).T.reshape(len(y), -1, 3)
+        return np.asarray((np.einsum("snc,nc->sn", rows, self.column) @ self.waves).reshape(len(y), 2, -1))
 
     def explained(self, waves: "_Waves") -> Array:
         """Expected rows (s, N)."""
-        return np.asarray((waves.weight[:, None] * waves.mean).reshape(len(waves.log), -1) @ self.X.T)
+        turn = (waves.weight[:, None] * waves.mean).reshape(len(waves.log), -1) @ self.waves.T
+        return self.projection.apply((turn[:, :, None] * self.column).reshape(len(turn), -1).T).T
 
 
 @dataclass(frozen=True)
@@ -164,17 +173,22 @@ def _ripple(q: Array, columns: Array, projection: Projection, y: Array, rng: np.
 
 
 def _line(q: Array, column: Array, projection: Projection, scale: float) -> _Line:
-    """Waves of every order of a joint with angles q (r,) and whitened column (3 r,), per rad of amplitude."""
+    """Waves of every order of a joint with angles q (r,) and whitened column (3 r,), per rad of amplitude. A reading's three
+    rows have one wave: they are put together before the orders are."""
     phase = np.outer(q, ORDERS)
-    waves = np.repeat(np.hstack([np.cos(phase), np.sin(phase)]), 3, axis=0)
-    X = projection.apply(column[:, None] * waves) / scale
-    c, s = X[:, : len(ORDERS)], X[:, len(ORDERS) :]
-    return _Line(X, np.stack([(c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)]))
+    waves, column = np.hstack([np.cos(phase), np.sin(phase)]), column.reshape(-1, 3) / scale
+    c, s = np.hsplit(waves, 2)
+    weight = (column**2).sum(axis=1)
+    plain = np.stack([weight @ (c * c), weight @ (s * s), weight @ (c * s)])
+    inner = np.einsum("ncr,nc->rn", projection.U.reshape(len(q), 3, -1), column) @ waves
+    c, s = np.hsplit(inner, 2)
+    take = projection.take * (2.0 - projection.take)  # of the projection used twice
+    return _Line(waves, column, projection, plain - np.stack([take @ (c * c), take @ (s * s), take @ (c * s)]))
 
 
 def _waves(line: _Line, y: Array, sizes: Array) -> _Waves:
     """Of rows y (s, N) left for waves of each size (s,) rad."""
-    b = (y @ line.X).reshape(len(sizes), 2, -1)
+    b = line.met(y)
     more = sizes[:, None] ** -2
     p, q, r = line.G[0] + more, line.G[1] + more, line.G[2]
     det = p * q - r * r
