@@ -287,7 +287,7 @@ def equilibria(machine: ArmModel, laws: Laws, at: Situations) -> Settled:
     base, tip = int(machine.bodies[0]), int(machine.sites[5])
     data.qvel[:] = 0.0
     data.qpos[:] = 0.0
-    loaded = at.load.any(axis=1)
+    loaded = np.any(at.load != 0.0, axis=1).tolist()
     try:
         for k in range(n):
             if grows:
