@@ -91,15 +91,9 @@ def _of_arm(machine: GrindingMachine, s: ForceSlopes) -> Array:
         twist[:, :3, 3:] = np.cross(R, lever[:, :, None], axisa=1, axisb=1, axisc=1)
         columns.append(s.of_twists(twist) * np.repeat(PLACEMENT, 3))
     columns.append(s.joint * (s.torque * s.compliance) * STIFFNESS / np.sqrt(3.0))
-    masses = np.zeros((2, n, 7))
     still = machine.bench.still(machine.rows, machine.hall(machine.rows))
-    for link in range(1, 7):
-        torque = tracker.torque_of_mass(machine.bench.cell, machine.truth, still, s.torque, link)
-        masses[..., link] = np.einsum("snj,nj->sn", s.joint, torque * s.compliance) * tracker.mass_sd(machine.truth)
-    columns.append(masses)
-    for other in tracker.other_weights(machine.truth):
-        torque = make_arm(machine.bench.cell, other).settled(still).load_torque[:, :6] - s.torque
-        columns.append(np.einsum("snj,nj->sn", s.joint, torque * s.compliance)[..., None])
+    torque, sd = tracker.weight_torques(machine.bench.cell, machine.truth, s.frames, still.payload)
+    columns.append(np.einsum("snj,njk->snk", s.joint * s.compliance, torque) * sd)
     if machine.background:
         columns.append(s.joint * s.approach * machines.PLAY / np.sqrt(3.0))
     return np.concatenate(columns, axis=2)

@@ -4,22 +4,22 @@ Everything comes from the virtual cell's own frames and torques (`ocp.simulate.t
 that signatures and detectabilities of the blind check are an independent measure. SI and radians; points in the tracker's axes.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
 
 from ocp.blindtest.worlds.machines import LINK_CENTRE, LINK_MASS, PAYLOAD_MASS, TrackerMachine
 from ocp.model.cell import Cell
-from ocp.simulate.twin.arm import Moments, make_arm
+from ocp.simulate.twin.arm import link_weights, make_arm
+from ocp.simulate.twin.machine import GRAVITY
 from ocp.simulate.twin.planting import Planted
 from ocp.simulate.twin.tracker import TrackerCampaign, instrument_noise, nest_links
 from ocp.simulate.twin.truth import MASS_SD, PLACEMENT, REPEATABILITY, STIFFNESS, Truth
 from robots.pose import Array, apply
 
 FREE = 1.0  # m, rad: the tracker's place is not known at all
-MASS_STEP = 0.01  # relative
 # Instants that can be told apart, orders, nests: how many members of a scanned family are looked at.
 GEAR_ORDERS, MOTOR_ORDERS = 298, 2
 FEW = {"azimuth_harmonic": 12, "joint_coupling": 5, "load_backlash": 4}  # variants of others that are scanned
@@ -202,47 +202,44 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
     truth, moments = scene.truth, scene.campaign.moments
     compliance = weight_compliance(truth)
     parts.append((scene.D * (scene.tau * compliance)[:, None, :], [STIFFNESS / np.sqrt(3.0)] * 6))
-    masses = np.zeros((n, 3, 7))
-    for link in range(1, 7):
-        torque = torque_of_mass(scene.cell, truth, moments, scene.tau, link)
-        masses[:, :, link] = np.einsum("nij,nj->ni", scene.D, torque * compliance)
-    parts.append((masses, [mass_sd(truth)] * 7))
-    for other in other_weights(truth):
-        torque = make_arm(scene.cell, other).settled(moments).load_torque[:, :6] - scene.tau
-        parts.append((np.einsum("nij,nj->ni", scene.D, torque * compliance)[:, :, None], [1.0]))
+    torque, sds = weight_torques(scene.cell, truth, scene.links, moments.payload)
+    parts.append((np.einsum("nij,njk->nik", scene.D * compliance, torque), sds))
     if scene.play:
         parts.append((scene.D * moments.approach[:, None, :], [scene.play / np.sqrt(3.0)] * 6))
     return np.concatenate([block for block, _ in parts], axis=2), np.concatenate([sd for _, sd in parts])
 
 
-def mass_sd(truth: Truth) -> float:
-    """One sigma of links' masses, relative."""
-    return LINK_MASS if truth.mass_shift.any() else MASS_SD
+def weight_torques(cell: Cell, truth: Truth, links: Array, payload: str | tuple[str, ...]) -> tuple[Array, list[float]]:
+    """Torques (n, 6, p) N m about the joints, along +q, of what may weigh otherwise, and one sigma of each: relative masses of base
+    and links; where weights are as real ones are, centres of links and payloads in units of their sigma. links (n, 7, 4, 4)."""
+    n, robot, real = len(links), cell.robot, bool(truth.mass_shift.any())
+    axis = robot.sign[:, None] * links[:, :6, :3, 2]
+    pull, (mass, centre) = GRAVITY * robot.gravity_direction, link_weights(robot, truth)
 
+    def turned(link: int, arm: Array, kg: float) -> Array:
+        """By kg on link `link`, arm (n, 6 or 1, 3) m from the joints' axes."""
+        return np.einsum("nji,nji->nj", axis, np.cross(arm, kg * pull)) * (np.arange(6) < link)
 
-def other_weights(truth: Truth) -> Iterator[Truth]:
-    """The machine with one link's centre or one payload's mass another by one sigma, where they are as real ones are."""
-    if not truth.mass_shift.any():
-        return
-    for link, axis in np.ndindex(6, 3):
-        more = np.zeros((7, 3))
-        more[link + 1, axis] = LINK_CENTRE
-        yield replace(truth, mass_shift=truth.mass_shift + more)
-    for name, (mass, centre) in truth.payloads.items():
-        yield replace(truth, payloads=truth.payloads | {name: (mass * (1.0 + PAYLOAD_MASS / np.sqrt(3.0)), centre)})
+    def from_axes(link: int, place: Array) -> Array:
+        return apply(links[:, link], np.tile(place, (n, 1)))[:, None] - links[:, :6, :3, 3]
+
+    columns = [turned(link, from_axes(link, centre[link]), mass[link]) for link in range(7)]
+    sd = [LINK_MASS if real else MASS_SD] * 7
+    if real:
+        shift = LINK_CENTRE * links[:, :, None, :3, :3]
+        columns += [turned(link, shift[:, link, :, :, k], mass[link]) for link in range(1, 7) for k in range(3)]
+        label = np.array((payload,) * n if isinstance(payload, str) else payload)
+        for name, (kg, place) in truth.payloads.items():
+            heavier = turned(6, from_axes(6, place), kg * PAYLOAD_MASS / np.sqrt(3.0))
+            columns.append(heavier * (label == name)[:, None])
+        sd += [1.0] * (len(columns) - 7)
+    return np.stack(columns, axis=2), sd
 
 
 def weight_compliance(truth: Truth) -> Array:
     """rad/(N m) (6,) of the joints that weight bends."""
     k = truth.stiffness
     return np.asarray(np.divide(1.0, k, out=np.zeros(6), where=k > 0) * truth.bends)
-
-
-def torque_of_mass(cell: Cell, truth: Truth, moments: Moments, tau: Array, link: int) -> Array:
-    """Change (n, 6) N m of the load torques `tau` with the relative mass of a link."""
-    scale = truth.mass_scale + MASS_STEP * np.eye(7)[link]
-    changed = make_arm(cell, replace(truth, mass_scale=scale)).settled(moments)
-    return np.asarray((changed.load_torque[:, :6] - tau) / MASS_STEP)
 
 
 def cross_matrices(v: Array) -> Array:
