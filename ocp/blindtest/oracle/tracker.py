@@ -210,8 +210,8 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
 
 
 def weight_torques(cell: Cell, truth: Truth, links: Array, payload: str | tuple[str, ...]) -> tuple[Array, list[float]]:
-    """Torques (n, 6, p) N m about the joints, along +q, of what may weigh otherwise, and one sigma of each: relative masses of base
-    and links; where weights are as real ones are, centres of links and payloads in units of their sigma. links (n, 7, 4, 4)."""
+    """Torques (n, 6, p) N m about the joints, along +q, of what may weigh otherwise in frames links (n, 7, 4, 4), and one sigma
+    of each: masses of base and links, relative; where weights are as real ones are, links' centres and payloads, in sigmas."""
     n, robot, real = len(links), cell.robot, bool(truth.mass_shift.any())
     axis = robot.sign[:, None] * links[:, :6, :3, 2]
     pull, (mass, centre) = GRAVITY * robot.gravity_direction, link_weights(robot, truth)
