@@ -12,7 +12,7 @@ is the fit of `ocp.calibrate.force`. WALKS has the sources of Q and G.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ocp.calibrate.force.assessment import DOES
 from ocp.calibrate.force.fit import BIAS, BIAS_SD, FIT_NAMES, ForceSolution, force_prior, offset_columns
@@ -165,7 +165,7 @@ def verdict_on(solution: ForceSolution, log: ForceLog, run_offset: float) -> Ver
     sd = np.sqrt(np.diag(solution.prior.covariance))
     moves = {n: float(step[i] / sd[i]) for i, n in enumerate(FIT_NAMES) if sd[i] > 0}
     order = tuple(sorted(moves.items(), key=lambda one: -abs(one[1])))
-    return Verdict(statistic, int(seen.sum()), float(chi2.sf(statistic, max(int(seen.sum()), 1))), order)
+    return Verdict(statistic, int(seen.sum()), float(chdtrc(max(int(seen.sum()), 1), statistic)), order)
 
 
 def unmodelled_force(model: ForceModel, rows: ForceRows, solution: ForceSolution, joint_noise: float) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.stats import chi, norm
+from scipy.special import gammaincinv
 
 from ocp.calibrate.report.view import ReadingsView, count_of, listed, mm, named, present
 from ocp.calibrate.tracker import TrackerCalibration
@@ -145,7 +145,7 @@ def _draw_whitened(canvas: Canvas, view: ReadingsView, freedom: float) -> None:
     edges = np.linspace(-_EDGE, _EDGE, 41 if len(values) > 200 else 21)
     left.hist(np.clip(values, -_EDGE, _EDGE), edges.tolist(), color=SHADE, edgecolor=AFTER, linewidth=0.6)
     x = np.linspace(-_EDGE, _EDGE, 201)
-    expected = len(values) * (edges[1] - edges[0]) * norm.pdf(x, scale=np.sqrt(freedom))
+    expected = len(values) * (edges[1] - edges[0]) * np.exp(-0.5 * x**2 / freedom) / np.sqrt(2 * np.pi * freedom)
     left.plot(x, expected, color=INK, lw=1.0)
     wild = np.clip(view.whitened[view.outlier].ravel(), -_EDGE, _EDGE)
     dots(left, wild, np.full(len(wild), -0.03 * left.get_ylim()[1]), BAD, 4, marker="|", markeredgewidth=1.2, clip_on=False)
@@ -158,7 +158,7 @@ def _draw_ordered(ax: Axes, view: ReadingsView, freedom: float) -> None:
     distance = np.linalg.norm(view.whitened, axis=1)
     order = np.argsort(distance, kind="stable")
     n = len(order)
-    expected = chi(3).ppf((np.arange(n) + 0.5) / n) * np.sqrt(freedom)
+    expected = np.sqrt(2 * freedom * gammaincinv(1.5, (np.arange(n) + 0.5) / n))  # chi of three degrees of freedom
     found, out = distance[order], view.outlier[order]
     top = max(1.15 * expected[-1], 1.1 * float(found[~out].max(initial=1.0)))
     ax.plot([0, expected[-1]], [0, expected[-1]], color=INK, lw=0.8)

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from ocp.diagnose import rules
 from ocp.diagnose.engine.beam import Search
@@ -221,6 +220,8 @@ def in_the_other_course(name: Name, c: ReadingConditions) -> Name | None:
     """A kernel of temperature as one of time and the other way round, where in the readings one is a function of the other."""
     if c.clock is None or c.temperature is None or np.ptp(c.clock) == 0 or np.ptp(c.temperature) == 0:
         return None
+    from scipy.stats import spearmanr  # half a second, which a diagnosis that patches nothing need not pay
+
     if abs(spearmanr(c.clock, c.temperature).statistic) < rules.ONE_COURSE:
         return None
     course = "clock" if name.effect.endswith("/reading") else "time"
