@@ -76,10 +76,12 @@ def dressed(ax: Axes, title: str = "", x: str = "", y: str = "", grid: Literal["
     """Title, labels and grid in the report's manner."""
     if title:
         ax.set_title(printable(title), fontsize=7.5, color=INK, loc="left", pad=3)
-    if x:
-        ax.set_xlabel(printable(x), fontsize=7, labelpad=2)
-    if y:
-        ax.set_ylabel(printable(y), fontsize=7, labelpad=2)
+    for axis, label in ((ax.xaxis, x), (ax.yaxis, y)):
+        if label:
+            axis.set_label_text(printable(label), fontsize=7)
+            axis.labelpad = 2
+        else:
+            axis.set_label_coords(0.0, 0.0)  # else room is looked for where there is no label: a tenth of the drawing
     ax.set_axisbelow(True)
     if grid:
         ax.grid(axis=grid)
