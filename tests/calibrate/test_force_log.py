@@ -134,6 +134,10 @@ def test_taking_rows_keeps_names(tmp_path):
         ({"line": 1.5}, r"line 4, column line: 1.5 must be a whole number"),
         ({"clock_s": -1.0}, r"line 4, column clock_s: -1 comes after 5 in run a; the rows of a run must be in time order"),
         ({"ground_before": -1}, r"line 4, column ground_before: -1 must be a whole number"),
+        (
+            {"session": "tuesday"},
+            r"line 4, column session: tuesday is another than at the beginning of run a \\(monday\\); .* own",
+        ),
     ],
 )
 def test_what_is_wrong_is_refused_with_its_place(tmp_path, change, message):
@@ -141,6 +145,14 @@ def test_what_is_wrong_is_refused_with_its_place(tmp_path, change, message):
     table[2] |= change
     with pytest.raises(BadInput, match=r"force\.csv, " + message):
         read(tmp_path, table)
+
+
+def test_a_belt_and_a_feed_that_stand_still_are_told(tmp_path):
+    moving = [row | {"px_mm": 0.4 * k} for k, row in enumerate(rows(belt_m_s=0.0, feed_mm_s=0.0, contact=1))]
+    told = [one for one in read(tmp_path, moving).notices if "no column" not in one]
+    assert len(told) == 2 and "belt_m_s: 0 in every row" in told[0] and "the points move at 40 mm/s" in told[1]
+    still = rows(belt_m_s=-20.0, feed_mm_s=0.0, contact=1)
+    assert all("no column" in one for one in read(tmp_path, still).notices)
 
 
 def test_clocks_run_and_recordings_are_given_once(tmp_path):

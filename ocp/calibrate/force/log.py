@@ -114,6 +114,7 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
                 raise table.refuse(row, column, "is empty where a label is expected; give one or remove the row")
     run, runs = table.labels("run")
     session, sessions = table.labels("session")
+    _check_sessions(table, run, runs, session, sessions)
     table.check_order("time_s", run, runs, strictly=False)
     _check_running(table, "time_s", [np.flatnonzero(run == i) for i in range(len(runs))])
     if "clock_s" in table.numbers:  # one value a recording will do
@@ -148,7 +149,7 @@ def read_force_log(path: str | Path, sealed: bool = False, mapping: ColumnMappin
         line=_counts(table, "line"),
         ground_before=_counts(table, "ground_before"),
         row=np.array(table.line),
-        notices=(*ignored, *blind),
+        notices=(*ignored, *blind, *_standing_still(table, run, contact)),
         clock=table.column("clock_s", 1.0, lambda v: v < 0, "zero or above: how long the wheel has run"),
         **{name: table.numbers.get(column) for name, column in PLAIN.items()},
     )
@@ -276,6 +277,35 @@ def _check_force(table: CsvTable, fn: Array, contact: Flags, run: Index) -> None
             "fn_N",
             "stays the same through every recording, as a setpoint does; give what the sensor read",
         )
+
+
+def _check_sessions(table: CsvTable, run: Index, runs: tuple[str, ...], session: Index, sessions: tuple[str, ...]) -> None:
+    """Raises BadInput: a run of two sessions."""
+    first = np.unique(run, return_index=True)[1]
+    other = session != session[first][run]
+    if other.any():
+        k = int(np.argmax(other))
+        raise table.refuse(
+            k,
+            "session",
+            f"is another than at the beginning of run {shown(runs[run[k]])} ({shown(sessions[session[first[run[k]]]])}); a run is "
+            "one recording: give each a name of its own",
+        )
+
+
+def _standing_still(table: CsvTable, run: Index, contact: Flags) -> list[str]:
+    """Notices of belt and feed that are zero in contact where the belt must run and the points move."""
+    found, p, time = [], 1e-3 * table.stack(POINT), table.numbers["time_s"]
+    follows = contact[1:] & contact[:-1] & (run[1:] == run[:-1]) & (np.diff(time) > 0)
+    moving = np.linalg.norm(np.diff(p, axis=0), axis=1)[follows] / np.diff(time)[follows]
+    if "belt_m_s" in table.numbers and not table.numbers["belt_m_s"][contact].any():
+        found.append(f"{table.path.name}, column belt_m_s: 0 in every row in contact; a belt that stands grinds nothing")
+    if "feed_mm_s" in table.numbers and not table.numbers["feed_mm_s"][contact].any() and len(moving) and np.median(moving) > 0:
+        found.append(
+            f"{table.path.name}, column feed_mm_s: 0 in every row in contact while the points move at "
+            f"{1e3 * np.median(moving):.3g} mm/s; give the feed, or leave the column out"
+        )
+    return found
 
 
 def _check_running(table: CsvTable, column: str, parts: list[Index]) -> None:
