@@ -285,11 +285,11 @@ def _check_sessions(table: CsvTable, run: Index, runs: tuple[str, ...], session:
     other = session != session[first][run]
     if other.any():
         k = int(np.argmax(other))
+        name, before = shown(runs[run[k]]), shown(sessions[session[first[run[k]]]])
         raise table.refuse(
             k,
             "session",
-            f"is another than at the beginning of run {shown(runs[run[k]])} ({shown(sessions[session[first[run[k]]]])}); a run is "
-            "one recording: give each a name of its own",
+            f"is another than at the beginning of run {name} ({before}); a run is one recording: give each a name of its own",
         )
 
 
