@@ -152,7 +152,8 @@ class Fold:
 class HeldOut:
     """Mean square of the gap of the held readings (SI^2: m^2 for 3D errors, N^2, rad^2) before and after the effects, everything
     refitted on the rest, and what noise alone gives; before_rows, after_rows, noise_rows (r,): the same of every reading;
-    estimation: mean square that the effects' own errors of estimation add to `after`."""
+    estimation: mean square that the effects' own errors of estimation add to `after`; shared: one sd of `before` less `after`
+    that comes from what the believed cell is off by in all of the held readings."""
 
     fold: Fold
     before: float
@@ -162,6 +163,7 @@ class HeldOut:
     after_rows: Array
     noise_rows: Array
     estimation: float = 0.0
+    shared: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -151,12 +151,12 @@ class Diagnosis:
     """All findings.
 
     explanations by probability; these and p_none sum to 1; p_unknown: something outside the catalogue is there, beside names or
-    without. ranking by marginal probability. active: the accepted effects with values and covariance (of the best explanation;
-    empty for none). location: of the named effects, else of what is unknown; remainder: of what the names leave. classes: names
-    that these data cannot tell apart. kernels, spectrum: of the baseline's gap; left_over: kernel tests after the accepted
-    effects. impostors: accepted terms that hurt where the data are extrapolated, with the fold that says so. unknown_reasons:
-    what speaks against names. baseline, channels: before and after the accepted effects. held_out: by channel name.
-    alternatives: what may be true, with probabilities, `active` first; empty: `active` alone. patches: what may stand for
+    without, p_alone: without. ranking by marginal probability. active: the accepted effects with values and covariance (of the
+    best explanation; empty for none). location: of the named effects, else of what is unknown; remainder: of what the names
+    leave. classes: names that these data cannot tell apart. kernels, spectrum: of the baseline's gap; left_over: kernel tests
+    after the accepted effects. impostors: accepted terms that hurt where the data are extrapolated, with the fold that says so.
+    unknown_reasons: what speaks against names. baseline, channels: before and after the accepted effects. held_out: by channel
+    name. alternatives: what may be true, with probabilities, `active` first; empty: `active` alone. patches: what may stand for
     something outside the catalogue, not yet fitted, with its share of p_unknown, the likeliest first; instead: what is
     true where no such thing is there, with probabilities that sum to one.
     """
@@ -183,6 +183,7 @@ class Diagnosis:
     alternatives: tuple[Alternative, ...] = ()
     patches: tuple[Alternative, ...] = ()
     instead: tuple[Alternative, ...] = ()
+    p_alone: float = 0.0
 
     @property
     def verdict(self) -> str:

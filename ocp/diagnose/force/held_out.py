@@ -79,10 +79,13 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) ->
     if rows.sum() < FOLD_ROWS or (~held & log.contact).sum() < FOLD_ROWS:
         return None
     changes, covariances = zip(*(_moved_without(fit, held) for _, fit in (before, after)), strict=True)
-    b, a = (_errors(*fitted, change)[rows] ** 2 for fitted, change in zip((before, after), changes, strict=True))
+    off, left = (_errors(*fitted, change)[rows] for fitted, change in zip((before, after), changes, strict=True))
+    b, a = off**2, left**2
     (r, o), nuisance, covariance = after[0].sizes, before[1].normal[rows, : before[0].sizes[0]], covariances[1]
     known = covariances[0][: nuisance.shape[1], : nuisance.shape[1]]
     noise, unknown = whitener.noise.sigma()[rows] ** 2, np.sum(nuisance @ known * nuisance, axis=1)
+    # Both errors hold the same unknown u: their squares differ by 2 u (off - left) for it, whatever the effects.
+    shared = 2.0 * nuisance.T @ (off - left) / len(off)
     if fold.extrapolates and unknown.mean() > noise.mean():
         return None
     noise = noise + unknown
@@ -91,7 +94,17 @@ def force_fold_errors(before: Fitted, after: Fitted, fold: Fold, good: Flags) ->
     columns = after[1].normal[rows].copy()
     columns[:, r : r + o] = 0.0
     estimation = np.maximum(np.sum(columns @ covariance * columns, axis=1) - unknown, 0.0)
-    return HeldOut(fold, float(b.mean()), float(a.mean()), float(noise.mean()), b, a, noise, float(estimation.mean()))
+    return HeldOut(
+        fold,
+        float(b.mean()),
+        float(a.mean()),
+        float(noise.mean()),
+        b,
+        a,
+        noise,
+        float(estimation.mean()),
+        float(np.sqrt(shared @ known @ shared)),
+    )
 
 
 def _moved_without(fit: EffectFit, held: Flags) -> tuple[Array, Array]:

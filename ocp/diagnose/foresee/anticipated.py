@@ -83,9 +83,10 @@ def _what_may_be(diagnosis: Diagnosis) -> tuple[Alternative, ...]:
         return diagnosis.alternatives
     first, *others = diagnosis.alternatives
     total = sum(one.probability for one in diagnosis.patches)
-    shares = [first.probability * diagnosis.p_unknown * one.probability / total for one in diagnosis.patches]
+    there = (diagnosis.p_unknown - diagnosis.p_alone) / max(1.0 - diagnosis.p_none, diagnosis.p_unknown - diagnosis.p_alone, 1e-9)
+    shares = [first.probability * there * one.probability / total for one in diagnosis.patches]
     beside = [Alternative(p, unfaded((*first.active, *one.active))) for p, one in zip(shares, diagnosis.patches, strict=True)]
-    return (Alternative(first.probability * (1.0 - diagnosis.p_unknown), first.active), *beside, *others)
+    return (Alternative(first.probability * (1.0 - there), first.active), *beside, *others)
 
 
 def _by_kind(after: Channel, held: Sequence[HeldOut], told: Shrinkage) -> dict[str, Shrinkage]:

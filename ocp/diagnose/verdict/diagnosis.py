@@ -126,12 +126,14 @@ def findings(
     nothing, all_of_it = given(problem.pool, ()), problem.taken(search.sets[search.best()[0]])
     tests = kernel_tests(problem, nothing) if options.where else []
     after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
+    patches = patches_of(problem, search, found.where) if found.p_unknown > rules.FOLLOWED else ()
     return Diagnosis(
         explanations=explanations(found, classes),
         ranking=ranked,
         active=active,
         p_none=found.p_none,
         p_unknown=found.p_unknown,
+        p_alone=found.p_alone,
         classes=classes,
         location=place(problem, found, active, signatures, tests),
         remainder=place(problem, found, (), (), after) if found.p_unknown > rules.LEADS else of_tests(after),
@@ -146,8 +148,8 @@ def findings(
         baseline=baseline,
         channels=channels,
         held_out=errors_of_folds(channels, active) if options.folds and active else {},
-        alternatives=alternatives(problem, search, found, (weighed, best), active, signatures),
-        patches=patches_of(problem, search, found.where) if found.p_unknown > rules.LEADS else (),
+        alternatives=alternatives(problem, search, found, (weighed, best), active, signatures, patches),
+        patches=patches,
         instead=without_kernels(problem, search) if found.p_unknown > rules.LEADS else (),
     )
 

@@ -9,9 +9,10 @@ both names stand for one class. The prior keeps an effect from imitating another
 **Alternatives** are what else the data may mean, with its probability: for predictions that do not stake everything on the
 likeliest explanation. Explanations that fit the same readings may say different things of conditions nobody measured: a
 centre of mass that is wrong for one payload or for all of them, a ripple or an impostor of it. Averaged by their
-probabilities, no prediction has a smaller expected squared error (Hoeting et al. 1999, Bayesian model averaging). 'None' and
-'none of these' count as no effect beyond what is sure. Where a set lacks an accepted effect only because its background takes
-it, the machine has it all the same, under no name: it stays in that alternative.
+probabilities, no prediction has a smaller expected squared error (Hoeting et al. 1999, Bayesian model averaging). 'None of
+these' in the names' place is what stands for it, its kernels as patches that stay as they are beyond what was measured: the
+readings show a gap under it too, and what they show is there again. Where a set lacks an accepted effect only because its
+background takes it, the machine has it all the same, under no name: it stays in that alternative.
 """
 
 from collections import defaultdict
@@ -26,6 +27,7 @@ from ocp.diagnose.engine.beam import Key, Search, Weighed
 from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.linearisation import Linearisation
 from ocp.diagnose.engine.pool import CandidatePool, Member, given, scan_one
+from ocp.diagnose.verdict.patching import unfaded
 from ocp.effects.effect import Active, Scanned
 from robots.pose import Array
 
@@ -35,14 +37,15 @@ Names = tuple[Name, ...]
 @dataclass(frozen=True)
 class Posterior:
     """Probability and log weight (best of its sets) by explanation (names from the library, kernels summed out); p_none: no name
-    is in; p_unknown: a kernel is in, with names or without; where: kernels' shares of p_unknown by name; marginal by name; gain:
-    best log weight with a name less best without it and without what stands for it in the background; best: the key of the best
-    set of every explanation."""
+    is in; p_unknown: a kernel is in, with names or without; p_alone: without; where: kernels' shares of p_unknown by name;
+    marginal by name; gain: best log weight with a name less best without it and without what stands for it in the background;
+    best: the key of the best set of every explanation."""
 
     probability: dict[Names, float]
     log: dict[Names, float]
     p_none: float
     p_unknown: float
+    p_alone: float
     where: dict[Name, float]
     marginal: dict[Name, float]
     gain: dict[Name, float]
@@ -60,7 +63,7 @@ def posterior(problem: Linearisation, search: Search) -> Posterior:
     where, marginal = (defaultdict[Name, float](float) for _ in range(2))
     best: dict[Names, Key] = {}
     weight: dict[Names, float] = {}
-    p_none = p_unknown = 0.0
+    p_none = p_unknown = p_alone = 0.0
     with_name: dict[Name, float] = {}
     for key, p, w in zip(keys, share, log, strict=True):
         named = tuple(sorted(families[f].name for f in key if families[f].effect is not None))
@@ -73,12 +76,13 @@ def posterior(problem: Linearisation, search: Search) -> Posterior:
             where[name] += float(p)
         if not named:
             p_none += float(p)
+            p_alone += float(p) if strange else 0.0
             continue
         probability[named] += float(p)
         if named not in best or w > weight[named]:
             best[named], weight[named] = key, float(w)
     gain = {name: w - max(_without(name, problem, search), 0.0) for name, w in with_name.items()}
-    return Posterior(probability, weight, min(p_none, 1.0), min(p_unknown, 1.0), where, marginal, gain, best)
+    return Posterior(probability, weight, min(p_none, 1.0), min(p_unknown, 1.0), p_alone, where, marginal, gain, best)
 
 
 def _without(name: Name, problem: Linearisation, search: Search) -> float:
@@ -140,21 +144,25 @@ def alternatives(
     chosen: tuple[Weighed, Names],
     active: tuple[Active, ...],
     signatures: Sequence[Array],
+    patches: Sequence[Alternative],
 ) -> tuple[Alternative, ...]:
     """Sets of effects with probabilities that sum to one, the accepted one first; chosen: its set and names, active: the effects
-    with their values, signatures: theirs (N,)."""
+    with their values, signatures: theirs (N,); patches: what may stand for something outside the catalogue, none: nothing can."""
     weighed, names = chosen
     if not active:
         return (Alternative(1.0, ()),)
     listed = _variants(problem, weighed, active, found.probability.get(names, 0.0))
     families = problem.pool.families
-    nameless = max((k for k in search.sets if all(families[f].effect is None for f in k)), key=lambda k: search.sets[k].log)
-    others = [(found.p_none, search.sets[nameless])]
+    quiet = [k for k in search.sets if all(families[f].effect is None and not search.kernel[f] for f in k)]
+    nothing = search.sets[max(quiet, key=lambda k: search.sets[k].log)] if quiet else Weighed(0.0, ())
+    others = [(found.p_none - (found.p_alone if patches else 0.0), nothing)]
     for other, p in sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED + 1]:
         if other != names and p >= rules.FOLLOWED:
             others.append((p, search.sets[found.best[other]]))
     for p, one in others:
         listed.append(Alternative(p, (*problem.values(one), *_nameless(problem, one, active, signatures))))
+    total = sum(one.probability for one in patches)
+    listed += [Alternative(found.p_alone * one.probability / total, unfaded(one.active)) for one in patches]
     return _summed(listed)
 
 

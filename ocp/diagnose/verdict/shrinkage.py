@@ -211,6 +211,8 @@ def _drawn(rng: np.random.Generator, held: Sequence[HeldOut], estimation: float,
         sizes = np.diff(np.append(starts, n)).astype(float)
         pick = rng.integers(pieces, size=(draws, pieces))
         sums += whole[pick].sum(axis=1)
+        if h.shared > 0.0:
+            sums[:, 1] += sizes[pick].sum(axis=1) * h.shared * rng.normal(size=draws)
         taken = sizes[pick].sum(axis=1)
         count += taken
         excused += h.estimation * taken
