@@ -291,6 +291,8 @@ def test_held_out_errors_are_those_of_a_refit(made, tmp_path):
         there = predict_forces(problem.scene, fit.at.x, fit.active)
         assert np.mean((log.fn - there.fn)[rows] ** 2) == pytest.approx(mean_square, rel=0.1, abs=0.004)
     assert judged.before > 4 * judged.noise and judged.after < judged.noise + 3 * judged.estimation
+    assert 0 < judged.shared < 0.1 * (judged.before - judged.after)
+    assert made.channel.held_out(Fold("late", "time", late), ()).shared == 0.0  # nothing differs
     # The nuisance takes back what the flange's stiffness may be off by: its value is known to 30 %, the readings to a hundredth.
     soft = _again(made, log).with_active((_active("flange_stiffness"),))
     for fold in (f for f in soft.folds() if f.kind == "random"):

@@ -11,7 +11,7 @@ from ocp.diagnose import rules
 from ocp.diagnose.answering import beside_others
 from ocp.diagnose.engine.beam import Weighed
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
-from ocp.diagnose.engine.findings import Diagnosis, Explanation, Name, Options
+from ocp.diagnose.engine.findings import Alternative, Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, make_pool
 from ocp.diagnose.foresee.anticipated import anticipated
@@ -88,14 +88,36 @@ def test_an_effect_that_stands_in_the_background_is_there_all_the_same(stands_in
     """Two sets as likely: the name, and a line of the background, with the same columns (0) or others (1)."""
     toy, found = problem_of(planted=((0, 1.0),))
     problem = linearised([toy], found, Options())
-    quiet = replace(problem.pool.families[stands_in], name=Name("~e"), effect=None, background=True)
-    problem = replace(problem, pool=make_pool(problem.pool.y, problem.pool.freedom, [*problem.pool.families, quiet]))
-    name, nameless = (Weighed(5.0, (Member(f, 0, 1.0),)) for f in (0, len(problem.pool.families) - 1))
-    search = SimpleNamespace(sets={frozenset({m.family for m in one.members}): one for one in (name, nameless)})
+    told, every, _ = of_name_or(replace(problem.pool.families[stands_in], name=Name("~e"), effect=None, background=True), problem)
+    assert [len(one.active) for one in told] == [1, kept] and (every.p_none, every.p_alone) == (pytest.approx(0.5), 0.0)
+
+
+def of_name_or(other, problem, patches=()):
+    """Alternatives and probabilities of two sets as likely, the name and another family alone, and the name with its value."""
+    problem = replace(problem, pool=make_pool(problem.pool.y, problem.pool.freedom, [*problem.pool.families, other]))
+    families = problem.pool.families
+    name, nameless = (Weighed(5.0, (Member(f, 0, 1.0),)) for f in (0, len(families) - 1))
+    search = SimpleNamespace(
+        sets={frozenset({m.family for m in one.members}): one for one in (name, nameless)},
+        kernel=np.array([f.effect is None and not f.background for f in families]),
+    )
     active, every = problem.values(name), posterior(problem, search)
-    seen = [problem.pool.columns(name.members[0]) @ (a.a / problem.pool.families[0].scale) for a in active]
-    told = alternatives(problem, search, every, (name, (Name("e0", 0),)), active, seen)
-    assert [len(one.active) for one in told] == [1, kept] and every.p_none == pytest.approx(0.5)
+    seen = [problem.pool.columns(name.members[0]) @ (a.a / families[0].scale) for a in active]
+    return alternatives(problem, search, every, (name, (Name("e0", 0),)), active, seen, patches), every, active
+
+
+def test_what_has_no_name_is_followed_as_what_stands_for_it():
+    """A gap that a kernel explains as well as the name is there under it too; where no patch can hold it, it counts as none."""
+    toy, found = problem_of(planted=((0, 1.0),))
+    problem = linearised([toy], found, Options())
+    kernel = replace(problem.pool.families[0], name=Name("?e"), effect=None)
+    patch, beside = (Active(effect, 0, np.zeros(1), {}, np.eye(1)) for effect in list(found.values())[1:3])
+    told, every, named = of_name_or(kernel, problem, (Alternative(0.3, (patch,)), Alternative(0.1, (beside,))))
+    assert (every.p_none, every.p_alone, every.p_unknown) == (pytest.approx(0.5),) * 3
+    assert [one.active for one in told] == [named, (patch,), (beside,)]
+    assert [one.probability for one in told] == pytest.approx([0.5, 0.375, 0.125])
+    told, _, named = of_name_or(kernel, problem)
+    assert [one.active for one in told] == [named, ()]
 
 
 def test_what_springs_take_back_is_no_error_of_an_effect():
@@ -239,6 +261,13 @@ def test_only_what_is_promised_above_zero_is_written():
         (0.0, 0.0, (backlash,)),
     ):  # a left-out condition that says surely no
         assert promised(found, [gap_of(0.1, ("backlash",), later=Shrinkage(-0.5, low, high))]) == written
+
+
+def test_a_condition_that_the_believed_cell_hardly_knows_says_no_harm():
+    """What the cell is off by there meets both errors, one larger and the other smaller."""
+    worse = replace(held(2.0, 2.2), fold=Fold("line=1", "line", np.ones(400, bool)))
+    (surely,), (perhaps,) = (promised_by_kind([replace(worse, shared=s)]).values() for s in (0.0, 0.8))
+    assert surely.high < 0.0 < perhaps.high and perhaps.predicted == pytest.approx(surely.predicted, abs=0.1)
 
 
 def test_a_promise_for_another_day_is_what_is_carried_there():
