@@ -19,7 +19,7 @@ from ocp.diagnose.engine.findings import Alternative
 from ocp.diagnose.force.channel import ForceChannel
 from ocp.diagnose.force.fit import linear_normal
 from ocp.diagnose.force.prediction import LogScene, predict_anew
-from ocp.diagnose.rules import BETWEEN_RUNS, LATER_FORCE, NO_GAP, RECORDING_WEIGHT
+from ocp.diagnose.rules import BETWEEN_RUNS, LATER_FORCE, NEW_RECORDINGS, NO_GAP
 from ocp.diagnose.verdict.shrinkage import DRAWS, Shrinkage, drawn_errors, interval, unexplained
 from ocp.effects.effect import Active
 from robots.errors import Infeasible
@@ -150,7 +150,9 @@ def from_grinding(
     true = rng.choice(len(new.probability), DRAWS, p=new.probability)
     when = rng.choice(len(new.share), DRAWS, p=new.share)
     runs = int(new.run.max()) + 1
-    rows = rng.dirichlet(np.full(runs, RECORDING_WEIGHT), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
+    # A Dirichlet law of n weights a each is worth (n a + 1) / (a + 1) of them.
+    weight = (NEW_RECORDINGS - 1.0) / (runs - NEW_RECORDINGS) if runs > NEW_RECORDINGS else 1e3
+    rows = rng.dirichlet(np.full(runs, weight), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
     before, after = np.zeros(DRAWS), np.zeros(DRAWS)
     for k, moved in enumerate(new.moved):
         at = when == k
@@ -160,6 +162,6 @@ def from_grinding(
         before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
     errors_of_effects = [h.estimation for h in held if h.fold.kind == "random"]
     rest = unexplained(held, float(np.mean(errors_of_effects or [0.0])), rng) * (rng.uniform(size=DRAWS) < unknown)
-    if np.median(before + rest) <= NO_GAP**2 * noise:
+    if np.mean(before + rest) <= NO_GAP**2 * noise:
         return None
     return interval(1.0 - np.sqrt((after + rest) / (before + rest)))
