@@ -546,9 +546,9 @@ BETWEEN_RUNS = 0.1
 for a tenth."""
 
 NEW_RECORDINGS = 3.0
-"""[recordings] Of the log's lines, setpoints and feeds that new readings are worth: a gap is another one at other settings. Reason:
-grinding to come has few of them, and nobody knows which (worth 6 of 17 the interval covered 0.67 of 39 force worlds of seed 61, worth
-3 it covers 0.74)."""
+"""[recordings] Of the log's lines, setpoints and feeds that new readings are worth: a gap is another one at others. Reason: what
+is ground next has few of them, and nobody knows which (worth 6 of 17 the interval covered 0.67 of 39 force worlds of seed 61;
+worth 3 it covers 0.74)."""
 
 # ---------- signal: joints
 SPRING_SHARE = 0.3
