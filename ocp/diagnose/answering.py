@@ -42,6 +42,7 @@ from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.answer import Answer, promised
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
+from ocp.diagnose.verdict.patching import seen_by
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
 from ocp.model.cell import files_of
@@ -192,7 +193,7 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         channel = next(c for c in answer.diagnosis.channels if c.name == signal)
         sealed = READERS[signal](data)
         least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
-        kept = [told[0], *(a for a in told[1:] if a.probability >= least)]
+        kept = seen_by(signal, [told[0], *(a for a in told[1:] if a.probability >= least)])
         made = []
         for k, one in enumerate(kept):
             try:

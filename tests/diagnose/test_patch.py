@@ -15,7 +15,7 @@ from ocp.diagnose.foresee.patched import beside_unknown, patched, unnamed, with_
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
-from ocp.diagnose.verdict.patching import as_patch, conditions_by_name, patches_of
+from ocp.diagnose.verdict.patching import as_patch, conditions_by_name, patches_of, seen_by
 from ocp.effects.cell_effects import patch_effect_of
 from ocp.effects.engine.readings import displaced, motion
 from ocp.effects.engine.symbolic import planned_arm_context
@@ -257,3 +257,7 @@ def test_a_patch_needs_what_its_features_vary_with_whatever_it_is_called():
     assert pickle.loads(pickle.dumps(at_contact.effect)) is at_contact.effect
     seen = {name: np.full(3, 2.0) for name in limits} | {"line": np.array([2.0, 4.0, 7.0])}
     assert (lengths_outside(at_contact, seen) > 0).tolist() == [False, True, True]
+    # A signal sees its own alone: what another's reads is none of its conditions.
+    both = (Alternative(0.7, (at_contact, on_arm)), Alternative(0.3, (on_arm,)))
+    assert [one.active for one in seen_by("force", both)] == [(at_contact,), ()]
+    assert [one.active for one in seen_by("tracker", both)] == [(on_arm,), (on_arm,)]

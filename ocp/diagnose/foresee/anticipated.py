@@ -19,7 +19,7 @@ from ocp.diagnose.rules import LATER, LATER_WARMTHS, LEAST_WARMTH
 from ocp.diagnose.tracker.channel import TrackerChannel
 from ocp.diagnose.tracker.refit import points_with
 from ocp.diagnose.verdict.answer import SignalGap
-from ocp.diagnose.verdict.patching import unfaded
+from ocp.diagnose.verdict.patching import seen_by, unfaded
 from ocp.diagnose.verdict.remaining import SCALE, Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
     ANOTHER_DAY,
@@ -67,11 +67,12 @@ def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequ
         # Nothing is named that this signal shows, so nothing changes.
         return NONE if realised(square, 0.0, after.noise_floor**2) is not None else None
     if isinstance(before, TrackerChannel) and isinstance(after, TrackerChannel) and not after.restless(1.0):
-        return from_model(anticipated(before, after, _what_may_be(diagnosis)), held, (after.noise_floor / SCALE[after.unit]) ** 2)
+        others = seen_by(after.name, _what_may_be(diagnosis))
+        return from_model(anticipated(before, after, others), held, (after.noise_floor / SCALE[after.unit]) ** 2)
     if before.name == "force":
         from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
 
-        return of_grinding(before, after, diagnosis.alternatives, held, diagnosis.p_unknown)
+        return of_grinding(before, after, seen_by(after.name, diagnosis.alternatives), held, diagnosis.p_unknown)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
     return from_folds(held, estimation_variance(after, active_columns(after)))
 

@@ -265,6 +265,14 @@ def is_patch(effect: Effect) -> bool:
     return effect.name.startswith(PATCH)
 
 
+def seen_by(signal: str, alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
+    """Alternatives as one signal sees them: without the patches of others."""
+    return tuple(
+        replace(one, active=tuple(a for a in one.active if not is_patch(a.effect) or a.scanned["signal"] == signal))
+        for one in alternatives
+    )
+
+
 def unfaded(active: Sequence[Active]) -> tuple[Active, ...]:
     """The same effects with patches that stay beyond what was measured as they are at its edge."""
     return tuple(replace(a, scanned={**a.scanned, "stays": True}) if is_patch(a.effect) else a for a in active)
