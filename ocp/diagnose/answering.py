@@ -43,8 +43,10 @@ from ocp.diagnose.tracker.refit import believed_baseline
 from ocp.diagnose.verdict.answer import Answer, promised
 from ocp.diagnose.verdict.diagnosis import diagnose_channels
 from ocp.diagnose.verdict.patching import seen_by
+from ocp.diagnose.verdict.probabilities import gathered
 from ocp.effects.catalogue import library
 from ocp.effects.effect import Active, Effect
+from ocp.effects.patch import PATCH
 from ocp.model.cell import files_of
 from ocp.shell.cache import sha256
 from ocp.shell.output import Output, reserved
@@ -105,7 +107,7 @@ def beside_others(written: Sealed, parts: Sequence[tuple[float, Sealed]]) -> Sea
     """Predictions of what is written, sigma with what several alternatives, by their probabilities, differ from it."""
     total = sum(p for p, _ in parts)
     variance = sum(p * (s.sigma**2 + (s.corrected - written.corrected) ** 2) for p, s in parts) / total
-    lacking = tuple(dict.fromkeys(name for _, s in parts for name in s.lacking))
+    lacking = tuple(dict.fromkeys(name for _, s in parts for name in s.lacking if not name.startswith(PATCH)))
     return replace(written, sigma=np.sqrt(variance), lacking=lacking)
 
 
@@ -193,7 +195,8 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         channel = next(c for c in answer.diagnosis.channels if c.name == signal)
         sealed = READERS[signal](data)
         least = 0.0 if signal == "tracker" else FOLLOWED_FORCE
-        kept = seen_by(signal, [told[0], *(a for a in told[1:] if a.probability >= least)])
+        first, *others = seen_by(signal, told)
+        kept = [first, *(a for a in gathered(others, least) if a.probability >= least)]
         made = []
         for k, one in enumerate(kept):
             try:

@@ -63,6 +63,15 @@ class Canvas:
         return self.figure.add_gridspec(rows, columns, width_ratios=widths, **edges, **gaps).subplots(**options)
 
 
+def finished(figure: Figure) -> Figure:
+    """A figure that nothing is added to: no room is looked for where an axis has no label, a tenth of the drawing."""
+    for ax in figure.axes:
+        for axis in (ax.xaxis, ax.yaxis):
+            if not axis.get_label_text():
+                axis.set_label_coords(0.0, 0.0)
+    return figure
+
+
 Draw = Callable[[Canvas], None]
 """Draws a plot; labels that come from a user go through `printable`."""
 
@@ -76,12 +85,10 @@ def dressed(ax: Axes, title: str = "", x: str = "", y: str = "", grid: Literal["
     """Title, labels and grid in the report's manner."""
     if title:
         ax.set_title(printable(title), fontsize=7.5, color=INK, loc="left", pad=3)
-    for axis, label in ((ax.xaxis, x), (ax.yaxis, y)):
-        if label:
-            axis.set_label_text(printable(label), fontsize=7)
-            axis.labelpad = 2
-        else:
-            axis.set_label_coords(0.0, 0.0)  # else room is looked for where there is no label: a tenth of the drawing
+    if x:
+        ax.set_xlabel(printable(x), fontsize=7, labelpad=2)
+    if y:
+        ax.set_ylabel(printable(y), fontsize=7, labelpad=2)
     ax.set_axisbelow(True)
     if grid:
         ax.grid(axis=grid)
@@ -150,7 +157,7 @@ def inline_svg(key: str, caption: str, height: float, draw: Draw) -> str:
         figure = Figure(figsize=(WIDTH, height))
         draw(Canvas(figure, height))
         buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
+        finished(figure).savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.S)

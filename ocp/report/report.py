@@ -17,7 +17,7 @@ from markupsafe import Markup
 from matplotlib.backends.backend_pdf import PdfPages
 
 from ocp.report.parts import Facts, Paragraph, Points, as_part
-from ocp.report.plotting import WIDTH
+from ocp.report.plotting import WIDTH, finished
 from ocp.report.section import Headline, Section
 from ocp.report.sheets import LEFT, Sheet, Sheets, new_sheet, number_sheets, wrapped
 from ocp.report.style import STYLE, printable, shorten
@@ -79,7 +79,7 @@ class Report:
             metadata = {"Title": printable(self.title), "Subject": self.kind, "CreationDate": None}
             with PdfPages(path, metadata=metadata) as pages:
                 for sheet in sheets.all:
-                    pages.savefig(sheet.figure)
+                    pages.savefig(finished(sheet.figure))
 
 
 def _source_hash(source: str) -> str:

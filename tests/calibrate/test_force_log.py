@@ -223,7 +223,9 @@ def test_a_log_in_another_unit_than_the_cell_is_refused(tmp_path, setpoint):
                 refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * near / factor, contact=1)), cell)
         for apart in (0.91, 1.09):
             refuse_force_unit(read(tmp_path, rows(fn_N=20.0 * apart / factor, contact=1)), cell)
-        # A column says what was asked for.
+        # A column says what was asked for; but for a unit that both are in.
+        with pytest.raises(BadInput, match="where the cell asks for 20 N"):
+            refuse_force_unit(read(tmp_path, rows(fn_N=0.02, setpoint_N=0.02, contact=1)), cell)
         refuse_force_unit(read(tmp_path, rows(fn_N=20.0 / factor, setpoint_N=20.0 / factor, contact=1)), cell)
 
 

@@ -20,7 +20,7 @@ from ocp.diagnose.tracker.background import DRAWS, _weights, _with_further, back
 from ocp.diagnose.tracker.refit import _width_of_weights, usual_noise
 from ocp.diagnose.verdict.answer import SignalGap, promised
 from ocp.diagnose.verdict.diagnosis import screened
-from ocp.diagnose.verdict.probabilities import alternatives, posterior
+from ocp.diagnose.verdict.probabilities import alternatives, gathered, posterior
 from ocp.diagnose.verdict.remaining import Remaining, remaining
 from ocp.diagnose.verdict.shrinkage import (
     ANOTHER_DAY,
@@ -33,6 +33,7 @@ from ocp.diagnose.verdict.shrinkage import (
     unexplained,
 )
 from ocp.effects.effect import Active
+from ocp.effects.patch import make_patch
 from robots.gravity import GRAVITY
 from tests.diagnose.test_diagnosis_engine import problem_of
 from tests.diagnose.test_diagnosis_tracker import LIBRARY, channel, column, diagnosed, world
@@ -100,10 +101,13 @@ def of_name_or(other, problem, patches=()):
     search = SimpleNamespace(
         sets={frozenset({m.family for m in one.members}): one for one in (name, nameless)},
         kernel=np.array([f.effect is None and not f.background for f in families]),
+        background=np.array([f.background for f in families]),
     )
     active, every = problem.values(name), posterior(problem, search)
     seen = [problem.pool.columns(name.members[0]) @ (a.a / families[0].scale) for a in active]
-    return alternatives(problem, search, every, (name, (Name("e0", 0),)), active, seen, patches), every, active
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ocp.diagnose.verdict.probabilities.patches_of", lambda *_: patches)
+        return alternatives(problem, search, every, (name, (Name("e0", 0),)), active, seen), every, active
 
 
 def test_what_has_no_name_is_followed_as_what_stands_for_it():
@@ -118,6 +122,14 @@ def test_what_has_no_name_is_followed_as_what_stands_for_it():
     assert [one.probability for one in told] == pytest.approx([0.5, 0.375, 0.125])
     told, _, named = of_name_or(kernel, problem)
     assert [one.active for one in told] == [named, ()]
+
+
+def test_patches_too_unlikely_to_be_followed_are_followed_together():
+    one, other = (make_patch("joint", where, 3, ["cos 1 q4"], {"q4": (0.0, 1.0)}, 1e-4) for where in ("q4", "again q4"))
+    name = Active(LIBRARY["backlash"], 1, np.zeros(1), {}, np.eye(1))
+    listed = [Alternative(0.02, (other,)), Alternative(0.5, (name,)), Alternative(0.02, (name, name)), Alternative(0.02, (one,))]
+    assert [(a.probability, a.active) for a in gathered(listed, 0.03)] == [(0.5, (name,)), (0.04, (other,)), (0.02, (name, name))]
+    assert gathered(listed, 0.01) == sorted(listed, key=lambda a: -a.probability)
 
 
 def test_what_springs_take_back_is_no_error_of_an_effect():

@@ -92,7 +92,7 @@ def _of_arm(machine: GrindingMachine, s: ForceSlopes) -> Array:
         columns.append(s.of_twists(twist) * np.repeat(PLACEMENT, 3))
     columns.append(s.joint * (s.torque * s.compliance) * STIFFNESS / np.sqrt(3.0))
     still = machine.bench.still(machine.rows, machine.hall(machine.rows))
-    torque, sd = tracker.weight_torques(machine.bench.cell, machine.truth, s.frames, still.payload)
+    torque, sd = tracker.weight_nuisance(machine.bench.cell, machine.truth, s.frames, still.payload)
     columns.append(np.einsum("snj,njk->snk", s.joint * s.compliance, torque) * sd)
     if machine.background:
         columns.append(s.joint * s.approach * machines.PLAY / np.sqrt(3.0))

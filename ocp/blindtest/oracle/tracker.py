@@ -202,14 +202,14 @@ def tracker_nuisance(scene: TrackerScene) -> tuple[Array, Array]:
     truth, moments = scene.truth, scene.campaign.moments
     compliance = weight_compliance(truth)
     parts.append((scene.D * (scene.tau * compliance)[:, None, :], [STIFFNESS / np.sqrt(3.0)] * 6))
-    torque, sds = weight_torques(scene.cell, truth, scene.links, moments.payload)
+    torque, sds = weight_nuisance(scene.cell, truth, scene.links, moments.payload)
     parts.append((np.einsum("nij,njk->nik", scene.D * compliance, torque), sds))
     if scene.play:
         parts.append((scene.D * moments.approach[:, None, :], [scene.play / np.sqrt(3.0)] * 6))
     return np.concatenate([block for block, _ in parts], axis=2), np.concatenate([sd for _, sd in parts])
 
 
-def weight_torques(cell: Cell, truth: Truth, links: Array, payload: str | tuple[str, ...]) -> tuple[Array, list[float]]:
+def weight_nuisance(cell: Cell, truth: Truth, links: Array, payload: str | tuple[str, ...]) -> tuple[Array, list[float]]:
     """Torques (n, 6, p) N m about the joints, along +q, of what may weigh otherwise in frames links (n, 7, 4, 4), and one sigma
     of each: masses of base and links, relative; where weights are as real ones are, links' centres and payloads, in sigmas."""
     n, robot, real = len(links), cell.robot, bool(truth.mass_shift.any())
@@ -223,7 +223,7 @@ def weight_torques(cell: Cell, truth: Truth, links: Array, payload: str | tuple[
     def from_axes(link: int, place: Array) -> Array:
         return apply(links[:, link], np.tile(place, (n, 1)))[:, None] - links[:, :6, :3, 3]
 
-    columns = [turned(link, from_axes(link, centre[link]), mass[link]) for link in range(7)]
+    columns = [turned(link, from_axes(link, centre[link]), robot.link_mass[link]) for link in range(7)]
     sd = [LINK_MASS if real else MASS_SD] * 7
     if real:
         shift = LINK_CENTRE * links[:, :, None, :3, :3]

@@ -104,7 +104,8 @@ class Bench:
 
     def _settled(self, truth: Truth, rows: RunRows, hall: Array, rng: np.random.Generator | None) -> _Settled:
         """Joints (n, 6), the flange's poses (n, 4, 4) and compliances (n, 6, 6); kept for each set of effects of the arm."""
-        key = (id(rows), id(truth.placement), truth.mass_scale.tobytes(), truth.mass_shift.tobytes(), repr(of_arm(truth.effects)))
+        weights = truth.mass_scale.tobytes(), truth.mass_shift.tobytes(), repr(truth.payloads)
+        key = (id(rows), id(truth.placement), *weights, repr(of_arm(truth.effects)))
         if rng is None and key in self.settled:
             return self.settled[key]
         still = self.still(rows, hall)

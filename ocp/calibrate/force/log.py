@@ -40,6 +40,7 @@ SQUARE = 0.05  # largest |n . t|
 UNITS_APART = 30.0  # no process runs at thirty times its setpoint; kilonewtons and grams are farther off
 OTHER_UNITS = {"kilograms-force": 9.80665, "pounds-force": 4.44822}  # N
 OTHER_UNIT_NEAR = 0.08  # a controlled force keeps as near to its setpoint
+CREEP = 1e-3  # m/s; points that are read off a standing arm move by less
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
 STILL = 100  # rows in contact after the first of their recording: one that never changes over more of them is no reading
@@ -198,21 +199,22 @@ def _feed(log: ForceLog, at: Index) -> Array:
 
 
 def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
-    """Raises BadInput: the median force in contact is UNITS_APART times more or less than what log or cell ask for, or as much
-    less as another unit makes it."""
-    told, wanted = "cell asks", cell.flange.setpoint if cell.flange is not None else cell.process.force
+    """Raises BadInput: the median force in contact is UNITS_APART times more or less than what the cell asks for, or as much less
+    than what was asked for, row by row where the log says it, as another unit makes it."""
+    wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
+    pressed, asked = log.fn[log.contact], np.full(int(log.contact.sum()), wanted)
     if log.setpoint is not None and log.setpoint_sd is None:
-        told, wanted = "column setpoint_N asks", float(np.median(log.setpoint[log.contact]))
-    seen = float(np.median(log.fn[log.contact]))
+        asked = log.setpoint[log.contact]
+    share, seen = float(np.median(pressed / asked)) if (asked > 0).all() else 1.0, float(np.median(pressed))
     for unit, newtons in OTHER_UNITS.items():
-        if wanted > 0 and abs(seen * newtons / wanted - 1.0) < OTHER_UNIT_NEAR:
+        if abs(share * newtons - 1.0) < OTHER_UNIT_NEAR:
             raise BadInput(
-                f"{log.path}, column fn_N: {seen:.3g} in contact (median) where the {told} for {wanted:g} N, as a force in "
-                f"{unit} would be; give newtons (times {newtons:.4g}), or what was really asked for in a column setpoint_N"
+                f"{log.path}, column fn_N: {share:.3g} times what was asked for in contact (median), as a force in {unit} would "
+                f"be; give newtons (times {newtons:.4g}), or what was really asked for in a column setpoint_N"
             )
     if wanted > 0 and not 1 / UNITS_APART < seen / wanted < UNITS_APART:
         raise BadInput(
-            f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the {told} for {wanted:g} N; give newtons, or "
+            f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
             "correct the cell's setpoint_N"
         )
 
@@ -300,7 +302,12 @@ def _standing_still(table: CsvTable, run: Index, contact: Flags) -> list[str]:
     moving = np.linalg.norm(np.diff(p, axis=0), axis=1)[follows] / np.diff(time)[follows]
     if "belt_m_s" in table.numbers and not table.numbers["belt_m_s"][contact].any():
         found.append(f"{table.path.name}, column belt_m_s: 0 in every row in contact; a belt that stands grinds nothing")
-    if "feed_mm_s" in table.numbers and not table.numbers["feed_mm_s"][contact].any() and len(moving) and np.median(moving) > 0:
+    if (
+        "feed_mm_s" in table.numbers
+        and not table.numbers["feed_mm_s"][contact].any()
+        and len(moving)
+        and np.median(moving) > CREEP
+    ):
         found.append(
             f"{table.path.name}, column feed_mm_s: 0 in every row in contact while the points move at "
             f"{1e3 * np.median(moving):.3g} mm/s; give the feed, or leave the column out"

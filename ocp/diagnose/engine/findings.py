@@ -186,6 +186,12 @@ class Diagnosis:
     p_alone: float = 0.0
 
     @property
+    def p_beside(self) -> float:
+        """Something outside the catalogue is there, given that a name is."""
+        there = max(self.p_unknown - self.p_alone, 0.0)
+        return there / max(1.0 - self.p_none, there, 1e-9)
+
+    @property
     def verdict(self) -> str:
         """explained, partly, ambiguous, unexplained or no_gap, as FORMATS.md defines it."""
         if self.p_unknown > LEADS:

@@ -162,6 +162,6 @@ def from_grinding(
         before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
     errors_of_effects = [h.estimation for h in held if h.fold.kind == "random"]
     rest = unexplained(held, float(np.mean(errors_of_effects or [0.0])), rng) * (rng.uniform(size=DRAWS) < unknown)
-    if np.mean(before + rest) <= NO_GAP**2 * noise:
+    if np.median(before + rest) <= NO_GAP**2 * noise:
         return None
     return interval(1.0 - np.sqrt((after + rest) / (before + rest)))

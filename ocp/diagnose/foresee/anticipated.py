@@ -72,7 +72,7 @@ def _shrinkage(diagnosis: Diagnosis, before: Channel, after: Channel, held: Sequ
     if before.name == "force":
         from ocp.diagnose.force.shrinkage import of_grinding  # blade and contact: only for those who measured force
 
-        return of_grinding(before, after, seen_by(after.name, diagnosis.alternatives), held, diagnosis.p_unknown)
+        return of_grinding(before, after, seen_by(after.name, diagnosis.alternatives), held, diagnosis.p_beside)
     # Where noise is far above what is usual no model says what lasts of it: left-out readings do.
     return from_folds(held, estimation_variance(after, active_columns(after)))
 
@@ -84,10 +84,9 @@ def _what_may_be(diagnosis: Diagnosis) -> tuple[Alternative, ...]:
         return diagnosis.alternatives
     first, *others = diagnosis.alternatives
     total = sum(one.probability for one in diagnosis.patches)
-    there = (diagnosis.p_unknown - diagnosis.p_alone) / max(1.0 - diagnosis.p_none, diagnosis.p_unknown - diagnosis.p_alone, 1e-9)
-    shares = [first.probability * there * one.probability / total for one in diagnosis.patches]
+    shares = [first.probability * diagnosis.p_beside * one.probability / total for one in diagnosis.patches]
     beside = [Alternative(p, unfaded((*first.active, *one.active))) for p, one in zip(shares, diagnosis.patches, strict=True)]
-    return (Alternative(first.probability * (1.0 - there), first.active), *beside, *others)
+    return (Alternative(first.probability * (1.0 - diagnosis.p_beside), first.active), *beside, *others)
 
 
 def _by_kind(after: Channel, held: Sequence[HeldOut], told: Shrinkage) -> dict[str, Shrinkage]:

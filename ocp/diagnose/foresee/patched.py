@@ -152,14 +152,15 @@ def _beyond_log(channel: Channel, patches: Sequence[Active], sealed: Any) -> tup
 def beside_unknown(told: Sealed, found: Unnamed, sealed: Any, known: Sequence[Alternative]) -> Sealed:
     """Predictions by the written names, sigma with what is there under no name, or under names that are not in it yet (`known`:
     alternatives that are)."""
-    variance, counted = told.sigma**2, {effects_key(one.active) for one in known}
+    variance, counted = told.sigma**2, {effects_key(one.active): one.probability for one in known}
     for one in found.others:
-        if one.probability > 0 and effects_key(one.active) not in counted:
+        share = one.probability - counted.get(effects_key(one.active), 0.0)
+        if share > 0:
             other = _prediction(found.after, sealed, one)
             if other is None:
                 continue
             more = np.maximum(other.sigma**2 - told.sigma**2, 0.0)  # what the conditions lack for it
-            variance = variance + one.probability * ((other.corrected - told.corrected) ** 2 + more)
+            variance = variance + share * ((other.corrected - told.corrected) ** 2 + more)
     return replace(told, sigma=np.sqrt(variance))
 
 

@@ -126,7 +126,6 @@ def findings(
     nothing, all_of_it = given(problem.pool, ()), problem.taken(search.sets[search.best()[0]])
     tests = kernel_tests(problem, nothing) if options.where else []
     after = kernel_tests(problem, named_part(problem, weighed)) if options.where and active else tests
-    patches = patches_of(problem, search, found.where) if found.p_unknown > rules.FOLLOWED else ()
     return Diagnosis(
         explanations=explanations(found, classes),
         ranking=ranked,
@@ -148,8 +147,8 @@ def findings(
         baseline=baseline,
         channels=channels,
         held_out=errors_of_folds(channels, active) if options.folds and active else {},
-        alternatives=alternatives(problem, search, found, (weighed, best), active, signatures, patches),
-        patches=patches,
+        alternatives=alternatives(problem, search, found, (weighed, best), active, signatures),
+        patches=patches_of(problem, search, found.where) if found.p_unknown > rules.LEADS else (),
         instead=without_kernels(problem, search) if found.p_unknown > rules.LEADS else (),
     )
 

@@ -18,7 +18,7 @@ background takes it, the machine has it all the same, under no name: it stays in
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from ocp.diagnose.engine.beam import Key, Search, Weighed
 from ocp.diagnose.engine.findings import Alternative, Name
 from ocp.diagnose.engine.linearisation import Linearisation
 from ocp.diagnose.engine.pool import CandidatePool, Member, given, scan_one
-from ocp.diagnose.verdict.patching import unfaded
+from ocp.diagnose.verdict.patching import is_patch, patches_of, unfaded
 from ocp.effects.effect import Active, Scanned
 from robots.pose import Array
 
@@ -37,9 +37,9 @@ Names = tuple[Name, ...]
 @dataclass(frozen=True)
 class Posterior:
     """Probability and log weight (best of its sets) by explanation (names from the library, kernels summed out); p_none: no name
-    is in; p_unknown: a kernel is in, with names or without; p_alone: without; where: kernels' shares of p_unknown by name;
-    marginal by name; gain: best log weight with a name less best without it and without what stands for it in the background;
-    best: the key of the best set of every explanation."""
+    is in; p_unknown: a kernel is in, with names or without; p_alone: without; where: kernels' shares of p_unknown by name, alone:
+    of p_alone; marginal by name; gain: best log weight with a name less best without it and without what stands for it in the
+    background; best: the key of the best set of every explanation."""
 
     probability: dict[Names, float]
     log: dict[Names, float]
@@ -47,6 +47,7 @@ class Posterior:
     p_unknown: float
     p_alone: float
     where: dict[Name, float]
+    alone: dict[Name, float]
     marginal: dict[Name, float]
     gain: dict[Name, float]
     best: dict[Names, Key]
@@ -60,7 +61,7 @@ def posterior(problem: Linearisation, search: Search) -> Posterior:
     share /= share.sum()
     families = problem.pool.families
     probability = defaultdict[Names, float](float)
-    where, marginal = (defaultdict[Name, float](float) for _ in range(2))
+    where, alone, marginal = (defaultdict[Name, float](float) for _ in range(3))
     best: dict[Names, Key] = {}
     weight: dict[Names, float] = {}
     p_none = p_unknown = p_alone = 0.0
@@ -77,12 +78,14 @@ def posterior(problem: Linearisation, search: Search) -> Posterior:
         if not named:
             p_none += float(p)
             p_alone += float(p) if strange else 0.0
+            for name in strange:
+                alone[name] += float(p)
             continue
         probability[named] += float(p)
         if named not in best or w > weight[named]:
             best[named], weight[named] = key, float(w)
     gain = {name: w - max(_without(name, problem, search), 0.0) for name, w in with_name.items()}
-    return Posterior(probability, weight, min(p_none, 1.0), min(p_unknown, 1.0), p_alone, where, marginal, gain, best)
+    return Posterior(probability, weight, min(p_none, 1.0), min(p_unknown, 1.0), p_alone, where, alone, marginal, gain, best)
 
 
 def _without(name: Name, problem: Linearisation, search: Search) -> float:
@@ -144,26 +147,40 @@ def alternatives(
     chosen: tuple[Weighed, Names],
     active: tuple[Active, ...],
     signatures: Sequence[Array],
-    patches: Sequence[Alternative],
 ) -> tuple[Alternative, ...]:
     """Sets of effects with probabilities that sum to one, the accepted one first; chosen: its set and names, active: the effects
-    with their values, signatures: theirs (N,); patches: what may stand for something outside the catalogue, none: nothing can."""
+    with their values, signatures: theirs (N,)."""
     weighed, names = chosen
     if not active:
         return (Alternative(1.0, ()),)
     listed = _variants(problem, weighed, active, found.probability.get(names, 0.0))
-    families = problem.pool.families
-    quiet = [k for k in search.sets if all(families[f].effect is None and not search.kernel[f] for f in k)]
-    nothing = search.sets[max(quiet, key=lambda k: search.sets[k].log)] if quiet else Weighed(0.0, ())
-    others = [(found.p_none - (found.p_alone if patches else 0.0), nothing)]
+    named = ~(search.kernel | search.background)
+    nameless = {k: one for k, one in search.sets.items() if not named[list(k)].any()}
+    strange = {k: one for k, one in nameless.items() if search.kernel[list(k)].any()}
+    quiet = max((nameless[k] for k in nameless.keys() - strange.keys()), key=lambda one: one.log, default=Weighed(0.0, ()))
+    patches = _in_their_place(problem, search, strange, found) if found.p_alone >= rules.FOLLOWED else ()
+    others = [(found.p_none - (found.p_alone if patches else 0.0), quiet)]
     for other, p in sorted(found.probability.items(), key=lambda item: -item[1])[: rules.MOST_FOLLOWED + 1]:
         if other != names and p >= rules.FOLLOWED:
             others.append((p, search.sets[found.best[other]]))
     for p, one in others:
         listed.append(Alternative(p, (*problem.values(one), *_nameless(problem, one, active, signatures))))
-    total = sum(one.probability for one in patches)
-    listed += [Alternative(found.p_alone * one.probability / total, unfaded(one.active)) for one in patches]
+    for patch in patches:
+        beside = _nameless(problem, max(strange.values(), key=lambda s: s.log), active, signatures)
+        listed.append(replace(patch, active=(*beside, *unfaded(patch.active))))
     return _summed(listed)
+
+
+def _in_their_place(
+    problem: Linearisation, search: Search, strange: dict[Key, Weighed], found: Posterior
+) -> tuple[Alternative, ...]:
+    """Patches of the kernels in these sets, which hold no name, with probabilities that sum to p_alone; none: no patch can hold
+    what does."""
+    alone = copy(search)
+    alone.sets = strange
+    patches = patches_of(problem, alone, found.alone)
+    total = sum(one.probability for one in patches)
+    return tuple(replace(one, probability=found.p_alone * one.probability / total) for one in patches)
 
 
 def without_kernels(problem: Linearisation, search: Search) -> tuple[Alternative, ...]:
@@ -229,10 +246,21 @@ def _words(scanned: Scanned) -> tuple[tuple[str, str], ...]:
     return tuple(sorted((k, v) for k, v in scanned.items() if isinstance(v, str)))
 
 
+def gathered(listed: Sequence[Alternative], least: float) -> list[Alternative]:
+    """Alternatives by probability; patches of less than `least` are one with the likeliest patch: all show what the readings do,
+    and many that are each too unlikely to be followed are together not."""
+    ordered = sorted(listed, key=lambda a: -a.probability)
+    patched = [a for a in ordered if any(is_patch(one.effect) for one in a.active)]
+    small = [a for a in patched[1:] if a.probability < least]
+    kept = [a for a in ordered if not any(a is one for one in small)]
+    more = sum(a.probability for a in small)
+    kept = [replace(a, probability=a.probability + more) if patched and a is patched[0] else a for a in kept]
+    return sorted(kept, key=lambda a: -a.probability)
+
+
 def _summed(listed: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """The first, then the most probable others, probabilities summing to one; no effect at all as one alternative."""
-    first, rest = listed[0], [a for a in listed[1:] if a.active]
-    rest = sorted(rest, key=lambda a: -a.probability)[: rules.MOST_FOLLOWED]
+    first, rest = listed[0], gathered([a for a in listed[1:] if a.active], rules.FOLLOWED)[: rules.MOST_FOLLOWED]
     nothing = Alternative(sum(a.probability for a in listed if not a.active), ())
     staying = [a for a in (first, *rest, nothing) if a is first or a.probability >= rules.FOLLOWED]
     total = sum(a.probability for a in staying) or 1.0

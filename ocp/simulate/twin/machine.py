@@ -335,7 +335,7 @@ def _equilibrium(
         new = c * tau
         if not plain:
             new += laws.beyond(tau, at.sign[k])
-        off = max(map(abs, (new - x).tolist()))
+        off = float(np.abs(new - x).max())
         # The next step would be smaller by the same factor as this one was.
         if off < ACCURACY or off * off < ACCURACY * before:
             return new, tau, -force[machine.drives], step
