@@ -153,15 +153,17 @@ def from_grinding(
     # A Dirichlet law of n weights a each is worth (n a + 1) / (a + 1) of them.
     weight = (NEW_RECORDINGS - 1.0) / (runs - NEW_RECORDINGS) if runs > NEW_RECORDINGS else 1e3
     rows = rng.dirichlet(np.full(runs, weight), DRAWS)[:, new.run] / np.bincount(new.run)[new.run]
-    before, after = np.zeros(DRAWS), np.zeros(DRAWS)
+    even = 1.0 / (runs * np.bincount(new.run)[new.run])
+    before, after, usual = (np.zeros(DRAWS) for _ in range(3))
     for k, moved in enumerate(new.moved):
         at = when == k
         off, planted = errors[at] @ new.errors[k].T, moved[true[at]]
         planted = planted if there is None else moved[-1] + there[at] * (planted - moved[-1])
         after[at] = np.sum(rows[at] * (moved[0] - planted + off) ** 2, axis=1)
-        before[at] = np.sum(rows[at] * (off - planted) ** 2, axis=1)
+        gap = (off - planted) ** 2
+        before[at], usual[at] = np.sum(rows[at] * gap, axis=1), gap @ even
     errors_of_effects = [h.estimation for h in held if h.fold.kind == "random"]
     rest = unexplained(held, float(np.mean(errors_of_effects or [0.0])), rng) * (rng.uniform(size=DRAWS) < unknown)
-    if np.median(before + rest) <= NO_GAP**2 * noise:
+    if np.median(usual + rest) <= NO_GAP**2 * noise:  # of all the log's recordings alike
         return None
     return interval(1.0 - np.sqrt((after + rest) / (before + rest)))
