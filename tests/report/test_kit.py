@@ -8,7 +8,7 @@ import pytest
 from markupsafe import Markup
 
 from ocp.report.parts import Facts, Plot, Points, column_widths, made_from, table
-from ocp.report.plotting import WIDTH, Canvas, envelope, inline_svg
+from ocp.report.plotting import WIDTH, Canvas, dressed, envelope, inline_svg
 from ocp.report.report import Report
 from ocp.report.section import Headline, Part, Section
 from ocp.report.sheets import Sheets, new_sheet, width_of, wrapped
@@ -87,6 +87,21 @@ def test_long_tables_go_on_with_their_head_on_the_next_sheet():
     table(("key", "value"), [(f"k{i}", "1") for i in range(100)]).on_sheets(sheets)
     assert len(sheets.all) == 2 and words_of(sheets).count("key") == 2
     assert all(f"k{i}" in words_of(sheets) for i in range(100))
+
+
+def test_a_label_that_is_set_late_stands_where_an_early_one_does():
+    """Below the numbers: room is found for labels when all are there."""
+
+    def drawn(late: bool) -> str:
+        def draw(canvas: Canvas) -> None:
+            ax = canvas.subplots()
+            if late:
+                dressed(ax)
+            dressed(ax, x="distance, mm")
+
+        return inline_svg("one", "caption", 2.0, draw)
+
+    assert "distance, mm" in drawn(False) and drawn(True) == drawn(False)
 
 
 def test_labels_keep_their_decimals():
