@@ -91,7 +91,7 @@ def dressed(ax: Axes, title: str = "", x: str = "", y: str = "", grid: Literal["
         ax.set_ylabel(printable(y), fontsize=7, labelpad=2)
     ax.set_axisbelow(True)
     if grid:
-        ax.grid(axis=grid)
+        ax.grid(True, axis=grid)  # else a second call would take it away
     return ax
 
 
