@@ -23,6 +23,7 @@ from ocp.diagnose.corrected import write_corrected_cell
 from ocp.diagnose.dataset import (
     SEALED,
     DataSet,
+    beyond_log,
     beyond_measured,
     blinds,
     read_data_set,
@@ -209,6 +210,8 @@ def predict_sealed(answer: Answer) -> dict[str, Sealed]:
         found[signal] = replace(written, named=made[0][1].corrected)
         if signal == "tracker" and data.readings is not None:
             found[signal] = replace(found[signal], beyond=beyond_measured(data.readings, sealed))
+        if signal == "force" and data.log is not None:
+            found[signal] = replace(found[signal], beyond=beyond_log(data.log, sealed))
         if answer.unknown is not None and signal == answer.unknown.after.name:
             found[signal] = beside_unknown(found[signal], answer.unknown, sealed, told)
             if answer.patch is not None:
@@ -286,7 +289,9 @@ def _written(folder: Path, output: Output, phases: Phases, columns: Path | None)
 def last_line(answer: Answer, out: Path) -> str:
     """What was found, and where it stands."""
     head = diagnosis_headline(answer)
-    safe = "The believed cell stays as it is: what these effects promise may be nothing, or harm"
+    harmed = dict.fromkeys(kind for g in answer.gaps for kind, one in g.promise.items() if one.high < 0.0)
+    why = f"{', '.join(harmed)}, when left out, said that these effects harm" if harmed else ""
+    safe = f"The believed cell stays as it is: {why or 'what these effects promise may be nothing, or harm'}"
     if answer.corrections or not answer.diagnosis.active:
         safe = _safe(answer, out)
     return f"{out}: {head.verdict} {head.sentence.rstrip('.')}. {safe}; {out / 'report.html'} shows why."

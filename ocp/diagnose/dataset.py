@@ -1,5 +1,6 @@
 """A data set folder: the cell and whatever was measured in it (FORMATS, "A data set folder")."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from ocp.calibrate.tracker import as_in
 from ocp.diagnose.joints.channel import HAVE as JOINT_COLUMNS
 from ocp.diagnose.joints.channel import seen_by_encoder
 from ocp.diagnose.joints.log import JointLog, read_joint_log
-from ocp.diagnose.rules import FAR_TURN, FAR_WARMTH, LEAST_READINGS
+from ocp.diagnose.rules import FAR_SHARE, FAR_TURN, FAR_WARMTH, LEAST_READINGS
 from ocp.effects.effect import Active
 from ocp.effects.engine.readings import shown_in
 from ocp.model.cell import Cell, TrackerSetup, files_of, read_cell, read_tracker_setup
@@ -18,12 +19,22 @@ from ocp.model.cell_schema import CellTables
 from robots.column_mapping import ColumnMapping, read_column_mapping
 from robots.csv_table import OURS
 from robots.errors import BadInput
+from robots.pose import Array
 from robots.robot import left_out_notices
 from robots.tracker_readings import BLIND, POINT, Hanging, Readings, read_readings
 
 CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
 SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv", "joint": "sealed_joints.csv"}
 MEASURED = (TRACKER, FORCE, JOINTS)
+LOGGED = (
+    ("setpoint_N", "setpoint", 1.0),
+    ("feed_mm_s", "feed", 1e3),
+    ("belt_m_s", "belt", 1.0),
+    ("clock_s", "clock", 1.0),
+    ("temperature_C", "temperature", 1.0),
+    ("wheel_temperature_C", "wheel_temperature", 1.0),
+)
+"""Settings of a force log: column, name, its unit a SI unit."""
 
 
 @dataclass(frozen=True)
@@ -136,14 +147,36 @@ def beyond_measured(measured: Readings, sealed: Readings) -> tuple[str, ...]:
     ranges = {f"q{j + 1}_deg": (np.degrees(measured.q[:, j]), np.degrees(sealed.q[:, j]), FAR_TURN) for j in range(6)}
     if measured.temperature is not None and sealed.temperature is not None:
         ranges["temperature_C"] = measured.temperature, sealed.temperature, FAR_WARMTH
+    return (*found, *_outside(file, ranges))
+
+
+def beyond_log(measured: ForceLog, sealed: ForceLog) -> tuple[str, ...]:
+    """Sentences on columns that sealed conditions lack and the log has, and on conditions outside what was measured."""
+    ranges = {f"q{j + 1}_deg": (np.degrees(measured.q[:, j]), np.degrees(sealed.q[:, j]), FAR_TURN) for j in range(6)}
+    lacking = []
+    for column, name, unit in LOGGED:
+        seen, asked = getattr(measured, name), getattr(sealed, name)
+        if seen is not None and asked is None and not (name == "setpoint" and measured.setpoint_sd is not None):
+            lacking.append(column)
+        if seen is None or asked is None:
+            continue
+        seen, asked = unit * seen[measured.contact], unit * asked[sealed.contact]
+        most = FAR_WARMTH if column.endswith("_C") else max(float(np.ptp(seen)), FAR_SHARE * float(np.abs(seen).max()))
+        ranges[column] = seen, asked, most
+    file = sealed.path.name
+    usual = f"{file}: without {', '.join(lacking)}, which the log has, the cell's usual is taken; its sigma knows nothing of that"
+    return (*([usual] if lacking else []), *_outside(file, ranges))
+
+
+def _outside(file: str, ranges: dict[str, tuple[Array, Array, float]]) -> Iterator[str]:
+    """Sentences on columns of which some asked for lie farther from the measured ones than the last number."""
     for column, (seen, asked, most) in ranges.items():
-        rows = int(np.sum((asked < seen.min() - most) | (asked > seen.max() + most)))
+        rows = int(np.sum((asked < seen.min() - most) | (asked > seen.max() + most))) if len(seen) and len(asked) else 0
         if rows:
-            found.append(
-                f"{file}: {rows} of {n} rows have {column} outside of what was measured ({seen.min():.4g} to {seen.max():.4g}): "
-                "what is predicted there continues it"
+            yield (
+                f"{file}: {rows} of {len(asked)} rows have {column} outside of what was measured ({seen.min():.4g} to "
+                f"{seen.max():.4g}): what is predicted there continues it"
             )
-    return tuple(found)
 
 
 def read_sealed_joints(data: DataSet) -> JointLog:

@@ -442,6 +442,10 @@ FAR_TURN, FAR_WARMTH = 30.0, 5.0
 """[deg, K] Outside of what was measured, from which a sealed condition is told. Guards: trust in predictions that nothing speaks
 for. Reason: even fifty random postures come nearer to an axis' ends; 5 K of 12 um/(m K) on 2.5 m are a tenth of a millimetre."""
 
+FAR_SHARE = 0.25
+"""[-] The same of a force log's settings: of the largest, where that is more than they vary by. Guards: as FAR_WARMTH. Reason: a
+quarter more is another process."""
+
 NO_BACKGROUND = 0.25
 """[-] Prior probability that a machine has no play at all that lasts, and no ripple. Guards: what a corrected model is promised
 to leave; ripples that other gears do not show. Reason: every gear has ripple (PHYSICS 6, Masses) and a little play (DIAGNOSIS,

@@ -32,6 +32,7 @@ from robots.bounds import MEGABYTE
 from robots.errors import BadInput
 from trajectories.blade.other_files import BLADE_FILES
 from trajectories.blade.stl import MOST_BYTES
+from trajectories.dialects import dialect_named
 
 TABLE, PAGE, PLAN = "night.json", "index.html", "plan"
 MOST_JOBS = 256
@@ -114,14 +115,22 @@ class _Night:
     options: PlanOptions
 
     def check(self, away: bool) -> None:
-        """Raises BadInput: cell, stock or options cannot be planned; a blade is not there; what the cell names cannot travel
-        where the work is done `away`."""
+        """Raises BadInput: cell, stock or options cannot be planned; a blade is not there; two would have programs of one name on
+        the controller; what the cell names cannot travel where the work is done `away`."""
         for blade in self.blades.values():
             if not blade.is_file():
                 raise BadInput(f"{blade}: there is no such file; correct the name")
             if blade.stat().st_size > MOST_BYTES:
                 raise BadInput(f"{blade}: is larger than the {MOST_BYTES / MEGABYTE:g} MB that are read; give a coarser mesh")
         believed, _ = cell_to_plan(self.cell, next(iter(self.blades.values())), self.options)
+        dialect, programs = dialect_named(believed.controller.dialect), dict[str, Path]()
+        for blade in self.blades.values():
+            program, _ = dialect.program_names(blade.name, 1, [2])  # as short as it may have to be
+            if program in programs:
+                raise BadInput(
+                    f"{blade}: its program would be called {program} as that of {programs[program]}; rename one of them"
+                )
+            programs[program] = blade
         robot = believed.tables.robot
         for name in (robot.model, robot.calibration):
             if away and name is not None and Path(name).is_absolute():

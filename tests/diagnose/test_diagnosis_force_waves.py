@@ -48,6 +48,21 @@ def test_a_train_of_knocks_is_found_by_rate_place_and_length(made: Made, tmp_pat
     assert 0.8 * 1.2 < after.a[0] < 1.05 * 1.2
 
 
+def test_knocks_are_looked_for_where_a_belt_runs_and_a_clock_is_read(made: Made, tmp_path):  # noqa: F811
+    """A standing belt has none; a clock of days would need a transform of gigabytes."""
+    log, _ = _log(made.base, (), tmp_path)
+    channel = _again(made, log)
+    problem, c = channel.problem, channel.problem.scene.conditions
+
+    def trains(**changed):
+        scene = replace(problem.scene, conditions=replace(c, **changed))
+        return likely_trains(replace(problem, scene=scene), channel.fit).found
+
+    assert 1.0 in {one["clocked"] for one in trains()}
+    assert trains(belt=0.0 * c.belt) == ()
+    assert {one["clocked"] for one in trains(clock=1e5 * c.clock)} == {0.0}
+
+
 def test_noise_alone_offers_no_knocks_worth_their_number(made: Made, tmp_path):  # noqa: F811
     log, _ = _log(made.base, (), tmp_path, 21)
     found = diagnose_channels([_again(made, log)], {"belt_splice": EFFECTS["belt_splice"]})

@@ -9,7 +9,7 @@ import pytest
 
 from ocp.diagnose import answering
 from ocp.diagnose.answering import grouped, write_diagnosis
-from ocp.diagnose.dataset import beyond_measured
+from ocp.diagnose.dataset import beyond_log, beyond_measured
 from ocp.diagnose.engine.findings import Name
 from ocp.diagnose.report import verdict_sentence
 from ocp.shell.progress import Phases
@@ -73,3 +73,21 @@ def test_sealed_conditions_beyond_the_measured_ones_are_told():
     assert "x_mm, y_mm, z_mm were ignored" in ignored
     assert f"2 of 6 rows carry {seen.payloads[heaviest]}, never measured" in heavy
     assert "1 of 6 rows have q1_deg outside" in turned and "2 of 6 rows have temperature_C outside" in warm
+
+
+def test_what_a_log_never_saw_is_told_of_sealed_grinding():
+    rows = {
+        "contact": np.ones(4, bool),
+        "q": np.zeros((4, 6)),
+        "setpoint": np.array([15.0, 20.0, 30.0, 20.0]),
+        "setpoint_sd": None,
+    }
+    rows |= {"feed": np.full(4, 0.04), "belt": np.full(4, -20.0), "clock": np.linspace(0, 600.0, 4)}
+    rows |= {"temperature": None, "wheel_temperature": np.full(4, 25.0)}
+    log = SimpleNamespace(path=Path("force.csv"), **rows)
+    later = {"clock": np.full(4, 1100.0), "setpoint": np.full(4, 40.0), "wheel_temperature": np.full(4, 29.0)}
+    assert beyond_log(log, SimpleNamespace(**(rows | later | {"path": Path("sealed_force.csv")}))) == ()
+    far = {"clock": np.full(4, 9e5), "setpoint": np.array([20.0, 20.0, 200.0, 200.0]), "feed": np.full(4, 0.06), "belt": None}
+    told = beyond_log(log, SimpleNamespace(**(rows | far | {"path": Path("sealed_force.csv")})))
+    assert "without belt_m_s, which the log has" in told[0] and "2 of 4 rows have setpoint_N" in told[1]
+    assert "feed_mm_s outside of what was measured (40 to 40)" in told[2] and "4 of 4 rows have clock_s" in told[3]

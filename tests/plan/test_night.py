@@ -145,6 +145,7 @@ def test_a_blade_whose_process_was_lost_is_tried_again(tmp_path, monkeypatch):
     ("arguments", "says"),
     [
         (["a.stl", "far/A.stl"], "far/A.stl: would be planned into the same folder as a.stl"),
+        (["a 1.stl", "a_1.stl"], "a_1.stl: its program would be called A_1 as that of a 1.stl; rename one of them"),
         (["a.stl", "night.json.stl"], "would be planned into a folder named night.json"),
         (["a.stl", "nowhere.stl"], "nowhere.stl: there is no such file"),
         (["a.stl", "b.stl", "--path", "path.csv"], "--path is of one blade and 2 are named"),
@@ -158,7 +159,7 @@ def test_a_blade_whose_process_was_lost_is_tried_again(tmp_path, monkeypatch):
 )
 def test_what_several_blades_cannot_have_is_one_sentence(tmp_path, arguments, says):
     (tmp_path / "far").mkdir()
-    for name in ("a.stl", "b.stl", "far/A.stl", "night.json.stl"):
+    for name in ("a.stl", "b.stl", "a 1.stl", "a_1.stl", "far/A.stl", "night.json.stl"):
         bad_blade(tmp_path / name)
     before = tree(tmp_path)
     told = called(app, tmp_path, *arguments, "--out", "night")

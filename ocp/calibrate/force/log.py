@@ -38,8 +38,11 @@ PLAIN = {**{"ft": "ft_N", "belt": "belt_m_s"}, **{"temperature": "temperature_C"
 UNIT_TOLERANCE = 0.01  # of a unit vector's length
 SQUARE = 0.05  # largest |n . t|
 UNITS_APART = 30.0  # no process runs at thirty times its setpoint; kilonewtons and grams are farther off
-OTHER_UNITS = {"kilograms-force": 9.80665, "pounds-force": 4.44822}  # N
+OTHER_UNITS = {"kilograms-force (or decanewtons)": 9.80665, "pounds-force": 4.44822}  # N
 OTHER_UNIT_NEAR = 0.08  # a controlled force keeps as near to its setpoint
+SAME_SETPOINT = 5e-4  # a setpoint is a round number in one unit only
+MOST_FRICTION = 3.0  # coated abrasives grind with 0.3 to 1
+FEED_APART = 3.0  # times; other units are farther apart, a feed that ramps or that an override lowers is nearer
 CREEP = 1e-3  # m/s; points that are read off a standing arm move by less
 AIR_SHARE = 0.15  # of the log's usual force, below which a row without `contact` is taken for air
 AIR_WINDOW = 9  # rows over whose median that is judged
@@ -202,16 +205,31 @@ def refuse_force_unit(log: ForceLog, cell: Cell) -> None:
     """Raises BadInput: the median force in contact is UNITS_APART times more or less than what the cell asks for, or as much less
     than what was asked for, row by row where the log says it, as another unit makes it."""
     wanted = cell.flange.setpoint if cell.flange is not None else cell.process.force
-    pressed, asked = log.fn[log.contact], np.full(int(log.contact.sum()), wanted)
-    if log.setpoint is not None and log.setpoint_sd is None:
-        asked = log.setpoint[log.contact]
-    share, seen = float(np.median(pressed / asked)) if (asked > 0).all() else 1.0, float(np.median(pressed))
+    own = log.setpoint if log.setpoint_sd is None else None
+    pressed = log.fn[log.contact]
+    asked = np.full(len(pressed), wanted) if own is None else own[log.contact]
+    there, seen, told = asked > 0, float(np.median(pressed)), float(np.median(asked))
+    share = float(np.median(pressed[there] / asked[there])) if there.any() else 1.0
     for unit, newtons in OTHER_UNITS.items():
         if abs(share * newtons - 1.0) < OTHER_UNIT_NEAR:
             raise BadInput(
                 f"{log.path}, column fn_N: {share:.3g} times what was asked for in contact (median), as a force in {unit} would "
-                f"be; give newtons (times {newtons:.4g}), or what was really asked for in a column setpoint_N"
+                f"be; give newtons (times about {newtons:.2g}), or what was really asked for in a column setpoint_N"
             )
+        if wanted > 0 and abs(told * newtons / wanted - 1.0) < SAME_SETPOINT:
+            raise BadInput(
+                f"{log.path}, column setpoint_N: {told:.4g} (median) is the cell's setpoint of {wanted:g} N in {unit}; give "
+                f"newtons (times {newtons:.4g}) in setpoint_N, fn_N and ft_N"
+            )
+    if own is not None and share > UNITS_APART:
+        raise BadInput(
+            f"{log.path}, column setpoint_N: fn_N is {share:.3g} times as large in contact (median); give both in newtons"
+        )
+    if log.ft is not None and (pull := float(np.median(np.abs(log.ft[log.contact])))) > MOST_FRICTION * abs(seen):
+        raise BadInput(
+            f"{log.path}, column ft_N: {pull:.3g} in contact (median) where fn_N is {seen:.3g}: no belt pulls by over "
+            f"{MOST_FRICTION:g} times the normal force; give both in newtons"
+        )
     if wanted > 0 and not 1 / UNITS_APART < seen / wanted < UNITS_APART:
         raise BadInput(
             f"{log.path}, column fn_N: {seen:.3g} N in contact (median) where the cell asks for {wanted:g} N; give newtons, or "
@@ -296,22 +314,19 @@ def _check_sessions(table: CsvTable, run: Index, runs: tuple[str, ...], session:
 
 
 def _standing_still(table: CsvTable, run: Index, contact: Flags) -> list[str]:
-    """Notices of belt and feed that are zero in contact where the belt must run and the points move."""
+    """Notices of a belt that stands in contact, and of a feed that is not what the points move by."""
     found, p, time = [], 1e-3 * table.stack(POINT), table.numbers["time_s"]
     follows = contact[1:] & contact[:-1] & (run[1:] == run[:-1]) & (np.diff(time) > 0)
     moving = np.linalg.norm(np.diff(p, axis=0), axis=1)[follows] / np.diff(time)[follows]
     if "belt_m_s" in table.numbers and not table.numbers["belt_m_s"][contact].any():
         found.append(f"{table.path.name}, column belt_m_s: 0 in every row in contact; a belt that stands grinds nothing")
-    if (
-        "feed_mm_s" in table.numbers
-        and not table.numbers["feed_mm_s"][contact].any()
-        and len(moving)
-        and np.median(moving) > CREEP
-    ):
-        found.append(
-            f"{table.path.name}, column feed_mm_s: 0 in every row in contact while the points move at "
-            f"{1e3 * np.median(moving):.3g} mm/s; give the feed, or leave the column out"
-        )
+    if "feed_mm_s" in table.numbers and len(moving) and np.median(moving) > CREEP:
+        feed, path = float(np.median(table.numbers["feed_mm_s"][contact])), 1e3 * float(np.median(moving))
+        if not 1 / FEED_APART < feed / path < FEED_APART:
+            found.append(
+                f"{table.path.name}, column feed_mm_s: {feed:.3g} in contact (median) while the points move at {path:.3g} mm/s "
+                "by time_s; give the feed in mm/s and the time in s, or leave the column out"
+            )
     return found
 
 

@@ -118,7 +118,7 @@ LOOKED = 4096  # rates looked at in one piece, which stays at hand
 KEPT = 6  # trains of each clock that are looked at exactly
 SHARP = 3  # halvings of the steps there
 PROBES = 12
-FAR = 2**22  # points at most of the transform over a campaign's clock
+FAR = 2**22  # points at most of the transform over a campaign's clock; a longer one is not looked at for knocks
 
 
 @dataclass(frozen=True)
@@ -140,6 +140,8 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
     steps = np.diff(log.time)[np.diff(log.run) == 0]
     if not fit.residual.any():
         return SpliceTrains((), USUAL_TRAINS)
+    if not (c.belt[log.contact] != 0).any():  # a belt that stands knocks nowhere
+        return SpliceTrains((), 1)
     if not len(steps) or np.median(steps) <= 0:
         return SpliceTrains((), 1)
     y = _scores(problem, fit)
@@ -147,10 +149,14 @@ def likely_trains(problem: ForceProblem, fit: EffectFit) -> SpliceTrains:
     found, among = list[tuple[float, Scanned]](), 0
     clocks = [(0.0, c.time)] + ([(1.0, c.clock)] if "clock_s" in c.given and len(np.unique(c.run)) > 1 else [])
     for clocked, time in clocks:
+        if np.ptp(time) > (FAR - 1) * np.median(steps):
+            continue
         rates, S = _spectrum(time, y, float(np.median(steps)), float(np.ptp(time)))
         among += len(rates) // 4 * PLACES
         for hz, turn, length in _first_look(rates, S, size):
             found.append(_exact(problem, fit, y, {"hz": hz, "turn": turn, "length": length, "clocked": clocked}))
+    if not found:
+        return SpliceTrains((), 1)
     found.sort(key=lambda one: -one[0])
     offered = [scanned for _, scanned in found[:TRAINS_OFFERED]]
     return SpliceTrains((*offered, *_around(offered[0])), max(among, len(offered)))
@@ -189,7 +195,7 @@ def _spectrum(time: Array, y: Array, step: float, span: float) -> tuple[Array, A
     are taken to the nearest sampling step."""
     place = np.round((time - time.min()) / step).astype(np.int64)
     points = int(min(2 ** np.ceil(np.log2(8 * (span / step + 1))), FAR))
-    points = max(points, int(place.max()) + 1)
+    points = max(points, int(place.max()) + 1)  # at most FAR
     half = np.fft.rfft(np.bincount(place, weights=y, minlength=points)[:points])
     transform = np.concatenate([half, np.conj(half[(points - 1) // 2 : 0 : -1])])
     first, last = (int(np.ceil(f * points * step)) for f in RATES)
