@@ -26,15 +26,11 @@ from robots.tracker_readings import BLIND, POINT, Hanging, Readings, read_readin
 CELL, TRACKER, FORCE, JOINTS, BLADE = "cell.toml", "tracker.csv", "force.csv", "joints.csv", "blade.stl"
 SEALED = {"tracker": "sealed_tracker.csv", "force": "sealed_force.csv", "joint": "sealed_joints.csv"}
 MEASURED = (TRACKER, FORCE, JOINTS)
-LOGGED = (
-    ("setpoint_N", "setpoint", 1.0),
-    ("feed_mm_s", "feed", 1e3),
-    ("belt_m_s", "belt", 1.0),
-    ("clock_s", "clock", 1.0),
-    ("temperature_C", "temperature", 1.0),
-    ("wheel_temperature_C", "wheel_temperature", 1.0),
-)
-"""Settings of a force log: column, name, its unit a SI unit."""
+LOGGED = {"setpoint": "setpoint_N", "feed": "feed_mm_s", "belt": "belt_m_s", "clock": "clock_s"} | {
+    "temperature": "temperature_C",
+    "wheel_temperature": "wheel_temperature_C",
+}
+"""Columns of a force log's settings."""
 
 
 @dataclass(frozen=True)
@@ -154,12 +150,13 @@ def beyond_log(measured: ForceLog, sealed: ForceLog) -> tuple[str, ...]:
     """Sentences on columns that sealed conditions lack and the log has, and on conditions outside what was measured."""
     ranges = {f"q{j + 1}_deg": (np.degrees(measured.q[:, j]), np.degrees(sealed.q[:, j]), FAR_TURN) for j in range(6)}
     lacking = []
-    for column, name, unit in LOGGED:
+    for name, column in LOGGED.items():
         seen, asked = getattr(measured, name), getattr(sealed, name)
         if seen is not None and asked is None and not (name == "setpoint" and measured.setpoint_sd is not None):
             lacking.append(column)
         if seen is None or asked is None:
             continue
+        unit = 1e3 if column.endswith("_mm_s") else 1.0
         seen, asked = unit * seen[measured.contact], unit * asked[sealed.contact]
         most = FAR_WARMTH if column.endswith("_C") else max(float(np.ptp(seen)), FAR_SHARE * float(np.abs(seen).max()))
         ranges[column] = seen, asked, most
