@@ -11,12 +11,13 @@ from ocp.diagnose import rules
 from ocp.diagnose.answering import beside_others
 from ocp.diagnose.engine.beam import Weighed
 from ocp.diagnose.engine.channel_system import Fold, HeldOut, Sealed
+from ocp.diagnose.engine.evidence import project
 from ocp.diagnose.engine.findings import Alternative, Diagnosis, Explanation, Name, Options
 from ocp.diagnose.engine.linearisation import linearised
 from ocp.diagnose.engine.pool import Member, make_pool
 from ocp.diagnose.foresee.anticipated import anticipated
 from ocp.diagnose.rules import BACKGROUND_SIZES, NO_BACKGROUND
-from ocp.diagnose.tracker.background import DRAWS, _weights, _with_further, background
+from ocp.diagnose.tracker.background import DRAWS, _line, _Waves, _weights, _with_further, background
 from ocp.diagnose.tracker.refit import _width_of_weights, usual_noise
 from ocp.diagnose.verdict.answer import SignalGap, promised
 from ocp.diagnose.verdict.diagnosis import screened
@@ -192,6 +193,28 @@ def test_few_readings_do_not_make_gears_smooth():
         levers = np.sum(c.fit.linear.d_joints**2, axis=(0, 1))
         ratio.append(np.sqrt(c.background.mean @ levers / (2.0 * 8e-6**2 * levers.sum())))
     assert 0.6 < np.median(ratio) < 1.2, ratio
+
+
+def test_waves_put_together_before_their_orders_are_those_of_every_row():
+    rng, n = np.random.default_rng(2), 30
+    q, column = rng.uniform(-2, 2, n), rng.normal(size=3 * n)
+    projection = project(rng.normal(size=(3 * n, 9)), np.r_[np.full(6, 2.0), np.full(3, np.inf)])
+    line = _line(q, column, projection, 0.7)
+    X = projection.apply(column[:, None] * np.repeat(line.waves, 3, axis=0)) / 0.7
+    c, s = np.hsplit(X, 2)
+    np.testing.assert_allclose(line.G, [(c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)], atol=1e-9)
+    y = rng.normal(size=(4, 3 * n))
+    np.testing.assert_allclose(line.met(y).reshape(4, -1), y @ X, atol=1e-9)
+    weight, mean = rng.uniform(size=(4, c.shape[1])), rng.normal(size=(4, 2, c.shape[1]))
+    told = line.explained(_Waves(np.zeros(4), weight, mean, np.zeros((4, 3, c.shape[1]))))
+    np.testing.assert_allclose(told, (weight[:, None] * mean).reshape(4, -1) @ X.T, atol=1e-9)
+
+
+def test_what_is_beside_a_name_is_told_from_what_takes_its_place():
+    """A kernel beside names in 0.4 and without in 0.2, nothing at all in 0.1: of the 0.7 with a name it is in 0.4."""
+    at = dict.fromkeys(Diagnosis.__dataclass_fields__, ()) | {"p_none": 0.3, "p_unknown": 0.6, "p_alone": 0.2}
+    assert Diagnosis(**at).p_beside == pytest.approx(4 / 7)
+    assert Diagnosis(**(at | {"p_none": 1.0, "p_unknown": 0.2})).p_beside == 0.0
 
 
 def test_sizes_of_the_background_are_evenly_likely_before_any_reading():

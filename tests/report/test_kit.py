@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from markupsafe import Markup
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from ocp.report.parts import Facts, Plot, Points, column_widths, made_from, table
-from ocp.report.plotting import WIDTH, Canvas, dressed, envelope, inline_svg
+from ocp.report.plotting import WIDTH, Canvas, dressed, envelope, finished, inline_svg
 from ocp.report.report import Report
 from ocp.report.section import Headline, Part, Section
 from ocp.report.sheets import Sheets, new_sheet, width_of, wrapped
@@ -87,6 +89,15 @@ def test_long_tables_go_on_with_their_head_on_the_next_sheet():
     table(("key", "value"), [(f"k{i}", "1") for i in range(100)]).on_sheets(sheets)
     assert len(sheets.all) == 2 and words_of(sheets).count("key") == 2
     assert all(f"k{i}" in words_of(sheets) for i in range(100))
+
+
+def test_labels_stand_beside_the_numbers():
+    figure = Figure(figsize=(WIDTH, 2.0))
+    ax = dressed(Canvas(figure, 2.0).subplots(), x="distance, mm")
+    canvas = FigureCanvasAgg(finished(figure))
+    canvas.draw()
+    numbers = [text.get_window_extent() for text in ax.get_xticklabels() if text.get_text()]
+    assert numbers and ax.xaxis.label.get_window_extent().y1 < min(box.y0 for box in numbers)
 
 
 def test_a_label_that_is_set_late_stands_where_an_early_one_does():
