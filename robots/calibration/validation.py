@@ -80,7 +80,7 @@ def folds(campaign: Campaign, seed: int = 0) -> Iterator[ReadingFold]:
         if np.ptp(readings.q[:, j]) > np.radians(20):
             yield ReadingFold(
                 "joint range",
-                f"axis {j + 1} above {np.degrees(middle):.0f} deg",
+                f"axis {j + 1} above {round(float(np.degrees(middle)))} deg",
                 np.flatnonzero(_spared(readings, readings.q[:, j] > middle)),
             )
 
